@@ -1,0 +1,214 @@
+"""The grid: world coordinates <-> grid units <-> fixed point.
+
+Voxel (i, j, k) is the closed cube [i, i+1] x [j, j+1] x [k, k+1] in grid units, its centre at
++0.5; world = origin + pitch * grid. Vertices are rounded once to 1/256 voxel, and everything
+after that is integer arithmetic.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.errors import GridError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from voxtool.mesh import Mesh
+
+FIXED_POINT_BITS = 8  # a voxel is 2**8 units of the fixed-point lattice
+FIXED_POINT_LIMIT = 1 << 30  # coordinates beyond this many units are refused
+MIN_DIM = 8
+MAX_DIM = 65536
+DEFAULT_MARGIN = 4
+
+
+@dataclass(frozen=True)
+class Grid:
+    """An axis-aligned lattice of voxels.
+
+    Parameters
+    ----------
+    shape : voxels along x, y and z; each at least 1, the longest from 8 to 65,536.
+    origin : world coordinates of the low corner of voxel (0, 0, 0).
+    pitch : world size of a voxel along x, y and z, positive.
+
+    Raises
+    ------
+    GridError : a number is out of range or not finite.
+    """
+
+    shape: tuple[int, int, int]
+    origin: tuple[float, float, float]
+    pitch: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        for name, kind in (("shape", int), ("origin", float), ("pitch", float)):
+            values = tuple(kind(v) for v in np.broadcast_to(getattr(self, name), 3))
+            object.__setattr__(self, name, values)
+        if min(self.shape) < 1 or not MIN_DIM <= max(self.shape) <= MAX_DIM:
+            raise GridError(
+                f"grid of {self.shape[0]} x {self.shape[1]} x {self.shape[2]} voxels: the longest "
+                f"side must count from {MIN_DIM} to {MAX_DIM} voxels, and no side less than 1"
+            )
+        if not all(map(math.isfinite, self.origin)):
+            raise GridError(f"grid origin {self.origin} is not finite")
+        if not all(math.isfinite(p) and p > 0 for p in self.pitch):
+            raise GridError(f"voxel size {self.pitch} is not positive and finite")
+
+    @classmethod
+    def fit(
+        cls,
+        mesh: Mesh,
+        dim: int | None = None,
+        *,
+        pitch: float | None = None,
+        bbox: Sequence[float] | None = None,
+        margin: int | None = None,
+        fit: str = "uniform",
+    ) -> Grid:
+        """Place a grid around a mesh, or over a box.
+
+        Parameters
+        ----------
+        dim : voxels along the longest side, margins included; 256 when pitch is not given either.
+        pitch : voxel size in world units instead of dim.
+        bbox : X0 Y0 Z0 X1 Y1 Z1 in world units: the grid covers this box instead of the mesh.
+        margin : empty voxels on each side; min(4, dim // 8) by default, 0 with bbox.
+        fit : "uniform" (cubic voxels) or "stretch" (each axis apart, mapped to [4, dim]: eq. (5.1)
+            of the thesis, for comparison with its tables; takes dim alone).
+
+        Raises
+        ------
+        GridError : options that contradict each other, or a grid out of range.
+        """
+        if dim is not None and pitch is not None:
+            raise GridError("dim and pitch both set the voxel size: give one of them")
+        if fit not in ("uniform", "stretch"):
+            raise GridError(f"fit {fit!r} is neither 'uniform' nor 'stretch'")
+        if dim is None and pitch is None:
+            dim = 256
+        if dim is not None and not MIN_DIM <= dim <= MAX_DIM:
+            raise GridError(f"dim {dim} is out of range: choose from {MIN_DIM} to {MAX_DIM}")
+        if pitch is not None and not (math.isfinite(pitch) and pitch > 0):
+            raise GridError(f"pitch {pitch} is not a positive size")
+        if margin is not None and margin < 0:
+            raise GridError(f"margin {margin} is negative: choose 0 or more voxels")
+        low, high = _bounds(mesh, bbox)
+        if fit == "stretch":
+            if dim is None or bbox is not None or margin is not None:
+                raise GridError("fit 'stretch' goes with dim alone: drop pitch, bbox and margin")
+            return cls._stretched(low, high, dim)
+        if bbox is not None and margin is None:
+            margin = 0
+        if dim is not None:
+            if margin is None:
+                margin = min(DEFAULT_MARGIN, dim // 8)
+            inner = dim - 2 * margin
+            if inner < 1:
+                raise GridError(
+                    f"margin {margin} on both sides leaves no voxel of dim {dim}: choose at most "
+                    f"{(dim - 1) // 2}"
+                )
+            pitch = float(np.max(high - low)) / inner
+            if not pitch > 0:
+                raise GridError("the mesh is so small that a voxel has no size: scale it up")
+            if bbox is None:
+                shape = (dim, dim, dim)
+            else:  # the box may be no cube
+                shape = np.minimum(_voxel_count(high - low, pitch), inner) + 2 * margin
+        else:
+            assert pitch is not None
+            count = _voxel_count(high - low, pitch)
+            longest = int(count.max())
+            if longest > MAX_DIM:
+                raise GridError(
+                    f"pitch {pitch:g} makes {longest} voxels along the longest side: choose at "
+                    f"least {float(np.max(high - low)) / (MAX_DIM - 2 * DEFAULT_MARGIN):.4g}"
+                )
+            if margin is None:  # the largest m <= 4 that the dim it makes allows
+                margin = next(
+                    m for m in range(DEFAULT_MARGIN, -1, -1) if m <= (longest + 2 * m) // 8
+                )
+            shape = count + 2 * margin
+            shape[np.argmax(shape)] = max(int(shape.max()), MIN_DIM)
+        return cls(tuple(shape), tuple(low - margin * pitch), (pitch,) * 3)
+
+    @classmethod
+    def _stretched(cls, low: np.ndarray, high: np.ndarray, dim: int) -> Grid:
+        extent = high - low
+        extent[extent == 0] = extent.max()  # a flat axis has no scale of its own
+        pitch = extent / (dim - 4)
+        return cls((dim, dim, dim), tuple(low - 4 * pitch), tuple(pitch))
+
+    @property
+    def dim(self) -> int:
+        """Voxels along the longest side."""
+        return max(self.shape)
+
+    @property
+    def side(self) -> int:
+        """Voxels along a side of the octree's cube: the least power of two >= dim."""
+        return 1 << (self.dim - 1).bit_length()
+
+    @property
+    def voxel_volume(self) -> float:
+        """World volume of a voxel."""
+        return self.pitch[0] * self.pitch[1] * self.pitch[2]
+
+    def window(self, low: Sequence[int], shape: Sequence[int]) -> Grid:
+        """The grid of the voxels [low, low + shape) of this one."""
+        origin = (o + p * int(n) for o, p, n in zip(self.origin, self.pitch, low, strict=True))
+        return Grid(tuple(shape), tuple(origin), self.pitch)  # pyright: ignore[reportArgumentType]
+
+    def to_fixed(self, points: np.ndarray) -> np.ndarray:
+        """World points rounded to the fixed-point lattice, ties to even.
+
+        Parameters
+        ----------
+        points : (N, 3) float64, world units.
+
+        Returns
+        -------
+        (N, 3) int32, in 1/256 voxel from the grid's low corner.
+
+        Raises
+        ------
+        GridError : a coordinate lies beyond +-2**30 units, or is not finite.
+        """
+        scaled = np.asarray(points, np.float64) - self.origin
+        scaled /= self.pitch
+        scaled *= 1 << FIXED_POINT_BITS
+        np.rint(scaled, out=scaled)
+        if scaled.size and not (
+            scaled.min() >= -FIXED_POINT_LIMIT and scaled.max() <= FIXED_POINT_LIMIT
+        ):
+            inside = (np.abs(scaled) <= FIXED_POINT_LIMIT).all(axis=-1)
+            raise GridError(
+                f"vertex {int(np.argmin(inside))} lies more than "
+                f"{FIXED_POINT_LIMIT >> FIXED_POINT_BITS} voxels from the grid's corner: "
+                "choose a larger pitch or a nearer box"
+            )
+        return scaled.astype(np.int32)
+
+    def to_world(self, points: np.ndarray) -> np.ndarray:
+        """Points in grid units, (N, 3), to world coordinates, (N, 3) float64."""
+        return np.asarray(points, np.float64) * self.pitch + self.origin
+
+
+def _bounds(mesh: Mesh, bbox: Sequence[float] | None) -> tuple[np.ndarray, np.ndarray]:
+    if bbox is None:
+        return mesh.bounds[0], mesh.bounds[1]
+    box = np.asarray(bbox, np.float64).reshape(2, 3)
+    if not np.isfinite(box).all() or not (box[0] < box[1]).all():
+        raise GridError(f"box {' '.join(f'{v:g}' for v in box.ravel())} is empty or not finite")
+    return box[0], box[1]
+
+
+def _voxel_count(extent: np.ndarray, pitch: float) -> np.ndarray:
+    """Voxels that cover each side, at least 1; a side that is whole to 1/512 voxel stays so."""
+    return np.maximum(np.ceil(extent / pitch - 1 / 512), 1).astype(np.int64)
