@@ -26,7 +26,8 @@ from typing import Any
 import numpy as np
 
 from voxtool.errors import FileError
-from voxtool.grid import Grid
+from voxtool.grid import FIXED_POINT_BITS, Grid
+from voxtool.opencl import program
 
 NODE = np.dtype([("parent", "<u4"), ("child", "<u4")])
 INSIDE = np.uint32(1 << 31)
@@ -35,8 +36,13 @@ LINK = np.uint32(VALID - 1)
 
 BRICK = np.dtype("<u8")
 BRICK_SIDE = 4
-MODES = ("surface26", "surface6", "solid")
-FILLS = ("none", "parity")
+program.generated["svo/octree.h"] = "\n".join(
+    [
+        program.c_struct("svo_node", NODE),
+        program.c_constants(INSIDE=INSIDE, VALID=VALID, LINK=LINK),
+        f"#define FIXED_POINT_BITS {FIXED_POINT_BITS}",
+    ]
+)
 
 
 def spread_bits(values: np.ndarray) -> np.ndarray:
@@ -231,17 +237,9 @@ class Octree:
         self._check_border()
 
     def _check_offsets(self) -> None:
+        check_offsets(self.grid, self.offsets)
         offsets = self.offsets.astype(np.int64)
-        depth = (self.grid.side // BRICK_SIDE).bit_length()
-        if len(offsets) != depth + 1:
-            raise FileError(
-                f"octree offsets: {len(offsets) - 1} levels where a grid of dim {self.grid.dim} "
-                f"has {depth}"
-            )
-        if offsets[0] != 0 or offsets[1] != 1 or (np.diff(offsets) < 0).any():
-            raise FileError("octree offsets: they do not rise from 0 and 1 (the root)")
-        if (np.diff(offsets)[1:] % 8).any():
-            raise FileError("octree offsets: a level below the root is no multiple of 8 nodes")
+        depth = self.depth
         if offsets[-1] != len(self.nodes):
             raise FileError(
                 f"octree offsets: they end at {offsets[-1]} where there are {len(self.nodes)} nodes"
@@ -291,23 +289,67 @@ class Octree:
 
     def _check_border(self) -> None:
         """No voxel is set beyond the grid's shape: the padding to a cube is zero."""
+        if self.grid.shape == (self.grid.side,) * 3:
+            return
         for level in self.levels():
-            beyond = (level.cells + level.side > self.grid.shape).any(axis=1)
+            beyond = _beyond(level, self.grid.shape)
             if level.number:
                 bad = beyond & level.inside
             else:
                 edge = np.flatnonzero(beyond)
-                voxels = level.cells[edge][:, None] + BRICK_VOXELS
-                out = (voxels >= self.grid.shape).any(axis=2)
-                bits = np.uint64(1) << np.arange(64, dtype=np.uint64)
-                padding = np.where(out, bits, np.uint64(0)).sum(axis=1, dtype=np.uint64)
+                allowed = _voxels_within(morton_decode(level.codes[edge]), self.grid.shape)
                 bad = np.zeros(len(level.codes), bool)
-                bad[edge] = (self.bricks[edge] & padding) != 0
+                bad[edge] = (self.bricks[edge] & ~allowed) != 0
             if bad.any():
                 raise FileError(
                     f"octree padding: level {level.number}, node {int(np.argmax(bad))} has voxels "
                     "set beyond the grid's shape"
                 )
+
+
+def check_offsets(grid: Grid, offsets: np.ndarray) -> None:
+    """Check what offsets, (depth + 1,), can tell alone: before memory is taken for nodes.
+
+    Raises
+    ------
+    FileError : levels that the grid does not have, or of impossible sizes.
+    """
+    offsets = offsets.astype(np.int64)
+    depth = (grid.side // BRICK_SIDE).bit_length()
+    if len(offsets) != depth + 1:
+        raise FileError(
+            f"octree offsets: {len(offsets) - 1} levels where a grid of dim {grid.dim} has {depth}"
+        )
+    sizes = np.diff(offsets)
+    if offsets[0] != 0 or offsets[1] != 1 or (sizes < 0).any():
+        raise FileError("octree offsets: they do not rise from 0 and 1 (the root)")
+    if (sizes[1:] % 8).any():
+        raise FileError("octree offsets: a level below the root is no multiple of 8 nodes")
+    if (sizes[1:] > 8 * sizes[:-1]).any() or sizes.max() > int(LINK) + 1:
+        raise FileError("octree offsets: a level has more nodes than the one above allows")
+
+
+def _beyond(level: Level, shape: tuple[int, int, int]) -> np.ndarray:
+    """(N,) bool: nodes that reach beyond the shape; codes of one axis compare as its cells do."""
+    axis = spread_bits(np.array([(1 << 21) - 1]))[0]  # the bits of x in a code
+    beyond = np.zeros(len(level.codes), bool)
+    for a in range(3):
+        first = spread_bits(np.array([shape[a] // level.side]))[0]  # first cell not wholly within
+        beyond |= (level.codes & (axis << np.uint64(a))) >= (first << np.uint64(a))
+    return beyond
+
+
+def _voxels_within(bricks: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
+    """(N, 3) brick cells to (N,) masks of the voxels that lie within the shape."""
+    bits = np.uint64(1) << np.arange(BRICK_SIDE**3, dtype=np.uint64)
+    within = np.full(len(bricks), ~np.uint64(0))
+    for a in range(3):
+        masks = np.array(
+            [bits[BRICK_VOXELS[:, a] < n].sum(dtype=np.uint64) for n in range(BRICK_SIDE + 1)],
+            np.uint64,
+        )
+        within &= masks[np.clip(shape[a] - BRICK_SIDE * bricks[:, a], 0, BRICK_SIDE)]
+    return within
 
 
 def unpack_bricks(bricks: np.ndarray) -> np.ndarray:

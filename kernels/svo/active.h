@@ -1,0 +1,30 @@
+// The set of active level-1 nodes: bits in Morton order with the number of set bits before each
+// word, so that a node's place among the active ones is found in constant time. Where the grid is
+// large the bits of only those blocks of 8 x 8 x 8 nodes exist that a coarse set of the same form
+// names (BLOCKED).
+
+uint set_index(__global const uint *words, __global const uint *ranks, CODE code)
+{
+    const uint word = (uint)(code >> 5);
+    return ranks[word] + popcount(words[word] & ((1u << (uint)(code & 31)) - 1u));
+}
+
+#ifdef BLOCKED
+#define ACTIVE_SET_PARAMETERS                                                                      \
+    __global const uint *block_words, __global const uint *block_ranks, __global const uint *words, \
+        __global const uint *ranks
+#define ACTIVE_SET block_words, block_ranks, words, ranks
+#else
+#define ACTIVE_SET_PARAMETERS __global const uint *words, __global const uint *ranks
+#define ACTIVE_SET words, ranks
+#endif
+
+// The place of an active node's code among all active ones.
+uint node_index(ACTIVE_SET_PARAMETERS, CODE code)
+{
+#ifdef BLOCKED
+    const CODE slot = set_index(block_words, block_ranks, code >> 9);
+    code = (slot << 9) | (code & 511);
+#endif
+    return set_index(words, ranks, code);
+}

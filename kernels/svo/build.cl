@@ -1,0 +1,39 @@
+// The octree, bottom-up from shortened Morton codes (section 3.2 and listing A.2 of the thesis). Host
+// side: voxtool/svo/build.py. Options: CODE.
+
+#include "svo/octree.h"
+
+// flags[i] = 1 where refined node i is the last child of its parent among them.
+__kernel void tag_parents(__global const CODE *codes, const uint n, __global uint *flags)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n)
+        flags[gid] = gid == n - 1 || codes[gid] >> 3 != codes[gid + 1] >> 3;
+}
+
+// The codes of the parents, each once.
+__kernel void strip_mortons(__global const CODE *codes, const uint n,
+                            __global const uint *parent_index, __global CODE *parents)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n && (gid == n - 1 || codes[gid] >> 3 != codes[gid + 1] >> 3))
+        parents[parent_index[gid]] = codes[gid] >> 3;
+}
+
+// Refined node i of a level, `own` into the level, gets its eight children, and they their parent;
+// the children of level 1 are bricks.
+__kernel void link_level(__global const CODE *codes, const uint n,
+                         __global const uint *parent_index, const uint is_root, const uint level,
+                         const uint offset, const uint child_offset, __global svo_node *nodes)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint own = is_root ? 0 : 8 * parent_index[gid] + (uint)(codes[gid] & 7);
+    nodes[offset + own].child = VALID | (8 * gid);
+    for (uint j = 8 * gid; j < 8 * gid + 8; ++j) {
+        nodes[child_offset + j].parent = VALID | own;
+        if (level == 1)
+            nodes[child_offset + j].child = VALID | j;
+    }
+}

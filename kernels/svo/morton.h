@@ -1,0 +1,69 @@
+// Morton codes (eq. 2.2 of the thesis), x in the lowest bit. CODE is uint where the finest level-1
+// cells fit 10 bits an axis, ulong otherwise: the plan decides.
+
+ulong spread_bits(uint value)
+{
+    ulong v = value;
+    v = (v | (v << 32)) & 0x1F00000000FFFFul;
+    v = (v | (v << 16)) & 0x1F0000FF0000FFul;
+    v = (v | (v << 8)) & 0x100F00F00F00F00Ful;
+    v = (v | (v << 4)) & 0x10C30C30C30C30C3ul;
+    v = (v | (v << 2)) & 0x1249249249249249ul;
+    return v;
+}
+
+uint gather_bits(ulong v)
+{
+    v &= 0x1249249249249249ul;
+    v = (v | (v >> 2)) & 0x10C30C30C30C30C3ul;
+    v = (v | (v >> 4)) & 0x100F00F00F00F00Ful;
+    v = (v | (v >> 8)) & 0x1F0000FF0000FFul;
+    v = (v | (v >> 16)) & 0x1F00000000FFFFul;
+    v = (v | (v >> 32)) & 0x1FFFFFul;
+    return (uint)v;
+}
+
+uint spread_10_bits(uint v)
+{
+    v = (v | (v << 16)) & 0x030000FFu;
+    v = (v | (v << 8)) & 0x0300F00Fu;
+    v = (v | (v << 4)) & 0x030C30C3u;
+    v = (v | (v << 2)) & 0x09249249u;
+    return v;
+}
+
+CODE morton_encode(uint3 cell)
+{
+    if (sizeof(CODE) == 4)
+        return (CODE)(spread_10_bits(cell.x) | spread_10_bits(cell.y) << 1 |
+                      spread_10_bits(cell.z) << 2);
+    return (CODE)(spread_bits(cell.x) | spread_bits(cell.y) << 1 | spread_bits(cell.z) << 2);
+}
+
+uint3 morton_decode(CODE code)
+{
+    const ulong c = code;
+    return (uint3)(gather_bits(c), gather_bits(c >> 1), gather_bits(c >> 2));
+}
+
+// The bit of a voxel in its brick; coordinates count modulo 4.
+uint brick_bit(uint3 voxel)
+{
+    const uint3 low = voxel & 1u, high = (voxel >> 1) & 1u;
+    return low.x | low.y << 1 | low.z << 2 | high.x << 3 | high.y << 4 | high.z << 5;
+}
+
+// The octant of a brick in its level-1 node.
+uint brick_octant(uint3 voxel)
+{
+    const uint3 o = (voxel >> 2) & 1u;
+    return o.x | o.y << 1 | o.z << 2;
+}
+
+// The bit of a row of voxels along x in the 64-bit state of its tile of 8 x 8 rows. The faces
+// (voxels of x = 0) of the four bricks of a tile interleave in it: see face_of.
+uint row_bit(uint y, uint z)
+{
+    return ((y >> 2) & 1) | (y & 1) << 1 | (z & 1) << 2 | ((z >> 2) & 1) << 3 |
+           ((y >> 1) & 1) << 4 | ((z >> 1) & 1) << 5;
+}

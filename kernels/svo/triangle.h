@@ -1,0 +1,83 @@
+// A triangle on the fixed-point lattice and its exact integer predicates. With n the normal and
+// p - v0 up to an extent of 2^20 units (4096 voxels), n . (p - v0) fits 62 bits; where a triangle
+// is larger the plan compiles WIDE, and that one product is formed in 128 bits. Edge functions fit
+// 64 bits either way: coordinates are at most 2^30 in magnitude.
+
+#define VOXEL (1 << FIXED_POINT_BITS) // units of the lattice in a voxel
+#define HALF (VOXEL / 2)
+
+typedef struct { int3 v[3]; } triangle;
+
+triangle fetch_triangle(__global const int *vertices, __global const int *faces, uint index)
+{
+    triangle t;
+    for (int i = 0; i < 3; ++i)
+        t.v[i] = vload3(faces[3 * index + i], vertices);
+    return t;
+}
+
+// ---- n . (p - v0), in as many bits as it takes
+
+#ifdef WIDE
+typedef struct { long high; ulong low; } wide; // two's complement
+
+wide wide_product(long a, long b)
+{
+    const wide w = {mul_hi(a, b), (ulong)a * (ulong)b};
+    return w;
+}
+
+wide wide_sum(wide a, wide b)
+{
+    const ulong low = a.low + b.low;
+    const wide w = {(long)((ulong)a.high + (ulong)b.high + (low < a.low ? 1ul : 0ul)), low};
+    return w;
+}
+
+bool is_negative(wide a) { return a.high < 0; }
+bool is_positive(wide a) { return a.high > 0 || (a.high == 0 && a.low != 0); }
+float to_float(wide a) { return (float)a.high * 0x1p64f + (float)a.low; }
+#else
+typedef long wide;
+wide wide_product(long a, long b) { return a * b; }
+wide wide_sum(wide a, wide b) { return a + b; }
+bool is_negative(wide a) { return a < 0; }
+bool is_positive(wide a) { return a > 0; }
+float to_float(wide a) { return (float)a; }
+#endif
+
+// a . b
+wide wide_dot(long ax, long ay, long az, long bx, long by, long bz)
+{
+    return wide_sum(wide_sum(wide_product(ax, bx), wide_product(ay, by)), wide_product(az, bz));
+}
+
+// The product of two edges' components as in a cross product; it fits 63 bits, its terms wrap.
+long cross_term(int ax, int by, int bx, int ay)
+{
+    return (long)((ulong)((long)ax * by) - (ulong)((long)bx * ay));
+}
+
+// ---- edge functions (eq. 3.2 to 3.4), of a projection to the axes p and q
+
+typedef struct { long p, q, d; } edge_function; // p, q: inward normal; d: offset at the origin
+
+long edge_at(edge_function e, long p, long q) { return e.p * p + e.q * q + e.d; }
+
+// The edge function of the edge from (ap, aq) to (bp, bq), where `sign` is that of the projected
+// area: zero on the edge, positive inside.
+edge_function edge_of(int ap, int aq, int bp, int bq, int sign)
+{
+    edge_function e;
+    e.p = (long)(aq - bq) * sign;
+    e.q = (long)(bp - ap) * sign;
+    e.d = -(e.p * ap + e.q * aq);
+    return e;
+}
+
+// The sign of a . eps for eps.x >> eps.y >> eps.z > 0: the rule for every tie.
+int shift_sign(long x, long y, long z)
+{
+    const long first = x != 0 ? x : y != 0 ? y : z;
+    return (first > 0) - (first < 0);
+}

@@ -1,0 +1,178 @@
+"""A file appears whole or not at all: write beside the target, fsync, rename.
+
+A process that is killed leaves the old file, or none, and at worst a hidden `.NAME.RANDOM.tmp`.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import secrets
+import shutil
+import stat
+import tempfile
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from voxtool.errors import FileError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
+MENDS = {
+    errno.ENOSPC: "the disk is full: free some space, or write to another disk",
+    errno.EDQUOT: "the disk quota is used up: free some space, or write to another disk",
+    errno.EFBIG: "the file would be larger than its disk or a limit (ulimit -f) allows",
+    errno.EROFS: "the disk is read-only: choose another folder",
+    errno.EACCES: "no permission: choose another folder",
+    errno.EPERM: "no permission: choose another folder",
+    errno.ENAMETOOLONG: "the name is too long: shorten it",
+}
+
+
+def check_target(target: str | os.PathLike[str], clobber: bool = True) -> None:
+    """Refuse early, before any work, a file that could not be written later.
+
+    Raises
+    ------
+    FileError : its folder does not exist or cannot be written, the target is a folder, or it
+        exists and clobber is False.
+    """
+    target = Path(target)
+    if target.is_dir():
+        raise FileError(f"cannot write {target}: it is a folder: name a file in it")
+    if not clobber and os.path.lexists(target):
+        raise _refusal(target)
+    folder = Path(os.path.realpath(target)).parent
+    if not folder.exists():
+        raise FileError(f"cannot write {target}: there is no folder {folder}: create it first")
+    if not folder.is_dir():
+        raise FileError(f"cannot write {target}: {folder} is a file, not a folder")
+    if not _is_device(target) and not os.access(folder, os.W_OK | os.X_OK):
+        raise FileError(f"cannot write {target}: {MENDS[errno.EACCES]}")
+
+
+@contextmanager
+def atomic_path(target: str | os.PathLike[str], clobber: bool = True) -> Iterator[Path]:
+    """A temporary path beside `target`, which replaces it when the block ends well.
+
+    The file exists, is empty and has mode 0666 & ~umask. When the block raises anything at all,
+    it is removed and the target is left as it was. A symbolic link is followed; a device or pipe
+    (/dev/null, /dev/stdout) gets the bytes at the end.
+
+    Parameters
+    ----------
+    clobber : False refuses an existing target, also one that appears in the meantime.
+
+    Raises
+    ------
+    FileError : the target cannot be written, or exists and clobber is False.
+    """
+    target = Path(target)
+    check_target(target, clobber)
+    temporary: Path | None = None
+    try:
+        if _is_device(target):
+            real, folder = target, Path(tempfile.gettempdir())
+        else:
+            real = Path(os.path.realpath(target))
+            folder = real.parent
+        temporary = _create_beside(folder, target.name)
+        yield temporary
+        _put_in_place(temporary, real, clobber)
+    except OSError as error:
+        if not _is_ours(error, temporary, target):
+            raise
+        raise write_error(target, error) from error
+    finally:
+        if temporary is not None:
+            with suppress(OSError):
+                temporary.unlink(missing_ok=True)
+
+
+def write_error(target: str | os.PathLike[str], error: OSError) -> FileError:
+    """What went wrong with writing `target`, in one line with its mend."""
+    mend = MENDS.get(error.errno or 0, error.strerror or str(error))
+    return FileError(f"cannot write {target}: {mend}")
+
+
+def _refusal(target: Path) -> FileError:
+    return FileError(f"{target} exists: name another file, or drop --no-clobber to replace it")
+
+
+def _is_ours(error: OSError, temporary: Path | None, target: Path) -> bool:
+    """Whether an error is about what is written, not about something that the block reads."""
+    if isinstance(error, BrokenPipeError) or error.errno is None:
+        return False
+    names = (None, str(temporary), str(target), os.path.realpath(target))
+    return temporary is None or error.filename in names
+
+
+def _is_device(path: Path) -> bool:
+    try:
+        mode = path.stat().st_mode
+    except OSError:
+        return False
+    return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode)
+
+
+def _create_beside(folder: Path, name: str) -> Path:
+    flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
+    path = folder / f".{name[:40]}.{secrets.token_hex(8)}.tmp"
+    os.close(os.open(path, flags, 0o666))  # the system applies the umask
+    return path
+
+
+def _put_in_place(temporary: Path, target: Path, clobber: bool) -> None:
+    if _is_device(target):
+        with temporary.open("rb") as source, target.open("wb") as sink:
+            shutil.copyfileobj(source, sink, 1 << 20)
+        return
+    _sync(temporary, os.O_RDWR)
+    if clobber:
+        temporary.replace(target)
+    else:
+        _rename_new(temporary, target)
+    with suppress(OSError):  # some systems cannot sync a folder
+        _sync(target.parent, os.O_RDONLY)
+
+
+def _sync(path: Path, flags: int) -> None:
+    handle = os.open(path, flags | getattr(os, "O_BINARY", 0))
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _rename_new(temporary: Path, target: Path) -> None:
+    """Rename, or refuse: of any number of processes at once, one wins."""
+    if os.name == "nt":
+        try:
+            temporary.rename(target)  # refuses an existing target there
+        except FileExistsError:
+            raise _refusal(target) from None
+        return
+    try:
+        os.link(temporary, target)
+    except FileExistsError:
+        raise _refusal(target) from None
+    except OSError as error:
+        if error.errno not in NO_LINKS:
+            raise
+        _claim(target)
+        try:
+            temporary.replace(target)
+        except BaseException:
+            target.unlink()
+            raise
+
+
+def _claim(target: Path) -> None:
+    """Make an empty file where there is none, on file systems without hard links."""
+    try:
+        os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+    except FileExistsError:
+        raise _refusal(target) from None

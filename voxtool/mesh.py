@@ -1,0 +1,675 @@
+"""Triangle meshes: reading (trimesh), checking, and describing what is wrong with one.
+
+A mesh is kept as its file has it: vertices and faces in the file's order, nothing welded, nothing
+dropped. Faces that name a vertex twice, or of zero area, are the segments and points that they
+are. Two vertices are one where their positions are bit-equal (-0.0 is 0.0).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import math
+import os
+import re
+import sys
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+
+from voxtool.errors import MeshError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+KINDS = ("obj", "stl", "ply", "off", "glb", "gltf")  # what trimesh reads with numpy alone
+MAX_COUNT = (1 << 31) - 1  # triangles, and vertices: indices are int32
+MAX_BYTES = 8 << 30  # of one file, unpacked; never more than half of the machine's memory
+
+GZIP = b"\x1f\x8b"
+HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh; `mesh_from_arrays` makes one of any arrays and checks it.
+
+    vertices : (V, 3) float64, C-contiguous, world units.
+    faces : (F, 3) int32, C-contiguous: the vertices of each triangle.
+    source_sha256 : hex digest of the bytes that it was read from (for .gz: the packed ones), or "".
+    name : file name for messages, or "".
+    units : name of the world unit if the format knows it, or "".
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    source_sha256: str = ""
+    name: str = ""
+    units: str = ""
+
+    @cached_property
+    def bounds(self) -> np.ndarray:
+        """(2, 3) float64: low and high corner of the vertices that faces use.
+
+        Raises
+        ------
+        MeshError : there are no faces.
+        """
+        if not len(self.faces):
+            raise MeshError(f"{self.name or 'mesh'}: no faces: it has no bounds")
+        used = np.zeros(len(self.vertices), bool)
+        used[self.faces] = True
+        points = self.vertices[used]
+        return np.stack([points.min(axis=0), points.max(axis=0)]) + 0.0  # no -0.0
+
+
+def mesh_from_arrays(
+    vertices: Any, faces: Any, *, source_sha256: str = "", name: str = "", units: str = ""
+) -> Mesh:
+    """A checked mesh of any arrays.
+
+    Parameters
+    ----------
+    vertices : (V, 3) numbers, world units.
+    faces : (F, 3) whole numbers: the vertices of each triangle, counted from 0.
+    source_sha256, name, units : as in Mesh.
+
+    Raises
+    ------
+    MeshError : a wrong shape, no faces, an index out of range, a coordinate that is not finite,
+        or all points equal.
+    """
+    where = name or "mesh"
+    try:
+        points = np.ascontiguousarray(vertices, np.float64)
+        corners = np.asarray(faces)
+    except (TypeError, ValueError) as error:
+        raise MeshError(f"{where}: not arrays of numbers: {_one_line(error)}") from None
+    if corners.size == 0:
+        raise MeshError(f"{where}: {_n(len(points), 'point')} and no faces: export its triangles")
+    if points.ndim != 2 or points.shape[1] != 3 or corners.ndim != 2 or corners.shape[1] != 3:
+        raise MeshError(
+            f"{where}: vertices of shape {points.shape} and faces of shape {corners.shape}: "
+            "give (V, 3) and (F, 3)"
+        )
+    if not np.issubdtype(corners.dtype, np.integer):
+        raise MeshError(f"{where}: faces of type {corners.dtype}: give whole numbers")
+    _check_counts(where, len(points), len(corners))
+    _check_indices(where, corners, len(points))
+    if not np.isfinite(points).all():
+        vertex = int(np.argmin(np.isfinite(points).all(axis=1)))
+        raise MeshError(
+            f"{where}: vertex {vertex} is not finite: ({', '.join(map(str, points[vertex]))}): "
+            "remove it or give it a position"
+        )
+    indices = np.ascontiguousarray(corners, np.int32)
+    mesh = Mesh(points, indices, source_sha256, name, units)
+    if (mesh.bounds[0] == mesh.bounds[1]).all():
+        raise MeshError(
+            f"{where}: all points of its {_n(len(indices), 'face')} are equal, at "
+            f"({', '.join(map(str, mesh.bounds[0]))}): the mesh has no size"
+        )
+    return mesh
+
+
+def load_mesh(path: str | os.PathLike[str] | BinaryIO, file_type: str | None = None) -> Mesh:
+    """Read a triangle mesh from OBJ, STL, PLY, OFF, GLB or glTF, packed with gzip or not.
+
+    Polygons become fans of triangles, objects and groups one mesh, and the meshes of a scene are
+    placed by its transforms. Materials, textures and files beside this one are not read.
+
+    Parameters
+    ----------
+    path : a file, "-" for standard input, or a binary stream.
+    file_type : "obj" or another of KINDS; by default the file name's extension, or the content
+        where there is no name.
+
+    Raises
+    ------
+    MeshError : the file cannot be read or holds no usable mesh; one line that names file, place
+        (line, face or vertex) and mend.
+    """
+    if isinstance(path, os.PathLike):
+        path = os.fsdecode(path)
+    name = _printable(path if isinstance(path, str) else getattr(path, "name", "stream"))
+    if path == "-":
+        name = "standard input"
+    try:
+        with _open(path) as stream:
+            first = stream.read(1024)
+            _refuse_other_files(name, first)
+            kind = _kind_of_name(name, path, file_type)
+            data = _read_all(name, stream, first)
+    except (OSError, ValueError) as error:
+        raise MeshError(_cannot_open(name, error)) from None
+    if not data:
+        raise MeshError(f"{name}: the file is empty: export the mesh again")
+    digest = hashlib.sha256(data).hexdigest()
+    data = _unpacked(name, data)
+    kind = kind or _kind_of_content(data)
+    if kind != "obj":
+        return _through_trimesh(name, kind, data, digest)
+    _refuse_binary(name, data)
+    plain = _plain_obj(data)
+    try:
+        return _through_trimesh(name, kind, plain or _rewritten_obj(name, data), digest)
+    except MeshError:
+        if plain:
+            _rewritten_obj(name, data)  # finds the line and says it
+        raise
+
+
+# --- bytes ---------------------------------------------------------------------------------------
+
+
+def _open(path: Any) -> contextlib.AbstractContextManager[BinaryIO]:
+    if path == "-":
+        return contextlib.nullcontext(sys.stdin.buffer)
+    if hasattr(path, "read"):
+        return contextlib.nullcontext(path)
+    return open(path, "rb")
+
+
+def _cannot_open(name: str, error: Exception) -> str:
+    if isinstance(error, FileNotFoundError):
+        return f"{name}: no such file: check the path"
+    if isinstance(error, IsADirectoryError) or os.path.isdir(name):
+        return f"{name}: this is a folder: name a mesh file in it"
+    if isinstance(error, PermissionError):
+        return f"{name}: permission denied: make the file readable"
+    return f"{name}: {getattr(error, 'strerror', None) or _one_line(error)}: check the file"
+
+
+def _read_all(name: str, stream: BinaryIO, first: bytes = b"") -> bytes:
+    """The rest of a stream, piece by piece: what is too long is refused before it is held."""
+    limit = MAX_BYTES
+    with contextlib.suppress(AttributeError, ValueError, OSError):  # no sysconf on Windows
+        limit = min(limit, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2)
+    pieces, size = [first], len(first)
+    while piece := stream.read(1 << 22):
+        pieces.append(piece)
+        size += len(piece)
+        if size > limit:
+            raise MeshError(
+                f"{name}: more than {limit >> 20} MiB unpacked, the most that is read here: "
+                "simplify or split the mesh"
+            )
+    return b"".join(pieces)
+
+
+def _unpacked(name: str, data: bytes) -> bytes:
+    """The data, out of its gzip wrapping if it has one."""
+    if not data.startswith(GZIP):
+        if name.lower().endswith(".gz"):
+            raise MeshError(f"{name}: not packed with gzip: drop .gz from its name")
+        return data
+    import gzip
+    import zlib
+
+    try:
+        data = _read_all(name, gzip.GzipFile(fileobj=io.BytesIO(data)))  # pyright: ignore
+    except EOFError:
+        raise MeshError(f"{name}: truncated: the gzip data ends early: copy it again") from None
+    except (OSError, zlib.error) as error:
+        raise MeshError(f"{name}: damaged gzip data: {_one_line(error)}: copy it again") from None
+    if not data:
+        raise MeshError(f"{name}: the file is empty once unpacked: export the mesh again")
+    _refuse_other_files(name, data)
+    return data
+
+
+def _refuse_other_files(name: str, data: bytes) -> None:
+    what = ""
+    if data.startswith(HDF5):
+        what = "a voxtool output (HDF5)"
+    elif data[:64].lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<?xml", b"<!DOCTYPE", b"<octree")):
+        what = "XML, such as a voxtool output"
+    elif data.startswith(b"<VTKFile"):
+        what = "a VTK file"
+    if what:
+        raise MeshError(
+            f"{name}: this is {what}, not a mesh: give a mesh, or make one of an octree with "
+            "`voxtool extract`"
+        )
+
+
+def _refuse_binary(name: str, data: bytes) -> None:
+    found = _kind_of_content(data)
+    if b"\0" in data[: 1 << 20] or found in ("ply", "glb"):
+        mend = "export it as text" if found == "obj" else f"it looks like .{found}, rename it"
+        raise MeshError(f"{name}: this is no text, so not an OBJ: {mend}")
+
+
+def _kind_of_name(name: str, path: Any, file_type: str | None) -> str:
+    """The format that the caller or the extension names; "" where the content must say."""
+    if file_type is None:
+        if path == "-" or hasattr(path, "read"):
+            return ""
+        base = name.lower().removesuffix(".gz")
+        file_type = os.path.splitext(base)[1]
+        if not file_type:
+            return ""
+    kind = file_type.lower().removesuffix(".gz").lstrip(".")
+    if kind not in KINDS:
+        known = " ".join(f".{k}" for k in KINDS)
+        raise MeshError(f"{name}: unknown mesh format .{kind}: use {known} (or these with .gz)")
+    return kind
+
+
+def _kind_of_content(data: bytes) -> str:
+    if data.startswith((b"ply\n", b"ply\r")):
+        return "ply"
+    if data.startswith(b"glTF"):
+        return "glb"
+    if re.match(rb"\s*(?:ST)?C?N?4?n?OFF\b", data):
+        return "off"
+    if data.lstrip().startswith(b"{"):
+        return "gltf"
+    if _stl_size(data) == len(data) or re.match(rb"\s*solid\b", data):
+        return "stl"
+    return "obj"
+
+
+def _stl_size(data: bytes) -> int:
+    """Bytes of a binary STL of as many triangles as its header counts."""
+    return 84 + 50 * int.from_bytes(data[80:84], "little")
+
+
+# --- OBJ -----------------------------------------------------------------------------------------
+
+# trimesh counts relative indices from the end of the file, takes index 0 for 1, sorts faces by
+# material and polygon, and overlooks lines that begin with a blank. So it gets `v x y z` and
+# `f a b c` lines alone; most files are those once comments, names and texture references are gone.
+NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+PLAIN_OBJ = re.compile(rb"(?:(?:v(?: +" + NUMBER + rb"){3}|f(?: +[1-9]\d{0,9}){3}|) *\r?\n)*+")
+OBJ_NUMBER = re.compile(NUMBER)
+OBJ_NOT_FINITE = re.compile(rb"(?i)[-+]?(?:nan|inf|infinity)")
+OBJ_ASIDE = re.compile(rb"^(?:#|v[tnp] |[ogs] |usemtl |mtllib )[^\\\n]*$", re.M)
+OBJ_REFERENCE = re.compile(rb"^([-+]?\d{1,10})(?:/(?:[-+]?\d+)?){0,2}$")
+
+
+def _plain_obj(data: bytes) -> bytes:
+    """The v and f lines of an OBJ without oddities, as they stand; b"" if it has some."""
+    if b"#" in data or re.search(rb"^[a-eg-uw-z]|^v[tnp]", data, re.M):
+        data = OBJ_ASIDE.sub(b"", data)
+    if b"/" in data and not re.search(rb"^v[^\n]*/", data, re.M):
+        data = re.sub(rb"(?<=\d)/-?\d*(?:/-?\d*)?(?=\s)", b"", data)
+    if not data.endswith(b"\n"):
+        data += b"\n"
+    match = PLAIN_OBJ.match(data)
+    return data if match and match.end() == len(data) else b""
+
+
+def _obj_statements(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
+    """Line number and words of each statement; a backslash continues a line."""
+    begun, first = b"", 0
+    for number, line in enumerate(data.splitlines(), 1):
+        line = begun + line.partition(b"#")[0]
+        first = first or number
+        if line.endswith(b"\\"):
+            begun = line[:-1] + b" "
+            continue
+        yield first, line.split()
+        begun, first = b"", 0
+    if begun:
+        yield first, begun.split()
+
+
+def _rewritten_obj(name: str, data: bytes) -> bytes:
+    """The OBJ as `v x y z` and `f a b c` lines alone: indices absolute, polygons as fans.
+
+    Raises
+    ------
+    MeshError : a line cannot be understood; names it.
+    """
+    data = data.removeprefix(b"\xef\xbb\xbf")
+    total = len(re.findall(rb"^[ \t]*v[ \t]", data, re.M))
+    lines, known, line, corners = [], 0, 0, [0] * 3
+    try:
+        for line, words in _obj_statements(data):
+            corners = [0] * 3
+            if words[:1] == [b"v"]:
+                known += 1
+                lines.append(_obj_vertex(words[1:4]))
+            elif words[:1] == [b"f"]:
+                corners = [_obj_index(word, known, total) for word in words[1:]]
+                for b, c in pairwise(corners[1:]):
+                    lines.append(b"f %d %d %d" % (corners[0], b, c))
+        if len(corners) < 3 and not data.endswith((b"\n", b"\r")):
+            raise MeshError(
+                f"the last face has {_n(len(corners), 'vertex')}: the file is truncated"
+            )
+    except MeshError as error:
+        raise MeshError(f"{name}, line {line}: {error}") from None
+    return b"\n".join(lines) + b"\n"
+
+
+def _obj_vertex(words: list[bytes]) -> bytes:
+    for word in words:
+        if not OBJ_NUMBER.fullmatch(word) and not OBJ_NOT_FINITE.fullmatch(word):
+            raise MeshError(f"{_shown(word)} is not a number: mend the vertex")
+        if not math.isfinite(float(word)):
+            raise MeshError(f"coordinate {_shown(word)} is not finite: mend the vertex")
+    if len(words) < 3:
+        raise MeshError(
+            f"a vertex of {_n(len(words), 'coordinate')} where 3 are needed: mend it, or the file "
+            "is truncated"
+        )
+    return b"v " + b" ".join(words)
+
+
+def _obj_index(word: bytes, known: int, total: int) -> int:
+    """A vertex of a face, counted from 1; a negative one counts back from its line."""
+    match = OBJ_REFERENCE.match(word)
+    if not match:
+        raise MeshError(f"{_shown(word)} is no vertex of a face: mend it to v, v/vt or v/vt/vn")
+    index = int(match[1])
+    absolute = index if index >= 0 else known + 1 + index
+    if not 1 <= absolute <= total:
+        count = f"there are {total}" if index >= 0 else f"{known} stand above"
+        raise MeshError(
+            f"the face names vertex {index} where {count}, counted from 1: mend the index, or the "
+            "file is truncated"
+        )
+    return absolute
+
+
+# --- trimesh -------------------------------------------------------------------------------------
+
+
+def _through_trimesh(name: str, kind: str, data: bytes, digest: str) -> Mesh:
+    """A mesh as trimesh reads it from memory: no other file, no texture, nothing moved."""
+    import logging
+    import warnings
+
+    import trimesh
+
+    logging.getLogger("trimesh").addHandler(logging.NullHandler())
+    try:
+        promised = _promised(name, kind, data)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # older numpy only warns of unmatched text
+            warnings.filterwarnings("error", message="string or file could not be read")
+            scene = trimesh.load_scene(
+                io.BytesIO(data),
+                file_type=kind,
+                process=False,
+                maintain_order=True,
+                skip_materials=True,
+                fix_texture=False,
+            )
+        vertices, faces = _merged(name, scene)
+    except MeshError:
+        raise
+    except (Exception, SystemExit) as error:
+        reason = _one_line(error) or type(error).__name__
+        raise MeshError(
+            f"{name}: not readable as {kind.upper()}: {reason}: it may be truncated or damaged, "
+            "export it again"
+        ) from None
+    if len(faces) and (len(vertices) < promised[0] or len(faces) < promised[1]):
+        raise MeshError(
+            f"{name}: {len(vertices)} vertices and {len(faces)} faces where the header promises "
+            f"{promised[0]} and {promised[1]}: the file is truncated"
+        )
+    units = "m" if kind in ("glb", "gltf") else ""  # the format's own
+    return mesh_from_arrays(vertices, faces, source_sha256=digest, name=name, units=units)
+
+
+def _merged(name: str, scene: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices and faces of all meshes of a scene, placed by its transforms.
+
+    Products are spelled out: what BLAS returns differs from machine to machine.
+    """
+    parents = {b: (a, attributes) for a, b, attributes in scene.graph.to_edgelist()}
+    all_points, all_corners, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
+    for node, (_, attributes) in parents.items():
+        mesh = scene.geometry.get(attributes.get("geometry"))
+        if mesh is None:
+            continue
+        points = np.asarray(mesh.vertices, np.float64)
+        corners = np.asarray(getattr(mesh, "faces", all_corners[0]))
+        _check_indices(name, corners, len(points))
+        matrix = _placement(node, parents)
+        if not (matrix == np.eye(4)).all():
+            x, y, z = points.T
+            m = matrix[:3, :, None]
+            points = (m[:, 0] * x + m[:, 1] * y + m[:, 2] * z + m[:, 3]).T
+            (a, b, c), (d, e, f), (g, h, i) = matrix[:3, :3]
+            if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0:
+                corners = corners[:, ::-1]  # a mirror image keeps its outside
+        all_points.append(points)
+        all_corners.append(corners + count)
+        count += len(points)
+    return np.concatenate(all_points), np.concatenate(all_corners)
+
+
+def _placement(node: Any, parents: dict[Any, Any]) -> np.ndarray:
+    """(4, 4) float64: from the node's coordinates to the scene's."""
+    matrix = np.eye(4)
+    for _ in parents:  # no path is longer
+        if node not in parents:
+            break
+        node, attributes = parents[node]
+        m = np.asarray(attributes.get("matrix", np.eye(4)))[:, :, None]
+        matrix = (
+            m[:, 0] * matrix[0] + m[:, 1] * matrix[1] + m[:, 2] * matrix[2] + m[:, 3] * matrix[3]
+        )
+    return matrix
+
+
+def _promised(name: str, kind: str, data: bytes) -> tuple[int, int]:
+    """Vertices and faces that the header counts, 0 where it does not; refused if impossible."""
+    vertices = faces = 0
+    if kind == "ply":
+        header = data[: data.find(b"end_header")]
+        counts = dict(re.findall(rb"^element\s+(vertex|face)\s+(\d+)", header, re.M))
+        vertices, faces = int(counts.get(b"vertex", 0)), int(counts.get(b"face", 0))
+    elif kind == "off":
+        match = re.match(rb"(?:\s|#.*\n)*\w*OFF(?:\s|#.*\n)+(\d+)\s+(\d+)", data)
+        vertices, faces = map(int, match.groups()) if match else (0, 0)
+    elif kind == "stl" and len(data) != _stl_size(data):
+        if b"\0" in data[:1024] or not re.match(rb"\s*solid\b", data):
+            raise MeshError(
+                f"{name}: {len(data)} bytes where an STL of {(_stl_size(data) - 84) // 50} "
+                f"triangles, as the header counts, has {_stl_size(data)}: the file is truncated "
+                "or no STL"
+            )
+        if b"endsolid" not in data[-4096:].lower():
+            raise MeshError(f"{name}: 'endsolid' is missing at its end: the file is truncated")
+    elif kind == "stl":
+        faces = (_stl_size(data) - 84) // 50
+    else:
+        text = data
+        if kind == "glb":
+            text = data[20 : 20 + int.from_bytes(data[12:16], "little")]
+        if kind != "obj":
+            accessors = json.loads(text).get("accessors", [])
+            vertices = max((int(a["count"]) for a in accessors), default=0)
+    _check_counts(name, vertices, faces)
+    if vertices + faces > len(data):
+        raise MeshError(
+            f"{name}: {len(data)} bytes cannot hold the {vertices} vertices and {faces} faces "
+            "that the header promises: the file is truncated"
+        )
+    return (vertices, faces) if kind in ("ply", "off", "stl") else (0, 0)
+
+
+def _check_counts(name: str, vertices: int, faces: int) -> None:
+    for count, what in ((faces, "triangles"), (vertices, "vertices")):
+        if count > MAX_COUNT:
+            raise MeshError(f"{name}: {count} {what}, at most {MAX_COUNT} can be read: split it")
+
+
+def _check_indices(where: str, corners: np.ndarray, vertices: int) -> None:
+    if len(corners) and (corners.min() < 0 or corners.max() >= vertices):
+        bad = (corners < 0) | (corners >= vertices)
+        face = int(np.argmax(bad.any(axis=1)))
+        raise MeshError(
+            f"{where}: face {face} names vertex {corners[face][bad[face]][0]} where there are "
+            f"{vertices}, both counted from 0: mend the index, or the file is truncated"
+        )
+
+
+def _n(count: int, noun: str) -> str:
+    plural = {"vertex": "vertices"}.get(noun, noun + "s")
+    return f"{count} {noun if count == 1 else plural}"
+
+
+def _printable(text: Any) -> str:
+    return "".join(c if c.isprintable() else "?" for c in str(text))
+
+
+def _one_line(error: BaseException) -> str:
+    return _printable(" ".join(str(error).split()))[:200]
+
+
+def _shown(word: bytes) -> str:
+    return repr(word[:40].decode("ascii", "replace"))
+
+
+# --- what is wrong with a mesh -------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a mesh is, by positions: vertices that are bit-equal are one.
+
+    Faces that name a position twice bound nothing: they count in `faces` and `degenerate_faces`
+    alone. An edge is a pair of positions.
+
+    faces, vertices : as in the file.
+    closed : there are edges, and every one is used an even number of times.
+    even : every edge is used an even number of times, which is what parity filling needs.
+    boundary_edges : edges of exactly one face.
+    nonmanifold_edges : edges of more than two faces.
+    inconsistent_edges : edges of exactly two faces that both run along it in one direction.
+    duplicate_faces : faces on the same three positions as one before, in any order.
+    degenerate_faces : faces of zero area: a position named twice, or three on a line (exactly).
+    shells : groups of faces connected through shared edges.
+    euler : V - E + F of the positions, edges and faces.
+    """
+
+    faces: int
+    vertices: int
+    closed: bool
+    even: bool
+    boundary_edges: int
+    nonmanifold_edges: int
+    inconsistent_edges: int
+    duplicate_faces: int
+    degenerate_faces: int
+    shells: int
+    euler: int
+
+    def as_dict(self) -> dict[str, int | bool]:
+        """The fields by name, of JSON types."""
+        return asdict(self)
+
+    def summary(self) -> str:
+        """One line: "not closed: 223 boundary edges, 0 non-manifold edges, ..."."""
+        counts = (
+            _n(self.boundary_edges, "boundary edge"),
+            _n(self.nonmanifold_edges, "non-manifold edge"),
+            _n(self.inconsistent_edges, "inconsistent edge"),
+            _n(self.duplicate_faces, "duplicate face"),
+            _n(self.degenerate_faces, "degenerate face"),
+            _n(self.shells, "shell"),
+            f"Euler characteristic {self.euler}",
+        )
+        return f"{'closed' if self.closed else 'not closed'}: {', '.join(counts)}"
+
+
+def diagnose(mesh: Mesh) -> Diagnosis:
+    """Describe a mesh: open edges, shells, and what else may surprise.
+
+    Parameters
+    ----------
+    mesh : any mesh; faces may be degenerate.
+    """
+    corners = _positions(mesh)[mesh.faces]
+    a, b, c = corners.T
+    proper = (a != b) & (b != c) & (c != a)
+    corners = corners[proper]
+    flat = _collinear(mesh.vertices[mesh.faces[proper]])
+    edge, forward = _edges(corners)
+    count = np.bincount(edge)
+    along = np.bincount(edge, weights=forward)
+    even = not (count % 2).any()
+    return Diagnosis(
+        faces=len(mesh.faces),
+        vertices=len(mesh.vertices),
+        closed=even and len(count) > 0,
+        even=even,
+        boundary_edges=int(np.count_nonzero(count == 1)),
+        nonmanifold_edges=int(np.count_nonzero(count > 2)),
+        inconsistent_edges=int(np.count_nonzero((count == 2) & (along != 1))),
+        duplicate_faces=len(corners) - _distinct(np.sort(corners, axis=1)),
+        degenerate_faces=int(np.count_nonzero(~proper) + np.count_nonzero(flat)),
+        shells=_shells(edge, len(corners)),
+        euler=len(np.unique(corners)) - len(count) + len(corners),
+    )
+
+
+def _positions(mesh: Mesh) -> np.ndarray:
+    """(V,) int64: equal numbers for vertices of bit-equal positions."""
+    points = mesh.vertices + 0.0  # -0.0 is 0.0
+    order = np.lexsort(points.T)
+    new = np.ones(len(points), np.int64)
+    new[1:] = (points[order[1:]] != points[order[:-1]]).any(axis=1)
+    numbers = np.empty_like(new)
+    numbers[order] = np.cumsum(new) - 1
+    return numbers
+
+
+def _edges(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3F,) edge number and (3F,) bool direction of the sides ab, bc, ca of (F, 3) corners."""
+    start = corners.ravel()
+    end = np.roll(corners, -1, axis=1).ravel()
+    key = np.minimum(start, end) << 32 | np.maximum(start, end)
+    return np.unique(key, return_inverse=True)[1].reshape(-1), start < end
+
+
+def _distinct(rows: np.ndarray) -> int:
+    rows = rows[np.lexsort(rows.T)]
+    return len(rows) and 1 + int(np.count_nonzero((rows[1:] != rows[:-1]).any(axis=1)))
+
+
+def _shells(edge: np.ndarray, faces: int) -> int:
+    """Connected components: every root hooks onto its least neighbour, then all paths collapse."""
+    order = np.argsort(edge, kind="stable")
+    same = edge[order[1:]] == edge[order[:-1]]
+    u, v = order[:-1][same] // 3, order[1:][same] // 3
+    root = np.arange(faces)
+    while len(u):
+        u, v = root[u], root[v]
+        apart = u != v
+        u, v = u[apart], v[apart]
+        np.minimum.at(root, np.maximum(u, v), np.minimum(u, v))
+        while not np.array_equal(root, jump := root[root]):
+            root = jump
+    return int(np.count_nonzero(root == np.arange(faces)))
+
+
+def _collinear(triangles: np.ndarray) -> np.ndarray:
+    """(F,) bool: triangles (F, 3, 3) of zero area, exactly: float64 with an error bound, and whole
+    numbers where that cannot tell."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        p, q = (triangles[:, i] - triangles[:, 0] for i in (1, 2))
+        sure = np.zeros(len(triangles), bool)
+        for i, j in ((0, 1), (1, 2), (2, 0)):
+            left, right = p[:, i] * q[:, j], p[:, j] * q[:, i]
+            sure |= np.abs(left - right) > 2**-50 * (np.abs(left) + np.abs(right)) + 2.0**-1000
+    flat = ~sure
+    for face in np.flatnonzero(flat):
+        ratios = [v.as_integer_ratio() for v in triangles[face].ravel().tolist()]
+        unit = max(below for _, below in ratios)  # a power of two
+        x = [above * (unit // below) for above, below in ratios]
+        p, q = ([x[k + i] - x[i] for i in range(3)] for k in (3, 6))
+        flat[face] = all(p[i] * q[j] == p[j] * q[i] for i, j in ((0, 1), (1, 2), (2, 0)))
+    return flat

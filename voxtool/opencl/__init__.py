@@ -1,0 +1,8 @@
+"""OpenCL: finding a device, building programs, arrays on the device, parallel primitives.
+
+The only package that imports pyopencl. Others hold a `Device`, its `Array`s and its kernels.
+"""
+
+from voxtool.opencl.device import Array, Device, list_devices, open_device
+
+__all__ = ["Array", "Device", "list_devices", "open_device"]

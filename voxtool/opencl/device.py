@@ -1,0 +1,327 @@
+"""Finding and choosing a device, and what a host function needs of one."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import re
+import shutil
+import sys
+import tempfile
+import warnings
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voxtool.errors import DeviceError, MemoryLimitError
+from voxtool.opencl import program
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+INSTALL_HINT = (
+    "install the extra 'cpu' (pip install 'voxtool[cpu]', x86-64) or a driver: "
+    "see docs/devices.md"
+)
+PROBE = """
+__kernel void probe(__global uint *values) {
+    values[get_global_id(0)] = 3u * (uint)get_global_id(0) + 1u;
+}
+"""
+
+
+@functools.cache
+def _opencl() -> Any:
+    """pyopencl, imported with the environment's own CPU driver in sight.
+
+    The loader reads OCL_ICD_VENDORS, a folder of .icd files, when the platforms are first asked
+    for. If the extra `cpu` is installed and nobody has set the variable, it names a folder with
+    the system's drivers and that one for as long as this takes.
+    """
+    embedded = Path(sys.prefix, "lib", "libintelocl.so")
+    os.environ.setdefault("PYOPENCL_COMPILER_OUTPUT", "0")
+    with contextlib.ExitStack() as stack:
+        if embedded.exists() and "OCL_ICD_VENDORS" not in os.environ:
+            folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="voxtool-icd-")))
+            for icd in Path("/etc/OpenCL/vendors").glob("*.icd"):
+                shutil.copy(icd, folder)
+            (folder / "voxtool-cpu.icd").write_text(f"{embedded}\n")
+            os.environ["OCL_ICD_VENDORS"] = str(folder)
+            stack.callback(os.environ.pop, "OCL_ICD_VENDORS")
+        try:
+            import pyopencl as cl
+        except ImportError as error:
+            raise DeviceError(f"pyopencl cannot be imported ({error}): {INSTALL_HINT}") from error
+        with contextlib.suppress(cl.Error):  # no platform at all is an error, too
+            cl.get_platforms()
+    warnings.filterwarnings("ignore", category=cl.CompilerWarning)
+    return cl
+
+
+def _cl_devices() -> list[Any]:
+    """Every device of every platform; GPUs first, otherwise in the loader's order."""
+    cl = _opencl()
+    try:
+        found = [d for p in cl.get_platforms() for d in p.get_devices()]
+    except cl.Error:
+        found = []
+    return sorted(found, key=lambda d: not d.type & cl.device_type.GPU)
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """What is known of a device, and whether the probe kernel ran on it."""
+
+    index: int
+    name: str
+    platform: str
+    kind: str
+    driver: str
+    opencl: str
+    units: int
+    memory: int
+    max_allocation: int
+    fp64: bool
+    probe: str  # "ok", or what failed
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def _info(index: int, cl_device: Any, probe: str) -> DeviceInfo:
+    cl = _opencl()
+    return DeviceInfo(
+        index=index,
+        name=cl_device.name.strip(),
+        platform=cl_device.platform.name.strip(),
+        kind="GPU" if cl_device.type & cl.device_type.GPU else "CPU"
+        if cl_device.type & cl.device_type.CPU else "accelerator",
+        driver=cl_device.driver_version,
+        opencl=cl_device.version.strip(),
+        units=cl_device.max_compute_units,
+        memory=cl_device.global_mem_size,
+        max_allocation=cl_device.max_mem_alloc_size,
+        fp64="cl_khr_fp64" in cl_device.extensions,
+        probe=probe,
+    )
+
+
+def _probe(cl_device: Any) -> str:
+    """Build and run a three-line kernel: "ok", or the first line of what failed."""
+    cl = _opencl()
+    try:
+        context = cl.Context([cl_device])
+        queue = cl.CommandQueue(context)
+        kernel = cl.Kernel(cl.Program(context, PROBE).build(), "probe")
+        values = np.zeros(64, np.uint32)
+        buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, values.nbytes)
+        kernel(queue, values.shape, None, buffer)
+        cl.enqueue_copy(queue, values, buffer)
+    except (cl.Error, RuntimeError, OSError) as error:
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        return f"failed: {lines[0] if lines else type(error).__name__}"
+    if not np.array_equal(values, 3 * np.arange(64, dtype=np.uint32) + 1):
+        return "failed: the probe kernel gave wrong values"
+    return "ok"
+
+
+def list_devices() -> list[DeviceInfo]:
+    """Every device with the probe's outcome, in the order in which they are preferred."""
+    return [_info(i, d, _probe(d)) for i, d in enumerate(_cl_devices())]
+
+
+def open_device(choice: str | None = None, *, profile: bool = False) -> Device:
+    """The device to use.
+
+    Parameters
+    ----------
+    choice : an index of `voxtool devices`, "cpu", "gpu", or a part of the platform's or the
+        device's name; by default $VOXTOOL_DEVICE, or the first device that works, GPUs first.
+    profile : time each stage by events of the device.
+
+    Raises
+    ------
+    DeviceError : no device, none that matches, or none that passes the probe.
+    """
+    choice = choice or os.environ.get("VOXTOOL_DEVICE") or None
+    devices = _cl_devices()
+    if not devices:
+        raise DeviceError(f"no OpenCL device found: {INSTALL_HINT}")
+    infos = [_info(i, d, "") for i, d in enumerate(devices)]
+    matching = [i for i in infos if choice is None or _matches(i, choice)]
+    if not matching:
+        names = "; ".join(f"{i.index}: {i.name} ({i.platform})" for i in infos)
+        raise DeviceError(f"no OpenCL device matches {choice!r}: choose one of {names}")
+    failures = []
+    for info in matching:
+        outcome = _probe(devices[info.index])
+        if outcome == "ok":
+            for failure in failures:
+                print(f"voxtool: warning: passed over {failure}", file=sys.stderr)
+            return Device(devices[info.index], info, profile)
+        failures.append(f"{info.name} ({info.platform}), probe {outcome}")
+    raise DeviceError(f"no usable OpenCL device: {'; '.join(failures)}; {INSTALL_HINT}")
+
+
+def _matches(info: DeviceInfo, choice: str) -> bool:
+    if choice.isdecimal():
+        return info.index == int(choice)
+    if choice.lower() in ("cpu", "gpu"):
+        return info.kind.lower() == choice.lower()
+    return re.search(re.escape(choice), f"{info.platform} {info.name} {info.opencl}", re.IGNORECASE) is not None
+
+
+class Array:
+    """A one-dimensional array on a device. Its content is undefined until it is written."""
+
+    def __init__(self, device: Device, size: int, dtype: np.dtype | type) -> None:
+        self.device = device
+        self.size = size
+        self.dtype = np.dtype(dtype)
+        self.nbytes = size * self.dtype.itemsize
+        self.buffer = device.allocate(max(self.nbytes, 4))
+
+    def get(self, start: int = 0, stop: int | None = None) -> np.ndarray:
+        """A copy of elements [start, stop) on the host; waits for the device."""
+        stop = self.size if stop is None else stop
+        values = np.empty(stop - start, self.dtype)
+        if values.size:
+            self.device.read(values, self.buffer, start * self.dtype.itemsize)
+        return values
+
+    def release(self) -> None:
+        """Give the memory back now; the array must not be used again."""
+        self.device.release(self)
+
+
+class Device:
+    """A device with its context, its queue, its programs, and the time of each stage."""
+
+    def __init__(self, cl_device: Any, info: DeviceInfo, profile: bool) -> None:
+        cl = self._cl = _opencl()
+        self.info = info
+        self.cl_device = cl_device
+        self.context = cl.Context([cl_device])
+        flags = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
+        self.queue = cl.CommandQueue(self.context, cl_device, flags)
+        self.profile = profile
+        self.max_memory = min(info.memory, _machine_memory() if info.kind == "CPU" else sys.maxsize)
+        self.allocated = 0
+        self.peak = 0
+        self._stage = "other"
+        self._events: list[tuple[str, Any]] = []
+        self._programs: dict[Any, Callable[..., None]] = {}
+
+    # ---- memory
+
+    def allocate(self, nbytes: int) -> Any:
+        try:
+            buffer = self._cl.Buffer(self.context, self._cl.mem_flags.READ_WRITE, nbytes)
+        except (self._cl.Error, MemoryError) as error:
+            raise MemoryLimitError(
+                f"{self.info.name} could not allocate {nbytes} bytes: choose a smaller dim"
+            ) from error
+        self.allocated += nbytes
+        self.peak = max(self.peak, self.allocated)
+        return buffer
+
+    def release(self, array: Array) -> None:
+        array.buffer.release()
+        self.allocated -= max(array.nbytes, 4)
+
+    def empty(self, size: int, dtype: np.dtype | type) -> Array:
+        return Array(self, size, dtype)
+
+    def zeros(self, size: int, dtype: np.dtype | type) -> Array:
+        array = Array(self, size, dtype)
+        self._record(
+            self._cl.enqueue_fill_buffer(
+                self.queue, array.buffer, np.uint32(0), 0, -(-max(array.nbytes, 4) // 4) * 4
+            )
+        )
+        return array
+
+    def put(self, values: np.ndarray) -> Array:
+        """A copy of a host array, flattened, on the device."""
+        array = Array(self, values.size, values.dtype)
+        if values.size:
+            self._record(
+                self._cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(values))
+            )
+        return array
+
+    def write(self, array: Array, values: np.ndarray) -> None:
+        """Overwrite the beginning of an array."""
+        self._record(
+            self._cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(values))
+        )
+
+    def read(self, values: np.ndarray, buffer: Any, offset: int) -> None:
+        self._record(self._cl.enqueue_copy(self.queue, values, buffer, src_offset=offset))
+
+    # ---- work
+
+    def kernel(self, source: str, name: str, **defines: int | str) -> Callable[..., None]:
+        """A kernel of kernels/`source`, built once with the given -D options.
+
+        Called as `kernel(size, *args)`: `size` work-items (none for 0), arguments Arrays and numpy
+        scalars; `local=n` sets the work-group's size, of which `size` is a multiple.
+        """
+        key = (source, name, *sorted(defines.items()))
+        if key not in self._programs:
+            built = program.build(self._cl, self.context, self.info.platform, source, defines)
+            for kernel in built.all_kernels():
+                self._programs[(source, kernel.function_name, *key[2:])] = self._launcher(kernel)
+        return self._programs[key]
+
+    def _launcher(self, kernel: Any) -> Callable[..., None]:
+        cl, queue = self._cl, self.queue
+
+        def launch(size: int, *args: Any, local: int | None = None) -> None:
+            if size == 0:
+                return
+            kernel.set_args(*(a.buffer if isinstance(a, Array) else a for a in args))
+            event = cl.enqueue_nd_range_kernel(
+                queue, kernel, (size,), None if local is None else (local,)
+            )
+            self._record(event)
+
+        return launch
+
+    @contextlib.contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Name the stage to which the work enqueued in this block belongs."""
+        outer, self._stage = self._stage, name
+        try:
+            yield
+        finally:
+            self._stage = outer
+
+    def _record(self, event: Any) -> None:
+        if self.profile:
+            self._events.append((self._stage, event))
+
+    def stage_times(self) -> dict[str, float]:
+        """Seconds on the device by stage since the last call, in order of first use."""
+        self.queue.finish()
+        times: dict[str, float] = {}
+        for name, event in self._events:
+            seconds = 1e-9 * (event.profile.end - event.profile.start)
+            times[name] = times.get(name, 0.0) + seconds
+        self._events.clear()
+        return times
+
+    def __repr__(self) -> str:
+        return f"Device({self.info.name!r}, {self.info.platform!r})"
+
+
+def _machine_memory() -> int:
+    """Bytes of memory that this machine can still give, or a very large number if unknown."""
+    with contextlib.suppress(OSError, ValueError, StopIteration):
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        line = next(line for line in lines if line.startswith("MemAvailable"))
+        return 1024 * int(line.split()[1])
+    return sys.maxsize

@@ -1,0 +1,83 @@
+"""Building programs: sources flattened, layouts generated, options kept few.
+
+Includes are flattened by the host, with #line markers, because drivers differ in how they search
+paths and their caches miss edited headers. Compiled programs are cached by pyopencl and by the
+drivers.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from voxtool.errors import DeviceError
+
+_INCLUDE = re.compile(r'^#include "([^"]+)"$', re.MULTILINE)
+_C_TYPES = {"<u4": "uint", "<i4": "int", "<u8": "ulong", "<i8": "long", "|u1": "uchar"}
+OPTIONS = ["-cl-std=CL1.2"]
+
+# Headers that the host writes, so that a layout is given once: name -> text.
+generated: dict[str, str] = {}
+
+
+@functools.cache
+def kernel_folder() -> Path:
+    """The folder of the kernels: inside an installed package, or beside it in a checkout."""
+    package = Path(__file__).parents[1]
+    for folder in (package / "kernels", package.parent / "kernels"):
+        if folder.is_dir():
+            return folder
+    raise DeviceError(f"no kernels beside {package}: reinstall voxtool")
+
+
+@functools.cache
+def flatten(source: str) -> str:
+    """The text of kernels/`source` with its includes in place, each once."""
+    seen: set[str] = set()
+
+    def read(name: str) -> str:
+        if name in seen:
+            return ""
+        seen.add(name)
+        lines = []
+        if name in generated:
+            return generated[name]
+        text = (kernel_folder() / name).read_text(encoding="utf-8")
+        for number, line in enumerate(text.splitlines(), 1):
+            include = _INCLUDE.match(line)
+            if include:
+                lines += [f'#line 1 "{include[1]}"', read(include[1])]
+                lines.append(f'#line {number + 1} "{name}"')
+            else:
+                lines.append(line)
+        return "\n".join(lines)
+
+    return f'#line 1 "{source}"\n{read(source)}\n'
+
+
+def c_struct(name: str, dtype: np.dtype) -> str:
+    """The C declaration of a packed numpy record of 32- and 64-bit fields."""
+    assert dtype.fields is not None
+    members = " ".join(f"{_C_TYPES[t.str]} {n};" for n, (t, *_) in dtype.fields.items())
+    return f"typedef struct {{ {members} }} {name};"
+
+
+def c_constants(**values: int) -> str:
+    """#define lines for unsigned constants."""
+    return "\n".join(f"#define {name} {int(value):#x}u" for name, value in values.items())
+
+
+def build(cl: Any, context: Any, platform: str, source: str, defines: dict[str, int | str]) -> Any:
+    """The program of kernels/`source`; raises DeviceError with the compiler's first error."""
+    options = [*OPTIONS, *(f"-D{name}={value}" for name, value in sorted(defines.items()))]
+    try:
+        return cl.Program(context, flatten(source)).build(options)
+    except cl.RuntimeError as error:
+        log = [line for line in str(error).splitlines() if "error" in line.lower()]
+        raise DeviceError(
+            f"kernels/{source} does not build on {platform}: {(log or [str(error)])[0].strip()}"
+        ) from error

@@ -1,0 +1,254 @@
+"""The plan: what a scene needs, what is left out and why, and what it will cost.
+
+Pure arithmetic on the numbers of a survey: it knows neither meshes nor devices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from voxtool.errors import MemoryLimitError
+
+NODE_BYTES = 8
+BRICK_BYTES = 8
+CELL = 8  # voxels along a side of a level-1 node
+BLOCK = 64  # voxels along a side of a block of level-1 nodes
+UNITS = 256  # fixed-point units in a voxel
+NARROW_EXTENT = 4096  # voxels up to which a triangle's predicates fit 64 bits
+CODE_32_SIDE = 8192  # voxels up to which level-1 Morton codes fit 32 bits
+DENSE_SIDE = 2048  # voxels up to which the level-1 volume is dense
+TILE = 64  # columns along a side of a work-item's share of a triangle
+MAX_LINK = 1 << 30  # a link has 30 bits
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What is counted of a scene before it is planned.
+
+    triangles, vertices : how many there are.
+    outside : triangles that cannot touch the grid nor cross its rows.
+    extent : longest side of a bounding box of a triangle, in voxels.
+    areas : areas projected along x, y, z, summed over the triangles, in voxel^2.
+    before : whether a triangle reaches beyond the low-x side.
+    """
+
+    triangles: int
+    vertices: int
+    outside: int
+    extent: float
+    areas: tuple[float, float, float]
+    before: bool
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a mesh will be voxelized.
+
+    side : voxels along a side of the octree's cube; levels : its levels, bricks included.
+    solid, surface : "" or the separability of the surface that is voxelized, "26" or "6".
+    wide : predicates in 128 bits; code_bits : of the Morton codes; blocked : the level-1 volume is
+    stored by blocks; entry : rows have a state where they enter; tiled, tiled_nodes : triangles
+    are shared among work-items, for voxels and for level-1 nodes.
+    active : predicted refined nodes by level, from level 1 up.
+    """
+
+    survey: Survey
+    shape: tuple[int, int, int]
+    side: int
+    solid: bool
+    surface: str
+    wide: bool
+    code_bits: int
+    blocked: bool
+    entry: bool
+    tiled: bool
+    tiled_nodes: bool
+    active: tuple[int, ...]
+
+    @property
+    def levels(self) -> int:
+        return (self.side // 4).bit_length()
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages that will run, in order."""
+        return [
+            "survey",
+            "active nodes",
+            "octree",
+            *(["crossings", "rows", "fill"] if self.solid else []),
+            *([f"surface{self.surface}"] if self.surface else []),
+        ]
+
+    @property
+    def nodes(self) -> int:
+        """Predicted number of nodes."""
+        return 1 + 8 * sum(self.active)
+
+    @property
+    def bricks(self) -> int:
+        """Predicted number of bricks."""
+        return 8 * self.active[0]
+
+    @property
+    def octree_bytes(self) -> int:
+        return NODE_BYTES * self.nodes + BRICK_BYTES * self.bricks
+
+    @property
+    def device_bytes(self) -> int:
+        """Predicted peak of memory on the device."""
+        return _device_bytes(self)
+
+    @property
+    def work(self) -> int:
+        """Predicted voxels and crossings that are visited: bounds the time."""
+        ax, ay, az = self.survey.areas
+        voxels = {"": 0.0, "6": max(ax, ay, az), "26": ax + ay + az}[self.surface]
+        return round(voxels + (ax if self.solid else 0)) + self.survey.triangles
+
+    def left_out(self) -> dict[str, str]:
+        """What is not compiled, allocated or run, and why."""
+        extent = f"the largest triangle spans {self.survey.extent:.1f} voxels"
+        out = {}
+        if not self.wide:
+            out["128-bit predicates"] = f"{extent}, of {NARROW_EXTENT} that 64 bits serve"
+        if self.code_bits == 32:
+            out["64-bit Morton codes"] = (
+                f"the octree's side is {self.side}, of {CODE_32_SIDE} that 32 bits serve"
+            )
+        if not self.blocked:
+            out["blocked level-1 volume"] = (
+                f"dense, it takes {_dense_bytes(self.side) // 1024} KiB"
+            )
+        if not self.tiled:
+            out["sharing of triangles among work-items"] = extent
+        if not self.solid:
+            out["crossings, rows and fill"] = "the mode is a surface"
+        elif not self.entry:
+            out["state of rows on entry"] = "no triangle reaches beyond the low-x side"
+        if not self.surface:
+            out["surface voxels"] = "the mode is solid, without its surface"
+        out["x-neighbour pointers"] = (
+            "rows walk the octree itself" if self.solid else "nothing is propagated"
+        )
+        return out
+
+    def scene(self) -> dict[str, Any]:
+        """What the plan says of the scene, to be stored with the output: JSON types only."""
+        return {
+            "triangles": self.survey.triangles,
+            "triangles_outside": self.survey.outside,
+            "largest_extent_voxels": self.survey.extent,
+            "stages": self.stages,
+            "left_out": self.left_out(),
+            "predicted_nodes": self.nodes,
+            "predicted_bricks": self.bricks,
+        }
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it, the costs included: JSON types only."""
+        return {
+            "shape": list(self.shape),
+            **self.scene(),
+            "predicted_octree_bytes": self.octree_bytes,
+            "predicted_device_bytes": self.device_bytes,
+            "predicted_work": self.work,
+        }
+
+    def refuse_beyond(self, max_memory: int) -> None:
+        """Raise MemoryLimitError, with the largest dim that fits, if the octree would need more."""
+        if self.device_bytes <= max_memory and self.nodes < MAX_LINK:
+            return
+        dim = max(self.shape)
+        low, high = 0, dim  # low fits, or is none
+        while high - low > 1:
+            middle = (low + high) // 2
+            smaller = _rescale(self, middle / dim)
+            if smaller.device_bytes <= max_memory and smaller.nodes < MAX_LINK:
+                low = middle
+            else:
+                high = middle
+        mend = f"dim {low} is the largest that fits" if low >= CELL else "no dim fits"
+        raise MemoryLimitError(
+            f"dim {dim} would need {self.device_bytes / 1e6:,.0f} MB of memory, of "
+            f"{max_memory / 1e6:,.0f} MB allowed: {mend} (see --max-memory)"
+        )
+
+
+def plan_voxelization(
+    survey: Survey, shape: tuple[int, int, int], *, solid: bool, surface: str
+) -> Plan:
+    """The plan for a mesh that was surveyed against a grid of the given shape.
+
+    Parameters
+    ----------
+    solid : fill the inside; surface : "" or the separability of the surface, "26" or "6".
+    """
+    side = 1 << (max(shape) - 1).bit_length()
+    return Plan(
+        survey=survey,
+        shape=shape,
+        side=side,
+        solid=solid,
+        surface=surface,
+        wide=survey.extent > NARROW_EXTENT,
+        code_bits=32 if side <= CODE_32_SIDE else 64,
+        blocked=side > DENSE_SIDE,
+        entry=solid and survey.before,
+        tiled=survey.extent > TILE - 3,
+        tiled_nodes=survey.extent > (TILE - 3) * CELL,
+        active=_predict_active(survey, shape, side, solid),
+    )
+
+
+def _predict_active(
+    survey: Survey, shape: tuple[int, int, int], side: int, solid: bool
+) -> tuple[int, ...]:
+    """Refined nodes by level: a plane patch of area A and normal n meets A (|nx| w + |ny| h +
+    |nz| d) / c^3 of the boxes of w x h x d that stand on a lattice of spacing c."""
+    if survey.triangles == survey.outside:
+        return (0,) * ((side // CELL).bit_length())
+    ax, ay, az = survey.areas
+    counts = []
+    cell = CELL
+    while cell <= side:
+        widened = cell + 1 if solid else cell
+        expected = (ax * widened + ay * cell + az * cell) / cell**3
+        most = 1
+        for n in shape:
+            most *= -(-n // cell)
+        counts.append(int(min(max(round(expected), 1), most)))
+        cell *= 2
+    return tuple(counts)
+
+
+def _dense_bytes(side: int) -> int:
+    return 2 * 4 * max((side // CELL) ** 3 // 32, 1)
+
+
+def _device_bytes(plan: Plan) -> int:
+    survey, active = plan.survey, plan.active
+    mesh = 12 * (survey.vertices + survey.triangles)
+    shares = 4 * survey.triangles * (plan.tiled or plan.tiled_nodes)
+    if plan.blocked:
+        blocks = active[3] if len(active) > 3 else 1
+        volume = 2 * 4 * max((plan.side // BLOCK) ** 3 // 32, 1) + blocks * (16 * 4 * 2 + 8)
+    else:
+        volume = _dense_bytes(plan.side)
+    lists = sum(active) * (plan.code_bits // 8 + 4)
+    rows = 8 * active[0] if plan.solid else 0
+    if plan.entry:
+        rows += 8 * -(-plan.shape[1] // CELL) * -(-plan.shape[2] // CELL)
+    return mesh + shares + volume + lists + rows + plan.octree_bytes
+
+
+def _rescale(plan: Plan, factor: float) -> Plan:
+    """The plan of the same scene at another dim."""
+    s = plan.survey
+    ax, ay, az = (a * factor**2 for a in s.areas)
+    survey = Survey(
+        s.triangles, s.vertices, s.outside, s.extent * factor, (ax, ay, az), s.before
+    )
+    nx, ny, nz = (max(round(n * factor), 1) for n in plan.shape)
+    return plan_voxelization(survey, (nx, ny, nz), solid=plan.solid, surface=plan.surface)

@@ -1,0 +1,123 @@
+"""The octree on the device, from the Morton codes of its refined nodes.
+
+Bottom-up as in the thesis (section 3.2, listing A.2): the parents of a level's refined nodes are
+found by shortening their codes; flags, a scan and a compaction leave each once. The build ends at
+the root's level, however many nodes are active. Kernels: kernels/svo/build.cl.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from voxtool.opencl import Array, Device
+from voxtool.opencl.primitives import exclusive_scan
+from voxtool.svo.octree import NODE
+
+SOURCE = "svo/build.cl"
+
+
+@dataclass(frozen=True)
+class RefinedNodes:
+    """The refined nodes of a level.
+
+    codes : (n,) Morton codes, rising; parent_index : (n,) places of the parents among the refined
+    nodes of the level above.
+    """
+
+    codes: Array
+    parent_index: Array
+    n: int
+
+
+@dataclass(frozen=True)
+class DeviceOctree:
+    """The links of an octree on the device.
+
+    offsets : (depth + 1,) uint32, as in Octree; nodes : NODE; refined : by level, from 1 up.
+    """
+
+    offsets: np.ndarray
+    nodes: Array
+    refined: list[RefinedNodes]
+
+    @property
+    def top(self) -> int:
+        """The root's level."""
+        return len(self.refined)
+
+    def release(self) -> None:
+        """Give back all device memory."""
+        self.nodes.release()
+        for level in self.refined:
+            level.codes.release()
+            level.parent_index.release()
+
+
+def code_dtype(side: int) -> np.dtype:
+    """The type of level-1 Morton codes in an octree of `side` voxels a side."""
+    return np.dtype(np.uint32 if side // 8 <= 1 << 10 else np.uint64)
+
+
+def code_name(dtype: np.dtype) -> str:
+    """Its OpenCL name, for the option CODE."""
+    return "uint" if dtype.itemsize == 4 else "ulong"
+
+
+def build_octree(device: Device, side: int, codes: Array, n: int) -> DeviceOctree:
+    """The octree whose refined nodes are n level-1 nodes and their ancestors.
+
+    Parameters
+    ----------
+    side : voxels along a side of the root, a power of two from 8 on.
+    codes : (n,) rising Morton codes of level-1 nodes, of code_dtype(side).
+    """
+    code = code_name(codes.dtype)
+    tag_parents = device.kernel(SOURCE, "tag_parents", CODE=code)
+    strip_mortons = device.kernel(SOURCE, "strip_mortons", CODE=code)
+    refined = []
+    for _ in range((side // 8).bit_length()):
+        # writes: parent_index, parents
+        parent_index = device.empty(n + 1, np.uint32)
+        tag_parents(n, codes, np.uint32(n), parent_index)
+        refined.append(RefinedNodes(codes, parent_index, n))
+        count = exclusive_scan(parent_index, n) if n else 0
+        parents = device.empty(count, codes.dtype)
+        strip_mortons(n, codes, np.uint32(n), parent_index, parents)
+        codes, n = parents, count
+    codes.release()  # of the root's parent
+    return _link(device, refined)
+
+
+def build_from_lists(device: Device, lists: list[np.ndarray]) -> DeviceOctree:
+    """The octree of the given refined nodes: rising codes by level, from level 1 up; each node's
+    parent is in the list above."""
+    refined = []
+    for codes, parents in zip(lists, [*lists[1:], lists[-1][:0]], strict=True):
+        index = np.searchsorted(parents, codes >> codes.dtype.type(3)).astype(np.uint32)
+        refined.append(RefinedNodes(device.put(codes), device.put(index), len(codes)))
+    return _link(device, refined)
+
+
+def _link(device: Device, refined: list[RefinedNodes]) -> DeviceOctree:
+    """Number the nodes, root first, and link parents and children."""
+    top = len(refined)
+    counts = [1, *(8 * level.n for level in reversed(refined))]
+    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32)
+    nodes = device.zeros(int(offsets[-1]), NODE)
+    link_level = device.kernel(SOURCE, "link_level", CODE=code_name(refined[0].codes.dtype))
+    for number, level in enumerate(refined, 1):
+        depth = top - number
+        link_level(
+            level.n,
+            level.codes,
+            np.uint32(level.n),
+            level.parent_index,
+            np.uint32(number == top),
+            np.uint32(number),
+            offsets[depth],
+            offsets[depth + 1],
+            nodes,
+        )
+    return DeviceOctree(offsets, nodes, refined)

@@ -1,0 +1,231 @@
+"""Fill rules: which voxels are inside, from the crossings of rows along x.
+
+Parity, as in the thesis (section 3.2, fig. 3.6): a voxel is inside where the number of crossings
+before its centre is odd. A tile of 8 x 8 rows walks the octree from low x to high: nodes of level 1
+turn its state by their flips, leaves above are inside where every tile in them says so.
+
+Where tiles disagree in a leaf, or the grid ends in it, parity does not follow the nodes that
+triangles touch: the mesh is open, or is cut. There the leaf is refined until every leaf is of one
+kind, so that the octree holds exactly the set that the rule defines. Kernels: kernels/svo/inside.cl.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from voxtool.opencl import Array, Device, program
+from voxtool.svo.build import DeviceOctree, build_from_lists, code_name
+from voxtool.svo.octree import BRICK, LINK, VALID, morton_decode, morton_encode
+
+SOURCE = "svo/inside.cl"
+MIXED = np.uint32(1 << 29)  # a leaf that must be refined
+program.generated["svo/inside.h"] = program.c_constants(MIXED=MIXED)
+ALL_ROWS = np.uint64(0xFFFFFFFFFFFFFFFF)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """The rows of a grid along x, in tiles of 8 x 8.
+
+    shape : voxels of the grid; entry : (tiles,) uint64 states at x = 0, or None where all are 0.
+    """
+
+    shape: tuple[int, int, int]
+    entry: Array | None
+
+    @property
+    def tiles_y(self) -> int:
+        return -(-self.shape[1] // 8)
+
+    @property
+    def tiles(self) -> int:
+        return self.tiles_y * -(-self.shape[2] // 8)
+
+
+def fill_parity(
+    device: Device, tree: DeviceOctree, flips: Array, rows: Rows
+) -> tuple[DeviceOctree, Array, np.ndarray | None]:
+    """From the flips of the active nodes to the inside voxels and leaves.
+
+    Parameters
+    ----------
+    tree : the octree of the active nodes, consumed; flips : its bricks, consumed: 1 where a row
+        of voxels changes between inside and outside.
+
+    Returns
+    -------
+    The octree with its inside leaves; its bricks; and where the active nodes are among its refined
+    level-1 nodes ((n,) uint32, None if they are all).
+    """
+    with device.stage("rows"):
+        entries, unresolved = _walk_rows(device, tree, flips, rows)
+    positions = None
+    if unresolved:
+        with device.stage("refine open rows"):
+            lists, positions = _refine(device, tree, flips, rows, entries)
+            tree.release()
+            tree = build_from_lists(device, lists)
+            flips = _move(device, flips, positions, tree.refined[0].n)
+            entries.release()
+            entries, unresolved = _walk_rows(device, tree, flips, rows)
+            assert not unresolved
+    with device.stage("fill"):
+        level1 = tree.refined[0]
+        fill_bricks = device.kernel(SOURCE, "fill_bricks", CODE=code_name(level1.codes.dtype))
+        shape = np.array([*rows.shape, 0], np.int32)
+        fill_bricks(level1.n, level1.codes, np.uint32(level1.n), shape, entries, flips)
+        entries.release()
+    return tree, flips, positions
+
+
+def _walk_rows(
+    device: Device, tree: DeviceOctree, flips: Array, rows: Rows
+) -> tuple[Array, int]:
+    """The states of rows on entry to each level-1 node; and how many leaves are of no one kind."""
+    entries = device.empty(tree.refined[0].n, np.uint64)
+    _sweep(device, tree, flips, rows, entries, None)
+    coarse = int(tree.offsets[-2])
+    unresolved = device.zeros(1, np.uint32)
+    mark_leaves = device.kernel(SOURCE, "mark_leaves", CODE=code_name(tree.refined[0].codes.dtype))
+    offsets = device.put(tree.offsets)
+    mark_leaves(coarse, tree.nodes, offsets, np.uint32(tree.top), np.uint32(coarse), unresolved)
+    count = int(unresolved.get()[0])
+    unresolved.release()
+    offsets.release()
+    return entries, count
+
+
+def _sweep(
+    device: Device,
+    tree: DeviceOctree,
+    flips: Array,
+    rows: Rows,
+    entries: Array,
+    states: Array | None,
+) -> None:
+    sweep_rows = device.kernel(SOURCE, "sweep_rows", CODE=code_name(tree.refined[0].codes.dtype))
+    offsets = device.put(tree.offsets)
+    sweep_rows(
+        rows.tiles,
+        tree.nodes,
+        offsets,
+        np.uint32(tree.top),
+        np.array([*rows.shape, 0], np.int32),
+        np.uint32(rows.tiles_y),
+        np.uint32(rows.tiles),
+        rows.entry or offsets,
+        np.uint32(rows.entry is not None),
+        flips,
+        entries,
+        np.uint32(states is not None),
+        states or offsets,
+    )
+    offsets.release()
+
+
+def _move(device: Device, flips: Array, positions: np.ndarray, n: int) -> Array:
+    """The flips at their nodes' new places, zero elsewhere."""
+    moved = device.zeros(8 * n, BRICK)
+    kernel = device.kernel(SOURCE, "move_bricks", CODE="uint")
+    places = device.put(positions)
+    kernel(flips.size, flips, places, np.uint32(flips.size), moved)
+    places.release()
+    flips.release()
+    return moved
+
+
+def unite(device: Device, bricks: Array, added: Array, positions: np.ndarray | None) -> None:
+    """Set in the bricks the voxels of `added`, whose nodes are at `positions` (None: the same)."""
+    if positions is None:
+        positions = np.arange(added.size // 8, dtype=np.uint32)
+    places = device.put(positions)
+    kernel = device.kernel(SOURCE, "unite_bricks", CODE="uint")
+    kernel(added.size, added, places, np.uint32(added.size), bricks)
+    places.release()
+    added.release()
+
+
+# ---- leaves that rows disagree in
+
+
+def _refine(
+    device: Device, tree: DeviceOctree, flips: Array, rows: Rows, entries: Array
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """The refined nodes with those added whose voxels are not all alike, and where the level-1
+    nodes that there were are among them."""
+    nodes = tree.nodes.get(0, int(tree.offsets[-2]))
+    leaves = np.flatnonzero((nodes["child"] & (VALID | MIXED)) == MIXED)
+    level, cells = _locate(tree, nodes["parent"], leaves)
+    tiles = 4 ** (level - 1)  # of a leaf: a layer of it across x
+    slots = np.concatenate([[0], np.cumsum(tiles)])
+    nodes["child"][leaves] = slots[:-1] + 1
+    device.write(tree.nodes, nodes)
+    states = device.zeros(int(slots[-1]), np.uint64)
+    _sweep(device, tree, flips, rows, entries, states)
+    found = states.get()
+    states.release()
+
+    lists = [refined.codes.get(0, refined.n) for refined in tree.refined]
+    added: list[list[np.ndarray]] = [[] for _ in lists]
+    for number in np.unique(level):
+        chosen = level == number
+        side = 1 << (int(number) - 1)
+        layers = found[slots[:-1][chosen][:, None] + np.arange(side * side)]
+        for below, codes in _disagreeing_nodes(
+            layers.reshape(-1, side, side), cells[chosen], int(number), rows.shape[0]
+        ):
+            added[below - 1].append(codes.astype(lists[0].dtype))
+    merged = [np.sort(np.concatenate([a, *b])) for a, b in zip(lists, added, strict=True)]
+    return merged, np.searchsorted(merged[0], lists[0]).astype(np.uint32)
+
+
+def _locate(
+    tree: DeviceOctree, parents: np.ndarray, leaves: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The levels of nodes, and their low corners in level-1 cells ((n, 3) int64)."""
+    depth = np.searchsorted(tree.offsets, leaves, side="right") - 1
+    level = tree.top - depth
+    codes = np.zeros(len(leaves), np.uint64)
+    node = leaves - tree.offsets[depth]
+    for step in range(int(depth.max())):
+        below = depth > 0  # those that have not reached the root
+        octant = (node & 7).astype(np.uint64) << np.uint64(3 * step)
+        codes[below] |= octant[below]
+        parent = parents[tree.offsets[depth] + node] & LINK
+        node = np.where(below, parent, node)
+        depth = np.where(below, depth - 1, depth)
+    return level, morton_decode(codes) << (level - 1)[:, None]
+
+
+def _disagreeing_nodes(layers: np.ndarray, corners: np.ndarray, level: int, nx: int):
+    """Yield (level, Morton codes) of the nodes, in leaves of one level, whose voxels differ.
+
+    Along x nothing changes in a leaf but where the grid ends, at voxel nx.
+
+    layers : (n, side, side) uint64 states of a leaf's tiles, [z, y]; corners : (n, 3) of the
+    leaves, in level-1 cells.
+    """
+    every, some = layers, layers
+    for below in range(1, level + 1):
+        size = 1 << (below - 1)  # of a node of this level, in cells
+        if below > 1:
+            every = _halve(every, np.bitwise_and)
+            some = _halve(some, np.bitwise_or)
+        differ = (some != 0) & (every != ALL_ROWS)
+        x = corners[:, :1] + size * np.arange(1 << (level - below))  # (n, places along x)
+        begins = 8 * x < nx
+        ends = begins & (8 * (x + size) > nx)
+        refined = begins[:, :, None, None] & np.where(
+            ends[:, :, None, None], (some != 0)[:, None], differ[:, None]
+        )
+        leaf, i, k, j = np.nonzero(refined)
+        cell = corners[leaf] // size + np.stack([i, j, k], axis=1)
+        yield below, morton_encode(cell)
+
+
+def _halve(layers: np.ndarray, combine: np.ufunc) -> np.ndarray:
+    """Combine 2 x 2 tiles into one."""
+    rows = combine(layers[:, 0::2], layers[:, 1::2])
+    return combine(rows[:, :, 0::2], rows[:, :, 1::2])

@@ -1,0 +1,335 @@
+"""Triangle mesh to sparse voxel octree (the thesis, sections 3.2, 5.1 and 6.2, appendix A).
+
+The stages, on the device (kernels/svo/voxelize.cl and inside.cl):
+
+1. active nodes: the level-1 nodes (8 x 8 x 8 voxels) that a triangle touches, as a set of bits in
+   Morton order; in large grids in blocks, found first.
+2. octree: the levels above, bottom-up from shortened Morton codes.
+3. voxels: a surface sets the voxels of its bricks; a solid flips the first voxel at or beyond each
+   crossing of a row along x, and the rows' parity fills bricks and coarse leaves (inside.py).
+
+Where the thesis descends the octree to find a voxel's brick, the rank of its level-1 node among
+the active ones gives it at once; where it links x-neighbours, rows walk the octree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.errors import GridError, VoxtoolError
+from voxtool.grid import FIXED_POINT_BITS, Grid
+from voxtool.opencl import Array, Device, open_device, program
+from voxtool.opencl.primitives import exclusive_scan
+from voxtool.plan import BLOCK, CELL, TILE, Plan, Survey, plan_voxelization
+from voxtool.svo import inside
+from voxtool.svo.build import DeviceOctree, build_octree, code_dtype, code_name
+from voxtool.svo.octree import BRICK, Octree
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from voxtool.mesh import Mesh
+
+SOURCE = "svo/voxelize.cl"
+TOUCHED, SEPARATING, CROSSED = range(3)  # what a triangle is scan-converted into
+program.generated["svo/voxelize.h"] = program.c_constants(
+    TOUCHED=TOUCHED, SEPARATING=SEPARATING, CROSSED=CROSSED
+) + f"\n#define TILE {TILE} // columns along a side of a work-item's share of a triangle\n"
+
+MODES = ("surface26", "surface6", "solid")
+FILLS = ("parity",)
+NODE_LEVEL, BLOCK_LEVEL = CELL.bit_length() - 1, BLOCK.bit_length() - 1
+BLOCK_WORDS = (BLOCK // CELL) ** 3 // 32
+HALF_VOXEL = 1 << (FIXED_POINT_BITS - 1)
+SURVEY_ITEMS = 256
+
+
+def voxelize(
+    mesh: Mesh,
+    grid: Grid,
+    mode: str = "solid",
+    *,
+    fill: str = "parity",
+    with_surface: bool = False,
+    window: tuple[Sequence[int], Sequence[int]] | None = None,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> Octree:
+    """The voxels of a triangle mesh, exactly, as a sparse voxel octree.
+
+    Vertices are rounded once to 1/256 voxel; all that follows is integer arithmetic. Ties are
+    decided as if voxel centres moved by (ex, ey, ez) with ex >> ey >> ez > 0, infinitely small.
+
+    Parameters
+    ----------
+    mode : "surface26" (voxels whose closed cube touches a triangle), "surface6" (the thinner,
+        6-separating set of section 3.2) or "solid" (voxels whose centre lies inside).
+    fill : rule that tells inside from outside: "parity" of the crossings along x.
+    with_surface : for "solid": set the voxels of "surface26", too.
+    window : (low, shape) in voxels: voxelize this part of the grid only. The octree's grid is the
+        window; the voxels are those of the whole.
+    device : where to compute; the preferred device by default.
+    max_memory : bytes that the device may use; what device and machine have by default.
+
+    Returns
+    -------
+    Octree, the same bit for bit on every device.
+
+    Raises
+    ------
+    GridError : a vertex lies more than 2**22 voxels from the grid's corner.
+    MemoryLimitError : the octree would not fit; the message says which dim does.
+    DeviceError : no usable device.
+    """
+    device = device or open_device()
+    scene = _Scene(mesh, grid, mode, fill, with_surface, window, device)
+    scene.plan.refuse_beyond(device.max_memory if max_memory is None else max_memory)
+    with device.stage("active nodes"):
+        active = _find_active_nodes(scene)
+    with device.stage("octree"):
+        tree = build_octree(device, scene.side, active.codes, active.n)
+    surface = flips = None
+    if scene.plan.surface:
+        with device.stage(f"surface{scene.plan.surface}"):
+            surface = _voxelize_surface(scene, active)
+    if scene.plan.solid:
+        with device.stage("crossings"):
+            flips, rows = _flip_crossings(scene, active)
+        tree, bricks, positions = inside.fill_parity(device, tree, flips, rows)
+        if surface:
+            inside.unite(device, bricks, surface, positions)
+    else:
+        bricks = surface
+    return scene.octree(tree, bricks)
+
+
+def plan_voxelize(
+    mesh: Mesh,
+    grid: Grid,
+    mode: str = "solid",
+    *,
+    fill: str = "parity",
+    with_surface: bool = False,
+    window: tuple[Sequence[int], Sequence[int]] | None = None,
+    device: Device | None = None,
+) -> Plan:
+    """What `voxelize` would do with the same arguments, without doing it."""
+    device = device or open_device()
+    return _Scene(mesh, grid, mode, fill, with_surface, window, device).plan
+
+
+class _Scene:
+    """The mesh on the grid's lattice, on the device, and the plan for it."""
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        grid: Grid,
+        mode: str,
+        fill: str,
+        with_surface: bool,
+        window: tuple[Sequence[int], Sequence[int]] | None,
+        device: Device,
+    ) -> None:
+        if mode not in MODES:
+            raise VoxtoolError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
+        if fill not in FILLS:
+            raise VoxtoolError(f"fill {fill!r} is unknown: choose one of {', '.join(FILLS)}")
+        if with_surface and mode != "solid":
+            raise VoxtoolError(f"mode {mode!r} is a surface already: drop with_surface")
+        self.device = device
+        self.mode = mode + ("+surface26" if with_surface else "")
+        self.fill = fill if mode == "solid" else "none"
+        self.source_sha256, self.units = mesh.source_sha256, mesh.units
+        fixed = grid.to_fixed(mesh.vertices)
+        if window is not None:
+            low, shape = window
+            if min(low) < 0 or any(a + n > m for a, n, m in zip(low, shape, grid.shape, strict=True)):
+                raise GridError(f"window {low}, {shape} reaches beyond the grid's {grid.shape}")
+            grid = grid.window(low, shape)
+            fixed -= np.asarray(low, np.int32) << FIXED_POINT_BITS
+        self.grid = grid
+        self.n = len(mesh.faces)
+        with device.stage("survey"):
+            self.vertices = device.put(fixed)
+            self.faces = device.put(mesh.faces.astype(np.int32, copy=False))
+            survey = self._survey()
+        self.plan = plan_voxelization(
+            survey,
+            grid.shape,
+            solid=mode == "solid",
+            surface="26" if with_surface or mode == "surface26" else "6" * (mode == "surface6"),
+        )
+        self.side = self.plan.side
+        self.pad = HALF_VOXEL if self.plan.solid else 0  # of a level-1 node, along x (eq. 3.6)
+        self._options: dict[str, int | str] = {"CODE": code_name(code_dtype(self.side))}
+        if self.plan.wide:
+            self._options["WIDE"] = 1
+        if self.plan.blocked:
+            self._options["BLOCKED"] = 1
+
+    def _survey(self) -> Survey:
+        items = min(SURVEY_ITEMS, max(self.n, 1))
+        partial = self.device.empty(6 * items, np.uint64)
+        survey = self.device.kernel(SOURCE, "survey", CODE="uint")
+        survey(items, self.vertices, self.faces, np.uint32(self.n), self.shape(0), partial)
+        parts = partial.get().reshape(-1, 6)
+        partial.release()
+        units = 1 << FIXED_POINT_BITS
+        sums = [int(v) / (2 * units) for v in parts[:, 1:4].sum(axis=0)]
+        return Survey(
+            triangles=self.n,
+            vertices=self.vertices.size // 3,
+            outside=int(parts[:, 5].sum()),
+            extent=int(parts[:, 0].max()) / units,
+            areas=(sums[0], sums[1], sums[2]),
+            before=bool(parts[:, 4].any()),
+        )
+
+    def kernel(self, name: str):
+        """A kernel of kernels/svo/voxelize.cl with the plan's options."""
+        return self.device.kernel(SOURCE, name, **self._options)
+
+    def shape(self, level: int) -> np.ndarray:
+        """The grid in boxes of 2**level voxels, as an int4."""
+        return np.array([*(-(-n >> level) for n in self.grid.shape), 0], np.int32)
+
+    def shares(self, kind: int, level: int, tiled: bool) -> tuple[Array, np.uint32, np.uint32]:
+        """How triangles are shared among work-items: tile offsets, whether they are used, and the
+        number of items. A large triangle is many tiles of columns."""
+        if not tiled:
+            return self.faces, np.uint32(0), np.uint32(self.n)
+        tiles = self.device.empty(self.n + 1, np.uint32)
+        count_tiles = self.kernel("count_tiles")
+        count_tiles(
+            self.n, self.vertices, self.faces, np.uint32(self.n), np.int32(kind), np.int32(level),
+            self.shape(level), np.int32(self.pad if level else 0), tiles,
+        )  # fmt: skip
+        return tiles, np.uint32(1), np.uint32(exclusive_scan(tiles, self.n))
+
+    def scan_convert(self, name: str, kind: int, level: int, tiled: bool, *args) -> None:
+        """Launch a kernel over the triangles' shares."""
+        offsets, shared, items = self.shares(kind, level, tiled)
+        kernel = self.kernel(name)
+        kernel(
+            int(items), self.vertices, self.faces, np.uint32(self.n), offsets, shared, items, *args
+        )
+        if shared:
+            offsets.release()
+
+    def octree(self, tree: DeviceOctree, bricks: Array) -> Octree:
+        """The octree on the host; all device memory of the scene is given back."""
+        with self.device.stage("read back"):
+            result = Octree(
+                grid=self.grid,
+                mode=self.mode,
+                fill=self.fill,
+                offsets=tree.offsets,
+                nodes=tree.nodes.get(),
+                bricks=bricks.get(),
+                plan=self.plan.scene(),
+                source_sha256=self.source_sha256,
+                units=self.units,
+            )
+        tree.release()
+        for array in (bricks, self.vertices, self.faces):
+            array.release()
+        return result
+
+
+# ---- active nodes (section 3.2, listing A.4)
+
+
+@dataclass(frozen=True)
+class _BitSet:
+    """A set of Morton-ordered cells: words of 32 bits, the set bits before each, and the codes."""
+
+    words: Array
+    ranks: Array
+    codes: Array
+    n: int
+
+
+@dataclass(frozen=True)
+class _ActiveNodes:
+    """The active level-1 nodes; `lookup` is what kernels find a node's place by."""
+
+    nodes: _BitSet
+    lookup: tuple[Array, ...]
+
+    @property
+    def codes(self) -> Array:
+        return self.nodes.codes
+
+    @property
+    def n(self) -> int:
+        return self.nodes.n
+
+
+def _find_active_nodes(scene: _Scene) -> _ActiveNodes:
+    """The level-1 nodes that triangles touch; for a solid, widened by half a voxel along x, so that
+    the first voxel beyond every crossing lies in one (eq. 3.6)."""
+    plan = scene.plan
+    if not plan.blocked:
+        words = scene.device.zeros(max((scene.side // CELL) ** 3 // 32, 1), np.uint32)
+        _activate(scene, NODE_LEVEL, False, (), words)
+        nodes = _collect(scene, words, None)
+        return _ActiveNodes(nodes, (nodes.words, nodes.ranks))
+    words = scene.device.zeros(max((scene.side // BLOCK) ** 3 // 32, 1), np.uint32)
+    _activate(scene, BLOCK_LEVEL, True, (words, words), words)
+    blocks = _collect(scene, words, None)
+    words = scene.device.zeros(BLOCK_WORDS * blocks.n, np.uint32)
+    _activate(scene, NODE_LEVEL, False, (blocks.words, blocks.ranks), words)
+    nodes = _collect(scene, words, blocks)
+    return _ActiveNodes(nodes, (blocks.words, blocks.ranks, nodes.words, nodes.ranks))
+
+
+def _activate(
+    scene: _Scene, level: int, to_blocks: bool, blocks: tuple[Array, ...], words: Array
+) -> None:
+    scene.scan_convert(
+        "activate", TOUCHED, level, scene.plan.tiled_nodes, np.int32(level), scene.shape(level), np.int32(scene.pad),
+        np.uint32(to_blocks), *blocks, words,
+    )  # fmt: skip
+
+
+def _collect(scene: _Scene, words: Array, blocks: _BitSet | None) -> _BitSet:
+    """Rank the words and list the codes of their set bits (listing A.5)."""
+    device, n = scene.device, words.size
+    ranks = device.empty(n + 1, np.uint32)
+    scene.kernel("count_bits")(n, words, np.uint32(n), ranks)
+    count = exclusive_scan(ranks, n)
+    codes = device.empty(count, code_dtype(scene.side))
+    scene.kernel("write_mortons")(
+        n, words, np.uint32(n), ranks, blocks.codes if blocks else words,
+        np.uint32(blocks is not None), codes,
+    )  # fmt: skip
+    return _BitSet(words, ranks, codes, count)
+
+
+# ---- voxels
+
+
+def _voxelize_surface(scene: _Scene, active: _ActiveNodes) -> Array:
+    """The bricks of the active nodes with the surface's voxels set."""
+    bricks = scene.device.zeros(8 * active.n, BRICK)
+    name = f"surface{scene.plan.surface}"
+    kind = TOUCHED if scene.plan.surface == "26" else SEPARATING
+    scene.scan_convert(name, kind, 0, scene.plan.tiled, scene.shape(0), *active.lookup, bricks)
+    return bricks
+
+
+def _flip_crossings(scene: _Scene, active: _ActiveNodes) -> tuple[Array, inside.Rows]:
+    """The bricks of the active nodes with the first voxel beyond each crossing flipped."""
+    flips = scene.device.zeros(8 * active.n, BRICK)
+    rows = inside.Rows(scene.grid.shape, None)
+    if scene.plan.entry:
+        rows = inside.Rows(scene.grid.shape, scene.device.zeros(rows.tiles, np.uint64))
+    scene.scan_convert(
+        "flip_crossings", CROSSED, 0, scene.plan.tiled, scene.shape(0), *active.lookup, flips,
+        rows.entry or flips,
+    )  # fmt: skip
+    return flips, rows
