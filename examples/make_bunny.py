@@ -33,7 +33,7 @@ PARTS = [
     ((0.71, 1.095, 0.06), (0.09, 0.08, 0.08), 0.04),  # lips
     ((0.785, 1.19, 0.00), (0.045, 0.04, 0.06), 0.03),  # nose
 ]
-EYE = (0.56, 1.32, 0.222)
+EYE, SOCKET = (0.535, 1.318, 0.196), (0.580, 1.338, 0.253)
 # centre, radii along the ear, across and through it, the way it points, the way it opens
 EARS = [
     ((0.16, 1.87, 0.21), (0.49, 0.155, 0.075), (-0.16, 1.0, 0.22), (1.0, 0.2, 0.35)),
@@ -92,8 +92,8 @@ def rabbit(points):
     d = union(d, whole, 0.06)
     d = union(d, union(folded, tip, 0.05), 0.06)
     for side in (z, -z):
-        d = carve(d, ellipsoid(x, y, side, EYE, (0.100, 0.105, 0.070)), 0.04)
-        d = union(d, ellipsoid(x, y, side, EYE, (0.078, 0.085, 0.070)), 0.02)
+        d = carve(d, ellipsoid(x, y, side, SOCKET, (0.115, 0.115, 0.115)), 0.03)
+        d = union(d, ellipsoid(x, y, side, EYE, (0.085, 0.090, 0.085)), 0.015)
     return carve(d, y - 0.02, 0.05)  # the ground
 
 

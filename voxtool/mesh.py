@@ -331,7 +331,7 @@ def _rewritten_obj(name: str, data: bytes) -> bytes:
     total = len(re.findall(rb"^[ \t]*v[ \t]", data, re.M))
     lines, known, line, corners = [], 0, 0, [0] * 3
     try:
-        for line, words in _obj_statements(data):
+        for line, words in _obj_statements(data):  # noqa: B007 (for the message)
             corners = [0] * 3
             if words[:1] == [b"v"]:
                 known += 1

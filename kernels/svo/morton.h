@@ -46,18 +46,13 @@ uint3 morton_decode(CODE code)
     return (uint3)(gather_bits(c), gather_bits(c >> 1), gather_bits(c >> 2));
 }
 
-// The bit of a voxel in its brick; coordinates count modulo 4.
-uint brick_bit(uint3 voxel)
+// The place of a voxel in its level-1 node: the octant's brick and the bit in it, brick by brick, of
+// 64 bits each. Coordinates count modulo 8.
+uint voxel_place(uint3 voxel)
 {
-    const uint3 low = voxel & 1u, high = (voxel >> 1) & 1u;
-    return low.x | low.y << 1 | low.z << 2 | high.x << 3 | high.y << 4 | high.z << 5;
-}
-
-// The octant of a brick in its level-1 node.
-uint brick_octant(uint3 voxel)
-{
-    const uint3 o = (voxel >> 2) & 1u;
-    return o.x | o.y << 1 | o.z << 2;
+    const uint3 v = voxel & 7u;
+    const uint3 spread = (v | v << 2 | v << 4) & 0x49u;
+    return spread.x | spread.y << 1 | spread.z << 2;
 }
 
 // The bit of a row of voxels along x in the 64-bit state of its tile of 8 x 8 rows. The faces

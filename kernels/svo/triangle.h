@@ -34,6 +34,12 @@ wide wide_sum(wide a, wide b)
     return w;
 }
 
+wide wide_negative(wide a)
+{
+    const wide w = {(long)(~(ulong)a.high + (a.low == 0 ? 1ul : 0ul)), ~a.low + 1ul};
+    return w;
+}
+
 bool is_negative(wide a) { return a.high < 0; }
 bool is_positive(wide a) { return a.high > 0 || (a.high == 0 && a.low != 0); }
 float to_float(wide a) { return (float)a.high * 0x1p64f + (float)a.low; }
@@ -41,6 +47,7 @@ float to_float(wide a) { return (float)a.high * 0x1p64f + (float)a.low; }
 typedef long wide;
 wide wide_product(long a, long b) { return a * b; }
 wide wide_sum(wide a, wide b) { return a + b; }
+wide wide_negative(wide a) { return -a; }
 bool is_negative(wide a) { return a < 0; }
 bool is_positive(wide a) { return a > 0; }
 float to_float(wide a) { return (float)a; }
@@ -58,22 +65,23 @@ long cross_term(int ax, int by, int bx, int ay)
     return (long)((ulong)((long)ax * by) - (ulong)((long)bx * ay));
 }
 
-// ---- edge functions (eq. 3.2 to 3.4), of a projection to the axes p and q
+// ---- edge functions (eq. 3.2 to 3.4) of a triangle's projection to the axes p and q: one component
+// an edge. At (p, q) they are p * i + q * j + d; a point is inside where none is negative.
 
-typedef struct { long p, q, d; } edge_function; // p, q: inward normal; d: offset at the origin
+typedef struct { long3 p, q, d; } edge_functions;
 
-long edge_at(edge_function e, long p, long q) { return e.p * p + e.q * q + e.d; }
-
-// The edge function of the edge from (ap, aq) to (bp, bq), where `sign` is that of the projected
-// area: zero on the edge, positive inside.
-edge_function edge_of(int ap, int aq, int bp, int bq, int sign)
+// From the corners' coordinates, and the sign of the projected area.
+edge_functions edges_of(int3 p, int3 q, int sign)
 {
-    edge_function e;
-    e.p = (long)(aq - bq) * sign;
-    e.q = (long)(bp - ap) * sign;
-    e.d = -(e.p * ap + e.q * aq);
+    const long3 p0 = convert_long3(p), q0 = convert_long3(q), p1 = p0.yzx, q1 = q0.yzx;
+    edge_functions e;
+    e.p = (q0 - q1) * sign; // the inward normals
+    e.q = (p1 - p0) * sign;
+    e.d = -(e.p * p0 + e.q * q0);
     return e;
 }
+
+bool none_negative(long3 values) { return (values.x | values.y | values.z) >= 0; }
 
 // The sign of a . eps for eps.x >> eps.y >> eps.z > 0: the rule for every tie.
 int shift_sign(long x, long y, long z)

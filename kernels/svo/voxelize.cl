@@ -128,63 +128,106 @@ __kernel void survey(__global const int *vertices, __global const int *faces, co
     out[5] = outside;
 }
 
+// ---- where boxes and voxels go
+
+// Bits are gathered while they fall into one word, for atomics are dear; and a node's place is
+// kept while its voxels follow each other.
+typedef struct {
+    volatile __global uint *words;
+    uint word, bits; // those gathered
+    uint3 cell;      // the last voxel's level-1 node, and its place
+    uint node;
+} sink;
+
+#define NO_WORD 0xFFFFFFFFu
+
+sink open_sink(volatile __global uint *words)
+{
+    sink s;
+    s.words = words;
+    s.word = NO_WORD;
+    s.bits = 0;
+    s.cell = NO_WORD;
+    s.node = 0;
+    return s;
+}
+
+void flush_or(sink *s)
+{
+    if (s->word != NO_WORD && (s->words[s->word] & s->bits) != s->bits)
+        atomic_or(&s->words[s->word], s->bits); // not so if all are set already: most are
+}
+
+void flush_xor(sink *s)
+{
+    if (s->word != NO_WORD)
+        atomic_xor(&s->words[s->word], s->bits);
+}
+
+void put_or(sink *s, uint word, uint bit)
+{
+    if (word != s->word) {
+        flush_or(s);
+        s->word = word;
+        s->bits = 0;
+    }
+    s->bits |= bit;
+}
+
+void put_xor(sink *s, uint word, uint bit)
+{
+    if (word != s->word) {
+        flush_xor(s);
+        s->word = word;
+        s->bits = 0;
+    }
+    s->bits ^= bit;
+}
+
+// The brick's half (a 32-bit word) and the bit of a voxel of an active node.
+uint voxel_word(sink *s, ACTIVE_SET_PARAMETERS, uint3 voxel, uint *bit)
+{
+    const uint3 cell = voxel >> 3;
+    if (any(cell != s->cell)) {
+        s->cell = cell;
+        s->node = node_index(ACTIVE_SET, morton_encode(cell));
+    }
+    const uint place = voxel_place(voxel);
+    *bit = 1u << (place & 31);
+    return 16 * s->node + (place >> 5);
+}
+
 // ---- scan conversion of a triangle into boxes
 
-typedef struct {
-    edge_function e[3];
-} projection;
-
-// The edge functions of a projection, evaluated at a box's low corner in boxes: >= 0 for all
-// three where the box's projection touches the triangle's (eq. 3.4), or where the centre is
-// within the 6-separating bound (section 3.2).
-projection project(int kind, int ap, int aq, int bp, int bq, int cp, int cq, int sign, int size,
-                   int pad_p, int pad_q, bool p_first)
+// The edge functions at box (i, j) of a projection's lattice of boxes: none is negative where the
+// box's projection touches the triangle's (eq. 3.4), or where its centre, moved by the shift, is
+// within the 6-separating bound (section 3.2) or in the triangle.
+edge_functions project(int kind, int3 p, int3 q, int sign, int size, int pad_p, int pad_q,
+                       bool p_first)
 {
-    projection f;
-    f.e[0] = edge_of(ap, aq, bp, bq, sign);
-    f.e[1] = edge_of(bp, bq, cp, cq, sign);
-    f.e[2] = edge_of(cp, cq, ap, aq, sign);
-    for (int i = 0; i < 3; ++i) {
-        edge_function *e = &f.e[i];
-        if (kind == SEPARATING) {
-            e->d += (e->p + e->q) * HALF + (long)max(abs(e->p), abs(e->q)) * HALF;
-            if ((p_first ? shift_sign(e->p, e->q, 0) : shift_sign(e->q, e->p, 0)) < 0)
-                e->d -= 1; // on the bound, and moving out
-        } else {
-            e->d += max(0l, e->p * (size + 2 * pad_p)) + max(0l, e->q * (size + 2 * pad_q)) -
-                    e->p * pad_p - e->q * pad_q;
-        }
-        e->p *= size;
-        e->q *= size;
+    edge_functions e = edges_of(p, q, sign);
+    const long3 zero = 0;
+    if (kind != TOUCHED) {
+        e.d += (e.p + e.q) * HALF; // at the centre
+        if (kind == SEPARATING)
+            e.d += max(max(e.p, -e.p), max(e.q, -e.q)) * HALF;
+        const long3 first = p_first ? e.p : e.q, second = p_first ? e.q : e.p;
+        // on the bound, and moving out with the shift: the masks are -1 where true
+        e.d += (first < zero) | ((first == zero) & (second < zero));
+    } else {
+        e.d += max(e.p * (size + 2 * pad_p), 0l) + max(e.q * (size + 2 * pad_q), 0l) -
+               e.p * pad_p - e.q * pad_q;
     }
-    return f;
-}
-
-bool holds(const projection *f, int p, int q)
-{
-    return edge_at(f->e[0], p, q) >= 0 && edge_at(f->e[1], p, q) >= 0 && edge_at(f->e[2], p, q) >= 0;
-}
-
-void set_bit(volatile __global uint *words, uint word, uint bit)
-{
-    if (!(words[word] & bit)) // most are set already, and looking is cheaper
-        atomic_or(&words[word], bit);
-}
-
-// The brick's half (a 32-bit word) and the bit of a voxel in an active node.
-uint voxel_word(ACTIVE_SET_PARAMETERS, uint3 voxel, uint *bit)
-{
-    const uint brick = 8 * node_index(ACTIVE_SET, morton_encode(voxel >> 3)) + brick_octant(voxel);
-    const uint index = brick_bit(voxel);
-    *bit = 1u << (index & 31);
-    return 2 * brick + (index >> 5);
+    e.p *= size;
+    e.q *= size;
+    return e;
 }
 
 // A triangle's columns with all that does not depend on the box (the set-up stage of section 3.2).
 typedef struct {
     int size;                // of a box, in units
     int3 first;              // low corner of box (0, 0, c.low.z) from v0, in units
-    projection xy, yz, zx;   // in swizzled axes
+    edge_functions xy, yz, zx; // in swizzled axes
     long nx, ny, nz;         // normal, turned so that nz >= 0
     wide near, far;          // what n . (low corner - v0) gains on a box's near and far side
     float step;              // 1 / (nz size)
@@ -201,12 +244,10 @@ scan set_up(const triangle *t, const columns *c, int kind, int level, int pad_x)
     s.nx = cross_term(a.y, b.z, b.y, a.z);
     s.ny = cross_term(a.z, b.x, b.z, a.x);
     s.nz = cross_term(a.x, b.y, b.x, a.y);
-    s.xy = project(kind, u.x, u.y, v.x, v.y, w.x, w.y, s.nz < 0 ? -1 : 1, s.size, pad.x, pad.y,
-                   c->axis != 1);
-    s.yz = project(kind, u.y, u.z, v.y, v.z, w.y, w.z, s.nx < 0 ? -1 : 1, s.size, pad.y, pad.z,
-                   c->axis != 0);
-    s.zx = project(kind, u.z, u.x, v.z, v.x, w.z, w.x, s.ny < 0 ? -1 : 1, s.size, pad.z, pad.x,
-                   c->axis != 2);
+    const int3 x = (int3)(u.x, v.x, w.x), y = (int3)(u.y, v.y, w.y), z = (int3)(u.z, v.z, w.z);
+    s.xy = project(kind, x, y, s.nz < 0 ? -1 : 1, s.size, pad.x, pad.y, c->axis != 1);
+    s.yz = project(kind, y, z, s.nx < 0 ? -1 : 1, s.size, pad.y, pad.z, c->axis != 0);
+    s.zx = project(kind, z, x, s.ny < 0 ? -1 : 1, s.size, pad.z, pad.x, c->axis != 2);
     if (s.nz < 0) {
         s.nx = -s.nx;
         s.ny = -s.ny;
@@ -247,41 +288,76 @@ int first_not_before(wide a, long n_axis, int size, float step, int last)
     return r;
 }
 
-// The boxes of column (p, q) that the plane meets, from *r boxes above c.low.z on (fig. 3.4): from
-// the first whose far side is not before the plane; `near` tells where they end.
-wide enter_column(const scan *s, const columns *c, int p, int q, int *r)
+#define STORE_VOXELS 0 // in bricks
+#define STORE_NODES 1  // in the volume of level-1 nodes
+#define STORE_BLOCKS 2 // in the volume of blocks, which is dense
+
+void put_box(sink *out, int store, ACTIVE_SET_PARAMETERS, uint3 box)
 {
-    const wide low = wide_dot(s->nx, s->ny, s->nz, (long)p * s->size + s->first.x,
-                              (long)q * s->size + s->first.y, s->first.z);
-    *r = first_not_before(wide_sum(low, s->far), s->nz, s->size, s->step, c->high.z - c->low.z);
-    return wide_sum(low, s->near);
+    if (store == STORE_VOXELS) {
+        uint bit;
+        const uint word = voxel_word(out, ACTIVE_SET, box, &bit);
+        put_or(out, word, bit);
+        return;
+    }
+    CODE code = morton_encode(box);
+#ifdef BLOCKED
+    if (store == STORE_NODES)
+        code = (CODE)set_index(block_words, block_ranks, code >> 9) << 9 | (code & 511);
+#endif
+    put_or(out, (uint)(code >> 5), 1u << (uint)(code & 31));
 }
 
-bool in_column(const scan *s, const columns *c, wide near, int r)
+// Store the boxes that the triangle touches, column by column. In a column, the plane meets the
+// boxes from the first whose far side is not before it to the last whose near side is not behind it
+// (fig. 3.4); from one column to the next, where they begin moves by no more than a box or two. A
+// row of columns within a convex set is one run: the first that is left ends it.
+void scan_convert(const scan *s, const columns *c, sink *out, int store, ACTIVE_SET_PARAMETERS)
 {
-    return r <= c->high.z - c->low.z && !is_positive(along(near, s->nz, r, s->size));
+    const int last = c->high.z - c->low.z;
+    const wide right = wide_product(s->nx, s->size), up = wide_product(s->nz, s->size),
+               down = wide_product(-s->nz, s->size);
+    const wide gap = wide_sum(s->near, wide_negative(s->far));
+    for (int q = c->low.y; q <= c->high.y; ++q) {
+        long3 xy = s->xy.p * c->low.x + s->xy.q * q + s->xy.d;
+        int p = c->low.x;
+        for (; p <= c->high.x && !none_negative(xy); ++p)
+            xy += s->xy.p;
+        if (p > c->high.x)
+            continue;
+        // box r of the column, its edge functions, and n . (p - v0) at its far side
+        wide far = wide_sum(s->far, wide_dot(s->nx, s->ny, s->nz, (long)p * s->size + s->first.x,
+                                             (long)q * s->size + s->first.y, s->first.z));
+        int r = first_not_before(far, s->nz, s->size, s->step, last);
+        far = along(far, s->nz, r, s->size);
+        long3 yz = s->yz.p * q + s->yz.q * (c->low.z + r) + s->yz.d;
+        long3 zx = s->zx.p * (c->low.z + r) + s->zx.q * p + s->zx.d;
+        for (; p <= c->high.x && none_negative(xy); ++p) {
+            for (; r <= last && is_negative(far); ++r, far = wide_sum(far, up)) {
+                yz += s->yz.q;
+                zx += s->zx.p;
+            }
+            for (; r > 0 && !is_negative(wide_sum(far, down)); --r, far = wide_sum(far, down)) {
+                yz -= s->yz.q;
+                zx -= s->zx.p;
+            }
+            long3 yz_box = yz, zx_box = zx;
+            wide near = wide_sum(far, gap);
+            for (int k = r; k <= last && !is_positive(near); ++k, near = wide_sum(near, up)) {
+                if (none_negative(yz_box | zx_box)) {
+                    const int3 box = (int3)(p, q, c->low.z + k);
+                    put_box(out, store, ACTIVE_SET, as_uint3(unswizzle(box, c->axis)));
+                }
+                yz_box += s->yz.q;
+                zx_box += s->zx.p;
+            }
+            xy += s->xy.p;
+            zx += s->zx.q;
+            far = wide_sum(far, right);
+        }
+    }
+    flush_or(out);
 }
-
-uint3 box_at(const columns *c, int p, int q, int r)
-{
-    return as_uint3(unswizzle((int3)(p, q, c->low.z + r), c->axis));
-}
-
-bool touches(const scan *s, int p, int q, int z) { return holds(&s->yz, q, z) && holds(&s->zx, z, p); }
-
-// Loop over the boxes of the columns: `box` in the body. A row of columns within a convex set is
-// one run, so the first that is left ends it.
-#define FOR_EACH_BOX(s, c, p, q, r, near)                                                          \
-    for (int q = c.low.y; q <= c.high.y; ++q)                                                      \
-        for (int p = c.low.x, entered = 0; p <= c.high.x; ++p)                                     \
-            if (!holds(&s.xy, p, q)) {                                                             \
-                if (entered)                                                                       \
-                    break;                                                                         \
-            } else                                                                                 \
-                for (int r = 0, once = (entered = 1); once; once = 0)                              \
-                    for (wide near = enter_column(&s, &c, p, q, &r); in_column(&s, &c, near, r);   \
-                         ++r)                                                                      \
-                        if (touches(&s, p, q, c.low.z + r))
 
 // ---- active nodes (section 3.2; listing A.4)
 
@@ -289,11 +365,8 @@ bool touches(const scan *s, int p, int q, int z) { return holds(&s->yz, q, z) &&
 // level-1 nodes (level 3), or blocks of 8 x 8 x 8 of those (level 6).
 __kernel void activate(__global const int *vertices, __global const int *faces, const uint n,
                        __global const uint *tile_offsets, const uint tiled, const uint items,
-                       const int level, const int4 shape, const int pad, const uint to_blocks,
-#ifdef BLOCKED
-                       __global const uint *block_words, __global const uint *block_ranks,
-#endif
-                       volatile __global uint *words)
+                       const int level, const int4 shape, const int pad, ACTIVE_SET_PARAMETERS,
+                       volatile __global uint *target)
 {
     const uint gid = get_global_id(0);
     if (gid >= items)
@@ -306,15 +379,8 @@ __kernel void activate(__global const int *vertices, __global const int *faces, 
         return;
     take_tile(&c, tile);
     const scan s = set_up(&t, &c, TOUCHED, level, pad);
-    FOR_EACH_BOX(s, c, p, q, r, near)
-    {
-        CODE code = morton_encode(box_at(&c, p, q, r));
-#ifdef BLOCKED
-        if (!to_blocks)
-            code = (CODE)set_index(block_words, block_ranks, code >> 9) << 9 | (code & 511);
-#endif
-        set_bit(words, (uint)(code >> 5), 1u << (uint)(code & 31));
-    }
+    sink out = open_sink(target);
+    scan_convert(&s, &c, &out, level == NODE_LEVEL ? STORE_NODES : STORE_BLOCKS, ACTIVE_SET);
 }
 
 // counts[i] = the number of bits set in word i.
@@ -342,40 +408,28 @@ __kernel void write_mortons(__global const uint *words, const uint n, __global c
 
 // ---- voxels
 
-#define VOXELIZE_SURFACE(kind)                                                                     \
-    const uint gid = get_global_id(0);                                                             \
-    if (gid >= items)                                                                              \
-        return;                                                                                    \
-    uint index;                                                                                    \
-    const int tile = share_of(tile_offsets, n, tiled, gid, &index);                                \
-    const triangle t = fetch_triangle(vertices, faces, index);                                     \
-    columns c = columns_of(&t, kind, 0, shape.xyz, (int3)(0));                                     \
-    if (c.tiles == 0)                                                                              \
-        return;                                                                                    \
-    take_tile(&c, tile);                                                                           \
-    const scan s = set_up(&t, &c, kind, 0, 0);                                                     \
-    FOR_EACH_BOX(s, c, p, q, r, near)                                                              \
-    {                                                                                              \
-        uint bit;                                                                                  \
-        const uint word = voxel_word(ACTIVE_SET, box_at(&c, p, q, r), &bit);                       \
-        set_bit(bricks, word, bit);                                                                \
-    }
-
-// Every voxel whose closed cube touches the triangle.
-__kernel void surface26(__global const int *vertices, __global const int *faces, const uint n,
-                        __global const uint *tile_offsets, const uint tiled, const uint items,
-                        const int4 shape, ACTIVE_SET_PARAMETERS, volatile __global uint *bricks)
+// The voxels of a surface: of every triangle those whose closed cube touches it (TOUCHED), or the
+// thesis's 6-separating set (SEPARATING). Option: KIND.
+#ifdef KIND
+__kernel void set_surface(__global const int *vertices, __global const int *faces, const uint n,
+                          __global const uint *tile_offsets, const uint tiled, const uint items,
+                          const int4 shape, ACTIVE_SET_PARAMETERS, volatile __global uint *bricks)
 {
-    VOXELIZE_SURFACE(TOUCHED)
+    const uint gid = get_global_id(0);
+    if (gid >= items)
+        return;
+    uint index;
+    const int tile = share_of(tile_offsets, n, tiled, gid, &index);
+    const triangle t = fetch_triangle(vertices, faces, index);
+    columns c = columns_of(&t, KIND, 0, shape.xyz, (int3)(0));
+    if (c.tiles == 0)
+        return;
+    take_tile(&c, tile);
+    const scan s = set_up(&t, &c, KIND, 0, 0);
+    sink out = open_sink(bricks);
+    scan_convert(&s, &c, &out, STORE_VOXELS, ACTIVE_SET);
 }
-
-// The thesis's 6-separating set.
-__kernel void surface6(__global const int *vertices, __global const int *faces, const uint n,
-                       __global const uint *tile_offsets, const uint tiled, const uint items,
-                       const int4 shape, ACTIVE_SET_PARAMETERS, volatile __global uint *bricks)
-{
-    VOXELIZE_SURFACE(SEPARATING)
-}
+#endif
 
 // Flip the first voxel at or beyond each crossing of a row of centres with the triangle (eq. 3.5).
 // Rows whose centre, moved by the infinitesimal shift, lies in the projection are crossed; a centre
@@ -403,32 +457,24 @@ __kernel void flip_crossings(__global const int *vertices, __global const int *f
     const int sign = nx < 0 ? -1 : 1;
     nx *= sign;
     const long ny = cross_term(a.z, b.x, b.z, a.x) * sign, nz = cross_term(a.x, b.y, b.x, a.y) * sign;
-    edge_function e[3];
-    for (int i = 0; i < 3; ++i) {
-        const int3 from = t.v[i], to = t.v[(i + 1) % 3];
-        e[i] = edge_of(from.y, from.z, to.y, to.z, sign);
-        e[i].d += (e[i].p + e[i].q) * HALF;
-        if (shift_sign(e[i].p, e[i].q, 0) < 0)
-            e[i].d -= 1; // on the edge, and moving out
-        e[i].p *= VOXEL;
-        e[i].q *= VOXEL;
-    }
+    const edge_functions e = project(CROSSED, (int3)(t.v[0].y, t.v[1].y, t.v[2].y),
+                                     (int3)(t.v[0].z, t.v[1].z, t.v[2].z), sign, VOXEL, 0, 0, true);
+    sink out = open_sink(bricks);
     const float step = 1.0f / ((float)nx * (float)VOXEL);
     const int last = c.high.z - c.low.z; // the axis is x
+    const wide right = wide_product(ny, VOXEL);
     for (int k = c.low.y; k <= c.high.y; ++k) {
-        bool entered = false;
-        for (int j = c.low.x; j <= c.high.x; ++j) {
-            if (edge_at(e[0], j, k) < 0 || edge_at(e[1], j, k) < 0 || edge_at(e[2], j, k) < 0) {
-                if (entered)
-                    break;
-                continue;
-            }
-            entered = true;
-            // n . (centre - v0) of the first voxel that it can be; it rises along x
-            const wide at_low =
-                wide_dot(nx, ny, nz, (long)c.low.z * VOXEL + HALF - u.x,
-                         (long)j * VOXEL + HALF - u.y, (long)k * VOXEL + HALF - u.z);
-            const int r = first_not_before(at_low, nx, VOXEL, step, last);
+        long3 yz = e.p * c.low.x + e.q * k + e.d;
+        int j = c.low.x;
+        for (; j <= c.high.x && !none_negative(yz); ++j)
+            yz += e.p;
+        if (j > c.high.x)
+            continue;
+        // n . (centre - v0) of the first voxel that it can be; it rises along x
+        wide low = wide_dot(nx, ny, nz, (long)c.low.z * VOXEL + HALF - u.x,
+                            (long)j * VOXEL + HALF - u.y, (long)k * VOXEL + HALF - u.z);
+        for (; j <= c.high.x && none_negative(yz); ++j, yz += e.p, low = wide_sum(low, right)) {
+            const int r = first_not_before(low, nx, VOXEL, step, last);
             const int i = c.low.z + r;
             if (i >= shape.x)
                 continue; // beyond the high-x side
@@ -439,8 +485,9 @@ __kernel void flip_crossings(__global const int *vertices, __global const int *f
                 continue;
             }
             uint bit;
-            const uint word = voxel_word(ACTIVE_SET, (uint3)(i, j, k), &bit);
-            atomic_xor(&bricks[word], bit);
+            const uint word = voxel_word(&out, ACTIVE_SET, (uint3)(i, j, k), &bit);
+            put_xor(&out, word, bit);
         }
     }
+    flush_xor(&out);
 }

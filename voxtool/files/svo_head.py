@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from voxtool.errors import FileError
 from voxtool.grid import Grid
-from voxtool.svo.octree import FILLS, MODES, Octree
+from voxtool.svo.octree import Octree
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 FORMAT = "voxtool-svo"
 FORMAT_VERSION = "1.0"
-ALL_MODES = (*MODES, "solid+surface26")
+MODES = ("surface26", "surface6", "solid", "solid+surface26")
 
 # What each attribute is: a kind, and how many numbers or at most how many bytes of text.
 INT, FLOAT, TEXT = int, float, str
@@ -109,8 +109,9 @@ def check_head(head: dict[str, Any]) -> Grid:
     grid = Grid(head["shape"], head["origin"], head["pitch"])
     _expect("dim", head["dim"], (grid.dim,))
     _expect("depth", head["depth"], ((grid.side // 4).bit_length(),))
-    _expect("mode", head["mode"], ALL_MODES)
-    _expect("fill", head["fill"], FILLS)
+    _expect("mode", head["mode"], MODES)
+    if not re.fullmatch(r"[a-z][a-z0-9+-]*", head["fill"]):  # a name: it changes nothing here
+        raise FileError(f"attribute fill is {head['fill']!r}, which names no rule")
     if not re.fullmatch(r"([0-9a-f]{64})?", head["source_sha256"]):
         raise FileError("attribute source_sha256 is not 64 hexadecimal digits")
     return grid

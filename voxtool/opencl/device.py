@@ -43,6 +43,8 @@ def _opencl() -> Any:
     """
     embedded = Path(sys.prefix, "lib", "libintelocl.so")
     os.environ.setdefault("PYOPENCL_COMPILER_OUTPUT", "0")
+    # Intel's CPU driver: our kernels branch too much for work-items to share vector registers
+    os.environ.setdefault("CL_CONFIG_CPU_VECTORIZER_MODE", "1")
     with contextlib.ExitStack() as stack:
         if embedded.exists() and "OCL_ICD_VENDORS" not in os.environ:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="voxtool-icd-")))

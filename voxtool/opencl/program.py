@@ -67,8 +67,8 @@ def c_struct(name: str, dtype: np.dtype) -> str:
 
 
 def c_constants(**values: int) -> str:
-    """#define lines for unsigned constants."""
-    return "\n".join(f"#define {name} {int(value):#x}u" for name, value in values.items())
+    """#define lines for whole numbers: hexadecimal, of the type that C gives them."""
+    return "\n".join(f"#define {name} {int(value):#x}" for name, value in values.items())
 
 
 def build(cl: Any, context: Any, platform: str, source: str, defines: dict[str, int | str]) -> Any:

@@ -34,17 +34,16 @@ if TYPE_CHECKING:
     from voxtool.mesh import Mesh
 
 SOURCE = "svo/voxelize.cl"
-TOUCHED, SEPARATING, CROSSED = range(3)  # what a triangle is scan-converted into
-program.generated["svo/voxelize.h"] = program.c_constants(
-    TOUCHED=TOUCHED, SEPARATING=SEPARATING, CROSSED=CROSSED
-) + f"\n#define TILE {TILE} // columns along a side of a work-item's share of a triangle\n"
-
 MODES = ("surface26", "surface6", "solid")
 FILLS = ("parity",)
+TOUCHED, SEPARATING, CROSSED = range(3)  # what a triangle is scan-converted into
 NODE_LEVEL, BLOCK_LEVEL = CELL.bit_length() - 1, BLOCK.bit_length() - 1
 BLOCK_WORDS = (BLOCK // CELL) ** 3 // 32
 HALF_VOXEL = 1 << (FIXED_POINT_BITS - 1)
 SURVEY_ITEMS = 256
+program.generated["svo/voxelize.h"] = program.c_constants(
+    TOUCHED=TOUCHED, SEPARATING=SEPARATING, CROSSED=CROSSED, NODE_LEVEL=NODE_LEVEL, TILE=TILE
+)
 
 
 def voxelize(
@@ -170,6 +169,8 @@ class _Scene:
             self._options["WIDE"] = 1
         if self.plan.blocked:
             self._options["BLOCKED"] = 1
+        if self.plan.surface:
+            self._options["KIND"] = TOUCHED if self.plan.surface == "26" else SEPARATING
 
     def _survey(self) -> Survey:
         items = min(SURVEY_ITEMS, max(self.n, 1))
@@ -275,24 +276,23 @@ def _find_active_nodes(scene: _Scene) -> _ActiveNodes:
     plan = scene.plan
     if not plan.blocked:
         words = scene.device.zeros(max((scene.side // CELL) ** 3 // 32, 1), np.uint32)
-        _activate(scene, NODE_LEVEL, False, (), words)
+        _activate(scene, NODE_LEVEL, (words, words), words)
         nodes = _collect(scene, words, None)
         return _ActiveNodes(nodes, (nodes.words, nodes.ranks))
     words = scene.device.zeros(max((scene.side // BLOCK) ** 3 // 32, 1), np.uint32)
-    _activate(scene, BLOCK_LEVEL, True, (words, words), words)
+    _activate(scene, BLOCK_LEVEL, (words,) * 4, words)
     blocks = _collect(scene, words, None)
     words = scene.device.zeros(BLOCK_WORDS * blocks.n, np.uint32)
-    _activate(scene, NODE_LEVEL, False, (blocks.words, blocks.ranks), words)
+    _activate(scene, NODE_LEVEL, (blocks.words, blocks.ranks, words, words), words)
     nodes = _collect(scene, words, blocks)
     return _ActiveNodes(nodes, (blocks.words, blocks.ranks, nodes.words, nodes.ranks))
 
 
-def _activate(
-    scene: _Scene, level: int, to_blocks: bool, blocks: tuple[Array, ...], words: Array
-) -> None:
+def _activate(scene: _Scene, level: int, lookup: tuple[Array, ...], words: Array) -> None:
+    """Set the bits of the boxes of 2**level voxels that triangles touch."""
     scene.scan_convert(
-        "activate", TOUCHED, level, scene.plan.tiled_nodes, np.int32(level), scene.shape(level), np.int32(scene.pad),
-        np.uint32(to_blocks), *blocks, words,
+        "activate", TOUCHED, level, scene.plan.tiled_nodes, np.int32(level), scene.shape(level),
+        np.int32(scene.pad), *lookup, words,
     )  # fmt: skip
 
 
@@ -316,9 +316,10 @@ def _collect(scene: _Scene, words: Array, blocks: _BitSet | None) -> _BitSet:
 def _voxelize_surface(scene: _Scene, active: _ActiveNodes) -> Array:
     """The bricks of the active nodes with the surface's voxels set."""
     bricks = scene.device.zeros(8 * active.n, BRICK)
-    name = f"surface{scene.plan.surface}"
     kind = TOUCHED if scene.plan.surface == "26" else SEPARATING
-    scene.scan_convert(name, kind, 0, scene.plan.tiled, scene.shape(0), *active.lookup, bricks)
+    scene.scan_convert(
+        "set_surface", kind, 0, scene.plan.tiled, scene.shape(0), *active.lookup, bricks
+    )
     return bricks
 
 

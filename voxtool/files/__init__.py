@@ -1,0 +1,226 @@
+"""One module a format, behind one read/write pair; the only place besides mesh.py that touches
+the disk. Outputs appear whole or not at all; inputs are recognised by content."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import shutil
+import sys
+import tempfile
+from contextlib import contextmanager
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from voxtool.errors import FileError, VoxtoolError
+from voxtool.files.atomic import atomic_path, check_target
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from voxtool.svo.octree import Octree
+
+__all__ = ["atomic_path", "check_target", "export", "format_of", "read_svo", "write_svo"]
+
+PathLike = str | os.PathLike[str]
+STREAM = "-"  # stdin or stdout
+
+# Format names and extensions: the module, and its function where it is not `write`.
+SVO_FORMATS = {
+    "svo.h5": ("svo_hdf5", "write"),
+    "svo.xml": ("svo_xml", "write"),
+    "svo.xml.gz": ("svo_xml", "write_gz"),
+    "h5": ("svo_hdf5", "write"),
+    "xml": ("svo_xml", "write"),
+    "xml.gz": ("svo_xml", "write_gz"),
+}
+EXPORTS = {name: (name, "write") for name in ("npy", "npz", "vti", "png")}
+TEXT_FORMATS = ("svo.xml", "xml")  # fit for a terminal
+
+MESH_EXTENSIONS = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".3mf", ".dae", ".xyz")
+MESH_OPENINGS = (b"ply\n", b"ply\r", b"solid ", b"OFF\n", b"OFF\r", b"glTF", b"# Blender", b"v ")
+EXPORT_EXTENSIONS = tuple(f".{name}" for name in EXPORTS)
+
+
+def read_svo(path: PathLike) -> Octree:
+    """Read an octree; `-` reads stdin. The format is recognised by content, not by name.
+
+    Raises
+    ------
+    FileError : no such file, or one that is damaged, hostile or of another kind.
+    """
+    name = "stdin" if path == STREAM else os.fspath(path)
+    try:
+        with _open_input(path) as (file, size):
+            opening = file.read(64)
+            file.seek(0)
+            return _svo_reader(name, opening, size)(file, size)
+    except VoxtoolError as error:
+        raise type(error)(f"{name}: {error}") from error
+    except OSError as error:
+        raise _read_error(name, error) from error
+    except MemoryError as error:
+        raise FileError(f"{name}: more than fits in memory") from error
+
+
+def write_svo(
+    octree: Octree, path: PathLike, clobber: bool = True, format: str | None = None
+) -> None:
+    """Write an octree as HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz); `-` writes stdout.
+
+    Parameters
+    ----------
+    clobber : False refuses an existing file.
+    format : "svo.h5", "svo.xml" or "svo.xml.gz" instead of what the name says.
+
+    Raises
+    ------
+    FileError : the file cannot be written, or its name says no format.
+    """
+    _write(octree, path, clobber, format or format_of(path, SVO_FORMATS), SVO_FORMATS)
+
+
+def export(
+    octree: Octree,
+    path: PathLike,
+    clobber: bool = True,
+    format: str | None = None,
+    **options: Any,
+) -> None:
+    """Export the set voxels as .npy (dense), .npz (coordinates), .vti (ParaView) or .png (slice).
+
+    Parameters
+    ----------
+    clobber : False refuses an existing file.
+    format : "npy", "npz", "vti" or "png" instead of what the name says.
+    options : for a png, `axis` ("x", "y" or "z") and `value` (a voxel index).
+
+    Raises
+    ------
+    FileError : the file cannot be written, is larger than its disk, or its name says no format.
+    GridError : a slice outside the grid. MemoryLimitError : it does not fit in memory.
+    """
+    _write(octree, path, clobber, format or format_of(path, EXPORTS), EXPORTS, **options)
+
+
+def format_of(path: PathLike, formats: dict[str, tuple[str, str]]) -> str:
+    """The format that a name's extension says; HDF5, where it is one of them, for stdout.
+
+    Raises
+    ------
+    FileError : no format of these has this extension.
+    """
+    if path == STREAM and "svo.h5" in formats:
+        return "svo.h5"
+    name = os.fspath(path).lower()
+    for extension in formats:
+        if name.endswith(f".{extension}"):
+            return extension
+    known = ", ".join(f".{e}" for e in formats if f"svo.{e}" not in formats)
+    if path == STREAM:
+        raise FileError(f"standard output has no extension: name the format, one of {known}")
+    raise FileError(f"{path}: the name says no format: end it in one of {known}")
+
+
+# Reading
+
+
+@contextmanager
+def _open_input(path: PathLike) -> Iterator[tuple[BinaryIO, int]]:
+    """A seekable file and its size; what cannot be sought (stdin, a pipe) is read whole."""
+    if path == STREAM:
+        data = sys.stdin.buffer.read()
+        yield io.BytesIO(data), len(data)
+        return
+    with open(path, "rb") as file:
+        if file.seekable():
+            yield file, os.fstat(file.fileno()).st_size
+        else:
+            data = file.read()
+            yield io.BytesIO(data), len(data)
+
+
+def _svo_reader(name: str, opening: bytes, size: int) -> Callable[[BinaryIO, int], Octree]:
+    from voxtool.files import svo_hdf5, svo_xml
+
+    if size == 0:
+        raise FileError("the file is empty")
+    if opening.startswith(svo_hdf5.SIGNATURE):
+        return svo_hdf5.read
+    if opening.startswith(svo_xml.GZIP_MAGIC):
+        return svo_xml.read_gz
+    if _is_mesh(name, opening):
+        raise FileError(f"is a mesh: voxelize it first (voxtool voxelize {name})")
+    if opening.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
+        return svo_xml.read
+    if name.lower().endswith(EXPORT_EXTENSIONS):
+        raise FileError("is an export: read the .svo.h5 or .svo.xml that it was made from")
+    raise FileError("is no octree: expected HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz)")
+
+
+def _is_mesh(name: str, opening: bytes) -> bool:
+    return name.lower().endswith(MESH_EXTENSIONS) or opening.startswith(MESH_OPENINGS)
+
+
+def _read_error(name: str, error: OSError) -> FileError:
+    if isinstance(error, FileNotFoundError):
+        return FileError(f"{name}: there is no such file")
+    if isinstance(error, IsADirectoryError):
+        return FileError(f"{name}: is a folder: name a file in it")
+    if isinstance(error, PermissionError):
+        return FileError(f"{name}: no permission to read it")
+    return FileError(f"{name}: cannot be read: {error.strerror or error}")
+
+
+# Writing
+
+
+def _write(
+    octree: Octree,
+    path: PathLike,
+    clobber: bool,
+    format: str,
+    formats: dict[str, tuple[str, str]],
+    **options: Any,
+) -> None:
+    if format not in formats:
+        raise FileError(f"format {format!r} is unknown: choose one of {', '.join(formats)}")
+    module_name, function = formats[format]
+    module = import_module(f"voxtool.files.{module_name}")
+    write = getattr(module, function)
+    if path == STREAM:
+        _write_stdout(lambda file: write(octree, file, **options), format in TEXT_FORMATS)
+        return
+    check_target(path, clobber)
+    if hasattr(module, "size"):
+        from voxtool.files.memory import check_disk
+
+        check_disk(path, module.size(octree), "choose a smaller dim, or the sparse .npz")
+    with atomic_path(path, clobber) as temporary, open(temporary, "w+b") as file:
+        write(octree, file, **options)
+
+
+def _write_stdout(write: Callable[[BinaryIO], None], text: bool) -> None:
+    """Write to a temporary file, then copy it: a format may need to go back and forth."""
+    if not text and sys.stdout.isatty():
+        raise FileError("standard output is a terminal: redirect it, or name a file with -o")
+    try:
+        with tempfile.TemporaryFile() as file:
+            write(file)  # pyright: ignore[reportArgumentType]
+            file.seek(0)
+            shutil.copyfileobj(file, sys.stdout.buffer, 1 << 20)
+        sys.stdout.buffer.flush()
+    except BrokenPipeError as error:
+        _discard_stdout()
+        raise FileError("standard output was closed before all was written") from error
+    except OSError as error:
+        _discard_stdout()
+        reason = "its disk is full" if error.errno == errno.ENOSPC else error.strerror or error
+        raise FileError(f"cannot write standard output: {reason}") from error
+
+
+def _discard_stdout() -> None:
+    """Send what is left in the buffer nowhere, so that the end of the program is quiet."""
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())

@@ -1,0 +1,125 @@
+"""An octree's voxels in layers: dense exports and slices without the dense array in memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.files.memory import check_memory
+from voxtool.svo.octree import BRICK_SIDE, Octree, unpack_bricks
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+OUTSIDE, FINE, COARSE = 0, 1, 2  # unset; set in a brick; set in a whole inside leaf
+
+
+@dataclass(frozen=True)
+class Leaves:
+    """The nodes of one level that have no children, their first axis in order.
+
+    side : voxels along a side of a node.
+    corners : (N, 3) int32 low corners in voxels, columns in the order asked for.
+    inside : (N,) bool: wholly inside; False at level 0.
+    bricks : (N,) uint64 at level 0, else empty.
+    """
+
+    side: int
+    corners: np.ndarray
+    inside: np.ndarray
+    bricks: np.ndarray
+
+    def touching(self, first: int) -> slice:
+        """The leaves whose first axis spans voxel `first`."""
+        corner = first - first % self.side
+        column = self.corners[:, 0]
+        return slice(*np.searchsorted(column, [corner, corner + 1]).tolist())
+
+
+def sorted_leaves(octree: Octree, order: tuple[int, int, int]) -> list[Leaves]:
+    """The leaves of each level, root first, sorted along axis order[0].
+
+    Raises
+    ------
+    MemoryLimitError : they do not fit in memory.
+    """
+    check_memory(64 * len(octree.nodes), "the leaves of the octree")
+    found = []
+    for level in octree.levels():
+        chosen = slice(None) if level.number == 0 else ~level.refined
+        corners = level.cells[chosen].astype(np.int32)[:, order]
+        by_first = np.argsort(corners[:, 0], kind="stable")
+        inside = level.inside[chosen][by_first]
+        bricks = octree.bricks[by_first] if level.number == 0 else octree.bricks[:0]
+        found.append(Leaves(level.side, corners[by_first], inside, bricks))
+    return found
+
+
+def paint(
+    leaves: list[Leaves], first: int, order: tuple[int, int, int], side: int
+) -> np.ndarray:
+    """Four voxel layers, (4, side, side) uint8 of OUTSIDE, FINE and COARSE, from voxel `first`
+    (a multiple of 4) along axis order[0]."""
+    slab = np.zeros((BRICK_SIDE, side, side), np.uint8)
+    for level in leaves:
+        here = level.touching(first)
+        j, k = level.corners[here, 1:].T // level.side
+        n = side // level.side
+        cells = slab.reshape(BRICK_SIDE, n, level.side, n, level.side).transpose(1, 3, 0, 2, 4)
+        if level.side == BRICK_SIDE:
+            voxels = unpack_bricks(level.bricks[here])
+            cells[j, k] = voxels.transpose(0, *(a + 1 for a in order))  # True is FINE
+        else:
+            chosen = level.inside[here]
+            cells[j[chosen], k[chosen]] = COARSE
+    return slab
+
+
+def layers(octree: Octree, order: tuple[int, int, int] = (0, 1, 2)) -> Iterator[np.ndarray]:
+    """The dense array in pieces of at most four layers, low to high.
+
+    Parameters
+    ----------
+    order : axes of the pieces; the first is the one that they cut.
+
+    Yields
+    ------
+    (n, a, b) bool, n at most 4 and a, b the grid's shape along order[1], order[2].
+    """
+    check_memory(2 * BRICK_SIDE * octree.grid.side**2, "four layers of voxels")
+    leaves = sorted_leaves(octree, order)
+    shape = [octree.grid.shape[axis] for axis in order]
+    for first in range(0, shape[0], BRICK_SIDE):
+        slab = paint(leaves, first, order, octree.grid.side)
+        yield slab[: shape[0] - first, : shape[1], : shape[2]] != OUTSIDE
+
+
+def coordinates(octree: Octree) -> Iterator[np.ndarray]:
+    """The set voxels in lexicographic order, a layer of bricks at a time.
+
+    Yields
+    ------
+    (N, 3) int32 voxels.
+    """
+    leaves = sorted_leaves(octree, (0, 1, 2))
+    for first in range(0, octree.grid.shape[0], BRICK_SIDE):
+        keys = np.sort(np.concatenate([_keys(level, first) for level in leaves]))
+        axes = [(keys >> shift) & 0x1FFFFF for shift in (42, 21, 0)]
+        yield np.stack(axes, axis=1).astype("<i4")
+
+
+def _keys(level: Leaves, first: int) -> np.ndarray:
+    """Set voxels of one level in the four layers from `first`, as int64: x, y, z of 21 bits."""
+    here = level.touching(first)
+    corners = level.corners[here].astype(np.int64)
+    if level.side == BRICK_SIDE:
+        brick, *local = np.nonzero(unpack_bricks(level.bricks[here]))
+        x, y, z = corners[brick].T + np.stack(local)
+    else:
+        corners = corners[level.inside[here]].reshape(-1, 3, 1)
+        local = np.indices((BRICK_SIDE, level.side, level.side)).reshape(1, 3, -1)
+        x, y, z = (corners[:, a] + local[:, a] for a in range(3))
+        x += first - corners[:, 0]
+    return ((x << 42) | (y << 21) | z).ravel()

@@ -1,0 +1,56 @@
+"""What memory and disk have to spare, and refusing what they have not."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+from voxtool.errors import FileError, MemoryLimitError
+
+
+def available_memory() -> int:
+    """Bytes of memory that programs can still take; without end where the system does not say."""
+    with suppress(OSError, ValueError, StopIteration), open("/proc/meminfo") as lines:
+        return 1024 * int(next(line.split()[1] for line in lines if "MemAvailable" in line))
+    with suppress(AttributeError, OSError, ValueError):
+        return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return 1 << 62
+
+
+def check_memory(size: int, what: str, instead: str = "choose a smaller dim") -> None:
+    """Refuse what does not fit in memory.
+
+    Raises
+    ------
+    MemoryLimitError : names both sizes and what to do instead.
+    """
+    free = available_memory()
+    if size > free:
+        raise MemoryLimitError(f"{what} need {human(size)} and {human(free)} are free: {instead}")
+
+
+def check_disk(path: str | os.PathLike[str], size: int, instead: str) -> None:
+    """Refuse a file of `size` bytes that its disk cannot take.
+
+    Raises
+    ------
+    FileError : names the path, both sizes and what to do instead.
+    """
+    folder = Path(os.path.realpath(path)).parent
+    free = shutil.disk_usage(folder).free
+    if size > free:
+        raise FileError(
+            f"{path} would take {human(size)} and its disk has {human(free)} free: {instead}"
+        )
+
+
+def human(size: int) -> str:
+    """Bytes as people read them: 12.3 GB."""
+    value = float(size)
+    for unit in ("bytes", "kB", "MB", "GB"):
+        if value < 1000:
+            return f"{value:.3g} {unit}"
+        value /= 1000
+    return f"{value:.3g} TB"

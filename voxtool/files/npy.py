@@ -1,0 +1,31 @@
+"""The dense array as .npy: bool [x, y, z] of the grid's shape, C order, written in layers."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, BinaryIO
+
+import numpy as np
+
+from voxtool.files.layers import layers
+
+if TYPE_CHECKING:
+    from voxtool.svo.octree import Octree
+
+
+def size(octree: Octree) -> int:
+    """Bytes that the file takes, the header aside."""
+    nx, ny, nz = octree.grid.shape
+    return nx * ny * nz
+
+
+def write(octree: Octree, file: BinaryIO) -> None:
+    """Write the set voxels as a bool array.
+
+    Raises
+    ------
+    OSError : the file cannot be written.
+    """
+    header = {"descr": "|b1", "fortran_order": False, "shape": octree.grid.shape}
+    np.lib.format.write_array_header_1_0(file, header)
+    for slab in layers(octree):
+        file.write(np.ascontiguousarray(slab))

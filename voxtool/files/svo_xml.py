@@ -1,0 +1,464 @@
+"""Octrees as XML by octree.dtd, after listing 5.1 of the thesis: docs/formats.md has it exactly.
+
+Written and read as a stream. A document is not trusted: it has no internal subset and no
+entities, nothing outside it is read, its text is bounded by the sizes that it declares, and those
+by the file's size, before memory is taken. Each element is checked as it arrives; what they make
+together is validated against the packaged DTD through a skeleton in which a run of `node` or
+`bitmask` elements stands as one.
+"""
+
+from __future__ import annotations
+
+import gzip
+import re
+import zlib
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from voxtool.errors import FileError
+from voxtool.files.svo_head import (
+    FLOAT,
+    FORMAT_VERSION,
+    LAYOUT,
+    TEXT,
+    build,
+    check_head,
+    check_version,
+    head_of,
+    is_newer,
+)
+from voxtool.svo.octree import BRICK, NODE, Octree, check_offsets
+
+if TYPE_CHECKING:
+    from lxml import etree
+
+    from voxtool.grid import Grid
+
+DTD = Path(__file__).with_name("octree.dtd")
+GZIP_MAGIC = b"\x1f\x8b"
+GZIP_LEVEL = 4
+GZIP_RATIO = 1032  # deflate packs no byte of text into less than 1/1032 byte
+
+OPENING = '<?xml version="1.0" encoding="UTF-8" standalone="yes"?>\n'
+DOCTYPE = '<!DOCTYPE octree SYSTEM "octree.dtd">\n'
+NODE_ROW = '<node parent="%d" child="%d"/>\n'
+MASK_ROW = "<bitmask>%d</bitmask>\n"
+LEAST_NODE = len('<node parent="0" child="0"/>')
+LEAST_MASK = len("<bitmask>0</bitmask>")
+CONTAINERS = ("octree", "offset", "levels", "level", "subgrid")
+ROWS = 1 << 14  # rows formatted, or parsed, at once
+
+CHUNK = 1 << 16  # bytes fed to the parser at once
+LONGEST_TOKEN = 1 << 18  # bytes of one tag or comment
+HEAD_BYTES = 1 << 20  # text that needs no declared size
+ROW_BYTES = 256  # text that each declared node or bitmask may take
+MAX_SKELETON = 64  # elements that are no repetition: 15 levels and a few more
+
+WORDS = re.compile(r"[0-9]{1,10}(?: [0-9]{1,10})*")
+WHOLE = re.compile(r"[0-9]{1,10}")
+NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
+
+
+# Writing
+
+
+def write(octree: Octree, file: BinaryIO) -> None:
+    """Write an octree as XML.
+
+    Raises
+    ------
+    OSError : the file cannot be written.
+    """
+    head = head_of(octree)
+    attributes = {"dim": head.pop("dim"), "size": len(octree.nodes), "depth": head.pop("depth")}
+    attributes |= head
+    file.write((OPENING + DOCTYPE + "<octree").encode())
+    for name, value in attributes.items():
+        file.write(f"\n  {name}={quoteattr(_as_text(value))}".encode())
+    file.write(f">\n<offset>{_as_text(octree.offsets.tolist())}</offset>\n<levels>\n".encode())
+    words = np.ascontiguousarray(octree.nodes, NODE).view("<u4")
+    for first, last in zip(octree.offsets[:-1].tolist(), octree.offsets[1:].tolist(), strict=True):
+        file.write(b"<level>\n")
+        _write_rows(file, NODE_ROW, words[2 * first : 2 * last], 2)
+        file.write(b"</level>\n")
+    halves = np.ascontiguousarray(octree.bricks, BRICK).view("<u4")
+    file.write(f'</levels>\n<subgrid size="{len(halves)}">\n'.encode())
+    _write_rows(file, MASK_ROW, halves, 1)
+    file.write(b"</subgrid>\n</octree>\n")
+
+
+def write_gz(octree: Octree, file: BinaryIO) -> None:
+    """Write an octree as gzip-compressed XML; no name and no time in it.
+
+    Raises
+    ------
+    OSError : the file cannot be written.
+    """
+    with gzip.GzipFile("", "wb", GZIP_LEVEL, file, mtime=0) as packed:
+        write(octree, packed)  # pyright: ignore[reportArgumentType]
+
+
+def _as_text(value: Any) -> str:
+    """Numbers as the shortest text that reads back as the same number."""
+    if isinstance(value, list | tuple):
+        return " ".join(map(repr, value))
+    return str(value)
+
+
+def _write_rows(file: BinaryIO, row: str, words: np.ndarray, columns: int) -> None:
+    step = ROWS * columns
+    for start in range(0, len(words), step):
+        part = tuple(words[start : start + step].tolist())
+        file.write((row * (len(part) // columns) % part).encode())
+
+
+# Reading
+
+
+def read(file: BinaryIO, size: int) -> Octree:
+    """Read an octree from an XML file of `size` bytes.
+
+    Raises
+    ------
+    FileError : the file is damaged, hostile or of another kind.
+    """
+    return _Reader(size).read(file)
+
+
+def read_gz(file: BinaryIO, size: int) -> Octree:
+    """Read an octree from a gzip-compressed XML file of `size` bytes.
+
+    Raises
+    ------
+    FileError : the file is damaged, hostile or of another kind.
+    """
+    try:
+        with gzip.GzipFile(fileobj=file, mode="rb") as packed:
+            return _Reader(size * GZIP_RATIO).read(packed)  # pyright: ignore[reportArgumentType]
+    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+        raise FileError(f"damaged gzip file: {error}") from error
+
+
+def parse_words(text: str) -> np.ndarray:
+    """Decimal numbers separated by single spaces, to (N,) uint32.
+
+    Raises
+    ------
+    FileError : one is no unsigned 32-bit number.
+    """
+    if WORDS.fullmatch(text):
+        values = np.fromstring(text, np.uint64, sep=" ")
+        if values.max() < 1 << 32:
+            return values.astype("<u4")
+    bad = next(w for w in text.split(" ") if not re.fullmatch("[0-9]{1,10}", w) or int(w) >> 32)
+    raise FileError(f"{bad[:20]!r} is no unsigned 32-bit number")
+
+
+def parse_head(texts: dict[str, str]) -> dict[str, Any]:
+    """The attributes of `octree`, with what a plain document of the thesis leaves out.
+
+    Raises
+    ------
+    FileError : one is no number where it should be, or dim is missing.
+    """
+    if "dim" not in texts:
+        raise FileError("attribute dim is missing")
+    check_version(texts.get("format_version", FORMAT_VERSION))
+    dim = _numbers("dim", texts["dim"], int, 1)
+    head = {
+        "format_version": FORMAT_VERSION,
+        "creator": "",
+        "dim": dim,
+        "depth": (max(dim - 1, 0).bit_length() - 1),
+        "shape": (dim, dim, dim),
+        "mode": "solid",
+        "fill": "parity",
+        "origin": (0.0, 0.0, 0.0),
+        "pitch": (1.0, 1.0, 1.0),
+        "units": "",
+        "source_sha256": "",
+        "plan": "{}",
+    }
+    for name, (kind, count) in LAYOUT.items():
+        if name in texts:
+            head[name] = (
+                texts[name] if kind is TEXT else _numbers(name, texts[name], kind, count)
+            )
+    return head
+
+
+def _numbers(name: str, text: str, kind: type, count: int) -> Any:
+    pattern = NUMBER if kind is FLOAT else WHOLE
+    words = text.split(" ")
+    if len(words) != count or not all(len(w) < 40 and pattern.fullmatch(w) for w in words):
+        raise FileError(f"attribute {name} is {text[:40]!r} where {count} of {kind.__name__} go")
+    numbers = tuple(map(kind, words))
+    return numbers if count > 1 else numbers[0]
+
+
+class _Words:
+    """Unsigned 32-bit numbers that arrive as text, into an array of a declared length."""
+
+    def __init__(self, count: int, what: str) -> None:
+        self.array = np.empty(count, "<u4")
+        self.filled = 0
+        self.pending: list[str] = []
+        self.what = what
+
+    def flush(self) -> None:
+        if not self.pending:
+            return
+        values = parse_words(" ".join(self.pending))
+        if len(values) != len(self.pending):
+            raise FileError("two numbers where one goes")
+        end = self.filled + len(values)
+        if end > len(self.array):
+            raise FileError(f"more than the {len(self.array)} {self.what} declared")
+        self.array[self.filled : end] = values
+        self.filled = end
+        self.pending.clear()
+
+
+class _Skeleton:
+    """The document with its text left out and runs of equal leaves reduced to one."""
+
+    def __init__(self) -> None:
+        self.root: etree._Element | None = None
+        self.open: list[etree._Element] = []
+        self.count = 0
+
+    def start(self, name: str, attributes: list[str]) -> None:
+        from lxml import etree
+
+        self.count += 1
+        if self.count > MAX_SKELETON:
+            raise FileError("more elements than an octree has")
+        empty = dict.fromkeys(attributes, "")
+        if self.root is None:
+            element = self.root = etree.Element(name, empty)
+        else:
+            element = etree.SubElement(self.open[-1], name, empty)
+        self.open.append(element)
+
+    def end(self) -> None:
+        self.open.pop()
+
+    def validate(self) -> None:
+        """Hold the document against the packaged DTD.
+
+        Raises
+        ------
+        FileError : the first violation.
+        """
+        from lxml import etree
+
+        with DTD.open("rb") as file:
+            dtd = etree.DTD(file)
+        if self.root is None or not dtd.validate(self.root):
+            raise FileError(f"not by octree.dtd: {dtd.error_log[0].message[:160]}")
+
+
+class _Reader:
+    """The parser's events, element by element, into the octree's arrays."""
+
+    def __init__(self, text_limit: int) -> None:
+        from xml.parsers import expat
+
+        self.text_limit = text_limit  # bytes of text that the file can hold at most
+        self.allowed = HEAD_BYTES  # bytes of text that the declared sizes justify
+        self.skeleton = _Skeleton()
+        self.within = ""  # innermost open element
+        self.leaf = False  # it is a node or a bitmask
+        self.runs: set[str] = set()  # leaves that the open element already has
+        self.text: list[str] = []
+        self.sizes: list[int] = []  # nodes of each level so far
+        self.head: dict[str, Any] = {}
+        self.grid: Grid | None = None
+        self.offsets: np.ndarray | None = None
+        self.nodes = _Words(0, "node words")
+        self.masks = _Words(0, "bitmasks")
+        self.parser = expat.ParserCreate("UTF-8")
+        self.parser.ordered_attributes = True
+        self.parser.buffer_text = True
+        self.parser.NotStandaloneHandler = lambda: 0  # what a DOCTYPE points at is never read
+        self.parser.StartDoctypeDeclHandler = self.doctype
+        self.parser.EntityDeclHandler = self.entity
+        self.parser.SkippedEntityHandler = self.entity
+        self.parser.ProcessingInstructionHandler = self.instruction
+        self.parser.StartElementHandler = self.start
+        self.parser.EndElementHandler = self.end
+        self.parser.CharacterDataHandler = self.data
+
+    def read(self, file: BinaryIO) -> Octree:
+        from xml.parsers import expat
+
+        try:
+            self.parse(file)
+            self.skeleton.validate()
+        except expat.ExpatError as error:
+            raise FileError(f"line {error.lineno}: {_syntax_message(error)}") from None
+        except FileError as error:
+            raise FileError(f"line {self.parser.CurrentLineNumber}: {error}") from None
+        assert self.grid is not None
+        assert self.offsets is not None
+        self.check_filled()
+        nodes = self.nodes.array.view(NODE)
+        return build(self.grid, self.head, self.offsets, nodes, self.masks.array.view(BRICK))
+
+    def parse(self, file: BinaryIO) -> None:
+        fed = 0
+        while chunk := file.read(CHUNK):
+            fed += len(chunk)
+            self.parser.Parse(chunk, False)
+            self.nodes.flush()
+            self.masks.flush()
+            if fed > self.allowed:
+                raise FileError("more text than its declared sizes need")
+            if fed - max(self.parser.CurrentByteIndex, 0) > LONGEST_TOKEN:
+                raise FileError(f"a tag or comment of more than {LONGEST_TOKEN} bytes")
+        self.parser.Parse(b"", True)
+
+    def check_filled(self) -> None:
+        assert self.offsets is not None
+        declared = np.diff(self.offsets).tolist()
+        for d, (found, expected) in enumerate(zip(self.sizes, declared, strict=False)):
+            if found != expected:
+                raise FileError(f"level element {d + 1} has {found} nodes, not {expected}")
+        if len(self.sizes) != len(declared):
+            raise FileError(f"{len(self.sizes)} levels where {len(declared)} are declared")
+        if self.masks.filled != len(self.masks.array):
+            raise FileError(
+                f"{self.masks.filled} bitmasks where {len(self.masks.array)} are declared"
+            )
+
+    # What is refused wherever it stands
+
+    def doctype(self, name: str, system: str, public: str, internal: int) -> None:
+        if internal:
+            raise FileError("a DOCTYPE with an internal subset is refused: remove it")
+
+    def entity(self, *_: Any) -> None:
+        raise FileError("entities are refused: remove them")
+
+    def instruction(self, target: str, data: str) -> None:
+        raise FileError("processing instructions are refused: remove them")
+
+    # Elements
+
+    def start(self, name: str, attributes: list[str]) -> None:
+        if name == "node" and self.within == "level":
+            self.nodes.pending += _node_words(attributes)
+            self.sizes[-1] += 1
+            self.start_leaf(name, attributes)
+        elif name == "bitmask" and self.within == "subgrid" and not attributes:
+            self.start_leaf(name, attributes)
+        elif self.leaf or name not in CONTAINERS:
+            raise FileError(f"element {name[:40]} inside {self.within or 'the document'}")
+        else:
+            self.start_container(name, attributes)
+
+    def start_leaf(self, name: str, attributes: list[str]) -> None:
+        self.leaf = True
+        self.within = name
+        if name not in self.runs:
+            self.runs.add(name)
+            self.skeleton.start(name, attributes[::2])
+            self.skeleton.end()
+
+    def start_container(self, name: str, attributes: list[str]) -> None:
+        values = dict(zip(attributes[::2], attributes[1::2], strict=True))
+        if name == "octree":
+            values = self.start_octree(values)
+        elif name in ("levels", "level", "subgrid") and self.offsets is None:
+            raise FileError(f"element {name} before the offsets")
+        elif name == "level":
+            self.sizes.append(0)
+        elif name == "subgrid":
+            self.expect_size(values.get("size"), len(self.masks.array))
+        if any(":" in a for a in values):
+            raise FileError("namespaces are refused: remove them")
+        self.skeleton.start(name, list(values))
+        self.within = name
+        self.runs.clear()
+
+    def start_octree(self, values: dict[str, str]) -> dict[str, str]:
+        """Check the attributes; those that the DTD is to judge."""
+        if self.grid is not None:
+            raise FileError("an octree inside an octree")
+        self.head = parse_head(values)
+        self.grid = check_head(self.head)
+        self.size = values.get("size")
+        if is_newer(self.head["format_version"]):
+            values = {k: v for k, v in values.items() if k in LAYOUT or k == "size"}
+        return values
+
+    def end_offset(self) -> None:
+        """Check the declared sizes, then take memory for them."""
+        if self.grid is None or self.offsets is not None:
+            raise FileError("the offsets are not the first thing in the octree")
+        words = "".join(self.text).split()[:MAX_SKELETON]
+        offsets = parse_words(" ".join(words))
+        check_offsets(self.grid, offsets)
+        nodes, masks = int(offsets[-1]), 2 * int(offsets[-1] - offsets[-2])
+        self.expect_size(self.size, nodes)
+        if nodes * LEAST_NODE + masks * LEAST_MASK > self.text_limit:
+            raise FileError(f"{nodes} nodes are declared, which the file cannot hold: cut short?")
+        self.allowed += ROW_BYTES * (nodes + masks)
+        self.offsets = offsets
+        self.nodes = _Words(2 * nodes, "node words")
+        self.masks = _Words(masks, "bitmasks")
+
+    def expect_size(self, text: str | None, expected: int) -> None:
+        if text is not None and text != str(expected):
+            raise FileError(f"size {text[:20]!r} where the offsets say {expected}")
+
+    def end(self, name: str) -> None:
+        if self.leaf:
+            self.leaf = False
+            if name == "node":
+                if self.text:
+                    raise FileError("text inside a node")
+                self.within = "level"
+                return
+            self.masks.pending.append("".join(self.text).strip())
+            self.text.clear()
+            self.within = "subgrid"
+            return
+        if name == "offset":
+            self.end_offset()
+            self.text.clear()
+        self.skeleton.end()
+        self.within = self.skeleton.open[-1].tag if self.skeleton.open else ""
+
+    def data(self, text: str) -> None:
+        if self.leaf or self.within == "offset":
+            self.text.append(text)
+        elif text.strip(" \t\r\n"):
+            raise FileError(f"text {text.strip()[:20]!r} inside {self.within}")
+
+
+def _node_words(attributes: list[str]) -> tuple[str, str]:
+    if len(attributes) == 4:
+        first, a, second, b = attributes
+        if first == "parent" and second == "child":
+            return a, b
+        if first == "child" and second == "parent":
+            return b, a
+    raise FileError("a node has the two attributes parent and child")
+
+
+def _syntax_message(error: Exception) -> str:
+    from xml.parsers.expat import errors
+
+    code = getattr(error, "code", 0)
+    if code == errors.codes[errors.XML_ERROR_NOT_STANDALONE]:
+        return 'a DOCTYPE is read only with standalone="yes" in the first line: add that'
+    if code in (
+        errors.codes[errors.XML_ERROR_NO_ELEMENTS],
+        errors.codes[errors.XML_ERROR_UNCLOSED_TOKEN],
+    ):
+        return "the document is cut short"
+    return f"no well-formed XML ({errors.messages.get(code, 'unknown error')})"
