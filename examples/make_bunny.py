@@ -33,7 +33,7 @@ PARTS = [
     ((0.71, 1.095, 0.06), (0.09, 0.08, 0.08), 0.04),  # lips
     ((0.785, 1.19, 0.00), (0.045, 0.04, 0.06), 0.03),  # nose
 ]
-EYE, SOCKET = (0.535, 1.318, 0.196), (0.580, 1.338, 0.253)
+EYE, SOCKET = (0.510, 1.319, 0.219), (0.575, 1.348, 0.300)
 # centre, radii along the ear, across and through it, the way it points, the way it opens
 EARS = [
     ((0.16, 1.87, 0.21), (0.49, 0.155, 0.075), (-0.16, 1.0, 0.22), (1.0, 0.2, 0.35)),
@@ -70,10 +70,10 @@ def ear(x, y, z, centre, radii, along, front):
     w = unit(np.array(front) - u * (u[0] * front[0] + u[1] * front[1] + u[2] * front[2]))
     v = np.array([w[i - 2] * u[i - 1] - w[i - 1] * u[i - 2] for i in range(3)])
     x, y, z = x - centre[0], y - centre[1], z - centre[2]
-    local = [x * axis[0] + y * axis[1] + z * axis[2] for axis in (u, v, w)]
+    x, y, z = (x * axis[0] + y * axis[1] + z * axis[2] for axis in (u, v, w))
     hollow = (0.80 * radii[0], 0.66 * radii[1], 0.80 * radii[2])
-    shell = ellipsoid(*local, (0.0, 0.0, 0.0), radii)
-    return carve(shell, ellipsoid(*local, (0.0, 0.0, 0.95 * radii[2]), hollow), 0.03)
+    shell = ellipsoid(x, y, z, (0.0, 0.0, 0.0), radii)
+    return carve(shell, ellipsoid(x, y, z, (0.0, 0.0, 0.95 * radii[2]), hollow), 0.03)
 
 
 def unit(v):
@@ -92,8 +92,8 @@ def rabbit(points):
     d = union(d, whole, 0.06)
     d = union(d, union(folded, tip, 0.05), 0.06)
     for side in (z, -z):
-        d = carve(d, ellipsoid(x, y, side, SOCKET, (0.115, 0.115, 0.115)), 0.03)
-        d = union(d, ellipsoid(x, y, side, EYE, (0.085, 0.090, 0.085)), 0.015)
+        d = carve(d, ellipsoid(x, y, side, SOCKET, (0.120, 0.120, 0.120)), 0.04)
+        d = union(d, ellipsoid(x, y, side, EYE, (0.088, 0.094, 0.088)), 0.02)
     return carve(d, y - 0.02, 0.05)  # the ground
 
 
@@ -111,6 +111,42 @@ def sample(cells):
     near = np.nonzero(np.abs(coarse) < 1.5 * BLOCK * step)
     coarse[near] = rabbit(LOW + step * np.stack(near, axis=1))
     return coarse, step
+
+
+def mend(field):
+    """Fill every cell where two sheets of the surface meet, or nearly so: then the net is manifold.
+
+    One sheet alone crosses a cell if its corners inside hang together along its edges, and so do
+    those outside.
+    """
+    bits = range(8)
+    meeting = np.array(
+        [
+            not all(hang_together({b for b in bits if code >> b & 1 == side}) for side in (0, 1))
+            for code in range(256)
+        ]
+    )
+    flat = field.ravel()
+    x, y, z = (stride // field.itemsize for stride in field.strides)
+    offsets = [(b & 1) * x + (b >> 1 & 1) * y + (b >> 2) * z for b in bits]
+    last = flat.size - offsets[-1]
+    while True:
+        codes = np.zeros(last, np.uint8)
+        for b in bits:
+            codes |= (flat[offsets[b] : offsets[b] + last] < 0.0).astype(np.uint8) << b
+        cells = np.flatnonzero(meeting[codes])
+        if not len(cells):
+            return flat.reshape(field.shape)
+        for offset in offsets:
+            flat[cells + offset] = np.minimum(flat[cells + offset], -1e-3)
+
+
+def hang_together(corners):
+    """Whether corners of a cube, as numbers of three bits, are one piece along its edges."""
+    reached = set(sorted(corners)[:1])
+    for _ in corners:
+        reached |= {c for c in corners if {c ^ 1, c ^ 2, c ^ 4} & reached}
+    return reached == corners
 
 
 def surface_nets(field, step):
@@ -163,26 +199,13 @@ def split(vertices, quads):
 
 def make_bunny(triangles=70_000):
     """Vertices (V, 3), rounded to six decimals, and triangles (T, 3), close to so many."""
-    cells = 40
+    cells = 72
     _, quads = surface_nets(*sample(cells))
     cells = round(cells * float(np.sqrt(triangles / (2 * len(quads)))))
-    while True:
-        field, step = sample(cells)
-        vertices, quads = surface_nets(field, step)
-        faces = split(vertices, quads)
-        if is_manifold(faces):
-            break
-        cells += 1  # two sheets of the surface met in one cell
+    field, step = sample(cells)
+    vertices, quads = surface_nets(mend(field), step)
     vertices = np.round(relax(vertices, quads, step), 6)
     return vertices, split(vertices, quads)
-
-
-def is_manifold(faces):
-    """Whether each edge has one face on either side."""
-    there = faces.astype(np.int64) << 32 | np.roll(faces, -1, axis=1)
-    back = np.roll(faces, -1, axis=1).astype(np.int64) << 32 | faces
-    once = np.unique(there)
-    return len(once) == there.size and np.array_equal(once, np.unique(back))
 
 
 def main():
@@ -190,6 +213,8 @@ def main():
     parser.add_argument("-o", "--output", type=Path, default=Path("bunny.obj"))
     parser.add_argument("--triangles", type=int, default=70_000, help="about how many (70000)")
     arguments = parser.parse_args()
+    if not 2_000 <= arguments.triangles <= 2_000_000:
+        parser.error(f"--triangles {arguments.triangles}: choose from 2000 to 2000000")
     vertices, faces = make_bunny(arguments.triangles)
     lines = ["# a rabbit, made by examples/make_bunny.py of voxtool"]
     lines += ["v {:.6f} {:.6f} {:.6f}".format(*v) for v in vertices.tolist()]

@@ -268,23 +268,23 @@ scan set_up(const triangle *t, const columns *c, int kind, int level, int pad_x)
     return s;
 }
 
-// a + n_axis r boxes: how n . (p - v0) rises along a column.
-wide along(wide a, long n_axis, int r, int size)
+// The least r in [0, last] from which on *a + r up >= 0, or last + 1 if there is none; *a becomes its
+// value there. Estimated in floating point, decided in integers; `step` is 1 / up.
+int first_not_before(wide *a, long up_normal, int up_size, wide up, float step, int last)
 {
-    return wide_sum(a, wide_product(n_axis, (long)r * size));
-}
-
-// The least r in [0, last] with along(a, ..., r) >= 0, or last + 1: estimated in floating point,
-// decided in integers.
-int first_not_before(wide a, long n_axis, int size, float step, int last)
-{
-    if (!is_negative(a))
+    if (!is_negative(*a))
         return 0;
-    int r = (int)clamp(-to_float(a) * step, 0.0f, (float)last);
-    while (r <= last && is_negative(along(a, n_axis, r, size)))
-        ++r;
-    while (r > 0 && !is_negative(along(a, n_axis, r - 1, size)))
-        --r;
+    int r = (int)clamp(-to_float(*a) * step, 0.0f, (float)last);
+    const wide down = wide_negative(up);
+    *a = wide_sum(*a, wide_product(up_normal, (long)r * up_size));
+    for (; r > 0; --r) {
+        const wide below = wide_sum(*a, down);
+        if (is_negative(below))
+            break;
+        *a = below;
+    }
+    for (; r <= last && is_negative(*a); ++r)
+        *a = wide_sum(*a, up);
     return r;
 }
 
@@ -316,7 +316,7 @@ void scan_convert(const scan *s, const columns *c, sink *out, int store, ACTIVE_
 {
     const int last = c->high.z - c->low.z;
     const wide right = wide_product(s->nx, s->size), up = wide_product(s->nz, s->size),
-               down = wide_product(-s->nz, s->size);
+               down = wide_negative(up);
     const wide gap = wide_sum(s->near, wide_negative(s->far));
     for (int q = c->low.y; q <= c->high.y; ++q) {
         long3 xy = s->xy.p * c->low.x + s->xy.q * q + s->xy.d;
@@ -328,8 +328,7 @@ void scan_convert(const scan *s, const columns *c, sink *out, int store, ACTIVE_
         // box r of the column, its edge functions, and n . (p - v0) at its far side
         wide far = wide_sum(s->far, wide_dot(s->nx, s->ny, s->nz, (long)p * s->size + s->first.x,
                                              (long)q * s->size + s->first.y, s->first.z));
-        int r = first_not_before(far, s->nz, s->size, s->step, last);
-        far = along(far, s->nz, r, s->size);
+        int r = first_not_before(&far, s->nz, s->size, up, s->step, last);
         long3 yz = s->yz.p * q + s->yz.q * (c->low.z + r) + s->yz.d;
         long3 zx = s->zx.p * (c->low.z + r) + s->zx.q * p + s->zx.d;
         for (; p <= c->high.x && none_negative(xy); ++p) {
@@ -462,7 +461,7 @@ __kernel void flip_crossings(__global const int *vertices, __global const int *f
     sink out = open_sink(bricks);
     const float step = 1.0f / ((float)nx * (float)VOXEL);
     const int last = c.high.z - c.low.z; // the axis is x
-    const wide right = wide_product(ny, VOXEL);
+    const wide right = wide_product(ny, VOXEL), up = wide_product(nx, VOXEL);
     for (int k = c.low.y; k <= c.high.y; ++k) {
         long3 yz = e.p * c.low.x + e.q * k + e.d;
         int j = c.low.x;
@@ -474,7 +473,8 @@ __kernel void flip_crossings(__global const int *vertices, __global const int *f
         wide low = wide_dot(nx, ny, nz, (long)c.low.z * VOXEL + HALF - u.x,
                             (long)j * VOXEL + HALF - u.y, (long)k * VOXEL + HALF - u.z);
         for (; j <= c.high.x && none_negative(yz); ++j, yz += e.p, low = wide_sum(low, right)) {
-            const int r = first_not_before(low, nx, VOXEL, step, last);
+            wide first = low;
+            const int r = first_not_before(&first, nx, VOXEL, up, step, last);
             const int i = c.low.z + r;
             if (i >= shape.x)
                 continue; // beyond the high-x side

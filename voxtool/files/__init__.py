@@ -53,11 +53,11 @@ def read_svo(path: PathLike) -> Octree:
     name = "stdin" if path == STREAM else os.fspath(path)
     try:
         with _open_input(path) as (file, size):
-            opening = file.read(64)
-            file.seek(0)
-            return _svo_reader(name, opening, size)(file, size)
-    except VoxtoolError as error:
-        raise type(error)(f"{name}: {error}") from error
+            read = _svo_reader(name, file, size)
+            try:
+                return read(file, size)
+            except VoxtoolError as error:
+                raise type(error)(f"{name}: {error}") from error
     except OSError as error:
         raise _read_error(name, error) from error
     except MemoryError as error:
@@ -141,22 +141,24 @@ def _open_input(path: PathLike) -> Iterator[tuple[BinaryIO, int]]:
             yield io.BytesIO(data), len(data)
 
 
-def _svo_reader(name: str, opening: bytes, size: int) -> Callable[[BinaryIO, int], Octree]:
+def _svo_reader(name: str, file: BinaryIO, size: int) -> Callable[[BinaryIO, int], Octree]:
     from voxtool.files import svo_hdf5, svo_xml
 
+    opening = file.read(64)
+    file.seek(0)
     if size == 0:
-        raise FileError("the file is empty")
+        raise FileError(f"{name} is empty")
     if opening.startswith(svo_hdf5.SIGNATURE):
         return svo_hdf5.read
     if opening.startswith(svo_xml.GZIP_MAGIC):
         return svo_xml.read_gz
     if _is_mesh(name, opening):
-        raise FileError(f"is a mesh: voxelize it first (voxtool voxelize {name})")
+        raise FileError(f"{name} is a mesh: voxelize it first (voxtool voxelize {name})")
     if opening.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
         return svo_xml.read
     if name.lower().endswith(EXPORT_EXTENSIONS):
-        raise FileError("is an export: read the .svo.h5 or .svo.xml that it was made from")
-    raise FileError("is no octree: expected HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz)")
+        raise FileError(f"{name} is an export: read the .svo.h5 or .svo.xml that it was made from")
+    raise FileError(f"{name} is no octree: expected HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz)")
 
 
 def _is_mesh(name: str, opening: bytes) -> bool:

@@ -41,14 +41,14 @@ def check_target(target: str | os.PathLike[str], clobber: bool = True) -> None:
         exists and clobber is False.
     """
     target = Path(target)
-    if target.is_dir():
+    if os.path.isdir(target):  # a name that is too long is no error here
         raise FileError(f"cannot write {target}: it is a folder: name a file in it")
     if not clobber and os.path.lexists(target):
         raise _refusal(target)
     folder = Path(os.path.realpath(target)).parent
-    if not folder.exists():
+    if not os.path.exists(folder):
         raise FileError(f"cannot write {target}: there is no folder {folder}: create it first")
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise FileError(f"cannot write {target}: {folder} is a file, not a folder")
     if not _is_device(target) and not os.access(folder, os.W_OK | os.X_OK):
         raise FileError(f"cannot write {target}: {MENDS[errno.EACCES]}")

@@ -13,19 +13,20 @@ from voxtool.svo.octree import BRICK_SIDE, Octree, unpack_bricks
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-OUTSIDE, FINE, COARSE = 0, 1, 2  # unset; set in a brick; set in a whole inside leaf
+OUTSIDE, SET = 0, 1  # a voxel is unset, or SET + the level that holds it
 
 
 @dataclass(frozen=True)
 class Leaves:
     """The nodes of one level that have no children, their first axis in order.
 
-    side : voxels along a side of a node.
+    number : the level; side : voxels along a side of a node.
     corners : (N, 3) int32 low corners in voxels, columns in the order asked for.
     inside : (N,) bool: wholly inside; False at level 0.
     bricks : (N,) uint64 at level 0, else empty.
     """
 
+    number: int
     side: int
     corners: np.ndarray
     inside: np.ndarray
@@ -53,14 +54,12 @@ def sorted_leaves(octree: Octree, order: tuple[int, int, int]) -> list[Leaves]:
         by_first = np.argsort(corners[:, 0], kind="stable")
         inside = level.inside[chosen][by_first]
         bricks = octree.bricks[by_first] if level.number == 0 else octree.bricks[:0]
-        found.append(Leaves(level.side, corners[by_first], inside, bricks))
+        found.append(Leaves(level.number, level.side, corners[by_first], inside, bricks))
     return found
 
 
-def paint(
-    leaves: list[Leaves], first: int, order: tuple[int, int, int], side: int
-) -> np.ndarray:
-    """Four voxel layers, (4, side, side) uint8 of OUTSIDE, FINE and COARSE, from voxel `first`
+def paint(leaves: list[Leaves], first: int, order: tuple[int, int, int], side: int) -> np.ndarray:
+    """Four voxel layers, (4, side, side) uint8 of OUTSIDE or SET + level, from voxel `first`
     (a multiple of 4) along axis order[0]."""
     slab = np.zeros((BRICK_SIDE, side, side), np.uint8)
     for level in leaves:
@@ -68,12 +67,12 @@ def paint(
         j, k = level.corners[here, 1:].T // level.side
         n = side // level.side
         cells = slab.reshape(BRICK_SIDE, n, level.side, n, level.side).transpose(1, 3, 0, 2, 4)
-        if level.side == BRICK_SIDE:
+        if level.number == 0:
             voxels = unpack_bricks(level.bricks[here])
-            cells[j, k] = voxels.transpose(0, *(a + 1 for a in order))  # True is FINE
+            cells[j, k] = voxels.transpose(0, *(a + 1 for a in order))  # True is SET
         else:
             chosen = level.inside[here]
-            cells[j[chosen], k[chosen]] = COARSE
+            cells[j[chosen], k[chosen]] = SET + level.number
     return slab
 
 
@@ -114,7 +113,7 @@ def _keys(level: Leaves, first: int) -> np.ndarray:
     """Set voxels of one level in the four layers from `first`, as int64: x, y, z of 21 bits."""
     here = level.touching(first)
     corners = level.corners[here].astype(np.int64)
-    if level.side == BRICK_SIDE:
+    if level.number == 0:
         brick, *local = np.nonzero(unpack_bricks(level.bricks[here]))
         x, y, z = corners[brick].T + np.stack(local)
     else:

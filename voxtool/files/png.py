@@ -1,7 +1,7 @@
 """One slice of an octree as a picture: its voxels, and the cells of its leaves.
 
-Dark blue is a voxel set in a brick, light blue one in a coarse leaf wholly inside the solid; fine
-lines bound the leaves. The two axes that remain run right and up in the order x, y, z.
+Dark blue is a voxel set in a brick; a leaf wholly inside the solid is the lighter, the coarser it
+is; fine lines bound the leaves. The two axes that remain run right and up in the order x, y, z.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from voxtool.errors import FileError, GridError
-from voxtool.files.layers import COARSE, FINE, OUTSIDE, Leaves, paint, sorted_leaves
+from voxtool.files.layers import Leaves, paint, sorted_leaves
 from voxtool.files.memory import check_memory
 
 if TYPE_CHECKING:
@@ -20,16 +20,11 @@ if TYPE_CHECKING:
 AXES = "xyz"
 TARGET = 1024  # pixels along the longer side
 LEAST_CELL = 8  # pixels: smaller cells get no lines
-LINE = 3  # added to a colour's number where a line crosses it
+LINE = 16  # added to a colour's number where a line crosses it
 
-COLOURS = {
-    OUTSIDE: (250, 250, 248),
-    FINE: (29, 66, 122),
-    COARSE: (150, 186, 222),
-    OUTSIDE + LINE: (222, 224, 226),
-    FINE + LINE: (66, 104, 158),
-    COARSE + LINE: (126, 165, 206),
-}
+PAPER, PAPER_LINE = (252, 252, 250), (212, 217, 222)
+BLUES = [(24, 62, 120), (108, 156, 208), (146, 186, 226), (178, 208, 238), (204, 225, 245)]
+BLUE_LINES = [(62, 102, 160), (82, 131, 188), (118, 163, 209), (150, 187, 224), (176, 205, 233)]
 
 
 def size(octree: Octree) -> int:
@@ -52,12 +47,19 @@ def write(octree: Octree, file: BinaryIO, axis: str = "z", value: int | None = N
     except ImportError:
         raise FileError("pictures need Pillow: pip install 'voxtool[pictures]'") from None
     picture = Image.fromarray(draw(octree, axis, value), "P")
-    picture.putpalette([c for number in sorted(COLOURS) for c in COLOURS[number]])
+    picture.putpalette(palette())
     picture.save(file, "PNG", optimize=True)
 
 
+def palette() -> list[int]:
+    """Red, green and blue of each number: OUTSIDE, SET + level, and the same + LINE."""
+    plain = [PAPER, *BLUES, *BLUES[-1:] * LINE][:LINE]
+    crossed = [PAPER_LINE, *BLUE_LINES, *BLUE_LINES[-1:] * LINE][:LINE]
+    return [component for colour in (*plain, *crossed) for component in colour]
+
+
 def draw(octree: Octree, axis: str = "z", value: int | None = None) -> np.ndarray:
-    """The slice as (height, width) uint8 keys of COLOURS, the top row first."""
+    """The slice as (height, width) numbers of the palette, top row first."""
     if axis not in AXES or len(axis) != 1:
         raise GridError(f"axis {axis!r} is unknown: choose x, y or z")
     normal = AXES.index(axis)
@@ -68,12 +70,14 @@ def draw(octree: Octree, axis: str = "z", value: int | None = None) -> np.ndarra
     right, up = (a for a in range(3) if a != normal)
     width, height = octree.grid.shape[right], octree.grid.shape[up]
     scale = max(1, round(TARGET / max(width, height)))
-    needed = 4 * octree.grid.side**2 + 3 * scale * scale * width * height
+    needed = 4 * octree.grid.side**2 + 4 * scale * scale * width * height
     check_memory(needed, f"a picture of {width} x {height} voxels and its layers")
     order = (normal, up, right)
     leaves = sorted_leaves(octree, order)
     slab = paint(leaves, value - value % 4, order, octree.grid.side)
-    picture = slab[value % 4, :height, :width].repeat(scale, 0).repeat(scale, 1)
+    voxels = slab[value % 4, :height, :width]
+    picture = np.pad(voxels.repeat(scale, 0).repeat(scale, 1), (0, 1))  # a pixel closes the frame
+    picture[-1], picture[:, -1] = LINE, LINE
     for level in leaves:
         _outline(picture, level, level.touching(value), scale)
     return picture[::-1]

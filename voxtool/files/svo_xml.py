@@ -42,8 +42,7 @@ GZIP_MAGIC = b"\x1f\x8b"
 GZIP_LEVEL = 4
 GZIP_RATIO = 1032  # deflate packs no byte of text into less than 1/1032 byte
 
-OPENING = '<?xml version="1.0" encoding="UTF-8" standalone="yes"?>\n'
-DOCTYPE = '<!DOCTYPE octree SYSTEM "octree.dtd">\n'
+OPENING = '<?xml version="1.0" encoding="UTF-8"?>\n'  # no DOCTYPE: some readers would fetch it
 NODE_ROW = '<node parent="%d" child="%d"/>\n'
 MASK_ROW = "<bitmask>%d</bitmask>\n"
 LEAST_NODE = len('<node parent="0" child="0"/>')
@@ -57,6 +56,8 @@ HEAD_BYTES = 1 << 20  # text that needs no declared size
 ROW_BYTES = 256  # text that each declared node or bitmask may take
 MAX_SKELETON = 64  # elements that are no repetition: 15 levels and a few more
 
+ENTITY = re.compile(rb"&(?!(?:amp|lt|gt|quot|apos|#[0-9]{1,7}|#x[0-9a-fA-F]{1,6});)")
+LONGEST_REFERENCE = len("&#x10ffff;")
 WORDS = re.compile(r"[0-9]{1,10}(?: [0-9]{1,10})*")
 WHOLE = re.compile(r"[0-9]{1,10}")
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
@@ -75,7 +76,7 @@ def write(octree: Octree, file: BinaryIO) -> None:
     head = head_of(octree)
     attributes = {"dim": head.pop("dim"), "size": len(octree.nodes), "depth": head.pop("depth")}
     attributes |= head
-    file.write((OPENING + DOCTYPE + "<octree").encode())
+    file.write((OPENING + "<octree").encode())
     for name, value in attributes.items():
         file.write(f"\n  {name}={quoteattr(_as_text(value))}".encode())
     file.write(f">\n<offset>{_as_text(octree.offsets.tolist())}</offset>\n<levels>\n".encode())
@@ -184,9 +185,7 @@ def parse_head(texts: dict[str, str]) -> dict[str, Any]:
     }
     for name, (kind, count) in LAYOUT.items():
         if name in texts:
-            head[name] = (
-                texts[name] if kind is TEXT else _numbers(name, texts[name], kind, count)
-            )
+            head[name] = texts[name] if kind is TEXT else _numbers(name, texts[name], kind, count)
     return head
 
 
@@ -276,6 +275,7 @@ class _Reader:
         self.text: list[str] = []
         self.sizes: list[int] = []  # nodes of each level so far
         self.head: dict[str, Any] = {}
+        self.doctype_seen = False
         self.grid: Grid | None = None
         self.offsets: np.ndarray | None = None
         self.nodes = _Words(0, "node words")
@@ -283,7 +283,6 @@ class _Reader:
         self.parser = expat.ParserCreate("UTF-8")
         self.parser.ordered_attributes = True
         self.parser.buffer_text = True
-        self.parser.NotStandaloneHandler = lambda: 0  # what a DOCTYPE points at is never read
         self.parser.StartDoctypeDeclHandler = self.doctype
         self.parser.EntityDeclHandler = self.entity
         self.parser.SkippedEntityHandler = self.entity
@@ -309,10 +308,12 @@ class _Reader:
         return build(self.grid, self.head, self.offsets, nodes, self.masks.array.view(BRICK))
 
     def parse(self, file: BinaryIO) -> None:
-        fed = 0
+        fed, tail = 0, b""
         while chunk := file.read(CHUNK):
             fed += len(chunk)
             self.parser.Parse(chunk, False)
+            if self.doctype_seen:
+                tail = refuse_entities(tail + chunk)
             self.nodes.flush()
             self.masks.flush()
             if fed > self.allowed:
@@ -339,6 +340,7 @@ class _Reader:
     def doctype(self, name: str, system: str, public: str, internal: int) -> None:
         if internal:
             raise FileError("a DOCTYPE with an internal subset is refused: remove it")
+        self.doctype_seen = True
 
     def entity(self, *_: Any) -> None:
         raise FileError("entities are refused: remove them")
@@ -355,8 +357,10 @@ class _Reader:
             self.start_leaf(name, attributes)
         elif name == "bitmask" and self.within == "subgrid" and not attributes:
             self.start_leaf(name, attributes)
+        elif not self.within and name != "octree":
+            raise FileError(f"not an octree: its root is {name[:40]}")
         elif self.leaf or name not in CONTAINERS:
-            raise FileError(f"element {name[:40]} inside {self.within or 'the document'}")
+            raise FileError(f"element {name[:40]} inside {self.within}")
         else:
             self.start_container(name, attributes)
 
@@ -440,6 +444,15 @@ class _Reader:
             raise FileError(f"text {text.strip()[:20]!r} inside {self.within}")
 
 
+def refuse_entities(text: bytes) -> bytes:
+    """Find references to undeclared entities: after a DOCTYPE whose subset is not read, the
+    parser passes over those in attributes. What is left to look at with the next text."""
+    for match in ENTITY.finditer(text):
+        if match.start() < len(text) - LONGEST_REFERENCE:
+            raise FileError("entities are refused: remove them")
+    return text[-LONGEST_REFERENCE:]
+
+
 def _node_words(attributes: list[str]) -> tuple[str, str]:
     if len(attributes) == 4:
         first, a, second, b = attributes
@@ -454,8 +467,6 @@ def _syntax_message(error: Exception) -> str:
     from xml.parsers.expat import errors
 
     code = getattr(error, "code", 0)
-    if code == errors.codes[errors.XML_ERROR_NOT_STANDALONE]:
-        return 'a DOCTYPE is read only with standalone="yes" in the first line: add that'
     if code in (
         errors.codes[errors.XML_ERROR_NO_ELEMENTS],
         errors.codes[errors.XML_ERROR_UNCLOSED_TOKEN],

@@ -177,14 +177,16 @@ def _matches(info: DeviceInfo, choice: str) -> bool:
 
 
 class Array:
-    """A one-dimensional array on a device. Its content is undefined until it is written."""
+    """A one-dimensional array on a device: a copy of `values`, or of undefined content."""
 
-    def __init__(self, device: Device, size: int, dtype: np.dtype | type) -> None:
+    def __init__(
+        self, device: Device, size: int, dtype: np.dtype | type, values: np.ndarray | None = None
+    ) -> None:
         self.device = device
         self.size = size
         self.dtype = np.dtype(dtype)
         self.nbytes = size * self.dtype.itemsize
-        self.buffer = device.allocate(max(self.nbytes, 4))
+        self.buffer = device.allocate(max(self.nbytes, 4), values)
 
     def get(self, start: int = 0, stop: int | None = None) -> np.ndarray:
         """A copy of elements [start, stop) on the host; waits for the device."""
@@ -213,15 +215,21 @@ class Device:
         self.max_memory = min(info.memory, _machine_memory() if info.kind == "CPU" else sys.maxsize)
         self.allocated = 0
         self.peak = 0
+        self.on_stage: Callable[[str], None] | None = None  # told of each stage that begins
         self._stage = "other"
         self._events: list[tuple[str, Any]] = []
         self._programs: dict[Any, Callable[..., None]] = {}
 
     # ---- memory
 
-    def allocate(self, nbytes: int) -> Any:
+    def allocate(self, nbytes: int, values: np.ndarray | None = None) -> Any:
+        flags = self._cl.mem_flags.READ_WRITE
+        if values is not None and values.size:
+            flags |= self._cl.mem_flags.COPY_HOST_PTR
+        else:
+            values = None
         try:
-            buffer = self._cl.Buffer(self.context, self._cl.mem_flags.READ_WRITE, nbytes)
+            buffer = self._cl.Buffer(self.context, flags, 0 if values is not None else nbytes, values)
         except (self._cl.Error, MemoryError) as error:
             raise MemoryLimitError(
                 f"{self.info.name} could not allocate {nbytes} bytes: choose a smaller dim"
@@ -248,12 +256,7 @@ class Device:
 
     def put(self, values: np.ndarray) -> Array:
         """A copy of a host array, flattened, on the device."""
-        array = Array(self, values.size, values.dtype)
-        if values.size:
-            self._record(
-                self._cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(values))
-            )
-        return array
+        return Array(self, values.size, values.dtype, np.ascontiguousarray(values))
 
     def write(self, array: Array, values: np.ndarray) -> None:
         """Overwrite the beginning of an array."""
@@ -297,6 +300,8 @@ class Device:
     def stage(self, name: str) -> Iterator[None]:
         """Name the stage to which the work enqueued in this block belongs."""
         outer, self._stage = self._stage, name
+        if self.on_stage:
+            self.on_stage(name)
         try:
             yield
         finally:

@@ -178,6 +178,57 @@ class Octree:
             counts[number] = leaves * (BRICK_SIDE << number) ** 3
         return dict(sorted(counts.items()))
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of nodes and bricks, without x-neighbour pointers."""
+        return self.nodes.nbytes + self.bricks.nbytes
+
+    def summary(self) -> dict[str, Any]:
+        """What the octree holds, in JSON types; lengths in world units, volumes in their cubes.
+
+        A level's `voxels` are those that its inside leaves or bricks hold; its `coverage` is the
+        share of the volume of its nodes that is set.
+        """
+        counts = self.count_by_level()
+        levels = []
+        below = 0
+        for level in reversed(self.levels()):
+            below += counts[level.number]
+            levels.append(
+                {
+                    "level": level.number,
+                    "side": level.side,
+                    "nodes": len(level.nodes),
+                    "refined": int(np.count_nonzero(level.refined)) if level.number else 0,
+                    "inside": int(np.count_nonzero(level.inside)),
+                    "voxels": counts[level.number],
+                    "coverage": below / max(len(level.nodes) * level.side**3, 1),
+                }
+            )
+        nx, ny, nz = self.grid.shape
+        voxels = sum(counts.values())
+        return {
+            "dim": self.grid.dim,
+            "depth": self.depth,
+            "mode": self.mode,
+            "fill": self.fill,
+            "shape": list(self.grid.shape),
+            "origin": list(self.grid.origin),
+            "pitch": list(self.grid.pitch),
+            "units": self.units,
+            "source_sha256": self.source_sha256,
+            "voxels": voxels,
+            "occupancy": voxels / (nx * ny * nz),
+            "volume": voxels * self.grid.voxel_volume,
+            "nodes": len(self.nodes),
+            "bricks": len(self.bricks),
+            "bytes": self.nbytes,
+            "bytes_with_x_pointers": self.nbytes + self.nodes.nbytes,
+            "compression": nx * ny * nz / 8 / self.nbytes,
+            "levels": levels[::-1],
+            "plan": self.plan,
+        }
+
     def to_dense(self) -> np.ndarray:
         """The set voxels as a bool array indexed [x, y, z], of the grid's shape."""
         side = BRICK_SIDE << (self.depth - 1)

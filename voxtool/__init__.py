@@ -1,0 +1,88 @@
+"""voxtool: triangle meshes to exact sparse voxel octrees with OpenCL, on CPU or GPU.
+
+The public API. Names are imported when they are first used, so that a command starts fast.
+
+>>> m = voxtool.load_mesh("bunny.obj")
+>>> g = voxtool.Grid.fit(m, dim=512)
+>>> o = voxtool.voxelize(m, g, mode="solid")
+>>> o.count, o.digest()
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from voxtool.version import __version__
+
+if TYPE_CHECKING:
+    from voxtool.diagnosis import Diagnosis, diagnose
+    from voxtool.errors import (
+        DeviceError,
+        FileError,
+        GridError,
+        MemoryLimitError,
+        MeshError,
+        VoxtoolError,
+    )
+    from voxtool.files import export, read_svo, write_svo
+    from voxtool.grid import Grid
+    from voxtool.mesh import Mesh, load_mesh, mesh_from_arrays
+    from voxtool.opencl import list_devices, open_device
+    from voxtool.svo.octree import Octree
+    from voxtool.svo.voxelize import plan_voxelize, voxelize
+
+_HOMES = {
+    "voxtool.diagnosis": ("Diagnosis", "diagnose"),
+    "voxtool.errors": (
+        "DeviceError",
+        "FileError",
+        "GridError",
+        "MemoryLimitError",
+        "MeshError",
+        "VoxtoolError",
+    ),
+    "voxtool.files": ("export", "read_svo", "write_svo"),
+    "voxtool.grid": ("Grid",),
+    "voxtool.mesh": ("Mesh", "load_mesh", "mesh_from_arrays"),
+    "voxtool.opencl": ("list_devices", "open_device"),
+    "voxtool.svo.octree": ("Octree",),
+    "voxtool.svo.voxelize": ("plan_voxelize", "voxelize"),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+__all__ = [
+    "DeviceError",
+    "Diagnosis",
+    "FileError",
+    "Grid",
+    "GridError",
+    "MemoryLimitError",
+    "Mesh",
+    "MeshError",
+    "Octree",
+    "VoxtoolError",
+    "__version__",
+    "diagnose",
+    "export",
+    "list_devices",
+    "load_mesh",
+    "mesh_from_arrays",
+    "open_device",
+    "plan_voxelize",
+    "read_svo",
+    "voxelize",
+    "write_svo",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOME_OF:
+        raise AttributeError(f"module 'voxtool' has no attribute {name!r}")
+    value = getattr(import_module(_HOME_OF[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
