@@ -41,52 +41,61 @@ ulong fill_brick(ulong flips, ulong face)
 // The state of a brick's rows on exit: its voxels of x = 3.
 ulong exit_face(ulong brick) { return (brick >> 9) & X0; }
 
+#define MAX_LEVELS 16
+
 // Walk a tile's rows through the octree along x. Level-1 nodes get their rows' state on entry; a
 // leaf counts the tiles that fill it, or is MIXED where a tile fills it in part or it reaches beyond
-// the grid. With `record`, leaves to be refined (child = slot + 1) get the states of their tiles.
+// the grid. With `record`, the chosen tiles' states are written for the leaves that are to be
+// refined (child = slot + 1).
 __kernel void sweep_rows(__global svo_node *nodes, __constant uint *offsets, const uint top,
                          const int4 shape, const uint tiles_y, const uint tiles,
+                         __global const uint *chosen, const uint record,
                          __global const ulong *entry, const uint has_entry,
                          __global const ulong *bricks, __global ulong *entries,
-                         const uint record, __global ulong *states)
+                         __global ulong *states)
 {
     const uint gid = get_global_id(0);
     if (gid >= tiles)
         return;
-    const uint y = gid % tiles_y, z = gid / tiles_y;
-    ulong state = has_entry ? entry[gid] : 0;
+    const uint tile = record ? chosen[gid] : gid;
+    const uint y = tile % tiles_y, z = tile / tiles_y;
+    ulong state = has_entry ? entry[tile] : 0;
     const uint end = (uint)(shape.x + 7) / 8;
-    uint x = 0;
+    uint path[MAX_LEVELS]; // the nodes that hold cell (x, y, z), from the root down
+    path[top] = 0;
+    uint x = 0, level = top;
     while (x < end) {
-        // the leaf or level-1 node of cell (x, y, z)
-        uint level = top, node = 0, child = nodes[0].child;
+        // down to the leaf or level-1 node of the cell, from the last node that holds it
+        uint child = nodes[offsets[top - level] + path[level]].child;
         while (level > 1 && (child & VALID)) {
             --level;
             const uint shift = level - 1;
-            node = (child & LINK) | ((x >> shift) & 1) | ((y >> shift) & 1) << 1 |
-                   ((z >> shift) & 1) << 2;
-            child = nodes[offsets[top - level] + node].child;
+            path[level] = (child & LINK) | ((x >> shift) & 1) | ((y >> shift) & 1) << 1 |
+                          ((z >> shift) & 1) << 2;
+            child = nodes[offsets[top - level] + path[level]].child;
         }
+        uint next;
         if (child & VALID) {
             const uint index = (child & LINK) / 8;
             entries[index] = state;
             state ^= node_flips(bricks + 8 * index);
-            ++x;
-            continue;
-        }
-        const uint side = 1u << (level - 1); // of the leaf, in cells
-        const uint next = (x | (side - 1)) + 1;
-        if (state) {
-            __global svo_node *leaf = nodes + offsets[top - level] + node;
-            if (record) {
+            next = x + 1;
+        } else {
+            const uint side = 1u << (level - 1); // of the leaf, in cells
+            volatile __global uint *leaf = &nodes[offsets[top - level] + path[level]].child;
+            next = (x | (side - 1)) + 1;
+            if (state == 0)
+                ;
+            else if (record) {
                 if (child & LINK)
                     states[(child & LINK) - 1 + (y & (side - 1)) + (z & (side - 1)) * side] = state;
             } else if (state == ALL && 8 * next <= (uint)shape.x) {
-                atomic_inc((volatile __global uint *)&leaf->child);
+                atomic_inc(leaf);
             } else {
-                atomic_or((volatile __global uint *)&leaf->child, MIXED);
+                atomic_or(leaf, MIXED);
             }
         }
+        level = min(33 - clz(x ^ next), top);
         x = next;
     }
 }

@@ -28,4 +28,4 @@ def write(octree: Octree, file: BinaryIO) -> None:
     header = {"descr": "|b1", "fortran_order": False, "shape": octree.grid.shape}
     np.lib.format.write_array_header_1_0(file, header)
     for slab in layers(octree):
-        file.write(np.ascontiguousarray(slab))
+        file.write(np.ascontiguousarray(slab).data)

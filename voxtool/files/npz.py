@@ -33,7 +33,7 @@ def write(octree: Octree, file: BinaryIO) -> None:
         with packed.open(_entry("voxels"), "w", force_zip64=True) as entry:
             np.lib.format.write_array_header_1_0(entry, header)
             for voxels in coordinates(octree):
-                entry.write(voxels)
+                entry.write(voxels.data)
         for name, values in (
             ("shape", np.array(octree.grid.shape, "<i8")),
             ("origin", np.array(octree.grid.origin, "<f8")),

@@ -7,13 +7,12 @@ in the file, nothing is followed out of it, and the octree is validated.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.files.svo_head import (
-    FLOAT,
     FORMAT,
     INT,
     LAYOUT,
@@ -25,11 +24,15 @@ from voxtool.files.svo_head import (
 )
 from voxtool.svo.octree import BRICK, NODE, Octree, check_offsets
 
-if TYPE_CHECKING:
-    import h5py
-
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 WORD = np.dtype("<u4")
+
+
+def _library() -> Any:
+    """h5py, imported when it is first needed; its low-level modules have no types."""
+    import h5py
+
+    return h5py
 
 
 def write(octree: Octree, file: BinaryIO) -> None:
@@ -39,8 +42,7 @@ def write(octree: Octree, file: BinaryIO) -> None:
     ------
     OSError : the file cannot be written.
     """
-    import h5py
-
+    h5py = _library()
     head = head_of(octree)
     nodes = np.ascontiguousarray(octree.nodes, NODE).view(WORD).reshape(-1, 2)
     arrays = {
@@ -56,9 +58,8 @@ def write(octree: Octree, file: BinaryIO) -> None:
             h5.create_dataset(name, data=array, track_times=False)
 
 
-def _write_attribute(h5: h5py.File, name: str, kind: type, value: Any) -> None:
-    import h5py
-
+def _write_attribute(h5: Any, name: str, kind: type, value: Any) -> None:
+    h5py = _library()
     if kind is TEXT:
         data = value.encode()
         h5.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
@@ -73,8 +74,7 @@ def read(file: BinaryIO, size: int) -> Octree:
     ------
     FileError : the file is damaged, hostile or of another kind.
     """
-    import h5py
-
+    h5py = _library()
     try:
         with h5py.File(file, "r") as h5:
             return _read_open(h5, size)
@@ -85,7 +85,7 @@ def read(file: BinaryIO, size: int) -> Octree:
         raise FileError(f"damaged HDF5 file: {first}") from error
 
 
-def _read_open(h5: h5py.File, size: int) -> Octree:
+def _read_open(h5: Any, size: int) -> Octree:
     _check_format(h5)
     head = {name: _attribute(h5, name, *LAYOUT[name]) for name in LAYOUT}
     grid = check_head(head)
@@ -106,9 +106,8 @@ def _read_open(h5: h5py.File, size: int) -> Octree:
     return build(grid, head, offsets, words.view(NODE).reshape(-1), _load(found["bricks"]))
 
 
-def _check_format(h5: h5py.File) -> None:
-    import h5py
-
+def _check_format(h5: Any) -> None:
+    h5py = _library()
     if not h5py.h5a.exists(h5.id, b"format"):
         raise FileError(f"an HDF5 file, but no octree: attribute format={FORMAT} is missing")
     found = _attribute(h5, "format", TEXT, 64)
@@ -117,10 +116,9 @@ def _check_format(h5: h5py.File) -> None:
     check_version(_attribute(h5, "format_version", *LAYOUT["format_version"]))
 
 
-def _attribute(h5: h5py.File, name: str, kind: type, limit: int) -> Any:
+def _attribute(h5: Any, name: str, kind: type, limit: int) -> Any:
     """An attribute of the root group, its type and size checked before it is read."""
-    import h5py
-
+    h5py = _library()
     if not h5py.h5a.exists(h5.id, name.encode()):
         raise FileError(f"attribute {name} is missing")
     attribute = h5py.h5a.open(h5.id, name.encode())
@@ -141,9 +139,8 @@ def _attribute(h5: h5py.File, name: str, kind: type, limit: int) -> Any:
     return numbers if shape else numbers[0]
 
 
-def _text(attribute: h5py.h5a.AttrID, name: str, limit: int) -> str:
-    import h5py
-
+def _text(attribute: Any, name: str, limit: int) -> str:
+    h5py = _library()
     stored = attribute.get_type()
     if not isinstance(stored, h5py.h5t.TypeStringID):
         raise FileError(f"attribute {name} is not text")
@@ -159,12 +156,9 @@ def _text(attribute: h5py.h5a.AttrID, name: str, limit: int) -> str:
         raise FileError(f"attribute {name} is not UTF-8 text") from None
 
 
-def _dataset(
-    h5: h5py.File, name: str, shape: tuple[int | None, ...], dtype: np.dtype, size: int
-) -> h5py.h5d.DatasetID:
+def _dataset(h5: Any, name: str, shape: tuple[int | None, ...], dtype: np.dtype, size: int) -> Any:
     """A dataset of the root group that lies whole in this file, in one plain piece."""
-    import h5py
-
+    h5py = _library()
     key = name.encode()
     if not h5.id.links.exists(key):
         raise FileError(f"dataset {name} is missing")
@@ -190,7 +184,7 @@ def _dataset(
     return dataset
 
 
-def _check_storage(dataset: h5py.h5d.DatasetID, name: str, size: int) -> None:
+def _check_storage(dataset: Any, name: str, size: int) -> None:
     needed = dataset.dtype.itemsize
     for n in dataset.shape:
         needed *= int(n)
@@ -200,9 +194,8 @@ def _check_storage(dataset: h5py.h5d.DatasetID, name: str, size: int) -> None:
         raise FileError(f"dataset {name} needs {needed} bytes that the file does not have")
 
 
-def _load(dataset: h5py.h5d.DatasetID) -> np.ndarray:
-    import h5py
-
+def _load(dataset: Any) -> np.ndarray:
+    h5py = _library()
     array = np.empty(dataset.shape, dataset.dtype)
     if array.size:
         dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, array)

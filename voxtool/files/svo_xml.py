@@ -33,8 +33,6 @@ from voxtool.files.svo_head import (
 from voxtool.svo.octree import BRICK, NODE, Octree, check_offsets
 
 if TYPE_CHECKING:
-    from lxml import etree
-
     from voxtool.grid import Grid
 
 DTD = Path(__file__).with_name("octree.dtd")
@@ -225,12 +223,12 @@ class _Skeleton:
     """The document with its text left out and runs of equal leaves reduced to one."""
 
     def __init__(self) -> None:
-        self.root: etree._Element | None = None
-        self.open: list[etree._Element] = []
+        self.root: Any = None
+        self.open: list[Any] = []
         self.count = 0
 
     def start(self, name: str, attributes: list[str]) -> None:
-        from lxml import etree
+        from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
         self.count += 1
         if self.count > MAX_SKELETON:
@@ -252,7 +250,7 @@ class _Skeleton:
         ------
         FileError : the first violation.
         """
-        from lxml import etree
+        from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
 
         with DTD.open("rb") as file:
             dtd = etree.DTD(file)
@@ -337,7 +335,7 @@ class _Reader:
 
     # What is refused wherever it stands
 
-    def doctype(self, name: str, system: str, public: str, internal: int) -> None:
+    def doctype(self, name: str, system: str | None, public: str | None, internal: int) -> None:
         if internal:
             raise FileError("a DOCTYPE with an internal subset is refused: remove it")
         self.doctype_seen = True

@@ -51,5 +51,5 @@ def write(octree: Octree, file: BinaryIO) -> None:
     )
     file.write(head.encode() + struct.pack("<Q", size(octree)))
     for slab in layers(octree, (2, 1, 0)):
-        file.write(np.ascontiguousarray(slab).view(np.uint8))
+        file.write(np.ascontiguousarray(slab).view(np.uint8).data)
     file.write(ENDING)

@@ -6,7 +6,9 @@ turn its state by their flips, leaves above are inside where every tile in them 
 
 Where tiles disagree in a leaf, or the grid ends in it, parity does not follow the nodes that
 triangles touch: the mesh is open, or is cut. There the leaf is refined until every leaf is of one
-kind, so that the octree holds exactly the set that the rule defines. Kernels: kernels/svo/inside.cl.
+kind, so that the octree holds exactly the set that the rule defines.
+
+Kernels: kernels/svo/inside.cl.
 """
 
 from __future__ import annotations
@@ -85,7 +87,7 @@ def _walk_rows(
 ) -> tuple[Array, int]:
     """The states of rows on entry to each level-1 node; and how many leaves are of no one kind."""
     entries = device.empty(tree.refined[0].n, np.uint64)
-    _sweep(device, tree, flips, rows, entries, None)
+    _sweep(device, tree, flips, rows, entries)
     coarse = int(tree.offsets[-2])
     unresolved = device.zeros(1, np.uint32)
     mark_leaves = device.kernel(SOURCE, "mark_leaves", CODE=code_name(tree.refined[0].codes.dtype))
@@ -103,25 +105,32 @@ def _sweep(
     flips: Array,
     rows: Rows,
     entries: Array,
-    states: Array | None,
+    states: Array | None = None,
+    tiles: np.ndarray | None = None,
 ) -> None:
+    """Walk the rows; with `states`, record those of the given tiles in the leaves to refine."""
     sweep_rows = device.kernel(SOURCE, "sweep_rows", CODE=code_name(tree.refined[0].codes.dtype))
     offsets = device.put(tree.offsets)
+    chosen = offsets if tiles is None else device.put(tiles.astype(np.uint32))
+    count = rows.tiles if tiles is None else len(tiles)
     sweep_rows(
-        rows.tiles,
+        count,
         tree.nodes,
         offsets,
         np.uint32(tree.top),
         np.array([*rows.shape, 0], np.int32),
         np.uint32(rows.tiles_y),
-        np.uint32(rows.tiles),
+        np.uint32(count),
+        chosen,
+        np.uint32(tiles is not None),
         rows.entry or offsets,
         np.uint32(rows.entry is not None),
         flips,
         entries,
-        np.uint32(states is not None),
-        states or offsets,
+        states or entries,
     )
+    if tiles is not None:
+        chosen.release()
     offsets.release()
 
 
@@ -163,7 +172,7 @@ def _refine(
     nodes["child"][leaves] = slots[:-1] + 1
     device.write(tree.nodes, nodes)
     states = device.zeros(int(slots[-1]), np.uint64)
-    _sweep(device, tree, flips, rows, entries, states)
+    _sweep(device, tree, flips, rows, entries, states, _tiles_of(cells, level, rows))
     found = states.get()
     states.release()
 
@@ -179,6 +188,14 @@ def _refine(
             added[below - 1].append(codes.astype(lists[0].dtype))
     merged = [np.sort(np.concatenate([a, *b])) for a, b in zip(lists, added, strict=True)]
     return merged, np.searchsorted(merged[0], lists[0]).astype(np.uint32)
+
+
+def _tiles_of(cells: np.ndarray, level: np.ndarray, rows: Rows) -> np.ndarray:
+    """The tiles whose rows pass through leaves, each once."""
+    passed = np.zeros((rows.tiles // rows.tiles_y, rows.tiles_y), bool)
+    for (_, y, z), side in zip(cells.tolist(), (1 << (level - 1)).tolist(), strict=True):
+        passed[z : z + side, y : y + side] = True
+    return np.flatnonzero(passed)
 
 
 def _locate(
