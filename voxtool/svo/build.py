@@ -95,9 +95,17 @@ def build_from_lists(device: Device, lists: list[np.ndarray]) -> DeviceOctree:
     parent is in the list above."""
     refined = []
     for codes, parents in zip(lists, [*lists[1:], lists[-1][:0]], strict=True):
-        index = np.searchsorted(parents, codes >> codes.dtype.type(3)).astype(np.uint32)
+        index = _places_of_parents(codes, parents)
         refined.append(RefinedNodes(device.put(codes), device.put(index), len(codes)))
     return _link(device, refined)
+
+
+def _places_of_parents(codes: np.ndarray, parents: np.ndarray) -> np.ndarray:
+    """(n,) uint32: where the parent of each code is among `parents`; both rise."""
+    shortened = codes >> codes.dtype.type(3)
+    first = np.flatnonzero(np.diff(shortened, prepend=~shortened[:1]))
+    places = np.searchsorted(parents, shortened[first]).astype(np.uint32)
+    return np.repeat(places, np.diff(first, append=len(codes)))
 
 
 def _link(device: Device, refined: list[RefinedNodes]) -> DeviceOctree:

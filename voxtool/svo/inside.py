@@ -186,8 +186,11 @@ def _refine(
             layers.reshape(-1, side, side), cells[chosen], int(number), rows.shape[0]
         ):
             added[below - 1].append(codes.astype(lists[0].dtype))
-    merged = [np.sort(np.concatenate([a, *b])) for a, b in zip(lists, added, strict=True)]
-    return merged, np.searchsorted(merged[0], lists[0]).astype(np.uint32)
+    new = [np.sort(np.concatenate([old[:0], *parts])) for old, parts in zip(lists, added, strict=True)]
+    places = [np.searchsorted(old, codes) for old, codes in zip(lists, new, strict=True)]
+    merged = [np.insert(*each) for each in zip(lists, places, new, strict=True)]
+    before = np.bincount(places[0], minlength=len(lists[0]) + 1)[:-1]
+    return merged, (np.arange(len(lists[0])) + np.cumsum(before)).astype(np.uint32)
 
 
 def _tiles_of(cells: np.ndarray, level: np.ndarray, rows: Rows) -> np.ndarray:
