@@ -1,0 +1,76 @@
+"""Other tools on the same work, where they are installed: mesh in memory to voxels in memory."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from voxtool.grid import Grid
+    from voxtool.mesh import Mesh
+
+
+def of(mesh: Mesh, grid: Grid, mode: str) -> dict[str, Callable[[], object]]:
+    """The peers that do this mode's work, by name and version; their inputs are made beforehand."""
+    makers = {"solid": _vtk_stencil, "surface26": _open3d_voxel_grid}
+    if mode not in makers:
+        return {}
+    made = makers[mode](mesh, grid)
+    return dict([made]) if made else {}
+
+
+def _module(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except (ImportError, OSError):  # not there, or a library that it needs is not
+        return None
+
+
+def _vtk_stencil(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object]] | None:
+    """vtkPolyDataToImageStencil, and the image of bytes that it is for."""
+    vtk, support = _module("vtk"), _module("vtk.util.numpy_support")
+    if vtk is None:
+        return None
+    points, cells, surface = vtk.vtkPoints(), vtk.vtkCellArray(), vtk.vtkPolyData()
+    points.SetData(support.numpy_to_vtk(mesh.vertices, deep=True))
+    faces = mesh.faces.astype(np.int64)
+    cells.SetData(
+        support.numpy_to_vtk(3 * np.arange(len(faces) + 1, dtype=np.int64), deep=True),
+        support.numpy_to_vtk(faces.ravel(), deep=True),
+    )
+    surface.SetPoints(points)
+    surface.SetPolys(cells)
+
+    def run() -> object:
+        stencil = vtk.vtkPolyDataToImageStencil()
+        stencil.SetInputData(surface)
+        stencil.SetOutputOrigin(*(np.array(grid.origin) + 0.5 * np.array(grid.pitch)))
+        stencil.SetOutputSpacing(*grid.pitch)
+        stencil.SetOutputWholeExtent(*(v for n in grid.shape for v in (0, n - 1)))
+        image = vtk.vtkImageStencilToImage()
+        image.SetInputConnection(stencil.GetOutputPort())
+        image.SetInsideValue(1)
+        image.SetOutputScalarTypeToUnsignedChar()
+        image.Update()
+        return image.GetOutput()
+
+    return f"VTK {vtk.vtkVersion().GetVTKVersion()}", run
+
+
+def _open3d_voxel_grid(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object]] | None:
+    """VoxelGrid.create_from_triangle_mesh."""
+    open3d = _module("open3d")
+    if open3d is None:
+        return None
+    geometry = open3d.geometry.TriangleMesh(
+        open3d.utility.Vector3dVector(mesh.vertices), open3d.utility.Vector3iVector(mesh.faces)
+    )
+
+    def run() -> object:
+        return open3d.geometry.VoxelGrid.create_from_triangle_mesh(geometry, grid.pitch[0])
+
+    return f"Open3D {open3d.__version__}", run

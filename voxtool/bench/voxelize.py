@@ -1,0 +1,154 @@
+"""Voxelization against run time: the time of each stage, memory, and peers on the same work.
+
+As the thesis's table 7.1, and beside it what the user waits for: mesh in memory to octree in
+memory, and the whole command in a process of its own.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from voxtool.bench import peers
+from voxtool.errors import VoxtoolError
+from voxtool.grid import Grid
+from voxtool.mesh import load_mesh
+from voxtool.opencl import open_device
+from voxtool.svo.voxelize import voxelize
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from voxtool.mesh import Mesh
+
+
+@dataclass
+class Row:
+    """One model at one dim in one mode; times are medians, in seconds.
+
+    stages : on the device, by its events; device : their sum; memory : mesh in memory to octree in
+    memory, Python included; host : memory - device; spread : (max - min) / median of `memory`;
+    command : the whole command, in a process of its own, kernels cached; peak : its peak of
+    resident memory, in bytes; peers : seconds by name, and `ratios` : peer / memory.
+    """
+
+    model: str
+    dim: int
+    mode: str
+    triangles: int
+    voxels: int
+    octree_bytes: int
+    stages: dict[str, float]
+    device: float
+    memory: float
+    host: float
+    spread: float
+    command: float
+    peak: int
+    peers: dict[str, float] = field(default_factory=dict)
+    ratios: dict[str, float] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+def sweep(
+    models: list[str],
+    dims: list[int],
+    modes: list[str],
+    *,
+    fit: str = "uniform",
+    repeat: int = 5,
+    device: str | None = None,
+    with_peers: bool = False,
+) -> Iterator[Row]:
+    """Measure every model at every dim in every mode, `repeat` times after a warm-up.
+
+    Raises
+    ------
+    VoxtoolError : a model cannot be read, a dim does not fit, or a command fails.
+    """
+    timed = open_device(device)
+    profiled = open_device(device, profile=True)
+    for model in models:
+        mesh = load_mesh(model)
+        for dim in dims:
+            grid = Grid.fit(mesh, dim, fit=fit)
+            for mode in modes:
+                octree = voxelize(mesh, grid, mode, device=timed)
+                times = _times(lambda: voxelize(mesh, grid, mode, device=timed), repeat)  # noqa: B023
+                stages = _stage_times(mesh, grid, mode, profiled, repeat)
+                memory = statistics.median(times)
+                on_device = sum(stages.values())
+                command, peak = _command(model, dim, mode, fit, timed.info.index)
+                row = Row(
+                    model=Path(model).name,
+                    dim=dim,
+                    mode=mode,
+                    triangles=len(mesh.faces),
+                    voxels=octree.count,
+                    octree_bytes=octree.nbytes,
+                    stages=stages,
+                    device=on_device,
+                    memory=memory,
+                    host=memory - on_device,
+                    spread=(max(times) - min(times)) / memory,
+                    command=command,
+                    peak=peak,
+                )
+                if with_peers:
+                    row.peers = _peer_times(mesh, grid, mode, repeat)
+                    row.ratios = {name: t / memory for name, t in row.peers.items()}
+                yield row
+
+
+def _times(work: Callable[[], object], repeat: int) -> list[float]:
+    times = []
+    for _ in range(repeat):
+        start = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - start)
+    return times
+
+
+def _stage_times(mesh: Mesh, grid: Grid, mode: str, device: Any, repeat: int) -> dict[str, float]:
+    """Median seconds of each stage by the device's events."""
+    runs = []
+    for _ in range(repeat + 1):
+        voxelize(mesh, grid, mode, device=device)
+        runs.append(device.stage_times())
+    return {name: statistics.median(run[name] for run in runs[1:]) for name in runs[0]}
+
+
+def _peer_times(mesh: Mesh, grid: Grid, mode: str, repeat: int) -> dict[str, float]:
+    """Median seconds of each peer that is installed and does this mode's work."""
+    found = {}
+    for name, work in peers.of(mesh, grid, mode).items():
+        work()  # the warm-up that we had, too
+        found[name] = statistics.median(_times(work, min(repeat, 3)))
+    return found
+
+
+def _command(model: str, dim: int, mode: str, fit: str, device: int) -> tuple[float, int]:
+    """Seconds and peak resident bytes of `voxtool voxelize` in a process of its own."""
+    with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
+        words = [
+            *(sys.executable, "-m", "voxtool.cli.main", "voxelize", model, "-q"),
+            *("--dim", str(dim), "--mode", mode, "--fit", fit, "--device", str(device)),
+            *("-o", str(Path(folder, "out.svo.h5"))),
+        ]
+        start = time.perf_counter()
+        process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        _, status, usage = os.wait4(process.pid, 0)
+        seconds = time.perf_counter() - start
+        process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise VoxtoolError(f"bench: {' '.join(words[2:])} failed with {process.returncode}")
+    return seconds, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
