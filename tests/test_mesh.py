@@ -21,8 +21,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from voxtool import mesh as mesh_module
-from voxtool.errors import MeshError
 from voxtool.diagnosis import diagnose
+from voxtool.errors import MeshError
 from voxtool.mesh import Mesh, load_mesh, mesh_from_arrays
 
 MODELS = Path(__file__).parents[1].parent / "shared" / "models"

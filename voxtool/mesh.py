@@ -91,7 +91,9 @@ def mesh_from_arrays(
     except (TypeError, ValueError) as error:
         raise MeshError(f"{where}: not arrays of numbers: {_one_line(error)}") from None
     if corners.size == 0:
-        raise MeshError(f"{where}: {count_of(len(points), 'point')} and no faces: export its triangles")
+        raise MeshError(
+            f"{where}: {count_of(len(points), 'point')} and no faces: export its triangles"
+        )
     if points.ndim != 2 or points.shape[1] != 3 or corners.ndim != 2 or corners.shape[1] != 3:
         raise MeshError(
             f"{where}: vertices of shape {points.shape} and faces of shape {corners.shape}: "

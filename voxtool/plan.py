@@ -118,9 +118,7 @@ class Plan:
                 f"the octree's side is {self.side}, of {CODE_32_SIDE} that 32 bits serve"
             )
         if not self.blocked:
-            out["blocked level-1 volume"] = (
-                f"dense, it takes {_dense_bytes(self.side) // 1024} KiB"
-            )
+            out["blocked level-1 volume"] = f"dense, it takes {_dense_bytes(self.side) // 1024} KiB"
         if not self.tiled:
             out["sharing of triangles among work-items"] = extent
         if not self.solid:
@@ -247,8 +245,6 @@ def _rescale(plan: Plan, factor: float) -> Plan:
     """The plan of the same scene at another dim."""
     s = plan.survey
     ax, ay, az = (a * factor**2 for a in s.areas)
-    survey = Survey(
-        s.triangles, s.vertices, s.outside, s.extent * factor, (ax, ay, az), s.before
-    )
+    survey = Survey(s.triangles, s.vertices, s.outside, s.extent * factor, (ax, ay, az), s.before)
     nx, ny, nz = (max(round(n * factor), 1) for n in plan.shape)
     return plan_voxelization(survey, (nx, ny, nz), solid=plan.solid, surface=plan.surface)

@@ -50,7 +50,6 @@ wide wide_sum(wide a, wide b) { return a + b; }
 wide wide_negative(wide a) { return -a; }
 bool is_negative(wide a) { return a < 0; }
 bool is_positive(wide a) { return a > 0; }
-float to_float(wide a) { return (float)a; }
 #endif
 
 // a . b

@@ -230,7 +230,6 @@ typedef struct {
     edge_functions xy, yz, zx; // in swizzled axes
     long nx, ny, nz;         // normal, turned so that nz >= 0
     wide near, far;          // what n . (low corner - v0) gains on a box's near and far side
-    float step;              // 1 / (nz size)
 } scan;
 
 scan set_up(const triangle *t, const columns *c, int kind, int level, int pad_x)
@@ -264,27 +263,27 @@ scan set_up(const triangle *t, const columns *c, int kind, int level, int pad_x)
         s.far = wide_dot(max(s.nx, 0l), max(s.ny, 0l), s.nz, box.x, box.y, box.z);
         s.near = wide_dot(min(s.nx, 0l), min(s.ny, 0l), 0, box.x, box.y, 0);
     }
-    s.step = 1.0f / ((float)s.nz * (float)s.size);
     return s;
 }
 
 // The least r in [0, last] from which on *a + r up >= 0, or last + 1 if there is none; *a becomes its
-// value there. Estimated in floating point, decided in integers; `step` is 1 / up.
-int first_not_before(wide *a, long up_normal, int up_size, wide up, float step, int last)
+// value there. `up` is `normal` x `size`.
+int first_not_before(wide *a, long normal, int size, wide up, int last)
 {
     if (!is_negative(*a))
         return 0;
-    int r = (int)clamp(-to_float(*a) * step, 0.0f, (float)last);
+#ifdef WIDE // estimated in floating point, decided in integers
+    int r = (int)clamp(-to_float(*a) / to_float(up), 0.0f, (float)last);
+    *a = wide_sum(*a, wide_product(normal, (long)r * size));
     const wide down = wide_negative(up);
-    *a = wide_sum(*a, wide_product(up_normal, (long)r * up_size));
-    for (; r > 0; --r) {
-        const wide below = wide_sum(*a, down);
-        if (is_negative(below))
-            break;
-        *a = below;
-    }
+    for (; r > 0 && !is_negative(wide_sum(*a, down)); --r)
+        *a = wide_sum(*a, down);
     for (; r <= last && is_negative(*a); ++r)
         *a = wide_sum(*a, up);
+#else
+    const int r = (int)min((up - 1 - *a) / up, last + 1l);
+    *a += r * up;
+#endif
     return r;
 }
 
@@ -328,7 +327,7 @@ void scan_convert(const scan *s, const columns *c, sink *out, int store, ACTIVE_
         // box r of the column, its edge functions, and n . (p - v0) at its far side
         wide far = wide_sum(s->far, wide_dot(s->nx, s->ny, s->nz, (long)p * s->size + s->first.x,
                                              (long)q * s->size + s->first.y, s->first.z));
-        int r = first_not_before(&far, s->nz, s->size, up, s->step, last);
+        int r = first_not_before(&far, s->nz, s->size, up, last);
         long3 yz = s->yz.p * q + s->yz.q * (c->low.z + r) + s->yz.d;
         long3 zx = s->zx.p * (c->low.z + r) + s->zx.q * p + s->zx.d;
         for (; p <= c->high.x && none_negative(xy); ++p) {
@@ -459,7 +458,6 @@ __kernel void flip_crossings(__global const int *vertices, __global const int *f
     const edge_functions e = project(CROSSED, (int3)(t.v[0].y, t.v[1].y, t.v[2].y),
                                      (int3)(t.v[0].z, t.v[1].z, t.v[2].z), sign, VOXEL, 0, 0, true);
     sink out = open_sink(bricks);
-    const float step = 1.0f / ((float)nx * (float)VOXEL);
     const int last = c.high.z - c.low.z; // the axis is x
     const wide right = wide_product(ny, VOXEL), up = wide_product(nx, VOXEL);
     for (int k = c.low.y; k <= c.high.y; ++k) {
@@ -474,7 +472,7 @@ __kernel void flip_crossings(__global const int *vertices, __global const int *f
                             (long)j * VOXEL + HALF - u.y, (long)k * VOXEL + HALF - u.z);
         for (; j <= c.high.x && none_negative(yz); ++j, yz += e.p, low = wide_sum(low, right)) {
             wide first = low;
-            const int r = first_not_before(&first, nx, VOXEL, up, step, last);
+            const int r = first_not_before(&first, nx, VOXEL, up, last);
             const int i = c.low.z + r;
             if (i >= shape.x)
                 continue; // beyond the high-x side

@@ -6,7 +6,6 @@ memory, and the whole command in a process of its own.
 
 from __future__ import annotations
 
-import os
 import statistics
 import subprocess
 import sys
@@ -27,14 +26,15 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from voxtool.mesh import Mesh
+    from voxtool.opencl import Device
 
 
 @dataclass
 class Row:
     """One model at one dim in one mode; times are medians, in seconds.
 
-    stages : on the device, by its events; device : their sum; memory : mesh in memory to octree in
-    memory, Python included; host : memory - device; spread : (max - min) / median of `memory`;
+    stages : on the device, by its events; device : their sum; host : what Python adds, in the same
+    runs; memory : mesh in memory to octree in memory, Python included, without events; spread : (max - min) / median of `memory`;
     command : the whole command, in a process of its own, kernels cached; peak : its peak of
     resident memory, in bytes; peers : seconds by name, and `ratios` : peer / memory.
     """
@@ -84,7 +84,7 @@ def sweep(
             for mode in modes:
                 octree = voxelize(mesh, grid, mode, device=timed)
                 times = _times(lambda: voxelize(mesh, grid, mode, device=timed), repeat)  # noqa: B023
-                stages = _stage_times(mesh, grid, mode, profiled, repeat)
+                stages, whole = _stage_times(mesh, grid, mode, profiled, repeat)
                 memory = statistics.median(times)
                 on_device = sum(stages.values())
                 command, peak = _command(model, dim, mode, fit, timed.info.index)
@@ -98,7 +98,7 @@ def sweep(
                     stages=stages,
                     device=on_device,
                     memory=memory,
-                    host=memory - on_device,
+                    host=whole - on_device,
                     spread=(max(times) - min(times)) / memory,
                     command=command,
                     peak=peak,
@@ -118,13 +118,16 @@ def _times(work: Callable[[], object], repeat: int) -> list[float]:
     return times
 
 
-def _stage_times(mesh: Mesh, grid: Grid, mode: str, device: Any, repeat: int) -> dict[str, float]:
-    """Median seconds of each stage by the device's events."""
-    runs = []
+def _stage_times(
+    mesh: Mesh, grid: Grid, mode: str, device: Device, repeat: int
+) -> tuple[dict[str, float], float]:
+    """Median seconds of each stage by the device's events, and of the whole in the same runs."""
+    runs, whole = [], []
     for _ in range(repeat + 1):
-        voxelize(mesh, grid, mode, device=device)
+        whole += _times(lambda: voxelize(mesh, grid, mode, device=device), 1)
         runs.append(device.stage_times())
-    return {name: statistics.median(run[name] for run in runs[1:]) for name in runs[0]}
+    stages = {name: statistics.median(run[name] for run in runs[1:]) for name in runs[0]}
+    return stages, statistics.median(whole[1:])
 
 
 def _peer_times(mesh: Mesh, grid: Grid, mode: str, repeat: int) -> dict[str, float]:
@@ -136,6 +139,17 @@ def _peer_times(mesh: Mesh, grid: Grid, mode: str, repeat: int) -> dict[str, flo
     return found
 
 
+# A process counts the memory of the one that started it towards its own peak, so a small one
+# stands between.
+_LAUNCHER = """
+import os, resource, subprocess, sys, time
+start = time.perf_counter()
+code = subprocess.call(sys.argv[1:], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+seconds = time.perf_counter() - start
+print(code, seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
+
+
 def _command(model: str, dim: int, mode: str, fit: str, device: int) -> tuple[float, int]:
     """Seconds and peak resident bytes of `voxtool voxelize` in a process of its own."""
     with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
@@ -144,11 +158,10 @@ def _command(model: str, dim: int, mode: str, fit: str, device: int) -> tuple[fl
             *("--dim", str(dim), "--mode", mode, "--fit", fit, "--device", str(device)),
             *("-o", str(Path(folder, "out.svo.h5"))),
         ]
-        start = time.perf_counter()
-        process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-        _, status, usage = os.wait4(process.pid, 0)
-        seconds = time.perf_counter() - start
-        process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise VoxtoolError(f"bench: {' '.join(words[2:])} failed with {process.returncode}")
-    return seconds, usage.ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+        launched = subprocess.run(
+            [sys.executable, "-S", "-c", _LAUNCHER, *words], stdout=subprocess.PIPE, check=True
+        )
+    code, seconds, peak = launched.stdout.split()
+    if int(code):
+        raise VoxtoolError(f"bench: {' '.join(words[2:])} failed with {int(code)}")
+    return float(seconds), int(peak) * (1 if sys.platform == "darwin" else 1024)

@@ -50,10 +50,20 @@ def command() -> None:
 @click.argument("models", nargs=-1, required=True)
 @click.option("--dims", type=NumberList(), default="64,128,256,512,1024,2048", show_default=True)
 @click.option("--modes", default="surface26,surface6,solid", show_default=True)
-@click.option("--fit", type=click.Choice(["uniform", "stretch"]), default="uniform",
-              show_default=True, help="stretch: as the thesis's tables, eq. (5.1).")
-@click.option("--repeat", type=click.IntRange(1), default=5, show_default=True,
-              help="Runs after a warm-up; medians are printed.")
+@click.option(
+    "--fit",
+    type=click.Choice(["uniform", "stretch"]),
+    default="uniform",
+    show_default=True,
+    help="stretch: as the thesis's tables, eq. (5.1).",
+)
+@click.option(
+    "--repeat",
+    type=click.IntRange(1),
+    default=5,
+    show_default=True,
+    help="Runs after a warm-up; medians are printed.",
+)
 @click.option("--peers", is_flag=True, help="VTK (solid) and Open3D (surface26), if installed.")
 @options.device_option
 @options.json_option
@@ -109,9 +119,7 @@ def bench_voxelize(
 
 def header() -> str:
     stages = "".join(f"{SHORT.get(s, s):>8}" for s in STAGES)
-    return (
-        f" dim mode     {stages}  device   host  memory +-%  command  peak MB  octree kB      voxels"
-    )
+    return f" dim mode     {stages}  device   host  memory +-%  command  peak MB  octree kB      voxels"
 
 
 def line(row: Row) -> str:
@@ -119,7 +127,8 @@ def line(row: Row) -> str:
         f"{1e3 * row.stages[s]:8.2f}" if s in row.stages else f"{'-':>8}" for s in STAGES
     )
     peers = "".join(
-        f"  {name}: {row.peers[name]:.3f} s, {ratio:.1f} times" for name, ratio in row.ratios.items()
+        f"  {name}: {row.peers[name]:.3f} s, {ratio:.1f} times"
+        for name, ratio in row.ratios.items()
     )
     return (
         f"{row.dim:>4} {row.mode:<9}{stages}{1e3 * row.device:8.2f}{1e3 * row.host:7.2f}"

@@ -26,10 +26,19 @@ class Slice(click.ParamType):
 @click.command("export")
 @click.argument("file")
 @options.output_options("OUT", "Its ending says the format: .npy, .npz, .vti or .png.")
-@click.option("--slice", "plane", type=Slice(), metavar="AXIS=VALUE",
-              help="For .png: the plane of voxels to draw.  [default: the middle along z]")
-@click.option("--format", "file_format", type=click.Choice(["npy", "npz", "vti", "png"]),
-              help="File format, instead of what the name says.")
+@click.option(
+    "--slice",
+    "plane",
+    type=Slice(),
+    metavar="AXIS=VALUE",
+    help="For .png: the plane of voxels to draw.  [default: the middle along z]",
+)
+@click.option(
+    "--format",
+    "file_format",
+    type=click.Choice(["npy", "npz", "vti", "png"]),
+    help="File format, instead of what the name says.",
+)
 def command(
     file: str,
     output: str | None,

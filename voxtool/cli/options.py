@@ -25,9 +25,7 @@ class Bytes(click.ParamType):
 
     name = "bytes"
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> int:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
         text = str(value).upper().removesuffix("B").removesuffix("I")
         unit = text[-1:] if text[-1:] in UNITS else ""
         try:

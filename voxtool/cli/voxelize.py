@@ -19,32 +19,67 @@ if TYPE_CHECKING:
 @click.command("voxelize")
 @click.argument("mesh")
 @options.output_options("FILE", "Default MESH's name with .svo.h5, in this folder.")
-@click.option("--mode", type=click.Choice(["surface26", "surface6", "solid"]), default="solid",
-              show_default=True, help="surface26: every voxel that touches a triangle; surface6: "
-              "the thinner 6-separating set; solid: every voxel whose centre is inside.")
-@click.option("--fill", type=click.Choice(["parity"]), default="parity", show_default=True,
-              help="What is inside, for solid: an odd number of crossings along x.")
+@click.option(
+    "--mode",
+    type=click.Choice(["surface26", "surface6", "solid"]),
+    default="solid",
+    show_default=True,
+    help="surface26: every voxel that touches a triangle; surface6: "
+    "the thinner 6-separating set; solid: every voxel whose centre is inside.",
+)
+@click.option(
+    "--fill",
+    type=click.Choice(["parity"]),
+    default="parity",
+    show_default=True,
+    help="What is inside, for solid: an odd number of crossings along x.",
+)
 @click.option("--with-surface", is_flag=True, help="solid and surface26: thin walls survive.")
 @click.option("--dim", type=int, help="Voxels along the longest side, 8 to 65536.  [default: 256]")
 @click.option("--pitch", type=float, help="Voxel size in world units, instead of --dim.")
-@click.option("--bbox", type=float, nargs=6, metavar="X0 Y0 Z0 X1 Y1 Z1",
-              help="The grid covers this box, in world units, not the mesh.")
+@click.option(
+    "--bbox",
+    type=float,
+    nargs=6,
+    metavar="X0 Y0 Z0 X1 Y1 Z1",
+    help="The grid covers this box, in world units, not the mesh.",
+)
 @click.option("--like", metavar="FILE.svo.h5", help="The grid of another octree.")
-@click.option("--margin", type=int, help="Empty voxels on each side.  [default: min(4, dim // 8), "
-              "0 with --bbox]")
-@click.option("--fit", type=click.Choice(["uniform", "stretch"]), default="uniform",
-              show_default=True, help="stretch: each axis apart, as eq. (5.1) of the thesis.")
-@click.option("--format", "file_format", type=click.Choice(["svo.h5", "svo.xml", "svo.xml.gz"]),
-              help="File format, instead of what the name says.")
-@click.option("--plan", "only_plan", is_flag=True,
-              help="Print what would be done, left out and needed, and stop.")
-@click.option("--max-memory", type=options.Bytes(), metavar="BYTES",
-              help="Refuse to use more on the device (800M, 8G).  [default: what it has]")
+@click.option(
+    "--margin",
+    type=int,
+    help="Empty voxels on each side.  [default: min(4, dim // 8), 0 with --bbox]",
+)
+@click.option(
+    "--fit",
+    type=click.Choice(["uniform", "stretch"]),
+    default="uniform",
+    show_default=True,
+    help="stretch: each axis apart, as eq. (5.1) of the thesis.",
+)
+@click.option(
+    "--format",
+    "file_format",
+    type=click.Choice(["svo.h5", "svo.xml", "svo.xml.gz"]),
+    help="File format, instead of what the name says.",
+)
+@click.option(
+    "--plan",
+    "only_plan",
+    is_flag=True,
+    help="Print what would be done, left out and needed, and stop.",
+)
+@click.option(
+    "--max-memory",
+    type=options.Bytes(),
+    metavar="BYTES",
+    help="Refuse to use more on the device (800M, 8G).  [default: what it has]",
+)
 @options.device_option
 @options.json_option
 @options.quiet_option
 @options.verbose_option
-def command(  # noqa: PLR0913 - a command line has many options
+def command(
     mesh: str,
     output: str | None,
     no_clobber: bool,

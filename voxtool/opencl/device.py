@@ -23,8 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
 INSTALL_HINT = (
-    "install the extra 'cpu' (pip install 'voxtool[cpu]', x86-64) or a driver: "
-    "see docs/devices.md"
+    "install the extra 'cpu' (pip install 'voxtool[cpu]', x86-64) or a driver: see docs/devices.md"
 )
 PROBE = """
 __kernel void probe(__global uint *values) {
@@ -99,8 +98,11 @@ def _info(index: int, cl_device: Any, probe: str) -> DeviceInfo:
         index=index,
         name=cl_device.name.strip(),
         platform=cl_device.platform.name.strip(),
-        kind="GPU" if cl_device.type & cl.device_type.GPU else "CPU"
-        if cl_device.type & cl.device_type.CPU else "accelerator",
+        kind="GPU"
+        if cl_device.type & cl.device_type.GPU
+        else "CPU"
+        if cl_device.type & cl.device_type.CPU
+        else "accelerator",
         driver=cl_device.driver_version,
         opencl=cl_device.version.strip(),
         units=cl_device.max_compute_units,
@@ -173,7 +175,10 @@ def _matches(info: DeviceInfo, choice: str) -> bool:
         return info.index == int(choice)
     if choice.lower() in ("cpu", "gpu"):
         return info.kind.lower() == choice.lower()
-    return re.search(re.escape(choice), f"{info.platform} {info.name} {info.opencl}", re.IGNORECASE) is not None
+    return (
+        re.search(re.escape(choice), f"{info.platform} {info.name} {info.opencl}", re.IGNORECASE)
+        is not None
+    )
 
 
 class Array:
@@ -198,7 +203,7 @@ class Array:
 
     def release(self) -> None:
         """Give the memory back now; the array must not be used again."""
-        self.device.release(self)
+        self.buffer.release()
 
 
 class Device:
@@ -213,8 +218,6 @@ class Device:
         self.queue = cl.CommandQueue(self.context, cl_device, flags)
         self.profile = profile
         self.max_memory = min(info.memory, _machine_memory() if info.kind == "CPU" else sys.maxsize)
-        self.allocated = 0
-        self.peak = 0
         self.on_stage: Callable[[str], None] | None = None  # told of each stage that begins
         self._stage = "other"
         self._events: list[tuple[str, Any]] = []
@@ -229,18 +232,14 @@ class Device:
         else:
             values = None
         try:
-            buffer = self._cl.Buffer(self.context, flags, 0 if values is not None else nbytes, values)
+            buffer = self._cl.Buffer(
+                self.context, flags, 0 if values is not None else nbytes, values
+            )
         except (self._cl.Error, MemoryError) as error:
             raise MemoryLimitError(
                 f"{self.info.name} could not allocate {nbytes} bytes: choose a smaller dim"
             ) from error
-        self.allocated += nbytes
-        self.peak = max(self.peak, self.allocated)
         return buffer
-
-    def release(self, array: Array) -> None:
-        array.buffer.release()
-        self.allocated -= max(array.nbytes, 4)
 
     def empty(self, size: int, dtype: np.dtype | type) -> Array:
         return Array(self, size, dtype)
@@ -260,9 +259,7 @@ class Device:
 
     def write(self, array: Array, values: np.ndarray) -> None:
         """Overwrite the beginning of an array."""
-        self._record(
-            self._cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(values))
-        )
+        self._record(self._cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(values)))
 
     def read(self, values: np.ndarray, buffer: Any, offset: int) -> None:
         self._record(self._cl.enqueue_copy(self.queue, values, buffer, src_offset=offset))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import functools
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsInt
 
 import numpy as np
 
@@ -66,7 +66,7 @@ def c_struct(name: str, dtype: np.dtype) -> str:
     return f"typedef struct {{ {members} }} {name};"
 
 
-def c_constants(**values: int) -> str:
+def c_constants(**values: SupportsInt) -> str:
     """#define lines for whole numbers: hexadecimal, of the type that C gives them."""
     return "\n".join(f"#define {name} {int(value):#x}" for name, value in values.items())
 

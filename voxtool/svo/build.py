@@ -55,13 +55,8 @@ class DeviceOctree:
             level.parent_index.release()
 
 
-def code_dtype(side: int) -> np.dtype:
-    """The type of level-1 Morton codes in an octree of `side` voxels a side."""
-    return np.dtype(np.uint32 if side // 8 <= 1 << 10 else np.uint64)
-
-
 def code_name(dtype: np.dtype) -> str:
-    """Its OpenCL name, for the option CODE."""
+    """The OpenCL name of the type of Morton codes, for the option CODE."""
     return "uint" if dtype.itemsize == 4 else "ulong"
 
 
@@ -71,7 +66,7 @@ def build_octree(device: Device, side: int, codes: Array, n: int) -> DeviceOctre
     Parameters
     ----------
     side : voxels along a side of the root, a power of two from 8 on.
-    codes : (n,) rising Morton codes of level-1 nodes, of code_dtype(side).
+    codes : (n,) rising Morton codes of level-1 nodes, uint32 or uint64.
     """
     code = code_name(codes.dtype)
     tag_parents = device.kernel(SOURCE, "tag_parents", CODE=code)

@@ -82,9 +82,7 @@ def fill_parity(
     return tree, flips, positions
 
 
-def _walk_rows(
-    device: Device, tree: DeviceOctree, flips: Array, rows: Rows
-) -> tuple[Array, int]:
+def _walk_rows(device: Device, tree: DeviceOctree, flips: Array, rows: Rows) -> tuple[Array, int]:
     """The states of rows on entry to each level-1 node; and how many leaves are of no one kind."""
     entries = device.empty(tree.refined[0].n, np.uint64)
     _sweep(device, tree, flips, rows, entries)
@@ -186,7 +184,9 @@ def _refine(
             layers.reshape(-1, side, side), cells[chosen], int(number), rows.shape[0]
         ):
             added[below - 1].append(codes.astype(lists[0].dtype))
-    new = [np.sort(np.concatenate([old[:0], *parts])) for old, parts in zip(lists, added, strict=True)]
+    new = [
+        np.sort(np.concatenate([old[:0], *parts])) for old, parts in zip(lists, added, strict=True)
+    ]
     places = [np.searchsorted(old, codes) for old, codes in zip(lists, new, strict=True)]
     merged = [np.insert(*each) for each in zip(lists, places, new, strict=True)]
     before = np.bincount(places[0], minlength=len(lists[0]) + 1)[:-1]

@@ -272,7 +272,7 @@ class Octree:
         }
         sha = hashlib.sha256(json.dumps(head, sort_keys=True).encode())
         for array, dtype in ((self.offsets, "<u4"), (self.nodes, NODE), (self.bricks, BRICK)):
-            sha.update(np.ascontiguousarray(array, dtype))
+            sha.update(np.ascontiguousarray(array, dtype).data)
         return sha.hexdigest()
 
     def validate(self) -> None:
@@ -316,17 +316,24 @@ class Octree:
 
         parent, child = level.nodes["parent"], level.nodes["child"]
         refined = level.refined
-        refuse("inside flag of a refined node (both coarse-inside and refined)",
-               refined & level.inside)
+        refuse(
+            "inside flag of a refined node (both coarse-inside and refined)", refined & level.inside
+        )
         if level.number == 0:
-            refuse("brick link (one brick a node, in order)",
-                   child != (VALID | np.arange(len(child), dtype=np.uint32)))
+            refuse(
+                "brick link (one brick a node, in order)",
+                child != (VALID | np.arange(len(child), dtype=np.uint32)),
+            )
         else:
             links = child[refined] & LINK
-            refuse("child link (Morton order: 8 nodes after the one before)",
-                   links != 8 * np.arange(len(links), dtype=np.uint32))
-            refuse("leaf (link bits of a node without children are zero)",
-                   ~refined & ((child & LINK) != 0))
+            refuse(
+                "child link (Morton order: 8 nodes after the one before)",
+                links != 8 * np.arange(len(links), dtype=np.uint32),
+            )
+            refuse(
+                "leaf (link bits of a node without children are zero)",
+                ~refined & ((child & LINK) != 0),
+            )
             if "solid" not in self.mode:
                 refuse("inside flag of a surface", level.inside)
         if level.number == self.depth - 1:
@@ -335,8 +342,10 @@ class Octree:
             d = self.depth - 1 - level.number
             above = self.nodes["child"][self.offsets[d - 1] : self.offsets[d]]
             owners = np.flatnonzero(above & VALID).astype(np.uint32)
-            refuse("parent link (the parent and its child agree)",
-                   parent != (VALID | np.repeat(owners, 8)))
+            refuse(
+                "parent link (the parent and its child agree)",
+                parent != (VALID | np.repeat(owners, 8)),
+            )
 
     def _check_border(self) -> None:
         """No voxel is set beyond the grid's shape: the padding to a cube is zero."""

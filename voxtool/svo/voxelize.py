@@ -25,7 +25,7 @@ from voxtool.opencl import Array, Device, open_device, program
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.plan import BLOCK, CELL, TILE, Plan, Survey, plan_voxelization
 from voxtool.svo import inside
-from voxtool.svo.build import DeviceOctree, build_octree, code_dtype, code_name
+from voxtool.svo.build import DeviceOctree, build_octree, code_name
 from voxtool.svo.octree import BRICK, Octree
 
 if TYPE_CHECKING:
@@ -90,18 +90,15 @@ def voxelize(
         active = _find_active_nodes(scene)
     with device.stage("octree"):
         tree = build_octree(device, scene.side, active.codes, active.n)
-    surface = flips = None
-    if scene.plan.surface:
-        with device.stage(f"surface{scene.plan.surface}"):
-            surface = _voxelize_surface(scene, active)
     if scene.plan.solid:
         with device.stage("crossings"):
             flips, rows = _flip_crossings(scene, active)
         tree, bricks, positions = inside.fill_parity(device, tree, flips, rows)
-        if surface:
-            inside.unite(device, bricks, surface, positions)
+        if scene.plan.surface:
+            inside.unite(device, bricks, _voxelize_surface(scene, active), positions)
     else:
-        bricks = surface
+        bricks = _voxelize_surface(scene, active)
+    active.release()
     return scene.octree(tree, bricks)
 
 
@@ -146,7 +143,9 @@ class _Scene:
         fixed = grid.to_fixed(mesh.vertices)
         if window is not None:
             low, shape = window
-            if min(low) < 0 or any(a + n > m for a, n, m in zip(low, shape, grid.shape, strict=True)):
+            if min(low) < 0 or any(
+                a + n > m for a, n, m in zip(low, shape, grid.shape, strict=True)
+            ):
                 raise GridError(f"window {low}, {shape} reaches beyond the grid's {grid.shape}")
             grid = grid.window(low, shape)
             fixed -= np.asarray(low, np.int32) << FIXED_POINT_BITS
@@ -164,7 +163,8 @@ class _Scene:
         )
         self.side = self.plan.side
         self.pad = HALF_VOXEL if self.plan.solid else 0  # of a level-1 node, along x (eq. 3.6)
-        self._options: dict[str, int | str] = {"CODE": code_name(code_dtype(self.side))}
+        self.code = np.dtype(np.uint32 if self.plan.code_bits == 32 else np.uint64)
+        self._options: dict[str, int | str] = {"CODE": code_name(self.code)}
         if self.plan.wide:
             self._options["WIDE"] = 1
         if self.plan.blocked:
@@ -269,6 +269,11 @@ class _ActiveNodes:
     def n(self) -> int:
         return self.nodes.n
 
+    def release(self) -> None:
+        """Give back the memory of the lookup; the octree has taken the codes."""
+        for array in self.lookup:
+            array.release()
+
 
 def _find_active_nodes(scene: _Scene) -> _ActiveNodes:
     """The level-1 nodes that triangles touch; for a solid, widened by half a voxel along x, so that
@@ -302,7 +307,7 @@ def _collect(scene: _Scene, words: Array, blocks: _BitSet | None) -> _BitSet:
     ranks = device.empty(n + 1, np.uint32)
     scene.kernel("count_bits")(n, words, np.uint32(n), ranks)
     count = exclusive_scan(ranks, n)
-    codes = device.empty(count, code_dtype(scene.side))
+    codes = device.empty(count, scene.code)
     scene.kernel("write_mortons")(
         n, words, np.uint32(n), ranks, blocks.codes if blocks else words,
         np.uint32(blocks is not None), codes,
@@ -315,11 +320,12 @@ def _collect(scene: _Scene, words: Array, blocks: _BitSet | None) -> _BitSet:
 
 def _voxelize_surface(scene: _Scene, active: _ActiveNodes) -> Array:
     """The bricks of the active nodes with the surface's voxels set."""
-    bricks = scene.device.zeros(8 * active.n, BRICK)
     kind = TOUCHED if scene.plan.surface == "26" else SEPARATING
-    scene.scan_convert(
-        "set_surface", kind, 0, scene.plan.tiled, scene.shape(0), *active.lookup, bricks
-    )
+    with scene.device.stage(f"surface{scene.plan.surface}"):
+        bricks = scene.device.zeros(8 * active.n, BRICK)
+        scene.scan_convert(
+            "set_surface", kind, 0, scene.plan.tiled, scene.shape(0), *active.lookup, bricks
+        )
     return bricks
 
 

@@ -1,0 +1,46 @@
+# make demo     an environment, an example mesh, its octree
+# make test     the whole suite
+# make lint     style, types and imports
+# Only Python 3.11 or newer and a package index are needed; PYTHON= names another interpreter.
+
+PYTHON ?= python3
+PIP_INSTALL := .venv/bin/python -m pip install --quiet --disable-pip-version-check
+ARGS ?=
+
+.PHONY: demo test lint clean
+
+demo: .venv/cpu.done bunny.obj
+	.venv/bin/voxtool voxelize bunny.obj --dim 512 --mode solid
+	.venv/bin/voxtool svo-info bunny.svo.h5
+
+test: .venv/test.done
+	.venv/bin/python -m pytest $(ARGS)
+
+lint: .venv/test.done
+	.venv/bin/ruff check
+	.venv/bin/ruff format --check
+	.venv/bin/pyright
+	.venv/bin/lint-imports
+
+clean:
+	rm -rf .venv bunny.obj bunny.svo.h5 build dist .pytest_cache .ruff_cache .hypothesis \
+	    .import_linter_cache
+	find voxtool tests examples -name __pycache__ -type d -prune -exec rm -rf {} +
+
+bunny.obj: examples/make_bunny.py | .venv/cpu.done
+	.venv/bin/python examples/make_bunny.py -o $@
+
+# The package is installed in place: again only when its metadata change.
+.venv/cpu.done: pyproject.toml | .venv/bin/python
+	$(PIP_INSTALL) -e '.[cpu]'
+	@touch $@
+
+.venv/test.done: pyproject.toml | .venv/bin/python
+	$(PIP_INSTALL) -e '.[test]'
+	@touch $@ .venv/cpu.done
+
+.venv/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	    echo "voxtool needs Python 3.11 or newer, '$(PYTHON)' is not: make PYTHON=python3.12" >&2; \
+	    exit 1; }
+	$(PYTHON) -m venv .venv
