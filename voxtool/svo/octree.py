@@ -251,6 +251,8 @@ class Octree:
         parts = []
         for level in self.levels():
             if level.number:
+                if not level.inside.any():
+                    continue
                 corners = level.cells[level.inside]
                 offsets = np.indices((level.side,) * 3).reshape(3, -1).T
                 parts.append((corners[:, None] + offsets).reshape(-1, 3))
