@@ -13,12 +13,27 @@ import re
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
 KERNELS = Path(__file__).parents[1] / "kernels"
-CHECKS = ("--data-races", "--uniform-writes")
+OPTIONS = ("--data-races", "--uniform-writes", "--max-errors", "1000000000")
+# Races that cannot show, by the two lines that they are between. The first is a glance: it only
+# saves an atomic whose bits are all set already, and bits are never cleared while others look.
+HARMLESS = {
+    frozenset(
+        {
+            "if (s->word != NO_WORD && (s->words[s->word] & s->bits) != s->bits)",
+            "atomic_or(&s->words[s->word], s->bits);",
+        }
+    )
+}
 VARIANTS = {  # of the constants of voxtool.plan
     "narrow": {},
     "wide": {"NARROW_EXTENT": 0},
@@ -38,7 +53,7 @@ def run(tmp_path_factory):
     log = tmp_path_factory.mktemp("oclgrind") / "log"
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("OCL_", "VOXTOOL_"))}
     child = subprocess.run(
-        [oclgrind, *CHECKS, "--log", log, sys.executable, __file__],
+        [oclgrind, *OPTIONS, "--log", log, sys.executable, __file__],
         env={**environment, "PYOPENCL_NO_CACHE": "1"},
         capture_output=True,
         text=True,
@@ -64,7 +79,31 @@ def test_every_kernel_and_variant_was_launched(run):
 
 
 def test_no_invalid_access_and_no_race(run):
-    assert run[1] == ""
+    found = Counter(
+        f"{kind}, kernel {kernel}: {' | '.join(sorted(lines))}"
+        for kind, kernel, lines in _reports(run[1])
+        if "race" not in kind or lines not in HARMLESS
+    )
+    assert not found, "\n".join(f"{count} x {what}" for what, count in found.items())
+
+
+def _reports(log: str) -> Iterator[tuple[str, str, frozenset[str]]]:
+    """What Oclgrind reports: the kind of error, the kernel, and the source lines concerned."""
+    for report in re.split(r"\n(?=\S)", "\n" + log):
+        if report.strip():
+            kind = report.strip().split(" at ")[0].splitlines()[0]
+            kernel = re.search(r"Kernel: (\w+)", report)
+            places = re.findall(r"At line (\d+) \(column \d+\) of (\S+):", report)
+            lines = frozenset(_line(file, int(number)) for number, file in places)
+            yield kind, kernel[1] if kernel else "?", lines
+
+
+def _line(file: str, number: int) -> str:
+    """A line of a kernel's source, without its comment."""
+    source = KERNELS / file
+    if not number or not source.exists():
+        return f"{file}:{number}"
+    return source.read_text(encoding="utf-8").splitlines()[number - 1].partition("//")[0].strip()
 
 
 def _without_comments(source: Path) -> str:
@@ -115,7 +154,8 @@ def main() -> None:
 
 
 def voxelize_all(device, variant: str) -> None:
-    """Every mode, on a mesh that is closed, one that is open and one that begins before the grid."""
+    """Every mode, on meshes that are closed, open and beginning before the grid, and on one so
+    large that several rows' tiles pass through an inside leaf."""
     import meshes
     import numpy as np
     import oracles
@@ -131,8 +171,9 @@ def voxelize_all(device, variant: str) -> None:
         "open": meshes.open_box((3.5, 4, 4), (20, 21, 13), missing=1),
         "before": meshes.box((-9, 2, 3), (6, 11, 9.5)),
     }
-    shape = (30, 22, 17)
+    scenes["coarse"] = meshes.box((11, 12, 13), (46, 34, 35))
     for scene, (vertices, faces) in scenes.items():
+        shape = (47, 36, 36) if scene == "coarse" else (30, 22, 17)
         vertices = np.asarray(vertices, np.float64)
         mesh = Mesh(vertices, faces.astype(np.int32))
         grid = Grid(shape, (0, 0, 0), (1, 1, 1))

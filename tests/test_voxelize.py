@@ -328,7 +328,7 @@ def test_refusals(device: Device) -> None:
     with pytest.raises(GridError, match="beyond the grid"):
         voxelize(mesh, grid, window=((0, 0, 0), (17, 8, 8)), device=device)
     with pytest.raises(MemoryLimitError, match=r"dim \d+ is the largest that fits"):
-        voxelize(mesh, grid, device=device, max_memory=2500)
+        voxelize(mesh, grid, device=device, max_memory=1000)
     far = lattice_mesh(vertices + (1 << 31), faces)
     with pytest.raises(GridError, match="choose a larger pitch or a nearer box"):
         voxelize(far, grid, device=device)
