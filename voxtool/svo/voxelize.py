@@ -40,7 +40,7 @@ TOUCHED, SEPARATING, CROSSED = range(3)  # what a triangle is scan-converted int
 NODE_LEVEL, BLOCK_LEVEL = CELL.bit_length() - 1, BLOCK.bit_length() - 1
 BLOCK_WORDS = (BLOCK // CELL) ** 3 // 32
 HALF_VOXEL = 1 << (FIXED_POINT_BITS - 1)
-SURVEY_ITEMS = 256
+SURVEY_ITEMS = 256  # each sums its share of the triangles
 program.generated["svo/voxelize.h"] = program.c_constants(
     TOUCHED=TOUCHED, SEPARATING=SEPARATING, CROSSED=CROSSED, NODE_LEVEL=NODE_LEVEL, TILE=TILE
 )
@@ -173,10 +173,9 @@ class _Scene:
             self._options["KIND"] = TOUCHED if self.plan.surface == "26" else SEPARATING
 
     def _survey(self) -> Survey:
-        items = min(SURVEY_ITEMS, max(self.n, 1))
-        partial = self.device.empty(6 * items, np.uint64)
+        partial = self.device.empty(6 * SURVEY_ITEMS, np.uint64)
         survey = self.device.kernel(SOURCE, "survey", CODE="uint")
-        survey(items, self.vertices, self.faces, np.uint32(self.n), self.shape(0), partial)
+        survey(SURVEY_ITEMS, self.vertices, self.faces, np.uint32(self.n), self.shape(0), partial)
         parts = partial.get().reshape(-1, 6)
         partial.release()
         units = 1 << FIXED_POINT_BITS

@@ -1,0 +1,74 @@
+"""The golden digests of octrees: which there are, and (run as a script) writing them anew.
+
+Digests change only together with a line in CHANGELOG.md that says why:
+    python tests/golden_svo.py
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import meshes
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
+
+import make_bunny
+
+import voxtool
+
+GOLDEN = Path(__file__).parent / "golden" / "svo.json"
+MODELS = Path(__file__).parents[2] / "shared" / "models"
+MODES = ("surface26", "surface6", "solid", "solid+surface26")
+OWN = ("bunny", "sphere", "torus", "open-box", "needles")
+DIMS = (8, 50, 64, 200, 512)
+REAL = ("stanford-bunny", "armadillo", "dragon", "nefertiti", "fandisk", "rocker-arm", "spot",
+        "suzanne", "teapot")  # fmt: skip
+REAL_DIMS = (128, 512)
+
+
+def own_mesh(name: str) -> voxtool.Mesh:
+    """A mesh of the project's own making."""
+    if name == "bunny":
+        return voxtool.mesh_from_arrays(*make_bunny.make_bunny())
+    if name == "sphere":
+        return voxtool.mesh_from_arrays(*lattice_points(meshes.icosphere(4, 0.0, 1.0)))
+    if name == "torus":
+        return voxtool.mesh_from_arrays(*lattice_points(meshes.torus()))
+    if name == "open-box":
+        return voxtool.mesh_from_arrays(*meshes.open_box((0, 0, 0), (7, 9, 8)))
+    rng = np.random.default_rng(11)
+    vertices, faces = meshes.random_triangles(rng, 300, (64, 64, 64), margin=0)
+    vertices[2::3] = vertices[1::3] + rng.integers(-1, 2, (300, 3))
+    return voxtool.mesh_from_arrays(vertices, faces)
+
+
+def lattice_points(mesh: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Rounded to 2**-20, so that no sine or cosine of this machine's shows."""
+    return np.rint(mesh[0] * 2**20) / 2**20, mesh[1]
+
+
+def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterator[tuple[str, str]]:
+    """Name and digest of the octree of every mode at every dim."""
+    for dim in dims:
+        grid = voxtool.Grid.fit(mesh, dim)
+        for mode in MODES:
+            base, _, surface = mode.partition("+")
+            octree = voxtool.voxelize(mesh, grid, base, with_surface=bool(surface), device=device)
+            yield f"{mode} {dim}", octree.digest()
+
+
+def main() -> None:
+    device = voxtool.open_device()
+    golden = {name: dict(digests(own_mesh(name), DIMS, device)) for name in OWN}
+    for name in REAL:
+        mesh = voxtool.load_mesh(MODELS / f"{name}.obj")
+        golden[f"{name}.obj"] = dict(digests(mesh, REAL_DIMS, device))
+    GOLDEN.write_text(json.dumps(golden, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,34 @@
+"""Golden digests: the same content on every device, and from one change to the next."""
+
+from __future__ import annotations
+
+import json
+
+import golden_svo
+import pytest
+from conftest import model
+
+import voxtool
+
+GOLDEN = json.loads(golden_svo.GOLDEN.read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize("name", golden_svo.OWN)
+def test_own_meshes(device, name: str) -> None:
+    mesh = golden_svo.own_mesh(name)
+    assert dict(golden_svo.digests(mesh, golden_svo.DIMS, device)) == GOLDEN[name]
+
+
+@pytest.mark.parametrize("name", golden_svo.REAL)
+def test_real_models(device, name: str) -> None:
+    mesh = voxtool.load_mesh(model(f"{name}.obj"))
+    assert dict(golden_svo.digests(mesh, golden_svo.REAL_DIMS, device)) == GOLDEN[f"{name}.obj"]
+
+
+def test_closed_models_have_no_odd_column(device) -> None:
+    """A closed mesh's rows are outside again beyond it, at every resolution."""
+    mesh = voxtool.load_mesh(model("armadillo.obj"))
+    for dim in (64, 100, 257):
+        dense = voxtool.voxelize(mesh, voxtool.Grid.fit(mesh, dim), device=device).to_dense()
+        assert dense.any()
+        assert not dense[-min(4, dim // 8) :].any()
