@@ -25,6 +25,11 @@ if TYPE_CHECKING:
 INSTALL_HINT = (
     "install the extra 'cpu' (pip install 'voxtool[cpu]', x86-64) or a driver: see docs/devices.md"
 )
+OUT_OF_MEMORY = (-4, -5, -6)  # CL_MEM_OBJECT_ALLOCATION_FAILURE, _OUT_OF_RESOURCES, _HOST_MEMORY
+SYSTEM_DRIVERS = Path("/etc/OpenCL/vendors")
+PAGE = 4096  # alignment at which a CPU's driver uses the host's memory as it is
+SHARED_FROM = 1 << 16  # bytes; smaller arrays are the driver's own
+WORK_GROUP = 64  # work-items; a few wavefronts, and enough for a CPU's core
 PROBE = """
 __kernel void probe(__global uint *values) {
     values[get_global_id(0)] = 3u * (uint)get_global_id(0) + 1u;
@@ -47,7 +52,7 @@ def _opencl() -> Any:
     with contextlib.ExitStack() as stack:
         if embedded.exists() and "OCL_ICD_VENDORS" not in os.environ:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="voxtool-icd-")))
-            for icd in Path("/etc/OpenCL/vendors").glob("*.icd"):
+            for icd in SYSTEM_DRIVERS.glob("*.icd"):
                 shutil.copy(icd, folder)
             (folder / "voxtool-cpu.icd").write_text(f"{embedded}\n")
             os.environ["OCL_ICD_VENDORS"] = str(folder)
@@ -153,7 +158,7 @@ def open_device(choice: str | None = None, *, profile: bool = False) -> Device:
     choice = choice or os.environ.get("VOXTOOL_DEVICE") or None
     devices = _cl_devices()
     if not devices:
-        raise DeviceError(f"no OpenCL device found: {INSTALL_HINT}")
+        raise no_usable_device([])
     infos = [_info(i, d, "") for i, d in enumerate(devices)]
     matching = [i for i in infos if choice is None or _matches(i, choice)]
     if not matching:
@@ -164,10 +169,18 @@ def open_device(choice: str | None = None, *, profile: bool = False) -> Device:
         outcome = _probe(devices[info.index])
         if outcome == "ok":
             for failure in failures:
-                print(f"voxtool: warning: passed over {failure}", file=sys.stderr)
+                warnings.warn(f"passed over {failure}", RuntimeWarning, stacklevel=2)
             return Device(devices[info.index], info, profile)
         failures.append(f"{info.name} ({info.platform}), probe {outcome}")
-    raise DeviceError(f"no usable OpenCL device: {'; '.join(failures)}; {INSTALL_HINT}")
+    raise no_usable_device(failures)
+
+
+def no_usable_device(failures: list[str]) -> DeviceError:
+    """The error that says what to install, or to unset."""
+    mend = INSTALL_HINT
+    if folder := os.environ.get("OCL_ICD_VENDORS"):
+        mend += f"; only drivers in OCL_ICD_VENDORS={folder} were sought"
+    return DeviceError("; ".join(["no usable OpenCL device", *failures]) + f": {mend}")
 
 
 def _matches(info: DeviceInfo, choice: str) -> bool:
@@ -182,16 +195,16 @@ def _matches(info: DeviceInfo, choice: str) -> bool:
 
 
 class Array:
-    """A one-dimensional array on a device: a copy of `values`, or of undefined content."""
+    """A one-dimensional array on a device; `host` is its memory where host and device share it."""
 
     def __init__(
-        self, device: Device, size: int, dtype: np.dtype | type, values: np.ndarray | None = None
+        self, device: Device, dtype: np.dtype, size: int, buffer: Any, host: np.ndarray | None
     ) -> None:
         self.device = device
+        self.dtype = dtype
         self.size = size
-        self.dtype = np.dtype(dtype)
-        self.nbytes = size * self.dtype.itemsize
-        self.buffer = device.allocate(max(self.nbytes, 4), values)
+        self.buffer = buffer
+        self.host = host
 
     def get(self, start: int = 0, stop: int | None = None) -> np.ndarray:
         """A copy of elements [start, stop) on the host; waits for the device."""
@@ -199,6 +212,16 @@ class Array:
         values = np.empty(stop - start, self.dtype)
         if values.size:
             self.device.read(values, self.buffer, start * self.dtype.itemsize)
+        return values
+
+    def take(self) -> np.ndarray:
+        """All elements on the host, without a copy where memory is shared; the array is gone."""
+        if self.host is None:
+            values = self.get()
+        else:
+            self.device.finish_into(self.buffer, self.host.nbytes)
+            values = self.host[: self.size * self.dtype.itemsize].view(self.dtype)
+        self.release()
         return values
 
     def release(self) -> None:
@@ -217,6 +240,7 @@ class Device:
         flags = cl.command_queue_properties.PROFILING_ENABLE if profile else 0
         self.queue = cl.CommandQueue(self.context, cl_device, flags)
         self.profile = profile
+        self.shares_memory = info.kind == "CPU"
         self.max_memory = min(info.memory, _machine_memory() if info.kind == "CPU" else sys.maxsize)
         self.on_stage: Callable[[str], None] | None = None  # told of each stage that begins
         self._stage = "other"
@@ -225,52 +249,74 @@ class Device:
 
     # ---- memory
 
-    def allocate(self, nbytes: int, values: np.ndarray | None = None) -> Any:
-        flags = self._cl.mem_flags.READ_WRITE
-        if values is not None and values.size:
-            flags |= self._cl.mem_flags.COPY_HOST_PTR
-        else:
-            values = None
+    def _array(self, size: int, dtype: np.dtype | type, make: Callable[..., np.ndarray]) -> Array:
+        """An array of new memory; if it is shared, host memory that `make` (np.empty, np.zeros)
+        gives, in pages larger than drivers ask for."""
+        dtype = np.dtype(dtype)
+        nbytes = max(size * dtype.itemsize, 4)
+        flags, host = self._cl.mem_flags.READ_WRITE, None
         try:
-            buffer = self._cl.Buffer(
-                self.context, flags, 0 if values is not None else nbytes, values
-            )
+            if self.shares_memory and nbytes >= SHARED_FROM:
+                pages = make(-(-nbytes // PAGE) * PAGE + PAGE, np.uint8)
+                start = -pages.ctypes.data % PAGE
+                host = pages[start : start - PAGE or None]
+                flags |= self._cl.mem_flags.USE_HOST_PTR
+                buffer = self._cl.Buffer(self.context, flags, hostbuf=host)
+            else:
+                buffer = self._cl.Buffer(self.context, flags, nbytes)
         except (self._cl.Error, MemoryError) as error:
-            raise MemoryLimitError(
-                f"{self.info.name} could not allocate {nbytes} bytes: choose a smaller dim"
-            ) from error
-        return buffer
+            raise self._too_large(nbytes) from error
+        return Array(self, dtype, size, buffer, host)
+
+    def _too_large(self, nbytes: int) -> MemoryLimitError:
+        return MemoryLimitError(
+            f"{self.info.name} could not allocate {nbytes} bytes: choose a smaller dim"
+        )
 
     def empty(self, size: int, dtype: np.dtype | type) -> Array:
-        return Array(self, size, dtype)
+        """An array of undefined content."""
+        return self._array(size, dtype, np.empty)
 
     def zeros(self, size: int, dtype: np.dtype | type) -> Array:
-        array = Array(self, size, dtype)
-        self._record(
-            self._cl.enqueue_fill_buffer(
-                self.queue, array.buffer, np.uint32(0), 0, -(-max(array.nbytes, 4) // 4) * 4
-            )
-        )
+        """An array of zeros."""
+        array = self._array(size, dtype, np.zeros)
+        if array.host is None:
+            nbytes = -(-max(size * array.dtype.itemsize, 4) // 4) * 4
+            self._enqueue(self._cl.enqueue_fill_buffer, array.buffer, np.uint32(0), 0, nbytes)
         return array
 
     def put(self, values: np.ndarray) -> Array:
         """A copy of a host array, flattened, on the device."""
-        return Array(self, values.size, values.dtype, np.ascontiguousarray(values))
+        if not values.size:
+            return self.empty(0, values.dtype)
+        flags = self._cl.mem_flags.READ_WRITE | self._cl.mem_flags.COPY_HOST_PTR
+        try:
+            buffer = self._cl.Buffer(self.context, flags, hostbuf=np.ascontiguousarray(values))
+        except (self._cl.Error, MemoryError) as error:
+            raise self._too_large(values.nbytes) from error
+        return Array(self, values.dtype, values.size, buffer, None)
 
     def write(self, array: Array, values: np.ndarray) -> None:
         """Overwrite the beginning of an array."""
-        self._record(self._cl.enqueue_copy(self.queue, array.buffer, np.ascontiguousarray(values)))
+        self._enqueue(self._cl.enqueue_copy, array.buffer, np.ascontiguousarray(values))
 
     def read(self, values: np.ndarray, buffer: Any, offset: int) -> None:
-        self._record(self._cl.enqueue_copy(self.queue, values, buffer, src_offset=offset))
+        self._enqueue(self._cl.enqueue_copy, values, buffer, src_offset=offset)
+
+    def finish_into(self, buffer: Any, nbytes: int) -> None:
+        """Wait until the shared memory of a buffer holds what the device wrote."""
+        read = self._cl.map_flags.READ
+        mapped, _ = self._cl.enqueue_map_buffer(self.queue, buffer, read, 0, nbytes, np.uint8)
+        mapped.base.release()
 
     # ---- work
 
     def kernel(self, source: str, name: str, **defines: int | str) -> Callable[..., None]:
         """A kernel of kernels/`source`, built once with the given -D options.
 
-        Called as `kernel(size, *args)`: `size` work-items (none for 0), arguments Arrays and numpy
-        scalars; `local=n` sets the work-group's size, of which `size` is a multiple.
+        Called as `kernel(size, *args)`: at least `size` work-items (none for 0; it is rounded up to
+        whole work-groups of `local`, and PoCL compiles a kernel anew for each size of group), the
+        arguments Arrays and numpy scalars.
         """
         key = (source, name, *sorted(defines.items()))
         if key not in self._programs:
@@ -280,16 +326,13 @@ class Device:
         return self._programs[key]
 
     def _launcher(self, kernel: Any) -> Callable[..., None]:
-        cl, queue = self._cl, self.queue
+        enqueue = self._cl.enqueue_nd_range_kernel
 
-        def launch(size: int, *args: Any, local: int | None = None) -> None:
+        def launch(size: int, *args: Any, local: int = WORK_GROUP) -> None:
             if size == 0:
                 return
             kernel.set_args(*(a.buffer if isinstance(a, Array) else a for a in args))
-            event = cl.enqueue_nd_range_kernel(
-                queue, kernel, (size,), None if local is None else (local,)
-            )
-            self._record(event)
+            self._enqueue(enqueue, kernel, (-(-size // local) * local,), (local,))
 
         return launch
 
@@ -304,7 +347,16 @@ class Device:
         finally:
             self._stage = outer
 
-    def _record(self, event: Any) -> None:
+    def _enqueue(self, work: Callable[..., Any], *args: Any, **options: Any) -> None:
+        """Enqueue work, whose event tells the stage's time."""
+        try:
+            event = work(self.queue, *args, **options)
+        except self._cl.Error as error:
+            if error.code in OUT_OF_MEMORY:
+                raise MemoryLimitError(
+                    f"{self.info.name} ran out of memory ({error}): choose a smaller dim"
+                ) from error
+            raise DeviceError(f"{self.info.name} failed: {error}") from error
         if self.profile:
             self._events.append((self._stage, event))
 

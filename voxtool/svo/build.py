@@ -50,6 +50,10 @@ class DeviceOctree:
     def release(self) -> None:
         """Give back all device memory."""
         self.nodes.release()
+        self.release_refined()
+
+    def release_refined(self) -> None:
+        """Give back what served to build the octree."""
         for level in self.refined:
             level.codes.release()
             level.parent_index.release()

@@ -228,15 +228,15 @@ class _Scene:
                 mode=self.mode,
                 fill=self.fill,
                 offsets=tree.offsets,
-                nodes=tree.nodes.get(),
-                bricks=bricks.get(),
+                nodes=tree.nodes.take(),
+                bricks=bricks.take(),
                 plan=self.plan.scene(),
                 source_sha256=self.source_sha256,
                 units=self.units,
             )
-        tree.release()
-        for array in (bricks, self.vertices, self.faces):
-            array.release()
+        tree.release_refined()
+        self.vertices.release()
+        self.faces.release()
         return result
 
 
