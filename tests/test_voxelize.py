@@ -283,7 +283,9 @@ def test_windows_make_up_the_whole(device: Device, data) -> None:
 def test_a_million_triangles_in_a_voxel_and_one_over_the_grid(device: Device) -> None:
     rng = np.random.default_rng(3)
     vertices, faces = meshes.random_triangles(rng, 1_000_000, (1, 1, 1), margin=0)
-    vertices = np.concatenate([np.clip(vertices, 1, 255) + 256 * 100, [[0, 0, 0], [0, 65535, 9], [65535, 0, 7]]])
+    vertices = np.concatenate(
+        [np.clip(vertices, 1, 255) + 256 * 100, [[0, 0, 0], [0, 65535, 9], [65535, 0, 7]]]
+    )
     faces = np.concatenate([faces, [[len(vertices) - 3, len(vertices) - 2, len(vertices) - 1]]])
     octree = run(device, (vertices, faces), (256,) * 3, "surface26")
     alone = run(device, (vertices, faces[-1:]), (256,) * 3, "surface26")
@@ -311,6 +313,12 @@ def test_nothing_in_the_grid_is_an_empty_octree(device: Device, mode: str) -> No
     assert octree.count == 0
     assert len(octree.nodes) == 1
     assert len(octree.occupied()) == 0
+
+
+def test_a_vertex_that_no_face_uses_does_not_matter(device: Device) -> None:
+    vertices, faces = meshes.box((256, 256, 256), (2000, 2000, 2000))
+    far = np.concatenate([vertices, [[1 << 40, 0, 0]]])
+    assert run(device, (far, faces), (16,) * 3, "solid").count == 7**3
 
 
 # ---- refusals

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from voxtool.mesh import Mesh
 
 FIXED_POINT_BITS = 8  # a voxel is 2**8 units of the fixed-point lattice
-FIXED_POINT_LIMIT = 1 << 30  # coordinates beyond this many units are refused
+FIXED_POINT_LIMIT = (1 << 30) - 1  # units; differences of coordinates fit 32 bits
 MIN_DIM = 8
 MAX_DIM = 65536
 DEFAULT_MARGIN = 4
@@ -99,10 +99,16 @@ class Grid:
         if margin is not None and margin < 0:
             raise GridError(f"margin {margin} is negative: choose 0 or more voxels")
         low, high = _bounds(mesh, bbox)
+        with np.errstate(over="ignore"):
+            longest_extent = float(np.max(high - low))
+        if not math.isfinite(longest_extent):
+            raise GridError("the mesh spans more than floating point holds: scale it down")
         if fit == "stretch":
             if dim is None or bbox is not None or margin is not None:
                 raise GridError("fit 'stretch' goes with dim alone: drop pitch, bbox and margin")
-            return cls._stretched(low, high, dim)
+            grid = cls._stretched(low, high, dim)
+            _check_resolution(low, high, grid.pitch)
+            return grid
         if bbox is not None and margin is None:
             margin = 0
         if dim is not None:
@@ -114,7 +120,7 @@ class Grid:
                     f"margin {margin} on both sides leaves no voxel of dim {dim}: choose at most "
                     f"{(dim - 1) // 2}"
                 )
-            pitch = float(np.max(high - low)) / inner
+            pitch = longest_extent / inner
             if not pitch > 0:
                 raise GridError("the mesh is so small that a voxel has no size: scale it up")
             if bbox is None:
@@ -126,9 +132,10 @@ class Grid:
             count = _voxel_count(high - low, pitch)
             longest = int(count.max())
             if longest > MAX_DIM:
+                least = 1.001 * longest_extent / (MAX_DIM - 2 * DEFAULT_MARGIN)
                 raise GridError(
-                    f"pitch {pitch:g} makes {longest} voxels along the longest side: choose at "
-                    f"least {float(np.max(high - low)) / (MAX_DIM - 2 * DEFAULT_MARGIN):.4g}"
+                    f"pitch {pitch:g} makes {longest_extent / pitch:.7g} voxels along the longest "
+                    f"side, of {MAX_DIM} allowed: choose at least {least:.4g}"
                 )
             if margin is None:  # the largest m <= 4 that the dim it makes allows
                 margin = next(
@@ -136,7 +143,8 @@ class Grid:
                 )
             shape = count + 2 * margin
             shape[np.argmax(shape)] = max(int(shape.max()), MIN_DIM)
-        return cls(tuple(shape), tuple(low - margin * pitch), (pitch,) * 3)
+        _check_resolution(low, high, (pitch, pitch, pitch))
+        return cls(tuple(shape), tuple(low - margin * pitch), (pitch, pitch, pitch))
 
     @classmethod
     def _stretched(cls, low: np.ndarray, high: np.ndarray, dim: int) -> Grid:
@@ -178,12 +186,13 @@ class Grid:
 
         Raises
         ------
-        GridError : a coordinate lies beyond +-2**30 units, or is not finite.
+        GridError : a coordinate lies +-2**30 units away or farther, or is not finite.
         """
-        scaled = np.asarray(points, np.float64) - self.origin
-        scaled /= self.pitch
-        scaled *= 1 << FIXED_POINT_BITS
-        np.rint(scaled, out=scaled)
+        with np.errstate(over="ignore", invalid="ignore"):
+            scaled = np.asarray(points, np.float64) - self.origin
+            scaled /= self.pitch
+            scaled *= 1 << FIXED_POINT_BITS
+            np.rint(scaled, out=scaled)
         if scaled.size and not (
             scaled.min() >= -FIXED_POINT_LIMIT and scaled.max() <= FIXED_POINT_LIMIT
         ):
@@ -209,6 +218,18 @@ def _bounds(mesh: Mesh, bbox: Sequence[float] | None) -> tuple[np.ndarray, np.nd
     return box[0], box[1]
 
 
+def _check_resolution(low: np.ndarray, high: np.ndarray, pitch: Sequence[float]) -> None:
+    """Far from the origin, floating point cannot tell the corners of small voxels apart."""
+    farthest = np.maximum(np.abs(low), np.abs(high))
+    if (np.asarray(pitch) < 4 * np.spacing(farthest)).any():
+        raise GridError(
+            f"voxels of {min(pitch):g} are too small for floating point at coordinate "
+            f"{farthest.max():g}: move the mesh to the origin, or choose larger voxels"
+        )
+
+
 def _voxel_count(extent: np.ndarray, pitch: float) -> np.ndarray:
     """Voxels that cover each side, at least 1; a side that is whole to 1/512 voxel stays so."""
-    return np.maximum(np.ceil(extent / pitch - 1 / 512), 1).astype(np.int64)
+    with np.errstate(over="ignore"):
+        count = np.ceil(extent / pitch - 1 / 512)
+    return np.clip(count, 1, 1 << 40).astype(np.int64)

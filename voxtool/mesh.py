@@ -359,8 +359,8 @@ def _obj_vertex(words: list[bytes]) -> bytes:
             raise MeshError(f"coordinate {_shown(word)} is not finite: mend the vertex")
     if len(words) < 3:
         raise MeshError(
-            f"a vertex of {count_of(len(words), 'coordinate')} where 3 are needed: mend it, or the file "
-            "is truncated"
+            f"a vertex of {count_of(len(words), 'coordinate')} where 3 are needed: mend it, or the "
+            "file is truncated"
         )
     return b"v " + b" ".join(words)
 

@@ -14,7 +14,6 @@ NODE_BYTES = 8
 BRICK_BYTES = 8
 CELL = 8  # voxels along a side of a level-1 node
 BLOCK = 64  # voxels along a side of a block of level-1 nodes
-UNITS = 256  # fixed-point units in a voxel
 NARROW_EXTENT = 4096  # voxels up to which a triangle's predicates fit 64 bits
 CODE_32_SIDE = 8192  # voxels up to which level-1 Morton codes fit 32 bits
 DENSE_SIDE = 2048  # voxels up to which the level-1 volume is dense
@@ -118,7 +117,7 @@ class Plan:
                 f"the octree's side is {self.side}, of {CODE_32_SIDE} that 32 bits serve"
             )
         if not self.blocked:
-            out["blocked level-1 volume"] = f"dense, it takes {_dense_bytes(self.side) // 1024} KiB"
+            out["blocked level-1 volume"] = f"dense, it takes {_dense_bytes(self.side):,} bytes"
         if not self.tiled:
             out["sharing of triangles among work-items"] = extent
         if not self.solid:
@@ -159,7 +158,7 @@ class Plan:
         if self.device_bytes <= max_memory and self.nodes < MAX_LINK:
             return
         dim = max(self.shape)
-        low, high = 0, dim  # low fits, or is none
+        low, high = CELL - 1, dim  # low fits, or is none
         while high - low > 1:
             middle = (low + high) // 2
             smaller = _rescale(self, middle / dim)
@@ -226,7 +225,7 @@ def _dense_bytes(side: int) -> int:
 
 
 def _device_bytes(plan: Plan) -> int:
-    survey, active = plan.survey, plan.active
+    survey, active, finest = plan.survey, plan.active, plan.active[0]
     mesh = 12 * (survey.vertices + survey.triangles)
     shares = 4 * survey.triangles * (plan.tiled or plan.tiled_nodes)
     if plan.blocked:
@@ -235,7 +234,7 @@ def _device_bytes(plan: Plan) -> int:
     else:
         volume = _dense_bytes(plan.side)
     lists = sum(active) * (plan.code_bits // 8 + 4)
-    rows = 8 * active[0] if plan.solid else 0
+    rows = 8 * finest if plan.solid else 0
     if plan.entry:
         rows += 8 * -(-plan.shape[1] // CELL) * -(-plan.shape[2] // CELL)
     return mesh + shares + volume + lists + rows + plan.octree_bytes

@@ -19,25 +19,26 @@ SHORT = {"active nodes": "active", "surface26": "26-sep", "surface6": "6-sep",
          "crossings": "cross", "refine open rows": "refine"}  # fmt: skip
 
 
-class NumberList(click.ParamType):
-    """64,128,256."""
+class List(click.ParamType):
+    """Values of another type, with commas between them."""
 
-    name = "numbers"
+    def __init__(self, each: click.ParamType) -> None:
+        self.each = each
+        self.name = "list"
 
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> list[int]:
+    ) -> list[object]:
         if isinstance(value, list):
             return value
-        words = str(value).split(",")
-        if not all(w.strip().isdecimal() for w in words):
-            self.fail(f"{value!r} is no list of numbers: write 64,128,256", param, ctx)
-        return [int(w) for w in words]
+        return [self.each.convert(word.strip(), param, ctx) for word in str(value).split(",")]
 
 
 @click.group("bench")
 def command() -> None:
     """Measure voxtool, and its peers on the same work.
+
+    Times are in ms or s, memory in MB.
 
     \b
     Examples:
@@ -48,8 +49,22 @@ def command() -> None:
 
 @command.command("voxelize")
 @click.argument("models", nargs=-1, required=True)
-@click.option("--dims", type=NumberList(), default="64,128,256,512,1024,2048", show_default=True)
-@click.option("--modes", default="surface26,surface6,solid", show_default=True)
+@click.option(
+    "--dims",
+    type=List(click.IntRange(8, 65536)),
+    metavar="DIM,...",
+    default="64,128,256,512,1024,2048",
+    show_default=True,
+    help="Voxels along the longest side.",
+)
+@click.option(
+    "--modes",
+    type=List(click.Choice(["surface26", "surface6", "solid"])),
+    metavar="MODE,...",
+    default="surface26,surface6,solid",
+    show_default=True,
+    help="As of `voxtool voxelize`.",
+)
 @click.option(
     "--fit",
     type=click.Choice(["uniform", "stretch"]),
@@ -70,17 +85,18 @@ def command() -> None:
 def bench_voxelize(
     models: tuple[str, ...],
     dims: list[int],
-    modes: str,
+    modes: list[str],
     fit: str,
     repeat: int,
     peers: bool,
     device: str | None,
     as_json: bool,
 ) -> None:
-    """Time each stage of voxelizing MODELS; milliseconds, but command: seconds.
+    """Time each stage of voxelizing MODELS.
 
-    device: sum of the stages by the device's events; host: what Python adds; memory: mesh in memory
-    to octree in memory; command: the whole command in a process of its own, and its peak of memory.
+    Stages, device (their sum, by the device's events), host (what Python adds) and memory (mesh in
+    memory to octree in memory, and the runs' spread in %) are in ms; command (the whole command in
+    a process of its own) is in s and its peak of memory in MB.
 
     \b
     Examples:
@@ -92,7 +108,7 @@ def bench_voxelize(
 
     info = open_device(device).info
     rows = sweep(
-        list(models), dims, modes.split(","), fit=fit, repeat=repeat, device=str(info.index),
+        list(models), dims, modes, fit=fit, repeat=repeat, device=str(info.index),
         with_peers=peers,
     )  # fmt: skip
     if as_json:
@@ -108,18 +124,24 @@ def bench_voxelize(
             }
         )
         return
-    click.echo(f"voxtool {__version__}; {info.name}, {info.platform} {info.driver}")
     model = None
+    compared = False
     for row in rows:
+        if model is None:
+            click.echo(f"voxtool {__version__}; {info.name}, {info.platform} {info.driver}")
         if row.model != model:
             model = row.model
             click.echo(f"\n{model}: {row.triangles:,} triangles, fit {fit}\n{header()}")
         click.echo(line(row))
+        compared |= bool(row.peers)
+    if peers and not compared:
+        options.tell("no peer does these modes here: pip install vtk (solid), open3d (surface26)")
 
 
 def header() -> str:
     stages = "".join(f"{SHORT.get(s, s):>8}" for s in STAGES)
-    return f" dim mode     {stages}  device   host  memory +-%  command  peak MB  octree kB      voxels"
+    totals = "  device   host  memory +-%  command  peak MB  octree kB      voxels"
+    return f" dim mode     {stages}{totals}"
 
 
 def line(row: Row) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-
 import click
 
 from voxtool.cli import options
@@ -14,16 +12,16 @@ from voxtool.cli import options
 def command(as_json: bool) -> None:
     """List every OpenCL device, and whether the probe kernel ran on it.
 
-    Memory is in GB. The first device whose probe is ok is used; --device and $VOXTOOL_DEVICE choose
-    another.
+    Memory is in GB. The first device whose probe is ok is used, GPUs first; --device and
+    $VOXTOOL_DEVICE choose another, by its number, its kind or a part of its name.
 
     \b
     Examples:
-      voxtool devices
-      voxtool voxelize bunny.obj --device pocl
+      voxtool devices --json
+      voxtool voxelize bunny.obj --device cpu
     """
     from voxtool.opencl import list_devices
-    from voxtool.opencl.device import INSTALL_HINT
+    from voxtool.opencl.device import no_usable_device
 
     found = list_devices()
     if as_json:
@@ -35,5 +33,4 @@ def command(as_json: bool) -> None:
             f"buffer {d.max_allocation / 1e9:.1f} GB; probe {d.probe}"
         )
     if not any(d.probe == "ok" for d in found):
-        options.tell(f"error: no usable OpenCL device: {INSTALL_HINT}")
-        sys.exit(1)
+        raise no_usable_device([])

@@ -48,13 +48,14 @@ def command(
 ) -> None:
     """Export the set voxels of an octree FILE.
 
-    .npy is the dense bool array [x, y, z]; .npz the coordinates of the set voxels with origin, pitch
-    and shape; .vti cell data for ParaView; .png a slice. World = origin + pitch * voxel.
+    .npy is the dense bool array [x, y, z]; .npz the coordinates of the set voxels, in voxels, with
+    origin, pitch and shape; .vti cell data for ParaView; .png a slice. In the mesh's own units, the
+    low corner of a voxel is origin + pitch * voxel.
 
     \b
     Examples:
       voxtool export bunny.svo.h5 -o bunny.vti
-      voxtool export bunny.svo.h5 -o slice.png --slice z=256
+      voxtool export bunny.svo.h5 -o slice.png --slice z=100
     """
     from voxtool.files import EXPORTS, export, format_of, read_svo
 

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import json
 import sys
-import time
-from typing import TYPE_CHECKING, Any
+import threading
+from typing import TYPE_CHECKING, Any, Self
 
 import click
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from voxtool.opencl import Device
-
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 PROGRESS_AFTER = 1.0  # seconds
+BAR = "voxtool.bar"  # where a context keeps its Progress
 
 
 class Bytes(click.ParamType):
@@ -32,7 +31,7 @@ class Bytes(click.ParamType):
             number = float(text.removesuffix(unit)) * UNITS[unit]
         except ValueError:
             number = -1
-        if not 0 < number < float(1 << 62):
+        if not 1 <= number < float(1 << 62):
             self.fail(f"{value!r} is no number of bytes: write 800M or 8G", param, ctx)
         return int(number)
 
@@ -41,8 +40,8 @@ def device_option(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option(
         "--device",
         metavar="DEVICE",
-        help="Number, kind (cpu, gpu) or part of a name, as `voxtool devices` lists them; "
-        "default $VOXTOOL_DEVICE, or the first that works, GPUs first.",
+        help="Number, kind (cpu, gpu) or part of a name, as `voxtool devices` lists them.  "
+        "[default: $VOXTOOL_DEVICE, or the first that works, GPUs first]",
     )(function)
 
 
@@ -76,34 +75,80 @@ def output_options(metavar: str, default: str) -> Decorator:
     return decorate
 
 
-def print_json(value: Any) -> None:
-    click.echo(json.dumps(value, indent=2))
+def print_json(value: Any, err: bool = False) -> None:
+    click.echo(json.dumps(value, indent=2), err=err)
 
 
-def tell(message: str, quiet: bool = False) -> None:
-    """A line on stderr."""
-    if not quiet:
-        click.echo(f"voxtool: {message}", err=True)
+def is_quiet() -> bool:
+    """Whether the command that runs was given -q."""
+    context = click.get_current_context(silent=True)
+    return bool(context and context.params.get("quiet"))
+
+
+def tell(message: str) -> None:
+    """A line on stderr; with -q only errors, which are told when the command has ended."""
+    if is_quiet():
+        return
+    context = click.get_current_context(silent=True)
+    bar: Progress | None = context.meta.get(BAR) if context else None
+    if bar:
+        bar.erase()
+    click.echo(f"voxtool: {message}", err=True)
 
 
 class Progress:
-    """A bar of the plan's stages on stderr, if it is a terminal and the work is long."""
+    """A bar of stages on stderr, if it is a terminal and the work takes longer than a second.
 
-    def __init__(self, device: Device, stages: list[str], quiet: bool) -> None:
+    A context manager, within a command: when it ends, by an error too, the bar is erased.
+    """
+
+    def __init__(self, stages: list[str]) -> None:
         self.stages = stages
-        self.shown = False
-        self.start = time.perf_counter()
-        self.enabled = not quiet and sys.stderr.isatty()
-        device.on_stage = self._enter
+        self.done = 0
+        self.stage = ""
+        self.width = 0  # of what is shown
+        self.due = False
+        self.lock = threading.Lock()
+        self.timer = threading.Timer(PROGRESS_AFTER, self._appear)
+        self.timer.daemon = True
 
-    def _enter(self, stage: str) -> None:
-        if not self.enabled or time.perf_counter() - self.start < PROGRESS_AFTER:
+    def __enter__(self) -> Self:
+        if sys.stderr and sys.stderr.isatty() and not is_quiet():
+            click.get_current_context().meta[BAR] = self
+            self.timer.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.timer.cancel()
+        with self.lock:
+            self.due = False
+        self.erase()
+        click.get_current_context().meta.pop(BAR, None)
+
+    def enter(self, stage: str) -> None:
+        """A stage begins; one that was not foreseen is named and does not count."""
+        with self.lock:
+            self.stage = stage
+            if stage in self.stages:
+                self.done = self.stages.index(stage)
+            self._draw()
+
+    def erase(self) -> None:
+        """Clear the line, until the next stage begins."""
+        with self.lock:
+            if self.width:
+                click.echo(f"\r{' ' * self.width}\r", err=True, nl=False)
+                self.width = 0
+
+    def _appear(self) -> None:
+        with self.lock:
+            self.due = not self.timer.finished.is_set()  # cancelled in the meantime
+            self._draw()
+
+    def _draw(self) -> None:
+        if not self.due:
             return
-        done = self.stages.index(stage) if stage in self.stages else len(self.stages)
-        bar = "#" * done + "." * (len(self.stages) - done)
-        click.echo(f"\r\033[K[{bar}] {stage}", err=True, nl=False)
-        self.shown = True
-
-    def finish(self) -> None:
-        if self.shown:
-            click.echo("\r\033[K", err=True, nl=False)
+        left = len(self.stages) - self.done
+        text = f"[{'#' * self.done}{'.' * left}] {self.stage}"
+        click.echo(f"\r{text:<{self.width}}", err=True, nl=False)
+        self.width = len(text)

@@ -35,7 +35,7 @@ def command(file: str, check: bool, digest: bool, as_json: bool) -> None:
         click.echo(octree.digest())
         return
     info = octree.summary()
-    if file != "-":
+    if os.path.isfile(file):  # neither stdin nor a pipe
         info["file_bytes"] = os.path.getsize(file)
     if check:
         info["check"] = "ok"
@@ -50,8 +50,9 @@ def command(file: str, check: bool, digest: bool, as_json: bool) -> None:
 def print_text(info: dict[str, Any]) -> None:
     shape, origin, pitch = (info[name] for name in ("shape", "origin", "pitch"))
     unit = f" {info['units']}" if info["units"] else ""
+    size = " x ".join(map(str, shape))
     rows = [
-        ("grid", f"{' x '.join(map(str, shape))} voxels (dim {info['dim']}, depth {info['depth']})"),
+        ("grid", f"{size} voxels (dim {info['dim']}, depth {info['depth']})"),
         ("mode", info["mode"] + ("" if info["fill"] == "none" else f", filled by {info['fill']}")),
         ("origin", f"{' '.join(f'{v:.9g}' for v in origin)}{unit}"),
         ("pitch", f"{' '.join(f'{v:.9g}' for v in pitch)}{unit}"),
@@ -64,11 +65,13 @@ def print_text(info: dict[str, Any]) -> None:
     ]  # fmt: skip
     for name, text in rows:
         click.echo(f"{name:<12} {text}")
-    click.echo("\nlevel   side     nodes   refined    inside     set voxels   coverage")
+    click.echo(
+        "\nlevel   side        nodes      refined       inside          set voxels   coverage"
+    )
     for row in info["levels"]:
         click.echo(
-            f"{row['level']:>5} {row['side']:>6} {row['nodes']:>9,} {row['refined']:>9,} "
-            f"{row['inside']:>9,} {row['voxels']:>14,} {100 * row['coverage']:>8.2f} %"
+            f"{row['level']:>5} {row['side']:>6} {row['nodes']:>12,} {row['refined']:>12,} "
+            f"{row['inside']:>12,} {row['voxels']:>19,} {100 * row['coverage']:>8.2f} %"
         )
     if info["plan"].get("left_out"):
         click.echo("\nleft out")

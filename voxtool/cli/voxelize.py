@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
@@ -9,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli import options
+from voxtool.errors import MemoryLimitError
 
 if TYPE_CHECKING:
     from voxtool.grid import Grid
@@ -35,7 +37,9 @@ if TYPE_CHECKING:
     help="What is inside, for solid: an odd number of crossings along x.",
 )
 @click.option("--with-surface", is_flag=True, help="solid and surface26: thin walls survive.")
-@click.option("--dim", type=int, help="Voxels along the longest side, 8 to 65536.  [default: 256]")
+@click.option(
+    "--dim", type=click.IntRange(8, 65536), help="Voxels along the longest side.  [default: 256]"
+)
 @click.option("--pitch", type=float, help="Voxel size in world units, instead of --dim.")
 @click.option(
     "--bbox",
@@ -47,7 +51,7 @@ if TYPE_CHECKING:
 @click.option("--like", metavar="FILE.svo.h5", help="The grid of another octree.")
 @click.option(
     "--margin",
-    type=int,
+    type=click.IntRange(0),
     help="Empty voxels on each side.  [default: min(4, dim // 8), 0 with --bbox]",
 )
 @click.option(
@@ -110,57 +114,110 @@ def command(
       voxtool voxelize bunny.obj --dim 512 --mode solid
       voxtool voxelize bunny.obj --pitch 0.01 --mode surface26 -o bunny.svo.xml
     """
-    if like and (dim is not None or pitch is not None or bbox or margin is not None):
-        raise click.UsageError("--like sets the grid: drop --dim, --pitch, --bbox and --margin")
+    placed = {"--dim": dim, "--pitch": pitch, "--bbox": bbox, "--margin": margin}
+    check_usage([name for name, value in placed.items() if value is not None], like, fit)
     if with_surface and mode != "solid":
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
     started = time.perf_counter()
-    from voxtool.files import check_target, read_svo, write_svo
+    from voxtool.files import (
+        SVO_FORMATS,
+        TEXT_FORMATS,
+        check_target,
+        format_of,
+        read_svo,
+        write_svo,
+    )
+    from voxtool.files.memory import human
+    from voxtool.grid import Grid
     from voxtool.mesh import load_mesh
     from voxtool.opencl import open_device
     from voxtool.svo.voxelize import plan_voxelize, voxelize
 
     if output is None:
         output = default_output(mesh)
-    if output != "-" and not only_plan:
-        check_target(output, not no_clobber)
-    loaded = load_mesh(mesh)
-    grid = read_svo(like).grid if like else fit_grid(loaded, dim, pitch, bbox, margin, fit)
-    chosen = open_device(device, profile=verbose)
-    request: dict[str, Any] = {"fill": fill, "with_surface": with_surface, "device": chosen}
-    if only_plan:
-        print_plan(plan_voxelize(loaded, grid, mode, **request), grid, as_json)
-        return
-    if mode == "solid":
-        warn_if_open(loaded, quiet)
-    progress = options.Progress(chosen, [], quiet)
-    octree = voxelize(loaded, grid, mode, max_memory=max_memory, **request)
-    progress.finish()
-    write_svo(octree, output, not no_clobber, file_format)
+    file_format = file_format or format_of(output, SVO_FORMATS)
+    if not only_plan:
+        if output != "-":
+            check_target(output, not no_clobber)
+        elif sys.stdout.isatty() and file_format not in TEXT_FORMATS:
+            raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
+    with options.Progress(stages(mode, with_surface)) as progress:
+        progress.enter("read mesh")
+        loaded = load_mesh(mesh)
+        if like:
+            grid = read_svo(like).grid
+        else:
+            grid = Grid.fit(loaded, dim, pitch=pitch, bbox=bbox, margin=margin, fit=fit)
+        chosen = open_device(device, profile=verbose)
+        chosen.on_stage = progress.enter
+        request: dict[str, Any] = {"fill": fill, "with_surface": with_surface, "device": chosen}
+        if only_plan:
+            plan = plan_voxelize(loaded, grid, mode, **request)
+            progress.erase()
+            print_plan(plan, grid, as_json)
+            warn_if_refused(plan, max_memory or chosen.max_memory)
+            return
+        if mode == "solid":
+            progress.enter("check mesh")
+            warn_if_open(loaded)
+        octree = voxelize(loaded, grid, mode, max_memory=max_memory, **request)
+        progress.enter("write file")
+        write_svo(octree, output, not no_clobber, file_format)
 
     seconds = time.perf_counter() - started
-    result = {
-        "output": output,
-        "dim": grid.dim,
-        "mode": octree.mode,
-        "voxels": octree.count,
-        "nodes": len(octree.nodes),
-        "bricks": len(octree.bricks),
-        "bytes": octree.nbytes,
-        "seconds": round(seconds, 3),
-    }
-    if as_json and output != "-":
-        options.print_json(result)
+    if as_json:
+        result = {
+            "output": output,
+            "dim": grid.dim,
+            "mode": octree.mode,
+            "voxels": octree.count,
+            "nodes": len(octree.nodes),
+            "bricks": len(octree.bricks),
+            "bytes": octree.nbytes,
+            "seconds": round(seconds, 3),
+        }
+        if output != "-" or not quiet:
+            options.print_json(result, err=output == "-")
     else:
+        source, target = mesh if mesh != "-" else "stdin", output if output != "-" else "stdout"
         options.tell(
-            f"{mesh} -> {output}: {octree.mode}, dim {grid.dim}, pitch {grid.pitch[0]:.6g}; "
-            f"{octree.count:,} voxels in {octree.nbytes / 1e6:,.1f} MB, {seconds:.2f} s",
-            quiet,
+            f"{source} -> {target}: {octree.mode}, dim {grid.dim}, pitch {pitch_of(grid)}; "
+            f"{octree.count:,} voxels in {human(octree.nbytes)}, {seconds:.2f} s"
         )
     if verbose:
         options.tell(f"{chosen.info.name} ({chosen.info.platform})")
         for stage, time_on_device in chosen.stage_times().items():
             options.tell(f"  {stage:<18} {1e3 * time_on_device:9.2f} ms")
+
+
+def check_usage(placed: list[str], like: str | None, fit: str) -> None:
+    """Refuse options that place the grid in two ways; `placed` names those that are given."""
+    names = " and ".join(placed)
+    if like and (placed or fit != "uniform"):
+        raise click.UsageError(f"--like sets the grid: drop {names or '--fit'}")
+    if {"--dim", "--pitch"} <= set(placed):
+        raise click.UsageError("--dim and --pitch both set the voxel size: drop one of them")
+    if fit == "stretch" and placed not in ([], ["--dim"]):
+        raise click.UsageError(
+            "--fit stretch goes with --dim alone: drop --pitch, --bbox, --margin"
+        )
+
+
+def stages(mode: str, with_surface: bool) -> list[str]:
+    """What the progress bar counts: the plan's stages, and what comes before and after."""
+    solid = mode == "solid"
+    surface = "surface26" if with_surface else "" if solid else mode
+    return [
+        "read mesh",
+        *(["check mesh"] if solid else []),
+        "survey",
+        "active nodes",
+        "octree",
+        *(["crossings", "rows", "fill"] if solid else []),
+        *([surface] if surface else []),
+        "read back",
+        "write file",
+    ]
 
 
 def default_output(mesh: str) -> str:
@@ -173,20 +230,21 @@ def default_output(mesh: str) -> str:
     return f"{PurePath(name).stem}.svo.h5"
 
 
-def fit_grid(
-    mesh: Mesh,
-    dim: int | None,
-    pitch: float | None,
-    bbox: tuple[float, ...] | None,
-    margin: int | None,
-    fit: str,
-) -> Grid:
-    from voxtool.grid import Grid
-
-    return Grid.fit(mesh, dim, pitch=pitch, bbox=bbox or None, margin=margin, fit=fit)
+def pitch_of(grid: Grid) -> str:
+    """0.01, or where the axes differ 0.01 x 0.02 x 0.03."""
+    sizes = [f"{p:.6g}" for p in grid.pitch]
+    return sizes[0] if len(set(grid.pitch)) == 1 else " x ".join(sizes)
 
 
-def warn_if_open(mesh: Mesh, quiet: bool) -> None:
+def warn_if_refused(plan: Plan, max_memory: int) -> None:
+    """What is planned may be more than there is memory for."""
+    try:
+        plan.refuse_beyond(max_memory)
+    except MemoryLimitError as error:
+        options.tell(f"warning: this will be refused: {error}")
+
+
+def warn_if_open(mesh: Mesh) -> None:
     """Parity needs a closed mesh: say what is wrong with this one."""
     from voxtool.diagnosis import diagnose
 
@@ -194,8 +252,7 @@ def warn_if_open(mesh: Mesh, quiet: bool) -> None:
     if not diagnosis.even:
         options.tell(
             f"warning: {mesh.name or 'mesh'} is {diagnosis.summary()}; filled by parity, rows of "
-            "voxels along x leak where they pass a gap",
-            quiet,
+            "voxels along x leak where they pass a gap"
         )
 
 
@@ -206,15 +263,17 @@ def print_plan(plan: Plan, grid: Grid, as_json: bool) -> None:
             {**plan.as_dict(), "origin": list(grid.origin), "pitch": list(grid.pitch)}
         )
         return
+    from voxtool.files.memory import human
+
     shape = " x ".join(map(str, plan.shape))
     rows = [
-        ("grid", f"{shape} voxels of {grid.pitch[0]:.6g}, octree of {plan.levels} levels"),
+        ("grid", f"{shape} voxels of {pitch_of(grid)}, octree of {plan.levels} levels"),
         ("scene", f"{plan.survey.triangles:,} triangles, {plan.survey.outside:,} outside; the "
          f"largest spans {plan.survey.extent:.1f} voxels"),
         ("stages", ", ".join(plan.stages)),
         *(("left out", f"{what}: {why}") for what, why in plan.left_out().items()),
         ("predicted", f"{plan.bricks:,} bricks, {plan.nodes:,} nodes, "
-         f"{plan.octree_bytes / 1e6:,.1f} MB; {plan.device_bytes / 1e6:,.1f} MB on the device"),
+         f"{human(plan.octree_bytes)}; {human(plan.device_bytes)} on the device"),
         ("work", f"about {plan.work:,} voxels and crossings visited"),
     ]  # fmt: skip
     for name, text in rows:

@@ -39,7 +39,7 @@ EXPORTS = {name: (name, "write") for name in ("npy", "npz", "vti", "png")}
 TEXT_FORMATS = ("svo.xml", "xml")  # fit for a terminal
 
 MESH_EXTENSIONS = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".3mf", ".dae", ".xyz")
-MESH_OPENINGS = (b"ply\n", b"ply\r", b"solid ", b"OFF\n", b"OFF\r", b"glTF", b"# Blender", b"v ")
+MESH_OPENINGS = (b"ply\n", b"ply\r", b"solid ", b"OFF\n", b"OFF\r", b"glTF", b"#", b"v ")
 EXPORT_EXTENSIONS = tuple(f".{name}" for name in EXPORTS)
 
 

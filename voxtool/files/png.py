@@ -64,7 +64,7 @@ def draw(octree: Octree, axis: str = "z", value: int | None = None) -> np.ndarra
         raise GridError(f"axis {axis!r} is unknown: choose x, y or z")
     normal = AXES.index(axis)
     count = octree.grid.shape[normal]
-    value = count // 2 if value is None else value
+    value = _middle(octree, normal) if value is None else value
     if not 0 <= value < count:
         raise GridError(f"slice {axis}={value} lies outside the grid: choose 0 to {count - 1}")
     right, up = (a for a in range(3) if a != normal)
@@ -81,6 +81,17 @@ def draw(octree: Octree, axis: str = "z", value: int | None = None) -> np.ndarra
     for level in leaves:
         _outline(picture, level, level.touching(value), scale)
     return picture[::-1]
+
+
+def _middle(octree: Octree, axis: int) -> int:
+    """The layer in the middle of what is set; of the grid, where nothing is."""
+    low, high = octree.grid.shape[axis], 0
+    for level in octree.levels():
+        held = level.inside if level.number else octree.bricks != 0
+        cells = level.cells[held, axis]
+        if len(cells):
+            low, high = min(low, int(cells.min())), max(high, int(cells.max()) + level.side)
+    return min(low + high, 2 * octree.grid.shape[axis] - 1) // 2
 
 
 def _outline(picture: np.ndarray, level: Leaves, chosen: slice, scale: int) -> None:

@@ -221,12 +221,23 @@ class Array:
         else:
             self.device.finish_into(self.buffer, self.host.nbytes)
             values = self.host[: self.size * self.dtype.itemsize].view(self.dtype)
+            self.host = None
         self.release()
         return values
 
     def release(self) -> None:
-        """Give the memory back now; the array must not be used again."""
+        """Give the memory back; the array must not be used again."""
         self.buffer.release()
+        self._retire()
+
+    def _retire(self) -> None:
+        """Shared memory must outlive the work that is still enqueued on it."""
+        if self.host is not None:
+            self.device.retired.append(self.host)
+            self.host = None
+
+    def __del__(self) -> None:
+        self._retire()
 
 
 class Device:
@@ -242,6 +253,7 @@ class Device:
         self.profile = profile
         self.shares_memory = info.kind == "CPU"
         self.max_memory = min(info.memory, _machine_memory() if info.kind == "CPU" else sys.maxsize)
+        self.retired: list[np.ndarray] = []  # shared memory, kept until the queue has run dry
         self.on_stage: Callable[[str], None] | None = None  # told of each stage that begins
         self._stage = "other"
         self._events: list[tuple[str, Any]] = []
@@ -301,13 +313,25 @@ class Device:
         self._enqueue(self._cl.enqueue_copy, array.buffer, np.ascontiguousarray(values))
 
     def read(self, values: np.ndarray, buffer: Any, offset: int) -> None:
+        """Copy from a buffer; waits for all that was enqueued."""
         self._enqueue(self._cl.enqueue_copy, values, buffer, src_offset=offset)
+        self.retired.clear()
 
     def finish_into(self, buffer: Any, nbytes: int) -> None:
         """Wait until the shared memory of a buffer holds what the device wrote."""
-        read = self._cl.map_flags.READ
-        mapped, _ = self._cl.enqueue_map_buffer(self.queue, buffer, read, 0, nbytes, np.uint8)
-        mapped.base.release()
+
+        def map_and_unmap(queue: Any) -> Any:
+            read = self._cl.map_flags.READ
+            mapped, event = self._cl.enqueue_map_buffer(queue, buffer, read, 0, nbytes, np.uint8)
+            mapped.base.release()
+            return event
+
+        self._enqueue(map_and_unmap)
+        self.retired.clear()
+
+    def __del__(self) -> None:
+        if hasattr(self, "queue"):
+            self.queue.finish()
 
     # ---- work
 

@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from voxtool.errors import MemoryLimitError
 from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
+from voxtool.plan import MAX_LINK
 from voxtool.svo.octree import NODE
 
 SOURCE = "svo/build.cl"
@@ -111,7 +113,12 @@ def _link(device: Device, refined: list[RefinedNodes]) -> DeviceOctree:
     """Number the nodes, root first, and link parents and children."""
     top = len(refined)
     counts = [1, *(8 * level.n for level in reversed(refined))]
-    offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.uint32)
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    if offsets[-1] > MAX_LINK:
+        raise MemoryLimitError(
+            f"an octree of {offsets[-1]:,} nodes exceeds links of 30 bits: choose a smaller dim"
+        )
+    offsets = offsets.astype(np.uint32)
     nodes = device.zeros(int(offsets[-1]), NODE)
     link_level = device.kernel(SOURCE, "link_level", CODE=code_name(refined[0].codes.dtype))
     for number, level in enumerate(refined, 1):

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.errors import GridError, VoxtoolError
+from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.opencl import Array, Device, open_device, program
 from voxtool.opencl.primitives import exclusive_scan
@@ -140,7 +140,10 @@ class _Scene:
         self.mode = mode + ("+surface26" if with_surface else "")
         self.fill = fill if mode == "solid" else "none"
         self.source_sha256, self.units = mesh.source_sha256, mesh.units
-        fixed = grid.to_fixed(mesh.vertices)
+        try:
+            fixed = grid.to_fixed(mesh.vertices)
+        except GridError:  # but for vertices that no face uses?
+            fixed = grid.to_fixed(_used_vertices(mesh))
         if window is not None:
             low, shape = window
             if min(low) < 0 or any(
@@ -208,6 +211,13 @@ class _Scene:
             self.n, self.vertices, self.faces, np.uint32(self.n), np.int32(kind), np.int32(level),
             self.shape(level), np.int32(self.pad if level else 0), tiles,
         )  # fmt: skip
+        if self.n * (max(self.grid.shape) // TILE + 1) ** 2 >= 1 << 32:  # they could be so many
+            total = int(tiles.get(0, self.n).sum(dtype=np.uint64))
+            if total >= 1 << 32:
+                raise MemoryLimitError(
+                    f"{total:,} shares of large triangles exceed 32-bit indices: choose a smaller "
+                    "dim, or voxelize windows of the grid"
+                )
         return tiles, np.uint32(1), np.uint32(exclusive_scan(tiles, self.n))
 
     def scan_convert(self, name: str, kind: int, level: int, tiled: bool, *args) -> None:
@@ -238,6 +248,13 @@ class _Scene:
         self.vertices.release()
         self.faces.release()
         return result
+
+
+def _used_vertices(mesh: Mesh) -> np.ndarray:
+    """The vertices, where those that no face uses are moved onto one that is."""
+    used = np.zeros(len(mesh.vertices), bool)
+    used[mesh.faces] = True
+    return np.where(used[:, None], mesh.vertices, mesh.vertices[mesh.faces[0, 0]])
 
 
 # ---- active nodes (section 3.2, listing A.4)
