@@ -20,6 +20,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from voxtool import diagnosis, wavefront
 from voxtool import mesh as mesh_module
 from voxtool.diagnosis import diagnose
 from voxtool.errors import MeshError
@@ -81,8 +82,8 @@ def test_the_rewritten_obj_is_the_same_mesh(tmp_path):
     text = b"".join(b"v %r %r %r\n" % tuple(p) for p in rng.random((9, 3)).tolist())
     text += b"".join(b"f %d %d %d\n" % tuple(f) for f in rng.integers(1, 10, (20, 3)).tolist())
     odd = text.replace(b"f ", b"\tf\t").replace(b"v ", b" v  ")
-    assert mesh_module._plain_obj(text)
-    assert not mesh_module._plain_obj(odd)
+    assert wavefront.plain(text)
+    assert not wavefront.plain(odd)
     for other in (odd, text.replace(b"\n", b"\r\n"), b"\xef\xbb\xbf" + text):
         assert read(other).vertices.tobytes() == read(text).vertices.tobytes()
         assert (read(other).faces == read(text).faces).all()
@@ -107,7 +108,7 @@ def test_groups_objects_and_materials_merge_in_order():
 
 def test_texture_seams_do_not_split_vertices():
     text = V3 + b"v 1 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt .5 .5\nf 1/1 2/2 3/3\nf 3/4 2/1 4/2\n"
-    assert mesh_module._plain_obj(text)
+    assert wavefront.plain(text)
     mesh = read(text)
     assert len(mesh.vertices) == 4
     assert mesh.faces.tolist() == [[0, 1, 2], [2, 1, 3]]
@@ -447,7 +448,7 @@ def test_zero_area_is_exact(numbers, k):
     x = [[Fraction(v) for v in row] for row in triangle.tolist()]
     u, v = ([a - b for a, b in zip(x[i], x[0], strict=True)] for i in (1, 2))
     flat = all(u[i] * v[j] == u[j] * v[i] for i, j in ((0, 1), (1, 2), (2, 0)))
-    assert mesh_module._collinear(triangle[None])[0] == flat
+    assert diagnosis._collinear(triangle[None])[0] == flat
 
 
 def naive(points, faces):

@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from voxtool.mesh import Mesh, count_of
+from voxtool.errors import count_of
+from voxtool.mesh import Mesh
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,9 @@
 """What can go wrong: each message is one line that names the thing, the place and the mend."""
 
+from __future__ import annotations
+
+from typing import Any
+
 
 class VoxtoolError(Exception):
     """Base of every error that voxtool raises on purpose."""
@@ -23,3 +27,27 @@ class DeviceError(VoxtoolError):
 
 class MemoryLimitError(VoxtoolError):
     """A request needs more memory than it may take."""
+
+
+# --- words for messages --------------------------------------------------------------------------
+
+
+def count_of(count: int, noun: str) -> str:
+    """1 vertex, 2 vertices."""
+    plural = {"vertex": "vertices"}.get(noun, noun + "s")
+    return f"{count} {noun if count == 1 else plural}"
+
+
+def printable(text: Any) -> str:
+    """The text with ? for what would break a line or a terminal."""
+    return "".join(c if c.isprintable() else "?" for c in str(text))
+
+
+def one_line(error: BaseException) -> str:
+    """Another library's message, on one line of bounded length."""
+    return printable(" ".join(str(error).split()))[:200]
+
+
+def shown(word: bytes) -> str:
+    """The beginning of a word of a file, in quotes."""
+    return repr(word[:40].decode("ascii", "replace"))

@@ -11,21 +11,20 @@ import contextlib
 import hashlib
 import io
 import json
-import math
 import os
 import re
 import sys
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from voxtool.errors import MeshError
+from voxtool import wavefront
+from voxtool.errors import MeshError, count_of, one_line, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    pass
 
 KINDS = ("obj", "stl", "ply", "off", "glb", "gltf")  # what trimesh reads with numpy alone
 MAX_COUNT = (1 << 31) - 1  # triangles, and vertices: indices are int32
@@ -89,7 +88,7 @@ def mesh_from_arrays(
         points = np.ascontiguousarray(vertices, np.float64)
         corners = np.asarray(faces)
     except (TypeError, ValueError) as error:
-        raise MeshError(f"{where}: not arrays of numbers: {_one_line(error)}") from None
+        raise MeshError(f"{where}: not arrays of numbers: {one_line(error)}") from None
     if corners.size == 0:
         raise MeshError(
             f"{where}: {count_of(len(points), 'point')} and no faces: export its triangles"
@@ -138,7 +137,7 @@ def load_mesh(path: str | os.PathLike[str] | BinaryIO, file_type: str | None = N
     """
     if isinstance(path, os.PathLike):
         path = os.fsdecode(path)
-    name = _printable(path if isinstance(path, str) else getattr(path, "name", "stream"))
+    name = printable(path if isinstance(path, str) else getattr(path, "name", "stream"))
     if path == "-":
         name = "standard input"
     try:
@@ -157,12 +156,12 @@ def load_mesh(path: str | os.PathLike[str] | BinaryIO, file_type: str | None = N
     if kind != "obj":
         return _through_trimesh(name, kind, data, digest)
     _refuse_binary(name, data)
-    plain = _plain_obj(data)
+    plain = wavefront.plain(data)
     try:
-        return _through_trimesh(name, kind, plain or _rewritten_obj(name, data), digest)
+        return _through_trimesh(name, kind, plain or wavefront.rewritten(name, data), digest)
     except MeshError:
         if plain:
-            _rewritten_obj(name, data)  # finds the line and says it
+            wavefront.rewritten(name, data)  # finds the line and says it
         raise
 
 
@@ -184,7 +183,7 @@ def _cannot_open(name: str, error: Exception) -> str:
         return f"{name}: this is a folder: name a mesh file in it"
     if isinstance(error, PermissionError):
         return f"{name}: permission denied: make the file readable"
-    return f"{name}: {getattr(error, 'strerror', None) or _one_line(error)}: check the file"
+    return f"{name}: {getattr(error, 'strerror', None) or one_line(error)}: check the file"
 
 
 def _read_all(name: str, stream: BinaryIO, first: bytes = b"") -> bytes:
@@ -218,7 +217,7 @@ def _unpacked(name: str, data: bytes) -> bytes:
     except EOFError:
         raise MeshError(f"{name}: truncated: the gzip data ends early: copy it again") from None
     except (OSError, zlib.error) as error:
-        raise MeshError(f"{name}: damaged gzip data: {_one_line(error)}: copy it again") from None
+        raise MeshError(f"{name}: damaged gzip data: {one_line(error)}: copy it again") from None
     if not data:
         raise MeshError(f"{name}: the file is empty once unpacked: export the mesh again")
     _refuse_other_files(name, data)
@@ -282,105 +281,6 @@ def _stl_size(data: bytes) -> int:
     return 84 + 50 * int.from_bytes(data[80:84], "little")
 
 
-# --- OBJ -----------------------------------------------------------------------------------------
-
-# trimesh counts relative indices from the end of the file, takes index 0 for 1, sorts faces by
-# material and polygon, and overlooks lines that begin with a blank. So it gets `v x y z` and
-# `f a b c` lines alone; most files are those once comments, names and texture references are gone.
-NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-PLAIN_OBJ = re.compile(rb"(?:(?:v(?: +" + NUMBER + rb"){3}|f(?: +[1-9]\d{0,9}){3}|) *\r?\n)*+")
-OBJ_NUMBER = re.compile(NUMBER)
-OBJ_NOT_FINITE = re.compile(rb"(?i)[-+]?(?:nan|inf|infinity)")
-OBJ_ASIDE = re.compile(rb"^(?:#|v[tnp] |[ogs] |usemtl |mtllib )[^\\\n]*$", re.M)
-OBJ_REFERENCE = re.compile(rb"^([-+]?\d{1,10})(?:/(?:[-+]?\d+)?){0,2}$")
-
-
-def _plain_obj(data: bytes) -> bytes:
-    """The v and f lines of an OBJ without oddities, as they stand; b"" if it has some."""
-    if b"#" in data or re.search(rb"^[a-eg-uw-z]|^v[tnp]", data, re.M):
-        data = OBJ_ASIDE.sub(b"", data)
-    if b"/" in data and not re.search(rb"^v[^\n]*/", data, re.M):
-        data = re.sub(rb"(?<=\d)/-?\d*(?:/-?\d*)?(?=\s)", b"", data)
-    if not data.endswith(b"\n"):
-        data += b"\n"
-    match = PLAIN_OBJ.match(data)
-    return data if match and match.end() == len(data) else b""
-
-
-def _obj_statements(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
-    """Line number and words of each statement; a backslash continues a line."""
-    begun, first = b"", 0
-    for number, line in enumerate(data.splitlines(), 1):
-        line = begun + line.partition(b"#")[0]
-        first = first or number
-        if line.endswith(b"\\"):
-            begun = line[:-1] + b" "
-            continue
-        yield first, line.split()
-        begun, first = b"", 0
-    if begun:
-        yield first, begun.split()
-
-
-def _rewritten_obj(name: str, data: bytes) -> bytes:
-    """The OBJ as `v x y z` and `f a b c` lines alone: indices absolute, polygons as fans.
-
-    Raises
-    ------
-    MeshError : a line cannot be understood; names it.
-    """
-    data = data.removeprefix(b"\xef\xbb\xbf")
-    total = len(re.findall(rb"^[ \t]*v[ \t]", data, re.M))
-    lines, known, line, corners = [], 0, 0, [0] * 3
-    try:
-        for line, words in _obj_statements(data):  # noqa: B007 (for the message)
-            corners = [0] * 3
-            if words[:1] == [b"v"]:
-                known += 1
-                lines.append(_obj_vertex(words[1:4]))
-            elif words[:1] == [b"f"]:
-                corners = [_obj_index(word, known, total) for word in words[1:]]
-                for b, c in pairwise(corners[1:]):
-                    lines.append(b"f %d %d %d" % (corners[0], b, c))
-        if len(corners) < 3 and not data.endswith((b"\n", b"\r")):
-            raise MeshError(
-                f"the last face has {count_of(len(corners), 'vertex')}: the file is truncated"
-            )
-    except MeshError as error:
-        raise MeshError(f"{name}, line {line}: {error}") from None
-    return b"\n".join(lines) + b"\n"
-
-
-def _obj_vertex(words: list[bytes]) -> bytes:
-    for word in words:
-        if not OBJ_NUMBER.fullmatch(word) and not OBJ_NOT_FINITE.fullmatch(word):
-            raise MeshError(f"{_shown(word)} is not a number: mend the vertex")
-        if not math.isfinite(float(word)):
-            raise MeshError(f"coordinate {_shown(word)} is not finite: mend the vertex")
-    if len(words) < 3:
-        raise MeshError(
-            f"a vertex of {count_of(len(words), 'coordinate')} where 3 are needed: mend it, or the "
-            "file is truncated"
-        )
-    return b"v " + b" ".join(words)
-
-
-def _obj_index(word: bytes, known: int, total: int) -> int:
-    """A vertex of a face, counted from 1; a negative one counts back from its line."""
-    match = OBJ_REFERENCE.match(word)
-    if not match:
-        raise MeshError(f"{_shown(word)} is no vertex of a face: mend it to v, v/vt or v/vt/vn")
-    index = int(match[1])
-    absolute = index if index >= 0 else known + 1 + index
-    if not 1 <= absolute <= total:
-        count = f"there are {total}" if index >= 0 else f"{known} stand above"
-        raise MeshError(
-            f"the face names vertex {index} where {count}, counted from 1: mend the index, or the "
-            "file is truncated"
-        )
-    return absolute
-
-
 # --- trimesh -------------------------------------------------------------------------------------
 
 
@@ -409,7 +309,7 @@ def _through_trimesh(name: str, kind: str, data: bytes, digest: str) -> Mesh:
     except MeshError:
         raise
     except (Exception, SystemExit) as error:
-        reason = _one_line(error) or type(error).__name__
+        reason = one_line(error) or type(error).__name__
         raise MeshError(
             f"{name}: not readable as {kind.upper()}: {reason}: it may be truncated or damaged, "
             "export it again"
@@ -516,20 +416,3 @@ def _check_indices(where: str, corners: np.ndarray, vertices: int) -> None:
             f"{where}: face {face} names vertex {corners[face][bad[face]][0]} where there are "
             f"{vertices}, both counted from 0: mend the index, or the file is truncated"
         )
-
-
-def count_of(count: int, noun: str) -> str:
-    plural = {"vertex": "vertices"}.get(noun, noun + "s")
-    return f"{count} {noun if count == 1 else plural}"
-
-
-def _printable(text: Any) -> str:
-    return "".join(c if c.isprintable() else "?" for c in str(text))
-
-
-def _one_line(error: BaseException) -> str:
-    return _printable(" ".join(str(error).split()))[:200]
-
-
-def _shown(word: bytes) -> str:
-    return repr(word[:40].decode("ascii", "replace"))

@@ -35,8 +35,9 @@ class Row:
 
     stages : on the device, by its events; device : their sum; host : what Python adds, in the same
     runs; memory : mesh in memory to octree in memory, Python included, without events; spread :
-    (max - min) / median of `memory`; command : the whole command, in a process of its own, kernels cached; peak : its peak of
-    resident memory, in bytes; peers : seconds by name, and `ratios` : peer / memory.
+    (max - min) / median of `memory`; command : the whole command, in a process of its own, kernels
+    cached; peak : its peak of resident memory, in bytes; peers : seconds by name, and `ratios` :
+    peer / memory.
     """
 
     model: str
