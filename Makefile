@@ -19,7 +19,7 @@ test: .venv/test.done
 lint: .venv/test.done
 	.venv/bin/ruff check
 	.venv/bin/ruff format --check
-	.venv/bin/pyright
+	.venv/bin/basedpyright
 	.venv/bin/lint-imports
 
 clean:

@@ -153,23 +153,45 @@ class Plan:
             "predicted_work": self.work,
         }
 
-    def refuse_beyond(self, max_memory: int) -> None:
-        """Raise MemoryLimitError, with the largest dim that fits, if the octree would need more."""
-        if self.device_bytes <= max_memory and self.nodes < MAX_LINK:
+    @property
+    def largest_buffer(self) -> int:
+        """Predicted bytes of the largest single allocation on the device."""
+        return max(NODE_BYTES * self.nodes, BRICK_BYTES * self.bricks, _volume_bytes(self) // 2)
+
+    def fits(self, max_memory: int, max_allocation: int) -> bool:
+        """Whether memory and links suffice."""
+        return (
+            self.device_bytes <= max_memory
+            and self.largest_buffer <= max_allocation
+            and self.nodes < MAX_LINK
+        )
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Refuse what needs more.
+
+        Parameters
+        ----------
+        max_memory, max_allocation : bytes that the device may use in all, and in one buffer.
+
+        Raises
+        ------
+        MemoryLimitError : with the largest dim that fits.
+        """
+        if self.fits(max_memory, max_allocation):
             return
         dim = max(self.shape)
         low, high = CELL - 1, dim  # low fits, or is none
         while high - low > 1:
             middle = (low + high) // 2
-            smaller = _rescale(self, middle / dim)
-            if smaller.device_bytes <= max_memory and smaller.nodes < MAX_LINK:
+            if _rescale(self, middle / dim).fits(max_memory, max_allocation):
                 low = middle
             else:
                 high = middle
         mend = f"dim {low} is the largest that fits" if low >= CELL else "no dim fits"
         raise MemoryLimitError(
-            f"dim {dim} would need {self.device_bytes / 1e6:,.0f} MB of memory, of "
-            f"{max_memory / 1e6:,.0f} MB allowed: {mend} (see --max-memory)"
+            f"dim {dim} would need {self.device_bytes / 1e6:,.1f} MB of memory "
+            f"({self.largest_buffer / 1e6:,.1f} MB in one buffer), of {max_memory / 1e6:,.1f} MB "
+            f"({max_allocation / 1e6:,.1f} MB) allowed: {mend} (see --max-memory)"
         )
 
 
@@ -224,17 +246,21 @@ def _dense_bytes(side: int) -> int:
     return 2 * 4 * max((side // CELL) ** 3 // 32, 1)
 
 
+def _volume_bytes(plan: Plan) -> int:
+    """The level-1 volume: its words and, as many, their ranks."""
+    if not plan.blocked:
+        return _dense_bytes(plan.side)
+    blocks = plan.active[3] if len(plan.active) > 3 else 1
+    return 2 * 4 * max((plan.side // BLOCK) ** 3 // 32, 1) + blocks * (16 * 4 * 2 + 8)
+
+
 def _device_bytes(plan: Plan) -> int:
     survey, active, finest = plan.survey, plan.active, plan.active[0]
     mesh = 12 * (survey.vertices + survey.triangles)
     shares = 4 * survey.triangles * (plan.tiled or plan.tiled_nodes)
-    if plan.blocked:
-        blocks = active[3] if len(active) > 3 else 1
-        volume = 2 * 4 * max((plan.side // BLOCK) ** 3 // 32, 1) + blocks * (16 * 4 * 2 + 8)
-    else:
-        volume = _dense_bytes(plan.side)
+    volume = _volume_bytes(plan)
     lists = sum(active) * (plan.code_bits // 8 + 4)
-    rows = 8 * finest if plan.solid else 0
+    rows = 8 * finest + 4 * (plan.nodes - plan.bricks) if plan.solid else 0
     if plan.entry:
         rows += 8 * -(-plan.shape[1] // CELL) * -(-plan.shape[2] // CELL)
     return mesh + shares + volume + lists + rows + plan.octree_bytes

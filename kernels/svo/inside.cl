@@ -43,16 +43,16 @@ ulong exit_face(ulong brick) { return (brick >> 9) & X0; }
 
 #define MAX_LEVELS 16
 
-// Walk a tile's rows through the octree along x. Level-1 nodes get their rows' state on entry; a
-// leaf counts the tiles that fill it, or is MIXED where a tile fills it in part or it reaches beyond
-// the grid. With `record`, the chosen tiles' states are written for the leaves that are to be
-// refined (child = slot + 1).
-__kernel void sweep_rows(__global svo_node *nodes, __constant uint *offsets, const uint top,
+// Walk a tile's rows through the octree along x. Level-1 nodes get their rows' state on entry; for a
+// leaf, `fills` counts the tiles that fill it, or is MIXED where a tile fills it in part or it
+// reaches beyond the grid. With `record`, the chosen tiles' states are written for the leaves that
+// are to be refined (child = slot + 1) instead.
+__kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offsets, const uint top,
                          const int4 shape, const uint tiles_y, const uint tiles,
                          __global const uint *chosen, const uint record,
                          __global const ulong *entry, const uint has_entry,
                          __global const ulong *bricks, __global ulong *entries,
-                         __global ulong *states)
+                         volatile __global uint *fills, __global ulong *states)
 {
     const uint gid = get_global_id(0);
     if (gid >= tiles)
@@ -82,17 +82,15 @@ __kernel void sweep_rows(__global svo_node *nodes, __constant uint *offsets, con
             next = x + 1;
         } else {
             const uint side = 1u << (level - 1); // of the leaf, in cells
-            volatile __global uint *leaf = &nodes[offsets[top - level] + path[level]].child;
+            const uint leaf = offsets[top - level] + path[level];
             next = (x | (side - 1)) + 1;
-            if (state == 0)
-                ;
-            else if (record) {
+            if (record) {
                 if (child & LINK)
                     states[(child & LINK) - 1 + (y & (side - 1)) + (z & (side - 1)) * side] = state;
             } else if (state == ALL && 8 * next <= (uint)shape.x) {
-                atomic_inc(leaf);
-            } else {
-                atomic_or(leaf, MIXED);
+                atomic_inc(&fills[leaf]);
+            } else if (state != 0) {
+                atomic_or(&fills[leaf], MIXED);
             }
         }
         level = min(33 - clz(x ^ next), top);
@@ -100,21 +98,19 @@ __kernel void sweep_rows(__global svo_node *nodes, __constant uint *offsets, con
     }
 }
 
-// A leaf that every tile of it fills is inside; one that only some fill must be refined: it keeps
+// A leaf that every tile of it fills is inside; one that only some fill must be refined: it gets
 // MIXED, and is counted.
 __kernel void mark_leaves(__global svo_node *nodes, __constant uint *offsets, const uint top,
-                          const uint n, volatile __global uint *unresolved)
+                          const uint n, __global const uint *fills,
+                          volatile __global uint *unresolved)
 {
     const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-    const uint child = nodes[gid].child;
-    if ((child & VALID) || child == 0)
+    if (gid >= n || fills[gid] == 0)
         return;
     uint level = top;
     while (gid >= offsets[top - level + 1])
         --level;
-    if (child == 1u << (2 * (level - 1))) {
+    if (fills[gid] == 1u << (2 * (level - 1))) {
         nodes[gid].child = INSIDE;
     } else {
         nodes[gid].child = MIXED;

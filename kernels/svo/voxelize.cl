@@ -31,7 +31,7 @@ columns columns_of(const triangle *t, int kind, int level, int3 shape, int3 pad)
         c.low = ((low - HALF - 1) >> bits) + 1;
         c.high = (high - HALF) >> bits;
         c.high.x = ((high.x - HALF - 1) >> bits) + 1; // the first centre not before the end
-        c.low.yz = max(c.low.yz, 0);
+        c.low.yz = max(c.low.yz, (int2)(0));
         c.high.yz = min(c.high.yz, shape.yz - 1);
         if (c.low.x >= shape.x)
             c.high.y = c.low.y - 1; // beyond the high-x side: no column
@@ -41,13 +41,13 @@ columns columns_of(const triangle *t, int kind, int level, int3 shape, int3 pad)
                    z = cross_term(a.x, b.y, b.x, a.y);
         const ulong nx = abs(x), ny = abs(y), nz = abs(z);
         c.axis = nz >= nx && nz >= ny ? 2 : nx >= ny ? 0 : 1;
-        c.low = max((low - pad - 1) >> bits, 0);
+        c.low = max((low - pad - 1) >> bits, (int3)(0));
         c.high = min((kind == SEPARATING ? high - 1 : high + pad) >> bits, shape - 1);
     }
     c.low = swizzle(c.low, c.axis);
     c.high = swizzle(c.high, c.axis);
     const int2 size = c.high.xy - c.low.xy + 1;
-    const int2 tiles = (max(size, 0) + TILE - 1) / TILE;
+    const int2 tiles = (max(size, (int2)(0)) + TILE - 1) / TILE;
     c.tiles_p = tiles.x;
     c.tiles = (kind == CROSSED || c.low.z <= c.high.z) ? tiles.x * tiles.y : 0;
     return c;
@@ -215,7 +215,7 @@ edge_functions project(int kind, int3 p, int3 q, int sign, int size, int pad_p, 
         // on the bound, and moving out with the shift: the masks are -1 where true
         e.d += (first < zero) | ((first == zero) & (second < zero));
     } else {
-        e.d += max(e.p * (size + 2 * pad_p), 0l) + max(e.q * (size + 2 * pad_q), 0l) -
+        e.d += max(e.p * (size + 2 * pad_p), zero) + max(e.q * (size + 2 * pad_q), zero) -
                e.p * pad_p - e.q * pad_q;
     }
     e.p *= size;

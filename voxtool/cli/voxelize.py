@@ -155,7 +155,7 @@ def command(
             plan = plan_voxelize(loaded, grid, mode, **request)
             progress.erase()
             print_plan(plan, grid, as_json)
-            warn_if_refused(plan, max_memory or chosen.max_memory)
+            warn_if_refused(plan, max_memory or chosen.max_memory, chosen.info.max_allocation)
             return
         if mode == "solid":
             progress.enter("check mesh")
@@ -236,10 +236,10 @@ def pitch_of(grid: Grid) -> str:
     return sizes[0] if len(set(grid.pitch)) == 1 else " x ".join(sizes)
 
 
-def warn_if_refused(plan: Plan, max_memory: int) -> None:
+def warn_if_refused(plan: Plan, max_memory: int, max_allocation: int) -> None:
     """What is planned may be more than there is memory for."""
     try:
-        plan.refuse_beyond(max_memory)
+        plan.refuse_beyond(max_memory, max_allocation)
     except MemoryLimitError as error:
         options.tell(f"warning: this will be refused: {error}")
 

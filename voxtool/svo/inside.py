@@ -84,15 +84,17 @@ def fill_parity(
 
 def _walk_rows(device: Device, tree: DeviceOctree, flips: Array, rows: Rows) -> tuple[Array, int]:
     """The states of rows on entry to each level-1 node; and how many leaves are of no one kind."""
-    entries = device.empty(tree.refined[0].n, np.uint64)
-    _sweep(device, tree, flips, rows, entries)
     coarse = int(tree.offsets[-2])
+    entries = device.empty(tree.refined[0].n, np.uint64)
+    fills = device.zeros(coarse, np.uint32)
+    _sweep(device, tree, flips, rows, entries, fills=fills)
     unresolved = device.zeros(1, np.uint32)
     mark_leaves = device.kernel(SOURCE, "mark_leaves", CODE=code_name(tree.refined[0].codes.dtype))
     offsets = device.put(tree.offsets)
-    mark_leaves(coarse, tree.nodes, offsets, np.uint32(tree.top), np.uint32(coarse), unresolved)
-    count = int(unresolved.get()[0])
-    unresolved.release()
+    top, n = np.uint32(tree.top), np.uint32(coarse)
+    mark_leaves(coarse, tree.nodes, offsets, top, n, fills, unresolved)
+    count = int(unresolved.take()[0])
+    fills.release()
     offsets.release()
     return entries, count
 
@@ -103,10 +105,13 @@ def _sweep(
     flips: Array,
     rows: Rows,
     entries: Array,
+    *,
+    fills: Array | None = None,
     states: Array | None = None,
     tiles: np.ndarray | None = None,
 ) -> None:
-    """Walk the rows; with `states`, record those of the given tiles in the leaves to refine."""
+    """Walk the rows, and count what fills each leaf in `fills`; or only those of the given tiles,
+    and record their `states` in the leaves to refine."""
     sweep_rows = device.kernel(SOURCE, "sweep_rows", CODE=code_name(tree.refined[0].codes.dtype))
     offsets = device.put(tree.offsets)
     chosen = offsets if tiles is None else device.put(tiles.astype(np.uint32))
@@ -125,6 +130,7 @@ def _sweep(
         np.uint32(rows.entry is not None),
         flips,
         entries,
+        fills or entries,
         states or entries,
     )
     if tiles is not None:
@@ -170,7 +176,8 @@ def _refine(
     nodes["child"][leaves] = slots[:-1] + 1
     device.write(tree.nodes, nodes)
     states = device.zeros(int(slots[-1]), np.uint64)
-    _sweep(device, tree, flips, rows, entries, states, _tiles_of(cells, level, rows))
+    passed = _tiles_of(cells, level, rows)
+    _sweep(device, tree, flips, rows, entries, states=states, tiles=passed)
     found = states.get()
     states.release()
 
@@ -196,8 +203,12 @@ def _refine(
 def _tiles_of(cells: np.ndarray, level: np.ndarray, rows: Rows) -> np.ndarray:
     """The tiles whose rows pass through leaves, each once."""
     passed = np.zeros((rows.tiles // rows.tiles_y, rows.tiles_y), bool)
-    for (_, y, z), side in zip(cells.tolist(), (1 << (level - 1)).tolist(), strict=True):
-        passed[z : z + side, y : y + side] = True
+    for number in np.unique(level):
+        across = np.arange(1 << (int(number) - 1))
+        y = cells[level == number, 1, None] + across
+        z = cells[level == number, 2, None] + across
+        y, z = np.minimum(y, passed.shape[1] - 1), np.minimum(z, passed.shape[0] - 1)
+        passed[z[:, :, None], y[:, None, :]] = True
     return np.flatnonzero(passed)
 
 

@@ -85,7 +85,8 @@ def voxelize(
     """
     device = device or open_device()
     scene = _Scene(mesh, grid, mode, fill, with_surface, window, device)
-    scene.plan.refuse_beyond(device.max_memory if max_memory is None else max_memory)
+    limit = device.max_memory if max_memory is None else max_memory
+    scene.plan.refuse_beyond(limit, device.info.max_allocation)
     with device.stage("active nodes"):
         active = _find_active_nodes(scene)
     with device.stage("octree"):
