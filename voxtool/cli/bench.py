@@ -140,7 +140,7 @@ def bench_voxelize(
 
 def header() -> str:
     stages = "".join(f"{SHORT.get(s, s):>8}" for s in STAGES)
-    totals = "  device   host  memory +-%  command  peak MB  octree kB      voxels"
+    totals = "  device   host  memory +-%  command  peak MB  octree kB          voxels"
     return f" dim mode     {stages}{totals}"
 
 
@@ -155,5 +155,5 @@ def line(row: Row) -> str:
     return (
         f"{row.dim:>4} {row.mode:<9}{stages}{1e3 * row.device:8.2f}{1e3 * row.host:7.2f}"
         f"{1e3 * row.memory:8.2f}{100 * row.spread:4.0f}{row.command:9.2f}{row.peak / 1e6:9.0f}"
-        f"{row.octree_bytes / 1e3:11,.0f}{row.voxels:12,}{peers}"
+        f"{row.octree_bytes / 1e3:11,.0f}{row.voxels:16,}{peers}"
     )
