@@ -83,7 +83,9 @@ def parse(command: click.Command, words: list[str]) -> None:
         assert found is not None, f"no subcommand {words[0]}"
         parse(found, words[1:])
     else:
-        command.make_context("voxtool", list(words))
+        command.make_context(
+            "voxtool", list(words), parent=click.Context(cli, **cli.context_settings)
+        )
 
 
 @pytest.mark.parametrize(
