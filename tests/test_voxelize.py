@@ -340,3 +340,11 @@ def test_refusals(device: Device) -> None:
     far = lattice_mesh(vertices + (1 << 31), faces)
     with pytest.raises(GridError, match="choose a larger pitch or a nearer box"):
         voxelize(far, grid, device=device)
+
+
+def test_rows_that_leak_may_not_outgrow_the_links(device: Device, monkeypatch) -> None:
+    mesh = meshes.open_box((300, 700, 700), (2000, 2000, 2000), missing=1)
+    assert run(device, mesh, (64,) * 3, "solid").to_dense()[-1].any()  # it leaks to the end
+    monkeypatch.setattr("voxtool.svo.inside.MAX_LINK", 10)
+    with pytest.raises(MemoryLimitError, match="rows that leak through this open mesh"):
+        run(device, mesh, (64,) * 3, "solid")

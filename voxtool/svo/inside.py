@@ -17,7 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from voxtool.errors import MemoryLimitError
 from voxtool.opencl import Array, Device, program
+from voxtool.plan import BRICK_BYTES, MAX_LINK, NODE_BYTES
 from voxtool.svo.build import DeviceOctree, build_from_lists, code_name
 from voxtool.svo.octree import BRICK, LINK, VALID, morton_decode, morton_encode
 
@@ -72,7 +74,8 @@ def fill_parity(
             flips = _move(device, flips, positions, tree.refined[0].n)
             entries.release()
             entries, unresolved = _walk_rows(device, tree, flips, rows)
-            assert not unresolved
+            if unresolved:
+                raise AssertionError(f"{unresolved} leaves are still of no one kind")
     with device.stage("fill"):
         level1 = tree.refined[0]
         fill_bricks = device.kernel(SOURCE, "fill_bricks", CODE=code_name(level1.codes.dtype))
@@ -181,16 +184,19 @@ def _refine(
     found = states.get()
     states.release()
 
-    lists = [refined.codes.get(0, refined.n) for refined in tree.refined]
-    added: list[list[np.ndarray]] = [[] for _ in lists]
+    bars = []
     for number in np.unique(level):
         chosen = level == number
         side = 1 << (int(number) - 1)
         layers = found[slots[:-1][chosen][:, None] + np.arange(side * side)]
-        for below, codes in _disagreeing_nodes(
-            layers.reshape(-1, side, side), cells[chosen], int(number), rows.shape[0]
-        ):
-            added[below - 1].append(codes.astype(lists[0].dtype))
+        layers = layers.reshape(-1, side, side)
+        bars += _differing_bars(layers, cells[chosen], int(number), rows.shape[0])
+    _refuse_beyond(device, tree, sum(int(lengths.sum()) for _, _, lengths in bars))
+
+    lists = [refined.codes.get(0, refined.n) for refined in tree.refined]
+    added: list[list[np.ndarray]] = [[] for _ in lists]
+    for number, first, lengths in bars:
+        added[number - 1].append(_codes_of_bars(first, lengths).astype(lists[0].dtype))
     new = [
         np.sort(np.concatenate([old[:0], *parts])) for old, parts in zip(lists, added, strict=True)
     ]
@@ -230,30 +236,60 @@ def _locate(
     return level, morton_decode(codes) << (level - 1)[:, None]
 
 
-def _disagreeing_nodes(layers: np.ndarray, corners: np.ndarray, level: int, nx: int):
-    """Yield (level, Morton codes) of the nodes, in leaves of one level, whose voxels differ.
+def _refuse_beyond(device: Device, tree: DeviceOctree, added: int) -> None:
+    """Open rows may add more nodes than any plan of the mesh can tell."""
+    nodes = int(tree.offsets[-1]) + 8 * added
+    needed = nodes * (NODE_BYTES + 2 * BRICK_BYTES)  # the bricks are moved
+    if nodes > MAX_LINK or needed > device.max_memory:
+        raise MemoryLimitError(
+            f"rows that leak through this open mesh refine the octree to {nodes:,} nodes, more "
+            "than fit: close the mesh, or choose a smaller dim or a surface mode"
+        )
+
+
+def _differing_bars(
+    layers: np.ndarray, corners: np.ndarray, level: int, nx: int
+) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """The nodes, in leaves of one level, whose voxels are not all alike, as bars along x.
 
     Along x nothing changes in a leaf but where the grid ends, at voxel nx.
 
+    Parameters
+    ----------
     layers : (n, side, side) uint64 states of a leaf's tiles, [z, y]; corners : (n, 3) of the
-    leaves, in level-1 cells.
+        leaves, in level-1 cells.
+
+    Returns
+    -------
+    For each level below and this one: its number, the (m, 3) first nodes of the bars, counted in
+    nodes, and their (m,) lengths.
     """
+    bars = []
     every, some = layers, layers
-    for below in range(1, level + 1):
-        size = 1 << (below - 1)  # of a node of this level, in cells
-        if below > 1:
+    for number in range(1, level + 1):
+        size = 1 << (number - 1)  # of a node, in cells
+        places = 1 << (level - number)  # along x in a leaf
+        if number > 1:
             every = _halve(every, np.bitwise_and)
             some = _halve(some, np.bitwise_or)
-        differ = (some != 0) & (every != ALL_ROWS)
-        x = corners[:, :1] + size * np.arange(1 << (level - below))  # (n, places along x)
-        begins = 8 * x < nx
-        ends = begins & (8 * (x + size) > nx)
-        refined = begins[:, :, None, None] & np.where(
-            ends[:, :, None, None], (some != 0)[:, None], differ[:, None]
-        )
-        leaf, i, k, j = np.nonzero(refined)
-        cell = corners[leaf] // size + np.stack([i, j, k], axis=1)
-        yield below, morton_encode(cell)
+        whole = np.clip((nx // 8 - corners[:, 0]) // size, 0, places)  # nodes before the end
+        cut = (whole < places) & (8 * (corners[:, 0] + size * whole) < nx)  # one holds the end
+
+        leaf, k, j = np.nonzero((some != 0) & (every != ALL_ROWS))
+        first = corners[leaf] // size + np.stack([np.zeros_like(j), j, k], axis=1)
+        bars.append((number, first, whole[leaf]))
+
+        leaf, k, j = np.nonzero((some != 0) & cut[:, None, None])
+        first = corners[leaf] // size + np.stack([whole[leaf], j, k], axis=1)
+        bars.append((number, first, np.ones_like(leaf)))
+    return bars
+
+
+def _codes_of_bars(first: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """The Morton codes of the nodes of bars along x."""
+    nodes = np.repeat(first, lengths, axis=0)
+    nodes[:, 0] += np.arange(len(nodes)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    return morton_encode(nodes)
 
 
 def _halve(layers: np.ndarray, combine: np.ufunc) -> np.ndarray:
