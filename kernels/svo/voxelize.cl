@@ -80,6 +80,24 @@ int share_of(__global const uint *tile_offsets, uint triangles, uint tiled, uint
     return (int)(gid - tile_offsets[low]);
 }
 
+// The triangle and the columns that this work-item takes; false if there are none.
+bool take_share(__global const int *vertices, __global const int *faces, uint n,
+                __global const uint *tile_offsets, uint tiled, uint items, int kind, int level,
+                int3 shape, int pad, triangle *t, columns *c)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= items)
+        return false;
+    uint index;
+    const int tile = share_of(tile_offsets, n, tiled, gid, &index);
+    *t = fetch_triangle(vertices, faces, index);
+    *c = columns_of(t, kind, level, shape, (int3)(pad, 0, 0));
+    if (c->tiles == 0)
+        return false;
+    take_tile(c, tile);
+    return true;
+}
+
 // tiles[i] = the number of shares of triangle i.
 __kernel void count_tiles(__global const int *vertices, __global const int *faces, const uint n,
                           const int kind, const int level, const int4 shape, const int pad,
@@ -366,16 +384,11 @@ __kernel void activate(__global const int *vertices, __global const int *faces, 
                        const int level, const int4 shape, const int pad, ACTIVE_SET_PARAMETERS,
                        volatile __global uint *target)
 {
-    const uint gid = get_global_id(0);
-    if (gid >= items)
+    triangle t;
+    columns c;
+    if (!take_share(vertices, faces, n, tile_offsets, tiled, items, TOUCHED, level, shape.xyz, pad, &t,
+                    &c))
         return;
-    uint index;
-    const int tile = share_of(tile_offsets, n, tiled, gid, &index);
-    const triangle t = fetch_triangle(vertices, faces, index);
-    columns c = columns_of(&t, TOUCHED, level, shape.xyz, (int3)(pad, 0, 0));
-    if (c.tiles == 0)
-        return;
-    take_tile(&c, tile);
     const scan s = set_up(&t, &c, TOUCHED, level, pad);
     sink out = open_sink(target);
     scan_convert(&s, &c, &out, level == NODE_LEVEL ? STORE_NODES : STORE_BLOCKS, ACTIVE_SET);
@@ -413,16 +426,11 @@ __kernel void set_surface(__global const int *vertices, __global const int *face
                           __global const uint *tile_offsets, const uint tiled, const uint items,
                           const int4 shape, ACTIVE_SET_PARAMETERS, volatile __global uint *bricks)
 {
-    const uint gid = get_global_id(0);
-    if (gid >= items)
+    triangle t;
+    columns c;
+    if (!take_share(vertices, faces, n, tile_offsets, tiled, items, KIND, 0, shape.xyz, 0, &t,
+                    &c))
         return;
-    uint index;
-    const int tile = share_of(tile_offsets, n, tiled, gid, &index);
-    const triangle t = fetch_triangle(vertices, faces, index);
-    columns c = columns_of(&t, KIND, 0, shape.xyz, (int3)(0));
-    if (c.tiles == 0)
-        return;
-    take_tile(&c, tile);
     const scan s = set_up(&t, &c, KIND, 0, 0);
     sink out = open_sink(bricks);
     scan_convert(&s, &c, &out, STORE_VOXELS, ACTIVE_SET);
@@ -437,16 +445,11 @@ __kernel void flip_crossings(__global const int *vertices, __global const int *f
                              const int4 shape, ACTIVE_SET_PARAMETERS,
                              volatile __global uint *bricks, volatile __global uint *entry)
 {
-    const uint gid = get_global_id(0);
-    if (gid >= items)
+    triangle t;
+    columns c;
+    if (!take_share(vertices, faces, n, tile_offsets, tiled, items, CROSSED, 0, shape.xyz, 0, &t,
+                    &c))
         return;
-    uint index;
-    const int tile = share_of(tile_offsets, n, tiled, gid, &index);
-    const triangle t = fetch_triangle(vertices, faces, index);
-    columns c = columns_of(&t, CROSSED, 0, shape.xyz, (int3)(0));
-    if (c.tiles == 0)
-        return;
-    take_tile(&c, tile);
 
     const int3 u = t.v[0], a = t.v[1] - u, b = t.v[2] - u;
     long nx = cross_term(a.y, b.z, b.y, a.z);
