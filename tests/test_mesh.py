@@ -232,8 +232,14 @@ def test_ply_polygons_and_texture_coordinates():
         (b"\x00\x01\x02" * 99, ["no text"]),
         (b"\x7fELF" + os.urandom(64) + b"\0", ["no text"]),
         (b"ply\nformat ascii 1.0\n", ["no text", "looks like .ply"]),
-        (b"\x89HDF\r\n\x1a\n" + b"\0" * 99, ["voxtool output", "not a mesh", "voxtool extract"]),
-        (b"<?xml version='1.0'?>\n<octree/>", ["XML", "not a mesh", "voxtool extract"]),
+        (
+            b"\x89HDF\r\n\x1a\n" + b"\0" * 99,
+            ["voxtool output", "not a mesh", "give the mesh that it was made from"],
+        ),
+        (
+            b"<?xml version='1.0'?>\n<octree/>",
+            ["XML", "not a mesh", "give the mesh that it was made from"],
+        ),
     ],
 )
 def test_obj_refusals(text, parts, tmp_path):

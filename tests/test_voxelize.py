@@ -348,3 +348,36 @@ def test_rows_that_leak_may_not_outgrow_the_links(device: Device, monkeypatch) -
     monkeypatch.setattr("voxtool.svo.inside.MAX_LINK", 10)
     with pytest.raises(MemoryLimitError, match="rows that leak through this open mesh"):
         run(device, mesh, (64,) * 3, "solid")
+
+
+@pytest.mark.parametrize("shape", [(600, 600, 13), (64, 64, 13), (2100, 2100, 13)])
+def test_triangles_beyond_the_grid_but_within_its_nodes(device: Device, shape) -> None:
+    """Nodes reach beyond a grid whose sides are no multiples of theirs; large triangles there call
+    for shares and wide predicates like any other."""
+    z = 256 * 13 + 128
+    far = 1 << 28
+    plane = np.array([[-far, -far, z], [far, -far, z], [0, far, z + 300]])
+    mesh = (plane, np.array([[0, 1, 2]]))
+    for mode in MODES:
+        octree = run(device, mesh, shape, mode)
+        assert octree.count == 0
+        level = octree.levels()[-2]
+        cells = {tuple(c) for c in morton_decode(level.codes[level.refined]).tolist()}
+        assert cells == oracles.active_nodes([plane], shape, mode == "solid")
+
+
+def test_thin_grids_are_dense_in_their_own_shape(device: Device) -> None:
+    shape = (60000, 8, 5)
+    mesh = meshes.box((256 * 10, 256, 256), (256 * 50000, 256 * 6, 256 * 4))
+    octree = run(device, mesh, shape, "solid")
+    dense = octree.to_dense()
+    assert dense.shape == shape
+    assert np.array_equal(np.argwhere(dense), octree.occupied())
+    assert octree.count == 49990 * 5 * 3
+
+
+def test_the_limit_holds_for_rows_that_leak(device: Device) -> None:
+    mesh = meshes.open_box((300, 7000, 7000), (60000, 60000, 60000), missing=1)
+    limit = 4 * run(device, mesh, (64,) * 3, "solid").nbytes
+    with pytest.raises(MemoryLimitError):
+        run(device, mesh, (1024,) * 3, "solid", max_memory=limit)

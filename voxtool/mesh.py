@@ -16,15 +16,12 @@ import re
 import sys
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from voxtool import wavefront
 from voxtool.errors import MeshError, count_of, one_line, printable
-
-if TYPE_CHECKING:
-    pass
 
 KINDS = ("obj", "stl", "ply", "off", "glb", "gltf")  # what trimesh reads with numpy alone
 MAX_COUNT = (1 << 31) - 1  # triangles, and vertices: indices are int32
@@ -233,10 +230,7 @@ def _refuse_other_files(name: str, data: bytes) -> None:
     elif data.startswith(b"<VTKFile"):
         what = "a VTK file"
     if what:
-        raise MeshError(
-            f"{name}: this is {what}, not a mesh: give a mesh, or make one of an octree with "
-            "`voxtool extract`"
-        )
+        raise MeshError(f"{name}: this is {what}, not a mesh: give the mesh that it was made from")
 
 
 def _refuse_binary(name: str, data: bytes) -> None:

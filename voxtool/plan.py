@@ -156,7 +156,9 @@ class Plan:
     @property
     def largest_buffer(self) -> int:
         """Predicted bytes of the largest single allocation on the device."""
-        return max(NODE_BYTES * self.nodes, BRICK_BYTES * self.bricks, _volume_bytes(self) // 2)
+        mesh = 12 * max(self.survey.vertices, self.survey.triangles)
+        octree = max(NODE_BYTES * self.nodes, BRICK_BYTES * self.bricks)
+        return max(mesh, octree, _volume_bytes(self) // 2)
 
     def fits(self, max_memory: int, max_allocation: int) -> bool:
         """Whether memory and links suffice."""
@@ -263,7 +265,8 @@ def _device_bytes(plan: Plan) -> int:
     rows = 8 * finest + 4 * (plan.nodes - plan.bricks) if plan.solid else 0
     if plan.entry:
         rows += 8 * -(-plan.shape[1] // CELL) * -(-plan.shape[2] // CELL)
-    return mesh + shares + volume + lists + rows + plan.octree_bytes
+    added = (BRICK_BYTES * plan.bricks + 4 * finest) * (plan.solid and bool(plan.surface))
+    return mesh + shares + volume + lists + rows + added + plan.octree_bytes
 
 
 def _rescale(plan: Plan, factor: float) -> Plan:

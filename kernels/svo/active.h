@@ -19,7 +19,7 @@ uint set_index(__global const uint *words, __global const uint *ranks, CODE code
 #define ACTIVE_SET words, ranks
 #endif
 
-// The place of an active node's code among all active ones.
+// The place of an active node's code among all active ones; undefined for any other.
 uint node_index(ACTIVE_SET_PARAMETERS, CODE code)
 {
 #ifdef BLOCKED

@@ -12,7 +12,7 @@ triangle fetch_triangle(__global const int *vertices, __global const int *faces,
 {
     triangle t;
     for (int i = 0; i < 3; ++i)
-        t.v[i] = vload3(faces[3 * index + i], vertices);
+        t.v[i] = vload3(faces[3 * (size_t)index + i], vertices);
     return t;
 }
 
@@ -42,7 +42,13 @@ wide wide_negative(wide a)
 
 bool is_negative(wide a) { return a.high < 0; }
 bool is_positive(wide a) { return a.high > 0 || (a.high == 0 && a.low != 0); }
-float to_float(wide a) { return (float)a.high * 0x1p64f + (float)a.low; }
+// From the magnitude: the two halves of a small negative number would cancel.
+float to_float(wide a)
+{
+    const wide m = is_negative(a) ? wide_negative(a) : a;
+    const float magnitude = (float)m.high * 0x1p64f + (float)m.low;
+    return is_negative(a) ? -magnitude : magnitude;
+}
 #else
 typedef long wide;
 wide wide_product(long a, long b) { return a * b; }

@@ -113,13 +113,14 @@ __kernel void count_tiles(__global const int *vertices, __global const int *face
 // ---- the scene in numbers, for the plan
 
 // Each work-item's partial sums over its triangles: largest extent in units, doubled projected
-// areas along x, y, z in 1/256 voxel^2, whether one lies below x = 0, how many miss the grid.
+// areas along x, y, z in 1/256 voxel^2, whether one lies below x = 0, how many miss every box of the grid.
 __kernel void survey(__global const int *vertices, __global const int *faces, const uint n,
                      const int4 shape, __global ulong *partial)
 {
     const uint gid = get_global_id(0), items = get_global_size(0);
     ulong extent = 0, x = 0, y = 0, z = 0, before = 0, outside = 0;
-    const int3 end = shape.xyz * VOXEL;
+    // what the widest boxes reach: blocks of level-1 nodes, and half a voxel more along x
+    const int3 end = ((shape.xyz + BLOCK - 1) / BLOCK * BLOCK) * VOXEL + HALF;
     for (uint i = gid; i < n; i += items) {
         const triangle t = fetch_triangle(vertices, faces, i);
         const int3 low = min(min(t.v[0], t.v[1]), t.v[2]);

@@ -33,4 +33,4 @@ def command(as_json: bool) -> None:
             f"buffer {d.max_allocation / 1e9:.1f} GB; probe {d.probe}"
         )
     if not any(d.probe == "ok" for d in found):
-        raise no_usable_device([])
+        raise no_usable_device([f"{d.name} ({d.platform}), probe {d.probe}" for d in found])

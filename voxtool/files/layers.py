@@ -11,7 +11,7 @@ from voxtool.files.memory import check_memory
 from voxtool.svo.octree import BRICK_SIDE, Octree, unpack_bricks
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
 OUTSIDE, SET = 0, 1  # a voxel is unset, or SET + the level that holds it
 
@@ -58,17 +58,23 @@ def sorted_leaves(octree: Octree, order: tuple[int, int, int]) -> list[Leaves]:
     return found
 
 
-def paint(leaves: list[Leaves], first: int, order: tuple[int, int, int], side: int) -> np.ndarray:
-    """Four voxel layers, (4, side, side) uint8 of OUTSIDE or SET + level, from voxel `first`
-    (a multiple of 4) along axis order[0]."""
-    slab = np.zeros((BRICK_SIDE, side, side), np.uint8)
+def paint(
+    leaves: list[Leaves], first: int, order: tuple[int, int, int], shape: Sequence[int]
+) -> np.ndarray:
+    """Four voxel layers, (4, a, b) uint8 of OUTSIDE or SET + level, from voxel `first` (a multiple
+    of 4) along axis order[0]; a and b are the grid's `shape` along the others, rounded up to 4."""
+    a, b = (-(-shape[axis] // BRICK_SIDE) * BRICK_SIDE for axis in order[1:])
+    slab = np.zeros((BRICK_SIDE, a, b), np.uint8)
     for level in leaves:
         here = level.touching(first)
         j, k = level.corners[here, 1:].T // level.side
-        n = side // level.side
-        cells = slab.reshape(BRICK_SIDE, n, level.side, n, level.side).transpose(1, 3, 0, 2, 4)
+        m, n = a // level.side, b // level.side  # nodes that lie in the layers
+        cells = slab[:, : m * level.side, : n * level.side]
+        cells = cells.reshape(BRICK_SIDE, m, level.side, n, level.side).transpose(1, 3, 0, 2, 4)
         if level.number == 0:
-            voxels = unpack_bricks(level.bricks[here])
+            held = (j < m) & (k < n)
+            j, k = j[held], k[held]
+            voxels = unpack_bricks(level.bricks[here][held])
             cells[j, k] = voxels.transpose(0, *(a + 1 for a in order))  # True is SET
         else:
             chosen = level.inside[here]
@@ -87,11 +93,11 @@ def layers(octree: Octree, order: tuple[int, int, int] = (0, 1, 2)) -> Iterator[
     ------
     (n, a, b) bool, n at most 4 and a, b the grid's shape along order[1], order[2].
     """
-    check_memory(2 * BRICK_SIDE * octree.grid.side**2, "four layers of voxels")
-    leaves = sorted_leaves(octree, order)
     shape = [octree.grid.shape[axis] for axis in order]
+    check_memory(2 * BRICK_SIDE * (shape[1] + 3) * (shape[2] + 3), "four layers of voxels")
+    leaves = sorted_leaves(octree, order)
     for first in range(0, shape[0], BRICK_SIDE):
-        slab = paint(leaves, first, order, octree.grid.side)
+        slab = paint(leaves, first, order, octree.grid.shape)
         yield slab[: shape[0] - first, : shape[1], : shape[2]] != OUTSIDE
 
 
@@ -118,6 +124,8 @@ def _keys(level: Leaves, first: int) -> np.ndarray:
         x, y, z = corners[brick].T + np.stack(local)
     else:
         corners = corners[level.inside[here]].reshape(-1, 3, 1)
+        if not len(corners):
+            return np.empty(0, np.int64)
         local = np.indices((BRICK_SIDE, level.side, level.side)).reshape(1, 3, -1)
         x, y, z = (corners[:, a] + local[:, a] for a in range(3))
         x += first - corners[:, 0]

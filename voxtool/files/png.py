@@ -74,7 +74,7 @@ def draw(octree: Octree, axis: str = "z", value: int | None = None) -> np.ndarra
     check_memory(needed, f"a picture of {width} x {height} voxels and its layers")
     order = (normal, up, right)
     leaves = sorted_leaves(octree, order)
-    slab = paint(leaves, value - value % 4, order, octree.grid.side)
+    slab = paint(leaves, value - value % 4, order, octree.grid.shape)
     voxels = slab[value % 4, :height, :width]
     picture = np.pad(voxels.repeat(scale, 0).repeat(scale, 1), (0, 1))  # a pixel closes the frame
     picture[-1], picture[:, -1] = LINE, LINE

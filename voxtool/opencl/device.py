@@ -31,7 +31,7 @@ PAGE = 4096  # alignment at which a CPU's driver uses the host's memory as it is
 SHARED_FROM = 1 << 16  # bytes; smaller arrays are the driver's own
 WORK_GROUP = 64  # work-items; a few wavefronts, and enough for a CPU's core
 PROBE = """
-__kernel void probe(__global uint *values) {
+__kernel __attribute__((reqd_work_group_size(256, 1, 1))) void probe(__global uint *values) {
     values[get_global_id(0)] = 3u * (uint)get_global_id(0) + 1u;
 }
 """
@@ -119,20 +119,20 @@ def _info(index: int, cl_device: Any, probe: str) -> DeviceInfo:
 
 
 def _probe(cl_device: Any) -> str:
-    """Build and run a three-line kernel: "ok", or the first line of what failed."""
+    """Build and run a three-line kernel in a work-group as large as any of ours: "ok", or the first line of what failed."""
     cl = _opencl()
     try:
         context = cl.Context([cl_device])
         queue = cl.CommandQueue(context)
         kernel = cl.Kernel(cl.Program(context, PROBE).build(), "probe")
-        values = np.zeros(64, np.uint32)
+        values = np.zeros(256, np.uint32)
         buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, values.nbytes)
-        kernel(queue, values.shape, None, buffer)
+        kernel(queue, values.shape, values.shape, buffer)
         cl.enqueue_copy(queue, values, buffer)
     except (cl.Error, RuntimeError, OSError) as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         return f"failed: {lines[0] if lines else type(error).__name__}"
-    if not np.array_equal(values, 3 * np.arange(64, dtype=np.uint32) + 1):
+    if not np.array_equal(values, 3 * np.arange(256, dtype=np.uint32) + 1):
         return "failed: the probe kernel gave wrong values"
     return "ok"
 

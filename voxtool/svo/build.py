@@ -79,7 +79,6 @@ def build_octree(device: Device, side: int, codes: Array, n: int) -> DeviceOctre
     strip_mortons = device.kernel(SOURCE, "strip_mortons", CODE=code)
     refined = []
     for _ in range((side // 8).bit_length()):
-        # writes: parent_index, parents
         parent_index = device.empty(n + 1, np.uint32)
         tag_parents(n, codes, np.uint32(n), parent_index)
         refined.append(RefinedNodes(codes, parent_index, n))

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from voxtool.errors import MemoryLimitError
+from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.opencl import Array, Device, program
 from voxtool.plan import BRICK_BYTES, MAX_LINK, NODE_BYTES
 from voxtool.svo.build import DeviceOctree, build_from_lists, code_name
@@ -49,14 +49,15 @@ class Rows:
 
 
 def fill_parity(
-    device: Device, tree: DeviceOctree, flips: Array, rows: Rows
+    device: Device, tree: DeviceOctree, flips: Array, rows: Rows, max_memory: int
 ) -> tuple[DeviceOctree, Array, np.ndarray | None]:
     """From the flips of the active nodes to the inside voxels and leaves.
 
     Parameters
     ----------
     tree : the octree of the active nodes, consumed; flips : its bricks, consumed: 1 where a row
-        of voxels changes between inside and outside.
+        of voxels changes between inside and outside; max_memory : bytes that the octree of an
+        open mesh, which no plan can tell, may take on the device.
 
     Returns
     -------
@@ -68,14 +69,16 @@ def fill_parity(
     positions = None
     if unresolved:
         with device.stage("refine open rows"):
-            lists, positions = _refine(device, tree, flips, rows, entries)
+            lists, positions = _refine(device, tree, flips, rows, entries, max_memory)
             tree.release()
             tree = build_from_lists(device, lists)
             flips = _move(device, flips, positions, tree.refined[0].n)
             entries.release()
             entries, unresolved = _walk_rows(device, tree, flips, rows)
             if unresolved:
-                raise AssertionError(f"{unresolved} leaves are still of no one kind")
+                raise VoxtoolError(
+                    f"{unresolved} leaves are still of no one kind: report this mesh"
+                )
     with device.stage("fill"):
         level1 = tree.refined[0]
         fill_bricks = device.kernel(SOURCE, "fill_bricks", CODE=code_name(level1.codes.dtype))
@@ -167,7 +170,12 @@ def unite(device: Device, bricks: Array, added: Array, positions: np.ndarray | N
 
 
 def _refine(
-    device: Device, tree: DeviceOctree, flips: Array, rows: Rows, entries: Array
+    device: Device,
+    tree: DeviceOctree,
+    flips: Array,
+    rows: Rows,
+    entries: Array,
+    max_memory: int,
 ) -> tuple[list[np.ndarray], np.ndarray]:
     """The refined nodes with those added whose voxels are not all alike, and where the level-1
     nodes that there were are among them."""
@@ -176,6 +184,7 @@ def _refine(
     level, cells = _locate(tree, nodes["parent"], leaves)
     tiles = 4 ** (level - 1)  # of a leaf: a layer of it across x
     slots = np.concatenate([[0], np.cumsum(tiles)])
+    _refuse_beyond(max_memory, tree, 0, int(slots[-1]))
     nodes["child"][leaves] = slots[:-1] + 1
     device.write(tree.nodes, nodes)
     states = device.zeros(int(slots[-1]), np.uint64)
@@ -191,7 +200,7 @@ def _refine(
         layers = found[slots[:-1][chosen][:, None] + np.arange(side * side)]
         layers = layers.reshape(-1, side, side)
         bars += _differing_bars(layers, cells[chosen], int(number), rows.shape[0])
-    _refuse_beyond(device, tree, sum(int(lengths.sum()) for _, _, lengths in bars))
+    _refuse_beyond(max_memory, tree, sum(int(lengths.sum()) for _, _, lengths in bars))
 
     lists = [refined.codes.get(0, refined.n) for refined in tree.refined]
     added: list[list[np.ndarray]] = [[] for _ in lists]
@@ -236,14 +245,15 @@ def _locate(
     return level, morton_decode(codes) << (level - 1)[:, None]
 
 
-def _refuse_beyond(device: Device, tree: DeviceOctree, added: int) -> None:
+def _refuse_beyond(max_memory: int, tree: DeviceOctree, added: int, slots: int = 0) -> None:
     """Open rows may add more nodes than any plan of the mesh can tell."""
     nodes = int(tree.offsets[-1]) + 8 * added
-    needed = nodes * (NODE_BYTES + 2 * BRICK_BYTES)  # the bricks are moved
-    if nodes > MAX_LINK or needed > device.max_memory:
+    needed = nodes * (NODE_BYTES + 2 * BRICK_BYTES) + 8 * slots  # the bricks are moved
+    if max(nodes, slots) >= MAX_LINK or needed > max_memory:
         raise MemoryLimitError(
-            f"rows that leak through this open mesh refine the octree to {nodes:,} nodes, more "
-            "than fit: close the mesh, or choose a smaller dim or a surface mode"
+            f"rows that leak through this open mesh refine the octree to {nodes:,} nodes, "
+            f"{needed / 1e6:,.1f} MB, more than fits: close the mesh, or choose a smaller dim or a "
+            "surface mode"
         )
 
 

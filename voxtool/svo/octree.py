@@ -231,19 +231,21 @@ class Octree:
 
     def to_dense(self) -> np.ndarray:
         """The set voxels as a bool array indexed [x, y, z], of the grid's shape."""
-        side = BRICK_SIDE << (self.depth - 1)
-        dense = np.zeros((side,) * 3, bool)
+        nx, ny, nz = self.grid.shape
+        dense = np.zeros([-(-n // BRICK_SIDE) * BRICK_SIDE for n in self.grid.shape], bool)
         for level in self.levels():
-            n = side // level.side
             s = level.side
-            blocks = dense.reshape(n, s, n, s, n, s).transpose(0, 2, 4, 1, 3, 5)
+            a, b, c = whole = [n // s for n in dense.shape]  # nodes that lie in the array
+            blocks = dense[: a * s, : b * s, : c * s].reshape(a, s, b, s, c, s)
+            blocks = blocks.transpose(0, 2, 4, 1, 3, 5)
+            cells = morton_decode(level.codes)
             if level.number:
-                i, j, k = morton_decode(level.codes[level.inside]).T
+                i, j, k = cells[level.inside].T
                 blocks[i, j, k] = True
             else:
-                i, j, k = morton_decode(level.codes).T
-                blocks[i, j, k] = unpack_bricks(self.bricks)
-        nx, ny, nz = self.grid.shape
+                held = (cells < whole).all(axis=1)
+                i, j, k = cells[held].T
+                blocks[i, j, k] = unpack_bricks(self.bricks[held])
         return dense[:nx, :ny, :nz]
 
     def occupied(self) -> np.ndarray:

@@ -42,7 +42,12 @@ BLOCK_WORDS = (BLOCK // CELL) ** 3 // 32
 HALF_VOXEL = 1 << (FIXED_POINT_BITS - 1)
 SURVEY_ITEMS = 256  # each sums its share of the triangles
 program.generated["svo/voxelize.h"] = program.c_constants(
-    TOUCHED=TOUCHED, SEPARATING=SEPARATING, CROSSED=CROSSED, NODE_LEVEL=NODE_LEVEL, TILE=TILE
+    TOUCHED=TOUCHED,
+    SEPARATING=SEPARATING,
+    CROSSED=CROSSED,
+    NODE_LEVEL=NODE_LEVEL,
+    TILE=TILE,
+    BLOCK=BLOCK,
 )
 
 
@@ -94,7 +99,7 @@ def voxelize(
     if scene.plan.solid:
         with device.stage("crossings"):
             flips, rows = _flip_crossings(scene, active)
-        tree, bricks, positions = inside.fill_parity(device, tree, flips, rows)
+        tree, bricks, positions = inside.fill_parity(device, tree, flips, rows, limit)
         if scene.plan.surface:
             inside.unite(device, bricks, _voxelize_surface(scene, active), positions)
     else:
