@@ -27,6 +27,7 @@ CONSTANTS = {
         "CROSSED": voxelize.CROSSED,
         "NODE_LEVEL": voxelize.NODE_LEVEL,
         "TILE": voxelize.TILE,
+        "BLOCK": voxelize.BLOCK,
     },
 }
 

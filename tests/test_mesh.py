@@ -234,11 +234,11 @@ def test_ply_polygons_and_texture_coordinates():
         (b"ply\nformat ascii 1.0\n", ["no text", "looks like .ply"]),
         (
             b"\x89HDF\r\n\x1a\n" + b"\0" * 99,
-            ["voxtool output", "not a mesh", "give the mesh that it was made from"],
+            ["voxtool output", "not a mesh", "give the mesh"],
         ),
         (
             b"<?xml version='1.0'?>\n<octree/>",
-            ["XML", "not a mesh", "give the mesh that it was made from"],
+            ["XML", "not a mesh", "give the mesh"],
         ),
     ],
 )

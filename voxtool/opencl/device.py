@@ -119,7 +119,8 @@ def _info(index: int, cl_device: Any, probe: str) -> DeviceInfo:
 
 
 def _probe(cl_device: Any) -> str:
-    """Build and run a three-line kernel in a work-group as large as any of ours: "ok", or the first line of what failed."""
+    """Build and run a three-line kernel in a work-group as large as any of ours: "ok", or the
+    first line of what failed."""
     cl = _opencl()
     try:
         context = cl.Context([cl_device])
