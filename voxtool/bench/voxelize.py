@@ -12,6 +12,7 @@ import sys
 import tempfile
 import time
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -84,7 +85,7 @@ def sweep(
             grid = Grid.fit(mesh, dim, fit=fit)
             for mode in modes:
                 octree = voxelize(mesh, grid, mode, device=timed)
-                times = _times(lambda: voxelize(mesh, grid, mode, device=timed), repeat)  # noqa: B023
+                times = _times(partial(voxelize, mesh, grid, mode, device=timed), repeat)
                 stages, whole = _stage_times(mesh, grid, mode, profiled, repeat)
                 memory = statistics.median(times)
                 on_device = sum(stages.values())
@@ -125,7 +126,7 @@ def _stage_times(
     """Median seconds of each stage by the device's events, and of the whole in the same runs."""
     runs, whole = [], []
     for _ in range(repeat + 1):
-        whole += _times(lambda: voxelize(mesh, grid, mode, device=device), 1)
+        whole += _times(partial(voxelize, mesh, grid, mode, device=device), 1)
         runs.append(device.stage_times())
     stages = {name: statistics.median(run[name] for run in runs[1:]) for name in runs[0]}
     return stages, statistics.median(whole[1:])

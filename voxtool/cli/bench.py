@@ -94,9 +94,9 @@ def bench_voxelize(
 ) -> None:
     """Time each stage of voxelizing MODELS.
 
-    Stages, device (their sum, by the device's events), host (what Python adds) and memory (mesh in
-    memory to octree in memory, and the runs' spread in %) are in ms; command (the whole command in
-    a process of its own) is in s and its peak of memory in MB.
+    Stages, device (their sum with survey and read back, by the device's events), host (what Python
+    adds) and memory (mesh in memory to octree in memory, and the runs' spread in %) are in ms;
+    command (the whole command in a process of its own) is in s and its peak of memory in MB.
 
     \b
     Examples:
