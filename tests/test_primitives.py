@@ -2,16 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from voxtool.errors import MemoryLimitError
-from voxtool.opencl import Device
-from voxtool.opencl.primitives import BLOCK, GROUP, exclusive_scan
+from voxtool.opencl import Array, Device, program
+from voxtool.opencl.primitives import (
+    BLOCK,
+    DIGIT_BITS,
+    GROUP,
+    PORTIONS,
+    QUADS,
+    build_histopyramid,
+    compact,
+    exclusive_scan,
+    radix_sort,
+    unique,
+)
 
 TWO_LEVELS = BLOCK * BLOCK  # from here on, the sums of blocks are scanned in blocks
+
+
+# ---- scan
 
 
 def check(device: Device, values: np.ndarray, room: int = 0) -> None:
@@ -79,8 +96,257 @@ def test_scan_again_and_again_is_the_same(device: Device) -> None:
     assert all(np.array_equal(results[0], r) for r in results[1:])
 
 
-def test_scan_beyond_31_bits_is_refused(device: Device) -> None:
+# ---- radix sort
+
+
+def check_sort(device: Device, keys: np.ndarray, bits: int, room: int = 0) -> None:
+    """Sort without and with values, which are the keys' numbers: they show what was stable."""
+    n = len(keys)
+    order = np.argsort(keys & keys.dtype.type((1 << bits) - 1), kind="stable")
+    padding = np.zeros(room, np.uint32)
+    for numbers in (None, np.concatenate([np.arange(n, dtype=np.uint32), padding])):
+        array = device.put(np.concatenate([keys, padding.astype(keys.dtype)]))
+        values = None if numbers is None else device.put(numbers)
+        found, found_values = radix_sort(array, n, bits, values)
+        assert found.dtype == keys.dtype
+        assert np.array_equal(found.get(0, n), keys[order])
+        found.release()
+        assert (found_values is None) == (numbers is None)
+        if found_values is not None:
+            assert np.array_equal(found_values.get(0, n), order)
+            found_values.release()
+
+
+KEYS = [np.uint32, np.uint64]
+DIGITS = 1 << DIGIT_BITS
+SORT_SIZES = sorted(
+    {0, 1, 2, 3, 7, 1001, 65_537, 100_003}
+    | {2**k + d for k in (3, 6, 8, 11, 16) for d in (-1, 0, 1)}
+    | {k * DIGITS + d for k in (2, 3, 64, 65) for d in (-1, 0, 1)}
+)
+
+
+def random_keys(size: int, dtype: type, seed: int = 1) -> np.ndarray:
+    """Keys of all bits."""
+    return np.random.default_rng(seed).integers(0, 1 << 8 * dtype().nbytes, size, dtype=dtype)
+
+
+@pytest.mark.parametrize("dtype", KEYS)
+@pytest.mark.parametrize("size", SORT_SIZES)
+def test_sort_at_the_limits_of_portions(device: Device, size: int, dtype: type) -> None:
+    check_sort(device, random_keys(size, dtype), 8 * dtype().nbytes)
+    check_sort(device, random_keys(size, dtype), 11, room=5)
+
+
+@pytest.mark.parametrize("past", [-1, 0, 1])
+def test_sort_where_portions_begin_to_grow(device: Device, past: int) -> None:
+    size = DIGITS * PORTIONS * device.info.units + past
+    check_sort(device, random_keys(size, np.uint32), 16)
+
+
+@pytest.mark.parametrize("bits", [0, 1, 2, 7, 8, 9, 13, 16, 17, 31, 32, 33, 42, 63, 64])
+@pytest.mark.parametrize("dtype", KEYS)
+def test_sort_by_the_lowest_bits_alone(device: Device, bits: int, dtype: type) -> None:
+    keys = random_keys(5003, dtype)
+    if bits <= 8 * dtype().nbytes:
+        check_sort(device, keys, bits)
+        check_sort(device, keys >> dtype(8 * dtype().nbytes - max(bits, 1)), bits)
+        return
+    array = device.put(keys)
+    with pytest.raises(ValueError, match=f"uint32 has no {bits} bits to sort by"):
+        radix_sort(array, len(keys), bits)
+    array.release()
+
+
+@pytest.mark.parametrize("dtype", KEYS)
+def test_sort_of_keys_in_special_orders(device: Device, dtype: type) -> None:
+    bits, size = 8 * dtype().nbytes, 10_007
+    rising = np.sort(random_keys(size, dtype))
+    low = random_keys(size, dtype) & dtype(3)
+    greatest = np.full(size, (1 << bits) - 1, dtype)
+    one = greatest.copy()
+    one[size // 2] = 0
+    orders = (rising, rising[::-1], np.zeros(size, dtype), greatest, one)
+    for keys in (*orders, low, low << dtype(bits - 2), np.arange(size, dtype=dtype) % dtype(3)):
+        check_sort(device, np.ascontiguousarray(keys), bits)
+
+
+def test_sort_of_several_million(device: Device) -> None:
+    check_sort(device, random_keys(3_000_017, np.uint64) >> np.uint64(22), 42)
+
+
+@given(st.lists(st.integers(0, (1 << 64) - 1), max_size=1000), st.integers(0, 64))
+@settings(max_examples=30)
+def test_sort_of_anything(device: Device, keys: list[int], bits: int) -> None:
+    check_sort(device, np.array(keys, np.uint64), bits)
+    check_sort(device, np.array(keys, np.uint64).astype(np.uint32), bits // 2)
+
+
+def test_sort_again_and_again_is_the_same(device: Device) -> None:
+    keys = random_keys(300_001, np.uint64)
+    found = [radix_sort(device.put(keys), len(keys), 20)[0].get() for _ in range(5)]
+    assert all(np.array_equal(found[0], f) for f in found[1:])
+
+
+# ---- compaction
+
+
+def taken(kept: tuple[Array, int]) -> np.ndarray:
+    """Exactly the values that there are."""
+    array, count = kept
+    assert array.size == count
+    return array.take()
+
+
+COMPACT_SIZES = [0, 1, 2, 63, 64, 65, 1001, BLOCK - 1, BLOCK, BLOCK + 1, 1_000_003]
+
+
+@pytest.mark.parametrize("dtype", KEYS)
+@pytest.mark.parametrize("size", COMPACT_SIZES)
+def test_compact_keeps_the_flagged_in_order(device: Device, size: int, dtype: type) -> None:
+    values = random_keys(size, dtype)
+    random = np.random.default_rng(size).integers(0, 2, size)
+    for flags in (random, np.zeros(size, int), np.ones(size, int)):
+        array = device.put(values)
+        scanned = device.put(np.append(flags, 0xDEADBEEF).astype(np.uint32))
+        assert np.array_equal(taken(compact(array, scanned, size)), values[flags == 1])
+        assert np.array_equal(scanned.get(), np.append(0, np.cumsum(flags)))
+        array.release()
+        scanned.release()
+
+
+@pytest.mark.parametrize("dtype", KEYS)
+@pytest.mark.parametrize("size", COMPACT_SIZES)
+def test_unique_keeps_each_once(device: Device, size: int, dtype: type) -> None:
+    few = np.sort(random_keys(size, dtype) % dtype(max(size // 3, 1)))
+    high = few << dtype(8 * dtype().nbytes - 20)
+    for keys in (few, np.sort(high), np.arange(size, dtype=dtype), np.full(size, 7, dtype)):
+        array = device.put(np.append(keys, dtype(7)))  # the last is not looked at
+        assert np.array_equal(taken(unique(array, size)), np.unique(keys))
+        assert np.array_equal(array.get(0, size), keys)
+        array.release()
+
+
+@given(st.lists(st.integers(0, 50), max_size=300))
+@settings(max_examples=30)
+def test_sort_and_unique_of_anything(device: Device, keys: list[int]) -> None:
+    array, _ = radix_sort(device.put(np.array(keys, np.uint64)), len(keys), 6)
+    assert taken(unique(array, len(keys))).tolist() == sorted(set(keys))
+    array.release()
+
+
+# ---- histopyramid
+
+TRAVERSE = """
+#include "opencl/histopyramid.h"
+__kernel void traverse(HISTOPYRAMID, const uint n, __global uint2 *found)
+{
+    const uint k = get_global_id(0);
+    __local uint fork[3];
+    uint r;
+    const uint i = histopyramid_traverse(THIS_HISTOPYRAMID, n, fork, &r);
+    if (k < n)
+        found[k] = (uint2)(i, r);
+}
+"""
+
+
+@pytest.fixture
+def traverse(device: Device, tmp_path: Path) -> Callable[..., None]:
+    """The kernel above, built as if it were among the others."""
+    header = "opencl/histopyramid.h"
+    (tmp_path / "opencl").mkdir()
+    (tmp_path / header).write_text((program.kernel_folder() / header).read_text())
+    (tmp_path / "traverse.cl").write_text(TRAVERSE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(program, "kernel_folder", lambda: tmp_path)
+        patch.setattr(program, "flatten", program.flatten.__wrapped__)  # without its cache
+        return device.kernel("traverse.cl", "traverse")
+
+
+def check_pyramid(
+    device: Device, traverse: Callable[..., None], counts: np.ndarray, room: int = 0
+) -> None:
+    """Every output is of the input that it should be, and none is missing."""
+    n = len(counts)
+    array = device.put(np.append(counts, np.full(room, 9)).astype(np.uint32))
+    pyramid = build_histopyramid(array, n)
+    assert pyramid.total == counts.sum()
+    found = device.empty(2 * pyramid.total, np.uint32)
+    traverse(pyramid.total, *pyramid.arguments, np.uint32(pyramid.total), found)
+    inputs, rests = found.get().reshape(-1, 2).T
+    first = np.cumsum(counts) - counts
+    assert np.array_equal(inputs, np.repeat(np.arange(n), counts))
+    assert np.array_equal(rests, np.arange(pyramid.total) - np.repeat(first, counts))
+    for thing in (found, array, pyramid):
+        thing.release()
+
+
+PYRAMID_SIZES = sorted(
+    {0, 1, 2, 3, 4, 7, 1001, 100_003}
+    | {5**k + d for k in (1, 2, 3, 4, 5, 6, 7) for d in (-1, 0, 1)}
+    | {k * 5 * QUADS + d for k in (1, 2, 5 * QUADS) for d in (-1, 0, 1)}
+)
+
+
+@pytest.mark.parametrize("size", PYRAMID_SIZES)
+def test_pyramid_around_powers_of_five(device: Device, traverse, size: int) -> None:
+    rng = np.random.default_rng(size)
+    check_pyramid(device, traverse, rng.integers(0, 6, size))
+    check_pyramid(device, traverse, rng.integers(0, 2, size), room=5)
+    check_pyramid(device, traverse, np.zeros(size, int))
+    check_pyramid(device, traverse, np.ones(size, int))
+
+
+@pytest.mark.parametrize("size", [1, 2, 5, 6, 126, 3125])
+def test_pyramid_of_one_large_count(device: Device, traverse, size: int) -> None:
+    for place in {0, size // 2, size - 1}:
+        counts = np.zeros(size, int)
+        counts[place] = 100_001
+        check_pyramid(device, traverse, counts)
+
+
+def test_pyramid_of_a_million(device: Device, traverse) -> None:
+    check_pyramid(device, traverse, np.random.default_rng(1).integers(0, 6, 1_000_003))
+
+
+@given(st.lists(st.integers(0, 1000), max_size=700))
+@settings(max_examples=30)
+def test_pyramid_of_anything(device: Device, traverse, counts: list[int]) -> None:
+    check_pyramid(device, traverse, np.array(counts, int))
+
+
+@pytest.mark.parametrize("size", [1, 5, 6, 1000])
+def test_pyramid_of_as_many_outputs_as_there_can_be(device: Device, size: int) -> None:
+    counts = np.zeros(size, np.uint32)
+    counts[0] = 0xFFFFFFFE
+    array = device.put(counts)
+    pyramid = build_histopyramid(array, size)
+    assert pyramid.total == 0xFFFFFFFE
+    pyramid.release()
+    for place, more in ((size - 1, 1), (size - 1, 2), (0, 0xFFFFFFFF)):
+        counts[place] = min(int(counts[place]) + more, 0xFFFFFFFF)
+        device.write(array, counts)
+        with pytest.raises(MemoryLimitError, match="2\\^32 - 1 outputs or more"):
+            build_histopyramid(array, size)
+    device.write(array, np.full(size, 0xFFFFFFFF, np.uint32))
+    with pytest.raises(MemoryLimitError, match="2\\^32 - 1 outputs or more"):
+        build_histopyramid(array, size)
+    array.release()
+
+
+# ---- limits
+
+
+def test_what_exceeds_31_bits_is_refused(device: Device) -> None:
     array = device.empty(1, np.uint32)
-    with pytest.raises(MemoryLimitError, match="choose a smaller dim"):
-        exclusive_scan(array, 1 << 31)
+    for refused in (
+        lambda: exclusive_scan(array, 1 << 31),
+        lambda: radix_sort(array, 1 << 31, 32),
+        lambda: unique(array, 1 << 31),
+        lambda: compact(array, array, 1 << 31),
+        lambda: build_histopyramid(array, 1 << 31),
+    ):
+        with pytest.raises(MemoryLimitError, match="choose a smaller dim"):
+            refused()
     array.release()

@@ -1,7 +1,11 @@
-// Parallel primitives. Host side: voxtool/opencl/primitives.py.
+// Parallel primitives. Host side: voxtool/opencl/primitives.py. Options: KEY, for sort and
+// compaction.
 
-#define BLOCK 256u // work-items of a group
-#define ITEMS 8u   // values of a work-item
+#include "opencl/primitives.h"
+
+#ifndef KEY
+
+// ---- scan
 
 // The exclusive prefix sum of `value` over a work-group; `total` is the sum over the group.
 // Hillis and Steele's scan, double-buffered in local memory.
@@ -11,21 +15,21 @@ uint scan_group(uint value, __local uint *buffer, uint *total)
     uint from = 0;
     buffer[lid] = value;
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint step = 1; step < BLOCK; step <<= 1) {
-        const uint to = BLOCK - from;
+    for (uint step = 1; step < GROUP; step <<= 1) {
+        const uint to = GROUP - from;
         buffer[to + lid] = buffer[from + lid] + (lid >= step ? buffer[from + lid - step] : 0);
         barrier(CLK_LOCAL_MEM_FENCE);
         from = to;
     }
-    *total = buffer[from + BLOCK - 1];
+    *total = buffer[from + GROUP - 1];
     return buffer[from + lid] - value;
 }
 
 // sums[g] = the sum of block g of `values`.
-__kernel __attribute__((reqd_work_group_size(256, 1, 1))) void
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
 sum_blocks(__global const uint *values, const uint n, __global uint *sums)
 {
-    __local uint buffer[2 * BLOCK];
+    __local uint buffer[2 * GROUP];
     const uint start = (uint)get_global_id(0) * ITEMS;
     uint sum = 0, total;
     for (uint i = start; i < min(start + ITEMS, n); ++i)
@@ -37,10 +41,10 @@ sum_blocks(__global const uint *values, const uint n, __global uint *sums)
 
 // out[i] = the sum of values[0 .. i - 1], where sums[g] is that before block g (a single block needs
 // no sums); out[n] = the sum of all. `out` may be `values`.
-__kernel __attribute__((reqd_work_group_size(256, 1, 1))) void
+__kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
 scan_blocks(__global const uint *values, const uint n, __global const uint *sums, __global uint *out)
 {
-    __local uint buffer[2 * BLOCK];
+    __local uint buffer[2 * GROUP];
     const uint start = (uint)get_global_id(0) * ITEMS;
     uint value[ITEMS], sum = 0, total;
     for (uint i = 0; i < ITEMS; ++i) {
@@ -55,3 +59,91 @@ scan_blocks(__global const uint *values, const uint n, __global const uint *sums
         running += value[i];
     }
 }
+
+// ---- histopyramid
+
+// A level of quadruples, from `offset` on, and the sums of its m fives (listing A.14 of the thesis).
+// Saturated sums tell that a total does not fit.
+__kernel __attribute__((reqd_work_group_size(5 * QUADS, 1, 1))) void
+build_level(__global const uint *values, const uint n, __global uint4 *levels, const uint offset,
+            __global uint *sums, const uint m)
+{
+    __local uint fives[5 * QUADS];
+    const uint gid = get_global_id(0), lid = get_local_id(0);
+    fives[lid] = gid < n ? values[gid] : 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    const uint i = QUADS * (uint)get_group_id(0) + lid;
+    if (lid < QUADS && i < m) {
+        __local const uint *five = &fives[5 * lid]; // five is odd: no bank conflicts
+        levels[offset + i] = vload4(0, five);
+        uint sum = five[0];
+        for (uint j = 1; j < 5; ++j)
+            sum = add_sat(sum, five[j]);
+        sums[i] = sum;
+    }
+}
+
+#else
+
+// ---- radix sort: a work-item's portion of n keys is keys[portion * gid ..]
+
+// counts[digit * portions + gid] = how many keys of a portion have this digit.
+__kernel void count_digits(__global const KEY *keys, const uint n, const uint portion,
+                           const uint shift, const uint digits, __global uint *counts)
+{
+    const uint gid = get_global_id(0), portions = (n - 1) / portion + 1;
+    if (gid >= portions)
+        return;
+    uint count[1 << DIGIT_BITS];
+    for (uint digit = 0; digit < digits; ++digit)
+        count[digit] = 0;
+    const uint end = min(portion * gid + portion, n);
+    for (uint i = portion * gid; i < end; ++i)
+        ++count[(uint)(keys[i] >> shift) & (digits - 1)];
+    for (uint digit = 0; digit < digits; ++digit)
+        counts[digit * portions + gid] = count[digit];
+}
+
+// Keys in the order of a digit, where starts[digit * portions + gid] is the place of a portion's
+// first key with it; their values too, if there are.
+__kernel void scatter_keys(__global const KEY *keys, const uint n, const uint portion,
+                           const uint shift, const uint digits, __global const uint *starts,
+                           __global KEY *sorted, __global const uint *values,
+                           __global uint *sorted_values)
+{
+    const uint gid = get_global_id(0), portions = (n - 1) / portion + 1;
+    if (gid >= portions)
+        return;
+    uint place[1 << DIGIT_BITS];
+    for (uint digit = 0; digit < digits; ++digit)
+        place[digit] = starts[digit * portions + gid];
+    const uint end = min(portion * gid + portion, n);
+    for (uint i = portion * gid; i < end; ++i) {
+        const KEY key = keys[i];
+        const uint to = place[(uint)(key >> shift) & (digits - 1)]++;
+        sorted[to] = key;
+        if (values)
+            sorted_values[to] = values[i];
+    }
+}
+
+// ---- compaction
+
+// flags[i] = 1 where a key is the last of equal ones.
+__kernel void flag_last(__global const KEY *keys, const uint n, __global uint *flags)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n)
+        flags[gid] = gid == n - 1 || keys[gid] != keys[gid + 1];
+}
+
+// The flagged values; `places` is the exclusive scan of the n flags.
+__kernel void move_flagged(__global const KEY *values, const uint n, __global const uint *places,
+                           __global KEY *kept)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n && places[gid] != places[gid + 1])
+        kept[places[gid]] = values[gid];
+}
+
+#endif

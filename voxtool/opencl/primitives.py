@@ -1,15 +1,32 @@
-"""Parallel primitives over device arrays; the kernels are in kernels/opencl/primitives.cl."""
+"""Parallel primitives over device arrays: scan, radix sort, compaction, histopyramid.
+
+The kernels are in kernels/opencl/primitives.cl, the histopyramid's traversal is in
+kernels/opencl/histopyramid.h.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 
 from voxtool.errors import MemoryLimitError
+from voxtool.opencl import program
 from voxtool.opencl.device import Array
 
 SOURCE = "opencl/primitives.cl"
-GROUP = 256
-BLOCK = GROUP * 8  # values that a work-group scans
+GROUP = 256  # work-items of a group that scans
+ITEMS = 8  # values of one of them
+BLOCK = GROUP * ITEMS  # values that a work-group scans
+DIGIT_BITS = 8  # of a key that one pass sorts by, at most
+QUADS = 32  # quadruples of a histopyramid that a work-group of 5 * QUADS makes
+PORTIONS = 128  # portions of keys for each unit of the device, at most
+_KEYS = {np.dtype(np.uint32): "uint", np.dtype(np.uint64): "ulong"}
+
+program.generated["opencl/primitives.h"] = program.c_constants(
+    GROUP=GROUP, ITEMS=ITEMS, DIGIT_BITS=DIGIT_BITS, QUADS=QUADS
+)
 
 
 def exclusive_scan(values: Array, n: int) -> int:
@@ -29,10 +46,16 @@ def exclusive_scan(values: Array, n: int) -> int:
     ------
     MemoryLimitError : n does not fit 31 bits.
     """
-    if n >= 1 << 31:
-        raise MemoryLimitError(f"a scan of {n} values exceeds 32-bit indices: choose a smaller dim")
+    _check(n, "scan")
     _scan(values, n)
     return int(values.get(n, n + 1)[0])
+
+
+def _check(n: int, what: str) -> None:
+    if n >= 1 << 31:
+        raise MemoryLimitError(
+            f"a {what} of {n} values exceeds 32-bit indices: choose a smaller dim"
+        )
 
 
 def _scan(values: Array, n: int) -> None:
@@ -48,3 +71,172 @@ def _scan(values: Array, n: int) -> None:
     _scan(sums, blocks)
     scan_blocks(size, values, np.uint32(n), sums, values, local=GROUP)
     sums.release()
+
+
+@overload
+def radix_sort(keys: Array, n: int, bits: int) -> tuple[Array, None]: ...
+@overload
+def radix_sort(keys: Array, n: int, bits: int, values: Array) -> tuple[Array, Array]: ...
+def radix_sort(
+    keys: Array, n: int, bits: int, values: Array | None = None
+) -> tuple[Array, Array | None]:
+    """Sort n keys by their lowest `bits` bits; keys that are equal in these keep their order.
+
+    From the lowest digit to the highest, as in the thesis (section 5.1): each work-item counts the
+    digits of a portion of the keys, the counts H(digit, portion) are scanned, and each work-item
+    moves its keys, in order, to where the scan says. Does not wait for the device.
+
+    Parameters
+    ----------
+    keys : uint32 or uint64, at least n elements. It is consumed: released, or returned.
+    bits : 0 to the width of a key.
+    values : uint32, at least n elements that go where their keys go; consumed likewise.
+
+    Returns
+    -------
+    The sorted keys and their values, each of at least n elements.
+
+    Raises
+    ------
+    MemoryLimitError : n does not fit 31 bits.
+    """
+    _check(n, "sort")
+    if not 0 <= bits <= 8 * keys.dtype.itemsize:
+        raise ValueError(f"{keys.dtype} has no {bits} bits to sort by")
+    if n < 2 or bits == 0:
+        return keys, values
+    device = keys.device
+    # portions of no fewer keys than there are digits: the table is hardly larger than the keys
+    portions = min(-(-n >> DIGIT_BITS), PORTIONS * device.info.units)
+    portion = -(-n // portions)
+    portions = -(-n // portion)
+    passes = -(-bits // DIGIT_BITS)
+    width = -(-bits // passes)
+    table = device.empty((portions << width) + 1, np.uint32)
+    count = device.kernel(SOURCE, "count_digits", KEY=_KEYS[keys.dtype])
+    scatter = device.kernel(SOURCE, "scatter_keys", KEY=_KEYS[keys.dtype])
+    spare = device.empty(n, keys.dtype)
+    spare_values = None if values is None else device.empty(n, np.uint32)
+    for shift in range(0, bits, width):
+        digits = 1 << min(width, bits - shift)
+        cut = (np.uint32(n), np.uint32(portion), np.uint32(shift), np.uint32(digits))
+        count(portions, keys, *cut, table)
+        _scan(table, portions * digits)
+        scatter(portions, keys, *cut, table, spare, values, spare_values)
+        keys, spare = spare, keys
+        values, spare_values = spare_values, values
+    for array in (table, spare, spare_values):
+        if array is not None:
+            array.release()
+    return keys, values
+
+
+def unique(keys: Array, n: int) -> tuple[Array, int]:
+    """The distinct keys of n sorted ones, in a new array, and their number; waits for the device.
+
+    The last key of each run is kept (the thesis, section 6.3: uniquify).
+
+    Parameters
+    ----------
+    keys : uint32 or uint64, at least n elements.
+
+    Raises
+    ------
+    MemoryLimitError : n does not fit 31 bits.
+    """
+    _check(n, "compaction")
+    device = keys.device
+    flags = device.empty(n + 1, np.uint32)
+    device.kernel(SOURCE, "flag_last", KEY=_KEYS[keys.dtype])(n, keys, np.uint32(n), flags)
+    kept = compact(keys, flags, n)
+    flags.release()
+    return kept
+
+
+def compact(values: Array, flags: Array, n: int) -> tuple[Array, int]:
+    """The values whose flag is 1, in their order, in a new array, and their number.
+
+    Waits for the device.
+
+    Parameters
+    ----------
+    values : uint32 or uint64, at least n elements.
+    flags : uint32, 0 or 1, at least n + 1 elements; replaced by their exclusive scan, which says
+        where each kept value is.
+
+    Raises
+    ------
+    MemoryLimitError : n does not fit 31 bits.
+    """
+    total = exclusive_scan(flags, n)
+    kept = values.device.empty(total, values.dtype)
+    move = values.device.kernel(SOURCE, "move_flagged", KEY=_KEYS[values.dtype])
+    move(n, values, np.uint32(n), flags, kept)
+    return kept, total
+
+
+@dataclass(frozen=True)
+class Histopyramid:
+    """A 5:1 histopyramid over counts: which input has output k, and which of its outputs that is.
+
+    Section 4.1 of the thesis. A kernel that includes kernels/opencl/histopyramid.h walks it.
+
+    levels : uint32, quadruples of sums of the level below, from the top level down; offsets :
+    (height,) uint32, the first quadruple of each level; total : the number of outputs.
+    """
+
+    levels: Array
+    offsets: Array
+    height: int
+    total: int
+
+    @property
+    def arguments(self) -> tuple[Array, Array, np.uint32]:
+        """What a kernel takes as its HISTOPYRAMID."""
+        return self.levels, self.offsets, np.uint32(self.height)
+
+    def release(self) -> None:
+        """Give back all device memory."""
+        self.levels.release()
+        self.offsets.release()
+
+
+def build_histopyramid(counts: Array, n: int) -> Histopyramid:
+    """The histopyramid of n counts, which need not be a power of five (the thesis, section 6.3).
+
+    Sums saturate on the device, so none that does not fit goes unnoticed. Waits for the device.
+
+    Parameters
+    ----------
+    counts : uint32, at least n elements: how many outputs each input has.
+
+    Raises
+    ------
+    MemoryLimitError : n does not fit 31 bits, or 2^32 - 1 outputs or more.
+    """
+    _check(n, "histopyramid")
+    device = counts.device
+    sizes = []  # quadruples of each level, from the lowest up
+    while n > 5 ** len(sizes):
+        sizes.append(-(-n // 5 ** (len(sizes) + 1)))
+    height = len(sizes)
+    offsets = np.array([sum(sizes[level + 1 :]) for level in range(height)], np.uint32)
+    levels = device.empty(4 * sum(sizes), np.uint32)
+    build = device.kernel(SOURCE, "build_level")
+    sums, size = counts, n
+    for offset, quads in zip(offsets, sizes, strict=True):
+        above = device.empty(quads, np.uint32)
+        build(
+            5 * quads, sums, np.uint32(size), levels, offset, above, np.uint32(quads),
+            local=5 * QUADS,
+        )  # fmt: skip
+        if sums is not counts:
+            sums.release()
+        sums, size = above, quads
+    total = int(sums.get(0, 1)[0]) if n else 0
+    if sums is not counts:
+        sums.release()
+    if total == 0xFFFFFFFF:
+        levels.release()
+        raise MemoryLimitError("a histopyramid of 2^32 - 1 outputs or more: choose a smaller dim")
+    return Histopyramid(levels, device.put(offsets[::-1]), height, total)
