@@ -1,11 +1,14 @@
-"""What is wrong with a mesh: open edges, shells, faces that may surprise.
+"""What is wrong with a mesh: open edges, shells, faces that may surprise; what it encloses.
 
-By positions: vertices that are bit-equal (-0.0 is 0.0) are one.
+By positions: vertices that are bit-equal (-0.0 is 0.0) are one; or by index, where a mesh keeps
+two sheets apart that touch.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,10 +18,10 @@ from voxtool.mesh import Mesh
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What a mesh is, by positions: vertices that are bit-equal are one.
+    """What a mesh is, by positions (vertices that are bit-equal are one) or by index.
 
     Faces that name a position twice bound nothing: they count in `faces` and `degenerate_faces`
-    alone. An edge is a pair of positions.
+    alone. An edge is a pair of positions. By index, read "vertex" for "position".
 
     faces, vertices : as in the file.
     closed : there are edges, and every one is used an even number of times.
@@ -44,7 +47,13 @@ class Diagnosis:
     shells: int
     euler: int
 
-    def as_dict(self) -> dict[str, int | bool]:
+    @property
+    def watertight(self) -> bool:
+        """There are edges, and every one has exactly two faces, which run along it in opposite
+        directions."""
+        return self.closed and not (self.nonmanifold_edges or self.inconsistent_edges)
+
+    def as_dict(self) -> dict[str, int | bool | None]:
         """The fields by name, of JSON types."""
         return asdict(self)
 
@@ -62,35 +71,191 @@ class Diagnosis:
         return f"{'closed' if self.closed else 'not closed'}: {', '.join(counts)}"
 
 
-def diagnose(mesh: Mesh) -> Diagnosis:
+@dataclass(frozen=True)
+class SurfaceCheck(Diagnosis):
+    """A diagnosis that also looks around every vertex, as a surface that was made must pass.
+
+    nonmanifold_vertices : positions whose faces are not one fan, closed or open; the ends of
+        non-manifold edges among them.
+    """
+
+    nonmanifold_vertices: int
+
+    @property
+    def manifold(self) -> bool:
+        """An oriented 2-manifold, with boundary or without: no non-manifold edge or vertex, no
+        inconsistent edge, no duplicate face."""
+        return not (
+            self.nonmanifold_edges
+            or self.nonmanifold_vertices
+            or self.inconsistent_edges
+            or self.duplicate_faces
+        )
+
+    @property
+    def genus(self) -> int | None:
+        """Handles of all shells together: Euler = 2 shells - 2 genus; None unless the mesh is
+        watertight and manifold."""
+        if not (self.watertight and self.manifold):
+            return None
+        return self.shells - self.euler // 2
+
+    def as_dict(self) -> dict[str, int | bool | None]:
+        """The fields and what follows from them by name, of JSON types."""
+        derived = {"watertight": self.watertight, "manifold": self.manifold, "genus": self.genus}
+        return super().as_dict() | derived
+
+    def summary(self) -> str:
+        """As of a diagnosis, with the vertices, and the genus where there is one."""
+        vertices = count_of(self.nonmanifold_vertices, "vertex").replace(" ", " non-manifold ")
+        genus = "" if self.genus is None else f", genus {self.genus}"
+        return f"{super().summary()}, {vertices}{genus}"
+
+
+def diagnose(mesh: Mesh, *, weld: bool = True) -> Diagnosis:
     """Describe a mesh: open edges, shells, and what else may surprise.
 
     Parameters
     ----------
     mesh : any mesh; faces may be degenerate.
+    weld : False tells vertices apart by index, not by position.
     """
-    corners = _positions(mesh)[mesh.faces]
+    return Diagnosis(**_counts(mesh, _topology(mesh, weld)))
+
+
+def check_surface(mesh: Mesh, *, weld: bool = True) -> SurfaceCheck:
+    """Describe a mesh as `diagnose` does, and the fans of faces around its vertices.
+
+    Parameters
+    ----------
+    mesh : any mesh; faces may be degenerate.
+    weld : False tells vertices apart by index, not by position: two cubes that touch in a corner
+        are a manifold where each has a vertex of its own there.
+    """
+    topology = _topology(mesh, weld)
+    return SurfaceCheck(**_counts(mesh, topology), nonmanifold_vertices=_pinched(topology))
+
+
+def volume(mesh: Mesh) -> float:
+    """Volume that a closed surface encloses, in cubic world units, positive where its faces are
+    counter-clockwise seen from outside; T-junctions do no harm.
+
+    The tetrahedra between the faces and the centre of the bounding box, summed exactly: the order
+    of the faces does not show. Of an open surface it is the volume of the cones to that centre.
+    """
+    if not len(mesh.faces):
+        return 0.0
+    low, high = mesh.bounds
+    triangles = (mesh.vertices - (low + (high - low) / 2))[mesh.faces]
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = triangles.transpose(1, 2, 0)
+    six = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    return math.fsum(six.tolist()) / 6
+
+
+def closed_chain(mesh: Mesh) -> bool:
+    """Whether a surface closes though edges may end within others (T-junctions): its boundary is
+    zero as a chain, by positions.
+
+    Edges cancel where they run in opposite directions between two positions. What is left must
+    lie along the axes, as between rectangles of different size, and cancel along each line; any
+    other edge left leaves the surface open. Without faces it is closed.
+    """
+    topology = _topology(mesh, weld=True)
+    edge, forward = topology.edge, topology.forward
+    net = 2 * np.bincount(edge, weights=forward) - topology.count
+    one = np.empty(len(net), np.int64)
+    one[edge] = np.arange(len(edge))  # any side of each edge
+    one, net = one[net != 0], net[net != 0]
+    net = np.where(forward[one], net, -net)  # along that side
+    ends = np.stack([one, _next(one)])  # corners
+    points = mesh.vertices[mesh.faces[topology.proper].ravel()[ends]]
+    along = points[0] != points[1]
+    if (np.count_nonzero(along, axis=1) != 1).any():
+        return False
+    # The segments on a line cancel if as many end in each position as begin there: a chain on a
+    # line that has no ends is zero. A position and an axis name the line.
+    place = 3 * topology.corners.ravel()[ends] + np.argmax(along, axis=1)
+    _, place = np.unique(place, return_inverse=True)
+    return not np.bincount(place.ravel(), weights=np.concatenate([-net, net])).any()
+
+
+# --- topology ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Topology:
+    """Faces on three different positions, by their sides: side 3 f + k runs from corner k of face
+    f to the next.
+
+    proper : (faces of the mesh,) bool: those faces.
+    corners : (F, 3) int64 positions of their corners.
+    edge : (3F,) int64 edge of each side; forward : (3F,) bool: it runs to the greater position.
+    count : (E,) int64 sides of each edge.
+    pairs : (2, P) int64 sides that share an edge: each with the next one there.
+    """
+
+    proper: np.ndarray
+    corners: np.ndarray
+    edge: np.ndarray
+    forward: np.ndarray
+    count: np.ndarray
+    pairs: np.ndarray
+
+
+def _topology(mesh: Mesh, weld: bool) -> _Topology:
+    corners = _positions(mesh)[mesh.faces] if weld else mesh.faces.astype(np.int64)
     a, b, c = corners.T
     proper = (a != b) & (b != c) & (c != a)
     corners = corners[proper]
-    flat = _collinear(mesh.vertices[mesh.faces[proper]])
     edge, forward = _edges(corners)
-    count = np.bincount(edge)
-    along = np.bincount(edge, weights=forward)
+    order = np.argsort(edge, kind="stable")
+    same = edge[order[1:]] == edge[order[:-1]]
+    pairs = np.stack([order[:-1][same], order[1:][same]])
+    return _Topology(proper, corners, edge, forward, np.bincount(edge), pairs)
+
+
+def _counts(mesh: Mesh, topology: _Topology) -> dict[str, Any]:
+    """The fields of a Diagnosis."""
+    corners, count = topology.corners, topology.count
+    flat = _collinear(mesh.vertices[mesh.faces[topology.proper]])
+    along = np.bincount(topology.edge, weights=topology.forward)
     even = not (count % 2).any()
-    return Diagnosis(
-        faces=len(mesh.faces),
-        vertices=len(mesh.vertices),
-        closed=even and len(count) > 0,
-        even=even,
-        boundary_edges=int(np.count_nonzero(count == 1)),
-        nonmanifold_edges=int(np.count_nonzero(count > 2)),
-        inconsistent_edges=int(np.count_nonzero((count == 2) & (along != 1))),
-        duplicate_faces=len(corners) - _distinct(np.sort(corners, axis=1)),
-        degenerate_faces=int(np.count_nonzero(~proper) + np.count_nonzero(flat)),
-        shells=_shells(edge, len(corners)),
-        euler=len(np.unique(corners)) - len(count) + len(corners),
-    )
+    one, other = topology.pairs // 3
+    shells = _components(one, other, len(corners))
+    return {
+        "faces": len(mesh.faces),
+        "vertices": len(mesh.vertices),
+        "closed": even and len(count) > 0,
+        "even": even,
+        "boundary_edges": int(np.count_nonzero(count == 1)),
+        "nonmanifold_edges": int(np.count_nonzero(count > 2)),
+        "inconsistent_edges": int(np.count_nonzero((count == 2) & (along != 1))),
+        "duplicate_faces": len(corners) - _distinct(np.sort(corners, axis=1)),
+        "degenerate_faces": int(np.count_nonzero(~topology.proper) + np.count_nonzero(flat)),
+        "shells": int(np.count_nonzero(shells == np.arange(len(shells)))),
+        "euler": int(np.count_nonzero(np.bincount(corners.ravel()))) - len(count) + len(corners),
+    }
+
+
+def _pinched(topology: _Topology) -> int:
+    """Positions whose faces are not one fan.
+
+    Two corners at a position belong to one fan where their faces share an edge there. An edge of
+    more than two faces joins none: it ends three fans or more, and a fan has two ends.
+    """
+    corners, forward = topology.corners.ravel(), topology.forward
+    s, t = topology.pairs[:, topology.count[topology.edge[topology.pairs[0]]] == 2]
+    opposite = forward[s] != forward[t]
+    u = np.concatenate([s, _next(s)])
+    v = np.concatenate([np.where(opposite, _next(t), t), np.where(opposite, t, _next(t))])
+    fan = _components(u, v, len(corners))
+    fans = np.bincount(corners[fan == np.arange(len(fan))])
+    return int(np.count_nonzero(fans > 1))
+
+
+def _next(sides: np.ndarray) -> np.ndarray:
+    """The sides that follow within their faces; as corners, the ends of the sides."""
+    return sides + np.where(sides % 3 == 2, -2, 1)
 
 
 def _positions(mesh: Mesh) -> np.ndarray:
@@ -117,12 +282,10 @@ def _distinct(rows: np.ndarray) -> int:
     return len(rows) and 1 + int(np.count_nonzero((rows[1:] != rows[:-1]).any(axis=1)))
 
 
-def _shells(edge: np.ndarray, faces: int) -> int:
-    """Connected components: every root hooks onto its least neighbour, then all paths collapse."""
-    order = np.argsort(edge, kind="stable")
-    same = edge[order[1:]] == edge[order[:-1]]
-    u, v = order[:-1][same] // 3, order[1:][same] // 3
-    root = np.arange(faces)
+def _components(u: np.ndarray, v: np.ndarray, nodes: int) -> np.ndarray:
+    """(nodes,) int64: the least node of each node's component, under links from u to v; every
+    root hooks onto its least neighbour, then all paths collapse."""
+    root = np.arange(nodes)
     while len(u):
         u, v = root[u], root[v]
         apart = u != v
@@ -130,7 +293,7 @@ def _shells(edge: np.ndarray, faces: int) -> int:
         np.minimum.at(root, np.maximum(u, v), np.minimum(u, v))
         while not np.array_equal(root, jump := root[root]):
             root = jump
-    return int(np.count_nonzero(root == np.arange(faces)))
+    return root
 
 
 def _collinear(triangles: np.ndarray) -> np.ndarray:

@@ -19,9 +19,20 @@ from voxtool.files.atomic import atomic_path, check_target
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    import numpy as np
+
+    from voxtool.mesh import Mesh
     from voxtool.svo.octree import Octree
 
-__all__ = ["atomic_path", "check_target", "export", "format_of", "read_svo", "write_svo"]
+__all__ = [
+    "atomic_path",
+    "check_target",
+    "export",
+    "format_of",
+    "read_svo",
+    "write_mesh",
+    "write_svo",
+]
 
 PathLike = str | os.PathLike[str]
 STREAM = "-"  # stdin or stdout
@@ -36,7 +47,10 @@ SVO_FORMATS = {
     "xml.gz": ("svo_xml", "write_gz"),
 }
 EXPORTS = {name: (name, "write") for name in ("npy", "npz", "vti", "png")}
-TEXT_FORMATS = ("svo.xml", "xml")  # fit for a terminal
+MESH_FORMATS = {name: ("surface", f"write_{name}") for name in ("obj", "ply", "stl", "glb", "off")}
+NORMAL_FORMATS = ("obj", "ply", "glb")  # of these, those that hold a normal a vertex
+STREAM_FORMATS = ("svo.h5", "obj")  # what stdout gets where no format is named
+TEXT_FORMATS = ("svo.xml", "xml", "obj", "off")  # fit for a terminal
 
 MESH_EXTENSIONS = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".3mf", ".dae", ".xyz")
 MESH_OPENINGS = (b"ply\n", b"ply\r", b"solid ", b"OFF\n", b"OFF\r", b"glTF", b"#", b"v ")
@@ -104,15 +118,56 @@ def export(
     _write(octree, path, clobber, format or format_of(path, EXPORTS), EXPORTS, **options)
 
 
+def write_mesh(
+    mesh: Mesh,
+    path: PathLike,
+    clobber: bool = True,
+    format: str | None = None,
+    normals: np.ndarray | None = None,
+) -> None:
+    """Write a triangle mesh as .obj, .ply, .stl, .glb or .off; `-` writes stdout, as OBJ.
+
+    Faces keep their order, and vertices too but for STL, which has none: it repeats the corners
+    of every face. OBJ and OFF are text: coordinates of a tenth of the largest and more come back
+    bit for bit, the others within 1e-17 of the largest and 1e-9 of the mesh's longest side. PLY,
+    STL and GLB hold float32, 1 part in 1.6e7 of a coordinate; a mesh is refused if that moves
+    vertices by more than a thousandth of its longest side. The unit of GLB is the metre; the
+    others have none. Without faces the file is valid, but there is no mesh in it to load.
+
+    Parameters
+    ----------
+    clobber : False refuses an existing file.
+    format : "obj", "ply", "stl", "glb" or "off" instead of what the name says.
+    normals : (V, 3) float64 unit vectors, one a vertex, written as they are; OBJ holds them within
+        1e-9, PLY and GLB as float32.
+
+    Raises
+    ------
+    FileError : the file cannot be written, its name says no format, or the format cannot hold the
+        mesh or its normals.
+    MeshError : a vertex is not finite, or the normals are not one a vertex and finite.
+    MemoryLimitError : the text does not fit in memory.
+    """
+    format = format or format_of(path, MESH_FORMATS)
+    if normals is not None and format in MESH_FORMATS and format not in NORMAL_FORMATS:
+        held = ", ".join(f".{name}" for name in NORMAL_FORMATS)
+        raise FileError(
+            f".{format} holds no vertex normals: write one of {held}, or leave them out"
+        )
+    _write(mesh, path, clobber, format, MESH_FORMATS, normals=normals)
+
+
 def format_of(path: PathLike, formats: dict[str, tuple[str, str]]) -> str:
-    """The format that a name's extension says; HDF5, where it is one of them, for stdout.
+    """The format that a name's extension says; for stdout HDF5 or OBJ, if it is one of them.
 
     Raises
     ------
     FileError : no format of these has this extension.
     """
-    if path == STREAM and "svo.h5" in formats:
-        return "svo.h5"
+    if path == STREAM:
+        for default in STREAM_FORMATS:
+            if default in formats:
+                return default
     name = os.fspath(path).lower()
     for extension in formats:
         if name.endswith(f".{extension}"):
@@ -179,7 +234,7 @@ def _read_error(name: str, error: OSError) -> FileError:
 
 
 def _write(
-    octree: Octree,
+    content: Octree | Mesh,
     path: PathLike,
     clobber: bool,
     format: str,
@@ -192,15 +247,15 @@ def _write(
     module = import_module(f"voxtool.files.{module_name}")
     write = getattr(module, function)
     if path == STREAM:
-        _write_stdout(lambda file: write(octree, file, **options), format in TEXT_FORMATS)
+        _write_stdout(lambda file: write(content, file, **options), format in TEXT_FORMATS)
         return
     check_target(path, clobber)
     if hasattr(module, "size"):
         from voxtool.files.memory import check_disk
 
-        check_disk(path, module.size(octree), "choose a smaller dim, or the sparse .npz")
+        check_disk(path, module.size(content), "choose a smaller dim, or the sparse .npz")
     with atomic_path(path, clobber) as temporary, open(temporary, "w+b") as file:
-        write(octree, file, **options)
+        write(content, file, **options)
 
 
 def _write_stdout(write: Callable[[BinaryIO], None], text: bool) -> None:
