@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import golden_mesh
 import golden_svo
 import pytest
 from conftest import model
@@ -11,6 +12,7 @@ from conftest import model
 import voxtool
 
 GOLDEN = json.loads(golden_svo.GOLDEN.read_text(encoding="utf-8"))
+SURFACES = json.loads(golden_mesh.GOLDEN.read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize("name", golden_svo.OWN)
@@ -32,3 +34,16 @@ def test_closed_models_have_no_odd_column(device) -> None:
         dense = voxtool.voxelize(mesh, voxtool.Grid.fit(mesh, dim), device=device).to_dense()
         assert dense.any()
         assert not dense[-min(4, dim // 8) :].any()
+
+
+@pytest.mark.parametrize("name", golden_svo.OWN)
+def test_surfaces_of_own_meshes(device, name: str) -> None:
+    mesh = golden_svo.own_mesh(name)
+    assert dict(golden_mesh.digests(mesh, golden_mesh.DIMS, device)) == SURFACES[name]
+
+
+@pytest.mark.parametrize("name", golden_svo.REAL)
+def test_surfaces_of_real_models(device, name: str) -> None:
+    mesh = voxtool.load_mesh(model(f"{name}.obj"))
+    found = dict(golden_mesh.digests(mesh, golden_mesh.REAL_DIMS, device))
+    assert found == SURFACES[f"{name}.obj"]

@@ -25,10 +25,11 @@ if TYPE_CHECKING:
         MeshError,
         VoxtoolError,
     )
-    from voxtool.files import export, read_svo, write_svo
+    from voxtool.files import export, read_svo, write_mesh, write_svo
     from voxtool.grid import Grid
     from voxtool.mesh import Mesh, load_mesh, mesh_from_arrays
     from voxtool.opencl import list_devices, open_device
+    from voxtool.svo.isosurface import Isosurface, extract, plan_extract
     from voxtool.svo.octree import Octree
     from voxtool.svo.voxelize import plan_voxelize, voxelize
 
@@ -42,10 +43,11 @@ _HOMES = {
         "MeshError",
         "VoxtoolError",
     ),
-    "voxtool.files": ("export", "read_svo", "write_svo"),
+    "voxtool.files": ("export", "read_svo", "write_mesh", "write_svo"),
     "voxtool.grid": ("Grid",),
     "voxtool.mesh": ("Mesh", "load_mesh", "mesh_from_arrays"),
     "voxtool.opencl": ("list_devices", "open_device"),
+    "voxtool.svo.isosurface": ("Isosurface", "extract", "plan_extract"),
     "voxtool.svo.octree": ("Octree",),
     "voxtool.svo.voxelize": ("plan_voxelize", "voxelize"),
 }
@@ -57,6 +59,7 @@ __all__ = [
     "FileError",
     "Grid",
     "GridError",
+    "Isosurface",
     "MemoryLimitError",
     "Mesh",
     "MeshError",
@@ -65,13 +68,16 @@ __all__ = [
     "__version__",
     "diagnose",
     "export",
+    "extract",
     "list_devices",
     "load_mesh",
     "mesh_from_arrays",
     "open_device",
+    "plan_extract",
     "plan_voxelize",
     "read_svo",
     "voxelize",
+    "write_mesh",
     "write_svo",
 ]
 

@@ -19,6 +19,7 @@ CODE_32_SIDE = 8192  # voxels up to which level-1 Morton codes fit 32 bits
 DENSE_SIDE = 2048  # voxels up to which the level-1 volume is dense
 TILE = 64  # columns along a side of a work-item's share of a triangle
 MAX_LINK = 1 << 30  # a link has 30 bits
+CUT_CUBE_BYTES = {"smooth": 48, "blocks": 84, "nets": 120}  # device arrays, a cube that is cut
 
 
 @dataclass(frozen=True)
@@ -276,3 +277,126 @@ def _rescale(plan: Plan, factor: float) -> Plan:
     survey = Survey(s.triangles, s.vertices, s.outside, s.extent * factor, (ax, ay, az), s.before)
     nx, ny, nz = (max(round(n * factor), 1) for n in plan.shape)
     return plan_voxelization(survey, (nx, ny, nz), solid=plan.solid, surface=plan.surface)
+
+
+# ---- isosurfaces
+
+
+@dataclass(frozen=True)
+class ExtractionPlan:
+    """How a surface will be extracted from an octree.
+
+    style, level, merge : as asked; samples : along a side of the root, which may be larger than
+    the octree's; rooted : roots were added, or no cube could begin below the low sides.
+    nodes, bricks : of the octree; active : tiles of 4 x 4 x 4 samples that have nodes.
+    """
+
+    style: str
+    level: int | str
+    merge: bool
+    samples: int
+    rooted: bool
+    nodes: int
+    bricks: int
+    active: int
+
+    @property
+    def voxels(self) -> bool:
+        """Whether samples are voxels."""
+        return self.level == "voxel"
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages that will run, in order."""
+        return [
+            "tiles",
+            "samples",
+            "classify",
+            *([] if self.voxels else ["lost voxels"]),
+            "vertices",
+            *(["relax"] if self.style == "nets" else []),
+            "histopyramid",
+            *([] if self.style == "smooth" else ["quads"]),
+            *(["merge"] if self.merge else []),
+            "triangles",
+        ]
+
+    @property
+    def tiles(self) -> int:
+        """Predicted number of tiles."""
+        return 2 * self.active
+
+    @property
+    def cubes(self) -> int:
+        """Predicted number of cubes that are cut."""
+        return self.active * (8 if self.voxels else 16)
+
+    @property
+    def device_bytes(self) -> int:
+        """Predicted peak of memory on the device, the surface included."""
+        words = max(self.samples**3 // 4096, 1)
+        octree = BRICK_BYTES * self.bricks + 4 * (self.nodes - self.bricks)
+        sample = 0 if self.voxels else 1 if self.level == 0 else 4
+        tiles = 56 * self.tiles + 64 * sample * self.active
+        return octree + 28 * words + tiles + self.cubes * CUT_CUBE_BYTES[self.style]
+
+    @property
+    def largest_buffer(self) -> int:
+        """Predicted bytes of the largest single allocation on the device."""
+        return max(BRICK_BYTES * self.bricks, self.samples**3 // 512, 24 * self.cubes)
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Refuse what needs more.
+
+        Parameters
+        ----------
+        max_memory, max_allocation : bytes that the device may use in all, and in one buffer.
+
+        Raises
+        ------
+        MemoryLimitError : with a level that needs about as much as there is.
+        """
+        excess = max(self.device_bytes / max_memory, self.largest_buffer / max_allocation)
+        if excess <= 1:
+            return
+        level = 0 if isinstance(self.level, str) else self.level + 1
+        excess /= 16 if self.voxels else 4  # as the area that a sample has
+        while excess > 1:
+            level, excess = level + 1, excess / 4
+        raise MemoryLimitError(
+            f"a {self.style} surface of level {self.level} would need "
+            f"{self.device_bytes / 1e6:,.1f} MB of memory ({self.largest_buffer / 1e6:,.1f} MB in "
+            f"one buffer), of {max_memory / 1e6:,.1f} MB ({max_allocation / 1e6:,.1f} MB) allowed: "
+            f"choose level {level} (see --max-memory)"
+        )
+
+    def left_out(self) -> dict[str, str]:
+        """What is not compiled, allocated or run, and why."""
+        out = {"cubes away from nodes": "a set of tiles names those that the surface may pass"}
+        if self.voxels:
+            out["coverages, and voxels lost to them"] = "samples are voxels"
+        elif self.level == 0:
+            out["coverages of 32 bits"] = "a brick's 64 voxels fit 8 bits"
+        if not self.rooted:
+            out["root above the octree"] = "no voxel touches the low sides of its cube"
+        if self.style == "smooth":
+            out["loops and quads"] = "the style is smooth: cubes are marched"
+        elif self.style == "blocks":
+            out["crossings and relaxation"] = "blocks lie on the corners of samples"
+        if self.style != "blocks" or not self.merge:
+            out["sorting"] = "Morton-ordered bits are sorted; only --merge sorts"
+        return out
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it: JSON types only."""
+        return {
+            "style": self.style,
+            "level": self.level,
+            "samples_along_side": self.samples,
+            "stages": self.stages,
+            "left_out": self.left_out(),
+            "active_tiles": self.active,
+            "predicted_tiles": self.tiles,
+            "predicted_cut_cubes": self.cubes,
+            "predicted_device_bytes": self.device_bytes,
+        }

@@ -16,6 +16,7 @@ from voxtool.version import __version__
 COMMANDS = {
     "voxelize": "voxtool.cli.voxelize",
     "svo-info": "voxtool.cli.svo_info",
+    "extract": "voxtool.cli.extract",
     "export": "voxtool.cli.export",
     "devices": "voxtool.cli.devices",
     "bench": "voxtool.cli.bench",

@@ -9,8 +9,13 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
+from voxtool.errors import MemoryLimitError
+
 if TYPE_CHECKING:
     from collections.abc import Callable
+
+    from voxtool.opencl import Device
+    from voxtool.plan import ExtractionPlan, Plan
 
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -94,6 +99,14 @@ def tell(message: str) -> None:
     if bar:
         bar.erase()
     click.echo(f"voxtool: {message}", err=True)
+
+
+def warn_if_refused(plan: Plan | ExtractionPlan, max_memory: int | None, device: Device) -> None:
+    """What is planned may be more than there is memory for."""
+    try:
+        plan.refuse_beyond(max_memory or device.max_memory, device.info.max_allocation)
+    except MemoryLimitError as error:
+        tell(f"warning: this will be refused: {error}")
 
 
 class Progress:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli import options
-from voxtool.errors import MemoryLimitError
 
 if TYPE_CHECKING:
     from voxtool.grid import Grid
@@ -155,7 +154,7 @@ def command(
             plan = plan_voxelize(loaded, grid, mode, **request)
             progress.erase()
             print_plan(plan, grid, as_json)
-            warn_if_refused(plan, max_memory or chosen.max_memory, chosen.info.max_allocation)
+            options.warn_if_refused(plan, max_memory, chosen)
             return
         if mode == "solid":
             progress.enter("check mesh")
@@ -234,14 +233,6 @@ def pitch_of(grid: Grid) -> str:
     """0.01, or where the axes differ 0.01 x 0.02 x 0.03."""
     sizes = [f"{p:.6g}" for p in grid.pitch]
     return sizes[0] if len(set(grid.pitch)) == 1 else " x ".join(sizes)
-
-
-def warn_if_refused(plan: Plan, max_memory: int, max_allocation: int) -> None:
-    """What is planned may be more than there is memory for."""
-    try:
-        plan.refuse_beyond(max_memory, max_allocation)
-    except MemoryLimitError as error:
-        options.tell(f"warning: this will be refused: {error}")
 
 
 def warn_if_open(mesh: Mesh) -> None:

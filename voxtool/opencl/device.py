@@ -309,6 +309,16 @@ class Device:
             raise self._too_large(values.nbytes) from error
         return Array(self, values.dtype, values.size, buffer, None)
 
+    def view(self, values: np.ndarray) -> Array:
+        """A host array for kernels to read: shared where it can be, or else a copy. It must not
+        change until the device has read it."""
+        aligned = values.ctypes.data % 128 == 0 and values.flags.c_contiguous
+        if not (self.shares_memory and aligned and values.nbytes >= SHARED_FROM):
+            return self.put(values)
+        flags = self._cl.mem_flags.READ_ONLY | self._cl.mem_flags.USE_HOST_PTR
+        buffer = self._cl.Buffer(self.context, flags, hostbuf=values)
+        return Array(self, values.dtype, values.size, buffer, values)
+
     def write(self, array: Array, values: np.ndarray) -> None:
         """Overwrite the beginning of an array."""
         self._enqueue(self._cl.enqueue_copy, array.buffer, np.ascontiguousarray(values))

@@ -1,0 +1,20 @@
+#include "svo/isosurface.h"
+#include "svo/tiles.h"
+#include "svo/samples.h"
+
+// Where the edge from a cell along an axis crosses the surface, in LATTICE of its length:
+// t = (iso - a) / (b - a) from the sample that is outside, rounded once, and kept off both ends.
+int crossing(TILES, SAMPLES, ulong cell, uint axis, bool cell_is_inside)
+{
+#ifdef VOXELS
+    const ulong outer = 0, inner = 1;
+#else
+    const uint here = coverage_of(THESE_TILES, THESE_SAMPLES, cell);
+    const uint beyond = coverage_of(THESE_TILES, THESE_SAMPLES, step_up(cell, axis));
+    const ulong outer = cell_is_inside ? beyond : here, inner = cell_is_inside ? here : beyond;
+#endif
+    const ulong above = isovalue - (outer << 16), range = (inner - outer) << 16;
+    const long t = (long)((2 * above * LATTICE + range) / (2 * range));
+    const int kept = (int)clamp(t, (long)NEAREST, (long)(LATTICE - NEAREST));
+    return cell_is_inside ? LATTICE - kept : kept;
+}

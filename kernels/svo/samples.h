@@ -1,0 +1,25 @@
+// What tells the coverage of a sample: the host's Tiles.sample_arguments. `isovalue` counts 2^-16 of
+// a voxel's coverage.
+#ifdef VOXELS
+#define SAMPLES const ulong isovalue
+#define THESE_SAMPLES isovalue
+#else
+#define SAMPLES                                                                                    \
+    __global const uint *source, __global const SAMPLE *samples, const uint full,                  \
+        const ulong isovalue
+#define THESE_SAMPLES source, samples, full, isovalue
+
+// The set voxels of a sample.
+uint coverage_of(TILES, SAMPLES, ulong cell)
+{
+    const ulong tile = cell >> 6;
+    if (tile >> 6 >= words)
+        return 0;
+    const uint slot = slot_of(present, ranks, tile);
+    if (slot == NOWHERE)
+        return inside[tile >> 6] >> (tile & 63) & 1 ? full : 0;
+    if (source[slot] == NOWHERE)
+        return masks[slot] & 1 ? full : 0;
+    return samples[64 * (size_t)source[slot] + (cell & 63)];
+}
+#endif

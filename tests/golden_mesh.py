@@ -1,0 +1,52 @@
+"""The golden digests of surfaces: which there are, and (run as a script) writing them anew.
+
+Digests change only together with a line in CHANGELOG.md that says why:
+    python tests/golden_mesh.py
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import golden_svo
+
+import voxtool
+
+GOLDEN = Path(__file__).parent / "golden" / "mesh.json"
+REQUESTS = {
+    "smooth": {},
+    "smooth 0.2": {"isovalue": 0.2},
+    "smooth level 1": {"level": 1},
+    "smooth voxel": {"level": "voxel"},
+    "blocks": {"style": "blocks"},
+    "blocks merged": {"style": "blocks", "merge": True},
+    "nets": {"style": "nets"},
+    "nets level 0": {"style": "nets", "level": 0},
+}
+DIMS = (50, 128)
+REAL_DIMS = (200,)
+
+
+def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterator[tuple[str, str]]:
+    """Name and digest of every surface at every dim."""
+    for dim in dims:
+        octree = voxtool.voxelize(mesh, voxtool.Grid.fit(mesh, dim), device=device)
+        for name, request in REQUESTS.items():
+            yield f"{name} {dim}", voxtool.extract(octree, device=device, **request).digest()
+
+
+def main() -> None:
+    device = voxtool.open_device()
+    golden = {
+        name: dict(digests(golden_svo.own_mesh(name), DIMS, device)) for name in golden_svo.OWN
+    }
+    for name in golden_svo.REAL:
+        mesh = voxtool.load_mesh(golden_svo.MODELS / f"{name}.obj")
+        golden[f"{name}.obj"] = dict(digests(mesh, REAL_DIMS, device))
+    GOLDEN.write_text(json.dumps(golden, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,310 @@
+"""voxtool extract: octree to triangle mesh."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from voxtool.cli import options
+from voxtool.errors import VoxtoolError
+
+if TYPE_CHECKING:
+    from voxtool.plan import ExtractionPlan
+    from voxtool.svo.isosurface import Isosurface
+    from voxtool.svo.octree import Octree
+
+
+class Level(click.ParamType):
+    """A level of the octree, or voxel."""
+
+    name = "level"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> int | str:
+        if value == "voxel":
+            return value
+        try:
+            return int(value)
+        except ValueError:
+            self.fail(f"{value!r}: choose voxel, or a level: 0, 1, ...", param, ctx)
+
+
+@click.command("extract")
+@click.argument("octree")
+@options.output_options("FILE", "Default OCTREE's name with the style and .obj, in this folder.")
+@click.option(
+    "--style",
+    type=click.Choice(["smooth", "blocks", "nets"]),
+    default="smooth",
+    show_default=True,
+    help="smooth: marching cubes over the coverages of bricks; blocks: the exact boundary of the "
+    "voxels; nets: smooth at full resolution, every vertex kept in its cell.",
+)
+@click.option(
+    "--level",
+    type=Level(),
+    metavar="N|voxel",
+    help="What a sample is: a node of level N (0: a brick of 4 x 4 x 4 voxels; higher: coarser), "
+    "or a voxel.  [default: 0 for smooth, else voxel]",
+)
+@click.option(
+    "--isovalue",
+    type=float,
+    default=0.5,
+    show_default=True,
+    help="Share of its voxels, between 0 and 1, from which on a sample is inside.",
+)
+@click.option("--merge", is_flag=True, help="blocks: join coplanar squares; leaves T-junctions.")
+@click.option("--normals", is_flag=True, help="Write vertex normals, too (.obj, .ply, .glb).")
+@click.option(
+    "--check",
+    is_flag=True,
+    help="Print as JSON whether the mesh is closed and manifold, its genus, shells and volume; "
+    "exit 1 if it is not closed.",
+)
+@click.option(
+    "--against",
+    metavar="MESH",
+    help="Print as JSON how far the surface and this mesh are from each other, both ways.",
+)
+@click.option(
+    "--samples",
+    type=click.IntRange(1, 100_000_000),
+    default=100_000,
+    show_default=True,
+    help="Points on each surface that --against measures at.",
+)
+@click.option(
+    "--format",
+    "file_format",
+    type=click.Choice(["obj", "ply", "stl", "glb", "off"]),
+    help="File format, instead of what the name says.",
+)
+@click.option(
+    "--plan",
+    "only_plan",
+    is_flag=True,
+    help="Print what would be done, left out and needed, and stop.",
+)
+@click.option(
+    "--max-memory",
+    type=options.Bytes(),
+    metavar="BYTES",
+    help="Refuse to use more on the device (800M, 8G).  [default: what it has]",
+)
+@options.device_option
+@options.json_option
+@options.quiet_option
+@options.verbose_option
+def command(
+    octree: str,
+    output: str | None,
+    no_clobber: bool,
+    style: str,
+    level: int | str | None,
+    isovalue: float,
+    merge: bool,
+    normals: bool,
+    check: bool,
+    against: str | None,
+    samples: int,
+    file_format: str | None,
+    only_plan: bool,
+    max_memory: int | None,
+    device: str | None,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+) -> None:
+    """Extract a closed triangle mesh from an OCTREE, visiting only the cubes that matter.
+
+    OCTREE is a file that voxelize wrote, or - for stdin. The mesh is in world units, where the
+    voxels lie; write it as .obj, .ply, .stl, .glb or .off. Distances of --against are in world
+    units and in voxels.
+
+    \b
+    Examples:
+      voxtool voxelize bunny.obj --dim 512 -o - | voxtool extract - -o smooth.obj
+      voxtool extract bunny.svo.h5 --style nets --check --against bunny.obj
+    """
+    if merge and style != "blocks":
+        raise click.UsageError(f"--merge goes with --style blocks: {style} has no squares")
+    started = time.perf_counter()
+    from voxtool.files import (
+        MESH_FORMATS,
+        NORMAL_FORMATS,
+        TEXT_FORMATS,
+        check_target,
+        format_of,
+        read_svo,
+        write_mesh,
+    )
+    from voxtool.opencl import open_device
+    from voxtool.svo.isosurface import extract, plan_extract
+
+    if output is None:
+        output = default_output(octree, style)
+    file_format = file_format or format_of(output, MESH_FORMATS)
+    if normals and file_format not in NORMAL_FORMATS:
+        held = ", ".join(f".{name}" for name in NORMAL_FORMATS)
+        raise click.UsageError(f"--normals: .{file_format} holds none: write one of {held}")
+    if not only_plan:
+        if output != "-":
+            check_target(output, not no_clobber)
+        elif sys.stdout.isatty() and file_format not in TEXT_FORMATS:
+            raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
+    request: dict[str, Any] = {"style": style, "level": level, "isovalue": isovalue, "merge": merge}
+    with options.Progress([]) as progress:
+        progress.enter("read octree")
+        source = read_svo(octree)
+        plan = plan_extract(source, **request)
+        progress.stages = ["read octree", *plan.stages, "read back", "write file"]
+        chosen = open_device(device, profile=verbose)
+        chosen.on_stage = progress.enter
+        if only_plan:
+            progress.erase()
+            print_plan(plan, as_json)
+            options.warn_if_refused(plan, max_memory, chosen)
+            return
+        surface = extract(source, device=chosen, max_memory=max_memory, **request)
+        if not len(surface.faces):
+            raise VoxtoolError(nothing_inside(octree, source, surface))
+        mesh = surface.mesh()
+        progress.enter("write file")
+        vertex_normals = surface.normals if normals else None
+        write_mesh(mesh, output, not no_clobber, file_format, normals=vertex_normals)
+        seconds = time.perf_counter() - started
+        result = summary(source, surface, output, seconds)
+        if check:
+            progress.enter("check")
+            result["check"] = check_mesh(source, surface)
+        if against is not None:
+            progress.enter("measure")
+            result["against"] = measure(surface, against, samples, chosen)
+
+    if as_json or check or against is not None:
+        options.print_json(result, err=output == "-")
+    if not as_json:
+        target = output if output != "-" else "stdout"
+        options.tell(
+            f"{octree if octree != '-' else 'stdin'} -> {target}: {style}, level {surface.level}, "
+            f"isovalue {isovalue:g}; {len(surface.points):,} vertices, {len(surface.faces):,} "
+            f"triangles, {seconds:.2f} s"
+        )
+    tell_lost(source, surface)
+    if verbose:
+        options.tell(f"{chosen.info.name} ({chosen.info.platform})")
+        for stage, time_on_device in chosen.stage_times().items():
+            options.tell(f"  {stage:<18} {1e3 * time_on_device:9.2f} ms")
+    if check and not result["check"]["closed"]:
+        raise VoxtoolError(f"{output}: the mesh is not closed: report this octree")
+
+
+def default_output(octree: str, style: str) -> str:
+    """bunny.svo.h5 -> bunny.smooth.obj, in the current folder: never the mesh that it was made
+    from; stdin -> stdout."""
+    if octree == "-":
+        return "-"
+    name = PurePath(octree).name
+    for extension in (".gz", ".h5", ".xml", ".svo"):
+        name = name.removesuffix(extension)
+    return f"{name}.{style}.obj"
+
+
+def summary(octree: Octree, surface: Isosurface, output: str, seconds: float) -> dict[str, Any]:
+    """What was made, in JSON types."""
+    return {
+        "output": output,
+        "dim": octree.grid.dim,
+        "style": surface.style,
+        "level": surface.level,
+        "isovalue": surface.isovalue,
+        "vertices": len(surface.points),
+        "triangles": len(surface.faces),
+        "cubes_cut": surface.cubes,
+        "voxels": octree.count,
+        "voxels_below_isovalue": surface.lost.below,
+        "voxels_vanished": surface.lost.vanished,
+        "digest": surface.digest(),
+        "seconds": round(seconds, 3),
+    }
+
+
+def check_mesh(octree: Octree, surface: Isosurface) -> dict[str, Any]:
+    """Whether the surface is closed, what it is, and its volume against the octree's."""
+    from voxtool.diagnosis import check_surface, closed_chain, volume
+
+    mesh = surface.mesh()
+    found = check_surface(mesh, weld=False)
+    enclosed, set_volume = volume(mesh), octree.count * octree.grid.voxel_volume
+    closed = closed_chain(mesh) if surface.merged else found.watertight and found.manifold
+    return {
+        **found.as_dict(),
+        "closed": closed,
+        "volume": enclosed,
+        "octree_volume": set_volume,
+        "volume_ratio": enclosed / set_volume,
+    }
+
+
+def measure(surface: Isosurface, against: str, samples: int, device: Any) -> dict[str, Any]:
+    """The deviation between the surface and a mesh."""
+    from voxtool.bench.error import deviation
+    from voxtool.mesh import load_mesh
+
+    pitch = max(surface.grid.pitch)
+    return deviation(surface.mesh(), load_mesh(against), samples, pitch=pitch, device=device)
+
+
+def nothing_inside(name: str, octree: Octree, surface: Isosurface) -> str:
+    """Why there is no surface, and what to do."""
+    if not octree.count:
+        return f"{name}: no voxel is set, so there is no surface: voxelize a mesh with --mode solid"
+    return (
+        f"{name}: none of its {octree.count:,} set voxels lies in a sample that reaches the "
+        f"isovalue {surface.isovalue:g}: {keeping(octree)}, or choose a lower isovalue"
+    )
+
+
+def keeping(octree: Octree) -> str:
+    """What would keep every voxel: samples as large as it."""
+    from voxtool.svo.octree import BRICK_SIDE
+
+    finer = BRICK_SIDE * octree.grid.dim
+    return f"--style nets, or voxelize with --dim {finer}, keeps them"
+
+
+def tell_lost(octree: Octree, surface: Isosurface) -> None:
+    """How many voxels the samples do not show, and what would."""
+    lost = surface.lost
+    if not lost.below:
+        return
+    share = 100 * lost.below / octree.count
+    options.tell(
+        f"{lost.below:,} set voxels ({share:.2g} %) lie in samples below the isovalue, "
+        f"{lost.vanished:,} of them away from the surface"
+        + (f": {keeping(octree)}" if lost.vanished else "")
+    )
+
+
+def print_plan(plan: ExtractionPlan, as_json: bool) -> None:
+    """What will be done, what is left out and why, and what it will cost."""
+    if as_json:
+        options.print_json(plan.as_dict())
+        return
+    from voxtool.files.memory import human
+
+    rows = [
+        ("surface", f"{plan.style}, level {plan.level}: {plan.samples} samples along the root"),
+        ("stages", ", ".join(plan.stages)),
+        *(("left out", f"{what}: {why}") for what, why in plan.left_out().items()),
+        ("predicted", f"about {plan.cubes:,} cubes cut, in {plan.tiles:,} tiles; "
+         f"{human(plan.device_bytes)} on the device"),
+    ]  # fmt: skip
+    for name, text in rows:
+        click.echo(f"{name:<10} {text}")

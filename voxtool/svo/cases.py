@@ -1,0 +1,223 @@
+"""The cases of a cube whose corners are inside or outside, derived rather than copied.
+
+Corner j of a cube lies at (j & 1, j >> 1 & 1, j >> 2 & 1), as in a brick; bit j of a case is 1
+where corner j is inside. Edge 4 a + k runs along axis a from the corner whose coordinates on the
+two other axes, in rising order, are the bits of k; face 2 a + s lies at coordinate s of axis a.
+
+On each face the surface leaves segments between cut edges; they join to loops around the cube, a
+polygon each. A face whose inside corners are diagonal is ambiguous. The rule: such a face
+separates its inside corners. It looks at the face alone, so the two cubes of a face always agree,
+and the surface closes whatever the corners are (tables that complement cases do not: Duerst 1988).
+
+Primal (marching cubes; Lorensen and Cline 1987): each loop is cut into triangles by diagonals that
+do not lie in a face, or the cube beyond it might use the same one: so edges have two triangles.
+
+Dual (Nielson 2004): each loop is a vertex, each cut edge a quad. Where both cubes of an ambiguous
+face pass through it twice with one loop, the quads' edges would coincide; there, and only there,
+both cubes join the inside corners instead (Wenger, Isosurfaces, 2013, section 3.5): `ALTERNATIVE`.
+All such cubes have one ambiguous face, so the choice concerns no other.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import combinations
+
+import numpy as np
+
+from voxtool.opencl import program
+
+CASES = 256
+ALTERNATIVE = 256  # added to a case whose ambiguous face joins its inside corners
+MAX_TRIANGLES = 5
+NO_FACE = 6
+NO_EDGE = 255
+
+Loop = list[int]  # the cut edges that it passes, counter-clockwise seen from outside the surface
+
+
+def _edges() -> list[tuple[int, int]]:
+    """The two corners of each edge, low one first."""
+    edges = []
+    for axis in range(3):
+        b, c = (other for other in range(3) if other != axis)
+        for k in range(4):
+            low = (k & 1) << b | (k >> 1) << c
+            edges.append((low, low | 1 << axis))
+    return edges
+
+
+def _faces() -> list[list[int]]:
+    """The four corners of each face, counter-clockwise seen from outside the cube."""
+    faces = []
+    for axis in range(3):
+        b, c = 1 << (axis + 1) % 3, 1 << (axis + 2) % 3
+        faces.append([0, c, b | c, b])
+        faces.append([corner | 1 << axis for corner in (0, b, b | c, c)])
+    return faces
+
+
+EDGES, FACES = _edges(), _faces()
+EDGE_OF = {pair: e for e, (u, v) in enumerate(EDGES) for pair in ((u, v), (v, u))}
+FACES_OF = [{f for f in range(6) if {*EDGES[e]} <= {*FACES[f]}} for e in range(12)]
+
+
+def is_ambiguous(case: int, face: int) -> bool:
+    """Whether the inside corners of a face are diagonal."""
+    a, b, c, d = (case >> corner & 1 for corner in FACES[face])
+    return a == c != b == d
+
+
+def segments(case: int, face: int, join: bool = False) -> list[tuple[int, int]]:
+    """The segments of a face, from cut edge to cut edge: one around each run of inside corners; or,
+    with `join`, of outside ones."""
+    ring = FACES[face]
+    inside = [case >> corner & 1 for corner in ring]
+    found = []
+    for i in range(4):
+        if inside[i] == join and inside[(i + 1) % 4] != join:  # a run begins
+            k = (i + 1) % 4
+            while inside[(k + 1) % 4] != join:
+                k = (k + 1) % 4
+            first = EDGE_OF[ring[i], ring[(i + 1) % 4]]
+            last = EDGE_OF[ring[k], ring[(k + 1) % 4]]
+            found.append((last, first) if join else (first, last))
+    return found
+
+
+@cache
+def loops(case: int, joined: int = NO_FACE) -> list[Loop]:
+    """The loops of a case, whose face `joined` joins its inside corners."""
+    following = dict(s for f in range(6) for s in segments(case, f, f == joined))
+    found: list[Loop] = []
+    while following:
+        edge = min(following)
+        loop = []
+        while edge in following:
+            loop.append(edge)
+            edge = following.pop(edge)
+        found.append(loop)
+    return found
+
+
+@cache
+def _triangulations(first: int, last: int) -> list[list[tuple[int, int, int]]]:
+    """All ways to cut the polygon of places first .. last into triangles."""
+    if last - first < 2:
+        return [[]]
+    return [
+        [*left, *right, (first, k, last)]
+        for k in range(first + 1, last)
+        for left in _triangulations(first, k)
+        for right in _triangulations(k, last)
+    ]
+
+
+def _diagonal_cost(first: int, second: int) -> float:
+    """The squared distance of the middles of two edges; infinite if both edges are on one face."""
+    if FACES_OF[first] & FACES_OF[second]:
+        return np.inf
+    middles = [
+        np.array([sum(j >> a & 1 for j in EDGES[e]) for a in range(3)]) for e in (first, second)
+    ]
+    return int(((middles[0] - middles[1]) ** 2).sum())
+
+
+DIAGONAL_COST = [[_diagonal_cost(first, second) for second in range(12)] for first in range(12)]
+
+
+def triangulate(loop: Loop) -> list[tuple[int, int, int]]:
+    """The triangles of a loop, without diagonals in a face, whose squared diagonals have the least
+    sum where all edges are cut in the middle."""
+    n = len(loop)
+
+    def cost(triangles: list[tuple[int, int, int]]) -> float:
+        sides = (pair for triangle in triangles for pair in combinations(triangle, 2))
+        return sum(DIAGONAL_COST[loop[u]][loop[v]] for u, v in sides if v - u not in (1, n - 1))
+
+    best = min(_triangulations(0, n - 1), key=cost)
+    assert cost(best) < np.inf
+    return [(loop[i], loop[j], loop[k]) for i, j, k in best]
+
+
+def pinched_face(case: int) -> int:
+    """The ambiguous face that one loop passes twice, or NO_FACE: no case has two."""
+    for face in range(6):
+        edges = {edge for segment in segments(case, face) for edge in segment}
+        if is_ambiguous(case, face) and any(edges <= {*loop} for loop in loops(case)):
+            return face
+    return NO_FACE
+
+
+def triangle_table() -> np.ndarray:
+    """(256, 15) uint8: the edges of the triangles of each case, NO_EDGE where there is none."""
+    table = np.full((CASES, 3 * MAX_TRIANGLES), NO_EDGE, np.uint8)
+    for case in range(CASES):
+        edges = [e for loop in loops(case) for triangle in triangulate(loop) for e in triangle]
+        table[case, : len(edges)] = edges
+    return table
+
+
+def loop_tables() -> tuple[np.ndarray, np.ndarray]:
+    """(512, 12) uint8 twice: the loop that passes each edge, and the face on which it goes on from
+    there; NO_EDGE where it is not cut. Cases from ALTERNATIVE on join at their pinched face."""
+    loop_of = np.full((2 * CASES, 12), NO_EDGE, np.uint8)
+    face_of = np.full((2 * CASES, 12), NO_EDGE, np.uint8)
+    for case in range(CASES):
+        for row, joined in ((case, NO_FACE), (case + ALTERNATIVE, pinched_face(case))):
+            face_from = {
+                segment: face
+                for face in range(6)
+                for segment in segments(case, face, face == joined)
+            }
+            for number, loop in enumerate(loops(case, joined)):
+                for segment in zip(loop, loop[1:] + loop[:1], strict=True):
+                    loop_of[row, segment[0]] = number
+                    face_of[row, segment[0]] = face_from[segment]
+    return loop_of, face_of
+
+
+def edge_across() -> np.ndarray:
+    """(6, 12) uint8: the number that an edge of a face has in the cube beyond the face; NO_EDGE for
+    the edges that are not on it."""
+    table = np.full((6, 12), NO_EDGE, np.uint8)
+    for face in range(6):
+        for edge, (u, v) in enumerate(EDGES):
+            if face in FACES_OF[edge]:
+                bit = 1 << face // 2
+                table[face, edge] = EDGE_OF[u ^ bit, v ^ bit]
+    return table
+
+
+def _header(constants: dict[str, int], tables: dict[str, np.ndarray]) -> str:
+    lines = [program.c_constants(**constants)]
+    for name, table in tables.items():
+        values = ", ".join(map(str, table.ravel().tolist()))
+        lines.append(f"__constant uchar {name}[{table.size}] = {{{values}}};")
+    return "\n".join(lines)
+
+
+def primal_header() -> str:
+    """The tables of marching cubes as OpenCL constants."""
+    triangles = triangle_table()
+    tables = {
+        "TRIANGLE_COUNT": np.count_nonzero(triangles != NO_EDGE, axis=1) // 3,
+        "TRIANGLES": triangles,
+        "EDGE_CORNER": np.array(EDGES)[:, 0],
+    }
+    return _header({"MAX_TRIANGLES": MAX_TRIANGLES}, tables)
+
+
+def dual_header() -> str:
+    """The tables of the dual styles as OpenCL constants."""
+    loop_of, face_of = loop_tables()
+    tables = {
+        "PINCHED_FACE": np.array([pinched_face(case) for case in range(CASES)]),
+        "LOOP_COUNT": (loop_of + np.uint8(1)).max(axis=1),  # NO_EDGE + 1 is 0
+        "LOOP_OF": loop_of,
+        "FACE_OF": face_of,
+        "EDGE_ACROSS": edge_across(),
+        "EDGE_CORNER": np.array(EDGES)[:, 0],
+    }
+    constants = {"ALTERNATIVE": ALTERNATIVE, "NO_FACE": NO_FACE, "NO_EDGE": NO_EDGE}
+    return _header(constants, tables)
