@@ -9,11 +9,30 @@ import pytest
 
 from voxtool.errors import DeviceError
 from voxtool.grid import FIXED_POINT_BITS
-from voxtool.opencl import Device, program
-from voxtool.svo import inside, octree, voxelize
+from voxtool.opencl import Device, primitives, program
+from voxtool.proximity import bvh
+from voxtool.svo import cases, inside, isosurface, octree, rectangles, voxelize
 
 NODE = octree.NODE
 CONSTANTS = {
+    "opencl/primitives.h": {
+        "GROUP": primitives.GROUP,
+        "ITEMS": primitives.ITEMS,
+        "DIGIT_BITS": primitives.DIGIT_BITS,
+        "QUADS": primitives.QUADS,
+    },
+    "proximity/bvh.h": {
+        name: getattr(bvh, name)
+        for name in (
+            "ARITY",
+            "LEAF",
+            "FIELDS",
+            "MAX_LEVELS",
+            "FACE_BITS",
+            "POINT_BITS",
+            "MARGIN_BITS",
+        )
+    },
     "svo/octree.h": {
         "INSIDE": octree.INSIDE,
         "VALID": octree.VALID,
@@ -21,6 +40,18 @@ CONSTANTS = {
         "FIXED_POINT_BITS": FIXED_POINT_BITS,
     },
     "svo/inside.h": {"MIXED": inside.MIXED},
+    "svo/isosurface.h": {
+        "LATTICE_BITS": isosurface.LATTICE_BITS,
+        "LATTICE": isosurface.LATTICE,
+        "NEAREST": isosurface.NEAREST,
+    },
+    "svo/cases.h": {"MAX_TRIANGLES": cases.MAX_TRIANGLES},
+    "svo/dual_cases.h": {
+        "ALTERNATIVE": cases.ALTERNATIVE,
+        "NO_FACE": cases.NO_FACE,
+        "NO_EDGE": cases.NO_EDGE,
+    },
+    "svo/rectangles.h": {"FIELD": rectangles.FIELD},
     "svo/voxelize.h": {
         "TOUCHED": voxelize.TOUCHED,
         "SEPARATING": voxelize.SEPARATING,

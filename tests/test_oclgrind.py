@@ -75,7 +75,8 @@ def test_every_kernel_and_variant_was_launched(run):
     }
     assert len(declared) > 10
     assert declared == set(run[0]["kernels"])
-    assert {"", "WIDE", "BLOCKED", "CODE=ulong"} <= set(run[0]["options"])
+    wanted = {"", "WIDE", "BLOCKED", "CODE=ulong", "VOXELS", "SAMPLE=uchar", "SAMPLE=uint"}
+    assert wanted <= set(run[0]["options"])
 
 
 def test_no_invalid_access_and_no_race(run):
@@ -118,10 +119,7 @@ def main() -> None:
 
     plan.TILE = 8  # before kernels/svo/voxelize.cl gets it: triangles are shared among work-items
 
-    import numpy as np
-
     from voxtool.opencl import Device, open_device
-    from voxtool.opencl.primitives import exclusive_scan
 
     kernels, options = set(), set()
     kernel = Device.kernel
@@ -140,17 +138,42 @@ def main() -> None:
     Device.kernel = recorded
     device = open_device()
 
-    values = np.arange(5000, dtype=np.uint32) % 7  # several blocks
-    scanned = device.put(values)
-    assert exclusive_scan(scanned, 4999) == values[:-1].sum()
-    assert np.array_equal(scanned.get(), np.cumsum(values) - values)
+    use_primitives(device)
 
     limits = {name: getattr(plan, name) for changed in VARIANTS.values() for name in changed}
     for name, changed in VARIANTS.items():
         for limit, value in {**limits, **changed}.items():
             setattr(plan, limit, value)
         voxelize_all(device, name)
+    extract_surfaces(device)
+    measure_distances(device)
     print(json.dumps({"device": device.info.name, "kernels": [*kernels], "options": [*options]}))
+
+
+def use_primitives(device) -> None:
+    """Every primitive, over several work-groups, portions and passes."""
+    import numpy as np
+
+    from voxtool.opencl import primitives
+
+    values = np.arange(5000, dtype=np.uint32) % 7
+    scanned = device.put(values)
+    assert primitives.exclusive_scan(scanned, 4999) == values[:-1].sum()
+    assert np.array_equal(scanned.get(), np.cumsum(values) - values)
+
+    for dtype, bits in ((np.uint32, 15), (np.uint64, 42)):
+        keys = np.random.default_rng(1).integers(0, 1 << bits, 1001).astype(dtype)
+        keys[::3] = keys[0]
+        for numbers in (None, device.put(np.arange(1001, dtype=np.uint32))):
+            found, order = primitives.radix_sort(device.put(keys), 1001, bits, numbers)
+            assert np.array_equal(found.get(0, 1001), np.sort(keys))
+            if order is not None:
+                assert np.array_equal(order.get(0, 1001), np.argsort(keys, kind="stable"))
+            distinct, _ = primitives.unique(found, 1001)
+            assert np.array_equal(distinct.get(), np.unique(keys))
+
+    pyramid = primitives.build_histopyramid(scanned, 1000)
+    assert pyramid.total == scanned.get(0, 1000).sum()
 
 
 def voxelize_all(device, variant: str) -> None:
@@ -187,6 +210,50 @@ def voxelize_all(device, variant: str) -> None:
         octree = voxelize(mesh, grid, "solid", with_surface=True, device=device)
         found = {tuple(v) for v in octree.occupied().tolist()}
         assert found == expected["solid"] | expected["surface26"], (variant, scene)
+
+
+def measure_distances(device) -> None:
+    """Distances near to a mesh of several levels, and far away."""
+    import meshes
+    import numpy as np
+    from helpers_distance import brute
+
+    from voxtool.mesh import Mesh
+    from voxtool.proximity.distance import TriangleDistance
+
+    vertices, faces = meshes.torus(sides=(12, 6))
+    faces = np.concatenate([faces, [(0, 0, 5), (7, 7, 7)]])
+    measure = TriangleDistance(Mesh(vertices, faces.astype(np.int32)), device)
+    for scale in (1, 100):
+        points = scale * np.random.default_rng(1).uniform(-3, 3, (70, 3))
+        assert np.allclose(measure(points), brute(points, vertices[faces]), rtol=1e-14, atol=1e-14)
+
+
+def extract_surfaces(device) -> None:
+    """Every style at every kind of level, of voxels that touch the border, with inside leaves."""
+    import numpy as np
+    from helpers_octree import octree_from_dense
+
+    from voxtool.diagnosis import check_surface, closed_chain
+    from voxtool.mesh import Mesh
+    from voxtool.svo.isosurface import LATTICE, extract
+
+    dense = np.random.default_rng(3).random((18, 17, 9)) < 0.4
+    dense[8:16, :8, :8] = True
+    octree = octree_from_dense(dense)
+    for request in (
+        {},
+        {"level": 1},
+        {"level": "voxel"},
+        {"style": "blocks"},
+        {"style": "blocks", "level": 0, "merge": True},
+        {"style": "nets", "level": 0},
+    ):
+        surface = extract(octree, device=device, **request)
+        mesh = Mesh(surface.points / LATTICE, surface.faces)
+        found = check_surface(mesh, weld=False)
+        assert len(surface.faces) > 0, request
+        assert closed_chain(mesh) if surface.merged else found.watertight and found.manifold, found
 
 
 if __name__ == "__main__":

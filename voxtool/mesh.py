@@ -230,7 +230,10 @@ def _refuse_other_files(name: str, data: bytes) -> None:
     elif data.startswith(b"<VTKFile"):
         what = "a VTK file"
     if what:
-        raise MeshError(f"{name}: this is {what}, not a mesh: give the mesh that it was made from")
+        other = " or extract one (voxtool extract)" if "voxtool" in what else ""
+        raise MeshError(
+            f"{name}: this is {what}, not a mesh: give the mesh that it was made from{other}"
+        )
 
 
 def _refuse_binary(name: str, data: bytes) -> None:

@@ -7,11 +7,10 @@
 // One step down from node i: the child whose interval holds *k, which is then counted from its begin.
 uint histopyramid_step(HISTOPYRAMID, uint level, uint i, uint *k)
 {
-    const uint4 v = pyramid_levels[pyramid_offsets[level] + i];
-    // where the second to the fifth interval begin; they may be empty
-    const uint b = v.x, c = b + v.y, d = c + v.z, e = d + v.w, at = *k;
-    *k = at - (at >= e ? e : at >= d ? d : at >= c ? c : at >= b ? b : 0);
-    return 5 * i + (at >= b) + (at >= c) + (at >= d) + (at >= e);
+    const uint4 v = pyramid_levels[pyramid_offsets[level] + i]; // intervals may be empty
+    const uint at = *k;
+    *k = at - (at >= v.w ? v.w : at >= v.z ? v.z : at >= v.y ? v.y : at >= v.x ? v.x : 0);
+    return 5 * i + (at >= v.x) + (at >= v.y) + (at >= v.z) + (at >= v.w);
 }
 
 // The input that has output k = get_global_id(0) of n; `r` is which of that input's outputs it is. All

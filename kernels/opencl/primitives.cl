@@ -63,7 +63,8 @@ scan_blocks(__global const uint *values, const uint n, __global const uint *sums
 // ---- histopyramid
 
 // A level of quadruples, from `offset` on, and the sums of its m fives (listing A.14 of the thesis).
-// Saturated sums tell that a total does not fit.
+// A quadruple is where the second to the fifth interval begin: the way down need not add. Saturated
+// sums tell that a total does not fit.
 __kernel __attribute__((reqd_work_group_size(5 * QUADS, 1, 1))) void
 build_level(__global const uint *values, const uint n, __global uint4 *levels, const uint offset,
             __global uint *sums, const uint m)
@@ -75,11 +76,10 @@ build_level(__global const uint *values, const uint n, __global uint4 *levels, c
     const uint i = QUADS * (uint)get_group_id(0) + lid;
     if (lid < QUADS && i < m) {
         __local const uint *five = &fives[5 * lid]; // five is odd: no bank conflicts
-        levels[offset + i] = vload4(0, five);
-        uint sum = five[0];
-        for (uint j = 1; j < 5; ++j)
-            sum = add_sat(sum, five[j]);
-        sums[i] = sum;
+        const uint b = five[0], c = add_sat(b, five[1]), d = add_sat(c, five[2]);
+        const uint e = add_sat(d, five[3]);
+        levels[offset + i] = (uint4)(b, c, d, e);
+        sums[i] = add_sat(e, five[4]);
     }
 }
 

@@ -2,15 +2,20 @@
 #include "svo/tiles.h"
 #include "svo/samples.h"
 
-// Where the edge from a cell along an axis crosses the surface, in LATTICE of its length:
-// t = (iso - a) / (b - a) from the sample that is outside, rounded once, and kept off both ends.
-int crossing(TILES, SAMPLES, ulong cell, uint axis, bool cell_is_inside)
+// Where the edge from a cell, whose tile has a slot, along an axis crosses the surface, in LATTICE of
+// its length: t = (iso - a) / (b - a) from the sample that is outside, rounded once, and kept off both
+// ends.
+int crossing(TILES, SAMPLES, ulong cell, uint slot, uint axis, bool cell_is_inside)
 {
 #ifdef VOXELS
     const ulong outer = 0, inner = 1;
 #else
-    const uint here = coverage_of(THESE_TILES, THESE_SAMPLES, cell);
-    const uint beyond = coverage_of(THESE_TILES, THESE_SAMPLES, step_up(cell, axis));
+    const ulong next = step_up(cell, axis), tile = next >> 6;
+    uint next_slot = slot;
+    if (tile != cell >> 6)
+        next_slot = tile >> 6 < words ? slot_of(present, ranks, tile) : NOWHERE;
+    const uint here = coverage_of(THESE_TILES, THESE_SAMPLES, cell, slot);
+    const uint beyond = coverage_of(THESE_TILES, THESE_SAMPLES, next, next_slot);
     const ulong outer = cell_is_inside ? beyond : here, inner = cell_is_inside ? here : beyond;
 #endif
     const ulong above = isovalue - (outer << 16), range = (inner - outer) << 16;

@@ -86,8 +86,9 @@ __kernel void place_means(__global const uint *codes, TILES, SAMPLES, __global c
             if (LOOP_OF[12 * found + edge] != loop)
                 continue;
             const uint j = EDGE_CORNER[edge], axis = edge >> 2;
-            const int t = crossing(THESE_TILES, THESE_SAMPLES, corner_cell(cell, j), axis,
-                                   found >> j & 1);
+            const ulong begin = corner_cell(cell, j);
+            const uint slot = slot_of(present, ranks, begin >> 6);
+            const int t = crossing(THESE_TILES, THESE_SAMPLES, begin, slot, axis, found >> j & 1);
             sum.x += axis == 0 ? t : (int)(j & 1) * LATTICE;
             sum.y += axis == 1 ? t : (int)(j >> 1 & 1) * LATTICE;
             sum.z += axis == 2 ? t : (int)(j >> 2 & 1) * LATTICE;

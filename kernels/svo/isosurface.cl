@@ -20,7 +20,7 @@ __kernel void place_vertices(__global const uint *codes, const uint n, TILES, SA
             const uint bit = lowest_bit(left);
             const ulong cell = (ulong)codes[gid] << 6 | bit;
             const int t =
-                crossing(THESE_TILES, THESE_SAMPLES, cell, axis, masks[gid] >> bit & 1);
+                crossing(THESE_TILES, THESE_SAMPLES, cell, gid, axis, masks[gid] >> bit & 1);
             const int3 low = (cell_coordinates(cell) - shift) * LATTICE + LATTICE / 2;
             points[3 * vertex] = low.x + (axis == 0 ? t : 0);
             points[3 * vertex + 1] = low.y + (axis == 1 ? t : 0);

@@ -9,15 +9,12 @@
         const ulong isovalue
 #define THESE_SAMPLES source, samples, full, isovalue
 
-// The set voxels of a sample.
-uint coverage_of(TILES, SAMPLES, ulong cell)
+// The set voxels of a sample; `slot` is its tile's, or NOWHERE.
+uint coverage_of(TILES, SAMPLES, ulong cell, uint slot)
 {
     const ulong tile = cell >> 6;
-    if (tile >> 6 >= words)
-        return 0;
-    const uint slot = slot_of(present, ranks, tile);
     if (slot == NOWHERE)
-        return inside[tile >> 6] >> (tile & 63) & 1 ? full : 0;
+        return tile >> 6 < words && (inside[tile >> 6] >> (tile & 63) & 1) ? full : 0;
     if (source[slot] == NOWHERE)
         return masks[slot] & 1 ? full : 0;
     return samples[64 * (size_t)source[slot] + (cell & 63)];

@@ -194,6 +194,18 @@ __kernel void list_cubes(__global const uint *codes, const uint n, TILES,
 
 #ifndef VOXELS
 
+// The samples of a tile that are in a mask, or beside such by a face, an edge or a corner.
+ulong dilate(ulong mask)
+{
+    for (uint axis = 0; axis < 3; ++axis) {
+        const uint one = 1u << axis, two = 8u << axis;
+        const ulong low = LAYER(axis);
+        mask |= shift_mask(mask, 0, axis) | (mask & (low | low << two)) << one |
+                (mask & low << one) << (two - one);
+    }
+    return mask;
+}
+
 // lost[2 i], lost[2 i + 1]: the set voxels in samples that are not inside; and, of them, those in
 // samples around which no cube is cut, so that nothing of them is left. Work-item i of `items` adds up
 // every items-th tile.
@@ -207,6 +219,7 @@ __kernel void count_lost(__global const uint *codes, const uint n, TILES, SAMPLE
     for (uint slot = gid; slot < n; slot += items) {
         if (source[slot] == NOWHERE)
             continue;
+        const ulong near = dilate(masks[slot]); // those in a cut cube of the tile
         for (ulong left = ~masks[slot]; left; left &= left - 1) {
             const uint bit = lowest_bit(left);
             const uint covered = samples[64 * (size_t)source[slot] + bit];
@@ -214,7 +227,7 @@ __kernel void count_lost(__global const uint *codes, const uint n, TILES, SAMPLE
                 continue;
             below += covered;
             const ulong cell = (ulong)codes[slot] << 6 | bit;
-            bool seen = false;
+            bool seen = near >> bit & 1;
             for (uint j = 0; j < 8 && !seen; ++j) {
                 ulong cube = cell;
                 bool exists = true; // no cube begins below the root: it is empty there

@@ -43,15 +43,19 @@ int3 cell_coordinates(ulong cell)
     return (int3)((int)gather_axis(cell), (int)gather_axis(cell >> 1), (int)gather_axis(cell >> 2));
 }
 
+// The samples of coordinate 0 along an axis; the others lie 1, 8 and 9 << axis bits above.
+#define LAYER(axis)                                                                                \
+    ((axis) == 0   ? 0x0055005500550055ul                                                          \
+     : (axis) == 1 ? 0x0000333300003333ul                                                          \
+                   : 0x000000000F0F0F0Ful)
+
 // A mask moved down by one sample along an axis; `next` is the mask beyond it.
 ulong shift_mask(ulong mask, ulong next, uint axis)
 {
-    const ulong layers = axis == 0 ? 0x0055005500550055ul   // those of coordinate 0: the others lie
-                         : axis == 1 ? 0x0000333300003333ul // 1, 8 and 9 << axis bits above
-                                     : 0x000000000F0F0F0Ful;
+    const ulong low = LAYER(axis);
     const uint one = 1u << axis, two = 8u << axis;
-    return (mask >> one & (layers | layers << two)) | (mask >> (two - one) & layers << one) |
-           (next << (two + one) & layers << (two + one));
+    return (mask >> one & (low | low << two)) | (mask >> (two - one) & low << one) |
+           (next << (two + one) & low << (two + one));
 }
 
 // From the masks of a tile and of the seven above it to those of the corners: bit b of corner[j] is

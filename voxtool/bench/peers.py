@@ -1,11 +1,15 @@
-"""Other tools on the same work, where they are installed: mesh in memory to voxels in memory."""
+"""Other tools on the same work, where they are installed: mesh in memory to voxels in memory, and
+octree in memory to surface in memory."""
 
 from __future__ import annotations
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from voxtool.svo.octree import BRICK_SIDE, Octree, morton_decode
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -74,3 +78,65 @@ def _open3d_voxel_grid(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object
         return open3d.geometry.VoxelGrid.create_from_triangle_mesh(geometry, grid.pitch[0])
 
     return f"Open3D {open3d.__version__}", run
+
+
+def of_octree(octree: Octree, isovalue: float) -> dict[str, Callable[[], object]]:
+    """The peers that extract a smooth surface, by name and version. They need the dense grid of
+    coverages, which is computed in their time."""
+    makers = (_vtk_flying_edges, _skimage_marching_cubes)
+    return dict(made for maker in makers if (made := maker(octree, isovalue)))
+
+
+def coverage_grid(octree: Octree) -> np.ndarray:
+    """(nz, ny, nx) uint8: the set voxels of each brick of the octree's cube."""
+    n = octree.grid.side // BRICK_SIDE
+    grid = np.zeros((n, n, n), np.uint8)
+    for level in octree.levels():
+        if level.number:
+            s = level.side // BRICK_SIDE
+            blocks = grid.reshape(n // s, s, n // s, s, n // s, s).transpose(0, 2, 4, 1, 3, 5)
+            x, y, z = morton_decode(level.codes[level.inside]).T
+            blocks[z, y, x] = BRICK_SIDE**3
+        else:
+            x, y, z = morton_decode(level.codes).T
+            grid[z, y, x] = np.bitwise_count(octree.bricks)
+    return grid
+
+
+def _vtk_flying_edges(octree: Octree, isovalue: float) -> tuple[str, Callable[[], object]] | None:
+    """vtkFlyingEdges3D on all cores, without normals."""
+    vtk, support = _module("vtk"), _module("vtk.util.numpy_support")
+    if vtk is None:
+        return None
+
+    def run() -> object:
+        vtk.vtkSMPTools.SetBackend("STDThread")
+        vtk.vtkSMPTools.Initialize(os.cpu_count() or 1)
+        coverage = coverage_grid(octree)
+        image = vtk.vtkImageData()
+        image.SetDimensions(*coverage.shape[::-1])
+        image.GetPointData().SetScalars(support.numpy_to_vtk(coverage.ravel()))
+        edges = vtk.vtkFlyingEdges3D()
+        edges.SetInputData(image)
+        edges.SetValue(0, BRICK_SIDE**3 * isovalue)
+        edges.ComputeNormalsOff()
+        edges.ComputeGradientsOff()
+        edges.Update()
+        return edges.GetOutput()
+
+    return f"VTK {vtk.vtkVersion().GetVTKVersion()}", run
+
+
+def _skimage_marching_cubes(
+    octree: Octree, isovalue: float
+) -> tuple[str, Callable[[], object]] | None:
+    """skimage.measure.marching_cubes, of Lewiner."""
+    skimage, measure = _module("skimage"), _module("skimage.measure")
+    if measure is None:
+        return None
+
+    def run() -> object:
+        coverage = coverage_grid(octree)
+        return measure.marching_cubes(coverage, BRICK_SIDE**3 * isovalue)
+
+    return f"scikit-image {skimage.__version__}", run

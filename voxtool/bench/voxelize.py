@@ -7,27 +7,20 @@ memory, and the whole command in a process of its own.
 from __future__ import annotations
 
 import statistics
-import subprocess
-import sys
 import tempfile
-import time
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from voxtool.bench import peers
-from voxtool.errors import VoxtoolError
+from voxtool.bench import peers, timing
 from voxtool.grid import Grid
 from voxtool.mesh import load_mesh
 from voxtool.opencl import open_device
 from voxtool.svo.voxelize import voxelize
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from voxtool.mesh import Mesh
-    from voxtool.opencl import Device
+    from collections.abc import Iterator
 
 
 @dataclass
@@ -85,8 +78,9 @@ def sweep(
             grid = Grid.fit(mesh, dim, fit=fit)
             for mode in modes:
                 octree = voxelize(mesh, grid, mode, device=timed)
-                times = _times(partial(voxelize, mesh, grid, mode, device=timed), repeat)
-                stages, whole = _stage_times(mesh, grid, mode, profiled, repeat)
+                times = timing.times(partial(voxelize, mesh, grid, mode, device=timed), repeat)
+                profiled_work = partial(voxelize, mesh, grid, mode, device=profiled)
+                stages, whole = timing.stage_times(profiled_work, profiled, repeat)
                 memory = statistics.median(times)
                 on_device = sum(stages.values())
                 command, peak = _command(model, dim, mode, fit, timed.info.index)
@@ -106,64 +100,15 @@ def sweep(
                     peak=peak,
                 )
                 if with_peers:
-                    row.peers = _peer_times(mesh, grid, mode, repeat)
+                    row.peers = timing.peer_times(peers.of(mesh, grid, mode), repeat)
                     row.ratios = {name: t / memory for name, t in row.peers.items()}
                 yield row
-
-
-def _times(work: Callable[[], object], repeat: int) -> list[float]:
-    times = []
-    for _ in range(repeat):
-        start = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start)
-    return times
-
-
-def _stage_times(
-    mesh: Mesh, grid: Grid, mode: str, device: Device, repeat: int
-) -> tuple[dict[str, float], float]:
-    """Median seconds of each stage by the device's events, and of the whole in the same runs."""
-    runs, whole = [], []
-    for _ in range(repeat + 1):
-        whole += _times(partial(voxelize, mesh, grid, mode, device=device), 1)
-        runs.append(device.stage_times())
-    stages = {name: statistics.median(run[name] for run in runs[1:]) for name in runs[0]}
-    return stages, statistics.median(whole[1:])
-
-
-def _peer_times(mesh: Mesh, grid: Grid, mode: str, repeat: int) -> dict[str, float]:
-    """Median seconds of each peer that is installed and does this mode's work."""
-    found = {}
-    for name, work in peers.of(mesh, grid, mode).items():
-        work()  # the warm-up that we had, too
-        found[name] = statistics.median(_times(work, min(repeat, 3)))
-    return found
-
-
-# A process counts the memory of the one that started it towards its own peak, so a small one
-# stands between.
-_LAUNCHER = """
-import os, resource, subprocess, sys, time
-start = time.perf_counter()
-code = subprocess.call(sys.argv[1:], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
-seconds = time.perf_counter() - start
-print(code, seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
-"""
 
 
 def _command(model: str, dim: int, mode: str, fit: str, device: int) -> tuple[float, int]:
     """Seconds and peak resident bytes of `voxtool voxelize` in a process of its own."""
     with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
-        words = [
-            *(sys.executable, "-m", "voxtool.cli.main", "voxelize", model, "-q"),
-            *("--dim", str(dim), "--mode", mode, "--fit", fit, "--device", str(device)),
-            *("-o", str(Path(folder, "out.svo.h5"))),
-        ]
-        launched = subprocess.run(
-            [sys.executable, "-S", "-c", _LAUNCHER, *words], stdout=subprocess.PIPE, check=True
+        return timing.command(
+            *("voxelize", model, "-q", "--dim", str(dim), "--mode", mode, "--fit", fit),
+            *("--device", str(device), "-o", str(Path(folder, "out.svo.h5"))),
         )
-    code, seconds, peak = launched.stdout.split()
-    if int(code):
-        raise VoxtoolError(f"bench: {' '.join(words[2:])} failed with {int(code)}")
-    return float(seconds), int(peak) * (1 if sys.platform == "darwin" else 1024)

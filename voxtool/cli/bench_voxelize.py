@@ -1,8 +1,7 @@
-"""voxtool bench: how long, how large, and beside whom."""
+"""voxtool bench voxelize: how long, how large, and beside whom."""
 
 from __future__ import annotations
 
-import platform
 from typing import TYPE_CHECKING
 
 import click
@@ -19,39 +18,11 @@ SHORT = {"active nodes": "active", "surface26": "26-sep", "surface6": "6-sep",
          "crossings": "cross", "refine open rows": "refine"}  # fmt: skip
 
 
-class List(click.ParamType):
-    """Values of another type, with commas between them."""
-
-    def __init__(self, each: click.ParamType) -> None:
-        self.each = each
-        self.name = "list"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> list[object]:
-        if isinstance(value, list):
-            return value
-        return [self.each.convert(word.strip(), param, ctx) for word in str(value).split(",")]
-
-
-@click.group("bench")
-def command() -> None:
-    """Measure voxtool, and its peers on the same work.
-
-    Times are in ms or s, memory in MB.
-
-    \b
-    Examples:
-      voxtool bench voxelize bunny.obj --dims 64,512
-      voxtool bench voxelize bunny.obj --dims 512 --modes solid --peers --json
-    """
-
-
-@command.command("voxelize")
+@click.command("voxelize")
 @click.argument("models", nargs=-1, required=True)
 @click.option(
     "--dims",
-    type=List(click.IntRange(8, 65536)),
+    type=options.List(click.IntRange(8, 65536)),
     metavar="DIM,...",
     default="64,128,256,512,1024,2048",
     show_default=True,
@@ -59,7 +30,7 @@ def command() -> None:
 )
 @click.option(
     "--modes",
-    type=List(click.Choice(["surface26", "surface6", "solid"])),
+    type=options.List(click.Choice(["surface26", "surface6", "solid"])),
     metavar="MODE,...",
     default="surface26,surface6,solid",
     show_default=True,
@@ -82,7 +53,7 @@ def command() -> None:
 @click.option("--peers", is_flag=True, help="VTK (solid) and Open3D (surface26), if installed.")
 @options.device_option
 @options.json_option
-def bench_voxelize(
+def command(
     models: tuple[str, ...],
     dims: list[int],
     modes: list[str],
@@ -112,17 +83,7 @@ def bench_voxelize(
         with_peers=peers,
     )  # fmt: skip
     if as_json:
-        options.print_json(
-            {
-                "voxtool": __version__,
-                "device": info.as_dict(),
-                "machine": platform.machine(),
-                "python": platform.python_version(),
-                "fit": fit,
-                "repeat": repeat,
-                "rows": [row.as_dict() for row in rows],
-            }
-        )
+        options.print_bench(info, rows, fit=fit, repeat=repeat)
         return
     model = None
     compared = False

@@ -285,10 +285,11 @@ def tell_lost(octree: Octree, surface: Isosurface) -> None:
     if not lost.below:
         return
     share = 100 * lost.below / octree.count
+    where = "all of them at the surface"
+    if lost.vanished:
+        where = f"{lost.vanished:,} of them away from the surface: {keeping(octree)}"
     options.tell(
-        f"{lost.below:,} set voxels ({share:.2g} %) lie in samples below the isovalue, "
-        f"{lost.vanished:,} of them away from the surface"
-        + (f": {keeping(octree)}" if lost.vanished else "")
+        f"{lost.below:,} set voxels ({share:.2g} %) lie in samples below the isovalue, {where}"
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import platform
 import sys
 import threading
 from typing import TYPE_CHECKING, Any, Self
@@ -10,11 +11,13 @@ from typing import TYPE_CHECKING, Any, Self
 import click
 
 from voxtool.errors import MemoryLimitError
+from voxtool.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterable
 
     from voxtool.opencl import Device
+    from voxtool.opencl.device import DeviceInfo
     from voxtool.plan import ExtractionPlan, Plan
 
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -39,6 +42,21 @@ class Bytes(click.ParamType):
         if not 1 <= number < float(1 << 62):
             self.fail(f"{value!r} is no number of bytes: write 800M or 8G", param, ctx)
         return int(number)
+
+
+class List(click.ParamType):
+    """Values of another type, with commas between them."""
+
+    def __init__(self, each: click.ParamType) -> None:
+        self.each = each
+        self.name = "list"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> list[object]:
+        if isinstance(value, list):
+            return value
+        return [self.each.convert(word.strip(), param, ctx) for word in str(value).split(",")]
 
 
 def device_option(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -82,6 +100,17 @@ def output_options(metavar: str, default: str) -> Decorator:
 
 def print_json(value: Any, err: bool = False) -> None:
     click.echo(json.dumps(value, indent=2), err=err)
+
+
+def print_bench(info: DeviceInfo, rows: Iterable[Any], **request: Any) -> None:
+    """The rows of a benchmark as JSON, and where and how they were measured."""
+    head = {
+        "voxtool": __version__,
+        "device": info.as_dict(),
+        "machine": platform.machine(),
+        "python": platform.python_version(),
+    }
+    print_json({**head, **request, "rows": [row.as_dict() for row in rows]})
 
 
 def is_quiet() -> bool:

@@ -181,8 +181,9 @@ class Histopyramid:
 
     Section 4.1 of the thesis. A kernel that includes kernels/opencl/histopyramid.h walks it.
 
-    levels : uint32, quadruples of sums of the level below, from the top level down; offsets :
-    (height,) uint32, the first quadruple of each level; total : the number of outputs.
+    levels : uint32, a quadruple each node (where the intervals of its second to fifth child begin),
+    from the top level down; offsets : (height,) uint32, the first quadruple of each level; total :
+    the number of outputs.
     """
 
     levels: Array

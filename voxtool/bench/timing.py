@@ -1,0 +1,77 @@
+"""How long: of work in this process, of its stages on the device, and of a whole command."""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from voxtool.errors import VoxtoolError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from voxtool.opencl import Device
+
+
+def times(work: Callable[[], object], repeat: int) -> list[float]:
+    """Seconds of each of `repeat` runs."""
+    found = []
+    for _ in range(repeat):
+        start = time.perf_counter()
+        work()
+        found.append(time.perf_counter() - start)
+    return found
+
+
+def stage_times(
+    work: Callable[[], object], device: Device, repeat: int
+) -> tuple[dict[str, float], float]:
+    """Median seconds of each stage by the device's events, and of the whole in the same runs, after
+    a warm-up."""
+    runs, whole = [], []
+    for _ in range(repeat + 1):
+        whole += times(work, 1)
+        runs.append(device.stage_times())
+    stages = {name: statistics.median(run[name] for run in runs[1:]) for name in runs[0]}
+    return stages, statistics.median(whole[1:])
+
+
+def peer_times(peers: dict[str, Callable[[], object]], repeat: int) -> dict[str, float]:
+    """Median seconds of each peer, after the warm-up that we had, too."""
+    found = {}
+    for name, work in peers.items():
+        work()
+        found[name] = statistics.median(times(work, min(repeat, 3)))
+    return found
+
+
+# A process counts the memory of the one that started it towards its own peak, so a small one
+# stands between.
+_LAUNCHER = """
+import os, resource, subprocess, sys, time
+start = time.perf_counter()
+code = subprocess.call(sys.argv[1:], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+seconds = time.perf_counter() - start
+print(code, seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
+"""
+
+
+def command(*words: str) -> tuple[float, int]:
+    """Seconds and peak resident bytes of `voxtool` with these words in a process of its own.
+
+    Raises
+    ------
+    VoxtoolError : it fails.
+    """
+    launched = subprocess.run(
+        [sys.executable, "-S", "-c", _LAUNCHER, sys.executable, "-m", "voxtool.cli.main", *words],
+        stdout=subprocess.PIPE,
+        check=True,
+    )
+    code, seconds, peak = launched.stdout.split()
+    if int(code):
+        raise VoxtoolError(f"bench: voxtool {' '.join(words)} failed with {int(code)}")
+    return float(seconds), int(peak) * (1 if sys.platform == "darwin" else 1024)

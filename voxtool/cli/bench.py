@@ -1,0 +1,24 @@
+"""voxtool bench: a group of one command for each thing that is measured."""
+
+from __future__ import annotations
+
+import click
+
+from voxtool.cli import bench_extract, bench_voxelize
+
+
+@click.group("bench")
+def command() -> None:
+    """Measure voxtool, and its peers on the same work.
+
+    Times are in ms or s, memory in MB.
+
+    \b
+    Examples:
+      voxtool bench voxelize bunny.obj --dims 64,512
+      voxtool bench extract bunny.obj --dims 512,1024 --peers
+    """
+
+
+command.add_command(bench_voxelize.command)
+command.add_command(bench_extract.command)
