@@ -393,7 +393,7 @@ def test_more_samples_than_codes_have_bits_for_are_refused() -> None:
     octree = octree_from_dense(ball((16, 16, 16)))
     tree = tiles.grow(octree, tiles.Field.of(tiles.VOXEL, 0.5))
     field = tiles.Field.of(tiles.VOXEL, 0.5)
-    tall = replace(tree, children=[*tree.children] + [tree.children[-1]] * 9)
+    tall = replace(tree, offsets=np.append(tree.offsets, [tree.offsets[-1]] * 9))
     with pytest.raises(MemoryLimitError, match=r"8192 samples along a side .* choose level 0"):
         tall.tiles_along_side(field)
 

@@ -5,16 +5,19 @@
 #include "svo/tiles.h"
 #include "svo/samples.h"
 
+// The nodes of a level have their `child` words from children[first] on.
+
 // coverage[i] = the set voxels of node i of a level, `full` where it lies inside; `below` are those
 // of the level below it, or `bricks` where that has level 0.
-__kernel void cover_level(__global const uint *children, const uint n, const uint full,
-                          __global const ulong *bricks, __global const uint *below,
-                          const uint below_bricks, __global uint *coverage)
+__kernel void cover_level(__global const uint *children, const uint first, const uint n,
+                          const uint full, __global const ulong *bricks,
+                          __global const uint *below, const uint below_bricks,
+                          __global uint *coverage)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const uint child = children[gid];
+    const uint child = children[first + gid];
     uint sum = child & INSIDE ? full : 0;
     if (child & VALID)
         for (uint i = child & LINK; i < (child & LINK) + 8; ++i)
@@ -24,24 +27,24 @@ __kernel void cover_level(__global const uint *children, const uint n, const uin
 
 // The codes of a level's refined nodes, from those of the level above; and the tiles in its inside
 // leaves, which are 2^shift each and contiguous in Morton order.
-__kernel void place_nodes(__global const uint *children, const uint n,
+__kernel void place_nodes(__global const uint *children, const uint first, const uint n,
                           __global const uint *above_codes, const uint is_root, const uint shift,
                           __global uint *codes, volatile __global uint *inside)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const uint child = children[gid];
+    const uint child = children[first + gid];
     const uint code = is_root ? 0 : above_codes[gid >> 3] << 3 | (gid & 7);
     if (child & VALID)
         codes[(child & LINK) >> 3] = code;
     if (!(child & INSIDE))
         return;
-    const ulong first = (ulong)code << shift;
+    const ulong tile = (ulong)code << shift;
     if (shift < 6)
-        atomic_or(&inside[first >> 5], (shift ? 0xFFu : 1u) << (first & 31));
+        atomic_or(&inside[tile >> 5], (shift ? 0xFFu : 1u) << (tile & 31));
     else
-        for (ulong word = first >> 5; word < (first + (1ul << shift)) >> 5; ++word)
+        for (ulong word = tile >> 5; word < (tile + (1ul << shift)) >> 5; ++word)
             inside[word] = 0xFFFFFFFFu;
 }
 
@@ -128,8 +131,8 @@ __kernel void sample_tiles(__global const uint *parent_codes, const uint n,
 // The coverages of the 64 samples of each active tile, and which of them are inside; and how many set
 // voxels are in samples that are not.
 __kernel void sample_tiles(__global const uint *codes, const uint n,
-                           __global const uint *children, const uint full, const uint threshold,
-                           __global const ulong *bricks, __global const uint *coverage,
+                           __global const uint *children, const uint first, const uint full,
+                           const uint threshold, __global const ulong *bricks, __global const uint *coverage,
                            const uint has_coverage, __global const ulong *present,
                            __global const uint *ranks, __global SAMPLE *samples,
                            __global ulong *masks, __global uint *source)
@@ -139,7 +142,7 @@ __kernel void sample_tiles(__global const uint *codes, const uint n,
         return;
     ulong mask = 0;
     for (uint i = 0; i < 64; ++i) {
-        const uint child = children[8 * gid + i / 8];
+        const uint child = children[first + 8 * gid + i / 8];
         uint covered = child & INSIDE ? full : 0;
         if (child & VALID) {
             const uint node = (child & LINK) + i % 8;

@@ -15,7 +15,7 @@ Kernels: kernels/svo/tiles.cl.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import ceil
 from typing import TYPE_CHECKING
@@ -34,6 +34,7 @@ SOURCE = "svo/tiles.cl"
 VOXEL = -2  # the level of samples that are voxels: a node of level n spans 4 * 2**n of them
 MAX_LEVEL = 8  # up to which a node's voxels are counted in 32 bits
 MAX_TILES = 1024  # along a side: tiles have Morton codes of 30 bits
+MAX_PRESENT = 1 << 24  # tiles: their 192 edges each are counted in 32 bits
 LOST_ITEMS = 256  # work-items that count lost voxels
 ISOVALUE_BITS = 16  # of a fraction of a voxel
 _BIT = np.uint64(1) << np.arange(BRICK_SIDE**3, dtype=np.uint64)
@@ -83,19 +84,28 @@ class Tree:
     """The links of an octree from its root down to level 1, with roots added above it where tiles
     are larger than it, or its voxels touch the low sides of its cube.
 
-    children : by level, from 0 up: the nodes' `child` words; none for level 0.
-    bricks : how many.
+    children : the nodes' `child` words, root first; offsets : where each level begins in them, and
+    their end; bricks : how many.
     shift : voxels that the octree's corner lies from that of the root, along each axis.
     """
 
-    children: list[np.ndarray]
+    children: np.ndarray
+    offsets: np.ndarray
     bricks: int
     shift: int
 
     @property
     def top(self) -> int:
         """The root's level."""
-        return len(self.children) - 1
+        return len(self.offsets) - 1
+
+    def first(self, level: int) -> np.uint32:
+        """Where a level begins in `children`."""
+        return np.uint32(self.offsets[self.top - level])
+
+    def nodes(self, level: int) -> int:
+        """How many nodes a level has."""
+        return int(np.diff(self.offsets)[self.top - level]) if level else self.bricks
 
     def tiles_along_side(self, field: Field) -> int:
         """Tiles along a side of the root.
@@ -115,37 +125,36 @@ class Tree:
 
     def active_tiles(self, field: Field) -> int:
         """Tiles that have nodes."""
-        return self.bricks if field.level == VOXEL else len(self.children[field.level + 1]) // 8
+        return self.bricks if field.level == VOXEL else self.nodes(field.level + 1) // 8
 
 
 def grow(octree: Octree, field: Field) -> Tree:
     """The octree's links, with the cubes that begin below its low sides in reach."""
-    bounds = zip(octree.offsets[-3::-1], octree.offsets[-2:0:-1], strict=True)
-    words = octree.nodes["child"]
-    children = [words[:0], *(np.ascontiguousarray(words[a:b]) for a, b in bounds)]
-    shift = 0
-    if _touches_low_sides(children, octree.bricks, field):
-        children = _with_root(children, 7)
-        shift = octree.grid.side
-    while len(children) - 1 < field.level + 2:
-        children = _with_root(children, 0)
-    return Tree(children, len(octree.bricks), shift)
+    offsets = octree.offsets[:-1].astype(np.int64)
+    children = np.ascontiguousarray(octree.nodes["child"][: offsets[-1]])
+    tree = Tree(children, offsets, len(octree.bricks), 0)
+    if _touches_low_sides(tree, octree.bricks, field):
+        tree = replace(_with_root(tree, 7), shift=octree.grid.side)
+    while tree.top < field.level + 2:
+        tree = _with_root(tree, 0)
+    return tree
 
 
-def _with_root(children: list[np.ndarray], octant: int) -> list[np.ndarray]:
+def _with_root(tree: Tree, octant: int) -> Tree:
     """A root above the root, which becomes its child in an octant."""
     siblings = np.zeros(8, np.uint32)
-    siblings[octant] = children[-1][0]
-    return [*children[:-1], siblings, np.array([VALID], np.uint32)]
+    siblings[octant] = tree.children[0]
+    children = np.concatenate([np.array([VALID], np.uint32), siblings, tree.children[1:]])
+    return replace(tree, children=children, offsets=np.append([0, 1], tree.offsets[1:] + 8))
 
 
-def _touches_low_sides(children: list[np.ndarray], bricks: np.ndarray, field: Field) -> bool:
+def _touches_low_sides(tree: Tree, bricks: np.ndarray, field: Field) -> bool:
     """Whether a voxel is set in the first samples along an axis; above level 0, may be set."""
     nodes = np.zeros(1, np.int64)
     sides = np.full(1, 7)  # the low sides that a node lies at: a bit each axis
     octants = np.arange(8)
-    for number in range(len(children) - 1, 0, -1):
-        child = children[number][nodes]
+    for number in range(tree.top, 0, -1):
+        child = tree.children[tree.first(number) + nodes]
         refined = (child & VALID) != 0
         if (child & INSIDE).any() or (number == field.level and refined.any()):
             return True
@@ -206,7 +215,7 @@ def find_tiles(device: Device, octree: Octree, tree: Tree, field: Field) -> Tile
     words = max(tree.tiles_along_side(field) ** 3 // 64, 1)
     with device.stage("tiles"):
         bricks = device.view(octree.bricks)
-        children = [device.view(level) for level in tree.children]
+        children = device.view(tree.children)
         inside = device.zeros(words, np.uint64)
         refined = _place_nodes(device, tree, children, field, inside)
         active = device.zeros(words, np.uint64)
@@ -215,6 +224,11 @@ def find_tiles(device: Device, octree: Octree, tree: Tree, field: Field) -> Tile
         kernel(device, field, "find_tiles")(words, active, inside, np.uint32(words), present, ranks)
         active.release()
         n = exclusive_scan(ranks, words)
+        if n > MAX_PRESENT:
+            raise MemoryLimitError(
+                f"{n:,} tiles of samples exceed the {MAX_PRESENT:,} that are extracted: choose a "
+                "coarser level"
+            )
         codes, source = device.empty(n, np.uint32), device.empty(n, np.uint32)
         masks = device.empty(n, np.uint64)
         kernel(device, field, "list_tiles")(
@@ -222,8 +236,10 @@ def find_tiles(device: Device, octree: Octree, tree: Tree, field: Field) -> Tile
         )
     sample = _sample_voxels if field.level == VOXEL else _sample_nodes
     with device.stage("samples"):
-        samples = sample(device, field, refined, children, bricks, (present, ranks), masks, source)
-    for array in (refined, bricks, *children):
+        samples = sample(
+            device, tree, field, refined, children, bricks, (present, ranks), masks, source
+        )
+    for array in (refined, bricks, children):
         array.release()
     shift = tree.shift // field.side
     return Tiles(field, n, present, inside, ranks, codes, masks, source, samples, shift)
@@ -234,38 +250,55 @@ def kernel(device: Device, field: Field, name: str) -> Callable[..., None]:
     return device.kernel(SOURCE, name, **field.options)
 
 
-def _place_nodes(
-    device: Device, tree: Tree, children: list[Array], field: Field, inside: Array
-) -> Array:
+def _place_nodes(device: Device, tree: Tree, children: Array, field: Field, inside: Array) -> Array:
     """The Morton codes of the nodes whose descendants are samples: a tile each, or eight where
     samples are voxels; inside leaves from their level up are marked."""
     place_nodes = kernel(device, field, "place_nodes")
     codes = device.empty(0, np.uint32)
     for level in range(tree.top, max(field.level + 2, 1) - 1, -1):
-        below = len(tree.children[level - 1]) if level > 1 else tree.bricks
-        above, codes = codes, device.empty(below // 8, np.uint32)
+        above, codes = codes, device.empty(tree.nodes(level - 1) // 8, np.uint32)
         place_nodes(
-            children[level].size, children[level], np.uint32(children[level].size), above,
+            tree.nodes(level), children, tree.first(level), np.uint32(tree.nodes(level)), above,
             np.uint32(level == tree.top), np.uint32(3 * (level - field.level - 2)), codes, inside,
         )  # fmt: skip
         above.release()
     return codes
 
 
-def _sample_voxels(device, field, refined, children, bricks, lookup, masks, source) -> None:
+def _sample_voxels(
+    device: Device,
+    tree: Tree,
+    field: Field,
+    refined: Array,
+    children: Array,
+    bricks: Array,
+    lookup: tuple[Array, Array],
+    masks: Array,
+    source: Array,
+) -> None:
     """Tiles are bricks."""
     kernel(device, field, "sample_tiles")(
         bricks.size, refined, np.uint32(bricks.size), bricks, *lookup, masks, source
     )
 
 
-def _sample_nodes(device, field, refined, children, bricks, lookup, masks, source) -> Array:
+def _sample_nodes(
+    device: Device,
+    tree: Tree,
+    field: Field,
+    refined: Array,
+    children: Array,
+    bricks: Array,
+    lookup: tuple[Array, Array],
+    masks: Array,
+    source: Array,
+) -> Array:
     """The coverages of the samples of each active tile, from the bricks up."""
     below = bricks
     for level in range(1, field.level + 1):
-        coverage = device.empty(children[level].size, np.uint32)
+        coverage = device.empty(tree.nodes(level), np.uint32)
         kernel(device, field, "cover_level")(
-            coverage.size, children[level], np.uint32(coverage.size),
+            coverage.size, children, tree.first(level), np.uint32(coverage.size),
             np.uint32((BRICK_SIDE << level) ** 3), bricks, below, np.uint32(level == 1), coverage,
         )  # fmt: skip
         if below is not bricks:
@@ -274,7 +307,7 @@ def _sample_nodes(device, field, refined, children, bricks, lookup, masks, sourc
     sampled = np.uint8 if field.level == 0 else np.uint32
     samples = device.empty(64 * refined.size, sampled)
     kernel(device, field, "sample_tiles")(
-        refined.size, refined, np.uint32(refined.size), children[field.level + 1],
+        refined.size, refined, np.uint32(refined.size), children, tree.first(field.level + 1),
         np.uint32(field.full), np.uint32(field.threshold), bricks, below,
         np.uint32(field.level > 0), *lookup, samples, masks, source,
     )  # fmt: skip
@@ -326,6 +359,10 @@ def classify_cubes(device: Device, tiles: Tiles) -> CutCubes:
         )
         cubes = exclusive_scan(first_cube, tiles.n)
         edges = exclusive_scan(first_edge, 3 * tiles.n)
+        if edges >= 1 << 31:
+            raise MemoryLimitError(
+                f"{edges:,} cut edges exceed faces of 32 bits: choose a coarser level"
+            )
         places, cases = device.empty(cubes, np.uint32), device.empty(cubes, np.uint8)
         kernel(device, tiles.field, "list_cubes")(
             tiles.n, tiles.codes, n, *tiles.arguments, first_cube, places, cases
