@@ -1,11 +1,18 @@
-"""The devices under test: every one that is found and passes the probe."""
+"""The devices under test: every one that is found and passes the probe; models for commands."""
 
 from __future__ import annotations
 
 import functools
+import importlib.util
+import os
+import shlex
+import shutil
+import subprocess
 from pathlib import Path
 
+import meshes
 import pytest
+from helpers_cli import ENVIRONMENT, MODULE, ROOT, write_obj
 from hypothesis import HealthCheck, settings
 
 from voxtool.opencl import Device, list_devices, open_device
@@ -55,3 +62,38 @@ def model(name: str) -> Path:
     if not path.exists():
         pytest.skip(f"no model {name}: the folder of real models is absent")
     return path
+
+
+@pytest.fixture(scope="session")
+def models(tmp_path_factory) -> Path:
+    """bunny.obj, bunny.svo.h5 (128, solid), and open.obj, a box without a lid."""
+    folder = tmp_path_factory.mktemp("models")
+    spec = importlib.util.spec_from_file_location("make_bunny", ROOT / "examples/make_bunny.py")
+    assert spec
+    assert spec.loader
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    write_obj(folder / "bunny.obj", *example.make_bunny(3000))
+    write_obj(folder / "open.obj", *meshes.open_box(0, (4, 3, 2)))
+    command = [*MODULE, "voxelize", "bunny.obj", "--dim", "128", "-q"]
+    subprocess.run(command, cwd=folder, env=ENVIRONMENT, check=True)
+    return folder
+
+
+@pytest.fixture
+def here(models: Path, tmp_path: Path, monkeypatch) -> Path:
+    """The current folder, with copies of the models."""
+    for file in models.iterdir():
+        shutil.copy(file, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope="session")
+def shell(tmp_path_factory) -> dict[str, str]:
+    """An environment in which a shell finds `voxtool`."""
+    folder = tmp_path_factory.mktemp("bin")
+    script = folder / "voxtool"
+    script.write_text(f'#!/bin/sh\nexec {shlex.join(MODULE)} "$@"\n')
+    script.chmod(0o755)
+    return {**ENVIRONMENT, "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}

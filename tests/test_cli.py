@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-import importlib.util
 import json
 import os
 import re
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
@@ -18,10 +16,9 @@ from types import SimpleNamespace
 
 import click
 import h5py
-import meshes
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from helpers_cli import ENVIRONMENT, MODULE, fail, invoke, on_terminal, process, run, screen
 
 from voxtool.cli import main, options
 from voxtool.cli.voxelize import default_output, stages
@@ -30,74 +27,7 @@ from voxtool.grid import Grid
 from voxtool.mesh import load_mesh
 from voxtool.svo.voxelize import plan_voxelize, voxelize
 
-ROOT = Path(__file__).parents[1]
-MODULE = (sys.executable, "-m", "voxtool.cli.main")
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 MODES = ("surface26", "surface6", "solid")
-
-
-def write_obj(path: Path, vertices, faces) -> None:
-    lines = ["v {!r} {!r} {!r}".format(*v) for v in np.asarray(vertices, float).tolist()]
-    lines += ["f {} {} {}".format(*f) for f in (np.asarray(faces) + 1).tolist()]
-    path.write_text("\n".join(lines) + "\n", encoding="ascii")
-
-
-@pytest.fixture(scope="session")
-def models(tmp_path_factory) -> Path:
-    """bunny.obj, bunny.svo.h5 (128, solid), and open.obj, a box without a lid."""
-    folder = tmp_path_factory.mktemp("models")
-    spec = importlib.util.spec_from_file_location("make_bunny", ROOT / "examples/make_bunny.py")
-    assert spec
-    assert spec.loader
-    example = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(example)
-    write_obj(folder / "bunny.obj", *example.make_bunny(3000))
-    write_obj(folder / "open.obj", *meshes.open_box(0, (4, 3, 2)))
-    command = [*MODULE, "voxelize", "bunny.obj", "--dim", "128", "-q"]
-    subprocess.run(command, cwd=folder, env=ENVIRONMENT, check=True)
-    return folder
-
-
-@pytest.fixture
-def here(models: Path, tmp_path: Path, monkeypatch) -> Path:
-    """The current folder, with copies of the models."""
-    for file in models.iterdir():
-        shutil.copy(file, tmp_path)
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def invoke(command: str, stdin: bytes = b"") -> Result:
-    result = CliRunner().invoke(main.cli, shlex.split(command), input=stdin, prog_name="voxtool")
-    if result.exception and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
-
-
-def run(command: str, stdin: bytes = b"") -> Result:
-    """A command that succeeds."""
-    result = invoke(command, stdin)
-    assert result.exit_code == 0, result.stderr
-    return result
-
-
-def fail(command: str, code: int = 1, stdin: bytes = b"") -> str:
-    """The message of a command that fails: one line on stderr, and nothing written."""
-    before = {p: p.read_bytes() for p in Path().iterdir()}
-    result = invoke(command, stdin)
-    assert result.exit_code == code
-    assert result.stdout_bytes == b""
-    assert result.stderr.startswith("voxtool: error: ")
-    assert result.stderr.endswith("\n")
-    assert result.stderr.count("\n") == 1
-    assert {p: p.read_bytes() for p in Path().iterdir()} == before
-    return result.stderr.removeprefix("voxtool: error: ").rstrip()
-
-
-def process(command: str, **more) -> subprocess.CompletedProcess[bytes]:
-    """A command in a process of its own."""
-    words = [*MODULE, *shlex.split(command)]
-    return subprocess.run(words, env=ENVIRONMENT, capture_output=True, timeout=120, **more)
 
 
 # ---- help
@@ -137,16 +67,6 @@ def test_help(path, flag) -> None:
     for parameter in COMMANDS[path].params:
         if isinstance(parameter, click.Option):
             assert parameter.help, f"{parameter.name} is not explained"
-
-
-@pytest.fixture(scope="session")
-def shell(tmp_path_factory) -> dict[str, str]:
-    """An environment in which a shell finds `voxtool`."""
-    folder = tmp_path_factory.mktemp("bin")
-    script = folder / "voxtool"
-    script.write_text(f'#!/bin/sh\nexec {shlex.join(MODULE)} "$@"\n')
-    script.chmod(0o755)
-    return {**ENVIRONMENT, "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
 
 
 @pytest.mark.parametrize(
@@ -669,52 +589,6 @@ def test_the_bar_counts_the_stages_of_the_plan(mode: str, with_surface: bool, mo
     assert shown[0] == "read mesh"
     assert [s for s in shown if s in plan.stages] == plan.stages
     assert shown[-1] == "write file"
-
-
-def on_terminal(command: str, after: float, here: Path) -> tuple[int, str, str]:
-    """Exit code and stdout of a command whose stderr is a terminal, and what was sent to that."""
-    pty = pytest.importorskip("pty")
-    master, slave = pty.openpty()
-    code = (
-        "from voxtool.cli import options\n"
-        f"options.PROGRESS_AFTER = {after}\n"
-        "from voxtool.cli.main import main\n"
-        "main()\n"
-    )
-    words = [sys.executable, "-c", code, *shlex.split(command)]
-    with subprocess.Popen(
-        words, cwd=here, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=slave
-    ) as child:
-        os.close(slave)
-        sent = b""
-        while True:
-            try:
-                piece = os.read(master, 4096)
-            except OSError:  # the other end is closed
-                break
-            if not piece:
-                break
-            sent += piece
-        assert child.stdout
-        out = child.stdout.read()
-    os.close(master)
-    return child.returncode, out.decode(), sent.decode()
-
-
-def screen(sent: str) -> list[str]:
-    """What a terminal shows in the end."""
-    lines, row, column = [""], 0, 0
-    for character in sent:
-        if character == "\r":
-            column = 0
-        elif character == "\n":
-            lines.append("")
-            row, column = row + 1, 0
-        else:
-            line = lines[row].ljust(column)
-            lines[row] = line[:column] + character + line[column + 1 :]
-            column += 1
-    return [line.rstrip() for line in lines]
 
 
 def test_the_bar_is_shown_and_erased(here: Path) -> None:

@@ -386,7 +386,14 @@ def test_memory_is_planned(device) -> None:
     assert plan.device_bytes > 1_000_000
     with pytest.raises(MemoryLimitError, match="choose level 0"):
         extract(octree, style="nets", max_memory=plan.device_bytes // 2, device=device)
-    extract(octree, style="nets", max_memory=plan.device_bytes, device=device)
+    extract(octree, style="nets", max_memory=plan.device_bytes * 5 // 4, device=device)
+
+
+def test_a_surface_larger_than_predicted_is_refused_once_it_is_counted(device) -> None:
+    octree = octree_from_dense(np.indices((32, 32, 32)).sum(axis=0) % 2 == 0)
+    plan = plan_extract(octree, style="blocks")
+    with pytest.raises(MemoryLimitError, match="a blocks surface of level voxel would need"):
+        extract(octree, style="blocks", max_memory=2 * plan.device_bytes, device=device)
 
 
 def test_more_samples_than_codes_have_bits_for_are_refused() -> None:

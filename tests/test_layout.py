@@ -16,6 +16,7 @@ from voxtool.svo import cases, inside, isosurface, octree, rectangles, voxelize
 NODE = octree.NODE
 CONSTANTS = {
     "opencl/primitives.h": {
+        "WORK_GROUP": primitives.WORK_GROUP,
         "GROUP": primitives.GROUP,
         "ITEMS": primitives.ITEMS,
         "DIGIT_BITS": primitives.DIGIT_BITS,

@@ -247,6 +247,7 @@ def extract_surfaces(device) -> None:
         {"level": "voxel"},
         {"style": "blocks"},
         {"style": "blocks", "level": 0, "merge": True},
+        {"style": "nets"},
         {"style": "nets", "level": 0},
     ):
         surface = extract(octree, device=device, **request)

@@ -242,9 +242,9 @@ TRAVERSE = """
 __kernel void traverse(HISTOPYRAMID, const uint n, __global uint2 *found)
 {
     const uint k = get_global_id(0);
-    __local uint fork[3];
+    __local uint inputs[2 * WORK_GROUP];
     uint r;
-    const uint i = histopyramid_traverse(THIS_HISTOPYRAMID, n, fork, &r);
+    const uint i = histopyramid_input(THIS_HISTOPYRAMID, n, inputs, &r);
     if (k < n)
         found[k] = (uint2)(i, r);
 }

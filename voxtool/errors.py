@@ -51,3 +51,13 @@ def one_line(error: BaseException) -> str:
 def shown(word: bytes) -> str:
     """The beginning of a word of a file, in quotes."""
     return repr(word[:40].decode("ascii", "replace"))
+
+
+def human(size: int) -> str:
+    """Bytes as people read them: 12.3 GB."""
+    value = float(size)
+    for unit in ("bytes", "kB", "MB", "GB"):
+        if value < 1000:
+            return f"{value:.3g} {unit}"
+        value /= 1000
+    return f"{value:.3g} TB"

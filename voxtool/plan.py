@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from voxtool.errors import MemoryLimitError
+from voxtool.errors import MemoryLimitError, human
 
 NODE_BYTES = 8
 BRICK_BYTES = 8
@@ -19,7 +19,9 @@ CODE_32_SIDE = 8192  # voxels up to which level-1 Morton codes fit 32 bits
 DENSE_SIDE = 2048  # voxels up to which the level-1 volume is dense
 TILE = 64  # columns along a side of a work-item's share of a triangle
 MAX_LINK = 1 << 30  # a link has 30 bits
-CUT_CUBE_BYTES = {"smooth": 48, "blocks": 84, "nets": 120}  # device arrays, a cube that is cut
+CUBE_BYTES = 24  # device arrays of a surface: a cube that is cut,
+EDGE_BYTES = {"smooth": 36, "blocks": 52, "nets": 84}  # a cut edge,
+MERGE_BYTES = 64  # and one of blocks that are merged
 
 
 @dataclass(frozen=True)
@@ -192,9 +194,9 @@ class Plan:
                 high = middle
         mend = f"dim {low} is the largest that fits" if low >= CELL else "no dim fits"
         raise MemoryLimitError(
-            f"dim {dim} would need {self.device_bytes / 1e6:,.1f} MB of memory "
-            f"({self.largest_buffer / 1e6:,.1f} MB in one buffer), of {max_memory / 1e6:,.1f} MB "
-            f"({max_allocation / 1e6:,.1f} MB) allowed: {mend} (see --max-memory)"
+            f"dim {dim} would need {human(self.device_bytes)} of memory "
+            f"({human(self.largest_buffer)} in one buffer), of {human(max_memory)} "
+            f"({human(max_allocation)}) allowed: {mend} (see --max-memory)"
         )
 
 
@@ -286,19 +288,39 @@ def _rescale(plan: Plan, factor: float) -> Plan:
 class ExtractionPlan:
     """How a surface will be extracted from an octree.
 
-    style, level, merge : as asked; samples : along a side of the root, which may be larger than
-    the octree's; rooted : roots were added, or no cube could begin below the low sides.
-    nodes, bricks : of the octree; active : tiles of 4 x 4 x 4 samples that have nodes.
+    style, level, merge : as asked; solid : the octree has an inside.
+    nodes : of the octree's levels, level 0 first, with those of roots that were added; rooted :
+    they were, as cubes begin below the octree's low sides.
+    tiles, cubes, edges : predicted, then counted: tiles of 4 x 4 x 4 samples that are looked at,
+    cubes and edges that are cut.
     """
 
     style: str
     level: int | str
     merge: bool
-    samples: int
+    solid: bool
+    nodes: tuple[int, ...]
     rooted: bool
-    nodes: int
-    bricks: int
-    active: int
+    tiles: int
+    cubes: int
+    edges: int
+
+    @classmethod
+    def predict(
+        cls,
+        style: str,
+        level: int | str,
+        *,
+        merge: bool,
+        solid: bool,
+        nodes: tuple[int, ...],
+        rooted: bool,
+    ) -> ExtractionPlan:
+        """The plan with what such octrees have: a surface passes about every fourth sample of a
+        tile, or eight of the 64 voxels of a brick; one without an inside passes them twice."""
+        active = _active_tiles(nodes, level)
+        cubes = active * (16 if level != "voxel" else 8 if solid else 20)
+        return cls(style, level, merge, solid, nodes, rooted, 2 * active, cubes, cubes)
 
     @property
     def voxels(self) -> bool:
@@ -314,7 +336,7 @@ class ExtractionPlan:
             "classify",
             *([] if self.voxels else ["lost voxels"]),
             "vertices",
-            *(["relax"] if self.style == "nets" else []),
+            *(["relax"] if self.style == "nets" and self.voxels else []),
             "histopyramid",
             *([] if self.style == "smooth" else ["quads"]),
             *(["merge"] if self.merge else []),
@@ -322,28 +344,29 @@ class ExtractionPlan:
         ]
 
     @property
-    def tiles(self) -> int:
-        """Predicted number of tiles."""
-        return 2 * self.active
-
-    @property
-    def cubes(self) -> int:
-        """Predicted number of cubes that are cut."""
-        return self.active * (8 if self.voxels else 16)
+    def samples(self) -> int:
+        """Samples along a side of the root."""
+        side = 4 << (len(self.nodes) - 1)  # in voxels
+        return max(side // (1 if isinstance(self.level, str) else 4 << self.level), 1)
 
     @property
     def device_bytes(self) -> int:
-        """Predicted peak of memory on the device, the surface included."""
-        words = max(self.samples**3 // 4096, 1)
-        octree = BRICK_BYTES * self.bricks + 4 * (self.nodes - self.bricks)
+        """Peak of memory on the device, the surface included, by the numbers above."""
+        active = _active_tiles(self.nodes, self.level)
+        octree = BRICK_BYTES * self.nodes[0] + 4 * sum(self.nodes[1:])
         sample = 0 if self.voxels else 1 if self.level == 0 else 4
-        tiles = 56 * self.tiles + 64 * sample * self.active
-        return octree + 28 * words + tiles + self.cubes * CUT_CUBE_BYTES[self.style]
+        tiles = 28 * max(self.samples**3 // 4096, 1) + 56 * self.tiles + 64 * sample * active
+        edge = EDGE_BYTES[self.style] + (MERGE_BYTES if self.merge else 0)
+        return octree + tiles + CUBE_BYTES * self.cubes + edge * self.edges
 
     @property
     def largest_buffer(self) -> int:
-        """Predicted bytes of the largest single allocation on the device."""
-        return max(BRICK_BYTES * self.bricks, self.samples**3 // 512, 24 * self.cubes)
+        """Bytes of the largest single allocation on the device."""
+        return max(BRICK_BYTES * self.nodes[0], self.samples**3 // 512, 24 * self.edges)
+
+    def fits(self, max_memory: int, max_allocation: int) -> bool:
+        """Whether memory suffices."""
+        return self.device_bytes <= max_memory and self.largest_buffer <= max_allocation
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Refuse what needs more.
@@ -354,20 +377,31 @@ class ExtractionPlan:
 
         Raises
         ------
-        MemoryLimitError : with a level that needs about as much as there is.
+        MemoryLimitError : with the finest level that fits.
         """
-        excess = max(self.device_bytes / max_memory, self.largest_buffer / max_allocation)
-        if excess <= 1:
+        if self.fits(max_memory, max_allocation):
             return
-        level = 0 if isinstance(self.level, str) else self.level + 1
-        excess /= 16 if self.voxels else 4  # as the area that a sample has
-        while excess > 1:
-            level, excess = level + 1, excess / 4
+        first = 0 if isinstance(self.level, str) else self.level + 1
+        levels = range(first, len(self.nodes)) if self.solid else ()
+        coarser = (
+            ExtractionPlan.predict(
+                self.style,
+                level,
+                merge=self.merge,
+                solid=self.solid,
+                nodes=self.nodes,
+                rooted=self.rooted,
+            )
+            for level in levels
+        )
+        fitting = (plan.level for plan in coarser if plan.fits(max_memory, max_allocation))
+        level = next(fitting, None)
         raise MemoryLimitError(
             f"a {self.style} surface of level {self.level} would need "
-            f"{self.device_bytes / 1e6:,.1f} MB of memory ({self.largest_buffer / 1e6:,.1f} MB in "
-            f"one buffer), of {max_memory / 1e6:,.1f} MB ({max_allocation / 1e6:,.1f} MB) allowed: "
-            f"choose level {level} (see --max-memory)"
+            f"{human(self.device_bytes)} of memory ({human(self.largest_buffer)} in one buffer), "
+            f"of {human(max_memory)} ({human(max_allocation)}) allowed: "
+            + ("allow more" if level is None else f"choose level {level}, or allow more")
+            + " (see --max-memory)"
         )
 
     def left_out(self) -> dict[str, str]:
@@ -383,6 +417,8 @@ class ExtractionPlan:
             out["loops and quads"] = "the style is smooth: cubes are marched"
         elif self.style == "blocks":
             out["crossings and relaxation"] = "blocks lie on the corners of samples"
+        elif not self.voxels:
+            out["relaxation"] = "coverages are smooth as they are"
         if self.style != "blocks" or not self.merge:
             out["sorting"] = "Morton-ordered bits are sorted; only --merge sorts"
         return out
@@ -395,8 +431,14 @@ class ExtractionPlan:
             "samples_along_side": self.samples,
             "stages": self.stages,
             "left_out": self.left_out(),
-            "active_tiles": self.active,
             "predicted_tiles": self.tiles,
             "predicted_cut_cubes": self.cubes,
             "predicted_device_bytes": self.device_bytes,
         }
+
+
+def _active_tiles(nodes: tuple[int, ...], level: int | str) -> int:
+    """Tiles that have nodes: one each 64 nodes that are samples, or each brick."""
+    if isinstance(level, str):
+        return nodes[0]
+    return nodes[level + 1] // 8 if level + 1 < len(nodes) - 1 else 1

@@ -1,42 +1,45 @@
-// Traversal of a 5:1 histopyramid (section 4.1 of the thesis): the host's Histopyramid.arguments.
-#define HISTOPYRAMID                                                                               \
-    __global const uint4 *pyramid_levels, __global const uint *pyramid_offsets,                    \
-        const uint pyramid_height
-#define THIS_HISTOPYRAMID pyramid_levels, pyramid_offsets, pyramid_height
+// The inputs of output elements, by a 5:1 histopyramid (section 4.1 of the thesis). The host's
+// Histopyramid.arguments; a group has WORK_GROUP work-items.
+#include "opencl/primitives.h"
 
-// One step down from node i: the child whose interval holds *k, which is then counted from its begin.
-uint histopyramid_step(HISTOPYRAMID, uint level, uint i, uint *k)
+#define HISTOPYRAMID                                                                               \
+    __global const uint *pyramid_counts, __global const uint4 *pyramid_levels,                     \
+        __global const uint *pyramid_offsets, const uint pyramid_height
+#define THIS_HISTOPYRAMID pyramid_counts, pyramid_levels, pyramid_offsets, pyramid_height
+
+// The input that has output k of all; `r` is which of that input's outputs it is.
+uint histopyramid_traverse(HISTOPYRAMID, uint k, uint *r)
 {
-    const uint4 v = pyramid_levels[pyramid_offsets[level] + i]; // intervals may be empty
-    const uint at = *k;
-    *k = at - (at >= v.w ? v.w : at >= v.z ? v.z : at >= v.y ? v.y : at >= v.x ? v.x : 0);
-    return 5 * i + (at >= v.x) + (at >= v.y) + (at >= v.z) + (at >= v.w);
+    uint i = 0;
+    for (uint level = 0; level < pyramid_height; ++level) {
+        const uint4 v = pyramid_levels[pyramid_offsets[level] + i]; // intervals may be empty
+        i = 5 * i + (k >= v.x) + (k >= v.y) + (k >= v.z) + (k >= v.w);
+        k -= k >= v.w ? v.w : k >= v.z ? v.z : k >= v.y ? v.y : k >= v.x ? v.x : 0;
+    }
+    *r = k;
+    return i;
 }
 
-// The input that has output k = get_global_id(0) of n; `r` is which of that input's outputs it is. All
-// work-items of a group call this. Their outputs lie next to each other, and most of their way down is
-// the same: the first of them finds where the ways part (level, node and first output: `fork`).
-uint histopyramid_traverse(HISTOPYRAMID, uint n, __local uint *fork, uint *r)
+// The same for output get_global_id(0) of n, where all work-items of a group call this: the outputs
+// of a group follow each other, so the first work-item goes down the pyramid once, and on along the
+// inputs. `found` has two elements a work-item.
+uint histopyramid_input(HISTOPYRAMID, uint n, __local uint *found, uint *r)
 {
-    const uint k = get_global_id(0);
-    if (get_local_id(0) == 0) {
-        uint first = k, last = min(k + (uint)get_local_size(0), n) - 1, level = 0, i = 0;
-        fork[2] = 0;
-        for (; level < pyramid_height; ++level) {
-            const uint next = histopyramid_step(THIS_HISTOPYRAMID, level, i, &first);
-            if (next != histopyramid_step(THIS_HISTOPYRAMID, level, i, &last))
-                break;
-            i = next;
-            fork[2] = k - first;
+    const uint lid = get_local_id(0), k = get_global_id(0);
+    if (lid == 0) {
+        uint rest, i = histopyramid_traverse(THIS_HISTOPYRAMID, k, &rest);
+        uint left = pyramid_counts[i] - rest;
+        for (uint item = 0; item < min((uint)WORK_GROUP, n - k); ++item) {
+            while (left == 0) {
+                left = pyramid_counts[++i];
+                rest = 0;
+            }
+            found[item] = i;
+            found[WORK_GROUP + item] = rest++;
+            --left;
         }
-        fork[0] = level;
-        fork[1] = i;
     }
     barrier(CLK_LOCAL_MEM_FENCE);
-    uint i = fork[1];
-    *r = k - fork[2];
-    if (k < n)
-        for (uint level = fork[0]; level < pyramid_height; ++level)
-            i = histopyramid_step(THIS_HISTOPYRAMID, level, i, r);
-    return i;
+    *r = found[WORK_GROUP + lid];
+    return found[lid];
 }

@@ -2,6 +2,9 @@
 #include "svo/tiles.h"
 #include "svo/samples.h"
 
+// Off both ends.
+int within(int t) { return clamp(t, (int)NEAREST, (int)(LATTICE - NEAREST)); }
+
 // Where the edge from a cell, whose tile has a slot, along an axis crosses the surface, in LATTICE of
 // its length: t = (iso - a) / (b - a) from the sample that is outside, rounded once, and kept off both
 // ends.
@@ -20,6 +23,6 @@ int crossing(TILES, SAMPLES, ulong cell, uint slot, uint axis, bool cell_is_insi
 #endif
     const ulong above = isovalue - (outer << 16), range = (inner - outer) << 16;
     const long t = (long)((2 * above * LATTICE + range) / (2 * range));
-    const int kept = (int)clamp(t, (long)NEAREST, (long)(LATTICE - NEAREST));
+    const int kept = within((int)t);
     return cell_is_inside ? LATTICE - kept : kept;
 }

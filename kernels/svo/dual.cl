@@ -95,9 +95,9 @@ __kernel void place_means(__global const uint *codes, TILES, SAMPLES, __global c
             ++edges;
         }
         const size_t vertex = first_vertex[gid] + loop;
-        points[3 * vertex] = low.x + (2 * sum.x + edges) / (2 * edges);
-        points[3 * vertex + 1] = low.y + (2 * sum.y + edges) / (2 * edges);
-        points[3 * vertex + 2] = low.z + (2 * sum.z + edges) / (2 * edges);
+        points[3 * vertex] = low.x + within((2 * sum.x + edges) / (2 * edges));
+        points[3 * vertex + 1] = low.y + within((2 * sum.y + edges) / (2 * edges));
+        points[3 * vertex + 2] = low.z + within((2 * sum.z + edges) / (2 * edges));
     }
 }
 
@@ -142,8 +142,8 @@ __kernel void relax(__global const int *points, __global const uint *link_start,
         for (uint link = first; link < end; ++link)
             sum += points[3 * (size_t)links[link] + axis] - here;
         const int low = ((here - LATTICE / 2) >> LATTICE_BITS << LATTICE_BITS) + LATTICE / 2;
-        relaxed[3 * (size_t)gid + axis] = clamp(here + sum / (2 * (int)(end - first)),
-                                                low + NEAREST, low + LATTICE - NEAREST);
+        relaxed[3 * (size_t)gid + axis] =
+            low + within(here - low + sum / (2 * (int)(end - first)));
     }
 }
 
@@ -154,9 +154,9 @@ __kernel void list_quads(HISTOPYRAMID, const uint n, __global const uint *codes,
                          __global const uint *first_vertex, __global uint *quads)
 {
     const uint k = get_global_id(0);
-    __local uint fork[3];
+    __local uint found[2 * WORK_GROUP];
     uint r;
-    const uint i = histopyramid_traverse(THIS_HISTOPYRAMID, n, fork, &r);
+    const uint i = histopyramid_input(THIS_HISTOPYRAMID, n, found, &r);
     if (k >= n)
         return;
     const ulong cell = cell_of(codes, places[i]);

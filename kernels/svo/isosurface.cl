@@ -14,6 +14,7 @@ __kernel void place_vertices(__global const uint *codes, const uint n, TILES, SA
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
+    const int3 corner = cell_coordinates((ulong)codes[gid] << 6) - shift;
     size_t vertex = first_vertex[3 * gid];
     for (uint axis = 0; axis < 3; ++axis)
         for (ulong left = cut_edges[3 * gid + axis]; left; left &= left - 1) {
@@ -21,7 +22,7 @@ __kernel void place_vertices(__global const uint *codes, const uint n, TILES, SA
             const ulong cell = (ulong)codes[gid] << 6 | bit;
             const int t =
                 crossing(THESE_TILES, THESE_SAMPLES, cell, gid, axis, masks[gid] >> bit & 1);
-            const int3 low = (cell_coordinates(cell) - shift) * LATTICE + LATTICE / 2;
+            const int3 low = (corner + place_in_tile(bit)) * LATTICE + LATTICE / 2;
             points[3 * vertex] = low.x + (axis == 0 ? t : 0);
             points[3 * vertex + 1] = low.y + (axis == 1 ? t : 0);
             points[3 * vertex + 2] = low.z + (axis == 2 ? t : 0);
@@ -52,16 +53,15 @@ __kernel void polygonise(HISTOPYRAMID, const uint n, __global const uint *codes,
                          __global uint *triangles)
 {
     const uint k = get_global_id(0);
-    __local uint fork[3];
+    __local uint found[2 * WORK_GROUP];
     uint r;
-    const uint i = histopyramid_traverse(THIS_HISTOPYRAMID, n, fork, &r);
+    const uint i = histopyramid_input(THIS_HISTOPYRAMID, n, found, &r);
     if (k >= n)
         return;
     const ulong cell = (ulong)codes[places[i] >> 6] << 6 | (places[i] & 63);
     for (uint corner = 0; corner < 3; ++corner) {
         const uint edge = TRIANGLES[3 * (MAX_TRIANGLES * cases[i] + r) + corner];
-        triangles[3 * (size_t)k + corner] =
-            vertex_of(THESE_TILES, cut_edges, first_vertex,
-                      corner_cell(cell, EDGE_CORNER[edge]), edge >> 2);
+        triangles[3 * (size_t)k + corner] = vertex_of(THESE_TILES, cut_edges, first_vertex,
+                                                      corner_cell(cell, edge & 7), edge >> 3);
     }
 }

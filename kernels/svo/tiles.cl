@@ -128,31 +128,39 @@ __kernel void sample_tiles(__global const uint *parent_codes, const uint n,
 
 #else
 
-// The coverages of the 64 samples of each active tile, and which of them are inside; and how many set
-// voxels are in samples that are not.
+// The coverages of the 64 samples of each active tile; which of them are inside, and which are not
+// though they have set voxels.
 __kernel void sample_tiles(__global const uint *codes, const uint n,
                            __global const uint *children, const uint first, const uint full,
                            const uint threshold, __global const ulong *bricks, __global const uint *coverage,
-                           const uint has_coverage, __global const ulong *present,
+                           __global const ulong *present,
                            __global const uint *ranks, __global SAMPLE *samples,
-                           __global ulong *masks, __global uint *source)
+                           __global ulong *below, __global ulong *masks, __global uint *source)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    ulong mask = 0;
-    for (uint i = 0; i < 64; ++i) {
-        const uint child = children[first + 8 * gid + i / 8];
-        uint covered = child & INSIDE ? full : 0;
+    ulong mask = 0, set = 0;
+    for (uint octant = 0; octant < 8; ++octant) {
+        const uint child = children[first + 8 * gid + octant], node = child & LINK;
+        __global SAMPLE *sample = samples + 64 * (size_t)gid + 8 * octant;
         if (child & VALID) {
-            const uint node = (child & LINK) + i % 8;
-            covered = has_coverage ? coverage[node] : (uint)popcount(bricks[node]);
+            for (uint i = 0; i < 8; ++i) {
+                const uint covered = sizeof(SAMPLE) == 1 ? (uint)popcount(bricks[node + i]) // level 0
+                                                         : coverage[node + i];
+                sample[i] = (SAMPLE)covered;
+                mask |= (ulong)(covered >= threshold) << (8 * octant + i);
+                set |= (ulong)(covered > 0) << (8 * octant + i);
+            }
+        } else {
+            for (uint i = 0; i < 8; ++i)
+                sample[i] = (SAMPLE)(child & INSIDE ? full : 0);
+            mask |= (child & INSIDE ? 0xFFul : 0ul) << (8 * octant);
         }
-        samples[64 * (size_t)gid + i] = (SAMPLE)covered;
-        mask |= (ulong)(covered >= threshold) << i;
     }
     const uint slot = slot_of(present, ranks, codes[gid]);
     masks[slot] = mask;
+    below[gid] = set & ~mask;
     source[slot] = gid;
 }
 
@@ -213,22 +221,20 @@ ulong dilate(ulong mask)
 // samples around which no cube is cut, so that nothing of them is left. Work-item i of `items` adds up
 // every items-th tile.
 __kernel void count_lost(__global const uint *codes, const uint n, TILES, SAMPLES,
-                         __global const ulong *cut, const uint items, __global ulong *lost)
+                         __global const ulong *below, __global const ulong *cut, const uint items, __global ulong *lost)
 {
     const uint gid = get_global_id(0);
     if (gid >= items)
         return;
-    ulong below = 0, vanished = 0;
+    ulong sum = 0, vanished = 0;
     for (uint slot = gid; slot < n; slot += items) {
         if (source[slot] == NOWHERE)
             continue;
         const ulong near = dilate(masks[slot]); // those in a cut cube of the tile
-        for (ulong left = ~masks[slot]; left; left &= left - 1) {
+        for (ulong left = below[source[slot]]; left; left &= left - 1) {
             const uint bit = lowest_bit(left);
             const uint covered = samples[64 * (size_t)source[slot] + bit];
-            if (covered == 0)
-                continue;
-            below += covered;
+            sum += covered;
             const ulong cell = (ulong)codes[slot] << 6 | bit;
             bool seen = near >> bit & 1;
             for (uint j = 0; j < 8 && !seen; ++j) {
@@ -245,7 +251,7 @@ __kernel void count_lost(__global const uint *codes, const uint n, TILES, SAMPLE
             vanished += seen ? 0 : covered;
         }
     }
-    lost[2 * gid] = below;
+    lost[2 * gid] = sum;
     lost[2 * gid + 1] = vanished;
 }
 

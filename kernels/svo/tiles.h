@@ -43,6 +43,13 @@ int3 cell_coordinates(ulong cell)
     return (int3)((int)gather_axis(cell), (int)gather_axis(cell >> 1), (int)gather_axis(cell >> 2));
 }
 
+// The coordinates in a tile of its sample `bit`.
+int3 place_in_tile(uint bit)
+{
+    return (int3)((int)((bit & 1) | (bit >> 2 & 2)), (int)((bit >> 1 & 1) | (bit >> 3 & 2)),
+                  (int)((bit >> 2 & 1) | (bit >> 4 & 2)));
+}
+
 // The samples of coordinate 0 along an axis; the others lie 1, 8 and 9 << axis bits above.
 #define LAYER(axis)                                                                                \
     ((axis) == 0   ? 0x0055005500550055ul                                                          \

@@ -13,9 +13,14 @@ from voxtool.cli import options
 from voxtool.errors import VoxtoolError
 
 if TYPE_CHECKING:
+    from voxtool.mesh import Mesh
+    from voxtool.opencl import Device
     from voxtool.plan import ExtractionPlan
     from voxtool.svo.isosurface import Isosurface
     from voxtool.svo.octree import Octree
+
+SAMPLES = 100_000  # that --against measures at
+MOST = 0.5  # of the voxels, from which on their loss is a warning
 
 
 class Level(click.ParamType):
@@ -31,19 +36,22 @@ class Level(click.ParamType):
         try:
             return int(value)
         except ValueError:
-            self.fail(f"{value!r}: choose voxel, or a level: 0, 1, ...", param, ctx)
+            self.fail(f"{value!r}: choose voxel, or a level, from 0 (bricks) on", param, ctx)
 
 
 @click.command("extract")
 @click.argument("octree")
-@options.output_options("FILE", "Default OCTREE's name with the style and .obj, in this folder.")
+@options.output_options(
+    "FILE", "Default OCTREE's name with the style, and .obj or --format, in this folder."
+)
 @click.option(
     "--style",
     type=click.Choice(["smooth", "blocks", "nets"]),
     default="smooth",
     show_default=True,
     help="smooth: marching cubes over the coverages of bricks; blocks: the exact boundary of the "
-    "voxels; nets: smooth at full resolution, every vertex kept in its cell.",
+    "voxels; nets: smooth at full resolution, every vertex kept in its cell.  Coarse samples round "
+    "off more.",
 )
 @click.option(
     "--level",
@@ -75,9 +83,7 @@ class Level(click.ParamType):
 @click.option(
     "--samples",
     type=click.IntRange(1, 100_000_000),
-    default=100_000,
-    show_default=True,
-    help="Points on each surface that --against measures at.",
+    help="Points on each surface that --against measures at.  [default: 100000]",
 )
 @click.option(
     "--format",
@@ -112,7 +118,7 @@ def command(
     normals: bool,
     check: bool,
     against: str | None,
-    samples: int,
+    samples: int | None,
     file_format: str | None,
     only_plan: bool,
     max_memory: int | None,
@@ -134,6 +140,10 @@ def command(
     """
     if merge and style != "blocks":
         raise click.UsageError(f"--merge goes with --style blocks: {style} has no squares")
+    if samples is not None and against is None:
+        raise click.UsageError("--samples goes with --against MESH: there is nothing to measure")
+    if octree == against == "-":
+        raise click.UsageError("OCTREE and --against cannot both be stdin: name a file for one")
     started = time.perf_counter()
     from voxtool.files import (
         MESH_FORMATS,
@@ -144,11 +154,12 @@ def command(
         read_svo,
         write_mesh,
     )
+    from voxtool.mesh import load_mesh
     from voxtool.opencl import open_device
     from voxtool.svo.isosurface import extract, plan_extract
 
     if output is None:
-        output = default_output(octree, style)
+        output = default_output(octree, style, file_format or "obj")
     file_format = file_format or format_of(output, MESH_FORMATS)
     if normals and file_format not in NORMAL_FORMATS:
         held = ", ".join(f".{name}" for name in NORMAL_FORMATS)
@@ -159,10 +170,14 @@ def command(
         elif sys.stdout.isatty() and file_format not in TEXT_FORMATS:
             raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
     request: dict[str, Any] = {"style": style, "level": level, "isovalue": isovalue, "merge": merge}
-    with options.Progress([]) as progress:
+    with options.Progress(["read octree"]) as progress:
         progress.enter("read octree")
         source = read_svo(octree)
-        plan = plan_extract(source, **request)
+        reference = load_mesh(against) if against is not None else None
+        try:
+            plan = plan_extract(source, **request)
+        except VoxtoolError as error:
+            raise type(error)(f"{octree}: {error}") from error
         progress.stages = ["read octree", *plan.stages, "read back", "write file"]
         chosen = open_device(device, profile=verbose)
         chosen.on_stage = progress.enter
@@ -183,11 +198,11 @@ def command(
         if check:
             progress.enter("check")
             result["check"] = check_mesh(source, surface)
-        if against is not None:
+        if reference is not None:
             progress.enter("measure")
-            result["against"] = measure(surface, against, samples, chosen)
+            result["against"] = measure(surface, reference, samples or SAMPLES, chosen)
 
-    if as_json or check or against is not None:
+    if as_json or check or reference is not None:
         options.print_json(result, err=output == "-")
     if not as_json:
         target = output if output != "-" else "stdout"
@@ -202,10 +217,10 @@ def command(
         for stage, time_on_device in chosen.stage_times().items():
             options.tell(f"  {stage:<18} {1e3 * time_on_device:9.2f} ms")
     if check and not result["check"]["closed"]:
-        raise VoxtoolError(f"{output}: the mesh is not closed: report this octree")
+        raise VoxtoolError(f"{output}: what was written is not closed: report this octree")
 
 
-def default_output(octree: str, style: str) -> str:
+def default_output(octree: str, style: str, file_format: str) -> str:
     """bunny.svo.h5 -> bunny.smooth.obj, in the current folder: never the mesh that it was made
     from; stdin -> stdout."""
     if octree == "-":
@@ -213,7 +228,7 @@ def default_output(octree: str, style: str) -> str:
     name = PurePath(octree).name
     for extension in (".gz", ".h5", ".xml", ".svo"):
         name = name.removesuffix(extension)
-    return f"{name}.{style}.obj"
+    return f"{name}.{style}.{file_format}"
 
 
 def summary(octree: Octree, surface: Isosurface, output: str, seconds: float) -> dict[str, Any]:
@@ -240,25 +255,26 @@ def check_mesh(octree: Octree, surface: Isosurface) -> dict[str, Any]:
     from voxtool.diagnosis import check_surface, closed_chain, volume
 
     mesh = surface.mesh()
-    found = check_surface(mesh, weld=False)
     enclosed, set_volume = volume(mesh), octree.count * octree.grid.voxel_volume
-    closed = closed_chain(mesh) if surface.merged else found.watertight and found.manifold
+    if surface.merged:  # edges end within others: what counts edges says nothing
+        found = {"closed": closed_chain(mesh), "t_junctions": True}
+    else:
+        checked = check_surface(mesh, weld=False)
+        found = {**checked.as_dict(), "closed": checked.watertight and checked.manifold}
     return {
-        **found.as_dict(),
-        "closed": closed,
+        **found,
         "volume": enclosed,
         "octree_volume": set_volume,
         "volume_ratio": enclosed / set_volume,
     }
 
 
-def measure(surface: Isosurface, against: str, samples: int, device: Any) -> dict[str, Any]:
+def measure(surface: Isosurface, reference: Mesh, samples: int, device: Device) -> dict[str, Any]:
     """The deviation between the surface and a mesh."""
     from voxtool.bench.error import deviation
-    from voxtool.mesh import load_mesh
 
     pitch = max(surface.grid.pitch)
-    return deviation(surface.mesh(), load_mesh(against), samples, pitch=pitch, device=device)
+    return deviation(surface.mesh(), reference, samples, pitch=pitch, device=device)
 
 
 def nothing_inside(name: str, octree: Octree, surface: Isosurface) -> str:
@@ -272,11 +288,16 @@ def nothing_inside(name: str, octree: Octree, surface: Isosurface) -> str:
 
 
 def keeping(octree: Octree) -> str:
-    """What would keep every voxel: samples as large as it."""
+    """What keeps voxels that samples lose: samples of their own size, or smaller voxels."""
+    from voxtool.grid import MAX_DIM
     from voxtool.svo.octree import BRICK_SIDE
+    from voxtool.svo.tiles import MAX_TILES
 
-    finer = BRICK_SIDE * octree.grid.dim
-    return f"--style nets, or voxelize with --dim {finer}, keeps them"
+    dim = octree.grid.dim
+    finer = f"voxelizing with --dim {BRICK_SIDE * dim} may"
+    if dim <= BRICK_SIDE * MAX_TILES:
+        return f"--level voxel --style nets keeps them all, {finer}"
+    return finer if BRICK_SIDE * dim <= MAX_DIM else "a lower isovalue may keep them"
 
 
 def tell_lost(octree: Octree, surface: Isosurface) -> None:
@@ -284,12 +305,14 @@ def tell_lost(octree: Octree, surface: Isosurface) -> None:
     lost = surface.lost
     if not lost.below:
         return
-    share = 100 * lost.below / octree.count
+    share = lost.below / octree.count
     where = "all of them at the surface"
     if lost.vanished:
-        where = f"{lost.vanished:,} of them away from the surface: {keeping(octree)}"
+        where = f"{lost.vanished:,} of them away from the surface"
+    mend = f": {keeping(octree)}" if lost.vanished or share > MOST else ""
     options.tell(
-        f"{lost.below:,} set voxels ({share:.2g} %) lie in samples below the isovalue, {where}"
+        f"{'warning: ' if share > MOST else ''}{lost.below:,} set voxels ({100 * share:.2g} %) lie "
+        f"in samples below the isovalue, {where}{mend}"
     )
 
 
@@ -298,7 +321,7 @@ def print_plan(plan: ExtractionPlan, as_json: bool) -> None:
     if as_json:
         options.print_json(plan.as_dict())
         return
-    from voxtool.files.memory import human
+    from voxtool.errors import human
 
     rows = [
         ("surface", f"{plan.style}, level {plan.level}: {plan.samples} samples along the root"),

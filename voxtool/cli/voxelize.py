@@ -118,6 +118,7 @@ def command(
     if with_surface and mode != "solid":
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
     started = time.perf_counter()
+    from voxtool.errors import human
     from voxtool.files import (
         SVO_FORMATS,
         TEXT_FORMATS,
@@ -126,7 +127,6 @@ def command(
         read_svo,
         write_svo,
     )
-    from voxtool.files.memory import human
     from voxtool.grid import Grid
     from voxtool.mesh import load_mesh
     from voxtool.opencl import open_device
@@ -254,7 +254,7 @@ def print_plan(plan: Plan, grid: Grid, as_json: bool) -> None:
             {**plan.as_dict(), "origin": list(grid.origin), "pitch": list(grid.pitch)}
         )
         return
-    from voxtool.files.memory import human
+    from voxtool.errors import human
 
     shape = " x ".join(map(str, plan.shape))
     rows = [

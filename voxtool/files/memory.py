@@ -7,7 +7,7 @@ import shutil
 from contextlib import suppress
 from pathlib import Path
 
-from voxtool.errors import FileError, MemoryLimitError
+from voxtool.errors import FileError, MemoryLimitError, human
 
 
 def available_memory() -> int:
@@ -44,13 +44,3 @@ def check_disk(path: str | os.PathLike[str], size: int, instead: str) -> None:
         raise FileError(
             f"{path} would take {human(size)} and its disk has {human(free)} free: {instead}"
         )
-
-
-def human(size: int) -> str:
-    """Bytes as people read them: 12.3 GB."""
-    value = float(size)
-    for unit in ("bytes", "kB", "MB", "GB"):
-        if value < 1000:
-            return f"{value:.3g} {unit}"
-        value /= 1000
-    return f"{value:.3g} TB"

@@ -13,7 +13,7 @@ import numpy as np
 
 from voxtool.errors import MemoryLimitError
 from voxtool.opencl import program
-from voxtool.opencl.device import Array
+from voxtool.opencl.device import WORK_GROUP, Array
 
 SOURCE = "opencl/primitives.cl"
 GROUP = 256  # work-items of a group that scans
@@ -25,7 +25,7 @@ PORTIONS = 128  # portions of keys for each unit of the device, at most
 _KEYS = {np.dtype(np.uint32): "uint", np.dtype(np.uint64): "ulong"}
 
 program.generated["opencl/primitives.h"] = program.c_constants(
-    GROUP=GROUP, ITEMS=ITEMS, DIGIT_BITS=DIGIT_BITS, QUADS=QUADS
+    WORK_GROUP=WORK_GROUP, GROUP=GROUP, ITEMS=ITEMS, DIGIT_BITS=DIGIT_BITS, QUADS=QUADS
 )
 
 
@@ -181,20 +181,21 @@ class Histopyramid:
 
     Section 4.1 of the thesis. A kernel that includes kernels/opencl/histopyramid.h walks it.
 
-    levels : uint32, a quadruple each node (where the intervals of its second to fifth child begin),
-    from the top level down; offsets : (height,) uint32, the first quadruple of each level; total :
-    the number of outputs.
+    counts : those that it is over, which must outlive it; levels : uint32, a quadruple each node
+    (where the intervals of its second to fifth child begin), from the top level down; offsets :
+    (height,) uint32, the first quadruple of each level; total : the number of outputs.
     """
 
+    counts: Array
     levels: Array
     offsets: Array
     height: int
     total: int
 
     @property
-    def arguments(self) -> tuple[Array, Array, np.uint32]:
+    def arguments(self) -> tuple[Array, Array, Array, np.uint32]:
         """What a kernel takes as its HISTOPYRAMID."""
-        return self.levels, self.offsets, np.uint32(self.height)
+        return self.counts, self.levels, self.offsets, np.uint32(self.height)
 
     def release(self) -> None:
         """Give back all device memory."""
@@ -240,4 +241,4 @@ def build_histopyramid(counts: Array, n: int) -> Histopyramid:
     if total == 0xFFFFFFFF:
         levels.release()
         raise MemoryLimitError("a histopyramid of 2^32 - 1 outputs or more: choose a smaller dim")
-    return Histopyramid(levels, device.put(offsets[::-1]), height, total)
+    return Histopyramid(counts, levels, device.put(offsets[::-1]), height, total)

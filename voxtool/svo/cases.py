@@ -198,12 +198,14 @@ def _header(constants: dict[str, int], tables: dict[str, np.ndarray]) -> str:
 
 
 def primal_header() -> str:
-    """The tables of marching cubes as OpenCL constants."""
+    """The tables of marching cubes as OpenCL constants; an edge of a triangle is there the corner
+    where it begins, and 8 times its axis."""
     triangles = triangle_table()
+    begin_and_axis = np.array([low | edge // 4 << 3 for edge, (low, _) in enumerate(EDGES)])
+    used = triangles != NO_EDGE
     tables = {
-        "TRIANGLE_COUNT": np.count_nonzero(triangles != NO_EDGE, axis=1) // 3,
-        "TRIANGLES": triangles,
-        "EDGE_CORNER": np.array(EDGES)[:, 0],
+        "TRIANGLE_COUNT": np.count_nonzero(used, axis=1) // 3,
+        "TRIANGLES": np.where(used, begin_and_axis[np.where(used, triangles, 0)], NO_EDGE),
     }
     return _header({"MAX_TRIANGLES": MAX_TRIANGLES}, tables)
 

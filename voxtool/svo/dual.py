@@ -3,7 +3,9 @@
 A vertex each loop of a cut cube, a quad each cut edge (Nielson 2004); how loops are told apart, so
 that the surface is manifold, is in cases.py. Blocks put a vertex in the middle of its cube, the
 corner that eight samples share: quads are the faces of samples. Nets (Gibson 1998) begin in the
-mean of the loop's crossings and move towards that of the neighbours, but never leave their cube.
+mean of the loop's crossings. Where samples are voxels, which say no more than inside or not, they
+then move towards the mean of the neighbours, but never leave their cube; coverages need no such
+smoothing.
 
 Kernels: kernels/svo/dual.cl.
 """
@@ -17,7 +19,7 @@ import numpy as np
 from voxtool.opencl import Array, Device, program
 from voxtool.opencl.primitives import build_histopyramid, exclusive_scan
 from voxtool.svo import cases
-from voxtool.svo.tiles import CutCubes, Tiles
+from voxtool.svo.tiles import VOXEL, CutCubes, Tiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,6 +38,7 @@ def dual_surface(
     def kernel(name: str) -> Callable[..., None]:
         return device.kernel(SOURCE, name, **tiles.field.options)
 
+    relaxed = nets and tiles.field.level == VOXEL
     n = np.uint32(cubes.n)
     resolved = device.empty(cubes.n, np.uint16)
     first_vertex, quad_counts, first_link = (device.empty(cubes.n + 1, np.uint32) for _ in range(3))
@@ -45,7 +48,7 @@ def dual_surface(
             resolved, first_vertex, quad_counts, first_link,
         )  # fmt: skip
         vertices = exclusive_scan(first_vertex, cubes.n)
-        links = exclusive_scan(first_link, cubes.n) if nets else 0
+        links = exclusive_scan(first_link, cubes.n) if relaxed else 0
     with device.stage("vertices"):
         points = device.empty(3 * vertices, np.int32)
         shift = np.int32(tiles.shift)
@@ -58,7 +61,7 @@ def dual_surface(
             kernel("place_corners")(
                 cubes.n, tiles.codes, cubes.places, n, first_vertex, shift, points
             )
-    if nets:
+    if relaxed:
         with device.stage("relax"):
             link_start = device.empty(vertices + 1, np.uint32)
             linked = device.empty(links, np.uint32)
@@ -66,11 +69,11 @@ def dual_surface(
                 cubes.n, tiles.codes, *tiles.arguments, *cubes.lookup, cubes.places, resolved, n,
                 first_vertex, first_link, link_start, linked,
             )  # fmt: skip
-            relaxed = device.empty(3 * vertices, np.int32)
+            moved = device.empty(3 * vertices, np.int32)
             for _ in range(RELAXATIONS):
-                kernel("relax")(vertices, points, link_start, linked, np.uint32(vertices), relaxed)
-                points, relaxed = relaxed, points
-            for array in (link_start, linked, relaxed):
+                kernel("relax")(vertices, points, link_start, linked, np.uint32(vertices), moved)
+                points, moved = moved, points
+            for array in (link_start, linked, moved):
                 array.release()
     with device.stage("histopyramid"):
         pyramid = build_histopyramid(quad_counts, cubes.n)

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -171,10 +171,12 @@ def extract(
     device = device or open_device()
     level, field = _field(octree, style, level, isovalue, merge)
     tree = grow(octree, field)
-    limit = device.max_memory if max_memory is None else max_memory
-    _plan(octree, tree, field, style, level, merge).refuse_beyond(limit, device.info.max_allocation)
+    limits = device.max_memory if max_memory is None else max_memory, device.info.max_allocation
+    plan = _plan(octree, tree, style, level, merge)
+    plan.refuse_beyond(*limits)
     tiles = find_tiles(device, octree, tree, field)
     cubes = classify_cubes(device, tiles)
+    replace(plan, tiles=tiles.n, cubes=cubes.n, edges=cubes.edges).refuse_beyond(*limits)
     lost = count_lost(device, tiles, cubes)
     if style == "smooth":
         points, triangles = _marching_cubes(device, tiles, cubes)
@@ -215,7 +217,7 @@ def plan_extract(
 ) -> ExtractionPlan:
     """What `extract` would do with the same arguments, without doing it."""
     level, field = _field(octree, style, level, isovalue, merge)
-    return _plan(octree, grow(octree, field), field, style, level, merge)
+    return _plan(octree, grow(octree, field), style, level, merge)
 
 
 def _field(
@@ -244,18 +246,14 @@ def _field(
     return level, Field.of(VOXEL if level == "voxel" else int(level), isovalue)
 
 
-def _plan(
-    octree: Octree, tree: Tree, field: Field, style: str, level: int | str, merge: bool
-) -> ExtractionPlan:
-    return ExtractionPlan(
-        style=style,
-        level=level,
+def _plan(octree: Octree, tree: Tree, style: str, level: int | str, merge: bool) -> ExtractionPlan:
+    return ExtractionPlan.predict(
+        style,
+        level,
         merge=merge,
-        samples=4 * tree.tiles_along_side(field),
+        solid="solid" in octree.mode,
+        nodes=tuple(tree.nodes(level) for level in range(tree.top + 1)),
         rooted=tree.shift > 0,
-        nodes=len(octree.nodes),
-        bricks=len(octree.bricks),
-        active=tree.active_tiles(field),
     )
 
 

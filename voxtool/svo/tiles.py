@@ -123,10 +123,6 @@ class Tree:
             )
         return side
 
-    def active_tiles(self, field: Field) -> int:
-        """Tiles that have nodes."""
-        return self.bricks if field.level == VOXEL else self.nodes(field.level + 1) // 8
-
 
 def grow(octree: Octree, field: Field) -> Tree:
     """The octree's links, with the cubes that begin below its low sides in reach."""
@@ -150,17 +146,19 @@ def _with_root(tree: Tree, octant: int) -> Tree:
 
 def _touches_low_sides(tree: Tree, bricks: np.ndarray, field: Field) -> bool:
     """Whether a voxel is set in the first samples along an axis; above level 0, may be set."""
-    nodes = np.zeros(1, np.int64)
-    sides = np.full(1, 7)  # the low sides that a node lies at: a bit each axis
-    octants = np.arange(8)
+    nodes = np.zeros(1, np.uint32)
+    sides = np.full(1, 7, np.uint8)  # the low sides that a node lies at: a bit each axis
+    octants = np.arange(8, dtype=np.uint32)
+    high_sides = ~octants.astype(np.uint8)
     for number in range(tree.top, 0, -1):
         child = tree.children[tree.first(number) + nodes]
-        refined = (child & VALID) != 0
-        if (child & INSIDE).any() or (number == field.level and refined.any()):
+        refined = np.flatnonzero(child & VALID)
+        if (child & INSIDE).any() or (number == field.level and len(refined)):
             return True
-        sides = (sides[refined, None] & ~octants).ravel()
-        nodes = ((child[refined] & LINK).astype(np.int64)[:, None] + octants).ravel()
-        nodes, sides = nodes[sides != 0], sides[sides != 0]
+        below = sides[refined, None] & high_sides
+        parent, octant = np.nonzero(below)
+        sides = below[parent, octant]
+        nodes = (child[refined] & LINK)[parent] + octants[octant]
     if field.level != VOXEL:
         return bool(bricks[nodes].any())
     return any((bricks[nodes[sides >> a & 1 == 1]] & LOW_LAYER[a]).any() for a in range(3))
@@ -174,7 +172,8 @@ class Tiles:
     whole; ranks : present tiles before each word.
     codes, masks, source : (n,) of each present tile its Morton code, its inside samples, and which
     active tile it is, if any.
-    samples : voxels of the 64 samples of each active tile, None where samples are voxels.
+    samples, below : voxels of the 64 samples of each active tile, and (as a mask) which of them are
+    not inside though they have some; None where samples are voxels.
     shift : samples that the grid's corner lies from the root's, along each axis.
     """
 
@@ -187,6 +186,7 @@ class Tiles:
     masks: Array
     source: Array
     samples: Array | None
+    below: Array | None
     shift: int
 
     @property
@@ -206,8 +206,9 @@ class Tiles:
         """Give back all device memory."""
         for array in (self.present, self.inside, self.ranks, self.codes, self.masks, self.source):
             array.release()
-        if self.samples:
-            self.samples.release()
+        for array in (self.samples, self.below):
+            if array:
+                array.release()
 
 
 def find_tiles(device: Device, octree: Octree, tree: Tree, field: Field) -> Tiles:
@@ -236,13 +237,13 @@ def find_tiles(device: Device, octree: Octree, tree: Tree, field: Field) -> Tile
         )
     sample = _sample_voxels if field.level == VOXEL else _sample_nodes
     with device.stage("samples"):
-        samples = sample(
+        samples, below = sample(
             device, tree, field, refined, children, bricks, (present, ranks), masks, source
         )
     for array in (refined, bricks, children):
         array.release()
     shift = tree.shift // field.side
-    return Tiles(field, n, present, inside, ranks, codes, masks, source, samples, shift)
+    return Tiles(field, n, present, inside, ranks, codes, masks, source, samples, below, shift)
 
 
 def kernel(device: Device, field: Field, name: str) -> Callable[..., None]:
@@ -275,11 +276,12 @@ def _sample_voxels(
     lookup: tuple[Array, Array],
     masks: Array,
     source: Array,
-) -> None:
+) -> tuple[None, None]:
     """Tiles are bricks."""
     kernel(device, field, "sample_tiles")(
         bricks.size, refined, np.uint32(bricks.size), bricks, *lookup, masks, source
     )
+    return None, None
 
 
 def _sample_nodes(
@@ -292,28 +294,28 @@ def _sample_nodes(
     lookup: tuple[Array, Array],
     masks: Array,
     source: Array,
-) -> Array:
-    """The coverages of the samples of each active tile, from the bricks up."""
-    below = bricks
+) -> tuple[Array, Array]:
+    """The coverages of the samples of each active tile, from the bricks up, and those below."""
+    finer = bricks
     for level in range(1, field.level + 1):
         coverage = device.empty(tree.nodes(level), np.uint32)
         kernel(device, field, "cover_level")(
             coverage.size, children, tree.first(level), np.uint32(coverage.size),
-            np.uint32((BRICK_SIDE << level) ** 3), bricks, below, np.uint32(level == 1), coverage,
+            np.uint32((BRICK_SIDE << level) ** 3), bricks, finer, np.uint32(level == 1), coverage,
         )  # fmt: skip
-        if below is not bricks:
-            below.release()
-        below = coverage
+        if finer is not bricks:
+            finer.release()
+        finer = coverage
     sampled = np.uint8 if field.level == 0 else np.uint32
-    samples = device.empty(64 * refined.size, sampled)
+    samples, below = device.empty(64 * refined.size, sampled), device.empty(refined.size, np.uint64)
     kernel(device, field, "sample_tiles")(
         refined.size, refined, np.uint32(refined.size), children, tree.first(field.level + 1),
-        np.uint32(field.full), np.uint32(field.threshold), bricks, below,
-        np.uint32(field.level > 0), *lookup, samples, masks, source,
+        np.uint32(field.full), np.uint32(field.threshold), bricks, finer,
+        *lookup, samples, below, masks, source,
     )  # fmt: skip
-    if below is not bricks:
-        below.release()
-    return samples
+    if finer is not bricks:
+        finer.release()
+    return samples, below
 
 
 @dataclass(frozen=True)
@@ -390,7 +392,7 @@ def count_lost(device: Device, tiles: Tiles, cubes: CutCubes) -> Lost:
     with device.stage("lost voxels"):
         kernel(device, tiles.field, "count_lost")(
             LOST_ITEMS, tiles.codes, np.uint32(tiles.n), *tiles.arguments, *tiles.sample_arguments,
-            cubes.cut, np.uint32(LOST_ITEMS), lost,
+            tiles.below, cubes.cut, np.uint32(LOST_ITEMS), lost,
         )  # fmt: skip
-    below, vanished = lost.take().reshape(-1, 2).sum(axis=0)
+        below, vanished = lost.take().reshape(-1, 2).sum(axis=0)
     return Lost(int(below), int(vanished))

@@ -1,0 +1,104 @@
+"""The command line in tests: in this process through click's runner, or in one of its own."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from voxtool.cli import main
+
+ROOT = Path(__file__).parents[1]
+MODULE = (sys.executable, "-m", "voxtool.cli.main")
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+def write_obj(path: Path, vertices, faces) -> None:
+    lines = ["v {!r} {!r} {!r}".format(*v) for v in np.asarray(vertices, float).tolist()]
+    lines += ["f {} {} {}".format(*f) for f in (np.asarray(faces) + 1).tolist()]
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def invoke(command: str, stdin: bytes = b"") -> Result:
+    result = CliRunner().invoke(main.cli, shlex.split(command), input=stdin, prog_name="voxtool")
+    if result.exception and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def run(command: str, stdin: bytes = b"") -> Result:
+    """A command that succeeds."""
+    result = invoke(command, stdin)
+    assert result.exit_code == 0, result.stderr
+    return result
+
+
+def fail(command: str, code: int = 1, stdin: bytes = b"") -> str:
+    """The message of a command that fails: one line on stderr, and nothing written."""
+    before = {p: p.read_bytes() for p in Path().iterdir()}
+    result = invoke(command, stdin)
+    assert result.exit_code == code, result.output
+    assert result.stdout_bytes == b""
+    assert result.stderr.startswith("voxtool: error: ")
+    assert result.stderr.endswith("\n")
+    assert result.stderr.count("\n") == 1, result.stderr
+    assert {p: p.read_bytes() for p in Path().iterdir()} == before
+    return result.stderr.removeprefix("voxtool: error: ").rstrip()
+
+
+def process(command: str, **more) -> subprocess.CompletedProcess[bytes]:
+    """A command in a process of its own."""
+    words = [*MODULE, *shlex.split(command)]
+    return subprocess.run(words, env=ENVIRONMENT, capture_output=True, timeout=120, **more)
+
+
+def on_terminal(command: str, after: float, here: Path) -> tuple[int, str, str]:
+    """Exit code and stdout of a command whose stderr is a terminal, and what was sent to that."""
+    pty = pytest.importorskip("pty")
+    master, slave = pty.openpty()
+    code = (
+        "from voxtool.cli import options\n"
+        f"options.PROGRESS_AFTER = {after}\n"
+        "from voxtool.cli.main import main\n"
+        "main()\n"
+    )
+    words = [sys.executable, "-c", code, *shlex.split(command)]
+    with subprocess.Popen(
+        words, cwd=here, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=slave
+    ) as child:
+        os.close(slave)
+        sent = b""
+        while True:
+            try:
+                piece = os.read(master, 4096)
+            except OSError:  # the other end is closed
+                break
+            if not piece:
+                break
+            sent += piece
+        assert child.stdout
+        out = child.stdout.read()
+    os.close(master)
+    return child.returncode, out.decode(), sent.decode()
+
+
+def screen(sent: str) -> list[str]:
+    """What a terminal shows in the end."""
+    lines, row, column = [""], 0, 0
+    for character in sent:
+        if character == "\r":
+            column = 0
+        elif character == "\n":
+            lines.append("")
+            row, column = row + 1, 0
+        else:
+            line = lines[row].ljust(column)
+            lines[row] = line[:column] + character + line[column + 1 :]
+            column += 1
+    return [line.rstrip() for line in lines]
