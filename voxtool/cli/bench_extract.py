@@ -19,15 +19,7 @@ SHORT = {"lost voxels": "lost", "histopyramid": "pyramid", "triangles": "faces"}
 
 
 @click.command("extract")
-@click.argument("models", nargs=-1, required=True)
-@click.option(
-    "--dims",
-    type=options.List(click.IntRange(8, 65536)),
-    metavar="DIM,...",
-    default="128,256,512,1024,2048",
-    show_default=True,
-    help="Voxels along the longest side.",
-)
+@options.bench_options("128,256,512,1024,2048", "VTK and scikit-image (smooth)")
 @click.option(
     "--styles",
     type=options.List(click.Choice(["smooth", "blocks", "nets"])),
@@ -38,22 +30,12 @@ SHORT = {"lost voxels": "lost", "histopyramid": "pyramid", "triangles": "faces"}
 )
 @click.option("--isovalue", type=float, default=0.5, show_default=True, help="Between 0 and 1.")
 @click.option(
-    "--repeat",
-    type=click.IntRange(1),
-    default=5,
-    show_default=True,
-    help="Runs after a warm-up; medians are printed.",
-)
-@click.option(
     "--samples",
     type=click.IntRange(1, 100_000_000),
-    default=100_000,
+    default=options.SAMPLES,
     show_default=True,
     help="Points on each surface at which the error is measured.",
 )
-@click.option("--peers", is_flag=True, help="VTK and scikit-image (smooth), if installed.")
-@options.device_option
-@options.json_option
 def command(
     models: tuple[str, ...],
     dims: list[int],

@@ -19,15 +19,7 @@ SHORT = {"active nodes": "active", "surface26": "26-sep", "surface6": "6-sep",
 
 
 @click.command("voxelize")
-@click.argument("models", nargs=-1, required=True)
-@click.option(
-    "--dims",
-    type=options.List(click.IntRange(8, 65536)),
-    metavar="DIM,...",
-    default="64,128,256,512,1024,2048",
-    show_default=True,
-    help="Voxels along the longest side.",
-)
+@options.bench_options("64,128,256,512,1024,2048", "VTK (solid) and Open3D (surface26)")
 @click.option(
     "--modes",
     type=options.List(click.Choice(["surface26", "surface6", "solid"])),
@@ -43,16 +35,6 @@ SHORT = {"active nodes": "active", "surface26": "26-sep", "surface6": "6-sep",
     show_default=True,
     help="stretch: as the thesis's tables, eq. (5.1).",
 )
-@click.option(
-    "--repeat",
-    type=click.IntRange(1),
-    default=5,
-    show_default=True,
-    help="Runs after a warm-up; medians are printed.",
-)
-@click.option("--peers", is_flag=True, help="VTK (solid) and Open3D (surface26), if installed.")
-@options.device_option
-@options.json_option
 def command(
     models: tuple[str, ...],
     dims: list[int],

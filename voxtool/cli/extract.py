@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from voxtool.svo.isosurface import Isosurface
     from voxtool.svo.octree import Octree
 
-SAMPLES = 100_000  # that --against measures at
 MOST = 0.5  # of the voxels, from which on their loss is a warning
 
 
@@ -83,26 +82,10 @@ class Level(click.ParamType):
 @click.option(
     "--samples",
     type=click.IntRange(1, 100_000_000),
-    help="Points on each surface that --against measures at.  [default: 100000]",
+    help=f"Points on each surface that --against measures at.  [default: {options.SAMPLES}]",
 )
-@click.option(
-    "--format",
-    "file_format",
-    type=click.Choice(["obj", "ply", "stl", "glb", "off"]),
-    help="File format, instead of what the name says.",
-)
-@click.option(
-    "--plan",
-    "only_plan",
-    is_flag=True,
-    help="Print what would be done, left out and needed, and stop.",
-)
-@click.option(
-    "--max-memory",
-    type=options.Bytes(),
-    metavar="BYTES",
-    help="Refuse to use more on the device (800M, 8G).  [default: what it has]",
-)
+@options.format_option("obj", "ply", "stl", "glb", "off")
+@options.plan_options
 @options.device_option
 @options.json_option
 @options.quiet_option
@@ -200,7 +183,7 @@ def command(
             result["check"] = check_mesh(source, surface)
         if reference is not None:
             progress.enter("measure")
-            result["against"] = measure(surface, reference, samples or SAMPLES, chosen)
+            result["against"] = measure(surface, reference, samples or options.SAMPLES, chosen)
 
     if as_json or check or reference is not None:
         options.print_json(result, err=output == "-")

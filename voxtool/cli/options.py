@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 PROGRESS_AFTER = 1.0  # seconds
+SAMPLES = 100_000  # points on each surface that a deviation is measured at
 BAR = "voxtool.bar"  # where a context keeps its Progress
 
 
@@ -82,6 +83,65 @@ def verbose_option(function: Callable[..., Any]) -> Callable[..., Any]:
     return click.option(
         "-v", "--verbose", is_flag=True, help="The device, and the time of each stage, on stderr."
     )(function)
+
+
+def format_option(*formats: str) -> Decorator:
+    """--format, as file_format."""
+    return click.option(
+        "--format",
+        "file_format",
+        type=click.Choice(formats),
+        help="File format, instead of what the name says.",
+    )
+
+
+def plan_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """--plan, as only_plan, and --max-memory."""
+    function = click.option(
+        "--max-memory",
+        type=Bytes(),
+        metavar="BYTES",
+        help="Refuse to use more on the device (800M, 8G).  [default: what it has]",
+    )(function)
+    return click.option(
+        "--plan",
+        "only_plan",
+        is_flag=True,
+        help="Print what would be done, left out and needed, and stop.",
+    )(function)
+
+
+def bench_options(dims: str, peers: str) -> Decorator:
+    """MODELS, --dims with their default, --repeat, --peers with what they are, --device, --json."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed(
+            (
+                click.argument("models", nargs=-1, required=True),
+                click.option(
+                    "--dims",
+                    type=List(click.IntRange(8, 65536)),
+                    metavar="DIM,...",
+                    default=dims,
+                    show_default=True,
+                    help="Voxels along the longest side.",
+                ),
+                click.option(
+                    "--repeat",
+                    type=click.IntRange(1),
+                    default=5,
+                    show_default=True,
+                    help="Runs after a warm-up; medians are printed.",
+                ),
+                click.option("--peers", is_flag=True, help=f"{peers}, if installed."),
+                device_option,
+                json_option,
+            )
+        ):
+            function = option(function)
+        return function
+
+    return decorate
 
 
 def output_options(metavar: str, default: str) -> Decorator:

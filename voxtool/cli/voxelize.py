@@ -60,24 +60,8 @@ if TYPE_CHECKING:
     show_default=True,
     help="stretch: each axis apart, as eq. (5.1) of the thesis.",
 )
-@click.option(
-    "--format",
-    "file_format",
-    type=click.Choice(["svo.h5", "svo.xml", "svo.xml.gz"]),
-    help="File format, instead of what the name says.",
-)
-@click.option(
-    "--plan",
-    "only_plan",
-    is_flag=True,
-    help="Print what would be done, left out and needed, and stop.",
-)
-@click.option(
-    "--max-memory",
-    type=options.Bytes(),
-    metavar="BYTES",
-    help="Refuse to use more on the device (800M, 8G).  [default: what it has]",
-)
+@options.format_option("svo.h5", "svo.xml", "svo.xml.gz")
+@options.plan_options
 @options.device_option
 @options.json_option
 @options.quiet_option

@@ -235,15 +235,17 @@ def find_tiles(device: Device, octree: Octree, tree: Tree, field: Field) -> Tile
         kernel(device, field, "list_tiles")(
             words, present, ranks, inside, np.uint32(words), codes, masks, source
         )
-    sample = _sample_voxels if field.level == VOXEL else _sample_nodes
+    shift = tree.shift // field.side
+    tiles = Tiles(field, n, present, inside, ranks, codes, masks, source, None, None, shift)
     with device.stage("samples"):
-        samples, below = sample(
-            device, tree, field, refined, children, bricks, (present, ranks), masks, source
-        )
+        if field.level == VOXEL:
+            _sample_voxels(device, tiles, refined, bricks)
+        else:
+            samples, below = _sample_nodes(device, tree, tiles, refined, children, bricks)
+            tiles = replace(tiles, samples=samples, below=below)
     for array in (refined, bricks, children):
         array.release()
-    shift = tree.shift // field.side
-    return Tiles(field, n, present, inside, ranks, codes, masks, source, samples, below, shift)
+    return tiles
 
 
 def kernel(device: Device, field: Field, name: str) -> Callable[..., None]:
@@ -266,36 +268,20 @@ def _place_nodes(device: Device, tree: Tree, children: Array, field: Field, insi
     return codes
 
 
-def _sample_voxels(
-    device: Device,
-    tree: Tree,
-    field: Field,
-    refined: Array,
-    children: Array,
-    bricks: Array,
-    lookup: tuple[Array, Array],
-    masks: Array,
-    source: Array,
-) -> tuple[None, None]:
-    """Tiles are bricks."""
-    kernel(device, field, "sample_tiles")(
-        bricks.size, refined, np.uint32(bricks.size), bricks, *lookup, masks, source
-    )
-    return None, None
+def _sample_voxels(device: Device, tiles: Tiles, refined: Array, bricks: Array) -> None:
+    """The masks of the active tiles, which are the bricks."""
+    kernel(device, tiles.field, "sample_tiles")(
+        bricks.size, refined, np.uint32(bricks.size), bricks, tiles.present, tiles.ranks,
+        tiles.masks, tiles.source,
+    )  # fmt: skip
 
 
 def _sample_nodes(
-    device: Device,
-    tree: Tree,
-    field: Field,
-    refined: Array,
-    children: Array,
-    bricks: Array,
-    lookup: tuple[Array, Array],
-    masks: Array,
-    source: Array,
+    device: Device, tree: Tree, tiles: Tiles, refined: Array, children: Array, bricks: Array
 ) -> tuple[Array, Array]:
-    """The coverages of the samples of each active tile, from the bricks up, and those below."""
+    """The coverages of the samples of each active tile, from the bricks up, and those below; and
+    the tiles' masks."""
+    field = tiles.field
     finer = bricks
     for level in range(1, field.level + 1):
         coverage = device.empty(tree.nodes(level), np.uint32)
@@ -311,7 +297,7 @@ def _sample_nodes(
     kernel(device, field, "sample_tiles")(
         refined.size, refined, np.uint32(refined.size), children, tree.first(field.level + 1),
         np.uint32(field.full), np.uint32(field.threshold), bricks, finer,
-        *lookup, samples, below, masks, source,
+        tiles.present, tiles.ranks, samples, below, tiles.masks, tiles.source,
     )  # fmt: skip
     if finer is not bricks:
         finer.release()
