@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 from fractions import Fraction
 
@@ -17,12 +18,14 @@ from voxtool.diagnosis import check_surface, closed_chain, volume
 from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.grid import Grid
 from voxtool.mesh import Mesh
+from voxtool.plan import MAX_SAMPLES
 from voxtool.svo import tiles
 from voxtool.svo.isosurface import LATTICE, NEAREST, Isosurface, extract, plan_extract
+from voxtool.svo.octree import BRICK, BRICK_VOXELS, NODE, VALID
 
-STYLES = (("smooth", 0), ("smooth", 1), ("smooth", "voxel"), ("blocks", "voxel"), ("blocks", 0),
-          ("nets", "voxel"), ("nets", 0), ("nets", 1))  # fmt: skip
-ISOVALUES = (0.5, 0.25, 1 / 64, 0.01, 0.3, 63 / 64, 0.99)
+STYLES = (("smooth", 0), ("smooth", 1), ("smooth", 2), ("smooth", "voxel"), ("blocks", "voxel"),
+          ("blocks", 0), ("nets", "voxel"), ("nets", 0), ("nets", 1), ("nets", 2))  # fmt: skip
+ISOVALUES = (0.5, 0.25, 1 / 64, 0.01, 0.3, 63 / 64, 0.99, 1e-9, 1 - 1e-12)
 
 
 def lattice_mesh(surface: Isosurface) -> Mesh:
@@ -43,6 +46,7 @@ def inside(surface: Isosurface, dense: np.ndarray) -> np.ndarray:
     """Which samples are inside, with a layer of empty ones around them."""
     share = [Fraction(int(n), surface.side**3) for n in range(surface.side**3 + 1)]
     enough = np.array([s >= Fraction(surface.isovalue) for s in share])
+    enough[-1] = True  # the isovalue is rounded, to 1 at most
     return np.pad(enough[coverage(dense, surface.side)], 1)
 
 
@@ -57,6 +61,11 @@ def assert_manifold(surface: Isosurface) -> None:
     assert found.manifold, found
     assert found.degenerate_faces == 0
     assert len(np.unique(surface.faces)) == len(surface.points)
+
+
+def lacks(octree: voxtool.Octree, level: int | str) -> bool:
+    """Whether a small octree has no such level."""
+    return isinstance(level, int) and level >= octree.depth
 
 
 @st.composite
@@ -77,7 +86,7 @@ def patterns(draw: st.DrawFn) -> np.ndarray:
 @settings(max_examples=150)
 def test_every_pattern_has_a_closed_manifold_surface(device, dense, style, isovalue) -> None:
     octree = octree_from_dense(dense)
-    if style[1] == 1 and octree.depth < 2:
+    if lacks(octree, style[1]):
         return
     surface = extract(octree, style=style[0], level=style[1], isovalue=isovalue, device=device)
     samples = inside(surface, dense)
@@ -114,7 +123,7 @@ def crossings(dense: np.ndarray, surface: Isosurface) -> set[tuple[int, int, int
     """Where a smooth surface's vertices belong: t = (iso - a) / (b - a), rounded once."""
     n = surface.side**3
     covered = np.pad(coverage(dense, surface.side), 1)
-    isovalue = Fraction(round(Fraction(surface.isovalue) * n * 2**16), 2**16)
+    isovalue = Fraction(max(round(Fraction(surface.isovalue) * n * 2**16), 1), 2**16)
     found = set()
     for axis in range(3):
         low = np.moveaxis(covered, axis, 0)[:-1]
@@ -132,11 +141,11 @@ def crossings(dense: np.ndarray, surface: Isosurface) -> set[tuple[int, int, int
     return found
 
 
-@given(patterns(), st.sampled_from([0, 1, "voxel"]), st.sampled_from(ISOVALUES))
+@given(patterns(), st.sampled_from([0, 1, 2, 3, "voxel"]), st.sampled_from(ISOVALUES))
 @settings(max_examples=40)
 def test_smooth_vertices_are_where_fractions_say(device, dense, level, isovalue) -> None:
     octree = octree_from_dense(dense)
-    if level == 1 and octree.depth < 2:
+    if lacks(octree, level):
         return
     surface = extract(octree, level=level, isovalue=isovalue, device=device)
     points = {tuple(p) for p in surface.points.tolist()}
@@ -269,10 +278,12 @@ def test_a_sphere_converges(device, style, level) -> None:
         exact = 4 / 3 * math.pi * radius**3, 4 * math.pi * radius**2
         found = volume(mesh), area(mesh)
         errors.append([abs(f / e - 1) for f, e in zip(found, exact, strict=True)])
+        away = (np.linalg.norm(mesh.vertices - 0.5, axis=1) - radius) * n
+        rms = math.sqrt((away**2).mean())
+        print(f"{style} {n}: volume {errors[-1][0]:.1e}, area {errors[-1][1]:.1e}, RMS {rms:.2f}")
     (volumes, areas) = np.log2(np.array(errors))[[0, -1]].T
     orders = (volumes[0] - volumes[1]) / 3, (areas[0] - areas[1]) / 3
-    print(f"{style}: volume {errors[-1][0]:.1e}, order {orders[0]:.2f}; "
-          f"area {errors[-1][1]:.1e}, order {orders[1]:.2f}")  # fmt: skip
+    print(f"{style}: order of volume {orders[0]:.2f}, of area {orders[1]:.2f}")
     assert 1.7 < orders[0] < 2.3
     assert errors[-1][0] < 2e-3
     assert errors[-1][1] < 6e-3
@@ -358,16 +369,23 @@ def test_thin_features_are_counted_as_lost(device) -> None:
 
 def test_arguments_out_of_range_are_refused(device) -> None:
     octree = octree_from_dense(ball((16, 16, 16)))
-    for isovalue in (0, 1, -0.5, 2, math.nan):
+    for isovalue in (0, 1, -0.5, 2, math.nan, "half", None):
         with pytest.raises(VoxtoolError, match="between 0 and 1"):
             extract(octree, isovalue=isovalue, device=device)
-    for level in (-1, 3, 99, "brick"):
+    for level in (-1, 3, 99, "brick", 1.0, None.__class__):
         with pytest.raises(VoxtoolError, match="'voxel' or a level from 0 to 2"):
             extract(octree, level=level, device=device)
     with pytest.raises(VoxtoolError, match="choose one of smooth, blocks, nets"):
         extract(octree, style="cubes", device=device)
     with pytest.raises(VoxtoolError, match="only blocks"):
         extract(octree, style="nets", merge=True, device=device)
+
+
+def test_numpy_numbers_are_numbers(device) -> None:
+    octree = octree_from_dense(ball((16, 16, 16)))
+    plain = extract(octree, level=1, isovalue=0.25, device=device)
+    found = extract(octree, level=np.int64(1), isovalue=np.float32(0.25), device=device)
+    assert found.digest() == plain.digest()
 
 
 def test_a_surface_has_no_inside(device) -> None:
@@ -396,13 +414,55 @@ def test_a_surface_larger_than_predicted_is_refused_once_it_is_counted(device) -
         extract(octree, style="blocks", max_memory=2 * plan.device_bytes, device=device)
 
 
-def test_more_samples_than_codes_have_bits_for_are_refused() -> None:
-    octree = octree_from_dense(ball((16, 16, 16)))
-    tree = tiles.grow(octree, tiles.Field.of(tiles.VOXEL, 0.5))
-    field = tiles.Field.of(tiles.VOXEL, 0.5)
-    tall = replace(tree, offsets=np.append(tree.offsets, [tree.offsets[-1]] * 9))
-    with pytest.raises(MemoryLimitError, match=r"8192 samples along a side .* choose level 0"):
-        tall.tiles_along_side(field)
+def octree_of_one_voxel(dim: int, voxel: tuple[int, int, int], mode: str) -> voxtool.Octree:
+    """An octree of any dim with a single path from its root."""
+    depth = (dim // 4).bit_length()
+    nodes = np.zeros(1 + 8 * (depth - 1), NODE)
+    for d in range(depth - 1):
+        shift = depth + 1 - d
+        octant = sum((v >> shift & 1) << a for a, v in enumerate(voxel)) if d else 0
+        own = 1 + 8 * (d - 1) + octant if d else 0
+        nodes["child"][own] = VALID
+        nodes["parent"][1 + 8 * d : 9 + 8 * d] = VALID | octant
+    nodes["child"][-8:] = VALID | np.arange(8, dtype=np.uint32)
+    bricks = np.zeros(8, BRICK)
+    brick = sum((v >> 2 & 1) << a for a, v in enumerate(voxel))
+    bit = int(np.flatnonzero((np.array(voxel) % 4 == BRICK_VOXELS).all(axis=1))[0])
+    bricks[brick] = np.uint64(1) << np.uint64(bit)
+    offsets = np.array([0, *(1 + 8 * d for d in range(depth))], np.uint32)
+    octree = voxtool.Octree(
+        Grid((dim,) * 3, (0, 0, 0), (1, 1, 1)), mode, "parity", offsets, nodes, bricks
+    )
+    octree.validate()
+    assert octree.occupied().tolist() == [list(voxel)]
+    return octree
+
+
+@pytest.mark.parametrize("dim", [4096, 8192, 32768, 65536])
+@pytest.mark.parametrize("voxel", [(4, 5, 6), (3001, 2002, 1003)])
+def test_more_samples_than_codes_have_bits_for_name_a_level_that_works(device, dim, voxel) -> None:
+    octree = octree_of_one_voxel(dim, voxel, "solid")
+    level, refusals = "voxel", 0
+    while True:
+        plan = plan_extract(octree, level=level, isovalue=1e-12)
+        try:
+            surface = extract(octree, level=level, isovalue=1e-12, device=device)
+        except MemoryLimitError as error:
+            assert plan.samples > MAX_SAMPLES
+            refusals += 1
+            level = int(re.search(r"that are extracted: choose level (\d+)", str(error))[1])
+        else:
+            break
+    assert refusals == (dim > 4096)
+    assert_manifold(surface)
+    centre = (surface.points.mean(axis=0) / LATTICE * surface.side) // surface.side
+    assert centre.tolist() == [v // surface.side for v in voxel]
+
+
+def test_without_an_inside_no_level_is_named(device) -> None:
+    octree = octree_of_one_voxel(8192, (9, 9, 9), "surface26")
+    with pytest.raises(MemoryLimitError, match=r"8192 samples along a side, .* no level fits"):
+        extract(octree, style="blocks", device=device)
 
 
 def test_the_plan_says_what_is_left_out() -> None:

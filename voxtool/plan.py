@@ -5,10 +5,13 @@ Pure arithmetic on the numbers of a survey: it knows neither meshes nor devices.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 from voxtool.errors import MemoryLimitError, human
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
 
 NODE_BYTES = 8
 BRICK_BYTES = 8
@@ -19,9 +22,11 @@ CODE_32_SIDE = 8192  # voxels up to which level-1 Morton codes fit 32 bits
 DENSE_SIDE = 2048  # voxels up to which the level-1 volume is dense
 TILE = 64  # columns along a side of a work-item's share of a triangle
 MAX_LINK = 1 << 30  # a link has 30 bits
+MAX_SAMPLES = 4096  # of a surface along a side: tiles of four have Morton codes of 30 bits
 CUBE_BYTES = 24  # device arrays of a surface: a cube that is cut,
-EDGE_BYTES = {"smooth": 36, "blocks": 52, "nets": 84}  # a cut edge,
+EDGE_BYTES = {"smooth": 40, "blocks": 52, "nets": 84}  # a cut edge,
 MERGE_BYTES = 64  # and one of blocks that are merged
+STYLES = tuple(EDGE_BYTES)  # of surfaces
 
 
 @dataclass(frozen=True)
@@ -292,7 +297,9 @@ class ExtractionPlan:
     nodes : of the octree's levels, level 0 first, with those of roots that were added; rooted :
     they were, as cubes begin below the octree's low sides.
     tiles, cubes, edges : predicted, then counted: tiles of 4 x 4 x 4 samples that are looked at,
-    cubes and edges that are cut.
+    cubes and edges that are cut. Only nodes are known beforehand, so what lies between leaves
+    without nodes is not predicted.
+    coarser : the plans of coarser levels, the finest first, made when they are asked for.
     """
 
     style: str
@@ -304,6 +311,7 @@ class ExtractionPlan:
     tiles: int
     cubes: int
     edges: int
+    coarser: Callable[[], Iterable[ExtractionPlan]] = field(compare=False, repr=False)
 
     @classmethod
     def predict(
@@ -315,12 +323,14 @@ class ExtractionPlan:
         solid: bool,
         nodes: tuple[int, ...],
         rooted: bool,
+        coarser: Callable[[], Iterable[ExtractionPlan]] = tuple,
     ) -> ExtractionPlan:
         """The plan with what such octrees have: a surface passes about every fourth sample of a
         tile, or eight of the 64 voxels of a brick; one without an inside passes them twice."""
         active = _active_tiles(nodes, level)
         cubes = active * (16 if level != "voxel" else 8 if solid else 20)
-        return cls(style, level, merge, solid, nodes, rooted, 2 * active, cubes, cubes)
+        tiles = 2 * active
+        return cls(style, level, merge, solid, nodes, rooted, tiles, cubes, cubes, coarser)
 
     @property
     def voxels(self) -> bool:
@@ -354,6 +364,8 @@ class ExtractionPlan:
         """Peak of memory on the device, the surface included, by the numbers above."""
         active = _active_tiles(self.nodes, self.level)
         octree = BRICK_BYTES * self.nodes[0] + 4 * sum(self.nodes[1:])
+        if self.level not in ("voxel", 0):
+            octree += 4 * self.nodes[1]  # coverages
         sample = 0 if self.voxels else 1 if self.level == 0 else 4
         tiles = 28 * max(self.samples**3 // 4096, 1) + 56 * self.tiles + 64 * sample * active
         edge = EDGE_BYTES[self.style] + (MERGE_BYTES if self.merge else 0)
@@ -362,14 +374,19 @@ class ExtractionPlan:
     @property
     def largest_buffer(self) -> int:
         """Bytes of the largest single allocation on the device."""
-        return max(BRICK_BYTES * self.nodes[0], self.samples**3 // 512, 24 * self.edges)
+        octree, words = BRICK_BYTES * self.nodes[0], self.samples**3 // 512
+        return max(octree, words, 24 * self.tiles, 28 * self.edges)
 
     def fits(self, max_memory: int, max_allocation: int) -> bool:
-        """Whether memory suffices."""
-        return self.device_bytes <= max_memory and self.largest_buffer <= max_allocation
+        """Whether memory and codes suffice."""
+        return (
+            self.samples <= MAX_SAMPLES
+            and self.device_bytes <= max_memory
+            and self.largest_buffer <= max_allocation
+        )
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Refuse what needs more.
+        """Refuse what needs more memory, or more samples along a side than there are codes for.
 
         Parameters
         ----------
@@ -377,31 +394,23 @@ class ExtractionPlan:
 
         Raises
         ------
-        MemoryLimitError : with the finest level that fits.
+        MemoryLimitError : with the finest level that fits, if one does.
         """
         if self.fits(max_memory, max_allocation):
             return
-        first = 0 if isinstance(self.level, str) else self.level + 1
-        levels = range(first, len(self.nodes)) if self.solid else ()
-        coarser = (
-            ExtractionPlan.predict(
-                self.style,
-                level,
-                merge=self.merge,
-                solid=self.solid,
-                nodes=self.nodes,
-                rooted=self.rooted,
-            )
-            for level in levels
-        )
-        fitting = (plan.level for plan in coarser if plan.fits(max_memory, max_allocation))
+        fitting = (plan.level for plan in self.coarser() if plan.fits(max_memory, max_allocation))
         level = next(fitting, None)
+        mend = "no level fits" if level is None else f"choose level {level}"
+        if self.samples > MAX_SAMPLES:
+            raise MemoryLimitError(
+                f"level {self.level} has {self.samples} samples along a side, of {MAX_SAMPLES} "
+                f"that are extracted: {mend}"
+            )
         raise MemoryLimitError(
             f"a {self.style} surface of level {self.level} would need "
             f"{human(self.device_bytes)} of memory ({human(self.largest_buffer)} in one buffer), "
-            f"of {human(max_memory)} ({human(max_allocation)}) allowed: "
-            + ("allow more" if level is None else f"choose level {level}, or allow more")
-            + " (see --max-memory)"
+            f"of {human(max_memory)} ({human(max_allocation)}) allowed: {mend}; or allow more (see "
+            "--max-memory)"
         )
 
     def left_out(self) -> dict[str, str]:
@@ -439,6 +448,6 @@ class ExtractionPlan:
 
 def _active_tiles(nodes: tuple[int, ...], level: int | str) -> int:
     """Tiles that have nodes: one each 64 nodes that are samples, or each brick."""
-    if isinstance(level, str):
+    if isinstance(level, str):  # voxel
         return nodes[0]
     return nodes[level + 1] // 8 if level + 1 < len(nodes) - 1 else 1

@@ -175,7 +175,7 @@ __kernel void list_quads(HISTOPYRAMID, const uint n, __global const uint *codes,
             at = step_down(at, b);
         if (low_c)
             at = step_down(at, c);
-        const uint edge = 4 * axis + (b < c ? low_b | low_c << 1 : low_c | low_b << 1);
+        const uint edge = EDGE_AROUND[4 * axis + place];
         const uint cube = cube_of(THESE_TILES, THESE_CUBES, at);
         quads[4 * (size_t)k + (outward ? place : (4 - place) % 4)] =
             first_vertex[cube] + LOOP_OF[12 * resolved[cube] + edge];

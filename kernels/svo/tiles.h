@@ -2,6 +2,8 @@
 // Present tiles have a slot; any other is inside or empty as a whole. A cell is the Morton code of a
 // sample, and of the cube of eight samples of which it is the lowest: that of its tile, then 6 bits.
 
+#include "svo/spread.h"
+
 #define ALL 0xFFFFFFFFFFFFFFFFul
 #define AXIS 0x1249249249249249ul // the bits of x in a Morton code
 #define NOWHERE 0xFFFFFFFFu
@@ -28,19 +30,9 @@ ulong corner_cell(ulong code, uint j)
            (((code | ~z) + (j >> 2)) & z);
 }
 
-uint gather_axis(ulong v)
-{
-    v &= AXIS;
-    v = (v | (v >> 2)) & 0x10C30C30C30C30C3ul;
-    v = (v | (v >> 4)) & 0x100F00F00F00F00Ful;
-    v = (v | (v >> 8)) & 0x1F0000FF0000FFul;
-    v = (v | (v >> 16)) & 0x1F00000000FFFFul;
-    return (uint)((v | (v >> 32)) & 0x1FFFFFul);
-}
-
 int3 cell_coordinates(ulong cell)
 {
-    return (int3)((int)gather_axis(cell), (int)gather_axis(cell >> 1), (int)gather_axis(cell >> 2));
+    return (int3)((int)gather_bits(cell), (int)gather_bits(cell >> 1), (int)gather_bits(cell >> 2));
 }
 
 // The coordinates in a tile of its sample `bit`.

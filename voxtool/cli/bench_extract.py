@@ -8,6 +8,7 @@ import click
 
 from voxtool.cli import options
 from voxtool.errors import count_of
+from voxtool.plan import STYLES
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ SHORT = {"lost voxels": "lost", "histopyramid": "pyramid", "triangles": "faces"}
 @options.bench_options("128,256,512,1024,2048", "VTK and scikit-image (smooth)")
 @click.option(
     "--styles",
-    type=options.List(click.Choice(["smooth", "blocks", "nets"])),
+    type=options.List(click.Choice(STYLES)),
     metavar="STYLE,...",
     default="smooth",
     show_default=True,

@@ -11,6 +11,7 @@ import click
 
 from voxtool.cli import options
 from voxtool.errors import VoxtoolError
+from voxtool.plan import MAX_SAMPLES, STYLES
 
 if TYPE_CHECKING:
     from voxtool.mesh import Mesh
@@ -45,7 +46,7 @@ class Level(click.ParamType):
 )
 @click.option(
     "--style",
-    type=click.Choice(["smooth", "blocks", "nets"]),
+    type=click.Choice(STYLES),
     default="smooth",
     show_default=True,
     help="smooth: marching cubes over the coverages of bricks; blocks: the exact boundary of the "
@@ -77,7 +78,8 @@ class Level(click.ParamType):
 @click.option(
     "--against",
     metavar="MESH",
-    help="Print as JSON how far the surface and this mesh are from each other, both ways.",
+    help="Print as JSON how far the surface and this mesh are from each other, both ways; the "
+    "memory that it takes does not count for --max-memory.",
 )
 @click.option(
     "--samples",
@@ -172,19 +174,18 @@ def command(
         surface = extract(source, device=chosen, max_memory=max_memory, **request)
         if not len(surface.faces):
             raise VoxtoolError(nothing_inside(octree, source, surface))
-        mesh = surface.mesh()
-        progress.enter("write file")
-        vertex_normals = surface.normals if normals else None
-        write_mesh(mesh, output, not no_clobber, file_format, normals=vertex_normals)
-        seconds = time.perf_counter() - started
-        result = summary(source, surface, output, seconds)
+        checked, measured = {}, {}
         if check:
             progress.enter("check")
-            result["check"] = check_mesh(source, surface)
+            checked = {"check": check_mesh(source, surface)}
         if reference is not None:
             progress.enter("measure")
-            result["against"] = measure(surface, reference, samples or options.SAMPLES, chosen)
-
+            measured = {"against": measure(surface, reference, samples or options.SAMPLES, chosen)}
+        progress.enter("write file")
+        vertex_normals = surface.normals if normals else None
+        write_mesh(surface.mesh(), output, not no_clobber, file_format, normals=vertex_normals)
+    seconds = time.perf_counter() - started
+    result = {**summary(source, surface, output, seconds), **checked, **measured}
     if as_json or check or reference is not None:
         options.print_json(result, err=output == "-")
     if not as_json:
@@ -272,15 +273,16 @@ def nothing_inside(name: str, octree: Octree, surface: Isosurface) -> str:
 
 def keeping(octree: Octree) -> str:
     """What keeps voxels that samples lose: samples of their own size, or smaller voxels."""
-    from voxtool.grid import MAX_DIM
+    from voxtool.svo.isosurface import plan_extract
     from voxtool.svo.octree import BRICK_SIDE
-    from voxtool.svo.tiles import MAX_TILES
 
-    dim = octree.grid.dim
-    finer = f"voxelizing with --dim {BRICK_SIDE * dim} may"
-    if dim <= BRICK_SIDE * MAX_TILES:
-        return f"--level voxel --style nets keeps them all, {finer}"
-    return finer if BRICK_SIDE * dim <= MAX_DIM else "a lower isovalue may keep them"
+    finer = BRICK_SIDE * octree.grid.dim
+    mends = []
+    if plan_extract(octree, style="nets", level="voxel").samples <= MAX_SAMPLES:
+        mends.append("--level voxel --style nets keeps them all")
+    if finer <= BRICK_SIDE * MAX_SAMPLES:
+        mends.append(f"voxelizing with --dim {finer} may keep them")
+    return ", ".join(mends) or "a lower isovalue may keep them"
 
 
 def tell_lost(octree: Octree, surface: Isosurface) -> None:

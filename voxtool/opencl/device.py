@@ -28,6 +28,7 @@ INSTALL_HINT = (
 OUT_OF_MEMORY = (-4, -5, -6)  # CL_MEM_OBJECT_ALLOCATION_FAILURE, _OUT_OF_RESOURCES, _HOST_MEMORY
 SYSTEM_DRIVERS = Path("/etc/OpenCL/vendors")
 PAGE = 4096  # alignment at which a CPU's driver uses the host's memory as it is
+ALIGNMENT = 128  # bytes, of buffers that CPU drivers do not copy (CL_DEVICE_MEM_BASE_ADDR_ALIGN)
 SHARED_FROM = 1 << 16  # bytes; smaller arrays are the driver's own
 WORK_GROUP = 64  # work-items; a few wavefronts, and enough for a CPU's core
 PROBE = """
@@ -312,11 +313,14 @@ class Device:
     def view(self, values: np.ndarray) -> Array:
         """A host array for kernels to read: shared where it can be, or else a copy. It must not
         change until the device has read it."""
-        aligned = values.ctypes.data % 128 == 0 and values.flags.c_contiguous
+        aligned = values.ctypes.data % ALIGNMENT == 0 and values.flags.c_contiguous
         if not (self.shares_memory and aligned and values.nbytes >= SHARED_FROM):
             return self.put(values)
         flags = self._cl.mem_flags.READ_ONLY | self._cl.mem_flags.USE_HOST_PTR
-        buffer = self._cl.Buffer(self.context, flags, hostbuf=values)
+        try:
+            buffer = self._cl.Buffer(self.context, flags, hostbuf=values)
+        except (self._cl.Error, MemoryError) as error:
+            raise self._too_large(values.nbytes) from error
         return Array(self, values.dtype, values.size, buffer, values)
 
     def write(self, array: Array, values: np.ndarray) -> None:

@@ -189,6 +189,17 @@ def edge_across() -> np.ndarray:
     return table
 
 
+def edge_around() -> np.ndarray:
+    """(3, 4) uint8: the number that an edge along each axis has in the four cubes around it: those
+    before it along the two next axes (modulo 3), then on counter-clockwise."""
+    table = np.zeros((3, 4), np.uint8)
+    for axis in range(3):
+        b, c = 1 << (axis + 1) % 3, 1 << (axis + 2) % 3
+        for place, low in enumerate((b | c, c, 0, b)):
+            table[axis, place] = EDGE_OF[low, low | 1 << axis]
+    return table
+
+
 def _header(constants: dict[str, int], tables: dict[str, np.ndarray]) -> str:
     lines = [program.c_constants(**constants)]
     for name, table in tables.items():
@@ -219,6 +230,7 @@ def dual_header() -> str:
         "LOOP_OF": loop_of,
         "FACE_OF": face_of,
         "EDGE_ACROSS": edge_across(),
+        "EDGE_AROUND": edge_around(),
         "EDGE_CORNER": np.array(EDGES)[:, 0],
     }
     constants = {"ALTERNATIVE": ALTERNATIVE, "NO_FACE": NO_FACE, "NO_EDGE": NO_EDGE}

@@ -16,10 +16,14 @@ Kernels: kernels/svo/isosurface.cl.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
+import math
+import operator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,7 +32,7 @@ from voxtool.grid import Grid
 from voxtool.mesh import Mesh
 from voxtool.opencl import Array, Device, open_device, program
 from voxtool.opencl.primitives import build_histopyramid
-from voxtool.plan import ExtractionPlan
+from voxtool.plan import STYLES, ExtractionPlan
 from voxtool.svo import cases
 from voxtool.svo.dual import dual_surface, split_quads
 from voxtool.svo.octree import Octree
@@ -47,8 +51,10 @@ from voxtool.svo.tiles import (
     grow,
 )
 
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
 SOURCE = "svo/isosurface.cl"
-STYLES = ("smooth", "blocks", "nets")
 LATTICE_BITS = 14
 LATTICE = 1 << LATTICE_BITS  # points count this often a sample's side
 NEAREST = LATTICE // 256  # that a point comes to a sample, or a net's to the sides of its cube
@@ -174,9 +180,12 @@ def extract(
     limits = device.max_memory if max_memory is None else max_memory, device.info.max_allocation
     plan = _plan(octree, tree, style, level, merge)
     plan.refuse_beyond(*limits)
-    tiles = find_tiles(device, octree, tree, field)
-    cubes = classify_cubes(device, tiles)
-    replace(plan, tiles=tiles.n, cubes=cubes.n, edges=cubes.edges).refuse_beyond(*limits)
+
+    def counted(**numbers: int) -> None:
+        replace(plan, **numbers).refuse_beyond(*limits)
+
+    tiles = find_tiles(device, octree, tree, field, counted)
+    cubes = classify_cubes(device, tiles, counted)
     lost = count_lost(device, tiles, cubes)
     if style == "smooth":
         points, triangles = _marching_cubes(device, tiles, cubes)
@@ -228,14 +237,21 @@ def _field(
         raise VoxtoolError(f"style {style!r} is unknown: choose one of {', '.join(STYLES)}")
     if level is None:
         level = 0 if style == "smooth" else "voxel"
-    deepest = min(octree.depth - 1, MAX_LEVEL)
-    if level != "voxel" and level not in range(deepest + 1):
+    if not isinstance(level, str):
+        with contextlib.suppress(TypeError):  # a numpy integer, too
+            level = int(operator.index(level))
+    known = isinstance(level, int) and 0 <= level <= _coarsest(octree)
+    if level != "voxel" and not known:
         raise VoxtoolError(
-            f"level {level!r}: choose 'voxel' or a level from 0 to {deepest}, those that an octree "
-            f"of dim {octree.grid.dim} has"
+            f"level {level!r}: choose 'voxel' or a level from 0 to {_coarsest(octree)}, those that "
+            f"an octree of dim {octree.grid.dim} has"
         )
-    if not 0 < isovalue < 1:  # NaN neither
-        raise VoxtoolError(f"isovalue {isovalue}: choose a share of set voxels between 0 and 1")
+    try:
+        share = float(isovalue)
+    except (TypeError, ValueError):
+        share = math.nan
+    if not 0 < share < 1:  # NaN neither
+        raise VoxtoolError(f"isovalue {isovalue!r}: choose a share of set voxels between 0 and 1")
     if merge and style != "blocks":
         raise VoxtoolError(f"only blocks have coplanar squares to merge: drop merge, or {style}")
     if "solid" not in octree.mode and (style, level) != ("blocks", "voxel"):
@@ -243,18 +259,31 @@ def _field(
             f"an octree of mode {octree.mode} has no inside to extract a {style} surface from: "
             "voxelize with --mode solid, or extract --style blocks --level voxel"
         )
-    return level, Field.of(VOXEL if level == "voxel" else int(level), isovalue)
+    return level, Field.of(VOXEL if level == "voxel" else int(level), share)
 
 
 def _plan(octree: Octree, tree: Tree, style: str, level: int | str, merge: bool) -> ExtractionPlan:
+    solid = "solid" in octree.mode
+
+    def coarser() -> Iterator[ExtractionPlan]:
+        first = 0 if isinstance(level, str) else level + 1
+        for other in range(first, _coarsest(octree) + 1 if solid else 0):
+            yield _plan(octree, grow(octree, Field.of(other, 0.5)), style, other, merge)
+
     return ExtractionPlan.predict(
         style,
         level,
         merge=merge,
-        solid="solid" in octree.mode,
-        nodes=tuple(tree.nodes(level) for level in range(tree.top + 1)),
+        solid=solid,
+        nodes=tuple(tree.nodes(number) for number in range(tree.top + 1)),
         rooted=tree.shift > 0,
+        coarser=coarser,
     )
+
+
+def _coarsest(octree: Octree) -> int:
+    """The highest level whose nodes can be samples."""
+    return min(octree.depth - 1, MAX_LEVEL)
 
 
 def _marching_cubes(device: Device, tiles: Tiles, cubes: CutCubes) -> tuple[Array, Array]:

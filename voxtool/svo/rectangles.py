@@ -14,14 +14,13 @@ import numpy as np
 
 from voxtool.opencl import Array, Device, program
 from voxtool.opencl.primitives import compact, exclusive_scan, radix_sort
-from voxtool.svo.octree import BRICK_SIDE
-from voxtool.svo.tiles import MAX_TILES
+from voxtool.plan import MAX_SAMPLES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 SOURCE = "svo/rectangles.cl"
-FIELD = (BRICK_SIDE * MAX_TILES).bit_length()  # bits of a coordinate of a corner
+FIELD = MAX_SAMPLES.bit_length()  # bits of a coordinate of a corner
 QUAD_BITS, ROW_BITS = 3 + 3 * FIELD, 3 + 4 * FIELD
 program.generated["svo/rectangles.h"] = program.c_constants(FIELD=FIELD)
 

@@ -33,7 +33,6 @@ if TYPE_CHECKING:
 SOURCE = "svo/tiles.cl"
 VOXEL = -2  # the level of samples that are voxels: a node of level n spans 4 * 2**n of them
 MAX_LEVEL = 8  # up to which a node's voxels are counted in 32 bits
-MAX_TILES = 1024  # along a side: tiles have Morton codes of 30 bits
 MAX_PRESENT = 1 << 24  # tiles: their 192 edges each are counted in 32 bits
 LOST_ITEMS = 256  # work-items that count lost voxels
 ISOVALUE_BITS = 16  # of a fraction of a voxel
@@ -108,20 +107,8 @@ class Tree:
         return int(np.diff(self.offsets)[self.top - level]) if level else self.bricks
 
     def tiles_along_side(self, field: Field) -> int:
-        """Tiles along a side of the root.
-
-        Raises
-        ------
-        MemoryLimitError : they are more than MAX_TILES.
-        """
-        side = 1 << (self.top - field.level - 2)
-        if side > MAX_TILES:
-            level = self.top - 2 - (MAX_TILES.bit_length() - 1)
-            raise MemoryLimitError(
-                f"{4 * side} samples along a side exceed the {4 * MAX_TILES} that are extracted: "
-                f"choose level {max(level, 0)}"
-            )
-        return side
+        """Tiles along a side of the root."""
+        return 1 << (self.top - field.level - 2)
 
 
 def grow(octree: Octree, field: Field) -> Tree:
@@ -211,8 +198,19 @@ class Tiles:
                 array.release()
 
 
-def find_tiles(device: Device, octree: Octree, tree: Tree, field: Field) -> Tiles:
-    """The tiles of samples that hold a cube that may be cut, and their samples."""
+def find_tiles(
+    device: Device, octree: Octree, tree: Tree, field: Field, counted: Callable[..., None]
+) -> Tiles:
+    """The tiles of samples that hold a cube that may be cut, and their samples.
+
+    Parameters
+    ----------
+    counted : is told `tiles=`, how many there are, before memory is taken for them.
+
+    Raises
+    ------
+    MemoryLimitError : they are more than MAX_PRESENT; or what `counted` raises.
+    """
     words = max(tree.tiles_along_side(field) ** 3 // 64, 1)
     with device.stage("tiles"):
         bricks = device.view(octree.bricks)
@@ -230,6 +228,7 @@ def find_tiles(device: Device, octree: Octree, tree: Tree, field: Field) -> Tile
                 f"{n:,} tiles of samples exceed the {MAX_PRESENT:,} that are extracted: choose a "
                 "coarser level"
             )
+        counted(tiles=n)
         codes, source = device.empty(n, np.uint32), device.empty(n, np.uint32)
         masks = device.empty(n, np.uint64)
         kernel(device, field, "list_tiles")(
@@ -335,8 +334,18 @@ class CutCubes:
             array.release()
 
 
-def classify_cubes(device: Device, tiles: Tiles) -> CutCubes:
-    """The cubes whose corners are not all alike, and their cases."""
+def classify_cubes(device: Device, tiles: Tiles, counted: Callable[..., None]) -> CutCubes:
+    """The cubes whose corners are not all alike, and their cases.
+
+    Parameters
+    ----------
+    counted : is told `tiles=`, `cubes=` and `edges=` before memory is taken for the cubes.
+
+    Raises
+    ------
+    MemoryLimitError : there are 2**30 edges or more, of which dual surfaces have links of 32 bits;
+        or what `counted` raises.
+    """
     n = np.uint32(tiles.n)
     cut, cut_edges = device.empty(tiles.n, np.uint64), device.empty(3 * tiles.n, np.uint64)
     first_cube = device.empty(tiles.n + 1, np.uint32)
@@ -347,10 +356,11 @@ def classify_cubes(device: Device, tiles: Tiles) -> CutCubes:
         )
         cubes = exclusive_scan(first_cube, tiles.n)
         edges = exclusive_scan(first_edge, 3 * tiles.n)
-        if edges >= 1 << 31:
+        if edges >= 1 << 30:
             raise MemoryLimitError(
-                f"{edges:,} cut edges exceed faces of 32 bits: choose a coarser level"
+                f"{edges:,} cut edges exceed links of 32 bits: choose a coarser level"
             )
+        counted(tiles=tiles.n, cubes=cubes, edges=edges)
         places, cases = device.empty(cubes, np.uint32), device.empty(cubes, np.uint8)
         kernel(device, tiles.field, "list_cubes")(
             tiles.n, tiles.codes, n, *tiles.arguments, first_cube, places, cases
