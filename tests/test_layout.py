@@ -10,7 +10,7 @@ import pytest
 from voxtool.errors import DeviceError
 from voxtool.grid import FIXED_POINT_BITS
 from voxtool.opencl import Device, primitives, program
-from voxtool.proximity import bvh
+from voxtool.proximity import bvh, winding
 from voxtool.svo import cases, inside, isosurface, octree, rectangles, voxelize
 
 NODE = octree.NODE
@@ -34,6 +34,8 @@ CONSTANTS = {
             "MARGIN_BITS",
         )
     },
+    "proximity/names.h": {"NAMELESS": bvh.NAMELESS},
+    "proximity/winding.h": {"MOMENTS": winding.MOMENTS, "FAR_BITS": winding.FAR_BITS},
     "svo/octree.h": {
         "INSIDE": octree.INSIDE,
         "VALID": octree.VALID,

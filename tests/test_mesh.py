@@ -454,7 +454,7 @@ def test_zero_area_is_exact(numbers, k):
     x = [[Fraction(v) for v in row] for row in triangle.tolist()]
     u, v = ([a - b for a, b in zip(x[i], x[0], strict=True)] for i in (1, 2))
     flat = all(u[i] * v[j] == u[j] * v[i] for i, j in ((0, 1), (1, 2), (2, 0)))
-    assert diagnosis._collinear(triangle[None])[0] == flat
+    assert diagnosis.collinear(triangle[None])[0] == flat
 
 
 def naive(points, faces):

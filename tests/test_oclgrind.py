@@ -213,20 +213,28 @@ def voxelize_all(device, variant: str) -> None:
 
 
 def measure_distances(device) -> None:
-    """Distances near to a mesh of several levels, and far away."""
+    """Distances near to a mesh of several levels, and far away, and by every sign."""
     import meshes
     import numpy as np
     from helpers_distance import brute
+    from helpers_signs import winding
 
     from voxtool.mesh import Mesh
     from voxtool.proximity.distance import TriangleDistance
+    from voxtool.proximity.signs import SignedDistance
 
     vertices, faces = meshes.torus(sides=(12, 6))
     faces = np.concatenate([faces, [(0, 0, 5), (7, 7, 7)]])
-    measure = TriangleDistance(Mesh(vertices, faces.astype(np.int32)), device)
+    mesh = Mesh(vertices, faces.astype(np.int32))
+    measure = TriangleDistance(mesh, device)
+    signed = [SignedDistance(mesh, device, sign) for sign in ("pseudonormal", "winding")]
     for scale in (1, 100):
         points = scale * np.random.default_rng(1).uniform(-3, 3, (70, 3))
-        assert np.allclose(measure(points), brute(points, vertices[faces]), rtol=1e-14, atol=1e-14)
+        distances = measure(points)
+        assert np.allclose(distances, brute(points, vertices[faces]), rtol=1e-14, atol=1e-14)
+        inside = winding(points, vertices[faces]) > 0.5
+        for sign in signed:
+            assert np.array_equal(sign(points), np.where(inside, -distances, distances))
 
 
 def extract_surfaces(device) -> None:

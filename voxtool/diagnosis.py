@@ -203,11 +203,11 @@ class _Topology:
 
 
 def _topology(mesh: Mesh, weld: bool) -> _Topology:
-    corners = _positions(mesh)[mesh.faces] if weld else mesh.faces.astype(np.int64)
+    corners = positions(mesh)[mesh.faces] if weld else mesh.faces.astype(np.int64)
     a, b, c = corners.T
     proper = (a != b) & (b != c) & (c != a)
     corners = corners[proper]
-    edge, forward = _edges(corners)
+    edge, forward = edges_of(corners)
     order = np.argsort(edge, kind="stable")
     same = edge[order[1:]] == edge[order[:-1]]
     pairs = np.stack([order[:-1][same], order[1:][same]])
@@ -217,7 +217,7 @@ def _topology(mesh: Mesh, weld: bool) -> _Topology:
 def _counts(mesh: Mesh, topology: _Topology) -> dict[str, Any]:
     """The fields of a Diagnosis."""
     corners, count = topology.corners, topology.count
-    flat = _collinear(mesh.vertices[mesh.faces[topology.proper]])
+    flat = collinear(mesh.vertices[mesh.faces[topology.proper]])
     along = np.bincount(topology.edge, weights=topology.forward)
     even = not (count % 2).any()
     one, other = topology.pairs // 3
@@ -258,7 +258,7 @@ def _next(sides: np.ndarray) -> np.ndarray:
     return sides + np.where(sides % 3 == 2, -2, 1)
 
 
-def _positions(mesh: Mesh) -> np.ndarray:
+def positions(mesh: Mesh) -> np.ndarray:
     """(V,) int64: equal numbers for vertices of bit-equal positions."""
     points = mesh.vertices + 0.0  # -0.0 is 0.0
     order = np.lexsort(points.T)
@@ -269,7 +269,7 @@ def _positions(mesh: Mesh) -> np.ndarray:
     return numbers
 
 
-def _edges(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def edges_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(3F,) edge number and (3F,) bool direction of the sides ab, bc, ca of (F, 3) corners."""
     start = corners.ravel()
     end = np.roll(corners, -1, axis=1).ravel()
@@ -296,7 +296,7 @@ def _components(u: np.ndarray, v: np.ndarray, nodes: int) -> np.ndarray:
     return root
 
 
-def _collinear(triangles: np.ndarray) -> np.ndarray:
+def collinear(triangles: np.ndarray) -> np.ndarray:
     """(F,) bool: triangles (F, 3, 3) of zero area, exactly: float64 with an error bound, and whole
     numbers where that cannot tell."""
     with np.errstate(over="ignore", invalid="ignore"):

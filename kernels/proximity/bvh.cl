@@ -2,6 +2,7 @@
 
 #include "proximity/bvh.h"
 #include "proximity/curve.h"
+#include "proximity/names.h"
 
 #pragma OPENCL FP_CONTRACT OFF
 
@@ -47,6 +48,13 @@ __kernel void face_codes(__global const double *vertices, __global const int *fa
     order[gid] = gid;
 }
 
+// Which corner of a face its longest edge begins at.
+uint longest_edge(double3 a, double3 b, double3 c)
+{
+    const double ab = square(b - a), bc = square(c - b), ca = square(a - c);
+    return bc > ab && bc >= ca ? 1 : ca > ab ? 2 : 0;
+}
+
 // Leaf i holds faces LEAF i, LEAF i + 1, ... along the curve; the last face fills up the last leaf. A
 // triangle is its corner a, its longest edge e from there, the height g that stands on e, and where
 // on e its foot is: c = a + foot e + g. A squared length of 0 is kept as 1, for nothing divides by 0.
@@ -60,11 +68,11 @@ __kernel void frame_triangles(__global const double *vertices, __global const in
     double3 a = corner(vertices, faces, face, 0);
     double3 b = corner(vertices, faces, face, 1);
     double3 c = corner(vertices, faces, face, 2);
-    const double ab = square(b - a), bc = square(c - b), ca = square(a - c);
-    if (bc > ab && bc >= ca) {
+    const uint turn = longest_edge(a, b, c);
+    if (turn == 1) {
         const double3 first = a;
         a = b, b = c, c = first;
-    } else if (ca > ab) {
+    } else if (turn == 2) {
         const double3 last = c;
         c = b, b = a, a = last;
     }
@@ -84,6 +92,21 @@ __kernel void frame_triangles(__global const double *vertices, __global const in
     __global double *leaf = leaves + (size_t)(gid / LEAF) * (FIELDS * LEAF) + gid % LEAF;
     for (uint i = 0; i < FIELDS; ++i)
         leaf[i * LEAF] = fields[i];
+}
+
+// The name of a triangle of a leaf: three times its face in the mesh, and which corner of it is a;
+// NAMELESS where it is flat.
+__kernel void name_triangles(__global const double *vertices, __global const int *faces,
+                             const uint n, __global const uint *order, __global const uchar *flat,
+                             __global uint *names)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= (n + LEAF - 1) / LEAF * LEAF)
+        return;
+    const uint face = order[min(gid, n - 1)];
+    const uint turn = longest_edge(corner(vertices, faces, face, 0), corner(vertices, faces, face, 1),
+                                   corner(vertices, faces, face, 2));
+    names[gid] = flat[face] ? NAMELESS : 3 * face + turn;
 }
 
 // A node's part for child i: low x, y, z and high x, y, z, ARITY apart.

@@ -1,8 +1,9 @@
 // The distance from points to a mesh. Host side: voxtool/proximity/distance.py. Options: BOX, the
-// precision in which the distance to a box is bounded: float near the mesh, double far away.
+// precision in which the distance to a box is bounded: float near the mesh, double far away; SIGNED.
 
 #include "proximity/bvh.h"
 #include "proximity/curve.h"
+#include "proximity/names.h"
 
 #pragma OPENCL FP_CONTRACT OFF
 
@@ -33,14 +34,19 @@ double4 clamped(double4 t)
     return t < 1.0 ? t : 1.0;
 }
 
-// The squared distance to the nearest triangle of a leaf.
+// What of a triangle a point is nearest to; as in leaf_ways, ab is its longest edge.
+enum { FACE, AB, BC, CA, A, B, C };
+
+// The ways from the nearest points of a leaf's triangles, and on what these are; returns the squares
+// of their lengths.
 //
 // In the triangle's plane, with e and g as axes, a is (0, 0), b is (1, 0) and c is (foot, 1). As e is
 // the longest edge, the angles at a and b are acute. So a point below ab is nearest to ab; one beyond
 // ac to ac, or past c to bc; one beyond bc to bc. Slivers are safe: what is measured is always the
 // way to a point of the triangle, and an error of the foot point across a thin triangle is less than
 // its height.
-double leaf_distance(__global const double *leaf, double3 p)
+double4 leaf_ways(__global const double *leaf, double3 p, double4 *wx, double4 *wy, double4 *wz,
+                  long4 *feature)
 {
     const double4 px = p.x - vload4(0, leaf);
     const double4 py = p.y - vload4(1, leaf);
@@ -63,12 +69,58 @@ double leaf_distance(__global const double *leaf, double3 p)
     v = on_ac ? clamped(ac) : v;
     u = below ? clamped(x) : u;
     v = below ? 0.0 : v;
-    const double4 dx = px - u * ex - v * gx;
-    const double4 dy = py - u * ey - v * gy;
-    const double4 dz = pz - u * ez - v * gz;
-    const double4 dd = dx * dx + dy * dy + dz * dz;
-    const double2 least = dd.lo < dd.hi ? dd.lo : dd.hi;
+    const long4 on_ab = x > 0.0 ? (x < 1.0 ? (long4)AB : (long4)B) : (long4)A;
+    const long4 on_bc = bc > 0.0 ? (bc < 1.0 ? (long4)BC : (long4)C) : (long4)B;
+    const long4 on_ca = ac > 0.0 ? (long4)CA : (long4)A;
+    *feature = below ? on_ab : on_ac ? on_ca : beyond ? on_bc : (long4)FACE;
+    const double4 dx = *wx = px - u * ex - v * gx;
+    const double4 dy = *wy = py - u * ey - v * gy;
+    const double4 dz = *wz = pz - u * ez - v * gz;
+    return dx * dx + dy * dy + dz * dz;
+}
+
+double lesser(double4 x)
+{
+    const double2 least = x.lo < x.hi ? x.lo : x.hi;
     return least.x < least.y ? least.x : least.y;
+}
+
+// Of the triangles of a leaf, the nearest one that has a name: if it is nearer than `least`, or as
+// near as that and of a lower name, these become its own, and true is returned.
+bool nearest_named(double4 dd, uint4 names, double *least, uint *name)
+{
+    const double4 named = convert_long4(names) == NAMELESS ? INFINITY : dd;
+    const double near = lesser(named);
+    if (near > *least)
+        return false;
+    const uint4 nearest = convert_uint4(named == near) ? names : (uint4)NAMELESS;
+    const uint2 lower = min(nearest.lo, nearest.hi);
+    const uint lowest = min(lower.x, lower.y);
+    const bool better = near < *least || lowest < *name;
+    *least = near;
+    *name = better ? lowest : *name;
+    return better;
+}
+
+// Whether the way from the nearest point of a leaf's triangle leads inside.
+bool leads_inside(__global const double *leaf, __global const uint *names, uint name, double3 p,
+                  __global const uint *features, __global const double *normals)
+{
+    double4 wx, wy, wz;
+    long4 feature;
+    leaf_ways(leaf, p, &wx, &wy, &wz, &feature);
+    const double x[LEAF] = {wx.x, wx.y, wx.z, wx.w}, y[LEAF] = {wy.x, wy.y, wy.z, wy.w};
+    const double z[LEAF] = {wz.x, wz.y, wz.z, wz.w};
+    const long of[LEAF] = {feature.x, feature.y, feature.z, feature.w};
+    uint i = 0;
+    while (i < LEAF - 1 && names[i] != name)
+        ++i;
+    const uint turn = name % 3, which = (uint)of[i];
+    const uint turned = which == FACE ? FACE
+                        : which < A   ? AB + (which - AB + turn) % 3
+                                      : A + (which - A + turn) % 3;
+    const double3 normal = vload3(features[7 * (size_t)(name / 3) + turned], normals);
+    return x[i] * normal.x + y[i] * normal.y + z[i] * normal.z < 0;
 }
 
 // How far x lies outside of each [low, high].
@@ -81,10 +133,15 @@ BOXES gap(float8 low, float8 high, BOX x)
 
 // distances[i] = the distance of point i to the nearest triangle. Nearest boxes first; a box is left
 // out only where none of its triangles can change the result, which therefore depends neither on
-// the tree nor on the order of the visit.
+// the tree nor on the order of the visit. If SIGNED, they are negative inside: where the way from the
+// nearest face that has a name, the first in the mesh of equally near ones, leads inside.
 __kernel void nearest_triangles(__global const double *points, __global const uint *order,
                                 const uint n, __global const float *nodes,
                                 __global const double *leaves, const uint first_leaf,
+#ifdef SIGNED
+                                __global const uint *names, __global const uint *features,
+                                __global const double *normals,
+#endif
                                 __global double *distances)
 {
     const uint gid = get_global_id(0);
@@ -99,6 +156,11 @@ __kernel void nearest_triangles(__global const double *points, __global const ui
     bounds[0] = 0;
     ids[0] = 0;
     double least = INFINITY;
+#ifdef SIGNED
+    double least_named = INFINITY;
+    uint name = NAMELESS;
+    size_t own_leaf = 0;
+#endif
     BOX reach = INFINITY;
     while (top > 0) {
         const uint id = ids[--top];
@@ -106,11 +168,21 @@ __kernel void nearest_triangles(__global const double *points, __global const ui
             continue;
         if (id >= first_leaf) {
             const size_t leaf = id - first_leaf;
-            const double dd = leaf_distance(leaves + leaf * (FIELDS * LEAF), p);
-            if (dd < least) {
-                least = dd;
-                reach = (BOX)dd * SLACK + (BOX)0x1p-100; // positive, however small dd is
-            }
+            double4 wx, wy, wz;
+            long4 feature;
+            const double4 dd = leaf_ways(leaves + leaf * (FIELDS * LEAF), p, &wx, &wy, &wz, &feature);
+            const double near = lesser(dd);
+            const bool nearer = near < least;
+            least = nearer ? near : least;
+#ifdef SIGNED
+            const bool found = nearest_named(dd, vload4(leaf, names), &least_named, &name);
+            own_leaf = found ? leaf : own_leaf;
+            if (found)
+                reach = (BOX)least_named * SLACK + (BOX)0x1p-100;
+#else
+            if (nearer)
+                reach = (BOX)least * SLACK + (BOX)0x1p-100; // positive, however small it is
+#endif
             continue;
         }
         __global const float *boxes = nodes + (size_t)id * (6 * ARITY);
@@ -132,5 +204,12 @@ __kernel void nearest_triangles(__global const double *points, __global const ui
             ids[at] = ARITY * id + 1 + i;
         }
     }
-    distances[own] = sqrt(least);
+    double distance = sqrt(least);
+#ifdef SIGNED
+    if (name != NAMELESS && distance > 0 &&
+        leads_inside(leaves + own_leaf * (FIELDS * LEAF), names + own_leaf * LEAF, name, p, features,
+                     normals))
+        distance = -distance;
+#endif
+    distances[own] = distance;
 }

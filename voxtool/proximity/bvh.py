@@ -35,6 +35,7 @@ MAX_LEVELS = 10  # of nodes: ARITY**10 * LEAF is more than there are int32
 FACE_BITS = 21  # of the curve along an axis, for triangles
 POINT_BITS = 10  # and for points
 MARGIN_BITS = 20  # a box in single precision is 2**-20 wider than what it holds
+NAMELESS = 0xFFFFFFFF  # triangle of a leaf
 MAX_EXPONENT = 500  # squares of lengths up to 2**500 are in the range of float64
 
 program.generated["proximity/bvh.h"] = program.c_constants(
@@ -46,6 +47,7 @@ program.generated["proximity/bvh.h"] = program.c_constants(
     POINT_BITS=POINT_BITS,
     MARGIN_BITS=MARGIN_BITS,
 )
+program.generated["proximity/names.h"] = program.c_constants(NAMELESS=NAMELESS)
 
 
 @dataclass(frozen=True)
@@ -90,17 +92,34 @@ class TriangleTree:
     ARITY * i + 1 and the following; from first_leaf on they are leaves.
 
     nodes : float32, of each node low x, y, z and high x, y, z, each of ARITY children in turn;
-    leaves : float64, of each leaf FIELDS, each of LEAF triangles in turn (see frame_triangles).
+    leaves : float64, of each leaf FIELDS, each of LEAF triangles in turn (see frame_triangles);
+    count : of triangles; the last leaf repeats the last one;
+    names : uint32, of each triangle in a leaf (see name_triangles), or None if not asked for.
     """
 
     frame: Frame
     nodes: Array
     leaves: Array
     first_leaf: int
+    count: int
+    names: Array | None
+
+    def parts(self) -> list[tuple[int, int]]:
+        """Of each level of nodes, from the root down, the first node and how many there are."""
+        count, counts = -(-self.count // LEAF), []
+        while count > 1 or not counts:
+            count = -(-count // ARITY)
+            counts.append(count)
+        firsts = [(ARITY**level - 1) // (ARITY - 1) for level in range(len(counts))]
+        return list(zip(firsts, counts[::-1], strict=True))
 
 
-def build_tree(device: Device, mesh: Mesh) -> TriangleTree:
+def build_tree(device: Device, mesh: Mesh, flat: np.ndarray | None = None) -> TriangleTree:
     """The tree over all faces of a mesh, degenerate ones included.
+
+    Parameters
+    ----------
+    flat : (F,) uint8, 1 for faces that get no name; None gives no names at all.
 
     Raises
     ------
@@ -123,9 +142,16 @@ def build_tree(device: Device, mesh: Mesh) -> TriangleTree:
             count * LEAF, vertices, faces, np.uint32(n), order, leaves
         )
         nodes, first_leaf = _bound(device, vertices, faces, n, order)
+        names = None
+        if flat is not None:
+            names, nameless = device.empty(count * LEAF, np.uint32), device.put(flat)
+            device.kernel(SOURCE, "name_triangles")(
+                count * LEAF, vertices, faces, np.uint32(n), order, nameless, names
+            )
+            nameless.release()
     for array in (vertices, faces, order):
         array.release()
-    return TriangleTree(frame, nodes, leaves, first_leaf)
+    return TriangleTree(frame, nodes, leaves, first_leaf, n, names)
 
 
 def _sort_faces(device: Device, vertices: Array, faces: Array, n: int) -> Array:
