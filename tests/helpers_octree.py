@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from voxtool.grid import Grid
-from voxtool.svo.octree import BRICK, BRICK_VOXELS, INSIDE, NODE, VALID, Octree, morton_decode
+from voxtool.morton import morton_decode
+from voxtool.svo.octree import BRICK, BRICK_VOXELS, INSIDE, NODE, VALID, Octree
 
 WORLD = {"origin": (-1.5, 0.1, 1e-3), "pitch": (0.1, 0.1, 0.1)}
 

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
 from voxtool.grid import Grid
 from voxtool.mesh import Mesh
+from voxtool.morton import morton_decode
 from voxtool.opencl import Device
-from voxtool.svo.octree import Octree, morton_decode
+from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import plan_voxelize, voxelize
 
 MODES = ("surface26", "surface6", "solid")

@@ -20,9 +20,10 @@ from voxtool.bench.error import deviation
 from voxtool.files import write_svo
 from voxtool.grid import Grid
 from voxtool.mesh import load_mesh
+from voxtool.morton import morton_encode
 from voxtool.opencl import open_device
 from voxtool.svo.isosurface import extract
-from voxtool.svo.octree import BRICK_SIDE, Octree, morton_encode
+from voxtool.svo.octree import BRICK_SIDE, Octree
 from voxtool.svo.voxelize import voxelize
 
 if TYPE_CHECKING:

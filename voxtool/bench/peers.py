@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.svo.octree import BRICK_SIDE, Octree, morton_decode
+from voxtool.morton import morton_decode
+from voxtool.svo.octree import BRICK_SIDE, Octree
 
 if TYPE_CHECKING:
     from collections.abc import Callable

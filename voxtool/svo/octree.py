@@ -27,6 +27,7 @@ import numpy as np
 
 from voxtool.errors import FileError
 from voxtool.grid import FIXED_POINT_BITS, Grid
+from voxtool.morton import morton_decode, spread_bits
 from voxtool.opencl import program
 
 NODE = np.dtype([("parent", "<u4"), ("child", "<u4")])
@@ -43,47 +44,6 @@ program.generated["svo/octree.h"] = "\n".join(
         f"#define FIXED_POINT_BITS {FIXED_POINT_BITS}",
     ]
 )
-
-
-def spread_bits(values: np.ndarray) -> np.ndarray:
-    """(N,) whole numbers below 2**21 to uint64 with bit i moved to bit 3i (eq. 2.2)."""
-    v = np.asarray(values, np.uint64)
-    for shift, mask in (
-        (32, 0x1F00000000FFFF),
-        (16, 0x1F0000FF0000FF),
-        (8, 0x100F00F00F00F00F),
-        (4, 0x10C30C30C30C30C3),
-        (2, 0x1249249249249249),
-    ):
-        v = (v | (v << np.uint64(shift))) & np.uint64(mask)
-    return v
-
-
-def gather_bits(codes: np.ndarray) -> np.ndarray:
-    """(N,) Morton codes to the numbers whose bits lie at 3i: the inverse of spread_bits."""
-    v = np.asarray(codes, np.uint64) & np.uint64(0x1249249249249249)
-    for shift, mask in (
-        (2, 0x10C30C30C30C30C3),
-        (4, 0x100F00F00F00F00F),
-        (8, 0x1F0000FF0000FF),
-        (16, 0x1F00000000FFFF),
-        (32, 0x1FFFFF),
-    ):
-        v = (v | (v >> np.uint64(shift))) & np.uint64(mask)
-    return v
-
-
-def morton_encode(points: np.ndarray) -> np.ndarray:
-    """(N, 3) cells to (N,) uint64 Morton codes, x in the lowest bit (eq. 2.2)."""
-    x, y, z = (spread_bits(points[:, a]) << np.uint64(a) for a in range(3))
-    return x | y | z
-
-
-def morton_decode(codes: np.ndarray) -> np.ndarray:
-    """(N,) Morton codes to (N, 3) int64 cells."""
-    codes = np.asarray(codes, np.uint64)
-    return np.stack([gather_bits(codes >> np.uint64(a)) for a in range(3)], axis=1).astype(np.int64)
-
 
 BRICK_VOXELS = morton_decode(np.arange(BRICK_SIDE**3))  # (64, 3): the voxel of each bit
 

@@ -1,0 +1,349 @@
+"""The perfect spatial hash and the identifiers of cells, against sets of keys of every shape."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from voxtool.adf import hashing
+from voxtool.adf.hashing import (
+    MAX_LEVEL,
+    SpatialHash,
+    build_hash,
+    cell_identifier,
+    cell_of,
+    identifier_type,
+    key_of,
+)
+from voxtool.errors import MemoryLimitError, VoxtoolError
+
+
+def near_box(level: int, low: tuple[float, ...], high: tuple[float, ...]) -> list[np.ndarray]:
+    """The cells, a level each, that the surface of a box passes."""
+    levels = []
+    for number in range(level + 1):
+        cells = np.indices((1 << number,) * 3).reshape(3, -1).T
+        begin, end = cells * 0.5**number, (cells + 1) * 0.5**number
+        touched = ((begin <= high) & (end >= low)).all(1)
+        inside = ((begin > low) & (end < high)).all(1)
+        levels.append(cells[touched & ~inside])
+    return levels
+
+
+def near_sphere(level: int, radius: float) -> list[np.ndarray]:
+    """The cells, a level each, that a sphere passes."""
+    cells, levels = np.zeros((1, 3), np.int64), []
+    for number in range(level + 1):
+        low = cells * 0.5**number - np.array([0.5, 0.48, 0.51])
+        high = low + 0.5**number
+        near = np.maximum(np.maximum(low, -high), 0)
+        far = np.maximum(abs(low), abs(high))
+        passed = ((near**2).sum(1) <= radius**2) & ((far**2).sum(1) >= radius**2)
+        cells = cells[passed]
+        levels.append(cells)
+        cells = (2 * cells[:, None] + np.indices((2, 2, 2)).reshape(3, 8).T).reshape(-1, 3)
+    return levels
+
+
+def keys_of(levels: list[np.ndarray]) -> np.ndarray:
+    return np.concatenate([key_of(level, cells) for level, cells in enumerate(levels)])
+
+
+def block(nx: int, ny: int, nz: int, low: int = 1, step: int = 1) -> np.ndarray:
+    return low + step * np.indices((nx, ny, nz)).reshape(3, -1).T
+
+
+def slots_in_python(table: SpatialHash, keys: np.ndarray) -> list[int]:
+    """The slots, from the definition, one key at a time."""
+    slots = []
+    for key in keys.tolist():
+        i, j, k = (p % table.r for p in key)
+        offset = table.offsets[k, j, i].tolist()
+        w = offset[3] if len(offset) == 4 else table.m
+        x, y, z = ((p % w + t) % table.m for p, t in zip(key, offset[:3], strict=True))
+        slots.append(x + table.m * (y + table.m * z))
+    return slots
+
+
+def check(keys: np.ndarray) -> SpatialHash:
+    """Build a table and hold it against what is promised of all of them."""
+    table, n = build_hash(keys), len(keys)
+    assert table.m**3 >= n
+    assert table.m == 1 or (table.m - 1) ** 3 < n
+    channels = 4 if table.has_w else 3
+    assert table.offsets.shape == (table.r,) * 3 + (channels,)
+    assert table.offsets.dtype == (np.uint8 if table.m < 256 else np.uint16)
+    assert not table.has_w or (table.offsets[..., 3] != table.m).any()
+    assert table.nbytes == table.r**3 * channels * table.offsets.itemsize
+    assert table.bits_a_key(n) == 8 * table.nbytes / max(n, 1)
+    assert table.load(n) == n / table.m**3
+    slots = table.slots(keys)
+    assert slots.dtype == np.int64
+    assert len(np.unique(slots)) == n
+    assert ((slots >= 0) & (slots < table.m**3)).all()
+    few = keys[:500]
+    assert slots[:500].tolist() == slots_in_python(table, few)
+    return table
+
+
+def digest(table: SpatialHash) -> tuple[int, int, bytes]:
+    return table.m, table.r, table.offsets.tobytes()
+
+
+# --- sets of keys --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", range(1, 10))
+def test_cells_near_a_sphere(level: int) -> None:
+    keys = keys_of(near_sphere(level, 0.4 if level < 8 else 0.15))
+    table = check(keys)
+    if len(keys) > 10_000:
+        assert table.bits_a_key(len(keys)) < 8
+
+
+@pytest.mark.parametrize("level", [10, 12])
+def test_cells_of_deep_levels(level: int) -> None:
+    check(keys_of(near_sphere(level, 0.06 if level == 10 else 0.01)))
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "bits"),
+    [((0.1, 0.1, 0.3), (0.9, 0.9, 0.3), 10), ((0.21, 0.2, 0.3), (0.8, 0.7, 0.77), 20)],
+    ids=["floor", "box"],
+)
+def test_cells_in_planes(low: tuple[float, ...], high: tuple[float, ...], bits: int) -> None:
+    keys = keys_of(near_box(7, low, high))
+    assert check(keys).bits_a_key(len(keys)) < bits
+
+
+def test_the_load_is_over_95_percent_where_the_least_table_allows_it() -> None:
+    for n in (m**3 + 1 for m in (59, 60)):
+        keys = np.random.default_rng(n).permutation(block(128, 128, 128, 900))[:n]
+        assert check(keys).load(n) > 0.95
+
+
+@pytest.mark.parametrize("top", [4, 100, 8191, 2**21 - 1])
+@pytest.mark.parametrize("n", [7, 1000, 20_000])
+def test_random_keys(n: int, top: int) -> None:
+    keys = np.unique(np.random.default_rng(n).integers(1, top + 1, (n, 3)), axis=0)
+    check(keys)
+
+
+@given(st.sets(st.tuples(*[st.integers(1, 8191)] * 3), max_size=60))
+@settings(max_examples=200)
+def test_any_few_keys(keys: set[tuple[int, int, int]]) -> None:
+    check(np.array(sorted(keys), np.int64).reshape(-1, 3))
+
+
+@given(
+    st.tuples(*[st.integers(1, 12)] * 3),
+    st.integers(1, 300),
+    st.sampled_from([1, 2, 3, 7, 16, 30, 210, 256, 360]),
+)
+@settings(max_examples=200)
+def test_any_lattice_of_keys(shape: tuple[int, int, int], low: int, step: int) -> None:
+    check(block(*shape, low, step))
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        block(2000, 1, 1, 50),
+        block(1, 1, 900, 1024),
+        block(120, 120, 1, 512),
+        block(1, 90, 90, 333),
+        block(32, 32, 32, 17),
+        block(31, 32, 33, 1024),
+        block(20, 20, 20, 1, 400),
+        np.concatenate([block(*[1 << level] * 3, 1 << level) for level in range(6)]),
+    ],
+    ids=["line x", "line z", "plane", "plane x", "cube", "box", "lattice", "full octree"],
+)
+def test_full_shapes(keys: np.ndarray) -> None:
+    check(keys)
+
+
+def test_no_key_one_key_and_two_keys() -> None:
+    assert check(np.empty((0, 3), np.int32)).m == 1
+    assert check(np.array([[5, 6, 7]], np.int32)).m == 1
+    check(np.array([[5, 6, 7], [5, 6, 8]], np.int32))
+    check(np.array([[1, 1, 1], [2**21 - 1] * 3]))
+
+
+def test_keys_equal_mod_r_and_m_are_parted_by_w() -> None:
+    keys = block(10, 10, 5)
+    assert not check(keys).has_w
+    m, r = 8, hashing._first_r(len(keys))
+    assert r == 5
+    keys[-1] = (1 + r * m, 1, 1)  # where (1, 1, 1) is
+    buckets = hashing._fill_buckets(keys, r)
+    assert hashing._colliding(buckets.keys, buckets.numbers(), m).size == 1
+    table = check(keys)
+    assert (table.m, table.r, table.has_w) == (m, r, True)
+    used = np.unique(table.offsets[..., 3])
+    assert used.tolist() == [3, m]
+
+
+def test_keys_equal_mod_everything_ask_for_another_r() -> None:
+    step = 2 * 3 * 4 * 5 * 7 * 3  # by which no r up to 10 and no w tells keys apart
+    keys = block(10, 10, 10, 1, step // 3)
+    buckets = hashing._fill_buckets(keys, 3)
+    assert buckets.sizes.tolist() == [1000]
+    assert hashing._choose_w(buckets, 10) is None
+    assert check(keys).r > 3
+
+
+def test_w_is_the_first_coprime_that_parts_the_keys() -> None:
+    keys = np.array([[1, 1, 1], [1 + 3 * 10 * 7, 1, 1], [2, 2, 2]])
+    buckets = hashing._fill_buckets(keys, 3)
+    w = hashing._choose_w(buckets, 10)
+    assert w is None  # of 2 to 9 only 7 is coprime to 10 and 3, and it divides the difference
+    keys[1, 0] = 1 + 3 * 10
+    buckets = hashing._fill_buckets(keys, 3)
+    assert buckets.sizes.tolist() == [2, 1]
+    w = hashing._choose_w(buckets, 10)
+    assert w is not None
+    assert w.tolist() == [7, 10]
+
+
+@pytest.mark.parametrize(("m", "r", "dtype"), [(255, 4, np.uint8), (256, 3, np.uint16)])
+def test_offsets_have_16_bits_where_m_needs_them(
+    m: int, r: int, dtype: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hashing, "_table_side", lambda n: m if n > 100 else 3)
+    keys = block(5, 5, 5)
+    keys[-1] = (1 + r * m, 1, 1)  # so w is stored too, and it is m in most places
+    table = build_hash(keys)
+    table.validate(keys)
+    assert (table.m, table.r, table.offsets.max()) == (m, r, m)
+    assert table.has_w
+    assert table.offsets.dtype == dtype
+    assert table.slots(keys).tolist() == slots_in_python(table, keys)
+
+
+# --- what the table depends on -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [np.int32, np.int64, np.uint32])
+def test_the_same_set_of_keys_has_the_same_table(dtype: type) -> None:
+    keys = keys_of(near_sphere(7, 0.4))
+    expected = digest(build_hash(keys))
+    np.random.seed(7)  # noqa: NPY002  nobody's global state matters
+    assert digest(build_hash(keys)) == expected
+    shuffled = np.random.default_rng(3).permutation(keys).astype(dtype)
+    assert digest(build_hash(shuffled)) == expected
+
+
+def test_the_keys_are_left_alone() -> None:
+    keys = keys_of(near_sphere(3, 0.4))[::-1]
+    before = keys.copy()
+    build_hash(keys)
+    assert (keys == before).all()
+
+
+# --- refusals ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        (np.array([[1, 2, 3], [4, 5, 6], [1, 2, 3]]), r"key \(1, 2, 3\) is repeated"),
+        (np.array([[1, 2, 3], [4, 0, 6]]), r"key \(4, 0, 6\) is out of range"),
+        (np.array([[1, 2, -3]]), r"key \(1, 2, -3\) is out of range"),
+        (np.array([[1, 2, 2**21]]), r"key \(1, 2, 2097152\) is out of range.*2097151"),
+        (np.array([1, 2, 3]), "integers"),
+        (np.array([[1.0, 2.0, 3.0]]), "integers"),
+        (np.array([[1, 2]]), "integers"),
+    ],
+)
+def test_bad_keys_are_named(keys: np.ndarray, message: str) -> None:
+    with pytest.raises(VoxtoolError, match=message) as error:
+        build_hash(keys)
+    assert "\n" not in str(error.value)
+
+
+def test_no_table_within_bounds_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hashing, "_search", lambda *_: None)
+    with pytest.raises(MemoryLimitError, match="no perfect hash of 41 keys") as error:
+        build_hash(keys_of(near_sphere(2, 0.3)))
+    assert "\n" not in str(error.value)
+
+
+def test_a_broken_table_is_found() -> None:
+    keys = block(12, 12, 12, 100)  # the table is full: no key can move to a free slot
+    table = build_hash(keys)
+    table.validate(keys)
+    x, y, z = keys[777] % table.r
+    offsets = table.offsets.copy()
+    offsets[z, y, x, 0] = (offsets[z, y, x, 0] + 1) % table.m
+    with pytest.raises(VoxtoolError, match=r"keys \(.*\) and \(.*\) have the same slot"):
+        replace(table, offsets=offsets).validate(keys)
+
+
+def test_a_table_of_the_wrong_kind_is_found() -> None:
+    keys = keys_of(near_sphere(4, 0.4))
+    table = build_hash(keys)
+    with pytest.raises(VoxtoolError, match="shape"):
+        replace(table, r=table.r + 1).validate(keys)
+    with pytest.raises(VoxtoolError, match="type"):
+        replace(table, offsets=table.offsets.astype(np.uint16)).validate(keys)
+    offsets = table.offsets.copy()
+    offsets[0, 0, 0, 0] = table.m
+    with pytest.raises(VoxtoolError, match="out of range"):
+        replace(table, offsets=offsets).validate(keys)
+    zero = np.zeros((table.r,) * 3 + (4,), np.uint8)
+    with pytest.raises(VoxtoolError, match="out of range"):
+        replace(table, offsets=zero).validate(keys)
+
+
+# --- identifiers ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", range(MAX_LEVEL + 1))
+def test_identifiers_go_there_and_back(level: int) -> None:
+    cells = np.random.default_rng(level).integers(0, 1 << level, (100, 3))
+    cells[0], cells[1] = 0, (1 << level) - 1
+    identifiers = cell_identifier(level, cells)
+    assert identifiers.dtype == identifier_type(level)
+    assert identifiers.dtype == (np.uint32 if level <= 10 else np.uint64)
+    assert all(int(i).bit_length() == 3 * level + 1 for i in identifiers)
+    levels, back = cell_of(identifiers)
+    assert (levels == level).all()
+    assert (back == cells).all()
+    keys = key_of(level, cells)
+    assert (keys == cells + 2**level).all()
+    assert (key_of(levels, back) == keys).all()
+
+
+def test_an_identifier_is_a_morton_code_with_a_leading_one() -> None:
+    assert cell_identifier(0, np.array([[0, 0, 0]])).tolist() == [1]
+    assert cell_identifier(1, np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1]])).tolist() == [9, 10, 12]
+    assert cell_identifier(2, np.array([[2, 0, 3]])).tolist() == [0b1_101_100]
+
+
+@pytest.mark.parametrize(
+    ("level", "cell"), [(-1, 0), (MAX_LEVEL + 1, 0), (3, 8), (3, -1), (0, 1), (10, 1024)]
+)
+def test_cells_that_do_not_exist_have_no_identifier(level: int, cell: int) -> None:
+    with pytest.raises(VoxtoolError, match="level"):
+        cell_identifier(level, np.array([[0, 0, cell]]))
+
+
+def test_absent_cells_are_recognised_on_every_level() -> None:
+    levels = near_sphere(6, 0.3)
+    table = build_hash(keys_of(levels))
+    stored = np.zeros(table.m**3, np.uint32)  # no cell has identifier 0
+    for level, cells in enumerate(levels):
+        stored[table.slots(key_of(level, cells))] = cell_identifier(level, cells)
+    for level, cells in enumerate(levels):
+        every = np.indices((1 << level,) * 3).reshape(3, -1).T
+        found = stored[table.slots(key_of(level, every))] == cell_identifier(level, every)
+        assert {tuple(c) for c in every[found].tolist()} == {tuple(c) for c in cells.tolist()}
+    for level in (7, 8, 10):  # of which there is none
+        cells = np.random.default_rng(level).integers(0, 1 << level, (5000, 3))
+        found = stored[table.slots(key_of(level, cells))] == cell_identifier(level, cells)
+        assert not found.any()
