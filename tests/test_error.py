@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from conftest import opened, usable_devices
 
-from voxtool.bench import error
 from voxtool.bench.error import deviation
 from voxtool.errors import MeshError, VoxtoolError
 from voxtool.mesh import Mesh
 from voxtool.opencl import Device
+from voxtool.proximity import spread
 
 WAYS = ("surface_to_reference", "reference_to_surface")
 
@@ -102,7 +102,7 @@ def test_one_way_is_not_the_other(device: Device) -> None:
 
 
 def sample(mesh: Mesh, count: int) -> np.ndarray:
-    return np.concatenate(list(error._Spread(mesh, "surface").samples(count)))
+    return np.concatenate(list(spread.Spread(mesh, "surface").samples(count)))
 
 
 def test_faces_have_their_share_to_within_one() -> None:
@@ -134,7 +134,7 @@ def test_samples_are_even_within_a_face() -> None:
 def test_blocks_change_nothing(device: Device, monkeypatch) -> None:
     meshes_ = mesh_of(*meshes.torus()), mesh_of(*meshes.torus(minor=1.1))
     expected = deviation(*meshes_, 5000, 0.1, device)
-    monkeypatch.setattr(error, "BLOCK", 777)
+    monkeypatch.setattr(spread, "BLOCK", 777)
     assert deviation(*meshes_, 5000, 0.1, device) == expected
 
 

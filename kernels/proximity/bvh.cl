@@ -55,9 +55,12 @@ uint longest_edge(double3 a, double3 b, double3 c)
     return bc > ab && bc >= ca ? 1 : ca > ab ? 2 : 0;
 }
 
+#define TINY 0x1p-900
+
 // Leaf i holds faces LEAF i, LEAF i + 1, ... along the curve; the last face fills up the last leaf. A
 // triangle is its corner a, its longest edge e from there, the height g that stands on e, and where
-// on e its foot is: c = a + foot e + g. A squared length of 0 is kept as 1, for nothing divides by 0.
+// on e its foot is: c = a + foot e + g; as in triangle.h. A squared length whose inverse may overflow is
+// kept as 1: the way to its nearer end is as long.
 __kernel void frame_triangles(__global const double *vertices, __global const int *faces,
                               const uint n, __global const uint *order, __global double *leaves)
 {
@@ -86,9 +89,13 @@ __kernel void frame_triangles(__global const double *vertices, __global const in
         g -= more * e;
     }
     foot = foot < 0 ? 0 : foot > 1 ? 1 : foot;
-    const double gg = square(g);
-    const double fields[FIELDS] = {a.x, a.y, a.z, e.x,  e.y,             e.z,
-                                   g.x, g.y, g.z, foot, ee > 0 ? ee : 1, gg > 0 ? gg : 1};
+    const double gg = square(g), rest = 1 - foot;
+    const double edge = ee > TINY ? ee : 1, height = gg > TINY ? gg : 1;
+    const double fields[FIELDS] = {a.x,      a.y,        a.z,
+                                   e.x,      e.y,        e.z,
+                                   g.x,      g.y,        g.z,
+                                   foot,     edge,       1 / edge,
+                                   1 / height, 1 / (foot * foot * edge + height), 1 / (rest * rest * edge + height)};
     __global double *leaf = leaves + (size_t)(gid / LEAF) * (FIELDS * LEAF) + gid % LEAF;
     for (uint i = 0; i < FIELDS; ++i)
         leaf[i * LEAF] = fields[i];

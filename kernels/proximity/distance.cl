@@ -7,6 +7,10 @@
 
 #pragma OPENCL FP_CONTRACT OFF
 
+#define LANES double4 // one lane a triangle of a leaf: LEAF
+#define MASKS long4
+#include "proximity/triangle.h"
+
 #define JOIN_(a, b) a##b
 #define JOIN(a, b) JOIN_(a, b)
 #define BOXES JOIN(BOX, 8) // one lane a child: ARITY
@@ -28,55 +32,14 @@ __kernel void point_codes(__global const double *points, const uint n, __global 
     order[gid] = gid;
 }
 
-double4 clamped(double4 t)
+// The triangles of a leaf, one a lane.
+triangle leaf_triangles(__global const double *leaf)
 {
-    t = t > 0.0 ? t : 0.0;
-    return t < 1.0 ? t : 1.0;
-}
-
-// What of a triangle a point is nearest to; as in leaf_ways, ab is its longest edge.
-enum { FACE, AB, BC, CA, A, B, C };
-
-// The ways from the nearest points of a leaf's triangles, and on what these are; returns the squares
-// of their lengths.
-//
-// In the triangle's plane, with e and g as axes, a is (0, 0), b is (1, 0) and c is (foot, 1). As e is
-// the longest edge, the angles at a and b are acute. So a point below ab is nearest to ab; one beyond
-// ac to ac, or past c to bc; one beyond bc to bc. Slivers are safe: what is measured is always the
-// way to a point of the triangle, and an error of the foot point across a thin triangle is less than
-// its height.
-double4 leaf_ways(__global const double *leaf, double3 p, double4 *wx, double4 *wy, double4 *wz,
-                  long4 *feature)
-{
-    const double4 px = p.x - vload4(0, leaf);
-    const double4 py = p.y - vload4(1, leaf);
-    const double4 pz = p.z - vload4(2, leaf);
-    const double4 ex = vload4(3, leaf), ey = vload4(4, leaf), ez = vload4(5, leaf);
-    const double4 gx = vload4(6, leaf), gy = vload4(7, leaf), gz = vload4(8, leaf);
-    const double4 foot = vload4(9, leaf), rest = 1.0 - foot;
-    const double4 ee = vload4(10, leaf), gg = vload4(11, leaf);
-    const double4 pe = px * ex + py * ey + pz * ez;
-    const double4 pg = px * gx + py * gy + pz * gz;
-    const double4 x = pe / ee, y = pg / gg;
-    const double4 ac = (foot * pe + pg) / (foot * foot * ee + gg);
-    const double4 bc = clamped((rest * (ee - pe) + pg) / (rest * rest * ee + gg));
-    const long4 below = pg <= 0.0;
-    const long4 left = x < foot * y, right = x > 1.0 - rest * y;
-    const long4 beyond = left | right, on_ac = left & (ac < 1.0);
-    double4 u = beyond ? 1.0 - bc * rest : x;
-    double4 v = beyond ? bc : y;
-    u = on_ac ? clamped(ac) * foot : u;
-    v = on_ac ? clamped(ac) : v;
-    u = below ? clamped(x) : u;
-    v = below ? 0.0 : v;
-    const long4 on_ab = x > 0.0 ? (x < 1.0 ? (long4)AB : (long4)B) : (long4)A;
-    const long4 on_bc = bc > 0.0 ? (bc < 1.0 ? (long4)BC : (long4)C) : (long4)B;
-    const long4 on_ca = ac > 0.0 ? (long4)CA : (long4)A;
-    *feature = below ? on_ab : on_ac ? on_ca : beyond ? on_bc : (long4)FACE;
-    const double4 dx = *wx = px - u * ex - v * gx;
-    const double4 dy = *wy = py - u * ey - v * gy;
-    const double4 dz = *wz = pz - u * ez - v * gz;
-    return dx * dx + dy * dy + dz * dz;
+    const triangle t = {vload4(0, leaf),  vload4(1, leaf),  vload4(2, leaf),  vload4(3, leaf),
+                        vload4(4, leaf),  vload4(5, leaf),  vload4(6, leaf),  vload4(7, leaf),
+                        vload4(8, leaf),  vload4(9, leaf),  vload4(10, leaf), vload4(11, leaf),
+                        vload4(12, leaf), vload4(13, leaf), vload4(14, leaf)};
+    return t;
 }
 
 double lesser(double4 x)
@@ -106,20 +69,18 @@ bool nearest_named(double4 dd, uint4 names, double *least, uint *name)
 bool leads_inside(__global const double *leaf, __global const uint *names, uint name, double3 p,
                   __global const uint *features, __global const double *normals)
 {
-    double4 wx, wy, wz;
+    const triangle t = leaf_triangles(leaf);
+    ways way;
     long4 feature;
-    leaf_ways(leaf, p, &wx, &wy, &wz, &feature);
-    const double x[LEAF] = {wx.x, wx.y, wx.z, wx.w}, y[LEAF] = {wy.x, wy.y, wy.z, wy.w};
-    const double z[LEAF] = {wz.x, wz.y, wz.z, wz.w};
+    triangle_ways(&t, p.x, p.y, p.z, &way, &feature);
+    const double x[LEAF] = {way.x.x, way.x.y, way.x.z, way.x.w};
+    const double y[LEAF] = {way.y.x, way.y.y, way.y.z, way.y.w};
+    const double z[LEAF] = {way.z.x, way.z.y, way.z.z, way.z.w};
     const long of[LEAF] = {feature.x, feature.y, feature.z, feature.w};
     uint i = 0;
     while (i < LEAF - 1 && names[i] != name)
         ++i;
-    const uint turn = name % 3, which = (uint)of[i];
-    const uint turned = which == FACE ? FACE
-                        : which < A   ? AB + (which - AB + turn) % 3
-                                      : A + (which - A + turn) % 3;
-    const double3 normal = vload3(features[7 * (size_t)(name / 3) + turned], normals);
+    const double3 normal = normal_of(name, (uint)of[i], features, normals);
     return x[i] * normal.x + y[i] * normal.y + z[i] * normal.z < 0;
 }
 
@@ -168,9 +129,10 @@ __kernel void nearest_triangles(__global const double *points, __global const ui
             continue;
         if (id >= first_leaf) {
             const size_t leaf = id - first_leaf;
-            double4 wx, wy, wz;
+            const triangle t = leaf_triangles(leaves + leaf * (FIELDS * LEAF));
+            ways way;
             long4 feature;
-            const double4 dd = leaf_ways(leaves + leaf * (FIELDS * LEAF), p, &wx, &wy, &wz, &feature);
+            const double4 dd = triangle_ways(&t, p.x, p.y, p.z, &way, &feature);
             const double near = lesser(dd);
             const bool nearer = near < least;
             least = nearer ? near : least;

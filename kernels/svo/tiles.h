@@ -2,7 +2,7 @@
 // Present tiles have a slot; any other is inside or empty as a whole. A cell is the Morton code of a
 // sample, and of the cube of eight samples of which it is the lowest: that of its tile, then 6 bits.
 
-#include "svo/spread.h"
+#include "spread.h"
 
 #define ALL 0xFFFFFFFFFFFFFFFFul
 #define AXIS 0x1249249249249249ul // the bits of x in a Morton code

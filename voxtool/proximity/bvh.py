@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 SOURCE = "proximity/bvh.cl"
 ARITY = 8  # children of a node, and
 LEAF = 4  # triangles of a leaf; the kernels' vector types are of these widths
-FIELDS = 12  # numbers of a triangle: a, e, g (three each), foot, e.e, g.g
+FIELDS = 15  # numbers of a triangle, as in kernels/proximity/triangle.h
 MAX_LEVELS = 10  # of nodes: ARITY**10 * LEAF is more than there are int32
 FACE_BITS = 21  # of the curve along an axis, for triangles
 POINT_BITS = 10  # and for points

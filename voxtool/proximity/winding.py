@@ -101,6 +101,16 @@ class WindingNumber:
         with self.device.stage("winding number"):
             return at_points(self.device, self.tree, points, self._wind)
 
+    def at_local(self, points: Array, n: int) -> Array:
+        """The numbers of n points on the device, (n, 3) float64 in the frame of the tree: (n,)
+        float64; as the call, for points that are near each other where they follow each other."""
+        order, found = (self.device.put(np.arange(n, dtype=np.uint32)),
+                        self.device.empty(n, np.float64))  # fmt: skip
+        with self.device.stage("winding number"):
+            self._wind(n, points, order, "double", found)
+        order.release()
+        return found
+
     def _wind(self, n: int, points: Array, order: Array, _box: str, found: Array) -> None:
         self.device.kernel(SOURCE, "wind")(
             n,

@@ -1,0 +1,712 @@
+// From triangles to the blocks of a distance field. Host side: voxtool/adf/build.py. Options: SIGNED,
+// negative inside; WINDING, inside by the winding number (voxtool/proximity/sides.py), or else by
+// pseudo-normals; CLOSED, the mesh is, or else JUMPS, signs may change away from the surface; FLAT, some
+// triangles have no side.
+//
+// Lengths are in the mesh's own frame (voxtool/proximity/bvh.py), in which the cube is [-extent, extent]^3.
+// A cell has a list of triangles, among which are the nearest ones to every point of the cell.
+
+#include "adf/build.h"
+#include "proximity/bvh.h"
+#include "proximity/names.h"
+#include "spread.h"
+
+#pragma OPENCL FP_CONTRACT OFF
+
+#define LANES double8 // one lane a point
+#define MASKS long8
+#include "proximity/triangle.h"
+
+#define SLACK 0x1p-44 // of a length in the frame: more than rounding takes from it
+
+// The cell of an identifier: a Morton code after a leading one.
+uint3 cell_of(ulong identifier, uint level)
+{
+    const ulong code = identifier ^ 1ul << 3 * level;
+    return (uint3)(gather_bits(code), gather_bits(code >> 1), gather_bits(code >> 2));
+}
+
+uint3 octant(uint child)
+{
+    return (uint3)(child & 1, child >> 1 & 1, child >> 2);
+}
+
+// A coordinate of the lattice of 2^level edges a side.
+double8 lattice(double8 vertex, uint level, double extent)
+{
+    return extent * (vertex * (2.0 / (1ul << level)) - 1.0);
+}
+
+// Eight points of a lattice: POINTS from i on of a table of offsets from a vertex.
+ways lattice_points(uint3 vertex, __constant const double *offsets, uint i, uint level, double extent)
+{
+    ways at;
+    at.x = lattice(vertex.x + vload8(i, offsets), level, extent);
+    at.y = lattice(vertex.y + vload8(i, offsets + POINTS), level, extent);
+    at.z = lattice(vertex.z + vload8(i, offsets + 2 * POINTS), level, extent);
+    return at;
+}
+
+double highest(double8 a)
+{
+    const double4 b = a.lo > a.hi ? a.lo : a.hi;
+    const double2 c = b.lo > b.hi ? b.lo : b.hi;
+    return c.x > c.y ? c.x : c.y;
+}
+
+double lowest(double8 a)
+{
+    return -highest(-a);
+}
+
+double8 absolute(double8 a)
+{
+    return a < 0.0 ? -a : a;
+}
+
+triangle triangle_of(__global const double *leaves, uint item)
+{
+    return one_triangle(leaves + (size_t)(item / LEAF) * (FIELDS * LEAF), item % LEAF);
+}
+
+// Of up to eight points in each of VECTORS: the squared distance to the nearest triangle, and where in
+// the list it stands; of those that have a side, if some are FLAT.
+typedef struct {
+    double8 square[VECTORS];
+    double8 sided[VECTORS];
+    long8 which[VECTORS];
+} nearest;
+
+// Take the triangle at `place` of the list into account.
+void look_at(const triangle *t, bool sided, uint place, const ways *points, uint vectors, nearest *found)
+{
+    for (uint k = 0; k < vectors; ++k) {
+        ways way;
+        MASKS feature;
+        const double8 dd = triangle_ways(t, points[k].x, points[k].y, points[k].z, &way, &feature);
+#ifdef FLAT
+        found->square[k] = dd < found->square[k] ? dd : found->square[k];
+        const long8 nearer = dd < (sided ? found->sided[k] : 0.0);
+        found->sided[k] = nearer ? dd : found->sided[k];
+#else
+        const long8 nearer = dd < found->square[k];
+        found->square[k] = nearer ? dd : found->square[k];
+#endif
+        found->which[k] = nearer ? (long8)place : found->which[k];
+    }
+}
+
+#ifdef SIGNED
+#ifdef WINDING
+#define FRONT __global const double *front,
+#define front_arguments front,
+#define in_front(face) front[face]
+#else
+#define FRONT
+#define front_arguments
+#define in_front(face) 0.0
+#endif
+#define SIDES                                                                                          \
+    __global const uint *names, __global const uint *features, __global const double *normals, FRONT
+#define side_arguments names, features, normals, front_arguments
+#define has_side(item) (names[item] != NAMELESS)
+
+// The winding number on the side of a face on which a point is, at the middle of the face; NAN where it
+// is not known. The face is that of the item at `place` of the list.
+double number_beside(SIDES __global const double *leaves, __global const uint *items, long place,
+                     double x, double y, double z)
+{
+    if (place == NOWHERE)
+        return NAN;
+    const uint item = items[place];
+    const triangle t = triangle_of(leaves, item);
+    ways way;
+    MASKS feature;
+    triangle_ways(&t, x, y, z, &way, &feature);
+    const double3 n = normal_of(names[item], (uint)feature.s0, features, normals);
+    const bool behind = way.x.s0 * n.x + way.y.s0 * n.y + way.z.s0 * n.z < 0;
+    return in_front(names[item] / 3) + (behind ? 1.0 : 0.0);
+}
+
+#ifdef WINDING
+// How far the winding number may change on the way from a point to the middle of a face `reach` away at
+// most; see voxtool/proximity/sides.py.
+double sway(double x, double y, double z, double reach, __global const double *spheres, uint count)
+{
+    double sum = NUMBER_ERROR;
+    for (uint i = 0; i < count; ++i) {
+        __global const double *sphere = spheres + 5 * i;
+        const double dx = x - sphere[0], dy = y - sphere[1], dz = z - sphere[2];
+        const double gap = sqrt(dx * dx + dy * dy + dz * dz) - sphere[3] - reach;
+        if (!(gap > 0))
+            return INFINITY;
+        sum += sphere[4] * reach / (FOUR_PI * gap * gap);
+    }
+    return sum;
+}
+#endif
+#else
+#define SIDES
+#define side_arguments
+#define has_side(item) true
+#endif
+
+// ---- the blocks of the cells that are refined
+
+// values[27 b + i] = the distance at vertex i of block b, of the cell identifiers[b]. masks[j] says for
+// item j of its list which of the cell's children need it: bit k is child k. counts[8 b + k] = how many
+// child k needs.
+//
+// The distance to a triangle is convex, and so is nowhere below its tangent. Inside a cell it is nowhere
+// above the trilinear interpolation of what it is at the corners. So a triangle is nowhere nearest in a
+// child where its tangent from the child's middle is, at all corners, above the distance to some other
+// one: to the nearest of the middle of any child, here.
+//
+// states[b] says on which side of the mesh the whole block is, if it is known: where its parent's is, and
+// where triangles do not pass. Bit i of doubts[b] says that the sign of vertex i is not known, and that
+// of asked[b] that its winding number is to be computed: at first, where no triangles pass, the middle's.
+__kernel void sample_blocks(const uint n, __global const ulong *identifiers, const uint level,
+                            const double extent, __global const double *leaves,
+                            __global const uint *begins, __global const uint *items,
+#ifdef SIGNED
+                            SIDES __global const uint *sources, __global const uchar *above,
+                            __global uchar *states,
+#ifdef WINDING
+                            __global const double *spheres, const uint sphere_count,
+                            __global uint *doubts, __global uint *asked,
+#endif
+#endif
+                            __global double *values, __global uchar *masks, __global uint *counts)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint begin = begins[gid], end = begins[gid + 1];
+    const uint3 cell = cell_of(identifiers[gid], level);
+    ways points[VECTORS];
+    nearest found;
+    for (uint k = 0; k < VECTORS; ++k) {
+        points[k] = k < POINTS / 8 ? lattice_points(2 * cell, VERTICES, k, level + 1, extent)
+                                   : lattice_points(4 * cell, MIDDLES, 0, level + 2, extent);
+        found.square[k] = INFINITY;
+        found.sided[k] = INFINITY;
+        found.which[k] = NOWHERE;
+    }
+    for (uint j = begin; j < end; ++j) {
+        const triangle t = triangle_of(leaves, items[j]);
+        look_at(&t, has_side(items[j]), j, points, VECTORS, &found);
+    }
+    const double edge = extent / (1ul << level) * 2, radius = edge * HALF_DIAGONAL;
+    double distances[POINTS];
+    for (uint k = 0; k < POINTS / 8; ++k)
+        vstore8(sqrt(found.square[k]), k, distances);
+#ifdef SIGNED
+    double x[POINTS], y[POINTS], z[POINTS];
+    long which[POINTS];
+    for (uint k = 0; k < POINTS / 8; ++k) {
+        vstore8(points[k].x, k, x);
+        vstore8(points[k].y, k, y);
+        vstore8(points[k].z, k, z);
+        vstore8(found.which[k], k, which);
+    }
+    uchar state = above[sources[gid] / 8];
+    double leeway = 0;
+#ifdef WINDING
+    if (state == UNKNOWN) {
+        double longest = 0;
+        for (uint j = begin; j < end; ++j) {
+            const double ee = triangle_of(leaves, items[j]).ee.s0;
+            longest = ee > longest ? ee : longest;
+        }
+        leeway = sway(x[MIDDLE], y[MIDDLE], z[MIDDLE], distances[MIDDLE] + 3 * radius + sqrt(longest),
+                      spheres, sphere_count);
+    }
+#endif
+    const bool apart = distances[MIDDLE] > radius;
+    if (state == UNKNOWN && apart) {
+        const double number = number_beside(side_arguments leaves, items, which[MIDDLE], x[MIDDLE],
+                                            y[MIDDLE], z[MIDDLE]);
+        if (fabs(number - 0.5) > leeway)
+            state = number > 0.5 ? INSIDE : OUTSIDE;
+    }
+    uint doubtful = 0;
+    for (uint i = 0; i < 27; ++i) {
+        bool inside = state == INSIDE;
+        if (state == UNKNOWN) {
+            const double number =
+                apart ? NAN : number_beside(side_arguments leaves, items, which[i], x[i], y[i], z[i]);
+            inside = number > 0.5;
+            doubtful |= (fabs(number - 0.5) > leeway ? 0u : 1u) << i;
+        }
+        if (inside && distances[i] > 0)
+            distances[i] = -distances[i];
+    }
+    states[gid] = state;
+#ifdef WINDING
+    doubts[gid] = doubtful;
+    asked[gid] = apart && doubtful ? 1u << MIDDLE : doubtful;
+#endif
+#endif
+    for (uint i = 0; i < 27; ++i)
+        values[27 * (size_t)gid + i] = distances[i];
+
+    // the nearest of the middles, each once, and the distances to them at the children's corners
+    long middles[8];
+    vstore8(found.which[POINTS / 8], 0, middles);
+    double8 others[8][8];
+    uint others_count = 0;
+    for (uint k = 0; k < 8; ++k) {
+        bool known = middles[k] == NOWHERE;
+        for (uint other = 0; other < k; ++other)
+            known |= middles[other] == middles[k];
+        if (known)
+            continue;
+        const triangle t = triangle_of(leaves, items[middles[k]]);
+        double to_vertices[POINTS];
+        for (uint v = 0; v < POINTS / 8; ++v) {
+            ways way;
+            MASKS feature;
+            vstore8(sqrt(triangle_ways(&t, points[v].x, points[v].y, points[v].z, &way, &feature)), v,
+                    to_vertices);
+        }
+        for (uint child = 0; child < 8; ++child) {
+            double corners[8];
+            for (uint i = 0; i < 8; ++i)
+                corners[i] = to_vertices[CORNERS[8 * child + i]];
+            others[others_count][child] = vload8(0, corners);
+        }
+        ++others_count;
+    }
+    const double quarter = edge * 0.25;
+    const double8 sx = quarter * vload8(0, SIGNS), sy = quarter * vload8(1, SIGNS),
+                  sz = quarter * vload8(2, SIGNS);
+    uint needed[8] = {0, 0, 0, 0, 0, 0, 0, 0};
+    for (uint j = begin; j < end; ++j) {
+        const triangle t = triangle_of(leaves, items[j]);
+        ways way;
+        MASKS feature;
+        const ways *middle = &points[POINTS / 8];
+        double squares[8], lengths[8], wx[8], wy[8], wz[8];
+        const double8 dd = triangle_ways(&t, middle->x, middle->y, middle->z, &way, &feature);
+        vstore8(dd, 0, squares);
+        vstore8(sqrt(dd), 0, lengths);
+        vstore8(way.x, 0, wx);
+        vstore8(way.y, 0, wy);
+        vstore8(way.z, 0, wz);
+        uint mask = 0;
+        for (uint child = 0; child < 8; ++child) {
+            // the tangent, times the distance of the middle
+            const double8 tangent =
+                squares[child] + wx[child] * sx + wy[child] * sy + wz[child] * sz - SLACK * edge;
+            bool needs = true;
+            for (uint other = 0; other < others_count && needs; ++other)
+                needs = any(tangent <= (others[other][child] + SLACK) * lengths[child]);
+            mask |= needs << child;
+            needed[child] += needs;
+        }
+        masks[j] = (uchar)mask;
+    }
+    for (uint child = 0; child < 8; ++child)
+        counts[8 * (size_t)gid + child] = needed[child];
+}
+
+#ifdef WINDING
+// counts[b] = of how many vertices of block b the number is asked.
+__kernel void count_asked(const uint n, __global const uint *asked, __global uint *counts)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n)
+        counts[gid] = popcount(asked[gid]);
+}
+
+double3 vertex_point(ulong identifier, uint level, double extent, uint i)
+{
+    const uint3 cell = cell_of(identifier, level);
+    const double8 vertex =
+        (double8)(2 * cell.x + i % 3, 2 * cell.y + i / 3 % 3, 2 * cell.z + i / 9, 0, 0, 0, 0, 0);
+    return lattice(vertex, level + 1, extent).s012;
+}
+
+// Their points.
+__kernel void list_asked(const uint n, __global const ulong *identifiers, const uint level,
+                         const double extent, __global const uint *asked,
+                         __global const uint *begins, __global double *points)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    uint at = begins[gid];
+    for (uint i = 0; i < 27; ++i)
+        if (asked[gid] >> i & 1)
+            vstore3(vertex_point(identifiers[gid], level, extent, i), at++, points);
+}
+
+double with_sign(double value, bool inside)
+{
+    const double distance = value < 0 ? -value : value;
+    return inside && distance > 0 ? -distance : distance;
+}
+
+// Their signs, from the numbers there. The number of the middle of a block that no triangle passes tells
+// the side of all of it, if it can change no more than that; or else all vertices are asked.
+__kernel void settle_signs(const uint n, __global const ulong *identifiers, const uint level,
+                           const double extent, __global const double *spheres,
+                           const uint sphere_count, __global const uint *begins,
+                           __global const double *numbers, __global uint *doubts,
+                           __global uint *asked, __global uchar *states, __global double *values)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n || asked[gid] == 0)
+        return;
+    __global double *own = values + 27 * (size_t)gid;
+    if (asked[gid] == 1u << MIDDLE && doubts[gid] != 1u << MIDDLE) {
+        const double3 p = vertex_point(identifiers[gid], level, extent, MIDDLE);
+        const double number = numbers[begins[gid]], radius = extent / (1ul << level) * 2 * HALF_DIAGONAL;
+        const bool sure =
+            fabs(number - 0.5) > sway(p.x, p.y, p.z, radius, spheres, sphere_count);
+        asked[gid] = sure ? 0 : doubts[gid];
+        if (!sure)
+            return;
+        states[gid] = number > 0.5 ? INSIDE : OUTSIDE;
+        doubts[gid] = 0;
+        for (uint i = 0; i < 27; ++i)
+            own[i] = with_sign(own[i], number > 0.5);
+        return;
+    }
+    uint at = begins[gid];
+    for (uint i = 0; i < 27; ++i)
+        if (asked[gid] >> i & 1)
+            own[i] = with_sign(own[i], numbers[at++] > 0.5);
+    asked[gid] = 0;
+}
+#endif
+
+// ---- continuity
+
+// neighbours[27 b + i] = which of the blocks of this level is that of the cell beside cell b, or COARSE
+// where that cell is a leaf or within one, BEYOND where it is out of the cube. Cell b is child
+// sources[b] of the level above, whose refined children are numbered by `ranks`.
+__kernel void find_neighbours(const uint n, __global const uint *sources, __global const uint *ranks,
+                              __global const uint *above, __global uint *neighbours,
+                              __global uint *unbalanced)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint parent = sources[gid] / 8;
+    const int3 own = convert_int3(octant(sources[gid] % 8));
+    for (int i = 0; i < 27; ++i) {
+        const int3 at = own + (int3)(i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1);
+        const int3 up = at >> 1, bits = at & 1;
+        const uint of = above[27 * (size_t)parent + (up.x + 1) + 3 * (up.y + 1) + 9 * (up.z + 1)];
+        uint found = of;
+        if (of < COARSE) {
+            const size_t child = 8 * (size_t)of + bits.x + 2 * bits.y + 4 * bits.z;
+            found = ranks[child] < ranks[child + 1] ? ranks[child] : COARSE;
+        } else if (of == COARSE) {
+            *unbalanced = 1;
+        }
+        neighbours[27 * (size_t)gid + i] = found;
+    }
+}
+
+// Vertices of a block that lie on a coarser leaf get what is interpolated there, which is the mean of
+// the ends of the edge, or the corners of the face, that they are the middle of: these are on the same
+// leaf, and have been constrained before. Corners are those of the parent's block.
+__kernel void constrain_blocks(const uint n, __global const uint *sources,
+                               __global const uint *neighbours, __global const double *above,
+                               __global double *values)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    __global double *own = values + 27 * (size_t)gid;
+    __global const double *parent = above + 27 * (size_t)(sources[gid] / 8);
+    const uint3 low = octant(sources[gid] % 8);
+    for (uint corner = 0; corner < 8; ++corner) {
+        const uint3 o = octant(corner), at = low + o;
+        own[2 * o.x + 6 * o.y + 18 * o.z] = parent[at.x + 3 * at.y + 9 * at.z];
+    }
+    for (int i = 0; i < 27; ++i) {
+        const int3 side = (int3)(i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1);
+        const int middles = (side.x == 0) + (side.y == 0) + (side.z == 0);
+        if (middles == 0 || middles == 3)
+            continue;
+        bool hangs = false; // one of the cells that share the edge or face
+        for (int j = 1; j < 8; ++j) {
+            const int3 beside = side * (int3)(j & 1, j >> 1 & 1, j >> 2);
+            const int cell = 13 + beside.x + 3 * beside.y + 9 * beside.z;
+            hangs |= cell != 13 && neighbours[27 * (size_t)gid + cell] == COARSE;
+        }
+        if (!hangs)
+            continue;
+        double sum = 0;
+        for (int j = 0; j < 1 << middles; ++j) {
+            int3 at = side;
+            int bit = j;
+            if (side.x == 0)
+                at.x = 2 * (bit & 1) - 1, bit >>= 1;
+            if (side.y == 0)
+                at.y = 2 * (bit & 1) - 1, bit >>= 1;
+            if (side.z == 0)
+                at.z = 2 * (bit & 1) - 1;
+            sum += own[13 + at.x + 3 * at.y + 9 * at.z];
+        }
+        own[i] = sum / (1 << middles);
+    }
+}
+
+// voxels = values, in sides of the cube.
+__kernel void store_voxels(const uint n, __global const double *values, const double extent,
+                           __global float *voxels)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n)
+        voxels[gid] = (float)(values[gid] / (2 * extent));
+}
+
+// ---- the children: leaves, or not
+
+// The code of a bound in sides: the least whose value is not below it.
+uchar code_of(double bound, __global const double *bounds)
+{
+    uint low = 1, high = JUMP;
+    while (low < high) {
+        const uint middle = (low + high) / 2;
+        if (bounds[middle] >= bound)
+            high = middle;
+        else
+            low = middle + 1;
+    }
+    return (uchar)low;
+}
+
+// Whether distances at the corners of a cell differ by more than they can where all are right.
+bool jumps(const double *corners, double edge)
+{
+    for (uint i = 0; i < 8; ++i)
+        for (uint j = i + 1; j < 8; ++j) {
+            const double apart = corners[i] - corners[j];
+            if (corners[i] < 0 != corners[j] < 0 &&
+                apart * apart > edge * edge * popcount(i ^ j) * (1 + 0x1p-20))
+                return true;
+        }
+    return false;
+}
+
+// flags[c] = 1 if child c, of block c / 8, is to be refined. errors[c] = how far its interpolation is
+// from the distance, in sides: at most, if that is within the tolerance, and else at its SAMPLES; 0
+// beyond the band, and where it jumps.
+// codes[c] = the code of its bound.
+//
+// Of the triangles that are needed, the distance d is the least of convex d_t. So nowhere is d above
+// the interpolation of any d_t, or of the mean of two; nor is it further below that of the least d_t
+// than edge^2 / 8 times the Laplacian, which is at most 2 / d_t, or 1 / d_t beside an edge and 0 over a
+// face. With signs, where triangles pass: each distance is that to the plane of a triangle, times the
+// cosine between its normal and the way.
+__kernel void examine_children(const uint n, __global const ulong *identifiers, const uint level,
+                               const double extent, __global const double *leaves,
+                               __global const uint *begins, __global const uint *items,
+                               __global const uchar *masks,
+#ifdef SIGNED
+                               SIDES
+#ifdef WINDING
+                               __global const uint *doubts,
+#endif
+#endif
+                               __global const float *voxels,
+                               const double tolerance, const double band, const uint can_refine,
+                               const uint refine_crossed, __global const double *bounds,
+                               __global uint *flags, __global float *errors, __global uchar *codes,
+                               __global uint *steepest)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint block = gid / 8, child = gid % 8, begin = begins[block], end = begins[block + 1];
+    const uint3 cell = 2 * cell_of(identifiers[block], level) + octant(child);
+    const double side = 2 * extent, edge = side / (2ul << level), radius = edge * HALF_DIAGONAL;
+    double corners[8];
+    for (uint i = 0; i < 8; ++i)
+        corners[i] = voxels[27 * (size_t)block + CORNERS[8 * child + i]] * side;
+    const double8 field = vload8(0, corners), size = absolute(field);
+
+    // certain bounds
+    const ways at = lattice_points(cell, CELL, 0, level + 1, extent);
+    double8 kept[KEPT], best = INFINITY, closest = INFINITY;
+    uint kept_count = 0;
+    double above = INFINITY, below = 0;
+    for (uint j = begin; j < end; ++j) {
+        if (!(masks[j] >> child & 1))
+            continue;
+        const triangle t = triangle_of(leaves, items[j]);
+        ways way;
+        MASKS feature;
+        const double8 d = sqrt(triangle_ways(&t, at.x, at.y, at.z, &way, &feature));
+        const double excess = highest(d - size);
+        best = excess < above ? d : best;
+        above = excess < above ? excess : above;
+        closest = d < closest ? d : closest;
+        if (kept_count < KEPT)
+            kept[kept_count++] = d;
+        const double least = lowest(d) - radius;
+        const bool one = all(feature == (MASKS)feature.s0);
+        const double laplacian = one && feature.s0 == FACE ? 0
+                                 : least <= 0              ? INFINITY
+                                                           : (one && feature.s0 < A ? 1 : 2) / least;
+        const double shortfall = highest(size - d) + edge * edge * 0.125 * laplacian;
+        below = shortfall > below ? shortfall : below;
+    }
+    for (uint i = 0; i < kept_count; ++i) {
+        const double excess = highest(0.5 * (best + kept[i]) - size);
+        above = excess < above ? excess : above;
+    }
+    const double nearby = lowest(closest);
+    const bool passed = nearby <= radius; // by triangles, perhaps
+    double bound = above > below ? above : below;
+#ifdef SIGNED
+    if (passed) {
+        bound = INFINITY;
+#ifdef CLOSED
+        double3 axis = 0;
+        double cosine = 1, apart = 0;
+        for (uint j = begin; j < end && cosine > 0.75; ++j) {
+            if (!(masks[j] >> child & 1))
+                continue;
+            const triangle t = triangle_of(leaves, items[j]);
+            double3 normal = normal_of(names[items[j]], FACE, features, normals);
+            const double square = normal.x * normal.x + normal.y * normal.y + normal.z * normal.z;
+            if (square == 0) {
+                cosine = 0;
+                break;
+            }
+            normal /= sqrt(square);
+            if (axis.x == 0 && axis.y == 0 && axis.z == 0)
+                axis = normal;
+            const double c = axis.x * normal.x + axis.y * normal.y + axis.z * normal.z;
+            cosine = c < cosine ? c : cosine;
+            const double8 plane = (at.x - t.ax) * normal.x + (at.y - t.ay) * normal.y +
+                                  (at.z - t.az) * normal.z;
+            const double misses = highest(absolute(plane - field));
+            apart = misses > apart ? misses : apart;
+        }
+        if (cosine > 0.75)
+            bound = apart + 2 * (1 - cosine * cosine) * (highest(size) + radius);
+#endif
+    }
+#endif
+    const double rounding = highest(size) * 0x1p-21 + SLACK;
+    bound += rounding;
+
+    const double dx = highest(absolute(field.s11335577 - field.s00224466));
+    const double dy = highest(absolute(field.s23672367 - field.s01450145));
+    const double dz = highest(absolute(field.s45674567 - field.s01230123));
+    const double slope = sqrt(dx * dx + dy * dy + dz * dz) / edge;
+
+    bool refined = false;
+    double error = bound;
+    uchar code;
+#ifdef JUMPS
+    if (jumps(corners, edge)) {
+        code = JUMP;
+        error = 0;
+    } else
+#endif
+    {
+        if (bound > tolerance) {
+#ifdef SIGNED
+            bool trusted = true; // the numbers beside faces; else, and apart from them, the corners' sign
+#ifdef WINDING
+            for (uint i = 0; i < 8; ++i)
+                trusted &= !(doubts[block] >> CORNERS[8 * child + i] & 1);
+#endif
+#endif
+            ways points[VECTORS];
+            nearest found;
+            for (uint k = 0; k < POINTS / 8; ++k) {
+                points[k] = lattice_points(4 * cell, SAMPLES, k, level + 3, extent);
+                found.square[k] = INFINITY;
+                found.sided[k] = INFINITY;
+                found.which[k] = NOWHERE;
+            }
+            for (uint j = begin; j < end; ++j) {
+                if (!(masks[j] >> child & 1))
+                    continue;
+                const triangle t = triangle_of(leaves, items[j]);
+                look_at(&t, has_side(items[j]), j, points, POINTS / 8, &found);
+            }
+            error = 0;
+            for (uint k = 0; k < POINTS / 8; ++k) {
+                double8 interpolated = 0;
+                for (uint i = 0; i < 8; ++i)
+                    interpolated += corners[i] * vload8(k, WEIGHTS + i * POINTS);
+                double8 inside = interpolated; // its sign
+#ifdef SIGNED
+                if (passed && trusted) {
+                    double x[8], y[8], z[8], numbers[8];
+                    long which[8];
+                    vstore8(points[k].x, 0, x);
+                    vstore8(points[k].y, 0, y);
+                    vstore8(points[k].z, 0, z);
+                    vstore8(found.which[k], 0, which);
+                    for (uint i = 0; i < 8; ++i)
+                        numbers[i] = number_beside(side_arguments leaves, items, which[i], x[i], y[i], z[i]);
+                    inside = 0.5 - vload8(0, numbers);
+                }
+#endif
+                const double8 distance = sqrt(found.square[k]);
+                const double miss =
+                    highest(absolute(interpolated - (inside < 0.0 ? -distance : distance)));
+                error = miss > error ? miss : error;
+            }
+            const double between = error + rounding + (1 + slope) * (SAMPLE_GAP * edge);
+            bound = between < bound ? between : bound;
+            refined = can_refine && (error > tolerance || (passed && refine_crossed));
+            if (nearby - radius > band) {
+                refined = false;
+                error = 0;
+            }
+        }
+        code = code_of(bound / side, bounds);
+    }
+    flags[gid] = refined;
+    errors[gid] = (float)(error / side);
+    codes[gid] = code;
+    if (!refined && code != JUMP) {
+        const uint bits = as_uint((float)slope);
+        if (bits > *steepest)
+            atomic_max(steepest, bits);
+    }
+}
+
+// ---- down to the next level
+
+// Of the refined children, which `ranks` numbers: their identifiers, where they come from, and how many
+// triangles they need.
+__kernel void list_refined(const uint n, __global const uint *ranks, __global const ulong *above,
+                           __global const uint *needed, __global ulong *identifiers,
+                           __global uint *sources, __global uint *counts)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n || ranks[gid] == ranks[gid + 1])
+        return;
+    const uint rank = ranks[gid];
+    identifiers[rank] = above[gid / 8] << 3 | gid % 8;
+    sources[rank] = gid;
+    counts[rank] = needed[gid];
+}
+
+// The triangles that refined cells need, from the lists of their parents.
+__kernel void hand_down(const uint n, __global const uint *sources, __global const uint *above,
+                        __global const uint *parent_items, __global const uchar *masks,
+                        __global const uint *begins, __global uint *items)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint parent = sources[gid] / 8, child = sources[gid] % 8;
+    uint at = begins[gid];
+    for (uint j = above[parent]; j < above[parent + 1]; ++j)
+        if (masks[j] >> child & 1)
+            items[at++] = parent_items[j];
+}

@@ -1,0 +1,66 @@
+"""How far a field is from the exact distance, at points that are the same every time."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voxtool.proximity.signs import SignedDistance
+from voxtool.proximity.spread import Spread, spread_in_cube
+
+if TYPE_CHECKING:
+    from voxtool.adf.field import DistanceField
+    from voxtool.mesh import Mesh
+    from voxtool.opencl import Device
+
+SAMPLES = 1 << 15  # of either kind of points
+NEAR = 1 / 64  # of the side, along each axis, that points near the surface are off it at most
+
+
+def measure(
+    field: DistanceField, mesh: Mesh, device: Device | None = None, samples: int = SAMPLES
+) -> dict[str, Any]:
+    """The errors of a field at points spread evenly through its cube, and near the surface.
+
+    Points near the surface are spread over it by area, and moved along each axis by up to NEAR
+    sides (proximity/spread.py). Where a leaf holds a jump, or the point is beyond the band, no
+    error counts.
+
+    Returns
+    -------
+    JSON types: "in the cube" and "near the surface", each with "points", as many as count; "max",
+    "rms", "p99", the 99th percentile, in sides of the cube; "within", the share of the points whose
+    error is not over the tolerance.
+
+    Raises
+    ------
+    MeshError, DeviceError : as SignedDistance.
+    """
+    exact = SignedDistance(mesh, device, field.sign)
+    spread = spread_in_cube(samples)
+    moved = np.concatenate(list(Spread(mesh, "mesh").samples(samples)))
+    return {
+        "in the cube": _errors(field, np.array(field.origin) + field.side * spread, exact),
+        "near the surface": _errors(field, moved + NEAR * field.side * (2 * spread - 1), exact),
+    }
+
+
+def _errors(field: DistanceField, points: np.ndarray, exact: SignedDistance) -> dict[str, Any]:
+    distances = exact(points)
+    answer = field.query(points, bounds=field.bounds is not None)
+    counts = np.abs(distances) <= field.band * field.side
+    if answer.bound is not None:
+        counts &= np.isfinite(answer.bound)
+    errors = np.abs(answer.distance - distances)[counts] / field.side
+    if not len(errors):
+        return {"points": 0}
+    # math.fsum rounds once, whatever the order
+    return {
+        "points": len(errors),
+        "max": float(errors.max()),
+        "rms": math.sqrt(math.fsum(errors * errors) / len(errors)),
+        "p99": float(np.quantile(errors, 0.99, method="inverted_cdf")),
+        "within": float(np.count_nonzero(errors <= field.tolerance) / len(errors)),
+    }

@@ -1,0 +1,508 @@
+"""From a mesh to its adaptively sampled distance field.
+
+From the root down, level by level. A cell has a list of triangles, among which are the nearest ones
+to every point of the cell; its children take what they need of it, so lists grow short as cells
+grow small, and no tree is asked. A child is refined while its trilinear interpolation is further
+from the exact distance than the tolerance.
+
+Kernels: kernels/adf/build.cl.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voxtool.adf.accuracy import measure
+from voxtool.adf.field import JUMP, MAX_LEVEL, NO_LEAF, DistanceField, assemble, bound_values
+from voxtool.adf.hashing import build_hash, cell_of, identifier_type, key_of
+from voxtool.errors import VoxtoolError
+from voxtool.opencl import Array, Device, open_device, program
+from voxtool.opencl.primitives import exclusive_scan
+from voxtool.proximity.bvh import build_tree
+from voxtool.proximity.pseudonormals import pseudonormals
+from voxtool.proximity.sides import find_sides
+from voxtool.proximity.signs import default_sign
+from voxtool.proximity.winding import WindingNumber
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from voxtool.mesh import Mesh
+    from voxtool.proximity.pseudonormals import Pseudonormals
+
+SOURCE = "adf/build.cl"
+TOLERANCE = 1e-3  # unless another is asked for
+MAX_LEVEL_ASKED = 9
+BLOCK_BYTES = 27 * 4 + 8 + 8 + 1  # voxels, cell, bounds, and about as much of the hash
+MARGIN = 1 / 16  # of the cube's side, on each side of the mesh's longest
+CROSSED = 64.0  # tolerances that the edge of a leaf may have where triangles pass, unless certain
+POINTS = 32  # that are looked at together, in vectors of 8: 27, and the last one again
+NUMBER_ERROR = 2.0**-6  # of two winding numbers together, more than there is
+NOWHERE = BEYOND = 0xFFFFFFFF  # no triangle; no cell, as it is out of the cube
+COARSE = BEYOND - 1  # no cell, as there is a leaf
+
+# offsets, x y z, of the 27 vertices of a block; of the middles of its children; of a cell's
+# corners; of its samples, in quarters: the middles of edges, faces and cell, and of its octants
+_BLOCK = np.indices((3, 3, 3)).reshape(3, 27)[::-1]
+_OCTANTS = np.indices((2, 2, 2)).reshape(3, 8)[::-1]
+_EVEN = 2 * _BLOCK[:, (_BLOCK == 1).any(axis=0)]
+SAMPLES = np.concatenate([_EVEN, 2 * _OCTANTS + 1], axis=1)
+# no point of a cell is further from a corner or sample than this, in edges: together they are a
+# body-centred cubic lattice of half an edge
+SAMPLE_GAP = math.sqrt(5) / 8 * (1 + 2.0**-50)
+HALF_DIAGONAL = math.sqrt(3) / 2 * (1 + 2.0**-50)
+
+
+def _table(name: str, rows: np.ndarray, kind: str = "double", width: int = POINTS) -> str:
+    """A constant table, its rows filled up with their last numbers."""
+    rows = np.pad(rows, ((0, 0), (0, width - rows.shape[1])), mode="edge")
+    values = ", ".join(f"{value:g}" for value in rows.ravel().tolist())
+    return f"__constant {kind} {name}[] = {{{values}}};"
+
+
+program.generated["adf/build.h"] = "\n".join(
+    [
+        program.c_constants(
+            POINTS=POINTS,
+            VECTORS=POINTS // 8 + 1,
+            MIDDLE=13,
+            KEPT=8,
+            NO_LEAF=NO_LEAF,
+            JUMP=JUMP,
+            NOWHERE=NOWHERE,
+            COARSE=COARSE,
+            BEYOND=BEYOND,
+            UNKNOWN=0,
+            OUTSIDE=1,
+            INSIDE=2,
+        ),
+        f"#define FOUR_PI {(4 * math.pi).hex()}",
+        f"#define NUMBER_ERROR {NUMBER_ERROR.hex()}",
+        f"#define HALF_DIAGONAL {HALF_DIAGONAL.hex()}",
+        f"#define SAMPLE_GAP {SAMPLE_GAP.hex()}",
+        _table("VERTICES", _BLOCK),
+        _table("MIDDLES", 2 * _OCTANTS + 1),
+        _table("CELL", _OCTANTS),
+        _table("SAMPLES", SAMPLES),
+        _table("SIGNS", 2 * _OCTANTS - 1, width=8),
+        _table(
+            "WEIGHTS",
+            np.where(_OCTANTS.T[:, :, None] == 1, SAMPLES / 4, 1 - SAMPLES / 4).prod(axis=1),
+        ),
+        _table(
+            "CORNERS",
+            (np.array([1, 3, 9]) * (_OCTANTS.T[:, None] + _OCTANTS.T[None])).sum(axis=2),
+            "uint",
+            width=8,
+        ),
+    ]
+)
+
+
+def build_adf(
+    mesh: Mesh,
+    device: Device | None = None,
+    *,
+    tolerance: float = TOLERANCE,
+    max_level: int = MAX_LEVEL_ASKED,
+    band: float = math.inf,
+    sign: str | None = None,
+    continuous: bool = True,
+    bounds: bool = True,
+    max_bytes: int | None = None,
+) -> DistanceField:
+    """The distance field of a mesh.
+
+    Cells that triangles pass are refined at least until their edge is CROSSED tolerances, unless
+    their error is certainly within the tolerance: a wall that no sample hits is wrong by no more
+    than half of that.
+
+    Parameters
+    ----------
+    tolerance : of the error, in sides of the cube, the margin included.
+    max_level : at which leaves are refined no more, 1 to 21; the root has level 0.
+    band : how far from the surface cells are refined, in sides of the cube.
+    sign : as SignedDistance.
+    continuous : whether leaves of different level agree on what they share.
+    bounds : whether each leaf's own error bound is stored.
+    max_bytes : that the four textures may take, about; the largest errors are refined first.
+
+    Returns
+    -------
+    The field. Its `reached` has "leaves"; "missed", the leaves whose error is over the tolerance,
+    and if there are any "worst": the largest, its level and where (world units); "jumps", the
+    leaves in which the sign changes away from the surface; "balanced", whether no leaf has a
+    neighbour that is coarser by more than one level; and "errors", as voxtool.adf.accuracy.measure.
+
+    Raises
+    ------
+    MeshError, DeviceError : as SignedDistance.
+    VoxtoolError : a number is out of range. MemoryLimitError : it does not fit.
+    """
+    request = Request(tolerance, max_level, band, continuous, bounds, max_bytes)
+    request.check()
+    device = device or open_device()
+    build = _Build(device, mesh, request, sign or default_sign(mesh))
+    level = build.root()
+    while level:
+        build.sample(level)
+        if continuous:
+            build.constrain(level)
+        build.examine(level)
+        level = build.refine(level)
+    field = build.field()
+    with device.stage("errors"):
+        errors = measure(field, mesh, device)
+    return replace(field, reached={**field.reached, "errors": errors})
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked of a build; see build_adf."""
+
+    tolerance: float
+    max_level: int
+    band: float
+    continuous: bool
+    bounds: bool
+    max_bytes: int | None
+
+    def check(self) -> None:
+        """Refuse numbers out of range; raises VoxtoolError."""
+        if not 0 <= self.tolerance < math.inf:
+            raise VoxtoolError(f"tolerance {self.tolerance:g}: give a length from 0 on")
+        if not 1 <= self.max_level <= MAX_LEVEL:
+            raise VoxtoolError(f"max level {self.max_level}: choose 1 to {MAX_LEVEL}")
+        if not self.band >= 0:
+            raise VoxtoolError(f"band {self.band:g}: give a length from 0 on")
+        if self.max_bytes is not None and self.max_bytes < BLOCK_BYTES:
+            raise VoxtoolError(f"max bytes {self.max_bytes}: one block takes {BLOCK_BYTES}")
+
+
+@dataclass
+class _Level:
+    """The refined cells of a level, on the device.
+
+    identifiers : uint64, in rising order; sources : uint32, which child of the level above each is.
+    begins, items : uint32, where the list of each begins, and the triangles of all lists.
+    values : float64, 27 a cell, the distances of its block.
+    masks, needed : uint8 an item and uint32 a child, which children need it and how many each does.
+    states : uint8, on which side of the mesh each is; doubts : uint32, whose signs are not known.
+    neighbours : uint32, 27 a cell, see find_neighbours.
+    ranks : uint32, of the children, how many before each are refined.
+    """
+
+    number: int
+    count: int
+    identifiers: Array
+    sources: Array
+    begins: Array
+    items: Array
+    values: Array | None = None
+    masks: Array | None = None
+    needed: Array | None = None
+    states: Array | None = None
+    doubts: Array | None = None
+    neighbours: Array | None = None
+    ranks: Array | None = None
+
+    def release(self, *names: str) -> None:
+        """Give back the memory of these."""
+        for name in names:
+            array = getattr(self, name)
+            if array is not None:
+                array.release()
+                setattr(self, name, None)
+
+
+class _Build:
+    """A field in the making: level by level, what is done on the device, and what is kept."""
+
+    def __init__(self, device: Device, mesh: Mesh, request: Request, sign: str) -> None:
+        self.device, self.mesh, self.request, self.sign = device, mesh, request, sign
+        normals = None if sign == "none" else pseudonormals(mesh)
+        self.tree = build_tree(device, mesh, None if normals is None else normals.flat)
+        low, high = self.tree.frame.local(mesh.bounds)
+        self.extent = float((high - low).max()) / (2 - 4 * MARGIN)  # half of the cube's side
+        self.options: dict[str, int] = {}
+        self.sides: tuple[Any, ...] = ()
+        self.winding: WindingNumber | None = None
+        self.spheres: tuple[Any, ...] = ()
+        if normals is not None:
+            self._take_sides(normals)
+        self.bound_values = device.put(bound_values())
+        self.steepest = device.zeros(1, np.uint32)
+        self.unbalanced = device.zeros(1, np.uint32)
+        self.above: _Level | None = None
+        self.identifiers: list[np.ndarray] = []
+        self.voxels: list[np.ndarray] = []
+        self.codes: list[np.ndarray] = []
+        self.missed = 0
+        self.worst: tuple[float, int, int] | None = None  # error, level, identifier
+
+    def _take_sides(self, normals: Pseudonormals) -> None:
+        """What tells inside from outside."""
+        device, tree = self.device, self.tree
+        self.options["SIGNED"] = 1
+        if normals.flat.any():
+            self.options["FLAT"] = 1
+        self.sides = (tree.names, device.put(normals.features), device.put(normals.normals))
+        if self.sign == "winding":
+            self.options["WINDING"] = 1
+            self.winding = WindingNumber(self.mesh, device, tree=tree)
+            found = find_sides(self.mesh, normals, self.winding)
+            self.sides = (*self.sides, device.put(found.front))
+            self.spheres = (device.put(found.spheres), np.uint32(len(found.spheres)))
+        closed = self.sign == "pseudonormal" and default_sign(self.mesh) == self.sign
+        self.options["CLOSED" if closed else "JUMPS"] = 1
+
+    def _kernel(self, name: str) -> Callable[..., None]:
+        return self.device.kernel(SOURCE, name, **self.options)
+
+    def root(self) -> _Level:
+        """The root, whose list has every triangle."""
+        put = self.device.put
+        level = _Level(
+            0,
+            1,
+            put(np.ones(1, np.uint64)),
+            put(np.zeros(1, np.uint32)),
+            put(np.array([0, self.tree.count], np.uint32)),
+            put(np.arange(self.tree.count, dtype=np.uint32)),
+        )
+        alone = np.full(27, BEYOND, np.uint32)
+        alone[13] = 0
+        level.neighbours = put(alone)
+        return level
+
+    def sample(self, level: _Level) -> None:
+        """The exact distances at the vertices of a level's blocks, and who needs which triangle."""
+        device, n = self.device, level.count
+        level.values = device.empty(27 * n, np.float64)
+        level.masks = device.empty(level.items.size, np.uint8)
+        level.needed = device.empty(8 * n, np.uint32)
+        states: tuple[Any, ...] = ()
+        if "SIGNED" in self.options:
+            level.states = device.empty(n, np.uint8)
+            above = self.above.states if self.above else device.zeros(1, np.uint8)
+            states = (*self.sides, level.sources, above, level.states)
+        if self.winding:
+            level.doubts, asked = device.empty(n, np.uint32), device.empty(n, np.uint32)
+            states = (*states, *self.spheres, level.doubts, asked)
+        with device.stage("sample"):
+            self._kernel("sample_blocks")(
+                n,
+                np.uint32(n),
+                level.identifiers,
+                np.uint32(level.number),
+                np.float64(self.extent),
+                self.tree.leaves,
+                level.begins,
+                level.items,
+                *states,
+                level.values,
+                level.masks,
+                level.needed,
+            )
+        if self.winding:
+            for _ in ("middles of blocks", "vertices"):
+                self._settle(level, self.winding, asked)
+            asked.release()
+
+    def _settle(self, level: _Level, winding: WindingNumber, asked: Array) -> None:
+        """The signs that are in doubt, by winding numbers where they are asked."""
+        device, n = self.device, level.count
+        size, place = np.uint32(n), (np.uint32(level.number), np.float64(self.extent))
+        begins = device.empty(n + 1, np.uint32)
+        with device.stage("signs"):
+            self._kernel("count_asked")(n, size, asked, begins)
+            total = exclusive_scan(begins, n)
+            if total:
+                print("asked", level.number, n, total)
+                points = device.empty(3 * total, np.float64)
+                self._kernel("list_asked")(
+                    n, size, level.identifiers, *place, asked, begins, points
+                )
+                numbers = winding.at_local(points, total)
+                self._kernel("settle_signs")(
+                    n,
+                    size,
+                    level.identifiers,
+                    *place,
+                    *self.spheres,
+                    begins,
+                    numbers,
+                    level.doubts,
+                    asked,
+                    level.states,
+                    level.values,
+                )
+                points.release()
+                numbers.release()
+        begins.release()
+
+    def constrain(self, level: _Level) -> None:
+        """What hangs on a coarser leaf takes its values."""
+        if self.above is None:
+            return
+        device, above, n = self.device, self.above, level.count
+        level.neighbours = device.empty(27 * n, np.uint32)
+        with device.stage("constrain"):
+            self._kernel("find_neighbours")(
+                n,
+                np.uint32(n),
+                level.sources,
+                above.ranks,
+                above.neighbours,
+                level.neighbours,
+                self.unbalanced,
+            )
+            self._kernel("constrain_blocks")(
+                n, np.uint32(n), level.sources, level.neighbours, above.values, level.values
+            )
+
+    def examine(self, level: _Level) -> None:
+        """Which children are refined, and what is known of the error of the others."""
+        device, n, request = self.device, level.count, self.request
+        side = 2 * self.extent
+        voxels = device.empty(27 * n, np.float32)
+        level.ranks = device.empty(8 * n + 1, np.uint32)
+        errors, codes = device.empty(8 * n, np.float32), device.empty(8 * n, np.uint8)
+        can_refine = level.number + 1 < request.max_level
+        coarse = 0.5 ** (level.number + 1) > CROSSED * request.tolerance
+        with device.stage("examine"):
+            self._kernel("store_voxels")(
+                27 * n, np.uint32(27 * n), level.values, np.float64(self.extent), voxels
+            )
+            self._kernel("examine_children")(
+                8 * n,
+                np.uint32(8 * n),
+                level.identifiers,
+                np.uint32(level.number),
+                np.float64(self.extent),
+                self.tree.leaves,
+                level.begins,
+                level.items,
+                level.masks,
+                *self.sides,
+                *([level.doubts] if self.winding else []),
+                voxels,
+                np.float64(request.tolerance * side),
+                np.float64(request.band * side),
+                np.uint32(can_refine),
+                np.uint32(coarse),
+                self.bound_values,
+                level.ranks,
+                errors,
+                codes,
+                self.steepest,
+            )
+        self.identifiers.append(level.identifiers.get())
+        self.voxels.append(voxels.take())
+        self.codes.append(codes.take())
+        if can_refine:
+            refined = level.ranks.get(0, 8 * n)
+            if request.max_bytes is not None:
+                self._limit(refined, errors.get(), request.max_bytes // BLOCK_BYTES)
+                device.write(level.ranks, refined)
+            self.codes[-1][refined != 0] = NO_LEAF
+        self._count_missed(level, errors.take())
+
+    def _limit(self, refined: np.ndarray, errors: np.ndarray, most: int) -> None:
+        """Refine no more than makes `most` blocks; the largest errors first."""
+        left = most - sum(map(len, self.identifiers))
+        wanted = np.flatnonzero(refined)
+        worst_first = np.argsort(-errors[wanted], kind="stable")
+        refined[wanted[worst_first[max(left, 0) :]]] = 0
+
+    def _count_missed(self, level: _Level, errors: np.ndarray) -> None:
+        """Of the leaves of this level."""
+        over = np.flatnonzero((errors > np.float32(self.request.tolerance)) & (self.codes[-1] > 0))
+        if len(over) == 0:
+            return
+        self.missed += len(over)
+        worst = over[np.argmax(errors[over])]
+        if self.worst is None or errors[worst] > self.worst[0]:
+            identifier = int(self.identifiers[-1][worst // 8]) << 3 | int(worst % 8)
+            self.worst = (float(errors[worst]), level.number + 1, identifier)
+
+    def refine(self, level: _Level) -> _Level | None:
+        """The refined children as the next level, or None if there are none."""
+        device, n = self.device, level.count
+        assert level.ranks
+        with device.stage("hand down"):
+            total = exclusive_scan(level.ranks, 8 * n)
+            if total == 0:
+                return None
+            identifiers = device.empty(total, np.uint64)
+            sources, begins = device.empty(total, np.uint32), device.empty(total + 1, np.uint32)
+            self._kernel("list_refined")(
+                8 * n,
+                np.uint32(8 * n),
+                level.ranks,
+                level.identifiers,
+                level.needed,
+                identifiers,
+                sources,
+                begins,
+            )
+            items = device.empty(exclusive_scan(begins, total), np.uint32)
+            self._kernel("hand_down")(
+                total,
+                np.uint32(total),
+                sources,
+                level.begins,
+                level.items,
+                level.masks,
+                begins,
+                items,
+            )
+        level.release("identifiers", "sources", "begins", "items", "masks", "needed", "doubts")
+        if self.above:
+            self.above.release("values", "states", "neighbours", "ranks")
+        self.above = level
+        return _Level(level.number + 1, total, identifiers, sources, begins, items)
+
+    def field(self) -> DistanceField:
+        """The textures."""
+        frame, side = self.tree.frame, 2 * self.extent
+        origin = frame.centre - np.ldexp(self.extent, frame.exponent)
+        identifiers = np.concatenate(self.identifiers)
+        levels, ijk = cell_of(identifiers)
+        with self.device.stage("hash"):
+            table = build_hash(key_of(levels, ijk))
+        codes = np.concatenate(self.codes)
+        reached: dict[str, Any] = {
+            "leaves": 7 * len(identifiers) + 1,
+            "missed": self.missed,
+            "jumps": int(np.count_nonzero(codes == JUMP)),
+        }
+        world_side = math.ldexp(side, frame.exponent)
+        if self.worst:
+            error, level, identifier = self.worst
+            cell = cell_of(np.array([identifier], np.uint64))[1][0]
+            where = origin + world_side * np.ldexp(cell + 0.5, -level)
+            reached["worst"] = {"error": error, "level": level, "where": where.tolist()}
+        if self.request.continuous:
+            reached["balanced"] = not self.unbalanced.get()[0]
+        return assemble(
+            identifiers.astype(identifier_type(int(levels[-1]))),
+            np.concatenate(self.voxels).reshape(-1, 3, 3, 3),
+            codes.reshape(-1, 2, 2, 2) if self.request.bounds else None,
+            table,
+            origin=tuple(origin.tolist()),
+            side=world_side,
+            sign=self.sign,
+            tolerance=self.request.tolerance,
+            max_level=self.request.max_level,
+            band=self.request.band,
+            continuous=self.request.continuous,
+            lipschitz=float(self.steepest.get().view(np.float32)[0]),
+            reached=reached,
+            source_sha256=self.mesh.source_sha256,
+            units=self.mesh.units,
+        )
