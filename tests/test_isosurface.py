@@ -18,7 +18,7 @@ from voxtool.diagnosis import check_surface, closed_chain, volume
 from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.grid import Grid
 from voxtool.mesh import Mesh
-from voxtool.plan import MAX_SAMPLES
+from voxtool.plan.extraction import MAX_SAMPLES
 from voxtool.svo import tiles
 from voxtool.svo.isosurface import LATTICE, NEAREST, Isosurface, extract, plan_extract
 from voxtool.svo.octree import BRICK, BRICK_VOXELS, NODE, VALID

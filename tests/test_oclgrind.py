@@ -34,7 +34,7 @@ HARMLESS = {
         }
     )
 }
-VARIANTS = {  # of the constants of voxtool.plan
+VARIANTS = {  # of the constants of voxtool.plan.voxelization
     "narrow": {},
     "wide": {"NARROW_EXTENT": 0},
     "blocked": {"DENSE_SIDE": 0},
@@ -115,7 +115,7 @@ def _without_comments(source: Path) -> str:
 
 
 def main() -> None:
-    from voxtool import plan
+    from voxtool.plan import voxelization as plan
 
     plan.TILE = 8  # before kernels/svo/voxelize.cl gets it: triangles are shared among work-items
 

@@ -82,11 +82,11 @@ def test_closed_meshes_agree_with_the_oracles(device: Device, data, shape) -> No
 def variant(request, monkeypatch) -> str:
     """Force a path that only large scenes need."""
     if request.param in ("wide", "all"):
-        monkeypatch.setattr("voxtool.plan.NARROW_EXTENT", -1)
+        monkeypatch.setattr("voxtool.plan.voxelization.NARROW_EXTENT", -1)
     if request.param in ("codes64", "all"):
-        monkeypatch.setattr("voxtool.plan.CODE_32_SIDE", 0)
+        monkeypatch.setattr("voxtool.plan.voxelization.CODE_32_SIDE", 0)
     if request.param in ("blocked", "all"):
-        monkeypatch.setattr("voxtool.plan.DENSE_SIDE", 0)
+        monkeypatch.setattr("voxtool.plan.voxelization.DENSE_SIDE", 0)
     return request.param
 
 
@@ -103,8 +103,8 @@ def test_paths_for_large_scenes_agree(device: Device, variant: str, data, shape)
         assert plan.code_bits == (64 if variant in ("codes64", "all") else 32)
         with pytest.MonkeyPatch.context() as usual:
             for name, value in (("NARROW_EXTENT", 4096), ("CODE_32_SIDE", 8192)):
-                usual.setattr(f"voxtool.plan.{name}", value)
-            usual.setattr("voxtool.plan.DENSE_SIDE", 2048)
+                usual.setattr(f"voxtool.plan.voxelization.{name}", value)
+            usual.setattr("voxtool.plan.voxelization.DENSE_SIDE", 2048)
             plain = run(device, mesh, shape, mode)
         assert forced.digest() == plain.digest()
 

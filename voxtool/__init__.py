@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
+    from voxtool.adf.build import build_adf, plan_adf
+    from voxtool.adf.field import DistanceField
     from voxtool.diagnosis import Diagnosis, diagnose
     from voxtool.errors import (
         DeviceError,
@@ -25,7 +27,7 @@ if TYPE_CHECKING:
         MeshError,
         VoxtoolError,
     )
-    from voxtool.files import export, read_svo, write_mesh, write_svo
+    from voxtool.files import export, read_adf, read_svo, write_adf, write_mesh, write_svo
     from voxtool.grid import Grid
     from voxtool.mesh import Mesh, load_mesh, mesh_from_arrays
     from voxtool.opencl import list_devices, open_device
@@ -34,6 +36,8 @@ if TYPE_CHECKING:
     from voxtool.svo.voxelize import plan_voxelize, voxelize
 
 _HOMES = {
+    "voxtool.adf.build": ("build_adf", "plan_adf"),
+    "voxtool.adf.field": ("DistanceField",),
     "voxtool.diagnosis": ("Diagnosis", "diagnose"),
     "voxtool.errors": (
         "DeviceError",
@@ -43,7 +47,14 @@ _HOMES = {
         "MeshError",
         "VoxtoolError",
     ),
-    "voxtool.files": ("export", "read_svo", "write_mesh", "write_svo"),
+    "voxtool.files": (
+        "export",
+        "read_adf",
+        "read_svo",
+        "write_adf",
+        "write_mesh",
+        "write_svo",
+    ),
     "voxtool.grid": ("Grid",),
     "voxtool.mesh": ("Mesh", "load_mesh", "mesh_from_arrays"),
     "voxtool.opencl": ("list_devices", "open_device"),
@@ -56,6 +67,7 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [
     "DeviceError",
     "Diagnosis",
+    "DistanceField",
     "FileError",
     "Grid",
     "GridError",
@@ -66,6 +78,7 @@ __all__ = [
     "Octree",
     "VoxtoolError",
     "__version__",
+    "build_adf",
     "diagnose",
     "export",
     "extract",
@@ -73,10 +86,13 @@ __all__ = [
     "load_mesh",
     "mesh_from_arrays",
     "open_device",
+    "plan_adf",
     "plan_extract",
     "plan_voxelize",
+    "read_adf",
     "read_svo",
     "voxelize",
+    "write_adf",
     "write_mesh",
     "write_svo",
 ]

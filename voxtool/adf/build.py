@@ -22,10 +22,11 @@ from voxtool.adf.hashing import build_hash, cell_of, identifier_type, key_of
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, open_device, program
 from voxtool.opencl.primitives import exclusive_scan
-from voxtool.proximity.bvh import build_tree
+from voxtool.plan.field import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
+from voxtool.proximity.bvh import Frame, build_tree
 from voxtool.proximity.pseudonormals import pseudonormals
 from voxtool.proximity.sides import find_sides
-from voxtool.proximity.signs import default_sign
+from voxtool.proximity.signs import SIGNS, default_sign
 from voxtool.proximity.winding import WindingNumber
 
 if TYPE_CHECKING:
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
 SOURCE = "adf/build.cl"
 TOLERANCE = 1e-3  # unless another is asked for
 MAX_LEVEL_ASKED = 9
-BLOCK_BYTES = 27 * 4 + 8 + 8 + 1  # voxels, cell, bounds, and about as much of the hash
 MARGIN = 1 / 16  # of the cube's side, on each side of the mesh's longest
 CROSSED = 64.0  # tolerances that the edge of a leaf may have where triangles pass, unless certain
 POINTS = 32  # that are looked at together, in vectors of 8: 27, and the last one again
@@ -114,6 +114,7 @@ def build_adf(
     continuous: bool = True,
     bounds: bool = True,
     max_bytes: int | None = None,
+    max_memory: int | None = None,
 ) -> DistanceField:
     """The distance field of a mesh.
 
@@ -130,6 +131,7 @@ def build_adf(
     continuous : whether leaves of different level agree on what they share.
     bounds : whether each leaf's own error bound is stored.
     max_bytes : that the four textures may take, about; the largest errors are refined first.
+    max_memory : bytes that the build may use; by default what the device has.
 
     Returns
     -------
@@ -143,21 +145,55 @@ def build_adf(
     MeshError, DeviceError : as SignedDistance.
     VoxtoolError : a number is out of range. MemoryLimitError : it does not fit.
     """
-    request = Request(tolerance, max_level, band, continuous, bounds, max_bytes)
-    request.check()
-    device = device or open_device()
-    build = _Build(device, mesh, request, sign or default_sign(mesh))
-    level = build.root()
-    while level:
-        build.sample(level)
-        if continuous:
-            build.constrain(level)
-        build.examine(level)
-        level = build.refine(level)
+    build = _Build(
+        mesh, device, max_memory,
+        Request(tolerance, max_level, band, sign, continuous, bounds, max_bytes),
+    )  # fmt: skip
+    build.run()
     field = build.field()
-    with device.stage("errors"):
-        errors = measure(field, mesh, device)
+    with build.device.stage("errors"):
+        errors = measure(field, mesh, build.device)
     return replace(field, reached={**field.reached, "errors": errors})
+
+
+def plan_adf(mesh: Mesh, device: Device | None = None, **request: Any) -> FieldPlan:
+    """How a field will be built: its upper levels are, to foretell the others.
+
+    Parameters
+    ----------
+    request : as build_adf.
+
+    Raises
+    ------
+    As build_adf.
+    """
+    asked = {"tolerance": TOLERANCE, "max_level": MAX_LEVEL_ASKED, "band": math.inf, "sign": None,
+             "continuous": True, "bounds": True, "max_bytes": None}  # fmt: skip
+    asked = Request(**{**asked, **request})
+    build = _Build(mesh, device, None, asked)
+    build.request = replace(asked, max_level=min(asked.max_level, PILOT_LEVEL + 1))
+    build.run()
+    return build.plan
+
+
+def cube_of(mesh: Mesh) -> tuple[np.ndarray, float]:
+    """The origin and the side of the cube of a mesh's field, world units: the mesh is in its
+    middle, MARGIN of the side from it along the longest of its sides.
+
+    Raises
+    ------
+    MeshError : as Frame.of.
+    """
+    frame = Frame.of(mesh)
+    extent = _extent(mesh, frame)
+    origin = frame.centre - np.ldexp(extent, frame.exponent)
+    return origin, math.ldexp(2 * extent, frame.exponent)
+
+
+def _extent(mesh: Mesh, frame: Frame) -> float:
+    """Half of the cube's side, in the frame."""
+    low, high = frame.local(mesh.bounds)
+    return float((high - low).max()) / (2 - 4 * MARGIN)
 
 
 @dataclass(frozen=True)
@@ -167,18 +203,21 @@ class Request:
     tolerance: float
     max_level: int
     band: float
+    sign: str | None
     continuous: bool
     bounds: bool
     max_bytes: int | None
 
     def check(self) -> None:
-        """Refuse numbers out of range; raises VoxtoolError."""
+        """Refuse what is out of range; raises VoxtoolError."""
         if not 0 <= self.tolerance < math.inf:
             raise VoxtoolError(f"tolerance {self.tolerance:g}: give a length from 0 on")
         if not 1 <= self.max_level <= MAX_LEVEL:
             raise VoxtoolError(f"max level {self.max_level}: choose 1 to {MAX_LEVEL}")
         if not self.band >= 0:
             raise VoxtoolError(f"band {self.band:g}: give a length from 0 on")
+        if self.sign is not None and self.sign not in SIGNS:
+            raise VoxtoolError(f"sign {self.sign!r}: choose one of {', '.join(SIGNS)}")
         if self.max_bytes is not None and self.max_bytes < BLOCK_BYTES:
             raise VoxtoolError(f"max bytes {self.max_bytes}: one block takes {BLOCK_BYTES}")
 
@@ -222,12 +261,31 @@ class _Level:
 class _Build:
     """A field in the making: level by level, what is done on the device, and what is kept."""
 
-    def __init__(self, device: Device, mesh: Mesh, request: Request, sign: str) -> None:
-        self.device, self.mesh, self.request, self.sign = device, mesh, request, sign
+    def __init__(
+        self, mesh: Mesh, device: Device | None, max_memory: int | None, request: Request
+    ) -> None:
+        request.check()
+        self.mesh, self.request = mesh, request
+        self.device = device = device or open_device()
+        self.memory = (max_memory or device.max_memory, device.info.max_allocation)
+        suits = default_sign(mesh)
+        sign = request.sign or suits
         normals = None if sign == "none" else pseudonormals(mesh)
+        flat = 0 if normals is None else int(np.count_nonzero(normals.flat))
+        self.plan = FieldPlan(
+            triangles=len(mesh.faces),
+            flat=flat,
+            closed=suits == "pseudonormal",
+            sign=sign,
+            tolerance=request.tolerance,
+            max_level=request.max_level,
+            band=request.band,
+            continuous=request.continuous,
+            bounds=request.bounds,
+            max_bytes=request.max_bytes,
+        )
         self.tree = build_tree(device, mesh, None if normals is None else normals.flat)
-        low, high = self.tree.frame.local(mesh.bounds)
-        self.extent = float((high - low).max()) / (2 - 4 * MARGIN)  # half of the cube's side
+        self.extent = _extent(mesh, self.tree.frame)
         self.options: dict[str, int] = {}
         self.sides: tuple[Any, ...] = ()
         self.winding: WindingNumber | None = None
@@ -244,20 +302,34 @@ class _Build:
         self.missed = 0
         self.worst: tuple[float, int, int] | None = None  # error, level, identifier
 
+    def run(self) -> None:
+        """From the root down."""
+        level = self.root()
+        while level:
+            self.plan = replace(
+                self.plan, refined=(*self.plan.refined, level.count), items=level.items.size
+            )
+            self.plan.refuse_beyond(*self.memory)
+            self.sample(level)
+            if self.request.continuous:
+                self.constrain(level)
+            self.examine(level)
+            level = self.refine(level)
+
     def _take_sides(self, normals: Pseudonormals) -> None:
         """What tells inside from outside."""
         device, tree = self.device, self.tree
         self.options["SIGNED"] = 1
-        if normals.flat.any():
+        if self.plan.flat:
             self.options["FLAT"] = 1
         self.sides = (tree.names, device.put(normals.features), device.put(normals.normals))
-        if self.sign == "winding":
+        if self.plan.sign == "winding":
             self.options["WINDING"] = 1
             self.winding = WindingNumber(self.mesh, device, tree=tree)
             found = find_sides(self.mesh, normals, self.winding)
             self.sides = (*self.sides, device.put(found.front))
             self.spheres = (device.put(found.spheres), np.uint32(len(found.spheres)))
-        closed = self.sign == "pseudonormal" and default_sign(self.mesh) == self.sign
+        closed = self.plan.closed and self.plan.sign == "pseudonormal"
         self.options["CLOSED" if closed else "JUMPS"] = 1
 
     def _kernel(self, name: str) -> Callable[..., None]:
@@ -469,8 +541,7 @@ class _Build:
 
     def field(self) -> DistanceField:
         """The textures."""
-        frame, side = self.tree.frame, 2 * self.extent
-        origin = frame.centre - np.ldexp(self.extent, frame.exponent)
+        origin, side = cube_of(self.mesh)
         identifiers = np.concatenate(self.identifiers)
         levels, ijk = cell_of(identifiers)
         with self.device.stage("hash"):
@@ -481,11 +552,10 @@ class _Build:
             "missed": self.missed,
             "jumps": int(np.count_nonzero(codes == JUMP)),
         }
-        world_side = math.ldexp(side, frame.exponent)
         if self.worst:
             error, level, identifier = self.worst
             cell = cell_of(np.array([identifier], np.uint64))[1][0]
-            where = origin + world_side * np.ldexp(cell + 0.5, -level)
+            where = origin + side * np.ldexp(cell + 0.5, -level)
             reached["worst"] = {"error": error, "level": level, "where": where.tolist()}
         if self.request.continuous:
             reached["balanced"] = not self.unbalanced.get()[0]
@@ -495,14 +565,15 @@ class _Build:
             codes.reshape(-1, 2, 2, 2) if self.request.bounds else None,
             table,
             origin=tuple(origin.tolist()),
-            side=world_side,
-            sign=self.sign,
+            side=side,
+            sign=self.plan.sign,
             tolerance=self.request.tolerance,
             max_level=self.request.max_level,
             band=self.request.band,
             continuous=self.request.continuous,
             lipschitz=float(self.steepest.get().view(np.float32)[0]),
             reached=reached,
+            plan=self.plan.scene(),
             source_sha256=self.mesh.source_sha256,
             units=self.mesh.units,
         )

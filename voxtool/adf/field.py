@@ -341,7 +341,7 @@ class DistanceField:
 
     def _check_tree(self) -> None:
         order = self.blocks
-        if (np.diff(order.astype(np.int64)) <= 0).any() or order[0] != 1:
+        if (order[1:] <= order[:-1]).any() or order[0] != 1 or int(order[-1]) >> (3 * MAX_LEVEL):
             raise FileError("field cells: blocks are not in the order of their cells, root first")
         levels, ijk = cell_of(order)
         if levels.max() >= MAX_LEVEL or (identifier_type(int(levels.max())) != order.dtype):

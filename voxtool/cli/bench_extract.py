@@ -8,7 +8,7 @@ import click
 
 from voxtool.cli import options
 from voxtool.errors import count_of
-from voxtool.plan import STYLES
+from voxtool.plan.extraction import STYLES
 from voxtool.version import __version__
 
 if TYPE_CHECKING:

@@ -11,12 +11,12 @@ import click
 
 from voxtool.cli import options
 from voxtool.errors import VoxtoolError
-from voxtool.plan import MAX_SAMPLES, STYLES
+from voxtool.plan.extraction import MAX_SAMPLES, STYLES
 
 if TYPE_CHECKING:
     from voxtool.mesh import Mesh
     from voxtool.opencl import Device
-    from voxtool.plan import ExtractionPlan
+    from voxtool.plan.extraction import ExtractionPlan
     from voxtool.svo.isosurface import Isosurface
     from voxtool.svo.octree import Octree
 

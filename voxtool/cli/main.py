@@ -17,6 +17,8 @@ COMMANDS = {
     "voxelize": "voxtool.cli.voxelize",
     "svo-info": "voxtool.cli.svo_info",
     "extract": "voxtool.cli.extract",
+    "adf-build": "voxtool.cli.adf_build",
+    "adf-info": "voxtool.cli.adf_info",
     "export": "voxtool.cli.export",
     "devices": "voxtool.cli.devices",
     "bench": "voxtool.cli.bench",

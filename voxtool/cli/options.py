@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 
     from voxtool.opencl import Device
     from voxtool.opencl.device import DeviceInfo
-    from voxtool.plan import ExtractionPlan, Plan
+    from voxtool.plan.extraction import ExtractionPlan
+    from voxtool.plan.voxelization import Plan
 
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 

@@ -14,7 +14,7 @@ from voxtool.cli import options
 if TYPE_CHECKING:
     from voxtool.grid import Grid
     from voxtool.mesh import Mesh
-    from voxtool.plan import Plan
+    from voxtool.plan.voxelization import Plan
 
 
 @click.command("voxelize")

@@ -3,39 +3,45 @@ the disk. Outputs appear whole or not at all; inputs are recognised by content."
 
 from __future__ import annotations
 
-import errno
-import io
 import os
-import shutil
-import sys
-import tempfile
-from contextlib import contextmanager
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
 
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.files.atomic import atomic_path, check_target
+from voxtool.files.streams import (
+    OPENING,
+    STREAM,
+    PathLike,
+    input_name,
+    open_whole,
+    read_error,
+    standard_output,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterable
 
     import numpy as np
 
+    from voxtool.adf.field import DistanceField
     from voxtool.mesh import Mesh
     from voxtool.svo.octree import Octree
+
+    Content = TypeVar("Content")
+    Reader = Callable[[BinaryIO, int], Content]
 
 __all__ = [
     "atomic_path",
     "check_target",
     "export",
     "format_of",
+    "read_adf",
     "read_svo",
+    "write_adf",
     "write_mesh",
     "write_svo",
 ]
-
-PathLike = str | os.PathLike[str]
-STREAM = "-"  # stdin or stdout
 
 # Format names and extensions: the module, and its function where it is not `write`.
 SVO_FORMATS = {
@@ -46,10 +52,11 @@ SVO_FORMATS = {
     "xml": ("svo_xml", "write"),
     "xml.gz": ("svo_xml", "write_gz"),
 }
+ADF_FORMATS = {"adf.h5": ("adf_hdf5", "write"), "h5": ("adf_hdf5", "write")}
 EXPORTS = {name: (name, "write") for name in ("npy", "npz", "vti", "png")}
 MESH_FORMATS = {name: ("surface", f"write_{name}") for name in ("obj", "ply", "stl", "glb", "off")}
 NORMAL_FORMATS = ("obj", "ply", "glb")  # of these, those that hold a normal a vertex
-STREAM_FORMATS = ("svo.h5", "obj")  # what stdout gets where no format is named
+STREAM_FORMATS = ("svo.h5", "adf.h5", "obj")  # what stdout gets where no format is named
 TEXT_FORMATS = ("svo.xml", "xml", "obj", "off")  # fit for a terminal
 
 MESH_EXTENSIONS = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".3mf", ".dae", ".xyz")
@@ -64,18 +71,7 @@ def read_svo(path: PathLike) -> Octree:
     ------
     FileError : no such file, or one that is damaged, hostile or of another kind.
     """
-    name = "stdin" if path == STREAM else os.fspath(path)
-    try:
-        with _open_input(path) as (file, size):
-            read = _svo_reader(name, file, size)
-            try:
-                return read(file, size)
-            except VoxtoolError as error:
-                raise type(error)(f"{name}: {error}") from error
-    except OSError as error:
-        raise _read_error(name, error) from error
-    except MemoryError as error:
-        raise FileError(f"{name}: more than fits in memory") from error
+    return _read(path, _svo_reader)
 
 
 def write_svo(
@@ -93,6 +89,34 @@ def write_svo(
     FileError : the file cannot be written, or its name says no format.
     """
     _write(octree, path, clobber, format or format_of(path, SVO_FORMATS), SVO_FORMATS)
+
+
+def read_adf(path: PathLike) -> DistanceField:
+    """Read a distance field; `-` reads stdin. The format is recognised by content, not by name.
+
+    Raises
+    ------
+    FileError : no such file, or one that is damaged, hostile or of another kind.
+    """
+    return _read(path, _adf_reader)
+
+
+def write_adf(
+    field: DistanceField, path: PathLike, clobber: bool = True, format: str | None = None
+) -> None:
+    """Write a distance field as HDF5 (.adf.h5); `-` writes stdout.
+
+    Parameters
+    ----------
+    clobber : False refuses an existing file.
+    format : "adf.h5", whatever the name says.
+
+    Raises
+    ------
+    FileError : the file cannot be written, its name says no format, or an attribute of the field
+        is out of range or does not fit.
+    """
+    _write(field, path, clobber, format or format_of(path, ADF_FORMATS), ADF_FORMATS)
 
 
 def export(
@@ -157,22 +181,27 @@ def write_mesh(
     _write(mesh, path, clobber, format, MESH_FORMATS, normals=normals)
 
 
-def format_of(path: PathLike, formats: dict[str, tuple[str, str]]) -> str:
+def format_of(path: PathLike, formats: Iterable[str]) -> str:
     """The format that a name's extension says; for stdout HDF5 or OBJ, if it is one of them.
 
     Raises
     ------
     FileError : no format of these has this extension.
     """
+    formats = tuple(formats)
     if path == STREAM:
         for default in STREAM_FORMATS:
             if default in formats:
                 return default
     name = os.fspath(path).lower()
-    for extension in formats:
-        if name.endswith(f".{extension}"):
-            return extension
-    known = ", ".join(f".{e}" for e in formats if f"svo.{e}" not in formats)
+    for extension in sorted({*formats, *SVO_FORMATS, *ADF_FORMATS}, key=len, reverse=True):
+        if name.endswith(f".{extension}"):  # the longest: .svo.h5 is no .h5 of another kind
+            if extension in formats:
+                return extension
+            break
+    known = ", ".join(
+        f".{e}" for e in formats if not any(other.endswith(f".{e}") for other in formats)
+    )
     if path == STREAM:
         raise FileError(f"standard output has no extension: name the format, one of {known}")
     raise FileError(f"{path}: the name says no format: end it in one of {known}")
@@ -181,29 +210,29 @@ def format_of(path: PathLike, formats: dict[str, tuple[str, str]]) -> str:
 # Reading
 
 
-@contextmanager
-def _open_input(path: PathLike) -> Iterator[tuple[BinaryIO, int]]:
-    """A seekable file and its size; what cannot be sought (stdin, a pipe) is read whole."""
-    if path == STREAM:
-        data = sys.stdin.buffer.read()
-        yield io.BytesIO(data), len(data)
-        return
-    with open(path, "rb") as file:
-        if file.seekable():
-            yield file, os.fstat(file.fileno()).st_size
-        else:
-            data = file.read()
-            yield io.BytesIO(data), len(data)
+def _read(path: PathLike, reader: Callable[[str, bytes], Reader[Content]]) -> Content:
+    """What the reader for a file's content makes of it."""
+    name = input_name(path)
+    try:
+        with open_whole(path) as (file, size):
+            if size == 0:
+                raise FileError(f"{name} is empty")
+            read = reader(name, file.read(OPENING))
+            file.seek(0)
+            try:
+                return read(file, size)
+            except VoxtoolError as error:
+                raise type(error)(f"{name}: {error}") from error
+    except OSError as error:
+        raise read_error(name, error) from error
+    except MemoryError as error:
+        raise FileError(f"{name}: more than fits in memory") from error
 
 
-def _svo_reader(name: str, file: BinaryIO, size: int) -> Callable[[BinaryIO, int], Octree]:
-    from voxtool.files import svo_hdf5, svo_xml
+def _svo_reader(name: str, opening: bytes) -> Reader[Octree]:
+    from voxtool.files import hdf5, svo_hdf5, svo_xml
 
-    opening = file.read(64)
-    file.seek(0)
-    if size == 0:
-        raise FileError(f"{name} is empty")
-    if opening.startswith(svo_hdf5.SIGNATURE):
+    if opening.startswith(hdf5.SIGNATURE):
         return svo_hdf5.read
     if opening.startswith(svo_xml.GZIP_MAGIC):
         return svo_xml.read_gz
@@ -216,25 +245,27 @@ def _svo_reader(name: str, file: BinaryIO, size: int) -> Callable[[BinaryIO, int
     raise FileError(f"{name} is no octree: expected HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz)")
 
 
+def _adf_reader(name: str, opening: bytes) -> Reader[DistanceField]:
+    from voxtool.files import adf_hdf5, hdf5
+
+    if opening.startswith(hdf5.SIGNATURE):
+        return adf_hdf5.read
+    if _is_mesh(name, opening):
+        raise FileError(f"{name} is a mesh: build a field first: voxtool adf-build {name}")
+    if name.lower().endswith((".svo.xml", ".svo.xml.gz")):
+        raise FileError(f"{name} is an octree: build a field first: voxtool adf-build MESH")
+    raise FileError(f"{name} is no distance field: expected HDF5 (.adf.h5)")
+
+
 def _is_mesh(name: str, opening: bytes) -> bool:
     return name.lower().endswith(MESH_EXTENSIONS) or opening.startswith(MESH_OPENINGS)
-
-
-def _read_error(name: str, error: OSError) -> FileError:
-    if isinstance(error, FileNotFoundError):
-        return FileError(f"{name}: there is no such file")
-    if isinstance(error, IsADirectoryError):
-        return FileError(f"{name}: is a folder: name a file in it")
-    if isinstance(error, PermissionError):
-        return FileError(f"{name}: no permission to read it")
-    return FileError(f"{name}: cannot be read: {error.strerror or error}")
 
 
 # Writing
 
 
 def _write(
-    content: Octree | Mesh,
+    content: Octree | DistanceField | Mesh,
     path: PathLike,
     clobber: bool,
     format: str,
@@ -247,7 +278,8 @@ def _write(
     module = import_module(f"voxtool.files.{module_name}")
     write = getattr(module, function)
     if path == STREAM:
-        _write_stdout(lambda file: write(content, file, **options), format in TEXT_FORMATS)
+        with standard_output(format in TEXT_FORMATS) as file:
+            write(content, file, **options)
         return
     check_target(path, clobber)
     if hasattr(module, "size"):
@@ -256,28 +288,3 @@ def _write(
         check_disk(path, module.size(content), "choose a smaller dim, or the sparse .npz")
     with atomic_path(path, clobber) as temporary, open(temporary, "w+b") as file:
         write(content, file, **options)
-
-
-def _write_stdout(write: Callable[[BinaryIO], None], text: bool) -> None:
-    """Write to a temporary file, then copy it: a format may need to go back and forth."""
-    if not text and sys.stdout.isatty():
-        raise FileError("standard output is a terminal: redirect it, or name a file with -o")
-    try:
-        with tempfile.TemporaryFile() as file:
-            write(file)  # pyright: ignore[reportArgumentType]
-            file.seek(0)
-            shutil.copyfileobj(file, sys.stdout.buffer, 1 << 20)
-        sys.stdout.buffer.flush()
-    except BrokenPipeError as error:
-        _discard_stdout()
-        raise FileError("standard output was closed before all was written") from error
-    except OSError as error:
-        _discard_stdout()
-        reason = "its disk is full" if error.errno == errno.ENOSPC else error.strerror or error
-        raise FileError(f"cannot write standard output: {reason}") from error
-
-
-def _discard_stdout() -> None:
-    """Send what is left in the buffer nowhere, so that the end of the program is quiet."""
-    with open(os.devnull, "wb") as nowhere:
-        os.dup2(nowhere.fileno(), sys.stdout.fileno())

@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import re
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 from voxtool.errors import FileError
+from voxtool.files.head import (
+    FLOAT,
+    INT,
+    JSON_LIMIT,
+    TEXT,
+    VERSION_LIMIT,
+    Layout,
+    check_source,
+    check_texts,
+    check_version,
+    expect,
+    json_text,
+    parse_json,
+)
 from voxtool.grid import Grid
 from voxtool.svo.octree import Octree
 from voxtool.version import __version__
@@ -18,10 +31,8 @@ FORMAT = "voxtool-svo"
 FORMAT_VERSION = "1.0"
 MODES = ("surface26", "surface6", "solid", "solid+surface26")
 
-# What each attribute is: a kind, and how many numbers or at most how many bytes of text.
-INT, FLOAT, TEXT = int, float, str
-LAYOUT: dict[str, tuple[type, int]] = {
-    "format_version": (TEXT, 16),
+LAYOUT: Layout = {
+    "format_version": (TEXT, VERSION_LIMIT),
     "creator": (TEXT, 128),
     "dim": (INT, 1),
     "depth": (INT, 1),
@@ -32,7 +43,7 @@ LAYOUT: dict[str, tuple[type, int]] = {
     "pitch": (FLOAT, 3),
     "units": (TEXT, 64),
     "source_sha256": (TEXT, 64),
-    "plan": (TEXT, 60_000),  # HDF5 ends attributes at 64 KiB
+    "plan": (TEXT, JSON_LIMIT),
 }
 
 
@@ -55,35 +66,10 @@ def head_of(octree: Octree) -> dict[str, Any]:
         "pitch": octree.grid.pitch,
         "units": octree.units,
         "source_sha256": octree.source_sha256,
-        "plan": json.dumps(octree.plan, separators=(",", ":"), allow_nan=False),
+        "plan": json_text("plan", octree.plan),
     }
-    for name, (kind, limit) in LAYOUT.items():
-        if kind is TEXT:
-            _check_text(name, head[name], limit)
+    check_texts(head, LAYOUT)
     return head
-
-
-def check_version(version: str) -> None:
-    """Take this major version, also with a newer minor one.
-
-    Raises
-    ------
-    FileError : another major version, or none.
-    """
-    found = re.fullmatch(r"([0-9]{1,4})\.([0-9]{1,4})", version)
-    if found is None:
-        raise FileError(f"format_version {version[:16]!r} is no version such as {FORMAT_VERSION}")
-    major = int(FORMAT_VERSION.split(".")[0])
-    if int(found[1]) > major:
-        raise FileError(
-            f"written in format {version}, newer than the {FORMAT_VERSION} that voxtool "
-            f"{__version__} reads: update voxtool"
-        )
-    if int(found[1]) < major:
-        raise FileError(
-            f"written in format {version}, older than the {FORMAT_VERSION} that voxtool "
-            f"{__version__} reads: write it anew"
-        )
 
 
 def is_newer(version: str) -> bool:
@@ -102,18 +88,15 @@ def check_head(head: dict[str, Any]) -> Grid:
     ------
     FileError : names the attribute. GridError : shape, origin or pitch out of range.
     """
-    check_version(head["format_version"])
-    for name, (kind, limit) in LAYOUT.items():
-        if kind is TEXT:
-            _check_text(name, head[name], limit)
+    check_version(head["format_version"], FORMAT_VERSION)
+    check_texts(head, LAYOUT)
     grid = Grid(head["shape"], head["origin"], head["pitch"])
-    _expect("dim", head["dim"], (grid.dim,))
-    _expect("depth", head["depth"], ((grid.side // 4).bit_length(),))
-    _expect("mode", head["mode"], MODES)
+    expect("dim", head["dim"], (grid.dim,))
+    expect("depth", head["depth"], ((grid.side // 4).bit_length(),))
+    expect("mode", head["mode"], MODES)
     if not re.fullmatch(r"[a-z][a-z0-9+-]*", head["fill"]):  # a name: it changes nothing here
         raise FileError(f"attribute fill is {head['fill']!r}, which names no rule")
-    if not re.fullmatch(r"([0-9a-f]{64})?", head["source_sha256"]):
-        raise FileError("attribute source_sha256 is not 64 hexadecimal digits")
+    check_source(head["source_sha256"])
     return grid
 
 
@@ -133,47 +116,9 @@ def build(
         offsets,
         nodes,
         bricks,
-        plan=parse_plan(head["plan"]),
+        plan=parse_json("plan", head["plan"]),
         source_sha256=head["source_sha256"],
         units=head["units"],
     )
     octree.validate()
     return octree
-
-
-def parse_plan(text: str) -> dict[str, Any]:
-    """A JSON object as a dict; only what JSON allows, finite numbers and real characters.
-
-    Raises
-    ------
-    FileError : anything else.
-    """
-
-    def refuse(constant: str) -> NoReturn:
-        raise ValueError(f"{constant} is no JSON number")
-
-    try:
-        plan = json.loads(text, parse_constant=refuse)
-        json.dumps(plan, ensure_ascii=False, allow_nan=False).encode()
-    except (ValueError, RecursionError) as error:
-        raise FileError(f"attribute plan is not JSON: {str(error)[:80]}") from None
-    if not isinstance(plan, dict):
-        raise FileError("attribute plan is not a JSON object")
-    return plan
-
-
-def _check_text(name: str, text: str, limit: int) -> None:
-    try:
-        size = len(text.encode())
-    except UnicodeEncodeError:
-        raise FileError(f"attribute {name} is not Unicode text") from None
-    if size > limit:
-        raise FileError(f"attribute {name} has {size} bytes: at most {limit} fit")
-    if name != "plan" and not text.isprintable():
-        raise FileError(f"attribute {name} has characters that cannot be printed")
-
-
-def _expect(name: str, value: Any, allowed: tuple[Any, ...]) -> None:
-    if value not in allowed:
-        wanted = " or ".join(map(str, allowed))
-        raise FileError(f"attribute {name} is {str(value)[:40]!r} where {wanted} is expected")

@@ -19,14 +19,12 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from voxtool.errors import FileError
+from voxtool.files.head import FLOAT, TEXT, check_version
 from voxtool.files.svo_head import (
-    FLOAT,
     FORMAT_VERSION,
     LAYOUT,
-    TEXT,
     build,
     check_head,
-    check_version,
     head_of,
     is_newer,
 )
@@ -165,7 +163,7 @@ def parse_head(texts: dict[str, str]) -> dict[str, Any]:
     """
     if "dim" not in texts:
         raise FileError("attribute dim is missing")
-    check_version(texts.get("format_version", FORMAT_VERSION))
+    check_version(texts.get("format_version", FORMAT_VERSION), FORMAT_VERSION)
     dim = _numbers("dim", texts["dim"], int, 1)
     head = {
         "format_version": FORMAT_VERSION,

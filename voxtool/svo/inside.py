@@ -20,7 +20,7 @@ import numpy as np
 from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Array, Device, program
-from voxtool.plan import BRICK_BYTES, MAX_LINK, NODE_BYTES
+from voxtool.plan.voxelization import BRICK_BYTES, MAX_LINK, NODE_BYTES
 from voxtool.svo.build import DeviceOctree, build_from_lists, code_name
 from voxtool.svo.octree import BRICK, LINK, VALID
 

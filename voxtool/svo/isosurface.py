@@ -32,7 +32,7 @@ from voxtool.grid import Grid
 from voxtool.mesh import Mesh
 from voxtool.opencl import Array, Device, open_device, program
 from voxtool.opencl.primitives import build_histopyramid
-from voxtool.plan import STYLES, ExtractionPlan
+from voxtool.plan.extraction import STYLES, ExtractionPlan
 from voxtool.svo import cases
 from voxtool.svo.dual import dual_surface, split_quads
 from voxtool.svo.octree import Octree

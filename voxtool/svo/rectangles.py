@@ -14,7 +14,7 @@ import numpy as np
 
 from voxtool.opencl import Array, Device, program
 from voxtool.opencl.primitives import compact, exclusive_scan, radix_sort
-from voxtool.plan import MAX_SAMPLES
+from voxtool.plan.extraction import MAX_SAMPLES
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -23,7 +23,7 @@ from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.opencl import Array, Device, open_device, program
 from voxtool.opencl.primitives import exclusive_scan
-from voxtool.plan import BLOCK, CELL, TILE, Plan, Survey, plan_voxelization
+from voxtool.plan.voxelization import BLOCK, CELL, TILE, Plan, Survey, plan_voxelization
 from voxtool.svo import inside
 from voxtool.svo.build import DeviceOctree, build_octree, code_name
 from voxtool.svo.octree import BRICK, Octree

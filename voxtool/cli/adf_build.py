@@ -1,0 +1,269 @@
+"""voxtool adf-build: triangle mesh to adaptively sampled distance field."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from voxtool.cli import options
+from voxtool.errors import VoxtoolError
+
+if TYPE_CHECKING:
+    from voxtool.adf.field import DistanceField
+    from voxtool.mesh import Mesh
+    from voxtool.plan.field import FieldPlan
+
+
+@click.command("adf-build")
+@click.argument("mesh")
+@options.output_options("FILE", "Default MESH's name with .adf.h5, in this folder.")
+@click.option(
+    "--tolerance",
+    type=float,
+    help="Error that leaves may have, in sides of the cube.  [default: 0.001]",
+)
+@click.option("--tolerance-world", type=float, help="The same in the mesh's own units.")
+@click.option(
+    "--max-level",
+    type=click.IntRange(1, 21),
+    default=9,
+    show_default=True,
+    help="Level at which leaves are refined no more; the root's is 0.",
+)
+@click.option(
+    "--band",
+    type=float,
+    metavar="WIDTH",
+    help="Refine only within WIDTH of the surface, in sides of the cube.",
+)
+@click.option(
+    "--max-bytes",
+    type=options.Bytes(),
+    metavar="BYTES",
+    help="Size of the field at most, about (60M): the largest errors are refined first.",
+)
+@click.option(
+    "--sign",
+    type=click.Choice(["pseudonormal", "winding", "none"]),
+    help="How inside is told from outside.  [default: pseudonormal if the mesh is closed, or else "
+    "winding]",
+)
+@click.option(
+    "--continuous/--cracks",
+    default=True,
+    show_default=True,
+    help="Leaves of different level agree on what they share, or are exact at all their corners.",
+)
+@click.option("--no-bounds", is_flag=True, help="Do not store each leaf's own error bound.")
+@click.option("--strict", is_flag=True, help="Exit 1 if leaves miss the tolerance.")
+@options.format_option("adf.h5")
+@options.plan_options
+@options.device_option
+@options.json_option
+@options.quiet_option
+@options.verbose_option
+def command(
+    mesh: str,
+    output: str | None,
+    no_clobber: bool,
+    tolerance: float | None,
+    tolerance_world: float | None,
+    max_level: int,
+    band: float | None,
+    max_bytes: int | None,
+    sign: str | None,
+    continuous: bool,
+    no_bounds: bool,
+    strict: bool,
+    file_format: str | None,
+    only_plan: bool,
+    max_memory: int | None,
+    device: str | None,
+    as_json: bool,
+    quiet: bool,
+    verbose: bool,
+) -> None:
+    """Build the adaptively sampled distance field of a triangle MESH.
+
+    MESH is an OBJ, STL, PLY, OFF or GLB file, .gz too, or - for stdin. The field fills a cube whose
+    side is 8/7 of the mesh's longest, and lengths are in sides of this cube. It ends with the error
+    that it reached.
+
+    \b
+    Examples:
+      voxtool adf-build bunny.obj --tolerance 1e-4 --max-level 9
+      voxtool adf-build bunny.obj --tolerance 1e-4 --band 0.05 -o near.adf.h5
+    """
+    if tolerance is not None and tolerance_world is not None:
+        raise click.UsageError("--tolerance and --tolerance-world say the same: drop one of them")
+    started = time.perf_counter()
+    from voxtool.adf.build import TOLERANCE, build_adf, cube_of, plan_adf
+    from voxtool.files import ADF_FORMATS, check_target, format_of, write_adf
+    from voxtool.mesh import load_mesh
+    from voxtool.opencl import open_device
+
+    if output is None:
+        output = default_output(mesh)
+    file_format = file_format or format_of(output, ADF_FORMATS)
+    if not only_plan:
+        if output != "-":
+            check_target(output, not no_clobber)
+        elif sys.stdout.isatty():
+            raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
+    with options.Progress(["read mesh"]) as progress:
+        progress.enter("read mesh")
+        loaded = load_mesh(mesh)
+        if tolerance_world is not None:
+            tolerance = tolerance_world / cube_of(loaded)[1]
+        chosen = open_device(device, profile=True)
+        chosen.on_stage = progress.enter
+        request: dict[str, Any] = {
+            "tolerance": TOLERANCE if tolerance is None else tolerance,
+            "max_level": max_level,
+            "band": math.inf if band is None else band,
+            "sign": sign,
+            "continuous": continuous,
+            "bounds": not no_bounds,
+            "max_bytes": max_bytes,
+        }
+        warn_if_open(loaded, sign)
+        if only_plan:
+            plan = plan_adf(loaded, chosen, **request)
+            progress.erase()
+            print_plan(plan, as_json)
+            return
+        field = build_adf(loaded, chosen, max_memory=max_memory, **request)
+        progress.enter("write file")
+        write_adf(field, output, not no_clobber, file_format)
+    seconds = time.perf_counter() - started
+    stages = chosen.stage_times()
+    if as_json:
+        result = {**summary(field, output, seconds), "stages": stages}
+        if output != "-" or not quiet:
+            options.print_json(result, err=output == "-")
+    else:
+        source, target = mesh if mesh != "-" else "stdin", output if output != "-" else "stdout"
+        tell_field(field, f"{source} -> {target}", seconds)
+        spent = ", ".join(f"{stage} {time:.2f}" for stage, time in stages.items() if time >= 5e-3)
+        options.tell(f"  seconds   {spent}")
+    if verbose:
+        options.tell(f"{chosen.info.name} ({chosen.info.platform})")
+    if strict and field.reached["missed"]:
+        raise VoxtoolError(
+            f"{output}: {field.reached['missed']:,} leaves miss the tolerance (--strict): choose a "
+            "higher --max-level, a larger --tolerance or more --max-bytes"
+        )
+
+
+def default_output(mesh: str) -> str:
+    """bunny.obj.gz -> bunny.adf.h5, in the current folder; stdin -> stdout."""
+    if mesh == "-":
+        return "-"
+    name = PurePath(mesh).name
+    if name.lower().endswith(".gz"):
+        name = name[:-3]
+    return f"{PurePath(name).stem}.adf.h5"
+
+
+def warn_if_open(mesh: Mesh, sign: str | None) -> None:
+    """Pseudo-normals need a closed mesh: say what is wrong with this one, and what is done."""
+    from voxtool.diagnosis import diagnose
+    from voxtool.proximity.signs import default_sign
+
+    if sign == "none" or default_sign(mesh) == "pseudonormal":
+        return
+    done = (
+        "signs by pseudo-normals may be wrong: --sign winding is made for it"
+        if sign == "pseudonormal"
+        else "inside is where its winding number is over 1/2"
+    )
+    options.tell(f"warning: {mesh.name or 'mesh'} is {diagnose(mesh).summary()}; {done}")
+
+
+def summary(field: DistanceField, output: str, seconds: float) -> dict[str, Any]:
+    """What was made, in JSON types."""
+    n = len(field.voxels)
+    return {
+        "output": output,
+        "tolerance": field.tolerance,
+        "max_level": field.max_level,
+        "sign": field.sign,
+        "origin": list(field.origin),
+        "side": field.side,
+        "blocks": n,
+        "leaves_by_level": field.leaves_by_level(),
+        "bytes": field.sizes(),
+        "hash_load": field.hash.load(n),
+        "hash_bits_a_key": field.hash.bits_a_key(n),
+        "lipschitz": field.lipschitz,
+        **field.reached,
+        "digest": field.digest(),
+        "seconds": round(seconds, 3),
+    }
+
+
+def tell_field(field: DistanceField, what: str, seconds: float) -> None:
+    """What was made, and what it reached."""
+    from voxtool.errors import human
+
+    n, sizes, reached = len(field.voxels), field.sizes(), field.reached
+    tell = options.tell
+    tell(
+        f"{what}: tolerance {field.tolerance:.3g}, sign {field.sign}; {reached['leaves']:,} leaves "
+        f"in {human(sum(sizes.values()))}, {seconds:.2f} s"
+    )
+    for where, errors in reached["errors"].items():
+        if errors["points"]:
+            tell(
+                f"  error {where}: 99 % within {errors['p99']:.3g}, rms {errors['rms']:.3g}, max "
+                f"{errors['max']:.3g} sides; {100 * errors['within']:.2f} % of "
+                f"{errors['points']:,} points within the tolerance"
+            )
+    if reached["missed"]:
+        worst = reached["worst"]
+        place = ", ".join(f"{x:.6g}" for x in worst["where"])
+        tell(
+            f"  missed    {reached['missed']:,} leaves are over the tolerance, by up to "
+            f"{worst['error'] - field.tolerance:.3g} sides, at level {worst['level']} near "
+            f"({place})"
+        )
+    if reached["jumps"]:
+        tell(f"  jumps     {reached['jumps']:,} leaves, where the sign changes across a hole")
+    leaves = field.leaves_by_level()
+    tell(
+        "  leaves    "
+        + ", ".join(f"{count:,} of level {i}" for i, count in enumerate(leaves, 1) if count)
+        + ("" if "balanced" not in reached else "; balanced 2:1" if reached["balanced"]
+           else "; not balanced 2:1")
+    )  # fmt: skip
+    tell(
+        "  bytes     "
+        + ", ".join(f"{name} {human(size)}" for name, size in sizes.items())
+        + f"; hash {100 * field.hash.load(n):.1f} % full, {field.hash.bits_a_key(n):.2f} bits a key"
+    )
+
+
+def print_plan(plan: FieldPlan, as_json: bool) -> None:
+    """What will be done, what is left out and why, and what it will cost."""
+    if as_json:
+        options.print_json(plan.as_dict())
+        return
+    from voxtool.errors import human
+
+    counted = ", ".join(f"{count:,}" for count in plan.refined)
+    rows = [
+        ("field", f"tolerance {plan.tolerance:.3g} sides, levels to {plan.max_level}, sign "
+         f"{plan.sign}"),
+        ("scene", f"{plan.triangles:,} triangles; {counted} cells are refined, of level 0, 1, ..."),
+        ("stages", ", ".join(plan.stages)),
+        *(("left out", f"{what}: {why}") for what, why in plan.left_out().items()),
+        ("predicted", f"at most about {plan.blocks:,} blocks, {human(plan.field_bytes)}; "
+         f"{human(plan.device_bytes)} in work"),
+    ]  # fmt: skip
+    for name, text in rows:
+        click.echo(f"{name:<10} {text}")

@@ -1,0 +1,123 @@
+"""Standard input and output as files, and what went wrong with reading, in one line."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import shutil
+import sys
+import tempfile
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from voxtool.errors import FileError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+PathLike = str | os.PathLike[str]
+STREAM = "-"  # stdin or stdout
+OPENING = 64  # bytes by which a format is recognised
+
+
+def input_name(path: PathLike) -> str:
+    """How messages call an input."""
+    return "stdin" if path == STREAM else os.fspath(path)
+
+
+def read_error(name: str, error: OSError) -> FileError:
+    """What went wrong with reading `name`, in one line."""
+    if isinstance(error, FileNotFoundError):
+        return FileError(f"{name}: there is no such file")
+    if isinstance(error, IsADirectoryError):
+        return FileError(f"{name}: is a folder: name a file in it")
+    if isinstance(error, PermissionError):
+        return FileError(f"{name}: no permission to read it")
+    return FileError(f"{name}: cannot be read: {error.strerror or error}")
+
+
+@contextmanager
+def open_whole(path: PathLike) -> Iterator[tuple[BinaryIO, int]]:
+    """A seekable file and its size; what cannot be sought (stdin, a pipe) is read whole."""
+    if path == STREAM:
+        data = sys.stdin.buffer.read()
+        yield io.BytesIO(data), len(data)
+        return
+    with open(path, "rb") as file:
+        if file.seekable():
+            yield file, os.fstat(file.fileno()).st_size
+        else:
+            data = file.read()
+            yield io.BytesIO(data), len(data)
+
+
+@contextmanager
+def open_stream(path: PathLike) -> Iterator[tuple[BinaryIO, bytes, int | None]]:
+    """A file at its beginning, its opening, and its size if it can be sought; stdin cannot."""
+    if path == STREAM:
+        opening = sys.stdin.buffer.read(OPENING)
+        yield io.BufferedReader(_Resumed(opening, sys.stdin.buffer)), opening, None
+        return
+    with open(path, "rb") as file:
+        opening = file.read(OPENING)
+        if file.seekable():
+            file.seek(0)
+            yield file, opening, os.fstat(file.fileno()).st_size
+        else:
+            yield io.BufferedReader(_Resumed(opening, file)), opening, None
+
+
+class _Resumed(io.RawIOBase):
+    """A stream of which the opening has been read, from its beginning."""
+
+    def __init__(self, opening: bytes, rest: Any) -> None:
+        self._opening = opening
+        self._rest = rest
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        if not self._opening:
+            return self._rest.readinto1(buffer)
+        count = min(len(buffer), len(self._opening))
+        buffer[:count] = self._opening[:count]
+        self._opening = self._opening[count:]
+        return count
+
+
+@contextmanager
+def standard_output(text: bool) -> Iterator[BinaryIO]:
+    """A temporary file that is copied to stdout when the block ends well: a format may need to go
+    back and forth.
+
+    Parameters
+    ----------
+    text : whether it is fit for a terminal.
+
+    Raises
+    ------
+    FileError : stdout is a terminal and the content not fit for it, or cannot be written.
+    """
+    if not text and sys.stdout.isatty():
+        raise FileError("standard output is a terminal: redirect it, or name a file with -o")
+    try:
+        with tempfile.TemporaryFile() as file:
+            yield file  # pyright: ignore[reportReturnType]
+            file.seek(0)
+            shutil.copyfileobj(file, sys.stdout.buffer, 1 << 20)
+        sys.stdout.buffer.flush()
+    except BrokenPipeError as error:
+        _discard_stdout()
+        raise FileError("standard output was closed before all was written") from error
+    except OSError as error:
+        _discard_stdout()
+        reason = "its disk is full" if error.errno == errno.ENOSPC else error.strerror or error
+        raise FileError(f"cannot write standard output: {reason}") from error
+
+
+def _discard_stdout() -> None:
+    """Send what is left in the buffer nowhere, so that the end of the program is quiet."""
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())
