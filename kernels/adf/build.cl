@@ -64,29 +64,76 @@ double8 absolute(double8 a)
     return a < 0.0 ? -a : a;
 }
 
-triangle triangle_of(__global const double *leaves, uint item)
+// The triangles of a level's lists, and what tells their sides.
+#ifdef SIGNED
+#ifdef WINDING
+#define FRONT __global const double *front;
+#define FRONT_ARGUMENT , __global const double *front
+#define FRONT_VALUE , front
+#define in_front(scene, face) scene->front[face]
+#else
+#define FRONT
+#define FRONT_ARGUMENT
+#define FRONT_VALUE
+#define in_front(scene, face) 0.0
+#endif
+#define SCENE_ARGUMENTS                                                                                \
+    __global const double *leaves, __global const uint *items, __global const uint *names,             \
+        __global const uint *features, __global const double *normals FRONT_ARGUMENT
+#define SCENE_VALUES leaves, items, names, features, normals FRONT_VALUE
+#define has_side(scene, item) (scene->names[item] != NAMELESS)
+#else
+#define SCENE_ARGUMENTS __global const double *leaves, __global const uint *items
+#define SCENE_VALUES leaves, items
+#define has_side(scene, item) true
+#endif
+
+typedef struct {
+    __global const double *leaves;
+    __global const uint *items;
+#ifdef SIGNED
+    __global const uint *names;
+    __global const uint *features;
+    __global const double *normals;
+    FRONT
+#endif
+} scene_of_lists;
+
+// The triangle at a place of the lists.
+triangle triangle_at(const scene_of_lists *scene, uint place)
 {
-    return one_triangle(leaves + (size_t)(item / LEAF) * (FIELDS * LEAF), item % LEAF);
+    const uint item = scene->items[place];
+    return one_triangle(scene->leaves + (size_t)(item / LEAF) * (FIELDS * LEAF), item % LEAF);
 }
 
 // Of up to eight points in each of VECTORS: the squared distance to the nearest triangle, and where in
-// the list it stands; of those that have a side, if some are FLAT.
+// the lists it stands; of those that have a side, if some are FLAT.
 typedef struct {
     double8 square[VECTORS];
     double8 sided[VECTORS];
     long8 which[VECTORS];
 } nearest;
 
-// Take the triangle at `place` of the list into account.
-void look_at(const triangle *t, bool sided, uint place, const ways *points, uint vectors, nearest *found)
+void find_nothing(nearest *found, uint vectors)
 {
+    for (uint k = 0; k < vectors; ++k) {
+        found->square[k] = INFINITY;
+        found->sided[k] = INFINITY;
+        found->which[k] = NOWHERE;
+    }
+}
+
+// Take the triangle at a place of the lists into account.
+void look_at(const scene_of_lists *scene, uint place, const ways *points, uint vectors, nearest *found)
+{
+    const triangle t = triangle_at(scene, place);
     for (uint k = 0; k < vectors; ++k) {
         ways way;
         MASKS feature;
-        const double8 dd = triangle_ways(t, points[k].x, points[k].y, points[k].z, &way, &feature);
+        const double8 dd = triangle_ways(&t, points[k].x, points[k].y, points[k].z, &way, &feature);
 #ifdef FLAT
         found->square[k] = dd < found->square[k] ? dd : found->square[k];
-        const long8 nearer = dd < (sided ? found->sided[k] : 0.0);
+        const long8 nearer = dd < (has_side(scene, scene->items[place]) ? found->sided[k] : 0.0);
         found->sided[k] = nearer ? dd : found->sided[k];
 #else
         const long8 nearer = dd < found->square[k];
@@ -97,35 +144,20 @@ void look_at(const triangle *t, bool sided, uint place, const ways *points, uint
 }
 
 #ifdef SIGNED
-#ifdef WINDING
-#define FRONT __global const double *front,
-#define front_arguments front,
-#define in_front(face) front[face]
-#else
-#define FRONT
-#define front_arguments
-#define in_front(face) 0.0
-#endif
-#define SIDES                                                                                          \
-    __global const uint *names, __global const uint *features, __global const double *normals, FRONT
-#define side_arguments names, features, normals, front_arguments
-#define has_side(item) (names[item] != NAMELESS)
-
 // The winding number on the side of a face on which a point is, at the middle of the face; NAN where it
-// is not known. The face is that of the item at `place` of the list.
-double number_beside(SIDES __global const double *leaves, __global const uint *items, long place,
-                     double x, double y, double z)
+// is not known. The face is that of the triangle at a place of the lists.
+double number_beside(const scene_of_lists *scene, long place, double x, double y, double z)
 {
     if (place == NOWHERE)
         return NAN;
-    const uint item = items[place];
-    const triangle t = triangle_of(leaves, item);
+    const uint name = scene->names[scene->items[place]];
+    const triangle t = triangle_at(scene, (uint)place);
     ways way;
     MASKS feature;
     triangle_ways(&t, x, y, z, &way, &feature);
-    const double3 n = normal_of(names[item], (uint)feature.s0, features, normals);
+    const double3 n = normal_of(name, (uint)feature.s0, scene->features, scene->normals);
     const bool behind = way.x.s0 * n.x + way.y.s0 * n.y + way.z.s0 * n.z < 0;
-    return in_front(names[item] / 3) + (behind ? 1.0 : 0.0);
+    return in_front(scene, name / 3) + (behind ? 1.0 : 0.0);
 }
 
 #ifdef WINDING
@@ -145,10 +177,6 @@ double sway(double x, double y, double z, double reach, __global const double *s
     return sum;
 }
 #endif
-#else
-#define SIDES
-#define side_arguments
-#define has_side(item) true
 #endif
 
 // ---- the blocks of the cells that are refined
@@ -166,10 +194,9 @@ double sway(double x, double y, double z, double reach, __global const double *s
 // where triangles do not pass. Bit i of doubts[b] says that the sign of vertex i is not known, and that
 // of asked[b] that its winding number is to be computed: at first, where no triangles pass, the middle's.
 __kernel void sample_blocks(const uint n, __global const ulong *identifiers, const uint level,
-                            const double extent, __global const double *leaves,
-                            __global const uint *begins, __global const uint *items,
+                            const double extent, __global const uint *begins, SCENE_ARGUMENTS,
 #ifdef SIGNED
-                            SIDES __global const uint *sources, __global const uchar *above,
+                            __global const uint *sources, __global const uchar *above,
                             __global uchar *states,
 #ifdef WINDING
                             __global const double *spheres, const uint sphere_count,
@@ -181,21 +208,17 @@ __kernel void sample_blocks(const uint n, __global const ulong *identifiers, con
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
+    const scene_of_lists scene = {SCENE_VALUES};
     const uint begin = begins[gid], end = begins[gid + 1];
     const uint3 cell = cell_of(identifiers[gid], level);
     ways points[VECTORS];
-    nearest found;
-    for (uint k = 0; k < VECTORS; ++k) {
+    for (uint k = 0; k < VECTORS; ++k)
         points[k] = k < POINTS / 8 ? lattice_points(2 * cell, VERTICES, k, level + 1, extent)
                                    : lattice_points(4 * cell, MIDDLES, 0, level + 2, extent);
-        found.square[k] = INFINITY;
-        found.sided[k] = INFINITY;
-        found.which[k] = NOWHERE;
-    }
-    for (uint j = begin; j < end; ++j) {
-        const triangle t = triangle_of(leaves, items[j]);
-        look_at(&t, has_side(items[j]), j, points, VECTORS, &found);
-    }
+    nearest found;
+    find_nothing(&found, VECTORS);
+    for (uint j = begin; j < end; ++j)
+        look_at(&scene, j, points, VECTORS, &found);
     const double edge = extent / (1ul << level) * 2, radius = edge * HALF_DIAGONAL;
     double distances[POINTS];
     for (uint k = 0; k < POINTS / 8; ++k)
@@ -215,7 +238,7 @@ __kernel void sample_blocks(const uint n, __global const ulong *identifiers, con
     if (state == UNKNOWN) {
         double longest = 0;
         for (uint j = begin; j < end; ++j) {
-            const double ee = triangle_of(leaves, items[j]).ee.s0;
+            const double ee = triangle_at(&scene, j).ee.s0;
             longest = ee > longest ? ee : longest;
         }
         leeway = sway(x[MIDDLE], y[MIDDLE], z[MIDDLE], distances[MIDDLE] + 3 * radius + sqrt(longest),
@@ -224,8 +247,7 @@ __kernel void sample_blocks(const uint n, __global const ulong *identifiers, con
 #endif
     const bool apart = distances[MIDDLE] > radius;
     if (state == UNKNOWN && apart) {
-        const double number = number_beside(side_arguments leaves, items, which[MIDDLE], x[MIDDLE],
-                                            y[MIDDLE], z[MIDDLE]);
+        const double number = number_beside(&scene, which[MIDDLE], x[MIDDLE], y[MIDDLE], z[MIDDLE]);
         if (fabs(number - 0.5) > leeway)
             state = number > 0.5 ? INSIDE : OUTSIDE;
     }
@@ -234,7 +256,7 @@ __kernel void sample_blocks(const uint n, __global const ulong *identifiers, con
         bool inside = state == INSIDE;
         if (state == UNKNOWN) {
             const double number =
-                apart ? NAN : number_beside(side_arguments leaves, items, which[i], x[i], y[i], z[i]);
+                apart ? NAN : number_beside(&scene, which[i], x[i], y[i], z[i]);
             inside = number > 0.5;
             doubtful |= (fabs(number - 0.5) > leeway ? 0u : 1u) << i;
         }
@@ -261,7 +283,7 @@ __kernel void sample_blocks(const uint n, __global const ulong *identifiers, con
             known |= middles[other] == middles[k];
         if (known)
             continue;
-        const triangle t = triangle_of(leaves, items[middles[k]]);
+        const triangle t = triangle_at(&scene, (uint)middles[k]);
         double to_vertices[POINTS];
         for (uint v = 0; v < POINTS / 8; ++v) {
             ways way;
@@ -282,7 +304,7 @@ __kernel void sample_blocks(const uint n, __global const ulong *identifiers, con
                   sz = quarter * vload8(2, SIGNS);
     uint needed[8] = {0, 0, 0, 0, 0, 0, 0, 0};
     for (uint j = begin; j < end; ++j) {
-        const triangle t = triangle_of(leaves, items[j]);
+        const triangle t = triangle_at(&scene, j);
         ways way;
         MASKS feature;
         const ways *middle = &points[POINTS / 8];
@@ -494,61 +516,31 @@ bool jumps(const double *corners, double edge)
     return false;
 }
 
-// flags[c] = 1 if child c, of block c / 8, is to be refined. errors[c] = how far its interpolation is
-// from the distance, in sides: at most, if that is within the tolerance, and else at its SAMPLES; 0
-// beyond the band, and where it jumps.
-// codes[c] = the code of its bound.
-//
-// Of the triangles that are needed, the distance d is the least of convex d_t. So nowhere is d above
-// the interpolation of any d_t, or of the mean of two; nor is it further below that of the least d_t
-// than edge^2 / 8 times the Laplacian, which is at most 2 / d_t, or 1 / d_t beside an edge and 0 over a
-// face. With signs, where triangles pass: each distance is that to the plane of a triangle, times the
-// cosine between its normal and the way.
-__kernel void examine_children(const uint n, __global const ulong *identifiers, const uint level,
-                               const double extent, __global const double *leaves,
-                               __global const uint *begins, __global const uint *items,
-                               __global const uchar *masks,
-#ifdef SIGNED
-                               SIDES
-#ifdef WINDING
-                               __global const uint *doubts,
-#endif
-#endif
-                               __global const float *voxels,
-                               const double tolerance, const double band, const uint can_refine,
-                               const uint refine_crossed, __global const double *bounds,
-                               __global uint *flags, __global float *errors, __global uchar *codes,
-                               __global uint *steepest)
-{
-    const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-    const uint block = gid / 8, child = gid % 8, begin = begins[block], end = begins[block + 1];
-    const uint3 cell = 2 * cell_of(identifiers[block], level) + octant(child);
-    const double side = 2 * extent, edge = side / (2ul << level), radius = edge * HALF_DIAGONAL;
-    double corners[8];
-    for (uint i = 0; i < 8; ++i)
-        corners[i] = voxels[27 * (size_t)block + CORNERS[8 * child + i]] * side;
-    const double8 field = vload8(0, corners), size = absolute(field);
+// The triangles that a child needs, as far as there are KEPT: where in the list each stands, and of each
+// corner of the child how far it is, and what of it is nearest.
+typedef struct {
+    uint count;
+    uint places[KEPT];
+    double8 distances[KEPT];
+    MASKS feature[KEPT];
+} candidates;
 
-    // certain bounds
-    const ways at = lattice_points(cell, CELL, 0, level + 1, extent);
-    double8 kept[KEPT], best = INFINITY, closest = INFINITY;
-    uint kept_count = 0;
+// How far at most the interpolation of distances of this `size` at the corners is from the distance to the
+// mesh, whatever its sign; or INFINITY.
+//
+// The distance d is the least of convex d_t. So nowhere is d above the interpolation of any d_t, or of the
+// mean of two; nor is it further below that of the least d_t than edge^2 / 8 times the Laplacian, which is
+// at most 2 / d_t, or 1 / d_t beside an edge and 0 over a face.
+double bound_apart(const candidates *own, double8 size, double edge, double radius)
+{
     double above = INFINITY, below = 0;
-    for (uint j = begin; j < end; ++j) {
-        if (!(masks[j] >> child & 1))
-            continue;
-        const triangle t = triangle_of(leaves, items[j]);
-        ways way;
-        MASKS feature;
-        const double8 d = sqrt(triangle_ways(&t, at.x, at.y, at.z, &way, &feature));
+    uint best = 0;
+    for (uint i = 0; i < own->count; ++i) {
+        const double8 d = own->distances[i];
+        const MASKS feature = own->feature[i];
         const double excess = highest(d - size);
-        best = excess < above ? d : best;
+        best = excess < above ? i : best;
         above = excess < above ? excess : above;
-        closest = d < closest ? d : closest;
-        if (kept_count < KEPT)
-            kept[kept_count++] = d;
         const double least = lowest(d) - radius;
         const bool one = all(feature == (MASKS)feature.s0);
         const double laplacian = one && feature.s0 == FACE ? 0
@@ -557,126 +549,180 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
         const double shortfall = highest(size - d) + edge * edge * 0.125 * laplacian;
         below = shortfall > below ? shortfall : below;
     }
-    for (uint i = 0; i < kept_count; ++i) {
-        const double excess = highest(0.5 * (best + kept[i]) - size);
+    for (uint i = 0; i < own->count; ++i) {
+        const double excess = highest(0.5 * (own->distances[best] + own->distances[i]) - size);
         above = excess < above ? excess : above;
     }
-    const double nearby = lowest(closest);
-    const bool passed = nearby <= radius; // by triangles, perhaps
-    double bound = above > below ? above : below;
-#ifdef SIGNED
-    if (passed) {
-        bound = INFINITY;
+    return above > below ? above : below;
+}
+
 #ifdef CLOSED
-        double3 axis = 0;
-        double cosine = 1, apart = 0;
-        for (uint j = begin; j < end && cosine > 0.75; ++j) {
-            if (!(masks[j] >> child & 1))
-                continue;
-            const triangle t = triangle_of(leaves, items[j]);
-            double3 normal = normal_of(names[items[j]], FACE, features, normals);
-            const double square = normal.x * normal.x + normal.y * normal.y + normal.z * normal.z;
-            if (square == 0) {
-                cosine = 0;
-                break;
-            }
-            normal /= sqrt(square);
-            if (axis.x == 0 && axis.y == 0 && axis.z == 0)
-                axis = normal;
-            const double c = axis.x * normal.x + axis.y * normal.y + axis.z * normal.z;
-            cosine = c < cosine ? c : cosine;
-            const double8 plane = (at.x - t.ax) * normal.x + (at.y - t.ay) * normal.y +
-                                  (at.z - t.az) * normal.z;
-            const double misses = highest(absolute(plane - field));
-            apart = misses > apart ? misses : apart;
-        }
-        if (cosine > 0.75)
-            bound = apart + 2 * (1 - cosine * cosine) * (highest(size) + radius);
+// The same where triangles pass, with the signs of a closed mesh: every distance is that to the plane of a
+// triangle, times the cosine between its normal and the way.
+double bound_passed(const candidates *own, const ways *at, double8 field, double radius,
+                    const scene_of_lists *scene)
+{
+    double3 axis = 0;
+    double cosine = 1, apart = 0;
+    for (uint i = 0; i < own->count; ++i) {
+        const triangle t = triangle_at(scene, own->places[i]);
+        const uint name = scene->names[scene->items[own->places[i]]];
+        double3 normal = normal_of(name, FACE, scene->features, scene->normals);
+        const double square = normal.x * normal.x + normal.y * normal.y + normal.z * normal.z;
+        if (square == 0)
+            return INFINITY;
+        normal /= sqrt(square);
+        axis = i == 0 ? normal : axis;
+        const double c = axis.x * normal.x + axis.y * normal.y + axis.z * normal.z;
+        cosine = c < cosine ? c : cosine;
+        const double8 plane =
+            (at->x - t.ax) * normal.x + (at->y - t.ay) * normal.y + (at->z - t.az) * normal.z;
+        const double misses = highest(absolute(plane - field));
+        apart = misses > apart ? misses : apart;
+    }
+    if (cosine < 0.75)
+        return INFINITY;
+    return apart + 2 * (1 - cosine * cosine) * (highest(absolute(field)) + radius);
+}
 #endif
+
+
+// How far the interpolation is from the distance at a cell's samples, at most. In doubt, the sign is that of
+// the interpolation.
+double sample_error(const ways *points, const nearest *found, const double *corners, bool in_doubt,
+                    uint k, const scene_of_lists *scene)
+{
+    double8 interpolated = 0;
+    for (uint i = 0; i < 8; ++i)
+        interpolated += corners[i] * vload8(k, WEIGHTS + i * POINTS);
+    double8 outward = interpolated;
+#ifdef SIGNED
+    if (!in_doubt) {
+        double x[8], y[8], z[8], numbers[8];
+        long which[8];
+        vstore8(points->x, 0, x);
+        vstore8(points->y, 0, y);
+        vstore8(points->z, 0, z);
+        vstore8(found->which[0], 0, which);
+        for (uint i = 0; i < 8; ++i)
+            numbers[i] = number_beside(scene, which[i], x[i], y[i], z[i]);
+        const double8 number = vload8(0, numbers);
+        outward = number == number ? 0.5 - number : interpolated;
     }
 #endif
-    const double rounding = highest(size) * 0x1p-21 + SLACK;
-    bound += rounding;
+    const double8 distance = sqrt(found->square[0]);
+    return highest(absolute(interpolated - (outward < 0.0 ? -distance : distance)));
+}
 
-    const double dx = highest(absolute(field.s11335577 - field.s00224466));
-    const double dy = highest(absolute(field.s23672367 - field.s01450145));
-    const double dz = highest(absolute(field.s45674567 - field.s01230123));
-    const double slope = sqrt(dx * dx + dy * dy + dz * dz) / edge;
-
-    bool refined = false;
-    double error = bound;
-    uchar code;
-#ifdef JUMPS
-    if (jumps(corners, edge)) {
-        code = JUMP;
-        error = 0;
-    } else
+// For each child c of block c / 8: flags[c] = 1 if it is to be refined. errors[c] = how far its
+// interpolation is from the distance, in sides: at most, if that is within the tolerance, and else at its
+// samples, the first ones of which that are over it suffice to refine; 0 beyond the band, and where the
+// sign jumps. codes[c] = the code of its bound.
+__kernel void examine_children(const uint n, __global const ulong *identifiers, const uint level,
+                               const double extent, __global const uint *begins, SCENE_ARGUMENTS,
+#ifdef WINDING
+                               __global const uint *doubts,
 #endif
-    {
-        if (bound > tolerance) {
+                               __global const float *voxels, const double tolerance,
+                               const double band, const uint can_refine, const uint refine_crossed,
+                               __global const double *bounds, __global const uchar *masks,
+                               __global const uint *needed, __global uint *flags,
+                               __global float *errors, __global uchar *codes,
+                               __global uint *steepest)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const scene_of_lists scene = {SCENE_VALUES};
+    const uint begin = begins[gid], end = begins[gid + 1];
+    const uint3 parent = cell_of(identifiers[gid], level);
+    const double side = 2 * extent, edge = side / (2ul << level), radius = edge * HALF_DIAGONAL;
+    float slope_of_leaves = 0;
+    for (uint child = 0; child < 8; ++child) {
+        const size_t place = 8 * (size_t)gid + child;
+        const uint3 cell = 2 * parent + octant(child);
+        double corners[8];
+        for (uint i = 0; i < 8; ++i)
+            corners[i] = voxels[27 * (size_t)gid + CORNERS[8 * child + i]] * side;
+        const double8 field = vload8(0, corners), size = absolute(field);
+        const bool complete = needed[place] <= KEPT;
+        const ways at = lattice_points(cell, CELL, 0, level + 1, extent);
+        candidates own;
+        own.count = 0;
+        double8 closest = INFINITY;
+        for (uint j = begin; j < end; ++j) {
+            if (!(masks[j] >> child & 1))
+                continue;
+            const triangle t = triangle_at(&scene, j);
+            const uint i = complete ? own.count++ : 0;
+            ways way;
+            own.places[i] = j;
+            own.distances[i] =
+                sqrt(triangle_ways(&t, at.x, at.y, at.z, &way, &own.feature[i]));
+            closest = own.distances[i] < closest ? own.distances[i] : closest;
+        }
+        const double nearby = lowest(closest);
+        const bool passed = nearby <= radius; // by triangles, perhaps
+        double bound = INFINITY;
+        if (complete) {
 #ifdef SIGNED
-            bool trusted = true; // the numbers beside faces; else, and apart from them, the corners' sign
+#ifdef CLOSED
+            bound = passed ? bound_passed(&own, &at, field, radius, &scene)
+                           : bound_apart(&own, size, edge, radius);
+#else
+            if (!passed)
+                bound = bound_apart(&own, size, edge, radius);
+#endif
+#else
+            bound = bound_apart(&own, size, edge, radius);
+#endif
+        }
+        const double rounding = highest(size) * 0x1p-21 + SLACK;
+        bound += rounding;
+
+        const double dx = highest(absolute(field.s11335577 - field.s00224466));
+        const double dy = highest(absolute(field.s23672367 - field.s01450145));
+        const double dz = highest(absolute(field.s45674567 - field.s01230123));
+        const double slope = sqrt(dx * dx + dy * dy + dz * dz) / edge;
+
+        bool refined = false, jumped = false;
+        double error = bound;
+#ifdef JUMPS
+        jumped = jumps(corners, edge);
+#endif
+        if (bound > tolerance && !jumped) {
+            bool in_doubt = !passed; // all corners have the same sign
 #ifdef WINDING
             for (uint i = 0; i < 8; ++i)
-                trusted &= !(doubts[block] >> CORNERS[8 * child + i] & 1);
+                in_doubt |= doubts[gid] >> CORNERS[8 * child + i] & 1;
 #endif
-#endif
-            ways points[VECTORS];
-            nearest found;
-            for (uint k = 0; k < POINTS / 8; ++k) {
-                points[k] = lattice_points(4 * cell, SAMPLES, k, level + 3, extent);
-                found.square[k] = INFINITY;
-                found.sided[k] = INFINITY;
-                found.which[k] = NOWHERE;
-            }
-            for (uint j = begin; j < end; ++j) {
-                if (!(masks[j] >> child & 1))
-                    continue;
-                const triangle t = triangle_of(leaves, items[j]);
-                look_at(&t, has_side(items[j]), j, points, POINTS / 8, &found);
-            }
             error = 0;
-            for (uint k = 0; k < POINTS / 8; ++k) {
-                double8 interpolated = 0;
-                for (uint i = 0; i < 8; ++i)
-                    interpolated += corners[i] * vload8(k, WEIGHTS + i * POINTS);
-                double8 inside = interpolated; // its sign
-#ifdef SIGNED
-                if (passed && trusted) {
-                    double x[8], y[8], z[8], numbers[8];
-                    long which[8];
-                    vstore8(points[k].x, 0, x);
-                    vstore8(points[k].y, 0, y);
-                    vstore8(points[k].z, 0, z);
-                    vstore8(found.which[k], 0, which);
-                    for (uint i = 0; i < 8; ++i)
-                        numbers[i] = number_beside(side_arguments leaves, items, which[i], x[i], y[i], z[i]);
-                    inside = 0.5 - vload8(0, numbers);
-                }
-#endif
-                const double8 distance = sqrt(found.square[k]);
-                const double miss =
-                    highest(absolute(interpolated - (inside < 0.0 ? -distance : distance)));
+            const bool beyond = nearby - radius > band;
+            for (uint k = 0; k < POINTS / 8 && !(can_refine && !beyond && error > tolerance); ++k) {
+                const ways points = lattice_points(4 * cell, SAMPLES, k, level + 3, extent);
+                nearest found;
+                find_nothing(&found, 1);
+                for (uint i = 0; i < own.count; ++i)
+                    look_at(&scene, own.places[i], &points, 1, &found);
+                for (uint j = begin; j < end && !complete; ++j)
+                    if (masks[j] >> child & 1)
+                        look_at(&scene, j, &points, 1, &found);
+                const double miss = sample_error(&points, &found, corners, in_doubt, k, &scene);
                 error = miss > error ? miss : error;
             }
             const double between = error + rounding + (1 + slope) * (SAMPLE_GAP * edge);
             bound = between < bound ? between : bound;
-            refined = can_refine && (error > tolerance || (passed && refine_crossed));
-            if (nearby - radius > band) {
-                refined = false;
-                error = 0;
-            }
+            refined = can_refine && !beyond && (error > tolerance || (passed && refine_crossed));
+            error = beyond ? 0 : error;
         }
-        code = code_of(bound / side, bounds);
+        flags[place] = refined;
+        errors[place] = jumped ? 0 : (float)(error / side);
+        codes[place] = jumped ? JUMP : code_of(bound / side, bounds);
+        if (!refined && !jumped && slope > slope_of_leaves)
+            slope_of_leaves = (float)slope;
     }
-    flags[gid] = refined;
-    errors[gid] = (float)(error / side);
-    codes[gid] = code;
-    if (!refined && code != JUMP) {
-        const uint bits = as_uint((float)slope);
-        if (bits > *steepest)
-            atomic_max(steepest, bits);
-    }
+    if (as_uint(slope_of_leaves) > *steepest)
+        atomic_max(steepest, as_uint(slope_of_leaves));
 }
 
 // ---- down to the next level

@@ -41,6 +41,7 @@ MAX_LEVEL_ASKED = 9
 MARGIN = 1 / 16  # of the cube's side, on each side of the mesh's longest
 CROSSED = 64.0  # tolerances that the edge of a leaf may have where triangles pass, unless certain
 POINTS = 32  # that are looked at together, in vectors of 8: 27, and the last one again
+KEPT = 32  # triangles of a cell that are weighed against each other, at most
 NUMBER_ERROR = 2.0**-6  # of two winding numbers together, more than there is
 NOWHERE = BEYOND = 0xFFFFFFFF  # no triangle; no cell, as it is out of the cube
 COARSE = BEYOND - 1  # no cell, as there is a leaf
@@ -70,7 +71,7 @@ program.generated["adf/build.h"] = "\n".join(
             POINTS=POINTS,
             VECTORS=POINTS // 8 + 1,
             MIDDLE=13,
-            KEPT=8,
+            KEPT=KEPT,
             NO_LEAF=NO_LEAF,
             JUMP=JUMP,
             NOWHERE=NOWHERE,
@@ -361,7 +362,7 @@ class _Build:
         if "SIGNED" in self.options:
             level.states = device.empty(n, np.uint8)
             above = self.above.states if self.above else device.zeros(1, np.uint8)
-            states = (*self.sides, level.sources, above, level.states)
+            states = (level.sources, above, level.states)
         if self.winding:
             level.doubts, asked = device.empty(n, np.uint32), device.empty(n, np.uint32)
             states = (*states, *self.spheres, level.doubts, asked)
@@ -372,9 +373,10 @@ class _Build:
                 level.identifiers,
                 np.uint32(level.number),
                 np.float64(self.extent),
-                self.tree.leaves,
                 level.begins,
+                self.tree.leaves,
                 level.items,
+                *self.sides,
                 *states,
                 level.values,
                 level.masks,
@@ -394,7 +396,6 @@ class _Build:
             self._kernel("count_asked")(n, size, asked, begins)
             total = exclusive_scan(begins, n)
             if total:
-                print("asked", level.number, n, total)
                 points = device.empty(3 * total, np.float64)
                 self._kernel("list_asked")(
                     n, size, level.identifiers, *place, asked, begins, points
@@ -451,15 +452,14 @@ class _Build:
                 27 * n, np.uint32(27 * n), level.values, np.float64(self.extent), voxels
             )
             self._kernel("examine_children")(
-                8 * n,
-                np.uint32(8 * n),
+                n,
+                np.uint32(n),
                 level.identifiers,
                 np.uint32(level.number),
                 np.float64(self.extent),
-                self.tree.leaves,
                 level.begins,
+                self.tree.leaves,
                 level.items,
-                level.masks,
                 *self.sides,
                 *([level.doubts] if self.winding else []),
                 voxels,
@@ -468,6 +468,8 @@ class _Build:
                 np.uint32(can_refine),
                 np.uint32(coarse),
                 self.bound_values,
+                level.masks,
+                level.needed,
                 level.ranks,
                 errors,
                 codes,

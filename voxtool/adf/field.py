@@ -167,8 +167,8 @@ class DistanceField:
         """
         with np.errstate(over="ignore", invalid="ignore"):
             u = (points - np.array(self.origin)) / self.side
-        outside = np.logical_not(((u >= 0) & (u <= 1)).all(axis=1))
-        u = np.where(u > 0, u, 0.0) * 2.0**POINT_BITS
+            outside = np.logical_not(((u >= 0) & (u <= 1)).all(axis=1))
+            u = np.where(u > 0, u, 0.0) * 2.0**POINT_BITS
         return np.where(u < 2.0**POINT_BITS, u, 2.0**POINT_BITS - 1).astype(np.uint32), outside
 
     def distance(self, points: Any) -> np.ndarray:
@@ -221,12 +221,12 @@ class DistanceField:
             code = self.bounds[block, octant[:, 2], octant[:, 1], octant[:, 0]]
             bound = bound_values()[code]
         elif outside.any():
-            bound = np.ldexp(math.sqrt(3) / 2, -1 - level)
+            bound = half_diagonals(level + 1)
         world = distance.astype(np.float64) * self.side
         if outside.any():
             assert slope is not None
             assert bound is not None
-            self._extend(points, outside, distance, world, slope, bound)
+            self.extend(points, outside, distance, world, slope, bound)
         lost = np.isnan(points).any(axis=1)
         world[lost] = np.nan
         if slope is not None:
@@ -260,7 +260,7 @@ class DistanceField:
         dz, dy, dx = np.ogrid[:2, :2, :2]
         return self.voxels[block[:, None, None, None], z + dz, y + dy, x + dx]
 
-    def _extend(
+    def extend(
         self,
         points: np.ndarray,
         outside: np.ndarray,
@@ -341,7 +341,7 @@ class DistanceField:
 
     def _check_tree(self) -> None:
         order = self.blocks
-        if (order[1:] <= order[:-1]).any() or order[0] != 1 or int(order[-1]) >> (3 * MAX_LEVEL):
+        if (order[1:] <= order[:-1]).any() or order[0] != 1 or int(order[-1]) >> (3 * MAX_LEVEL - 2):
             raise FileError("field cells: blocks are not in the order of their cells, root first")
         levels, ijk = cell_of(order)
         if levels.max() >= MAX_LEVEL or (identifier_type(int(levels.max())) != order.dtype):
@@ -363,6 +363,11 @@ class DistanceField:
             refined = np.isin(children, order).reshape(self.bounds.shape)
             if not np.array_equal(self.bounds == NO_LEAF, refined):
                 raise FileError("field bounds: they are not those of the leaves")
+
+
+def half_diagonals(levels: np.ndarray) -> np.ndarray:
+    """(N,) float64: of cells of these levels, in sides; no distance in one is further off."""
+    return np.ldexp(math.sqrt(3) / 2, -levels)
 
 
 def trilinear(values: np.ndarray, t: np.ndarray) -> np.ndarray:

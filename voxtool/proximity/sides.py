@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from voxtool.proximity.pseudonormals import Pseudonormals
     from voxtool.proximity.winding import WindingNumber
 
-SPHERES = 64  # that hold the boundary, at most
+SPHERES = 512  # that hold the boundary, at most
 ABOVE = 2.0**-10  # of its height, how far above a face the number in front of it is taken
 
 
