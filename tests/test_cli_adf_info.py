@@ -83,7 +83,7 @@ def test_deep_field(here: Path) -> None:
         "faces        neighbours agree\n",
         "jumps        unknown: without bounds\n",
         "identifiers of 64 bits\n",
-        '  error: max 0.5, ?[2J [1, {"deep": null}]\n',
+        '  error: max 0.5, ?[2J (1, {"deep": null})\n',
         "  samples: 1,234,567\n",
     ):
         assert words in text

@@ -528,9 +528,11 @@ typedef struct {
 // How far at most the interpolation of distances of this `size` at the corners is from the distance to the
 // mesh, whatever its sign; or INFINITY.
 //
-// The distance d is the least of convex d_t. So nowhere is d above the interpolation of any d_t, or of the
-// mean of two; nor is it further below that of the least d_t than edge^2 / 8 times the Laplacian, which is
-// at most 2 / d_t, or 1 / d_t beside an edge and 0 over a face.
+// The distance is the least of convex d_t. So it is nowhere above the interpolation of any d_t, or of the
+// mean of two. And interpolation is a mean over corners v: with q nearest to p, n the way from q, and u, w the
+// parts of v - p along and across n, d_t(v) <= |v - q| <= d_t(p) + u + w^2 / (2 (d_t(p) + u)), where the mean
+// of u is 0 and that of w^2 is at most edge^2 / 2; edge^2 / 4 beside an edge, along which q may slide, and 0
+// over a face.
 double bound_apart(const candidates *own, double8 size, double edge, double radius)
 {
     double above = INFINITY, below = 0;
@@ -541,12 +543,11 @@ double bound_apart(const candidates *own, double8 size, double edge, double radi
         const double excess = highest(d - size);
         best = excess < above ? i : best;
         above = excess < above ? excess : above;
-        const double least = lowest(d) - radius;
+        const double least = lowest(d) - 3 * radius; // of d_t(p) + u
         const bool one = all(feature == (MASKS)feature.s0);
-        const double laplacian = one && feature.s0 == FACE ? 0
-                                 : least <= 0              ? INFINITY
-                                                           : (one && feature.s0 < A ? 1 : 2) / least;
-        const double shortfall = highest(size - d) + edge * edge * 0.125 * laplacian;
+        const double across = one && feature.s0 == FACE ? 0 : one && feature.s0 < A ? 0.25 : 0.5;
+        const double bend = across == 0 ? 0 : least > 0 ? across * edge * edge / (2 * least) : INFINITY;
+        const double shortfall = highest(size - d) + bend;
         below = shortfall > below ? shortfall : below;
     }
     for (uint i = 0; i < own->count; ++i) {
@@ -557,9 +558,10 @@ double bound_apart(const candidates *own, double8 size, double edge, double radi
 }
 
 #ifdef CLOSED
-// The same where triangles pass, with the signs of a closed mesh: every distance is that to the plane of a
-// triangle, times the cosine between its normal and the way.
-double bound_passed(const candidates *own, const ways *at, double8 field, double radius,
+// The same where triangles pass, with the signs of a closed mesh, and distances of `farthest` at most. If all
+// normals are within an angle of the first, so is the way to the nearest point, and every distance is that to
+// the plane of a triangle, divided by a cosine of at least that of twice the angle.
+double bound_passed(const candidates *own, const ways *at, double8 field, double farthest,
                     const scene_of_lists *scene)
 {
     double3 axis = 0;
@@ -582,7 +584,7 @@ double bound_passed(const candidates *own, const ways *at, double8 field, double
     }
     if (cosine < 0.75)
         return INFINITY;
-    return apart + 2 * (1 - cosine * cosine) * (highest(absolute(field)) + radius);
+    return apart + 2 * (1 - cosine * cosine) * farthest;
 }
 #endif
 
@@ -667,7 +669,7 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
         if (complete) {
 #ifdef SIGNED
 #ifdef CLOSED
-            bound = passed ? bound_passed(&own, &at, field, radius, &scene)
+            bound = passed ? bound_passed(&own, &at, field, highest(closest) + radius, &scene)
                            : bound_apart(&own, size, edge, radius);
 #else
             if (!passed)

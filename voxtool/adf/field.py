@@ -27,7 +27,6 @@ import numpy as np
 
 from voxtool.adf.hashing import SpatialHash, cell_identifier, cell_of, identifier_type, key_of
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.morton import morton_encode
 from voxtool.opencl import program
 
 POINT_BITS = 32  # of a coordinate in the cube
@@ -348,26 +347,22 @@ class DistanceField:
             raise FileError(
                 f"field cells: identifiers of {order.dtype.itemsize} bytes for level {levels.max()}"
             )
-        if not np.isin(order[1:] >> order.dtype.type(3), order).all():
+        parents = order[1:] >> order.dtype.type(3)
+        of = np.minimum(np.searchsorted(order, parents), len(order) - 1)
+        if not np.array_equal(order[of], parents):
             raise FileError("field cells: a cell has no parent")
+        keys = key_of(levels, ijk)
         try:
-            self.hash.validate(key_of(levels, ijk))
+            self.hash.validate(keys)
         except VoxtoolError as error:
             raise FileError(f"field: {error}") from None
-        slot = self.hash.slots(key_of(levels, ijk))
-        if not np.array_equal(self.identifiers.ravel()[slot], order):
+        if not np.array_equal(self.identifiers.ravel()[self.hash.slots(keys)], order):
             raise FileError("field cells: a cell is not where the hash puts it")
         if self.bounds is not None:
-            codes = morton_encode(np.indices((2, 2, 2)).reshape(3, 8).T[:, ::-1])
-            children = order[:, None] << order.dtype.type(3) | codes.astype(order.dtype)
-            refined = np.isin(children, order).reshape(self.bounds.shape)
-            if not np.array_equal(self.bounds == NO_LEAF, refined):
+            refined = np.zeros((len(order), 8), bool)
+            refined[of, (order[1:] & order.dtype.type(7)).astype(np.int64)] = True
+            if not np.array_equal((self.bounds == NO_LEAF).reshape(-1, 8), refined):
                 raise FileError("field bounds: they are not those of the leaves")
-
-
-def half_diagonals(levels: np.ndarray) -> np.ndarray:
-    """(N,) float64: of cells of these levels, in sides; no distance in one is further off."""
-    return np.ldexp(math.sqrt(3) / 2, -levels)
 
 
 def trilinear(values: np.ndarray, t: np.ndarray) -> np.ndarray:

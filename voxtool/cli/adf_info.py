@@ -13,6 +13,8 @@ from voxtool.cli import options
 from voxtool.errors import printable
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from voxtool.adf.field import DistanceField
 
 
@@ -158,10 +160,19 @@ def _print_pairs(title: str, pairs: Any) -> None:
     if not pairs or not isinstance(pairs, dict):
         return
     click.echo(f"\n{title}")
+    for name, value in _flattened(pairs):
+        click.echo(f"  {printable(name)}: {printable(value)}")
+
+
+def _flattened(pairs: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Names and values; of a dict of dicts, one of each inner one."""
     for name, value in pairs.items():
-        if isinstance(value, dict):
-            value = ", ".join(f"{inner} {_shown(v)}" for inner, v in value.items())
-        click.echo(f"  {printable(name)}: {printable(_shown(value))}")
+        if not isinstance(value, dict):
+            yield name, _shown(value)
+        elif any(isinstance(inner, dict) for inner in value.values()):
+            yield from ((f"{name} {inner}", text) for inner, text in _flattened(value))
+        else:
+            yield name, ", ".join(f"{inner} {_shown(v)}" for inner, v in value.items())
 
 
 def _shown(value: Any) -> str:
@@ -172,6 +183,8 @@ def _shown(value: Any) -> str:
         return f"{value:.6g}"
     if type(value) is int:
         return f"{value:,}"
+    if isinstance(value, list):
+        return f"({', '.join(map(_shown, value))})"
     return json.dumps(value, ensure_ascii=False)
 
 
