@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import opened, usable_devices
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -20,6 +21,7 @@ from voxtool.adf.hashing import (
     key_of,
 )
 from voxtool.errors import MemoryLimitError, VoxtoolError
+from voxtool.opencl import Device
 
 
 def near_box(level: int, low: tuple[float, ...], high: tuple[float, ...]) -> list[np.ndarray]:
@@ -69,9 +71,24 @@ def slots_in_python(table: SpatialHash, keys: np.ndarray) -> list[int]:
     return slots
 
 
+def full_with_blobs(level: int) -> list[np.ndarray]:
+    """The cells, a level each, of an octree that is full but for balls that it lacks in its last
+    level but two, and but for balls that are all that it has in the last two."""
+    levels = [np.indices((1 << number,) * 3).reshape(3, -1).T for number in range(level + 1)]
+    rng = np.random.default_rng(level)
+    for number, share in ((level - 2, 0.97), (level - 1, 0.4), (level, 0.09)):
+        centres = rng.random((12, 1, 3)) * (1 << number)
+        near = (((levels[number] - centres) ** 2).sum(axis=2) / rng.random((12, 1))).min(axis=0)
+        levels[number] = levels[number][near <= np.quantile(near, share)]
+    return levels
+
+
 def check(keys: np.ndarray) -> SpatialHash:
-    """Build a table and hold it against what is promised of all of them."""
-    table, n = build_hash(keys), len(keys)
+    """Build a table on every device and hold it against what is promised of all of them."""
+    tables, n = [build_hash(keys, opened(index)) for index, _ in usable_devices()], len(keys)
+    assert len({digest(table) for table in tables}) == 1
+    table = tables[0]
+    table.validate(keys)
     assert table.m**3 >= n
     assert table.m == 1 or (table.m - 1) ** 3 < n
     channels = 4 if table.has_w else 3
@@ -118,6 +135,13 @@ def test_cells_of_deep_levels(level: int) -> None:
 def test_cells_in_planes(low: tuple[float, ...], high: tuple[float, ...], bits: int) -> None:
     keys = keys_of(near_box(7, low, high))
     assert check(keys).bits_a_key(len(keys)) < bits
+
+
+def test_cells_of_an_octree_that_is_nearly_full() -> None:
+    keys = keys_of(full_with_blobs(6))
+    table = check(keys)
+    assert table.has_w  # its buckets are alike
+    assert table.bits_a_key(len(keys)) < 9
 
 
 def test_the_load_is_over_95_percent_where_the_least_table_allows_it() -> None:
@@ -177,37 +201,52 @@ def test_no_key_one_key_and_two_keys() -> None:
 def test_keys_equal_mod_r_and_m_are_parted_by_w() -> None:
     keys = block(10, 10, 5)
     assert not check(keys).has_w
-    m, r = 8, hashing._first_r(len(keys))
-    assert r == 5
+    m, r = 8, 5
     keys[-1] = (1 + r * m, 1, 1)  # where (1, 1, 1) is
-    buckets = hashing._fill_buckets(keys, r)
-    assert hashing._colliding(buckets.keys, buckets.numbers(), m).size == 1
     table = check(keys)
     assert (table.m, table.r, table.has_w) == (m, r, True)
-    used = np.unique(table.offsets[..., 3])
-    assert used.tolist() == [3, m]
+    assert table.offsets[1, 1, 1, 3] in (3, 7)
+    assert np.count_nonzero(table.offsets[..., 3] != m) == 1
 
 
 def test_keys_equal_mod_everything_ask_for_another_r() -> None:
-    step = 2 * 3 * 4 * 5 * 7 * 3  # by which no r up to 10 and no w tells keys apart
-    keys = block(10, 10, 10, 1, step // 3)
-    buckets = hashing._fill_buckets(keys, 3)
-    assert buckets.sizes.tolist() == [1000]
-    assert hashing._choose_w(buckets, 10) is None
-    assert check(keys).r > 3
+    keys = block(10, 10, 10, 1, 2 * 3 * 4 * 5 * 7)
+    assert (keys % 7 == 1).all()  # and of the w that are coprime to 7 and m, 3 and 9,
+    assert len(np.unique(keys % 9, axis=0)) == 27  # neither tells them apart
+    assert hashing._choices(10, 7).tolist() == [10, 9, 3]
+    assert check(keys).r > 7
 
 
-def test_w_is_the_first_coprime_that_parts_the_keys() -> None:
-    keys = np.array([[1, 1, 1], [1 + 3 * 10 * 7, 1, 1], [2, 2, 2]])
-    buckets = hashing._fill_buckets(keys, 3)
-    w = hashing._choose_w(buckets, 10)
-    assert w is None  # of 2 to 9 only 7 is coprime to 10 and 3, and it divides the difference
-    keys[1, 0] = 1 + 3 * 10
-    buckets = hashing._fill_buckets(keys, 3)
-    assert buckets.sizes.tolist() == [2, 1]
-    w = hashing._choose_w(buckets, 10)
-    assert w is not None
-    assert w.tolist() == [7, 10]
+def search_of(keys: np.ndarray, m: int, r: int, device: Device) -> hashing._Search:
+    on_device = hashing._sort_keys(device, keys)
+    buckets = hashing._fill_buckets(on_device, r, hashing._count_keys(on_device, r))
+    return hashing._Search(buckets, m, hashing._Way.PACKED)
+
+
+def test_w_is_coprime_and_parts_the_keys(device: Device) -> None:
+    assert hashing._choices(10, 3).tolist() == [10, 7]
+    keys = np.array([[1, 1, 1], [1 + 3 * 10, 1, 1], [2, 2, 2]])
+    search = search_of(keys, 10, 3, device)
+    assert search.buckets.sizes.tolist() == [2, 1]
+    assert search.run() is not None
+    assert search.w.get().tolist() == [7, 10]
+    keys[1, 0] = 1 + 3 * 10 * 7
+    search = search_of(keys, 10, 3, device)
+    assert search.run() is None
+    assert search.w.get().tolist() == [0, 10]
+
+
+def test_buckets_are_numbered_by_falling_size_then_by_cell(device: Device) -> None:
+    keys = np.random.default_rng(2).permutation(block(7, 6, 5))
+    buckets = search_of(keys, 6, 5, device).buckets
+    cells = keys % 5 @ [1, 5, 25]
+    assert (np.lexsort((buckets.cells, -buckets.sizes)) == np.arange(len(buckets.cells))).all()
+    assert buckets.sizes.tolist() == np.bincount(cells)[buckets.cells].tolist()
+    order, rising = buckets.order.get(), keys[np.lexsort(keys.T)]
+    for cell, size, first in zip(buckets.cells, buckets.sizes, buckets.firsts, strict=True):
+        members = order[first : first + size]
+        assert (rising[members] % 5 @ [1, 5, 25] == cell).all()
+        assert (np.diff(members.astype(int)) > 0).all()
 
 
 @pytest.mark.parametrize(("m", "r", "dtype"), [(255, 4, np.uint8), (256, 3, np.uint16)])
@@ -266,8 +305,15 @@ def test_bad_keys_are_named(keys: np.ndarray, message: str) -> None:
     assert "\n" not in str(error.value)
 
 
+def test_more_keys_than_the_largest_table_holds_are_refused() -> None:
+    keys = np.broadcast_to(np.ones(3, np.int32), (2**30 + 1, 3))
+    with pytest.raises(MemoryLimitError, match=r"1073741825 keys.*1024\^3 slots.*smaller") as error:
+        build_hash(keys)
+    assert "\n" not in str(error.value)
+
+
 def test_no_table_within_bounds_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hashing, "_search", lambda *_: None)
+    monkeypatch.setattr(hashing._Search, "run", lambda _: None)
     with pytest.raises(MemoryLimitError, match="no perfect hash of 41 keys") as error:
         build_hash(keys_of(near_sphere(2, 0.3)))
     assert "\n" not in str(error.value)

@@ -7,6 +7,7 @@ import re
 import numpy as np
 import pytest
 
+from voxtool.adf import build, hashing
 from voxtool.errors import DeviceError
 from voxtool.grid import FIXED_POINT_BITS
 from voxtool.opencl import Device, primitives, program
@@ -53,6 +54,23 @@ CONSTANTS = {
         "ALTERNATIVE": cases.ALTERNATIVE,
         "NO_FACE": cases.NO_FACE,
         "NO_EDGE": cases.NO_EDGE,
+    },
+    "adf/build.h": {
+        name: getattr(build, name)
+        for name in (
+            "JUMP",
+            "KEPT",
+            "NOWHERE",
+            "BEYOND",
+            "COARSE",
+            "UNKNOWN",
+            "OUTSIDE",
+            "INSIDE",
+        )
+    },
+    "adf/hashing.h": {
+        name: getattr(hashing, name)
+        for name in ("SLOT_BITS", "MOST_PARTED", "WORDS", "LANES", "LOST", "WON", "NOWHERE")
     },
     "svo/rectangles.h": {"FIELD": rectangles.FIELD},
     "svo/voxelize.h": {

@@ -7,6 +7,8 @@
 // A cell has a list of triangles, among which are the nearest ones to every point of the cell.
 
 #include "adf/build.h"
+#include "adf/samples.h"
+#include "proximity/arctangent.h"
 #include "proximity/bvh.h"
 #include "proximity/names.h"
 #include "spread.h"
@@ -165,14 +167,14 @@ double number_beside(const scene_of_lists *scene, long place, double x, double y
 // most; see voxtool/proximity/sides.py.
 double sway(double x, double y, double z, double reach, __global const double *spheres, uint count)
 {
-    double sum = NUMBER_ERROR;
+    double sum = 0x1p-6; // two winding numbers are wrong by less
     for (uint i = 0; i < count; ++i) {
         __global const double *sphere = spheres + 5 * i;
         const double dx = x - sphere[0], dy = y - sphere[1], dz = z - sphere[2];
         const double gap = sqrt(dx * dx + dy * dy + dz * dz) - sphere[3] - reach;
         if (!(gap > 0))
             return INFINITY;
-        sum += sphere[4] * reach / (FOUR_PI * gap * gap);
+        sum += sphere[4] * reach / (4 * PI * gap * gap);
     }
     return sum;
 }

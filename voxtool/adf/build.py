@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voxtool.adf import samples  # noqa: F401  (its header)
 from voxtool.adf.accuracy import measure
 from voxtool.adf.field import JUMP, MAX_LEVEL, NO_LEAF, DistanceField, assemble, bound_values
 from voxtool.adf.hashing import build_hash, cell_of, identifier_type, key_of
@@ -40,67 +41,20 @@ TOLERANCE = 1e-3  # unless another is asked for
 MAX_LEVEL_ASKED = 9
 MARGIN = 1 / 16  # of the cube's side, on each side of the mesh's longest
 CROSSED = 64.0  # tolerances that the edge of a leaf may have where triangles pass, unless certain
-POINTS = 32  # that are looked at together, in vectors of 8: 27, and the last one again
 KEPT = 32  # triangles of a cell that are weighed against each other, at most
-NUMBER_ERROR = 2.0**-6  # of two winding numbers together, more than there is
 NOWHERE = BEYOND = 0xFFFFFFFF  # no triangle; no cell, as it is out of the cube
 COARSE = BEYOND - 1  # no cell, as there is a leaf
+UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2  # sides of the mesh
 
-# offsets, x y z, of the 27 vertices of a block; of the middles of its children; of a cell's
-# corners; of its samples, in quarters: the middles of edges, faces and cell, and of its octants
-_BLOCK = np.indices((3, 3, 3)).reshape(3, 27)[::-1]
-_OCTANTS = np.indices((2, 2, 2)).reshape(3, 8)[::-1]
-_EVEN = 2 * _BLOCK[:, (_BLOCK == 1).any(axis=0)]
-SAMPLES = np.concatenate([_EVEN, 2 * _OCTANTS + 1], axis=1)
-# no point of a cell is further from a corner or sample than this, in edges: together they are a
-# body-centred cubic lattice of half an edge
-SAMPLE_GAP = math.sqrt(5) / 8 * (1 + 2.0**-50)
-HALF_DIAGONAL = math.sqrt(3) / 2 * (1 + 2.0**-50)
-
-
-def _table(name: str, rows: np.ndarray, kind: str = "double", width: int = POINTS) -> str:
-    """A constant table, its rows filled up with their last numbers."""
-    rows = np.pad(rows, ((0, 0), (0, width - rows.shape[1])), mode="edge")
-    values = ", ".join(f"{value:g}" for value in rows.ravel().tolist())
-    return f"__constant {kind} {name}[] = {{{values}}};"
-
-
-program.generated["adf/build.h"] = "\n".join(
-    [
-        program.c_constants(
-            POINTS=POINTS,
-            VECTORS=POINTS // 8 + 1,
-            MIDDLE=13,
-            KEPT=KEPT,
-            NO_LEAF=NO_LEAF,
-            JUMP=JUMP,
-            NOWHERE=NOWHERE,
-            COARSE=COARSE,
-            BEYOND=BEYOND,
-            UNKNOWN=0,
-            OUTSIDE=1,
-            INSIDE=2,
-        ),
-        f"#define FOUR_PI {(4 * math.pi).hex()}",
-        f"#define NUMBER_ERROR {NUMBER_ERROR.hex()}",
-        f"#define HALF_DIAGONAL {HALF_DIAGONAL.hex()}",
-        f"#define SAMPLE_GAP {SAMPLE_GAP.hex()}",
-        _table("VERTICES", _BLOCK),
-        _table("MIDDLES", 2 * _OCTANTS + 1),
-        _table("CELL", _OCTANTS),
-        _table("SAMPLES", SAMPLES),
-        _table("SIGNS", 2 * _OCTANTS - 1, width=8),
-        _table(
-            "WEIGHTS",
-            np.where(_OCTANTS.T[:, :, None] == 1, SAMPLES / 4, 1 - SAMPLES / 4).prod(axis=1),
-        ),
-        _table(
-            "CORNERS",
-            (np.array([1, 3, 9]) * (_OCTANTS.T[:, None] + _OCTANTS.T[None])).sum(axis=2),
-            "uint",
-            width=8,
-        ),
-    ]
+program.generated["adf/build.h"] = program.c_constants(
+    JUMP=JUMP,
+    KEPT=KEPT,
+    NOWHERE=NOWHERE,
+    BEYOND=BEYOND,
+    COARSE=COARSE,
+    UNKNOWN=UNKNOWN,
+    OUTSIDE=OUTSIDE,
+    INSIDE=INSIDE,
 )
 
 
@@ -547,7 +501,7 @@ class _Build:
         identifiers = np.concatenate(self.identifiers)
         levels, ijk = cell_of(identifiers)
         with self.device.stage("hash"):
-            table = build_hash(key_of(levels, ijk))
+            table = build_hash(key_of(levels, ijk), self.device)
         codes = np.concatenate(self.codes)
         reached: dict[str, Any] = {
             "leaves": 7 * len(identifiers) + 1,

@@ -269,7 +269,7 @@ class DistanceField:
         bound: np.ndarray,
     ) -> None:
         """Give points outside of the cube their lower bound, in `world`, and its gradient."""
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             u = (points[outside] - np.array(self.origin)) / self.side
             beyond = np.where(u < 0, u, np.where(u > 1, u - 1, 0.0))
             near = np.abs(distance[outside].astype(np.float64)) - bound[outside]
@@ -340,7 +340,11 @@ class DistanceField:
 
     def _check_tree(self) -> None:
         order = self.blocks
-        if (order[1:] <= order[:-1]).any() or order[0] != 1 or int(order[-1]) >> (3 * MAX_LEVEL - 2):
+        if (
+            (order[1:] <= order[:-1]).any()
+            or order[0] != 1
+            or int(order[-1]) >> (3 * MAX_LEVEL - 2)
+        ):
             raise FileError("field cells: blocks are not in the order of their cells, root first")
         levels, ijk = cell_of(order)
         if levels.max() >= MAX_LEVEL or (identifier_type(int(levels.max())) != order.dtype):
@@ -363,6 +367,11 @@ class DistanceField:
             refined[of, (order[1:] & order.dtype.type(7)).astype(np.int64)] = True
             if not np.array_equal((self.bounds == NO_LEAF).reshape(-1, 8), refined):
                 raise FileError("field bounds: they are not those of the leaves")
+
+
+def half_diagonals(levels: np.ndarray) -> np.ndarray:
+    """(N,) float64: of cells of these levels, in sides; no distance in one is further off."""
+    return np.ldexp(math.sqrt(3) / 2, -levels)
 
 
 def trilinear(values: np.ndarray, t: np.ndarray) -> np.ndarray:

@@ -16,39 +16,75 @@ What differs from the text:
 - r is coprime to m, or keys equal mod both would be many.
 - Slots are searched in the order of s / r mod m. The keys of a bucket differ by multiples of r, so
   there they lie as near to each other as in a grid r times as coarse: those of a plane or a cube
-  are a plate or a block. Large buckets are packed, each into the first slots that it fits, from m
-  places on; which alone solves keys in planes, as a box has them, with a small r. Others begin to
-  search at a pseudo-random place, which depends on their keys alone.
-- The search walks the free slots and puts the first key of a bucket there. Buckets of one size
-  search together: of those that want one slot, the first has it and the others search on. A bucket
-  of one key takes the next free slot.
+  are a plate or a block. A row of slots in this order is a row of bits, many tested at once.
+- Buckets search in rounds, the next of those that are left together. Each looks for slots that
+  were vacant when the round began and claims them; of those that claim a slot, the first has it,
+  and the others search on. Buckets of one key take the slots that are left, in their order.
+- Buckets are scattered where there would be enough places for each if vacant slots were random
+  ones: each begins to search at a place of its own. In an octree that is full down to some level,
+  all buckets are alike and soon want what others took. There w differs from bucket to bucket, which
+  makes their shapes different.
+- Otherwise they are packed, each into the first slots that it fits, from m places on: the way for
+  planes, as a box has them. w is m, wherever that parts the keys.
+- A bucket that finds no place tries others of the w that part its keys.
 
-So the table depends on the set of keys alone.
+The table depends on the set of keys alone, neither on their order nor on the device.
 
 The hash maps every key to some slot. Who looks for a cell that may be absent stores identifiers
 in the slots and compares (section 3.4.3): Morton codes with a leading one tell cells of all levels
 apart.
+
+Kernels: kernels/adf/hashing.cl.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import Enum, auto
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of
 from voxtool.morton import morton_decode, morton_encode
+from voxtool.opencl import Array, Device, open_device, program
+from voxtool.opencl.primitives import radix_sort
 
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+SOURCE = "adf/hashing.cl"
 MAX_LEVEL = 20  # of a cell: the three coordinates of its key fit 63 bits
 MAX_LEVEL_32 = 10  # of cells whose identifiers fit 32 bits
+MAX_KEY = (2 << MAX_LEVEL) - 1  # along an axis
+SLOT_BITS = 10  # of a slot along an axis: m is at most 1024
 KEYS_AN_OFFSET = 6  # n / 2d offsets to begin with: 4 bits a key where an offset has 24
+SCATTERED_KEYS = 4  # keys an offset down to which one looks for an r that lets buckets be scattered
+CHOICE = 15  # places that the last bucket of each size must expect there
 MAX_R = 256  # r grows to this, or to 2 m
-PACKED = 4  # keys of a bucket from which it is packed,
-PACKED_LATE = 12  # if a search among random slots may do
-TRIALS = 1 << 17  # offsets that are tried at once, at most
-MIN_TRIALS = 8  # of a bucket, at least
-AT_ONCE = 64  # keys of a bucket that are tested at once, at most
+ALIKE = 16  # tables of offsets side by side within the keys, below which buckets are alike
+SPREAD = 3  # w of alike buckets are m / 3 or more
+MOST_PARTED = 2048  # keys of a bucket that are compared in pairs to see whether w parts them
+WORDS = 4  # of 64 slots that are tested at once, a span: the kernels' vectors are of this width
+REACH = 2048  # spans that one of alike buckets searches with a w
+BUDGET = 1 << 22  # spans searched in vain before r grows
+LANES = 1 << 14  # buckets that search together, at most
+CROWD = 4  # vacant slots for each pair of keys of buckets that search together, at least
+MAX_ROUNDS = (1 << 32) // LANES  # a claim has 32 bits for the round and the bucket of its window
+LOST, WON, NOWHERE = 0, 1, 2  # what becomes of a bucket in a round
+EVEN = 0xC13FA9A9, 0x91E10DA6  # 2**32 over the plastic number, and over its square
+AT_ONCE = 1 << 16  # keys whose slots are found at once, in memory that stays near
+
+program.generated["adf/hashing.h"] = program.c_constants(
+    SLOT_BITS=SLOT_BITS,
+    MOST_PARTED=MOST_PARTED,
+    WORDS=WORDS,
+    LANES=LANES,
+    LOST=LOST,
+    WON=WON,
+    NOWHERE=NOWHERE,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,11 +121,16 @@ class SpatialHash:
 
     def slots(self, keys: np.ndarray) -> np.ndarray:
         """(n, 3) keys, none negative, to (n,) int64 slots x + m (y + m z)."""
-        keys = np.asarray(keys, np.int64)
-        x, y, z = (keys % self.r).T
-        offset = self.offsets[z, y, x].astype(np.int64)
-        w = offset[:, 3:] if self.has_w else self.m
-        return _flat((keys % w + offset[:, :3]) % self.m, self.m)
+        keys, m = np.asarray(keys, np.int64), self.m
+        slots = np.empty(len(keys), np.int64)
+        for begin in range(0, len(keys), AT_ONCE):
+            some = keys[begin : begin + AT_ONCE]
+            x, y, z = (some % self.r).T
+            offset = self.offsets[z, y, x].astype(np.int64)
+            w = offset[:, 3:] if self.has_w else m
+            x, y, z = ((some % w + offset[:, :3]) % m).T
+            slots[begin : begin + AT_ONCE] = x + m * (y + m * z)
+        return slots
 
     def validate(self, keys: np.ndarray) -> None:
         """Check that the table is sound and that each of these keys has a slot of its own.
@@ -100,10 +141,9 @@ class SpatialHash:
         """
         self._check_table()
         slots = self.slots(keys)
-        order = np.argsort(slots, kind="stable")
-        same = np.flatnonzero(np.diff(slots[order]) == 0)
-        if len(same):
-            first, second = (_shown(keys[i]) for i in order[same[0] : same[0] + 2])
+        shared = np.flatnonzero(np.bincount(slots, minlength=self.m**3) > 1)
+        if len(shared):
+            first, second = (_shown(keys[i]) for i in np.flatnonzero(slots == shared[0])[:2])
             raise VoxtoolError(f"spatial hash: keys {first} and {second} have the same slot")
 
     def _check_table(self) -> None:
@@ -117,59 +157,52 @@ class SpatialHash:
             raise VoxtoolError(f"spatial hash: m = {m}, but an offset is out of range")
 
 
-def build_hash(keys: np.ndarray) -> SpatialHash:
-    """The perfect hash of a set of keys; their order does not matter.
+def build_hash(keys: np.ndarray, device: Device | None = None) -> SpatialHash:
+    """The perfect hash of a set of keys; their order does not matter, nor does the device.
 
     r grows from KEYS_AN_OFFSET keys an offset until a table is found, at most to 2 m or MAX_R.
-    Takes some 16 bytes a slot and 150 bytes a key meanwhile.
+    Takes some 16 bytes a slot and 70 bytes a key meanwhile.
 
     Parameters
     ----------
     keys : (n, 3) integers in [1, 2**21 - 1], distinct.
+    device : by default that of open_device().
 
     Raises
     ------
     VoxtoolError : a key is repeated, or out of range.
-    MemoryLimitError : there is no table of offsets within bounds.
+    MemoryLimitError : the keys are more than 2**30, or there is no table of offsets within bounds.
     """
-    keys = _sorted_keys(keys)
+    keys = _checked(keys)
+    keys_on_device = _sort_keys(device or open_device(), keys)
     m = _table_side(len(keys))
-    r = _first_r(len(keys))
-    while r <= _max_r(m):
-        if math.gcd(r, m) == 1:
-            buckets = _fill_buckets(keys, r)
-            w = _choose_w(buckets, m)
-            offsets = None if w is None else _search(buckets, w, m)
-            if w is not None and offsets is not None:
-                table = SpatialHash(m, r, _pack_offsets(buckets, offsets, w, m))
-                table.validate(keys)
-                return table
-            # by much, where failure was no surprise and took time
-            r += r // (32 if w is None or _expects(1, buckets.sizes, m) else 4)
-        r += 1
+    for r, sizes, way in _attempts(keys_on_device, m):
+        buckets = _fill_buckets(keys_on_device, r, sizes)
+        offsets = _Search(buckets, m, way).run()
+        if offsets is not None:
+            table = SpatialHash(m, r, offsets)
+            table.validate(keys)
+            return table
     raise MemoryLimitError(
         f"no perfect hash of {count_of(len(keys), 'key')} with offsets up to {_max_r(m)}^3: they "
         "lie along a line, or their differences have many divisors"
     )
 
 
-def _sorted_keys(keys: np.ndarray) -> np.ndarray:
-    """(n, 3) int64: the keys in the order of z, y, x."""
+def _checked(keys: np.ndarray) -> np.ndarray:
+    """The keys, if they are such, in range, and not too many."""
     keys = np.asarray(keys)
     if keys.ndim != 2 or keys.shape[1] != 3 or keys.dtype.kind not in "iu":
         raise VoxtoolError(f"keys are (n, 3) integers, not {keys.shape} {keys.dtype}")
-    wrong = np.flatnonzero(((keys < 1) | (keys >= 2 << MAX_LEVEL)).any(axis=1))
-    if len(wrong):
-        raise VoxtoolError(
-            f"key {_shown(keys[wrong[0]])} is out of range: keys are 1 to {(2 << MAX_LEVEL) - 1}"
+    if len(keys) > 1 << 3 * SLOT_BITS:
+        raise MemoryLimitError(
+            f"{len(keys)} keys are more than the {1 << SLOT_BITS}^3 slots of the largest table: "
+            "choose a smaller level"
         )
-    keys = keys.astype(np.int64)
-    codes = _codes(keys)
-    order = np.argsort(codes)
-    twice = np.flatnonzero(np.diff(codes[order]) == 0)
-    if len(twice):
-        raise VoxtoolError(f"key {_shown(keys[order[twice[0]]])} is repeated: keys are distinct")
-    return keys[order]
+    if keys.min(initial=1) < 1 or keys.max(initial=1) > MAX_KEY:
+        wrong = keys[((keys < 1) | (keys > MAX_KEY)).any(axis=1)][0]
+        raise VoxtoolError(f"key {_shown(wrong)} is out of range: keys are 1 to {MAX_KEY}")
+    return keys
 
 
 def _table_side(n: int) -> int:
@@ -180,10 +213,6 @@ def _table_side(n: int) -> int:
     return m
 
 
-def _first_r(n: int) -> int:
-    return _table_side(-(-n // KEYS_AN_OFFSET))
-
-
 def _max_r(m: int) -> int:
     return max(2 * m, MAX_R)
 
@@ -192,227 +221,241 @@ def _max_r(m: int) -> int:
 
 
 @dataclass(frozen=True)
-class _Buckets:
-    """The keys by bucket, the largest first.
+class _Keys:
+    """Keys on the device.
 
-    r : side of the table of offsets; keys : (n, 3) int64; cells : (b,) int64, where each bucket is
-    in the table of offsets; sizes : (b,) int64; first : (b,) int64, the first key of each.
+    codes : (n,) uint64, rising: z, y, x from the highest bits on, as many bits each as `top` has;
+    top : the largest number of any key.
     """
 
+    codes: Array
+    top: int
+
+    @property
+    def arguments(self) -> tuple[Array, np.uint32, np.uint32]:
+        """What kernels take as codes, n and top."""
+        return self.codes, np.uint32(self.codes.size), np.uint32(self.top)
+
+
+@dataclass(frozen=True)
+class _Buckets:
+    """The keys by bucket, the largest first; those of one size in the order of their cells.
+
+    r : side of the table of offsets; order : (n,) uint32, the keys, bucket by bucket in the order
+    of the cells; cells : (b,) int64, where each bucket is in the table of offsets; sizes : (b,)
+    int64; firsts : (b,) int64, where each bucket's first key is in `order`.
+    """
+
+    keys: _Keys
     r: int
-    keys: np.ndarray
+    order: Array
     cells: np.ndarray
     sizes: np.ndarray
-    first: np.ndarray
-
-    def numbers(self) -> np.ndarray:
-        """(n,) int64: the bucket of each key."""
-        return np.repeat(np.arange(len(self.sizes)), self.sizes)
+    firsts: np.ndarray
 
 
-def _expects(choice: int, sizes: np.ndarray, m: int) -> bool:
-    """Whether the last bucket of each size may expect a choice of so many offsets among the m**3,
-    were the slots that are taken by then random ones."""
+def _sort_keys(device: Device, keys: np.ndarray) -> _Keys:
+    n, top = len(keys), int(keys.max(initial=1))
+    points, codes = device.put(keys.astype(np.uint32)), device.empty(n, np.uint64)
+    device.kernel(SOURCE, "encode_keys")(n, points, np.uint32(n), np.uint32(top), codes)
+    points.release()
+    codes, _ = radix_sort(codes, n, 3 * top.bit_length())
+    repeated = device.put(np.array([n], np.uint32))
+    device.kernel(SOURCE, "find_repeated")(n, codes, np.uint32(n), repeated)
+    first = int(repeated.get()[0])
+    if first < n:
+        bits, code = top.bit_length(), int(codes.get(first, first + 1)[0])
+        key = np.array([code >> bits * axis & (1 << bits) - 1 for axis in range(3)])
+        raise VoxtoolError(f"key {_shown(key)} is repeated: keys are distinct")
+    return _Keys(codes, top)
+
+
+class _Way(Enum):
+    """How buckets find their places."""
+
+    SCATTERED = auto()  # from anywhere on
+    DIFFERING = auto()  # likewise, and with w that differ
+    PACKED = auto()  # from m places on
+
+
+def _attempts(keys: _Keys, m: int) -> Iterator[tuple[int, np.ndarray, _Way]]:
+    """Each r to try, how many keys each of its offsets has, and the way to try."""
+    n = keys.codes.size
+    first = _table_side(-(-n // KEYS_AN_OFFSET))
+    for r in range(first, _table_side(-(-n // SCATTERED_KEYS)) + 1):
+        if math.gcd(r, 2 * m) == 1:  # an odd r: more w are coprime to it
+            sizes = _count_keys(keys, r)
+            if _has_choice(sizes, m):
+                yield r, sizes, _Way.DIFFERING if keys.top < ALIKE * r else _Way.SCATTERED
+    r = first
+    while r <= _max_r(m):
+        if math.gcd(r, m) == 1:
+            sizes = _count_keys(keys, r)
+            yield r, sizes, _Way.PACKED
+            if _has_choice(sizes, m):
+                yield r, sizes, _Way.DIFFERING
+            r += r // 32
+        r += 1
+
+
+def _count_keys(keys: _Keys, r: int) -> np.ndarray:
+    """(r**3,) uint32: how many keys each offset has."""
+    device = keys.codes.device
+    sizes = device.zeros(r**3, np.uint32)
+    device.kernel(SOURCE, "count_keys")(keys.codes.size, *keys.arguments, np.uint32(r), sizes)
+    return sizes.take()
+
+
+def _has_choice(sizes: np.ndarray, m: int) -> bool:
+    """Whether the last bucket of each size may expect CHOICE places among the m**3, were the slots
+    that are vacant by then random ones."""
     histogram = np.bincount(sizes).tolist()
-    slots = free = m**3
+    vacant = m**3
     for size in range(len(histogram) - 1, 1, -1):
         if histogram[size]:
-            free -= size * histogram[size]
-            if (free + size) ** size < choice * slots ** (size - 1):
+            vacant -= size * histogram[size]
+            if (vacant + size) ** size < CHOICE * m ** (3 * size - 3):
                 return False
     return True
 
 
-def _fill_buckets(keys: np.ndarray, r: int) -> _Buckets:
-    """Steps 1 to 3 of the algorithm; buckets of one size are in the order of their cells."""
-    cell = _flat(keys % r, r)
-    count = np.bincount(cell, minlength=r**3)
-    cells = np.argsort(-count, kind="stable")[: np.count_nonzero(count)]
-    sizes = count[cells]
-    order = np.lexsort((cell, -count[cell]))
-    return _Buckets(r, keys[order], cells, sizes, np.cumsum(sizes) - sizes)
-
-
-def _choose_w(buckets: _Buckets, m: int) -> np.ndarray | None:
-    """(b,) int64: w of each bucket, by algorithm 3.1; None where a bucket has none."""
-    w = np.full(len(buckets.sizes), m)
-    number = buckets.numbers()
-    left = _colliding(buckets.keys, number, m)
-    for candidate in range(2, m):
-        if not len(left):
-            return w
-        if math.gcd(candidate, m * buckets.r) == 1:
-            keys = np.isin(number, left)
-            still = _colliding(buckets.keys[keys], number[keys], candidate)
-            w[np.setdiff1d(left, still)] = candidate
-            left = still
-    return None if len(left) else w
-
-
-def _colliding(keys: np.ndarray, number: np.ndarray, w: int) -> np.ndarray:
-    """The numbers of the buckets in which keys are equal mod w."""
-    slots = np.sort(number * w**3 + _flat(keys % w, w))
-    return np.unique(slots[1:][np.diff(slots) == 0] // w**3)
+def _fill_buckets(keys: _Keys, r: int, sizes: np.ndarray) -> _Buckets:
+    """Steps 1 to 3 of the algorithm, from the number of keys of each offset."""
+    device, n = keys.codes.device, keys.codes.size
+    cells, order = device.empty(n, np.uint32), device.empty(n, np.uint32)
+    device.kernel(SOURCE, "find_cells")(n, *keys.arguments, np.uint32(r), cells, order)
+    cells, order = radix_sort(cells, n, (r**3 - 1).bit_length(), order)
+    cells.release()
+    falling = np.argsort(sizes.max() - sizes, kind="stable")[: np.count_nonzero(sizes)]
+    sizes = sizes.astype(np.int64)
+    firsts = np.cumsum(sizes) - sizes
+    return _Buckets(keys, r, order, falling, sizes[falling], firsts[falling])
 
 
 # --- search --------------------------------------------------------------------------------------
 
 
-def _search(buckets: _Buckets, w: np.ndarray, m: int) -> np.ndarray | None:
-    """(b, 3) int64: the offset of each bucket; None where there is none for some bucket."""
-    r, table = buckets.r, _Table(m)
-    packed = PACKED_LATE if _expects(8, buckets.sizes, m) else PACKED
-    offsets = np.empty((len(w), 3), np.int64)
-    begin = 0
-    for end in (np.flatnonzero(np.diff(buckets.sizes, append=0)) + 1).tolist():
-        size = int(buckets.sizes[begin])
-        first = int(buckets.first[begin])
-        keys = buckets.keys[first : first + (end - begin) * size].reshape(end - begin, size, 3)
-        places = keys % w[begin:end, None, None] * pow(r, -1, m) % m
-        if size == 1:
-            targets = table.points(table.free[: end - begin])
-        elif size >= packed:
-            layers = np.arange(end - begin) % m
-            targets = _place(table, places, layers * table.stride[2], m)
+class _Search:
+    """Steps 4 to 6 of the algorithm, after w of each bucket."""
+
+    def __init__(self, buckets: _Buckets, m: int, way: _Way) -> None:
+        device, b, spans = buckets.keys.codes.device, len(buckets.sizes), -(-m // (64 * WORDS))
+        self.device, self.buckets, self.m, self.spans = device, buckets, m, spans
+        self.way = way
+        self.reach = min(m * m * spans, REACH) if way is _Way.DIFFERING else m * m * spans
+        self.choices = _choices(m, buckets.r)
+        self.most_tries = len(self.choices) * -(-m * m * spans // self.reach)
+        if way is _Way.PACKED:
+            starts = np.arange(b) % m * (m * spans)  # a layer of slots each
         else:
-            starts = _mixed(keys[:, 0]) * len(table.free) >> 32
-            targets = _place(table, places, table.free[starts], m**3)
-        if targets is None:
+            starts = _evenly(np.arange(b) * EVEN[0], m * m * spans)
+        self.starts = device.put(starts.astype(np.uint32))
+        self.firsts = device.put(buckets.firsts.astype(np.uint32))
+        self.sizes = device.put(buckets.sizes.astype(np.uint32))
+        self.w, self.places = device.empty(b, np.uint32), device.empty(b, np.uint32)
+        self.apart = device.empty(buckets.order.size, np.uint32)
+        self.steps, self.targets = device.empty(b, np.uint32), device.empty(b, np.uint32)
+        self.claims = device.put(np.full(m**3, 0xFFFFFFFF, np.uint32))
+        self.outcome = device.empty(LANES, np.uint8)
+        self.vacant = device.empty(2 * WORDS * m * m * spans, np.uint64)
+        vacate = device.kernel(SOURCE, "vacate")
+        vacate(self.vacant.size, np.uint32(m), np.uint32(spans), self.vacant)
+
+    def run(self) -> np.ndarray | None:
+        """(r, r, r, 3 or 4) uint8 or uint16: the table of offsets; None where there is none for
+        some bucket."""
+        sizes, most = self.buckets.sizes, self.m if self.way is _Way.PACKED else LANES
+        shared = np.count_nonzero(sizes > 1)
+        pending = np.arange(shared, dtype=np.uint32)
+        tries = np.zeros(len(sizes), np.int64)
+        tries[:shared] = self.way is _Way.DIFFERING
+        self._place(np.arange(len(sizes), dtype=np.uint32), tries)
+        if not self.w.get().all():
             return None
-        offsets[begin:end] = (targets - places[:, 0]) * r % m
-        begin = end
-    return offsets
+        vacant, vain = self.m**3, 0
+        for number in range(MAX_ROUNDS):
+            if not len(pending):
+                return self._offsets()
+            few = vacant // (CROWD * int(sizes[pending[0]]) ** 2)
+            window = pending[: max(min(few, most), 1)]
+            outcome = self._round(window, number)
+            stuck = window[outcome == NOWHERE]
+            if len(stuck):
+                tries[stuck] += 1
+                vain += len(stuck) * self.reach
+                if vain > BUDGET or tries[stuck].max() > self.most_tries:
+                    return None
+                self._place(stuck, tries[stuck])
+            vacant -= int(sizes[window[outcome == WON]].sum())
+            pending = np.concatenate([window[outcome != WON], pending[len(window) :]])
+        return None
+
+    def _place(self, window: np.ndarray, tries: np.ndarray) -> None:
+        """Choose w of buckets, and say where it puts their keys.
+
+        At first it is m, if that parts the keys, and any other one at later tries.
+        """
+        m, r, count = self.m, self.buckets.r, len(window)
+        wide = int(np.count_nonzero(SPREAD * self.choices >= m))
+        others = _evenly(window.astype(np.int64) * EVEN[1] + tries * EVEN[0], wide)
+        first = np.where(tries, others, 0)
+        codes, _, top = self.buckets.keys.arguments
+        self.device.kernel(SOURCE, "place_keys")(
+            count, self.device.put(window), self.device.put(first.astype(np.uint32)),
+            np.uint32(count), codes, top, self.buckets.order, self.firsts, self.sizes,
+            self.device.put(self.choices), np.uint32(len(self.choices)), np.uint32(m),
+            np.uint32(r), np.uint32(pow(r, -1, m)), self.w, self.places, self.apart, self.steps,
+        )  # fmt: skip
+
+    def _round(self, window: np.ndarray, number: int) -> np.ndarray:
+        """(k,) uint8: what becomes of the k buckets of a window."""
+        buckets = (self.device.put(window), np.uint32(len(window)), self.firsts, self.sizes)
+        table = (self.apart, self.vacant, np.uint32(self.m), np.uint32(self.spans))
+        claims = (np.uint32(number), self.claims, self.targets, self.outcome)
+        self.device.kernel(SOURCE, "search")(
+            len(window), *buckets, *table, self.starts, np.uint32(self.reach), self.steps, *claims
+        )
+        self.device.kernel(SOURCE, "settle")(len(window), *buckets, *table, *claims)
+        return self.outcome.get(0, len(window))
+
+    def _offsets(self) -> np.ndarray:
+        """The table of offsets, when all but the buckets of one key have their slots."""
+        m, r, cells = self.m, self.buckets.r, self.buckets.cells
+        bits = np.unpackbits(self.vacant.get().view(np.uint8), bitorder="little")
+        vacant = np.flatnonzero(bits.reshape(m, m, -1)[..., :m])
+        single = self.buckets.sizes == 1
+        targets = _unpacked(self.targets.get())
+        rest = vacant[: np.count_nonzero(single)]
+        targets[:, single] = rest % m, rest // m % m, rest // (m * m)
+        w = self.w.get()
+        table = np.zeros((r**3, 4 if (w != m).any() else 3), _offset_type(m))
+        table[:, 3:] = m
+        table[cells, :3] = ((targets - _unpacked(self.places.get())) * r % m).T
+        table[cells, 3:] = w[:, None]
+        return table.reshape(r, r, r, -1)
 
 
-class _Table:
-    """Which slots of the table are free; a slot is here at its coordinates divided by r mod m.
-
-    It is kept twice along each axis, so that a slot plus a difference needs no mod: slot (x, y, z)
-    is at x + 2m (y + 2m z), and again m further on.
-
-    is_free : (8 m**3,) bool; free : (f,) int64, the free slots in rising order.
-    """
-
-    def __init__(self, m: int) -> None:
-        self.m = m
-        self.stride = np.array([1, 2 * m, 4 * m * m])
-        self.copies = np.indices((2, 2, 2)).reshape(3, 8).T @ (m * self.stride)
-        self.is_free = np.ones(8 * m**3, bool)
-        z, y, x = np.ogrid[:m, :m, :m]
-        self.free = (x + 2 * m * (y + 2 * m * z)).ravel()
-
-    def points(self, slots: np.ndarray) -> np.ndarray:
-        """The coordinates of slots."""
-        m2 = 2 * self.m
-        return np.stack([slots % m2, slots // m2 % m2, slots // (m2 * m2)], axis=-1)
-
-    def take(self, slots: np.ndarray) -> None:
-        """Mark slots as taken."""
-        self.is_free[np.add.outer(self.copies, slots)] = False
-        self.free = self.free[self.is_free[self.free]]
+def _choices(m: int, r: int) -> np.ndarray:
+    """(c,) uint32: the w among which algorithm 3.1 looks for one that parts the keys of a bucket:
+    m, then those that are coprime to m and r, here from the largest on."""
+    coprime = [w for w in range(m - 1, 1, -1) if math.gcd(w, m * r) == 1]
+    return np.array([m, *coprime], np.uint32)
 
 
-def _place(
-    table: _Table, places: np.ndarray, cursor: np.ndarray, at_once: int
-) -> np.ndarray | None:
-    """Find free slots for buckets of one size, (b, s, 3), in their order.
-
-    cursor : (b,) int64, the slot at which each begins to search; changed.
-    at_once : buckets that search together, at most.
-
-    Returns
-    -------
-    (b, 3) int64: where the first key of each goes; None if the keys of one fit nowhere.
-    """
-    m, (b, size) = table.m, places.shape[:2]
-    apart = (places - places[:, :1]) % m
-    reach = (apart @ table.stride)[:, :0:-1]  # the farthest first: nearer ones often fit together
-    left = np.full(b, len(table.free))  # slots to try until all have been
-    targets = np.empty((b, 3), np.int64)
-    claims = np.full(m**3, b)
-    pending = np.arange(b)
-    width = MIN_TRIALS  # slots that a bucket tries at once
-    while len(pending):
-        free = table.free
-        # at once so few that most of them have different slots in mind
-        few = min(at_once, TRIALS // width, max(len(free) // (4 * size * size), 1))
-        now = pending[:few]
-        tries = min(width, len(free))
-        at = np.searchsorted(free, cursor[now])[:, None] + np.arange(tries + 1)
-        slots = free[at % len(free)]
-        hit = _first_fit(table, slots[:, :tries], reach[now])
-        missed = now[hit < 0]
-        cursor[now] = slots[np.arange(len(now)), np.where(hit < 0, tries, hit)]
-        left[missed] -= tries
-        if (left[missed] <= 0).any():
-            return None
-        if 2 * len(missed) > len(now):
-            width = min(2 * width, TRIALS)
-        elif 8 * len(missed) < len(now):
-            width = max(width // 2, MIN_TRIALS)
-
-        fits = now[hit >= 0]
-        target = table.points(cursor[fits])
-        wanted = (target[:, None] + apart[fits]) % m
-        slot = _flat(wanted, m)
-        np.minimum.at(claims, slot, fits[:, None])
-        won = (claims[slot] == fits[:, None]).all(axis=1)
-        claims[slot] = b
-        targets[fits[won]] = target[won]
-        table.take((wanted[won] @ table.stride).ravel())
-        still = np.setdiff1d(now, fits[won], assume_unique=True)
-        pending = np.concatenate([still, pending[len(now) :]])
-    return targets
+def _evenly(multiples: np.ndarray, end: int) -> np.ndarray:
+    """(k,) int64 below `end`, of multiples of EVEN: any run of them fills the range evenly, and of
+    both a square (Roberts's sequence R2)."""
+    return (multiples & 0xFFFFFFFF) * end >> 32
 
 
-def _first_fit(table: _Table, slots: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """(c,) int64: the first of the (c, k) free slots for the first key of each bucket at which its
-    other keys, (c, s - 1) further on, find free slots too; -1 where there is none."""
-    (c, k), others = slots.shape, reach.shape[1]
-    left = np.flatnonzero(table.is_free[slots + reach[:, :1]])
-    key = 1
-    while key < others and len(left):
-        end = key + min(key, AT_ONCE)
-        tested = slots.ravel()[left, None] + reach[left // k, key:end]
-        left = left[table.is_free[tested].all(axis=1)]
-        key = end
-    rows, first = np.unique(left // k, return_index=True)
-    hit = np.full(c, -1)
-    hit[rows] = left[first] % k
-    return hit
-
-
-def _mixed(keys: np.ndarray) -> np.ndarray:
-    """(b, 3) keys to (b,) pseudo-random int64 below 2**32 (splitmix64)."""
-    v = _codes(keys).astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15)
-    v = (v ^ (v >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    v = (v ^ (v >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return (v >> np.uint64(32)).astype(np.int64)
-
-
-def _pack_offsets(buckets: _Buckets, found: np.ndarray, w: np.ndarray, m: int) -> np.ndarray:
-    """The table of offsets; without w where it is m everywhere."""
-    r, channels = buckets.r, 4 if (w != m).any() else 3
-    offsets = np.zeros((r**3, channels), _offset_type(m))
-    offsets[:, 3:] = m
-    offsets[buckets.cells, :3] = found
-    offsets[buckets.cells, 3:] = w[:, None]
-    return offsets.reshape(r, r, r, channels)
+def _unpacked(slots: np.ndarray) -> np.ndarray:
+    """(b,) slots of the device to (3, b) int64 x, y, z."""
+    shifts = np.array([[0], [SLOT_BITS], [2 * SLOT_BITS]])
+    return slots.astype(np.int64) >> shifts & (1 << SLOT_BITS) - 1
 
 
 def _offset_type(m: int) -> np.dtype:
     return np.dtype(np.uint8 if m < 256 else np.uint16)
-
-
-def _flat(points: np.ndarray, side: int) -> np.ndarray:
-    """(..., 3) points of a cube to their places in its array, x fastest."""
-    return points[..., 0] + side * (points[..., 1] + side * points[..., 2])
-
-
-def _codes(keys: np.ndarray) -> np.ndarray:
-    """(n, 3) int64 keys to (n,) int64, one to one; in the order of z, y, x."""
-    bits = MAX_LEVEL + 1
-    return keys[:, 0] | keys[:, 1] << bits | keys[:, 2] << 2 * bits
 
 
 def _shown(key: np.ndarray) -> str:
