@@ -1,4 +1,4 @@
-# make demo     an environment, an example mesh, its octree, a surface of it
+# make demo     an environment, an example mesh, its octree, a surface of it, its distance field
 # make test     the whole suite
 # make lint     style, types and imports
 # Only Python 3.11 or newer and a package index are needed; PYTHON= names another interpreter.
@@ -13,6 +13,7 @@ demo: .venv/cpu.done bunny.obj
 	.venv/bin/voxtool voxelize bunny.obj --dim 512 --mode solid
 	.venv/bin/voxtool svo-info bunny.svo.h5
 	.venv/bin/voxtool extract bunny.svo.h5 --style nets -o nets.ply
+	.venv/bin/voxtool adf-build bunny.obj
 
 test: .venv/test.done
 	.venv/bin/python -m pytest $(ARGS)
@@ -24,7 +25,7 @@ lint: .venv/test.done
 	.venv/bin/lint-imports
 
 clean:
-	rm -rf .venv bunny.obj bunny.svo.h5 nets.ply build dist .pytest_cache .ruff_cache .hypothesis \
+	rm -rf .venv bunny.obj bunny.svo.h5 nets.ply bunny.adf.h5 build dist .pytest_cache .ruff_cache .hypothesis \
 	    .import_linter_cache
 	find voxtool tests examples -name __pycache__ -type d -prune -exec rm -rf {} +
 

@@ -505,78 +505,69 @@ uchar code_of(double bound, __global const double *bounds)
     return (uchar)low;
 }
 
-// Whether distances at the corners of a cell differ by more than they can where all are right.
+// Whether distances at the corners of a cell differ by more than they can where the sign does not jump;
+// those that hang on a leaf where it does, by more than interpolation of others can.
 bool jumps(const double *corners, double edge)
 {
     for (uint i = 0; i < 8; ++i)
         for (uint j = i + 1; j < 8; ++j) {
-            const double apart = corners[i] - corners[j];
-            if (corners[i] < 0 != corners[j] < 0 &&
-                apart * apart > edge * edge * popcount(i ^ j) * (1 + 0x1p-20))
+            const double apart = corners[i] - corners[j], far = edge * edge * popcount(i ^ j);
+            const double most = (corners[i] < 0) == (corners[j] < 0) ? 3 * far : far;
+            if (apart * apart > most * (1 + 0x1p-20))
                 return true;
         }
     return false;
 }
 
-// The triangles that a child needs, as far as there are KEPT: where in the list each stands, and of each
-// corner of the child how far it is, and what of it is nearest.
-typedef struct {
-    uint count;
-    uint places[KEPT];
-    double8 distances[KEPT];
-    MASKS feature[KEPT];
-} candidates;
-
-// How far at most the interpolation of distances of this `size` at the corners is from the distance to the
-// mesh, whatever its sign; or INFINITY.
+// How far the interpolation of distances of a certain size at the corners of a cell is from the distance to
+// the mesh, at most, whatever its sign: above it and below it; and the distances at the corners to the triangle
+// that bounds it best from above.
 //
 // The distance is the least of convex d_t. So it is nowhere above the interpolation of any d_t, or of the
 // mean of two. And interpolation is a mean over corners v: with q nearest to p, n the way from q, and u, w the
 // parts of v - p along and across n, d_t(v) <= |v - q| <= d_t(p) + u + w^2 / (2 (d_t(p) + u)), where the mean
 // of u is 0 and that of w^2 is at most edge^2 / 2; edge^2 / 4 beside an edge, along which q may slide, and 0
 // over a face.
-double bound_apart(const candidates *own, double8 size, double edge, double radius)
+typedef struct {
+    double above, below;
+    double8 best;
+} bounds_apart;
+
+// Take a triangle into account, by what it is at the corners.
+void bound_by(bounds_apart *bounds, double8 d, MASKS feature, double8 size, double edge)
 {
-    double above = INFINITY, below = 0;
-    uint best = 0;
-    for (uint i = 0; i < own->count; ++i) {
-        const double8 d = own->distances[i];
-        const MASKS feature = own->feature[i];
-        const double excess = highest(d - size);
-        best = excess < above ? i : best;
-        above = excess < above ? excess : above;
-        const double least = lowest(d) - 3 * radius; // of d_t(p) + u
-        const bool one = all(feature == (MASKS)feature.s0);
-        const double across = one && feature.s0 == FACE ? 0 : one && feature.s0 < A ? 0.25 : 0.5;
-        const double bend = across == 0 ? 0 : least > 0 ? across * edge * edge / (2 * least) : INFINITY;
-        const double shortfall = highest(size - d) + bend;
-        below = shortfall > below ? shortfall : below;
-    }
-    for (uint i = 0; i < own->count; ++i) {
-        const double excess = highest(0.5 * (own->distances[best] + own->distances[i]) - size);
-        above = excess < above ? excess : above;
-    }
-    return above > below ? above : below;
+    const double excess = highest(d - size);
+    bounds->best = excess < bounds->above ? d : bounds->best;
+    bounds->above = excess < bounds->above ? excess : bounds->above;
+    const double least = lowest(d) - 3 * edge * HALF_DIAGONAL; // of d_t(p) + u
+    const bool one = all(feature == (MASKS)feature.s0);
+    const double across = one && feature.s0 == FACE ? 0 : one && feature.s0 < A ? 0.25 : 0.5;
+    const double bend = across == 0 ? 0 : least > 0 ? across * edge * edge / (2 * least) : INFINITY;
+    const double shortfall = highest(size - d) + bend;
+    bounds->below = shortfall > bounds->below ? shortfall : bounds->below;
 }
 
 #ifdef CLOSED
 // The same where triangles pass, with the signs of a closed mesh, and distances of `farthest` at most. If all
 // normals are within an angle of the first, so is the way to the nearest point, and every distance is that to
 // the plane of a triangle, divided by a cosine of at least that of twice the angle.
-double bound_passed(const candidates *own, const ways *at, double8 field, double farthest,
-                    const scene_of_lists *scene)
+double bound_passed(const scene_of_lists *scene, __global const uchar *masks, uint begin, uint end,
+                    uint child, const ways *at, double8 field, double farthest)
 {
     double3 axis = 0;
     double cosine = 1, apart = 0;
-    for (uint i = 0; i < own->count; ++i) {
-        const triangle t = triangle_at(scene, own->places[i]);
-        const uint name = scene->names[scene->items[own->places[i]]];
+    for (uint j = begin; j < end && cosine > 0.75; ++j) {
+        if (!(masks[j] >> child & 1))
+            continue;
+        const triangle t = triangle_at(scene, j);
+        const uint name = scene->names[scene->items[j]];
         double3 normal = normal_of(name, FACE, scene->features, scene->normals);
         const double square = normal.x * normal.x + normal.y * normal.y + normal.z * normal.z;
         if (square == 0)
             return INFINITY;
         normal /= sqrt(square);
-        axis = i == 0 ? normal : axis;
+        if (axis.x == 0 && axis.y == 0 && axis.z == 0)
+            axis = normal;
         const double c = axis.x * normal.x + axis.y * normal.y + axis.z * normal.z;
         cosine = c < cosine ? c : cosine;
         const double8 plane =
@@ -584,37 +575,43 @@ double bound_passed(const candidates *own, const ways *at, double8 field, double
         const double misses = highest(absolute(plane - field));
         apart = misses > apart ? misses : apart;
     }
-    if (cosine < 0.75)
-        return INFINITY;
-    return apart + 2 * (1 - cosine * cosine) * farthest;
+    return cosine > 0.75 ? apart + 2 * (1 - cosine * cosine) * farthest : INFINITY;
 }
 #endif
 
-
-// How far the interpolation is from the distance at a cell's samples, at most. In doubt, the sign is that of
-// the interpolation.
-double sample_error(const ways *points, const nearest *found, const double *corners, bool in_doubt,
-                    uint k, const scene_of_lists *scene)
+// How far the interpolation is from the distance at eight of a cell's samples, at most, by the triangles of a
+// child's list; and how far the first of them is from these. In doubt, or if that is so far that the whole
+// cell is on one side, the sign is that of the interpolation.
+double sample_error(const scene_of_lists *scene, __global const uchar *masks, uint begin, uint end,
+                    uint child, uint3 cell, uint level, double extent, uint k, const double *corners,
+                    bool in_doubt, double *first)
 {
+    const ways points = lattice_points(4 * cell, SAMPLES, k, level + 3, extent);
+    nearest found;
+    find_nothing(&found, 1);
+    for (uint j = begin; j < end; ++j)
+        if (masks[j] >> child & 1)
+            look_at(scene, j, &points, 1, &found);
+    const double8 distance = sqrt(found.square[0]);
+    *first = distance.s0;
     double8 interpolated = 0;
     for (uint i = 0; i < 8; ++i)
         interpolated += corners[i] * vload8(k, WEIGHTS + i * POINTS);
     double8 outward = interpolated;
 #ifdef SIGNED
-    if (!in_doubt) {
+    if (!in_doubt && (k > 0 || *first <= extent / (1ul << level) * HALF_DIAGONAL)) {
         double x[8], y[8], z[8], numbers[8];
         long which[8];
-        vstore8(points->x, 0, x);
-        vstore8(points->y, 0, y);
-        vstore8(points->z, 0, z);
-        vstore8(found->which[0], 0, which);
+        vstore8(points.x, 0, x);
+        vstore8(points.y, 0, y);
+        vstore8(points.z, 0, z);
+        vstore8(found.which[0], 0, which);
         for (uint i = 0; i < 8; ++i)
             numbers[i] = number_beside(scene, which[i], x[i], y[i], z[i]);
         const double8 number = vload8(0, numbers);
         outward = number == number ? 0.5 - number : interpolated;
     }
 #endif
-    const double8 distance = sqrt(found->square[0]);
     return highest(absolute(interpolated - (outward < 0.0 ? -distance : distance)));
 }
 
@@ -630,9 +627,8 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
                                __global const float *voxels, const double tolerance,
                                const double band, const uint can_refine, const uint refine_crossed,
                                __global const double *bounds, __global const uchar *masks,
-                               __global const uint *needed, __global uint *flags,
-                               __global float *errors, __global uchar *codes,
-                               __global uint *steepest)
+                               __global uint *flags, __global float *errors,
+                               __global uchar *codes, __global uint *steepest)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -649,78 +645,73 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
         for (uint i = 0; i < 8; ++i)
             corners[i] = voxels[27 * (size_t)gid + CORNERS[8 * child + i]] * side;
         const double8 field = vload8(0, corners), size = absolute(field);
-        const bool complete = needed[place] <= KEPT;
-        const ways at = lattice_points(cell, CELL, 0, level + 1, extent);
-        candidates own;
-        own.count = 0;
-        double8 closest = INFINITY;
-        for (uint j = begin; j < end; ++j) {
-            if (!(masks[j] >> child & 1))
-                continue;
-            const triangle t = triangle_at(&scene, j);
-            const uint i = complete ? own.count++ : 0;
-            ways way;
-            own.places[i] = j;
-            own.distances[i] =
-                sqrt(triangle_ways(&t, at.x, at.y, at.z, &way, &own.feature[i]));
-            closest = own.distances[i] < closest ? own.distances[i] : closest;
-        }
-        const double nearby = lowest(closest);
-        const bool passed = nearby <= radius; // by triangles, perhaps
-        double bound = INFINITY;
-        if (complete) {
-#ifdef SIGNED
-#ifdef CLOSED
-            bound = passed ? bound_passed(&own, &at, field, highest(closest) + radius, &scene)
-                           : bound_apart(&own, size, edge, radius);
-#else
-            if (!passed)
-                bound = bound_apart(&own, size, edge, radius);
-#endif
-#else
-            bound = bound_apart(&own, size, edge, radius);
-#endif
-        }
-        const double rounding = highest(size) * 0x1p-21 + SLACK;
-        bound += rounding;
-
         const double dx = highest(absolute(field.s11335577 - field.s00224466));
         const double dy = highest(absolute(field.s23672367 - field.s01450145));
         const double dz = highest(absolute(field.s45674567 - field.s01230123));
         const double slope = sqrt(dx * dx + dy * dy + dz * dz) / edge;
-
-        bool refined = false, jumped = false;
-        double error = bound;
+        bool jumped = false;
 #ifdef JUMPS
         jumped = jumps(corners, edge);
 #endif
-        if (bound > tolerance && !jumped) {
-            bool in_doubt = !passed; // all corners have the same sign
+        bool in_doubt = false;
 #ifdef WINDING
-            for (uint i = 0; i < 8; ++i)
-                in_doubt |= doubts[gid] >> CORNERS[8 * child + i] & 1;
+        for (uint i = 0; i < 8; ++i)
+            in_doubt |= doubts[gid] >> CORNERS[8 * child + i] & 1;
 #endif
-            error = 0;
-            const bool beyond = nearby - radius > band;
-            for (uint k = 0; k < POINTS / 8 && !(can_refine && !beyond && error > tolerance); ++k) {
-                const ways points = lattice_points(4 * cell, SAMPLES, k, level + 3, extent);
-                nearest found;
-                find_nothing(&found, 1);
-                for (uint i = 0; i < own.count; ++i)
-                    look_at(&scene, own.places[i], &points, 1, &found);
-                for (uint j = begin; j < end && !complete; ++j)
-                    if (masks[j] >> child & 1)
-                        look_at(&scene, j, &points, 1, &found);
-                const double miss = sample_error(&points, &found, corners, in_doubt, k, &scene);
-                error = miss > error ? miss : error;
+        // the first samples suffice to refine most that are
+        double middle;
+        double error = sample_error(&scene, masks, begin, end, child, cell, level, extent, 0, corners,
+                                    in_doubt, &middle);
+        const bool passed = middle <= radius; // by triangles, perhaps
+        const bool beyond = middle - radius > band;
+        bool refined = can_refine && !beyond && !jumped && error > tolerance;
+        double bound = INFINITY;
+        if (!refined && !jumped) {
+            const ways at = lattice_points(cell, CELL, 0, level + 1, extent);
+            bounds_apart bounds_here = {INFINITY, 0, 0};
+            double8 distances[KEPT];
+            uint count = 0;
+            for (uint j = begin; j < end; ++j) {
+                if (!(masks[j] >> child & 1))
+                    continue;
+                const triangle t = triangle_at(&scene, j);
+                ways way;
+                MASKS feature;
+                const double8 d = sqrt(triangle_ways(&t, at.x, at.y, at.z, &way, &feature));
+                bound_by(&bounds_here, d, feature, size, edge);
+                if (count < KEPT)
+                    distances[count++] = d;
             }
-            const double between = error + rounding + (1 + slope) * (SAMPLE_GAP * edge);
-            bound = between < bound ? between : bound;
-            refined = can_refine && !beyond && (error > tolerance || (passed && refine_crossed));
-            error = beyond ? 0 : error;
+            for (uint i = 0; i < count; ++i) {
+                const double excess = highest(0.5 * (bounds_here.best + distances[i]) - size);
+                bounds_here.above = excess < bounds_here.above ? excess : bounds_here.above;
+            }
+            bound = bounds_here.above > bounds_here.below ? bounds_here.above : bounds_here.below;
+#ifdef SIGNED
+            if (passed)
+#ifdef CLOSED
+                bound = bound_passed(&scene, masks, begin, end, child, &at, field, middle + 2 * radius);
+#else
+                bound = INFINITY;
+#endif
+#endif
+            const double rounding = highest(size) * 0x1p-21 + SLACK;
+            bound += rounding;
+            if (bound <= tolerance) {
+                error = bound;
+            } else {
+                for (uint k = 1; k < POINTS / 8 && !(can_refine && !beyond && error > tolerance); ++k) {
+                    const double miss = sample_error(&scene, masks, begin, end, child, cell, level,
+                                                     extent, k, corners, in_doubt || !passed, &middle);
+                    error = miss > error ? miss : error;
+                }
+                const double between = error + rounding + (1 + slope) * (SAMPLE_GAP * edge);
+                bound = between < bound ? between : bound;
+                refined = can_refine && !beyond && (error > tolerance || (passed && refine_crossed));
+            }
         }
         flags[place] = refined;
-        errors[place] = jumped ? 0 : (float)(error / side);
+        errors[place] = jumped || beyond ? 0 : (float)(error / side);
         codes[place] = jumped ? JUMP : code_of(bound / side, bounds);
         if (!refined && !jumped && slope > slope_of_leaves)
             slope_of_leaves = (float)slope;

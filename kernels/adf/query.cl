@@ -277,19 +277,14 @@ uints octant_bits(uints x, ints level)
     return x >> to_uints(POINT_BITS - 1 - level) & 1u;
 }
 
-float4 lerp4(float4 a, float4 b, float t)
+floats lerp(floats a, floats b, floats t)
 {
     return a + t * (b - a);
 }
 
-float2 lerp2(float2 a, float2 b, float t)
+floats bilerp(floats a, floats b, floats c, floats d, floats s, floats t)
 {
-    return a + t * (b - a);
-}
-
-float lerp(float2 ab, float t)
-{
-    return ab.x + t * (ab.y - ab.x);
+    return lerp(lerp(a, b, s), lerp(c, d, s), t);
 }
 
 // What the field says at points: distances, in sides; of these, if asked for: gradients; the codes of
@@ -315,51 +310,74 @@ __kernel void query(__global const uint *points, __global const float *voxels,
     int levels[BATCH * RUN];
     find_deepest(&hash, points + 3 * first, full, deepest, slots, levels);
     for (uint begin = 0; begin < BATCH * RUN; begin += BATCH) {
-        uint x[BATCH], y[BATCH], z[BATCH], octant_x[BATCH], octant_y[BATCH], octant_z[BATCH];
-        float tx[BATCH], ty[BATCH], tz[BATCH];
+        const int *level = levels + begin;
+        uint x[BATCH], y[BATCH], z[BATCH], octant[BATCH], corner[BATCH], block[BATCH];
         EACH_POINT(i)
+        {
             read_point(points + 3 * (first + begin + i), x + i, y + i, z + i);
+            block[i] = cells[WORDS * (size_t)slots[begin + i] + WORDS - 1];
+        }
         EACH_VECTOR(i)
         {
-            const ints level = load(levels + begin + i);
-            store(octant_bits(load(x + i), level), octant_x + i);
-            store(octant_bits(load(y + i), level), octant_y + i);
-            store(octant_bits(load(z + i), level), octant_z + i);
-            store(weights(load(x + i), level), tx + i);
-            store(weights(load(y + i), level), ty + i);
-            store(weights(load(z + i), level), tz + i);
+            const uints bx = octant_bits(load(x + i), load(level + i));
+            const uints by = octant_bits(load(y + i), load(level + i));
+            const uints bz = octant_bits(load(z + i), load(level + i));
+            store(bx + 3 * by + 9 * bz, corner + i);
+            store(bx + 2 * by + 4 * bz, octant + i);
         }
+        // the distances at the vertices of the leaves, by their x, y and z
+        float v000[BATCH], v100[BATCH], v010[BATCH], v110[BATCH];
+        float v001[BATCH], v101[BATCH], v011[BATCH], v111[BATCH];
+        EACH_POINT(i)
+        {
+            __global const float *v = voxels + (27 * (size_t)block[i] + corner[i]);
+            v000[i] = v[0];
+            v100[i] = v[1];
+            v010[i] = v[3];
+            v110[i] = v[4];
+            v001[i] = v[9];
+            v101[i] = v[10];
+            v011[i] = v[12];
+            v111[i] = v[13];
+        }
+        float dx[BATCH], dy[BATCH], dz[BATCH];
+        EACH_VECTOR(i)
+        {
+            const floats tx = weights(load(x + i), load(level + i));
+            const floats ty = weights(load(y + i), load(level + i));
+            const floats tz = weights(load(z + i), load(level + i));
+            const floats a = load(v000 + i), b = load(v100 + i), c = load(v010 + i);
+            const floats d = load(v110 + i), e = load(v001 + i), f = load(v101 + i);
+            const floats g = load(v011 + i), h = load(v111 + i);
+            store(lerp(bilerp(a, b, c, d, tx, ty), bilerp(e, f, g, h, tx, ty), tz),
+                  distances + first + begin + i);
+#ifdef GRADIENT
+            const floats per_side = to_floats((ints)2 << load(level + i));
+            store(bilerp(b - a, d - c, f - e, h - g, ty, tz) * per_side, dx + i);
+            store(bilerp(c - a, d - b, g - e, h - f, tx, tz) * per_side, dy + i);
+            store(bilerp(e - a, f - b, g - c, h - d, tx, ty) * per_side, dz + i);
+#endif
+        }
+#if defined(GRADIENT) || defined(BOUNDS) || defined(CELL)
         EACH_POINT(i)
         {
             const size_t point = first + begin + i;
-            const size_t block = cells[WORDS * (size_t)slots[begin + i] + WORDS - 1];
-            __global const float *corner =
-                voxels + (27 * block + octant_x[i] + 3 * octant_y[i] + 9 * octant_z[i]);
-            const float4 near = (float4)(vload2(0, corner), vload2(0, corner + 3));
-            const float4 far = (float4)(vload2(0, corner + 9), vload2(0, corner + 12));
-            const float4 a = (float4)(near.even, far.even), b = (float4)(near.odd, far.odd);
-            const float4 along_x = lerp4(a, b, tx[i]);
-            distances[point] = lerp(lerp2(along_x.even, along_x.odd, ty[i]), tz[i]);
 #ifdef GRADIENT
-            const float4 dx = b - a;
-            const float2 dy = lerp2(a.odd - a.even, b.odd - b.even, tx[i]);
-            const float2 dz = lerp2(a.hi - a.lo, b.hi - b.lo, tx[i]);
-            const float per_side = (float)(2 << levels[begin + i]);
-            gradients[3 * point] = lerp(lerp2(dx.even, dx.odd, ty[i]), tz[i]) * per_side;
-            gradients[3 * point + 1] = lerp(dy, tz[i]) * per_side;
-            gradients[3 * point + 2] = lerp(dz, ty[i]) * per_side;
+            gradients[3 * point] = dx[i];
+            gradients[3 * point + 1] = dy[i];
+            gradients[3 * point + 2] = dz[i];
 #endif
 #ifdef BOUNDS
-            codes[point] =
-                bounds[8 * block + octant_x[i] + 2 * octant_y[i] + 4 * octant_z[i]];
+            codes[point] = bounds[8 * (size_t)block[i] + octant[i]];
 #endif
 #ifdef CELL
-            const int above = POINT_BITS - 1 - levels[begin + i];
-            leaf_levels[point] = (uchar)(levels[begin + i] + 1);
+            const int above = POINT_BITS - 1 - level[i];
+            leaf_levels[point] = (uchar)(level[i] + 1);
             leaves[3 * point] = x[i] >> above;
             leaves[3 * point + 1] = y[i] >> above;
             leaves[3 * point + 2] = z[i] >> above;
 #endif
         }
+#endif
     }
 }

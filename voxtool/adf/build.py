@@ -423,7 +423,6 @@ class _Build:
                 np.uint32(coarse),
                 self.bound_values,
                 level.masks,
-                level.needed,
                 level.ranks,
                 errors,
                 codes,

@@ -94,9 +94,9 @@ class FieldQuery:
         self.device = device or open_device()
         table, (full, deepest) = field.hash, levels_to_search(field)
         self._textures = (
-            self.device.view(field.voxels),
-            self.device.view(field.cells),
-            self.device.view(table.offsets),
+            self._upload(field.voxels),
+            self._upload(field.cells),
+            self._upload(table.offsets),
             self.device.put(inverses(max(table.m, table.r))),
             np.uint32(table.m),
             np.uint32(table.r),
@@ -156,7 +156,7 @@ class FieldQuery:
                 if part.gradient is not None:
                     part.gradient[:] = found.gradient
                 if part.bound is not None:
-                    np.take(world_bounds, found.code, out=part.bound)
+                    np.take(world_bounds, found.code, out=part.bound, mode="clip")
                 if part.level is not None and part.cell is not None:
                     part.level[:], part.cell[:] = found.level, found.cell
                 if part.outside.any():
@@ -243,6 +243,14 @@ class FieldQuery:
             answer.bound[which] = np.inf
         answer.outside[which[lost]] = False
 
+    def _upload(self, texture: np.ndarray) -> Array:
+        """A texture on the device; of a CPU in memory of large pages, where the system has them:
+        random reads miss the page table less."""
+        with self.device.stage("upload"):
+            array = self.device.empty(texture.size, texture.dtype)
+            self.device.write(array, texture)
+        return array
+
     def _shape(self, search: str) -> Shape:
         if self.device.info.kind == "CPU":
             return CPU
@@ -251,7 +259,7 @@ class FieldQuery:
     @cached_property
     def _bounds(self) -> Array:
         assert self.field.bounds is not None
-        return self.device.view(self.field.bounds)
+        return self._upload(self.field.bounds)
 
 
 def levels_to_search(field: DistanceField) -> tuple[int, int]:

@@ -15,8 +15,11 @@ POINTS = 32  # in a row: 27, and the last one again
 MIDDLE = 13  # of the vertices of a block
 BLOCK = np.indices((3, 3, 3)).reshape(3, 27)[::-1]  # x, y, z of its vertices
 OCTANTS = np.indices((2, 2, 2)).reshape(3, 8)[::-1]
-# of a cell, in quarters: the middles of its edges, faces and itself, and of its octants
-SAMPLES = np.concatenate([2 * BLOCK[:, (BLOCK == 1).any(axis=0)], 2 * OCTANTS + 1], axis=1)
+# of a cell, in quarters: the middles of itself, its faces and its edges, and of its octants
+_CENTRAL = (BLOCK == 1).sum(axis=0)  # 3 for the cell's, 2 for a face's, 1 for an edge's
+SAMPLES = np.concatenate(
+    [*(2 * BLOCK[:, central == _CENTRAL] for central in (3, 2, 1)), 2 * OCTANTS + 1], axis=1
+)
 # No point of a cell is further from a corner or sample than this, in edges: together they are a
 # body-centred cubic lattice of half an edge.
 SAMPLE_GAP = math.sqrt(5) / 8 * (1 + 2.0**-50)
