@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from voxtool.adf import build, hashing
+from voxtool.adf import build, field, hashing, query
 from voxtool.errors import DeviceError
 from voxtool.grid import FIXED_POINT_BITS
 from voxtool.opencl import Device, primitives, program
@@ -72,6 +72,8 @@ CONSTANTS = {
         name: getattr(hashing, name)
         for name in ("SLOT_BITS", "MOST_PARTED", "WORDS", "LANES", "LOST", "WON", "NOWHERE")
     },
+    "adf/field.h": {"POINT_BITS": field.POINT_BITS, "WEIGHT_BITS": field.WEIGHT_BITS},
+    "adf/query.h": {search.upper(): number for number, search in enumerate(query.SEARCHES)},
     "svo/rectangles.h": {"FIELD": rectangles.FIELD},
     "svo/voxelize.h": {
         "TOUCHED": voxelize.TOUCHED,

@@ -18,6 +18,7 @@ from voxtool.version import __version__
 if TYPE_CHECKING:
     from voxtool.adf.build import build_adf, plan_adf
     from voxtool.adf.field import DistanceField
+    from voxtool.adf.query import FieldQuery, query_adf
     from voxtool.diagnosis import Diagnosis, diagnose
     from voxtool.errors import (
         DeviceError,
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "voxtool.adf.build": ("build_adf", "plan_adf"),
     "voxtool.adf.field": ("DistanceField",),
+    "voxtool.adf.query": ("FieldQuery", "query_adf"),
     "voxtool.diagnosis": ("Diagnosis", "diagnose"),
     "voxtool.errors": (
         "DeviceError",
@@ -68,6 +70,7 @@ __all__ = [
     "DeviceError",
     "Diagnosis",
     "DistanceField",
+    "FieldQuery",
     "FileError",
     "Grid",
     "GridError",
@@ -89,6 +92,7 @@ __all__ = [
     "plan_adf",
     "plan_extract",
     "plan_voxelize",
+    "query_adf",
     "read_adf",
     "read_svo",
     "voxelize",

@@ -506,14 +506,17 @@ uchar code_of(double bound, __global const double *bounds)
 }
 
 // Whether distances at the corners of a cell differ by more than they can where the sign does not jump;
-// those that hang on a leaf where it does, by more than interpolation of others can.
-bool jumps(const double *corners, double edge)
+// those that hang on a leaf where it does, by more than interpolation of others can. Where triangles do
+// not pass, no sign changes.
+bool jumps(const double *corners, double edge, bool passed)
 {
     for (uint i = 0; i < 8; ++i)
         for (uint j = i + 1; j < 8; ++j) {
             const double apart = corners[i] - corners[j], far = edge * edge * popcount(i ^ j);
-            const double most = (corners[i] < 0) == (corners[j] < 0) ? 3 * far : far;
-            if (apart * apart > most * (1 + 0x1p-20))
+            const bool alike = (corners[i] < 0) == (corners[j] < 0);
+            if (!alike && !passed)
+                return true;
+            if (apart * apart > (alike ? 3 : 1) * far * (1 + 0x1p-20))
                 return true;
         }
     return false;
@@ -527,22 +530,30 @@ bool jumps(const double *corners, double edge)
 // mean of two. And interpolation is a mean over corners v: with q nearest to p, n the way from q, and u, w the
 // parts of v - p along and across n, d_t(v) <= |v - q| <= d_t(p) + u + w^2 / (2 (d_t(p) + u)), where the mean
 // of u is 0 and that of w^2 is at most edge^2 / 2; edge^2 / 4 beside an edge, along which q may slide, and 0
-// over a face.
+// on one side of a face. The mean of |v - q| is no more than the root of that of its square, either.
 typedef struct {
     double above, below;
     double8 best;
 } bounds_apart;
 
 // Take a triangle into account, by what it is at the corners.
-void bound_by(bounds_apart *bounds, double8 d, MASKS feature, double8 size, double edge)
+void bound_by(bounds_apart *bounds, double8 d, const ways *way, MASKS feature, double8 size,
+              double edge)
 {
     const double excess = highest(d - size);
     bounds->best = excess < bounds->above ? d : bounds->best;
     bounds->above = excess < bounds->above ? excess : bounds->above;
-    const double least = lowest(d) - 3 * edge * HALF_DIAGONAL; // of d_t(p) + u
-    const bool one = all(feature == (MASKS)feature.s0);
-    const double across = one && feature.s0 == FACE ? 0 : one && feature.s0 < A ? 0.25 : 0.5;
-    const double bend = across == 0 ? 0 : least > 0 ? across * edge * edge / (2 * least) : INFINITY;
+    const bool one = all(feature == (MASKS)feature.s0), edge_alone = one && feature.s0 < A;
+    double bend = 0;
+    const bool aside = all(way->x * way->x.s0 + way->y * way->y.s0 + way->z * way->z.s0 > 0);
+    if (!(one && feature.s0 == FACE && aside)) {
+        const double squares = edge * edge, low = lowest(d) - edge * HALF_DIAGONAL;
+        const double near = low > 0 ? low : 0, across = edge_alone ? 0.25 : 0.5;
+        bend = sqrt(near * near + (across + 0.25) * squares) - near;
+        const double ahead = low - 2 * edge * HALF_DIAGONAL; // d_t(p) + u is no less
+        const double curved = across * squares / (2 * ahead);
+        bend = ahead > 0 && curved < bend ? curved : bend;
+    }
     const double shortfall = highest(size - d) + bend;
     bounds->below = shortfall > bounds->below ? shortfall : bounds->below;
 }
@@ -617,15 +628,15 @@ double sample_error(const scene_of_lists *scene, __global const uchar *masks, ui
 
 // For each child c of block c / 8: flags[c] = 1 if it is to be refined. errors[c] = how far its
 // interpolation is from the distance, in sides: at most, if that is within the tolerance, and else at its
-// samples, the first ones of which that are over it suffice to refine; 0 beyond the band, and where the
-// sign jumps. codes[c] = the code of its bound.
+// samples, the first ones of which that are over it suffice to refine, unless this is to be `thorough`; 0
+// beyond the band, and where the sign jumps. codes[c] = the code of its bound.
 __kernel void examine_children(const uint n, __global const ulong *identifiers, const uint level,
                                const double extent, __global const uint *begins, SCENE_ARGUMENTS,
 #ifdef WINDING
                                __global const uint *doubts,
 #endif
                                __global const float *voxels, const double tolerance,
-                               const double band, const uint can_refine, const uint refine_crossed,
+                               const double band, const uint can_refine, const uint refine_coarse, const uint thorough,
                                __global const double *bounds, __global const uchar *masks,
                                __global uint *flags, __global float *errors,
                                __global uchar *codes, __global uint *steepest)
@@ -649,10 +660,6 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
         const double dy = highest(absolute(field.s23672367 - field.s01450145));
         const double dz = highest(absolute(field.s45674567 - field.s01230123));
         const double slope = sqrt(dx * dx + dy * dy + dz * dz) / edge;
-        bool jumped = false;
-#ifdef JUMPS
-        jumped = jumps(corners, edge);
-#endif
         bool in_doubt = false;
 #ifdef WINDING
         for (uint i = 0; i < 8; ++i)
@@ -664,9 +671,13 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
                                     in_doubt, &middle);
         const bool passed = middle <= radius; // by triangles, perhaps
         const bool beyond = middle - radius > band;
-        bool refined = can_refine && !beyond && !jumped && error > tolerance;
+        bool jumped = false;
+#ifdef JUMPS
+        jumped = jumps(corners, edge, passed);
+#endif
+        bool refined = can_refine && !beyond && (jumped ? refine_coarse : error > tolerance);
         double bound = INFINITY;
-        if (!refined && !jumped) {
+        if (!jumped && (!refined || thorough)) {
             const ways at = lattice_points(cell, CELL, 0, level + 1, extent);
             bounds_apart bounds_here = {INFINITY, 0, 0};
             double8 distances[KEPT];
@@ -678,7 +689,7 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
                 ways way;
                 MASKS feature;
                 const double8 d = sqrt(triangle_ways(&t, at.x, at.y, at.z, &way, &feature));
-                bound_by(&bounds_here, d, feature, size, edge);
+                bound_by(&bounds_here, d, &way, feature, size, edge);
                 if (count < KEPT)
                     distances[count++] = d;
             }
@@ -700,14 +711,15 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
             if (bound <= tolerance) {
                 error = bound;
             } else {
-                for (uint k = 1; k < POINTS / 8 && !(can_refine && !beyond && error > tolerance); ++k) {
+                for (uint k = 1; k < POINTS / 8 && (thorough || !refined); ++k) {
                     const double miss = sample_error(&scene, masks, begin, end, child, cell, level,
                                                      extent, k, corners, in_doubt || !passed, &middle);
                     error = miss > error ? miss : error;
+                    refined = can_refine && !beyond && error > tolerance;
                 }
                 const double between = error + rounding + (1 + slope) * (SAMPLE_GAP * edge);
                 bound = between < bound ? between : bound;
-                refined = can_refine && !beyond && (error > tolerance || (passed && refine_crossed));
+                refined |= can_refine && !beyond && passed && refine_coarse;
             }
         }
         flags[place] = refined;

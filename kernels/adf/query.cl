@@ -127,14 +127,14 @@ identifiers identifiers_of(uints x, uints y, uints z, ints level)
 void find_cells(const Hash *hash, const Wanted *wanted, uint *slots, int *exist)
 {
     const uint r = hash->r, m = hash->m;
-    const float inverse_r = hash->inverses[r];
+    const floats n = (floats)(float)r, inverse = (floats)hash->inverses[r];
     uint bucket[BATCH];
     EACH_VECTOR(i)
     {
         const ints level = load(wanted->level + i);
-        const floats x = remainders(keys_of(load(wanted->x + i), level), r, inverse_r);
-        const floats y = remainders(keys_of(load(wanted->y + i), level), r, inverse_r);
-        const floats z = remainders(keys_of(load(wanted->z + i), level), r, inverse_r);
+        const floats x = remainders(keys_of(load(wanted->x + i), level), n, inverse);
+        const floats y = remainders(keys_of(load(wanted->y + i), level), n, inverse);
+        const floats z = remainders(keys_of(load(wanted->z + i), level), n, inverse);
         store(to_uints(to_ints(x)) + r * (to_uints(to_ints(y)) + r * to_uints(to_ints(z))),
               bucket + i);
     }
@@ -158,7 +158,7 @@ void find_cells(const Hash *hash, const Wanted *wanted, uint *slots, int *exist)
 #ifdef W
         const floats w = load(ws + i), inverse_w = load(inverse_ws + i);
 #else
-        const floats w = m, inverse_w = hash->inverses[m];
+        const floats w = (floats)(float)m, inverse_w = (floats)hash->inverses[m];
 #endif
         const ints level = load(wanted->level + i);
         const uints sx = to_uints(

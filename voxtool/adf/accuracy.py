@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voxtool.errors import MeshError
 from voxtool.proximity.signs import SignedDistance
 from voxtool.proximity.spread import Spread, spread_in_cube
 
@@ -25,8 +27,8 @@ def measure(
     """The errors of a field at points spread evenly through its cube, and near the surface.
 
     Points near the surface are spread over it by area, and moved along each axis by up to NEAR
-    sides (proximity/spread.py). Where a leaf holds a jump, or the point is beyond the band, no
-    error counts.
+    sides (proximity/spread.py); there are none if no face has an area. Where a leaf holds a jump,
+    or the point is beyond the band, no error counts.
 
     Returns
     -------
@@ -40,11 +42,12 @@ def measure(
     """
     exact = SignedDistance(mesh, device, field.sign)
     spread = spread_in_cube(samples)
-    moved = np.concatenate(list(Spread(mesh, "mesh").samples(samples)))
-    return {
-        "in the cube": _errors(field, np.array(field.origin) + field.side * spread, exact),
-        "near the surface": _errors(field, moved + NEAR * field.side * (2 * spread - 1), exact),
-    }
+    errors = {"in the cube": _errors(field, np.array(field.origin) + field.side * spread, exact)}
+    with contextlib.suppress(MeshError):  # segments and points have no surface
+        on_surface = np.concatenate(list(Spread(mesh, "mesh").samples(samples)))
+        near = on_surface + NEAR * field.side * (2 * spread - 1)
+        errors["near the surface"] = _errors(field, near, exact)
+    return errors
 
 
 def _errors(field: DistanceField, points: np.ndarray, exact: SignedDistance) -> dict[str, Any]:

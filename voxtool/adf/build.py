@@ -25,6 +25,7 @@ from voxtool.opencl import Array, Device, open_device, program
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.plan.field import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
 from voxtool.proximity.bvh import Frame, build_tree
+from voxtool.proximity.crossings import find_crossings
 from voxtool.proximity.pseudonormals import pseudonormals
 from voxtool.proximity.sides import find_sides
 from voxtool.proximity.signs import SIGNS, default_sign
@@ -82,7 +83,8 @@ def build_adf(
     tolerance : of the error, in sides of the cube, the margin included.
     max_level : at which leaves are refined no more, 1 to 21; the root has level 0.
     band : how far from the surface cells are refined, in sides of the cube.
-    sign : as SignedDistance.
+    sign : as SignedDistance; by default "pseudonormal" for meshes that are closed, wound
+        consistently, and do not pass through themselves, and "winding" for others.
     continuous : whether leaves of different level agree on what they share.
     bounds : whether each leaf's own error bound is stored.
     max_bytes : that the four textures may take, about; the largest errors are refined first.
@@ -223,15 +225,18 @@ class _Build:
         self.mesh, self.request = mesh, request
         self.device = device = device or open_device()
         self.memory = (max_memory or device.max_memory, device.info.max_allocation)
-        suits = default_sign(mesh)
-        sign = request.sign or suits
-        normals = None if sign == "none" else pseudonormals(mesh)
-        flat = 0 if normals is None else int(np.count_nonzero(normals.flat))
+        normals = None if request.sign == "none" else pseudonormals(mesh)
+        self.tree = build_tree(device, mesh, None if normals is None else normals.flat)
+        crossed = np.zeros(len(mesh.faces), bool)
+        if normals is not None:
+            crossed = find_crossings(device, mesh, self.tree)
+        closed = default_sign(mesh) == "pseudonormal" and not crossed.any()
         self.plan = FieldPlan(
             triangles=len(mesh.faces),
-            flat=flat,
-            closed=suits == "pseudonormal",
-            sign=sign,
+            flat=0 if normals is None else int(np.count_nonzero(normals.flat)),
+            crossed=int(np.count_nonzero(crossed)),
+            closed=closed,
+            sign=request.sign or ("pseudonormal" if closed else "winding"),
             tolerance=request.tolerance,
             max_level=request.max_level,
             band=request.band,
@@ -239,14 +244,13 @@ class _Build:
             bounds=request.bounds,
             max_bytes=request.max_bytes,
         )
-        self.tree = build_tree(device, mesh, None if normals is None else normals.flat)
         self.extent = _extent(mesh, self.tree.frame)
         self.options: dict[str, int] = {}
         self.sides: tuple[Any, ...] = ()
         self.winding: WindingNumber | None = None
         self.spheres: tuple[Any, ...] = ()
         if normals is not None:
-            self._take_sides(normals)
+            self._take_sides(normals, crossed)
         self.bound_values = device.put(bound_values())
         self.steepest = device.zeros(1, np.uint32)
         self.unbalanced = device.zeros(1, np.uint32)
@@ -271,7 +275,7 @@ class _Build:
             self.examine(level)
             level = self.refine(level)
 
-    def _take_sides(self, normals: Pseudonormals) -> None:
+    def _take_sides(self, normals: Pseudonormals, crossed: np.ndarray) -> None:
         """What tells inside from outside."""
         device, tree = self.device, self.tree
         self.options["SIGNED"] = 1
@@ -281,7 +285,7 @@ class _Build:
         if self.plan.sign == "winding":
             self.options["WINDING"] = 1
             self.winding = WindingNumber(self.mesh, device, tree=tree)
-            found = find_sides(self.mesh, normals, self.winding)
+            found = find_sides(self.mesh, normals, self.winding, crossed)
             self.sides = (*self.sides, device.put(found.front))
             self.spheres = (device.put(found.spheres), np.uint32(len(found.spheres)))
         closed = self.plan.closed and self.plan.sign == "pseudonormal"
@@ -421,6 +425,7 @@ class _Build:
                 np.float64(request.band * side),
                 np.uint32(can_refine),
                 np.uint32(coarse),
+                np.uint32(request.max_bytes is not None),
                 self.bound_values,
                 level.masks,
                 level.ranks,

@@ -33,13 +33,12 @@ POINT_BITS = 32  # of a coordinate in the cube
 MAX_LEVEL = 21  # of a leaf, whose parent has a key of 21 bits and an identifier of 61
 WEIGHT_BITS = 24  # of the fraction within a cell that a weight in float32 takes
 
-# A bound is a code: no leaf, a jump (no bound), or LEAST_BOUND * 2**(code / BOUND_STEPS) sides.
+# A bound is a code: no leaf, a jump (no bound), or 2**((code - 254) / BOUND_STEPS) sides.
 NO_LEAF, JUMP = 0, 255
 BOUND_STEPS = 8  # of a code for a factor of two: rounding up adds at most 9.1 %
-BOUND_EXPONENT = -31  # code 6 is 2**-31, code 254 is 1
 
 program.generated["adf/field.h"] = program.c_constants(
-    POINT_BITS=POINT_BITS, WEIGHT_BITS=WEIGHT_BITS, NO_LEAF=NO_LEAF, JUMP=JUMP
+    POINT_BITS=POINT_BITS, WEIGHT_BITS=WEIGHT_BITS
 )
 
 
@@ -97,7 +96,7 @@ class DistanceField:
     sign : how the sign was found, one of voxtool.proximity.signs.SIGNS.
     tolerance, max_level, band : as asked of the build; in sides, level, and sides or infinite.
     continuous : whether neighbours of different level agree on what they share.
-    lipschitz : the steepest that the field is anywhere.
+    lipschitz : the steepest that the field is, but in leaves that hold a jump.
     reached : what the build reached: errors, counts; JSON types only.
     plan : what the plan said of the scene: JSON types only.
     source_sha256 : hex digest of the bytes that the mesh was read from, or "".

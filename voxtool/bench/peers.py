@@ -1,10 +1,12 @@
-"""Other tools on the same work, where they are installed: mesh in memory to voxels in memory, and
-octree in memory to surface in memory."""
+"""Other tools on the same work, where they are installed: mesh in memory to voxels in memory,
+octree in memory to surface in memory, and distances from points to a mesh."""
 
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import os
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -141,3 +143,69 @@ def _skimage_marching_cubes(
         return measure.marching_cubes(coverage, BRICK_SIDE**3 * isovalue)
 
     return f"scikit-image {skimage.__version__}", run
+
+
+@dataclass(frozen=True)
+class DistancePeer:
+    """What computes the signed distance of points to a mesh.
+
+    build : makes what it needs of the mesh, and returns what gives (N,) float distances at (N, 3)
+    float64 points; builds_each_time : this builds it anew whenever it is asked.
+    """
+
+    name: str
+    build: Callable[[], Callable[[np.ndarray], np.ndarray]]
+    builds_each_time: bool = False
+
+
+DISTANCE_MODULES = {"open3d": "open3d", "igl": "libigl"}  # and what pip calls them
+
+
+def of_distance(mesh: Mesh) -> list[DistancePeer]:
+    """The peers that compute signed distances, each with the threads that it takes by itself."""
+    return [peer for maker in (_open3d_scene, _igl_signed_distance) if (peer := maker(mesh))]
+
+
+def missing_of_distance() -> list[str]:
+    """What pip calls those that are not installed."""
+    return [package for module, package in DISTANCE_MODULES.items() if _module(module) is None]
+
+
+def _open3d_scene(mesh: Mesh) -> DistancePeer | None:
+    """RaycastingScene.compute_signed_distance, which is in float32; its sign is by parity."""
+    open3d = _module("open3d")
+    if open3d is None:
+        return None
+    as_tensor = open3d.core.Tensor
+    vertices, faces = mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32)
+
+    def build() -> Callable[[np.ndarray], np.ndarray]:
+        scene = open3d.t.geometry.RaycastingScene()
+        scene.add_triangles(as_tensor(vertices), as_tensor(faces))
+
+        def distance(points: np.ndarray) -> np.ndarray:
+            return scene.compute_signed_distance(as_tensor(points.astype(np.float32))).numpy()
+
+        distance(mesh.vertices[:1])  # the first query builds the tree
+        return distance
+
+    return DistancePeer(f"Open3D {open3d.__version__}", build)
+
+
+def _igl_signed_distance(mesh: Mesh) -> DistancePeer | None:
+    """signed_distance with fast winding numbers w, which builds its trees in every call, and gives
+    (1 - 2 |w|) times the distance: it is exact where w is 0 or 1."""
+    igl = _module("igl")
+    if igl is None:
+        return None
+    vertices, faces = mesh.vertices, mesh.faces.astype(np.int64)
+    sign = igl.SignedDistanceType.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
+
+    def distance(points: np.ndarray) -> np.ndarray:
+        return igl.signed_distance(points, vertices, faces, sign)[0]
+
+    def build() -> Callable[[np.ndarray], np.ndarray]:
+        distance(vertices[:1])
+        return distance
+
+    return DistancePeer(f"libigl {importlib.metadata.version('libigl')}", build, True)

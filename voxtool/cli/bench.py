@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import click
 
-from voxtool.cli import bench_extract, bench_voxelize
+from voxtool.cli import bench_adf, bench_extract, bench_voxelize
 
 
 @click.group("bench")
 def command() -> None:
     """Measure voxtool, and its peers on the same work.
 
-    Times are in ms or s, memory in MB.
+    Times are in ns, ms or s, memory in MB.
 
     \b
     Examples:
       voxtool bench voxelize bunny.obj --dims 64,512
       voxtool bench extract bunny.obj --dims 512,1024 --peers
+      voxtool bench adf bunny.obj --tolerances 1e-2,1e-3 --max-level 7
     """
 
 
 command.add_command(bench_voxelize.command)
 command.add_command(bench_extract.command)
+command.add_command(bench_adf.command)

@@ -18,6 +18,7 @@ COMMANDS = {
     "svo-info": "voxtool.cli.svo_info",
     "extract": "voxtool.cli.extract",
     "adf-build": "voxtool.cli.adf_build",
+    "adf-query": "voxtool.cli.adf_query",
     "adf-info": "voxtool.cli.adf_info",
     "export": "voxtool.cli.export",
     "devices": "voxtool.cli.devices",

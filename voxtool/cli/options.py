@@ -113,20 +113,28 @@ def plan_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def bench_options(dims: str, peers: str) -> Decorator:
-    """MODELS, --dims with their default, --repeat, --peers with what they are, --device, --json."""
+    """--dims with their default, and measure_options."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        return click.option(
+            "--dims",
+            type=List(click.IntRange(8, 65536)),
+            metavar="DIM,...",
+            default=dims,
+            show_default=True,
+            help="Voxels along the longest side.",
+        )(measure_options(peers)(function))
+
+    return decorate
+
+
+def measure_options(peers: str) -> Decorator:
+    """MODELS, --repeat, --peers with what they are, --device, --json."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         for option in reversed(
             (
                 click.argument("models", nargs=-1, required=True),
-                click.option(
-                    "--dims",
-                    type=List(click.IntRange(8, 65536)),
-                    metavar="DIM,...",
-                    default=dims,
-                    show_default=True,
-                    help="Voxels along the longest side.",
-                ),
                 click.option(
                     "--repeat",
                     type=click.IntRange(1),

@@ -267,7 +267,7 @@ class Device:
         """An array of new memory; if it is shared, host memory that `make` (np.empty, np.zeros)
         gives, in pages larger than drivers ask for."""
         dtype = np.dtype(dtype)
-        nbytes = max(size * dtype.itemsize, 4)
+        nbytes = max(-(-size * dtype.itemsize // 4) * 4, 4)  # whole words, for zeros
         flags, host = self._cl.mem_flags.READ_WRITE, None
         try:
             if self.shares_memory and nbytes >= SHARED_FROM:
@@ -295,8 +295,8 @@ class Device:
         """An array of zeros."""
         array = self._array(size, dtype, np.zeros)
         if array.host is None:
-            nbytes = -(-max(size * array.dtype.itemsize, 4) // 4) * 4
-            self._enqueue(self._cl.enqueue_fill_buffer, array.buffer, np.uint32(0), 0, nbytes)
+            size = array.buffer.size
+            self._enqueue(self._cl.enqueue_fill_buffer, array.buffer, np.uint32(0), 0, size)
         return array
 
     def put(self, values: np.ndarray) -> Array:

@@ -19,7 +19,8 @@ ITEM_BYTES = 5  # of a triangle in a list, and of what is known of it
 class FieldPlan:
     """How a field will be built.
 
-    triangles : of the mesh; flat : of these, without area; closed : its signs are certain.
+    triangles : of the mesh; flat : of these, without area; crossed : that others meet; closed : the
+    mesh is, is wound consistently, and does not pass through itself: pseudo-normals are certain.
     sign, tolerance, max_level, band, continuous, bounds, max_bytes : as asked.
     refined : cells that are refined, of each level from 0 on, as far as was counted.
     items : triangles in the lists of the last of these.
@@ -27,6 +28,7 @@ class FieldPlan:
 
     triangles: int
     flat: int
+    crossed: int
     closed: bool
     sign: str
     tolerance: float
@@ -43,6 +45,7 @@ class FieldPlan:
         """The stages that will run, in order; those from sample to hand down once a level."""
         return [
             "tree",
+            *(["crossings"] if self.sign != "none" else []),
             *(["moments"] if self.sign == "winding" else []),
             "sample",
             *(["signs", "winding number"] if self.sign == "winding" else []),
@@ -111,6 +114,7 @@ class FieldPlan:
         """What the plan says of the scene, to be stored with the output: JSON types only."""
         return {
             "triangles": self.triangles,
+            "crossed_triangles": self.crossed,
             "closed": self.closed,
             "stages": self.stages,
             "left_out": self.left_out(),

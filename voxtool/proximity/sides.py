@@ -4,8 +4,7 @@ From a point, go to the nearest point of the mesh, and along that face to its mi
 the winding number changes only as the boundary's shape lets it, for no face is crossed: by the law
 of Biot and Savart its gradient is at most the sum of dl / (4 pi r^2) over the edges of the
 boundary. So the number near the middle of a face, on the side on which the point is, tells the
-point's, where holes are far enough away. It does not where another face passes through this one:
-faces next to which the number is another are unknown.
+point's, where holes are far enough away. It does not where another face meets this one.
 """
 
 from __future__ import annotations
@@ -32,8 +31,8 @@ class Sides:
     """What the winding number is in front of faces, and where it may change.
 
     front : (F,) float64: on the side to which the face's normal points; behind it is 1 more. NaN
-        where it is unknown: the face is flat, is at an edge that is not manifold, or has another
-        number than a face beside it.
+        where that is not known: the face is flat, is at an edge that is not manifold, is met by
+        another (proximity/crossings.py), or folds back onto one, so that it is not 1 more.
     spheres : (S, 5) float64: centre, radius, in the frame of the tree, and the length of boundary
         in each.
     """
@@ -42,51 +41,58 @@ class Sides:
     spheres: np.ndarray
 
 
-def find_sides(mesh: Mesh, normals: Pseudonormals, winding: WindingNumber) -> Sides:
-    """The sides of a mesh's faces."""
-    corners = positions(mesh)[mesh.faces]
-    edges, forth = edges_of(corners)
+def find_sides(
+    mesh: Mesh, normals: Pseudonormals, winding: WindingNumber, crossed: np.ndarray
+) -> Sides:
+    """The sides of a mesh's faces.
+
+    Parameters
+    ----------
+    crossed : (F,) bool, as find_crossings.
+    """
+    edges, forth = edges_of(positions(mesh)[mesh.faces])
     faces_of = np.bincount(edges)
     net = np.bincount(edges, np.where(forth, 1.0, -1.0))
     triangles = winding.tree.frame.local(mesh.vertices)[mesh.faces]
-    front = _in_front(triangles, normals, winding)
-    front[(((faces_of != 2) | (net != 0)) & (faces_of != 1))[edges].reshape(-1, 3).any(axis=1)] = (
-        np.nan
-    )
-    # the two faces of each edge that has two
-    inner = np.flatnonzero(faces_of[edges] == 2)
-    pairs = inner[np.argsort(edges[inner], kind="stable")].reshape(-1, 2) // 3
-    apart = np.abs(front[pairs[:, 0]] - front[pairs[:, 1]]) > 0.5
-    front[pairs[apart].ravel()] = np.nan
+    front, behind = _beside(triangles, normals, winding)
+    odd = ((faces_of != 2) | (net != 0)) & (faces_of != 1)
+    unknown = crossed | odd[edges].reshape(-1, 3).any(axis=1)
+    front[unknown | ~(np.abs(behind - front - 1) < 0.25)] = np.nan
     side = np.flatnonzero(net[edges] != 0)
     _, first = np.unique(edges[side], return_index=True)
     side = side[first]
-    ends = np.stack(
-        [triangles.reshape(-1, 3)[side], np.roll(triangles, -1, axis=1).reshape(-1, 3)[side]],
-        axis=1,
-    )
-    return Sides(front, _spheres(ends, np.abs(net[edges[side]])))
+    starts = triangles.reshape(-1, 3)[side]
+    ends = np.roll(triangles, -1, axis=1).reshape(-1, 3)[side]
+    return Sides(front, _spheres(np.stack([starts, ends], axis=1), np.abs(net[edges[side]])))
 
 
-def _in_front(triangles: np.ndarray, normals: Pseudonormals, winding: WindingNumber) -> np.ndarray:
-    """(F,) float64: the winding number above the middle of each face; NaN where it is flat."""
-    normal = normals.normals[normals.features[:, 0]]
-    x, y, z = normal.T
+def _beside(
+    triangles: np.ndarray, normals: Pseudonormals, winding: WindingNumber
+) -> tuple[np.ndarray, np.ndarray]:
+    """(F,) float64 each: the winding number above and below the middle of each face; NaN where it
+    is flat."""
+    x, y, z = normal = normals.normals[normals.features[:, 0]].T
     length = np.sqrt(x * x + y * y + z * z)
-    a, b, c = (triangles[:, i] for i in range(3))
-    edges = np.stack([b - a, c - b, a - c])
-    longest = np.sqrt((edges * edges)[..., 0] + (edges * edges)[..., 1] + (edges * edges)[..., 2])
-    u, v = (b - a).T, (c - a).T
-    area = np.stack([u[i - 2] * v[i - 1] - u[i - 1] * v[i - 2] for i in range(3)])
-    double = np.sqrt(area[0] * area[0] + area[1] * area[1] + area[2] * area[2])
+    a, b, c = (triangles[:, i].T for i in range(3))
+    (ux, uy, uz), (vx, vy, vz) = u, v = b - a, c - a
+    wx, wy, wz = v - u
+    longest = np.sqrt(
+        np.maximum(
+            np.maximum(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz),
+            wx * wx + wy * wy + wz * wz,
+        )
+    )
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    twice_area = np.sqrt(nx * nx + ny * ny + nz * nz)
     known = (normals.flat == 0) & (length > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        height = double / longest.max(axis=0)
-        points = (a + b + c) / 3 + normal * (ABOVE * height / length)[:, None]
-    device = winding.device
-    points[~known] = 0
-    found = winding.at_local(device.put(points), len(points)).take()
-    return np.where(known, found, np.nan)
+        rise = np.where(known, ABOVE * twice_area / longest / length, 0) * normal
+    device, middle = winding.device, (a + b + c) / 3
+    numbers = []
+    for points in (middle + rise, middle - rise):
+        found = winding.at_local(device.put(points.T), len(points.T)).take()
+        numbers.append(np.where(known, found, np.nan))
+    return numbers[0], numbers[1]
 
 
 def _spheres(ends: np.ndarray, weights: np.ndarray) -> np.ndarray:
