@@ -717,7 +717,9 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
                     error = miss > error ? miss : error;
                     refined = can_refine && !beyond && error > tolerance;
                 }
-                const double between = error + rounding + (1 + slope) * (SAMPLE_GAP * edge);
+                const double unsure = in_doubt && passed ? 2 * (middle + radius) : 0;
+                const double between =
+                    error + unsure + rounding + (1 + slope) * (SAMPLE_GAP * edge);
                 bound = between < bound ? between : bound;
                 refined |= can_refine && !beyond && passed && refine_coarse;
             }
