@@ -50,8 +50,8 @@ if TYPE_CHECKING:
 @click.option(
     "--sign",
     type=click.Choice(["pseudonormal", "winding", "none"]),
-    help="How inside is told from outside.  [default: pseudonormal if the mesh is closed, or else "
-    "winding]",
+    help="How inside is told from outside.  [default: pseudonormal if the mesh is closed and "
+    "does not pass through itself, or else winding]",
 )
 @click.option(
     "--continuous/--cracks",
@@ -131,13 +131,14 @@ def command(
             "bounds": not no_bounds,
             "max_bytes": max_bytes,
         }
-        warn_if_open(loaded, sign)
         if only_plan:
             plan = plan_adf(loaded, chosen, **request)
             progress.erase()
+            warn_of_signs(loaded, plan.scene(), plan.sign)
             print_plan(plan, as_json)
             return
         field = build_adf(loaded, chosen, max_memory=max_memory, **request)
+        warn_of_signs(loaded, field.plan, field.sign)
         progress.enter("write file")
         write_adf(field, output, not no_clobber, file_format)
     seconds = time.perf_counter() - started
@@ -170,19 +171,24 @@ def default_output(mesh: str) -> str:
     return f"{PurePath(name).stem}.adf.h5"
 
 
-def warn_if_open(mesh: Mesh, sign: str | None) -> None:
+def warn_of_signs(mesh: Mesh, scene: dict[str, Any], sign: str) -> None:
     """Pseudo-normals need a closed mesh: say what is wrong with this one, and what is done."""
     from voxtool.diagnosis import diagnose
     from voxtool.proximity.signs import default_sign
 
-    if sign == "none" or default_sign(mesh) == "pseudonormal":
+    if sign == "none" or scene["closed"]:
         return
+    wrong = []
+    if default_sign(mesh) != "pseudonormal":
+        wrong.append(f"is {diagnose(mesh).summary()}")
+    if scene["crossed_triangles"]:
+        wrong.append(f"meets itself in {scene['crossed_triangles']:,} faces")
     done = (
         "signs by pseudo-normals may be wrong: --sign winding is made for it"
         if sign == "pseudonormal"
         else "inside is where its winding number is over 1/2"
     )
-    options.tell(f"warning: {mesh.name or 'mesh'} is {diagnose(mesh).summary()}; {done}")
+    options.tell(f"warning: {mesh.name or 'mesh'} {' and '.join(wrong)}; {done}")
 
 
 def summary(field: DistanceField, output: str, seconds: float) -> dict[str, Any]:
