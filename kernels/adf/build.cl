@@ -108,41 +108,45 @@ triangle triangle_at(const scene_of_lists *scene, uint place)
     return one_triangle(scene->leaves + (size_t)(item / LEAF) * (FIELDS * LEAF), item % LEAF);
 }
 
-// Of up to eight points in each of VECTORS: the squared distance to the nearest triangle, and where in
-// the lists it stands; of those that have a side, if some are FLAT.
+// Of eight points: the squared distance to the nearest triangle, and where in the lists it stands; of those
+// that have a side, if some are FLAT.
 typedef struct {
-    double8 square[VECTORS];
-    double8 sided[VECTORS];
-    long8 which[VECTORS];
+    double8 square, sided;
+    long8 which;
 } nearest;
 
-void find_nothing(nearest *found, uint vectors)
+nearest nothing_found(void)
 {
-    for (uint k = 0; k < vectors; ++k) {
-        found->square[k] = INFINITY;
-        found->sided[k] = INFINITY;
-        found->which[k] = NOWHERE;
-    }
+    const nearest found = {INFINITY, INFINITY, NOWHERE};
+    return found;
 }
 
-// Take the triangle at a place of the lists into account.
-void look_at(const scene_of_lists *scene, uint place, const ways *points, uint vectors, nearest *found)
+// Take the triangle at a place of the lists into account, whose squared distances these are.
+void look_at(const scene_of_lists *scene, uint place, double8 square, nearest *found)
 {
-    const triangle t = triangle_at(scene, place);
-    for (uint k = 0; k < vectors; ++k) {
-        ways way;
-        MASKS feature;
-        const double8 dd = triangle_ways(&t, points[k].x, points[k].y, points[k].z, &way, &feature);
 #ifdef FLAT
-        found->square[k] = dd < found->square[k] ? dd : found->square[k];
-        const long8 nearer = dd < (has_side(scene, scene->items[place]) ? found->sided[k] : 0.0);
-        found->sided[k] = nearer ? dd : found->sided[k];
+    found->square = square < found->square ? square : found->square;
+    const long8 nearer = square < (has_side(scene, scene->items[place]) ? found->sided : 0.0);
+    found->sided = nearer ? square : found->sided;
 #else
-        const long8 nearer = dd < found->square[k];
-        found->square[k] = nearer ? dd : found->square[k];
+    const long8 nearer = square < found->square;
+    found->square = nearer ? square : found->square;
 #endif
-        found->which[k] = nearer ? (long8)place : found->which[k];
-    }
+    found->which = nearer ? (long8)place : found->which;
+}
+
+uint gathered(long8 bits)
+{
+    const long4 halves = bits.lo | bits.hi;
+    const long2 quarters = halves.lo | halves.hi;
+    return (uint)(quarters.x | quarters.y);
+}
+
+double8 squares_to(const triangle *t, const ways *points)
+{
+    ways way;
+    MASKS feature;
+    return triangle_ways(t, points->x, points->y, points->z, &way, &feature);
 }
 
 #ifdef SIGNED
@@ -213,26 +217,116 @@ __kernel void sample_blocks(const uint n, __global const ulong *identifiers, con
     const scene_of_lists scene = {SCENE_VALUES};
     const uint begin = begins[gid], end = begins[gid + 1];
     const uint3 cell = cell_of(identifiers[gid], level);
-    ways points[VECTORS];
-    for (uint k = 0; k < VECTORS; ++k)
-        points[k] = k < POINTS / 8 ? lattice_points(2 * cell, VERTICES, k, level + 1, extent)
-                                   : lattice_points(4 * cell, MIDDLES, 0, level + 2, extent);
-    nearest found;
-    find_nothing(&found, VECTORS);
-    for (uint j = begin; j < end; ++j)
-        look_at(&scene, j, points, VECTORS, &found);
     const double edge = extent / (1ul << level) * 2, radius = edge * HALF_DIAGONAL;
-    double distances[POINTS];
+
+    const ways middles = lattice_points(4 * cell, MIDDLES, 0, level + 2, extent);
+    nearest of_middles = nothing_found();
+    for (uint j = begin; j < end; ++j) {
+        const triangle t = triangle_at(&scene, j);
+        look_at(&scene, j, squares_to(&t, &middles), &of_middles);
+    }
+
+    // these, each once, and the squared distances to them at the corners of the children
+    ways points[POINTS / 8];
     for (uint k = 0; k < POINTS / 8; ++k)
-        vstore8(sqrt(found.square[k]), k, distances);
+        points[k] = lattice_points(2 * cell, VERTICES, k, level + 1, extent);
+    nearest found[8];
+    for (uint child = 0; child < 8; ++child)
+        found[child] = nothing_found();
+    long places[8];
+    vstore8(of_middles.which, 0, places);
+    double8 others[8][8], rivals[8]; // of each corner, a lane a child; rivals are the least as yet
+    for (uint i = 0; i < 8; ++i)
+        rivals[i] = INFINITY;
+    uint others_count = 0;
+    for (uint k = 0; k < 8; ++k) {
+        bool known = places[k] == NOWHERE;
+        for (uint other = 0; other < k; ++other)
+            known |= places[other] == places[k];
+        if (known)
+            continue;
+        const triangle t = triangle_at(&scene, (uint)places[k]);
+        double squares[POINTS];
+        for (uint v = 0; v < POINTS / 8; ++v)
+            vstore8(squares_to(&t, &points[v]), v, squares);
+        for (uint i = 0; i < 8; ++i) {
+            double corners[8], children[8];
+            for (uint j = 0; j < 8; ++j) {
+                corners[j] = squares[CORNERS[8 * i + j]];
+                children[j] = squares[CORNERS[8 * j + i]];
+            }
+            look_at(&scene, (uint)places[k], vload8(0, corners), &found[i]);
+            const double8 other = others[others_count][i] = vload8(0, children);
+            rivals[i] = other < rivals[i] ? other : rivals[i];
+        }
+        ++others_count;
+    }
+
+    // each child's, and the distances at its corners where a tangent lets them be the least
+    const long8 bits = (long8)(1, 2, 4, 8, 16, 32, 64, 128);
+    long8 needed = 0;
+    for (uint j = begin; j < end; ++j) {
+        const triangle t = triangle_at(&scene, j);
+        ways way;
+        MASKS feature;
+        const double8 dd = triangle_ways(&t, middles.x, middles.y, middles.z, &way, &feature);
+        const double8 x = 0.25 * edge * way.x, y = 0.25 * edge * way.y, z = 0.25 * edge * way.z;
+        const double8 base = dd - SLACK * (edge + sqrt(dd));
+        double8 least[8]; // tangents, times the distance of the middle, squared; 0 where negative
+        long8 nearer = 0;
+        for (uint i = 0; i < 8; ++i) {
+            const double8 tangent = base + (i & 1 ? x : -x) + (i & 2 ? y : -y) + (i & 4 ? z : -z);
+            least[i] = tangent > 0.0 ? tangent * tangent : 0.0;
+            nearer |= least[i] <= rivals[i] * dd;
+        }
+        long8 needs = -1;
+        for (uint other = 0; other < others_count; ++other) {
+            long8 some = 0;
+            for (uint i = 0; i < 8; ++i)
+                some |= least[i] <= others[other][i] * dd;
+            needs &= some;
+        }
+        needed -= needs;
+        masks[j] = (uchar)gathered(needs & bits);
+        for (uint left = gathered(nearer & needs & bits), child = 0; left > 0; left >>= 1, ++child) {
+            if (!(left & 1))
+                continue;
+            const ways corners = lattice_points(2 * cell + octant(child), CELL, 0, level + 1, extent);
+            look_at(&scene, j, squares_to(&t, &corners), &found[child]);
+            double reached[8];
+#ifdef FLAT
+            vstore8(found[child].sided, 0, reached);
+#else
+            vstore8(found[child].square, 0, reached);
+#endif
+            for (uint i = 0; i < 8; ++i)
+                ((double *)&rivals[i])[child] = reached[i];
+        }
+    }
+    long counted[8];
+    vstore8(needed, 0, counted);
+    for (uint child = 0; child < 8; ++child)
+        counts[8 * (size_t)gid + child] = (uint)counted[child];
+
+    // a vertex is a corner of one child, or has the same in each
+    double distances[27];
+    long which[27];
+    for (uint child = 0; child < 8; ++child) {
+        double corners[8];
+        long own[8];
+        vstore8(sqrt(found[child].square), 0, corners);
+        vstore8(found[child].which, 0, own);
+        for (uint i = 0; i < 8; ++i) {
+            distances[CORNERS[8 * child + i]] = corners[i];
+            which[CORNERS[8 * child + i]] = own[i];
+        }
+    }
 #ifdef SIGNED
     double x[POINTS], y[POINTS], z[POINTS];
-    long which[POINTS];
     for (uint k = 0; k < POINTS / 8; ++k) {
         vstore8(points[k].x, k, x);
         vstore8(points[k].y, k, y);
         vstore8(points[k].z, k, z);
-        vstore8(found.which[k], k, which);
     }
     uchar state = above[sources[gid] / 8];
     double leeway = 0;
@@ -273,65 +367,6 @@ __kernel void sample_blocks(const uint n, __global const ulong *identifiers, con
 #endif
     for (uint i = 0; i < 27; ++i)
         values[27 * (size_t)gid + i] = distances[i];
-
-    // the nearest of the middles, each once, and the distances to them at the children's corners
-    long middles[8];
-    vstore8(found.which[POINTS / 8], 0, middles);
-    double8 others[8][8];
-    uint others_count = 0;
-    for (uint k = 0; k < 8; ++k) {
-        bool known = middles[k] == NOWHERE;
-        for (uint other = 0; other < k; ++other)
-            known |= middles[other] == middles[k];
-        if (known)
-            continue;
-        const triangle t = triangle_at(&scene, (uint)middles[k]);
-        double to_vertices[POINTS];
-        for (uint v = 0; v < POINTS / 8; ++v) {
-            ways way;
-            MASKS feature;
-            vstore8(sqrt(triangle_ways(&t, points[v].x, points[v].y, points[v].z, &way, &feature)), v,
-                    to_vertices);
-        }
-        for (uint child = 0; child < 8; ++child) {
-            double corners[8];
-            for (uint i = 0; i < 8; ++i)
-                corners[i] = to_vertices[CORNERS[8 * child + i]];
-            others[others_count][child] = vload8(0, corners);
-        }
-        ++others_count;
-    }
-    const double quarter = edge * 0.25;
-    const double8 sx = quarter * vload8(0, SIGNS), sy = quarter * vload8(1, SIGNS),
-                  sz = quarter * vload8(2, SIGNS);
-    uint needed[8] = {0, 0, 0, 0, 0, 0, 0, 0};
-    for (uint j = begin; j < end; ++j) {
-        const triangle t = triangle_at(&scene, j);
-        ways way;
-        MASKS feature;
-        const ways *middle = &points[POINTS / 8];
-        double squares[8], lengths[8], wx[8], wy[8], wz[8];
-        const double8 dd = triangle_ways(&t, middle->x, middle->y, middle->z, &way, &feature);
-        vstore8(dd, 0, squares);
-        vstore8(sqrt(dd), 0, lengths);
-        vstore8(way.x, 0, wx);
-        vstore8(way.y, 0, wy);
-        vstore8(way.z, 0, wz);
-        uint mask = 0;
-        for (uint child = 0; child < 8; ++child) {
-            // the tangent, times the distance of the middle
-            const double8 tangent =
-                squares[child] + wx[child] * sx + wy[child] * sy + wz[child] * sz - SLACK * edge;
-            bool needs = true;
-            for (uint other = 0; other < others_count && needs; ++other)
-                needs = any(tangent <= (others[other][child] + SLACK) * lengths[child]);
-            mask |= needs << child;
-            needed[child] += needs;
-        }
-        masks[j] = (uchar)mask;
-    }
-    for (uint child = 0; child < 8; ++child)
-        counts[8 * (size_t)gid + child] = needed[child];
 }
 
 #ifdef WINDING
@@ -598,12 +633,13 @@ double sample_error(const scene_of_lists *scene, __global const uchar *masks, ui
                     bool in_doubt, double *first)
 {
     const ways points = lattice_points(4 * cell, SAMPLES, k, level + 3, extent);
-    nearest found;
-    find_nothing(&found, 1);
+    nearest found = nothing_found();
     for (uint j = begin; j < end; ++j)
-        if (masks[j] >> child & 1)
-            look_at(scene, j, &points, 1, &found);
-    const double8 distance = sqrt(found.square[0]);
+        if (masks[j] >> child & 1) {
+            const triangle t = triangle_at(scene, j);
+            look_at(scene, j, squares_to(&t, &points), &found);
+        }
+    const double8 distance = sqrt(found.square);
     *first = distance.s0;
     double8 interpolated = 0;
     for (uint i = 0; i < 8; ++i)
@@ -616,7 +652,7 @@ double sample_error(const scene_of_lists *scene, __global const uchar *masks, ui
         vstore8(points.x, 0, x);
         vstore8(points.y, 0, y);
         vstore8(points.z, 0, z);
-        vstore8(found.which[0], 0, which);
+        vstore8(found.which, 0, which);
         for (uint i = 0; i < 8; ++i)
             numbers[i] = number_beside(scene, which[i], x[i], y[i], z[i]);
         const double8 number = vload8(0, numbers);

@@ -47,7 +47,7 @@ def _corners() -> np.ndarray:
 
 program.generated["adf/samples.h"] = "\n".join(
     [
-        program.c_constants(POINTS=POINTS, VECTORS=POINTS // 8 + 1, MIDDLE=MIDDLE),
+        program.c_constants(POINTS=POINTS, MIDDLE=MIDDLE),
         f"#define HALF_DIAGONAL {HALF_DIAGONAL.hex()}",
         f"#define SAMPLE_GAP {SAMPLE_GAP.hex()}",
         _table("VERTICES", BLOCK),
