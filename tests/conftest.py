@@ -66,7 +66,8 @@ def model(name: str) -> Path:
 
 @pytest.fixture(scope="session")
 def models(tmp_path_factory) -> Path:
-    """bunny.obj, bunny.svo.h5 (128, solid), and open.obj, a box without a lid."""
+    """bunny.obj, bunny.svo.h5 (128, solid), bunny.adf.h5 (level 5), points.csv, and open.obj, a box
+    without a lid."""
     folder = tmp_path_factory.mktemp("models")
     spec = importlib.util.spec_from_file_location("make_bunny", ROOT / "examples/make_bunny.py")
     assert spec
@@ -75,8 +76,9 @@ def models(tmp_path_factory) -> Path:
     spec.loader.exec_module(example)
     write_obj(folder / "bunny.obj", *example.make_bunny(3000))
     write_obj(folder / "open.obj", *meshes.open_box(0, (4, 3, 2)))
-    command = [*MODULE, "voxelize", "bunny.obj", "--dim", "128", "-q"]
-    subprocess.run(command, cwd=folder, env=ENVIRONMENT, check=True)
+    (folder / "points.csv").write_text("x,y,z\n0,1,0\n0.5,2,0.25\n")
+    for words in ("voxelize bunny.obj --dim 128 -q", "adf-build bunny.obj --max-level 5 -q"):
+        subprocess.run([*MODULE, *words.split()], cwd=folder, env=ENVIRONMENT, check=True)
     return folder
 
 

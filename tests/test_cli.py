@@ -74,12 +74,13 @@ def test_help(path, flag) -> None:
 )
 def test_every_example_runs(line: str, here: Path, shell) -> None:
     line = re.sub(r"--dims \S+", "--dims 16 --repeat 1", line)
-    line = line.replace("--dim 512", "--dim 100")
+    line = re.sub(r"--tolerances \S+", "--tolerances 1e-2 --repeat 1", line)
+    line = line.replace("--dim 512", "--dim 100").replace("--tolerance 1e-4", "--tolerance 1e-2")
     done = subprocess.run(
         ["sh", "-c", line], env=shell, cwd=here, capture_output=True, text=True, timeout=120
     )
     assert done.returncode == 0, done.stderr
-    assert "error" not in done.stderr
+    assert "error:" not in done.stderr
 
 
 def test_no_command_shows_the_help_and_is_a_usage_error(here: Path) -> None:

@@ -91,8 +91,8 @@ def command(
     """Build the adaptively sampled distance field of a triangle MESH.
 
     MESH is an OBJ, STL, PLY, OFF or GLB file, .gz too, or - for stdin. The field fills a cube whose
-    side is 8/7 of the mesh's longest, and lengths are in sides of this cube. It ends with the error
-    that it reached.
+    side is 8/7 of the mesh's longest; its place is told in the mesh's own units, errors in sides of
+    this cube. Ends with the errors that it reached.
 
     \b
     Examples:

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from voxtool.bench.adf import Exact, Hash, Row
 
-STAGES = ("tree", "moments", "sample", "signs", "winding number", "constrain", "examine",
-          "hand down", "hash")  # fmt: skip
+STAGES = ("tree", "crossings", "moments", "sample", "signs", "winding number", "constrain",
+          "examine", "hand down", "hash")  # fmt: skip
 SHORT = {"winding number": "winding", "hand down": "lists"}
 KINDS, SEARCHES = ("random", "rays"), ("linear", "binary", "coherent")
 SIZES = "  blocks    leaves       MB  load % bits/key  hash ms"
