@@ -1,10 +1,11 @@
-// From triangles to the blocks of a distance field. Host side: voxtool/adf/build.py. Options: SIGNED,
-// negative inside; WINDING, inside by the winding number (voxtool/proximity/sides.py), or else by
-// pseudo-normals; CLOSED, the mesh is, or else JUMPS, signs may change away from the surface; FLAT, some
-// triangles have no side.
+// From triangles to the blocks of a distance field. Host side: voxtool/adf/build.py. Options:
+// SIGNED, negative inside; WINDING, inside by the winding number (voxtool/proximity/sides.py), or
+// else by pseudo-normals; CLOSED, the mesh is, or else JUMPS, signs may change away from the
+// surface; FLAT, some triangles have no side.
 //
-// Lengths are in the mesh's own frame (voxtool/proximity/bvh.py), in which the cube is [-extent, extent]^3.
-// A cell has a list of triangles, among which are the nearest ones to every point of the cell.
+// Lengths are in the mesh's own frame (voxtool/proximity/bvh.py), in which the cube is [-extent,
+// extent]^3. A cell has a list of triangles, among which are the nearest ones to every point of the
+// cell.
 
 #include "adf/build.h"
 #include "adf/samples.h"
@@ -108,8 +109,8 @@ triangle triangle_at(const scene_of_lists *scene, uint place)
     return one_triangle(scene->leaves + (size_t)(item / LEAF) * (FIELDS * LEAF), item % LEAF);
 }
 
-// Of eight points: the squared distance to the nearest triangle, and where in the lists it stands; of those
-// that have a side, if some are FLAT.
+// Of eight points: the squared distance to the nearest triangle, and where in the lists it stands;
+// of those that have a side, if some are FLAT.
 typedef struct {
     double8 square, sided;
     long8 which;
@@ -150,8 +151,8 @@ double8 squares_to(const triangle *t, const ways *points)
 }
 
 #ifdef SIGNED
-// The winding number on the side of a face on which a point is, at the middle of the face; NAN where it
-// is not known. The face is that of the triangle at a place of the lists.
+// The winding number on the side of a face on which a point is, at the middle of the face; NAN
+// where it is not known. The face is that of the triangle at a place of the lists.
 double number_beside(const scene_of_lists *scene, long place, double x, double y, double z)
 {
     if (place == NOWHERE)
@@ -167,8 +168,8 @@ double number_beside(const scene_of_lists *scene, long place, double x, double y
 }
 
 #ifdef WINDING
-// How far the winding number may change on the way from a point to the middle of a face `reach` away at
-// most; see voxtool/proximity/sides.py.
+// How far the winding number may change on the way from a point to the middle of a face `reach`
+// away at most; see voxtool/proximity/sides.py.
 double sway(double x, double y, double z, double reach, __global const double *spheres, uint count)
 {
     double sum = 0x1p-6; // two winding numbers are wrong by less
@@ -187,18 +188,19 @@ double sway(double x, double y, double z, double reach, __global const double *s
 
 // ---- the blocks of the cells that are refined
 
-// values[27 b + i] = the distance at vertex i of block b, of the cell identifiers[b]. masks[j] says for
-// item j of its list which of the cell's children need it: bit k is child k. counts[8 b + k] = how many
-// child k needs.
+// values[27 b + i] = the distance at vertex i of block b, of the cell identifiers[b]. masks[j] says
+// for item j of its list which of the cell's children need it: bit k is child k. counts[8 b + k] =
+// how many child k needs.
 //
-// The distance to a triangle is convex, and so is nowhere below its tangent. Inside a cell it is nowhere
-// above the trilinear interpolation of what it is at the corners. So a triangle is nowhere nearest in a
-// child where its tangent from the child's middle is, at all corners, above the distance to some other
-// one: to the nearest of the middle of any child, here.
+// The distance to a triangle is convex, and so is nowhere below its tangent. Inside a cell it is
+// nowhere above the trilinear interpolation of what it is at the corners. So a triangle is nowhere
+// nearest in a child where its tangent from the child's middle is, at all corners, above the
+// distance to some other one: to the nearest of the middle of any child, here.
 //
-// states[b] says on which side of the mesh the whole block is, if it is known: where its parent's is, and
-// where triangles do not pass. Bit i of doubts[b] says that the sign of vertex i is not known, and that
-// of asked[b] that its winding number is to be computed: at first, where no triangles pass, the middle's.
+// states[b] says on which side of the mesh the whole block is, if it is known: where its parent's
+// is, and where triangles do not pass. Bit i of doubts[b] says that the sign of vertex i is not
+// known, and that of asked[b] that its winding number is to be computed: at first, where no
+// triangles pass, the middle's.
 __kernel void sample_blocks(const uint n, __global const ulong *identifiers, const uint level,
                             const double extent, __global const uint *begins, SCENE_ARGUMENTS,
 #ifdef SIGNED
@@ -217,7 +219,7 @@ __kernel void sample_blocks(const uint n, __global const ulong *identifiers, con
     const scene_of_lists scene = {SCENE_VALUES};
     const uint begin = begins[gid], end = begins[gid + 1];
     const uint3 cell = cell_of(identifiers[gid], level);
-    const double edge = extent / (1ul << level) * 2, radius = edge * HALF_DIAGONAL;
+    const double edge = extent / (1ul << level) * 2, radius = edge * HALF_DIAGONAL + SLACK;
 
     const ways middles = lattice_points(4 * cell, MIDDLES, 0, level + 2, extent);
     nearest of_middles = nothing_found();
@@ -406,8 +408,8 @@ double with_sign(double value, bool inside)
     return inside && distance > 0 ? -distance : distance;
 }
 
-// Their signs, from the numbers there. The number of the middle of a block that no triangle passes tells
-// the side of all of it, if it can change no more than that; or else all vertices are asked.
+// Their signs, from the numbers there. The number of the middle of a block that no triangle passes
+// tells the side of all of it, if it can change no more than that; or else all vertices are asked.
 __kernel void settle_signs(const uint n, __global const ulong *identifiers, const uint level,
                            const double extent, __global const double *spheres,
                            const uint sphere_count, __global const uint *begins,
@@ -442,9 +444,9 @@ __kernel void settle_signs(const uint n, __global const ulong *identifiers, cons
 
 // ---- continuity
 
-// neighbours[27 b + i] = which of the blocks of this level is that of the cell beside cell b, or COARSE
-// where that cell is a leaf or within one, BEYOND where it is out of the cube. Cell b is child
-// sources[b] of the level above, whose refined children are numbered by `ranks`.
+// neighbours[27 b + i] = which of the blocks of this level is that of the cell beside cell b, or
+// COARSE where that cell is a leaf or within one, BEYOND where it is out of the cube. Cell b is
+// child sources[b] of the level above, whose refined children are numbered by `ranks`.
 __kernel void find_neighbours(const uint n, __global const uint *sources, __global const uint *ranks,
                               __global const uint *above, __global uint *neighbours,
                               __global uint *unbalanced)
@@ -469,9 +471,9 @@ __kernel void find_neighbours(const uint n, __global const uint *sources, __glob
     }
 }
 
-// Vertices of a block that lie on a coarser leaf get what is interpolated there, which is the mean of
-// the ends of the edge, or the corners of the face, that they are the middle of: these are on the same
-// leaf, and have been constrained before. Corners are those of the parent's block.
+// Vertices of a block that lie on a coarser leaf get what is interpolated there, which is the mean
+// of the ends of the edge, or the corners of the face, that they are the middle of: these are on
+// the same leaf, and have been constrained before. Corners are those of the parent's block.
 __kernel void constrain_blocks(const uint n, __global const uint *sources,
                                __global const uint *neighbours, __global const double *above,
                                __global double *values)
@@ -529,7 +531,7 @@ __kernel void store_voxels(const uint n, __global const double *values, const do
 // The code of a bound in sides: the least whose value is not below it.
 uchar code_of(double bound, __global const double *bounds)
 {
-    uint low = 1, high = JUMP;
+    uint low = 1, high = JUMP; // which is that of a bound over 1, too
     while (low < high) {
         const uint middle = (low + high) / 2;
         if (bounds[middle] >= bound)
@@ -540,9 +542,9 @@ uchar code_of(double bound, __global const double *bounds)
     return (uchar)low;
 }
 
-// Whether distances at the corners of a cell differ by more than they can where the sign does not jump;
-// those that hang on a leaf where it does, by more than interpolation of others can. Where triangles do
-// not pass, no sign changes.
+// Whether distances at the corners of a cell differ by more than they can where the sign does not
+// jump; those that hang on a leaf where it does, by more than interpolation of others can. Where
+// triangles do not pass, no sign changes.
 bool jumps(const double *corners, double edge, bool passed)
 {
     for (uint i = 0; i < 8; ++i)
@@ -557,15 +559,16 @@ bool jumps(const double *corners, double edge, bool passed)
     return false;
 }
 
-// How far the interpolation of distances of a certain size at the corners of a cell is from the distance to
-// the mesh, at most, whatever its sign: above it and below it; and the distances at the corners to the triangle
-// that bounds it best from above.
+// How far the interpolation of distances of a certain size at the corners of a cell is from the
+// distance to the mesh, at most, whatever its sign: above it and below it; and the distances at the
+// corners to the triangle that bounds it best from above.
 //
-// The distance is the least of convex d_t. So it is nowhere above the interpolation of any d_t, or of the
-// mean of two. And interpolation is a mean over corners v: with q nearest to p, n the way from q, and u, w the
-// parts of v - p along and across n, d_t(v) <= |v - q| <= d_t(p) + u + w^2 / (2 (d_t(p) + u)), where the mean
-// of u is 0 and that of w^2 is at most edge^2 / 2; edge^2 / 4 beside an edge, along which q may slide, and 0
-// on one side of a face. The mean of |v - q| is no more than the root of that of its square, either.
+// The distance is the least of convex d_t. So it is nowhere above the interpolation of any d_t, or
+// of the mean of two. And interpolation is a mean over corners v: with q nearest to p, n the way
+// from q, and u, w the parts of v - p along and across n, d_t(v) <= |v - q| <= d_t(p) + u + w^2 /
+// (2 (d_t(p) + u)), where the mean of u is 0 and that of w^2 is at most edge^2 / 2; edge^2 / 4
+// beside an edge, along which q may slide, and 0 on one side of a face. The mean of |v - q| is no
+// more than the root of that of its square, either.
 typedef struct {
     double above, below;
     double8 best;
@@ -594,9 +597,10 @@ void bound_by(bounds_apart *bounds, double8 d, const ways *way, MASKS feature, d
 }
 
 #ifdef CLOSED
-// The same where triangles pass, with the signs of a closed mesh, and distances of `farthest` at most. If all
-// normals are within an angle of the first, so is the way to the nearest point, and every distance is that to
-// the plane of a triangle, divided by a cosine of at least that of twice the angle.
+// The same where triangles pass, with the signs of a closed mesh, and distances of `farthest` at
+// most. If all normals are within an angle of the first, so is the way to the nearest point, and
+// every distance is that to the plane of a triangle, divided by a cosine of at least that of twice
+// the angle.
 double bound_passed(const scene_of_lists *scene, __global const uchar *masks, uint begin, uint end,
                     uint child, const ways *at, double8 field, double farthest)
 {
@@ -625,12 +629,12 @@ double bound_passed(const scene_of_lists *scene, __global const uchar *masks, ui
 }
 #endif
 
-// How far the interpolation is from the distance at eight of a cell's samples, at most, by the triangles of a
-// child's list; and how far the first of them is from these. In doubt, or if that is so far that the whole
-// cell is on one side, the sign is that of the interpolation.
+// How far the interpolation is from the distance at eight of a cell's samples, at most, by the
+// triangles of a child's list; and how far the first of them is from these. In doubt, or if that is
+// so far that the whole cell is on one side, the sign is that of the interpolation.
 double sample_error(const scene_of_lists *scene, __global const uchar *masks, uint begin, uint end,
                     uint child, uint3 cell, uint level, double extent, uint k, const double *corners,
-                    bool in_doubt, double *first)
+                    bool in_doubt, double radius, double *first)
 {
     const ways points = lattice_points(4 * cell, SAMPLES, k, level + 3, extent);
     nearest found = nothing_found();
@@ -646,7 +650,7 @@ double sample_error(const scene_of_lists *scene, __global const uchar *masks, ui
         interpolated += corners[i] * vload8(k, WEIGHTS + i * POINTS);
     double8 outward = interpolated;
 #ifdef SIGNED
-    if (!in_doubt && (k > 0 || *first <= extent / (1ul << level) * HALF_DIAGONAL)) {
+    if (!in_doubt && (k > 0 || *first <= radius)) {
         double x[8], y[8], z[8], numbers[8];
         long which[8];
         vstore8(points.x, 0, x);
@@ -663,16 +667,16 @@ double sample_error(const scene_of_lists *scene, __global const uchar *masks, ui
 }
 
 // For each child c of block c / 8: flags[c] = 1 if it is to be refined. errors[c] = how far its
-// interpolation is from the distance, in sides: at most, if that is within the tolerance, and else at its
-// samples, the first ones of which that are over it suffice to refine, unless this is to be `thorough`; 0
-// beyond the band, and where the sign jumps. codes[c] = the code of its bound.
+// interpolation is from the distance, in sides: at most, if that is within the tolerance, and else
+// at its samples, the first ones of which that are over it suffice to refine, unless this is to be
+// `thorough`; 0 beyond the band, and -1 where the sign jumps. codes[c] = the code of its bound.
 __kernel void examine_children(const uint n, __global const ulong *identifiers, const uint level,
                                const double extent, __global const uint *begins, SCENE_ARGUMENTS,
 #ifdef WINDING
                                __global const uint *doubts,
 #endif
                                __global const float *voxels, const double tolerance,
-                               const double band, const uint can_refine, const uint refine_coarse, const uint thorough,
+                               const double misplaced, const double band, const uint can_refine, const uint refine_coarse, const uint thorough,
                                __global const double *bounds, __global const uchar *masks,
                                __global uint *flags, __global float *errors,
                                __global uchar *codes, __global uint *steepest)
@@ -683,7 +687,8 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
     const scene_of_lists scene = {SCENE_VALUES};
     const uint begin = begins[gid], end = begins[gid + 1];
     const uint3 parent = cell_of(identifiers[gid], level);
-    const double side = 2 * extent, edge = side / (2ul << level), radius = edge * HALF_DIAGONAL;
+    const double side = 2 * extent, edge = side / (2ul << level);
+    const double radius = edge * HALF_DIAGONAL + SLACK;
     float slope_of_leaves = 0;
     for (uint child = 0; child < 8; ++child) {
         const size_t place = 8 * (size_t)gid + child;
@@ -704,7 +709,7 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
         // the first samples suffice to refine most that are
         double middle;
         double error = sample_error(&scene, masks, begin, end, child, cell, level, extent, 0, corners,
-                                    in_doubt, &middle);
+                                    in_doubt, radius, &middle);
         const bool passed = middle <= radius; // by triangles, perhaps
         const bool beyond = middle - radius > band;
         bool jumped = false;
@@ -742,14 +747,16 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
                 bound = INFINITY;
 #endif
 #endif
-            const double rounding = highest(size) * 0x1p-21 + SLACK;
+            const double rounding = highest(size) * 0x1p-21 + SLACK + misplaced;
             bound += rounding;
             if (bound <= tolerance) {
                 error = bound;
             } else {
                 for (uint k = 1; k < POINTS / 8 && (thorough || !refined); ++k) {
-                    const double miss = sample_error(&scene, masks, begin, end, child, cell, level,
-                                                     extent, k, corners, in_doubt || !passed, &middle);
+                    double elsewhere;
+                    const double miss =
+                        sample_error(&scene, masks, begin, end, child, cell, level, extent, k, corners,
+                                     in_doubt || !passed, radius, &elsewhere);
                     error = miss > error ? miss : error;
                     refined = can_refine && !beyond && error > tolerance;
                 }
@@ -761,7 +768,7 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
             }
         }
         flags[place] = refined;
-        errors[place] = jumped || beyond ? 0 : (float)(error / side);
+        errors[place] = jumped ? -1 : beyond ? 0 : (float)(error / side);
         codes[place] = jumped ? JUMP : code_of(bound / side, bounds);
         if (!refined && !jumped && slope > slope_of_leaves)
             slope_of_leaves = (float)slope;
@@ -772,8 +779,8 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
 
 // ---- down to the next level
 
-// Of the refined children, which `ranks` numbers: their identifiers, where they come from, and how many
-// triangles they need.
+// Of the refined children, which `ranks` numbers: their identifiers, where they come from, and how
+// many triangles they need.
 __kernel void list_refined(const uint n, __global const uint *ranks, __global const ulong *above,
                            __global const uint *needed, __global ulong *identifiers,
                            __global uint *sources, __global uint *counts)

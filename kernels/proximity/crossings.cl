@@ -60,8 +60,8 @@ bool triangles_apart(const double3 *t, const double3 *u)
     return false;
 }
 
-// Whether a plane of this normal through a corner that two triangles share has one of them on either side;
-// their edges from there are t and u. Those of `on` may be in the plane.
+// Whether a plane of this normal through a corner that two triangles share has one of them on
+// either side; their edges from there are t and u. Those of `on` may be in the plane.
 bool parts(double3 normal, const double3 *t, const double3 *u, uint on)
 {
     const double3 a = unit(normal);
@@ -99,7 +99,8 @@ double3 corner(__global const double *vertices, __global const int *faces, uint 
     return vload3(faces[3 * (size_t)face + i], vertices);
 }
 
-// Whether two faces meet where they share no corner. Neighbours that fold back onto each other do not count.
+// Whether two faces meet where they share no corner. Neighbours that fold back onto each other do
+// not count.
 bool meet(__global const double *vertices, __global const int *faces, __global const int *corners,
           uint f, uint g)
 {
@@ -124,8 +125,8 @@ bool meet(__global const double *vertices, __global const int *faces, __global c
                        u[(at_g + 2) % 3] - o);
 }
 
-// found[f] = 1 if another face meets face f. corners[3 f + i] numbers positions; faces without a name have
-// no area.
+// found[f] = 1 if another face meets face f. corners[3 f + i] numbers positions; faces without a
+// name have no area.
 __kernel void find_crossings(const uint n, __global const uint *names, __global const double *vertices,
                              __global const int *faces, __global const int *corners,
                              __global const float *nodes, const uint first_leaf,

@@ -1,5 +1,5 @@
-// The way from triangles to points, many at once. Who includes this defines LANES, double4 or double8,
-// and MASKS, long4 or long8: one triangle a lane, one point a lane, or both.
+// The way from triangles to points, many at once. Who includes this defines LANES, double4 or
+// double8, and MASKS, long4 or long8: one triangle a lane, one point a lane, or both.
 
 // What of a triangle a point is nearest to; ab is its longest edge.
 enum { FACE, AB, BC, CA, A, B, C };
@@ -34,14 +34,14 @@ LANES clamped(LANES t)
     return t < 1.0 ? t : 1.0;
 }
 
-// The ways from the nearest points of triangles to points, and on what these are; returns the squares
-// of their lengths.
+// The ways from the nearest points of triangles to points, and on what these are; returns the
+// squares of their lengths.
 //
-// In the triangle's plane, with e and g as axes, a is (0, 0), b is (1, 0) and c is (foot, 1). As e is
-// the longest edge, the angles at a and b are acute. So a point below ab is nearest to ab; one beyond
-// ac to ac, or past c to bc; one beyond bc to bc. Slivers are safe: what is measured is always the
-// way to a point of the triangle, and an error of the foot point across a thin triangle is less than
-// its height.
+// In the triangle's plane, with e and g as axes, a is (0, 0), b is (1, 0) and c is (foot, 1). As e
+// is the longest edge, the angles at a and b are acute. So a point below ab is nearest to ab; one
+// beyond ac to ac, or past c to bc; one beyond bc to bc. Slivers are safe: what is measured is
+// always the way to a point of the triangle, and an error of the foot point across a thin triangle
+// is less than its height.
 LANES triangle_ways(const triangle *t, LANES x, LANES y, LANES z, ways *way, MASKS *feature)
 {
     const LANES px = x - t->ax, py = y - t->ay, pz = z - t->az;

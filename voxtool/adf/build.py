@@ -18,7 +18,15 @@ import numpy as np
 
 from voxtool.adf import samples  # noqa: F401  (its header)
 from voxtool.adf.accuracy import measure
-from voxtool.adf.field import JUMP, MAX_LEVEL, NO_LEAF, DistanceField, assemble, bound_values
+from voxtool.adf.field import (
+    JUMP,
+    MAX_LEVEL,
+    NO_LEAF,
+    POINT_BITS,
+    DistanceField,
+    assemble,
+    bound_values,
+)
 from voxtool.adf.hashing import build_hash, cell_of, identifier_type, key_of
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, open_device, program
@@ -124,12 +132,8 @@ def plan_adf(mesh: Mesh, device: Device | None = None, **request: Any) -> FieldP
     ------
     As build_adf.
     """
-    asked = {"tolerance": TOLERANCE, "max_level": MAX_LEVEL_ASKED, "band": math.inf, "sign": None,
-             "continuous": True, "bounds": True, "max_bytes": None}  # fmt: skip
-    asked = Request(**{**asked, **request})
-    build = _Build(mesh, device, None, asked)
-    build.request = replace(asked, max_level=min(asked.max_level, PILOT_LEVEL + 1))
-    build.run()
+    build = _Build(mesh, device, None, Request(**request))
+    build.run(PILOT_LEVEL - 1)
     return build.plan
 
 
@@ -147,6 +151,13 @@ def cube_of(mesh: Mesh) -> tuple[np.ndarray, float]:
     return origin, math.ldexp(2 * extent, frame.exponent)
 
 
+def _misplaced(origin: np.ndarray, side: float) -> float:
+    """How far at most a point in world coordinates is from where the field takes it to be, in
+    sides: by rounding to fixed point, and of coordinates far from 0."""
+    farthest = float(np.maximum(np.abs(origin), np.abs(origin + side)).max())
+    return math.sqrt(3) * (2.0**-POINT_BITS + 2 * float(np.spacing(farthest)) / side)
+
+
 def _extent(mesh: Mesh, frame: Frame) -> float:
     """Half of the cube's side, in the frame."""
     low, high = frame.local(mesh.bounds)
@@ -157,13 +168,13 @@ def _extent(mesh: Mesh, frame: Frame) -> float:
 class Request:
     """What is asked of a build; see build_adf."""
 
-    tolerance: float
-    max_level: int
-    band: float
-    sign: str | None
-    continuous: bool
-    bounds: bool
-    max_bytes: int | None
+    tolerance: float = TOLERANCE
+    max_level: int = MAX_LEVEL_ASKED
+    band: float = math.inf
+    sign: str | None = None
+    continuous: bool = True
+    bounds: bool = True
+    max_bytes: int | None = None
 
     def check(self) -> None:
         """Refuse what is out of range; raises VoxtoolError."""
@@ -245,6 +256,7 @@ class _Build:
             max_bytes=request.max_bytes,
         )
         self.extent = _extent(mesh, self.tree.frame)
+        self.misplaced = _misplaced(*cube_of(mesh))
         self.options: dict[str, int] = {}
         self.sides: tuple[Any, ...] = ()
         self.winding: WindingNumber | None = None
@@ -258,17 +270,15 @@ class _Build:
         self.identifiers: list[np.ndarray] = []
         self.voxels: list[np.ndarray] = []
         self.codes: list[np.ndarray] = []
-        self.missed = 0
+        self.missed = self.jumps = 0
         self.worst: tuple[float, int, int] | None = None  # error, level, identifier
 
-    def run(self) -> None:
-        """From the root down."""
+    def run(self, last: int = MAX_LEVEL) -> None:
+        """From the root down, to cells of the last level."""
         level = self.root()
-        while level:
-            self.plan = replace(
-                self.plan, refined=(*self.plan.refined, level.count), items=level.items.size
-            )
-            self.plan.refuse_beyond(*self.memory)
+        self.plan = replace(self.plan, refined=(1,), items=level.items.size)
+        self.plan.refuse_beyond(*self.memory)
+        while level and level.number <= last:
             self.sample(level)
             if self.request.continuous:
                 self.constrain(level)
@@ -288,8 +298,7 @@ class _Build:
             found = find_sides(self.mesh, normals, self.winding, crossed)
             self.sides = (*self.sides, device.put(found.front))
             self.spheres = (device.put(found.spheres), np.uint32(len(found.spheres)))
-        closed = self.plan.closed and self.plan.sign == "pseudonormal"
-        self.options["CLOSED" if closed else "JUMPS"] = 1
+        self.options["CLOSED" if self.plan.certain else "JUMPS"] = 1
 
     def _kernel(self, name: str) -> Callable[..., None]:
         return self.device.kernel(SOURCE, name, **self.options)
@@ -422,6 +431,7 @@ class _Build:
                 *([level.doubts] if self.winding else []),
                 voxels,
                 np.float64(request.tolerance * side),
+                np.float64(self.misplaced * side),
                 np.float64(request.band * side),
                 np.uint32(can_refine),
                 np.uint32(coarse),
@@ -452,7 +462,8 @@ class _Build:
         refined[wanted[worst_first[max(left, 0) :]]] = 0
 
     def _count_missed(self, level: _Level, errors: np.ndarray) -> None:
-        """Of the leaves of this level."""
+        """Of the leaves of this level, those that miss the tolerance, and those that jump."""
+        self.jumps += int(np.count_nonzero((errors < 0) & (self.codes[-1] > 0)))
         over = np.flatnonzero((errors > np.float32(self.request.tolerance)) & (self.codes[-1] > 0))
         if len(over) == 0:
             return
@@ -466,10 +477,17 @@ class _Build:
         """The refined children as the next level, or None if there are none."""
         device, n = self.device, level.count
         assert level.ranks
+        assert level.needed
+        if level.number + 1 >= self.request.max_level:
+            return None
         with device.stage("hand down"):
+            refined = level.ranks.get(0, 8 * n) != 0
             total = exclusive_scan(level.ranks, 8 * n)
             if total == 0:
                 return None
+            size = int(level.needed.get()[refined].sum(dtype=np.int64))
+            self.plan = replace(self.plan, refined=(*self.plan.refined, total), items=size)
+            self.plan.refuse_beyond(*self.memory)
             identifiers = device.empty(total, np.uint64)
             sources, begins = device.empty(total, np.uint32), device.empty(total + 1, np.uint32)
             self._kernel("list_refined")(
@@ -482,7 +500,8 @@ class _Build:
                 sources,
                 begins,
             )
-            items = device.empty(exclusive_scan(begins, total), np.uint32)
+            exclusive_scan(begins, total)
+            items = device.empty(size, np.uint32)
             self._kernel("hand_down")(
                 total,
                 np.uint32(total),
@@ -510,7 +529,7 @@ class _Build:
         reached: dict[str, Any] = {
             "leaves": 7 * len(identifiers) + 1,
             "missed": self.missed,
-            "jumps": int(np.count_nonzero(codes == JUMP)),
+            "jumps": self.jumps,
         }
         if self.worst:
             error, level, identifier = self.worst

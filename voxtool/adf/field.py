@@ -33,7 +33,7 @@ POINT_BITS = 32  # of a coordinate in the cube
 MAX_LEVEL = 21  # of a leaf, whose parent has a key of 21 bits and an identifier of 61
 WEIGHT_BITS = 24  # of the fraction within a cell that a weight in float32 takes
 
-# A bound is a code: no leaf, a jump (no bound), or 2**((code - 254) / BOUND_STEPS) sides.
+# A bound is a code: no leaf, none (a jump, or over a side), or 2**((code - 254) / 8) sides.
 NO_LEAF, JUMP = 0, 255
 BOUND_STEPS = 8  # of a code for a factor of two: rounding up adds at most 9.1 %
 
@@ -144,9 +144,13 @@ class DistanceField:
         """The deepest level of a leaf."""
         return (int(self.identifiers.max()).bit_length() - 1) // 3 + 1
 
+    def cells_by_level(self) -> list[int]:
+        """How many cells with children each level has, from 0, the root's, to the leaves' last."""
+        return np.bincount(cell_of(self.blocks)[0], minlength=self.depth + 1).tolist()
+
     def leaves_by_level(self) -> list[int]:
         """How many leaves each level has, from 1, the root's children, to the deepest."""
-        refined = np.bincount(cell_of(self.blocks)[0], minlength=self.depth + 1).tolist()
+        refined = self.cells_by_level()
         return [8 * above - own for above, own in zip([0, *refined], refined, strict=False)][1:]
 
     def slots(self, level: int, ijk: np.ndarray) -> np.ndarray:
@@ -273,8 +277,10 @@ class DistanceField:
             beyond = np.where(u < 0, u, np.where(u > 1, u - 1, 0.0))
             near = np.abs(distance[outside].astype(np.float64)) - bound[outside]
             near = np.where(near > 0, near, 0.0)
-            x, y, z = beyond.T
-            total = np.sqrt(x * x + y * y + z * z + near * near)
+            exponent = np.frexp(np.abs(beyond).max(axis=1))[1]  # squares of large ones overflow
+            x, y, z = np.ldexp(beyond.T, -exponent)
+            part = np.ldexp(near, -exponent)
+            total = np.ldexp(np.sqrt(x * x + y * y + z * z + part * part), exponent)
             inward = np.where(distance[outside] < 0, -near, near)[:, None]
             steep = np.where(beyond != 0, beyond, inward * slope[outside]) / total[:, None]
         world[outside] = total * self.side
@@ -322,8 +328,17 @@ class DistanceField:
         FileError : names the first that fails.
         """
         n, m = len(self.voxels), self.hash.m
-        if n == 0 or self.voxels.shape != (n, 3, 3, 3) or not np.isfinite(self.voxels).all():
-            raise FileError("field voxels: blocks of 3 x 3 x 3 finite distances are expected")
+        low, high = np.array(self.origin), np.array(self.origin) + self.side
+        if not (
+            np.isfinite(high).all() and 2.0**-900 < self.side < 2.0**900 and (low < high).all()
+        ):
+            raise FileError(
+                f"field: a cube of side {self.side:g} at {self.origin}: none float64 holds"
+            )
+        if n == 0 or self.voxels.shape != (n, 3, 3, 3) or not (np.abs(self.voxels) <= 2).all():
+            raise FileError(
+                "field voxels: blocks of 3 x 3 x 3 distances up to 2 sides are expected"
+            )
         if self.cells.shape not in ((m, m, m, 2), (m, m, m, 3)):
             raise FileError(f"field cells: {self.cells.shape} where the hash has m = {m}")
         if self.bounds is not None and self.bounds.shape != (n, 2, 2, 2):

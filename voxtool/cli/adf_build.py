@@ -101,6 +101,8 @@ def command(
     """
     if tolerance is not None and tolerance_world is not None:
         raise click.UsageError("--tolerance and --tolerance-world say the same: drop one of them")
+    if tolerance_world is not None and not 0 <= tolerance_world < math.inf:
+        raise click.UsageError(f"--tolerance-world {tolerance_world:g}: give a length from 0 on")
     started = time.perf_counter()
     from voxtool.adf.build import TOLERANCE, build_adf, cube_of, plan_adf
     from voxtool.files import ADF_FORMATS, check_target, format_of, write_adf
@@ -136,6 +138,7 @@ def command(
             progress.erase()
             warn_of_signs(loaded, plan.scene(), plan.sign)
             print_plan(plan, as_json)
+            options.warn_if_refused(plan, max_memory, chosen)
             return
         field = build_adf(loaded, chosen, max_memory=max_memory, **request)
         warn_of_signs(loaded, field.plan, field.sign)
@@ -150,6 +153,7 @@ def command(
     else:
         source, target = mesh if mesh != "-" else "stdin", output if output != "-" else "stdout"
         tell_field(field, f"{source} -> {target}", seconds)
+        stages["other"] = seconds - sum(stages.values()) + stages.get("other", 0)
         spent = ", ".join(f"{stage} {time:.2f}" for stage, time in stages.items() if time >= 5e-3)
         options.tell(f"  seconds   {spent}")
     if verbose:
@@ -202,6 +206,7 @@ def summary(field: DistanceField, output: str, seconds: float) -> dict[str, Any]
         "origin": list(field.origin),
         "side": field.side,
         "blocks": n,
+        "cells_by_level": field.cells_by_level(),
         "leaves_by_level": field.leaves_by_level(),
         "bytes": field.sizes(),
         "hash_load": field.hash.load(n),
@@ -240,10 +245,14 @@ def tell_field(field: DistanceField, what: str, seconds: float) -> None:
         )
     if reached["jumps"]:
         tell(f"  jumps     {reached['jumps']:,} leaves, where the sign changes across a hole")
-    leaves = field.leaves_by_level()
+    levels = zip(field.cells_by_level(), [0, *field.leaves_by_level()], strict=True)
     tell(
         "  leaves    "
-        + ", ".join(f"{count:,} of level {i}" for i, count in enumerate(leaves, 1) if count)
+        + ", ".join(
+            f"{leaves:,} of {cells + leaves:,} cells of level {level}"
+            for level, (cells, leaves) in enumerate(levels)
+            if leaves
+        )
         + ("" if "balanced" not in reached else "; balanced 2:1" if reached["balanced"]
            else "; not balanced 2:1")
     )  # fmt: skip

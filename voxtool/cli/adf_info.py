@@ -73,7 +73,9 @@ def summary(field: DistanceField) -> dict[str, Any]:
     sizes, eight = field.sizes(), 8 * field.voxels.itemsize
     identifier = field.identifiers.itemsize
     with_leaves = identifier_type(depth).itemsize + field.cells.itemsize
-    jumps = None if field.bounds is None else int(np.count_nonzero(field.bounds == JUMP))
+    jumps = field.reached.get("jumps")
+    if field.bounds is not None:
+        jumps = int(np.count_nonzero(field.bounds == JUMP))
     return {
         "origin": list(field.origin),
         "side": field.side,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
 import time
 from dataclasses import dataclass
@@ -164,6 +165,8 @@ def command(
         output = default_output(field, points, file_format)
     if output != "-":
         check_target(output, not no_clobber)
+        if points and os.path.exists(output) and points != "-" and os.path.samefile(points, output):
+            raise click.UsageError(f"{output} is POINTS itself: name another output")
     stages = ["read field", "query"] if plane is None else ["read field", "draw"]
     with options.Progress(stages) as progress:
         progress.enter("read field")
@@ -191,7 +194,8 @@ def command(
                 tally = answer_points(query, blocks, answers, search=search, **asked)
     seconds = time.perf_counter() - started
     if as_json:
-        options.print_json(summary(output, tally, seconds), err=output == "-")
+        if output != "-" or not quiet:
+            options.print_json(summary(output, tally, seconds), err=output == "-")
     else:
         source_name = f"{field} at {plane[0]}={plane[1]:g}" if plane else points
         what = f"{tally.points:,} pixels" if plane else f"{count_of(tally.points, 'point')}"

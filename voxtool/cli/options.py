@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from voxtool.opencl import Device
     from voxtool.opencl.device import DeviceInfo
     from voxtool.plan.extraction import ExtractionPlan
+    from voxtool.plan.field import FieldPlan
     from voxtool.plan.voxelization import Plan
 
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -199,7 +200,9 @@ def tell(message: str) -> None:
     click.echo(f"voxtool: {message}", err=True)
 
 
-def warn_if_refused(plan: Plan | ExtractionPlan, max_memory: int | None, device: Device) -> None:
+def warn_if_refused(
+    plan: Plan | ExtractionPlan | FieldPlan, max_memory: int | None, device: Device
+) -> None:
     """What is planned may be more than there is memory for."""
     try:
         plan.refuse_beyond(max_memory or device.max_memory, device.info.max_allocation)

@@ -103,6 +103,9 @@ def json_text(name: str, value: dict[str, Any]) -> str:
         raise FileError(f"attribute {name} cannot be JSON: {str(error)[:80]}") from None
 
 
+MAX_DEPTH = 16  # of JSON
+
+
 def parse_json(name: str, text: str) -> dict[str, Any]:
     """A JSON object as a dict; only what JSON allows, finite numbers and real characters.
 
@@ -121,4 +124,16 @@ def parse_json(name: str, text: str) -> dict[str, Any]:
         raise FileError(f"attribute {name} is not JSON: {str(error)[:80]}") from None
     if not isinstance(value, dict):
         raise FileError(f"attribute {name} is not a JSON object")
+    if _depth(value) > MAX_DEPTH:
+        raise FileError(f"attribute {name} is nested deeper than {MAX_DEPTH}")
     return value
+
+
+def _depth(value: Any) -> int:
+    """How deep lists and objects are nested; level by level, for they may be hostile."""
+    depth, inner = 0, [value]
+    while inner:
+        depth += 1
+        lists = [v.values() if isinstance(v, dict) else v for v in inner]
+        inner = [v for one in lists for v in one if isinstance(v, dict | list)]
+    return depth

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from voxtool.errors import MemoryLimitError, count_of, human
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 BLOCK_BYTES = 27 * 4 + 8 + 8 + 1  # voxels, cell, bounds, and about as much of the hash
 NARROW_LEVEL = 11  # of leaves up to which identifiers of their parents fit 32 bits
@@ -41,6 +44,11 @@ class FieldPlan:
     items: int = 0
 
     @property
+    def certain(self) -> bool:
+        """Whether signs are, so that none jumps."""
+        return self.closed and self.sign == "pseudonormal"
+
+    @property
     def stages(self) -> list[str]:
         """The stages that will run, in order; those from sample to hand down once a level."""
         return [
@@ -67,9 +75,9 @@ class FieldPlan:
             out["pseudo-normals"] = "distances have no sign"
         elif not self.flat:
             out["faces without a side"] = "every face has an area"
-        if self.closed or self.sign == "none":
+        if self.certain or self.sign == "none":
             out["search for jumps of the sign"] = (
-                "the mesh is closed" if self.closed else "distances have no sign"
+                "the mesh is closed" if self.certain else "distances have no sign"
             )
         if not self.continuous:
             out["neighbours and constraints"] = "cracks are allowed"
@@ -104,11 +112,15 @@ class FieldPlan:
 
     @property
     def device_bytes(self) -> int:
-        """Predicted peak of memory, at most about: twice the field, and two levels in work."""
-        counts = self.predicted()
-        # lists shorten with the cells: those of a level have about as many triangles in all
-        items = max(self.items, self.triangles)
-        return 2 * self.field_bytes + CELL_BYTES * sum(counts[-2:]) + 2 * ITEM_BYTES * items
+        """Predicted peak of memory, at most about."""
+        return self._bytes(self.predicted(), max(self.items, self.triangles))
+
+    def _bytes(self, counts: Sequence[int], items: int) -> int:
+        """Of so many cells, level by level, and a level's lists: twice the field, two levels in
+        work, and two levels' lists, which have about as many triangles in all."""
+        return (
+            2 * BLOCK_BYTES * sum(counts) + CELL_BYTES * sum(counts[-2:]) + 2 * ITEM_BYTES * items
+        )
 
     def scene(self) -> dict[str, Any]:
         """What the plan says of the scene, to be stored with the output: JSON types only."""
@@ -142,10 +154,9 @@ class FieldPlan:
         MemoryLimitError : with the level that fits.
         """
         counts, level = self.refined, len(self.refined) - 1
-        held = 2 * BLOCK_BYTES * sum(counts) + CELL_BYTES * sum(counts[-2:])
-        needed = held + 2 * ITEM_BYTES * self.items
+        needed = self._bytes(counts, self.items)
         largest = max(8 * 27 * counts[-1], 4 * self.items)
-        if needed <= max_memory and largest <= max_allocation:
+        if needed <= max_memory and largest <= max_allocation and self.items < 1 << 32:
             return
         raise MemoryLimitError(
             f"{count_of(counts[-1], 'cell')} of level {level} would need {human(needed)} of memory "
