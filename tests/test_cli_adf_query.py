@@ -129,9 +129,19 @@ def test_json(here: Path) -> None:
     }  # fmt: skip
     assert said["seconds"] > 0
     assert said["ns_a_point"] > 0
-    piped = run("adf-query ball.adf.h5 --json -q", npy(points))
-    assert json.loads(piped.stderr)["points"] == 503
+    piped = run("adf-query ball.adf.h5 --json", npy(points))
+    said = "\n".join(line for line in piped.stderr.splitlines() if not line.startswith("voxtool:"))
+    assert json.loads(said)["points"] == 503
     assert len(np.load(io.BytesIO(piped.stdout_bytes))) == 503
+    assert run("adf-query ball.adf.h5 --json -q", npy(points)).stderr == ""
+
+
+def test_the_points_are_not_overwritten(here: Path) -> None:
+    before = Path("points.npy").read_bytes()
+    result = process("adf-query ball.adf.h5 points.npy -o ./points.npy")
+    assert result.returncode == 2
+    assert b"points.npy is POINTS itself: name another output" in result.stderr
+    assert Path("points.npy").read_bytes() == before
 
 
 def test_verbose(here: Path) -> None:

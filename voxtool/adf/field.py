@@ -31,6 +31,7 @@ from voxtool.opencl import program
 
 POINT_BITS = 32  # of a coordinate in the cube
 MAX_LEVEL = 21  # of a leaf, whose parent has a key of 21 bits and an identifier of 61
+FAR = 1024.0  # sides: no distance in a cube is near it, and none overflows
 WEIGHT_BITS = 24  # of the fraction within a cell that a weight in float32 takes
 
 # A bound is a code: no leaf, none (a jump, or over a side), or 2**((code - 254) / 8) sides.
@@ -335,10 +336,8 @@ class DistanceField:
             raise FileError(
                 f"field: a cube of side {self.side:g} at {self.origin}: none float64 holds"
             )
-        if n == 0 or self.voxels.shape != (n, 3, 3, 3) or not (np.abs(self.voxels) <= 2).all():
-            raise FileError(
-                "field voxels: blocks of 3 x 3 x 3 distances up to 2 sides are expected"
-            )
+        if n == 0 or self.voxels.shape != (n, 3, 3, 3) or not (np.abs(self.voxels) <= FAR).all():
+            raise FileError("field voxels: blocks of 3 x 3 x 3 finite distances are expected")
         if self.cells.shape not in ((m, m, m, 2), (m, m, m, 3)):
             raise FileError(f"field cells: {self.cells.shape} where the hash has m = {m}")
         if self.bounds is not None and self.bounds.shape != (n, 2, 2, 2):
