@@ -559,6 +559,21 @@ bool jumps(const double *corners, double edge, bool passed)
     return false;
 }
 
+// The triangles that a child of a block needs: those of the block's list that have its bit.
+typedef struct {
+    scene_of_lists scene;
+    __global const uchar *masks;
+    uint begin, end, child;
+} child_list;
+
+// The place of the first one from a place on; `end` if there is none.
+uint from(const child_list *list, uint place)
+{
+    while (place < list->end && !(list->masks[place] >> list->child & 1))
+        ++place;
+    return place;
+}
+
 // How far the interpolation of distances of a certain size at the corners of a cell is from the
 // distance to the mesh, at most, whatever its sign: above it and below it; and the distances at the
 // corners to the triangle that bounds it best from above.
@@ -596,19 +611,38 @@ void bound_by(bounds_apart *bounds, double8 d, const ways *way, MASKS feature, d
     bounds->below = shortfall > bounds->below ? shortfall : bounds->below;
 }
 
+double bound_apart(const child_list *list, const ways *at, double8 size, double edge)
+{
+    bounds_apart bounds = {INFINITY, 0, 0};
+    double8 distances[KEPT];
+    uint count = 0;
+    for (uint j = from(list, list->begin); j < list->end; j = from(list, j + 1)) {
+        const triangle t = triangle_at(&list->scene, j);
+        ways way;
+        MASKS feature;
+        const double8 d = sqrt(triangle_ways(&t, at->x, at->y, at->z, &way, &feature));
+        bound_by(&bounds, d, &way, feature, size, edge);
+        if (count < KEPT)
+            distances[count++] = d;
+    }
+    for (uint i = 0; i < count; ++i) {
+        const double excess = highest(0.5 * (bounds.best + distances[i]) - size);
+        bounds.above = excess < bounds.above ? excess : bounds.above;
+    }
+    return bounds.above > bounds.below ? bounds.above : bounds.below;
+}
+
 #ifdef CLOSED
 // The same where triangles pass, with the signs of a closed mesh, and distances of `farthest` at
 // most. If all normals are within an angle of the first, so is the way to the nearest point, and
 // every distance is that to the plane of a triangle, divided by a cosine of at least that of twice
 // the angle.
-double bound_passed(const scene_of_lists *scene, __global const uchar *masks, uint begin, uint end,
-                    uint child, const ways *at, double8 field, double farthest)
+double bound_passed(const child_list *list, const ways *at, double8 field, double farthest)
 {
     double3 axis = 0;
     double cosine = 1, apart = 0;
-    for (uint j = begin; j < end && cosine > 0.75; ++j) {
-        if (!(masks[j] >> child & 1))
-            continue;
+    const scene_of_lists *scene = &list->scene;
+    for (uint j = from(list, list->begin); j < list->end && cosine > 0.75; j = from(list, j + 1)) {
         const triangle t = triangle_at(scene, j);
         const uint name = scene->names[scene->items[j]];
         double3 normal = normal_of(name, FACE, scene->features, scene->normals);
@@ -632,17 +666,15 @@ double bound_passed(const scene_of_lists *scene, __global const uchar *masks, ui
 // How far the interpolation is from the distance at eight of a cell's samples, at most, by the
 // triangles of a child's list; and how far the first of them is from these. In doubt, or if that is
 // so far that the whole cell is on one side, the sign is that of the interpolation.
-double sample_error(const scene_of_lists *scene, __global const uchar *masks, uint begin, uint end,
-                    uint child, uint3 cell, uint level, double extent, uint k, const double *corners,
+double sample_error(const child_list *list, const ways *points, uint k, const double *corners,
                     bool in_doubt, double radius, double *first)
 {
-    const ways points = lattice_points(4 * cell, SAMPLES, k, level + 3, extent);
+    const scene_of_lists *scene = &list->scene;
     nearest found = nothing_found();
-    for (uint j = begin; j < end; ++j)
-        if (masks[j] >> child & 1) {
-            const triangle t = triangle_at(scene, j);
-            look_at(scene, j, squares_to(&t, &points), &found);
-        }
+    for (uint j = from(list, list->begin); j < list->end; j = from(list, j + 1)) {
+        const triangle t = triangle_at(scene, j);
+        look_at(scene, j, squares_to(&t, points), &found);
+    }
     const double8 distance = sqrt(found.square);
     *first = distance.s0;
     double8 interpolated = 0;
@@ -653,9 +685,9 @@ double sample_error(const scene_of_lists *scene, __global const uchar *masks, ui
     if (!in_doubt && (k > 0 || *first <= radius)) {
         double x[8], y[8], z[8], numbers[8];
         long which[8];
-        vstore8(points.x, 0, x);
-        vstore8(points.y, 0, y);
-        vstore8(points.z, 0, z);
+        vstore8(points->x, 0, x);
+        vstore8(points->y, 0, y);
+        vstore8(points->z, 0, z);
         vstore8(found.which, 0, which);
         for (uint i = 0; i < 8; ++i)
             numbers[i] = number_beside(scene, which[i], x[i], y[i], z[i]);
@@ -676,7 +708,8 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
                                __global const uint *doubts,
 #endif
                                __global const float *voxels, const double tolerance,
-                               const double misplaced, const double band, const uint can_refine, const uint refine_coarse, const uint thorough,
+                               const double misplaced, const double band, const uint can_refine,
+                               const uint refine_coarse, const uint thorough,
                                __global const double *bounds, __global const uchar *masks,
                                __global uint *flags, __global float *errors,
                                __global uchar *codes, __global uint *steepest)
@@ -684,8 +717,7 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const scene_of_lists scene = {SCENE_VALUES};
-    const uint begin = begins[gid], end = begins[gid + 1];
+    child_list list = {{SCENE_VALUES}, masks, begins[gid], begins[gid + 1], 0};
     const uint3 parent = cell_of(identifiers[gid], level);
     const double side = 2 * extent, edge = side / (2ul << level);
     const double radius = edge * HALF_DIAGONAL + SLACK;
@@ -693,6 +725,7 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
     for (uint child = 0; child < 8; ++child) {
         const size_t place = 8 * (size_t)gid + child;
         const uint3 cell = 2 * parent + octant(child);
+        list.child = child;
         double corners[8];
         for (uint i = 0; i < 8; ++i)
             corners[i] = voxels[27 * (size_t)gid + CORNERS[8 * child + i]] * side;
@@ -707,9 +740,9 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
             in_doubt |= doubts[gid] >> CORNERS[8 * child + i] & 1;
 #endif
         // the first samples suffice to refine most that are
+        const ways central = lattice_points(4 * cell, SAMPLES, 0, level + 3, extent);
         double middle;
-        double error = sample_error(&scene, masks, begin, end, child, cell, level, extent, 0, corners,
-                                    in_doubt, radius, &middle);
+        double error = sample_error(&list, &central, 0, corners, in_doubt, radius, &middle);
         const bool passed = middle <= radius; // by triangles, perhaps
         const bool beyond = middle - radius > band;
         bool jumped = false;
@@ -720,32 +753,13 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
         double bound = INFINITY;
         if (!jumped && (!refined || thorough)) {
             const ways at = lattice_points(cell, CELL, 0, level + 1, extent);
-            bounds_apart bounds_here = {INFINITY, 0, 0};
-            double8 distances[KEPT];
-            uint count = 0;
-            for (uint j = begin; j < end; ++j) {
-                if (!(masks[j] >> child & 1))
-                    continue;
-                const triangle t = triangle_at(&scene, j);
-                ways way;
-                MASKS feature;
-                const double8 d = sqrt(triangle_ways(&t, at.x, at.y, at.z, &way, &feature));
-                bound_by(&bounds_here, d, &way, feature, size, edge);
-                if (count < KEPT)
-                    distances[count++] = d;
-            }
-            for (uint i = 0; i < count; ++i) {
-                const double excess = highest(0.5 * (bounds_here.best + distances[i]) - size);
-                bounds_here.above = excess < bounds_here.above ? excess : bounds_here.above;
-            }
-            bound = bounds_here.above > bounds_here.below ? bounds_here.above : bounds_here.below;
 #ifdef SIGNED
-            if (passed)
-#ifdef CLOSED
-                bound = bound_passed(&scene, masks, begin, end, child, &at, field, middle + 2 * radius);
-#else
-                bound = INFINITY;
+            if (!passed)
 #endif
+                bound = bound_apart(&list, &at, size, edge);
+#ifdef CLOSED
+            if (passed)
+                bound = bound_passed(&list, &at, field, middle + 2 * radius);
 #endif
             const double rounding = highest(size) * 0x1p-21 + SLACK + misplaced;
             bound += rounding;
@@ -753,10 +767,10 @@ __kernel void examine_children(const uint n, __global const ulong *identifiers, 
                 error = bound;
             } else {
                 for (uint k = 1; k < POINTS / 8 && (thorough || !refined); ++k) {
+                    const ways points = lattice_points(4 * cell, SAMPLES, k, level + 3, extent);
                     double elsewhere;
-                    const double miss =
-                        sample_error(&scene, masks, begin, end, child, cell, level, extent, k, corners,
-                                     in_doubt || !passed, radius, &elsewhere);
+                    const double miss = sample_error(&list, &points, k, corners, in_doubt || !passed,
+                                                     radius, &elsewhere);
                     error = miss > error ? miss : error;
                     refined = can_refine && !beyond && error > tolerance;
                 }
