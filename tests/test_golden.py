@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import golden_adf
 import golden_mesh
 import golden_svo
 import pytest
@@ -12,6 +13,7 @@ from conftest import model
 import voxtool
 
 GOLDEN = json.loads(golden_svo.GOLDEN.read_text(encoding="utf-8"))
+FIELDS = json.loads(golden_adf.GOLDEN.read_text(encoding="utf-8"))
 SURFACES = json.loads(golden_mesh.GOLDEN.read_text(encoding="utf-8"))
 
 
@@ -47,3 +49,16 @@ def test_surfaces_of_real_models(device, name: str) -> None:
     mesh = voxtool.load_mesh(model(f"{name}.obj"))
     found = dict(golden_mesh.digests(mesh, golden_mesh.REAL_DIMS, device))
     assert found == SURFACES[f"{name}.obj"]
+
+
+@pytest.mark.parametrize("name", golden_adf.OWN)
+def test_fields_of_own_meshes(device, name: str) -> None:
+    mesh = golden_svo.own_mesh(name)
+    assert dict(golden_adf.digests(mesh, golden_adf.REQUESTS, device)) == FIELDS[name]
+
+
+@pytest.mark.parametrize("name", golden_svo.REAL)
+def test_fields_of_real_models(device, name: str) -> None:
+    mesh = voxtool.load_mesh(model(f"{name}.obj"))
+    found = dict(golden_adf.digests(mesh, golden_adf.REAL_REQUESTS, device))
+    assert found == FIELDS[f"{name}.obj"]

@@ -1,0 +1,74 @@
+"""The golden digests of distance fields: which there are, and (run as a script) writing them anew.
+
+Digests change only together with a line in CHANGELOG.md that says why:
+    python tests/golden_adf.py
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import golden_svo
+import numpy as np
+
+import voxtool
+from voxtool.adf.build import build_adf
+from voxtool.adf.field import Answer, DistanceField
+from voxtool.adf.query import query_adf
+
+GOLDEN = Path(__file__).parent / "golden" / "adf.json"
+OWN = ("sphere", "torus", "open-box", "needles")
+REQUESTS = {
+    f"{sign} {joint} {level}": {
+        "tolerance": 4e-3, "max_level": level, "sign": sign, "continuous": joint == "continuous",
+    }
+    for sign in ("pseudonormal", "winding", "none")
+    for joint in ("continuous", "cracks")
+    for level in (4, 5)
+}  # fmt: skip
+REAL_REQUESTS = {"default": {"tolerance": 2e-3, "max_level": 5}}
+POINTS = 4000
+
+
+def points_of(field: DistanceField) -> np.ndarray:
+    """(POINTS, 3): a lattice of thirds in 5-smooth steps, in the cube and about it."""
+    numbers = np.arange(1, POINTS + 1)[:, None] * np.array([577, 1153, 1999]) % 4093 / 4093
+    return np.array(field.origin) + field.side * (1.25 * numbers - 0.125)
+
+
+def digest_of(answer: Answer) -> str:
+    """SHA-256 of all that was answered."""
+    sha = hashlib.sha256()
+    for name, array in sorted(vars(answer).items()):
+        sha.update(name.encode())
+        sha.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).data)
+    return sha.hexdigest()
+
+
+def digests(
+    mesh: voxtool.Mesh, requests: dict[str, dict], device: Any
+) -> Iterator[tuple[str, list[str]]]:
+    """Name of every request, and the digests of the field and of its answers."""
+    for name, request in requests.items():
+        field = build_adf(mesh, device, **request)
+        answer = query_adf(
+            field, points_of(field), gradient=True, bounds=True, cell=True, device=device
+        )
+        yield name, [field.digest(), digest_of(answer)]
+
+
+def main() -> None:
+    device = voxtool.open_device()
+    golden = {name: dict(digests(golden_svo.own_mesh(name), REQUESTS, device)) for name in OWN}
+    for name in golden_svo.REAL:
+        mesh = voxtool.load_mesh(golden_svo.MODELS / f"{name}.obj")
+        golden[f"{name}.obj"] = dict(digests(mesh, REAL_REQUESTS, device))
+    GOLDEN.write_text(json.dumps(golden, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
