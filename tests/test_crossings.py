@@ -98,12 +98,21 @@ def rational(triangle: Any) -> list[Point]:
 
 
 def meet(t: Any, u: Any) -> bool:
-    """Whether two triangles meet where they share no corner. If they share one, a way from it that
-    is in both leaves one of them first, across its opposite edge."""
+    """Whether two triangles meet elsewhere than in what corners they share. If they share one, a
+    way from it that is in both leaves one of them first, across its opposite edge; if two, they
+    fold back onto each other."""
     t, u = rational(t), rational(u)
     shared = set(t) & set(u)
-    if len(shared) > 1 or not (has_area(t) and has_area(u)):
+    if not (has_area(t) and has_area(u)):
         return False
+    if len(shared) == 3:
+        return True
+    if len(shared) == 2:
+        p, q = shared
+        (a,), (b,) = (set(v) - shared for v in (t, u))
+        normal = cross(minus(q, p), minus(a, p))
+        inward = cross(normal, minus(q, p))
+        return dot(normal, minus(b, p)) == 0 and dot(inward, minus(b, p)) > 0
     for one, other in ((t, u), (u, t)):
         for p, q in zip(one, [*one[1:], one[0]], strict=True):
             if not shared & {p, q} and segment_meets(p, q, other):
@@ -154,7 +163,10 @@ def test_oracle() -> None:
         ([(1, 1, 0), (2, 1, 0), (1, 2, 0)], True),  # within
         ([(0, 0, 0), (1, 1, 1), (2, 1, 1)], False),  # from a corner up
         ([(0, 0, 0), (1, 1, 1), (1, 1, -1)], True),  # through it
-        ([(0, 0, 0), (4, 0, 0), (1, 1, 0)], False),  # an edge
+        ([(0, 0, 0), (4, 0, 0), (1, 1, 0)], True),  # folded along an edge
+        ([(0, 0, 0), (4, 0, 0), (1, 1, 1)], False),
+        ([(0, 0, 0), (4, 0, 0), (1, -1, 0)], False),
+        ([(4, 0, 0), (0, 0, 0), (0, 4, 0)], True),  # the same
         ([(1, 1, -1), (1, 1, 0), (1, 1, 1)], False),  # no area
     ):
         assert meet(t, u) == meets == meet(u, t), u

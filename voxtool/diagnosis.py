@@ -179,6 +179,16 @@ def closed_chain(mesh: Mesh) -> bool:
     return not np.bincount(place.ravel(), weights=np.concatenate([-net, net])).any()
 
 
+def shells_of(mesh: Mesh) -> np.ndarray:
+    """(F,) int64: equal numbers for faces that edges connect; -1 for those on less than three
+    different positions."""
+    topology = _topology(mesh, weld=True)
+    one, other = topology.pairs // 3
+    shells = np.full(len(mesh.faces), -1)
+    shells[topology.proper] = _components(one, other, len(topology.corners))
+    return shells
+
+
 # --- topology ------------------------------------------------------------------------------------
 
 

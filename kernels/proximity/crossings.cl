@@ -99,13 +99,12 @@ double3 corner(__global const double *vertices, __global const int *faces, uint 
     return vload3(faces[3 * (size_t)face + i], vertices);
 }
 
-// Whether two faces meet where they share no corner. Neighbours that fold back onto each other do
-// not count.
+// Whether two faces meet elsewhere than in what corners they share.
 bool meet(__global const double *vertices, __global const int *faces, __global const int *corners,
           uint f, uint g)
 {
     double3 t[3], u[3];
-    uint shared = 0, at_f = 0, at_g = 0;
+    uint shared = 0, at_f = 0, at_g = 0, apexes[2] = {0, 0};
     for (uint i = 0; i < 3; ++i) {
         t[i] = corner(vertices, faces, f, i);
         u[i] = corner(vertices, faces, g, i);
@@ -114,12 +113,26 @@ bool meet(__global const double *vertices, __global const int *faces, __global c
                 ++shared;
                 at_f = i;
                 at_g = j;
+                apexes[0] += i;
+                apexes[1] += j;
             }
     }
     if (shared == 0)
         return !triangles_apart(t, u);
-    if (shared > 1)
-        return false;
+    if (shared == 3)
+        return true;
+    if (shared == 2) { // they fold back if from their edge on they go the same way
+        double3 across[2];
+        for (uint k = 0; k < 2; ++k) {
+            const double3 *own = k == 0 ? t : u;
+            const uint apex = k == 0 ? 3 - apexes[0] : 3 - apexes[1];
+            const double3 along = unit(own[(apex + 2) % 3] - own[(apex + 1) % 3]);
+            const double3 side = own[apex] - own[(apex + 1) % 3];
+            across[k] = unit(side - product(side, along) * along);
+        }
+        const double3 apart = across[0] - across[1];
+        return product(apart, apart) < GAP;
+    }
     const double3 o = t[at_f];
     return !fans_apart(t[(at_f + 1) % 3] - o, t[(at_f + 2) % 3] - o, u[(at_g + 1) % 3] - o,
                        u[(at_g + 2) % 3] - o);

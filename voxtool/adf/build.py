@@ -35,7 +35,7 @@ from voxtool.plan.field import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
 from voxtool.proximity.bvh import Frame, build_tree
 from voxtool.proximity.crossings import find_crossings
 from voxtool.proximity.pseudonormals import pseudonormals
-from voxtool.proximity.sides import find_sides
+from voxtool.proximity.sides import find_sides, shells_agree
 from voxtool.proximity.signs import SIGNS, default_sign
 from voxtool.proximity.winding import WindingNumber
 
@@ -92,7 +92,9 @@ def build_adf(
     max_level : at which leaves are refined no more, 1 to 21; the root has level 0.
     band : how far from the surface cells are refined, in sides of the cube.
     sign : as SignedDistance; by default "pseudonormal" for meshes that are closed, wound
-        consistently, and do not pass through themselves, and "winding" for others.
+        consistently, do not meet themselves, and have no shells that are nested and wound alike;
+        and "winding" for others. Forced on these, pseudo-normals make signs that may be wrong, and
+        bounds are those of the distance without its sign.
     continuous : whether leaves of different level agree on what they share.
     bounds : whether each leaf's own error bound is stored.
     max_bytes : that the four textures may take, about; the largest errors are refined first.
@@ -242,6 +244,8 @@ class _Build:
         if normals is not None:
             crossed = find_crossings(device, mesh, self.tree)
         closed = default_sign(mesh) == "pseudonormal" and not crossed.any()
+        if closed and normals is not None:
+            closed = shells_agree(mesh, normals, device, self.tree)
         self.plan = FieldPlan(
             triangles=len(mesh.faces),
             flat=0 if normals is None else int(np.count_nonzero(normals.flat)),

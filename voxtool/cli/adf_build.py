@@ -245,17 +245,15 @@ def tell_field(field: DistanceField, what: str, seconds: float) -> None:
         )
     if reached["jumps"]:
         tell(f"  jumps     {reached['jumps']:,} leaves, where the sign changes across a hole")
-    levels = zip(field.cells_by_level(), [0, *field.leaves_by_level()], strict=True)
+    leaves = [0, *field.leaves_by_level()]
+    cells = [sum(pair) for pair in zip(field.cells_by_level(), leaves, strict=True)]
+    first = next(level for level, count in enumerate(leaves) if count)
+    balance = {None: "", True: "; balanced 2:1", False: "; not balanced 2:1"}
+    tell(f"  cells     {', '.join(f'{n:,}' for n in cells)}, of level 0, 1, ...")
     tell(
-        "  leaves    "
-        + ", ".join(
-            f"{leaves:,} of {cells + leaves:,} cells of level {level}"
-            for level, (cells, leaves) in enumerate(levels)
-            if leaves
-        )
-        + ("" if "balanced" not in reached else "; balanced 2:1" if reached["balanced"]
-           else "; not balanced 2:1")
-    )  # fmt: skip
+        f"  leaves    {', '.join(f'{n:,}' for n in leaves[first:])}, of level {first}, "
+        f"{first + 1}, ...{balance[reached.get('balanced')]}"
+    )
     tell(
         "  bytes     "
         + ", ".join(f"{name} {human(size)}" for name, size in sizes.items())

@@ -23,7 +23,7 @@ class FieldPlan:
     """How a field will be built.
 
     triangles : of the mesh; flat : of these, without area; crossed : that others meet; closed : the
-    mesh is, is wound consistently, and does not pass through itself: pseudo-normals are certain.
+    mesh is, is wound consistently, does not meet itself, and its shells agree on what is inside.
     sign, tolerance, max_level, band, continuous, bounds, max_bytes : as asked.
     refined : cells that are refined, of each level from 0 on, as far as was counted.
     items : triangles in the lists of the last of these.
@@ -158,9 +158,10 @@ class FieldPlan:
         largest = max(8 * 27 * counts[-1], 4 * self.items)
         if needed <= max_memory and largest <= max_allocation and self.items < 1 << 32:
             return
+        fits = f"--max-level {level} fits, or " if level else ""
         raise MemoryLimitError(
             f"{count_of(counts[-1], 'cell')} of level {level} would need {human(needed)} of memory "
             f"({human(largest)} in one buffer), of {human(max_memory)} ({human(max_allocation)}) "
-            f"allowed: --max-level {level} fits, or ask for a larger --tolerance, a --band or "
+            f"allowed: {fits}ask for a larger --tolerance, a --band or "
             "--max-bytes (see --max-memory)"
         )

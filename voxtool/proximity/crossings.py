@@ -2,8 +2,9 @@
 
 Two triangles are apart if their projections on some axis are: the normals, the products of their
 edges, and, where they are coplanar, the products of normals and edges (Gottschalk, Lin and Manocha,
-"OBBTree", SIGGRAPH 1996). If they share a corner, a plane through it must part them. What rounding
-cannot tell counts as meeting.
+"OBBTree", SIGGRAPH 1996). If they share a corner, a plane through it must part them; if they share
+two, they must not fold back onto each other. What rounding cannot tell counts as meeting: edges
+that cross at an angle of a, some 2e-17 / a apart.
 
 Kernels: kernels/proximity/crossings.cl.
 """
@@ -25,9 +26,9 @@ SOURCE = "proximity/crossings.cl"
 
 
 def find_crossings(device: Device, mesh: Mesh, tree: TriangleTree) -> np.ndarray:
-    """(F,) bool: faces that another one meets where they share no corner.
+    """(F,) bool: faces that another one meets elsewhere than in the corners and edges they share.
 
-    Faces that share two corners or more do not count, nor do faces without area.
+    Faces without area do not count.
 
     Parameters
     ----------

@@ -14,13 +14,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.diagnosis import edges_of, positions
+from voxtool.diagnosis import edges_of, positions, shells_of
 from voxtool.morton import morton_encode
+from voxtool.proximity.winding import WindingNumber
 
 if TYPE_CHECKING:
     from voxtool.mesh import Mesh
+    from voxtool.opencl import Device
+    from voxtool.proximity.bvh import TriangleTree
     from voxtool.proximity.pseudonormals import Pseudonormals
-    from voxtool.proximity.winding import WindingNumber
 
 SPHERES = 512  # that hold the boundary, at most
 ABOVE = 2.0**-10  # of its height, how far above a face the number in front of it is taken
@@ -54,7 +56,7 @@ def find_sides(
     faces_of = np.bincount(edges)
     net = np.bincount(edges, np.where(forth, 1.0, -1.0))
     triangles = winding.tree.frame.local(mesh.vertices)[mesh.faces]
-    front, behind = _beside(triangles, normals, winding)
+    front, behind = _beside(mesh, np.arange(len(mesh.faces)), normals, winding)
     odd = ((faces_of != 2) | (net != 0)) & (faces_of != 1)
     unknown = crossed | odd[edges].reshape(-1, 3).any(axis=1)
     front[unknown | ~(np.abs(behind - front - 1) < 0.25)] = np.nan
@@ -66,12 +68,26 @@ def find_sides(
     return Sides(front, _spheres(np.stack([starts, ends], axis=1), np.abs(net[edges[side]])))
 
 
+def shells_agree(mesh: Mesh, normals: Pseudonormals, device: Device, tree: TriangleTree) -> bool:
+    """Whether in front of every shell of a mesh, which is closed and does not pass through itself,
+    the winding number is 0; or -1, if it is inside out. It is not where shells are nested and wound
+    alike."""
+    shells = shells_of(mesh)
+    faces = np.unique(shells, return_index=True)[1]
+    if len(faces) == 1:
+        return True
+    front, _ = _beside(mesh, faces, normals, WindingNumber(mesh, device, tree=tree))
+    outside = 0.0 if front[0] > -0.5 else -1.0
+    return bool((np.abs(front - outside) < 0.25).all())
+
+
 def _beside(
-    triangles: np.ndarray, normals: Pseudonormals, winding: WindingNumber
+    mesh: Mesh, faces: np.ndarray, normals: Pseudonormals, winding: WindingNumber
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(F,) float64 each: the winding number above and below the middle of each face; NaN where it
-    is flat."""
-    x, y, z = normal = normals.normals[normals.features[:, 0]].T
+    """(n,) float64 each: the winding number above and below the middle of each of (n,) faces; NaN
+    where one is flat."""
+    triangles = winding.tree.frame.local(mesh.vertices)[mesh.faces[faces]]
+    x, y, z = normal = normals.normals[normals.features[faces, 0]].T
     length = np.sqrt(x * x + y * y + z * z)
     a, b, c = (triangles[:, i].T for i in range(3))
     (ux, uy, uz), (vx, vy, vz) = u, v = b - a, c - a
@@ -84,7 +100,7 @@ def _beside(
     )
     nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     twice_area = np.sqrt(nx * nx + ny * ny + nz * nz)
-    known = (normals.flat == 0) & (length > 0)
+    known = (normals.flat[faces] == 0) & (length > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         rise = np.where(known, ABOVE * twice_area / longest / length, 0) * normal
     device, middle = winding.device, (a + b + c) / 3
