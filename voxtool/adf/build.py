@@ -50,6 +50,7 @@ TOLERANCE = 1e-3  # unless another is asked for
 MAX_LEVEL_ASKED = 9
 MARGIN = 1 / 16  # of the cube's side, on each side of the mesh's longest
 CROSSED = 64.0  # tolerances that the edge of a leaf may have where triangles pass, unless certain
+REACH = 2.0  # of winding numbers: an error of 5e-3 is ample for signs, in half of the time
 KEPT = 32  # triangles of a cell that are weighed against each other, at most
 NOWHERE = BEYOND = 0xFFFFFFFF  # no triangle; no cell, as it is out of the cube
 COARSE = BEYOND - 1  # no cell, as there is a leaf
@@ -298,7 +299,7 @@ class _Build:
         self.sides = (tree.names, device.put(normals.features), device.put(normals.normals))
         if self.plan.sign == "winding":
             self.options["WINDING"] = 1
-            self.winding = WindingNumber(self.mesh, device, tree=tree)
+            self.winding = WindingNumber(self.mesh, device, tree=tree, reach=REACH)
             found = find_sides(self.mesh, normals, self.winding, crossed)
             self.sides = (*self.sides, device.put(found.front))
             self.spheres = (device.put(found.spheres), np.uint32(len(found.spheres)))

@@ -39,13 +39,19 @@ class WindingNumber:
     """The winding number of a mesh, whose moments are computed once and asked many times."""
 
     def __init__(
-        self, mesh: Mesh, device: Device | None = None, *, tree: TriangleTree | None = None
+        self,
+        mesh: Mesh,
+        device: Device | None = None,
+        *,
+        tree: TriangleTree | None = None,
+        reach: float = REACH,
     ) -> None:
         """Compute the moments.
 
         Parameters
         ----------
         tree : of the mesh on this device, if there is one.
+        reach : in radii, from which on a node counts through its moments.
 
         Raises
         ------
@@ -53,6 +59,7 @@ class WindingNumber:
         """
         self.device = device or open_device()
         self.tree = tree or build_tree(self.device, mesh)
+        self.reach = np.float64(reach)
         with self.device.stage("moments"):
             self._moments = self._sum_moments()
 
@@ -68,7 +75,7 @@ class WindingNumber:
             np.uint32(tree.count),
             tree.nodes,
             np.uint32(first),
-            np.float64(REACH),
+            self.reach,
             moments,
         )
         for (first, count), (child, children) in zip(parts[-2::-1], parts[:0:-1], strict=True):
@@ -78,7 +85,7 @@ class WindingNumber:
                 np.uint32(children),
                 tree.nodes,
                 np.uint32(first),
-                np.float64(REACH),
+                self.reach,
                 moments,
             )
         return moments
