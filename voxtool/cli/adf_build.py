@@ -244,7 +244,7 @@ def tell_field(field: DistanceField, what: str, seconds: float) -> None:
             f"({place})"
         )
     if reached["jumps"]:
-        tell(f"  jumps     {reached['jumps']:,} leaves, where the sign changes across a hole")
+        tell(f"  jumps     {reached['jumps']:,} leaves, where the sign jumps, as across a hole")
     leaves = [0, *field.leaves_by_level()]
     cells = [sum(pair) for pair in zip(field.cells_by_level(), leaves, strict=True)]
     first = next(level for level, count in enumerate(leaves) if count)
