@@ -147,8 +147,8 @@ def test_what_is_told(here: Path) -> None:
         f"voxtool:   missed    {field.reached['missed']:,} leaves are over the tolerance, by up to "
         f"{worst['error'] - 0.01:.3g} sides, at level {worst['level']} near ("
     )
-    words = [line.split()[1] for line in lines[4:7]]
-    assert words == ["leaves", "bytes", "seconds"]
+    words = [line.split()[1] for line in lines[4:8]]
+    assert words == ["cells", "leaves", "bytes", "seconds"]
     assert "jumps" not in result.stderr
     assert "warning" not in result.stderr
 
