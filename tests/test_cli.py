@@ -21,7 +21,8 @@ import pytest
 from helpers_cli import ENVIRONMENT, MODULE, fail, invoke, on_terminal, process, run, screen
 
 from voxtool.cli import main, options
-from voxtool.cli.voxelize import default_output, stages
+from voxtool.cli.options import output_of
+from voxtool.cli.voxelize import stages
 from voxtool.files import read_svo
 from voxtool.grid import Grid
 from voxtool.mesh import load_mesh
@@ -257,7 +258,7 @@ def test_default_name_is_in_the_current_folder(here: Path) -> None:
     ],
 )
 def test_default_output(mesh: str, output: str) -> None:
-    assert default_output(mesh) == output
+    assert output_of(mesh, "svo.h5") == output
 
 
 @pytest.mark.parametrize("name", ["a.svo.h5", "a.svo.xml", "a.svo.xml.gz"])

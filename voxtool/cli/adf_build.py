@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import sys
 import time
-from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -110,7 +109,7 @@ def command(
     from voxtool.opencl import open_device
 
     if output is None:
-        output = default_output(mesh)
+        output = options.output_of(mesh, "adf.h5")
     file_format = file_format or format_of(output, ADF_FORMATS)
     if not only_plan:
         if output != "-":
@@ -163,16 +162,6 @@ def command(
             f"{output}: {field.reached['missed']:,} leaves miss the tolerance (--strict): choose a "
             "higher --max-level, a larger --tolerance or more --max-bytes"
         )
-
-
-def default_output(mesh: str) -> str:
-    """bunny.obj.gz -> bunny.adf.h5, in the current folder; stdin -> stdout."""
-    if mesh == "-":
-        return "-"
-    name = PurePath(mesh).name
-    if name.lower().endswith(".gz"):
-        name = name[:-3]
-    return f"{PurePath(name).stem}.adf.h5"
 
 
 def warn_of_signs(mesh: Mesh, scene: dict[str, Any], sign: str) -> None:

@@ -6,6 +6,7 @@ import json
 import platform
 import sys
 import threading
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Self
 
 import click
@@ -166,6 +167,16 @@ def output_options(metavar: str, default: str) -> Decorator:
         )(function)
 
     return decorate
+
+
+def output_of(mesh: str, extension: str) -> str:
+    """bunny.obj.gz -> bunny.svo.h5, in the current folder; stdin -> stdout."""
+    if mesh == "-":
+        return "-"
+    name = PurePath(mesh).name
+    if name.lower().endswith(".gz"):
+        name = name[:-3]
+    return f"{PurePath(name).stem}.{extension}"
 
 
 def print_json(value: Any, err: bool = False) -> None:

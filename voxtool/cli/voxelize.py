@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import time
-from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -117,7 +116,7 @@ def command(
     from voxtool.svo.voxelize import plan_voxelize, voxelize
 
     if output is None:
-        output = default_output(mesh)
+        output = options.output_of(mesh, "svo.h5")
     file_format = file_format or format_of(output, SVO_FORMATS)
     if not only_plan:
         if output != "-":
@@ -201,16 +200,6 @@ def stages(mode: str, with_surface: bool) -> list[str]:
         "read back",
         "write file",
     ]
-
-
-def default_output(mesh: str) -> str:
-    """bunny.obj.gz -> bunny.svo.h5, in the current folder; stdin -> stdout."""
-    if mesh == "-":
-        return "-"
-    name = PurePath(mesh).name
-    if name.lower().endswith(".gz"):
-        name = name[:-3]
-    return f"{PurePath(name).stem}.svo.h5"
 
 
 def pitch_of(grid: Grid) -> str:
