@@ -22,7 +22,7 @@ from voxtool.adf.accuracy import measure
 from voxtool.adf.build import CROSSED, build_adf
 from voxtool.adf.field import JUMP, bound_values
 from voxtool.adf.samples import SAMPLES
-from voxtool.mesh import Mesh, load_mesh
+from voxtool.mesh import Mesh, load_mesh, mesh_from_arrays
 from voxtool.morton import morton_encode
 from voxtool.plan.field import BLOCK_BYTES
 from voxtool.proximity.signs import SignedDistance
@@ -753,3 +753,20 @@ def test_all_devices_agree_bit_for_bit() -> None:
         ]
         assert len({field.digest() for field in fields}) == 1
         assert all(field.reached == fields[0].reached for field in fields)
+
+
+def test_copies_of_faces_change_nothing_and_end(device: Device) -> None:
+    """As near as each other everywhere, a thousand of them would fill every list."""
+    vertices, faces = meshes.box(0, 4)
+    once, often = (
+        build_adf(
+            mesh_from_arrays(vertices, np.tile(faces, (count, 1))),
+            device,
+            tolerance=1e-2,
+            max_level=5,
+            sign="none",
+        )
+        for count in (1, 1000)
+    )
+    assert np.array_equal(once.voxels, often.voxels)
+    assert np.array_equal(once.cells, often.cells)

@@ -32,7 +32,7 @@ from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, open_device, program
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.plan.field import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
-from voxtool.proximity.bvh import Frame, build_tree
+from voxtool.proximity.bvh import FIELDS, LEAF, Frame, build_tree
 from voxtool.proximity.crossings import find_crossings
 from voxtool.proximity.pseudonormals import pseudonormals
 from voxtool.proximity.sides import find_sides, shells_agree
@@ -309,20 +309,36 @@ class _Build:
         return self.device.kernel(SOURCE, name, **self.options)
 
     def root(self) -> _Level:
-        """The root, whose list has every triangle."""
+        """The root, whose list has every triangle, repeated ones once."""
         put = self.device.put
+        triangles = self._distinct_triangles()
         level = _Level(
             0,
             1,
             put(np.ones(1, np.uint64)),
             put(np.zeros(1, np.uint32)),
-            put(np.array([0, self.tree.count], np.uint32)),
-            put(np.arange(self.tree.count, dtype=np.uint32)),
+            put(np.array([0, len(triangles)], np.uint32)),
+            put(triangles),
         )
         alone = np.full(27, BEYOND, np.uint32)
         alone[13] = 0
         level.neighbours = put(alone)
         return level
+
+    def _distinct_triangles(self) -> np.ndarray:
+        """(n,) uint32: the triangles of the tree, but only the first of those that are equal, which
+        are equally near everywhere, so that nothing would ever shorten a list of them."""
+        leaves = self.tree.leaves.get().reshape(-1, FIELDS, LEAF)
+        records = np.ascontiguousarray(leaves.transpose(0, 2, 1).reshape(-1, FIELDS))
+        kept = np.arange(self.tree.count, dtype=np.uint32)
+        codes = records[: len(kept)].view(np.uint64)
+        mixed = np.zeros(len(kept), np.uint64)
+        for field in codes.T:
+            mixed = (mixed ^ field) * np.uint64(0x9E3779B97F4A7C15)
+            mixed ^= mixed >> np.uint64(32)
+        order = np.argsort(mixed, kind="stable")
+        same = (codes[order[1:]] == codes[order[:-1]]).all(axis=1)
+        return np.delete(kept, order[1:][same])
 
     def sample(self, level: _Level) -> None:
         """The exact distances at the vertices of a level's blocks, and who needs which triangle."""
