@@ -1,0 +1,12 @@
+// How bright a surface is: half Lambert's law (Mitchell, McTaggart and Green, Shading in Valve's
+// Source Engine, SIGGRAPH 2006), so that what turns away from the light keeps its shape.
+
+#define AMBIENT 0.08f
+
+// n: the unit normal towards the viewer; light: the unit vector towards the light.
+float brightness(const float nx, const float ny, const float nz, const float light_x,
+                 const float light_y, const float light_z)
+{
+    const float wrapped = 0.5f + 0.5f * (nx * light_x + ny * light_y + nz * light_z);
+    return AMBIENT + (1.0f - AMBIENT) * (wrapped * wrapped);
+}

@@ -1,0 +1,249 @@
+"""Rays from a viewpoint.
+
+Everything here is + − × ÷ and √ of float64, so that the same request gives the same rays on every
+machine; the angle functions are our own.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.errors import VoxtoolError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+VIEWS = ("front", "back", "left", "right", "top", "bottom", "iso")
+FOV = 30.0  # degrees
+MARGIN = 1.02  # of a named view, around the sphere about the box
+MAX_SIDE = 32768  # pixels along a side of a picture
+
+
+@dataclass(frozen=True)
+class Rays:
+    """One ray a pixel.
+
+    Pixel (column, row), from the upper left, has x = column + 1/2 − width/2 and y = row + 1/2 −
+    height/2. Its ray is origin + t (direction + x right + y down) in perspective, t the depth along
+    `direction`; orthographic, it is (origin + x right + y down) + t direction.
+
+    Attributes
+    ----------
+    origin, direction, right, down : (3,) float64; direction of length 1; right and down are a
+        pixel's step: at depth 1 in perspective, and as it is otherwise.
+    size : width and height, pixels.
+    """
+
+    origin: np.ndarray
+    direction: np.ndarray
+    right: np.ndarray
+    down: np.ndarray
+    perspective: bool
+    size: tuple[int, int]
+
+    def light(self) -> np.ndarray:
+        """(3,) float64: the unit vector towards the light, at the viewer's upper left."""
+        left, above = -unit(self.right, "right"), -unit(self.down, "down")
+        return unit(0.4 * left + 0.6 * above - self.direction, "light")
+
+    def local(self, origin: Sequence[float] | np.ndarray, scale: float) -> Rays:
+        """The same rays in coordinates (world − origin) / scale; depths shrink alike.
+
+        Orthographic rays begin nearest to that origin, so that depths are small numbers.
+        """
+        start = (self.origin - np.asarray(origin, np.float64)) / scale
+        if self.perspective:
+            return replace(self, origin=start)
+        start = start - dot(start, self.direction) * self.direction
+        return replace(self, origin=start, right=self.right / scale, down=self.down / scale)
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A viewpoint.
+
+    Attributes
+    ----------
+    eye, target, up : (3,) world units; up is any vector that is not along the view.
+    fov : degrees that the picture's shorter side takes, or None for an orthographic camera.
+    height : of an orthographic picture's shorter side, world units.
+    """
+
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    up: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    fov: float | None = FOV
+    height: float = 0.0
+
+    @staticmethod
+    def fit(
+        low: Sequence[float] | np.ndarray,
+        high: Sequence[float] | np.ndarray,
+        view: str = "iso",
+        *,
+        up: Sequence[float] = (0.0, 1.0, 0.0),
+        fov: float | None = FOV,
+    ) -> Camera:
+        """The named view of a box, its sphere in the picture.
+
+        Front looks along −z where `up` is not near it, and else along +y; right shows the side that
+        is at the front view's right.
+
+        Raises
+        ------
+        VoxtoolError : no such view, or numbers that are no box or no direction.
+        """
+        if view not in VIEWS:
+            raise VoxtoolError(f"view {view!r} is unknown: choose {', '.join(VIEWS)}")
+        low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
+        centre = low / 2 + high / 2
+        radius = MARGIN * length(high / 2 - low / 2) or 1.0
+        upward = unit(up, "up")
+        front = np.array([0.0, 0.0, 1.0] if abs(upward[2]) < 0.9 else [0.0, -1.0, 0.0])
+        front = unit(front - dot(front, upward) * upward, "up")
+        right = cross(upward, front)
+        way = {
+            "front": front,
+            "back": -front,
+            "right": right,
+            "left": -right,
+            "top": upward,
+            "bottom": -upward,
+            "iso": unit(front + right + upward, "view"),
+        }[view]
+        if view in ("top", "bottom"):
+            upward = -front if view == "top" else front
+        distance = 2 * radius if fov is None else radius / sine(fov_of(fov) / 2)
+        return Camera(
+            triple(centre + distance * way), triple(centre), triple(upward), fov, 2 * radius
+        )
+
+    def turned(self, degrees: float) -> Camera:
+        """This camera after a turn about `up` through the target; by 360 it is the same.
+
+        Raises
+        ------
+        VoxtoolError : an angle that is not finite.
+        """
+        if not math.isfinite(degrees):
+            raise VoxtoolError(f"a turn of {degrees} degrees: give a finite angle")
+        axis = unit(self.up, "up")
+        arm = np.array(self.eye) - np.array(self.target)
+        along = dot(arm, axis) * axis
+        across = arm - along
+        s, c = sine(degrees), sine(90 - degrees % 360)
+        eye = np.array(self.target) + along + c * across + s * cross(axis, across)
+        return self if degrees % 360 == 0 else replace(self, eye=triple(eye))
+
+    def rays(self, width: int, height: int) -> Rays:
+        """The rays of a picture.
+
+        Parameters
+        ----------
+        width, height : pixels.
+
+        Raises
+        ------
+        VoxtoolError : a size, an angle or a direction that makes no picture.
+        """
+        if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+            raise VoxtoolError(f"a picture of {width} x {height} pixels: sides are 1 to {MAX_SIDE}")
+        eye, target = np.array(self.eye, np.float64), np.array(self.target, np.float64)
+        if not (np.isfinite(eye).all() and np.isfinite(target).all()):
+            raise VoxtoolError("the camera's eye and target must be finite")
+        direction = unit(target - eye, "the way from eye to target")
+        right = cross(direction, unit(self.up, "up"))
+        if length(right) < 1e-9:
+            raise VoxtoolError(f"up {self.up} is along the view: choose another --up")
+        right = unit(right, "up")
+        down = cross(direction, right)
+        if self.fov is None:
+            if not 0 < self.height < math.inf:
+                raise VoxtoolError(f"a picture {self.height} units high: give a positive height")
+            step = self.height / min(width, height)
+        else:
+            half = fov_of(self.fov) / 2
+            step = 2 * sine(half) / sine(90 - half) / min(width, height)
+        return Rays(
+            eye, direction, step * right, step * down, self.fov is not None, (width, height)
+        )
+
+
+def fov_of(degrees: float) -> float:
+    """A field of view that makes a picture.
+
+    Raises
+    ------
+    VoxtoolError : it is not between 0.01 and 170 degrees.
+    """
+    if not 0.01 <= degrees <= 170:
+        raise VoxtoolError(f"a field of view of {degrees} degrees: choose 0.01 to 170")
+    return degrees
+
+
+def triple(v: np.ndarray) -> tuple[float, float, float]:
+    """A vector as three Python floats."""
+    x, y, z = v.tolist()
+    return x, y, z
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> float:
+    """Written out: a library's may add in another order."""
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+def length(v: np.ndarray) -> float:
+    largest = float(np.abs(v).max())
+    if not 0 < largest < math.inf:
+        return largest
+    v = v / largest
+    return largest * math.sqrt(dot(v, v))
+
+
+def unit(v: Sequence[float] | np.ndarray, what: str) -> np.ndarray:
+    """A vector's direction.
+
+    Raises
+    ------
+    VoxtoolError : it has none; `what` names it.
+    """
+    v = np.asarray(v, np.float64)
+    size = length(v)
+    if not 0 < size < math.inf:
+        raise VoxtoolError(f"{what} {tuple(v.tolist())} has no direction")
+    v = v / float(np.abs(v).max())
+    return v / math.sqrt(dot(v, v))
+
+
+def sine(degrees: float) -> float:
+    """The sine of an angle, exact at multiples of 90 degrees."""
+    degrees %= 360
+    if degrees >= 180:
+        return -sine(degrees - 180)
+    if degrees > 90:
+        degrees = 180 - degrees
+    if degrees > 45:  # cosine of what is left
+        return _series(math.radians(90 - degrees), 1.0, 0)
+    x = math.radians(degrees)
+    return _series(x, x, 1)
+
+
+def _series(x: float, first: float, order: int) -> float:
+    """first − first x²/((order+1)(order+2)) + ..., from the least term up."""
+    terms = [first]
+    for k in range(order + 1, order + 21, 2):
+        terms.append(-terms[-1] * x * x / (k * (k + 1)))
+    total = 0.0
+    for term in reversed(terms):
+        total += term
+    return total
