@@ -1,0 +1,486 @@
+"""Pictures of octrees against slabs of boxes in plain numpy, analytic planes, and symmetries."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import opened, usable_devices
+from helpers_octree import ball, octree_from_dense
+
+from voxtool.camera import Camera, Rays
+from voxtool.errors import VoxtoolError
+from voxtool.grid import Grid
+from voxtool.opencl import Device
+from voxtool.svo.octree import BRICK, INSIDE, NODE, VALID, Octree
+from voxtool.svo.raycast import COLOUR, OctreeRenderer, render_svo
+
+AMBIENT = 0.08
+UNIT = {"origin": (0.0, 0.0, 0.0), "pitch": (1.0, 1.0, 1.0)}
+
+
+def placed(octree: Octree, origin, pitch) -> Octree:
+    return replace(octree, grid=Grid(octree.grid.shape, origin, pitch))
+
+
+def every_ray(rays: Rays) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W, 3) origins and directions, as the class says."""
+    width, height = rays.size
+    x = (np.arange(width) + 0.5 - width / 2)[None, :, None]
+    y = (np.arange(height) + 0.5 - height / 2)[:, None, None]
+    step = x * rays.right + y * rays.down
+    if rays.perspective:
+        return np.broadcast_to(rays.origin, step.shape), rays.direction + step
+    return rays.origin + step, np.broadcast_to(rays.direction, step.shape)
+
+
+def boxes(octree: Octree, level: int | str) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 3) low and high corners, in the world, of what a level draws."""
+    side = 1 if level == "voxel" else 4 << int(level)
+    dense = octree.to_dense()
+    padded = np.zeros([-(-n // side) * side for n in dense.shape], bool)
+    padded[tuple(map(slice, dense.shape))] = dense
+    a, b, c = (n // side for n in padded.shape)
+    cells = np.argwhere(padded.reshape(a, side, b, side, c, side).any(axis=(1, 3, 5)))
+    pitch, origin = np.array(octree.grid.pitch), np.array(octree.grid.origin)
+    return origin + pitch * side * cells, origin + pitch * side * (cells + 1)
+
+
+def nearest(low: np.ndarray, high: np.ndarray, rays: Rays) -> np.ndarray:
+    """(H, W) depths at which rays meet the first of some boxes: every slab of every box."""
+    origins, directions = every_ray(rays)
+    depths = np.full(origins.shape[:2], np.inf)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for row in range(len(depths)):
+            o, d = origins[row, :, None], directions[row, :, None]
+            a, b = (low - o) / d, (high - o) / d
+            enter, leave = np.minimum(a, b).max(axis=2), np.maximum(a, b).min(axis=2)
+            if rays.perspective:
+                enter = np.maximum(enter, 0)
+            met = np.where(enter <= leave, enter, np.inf)
+            depths[row] = met.min(axis=1, initial=np.inf)
+    return depths
+
+
+def clear_of_edges(low: np.ndarray, high: np.ndarray, near: np.ndarray, rays: Rays) -> np.ndarray:
+    """(H, W): whether a ray meets the same in boxes that are a little larger, or smaller."""
+    more, less = nearest(low - near, high + near, rays), nearest(low + near, high - near, rays)
+    return np.isclose(more, less, rtol=0, atol=1e3 * near.max())
+
+
+def cameras(octree: Octree, rng: np.random.Generator) -> list[Camera]:
+    """From outside and from within, in perspective and orthographic."""
+    origin, pitch = np.array(octree.grid.origin), np.array(octree.grid.pitch)
+    extent = pitch * octree.grid.shape
+    found = []
+    for fov in (None, 20.0, 70.0):
+        target = origin + extent * rng.uniform(0.3, 0.7, 3)
+        way = rng.normal(size=3)
+        way /= np.sqrt((way**2).sum())
+        eye = target + 1.5 * extent.max() * way
+        found.append(Camera(tuple(eye), tuple(target), (0.1, 1, 0.2), fov, 1.2 * extent.max()))
+    eye = origin + extent * rng.uniform(0.1, 0.9, 3)
+    found.append(Camera(tuple(eye), tuple(origin + extent * rng.uniform(0, 1, 3)), fov=90.0))
+    return found
+
+
+def patterns() -> list[Octree]:
+    rng = np.random.default_rng(5)
+    scattered = rng.random((8, 8, 8)) < 0.1
+    odd = rng.random((21, 9, 13)) < 0.03
+    blocks = np.kron(rng.random((4, 3, 4)) < 0.3, np.ones((8, 8, 8))).astype(bool)
+    blocks[rng.random(blocks.shape) < 0.02] = True
+    return [
+        octree_from_dense(scattered),
+        placed(octree_from_dense(odd), (-1e3, 7.5, 0.1), (0.1, 0.25, 0.07)),
+        placed(octree_from_dense(blocks), (0, 0, 0), (2.0, 1.0, 3.0)),
+        octree_from_dense(rng.random((16, 16, 16)) < 0.05, mode="surface26", fill="none"),
+    ]
+
+
+@pytest.mark.parametrize("which", range(4))
+def test_first_hits(device: Device, which: int):
+    """Each ray meets the nearest box, at its depth; but those that pass an edge within 1e-6."""
+    octree = patterns()[which]
+    renderer = OctreeRenderer(octree, device)
+    pitch = np.array(octree.grid.pitch)
+    met = 0
+    for number, camera in enumerate(cameras(octree, np.random.default_rng(which))):
+        rays = camera.rays(19, 26)
+        for level in ("voxel", 0, 1) if number % 2 else ("voxel", octree.depth - 1):
+            low, high = boxes(octree, level)
+            expected = nearest(low, high, rays)
+            clear = clear_of_edges(low, high, 1e-6 * pitch, rays)
+            assert clear.mean() > 0.95
+            found = renderer.depths(rays, level=level)
+            assert np.array_equal(np.isfinite(found)[clear], np.isfinite(expected)[clear])
+            finite = clear & np.isfinite(expected)
+            np.testing.assert_allclose(
+                found[finite], expected[finite], rtol=1e-12, atol=1e-9 * pitch.max()
+            )
+            picture = renderer(rays, level=level)
+            assert np.array_equal(picture[..., 3], np.isfinite(found).astype(np.float32))
+            assert not picture[np.isinf(found)].any()
+            assert (picture[np.isfinite(found)] > 0).all()
+            met += np.count_nonzero(finite)
+    assert met > 500
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_rays_along_axes(device: Device, axis: int, sign: int):
+    """Straight on, through the edges, faces and middles of voxels: all of the half-open square is
+    met, at its exact depth, and nothing beyond; of an inside leaf, and of bricks."""
+    leaf = np.ones((16, 16, 16), bool)
+    bricks = leaf.copy()
+    bricks[tuple(5 if a == axis else 11 for a in range(3))] = False  # out of sight
+    direction, right, down = np.zeros((3, 3))
+    direction[axis], right[axis - 2], down[axis - 1] = sign, 0.5, 0.5
+    for shift in (0.0, 0.25):  # to quarters and three quarters; to wholes and halves
+        origin = 8 + shift * (right + down) / 0.5
+        origin[axis] = -3 if sign > 0 else 20
+        rays = Rays(origin, direction, right, down, False, (40, 40))
+        u = 8 + shift + 0.5 * (np.arange(40) + 0.5 - 20)
+        inside = (u >= 0) & (u < 16)
+        expected = np.where(inside[:, None] & inside, 3.0 if sign > 0 else 4.0, np.inf)
+        for dense in (leaf, bricks):
+            renderer = OctreeRenderer(placed(octree_from_dense(dense), **UNIT), device)
+            for level in ("voxel", 0, 1, 2):
+                assert np.array_equal(renderer.depths(rays, level=level), expected)
+
+
+@pytest.mark.parametrize("perspective", [False, True])
+def test_rays_through_edges(device: Device, perspective: bool):
+    """Along diagonals, from voxel edge to voxel edge, a wall has no hole."""
+    dense = np.zeros((32, 32, 32), bool)
+    dense[12:14] = True
+    octree = placed(octree_from_dense(dense), **UNIT)
+    for way in ((1, 1, 0), (1, -1, 0), (1, 1, 1), (1, -1, -1), (-1, 1, 0), (-1, -1, 1)):
+        eye = np.where(np.array(way) > 0, 2.0, 30.0)
+        direction = np.array(way, float)
+        right, down = np.array([0, 0, 1 / 16]), np.array([0, 1 / 16, 0])
+        rays = Rays(eye, direction, right, down, perspective, (17, 17))  # the middle is at 0
+        low, high = np.array([[12.0, 0, 0]]), np.array([[14.0, 32, 32]])
+        found = OctreeRenderer(octree, device).depths(rays)
+        clear = clear_of_edges(low, high, np.array([0, 1e-9, 1e-9]), rays)
+        assert clear.mean() > 0.85
+        assert np.array_equal(found[clear], nearest(low, high, rays)[clear])
+        assert found[8, 8] == (10 if way[0] > 0 else 16)
+
+
+def test_rays_between_voxels_that_share_an_edge(device: Device):
+    """A ray through an edge goes on to the voxel across, and the two beside it are not met."""
+    beside, across = np.zeros((2, 8, 8, 8), bool)
+    beside[3, 4], beside[4, 3] = True, True
+    across[3, 3], across[4, 4] = True, True
+    for sign in (-1, 1):
+        eye, direction = (
+            np.array([4 - 8.0 * sign, 4 - 8.0 * sign, 4.5]),
+            np.array([sign, sign, 0.0]),
+        )
+        rays = Rays(eye, direction, np.array([0, 0, 0.1]), np.array([0, 0, 0.2]), False, (3, 3))
+        for dense, expected in ((beside, np.inf), (across, 7)):
+            octree = placed(octree_from_dense(dense), **UNIT)
+            assert (OctreeRenderer(octree, device).depths(rays) == expected).all()
+    for sign in (-1, 1):  # and where it enters the grid
+        eye, direction = np.array([4 - 5.0 * sign, 4 - sign, 4.5]), np.array([sign, sign, 0.0])
+        rays = Rays(eye, direction, np.array([0, 0, 0.1]), np.array([0, 0, 0.2]), False, (3, 3))
+        for step, expected in ((-1, np.inf), (1, 1)):
+            dense = np.zeros((8, 8, 8), bool)
+            dense[0 if sign > 0 else 7, 4 if step == sign else 3] = True
+            octree = placed(octree_from_dense(dense), **UNIT)
+            assert (OctreeRenderer(octree, device).depths(rays) == expected).all()
+
+
+def test_within(device: Device):
+    """From inside a set voxel it is met at once; from a cave, its walls, wherever one looks."""
+    solid = placed(octree_from_dense(np.ones((32, 32, 32), bool)), **UNIT)
+    cave = np.ones((32, 32, 32), bool)
+    cave[9:23, 9:23, 9:23] = False
+    cave_renderer = OctreeRenderer(placed(octree_from_dense(cave), **UNIT), device)
+    rng = np.random.default_rng(2)
+    low, high = np.full((1, 3), 9.0), np.full((1, 3), 23.0)
+    for _ in range(4):
+        eye, target = rng.uniform(10, 22, (2, 3))
+        rays = Camera(tuple(eye), tuple(target), fov=120.0).rays(24, 24)
+        picture = render_svo(solid, rays, device=device)
+        assert (picture[..., 3] == 1).all()
+        assert np.isfinite(picture).all()
+        assert not OctreeRenderer(solid, device).depths(rays).any()
+        _, directions = every_ray(rays)
+        far = np.maximum((low - eye) / directions, (high - eye) / directions).min(axis=2)
+        np.testing.assert_allclose(cave_renderer.depths(rays), far, rtol=1e-12)
+
+
+def test_behind_the_eye(device: Device):
+    """Perspective rays begin at the eye, orthographic ones are whole lines."""
+    octree = placed(octree_from_dense(np.ones((8, 8, 8), bool)), **UNIT)
+    away = Camera((4, 4, 20), (4, 4, 30), fov=40.0)
+    assert not render_svo(octree, away.rays(9, 9), device=device).any()
+    lines = replace(away, fov=None, height=4.0).rays(9, 9)
+    assert (OctreeRenderer(octree, device).depths(lines) == -20).all()
+
+
+# --- light ---------------------------------------------------------------------------------------
+
+
+def brightness(normal: np.ndarray, rays: Rays) -> float:
+    normal = normal / np.sqrt((normal**2).sum())
+    return AMBIENT + (1 - AMBIENT) * (0.5 + 0.5 * (normal * rays.light()).sum()) ** 2
+
+
+def b_spline(x: np.ndarray, degree: int) -> np.ndarray:
+    """De Boor's recursion, on knots at distance 1 about 0."""
+    if degree == 0:
+        return ((x >= -0.5) & (x < 0.5)).astype(float)
+    h = (degree + 1) / 2
+    left, right = b_spline(x + 0.5, degree - 1), b_spline(x - 0.5, degree - 1)
+    return ((h + x) * left + (h - x) * right) / degree
+
+
+def coverage_gradient(octree: Octree, side: int, points: np.ndarray) -> np.ndarray:
+    """(N, 3): at points in voxels, of the spline over all the corners of all cells of a side."""
+    n = octree.grid.side // side
+    cube = np.zeros((octree.grid.side,) * 3)
+    cube[tuple(map(slice, octree.grid.shape))] = octree.to_dense()
+    means = np.pad(cube.reshape(n, side, n, side, n, side).mean(axis=(1, 3, 5)), 1)
+    for axis in range(3):
+        means = (np.delete(means, 0, axis) + np.delete(means, -1, axis)) / 2
+    x = points[:, :, None] / side - np.arange(n + 1)  # (N, axis, corner)
+    value = b_spline(x, 2)
+    slope = b_spline(x + 0.5, 1) - b_spline(x - 0.5, 1)
+    along = [[slope if a == b else value for b in range(3)] for a in range(3)]
+    return np.stack(
+        [np.einsum("ijk,pi,pj,pk->p", means, f[0][:, 0], f[1][:, 1], f[2][:, 2]) for f in along],
+        axis=1,
+    )
+
+
+@pytest.mark.parametrize("which", range(4))
+def test_light(device: Device, which: int):
+    """The light on each hit is that of the spline's gradient half a cell before it."""
+    octree = patterns()[which]
+    renderer = OctreeRenderer(octree, device)
+    origin, pitch = np.array(octree.grid.origin), np.array(octree.grid.pitch)
+    lit, bent = 0, 0
+    for camera in cameras(octree, np.random.default_rng(which)):
+        rays = camera.rays(13, 11)
+        for level in ("voxel", *range(octree.depth)):
+            depths = renderer.depths(rays, level=level)
+            met = np.isfinite(depths)
+            origins, views = (v[met] for v in every_ray(rays))
+            side = 2 if level == "voxel" else min(4 << int(level), octree.grid.side // 2)
+            way = views / pitch
+            way /= np.sqrt((way**2).sum(axis=1, keepdims=True))
+            points = (origins + depths[met][:, None] * views - origin) / pitch - side / 2 * way
+            into = coverage_gradient(octree, side, points) / pitch * pitch.max()
+            views = views / np.sqrt((views**2).sum(axis=1, keepdims=True))
+            along = (into * views).sum(axis=1)
+            into -= np.minimum(along, 0)[:, None] * views
+            size = np.sqrt((into**2).sum(axis=1))
+            sure = size > 1e-6
+            expected = [brightness(-n, rays) for n in into[sure]]
+            found = renderer(rays, level=level, colour=(1, 1, 1))[met][sure, 0]
+            np.testing.assert_allclose(found, expected, atol=1e-4)
+            lit += np.count_nonzero(sure)
+            bent += np.count_nonzero(along[sure] < -1e-3)
+    assert lit > 500
+    assert bent > 5
+
+
+@pytest.mark.parametrize("mode", ["solid", "surface26"])
+@pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.3, 0.2), (-0.7, 0.4), (0.9, -0.8)])
+def test_planes_are_smooth(device: Device, slopes: tuple[float, float], mode: str):
+    """The light on a plane of voxels is that on the plane, though it is a stair of no cubes."""
+    n = 64
+    x, y, z = np.indices((n, n, n)) + 0.5
+    height = n / 2 + slopes[0] * (x - n / 2) + slopes[1] * (y - n / 2)
+    dense = z < height
+    if mode == "surface26":
+        dense &= z > height - 2
+    pitch = np.array([1.0, 0.5, 0.7])
+    octree = placed(octree_from_dense(dense, mode, "parity"), (3, 4, 5), tuple(pitch))
+    middle = octree.grid.to_world(np.full((1, 3), n / 2))[0]
+    normal = np.array([-slopes[0], -slopes[1], 1]) / pitch
+    for way in (normal, normal * (1, 1, 3), normal + np.array([0.4, 0, 0])):
+        eye = middle + 100 * way / np.abs(way).max()
+        rays = Camera(tuple(eye), tuple(middle), fov=None, height=12.0).rays(48, 48)
+        picture = render_svo(octree, rays, colour=(1, 0.5, 0.25), device=device)
+        expected = brightness(normal, rays)
+        error = picture[..., 0] - expected
+        assert abs(error.mean()) < 0.01
+        assert error.std() < (0.025 if mode == "solid" else 0.045)  # a stair's faces: 0.2
+        assert np.array_equal(picture[..., 1], picture[..., 0] / 2)
+        assert np.array_equal(picture[..., 2], picture[..., 0] / 4)
+
+
+def test_faces_where_coverage_is_constant(device: Device):
+    """Deep inside, light falls on the faces of voxels."""
+    octree = placed(octree_from_dense(np.ones((64, 64, 64), bool)), **UNIT)
+    for axis in range(3):
+        for sign in (-1, 1):
+            way = np.full(3, 0.01)
+            way[axis] = sign
+            up = tuple(np.roll((1.0, 0.0, 0.0), axis + 1))
+            rays = Camera((32.5, 32.5, 32.5), tuple(32.5 + way), up, fov=5.0).rays(3, 3)
+            picture = render_svo(octree, rays, colour=(1, 1, 1), device=device)
+            faces = [brightness(-np.sign(way) * e, rays) for e in np.eye(3)]
+            assert min(abs(picture[1, 1, 0] - f) for f in faces) < 1e-6
+
+
+def test_symmetry(device: Device):
+    """A ball with a dent looks alike from wherever the dent is seen alike."""
+    views = {"front": (2, 1), "back": (2, -1), "right": (0, 1), "left": (0, -1), "top": (1, 1),
+             "bottom": (1, -1)}  # fmt: skip
+    pictures = []
+    for view, (axis, sign) in views.items():
+        dense = ball((32, 32, 32))
+        towards = np.indices(dense.shape)[axis] if sign < 0 else 31 - np.indices(dense.shape)[axis]
+        dense &= (towards > 7) | ~ball((32, 32, 32), 0.2).any(axis=axis, keepdims=True)
+        octree = placed(octree_from_dense(dense), (-16, -16, -16), (1, 1, 1))
+        camera = Camera.fit((-16, -16, -16), (16, 16, 16), view)
+        pictures.append(render_svo(octree, camera.rays(50, 50), device=device))
+    for other in pictures[1:]:
+        np.testing.assert_allclose(other, pictures[0], atol=1e-5)
+    assert np.array_equal(pictures[0][..., 3], pictures[0][::-1, :, 3])
+
+
+# --- the rest of the contract --------------------------------------------------------------------
+
+
+def test_same_on_every_device():
+    """Bit for bit, at every level, with rays of every kind."""
+    devices = [opened(index) for index, _ in usable_devices()]
+    if len(devices) < 2:
+        pytest.skip("only one device")
+    for octree in patterns():
+        for camera in cameras(octree, np.random.default_rng(9)):
+            for level in ("voxel", *range(octree.depth)):
+                rays = camera.rays(33, 21)
+                first, *others = [render_svo(octree, rays, level=level, device=d) for d in devices]
+                for other in others:
+                    assert first.tobytes() == other.tobytes()
+
+
+def test_frames(device: Device):
+    """Of any size; the same after others, and after a turn by 360 degrees."""
+    octree = octree_from_dense(ball((32, 32, 32)))
+    low = np.array(octree.grid.origin)
+    camera = Camera.fit(low, low + 32 * np.array(octree.grid.pitch))
+    renderer = OctreeRenderer(octree, device)
+    first = renderer(camera.rays(37, 11))
+    assert first.shape == (11, 37, 4)
+    assert first.dtype == np.float32
+    assert 0 < first[..., 3].mean() < 1
+    turned = renderer(camera.turned(30).rays(37, 11))
+    assert not np.array_equal(first, turned)
+    assert np.array_equal(first, renderer(camera.turned(360).rays(37, 11)))
+    assert np.array_equal(first, renderer(camera.turned(-720).rays(37, 11)))
+    assert (first[..., :3] <= np.array(COLOUR, np.float32)).all()
+    assert renderer(camera.rays(1, 1)).shape == (1, 1, 4)
+
+
+def test_empty(device: Device):
+    octree = octree_from_dense(np.zeros((9, 8, 8), bool))
+    rays = Camera.fit(octree.grid.origin, octree.grid.to_world(np.array([[9, 8, 8]]))[0]).rays(8, 8)
+    for level in ("voxel", *range(octree.depth)):
+        assert not render_svo(octree, rays, level=level, device=device).any()
+
+
+def test_refined_nodes_that_are_empty(device: Device):
+    """Nodes that a triangle touches may hold no voxel: no level draws them."""
+    full = octree_from_dense(np.ones((32, 32, 32), bool), mode="surface26", fill="none")
+    octree = replace(full, bricks=np.zeros_like(full.bricks))
+    octree.bricks[-1] = 1 << 63
+    corner = octree.grid.to_world(np.array([[0, 0, 0], [32, 32, 32]]))
+    rays = Camera.fit(corner[0], corner[1]).rays(64, 64)
+    renderer = OctreeRenderer(octree, device)
+    shares = [renderer(rays, level=level)[..., 3].mean() for level in ("voxel", 0, 1, 2, 3)]
+    assert 0 < shares[0] < shares[1] < shares[2] < shares[3] < shares[4]
+
+
+def deep_octree(dim: int, voxel: np.ndarray) -> Octree:
+    """One voxel, and beside it on each level a leaf, the first that does not lead to it, inside."""
+    levels, parents = [], np.zeros(1, np.uint32)
+    side = dim
+    here = 0
+    while side > 4:
+        nodes = np.zeros(len(parents), NODE)
+        nodes["parent"] = parents
+        nodes["child"][here] = VALID
+        if len(nodes) > 1:
+            nodes["child"][0 if here else 1] = INSIDE
+        levels.append(nodes)
+        parents = np.full(8, VALID | np.uint32(here), np.uint32)
+        side //= 2
+        here = int(((voxel // side) & 1) @ (1, 2, 4))
+    nodes = np.zeros(8, NODE)
+    nodes["parent"], nodes["child"] = parents, VALID | np.arange(8, dtype=np.uint32)
+    levels.append(nodes)
+    bricks = np.zeros(8, BRICK)
+    bits = [int(((voxel >> b) & 1) @ (1, 2, 4)) for b in (0, 1)]
+    bricks[here] = np.uint64(1) << np.uint64(bits[0] + 8 * bits[1])
+    offsets = np.cumsum([0, *map(len, levels)]).astype(np.uint32)
+    grid = Grid((dim, dim, dim), **UNIT)
+    return Octree(grid, "solid", "parity", offsets, np.concatenate(levels), bricks)
+
+
+@pytest.mark.parametrize("voxel", [(65535, 65535, 65535), (32768, 32767, 40001), (0, 1, 65535)])
+def test_deepest_octree(device: Device, voxel: tuple[int, int, int]):
+    """One voxel of 65,536 a side is met where it is, from near and from far away."""
+    octree = deep_octree(65536, np.array(voxel))
+    octree.validate()
+    low, high = [], []
+    for level in octree.levels():
+        low.append(level.cells[level.inside])
+        high.append(level.cells[level.inside] + level.side)
+    low = np.concatenate([*low, [voxel]]).astype(float)
+    high = np.concatenate([*high, [np.array(voxel) + 1]]).astype(float)
+    renderer = OctreeRenderer(octree, device)
+    seen = 0
+    for way in ((1, 0.3, 0.2), (-0.4, 1, -0.3), (0.2, -0.5, 1), (-1, -1.1, -0.9)):
+        for distance in (3.0, 200_000.0):
+            eye = np.array(voxel) + 0.5 + distance * np.array(way)
+            flat = Camera(tuple(eye), tuple(np.array(voxel) + 0.5), fov=None, height=3.0)
+            for camera in (flat, replace(flat, fov=0.02), replace(flat, fov=50.0)):
+                rays = camera.rays(21, 21)
+                found, expected = renderer.depths(rays), nearest(low, high, rays)
+                clear = clear_of_edges(low, high, np.full(3, 1e-6), rays)
+                assert np.array_equal(np.isfinite(found)[clear], np.isfinite(expected)[clear])
+                finite = clear & np.isfinite(expected)
+                np.testing.assert_allclose(found[finite], expected[finite], rtol=0, atol=1e-8)
+                seen += np.count_nonzero(finite)
+                assert np.isfinite(renderer(rays)).all()
+    assert seen > 1000
+
+
+@pytest.mark.parametrize("level", ["voxels", "0", -1, 3, 0.0, None])
+def test_unknown_level(device: Device, level):
+    octree = octree_from_dense(ball((16, 16, 16)))
+    rays = Camera((9, 9, 9), (0, 0, 0)).rays(4, 4)
+    with pytest.raises(
+        VoxtoolError, match=re.escape(f"level {level!r}: choose 'voxel' or a level")
+    ):
+        render_svo(octree, rays, level=level, device=device)
+
+
+@pytest.mark.parametrize(
+    "colour", [(1, 1), (1, 1, 2), (0, -0.1, 0), "red", (np.nan, 0, 0), 1, None]
+)
+def test_unknown_colour(device: Device, colour):
+    octree = octree_from_dense(ball((16, 16, 16)))
+    rays = Camera((9, 9, 9), (0, 0, 0)).rays(4, 4)
+    with pytest.raises(VoxtoolError, match="give red, green and blue between 0 and 1"):
+        render_svo(octree, rays, colour=colour, device=device)
+
+
+def test_far_eyes(device: Device):
+    octree = placed(octree_from_dense(ball((16, 16, 16))), (0, 0, 0), (1e-9, 1e-9, 1e-9))
+    renderer = OctreeRenderer(octree, device)
+    assert not renderer(Camera((0, 0, 1e290), (0, 0, 2e290)).rays(4, 4)).any()
+    distant = renderer(Camera((0, 0, 1e20), (8e-9, 8e-9, 8e-9)).rays(1, 1))
+    assert np.isfinite(distant).all()
+    with pytest.raises(VoxtoolError, match="choose an eye that is nearer"):
+        renderer(Camera((0, 0, 1e305), (0, 0, 1)).rays(4, 4))
