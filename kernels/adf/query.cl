@@ -1,197 +1,22 @@
 // What a field says at points: section 3.5 of the text. Host side: voxtool/adf/query.py.
 //
-// A work-item looks for the cells of BATCH points at a time, so that their reads of the textures wait
-// for memory together; LANES of them make a vector. Each lane goes through a run of RUN consecutive
-// points, on to the next as soon as its own search has ended. Points are padded to whole work-groups.
-// Options:
+// A work-item looks for the cells of BATCH points at a time. Each lane goes through a run of RUN
+// consecutive points, on to the next as soon as its own search has ended. Points are padded to whole
+// work-groups. Options, beside those of search.h:
 //   SEARCH                   LINEAR, BINARY or COHERENT
-//   LANES, BATCH, RUN        1 or 16; a multiple of LANES; any
-//   OFFSET                   the type of the hash's offsets, uchar or ushort
-//   W                        the hash has a fourth channel
-//   WIDE                     identifiers have 64 bits
+//   RUN                      any
 //   GRADIENT, BOUNDS, CELL   what is asked for beside the distance
-
-#include "adf/field.h"
-#include "adf/query.h"
 
 #pragma OPENCL FP_CONTRACT OFF
 
-#define JOIN_(a, b) a##b
-#define JOIN(a, b) JOIN_(a, b)
-#if LANES == 1
-#define VECTOR(type) type
-#define load(p) (*(p))
-#define store(v, p) (*(p) = (v))
-#else
-#define VECTOR(type) JOIN(type, LANES)
-#define load(p) JOIN(vload, LANES)(0, p)
-#define store(v, p) JOIN(vstore, LANES)(v, 0, p)
-#endif
-#define ints VECTOR(int)
-#define uints VECTOR(uint)
-#define floats VECTOR(float)
-#define to_ints VECTOR(convert_int)
-#define to_uints VECTOR(convert_uint)
-#define to_floats VECTOR(convert_float)
-#define EACH_POINT(i) for (uint i = 0; i < BATCH; ++i)
-#define EACH_VECTOR(i) for (uint i = 0; i < BATCH; i += LANES)
-
-#ifdef WIDE
-#define identifiers VECTOR(ulong)
-#define to_identifiers VECTOR(convert_ulong)
-#define WORDS 3       // of a cell: its identifier and its block
-#define CODE_LEVEL 20 // of the cells whose identifiers have all the bits
-#else
-#define identifiers uints
-#define to_identifiers to_uints
-#define WORDS 2
-#define CODE_LEVEL 10
-#endif
-#ifdef W
-#define CHANNELS 4
-#else
-#define CHANNELS 3
-#endif
-
-// The textures that find a cell, and the sizes of their sides.
-typedef struct {
-    __global const uint *cells;
-    __global const OFFSET *offsets;
-    __global const float *inverses; // of the numbers up to m, or r if that is more
-    uint m, r;
-} Hash;
-
-// Points, in units of 2^-32 sides, and the levels of cells that hold them.
-typedef struct {
-    uint x[BATCH], y[BATCH], z[BATCH];
-    int level[BATCH];
-} Wanted;
+#include "adf/query.h"
+#include "adf/search.h"
 
 void read_point(__global const uint *point, uint *x, uint *y, uint *z)
 {
     *x = point[0];
     *y = point[1];
     *z = point[2];
-}
-
-// A coordinate of the keys of the cells: 2^level + the leading bits of the points (eq. 3-1).
-floats keys_of(uints x, ints level)
-{
-    const uints led = x >> 1 | 1u << (POINT_BITS - 1);
-    return to_floats(to_ints(led >> to_uints(POINT_BITS - 1 - level)));
-}
-
-// keys mod n, exactly, for keys < 2^21 and n < 2^21 whose inverse is rounded to nearest. The product
-// is off by less than 1.01 * 2^-23 of itself, which is less than the 1 / 2n by which it is away from
-// any whole number; all else is exact.
-floats remainders(floats keys, floats n, floats inverse)
-{
-    return keys - to_floats(to_ints((keys + 0.5f) * inverse)) * n;
-}
-
-// A coordinate of the slots: the keys mod w plus the offsets, mod m.
-ints slots_along(floats keys, floats w, floats inverse, ints offsets, int m)
-{
-    const ints sum = to_ints(remainders(keys, w, inverse)) + offsets;
-    return sum >= m ? sum - m : sum;
-}
-
-// Bits moved apart, bit i to bit 3 i: the CODE_LEVEL leading ones of coordinates.
-identifiers spread(uints x)
-{
-    identifiers v = to_identifiers(x >> (POINT_BITS - CODE_LEVEL));
-#ifdef WIDE
-    v = (v | (v << 32)) & 0x1F00000000FFFFul;
-    v = (v | (v << 16)) & 0x1F0000FF0000FFul;
-    v = (v | (v << 8)) & 0x100F00F00F00F00Ful;
-    v = (v | (v << 4)) & 0x10C30C30C30C30C3ul;
-    v = (v | (v << 2)) & 0x1249249249249249ul;
-#else
-    v = (v | (v << 16)) & 0x030000FFu;
-    v = (v | (v << 8)) & 0x0300F00Fu;
-    v = (v | (v << 4)) & 0x030C30C3u;
-    v = (v | (v << 2)) & 0x09249249u;
-#endif
-    return v;
-}
-
-// The identifiers of the cells of these levels: Morton codes after a leading one (section 3.4.3).
-identifiers identifiers_of(uints x, uints y, uints z, ints level)
-{
-    const identifiers code = spread(x) | spread(y) << 1 | spread(z) << 2;
-    return (code | (identifiers)1 << 3 * CODE_LEVEL) >> to_identifiers(3 * (CODE_LEVEL - level));
-}
-
-// H(k) of section 3.4.1 for BATCH cells: the slots where the hash puts them, and whether they are
-// there.
-void find_cells(const Hash *hash, const Wanted *wanted, uint *slots, int *exist)
-{
-    const uint r = hash->r, m = hash->m;
-    const floats n = (floats)(float)r, inverse = (floats)hash->inverses[r];
-    uint bucket[BATCH];
-    EACH_VECTOR(i)
-    {
-        const ints level = load(wanted->level + i);
-        const floats x = remainders(keys_of(load(wanted->x + i), level), n, inverse);
-        const floats y = remainders(keys_of(load(wanted->y + i), level), n, inverse);
-        const floats z = remainders(keys_of(load(wanted->z + i), level), n, inverse);
-        store(to_uints(to_ints(x)) + r * (to_uints(to_ints(y)) + r * to_uints(to_ints(z))),
-              bucket + i);
-    }
-    int x[BATCH], y[BATCH], z[BATCH];
-#ifdef W
-    float ws[BATCH], inverse_ws[BATCH];
-#endif
-    EACH_POINT(i)
-    {
-        __global const OFFSET *offset = hash->offsets + CHANNELS * (size_t)bucket[i];
-        x[i] = offset[0];
-        y[i] = offset[1];
-        z[i] = offset[2];
-#ifdef W
-        ws[i] = offset[3];
-        inverse_ws[i] = hash->inverses[offset[3]];
-#endif
-    }
-    EACH_VECTOR(i)
-    {
-#ifdef W
-        const floats w = load(ws + i), inverse_w = load(inverse_ws + i);
-#else
-        const floats w = (floats)(float)m, inverse_w = (floats)hash->inverses[m];
-#endif
-        const ints level = load(wanted->level + i);
-        const uints sx = to_uints(
-            slots_along(keys_of(load(wanted->x + i), level), w, inverse_w, load(x + i), m));
-        const uints sy = to_uints(
-            slots_along(keys_of(load(wanted->y + i), level), w, inverse_w, load(y + i), m));
-        const uints sz = to_uints(
-            slots_along(keys_of(load(wanted->z + i), level), w, inverse_w, load(z + i), m));
-        store(sx + m * (sy + m * sz), slots + i);
-    }
-    uint low[BATCH];
-#ifdef WIDE
-    uint high[BATCH];
-#endif
-    EACH_POINT(i)
-    {
-        __global const uint *cell = hash->cells + WORDS * (size_t)slots[i];
-        low[i] = cell[0];
-#ifdef WIDE
-        high[i] = cell[1];
-#endif
-    }
-    EACH_VECTOR(i)
-    {
-        const identifiers identifier =
-            identifiers_of(load(wanted->x + i), load(wanted->y + i), load(wanted->z + i),
-                           load(wanted->level + i));
-        ints same = load(low + i) == to_uints(identifier);
-#ifdef WIDE
-        same = same & (load(high + i) == to_uints(identifier >> 32));
-#endif
-        store(same, exist + i);
-    }
 }
 
 // Of each of BATCH runs of points the deepest cells that have blocks, their slots and levels; all

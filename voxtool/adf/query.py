@@ -80,7 +80,11 @@ def query_adf(
 
 
 class FieldQuery:
-    """A field on a device, uploaded once and asked many times."""
+    """A field on a device, uploaded once and asked many times.
+
+    textures, options : what kernels that look for cells take: arguments, and -D options; see
+        kernels/adf/search.h.
+    """
 
     def __init__(self, field: DistanceField, device: Device | None = None) -> None:
         """Upload the field's textures; its bounds when they are first asked for.
@@ -93,7 +97,7 @@ class FieldQuery:
         self.field = field
         self.device = device or open_device()
         table, (full, deepest) = field.hash, levels_to_search(field)
-        self._textures = (
+        self.textures = (
             self._upload(field.voxels),
             self._upload(field.cells),
             self._upload(table.offsets),
@@ -103,7 +107,7 @@ class FieldQuery:
             np.int32(full),
             np.int32(deepest),
         )
-        self._options: dict[str, int | str] = {
+        self.options: dict[str, int | str] = {
             "OFFSET": {1: "uchar", 2: "ushort"}[table.offsets.dtype.itemsize],
             **({"W": 1} if table.has_w else {}),
             **({"WIDE": 1} if field.cells.shape[-1] == 3 else {}),
@@ -210,11 +214,11 @@ class FieldQuery:
             LANES=shape.lanes,
             BATCH=shape.batch,
             RUN=shape.run,
-            **self._options,
+            **self.options,
             **asked.options(),
         )
         items = padded // (shape.batch * shape.run)
-        kernel(items, points, *self._textures, *args, local=shape.group)
+        kernel(items, points, *self.textures, *args, local=shape.group)
         device.queue.flush()  # or a driver may wait until the host does
         return _Running(n, points, found)
 

@@ -1,0 +1,191 @@
+"""The surface of a field, or one at a distance from it, as rays see it.
+
+A ray goes from leaf to leaf. In a leaf the field along it is a cubic, whose first root is found; so
+nothing between two steps is missed, however thin: what is shown is where the field first takes the
+value of the offset. From a leaf's far side the ray leaps as far as the surface is away at least,
+(distance - offset) / the Lipschitz constant: sphere tracing. That needs a field that is nowhere
+steeper, and has no cracks. So rays do not leap into leaves that are steeper: those that the stored
+constant leaves out, which hold a jump, and the few that are steeper than STEEPEST and would make
+all leaps short. A table tells how far they are. In fields with cracks rays do not leap at all.
+
+A ray that begins inside sees the surface from there. Nothing is shown outside of the cube: surfaces
+that leave it are open there. An offset beyond the field's values shows nothing.
+
+Kernels: kernels/adf/raycast.cl.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.adf.field import FAR
+from voxtool.adf.hashing import cell_of
+from voxtool.adf.query import FieldQuery
+from voxtool.errors import VoxtoolError
+from voxtool.opencl import program
+
+if TYPE_CHECKING:
+    from voxtool.adf.field import DistanceField
+    from voxtool.camera import Rays
+    from voxtool.opencl import Device
+
+SOURCE = "adf/raycast.cl"
+COLOUR = (0.86, 0.82, 0.76)  # a warm light grey
+STEEPEST = math.sqrt(3)  # that an interpolation of exact distances of one sign is
+SAFETY = 1 - 2.0**-10  # of leaps, for rounding
+ROOM_LEVEL = 5  # of the cells that tell how far steep leaves are
+TILE = 8  # pixels along a side of those that a work-group takes
+
+program.generated["adf/raycast.h"] = program.c_constants(ROOM_LEVEL=ROOM_LEVEL, TILE=TILE)
+
+
+def render_adf(
+    field: DistanceField,
+    rays: Rays,
+    *,
+    offset: float = 0.0,
+    colour: tuple[float, float, float] = COLOUR,
+    device: Device | None = None,
+) -> np.ndarray:
+    """What rays see of a field; as FieldRenderer, for a single picture."""
+    return FieldRenderer(field, device)(rays, offset=offset, colour=colour)
+
+
+class FieldRenderer:
+    """A field on a device, uploaded once and looked at many times."""
+
+    def __init__(self, field: DistanceField, device: Device | None = None) -> None:
+        """Upload the field's textures, and what lets rays leap.
+
+        Raises
+        ------
+        DeviceError : there is no device.
+        MemoryLimitError : the field does not fit on it.
+        """
+        self.field = field
+        self.query = FieldQuery(field, device)
+        self.device = self.query.device
+        refined = refined_children(field)
+        limit = min(field.lipschitz, STEEPEST)
+        self._leap = np.float32(SAFETY / limit if limit > 0 else 0)
+        self._tables = (
+            self.device.put(refined),
+            self.device.put(room(field, steep_leaves(field, refined, limit))),
+        )
+
+    def __call__(
+        self, rays: Rays, *, offset: float = 0.0, colour: tuple[float, float, float] = COLOUR
+    ) -> np.ndarray:
+        """A picture.
+
+        Parameters
+        ----------
+        rays : in world coordinates.
+        offset : the distance that the surface shown has, world units; it is rounded to float32. Of
+            an unsigned field, which is nowhere negative and hardly anywhere 0, offset 0 shows the
+            distance least_shown.
+        colour : red, green and blue of the surface, from 0 to 1.
+
+        Returns
+        -------
+        (height, width, 4) float32: premultiplied colour, and opacity: 1 where the surface is.
+
+        Raises
+        ------
+        VoxtoolError : an offset or a colour that is none.
+        MemoryLimitError : the picture does not fit on the device.
+        """
+        if not math.isfinite(offset):
+            raise VoxtoolError(f"an offset of {offset}: give a finite distance")
+        if len(colour) != 3 or not all(0 <= c <= 1 for c in colour):
+            raise VoxtoolError(f"colour {tuple(colour)}: give red, green and blue from 0 to 1")
+        if self.field.sign == "none" and offset == 0:
+            offset = least_shown(self.field)
+        shown = min(max(offset / self.field.side, -FAR), FAR)
+        local = rays.local(self.field.origin, self.field.side)
+        camera = np.concatenate([local.origin, local.direction, local.right, local.down])
+        width, height = rays.size
+        pixels = self.device.empty(4 * width * height, np.float32)
+        kernel = self.device.kernel(SOURCE, "raycast", **self.query.options)
+        tiles = -(-width // TILE) * -(-height // TILE)
+        with self.device.stage("raycast"):
+            kernel(
+                tiles * TILE * TILE,
+                *self.query.textures,
+                *self._tables,
+                self._leap,
+                self.device.put(camera),
+                np.uint32(rays.perspective),
+                np.uint32(width),
+                np.uint32(height),
+                np.float32(shown),
+                *map(np.float32, rays.light()),
+                *map(np.float32, colour),
+                pixels,
+                local=TILE * TILE,
+            )
+            return pixels.take().reshape(height, width, 4)
+
+
+def least_shown(field: DistanceField) -> float:
+    """The distance that stands for 0 in a field without signs, world units: half of the edge of the
+    deepest leaves, which is the most that is interpolated on a flat sheet, or the tolerance if that
+    is more. Thinner, sheets would have holes."""
+    return field.side * max(0.5 ** (field.depth + 1), field.tolerance)
+
+
+def refined_children(field: DistanceField) -> np.ndarray:
+    """(n,) uint8: of each block which children have blocks; child x + 2 y + 4 z is bit 2**that."""
+    blocks = field.blocks
+    one = blocks.dtype.type
+    refined = np.zeros(len(blocks), np.uint8)
+    parents = np.searchsorted(blocks, blocks[1:] >> one(3))
+    np.bitwise_or.at(refined, parents, np.uint8(1) << (blocks[1:] & one(7)).astype(np.uint8))
+    return refined
+
+
+def steep_leaves(
+    field: DistanceField, refined: np.ndarray, limit: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The leaves in which the field may be steeper than a limit: (k,) levels and (k, 3) cells.
+
+    A leaf's slope is at most that of the steepest of its edges along each axis.
+    """
+    squares = np.zeros((len(field.voxels), 2, 2, 2), np.float32)
+    for axis in (1, 2, 3):
+        steps = np.abs(np.diff(field.voxels, axis=axis))
+        for other in {1, 2, 3} - {axis}:
+            first, last = np.split(np.take(steps, [0, 1, 1, 2], axis=other), 2, axis=other)
+            steps = np.maximum(first, last)
+        squares += steps * steps
+    levels, cells = cell_of(field.blocks)
+    leaves = np.unpackbits(refined, bitorder="little").reshape(-1, 2, 2, 2) == 0
+    edges = np.ldexp(1.0, -levels - 1)[:, None, None, None]
+    steep = np.sqrt(squares) > limit * (1 + 1e-6) * edges
+    block, z, y, x = np.nonzero(leaves & steep)
+    return levels[block] + 1, 2 * cells[block] + np.stack([x, y, z], axis=1)
+
+
+def room(field: DistanceField, steep: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """(n, n, n) uint8, [z, y, x], of the cells of ROOM_LEVEL: how many of their edges away from
+    them steep leaves are, at least; 0 everywhere where neighbours do not agree."""
+    levels, cells = steep
+    near = np.zeros((1, 1, 1), bool)
+    for level in range(1, ROOM_LEVEL + 1):
+        near = near.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+        here = levels == level if level < ROOM_LEVEL else levels >= level
+        x, y, z = (cells[here] >> (levels[here] - level)[:, None]).T
+        near[z, y, x] = True
+    edges = np.zeros(near.shape, np.uint8)
+    for _ in range(len(near) if field.continuous else 0):
+        for axis in range(3):  # by one cell
+            along = np.moveaxis(near, axis, 0)
+            wide = along.copy()
+            wide[1:] |= along[:-1]
+            wide[:-1] |= along[1:]
+            near = np.moveaxis(wide, 0, axis)
+        edges += ~near
+    return edges
