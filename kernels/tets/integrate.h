@@ -1,0 +1,87 @@
+// What a segment of a ray within a cell adds to its light, by any integrator. Options:
+//   INTEGRATOR   LINEAR, AVERAGE, SAMPLED or PREINTEGRATED
+
+#include "tets/transfer.h"
+
+typedef struct {
+    Transfer transfer;
+    uint samples;                // SAMPLED: points of a cell
+    __global const float *table; // PREINTEGRATED: of segments up to `longest`
+    float longest;
+} Integral;
+
+#if INTEGRATOR == PREINTEGRATED
+// Add what the table holds for segments of this length between two scalars, by linear interpolation.
+void add_preintegrated(Light *light, const Integral *integral, const floats from, const floats to,
+                       const floats length)
+{
+    float fs[LANES], ts[LANES], ls[LANES], r[LANES], g[LANES], b[LANES], a[LANES];
+    store(from * (SCALARS - 1), fs);
+    store(to * (SCALARS - 1), ts);
+    store(length / integral->longest * (LENGTHS - 1), ls);
+    for (uint lane = 0; lane < LANES; ++lane) {
+        const int f = min(convert_int(fs[lane]), SCALARS - 2);
+        const int t = min(convert_int(ts[lane]), SCALARS - 2);
+        const int l = min(convert_int(ls[lane]), LENGTHS - 2);
+        const float wf = fs[lane] - f, wt = ts[lane] - t, wl = ls[lane] - l;
+        float4 sum = 0;
+        for (uint corner = 0; corner < 8; ++corner) {
+            const int df = corner >> 2, dt = corner >> 1 & 1, dl = corner & 1;
+            const float w = (df ? wf : 1 - wf) * (dt ? wt : 1 - wt) * (dl ? wl : 1 - wl);
+            sum += w * vload4(((f + df) * SCALARS + t + dt) * LENGTHS + l + dl, integral->table);
+        }
+        r[lane] = sum.x;
+        g[lane] = sum.y;
+        b[lane] = sum.z;
+        a[lane] = sum.w;
+    }
+    light->r = light->r + light->through * load(r);
+    light->g = light->g + light->through * load(g);
+    light->b = light->b + light->through * load(b);
+    light->through = light->through * (1 - load(a));
+}
+#endif
+
+// Add what the first piece of a segment of this length sends and keeps: up to the first control point
+// that it crosses, and otherwise, and with every integrator but LINEAR, all of it. Returns the lanes
+// that go on behind; there the scalar is `to`, in the interval `follows`, at `share` of the length.
+ints add_piece(Light *light, const Integral *integral, const Segment *segment, const floats length,
+               floats *to, ints *follows, floats *share)
+{
+    const Transfer *transfer = &integral->transfer;
+    const floats whole = segment->to - segment->from;
+    ints goes_on = 0;
+    *to = segment->to;
+    *follows = segment->to_interval;
+    *share = 1;
+#if INTEGRATOR == LINEAR
+    ints own;
+    goes_on = cut(transfer, segment, to, &own, follows);
+    *share = goes_on ? (*to - segment->from) / (goes_on ? whole : (floats)1) : (floats)1;
+    floats row[ROW];
+    rows_of(transfer, own, row);
+    const Sample front = sample_of(row, segment->from), back = sample_of(row, *to);
+    add_segment(light, &front, &back, length * *share);
+#elif INTEGRATOR == AVERAGE
+    floats row[ROW], last[ROW];
+    rows_of(transfer, segment->from_interval, row);
+    rows_of(transfer, segment->to_interval, last);
+    const Sample front = sample_of(row, segment->from), back = sample_of(last, segment->to);
+    const Sample mean = {0.5f * (front.r + back.r), 0.5f * (front.g + back.g),
+                         0.5f * (front.b + back.b), 0.5f * (front.tau + back.tau)};
+    add_homogeneous(light, &mean, length);
+#elif INTEGRATOR == PREINTEGRATED
+    add_preintegrated(light, integral, segment->from, segment->to, length);
+#elif INTEGRATOR == SAMPLED
+    const floats step = length / (float)integral->samples;
+    for (uint i = 0; i < integral->samples; ++i) {
+        const float w = (i + 0.5f) / integral->samples;
+        const floats s = segment->from + whole * w;
+        floats row[ROW];
+        rows_of(transfer, interval_of(transfer, s), row);
+        const Sample sample = sample_of(row, s);
+        add_homogeneous(light, &sample, step);
+    }
+#endif
+    return goes_on;
+}

@@ -1,0 +1,39 @@
+// The pre-integrated transfer function: what a segment sends and keeps, by its scalars at both ends
+// and its length (Roettger, Kraus and Ertl 2000). Host side: voxtool/tets/raycast.py.
+// Option: LANES, 1
+
+#include "tets/raycast.h"
+#include "tets/transfer.h"
+
+#pragma OPENCL FP_CONTRACT OFF
+
+// One work-item an entry of the table, SCALARS x SCALARS x LENGTHS of red, green, blue, premultiplied,
+// and alpha: of the scalar in front, behind, and the length up to `longest`, the last changing fastest.
+__kernel void preintegrate(__global const float *points, __global const float *rows, const int count,
+                           const float longest, __global float *table)
+{
+    const uint entry = get_global_id(0);
+    if (entry >= SCALARS * SCALARS * LENGTHS)
+        return;
+    const Transfer transfer = {points, rows, count};
+    const float back = entry / LENGTHS % SCALARS / (SCALARS - 1.0f);
+    const float length = longest * (entry % LENGTHS / (LENGTHS - 1.0f));
+    float front = entry / (LENGTHS * SCALARS) / (SCALARS - 1.0f);
+    const float whole = back - front;
+    int interval = interval_of(&transfer, front), goes_on = 1;
+    const int last = interval_of(&transfer, back);
+    Light light = {0, 0, 0, 1};
+    while (goes_on) {
+        const Segment segment = {front, back, interval, last};
+        float to;
+        int own;
+        goes_on = cut(&transfer, &segment, &to, &own, &interval);
+        float row[ROW];
+        rows_of(&transfer, own, row);
+        const Sample near = sample_of(row, front), far = sample_of(row, to);
+        const float share = whole != 0 ? (to - front) / whole : 1;
+        add_segment(&light, &near, &far, length * share);
+        front = to;
+    }
+    vstore4((float4)(light.r, light.g, light.b, 1 - light.through), entry, table);
+}

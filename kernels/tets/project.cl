@@ -1,0 +1,438 @@
+// Cell projection of a volume. Host side: voxtool/tets/project.py, which says why the order is right.
+//
+// The cells that may be in the picture, by depth, are listed for every tile of it. A work-item goes
+// through its tile's list for LANES pixels, side by side: what a ray has in a cell, a fragment, goes to
+// its place among those that wait, and those that no later cell can come before are composited.
+// Options: those of textures.h, and
+//   LANES        1 or 16
+//   PENDING      fragments of a ray that may wait
+//   INTEGRATOR   LINEAR, AVERAGE, SAMPLED or PREINTEGRATED
+//   CONSTANT     cells have one scalar each
+//   PERSPECTIVE
+
+#include "tets/textures.h"
+#include "tets/view.h"
+#include "tets/raycast.h"
+#include "tets/project.h"
+#include "tets/depth.h"
+#include "tets/integrate.h"
+
+#pragma OPENCL FP_CONTRACT OFF
+
+// A cell's record: of each face (a, b, c, side), a x + b y + c; the scalar on the ray, as in view.cl; and
+// where it is: the nearest and the farthest of its vertices, its columns and its rows.
+#define PARTS (FACES + 2)
+#define WORDS (4 * PARTS)
+
+// What a x + b y + c of a face is:
+#define LEAVES 0 // the nearness of its plane, by which rays leave
+#define ENTERS 1 // the same, by which they come in
+#define BESIDE 2 // above 0 for rays that are all along outside; the moved ray decides at 0
+#define BESIDE_AT_0 3
+
+// --- cells ---------------------------------------------------------------------------------------
+
+// The columns or the rows of a cell, ends included, first | last << 16; empty where last < first.
+typedef struct {
+    float least, most; // in pixels from the middle
+} Extent;
+
+void extend(Extent *e, const float from, const float to)
+{
+    e->least = from < e->least ? from : e->least;
+    e->most = to > e->most ? to : e->most;
+}
+
+// Between a vertex in front of the eye and one behind it, the edge goes to infinity on one side; on
+// both, where float32 cannot tell.
+void extend_by_edge(Extent *e, const float front, const float front_depth, const float behind,
+                    const float behind_depth)
+{
+    const float a = behind * front_depth, b = front * behind_depth, crossing = a - b;
+    const float doubt = 1e-5f * (fabs(a) + fabs(b));
+    extend(e, crossing <= doubt ? -FARTHEST : FARTHEST, crossing >= -doubt ? FARTHEST : -FARTHEST);
+}
+
+// The pixels of `count` whose centres are in it, and a fraction of a pixel beyond for its rounding.
+int2 pixels_of(const Extent *e, const int count)
+{
+    const float middle = 0.5f * count - 0.5f;
+    const float first = ceil(e->least + middle - 0.0625f), last = floor(e->most + middle + 0.0625f);
+    return (int2)(first < 0 ? 0 : first > count ? count : convert_int(first),
+                  last < -1 ? -1 : last > count - 1 ? count - 1 : convert_int(last));
+}
+
+// One work-item a cell: its record, and 1 where it may be in the picture.
+__kernel void project_cells(TEXTURES, __global const uchar *kept,
+                            __global const int *cells_vertices, __global const float *projected,
+                            __global const double *viewpoint, const int width, const int height,
+                            __global float *records, __global uint *flags)
+{
+    const uint cell = get_global_id(0);
+    if (cell >= cells)
+        return;
+    flags[cell] = 0;
+    if (!kept[cell / BLOCK])
+        return;
+    const View view = view_of(viewpoint);
+    float4 corners[CORNERS];
+    float nearest = FARTHEST, farthest = -FARTHEST;
+    Extent across = {FARTHEST, -FARTHEST}, down = {FARTHEST, -FARTHEST};
+    for (uint i = 0; i < CORNERS; ++i) {
+        const float4 p = corners[i] = vload4(cells_vertices[CORNERS * (size_t)cell + i], projected);
+        nearest = p.w < nearest ? p.w : nearest;
+        farthest = p.w > farthest ? p.w : farthest;
+    }
+    for (uint i = 0; i < CORNERS; ++i) {
+        const float4 p = corners[i];
+        if (p.z <= 0)
+            continue;
+        extend(&across, p.x / p.z, p.x / p.z);
+        extend(&down, p.y / p.z, p.y / p.z);
+#ifdef PERSPECTIVE
+        if (nearest > -view.middle)
+            continue;
+        for (uint j = 0; j < CORNERS; ++j)
+            if (corners[j].z <= 0) {
+                extend_by_edge(&across, p.x, p.z, corners[j].x, corners[j].z);
+                extend_by_edge(&down, p.y, p.z, corners[j].y, corners[j].z);
+            }
+#endif
+    }
+    const int2 columns = pixels_of(&across, width), rows = pixels_of(&down, height);
+    if (columns.x > columns.y || rows.x > rows.y)
+        return;
+    flags[cell] = 1;
+    const Textures textures = THE_TEXTURES;
+    __global float *record = records + WORDS * (size_t)cell;
+    for (uint face = 0; face < FACES; ++face) {
+        const double4 f = on_rays(&view, plane_of(&textures, cell, face));
+        const bool beside = fabs(f.w) <= LEAST_SCALE;
+        const bool in_at_0 = f.x > 0 || (f.x == 0 && f.y < 0);
+        const int side = beside ? in_at_0 ? BESIDE : BESIDE_AT_0 : f.w > 0 ? LEAVES : ENTERS;
+        const float3 abc = convert_float3(beside ? f.xyz : f.xyz / f.w);
+        vstore4((float4)(abc, as_float(side)), face, record);
+    }
+    vstore4(scalar_on_rays(&view, scalar_of(&textures, cell)), FACES, record);
+    vstore4((float4)(nearest, farthest, as_float(columns.x | columns.y << 16),
+                     as_float(rows.x | rows.y << 16)),
+            FACES + 1, record);
+}
+
+// One work-item a cell that may be in the picture: its depth as a number that sorts like it.
+__kernel void list_cells(__global const float *records, __global const uint *starts, const uint n,
+                         __global uint *depths, __global uint *listed)
+{
+    const uint cell = get_global_id(0);
+    if (cell >= n || starts[cell] == starts[cell + 1])
+        return;
+    const uint bits = as_uint(records[WORDS * (size_t)cell + 4 * (FACES + 1)]);
+    depths[starts[cell]] = bits >> 31 ? ~bits : bits | 0x80000000u;
+    listed[starts[cell]] = cell;
+}
+
+// --- tiles ---------------------------------------------------------------------------------------
+
+// The tiles that the pixels of a cell are in: first and last column, first and last row.
+int4 tiles_of(__global const float *records, const uint cell)
+{
+    const float4 place = vload4(PARTS * (size_t)cell + FACES + 1, records);
+    const int columns = as_int(place.z), rows = as_int(place.w);
+    return (int4)(columns & 0xffff, columns >> 16, rows & 0xffff, rows >> 16) / TILE;
+}
+
+// One work-item a listed cell.
+__kernel void count_tiles(__global const float *records, __global const uint *listed, const uint n,
+                          __global uint *counts)
+{
+    if (get_global_id(0) >= n)
+        return;
+    const int4 tiles = tiles_of(records, listed[get_global_id(0)]);
+    counts[get_global_id(0)] = (tiles.y - tiles.x + 1) * (tiles.w - tiles.z + 1);
+}
+
+__kernel void list_pairs(__global const float *records, __global const uint *listed, const uint n,
+                         __global const uint *starts, const uint tiles_across,
+                         __global uint *pair_tiles, __global uint *pair_cells)
+{
+    if (get_global_id(0) >= n)
+        return;
+    const uint cell = listed[get_global_id(0)];
+    const int4 tiles = tiles_of(records, cell);
+    uint at = starts[get_global_id(0)];
+    for (int row = tiles.z; row <= tiles.w; ++row)
+        for (int column = tiles.x; column <= tiles.y; ++column, ++at) {
+            pair_tiles[at] = row * tiles_across + column;
+            pair_cells[at] = cell;
+        }
+}
+
+// One work-item a pair, sorted: where the list of each tile begins and ends.
+__kernel void find_tiles(__global const uint *pair_tiles, const uint pairs, __global uint *ends)
+{
+    const uint pair = get_global_id(0);
+    if (pair >= pairs)
+        return;
+    const uint tile = pair_tiles[pair];
+    if (pair == 0 || pair_tiles[pair - 1] != tile)
+        ends[2 * tile] = pair;
+    if (pair + 1 == pairs || pair_tiles[pair + 1] != tile)
+        ends[2 * tile + 1] = pair + 1;
+}
+
+// --- fragments -----------------------------------------------------------------------------------
+
+// Fragments of LANES rays that wait, by (begin, cell); FARTHEST where there is none. Beyond PENDING
+// places is that of the first that found no room: it and all behind it are left for the next pass.
+typedef struct {
+    float begin[LANES * (PENDING + 1)], end[LANES * (PENDING + 1)];
+    int cell[LANES * (PENDING + 1)];
+    uint count; // of places in use, of the ray that has the most
+} Pending;
+
+// The rays of LANES pixels, and how far they have been followed.
+typedef struct {
+    floats x, y, length; // the length of depth 1
+    float middle;        // of depths
+    ints open;           // there may be more to come
+    Light light;
+    floats depth; // where the last fragment ended
+    floats begin; // where it began, and its cell
+    ints cell;
+    ints fragments; // how many
+} Followed;
+
+// Whether a fragment comes before another.
+#define BEFORE(begin, cell, other_begin, other_cell) \
+    (((begin) < (other_begin)) | (((begin) == (other_begin)) & ((cell) < (other_cell))))
+
+// Put fragments of some lanes in their places; those behind move on by one.
+void insert(Pending *p, const ints lanes, const floats begin, const floats end, const int cell)
+{
+    ints looking = lanes;
+    for (uint place = p->count;; --place) {
+        floats before_begin = -FARTHEST, before_end = 0;
+        ints before_cell = 0;
+        if (place > 0) {
+            before_begin = load(p->begin + LANES * (place - 1));
+            before_end = load(p->end + LANES * (place - 1));
+            before_cell = load(p->cell + LANES * (place - 1));
+        }
+        const ints further = looking & BEFORE(begin, (ints)cell, before_begin, before_cell);
+        const ints here = looking & (further == 0), moves = further & (before_begin < FARTHEST);
+        const floats own_begin = load(p->begin + LANES * place);
+        const floats own_end = load(p->end + LANES * place);
+        const ints own_cell = load(p->cell + LANES * place);
+        store(moves ? before_begin : here ? begin : own_begin, p->begin + LANES * place);
+        store(moves ? before_end : here ? end : own_end, p->end + LANES * place);
+        store(moves ? before_cell : here ? (ints)cell : own_cell, p->cell + LANES * place);
+        looking = further;
+        if (!ANY(looking))
+            break;
+    }
+    p->count = min(p->count + 1, (uint)PENDING);
+}
+
+// The scalars on the rays, each in its own cell.
+void scalars_on_rays(__global const float *records, const ints cells, floats *on_ray)
+{
+    int cell[LANES];
+    float parts[4][LANES];
+    store(cells, cell);
+    for (uint lane = 0; lane < LANES; ++lane) {
+        const float4 s = vload4(PARTS * (size_t)cell[lane] + FACES, records);
+        parts[0][lane] = s.x;
+        parts[1][lane] = s.y;
+        parts[2][lane] = s.z;
+        parts[3][lane] = s.w;
+    }
+    for (uint i = 0; i < 4; ++i)
+        on_ray[i] = load(parts[i]);
+}
+
+// Composite what rays have in their cells, from where the last fragments ended.
+void composite_fragments(Followed *rays, __global const float *records, const Integral *integral,
+                         const ints lanes, const floats begin, const floats end, const ints cell)
+{
+    floats depth = begin > rays->depth ? begin : rays->depth;
+    ints active = lanes & (end > depth);
+    rays->begin = lanes ? begin : rays->begin;
+    rays->cell = lanes ? cell : rays->cell;
+    rays->depth = active ? end : rays->depth;
+    rays->fragments += lanes ? (ints)1 : (ints)0;
+    floats on_ray[4];
+    scalars_on_rays(records, lanes ? cell : (ints)0, on_ray);
+#ifdef CONSTANT
+    const floats first = on_ray[2], last = first;
+#else
+    const floats first = scalars_at(on_ray, rays->x, rays->y, depth, rays->middle);
+    const floats last = scalars_at(on_ray, rays->x, rays->y, end, rays->middle);
+#endif
+    Segment segment = {first, last, interval_of(&integral->transfer, first),
+                       interval_of(&integral->transfer, last)};
+    while (ANY(active)) {
+        floats to, share;
+        ints follows;
+        const floats length = active ? (end - depth) * rays->length : (floats)0;
+        active &= add_piece(&rays->light, integral, &segment, length, &to, &follows, &share);
+        segment.from = to;
+        segment.from_interval = follows;
+        depth = depth + (end - depth) * share;
+    }
+}
+
+// Composite the fragments that wait, those that begin before `bound`; the others move up.
+void composite_before(Pending *p, Followed *rays, __global const float *records,
+                      const Integral *integral, const float bound)
+{
+    ints done = 0;
+    for (uint place = 0; place < p->count; ++place) {
+        const floats begin = load(p->begin + LANES * place), end = load(p->end + LANES * place);
+        // of an opaque ray all go
+        const ints go = begin < (rays->open ? (floats)bound : (floats)FARTHEST);
+        if (!ANY(go))
+            break;
+        const ints cell = load(p->cell + LANES * place);
+        composite_fragments(rays, records, integral, go & rays->open, begin, end, cell);
+        rays->open &= rays->light.through >= LEAST_LIGHT;
+        done += go ? (ints)1 : (ints)0;
+    }
+    int gone[LANES];
+    store(done, gone);
+    for (uint lane = 0; lane < LANES; ++lane)
+        for (uint place = 0; gone[lane] > 0 && place < p->count; ++place) {
+            const uint to = LANES * place + lane, from = to + LANES * gone[lane];
+            const bool is_there = place + gone[lane] < p->count;
+            p->begin[to] = is_there ? p->begin[from] : FARTHEST;
+            p->end[to] = is_there ? p->end[from] : 0;
+            p->cell[to] = is_there ? p->cell[from] : 0;
+        }
+    while (p->count > 0 && !ANY(load(p->begin + LANES * (p->count - 1)) < FARTHEST))
+        --p->count;
+}
+
+// What rays have in a cell: from where they come in to where they leave. Returns the lanes that have
+// something.
+ints fragments_of(__global const float *record, const float nearest, const float farthest,
+                  const Followed *rays, floats *begin, floats *end)
+{
+    floats in = FARTHEST, out = -FARTHEST; // nearnesses: the least, the greatest
+    ints outside = 0;
+    for (uint face = 0; face < FACES; ++face) {
+        const float4 f = vload4(face, record);
+        const floats n = (f.x * rays->x + f.y * rays->y) + f.z;
+        const int side = as_int(f.w);
+        if (side == LEAVES)
+            out = n > out ? n : out;
+        else if (side == ENTERS)
+            in = n < in ? n : in;
+        else
+            outside |= side == BESIDE ? n > 0 : n >= 0;
+    }
+    ints lanes = rays->open & (outside == 0) & (in > out);
+#ifdef PERSPECTIVE
+    lanes &= in > -1; // the rest is behind the eye
+#endif
+    if (!ANY(lanes))
+        return lanes;
+    *begin = depths_of(lanes ? in : (floats)0, rays->middle);
+#ifdef PERSPECTIVE
+    const ints leaves = out > -1;
+    *end = leaves ? depths_of(leaves ? out : (floats)0, rays->middle) : (floats)FARTHEST;
+#else
+    *end = depths_of(out, rays->middle);
+#endif
+    *begin = *begin > nearest ? *begin : (floats)nearest;
+    *end = *end < farthest ? *end : (floats)farthest;
+    return lanes & (*begin < *end);
+}
+
+// One work-item LANES pixels of a tile, in blocks of 4 x 4. Its tally: how many fragments it has
+// composited, in how many passes.
+__kernel void composite(__global const float *records, __global const uint *pair_cells,
+                        __global const uint *ends, __global const float *points,
+                        __global const float *rows, const int count,
+                        __global const float *table, const float longest, const uint samples,
+                        const float middle, const float right_square, const float down_square,
+                        const int width, const int height, __global float *picture,
+                        __global uint *tallies)
+{
+    const Integral integral = {{points, rows, count}, samples, table, longest};
+    const uint item = get_global_id(0), tile = LANES * item / (TILE * TILE);
+    const uint tiles_across = (width + TILE - 1) / TILE;
+    const int tile_x = TILE * (tile % tiles_across), tile_y = TILE * (tile / tiles_across);
+    if (tile_y >= height)
+        return;
+    int2 first = (int2)(width, height), last = (int2)(-1, -1); // pixels, ends included
+    float xs[LANES], ys[LANES];
+    int pixels[LANES];
+    for (uint lane = 0; lane < LANES; ++lane) {
+        const uint i = (LANES * item + lane) % (TILE * TILE), block = i / 16;
+        const int2 pixel = (int2)(tile_x + 4 * (block % (TILE / 4)) + i % 4,
+                                  tile_y + 4 * (block / (TILE / 4)) + i / 4 % 4);
+        first = min(first, pixel);
+        last = max(last, pixel);
+        xs[lane] = pixel.x + (0.5f - 0.5f * width);
+        ys[lane] = pixel.y + (0.5f - 0.5f * height);
+        pixels[lane] = pixel.x < width && pixel.y < height ? pixel.y * width + pixel.x : NOWHERE;
+    }
+    Followed rays = {.x = load(xs), .y = load(ys), .length = 1, .middle = middle};
+    rays.open = load(pixels) >= 0;
+    rays.light.through = 1;
+    rays.depth = rays.begin = -FARTHEST;
+    rays.cell = NOWHERE;
+#ifdef PERSPECTIVE
+    rays.length = sqrt((rays.x * rays.x * right_square + rays.y * rays.y * down_square) + 1);
+#endif
+    Pending pending;
+    uint passes = 0;
+    ints again = rays.open;
+    const uint start = ends[2 * tile], end = ends[2 * tile + 1];
+    for (; start < end && ANY(again); ++passes) {
+        rays.open = again;
+        pending.count = 0;
+        for (uint place = 0; place <= PENDING; ++place)
+            store((floats)FARTHEST, pending.begin + LANES * place);
+        for (uint i = start; i < end; ++i) {
+            const int cell = pair_cells[i];
+            __global const float *record = records + WORDS * (size_t)cell;
+            const float4 where = vload4(FACES + 1, record);
+            const int columns = as_int(where.z), rows = as_int(where.w);
+            if ((columns & 0xffff) > last.x || columns >> 16 < first.x
+                || (rows & 0xffff) > last.y || rows >> 16 < first.y)
+                continue;
+            floats from, to;
+            ints lanes = fragments_of(record, where.x, where.y, &rays, &from, &to);
+            if (!ANY(lanes))
+                continue;
+            // behind the last that was composited, before the first that found no room
+            lanes &= BEFORE(rays.begin, rays.cell, from, (ints)cell)
+                     & BEFORE(from, (ints)cell, load(pending.begin + LANES * PENDING),
+                              load(pending.cell + LANES * PENDING));
+            if (!ANY(lanes))
+                continue;
+            if (pending.count == PENDING) {
+                composite_before(&pending, &rays, records, &integral, where.x);
+                if (!ANY(rays.open))
+                    break;
+            }
+            insert(&pending, lanes, from, to, cell);
+        }
+        composite_before(&pending, &rays, records, &integral, FARTHEST);
+        again = rays.open & (load(pending.begin + LANES * PENDING) < FARTHEST);
+    }
+    float r[LANES], g[LANES], b[LANES], a[LANES];
+    int fragments[LANES];
+    store(rays.light.r, r);
+    store(rays.light.g, g);
+    store(rays.light.b, b);
+    store(1 - rays.light.through, a);
+    store(rays.fragments, fragments);
+    uint sum = 0;
+    for (uint lane = 0; lane < LANES; ++lane) {
+        sum += fragments[lane];
+        if (pixels[lane] >= 0)
+            vstore4((float4)(r[lane], g[lane], b[lane], a[lane]), pixels[lane], picture);
+    }
+    vstore2((uint2)(sum, passes), item, tallies);
+}

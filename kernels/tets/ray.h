@@ -1,0 +1,6 @@
+// What all rays share.
+
+#define NOWHERE -1      // the neighbour outside
+#define FARTHEST 1e30f  // beyond every depth
+#define DEEPEST 2.0f    // of the volume: its corners are within sqrt(3) of its middle
+#define LEAST_LIGHT 0x1p-24f // less of the light than this is lost to float32

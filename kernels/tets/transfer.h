@@ -1,0 +1,113 @@
+// The transfer function along a segment: cut at its control points, colours between them.
+// Host side: voxtool/tets/transfer.py (LocalTransfer).
+
+#include "tets/gather.h"
+#include "tets/segment.h"
+
+#define ROW 16 // floats of an interval: s0, 1 / width, r g b τ at s0, and how they change; padding
+
+typedef struct {
+    __global const float *points, *rows;
+    int count; // of points
+} Transfer;
+
+// Colour and extinction of each lane.
+typedef struct {
+    floats r, g, b, tau;
+} Sample;
+
+// What is left of a ray, front to back.
+typedef struct {
+    floats r, g, b; // so far, premultiplied
+    floats through; // how much passes
+} Light;
+
+// A segment of which the scalar is linear: from s, in interval `interval`, to another, in another.
+typedef struct {
+    floats from, to;
+    ints from_interval, to_interval;
+} Segment;
+
+// The interval that holds s: the number of control points at or below it.
+ints interval_of(const Transfer *t, const floats s)
+{
+    ints interval = 0;
+    for (int k = 0; k < t->count; ++k)
+        interval += s >= (floats)t->points[k] ? (ints)1 : (ints)0;
+    return interval;
+}
+
+// The rows of the lanes' intervals; most often they are in the same.
+void rows_of(const Transfer *t, const ints interval, floats *row)
+{
+#if LANES > 1
+    if (!any(interval != (ints)interval.s0)) {
+        for (uint i = 0; i < ROW; ++i)
+            row[i] = t->rows[ROW * interval.s0 + i];
+        return;
+    }
+#endif
+    gather(t->rows, interval, ROW / 16, row);
+}
+
+Sample sample_of(const floats *row, const floats s)
+{
+    floats w = (s - row[0]) * row[1];
+    w = w > 0 ? w : (floats)0;
+    w = w < 1 ? w : (floats)1;
+    const Sample sample = {row[2] + row[6] * w, row[3] + row[7] * w, row[4] + row[8] * w,
+                           row[5] + row[9] * w};
+    return sample;
+}
+
+// Lines 1 to 13 of the text's listing in section 4.2: cut the segment where it crosses a control
+// point first. The text looks that point and the next up in a table of (s_f, s_b); by the ranks of
+// the intervals they are the ends of the first one. Returns whether the lane's segment was cut: then
+// it goes on at `end` in the interval `next`. All of this is within the interval `own`.
+ints cut(const Transfer *t, const Segment *segment, floats *end, ints *own, ints *next)
+{
+    *end = segment->to;
+    *own = segment->from_interval;
+    *next = segment->to_interval;
+    ints crosses = *own != *next;
+    if (!ANY(crosses))
+        return crosses;
+    const ints up = *next > *own;
+    floats first = lookup(t->points, crosses ? *own - (up ? (ints)0 : (ints)1) : (ints)0);
+    const ints at_once = crosses & !up & (segment->from == first); // it has been crossed already
+    if (ANY(at_once)) {
+        *own = at_once ? *own - 1 : *own;
+        crosses = *own != *next;
+        first = lookup(t->points, crosses ? *own - (up ? (ints)0 : (ints)1) : (ints)0);
+    }
+    const ints is_cut = crosses & (up ? segment->to > first : segment->to < first);
+    *end = is_cut ? first : *end;
+    *next = is_cut ? *own + (up ? (ints)1 : (ints)-1) : *next;
+    return is_cut;
+}
+
+// Add what a segment within one interval sends, and take what it keeps (lines 15 and 16, with the
+// premultiplied colour, front to back).
+void add_segment(Light *light, const Sample *front, const Sample *back, const floats length)
+{
+    floats w_f, w_b, through;
+    segment_weights(front->tau * length, back->tau * length, &w_f, &w_b, &through);
+    w_f = w_f * light->through;
+    w_b = w_b * light->through;
+    light->r = light->r + (w_f * front->r + w_b * back->r);
+    light->g = light->g + (w_f * front->g + w_b * back->g);
+    light->b = light->b + (w_f * front->b + w_b * back->b);
+    light->through = light->through * through;
+}
+
+// The same with one colour and one extinction.
+void add_homogeneous(Light *light, const Sample *s, const floats length)
+{
+    floats alpha, through;
+    homogeneous_weights(s->tau * length, &alpha, &through);
+    alpha = alpha * light->through;
+    light->r = light->r + alpha * s->r;
+    light->g = light->g + alpha * s->g;
+    light->b = light->b + alpha * s->b;
+    light->through = light->through * through;
+}

@@ -1,0 +1,21 @@
+// Vectors of LANES, 1 or 16: what the lanes of a kernel hold is written once for both.
+
+#define JOIN_(a, b) a##b
+#define JOIN(a, b) JOIN_(a, b)
+#if LANES == 1
+#define VECTOR(type) type
+#define load(p) (*(p))
+#define store(v, p) (*(p) = (v))
+#define ANY(x) (x)
+#else
+#define VECTOR(type) JOIN(type, LANES)
+#define load(p) JOIN(vload, LANES)(0, p)
+#define store(v, p) JOIN(vstore, LANES)(v, 0, p)
+#define ANY(x) any(x)
+#endif
+#define ints VECTOR(int)
+#define floats VECTOR(float)
+#define to_ints VECTOR(convert_int)
+#define to_floats VECTOR(convert_float)
+#define as_ints VECTOR(as_int)
+#define as_floats VECTOR(as_float)

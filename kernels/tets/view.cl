@@ -1,0 +1,210 @@
+// What a viewpoint needs of a volume: each cell's ways out as functions of the pixel, and where each
+// ray enters. Host side: voxtool/tets/view.py.
+//
+// Whether a ray enters by a face is decided by the signs of edge functions of its projected vertices
+// (Pineda 1988; Olano and Greer 1997 in perspective). The function of an edge is the exact negation of
+// that of the edge turned round, in floating point too, and a ray through an edge belongs to one side
+// by the edge's direction: so faces that share an edge share it without a gap and without an overlap.
+// Options: those of textures.h and view.h.
+
+#include "tets/textures.h"
+#include "tets/view.h"
+
+bool is_kept(__global const uchar *kept, const uint cell)
+{
+    return kept[cell / BLOCK];
+}
+
+// One work-item a cell. Its record: `slots` times the nearness a, b, c of a plane and the cell beyond it,
+// then the scalar on the ray, of view.h.
+__kernel void look(TEXTURES, __global const int *neighbours, __global const uchar *kept,
+                   __global const double *viewpoint, const uint slots, __global float *records)
+{
+    const uint cell = get_global_id(0);
+    if (cell >= cells || !is_kept(kept, cell))
+        return;
+    const Textures textures = THE_TEXTURES;
+    const View view = view_of(viewpoint);
+    __global float *record = records + 4 * (slots + 1) * (size_t)cell;
+    uint slot = 0;
+    for (uint face = 0; face < FACES; ++face) {
+        float3 abc;
+        if (!nearness(&view, plane_of(&textures, cell, face), &abc) || slot == slots)
+            continue;
+        const int beyond = neighbours[FACES * (size_t)cell + face];
+        const int next = beyond >= 0 && is_kept(kept, beyond) ? beyond : NOWHERE;
+        vstore4((float4)(abc, as_float(next)), slot++, record);
+    }
+    for (; slot < slots; ++slot)
+        vstore4((float4)(0, 0, -FARTHEST, as_float(NOWHERE)), slot, record);
+    vstore4(scalar_on_rays(&view, scalar_of(&textures, cell)), slots, record);
+}
+
+// One work-item a vertex: where it is in the picture, (X, Y, Z) with x = X / Z and y = Y / Z, and its
+// depth. Orthographic, Z is 1.
+__kernel void project_vertices(__global const float *vertices, const uint n,
+                               __global const double *viewpoint, __global float *projected)
+{
+    const uint vertex = get_global_id(0);
+    if (vertex >= n)
+        return;
+    const View view = view_of(viewpoint);
+    const double3 v = convert_double3(vload4(vertex, vertices).xyz) - view.origin;
+    const double depth = dot3(v, view.direction);
+    const double x = dot3(v, view.right) / dot3(view.right, view.right);
+    const double y = dot3(v, view.down) / dot3(view.down, view.down);
+#ifdef PERSPECTIVE
+    vstore4(convert_float4((double4)(x, y, depth, depth - view.middle)), vertex, projected);
+#else
+    vstore4(convert_float4((double4)(x, y, 1, depth)), vertex, projected);
+#endif
+}
+
+// --- entries -------------------------------------------------------------------------------------
+
+#define ROUNDING 0x1p-4f // pixels: more than float32 is off by in the largest picture
+
+// A face in the picture, the vertices of each cell's side listed by the host.
+typedef struct {
+    float4 corners[SIDES];
+    int left, right, top, bottom; // the pixels that may be in it: columns and rows, ends included
+    float nearest, farthest;      // of its corners
+} Outline;
+
+int first_pixel(const float x, const int count)
+{
+    const float column = ceil(x + (0.5f * count - 0.5f));
+    return column < 0 ? 0 : column > count ? count : convert_int(column);
+}
+
+int last_pixel(const float x, const int count)
+{
+    const float column = floor(x + (0.5f * count - 0.5f));
+    return column < -1 ? -1 : column > count - 1 ? count - 1 : convert_int(column);
+}
+
+Outline outline_of(const int face, __global const int *cells_vertices,
+                   __global const float *projected, __constant const uchar *sides, const int2 size)
+{
+    Outline o;
+    __global const int *cell = cells_vertices + CORNERS * (size_t)(face / FACES);
+    __constant const uchar *side = sides + SIDES * (face % FACES);
+    float left = FARTHEST, right = -FARTHEST, top = FARTHEST, bottom = -FARTHEST;
+    o.nearest = FARTHEST;
+    o.farthest = -FARTHEST;
+    bool behind = false;
+    for (uint i = 0; i < SIDES; ++i) {
+        const float4 p = o.corners[i] = vload4(cell[side[i]], projected);
+        behind |= p.z <= 0;
+        const float x = p.x / p.z, y = p.y / p.z;
+        left = x < left ? x : left;
+        right = x > right ? x : right;
+        top = y < top ? y : top;
+        bottom = y > bottom ? y : bottom;
+        o.nearest = p.w < o.nearest ? p.w : o.nearest;
+        o.farthest = p.w > o.farthest ? p.w : o.farthest;
+    }
+    // a face that reaches behind the eye may be anywhere; the others are where their corners are, and
+    // the quotients are rounded
+    o.left = behind ? 0 : first_pixel(left - ROUNDING, size.x);
+    o.right = behind ? size.x - 1 : last_pixel(right + ROUNDING, size.x);
+    o.top = behind ? 0 : first_pixel(top - ROUNDING, size.y);
+    o.bottom = behind ? size.y - 1 : last_pixel(bottom + ROUNDING, size.y);
+    return o;
+}
+
+// Whether the ray of (x, y) enters by the face: it goes round all edges the same way.
+bool enters(const Outline *o, const float x, const float y)
+{
+    float from_x = o->corners[SIDES - 1].x - x * o->corners[SIDES - 1].z;
+    float from_y = o->corners[SIDES - 1].y - y * o->corners[SIDES - 1].z;
+    for (uint i = 0; i < SIDES; ++i) {
+        const float to_x = o->corners[i].x - x * o->corners[i].z;
+        const float to_y = o->corners[i].y - y * o->corners[i].z;
+        const float turn = from_x * to_y - from_y * to_x;
+        const float dx = to_x - from_x, dy = to_y - from_y;
+        if (!(turn < 0 || (turn == 0 && (dy < 0 || (dy == 0 && dx < 0)))))
+            return false;
+        from_x = to_x;
+        from_y = to_y;
+    }
+    return true;
+}
+
+// The depth at which the ray of (x, y) meets a face: on its plane, but between its corners.
+float depth_of(const Textures *textures, const View *view, const Outline *o, const int face,
+               const float x, const float y)
+{
+    const double4 plane = plane_of(textures, face / FACES, face % FACES);
+    const double3 aside = view->right * (double)x + view->down * (double)y;
+#ifdef PERSPECTIVE
+    const double along = dot3(plane.xyz, view->direction + aside);
+    const double away = dot3(plane.xyz, view->origin) + plane.w;
+#else
+    const double along = dot3(plane.xyz, view->direction);
+    const double away = dot3(plane.xyz, view->origin + aside) + plane.w;
+#endif
+    const double depth = along < 0 ? -away / along - view->middle : o->nearest;
+    return depth < o->nearest ? o->nearest : depth > o->farthest ? o->farthest : convert_float(depth);
+}
+
+// One work-item an exposed face: one more entry for each pixel whose ray enters by it.
+__kernel void count_entries(__global const int *exposed, const uint n,
+                            __global const int *cells_vertices, __global const float *projected,
+                            __constant const uchar *sides, const int width, const int height,
+                            __global uint *counts)
+{
+    if (get_global_id(0) >= n)
+        return;
+    const Outline o = outline_of(exposed[get_global_id(0)], cells_vertices, projected, sides,
+                                 (int2)(width, height));
+    for (int row = o.top; row <= o.bottom; ++row)
+        for (int column = o.left; column <= o.right; ++column)
+            if (enters(&o, column + (0.5f - 0.5f * width), row + (0.5f - 0.5f * height)))
+                atomic_inc(counts + row * width + column);
+}
+
+// The same again: (depth, cell) in any order, from starts[pixel] on, which becomes the pixel's end.
+__kernel void list_entries(TEXTURES, __global const int *exposed, const uint n,
+                           __global const int *cells_vertices, __global const float *projected,
+                           __constant const uchar *sides, const int width, const int height,
+                           __global const double *viewpoint, __global uint *starts,
+                           __global uint *entries)
+{
+    if (get_global_id(0) >= n)
+        return;
+    const Textures textures = THE_TEXTURES;
+    const View view = view_of(viewpoint);
+    const int face = exposed[get_global_id(0)];
+    const Outline o = outline_of(face, cells_vertices, projected, sides, (int2)(width, height));
+    for (int row = o.top; row <= o.bottom; ++row)
+        for (int column = o.left; column <= o.right; ++column) {
+            const float x = column + (0.5f - 0.5f * width), y = row + (0.5f - 0.5f * height);
+            if (!enters(&o, x, y))
+                continue;
+            const uint at = atomic_inc(starts + row * width + column);
+            const float depth = depth_of(&textures, &view, &o, face, x, y);
+            vstore2((uint2)(as_uint(depth), face / FACES), at, entries);
+        }
+}
+
+// One work-item a pixel: its entries by depth, equal depths by cell, whatever the order they came in.
+__kernel void sort_entries(__global const uint *ends, const uint pixels, __global uint *entries)
+{
+    const uint pixel = get_global_id(0);
+    if (pixel >= pixels)
+        return;
+    const uint start = pixel > 0 ? ends[pixel - 1] : 0, end = ends[pixel];
+    for (uint i = start + 1; i < end; ++i) {
+        const uint2 entry = vload2(i, entries);
+        uint at = i;
+        for (; at > start; --at) {
+            const uint2 before = vload2(at - 1, entries);
+            const float depth = as_float(before.x), own = as_float(entry.x);
+            if (depth < own || (depth == own && before.y < entry.y))
+                break;
+            vstore2(before, at, entries);
+        }
+        vstore2(entry, at, entries);
+    }
+}

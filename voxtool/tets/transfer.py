@@ -1,0 +1,323 @@
+"""Transfer functions: what colour and what extinction a scalar has.
+
+Both are linear between control points and constant beyond the first and the last; two points at one
+scalar make a step. Colours are what a screen shows, extinctions are per world unit of length.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voxtool.errors import VoxtoolError, printable
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from voxtool.tets.volume import TetVolume
+
+MOST_POINTS = 255
+ROW = 16  # floats of an interval
+FARTHEST = 1e300  # scalar: differences must not overflow
+LARGEST = 1e30  # extinction that float32 holds with room for products
+TINY = 1e-30  # what is less counts as 0 on the device: no denormals
+KEYS = ("scalar", "color", "extinction")  # of a control point in JSON
+
+
+@dataclass(frozen=True, eq=False)
+class TransferFunction:
+    """Control points.
+
+    scalars : (K,) float64, ascending; at most two are equal, and the later one holds there.
+    colours : (K, 3) float64 in [0, 1]; extinctions : (K,) float64 >= 0, per world unit.
+
+    Made of anything that becomes such arrays, which cannot be written to.
+
+    Raises
+    ------
+    VoxtoolError : what is wrong with the points, and with which.
+    """
+
+    scalars: np.ndarray
+    colours: np.ndarray
+    extinctions: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name in ("scalars", "colours", "extinctions"):
+            try:
+                values = np.array(getattr(self, name), np.float64)
+            except (TypeError, ValueError, OverflowError):
+                raise VoxtoolError(
+                    f"transfer function: {name} are not numbers of float64"
+                ) from None
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+        count = self.scalars.size
+        if not 1 <= count <= MOST_POINTS:
+            raise VoxtoolError(f"transfer function of {count} points: give 1 to {MOST_POINTS}")
+        shapes = self.scalars.shape, self.colours.shape, self.extinctions.shape
+        if shapes != ((count,), (count, 3), (count,)):
+            raise VoxtoolError("transfer function: give each point a scalar, a colour of three "
+                               "numbers, and an extinction")  # fmt: skip
+        c, e = self.colours, self.extinctions
+        for values, right, allowed in (
+            (self.scalars, np.abs(self.scalars) < FARTHEST, "scalar {} is not a number in reach"),
+            (c, ((c >= 0) & (c <= 1)).all(axis=1), "colour {} is not from 0 to 1"),
+            (e, (e >= 0) & (e < np.inf), "extinction {} is not 0 or more"),
+        ):
+            if not right.all():
+                at = int(right.argmin())
+                raise VoxtoolError(
+                    f"transfer function, point {at + 1}: {allowed.format(values[at].tolist())}"
+                )
+        steps = np.diff(self.scalars)
+        if (steps < 0).any():
+            at = int((steps < 0).argmax())
+            raise VoxtoolError(
+                f"transfer function, point {at + 2}: its scalar is less than the one before: "
+                "put them in ascending order"
+            )
+        shared = (steps[1:] == 0) & (steps[:-1] == 0)
+        if shared.any():
+            raise VoxtoolError(
+                f"transfer function, point {int(shared.argmax()) + 3}: the two before it have the "
+                "same scalar: at most two make a step"
+            )
+
+    @staticmethod
+    def from_json(text: str) -> TransferFunction:
+        """The transfer function that {"points": [{"scalar": 0.2, "color": [1, 0.5, 0],
+        "extinction": 3.5}, ...]} says.
+
+        Raises
+        ------
+        VoxtoolError : what is wrong with it, and with which point.
+        """
+        try:
+            found = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise VoxtoolError(f"transfer function: no JSON: {printable(error)[:80]}") from None
+        points = found.get("points") if isinstance(found, dict) and len(found) == 1 else None
+        if not isinstance(points, list):
+            raise VoxtoolError('transfer function: {"points": [...]} is expected, and nothing else')
+        for number, point in enumerate(points, 1):
+            if wrong := _wrong_with(point):
+                raise VoxtoolError(f"transfer function, point {number}: {wrong}")
+        scalars, colours, extinctions = (np.array([point[key] for point in points]) for key in KEYS)
+        return TransferFunction(scalars, colours.reshape(-1, 3), extinctions)
+
+    def to_json(self) -> str:
+        """The text that from_json reads."""
+        points = zip(
+            self.scalars.tolist(), self.colours.tolist(), self.extinctions.tolist(), strict=True
+        )
+        return json.dumps(
+            {"points": [{"scalar": s, "color": c, "extinction": e} for s, c, e in points]}, indent=1
+        )
+
+    def evaluate(self, scalars: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Colours (..., 3) and extinctions (...,) float64 of scalars."""
+        scalars = np.asarray(scalars, np.float64)
+        interval = np.searchsorted(self.scalars, scalars, side="right")
+        low = np.clip(interval - 1, 0, None)
+        high = np.clip(interval, None, len(self.scalars) - 1)
+        width = self.scalars[high] - self.scalars[low]
+        w = np.divide(
+            scalars - self.scalars[low], width, out=np.zeros(scalars.shape), where=width > 0
+        )
+        w = np.clip(w, 0, 1)
+        colours = self.colours[low] + (self.colours[high] - self.colours[low]) * w[..., None]
+        return colours, self.extinctions[low] + (self.extinctions[high] - self.extinctions[low]) * w
+
+    def local(self, volume: TetVolume) -> LocalTransfer:
+        """The same for the device: of normalised scalars and local lengths.
+
+        Raises
+        ------
+        VoxtoolError : an extinction that float32 does not hold.
+        """
+        with np.errstate(over="ignore"):
+            local = self.extinctions * volume.scale
+        if (local > LARGEST).any():
+            at = int(local.argmax())
+            raise VoxtoolError(
+                f"transfer function, point {at + 1}: extinction {self.extinctions[at]:g} is more "
+                f"than float32 holds on a mesh of size {volume.scale:g}: choose a smaller one"
+            )
+        low, high = volume.scalar_range
+        shown = self._within(low, high)
+        points = (shown.scalars - low) / ((high - low) or 1.0)
+        points = np.where(points < TINY, 0, points).astype(np.float32)
+        values = np.column_stack([shown.colours, shown.extinctions * volume.scale])
+        values = np.where(values < TINY, 0, values).astype(np.float32)
+        below = np.concatenate([[0], np.arange(len(points))])
+        above = np.minimum(below + 1, len(points) - 1)
+        above[0] = 0
+        width = points[above] - points[below]
+        wide = width > 1 / LARGEST
+        rows = np.zeros((len(points) + 1, ROW), np.float32)
+        rows[:, 0] = points[below]
+        rows[wide, 1] = 1 / width[wide]
+        rows[:, 2:6] = values[below]
+        rows[wide, 6:10] = values[above][wide] - values[below][wide]
+        return LocalTransfer(points, rows)
+
+    def _within(self, low: float, high: float) -> TransferFunction:
+        """The same from low to high. Elsewhere it is constant: float32 would spoil a scalar between
+        points that are far apart."""
+        first, last = np.searchsorted(self.scalars, [low, high], side="right")
+        front = [low] if first > 0 else []
+        inner = self.scalars[first:last]
+        back = [high] if last < len(self.scalars) and high not in (*front, *inner) else []
+        colours, extinctions = self.evaluate(np.array([*front, *back]))
+        there = len(front)
+        return TransferFunction(
+            np.concatenate([front, inner, back]),
+            np.concatenate([colours[:there], self.colours[first:last], colours[there:]]),
+            np.concatenate(
+                [extinctions[:there], self.extinctions[first:last], extinctions[there:]]
+            ),
+        )
+
+
+def _wrong_with(point: Any) -> str:
+    """What is wrong with a control point of JSON, or ""."""
+    if not isinstance(point, dict):
+        return "an object is expected"
+    for key in KEYS:
+        if key not in point:
+            return f"it has no {key}"
+    for key in point:
+        if key not in KEYS:
+            return f"{printable(key)[:40]!r} is unknown: it has {', '.join(KEYS)}"
+    colour = point["color"]
+    if not (isinstance(colour, list) and len(colour) == 3 and all(map(_is_number, colour))):
+        return "its color is not a list of three numbers"
+    for key in ("scalar", "extinction"):
+        if not _is_number(point[key]):
+            return f"its {key} is not a number"
+    return ""
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+@dataclass(frozen=True, eq=False)
+class LocalTransfer:
+    """A transfer function of normalised scalars, per local length, for kernels/tets/transfer.h.
+
+    points : (K,) float32. rows : (K + 1, ROW) float32, one an interval, the first below all points:
+    the scalar at its low end, 1 / width, red, green, blue and extinction there, and by how much
+    these are more at its high end.
+    """
+
+    points: np.ndarray
+    rows: np.ndarray
+
+    def crossings(self) -> np.ndarray:
+        """(K + 1, K + 1, 2) int64: the text's 2-D texture (figure 28) by the intervals of s_f and
+        s_b: the control points that a ray crosses first and next, or -1.
+
+        It is what cut() of kernels/tets/transfer.h works out: the near end of the interval, and the
+        one after it.
+        """
+        count = len(self.points)
+        front, back = np.indices((count + 1, count + 1))
+        up, down = back > front, back < front
+        first = np.where(up, front, np.where(down, front - 1, -1))
+        following = np.where(up, front + 1, np.where(down, front - 2, -1))
+        return np.stack(
+            [first, np.where((following < 0) | (following >= count), -1, following)], -1
+        )
+
+    def transparent(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """(N,) bool: whether nothing is to be seen of the scalars from low to high, ends included.
+
+        low, high : (N,) float32, normalised.
+        """
+        first = np.searchsorted(self.points, low, side="right")
+        last = np.searchsorted(self.points, high, side="right")
+        # of the interval that begins at `high`, only that scalar is in the range
+        start, change = self.rows[:, 5], self.rows[:, 9]
+        begins = (last > 0) & (high == self.points[last - 1]) & (start[last] == 0)
+        last = np.where(begins, last, last + 1)
+        seen = (start != 0) | (change != 0)
+        seen[1:-1] &= self.points[1:] > self.points[:-1]  # a step holds no scalar
+        before = np.concatenate([[0], np.cumsum(seen)])
+        return before[last] == before[first]
+
+
+# --- named maps ----------------------------------------------------------------------------------
+
+# Colours at equal distances, hexadecimal: viridis and inferno after S. van der Walt and N. Smith
+# (2015), coolwarm of K. Moreland, "Diverging Color Maps for Scientific Visualization" (2009), turbo
+# after A. Mikhailov (2019). Between them they are linear, at most 0.07 off the published map.
+MAPS = {
+    "viridis": "440154 472d7b 3b528b 2c728e 21918c 28ae80 5ec962 addc30 fde725",
+    "inferno": "000004 210c4a 57106e 8a226a bc3754 e45a31 f98e09 f9cb35 fcffa4",
+    "coolwarm": "3b4cc0 6282ea 8db0fe b8d0f9 dddddd f5c4ad f49a7b de604d b40426",
+    "turbo": "30123b 4559cb 3e9bfe 19d5cd 46f884 a4fc3c e1dd37 fea431 f05b12 c32503 7a0403",
+    "gray": "000000 ffffff",
+}
+DEFAULT_MAP = "viridis"
+DEPTH = 24  # of a mesh's longest side a unit distance is, by default
+
+
+def named(
+    name: str,
+    low: float,
+    high: float,
+    unit_distance: float,
+    opacity_range: Sequence[float] | None = None,
+) -> TransferFunction:
+    """A map of colours over a range of scalars, and a ramp of extinction.
+
+    Parameters
+    ----------
+    name : one of MAPS; low, high : scalars at its ends.
+    unit_distance : world units of which full extinction leaves 1/e of the light.
+    opacity_range : the scalars at which extinction is 0 and full, in either order; linear between
+        them and constant beyond. If they are the same, full from there on. By default low and high.
+
+    Raises
+    ------
+    VoxtoolError : no such map, or numbers that make none.
+    """
+    if name not in MAPS:
+        raise VoxtoolError(f"map {printable(name)!r} is unknown: choose {', '.join(MAPS)}")
+    if not (0 < unit_distance < np.inf and 1 / unit_distance < np.inf):
+        raise VoxtoolError(f"unit distance {unit_distance:g}: give a positive length")
+    clear, full = (low, high) if opacity_range is None else opacity_range
+    if not (low <= high and all(abs(s) < FARTHEST for s in (low, high, clear, full))):
+        raise VoxtoolError(
+            f"scalars from {low:g} to {high:g}, opacity from {clear:g} to {full:g}: give finite "
+            "ranges"
+        )
+    colours = np.array([list(bytes.fromhex(word)) for word in MAPS[name].split()]) / 255
+    at = low + (high - low) * np.arange(len(colours)) / (len(colours) - 1)
+    if low == high:
+        at, colours = at[:1], colours[len(colours) // 2 :][:1]
+    at, own = np.unique(at, return_index=True)
+    scalars = np.unique(np.concatenate([at, [clear, full]]))
+    if clear == full:
+        scalars = np.sort(np.append(scalars, full))  # a step
+        ramp = np.arange(len(scalars)) >= np.searchsorted(scalars, full, side="right") - 1
+    else:
+        ramp = np.clip((scalars - clear) / (full - clear), 0, 1)
+    smooth, _ = TransferFunction(at, colours[own], np.zeros(len(at))).evaluate(scalars)
+    return TransferFunction(scalars, smooth, ramp / unit_distance)
+
+
+def default_unit_distance(volume: TetVolume) -> float:
+    """World units, by the mesh's size."""
+    low, high = volume.bounds()
+    return float((high - low).max()) / DEPTH
+
+
+def default(volume: TetVolume) -> TransferFunction:
+    """A transfer function that shows something of any data."""
+    return named(DEFAULT_MAP, *volume.scalar_range, default_unit_distance(volume))
