@@ -10,6 +10,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import helpers_tets
 import meshes
 import pytest
 from helpers_cli import ENVIRONMENT, MODULE, ROOT, write_obj
@@ -66,8 +67,8 @@ def model(name: str) -> Path:
 
 @pytest.fixture(scope="session")
 def models(tmp_path_factory) -> Path:
-    """bunny.obj, bunny.svo.h5 (128, solid), bunny.adf.h5 (level 5), points.csv, and open.obj, a box
-    without a lid."""
+    """bunny.obj, bunny.svo.h5 (128, solid), bunny.adf.h5 (level 5), points.csv, open.obj, a box
+    without a lid, volume.vtu and volume.tet.h5 (density)."""
     folder = tmp_path_factory.mktemp("models")
     spec = importlib.util.spec_from_file_location("make_bunny", ROOT / "examples/make_bunny.py")
     assert spec
@@ -77,7 +78,12 @@ def models(tmp_path_factory) -> Path:
     write_obj(folder / "bunny.obj", *example.make_bunny(3000))
     write_obj(folder / "open.obj", *meshes.open_box(0, (4, 3, 2)))
     (folder / "points.csv").write_text("x,y,z\n0,1,0\n0.5,2,0.25\n")
-    for words in ("voxelize bunny.obj --dim 128 -q", "adf-build bunny.obj --max-level 5 -q"):
+    helpers_tets.write_vtu(folder / "volume.vtu")
+    for words in (
+        "voxelize bunny.obj --dim 128 -q",
+        "adf-build bunny.obj --max-level 5 -q",
+        "tet-build volume.vtu --scalar density -q",
+    ):
         subprocess.run([*MODULE, *words.split()], cwd=folder, env=ENVIRONMENT, check=True)
     return folder
 

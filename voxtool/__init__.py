@@ -28,13 +28,26 @@ if TYPE_CHECKING:
         MeshError,
         VoxtoolError,
     )
-    from voxtool.files import export, read_adf, read_svo, write_adf, write_mesh, write_svo
+    from voxtool.files import (
+        export,
+        read_adf,
+        read_svo,
+        read_tet,
+        read_unstructured,
+        write_adf,
+        write_mesh,
+        write_svo,
+        write_tet,
+    )
     from voxtool.grid import Grid
     from voxtool.mesh import Mesh, load_mesh, mesh_from_arrays
     from voxtool.opencl import list_devices, open_device
     from voxtool.svo.isosurface import Isosurface, extract, plan_extract
     from voxtool.svo.octree import Octree
     from voxtool.svo.voxelize import plan_voxelize, voxelize
+    from voxtool.tets.mesh import UnstructuredMesh
+    from voxtool.tets.textures import build_tet, plan_tet
+    from voxtool.tets.volume import TetVolume
 
 _HOMES = {
     "voxtool.adf.build": ("build_adf", "plan_adf"),
@@ -53,9 +66,12 @@ _HOMES = {
         "export",
         "read_adf",
         "read_svo",
+        "read_tet",
+        "read_unstructured",
         "write_adf",
         "write_mesh",
         "write_svo",
+        "write_tet",
     ),
     "voxtool.grid": ("Grid",),
     "voxtool.mesh": ("Mesh", "load_mesh", "mesh_from_arrays"),
@@ -63,6 +79,9 @@ _HOMES = {
     "voxtool.svo.isosurface": ("Isosurface", "extract", "plan_extract"),
     "voxtool.svo.octree": ("Octree",),
     "voxtool.svo.voxelize": ("plan_voxelize", "voxelize"),
+    "voxtool.tets.mesh": ("UnstructuredMesh",),
+    "voxtool.tets.textures": ("build_tet", "plan_tet"),
+    "voxtool.tets.volume": ("TetVolume",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -79,9 +98,12 @@ __all__ = [
     "Mesh",
     "MeshError",
     "Octree",
+    "TetVolume",
+    "UnstructuredMesh",
     "VoxtoolError",
     "__version__",
     "build_adf",
+    "build_tet",
     "diagnose",
     "export",
     "extract",
@@ -91,14 +113,18 @@ __all__ = [
     "open_device",
     "plan_adf",
     "plan_extract",
+    "plan_tet",
     "plan_voxelize",
     "query_adf",
     "read_adf",
     "read_svo",
+    "read_tet",
+    "read_unstructured",
     "voxelize",
     "write_adf",
     "write_mesh",
     "write_svo",
+    "write_tet",
 ]
 
 

@@ -20,6 +20,8 @@ COMMANDS = {
     "adf-build": "voxtool.cli.adf_build",
     "adf-query": "voxtool.cli.adf_query",
     "adf-info": "voxtool.cli.adf_info",
+    "tet-build": "voxtool.cli.tet_build",
+    "render": "voxtool.cli.render",
     "export": "voxtool.cli.export",
     "devices": "voxtool.cli.devices",
     "bench": "voxtool.cli.bench",

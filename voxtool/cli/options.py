@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from voxtool.opencl.device import DeviceInfo
     from voxtool.plan.extraction import ExtractionPlan
     from voxtool.plan.field import FieldPlan
+    from voxtool.plan.rendering import RenderPlan
     from voxtool.plan.voxelization import Plan
 
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -212,7 +213,7 @@ def tell(message: str) -> None:
 
 
 def warn_if_refused(
-    plan: Plan | ExtractionPlan | FieldPlan, max_memory: int | None, device: Device
+    plan: Plan | ExtractionPlan | FieldPlan | RenderPlan, max_memory: int | None, device: Device
 ) -> None:
     """What is planned may be more than there is memory for."""
     try:

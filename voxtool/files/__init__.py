@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
     from voxtool.mesh import Mesh
     from voxtool.svo.octree import Octree
+    from voxtool.tets.mesh import UnstructuredMesh
+    from voxtool.tets.volume import TetVolume
 
     Content = TypeVar("Content")
     Reader = Callable[[BinaryIO, int], Content]
@@ -37,10 +39,14 @@ __all__ = [
     "export",
     "format_of",
     "read_adf",
+    "read_scene",
     "read_svo",
+    "read_tet",
+    "read_unstructured",
     "write_adf",
     "write_mesh",
     "write_svo",
+    "write_tet",
 ]
 
 # Format names and extensions: the module, and its function where it is not `write`.
@@ -53,13 +59,25 @@ SVO_FORMATS = {
     "xml.gz": ("svo_xml", "write_gz"),
 }
 ADF_FORMATS = {"adf.h5": ("adf_hdf5", "write"), "h5": ("adf_hdf5", "write")}
+TET_FORMATS = {"tet.h5": ("tet_hdf5", "write"), "h5": ("tet_hdf5", "write")}
 EXPORTS = {name: (name, "write") for name in ("npy", "npz", "vti", "png")}
 MESH_FORMATS = {name: ("surface", f"write_{name}") for name in ("obj", "ply", "stl", "glb", "off")}
 NORMAL_FORMATS = ("obj", "ply", "glb")  # of these, those that hold a normal a vertex
-STREAM_FORMATS = ("svo.h5", "adf.h5", "obj")  # what stdout gets where no format is named
+STREAM_FORMATS = ("svo.h5", "adf.h5", "tet.h5", "obj")  # what stdout gets where no format is named
 TEXT_FORMATS = ("svo.xml", "xml", "obj", "off")  # fit for a terminal
 
 MESH_EXTENSIONS = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".3mf", ".dae", ".xyz")
+# Meshes of volume cells: extensions, and what meshio calls the formats.
+VOLUME_FORMATS = {
+    ".vtu": "vtu",
+    ".vtk": "vtk",
+    ".msh": "gmsh",
+    ".mesh": "medit",
+    ".inp": "abaqus",
+    ".ex2": "exodus",
+    ".exo": "exodus",
+    ".e": "exodus",
+}
 MESH_OPENINGS = (b"ply\n", b"ply\r", b"solid ", b"OFF\n", b"OFF\r", b"glTF", b"#", b"v ")
 EXPORT_EXTENSIONS = tuple(f".{name}" for name in EXPORTS)
 
@@ -117,6 +135,66 @@ def write_adf(
         is out of range or does not fit.
     """
     _write(field, path, clobber, format or format_of(path, ADF_FORMATS), ADF_FORMATS)
+
+
+def read_tet(path: PathLike) -> TetVolume:
+    """Read a tetrahedral volume; `-` reads stdin. The format is recognised by content, not by name.
+
+    Raises
+    ------
+    FileError : no such file, or one that is damaged, hostile or of another kind.
+    """
+    return _read(path, _tet_reader)
+
+
+def write_tet(
+    volume: TetVolume, path: PathLike, clobber: bool = True, format: str | None = None
+) -> None:
+    """Write a tetrahedral volume as HDF5 (.tet.h5); `-` writes stdout.
+
+    Parameters
+    ----------
+    clobber : False refuses an existing file.
+    format : "tet.h5", whatever the name says.
+
+    Raises
+    ------
+    FileError : the file cannot be written, its name says no format, or an attribute of the volume
+        is out of range or does not fit.
+    """
+    _write(volume, path, clobber, format or format_of(path, TET_FORMATS), TET_FORMATS)
+
+
+def read_unstructured(
+    path: PathLike, scalar: str | None = None, component: str | int | None = None
+) -> UnstructuredMesh:
+    """Read a mesh of volume cells and one of its arrays, through meshio (the extra `tets`).
+
+    Parameters
+    ----------
+    path : a .vtu, .vtk, .msh (Gmsh), .mesh (Medit), .inp (Abaqus, AVS UCD) or .ex2, .exo, .e
+        (Exodus II) file.
+    scalar : the name of an array at points, or else at cells; None takes the only one there is.
+    component : of an array of vectors: "x", "y", "z", a number from 0, or "magnitude".
+
+    Raises
+    ------
+    FileError : the file cannot be read, meshio is not installed, or there is no such array or
+        component.
+    """
+    from voxtool.files.unstructured import read
+
+    return read(path, scalar, component)
+
+
+def read_scene(path: PathLike) -> Octree | DistanceField | TetVolume:
+    """Read an octree, a distance field or a tetrahedral volume, whichever it is; `-` reads stdin.
+
+    Raises
+    ------
+    FileError : no such file, or one that is damaged, hostile or of another kind.
+    """
+    return _read(path, _scene_reader)
 
 
 def export(
@@ -194,7 +272,8 @@ def format_of(path: PathLike, formats: Iterable[str]) -> str:
             if default in formats:
                 return default
     name = os.fspath(path).lower()
-    for extension in sorted({*formats, *SVO_FORMATS, *ADF_FORMATS}, key=len, reverse=True):
+    endings = {*formats, *SVO_FORMATS, *ADF_FORMATS, *TET_FORMATS}
+    for extension in sorted(endings, key=len, reverse=True):
         if name.endswith(f".{extension}"):  # the longest: .svo.h5 is no .h5 of another kind
             if extension in formats:
                 return extension
@@ -236,6 +315,8 @@ def _svo_reader(name: str, opening: bytes) -> Reader[Octree]:
         return svo_hdf5.read
     if opening.startswith(svo_xml.GZIP_MAGIC):
         return svo_xml.read_gz
+    if _is_volume_mesh(name):
+        raise _no_textures(name)
     if _is_mesh(name, opening):
         raise FileError(f"{name} is a mesh: voxelize it first (voxtool voxelize {name})")
     if opening.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
@@ -250,11 +331,58 @@ def _adf_reader(name: str, opening: bytes) -> Reader[DistanceField]:
 
     if opening.startswith(hdf5.SIGNATURE):
         return adf_hdf5.read
+    if _is_volume_mesh(name):
+        raise _no_textures(name)
     if _is_mesh(name, opening):
         raise FileError(f"{name} is a mesh: build a field first: voxtool adf-build {name}")
     if name.lower().endswith((".svo.xml", ".svo.xml.gz")):
         raise FileError(f"{name} is an octree: build a field first: voxtool adf-build MESH")
     raise FileError(f"{name} is no distance field: expected HDF5 (.adf.h5)")
+
+
+def _tet_reader(name: str, opening: bytes) -> Reader[TetVolume]:
+    from voxtool.files import hdf5, tet_hdf5
+
+    if opening.startswith(hdf5.SIGNATURE) and not _is_volume_mesh(name):
+        return tet_hdf5.read
+    if _is_volume_mesh(name):
+        raise _no_textures(name)
+    if _is_mesh(name, opening):
+        raise FileError(
+            f"{name} is a mesh of triangles: a volume is built of tetrahedra or hexahedra: voxtool "
+            "tet-build MESH.vtu"
+        )
+    raise FileError(f"{name} is no tetrahedral volume: expected HDF5 (.tet.h5)")
+
+
+def _no_textures(name: str) -> FileError:
+    return FileError(
+        f"{name} is a mesh of volume cells: build its textures first: voxtool tet-build {name}"
+    )
+
+
+def _scene_reader(name: str, opening: bytes) -> Reader[Octree | DistanceField | TetVolume]:
+    from voxtool.files import adf_hdf5, hdf5, svo_hdf5, tet_hdf5
+
+    if _is_volume_mesh(name):
+        raise _no_textures(name)
+    if opening.startswith(hdf5.SIGNATURE):
+        readers = {
+            svo_hdf5.FORMAT: svo_hdf5.read,
+            adf_hdf5.FORMAT: adf_hdf5.read,
+            tet_hdf5.FORMAT: tet_hdf5.read,
+        }
+        return lambda file, size: hdf5.read_by_format(file, size, readers)
+    if _is_mesh(name, opening):
+        raise FileError(
+            f"{name} is a mesh: make an octree or a field of it first: voxtool voxelize {name}, or "
+            f"voxtool adf-build {name}"
+        )
+    return _svo_reader(name, opening)
+
+
+def _is_volume_mesh(name: str) -> bool:
+    return name.lower().endswith(tuple(VOLUME_FORMATS))
 
 
 def _is_mesh(name: str, opening: bytes) -> bool:
@@ -265,7 +393,7 @@ def _is_mesh(name: str, opening: bytes) -> bool:
 
 
 def _write(
-    content: Octree | DistanceField | Mesh,
+    content: Octree | DistanceField | TetVolume | Mesh,
     path: PathLike,
     clobber: bool,
     format: str,

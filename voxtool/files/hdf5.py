@@ -102,6 +102,28 @@ def check_format(h5: Any, format: str, version: str, what: str, mend: str) -> No
     check_version(attribute(h5, "format_version", TEXT, VERSION_LIMIT), version)
 
 
+def read_by_format(
+    file: BinaryIO, size: int, readers: dict[str, Callable[[BinaryIO, int], Content]]
+) -> Content:
+    """What the reader for the format that a file of `size` bytes names makes of it.
+
+    Raises
+    ------
+    FileError : it names none of these, or what the reader says.
+    """
+
+    def named(h5: Any, size: int) -> str:
+        if not _library().h5a.exists(h5.id, b"format"):
+            raise FileError(f"an HDF5 file without an attribute format: {known}")
+        return attribute(h5, "format", TEXT, FORMAT_LIMIT)
+
+    known = f"expected one of {', '.join(readers)}"
+    format = read(file, size, named)
+    if format not in readers:
+        raise FileError(f"holds {format!r}: {known}")
+    return readers[format](file, size)
+
+
 def attribute(h5: Any, name: str, kind: type, limit: int) -> Any:
     """An attribute of the root group, its type and size checked before it is read.
 

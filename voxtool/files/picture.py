@@ -1,0 +1,164 @@
+"""Pictures: premultiplied colour and opacity, as PNG of 8 or 16 bits or as they are (.npy).
+
+A picture is (H, W, 4) float32, top row first: red, green and blue times opacity, and opacity, from
+0 to 1. Written, a value v is the integer floor(v (2**bits - 1) + 1/2), in float64: what is computed
+is stored as it is, without a gamma. Over a background B the colour is C + (1 - A) B; without one,
+PNG wants the straight colour C / A, and 0 where the opacity rounds to 0.
+
+Pillow writes colours of 8 bits only, so pypng writes those of 16.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+
+from voxtool.errors import FileError, VoxtoolError
+from voxtool.files.atomic import atomic_path
+from voxtool.files.streams import STREAM, PathLike, standard_output
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+FORMATS = ("png", "npy")
+BITS = {8: np.uint8, 16: np.uint16}
+WHITE = (1.0, 1.0, 1.0)
+BAND = 64  # rows that are rounded at once, so that the float64 of a large picture fit
+
+
+def write_picture(
+    picture: np.ndarray,
+    path: PathLike,
+    *,
+    bits: int = 8,
+    background: Sequence[float] | None = WHITE,
+    clobber: bool = True,
+    format: str = "png",
+) -> None:
+    """Write a picture; `-` writes stdout.
+
+    Parameters
+    ----------
+    picture : (H, W, 4) float32, premultiplied.
+    bits, background : of a png: 8 or 16 a value, and red, green and blue from 0 to 1, or None for
+        a transparent picture.
+    clobber : False refuses an existing file.
+    format : "png", or "npy" for the picture as it is.
+
+    Raises
+    ------
+    FileError : Pillow or pypng is missing, or the file cannot be written.
+    VoxtoolError : it is no picture.
+    """
+    check_picture(picture)
+    if format == "png":
+        check_writer(bits)
+    with ExitStack() as stack:
+        if path == STREAM:
+            file: BinaryIO = stack.enter_context(standard_output(text=False))
+        else:
+            temporary = stack.enter_context(atomic_path(path, clobber))
+            file = stack.enter_context(open(temporary, "wb"))
+        if format == "npy":
+            np.lib.format.write_array(file, picture, (1, 0), allow_pickle=False)
+        else:
+            _write_png(rounded(picture, bits, background), file)
+
+
+def check_picture(picture: np.ndarray) -> None:
+    """Refuse what is no picture.
+
+    Raises
+    ------
+    VoxtoolError : another shape or type, or a value that is not finite.
+    """
+    if picture.ndim != 3 or picture.shape[2] != 4 or picture.dtype != np.float32:
+        raise VoxtoolError(
+            f"an array of shape {picture.shape} and type {picture.dtype} is no picture: those are "
+            "(height, width, 4) float32"
+        )
+    if not np.isfinite(picture).all():
+        raise VoxtoolError("a picture with values that are not finite: report what made it")
+
+
+def check_writer(bits: int) -> None:
+    """Refuse early what could not be written later.
+
+    Raises
+    ------
+    FileError : Pillow, or for 16 bits pypng, is missing.
+    """
+    library, module = ("Pillow", "PIL") if bits == 8 else ("pypng", "png")
+    try:
+        import_module(module)
+    except ImportError:
+        raise FileError(
+            f"pictures of {bits} bits need {library}: pip install 'voxtool[pictures]'"
+        ) from None
+
+
+def averaged(picture: np.ndarray, samples: int) -> np.ndarray:
+    """The picture of 1 / samples the size, each pixel the mean of samples x samples, row by row.
+
+    Parameters
+    ----------
+    picture : (samples H, samples W, 4) float32.
+
+    Returns
+    -------
+    (H, W, 4) float32, rounded once from float64.
+    """
+    if samples == 1:
+        return picture
+    total = np.zeros((picture.shape[0] // samples, picture.shape[1] // samples, 4))
+    for row in range(samples):
+        for column in range(samples):
+            total += picture[row::samples, column::samples]
+    return (total / samples**2).astype(np.float32)
+
+
+def rounded(
+    picture: np.ndarray, bits: int = 8, background: Sequence[float] | None = WHITE
+) -> np.ndarray:
+    """The integers of a picture.
+
+    Returns
+    -------
+    (H, W, 3) uint8 or uint16 over the background, or (H, W, 4) with straight alpha without one.
+    """
+    height, width, _ = picture.shape
+    pixels = np.empty((height, width, 3 if background is not None else 4), BITS[bits])
+    for first in range(0, height, BAND):
+        band = picture[first : first + BAND].astype(np.float64)
+        colour, opacity = band[..., :3], np.clip(band[..., 3:], 0, 1)
+        if background is not None:
+            values = colour + (1 - opacity) * np.asarray(background, np.float64)
+        else:
+            seen = _integers(opacity, bits) > 0
+            values = np.zeros_like(band)
+            np.divide(colour, opacity, out=values[..., :3], where=seen)
+            values[..., 3:] = opacity
+        pixels[first : first + BAND] = _integers(values, bits)
+    return pixels
+
+
+def _integers(values: np.ndarray, bits: int) -> np.ndarray:
+    """Half is rounded up."""
+    return np.floor(np.clip(values, 0, 1) * ((1 << bits) - 1) + 0.5)
+
+
+def _write_png(pixels: np.ndarray, file: BinaryIO) -> None:
+    height, width, channels = pixels.shape
+    if pixels.dtype == np.uint8:
+        from PIL import Image
+
+        Image.fromarray(pixels).save(file, "PNG")
+        return
+    import png
+
+    kind: Any = {"greyscale": False, "alpha": channels == 4, "bitdepth": 16}
+    writer = png.Writer(width, height, **kind)
+    writer.write_packed(file, (row.astype(">u2").tobytes() for row in pixels))

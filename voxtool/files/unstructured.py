@@ -1,0 +1,226 @@
+"""Unstructured meshes of volume cells with a scalar, read through meshio (the extra `tets`).
+
+A file is not trusted: XML is scanned before meshio parses it, and whatever meshio raises, prints or
+exits with becomes one line. What the cells and the scalars themselves are is checked by
+voxtool.tets.mesh, which any mesh passes.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import os
+import warnings
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any, NoReturn
+from xml.parsers import expat
+
+import numpy as np
+
+from voxtool.errors import FileError, printable
+from voxtool.files import VOLUME_FORMATS
+from voxtool.files.streams import STREAM, PathLike, read_error
+from voxtool.tets.mesh import UnstructuredMesh
+
+if TYPE_CHECKING:
+    from typing import BinaryIO
+
+AXES = ("x", "y", "z")
+MAGNITUDE = "magnitude"
+PACKED = 1032  # bytes that one byte of zlib can become
+SCAN = 1 << 20  # bytes of XML at a time
+
+
+def read(path: PathLike, scalar: str | None, component: str | int | None) -> UnstructuredMesh:
+    """Read an unstructured mesh and one of its arrays, as voxtool.files.read_unstructured.
+
+    Raises
+    ------
+    FileError : the file cannot be read, meshio is not installed, or there is no such array or
+        component.
+    """
+    if path == STREAM:
+        raise FileError("a volume cannot be read from stdin: name a file, such as mesh.vtu")
+    path = os.fspath(path)
+    name = printable(PurePath(path).name)
+    try:
+        with open(path, "rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            if not size:
+                raise FileError(f"{name} is empty")
+            kind = _kind(name, file)
+            if kind == "vtu":
+                _scan_xml(name, file, size)
+            file.seek(0)
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        found = _through_meshio(name, path, kind)
+    except OSError as error:
+        raise read_error(name, error) from error
+    points = np.asarray(found.points, np.float64)
+    if points.ndim == 2 and points.shape[1] == 2:
+        points = np.pad(points, ((0, 0), (0, 1)))
+    chosen, arrays, at_points = _array(name, found, scalar)
+    numbers, label = _scalars(name, chosen, arrays, component)
+    return UnstructuredMesh(
+        points,
+        [(block.type, np.asarray(block.data)) for block in found.cells],
+        numbers[0] if at_points else numbers,
+        label,
+        source_sha256=digest,
+        name=name,
+    )
+
+
+def _kind(name: str, file: BinaryIO) -> str:
+    """What meshio calls the format of a file."""
+    extension = PurePath(name).suffix.lower()
+    if name.lower().endswith((".tet.h5", ".svo.h5", ".adf.h5")):
+        raise FileError(f"{name} is no mesh: name the file that it was made from")
+    if extension not in VOLUME_FORMATS:
+        known = ", ".join(VOLUME_FORMATS)
+        raise FileError(f"{name}: no mesh of volume cells has this ending: give one of {known}")
+    kind = VOLUME_FORMATS[extension]
+    if kind == "abaqus" and not file.read(4096).lstrip().startswith(b"*"):
+        return "avsucd"  # the same ending
+    return kind
+
+
+# ---- arrays
+
+
+def _array(name: str, read: Any, scalar: str | None) -> tuple[str, list[np.ndarray], bool]:
+    """The name of the array, its parts, and whether it is one at points."""
+    arrays = {key: (list(parts), False) for key, parts in read.cell_data.items()}
+    arrays |= {key: ([values], True) for key, values in read.point_data.items()}
+    there = ", ".join(printable(key) for key in sorted(arrays))
+    if not arrays:
+        raise FileError(f"{name}: holds no arrays, only cells: export it with its scalars")
+    if scalar is None and len(arrays) > 1:
+        raise FileError(f"{name}: which array? Name one of {there} (--scalar)")
+    chosen = next(iter(arrays)) if scalar is None else scalar
+    if chosen not in arrays:
+        raise FileError(f"{name}: has no array {chosen!r}: name one of {there} (--scalar)")
+    return printable(chosen), *arrays[chosen]
+
+
+def _scalars(
+    name: str, chosen: str, arrays: list[np.ndarray], component: str | int | None
+) -> tuple[list[np.ndarray], str]:
+    """One float64 an item of the arrays, which are the parts of one; and what they are called."""
+    arrays = [np.asarray(array) for array in arrays]
+    if any(array.dtype.kind not in "biuf" for array in arrays):
+        raise FileError(f"{name}: {chosen} holds no real numbers ({arrays[0].dtype})")
+    rows = [array.reshape(len(array), -1).astype(np.float64) for array in arrays]
+    count = max((array.shape[1] for array in rows if len(array)), default=1)
+    if any(array.shape[1] != count for array in rows if len(array)):
+        raise FileError(f"{name}: {chosen} has not the same number of components everywhere")
+    if count == 1:
+        if component is not None:
+            raise FileError(f"{name}: {chosen} is a scalar: leave --component out")
+        return [array.reshape(-1) for array in rows], chosen
+    named = [*AXES[: count if count <= len(AXES) else 0], *map(str, range(count)), MAGNITUDE]
+    if component is None or str(component) not in named:
+        asked = "which component" if component is None else f"no component {component!r}"
+        raise FileError(
+            f"{name}: {chosen} has {count} components, {asked}: --component {'|'.join(named)}"
+        )
+    label = f"{chosen} {component}"
+    if component == MAGNITUDE:
+        return [_magnitude(array) for array in rows], label
+    column = AXES.index(component) if component in AXES else int(component)
+    return [array[:, column] if len(array) else array[:, 0] for array in rows], label
+
+
+def _magnitude(rows: np.ndarray) -> np.ndarray:
+    total = np.zeros(len(rows))
+    for column in rows.T:
+        total += column * column
+    return np.sqrt(total)
+
+
+# ---- meshio
+
+
+def _through_meshio(name: str, path: str, kind: str) -> Any:
+    """The mesh as meshio reads it; what it prints is said as warnings."""
+    try:
+        import meshio
+    except ImportError:
+        raise FileError(
+            f"{name}: meshio reads it, which is not installed: pip install 'voxtool[tets]'"
+        ) from None
+    said, told = io.StringIO(), io.StringIO()
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(told):
+            read = meshio.read(path, file_format=kind)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # it prints why, and exits
+        reason = said.getvalue() if isinstance(error, SystemExit) else f"{error}"
+        reason = printable(" ".join(reason.split()))[:200]
+        raise FileError(
+            f"{name}: meshio cannot read it as {kind}{reason and ': '}{reason}: it may be damaged, "
+            "or have cells that meshio does not know: export it again"
+        ) from None
+    for line in filter(None, told.getvalue().split("\n\n")):
+        warnings.warn(f"{name}: {printable(' '.join(line.split()))}", stacklevel=4)
+    return read
+
+
+# ---- XML
+
+
+class _Scanned(Exception):
+    """What is needed of an XML file has been seen."""
+
+
+def _scan_xml(name: str, file: BinaryIO, size: int) -> None:
+    """Refuse a .vtu that no parser should open, or that meshio would read in part.
+
+    Raises
+    ------
+    FileError : it declares a document type or entities, several pieces, or more points or cells
+        than its bytes can hold.
+    """
+    pieces: list[dict[str, str]] = []
+    packed = False
+
+    def doctype(*_: object) -> NoReturn:
+        raise FileError(f"{name}: declares a document type or entities, which no .vtu needs")
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal packed
+        if tag == "AppendedData":  # what follows may be no XML
+            raise _Scanned
+        if tag == "VTKFile":
+            packed = "compressor" in attributes
+        if tag == "Piece":
+            pieces.append(attributes)
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = doctype
+    parser.EntityDeclHandler = doctype
+    parser.StartElementHandler = start
+    file.seek(0)
+    try:
+        for chunk in iter(lambda: file.read(SCAN), b""):
+            parser.Parse(chunk)
+        parser.Parse(b"", True)
+    except _Scanned:
+        pass
+    except expat.ExpatError as error:
+        raise FileError(f"{name}: damaged XML: {error}: export it again") from None
+    if len(pieces) > 1:
+        raise FileError(
+            f"{name}: has {len(pieces)} pieces, of which meshio would read the cells of one: merge "
+            "them"
+        )
+    for piece in pieces:
+        for what in ("NumberOfPoints", "NumberOfCells"):
+            count = piece.get(what, "")
+            if not count.isdecimal() or int(count) > size * (PACKED if packed else 1):
+                raise FileError(
+                    f"{name}: {what}={printable(count)[:40]!r} is no number that {size} bytes "
+                    "hold: the file is damaged"
+                )
