@@ -110,8 +110,10 @@ __kernel void project_cells(TEXTURES, __global const uchar *kept,
         const bool beside = fabs(f.w) <= LEAST_SCALE;
         const bool in_at_0 = f.x > 0 || (f.x == 0 && f.y < 0);
         const int side = beside ? in_at_0 ? BESIDE : BESIDE_AT_0 : f.w > 0 ? LEAVES : ENTERS;
-        const float3 abc = convert_float3(beside ? f.xyz : f.xyz / f.w);
-        vstore4((float4)(abc, as_float(side)), face, record);
+        // beside: in pixels, so that a line through their centres is exact
+        const double pixel = fabs(f.x) > fabs(f.y) ? fabs(f.x) : fabs(f.y);
+        const double scale = beside ? pixel > 0 ? pixel : 1 : f.w;
+        vstore4((float4)(convert_float3(f.xyz / scale), as_float(side)), face, record);
     }
     vstore4(scalar_on_rays(&view, scalar_of(&textures, cell)), FACES, record);
     vstore4((float4)(nearest, farthest, as_float(columns.x | columns.y << 16),

@@ -1,5 +1,5 @@
 """Other tools on the same work, where they are installed: mesh in memory to voxels in memory,
-octree in memory to surface in memory, and distances from points to a mesh."""
+octree in memory to surface in memory, distances from points to a mesh, and pictures of volumes."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ from voxtool.svo.octree import BRICK_SIDE, Octree
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from voxtool.camera import Rays
     from voxtool.grid import Grid
     from voxtool.mesh import Mesh
+    from voxtool.tets.transfer import TransferFunction
 
 
 def of(mesh: Mesh, grid: Grid, mode: str) -> dict[str, Callable[[], object]]:
@@ -209,3 +211,137 @@ def _igl_signed_distance(mesh: Mesh) -> DistancePeer | None:
         return distance
 
     return DistancePeer(f"libigl {importlib.metadata.version('libigl')}", build, True)
+
+
+@dataclass(frozen=True)
+class PicturePeer:
+    """What draws a tetrahedral volume.
+
+    draw : draws it; the first time also prepares what the volume needs.
+    picture : (H, W, 4) float64 premultiplied RGBA as it is shown, after it was drawn.
+    at : (N, 4) float64 likewise, what the rays of (N, 2) pixels, column and row, find.
+    """
+
+    name: str
+    draw: Callable[[], None]
+    picture: Callable[[], np.ndarray]
+    at: Callable[[np.ndarray], np.ndarray]
+
+
+def of_volume(
+    vertices: np.ndarray,
+    cells: np.ndarray,
+    scalars: np.ndarray,
+    transfer: TransferFunction,
+    rays: Rays,
+    *,
+    constant: bool = False,
+) -> list[PicturePeer]:
+    """The peers that draw what voxtool.bench.reference does, with the threads that they take by
+    themselves; none in perspective, in which VTK's scalars are wrong."""
+    if rays.perspective or _module("vtk") is None:
+        return []
+    return [_vtk_ray_cast(vertices, cells, scalars, transfer, rays, constant)]
+
+
+def missing_of_volume() -> list[str]:
+    """What pip calls those that are not installed."""
+    return [] if _module("vtk") else ["vtk"]
+
+
+def _vtk_ray_cast(
+    vertices: np.ndarray,
+    cells: np.ndarray,
+    scalars: np.ndarray,
+    transfer: TransferFunction,
+    rays: Rays,
+    constant: bool,
+) -> PicturePeer:
+    """vtkUnstructuredGridVolumeRayCastMapper with its linear integrator. (Partial pre-integration
+    crashes.)
+
+    Its picture has 8 bits, cut off, and is shown as a texture that is larger by a pixel in all; its
+    rays by themselves have float32.
+    """
+    vtk, support = _module("vtk"), _module("vtk.util.numpy_support")
+    points, array, grid = vtk.vtkPoints(), vtk.vtkCellArray(), vtk.vtkUnstructuredGrid()
+    points.SetData(support.numpy_to_vtk(np.asarray(vertices, np.float64), deep=True))
+    array.SetData(
+        support.numpy_to_vtk(4 * np.arange(len(cells) + 1, dtype=np.int64), deep=True),
+        support.numpy_to_vtk(cells.astype(np.int64).ravel(), deep=True),
+    )
+    values = support.numpy_to_vtk(np.asarray(scalars, np.float64), deep=True)
+    grid.SetPoints(points)
+    grid.SetCells(vtk.VTK_TETRA, array)
+    (grid.GetCellData() if constant else grid.GetPointData()).SetScalars(values)
+
+    integrator = vtk.vtkUnstructuredGridLinearRayIntegrator()
+    mapper = vtk.vtkUnstructuredGridVolumeRayCastMapper()
+    mapper.SetInputData(grid)
+    mapper.SetRayIntegrator(integrator)
+    mapper.AutoAdjustSampleDistancesOff()
+    mapper.SetImageSampleDistance(1)
+    colour, opacity = vtk.vtkColorTransferFunction(), vtk.vtkPiecewiseFunction()
+    for scalar, rgb, extinction in zip(
+        _apart(transfer.scalars), transfer.colours, transfer.extinctions, strict=True
+    ):
+        colour.AddRGBPoint(scalar, *rgb)
+        opacity.AddPoint(scalar, extinction)
+    volume = vtk.vtkVolume()
+    volume.SetMapper(mapper)
+    volume.GetProperty().SetColor(colour)
+    volume.GetProperty().SetScalarOpacity(opacity)
+    volume.GetProperty().SetScalarOpacityUnitDistance(1)
+    volume.GetProperty().SetInterpolationTypeToLinear()
+
+    width, height = rays.size
+    renderer, camera = vtk.vtkRenderer(), vtk.vtkCamera()
+    renderer.AddVolume(volume)
+    renderer.SetBackgroundAlpha(0)
+    eye = rays.origin + (rays.right - rays.down) / 2  # its rays pass lower left corners of pixels
+    camera.ParallelProjectionOn()
+    camera.SetPosition(*eye)
+    camera.SetFocalPoint(*(eye + rays.direction))
+    camera.SetViewUp(*-rays.down)
+    camera.SetParallelScale(height / 2 * np.sqrt((rays.down**2).sum()))
+    renderer.SetActiveCamera(camera)
+    renderer.ResetCameraClippingRange()
+    # with EGL, where there is such a window, it needs no display
+    window = getattr(vtk, "vtkEGLRenderWindow", vtk.vtkRenderWindow)()
+    window.SetOffScreenRendering(True)
+    window.SetAlphaBitPlanes(True)
+    window.SetMultiSamples(0)
+    window.SetSize(width, height)
+    window.AddRenderer(renderer)
+
+    def picture() -> np.ndarray:
+        shown = vtk.vtkUnsignedCharArray()
+        window.GetRGBACharPixelData(0, 0, width - 1, height - 1, False, shown)
+        return support.vtk_to_numpy(shown).reshape(height, width, 4)[::-1] / 255
+
+    def at(pixels: np.ndarray) -> np.ndarray:
+        ray = mapper.GetRayCastFunction().NewIterator()
+        ray.SetBounds((0, 1))
+        passed, lengths = vtk.vtkIdList(), vtk.vtkDoubleArray()
+        near, far = vtk.vtkDoubleArray(), vtk.vtkDoubleArray()
+        scalars_at = None if constant else values
+        found = np.zeros((len(pixels), 4))
+        for rgba, (column, row) in zip(found, pixels.tolist(), strict=True):
+            sum_ = [0.0] * 4
+            ray.Initialize(column, height - 1 - row)
+            while ray.GetNextIntersections(passed, lengths, scalars_at, near, far):
+                if constant:
+                    near.SetNumberOfTuples(passed.GetNumberOfIds())
+                    values.GetTuples(passed, near)
+                integrator.Integrate(lengths, near, near if constant else far, sum_)
+            rgba[:] = sum_
+        return found
+
+    return PicturePeer(f"VTK {vtk.vtkVersion().GetVTKVersion()}", window.Render, picture, at)
+
+
+def _apart(scalars: np.ndarray) -> np.ndarray:
+    """The scalars of control points without two that are equal, as steps must be for VTK."""
+    apart = scalars.astype(np.float64)
+    apart[:-1][scalars[:-1] == scalars[1:]] -= 1e-9 * (scalars[-1] - scalars[0])
+    return apart

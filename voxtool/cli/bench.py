@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from voxtool.cli import bench_adf, bench_extract, bench_voxelize
+from voxtool.cli import bench_adf, bench_extract, bench_tets, bench_voxelize
 
 
 @click.group("bench")
@@ -18,9 +18,11 @@ def command() -> None:
       voxtool bench voxelize bunny.obj --dims 64,512
       voxtool bench extract bunny.obj --dims 512,1024 --peers
       voxtool bench adf bunny.obj --tolerances 1e-2,1e-3 --max-level 7
+      voxtool bench tets bluntfin.vtu --scalar density --peers
     """
 
 
 command.add_command(bench_voxelize.command)
 command.add_command(bench_extract.command)
 command.add_command(bench_adf.command)
+command.add_command(bench_tets.command)

@@ -191,4 +191,3 @@ def cell_at(volume: TetVolume, point: np.ndarray) -> int:
         outside |= height > 0
     found = np.flatnonzero(~outside)
     return int(found[0]) if len(found) else NOWHERE
-
