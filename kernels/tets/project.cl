@@ -12,6 +12,7 @@
 
 #include "tets/textures.h"
 #include "tets/view.h"
+#include "tets/extent.h"
 #include "tets/raycast.h"
 #include "tets/project.h"
 #include "tets/depth.h"
@@ -27,40 +28,10 @@
 // What a x + b y + c of a face is:
 #define LEAVES 0 // the nearness of its plane, by which rays leave
 #define ENTERS 1 // the same, by which they come in
-#define BESIDE 2 // above 0 for rays that are all along outside; the moved ray decides at 0
-#define BESIDE_AT_0 3
+#define BESIDE 2 // more than 0 where rays pass outside all along
+#define BESIDE_AT_0 3 // the same, and 0 too: rays in the plane have one side of it, as in view.cl
 
 // --- cells ---------------------------------------------------------------------------------------
-
-// The columns or the rows of a cell, ends included, first | last << 16; empty where last < first.
-typedef struct {
-    float least, most; // in pixels from the middle
-} Extent;
-
-void extend(Extent *e, const float from, const float to)
-{
-    e->least = from < e->least ? from : e->least;
-    e->most = to > e->most ? to : e->most;
-}
-
-// Between a vertex in front of the eye and one behind it, the edge goes to infinity on one side; on
-// both, where float32 cannot tell.
-void extend_by_edge(Extent *e, const float front, const float front_depth, const float behind,
-                    const float behind_depth)
-{
-    const float a = behind * front_depth, b = front * behind_depth, crossing = a - b;
-    const float doubt = 1e-5f * (fabs(a) + fabs(b));
-    extend(e, crossing <= doubt ? -FARTHEST : FARTHEST, crossing >= -doubt ? FARTHEST : -FARTHEST);
-}
-
-// The pixels of `count` whose centres are in it, and a fraction of a pixel beyond for its rounding.
-int2 pixels_of(const Extent *e, const int count)
-{
-    const float middle = 0.5f * count - 0.5f;
-    const float first = ceil(e->least + middle - 0.0625f), last = floor(e->most + middle + 0.0625f);
-    return (int2)(first < 0 ? 0 : first > count ? count : convert_int(first),
-                  last < -1 ? -1 : last > count - 1 ? count - 1 : convert_int(last));
-}
 
 // One work-item a cell: its record, and 1 where it may be in the picture.
 __kernel void project_cells(TEXTURES, __global const uchar *kept,
@@ -77,29 +48,13 @@ __kernel void project_cells(TEXTURES, __global const uchar *kept,
     const View view = view_of(viewpoint);
     float4 corners[CORNERS];
     float nearest = FARTHEST, farthest = -FARTHEST;
-    Extent across = {FARTHEST, -FARTHEST}, down = {FARTHEST, -FARTHEST};
     for (uint i = 0; i < CORNERS; ++i) {
         const float4 p = corners[i] = vload4(cells_vertices[CORNERS * (size_t)cell + i], projected);
         nearest = p.w < nearest ? p.w : nearest;
         farthest = p.w > farthest ? p.w : farthest;
     }
-    for (uint i = 0; i < CORNERS; ++i) {
-        const float4 p = corners[i];
-        if (p.z <= 0)
-            continue;
-        extend(&across, p.x / p.z, p.x / p.z);
-        extend(&down, p.y / p.z, p.y / p.z);
-#ifdef PERSPECTIVE
-        if (nearest > -view.middle)
-            continue;
-        for (uint j = 0; j < CORNERS; ++j)
-            if (corners[j].z <= 0) {
-                extend_by_edge(&across, p.x, p.z, corners[j].x, corners[j].z);
-                extend_by_edge(&down, p.y, p.z, corners[j].y, corners[j].z);
-            }
-#endif
-    }
-    const int2 columns = pixels_of(&across, width), rows = pixels_of(&down, height);
+    int2 columns, rows;
+    cover(corners, CORNERS, (int2)(width, height), &columns, &rows);
     if (columns.x > columns.y || rows.x > rows.y)
         return;
     flags[cell] = 1;

@@ -9,6 +9,7 @@
 
 #include "tets/textures.h"
 #include "tets/view.h"
+#include "tets/extent.h"
 
 bool is_kept(__global const uchar *kept, const uint cell)
 {
@@ -62,54 +63,28 @@ __kernel void project_vertices(__global const float *vertices, const uint n,
 
 // --- entries -------------------------------------------------------------------------------------
 
-#define ROUNDING 0x1p-4f // pixels: more than float32 is off by in the largest picture
-
-// A face in the picture, the vertices of each cell's side listed by the host.
+// A face in the picture.
 typedef struct {
     float4 corners[SIDES];
-    int left, right, top, bottom; // the pixels that may be in it: columns and rows, ends included
-    float nearest, farthest;      // of its corners
+    int2 columns, rows;      // of the pixels that may be in it, first and last
+    float nearest, farthest; // of its corners
 } Outline;
 
-int first_pixel(const float x, const int count)
-{
-    const float column = ceil(x + (0.5f * count - 0.5f));
-    return column < 0 ? 0 : column > count ? count : convert_int(column);
-}
-
-int last_pixel(const float x, const int count)
-{
-    const float column = floor(x + (0.5f * count - 0.5f));
-    return column < -1 ? -1 : column > count - 1 ? count - 1 : convert_int(column);
-}
-
+// sides: which of a cell's vertices are on each of its faces.
 Outline outline_of(const int face, __global const int *cells_vertices,
                    __global const float *projected, __constant const uchar *sides, const int2 size)
 {
     Outline o;
     __global const int *cell = cells_vertices + CORNERS * (size_t)(face / FACES);
     __constant const uchar *side = sides + SIDES * (face % FACES);
-    float left = FARTHEST, right = -FARTHEST, top = FARTHEST, bottom = -FARTHEST;
     o.nearest = FARTHEST;
     o.farthest = -FARTHEST;
-    bool behind = false;
     for (uint i = 0; i < SIDES; ++i) {
         const float4 p = o.corners[i] = vload4(cell[side[i]], projected);
-        behind |= p.z <= 0;
-        const float x = p.x / p.z, y = p.y / p.z;
-        left = x < left ? x : left;
-        right = x > right ? x : right;
-        top = y < top ? y : top;
-        bottom = y > bottom ? y : bottom;
         o.nearest = p.w < o.nearest ? p.w : o.nearest;
         o.farthest = p.w > o.farthest ? p.w : o.farthest;
     }
-    // a face that reaches behind the eye may be anywhere; the others are where their corners are, and
-    // the quotients are rounded
-    o.left = behind ? 0 : first_pixel(left - ROUNDING, size.x);
-    o.right = behind ? size.x - 1 : last_pixel(right + ROUNDING, size.x);
-    o.top = behind ? 0 : first_pixel(top - ROUNDING, size.y);
-    o.bottom = behind ? size.y - 1 : last_pixel(bottom + ROUNDING, size.y);
+    cover(o.corners, SIDES, size, &o.columns, &o.rows);
     return o;
 }
 
@@ -158,8 +133,8 @@ __kernel void count_entries(__global const int *exposed, const uint n,
         return;
     const Outline o = outline_of(exposed[get_global_id(0)], cells_vertices, projected, sides,
                                  (int2)(width, height));
-    for (int row = o.top; row <= o.bottom; ++row)
-        for (int column = o.left; column <= o.right; ++column)
+    for (int row = o.rows.x; row <= o.rows.y; ++row)
+        for (int column = o.columns.x; column <= o.columns.y; ++column)
             if (enters(&o, column + (0.5f - 0.5f * width), row + (0.5f - 0.5f * height)))
                 atomic_inc(counts + row * width + column);
 }
@@ -177,8 +152,8 @@ __kernel void list_entries(TEXTURES, __global const int *exposed, const uint n,
     const View view = view_of(viewpoint);
     const int face = exposed[get_global_id(0)];
     const Outline o = outline_of(face, cells_vertices, projected, sides, (int2)(width, height));
-    for (int row = o.top; row <= o.bottom; ++row)
-        for (int column = o.left; column <= o.right; ++column) {
+    for (int row = o.rows.x; row <= o.rows.y; ++row)
+        for (int column = o.columns.x; column <= o.columns.y; ++column) {
             const float x = column + (0.5f - 0.5f * width), y = row + (0.5f - 0.5f * height);
             if (!enters(&o, x, y))
                 continue;

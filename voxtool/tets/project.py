@@ -17,9 +17,11 @@ numbers, so every fragment is composited once and in order, cycles or not, whate
 buffer.
 
 Depths are those of the ray caster, by the same functions and roundings, so two cells that share a
-face end and begin on it at the same depth. Where cells overlap, the later begins where the earlier
-ended. The two methods' pictures differ by the rounding of scalars where a ray comes in; where cells
-overlap in space, and for rays in the very plane of a face, they may choose another of two cells.
+face end and begin on it at the same depth. Where cells overlap in space, the later begins where the
+earlier ended. The two methods' pictures are the same but for the rounding of depths and scalars
+where rays come in: colours differ by at most 1e-5 where the extinction is up to 20 per half of the
+mesh's size, and in proportion beyond. Cells that overlap in space are no part of that, nor are
+constant cells on rays in the very plane of a face between them: there either cell is right.
 
 Kernels: kernels/tets/project.cl.
 """
