@@ -6,6 +6,7 @@ import json
 
 import golden_adf
 import golden_mesh
+import golden_picture
 import golden_svo
 import pytest
 from conftest import model
@@ -14,6 +15,7 @@ import voxtool
 
 GOLDEN = json.loads(golden_svo.GOLDEN.read_text(encoding="utf-8"))
 FIELDS = json.loads(golden_adf.GOLDEN.read_text(encoding="utf-8"))
+PICTURES = json.loads(golden_picture.GOLDEN.read_text(encoding="utf-8"))
 SURFACES = json.loads(golden_mesh.GOLDEN.read_text(encoding="utf-8"))
 
 
@@ -62,3 +64,21 @@ def test_fields_of_real_models(device, name: str) -> None:
     mesh = voxtool.load_mesh(model(f"{name}.obj"))
     found = dict(golden_adf.digests(mesh, golden_adf.REAL_REQUESTS, device))
     assert found == FIELDS[f"{name}.obj"]
+
+
+@pytest.mark.parametrize("name", golden_picture.OWN)
+def test_pictures_of_surfaces(device, name: str) -> None:
+    mesh = golden_svo.own_mesh(name)
+    assert dict(golden_picture.surfaces(mesh, device)) == PICTURES[name]
+
+
+@pytest.mark.parametrize("name", golden_picture.VOLUMES)
+def test_pictures_of_volumes(device, name: str) -> None:
+    volume = golden_picture.own_volume(name)
+    assert dict(golden_picture.volume_pictures(volume, device)) == PICTURES[name]
+
+
+def test_pictures_of_a_real_volume(device) -> None:
+    volume = voxtool.build_tet(voxtool.read_unstructured(model("bluntfin.vtu")))
+    found = dict(golden_picture.volume_pictures(volume, device, golden_picture.REAL_VIEWS))
+    assert found == PICTURES["bluntfin.vtu"]

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from voxtool.adf.build import build_adf, plan_adf
     from voxtool.adf.field import DistanceField
     from voxtool.adf.query import FieldQuery, query_adf
+    from voxtool.adf.raycast import FieldRenderer, render_adf
+    from voxtool.camera import Camera, Rays
     from voxtool.diagnosis import Diagnosis, diagnose
     from voxtool.errors import (
         DeviceError,
@@ -39,20 +41,27 @@ if TYPE_CHECKING:
         write_svo,
         write_tet,
     )
+    from voxtool.files.picture import write_picture
+    from voxtool.files.transfer import read_transfer
     from voxtool.grid import Grid
     from voxtool.mesh import Mesh, load_mesh, mesh_from_arrays
     from voxtool.opencl import list_devices, open_device
     from voxtool.svo.isosurface import Isosurface, extract, plan_extract
     from voxtool.svo.octree import Octree
+    from voxtool.svo.raycast import OctreeRenderer, render_svo
     from voxtool.svo.voxelize import plan_voxelize, voxelize
     from voxtool.tets.mesh import UnstructuredMesh
+    from voxtool.tets.raycast import VolumeRenderer, render_tet
     from voxtool.tets.textures import build_tet, plan_tet
+    from voxtool.tets.transfer import TransferFunction
     from voxtool.tets.volume import TetVolume
 
 _HOMES = {
     "voxtool.adf.build": ("build_adf", "plan_adf"),
     "voxtool.adf.field": ("DistanceField",),
     "voxtool.adf.query": ("FieldQuery", "query_adf"),
+    "voxtool.adf.raycast": ("FieldRenderer", "render_adf"),
+    "voxtool.camera": ("Camera", "Rays"),
     "voxtool.diagnosis": ("Diagnosis", "diagnose"),
     "voxtool.errors": (
         "DeviceError",
@@ -73,23 +82,30 @@ _HOMES = {
         "write_svo",
         "write_tet",
     ),
+    "voxtool.files.picture": ("write_picture",),
+    "voxtool.files.transfer": ("read_transfer",),
     "voxtool.grid": ("Grid",),
     "voxtool.mesh": ("Mesh", "load_mesh", "mesh_from_arrays"),
     "voxtool.opencl": ("list_devices", "open_device"),
     "voxtool.svo.isosurface": ("Isosurface", "extract", "plan_extract"),
     "voxtool.svo.octree": ("Octree",),
+    "voxtool.svo.raycast": ("OctreeRenderer", "render_svo"),
     "voxtool.svo.voxelize": ("plan_voxelize", "voxelize"),
     "voxtool.tets.mesh": ("UnstructuredMesh",),
+    "voxtool.tets.raycast": ("VolumeRenderer", "render_tet"),
     "voxtool.tets.textures": ("build_tet", "plan_tet"),
+    "voxtool.tets.transfer": ("TransferFunction",),
     "voxtool.tets.volume": ("TetVolume",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 __all__ = [
+    "Camera",
     "DeviceError",
     "Diagnosis",
     "DistanceField",
     "FieldQuery",
+    "FieldRenderer",
     "FileError",
     "Grid",
     "GridError",
@@ -98,8 +114,12 @@ __all__ = [
     "Mesh",
     "MeshError",
     "Octree",
+    "OctreeRenderer",
+    "Rays",
     "TetVolume",
+    "TransferFunction",
     "UnstructuredMesh",
+    "VolumeRenderer",
     "VoxtoolError",
     "__version__",
     "build_adf",
@@ -119,10 +139,15 @@ __all__ = [
     "read_adf",
     "read_svo",
     "read_tet",
+    "read_transfer",
     "read_unstructured",
+    "render_adf",
+    "render_svo",
+    "render_tet",
     "voxelize",
     "write_adf",
     "write_mesh",
+    "write_picture",
     "write_svo",
     "write_tet",
 ]

@@ -368,7 +368,7 @@ __kernel void composite(__global const float *records, __global const uint *pair
                               load(pending.cell + LANES * PENDING));
             if (!ANY(lanes))
                 continue;
-            if (pending.count == PENDING) {
+            if (ANY(lanes & (load(pending.begin + LANES * (PENDING - 1)) < FARTHEST))) {
                 composite_before(&pending, &rays, records, &integral, where.x);
                 if (!ANY(rays.open))
                     break;

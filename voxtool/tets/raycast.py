@@ -19,6 +19,7 @@ import numpy as np
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import open_device, program
 from voxtool.tets.project import CellProjection
+from voxtool.tets.transfer import default
 from voxtool.tets.view import (
     NOWHERE,
     Viewpoint,
@@ -50,6 +51,21 @@ program.generated["tets/raycast.h"] = program.c_constants(
     SCALARS=SCALARS,
     LENGTHS=LENGTHS,
 )
+
+
+def render_tet(
+    volume: TetVolume,
+    rays: Rays,
+    transfer: TransferFunction | None = None,
+    *,
+    method: str = "raycast",
+    integrator: str = "linear",
+    device: Device | None = None,
+) -> np.ndarray:
+    """The picture of a volume, as VolumeRenderer.render, for a single use; by default through the
+    transfer function that shows something of any data."""
+    transfer = default(volume) if transfer is None else transfer
+    return VolumeRenderer(volume, device).render(rays, transfer, method, integrator)
 
 
 class VolumeRenderer:

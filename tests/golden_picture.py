@@ -1,0 +1,100 @@
+"""The golden digests of pictures: which there are, and (run as a script) writing them anew.
+
+Digests change only together with a line in CHANGELOG.md that says why:
+    python tests/golden_picture.py
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import golden_svo
+import numpy as np
+from helpers_volume import mesh_of, tet_grid
+
+import voxtool
+from voxtool.camera import Camera
+from voxtool.tets.transfer import named
+
+GOLDEN = Path(__file__).parent / "golden" / "picture.json"
+OWN = ("sphere", "torus", "needles")
+SIZE = (96, 72)
+VIEWS = {
+    f"{view} {'orthographic' if fov is None else f'{fov:g}'}": (view, fov)
+    for view in ("iso", "front", "bottom")
+    for fov in (None, 30.0)
+}
+REAL_VIEWS = ("iso 30", "front orthographic")
+INTEGRATORS = ("linear", "average", "sampled:3", "preintegrated")
+VOLUMES = ("jittered", "holes", "constant", "hexahedra")
+
+
+def digest(picture: np.ndarray) -> str:
+    """SHA-256 of the values as they are."""
+    return hashlib.sha256(np.ascontiguousarray(picture, "<f4").data).hexdigest()
+
+
+def surfaces(mesh: voxtool.Mesh, device: Any) -> Iterator[tuple[str, str]]:
+    """Name and digest of pictures of a mesh's octree and of its field."""
+    octree = voxtool.voxelize(mesh, voxtool.Grid.fit(mesh, 48), device=device)
+    field = voxtool.build_adf(mesh, device, tolerance=4e-3, max_level=5)
+    svo, adf = voxtool.OctreeRenderer(octree, device), voxtool.FieldRenderer(field, device)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    for name, (view, fov) in VIEWS.items():
+        rays = Camera.fit(low, high, view, fov=fov).rays(*SIZE)
+        for level in ("voxel", 1):
+            yield f"octree {level} {name}", digest(svo(rays, level=level))
+        for offset in (0.0, 0.02):
+            yield f"field {offset} {name}", digest(adf(rays, offset=offset * field.side))
+
+
+def own_volume(name: str) -> voxtool.TetVolume:
+    """A volume that is made here, by name."""
+    if name == "hexahedra":
+        points = np.array(np.meshgrid(*[np.arange(4.0)] * 3, indexing="ij")).reshape(3, -1).T
+        corner = np.array(
+            [16 * x + 4 * y + z for x in range(3) for y in range(3) for z in range(3)]
+        )
+        cells = corner[:, None] + np.array([0, 16, 20, 4, 1, 17, 21, 5])  # as VTK numbers them
+        scalars = [np.arange(27) * 5 % 27 / 27]
+        mesh = voxtool.UnstructuredMesh(points, [("hexahedron", cells)], scalars, "s")
+        return voxtool.build_tet(mesh, "hexahedra")
+    points, cells = tet_grid((6, 5, 4), seed=3, holes=0.3 if name == "holes" else 0.0)
+    squares = points * points
+    if name == "constant":
+        return voxtool.build_tet(mesh_of(points, cells, [np.arange(len(cells)) * 7 % 64 / 64]))
+    return voxtool.build_tet(mesh_of(points, cells, squares[:, 0] + squares[:, 1] * points[:, 2]))
+
+
+def volume_pictures(
+    volume: voxtool.TetVolume, device: Any, views: Iterable[str] = tuple(VIEWS)
+) -> Iterator[tuple[str, str]]:
+    """Name and digest of pictures of a volume."""
+    renderer = voxtool.VolumeRenderer(volume, device)
+    low, high = volume.bounds()
+    unit = float((high - low).max()) / 8
+    transfer = named("viridis", *volume.scalar_range, unit)
+    for name in views:
+        view, fov = VIEWS[name]
+        rays = Camera.fit(low, high, view, fov=fov).rays(*SIZE)
+        for method in ("raycast", "projection"):
+            for integrator in INTEGRATORS:
+                picture = renderer.render(rays, transfer, method, integrator)
+                yield f"{method} {integrator} {name}", digest(picture)
+
+
+def main() -> None:
+    device = voxtool.open_device()
+    golden = {name: dict(surfaces(golden_svo.own_mesh(name), device)) for name in OWN}
+    golden |= {name: dict(volume_pictures(own_volume(name), device)) for name in VOLUMES}
+    bluntfin = voxtool.read_unstructured(golden_svo.MODELS / "bluntfin.vtu")
+    golden["bluntfin.vtu"] = dict(volume_pictures(voxtool.build_tet(bluntfin), device, REAL_VIEWS))
+    GOLDEN.write_text(json.dumps(golden, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
