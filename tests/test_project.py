@@ -284,8 +284,10 @@ def test_eye_on_a_vertex_a_face_and_an_edge(device, eye) -> None:
     mesh = mesh_of(points, cells, wavy(points))
     rays = Camera(eye, (-0.37, 0.31, -0.43), fov=110).rays(30, 22)
     transfer = ramp(-1.5, 1.5, 2.0)
-    found = VolumeRenderer(build_tet(mesh), device).render(rays, transfer, "projection")
-    assert np.abs(found - reference_picture(mesh, transfer, rays)).max() < TRUE
+    wanted = reference_picture(mesh, transfer, rays)
+    volume = VolumeRenderer(build_tet(mesh), device)
+    for method in ("projection", "raycast"):
+        assert np.abs(volume.render(rays, transfer, method) - wanted).max() < TRUE
 
 
 @pytest.mark.parametrize("squeeze", [1e-3, 1e-5, 1e-7])

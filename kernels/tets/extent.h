@@ -1,8 +1,6 @@
 // The pixels that something may cover, by its projected corners: (X, Y, Z, depth) with x = X / Z and
 // y = Y / Z.
 
-#define ROUNDING 0x1p-4f // pixels: more than float32 is off by in the largest picture
-
 typedef struct {
     float least, most; // in pixels from the middle
 } Extent;

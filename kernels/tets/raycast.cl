@@ -79,9 +79,9 @@ __kernel void cast(__global const float *records, __global const uint *ends,
     const floats x = load(xs), y = load(ys);
     const ints cells = load(inside);
 #ifdef PERSPECTIVE
-    // entries behind the eye are none
+    const float behind = -middle - ON_PLANE; // where entries are none
     for (uint lane = 0; lane < LANES; ++lane)
-        while (next[lane] < end[lane] && as_float(entries[2 * next[lane]]) <= -middle)
+        while (next[lane] < end[lane] && as_float(entries[2 * next[lane]]) < behind)
             ++next[lane];
     const floats length = sqrt((x * x * right_square + y * y * down_square) + 1); // of depth 1
     Place place = {cells >= 0 ? (ints)eye_cell : (ints)NOWHERE, -middle, 0, 0, cells >= 0, 0};
@@ -118,13 +118,9 @@ __kernel void cast(__global const float *records, __global const uint *ends,
         depth = moves ? depth : place.depth;
         depth = depth < DEEPEST ? depth : (floats)DEEPEST;
         // the scalars of this cell, not of the one before: that may be a sliver, whose are rough
-#ifdef CONSTANT
-        const floats scalar = record[4 * SLOTS + 2], entered = scalar;
-#else
         const floats *on_ray = record + 4 * SLOTS;
         const floats scalar = scalars_at(on_ray, x, y, depth, middle);
         const floats entered = scalars_at(on_ray, x, y, place.depth, middle);
-#endif
         const ints interval = interval_of(&integral.transfer, scalar);
         const ints began = interval_of(&integral.transfer, entered);
         place.scalar = place.fresh ? entered : place.scalar;

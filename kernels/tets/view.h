@@ -3,7 +3,16 @@
 
 #include "tets/ray.h"
 
-#define LEAST_SCALE 1e-20 // of a plane that rays leave by
+#define LEAST_SCALE 1e-20 // of a plane that is not along the rays
+#define AT_ONCE 1e20      // a nearness before all others, of a ray a pixel outside
+#define ROUNDING 0x1p-4f  // pixels: more than float32 is off by in the largest picture
+#define NEAR_LINE 0x1p-10  // pixels: as near to a line it is not outside
+// A scale that is as good as 0: of a plane through the eye, or along the rays.
+#ifdef PERSPECTIVE
+#define NO_SCALE ON_PLANE
+#else
+#define NO_SCALE 0x1p-40
+#endif
 
 // Pixel (x, y) from the middle of the picture; the ray is origin + t (direction + x right + y down)
 // in perspective, and (origin + x right + y down) + t direction where it is orthographic. Its depth is
@@ -36,14 +45,21 @@ double4 on_rays(const View *v, const double4 plane)
 }
 
 // The nearness of a plane on the ray of (x, y): a x + b y + c, for the plane's side that rays leave
-// by. False: no ray leaves by it.
+// by. Where a plane has no scale it is a line in the picture, and rays are on one side of it all along:
+// those outside, by more than rounding, are sent out at once, and the others never. False: no ray
+// leaves by it.
 bool nearness(const View *v, const double4 plane, float3 *abc)
 {
-    const double4 f = on_rays(v, plane);
-    if (!(f.w > LEAST_SCALE))
+    double4 f = on_rays(v, plane);
+    if (!(f.w > -NO_SCALE))
         return false;
+    if (f.w < NO_SCALE) {
+        const double across = fmax(fabs(f.x), fabs(f.y)), pixel = across > 0 ? across : fabs(f.z);
+        f.z -= pixel * NEAR_LINE;
+        f.w = pixel / AT_ONCE;
+    }
     *abc = convert_float3(f.xyz / f.w);
-    return true;
+    return f.w > 0;
 }
 
 // The scalar on the rays, as scalars_at of ray.h takes it.

@@ -22,6 +22,7 @@ from voxtool.tets.project import CellProjection
 from voxtool.tets.transfer import default
 from voxtool.tets.view import (
     NOWHERE,
+    ON_PLANE,
     Viewpoint,
     VisibleCells,
     VolumeTextures,
@@ -42,7 +43,10 @@ METHODS = ("raycast", "projection")
 LANES = 16  # rays that a work-item of a CPU follows side by side
 MOST_STILL = 1 << 12  # steps that a ray takes at one place before it is given up
 MOST_SAMPLES = 1 << 12
-SLOTS, MANY_SLOTS = 3, 7  # ways out that a record holds
+SLOTS, MANY_SLOTS = (
+    3,
+    7,
+)  # ways out that a record holds: of a tetrahedron with the eye outside, of all
 SCALARS, LENGTHS = 128, 32  # sides of the pre-integrated table
 
 program.generated["tets/raycast.h"] = program.c_constants(
@@ -145,8 +149,10 @@ class VolumeRenderer:
     ) -> np.ndarray:
         device, volume = self.device, self.volume
         view = Viewpoint.of(rays, volume, device)
-        eye_cell = self._eye_cell(view.rays, visible)
-        slots = SLOTS if volume.layout != "hexahedra" and eye_cell == NOWHERE else MANY_SLOTS
+        eye = view.rays.origin
+        inside = view.rays.perspective and bool((np.abs(eye) <= 1 + ON_PLANE).all())
+        eye_cell = self._visible_cell(eye, visible) if inside else NOWHERE
+        slots = MANY_SLOTS if inside or volume.layout == "hexahedra" else SLOTS
         records = visible.look(view, slots)
         entries = visible.enter(view)
         width, height = rays.size
@@ -220,11 +226,9 @@ class VolumeRenderer:
                 longest = max(longest, (dx * dx + dy * dy + dz * dz).max())
         return np.sqrt(longest)
 
-    def _eye_cell(self, rays: Rays, visible: VisibleCells) -> int:
-        """The visible cell that the eye is in, or NOWHERE."""
-        if not rays.perspective:
-            return NOWHERE
-        cell = cell_at(self.volume, rays.origin)
+    def _visible_cell(self, point: np.ndarray, visible: VisibleCells) -> int:
+        """The visible cell that a point of the local frame is in, or NOWHERE."""
+        cell = cell_at(self.volume, point)
         return cell if cell != NOWHERE and visible.kept[cell // BLOCK] else NOWHERE
 
 

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 SOURCE = "tets/view.cl"
 NOWHERE = -1
+ON_PLANE = 2.0**-21  # as in kernels/tets/ray.h
 NEAREST = 0.5  # of the middle to the eye, in sizes of the local frame
 
 
@@ -176,10 +177,8 @@ def kept_cells(volume: TetVolume, kept: np.ndarray) -> np.ndarray:
 
 
 def cell_at(volume: TetVolume, point: np.ndarray) -> int:
-    """The cell that holds a point of the local frame, or NOWHERE; the least on a shared face."""
-    if (np.abs(point) > 1).any():
-        return NOWHERE
-    outside = np.zeros(len(volume.cells), bool)
+    """The cell that holds a point of the local frame, or nearly; or NOWHERE."""
+    outside = np.full(len(volume.cells), -np.inf)
     for face, normals in enumerate(volume.normals):
         n = normals.astype(np.float64)
         height = n[:, 0] * point[0] + n[:, 1] * point[1] + n[:, 2] * point[2]
@@ -188,6 +187,6 @@ def cell_at(volume: TetVolume, point: np.ndarray) -> int:
         else:
             anchor = volume.vertices[volume.anchors[:, int(face == 0)], :3].astype(np.float64)
             height -= n[:, 0] * anchor[:, 0] + n[:, 1] * anchor[:, 1] + n[:, 2] * anchor[:, 2]
-        outside |= height > 0
-    found = np.flatnonzero(~outside)
-    return int(found[0]) if len(found) else NOWHERE
+        outside = np.maximum(outside, height)
+    cell = int(outside.argmin())
+    return cell if outside[cell] <= ON_PLANE else NOWHERE
