@@ -21,6 +21,7 @@ import hashlib
 import json
 import math
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -131,7 +132,7 @@ class DistanceField:
         low, high = self.cells[..., 0].astype(np.uint64), self.cells[..., 1].astype(np.uint64)
         return high << np.uint64(32) | low
 
-    @property
+    @cached_property
     def blocks(self) -> np.ndarray:
         """(n,) identifiers of the cells that have blocks, in the order of the blocks."""
         identifiers = self.identifiers.ravel()
