@@ -1,4 +1,5 @@
-# make demo     an environment, an example mesh, its octree, a surface of it, its distance field
+# make demo     an environment, an example mesh, its octree, a surface of it, its distance field; an example
+#               volume, and pictures
 # make test     the whole suite
 # make lint     style, types and imports
 # Only Python 3.11 or newer and a package index are needed; PYTHON= names another interpreter.
@@ -9,11 +10,14 @@ ARGS ?=
 
 .PHONY: demo test lint clean
 
-demo: .venv/cpu.done bunny.obj
+demo: .venv/all.done bunny.obj volume.vtu
 	.venv/bin/voxtool voxelize bunny.obj --dim 512 --mode solid
 	.venv/bin/voxtool svo-info bunny.svo.h5
 	.venv/bin/voxtool extract bunny.svo.h5 --style nets -o nets.ply
 	.venv/bin/voxtool adf-build bunny.obj
+	.venv/bin/voxtool render bunny.adf.h5
+	.venv/bin/voxtool tet-build volume.vtu --scalar density
+	.venv/bin/voxtool render volume.tet.h5 --opacity-range 0.1,0.5 --legend
 
 test: .venv/test.done
 	.venv/bin/python -m pytest $(ARGS)
@@ -25,21 +29,24 @@ lint: .venv/test.done
 	.venv/bin/lint-imports
 
 clean:
-	rm -rf .venv bunny.obj bunny.svo.h5 nets.ply bunny.adf.h5 build dist .pytest_cache .ruff_cache .hypothesis \
-	    .import_linter_cache
+	rm -rf .venv bunny.obj bunny.svo.h5 nets.ply bunny.adf.h5 bunny.png volume.vtu volume.tet.h5 volume.png \
+	    build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	find voxtool tests examples -name __pycache__ -type d -prune -exec rm -rf {} +
 
-bunny.obj: examples/make_bunny.py | .venv/cpu.done
+bunny.obj: examples/make_bunny.py | .venv/all.done
 	.venv/bin/python examples/make_bunny.py -o $@
 
+volume.vtu: examples/make_volume.py | .venv/all.done
+	.venv/bin/python examples/make_volume.py -o $@
+
 # The package is installed in place: again only when its metadata change.
-.venv/cpu.done: pyproject.toml | .venv/bin/python
-	$(PIP_INSTALL) -e '.[cpu]'
+.venv/all.done: pyproject.toml | .venv/bin/python
+	$(PIP_INSTALL) -e '.[all]'
 	@touch $@
 
 .venv/test.done: pyproject.toml | .venv/bin/python
 	$(PIP_INSTALL) -e '.[test]'
-	@touch $@ .venv/cpu.done
+	@touch $@ .venv/all.done
 
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \

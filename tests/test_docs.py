@@ -18,7 +18,11 @@ import voxtool
 from voxtool.cli.main import cli
 
 ROOT = Path(__file__).parents[1]
-SLICE = ROOT / "docs" / "slice.png"
+PICTURES = {  # in docs/: what the README's commands drew, from left to right, and how wide
+    "slice.png": [("slice.png", 746)],
+    "render.png": [("octree.png", 320), ("nodes.png", 320), ("surface.png", 320)],
+    "volume.png": [("volume.png", 512)],  # and a legend, which varies with matplotlib
+}
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 DOCUMENTS = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
 
@@ -100,9 +104,10 @@ def test_targets_of_make_exist(target: str) -> None:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A folder with the example mesh, in which all blocks run in order."""
+    """A folder with the example mesh and volume, in which all blocks run in order."""
     path = tmp_path_factory.mktemp("readme")
-    run(f"{shlex.quote(sys.executable)} {shlex.quote(str(ROOT / 'examples/make_bunny.py'))}", path)
+    for example in ("make_bunny.py", "make_volume.py"):
+        run(shlex.join([sys.executable, str(ROOT / "examples" / example)]), path)
     return path
 
 
@@ -124,9 +129,15 @@ def test_transcripts_are_what_is_printed(folder: Path) -> None:
     for block in blocks(README, "console"):
         for command, expected in re.findall(r"^\$ (.*)\n((?:(?!\$ ).*\n)*)", block, re.MULTILINE):
             assert lasting(run(command, folder)) == lasting(expected), command
-    drawn, shown = (Image.open(f).convert("RGB") for f in (folder / "slice.png", SLICE))
-    assert drawn.size == shown.size
-    assert drawn.tobytes() == shown.tobytes()
+    for picture, parts in PICTURES.items():
+        shown, left = Image.open(ROOT / "docs" / picture).convert("RGB"), 0
+        for name, width in parts:
+            drawn = Image.open(folder / name).convert("RGB")
+            drawn = drawn.crop((0, 0, width, drawn.height))
+            part = shown.crop((left, 0, left + width, shown.height))
+            assert drawn.size == part.size, name
+            assert drawn.tobytes() == part.tobytes(), name
+            left += width
 
 
 def lasting(text: str) -> str:
@@ -165,7 +176,8 @@ def test_links_resolve(document: Path) -> None:
 def test_formats_are_in_the_changelog() -> None:
     text = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert "### File formats" in text
-    assert "SVO 1.0" in text
+    for name in ("SVO 1.0", "ADF 1.0", "TET 1.0"):
+        assert name in text
     assert re.search(rf"{re.escape(voxtool.__version__.split('.dev')[0])}", text)
 
 

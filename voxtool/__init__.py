@@ -1,4 +1,5 @@
-"""voxtool: triangle meshes to exact sparse voxel octrees with OpenCL, on CPU or GPU.
+"""voxtool: triangle meshes to exact sparse voxel octrees and distance fields, tetrahedral volumes to
+pictures, with OpenCL, on CPU or GPU.
 
 The public API. Names are imported when they are first used, so that a command starts fast.
 

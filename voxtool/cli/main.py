@@ -82,7 +82,7 @@ def show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 @click.group(cls=Voxtool, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, message="voxtool %(version)s")
 def cli() -> None:
-    """Turn triangle meshes into exact sparse voxel octrees, on any OpenCL device.
+    """Turn meshes into exact voxel octrees, distance fields and pictures, on any OpenCL device.
 
     Commands are chained through files; - is stdin or stdout. Results go to stdout or -o, everything
     else to stderr. Lengths are in the mesh's own units, dims in voxels.
@@ -91,6 +91,7 @@ def cli() -> None:
     Examples:
       voxtool voxelize bunny.obj --dim 512 --mode solid
       voxtool voxelize bunny.obj -o - | voxtool svo-info -
+      voxtool render bunny.svo.h5 -o bunny.png
     """
 
 
