@@ -16,7 +16,7 @@ from voxtool.bench.reference import reference
 from voxtool.camera import VIEWS
 from voxtool.cli import bench_tets
 from voxtool.tets.mesh import UnstructuredMesh, tetrahedra
-from voxtool.tets.raycast import METHODS
+from voxtool.tets.render import METHODS
 
 WORK = "bench tets cube.vtu --size 12 --every 2 --repeat 1"
 

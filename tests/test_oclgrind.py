@@ -7,6 +7,7 @@ result with the oracle and prints what was launched.
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import re
@@ -14,6 +15,7 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -85,6 +87,8 @@ def test_every_kernel_and_variant_was_launched(run):
     wanted |= {"SIGNED", "FLAT", "WINDING", "CLOSED", "JUMPS"}
     wanted |= {"SEARCH=LINEAR", "SEARCH=BINARY", "SEARCH=COHERENT", "LANES=1", "LANES=16", "W"}
     wanted |= {"GRADIENT", "BOUNDS", "CELL"}
+    wanted |= {"PERSPECTIVE", "ANCHORED", "CONSTANT", "FACES=4", "FACES=6", "SLOTS=3", "SLOTS=7"}
+    wanted |= {f"INTEGRATOR={name}" for name in ("LINEAR", "AVERAGE", "SAMPLED", "PREINTEGRATED")}
     assert wanted <= set(run[0]["options"])
 
 
@@ -159,6 +163,9 @@ def main() -> None:
     find_faces_that_meet(device)
     build_fields(device)
     query_fields(device)
+    render_octrees(device)
+    render_fields(device)
+    render_volumes(device)
     print(json.dumps({"device": device.info.name, "kernels": [*kernels], "options": [*options]}))
 
 
@@ -372,6 +379,96 @@ def query_fields(device) -> None:
                 for asked in ({}, EVERYTHING):
                     found = query.FieldQuery(field, device)(points, search=search, **asked)
                     equal(found, field.query(points, **asked))
+
+
+def two_views(size: tuple[int, int]) -> list[Any]:
+    """Rays to the box from -1 to 1, orthographic ones and others."""
+    from voxtool.camera import Camera
+
+    return [Camera.fit((-1, -1, -1), (1, 1, 1), "iso", fov=fov).rays(*size) for fov in (None, 40)]
+
+
+def render_octrees(device) -> None:
+    """Voxels and nodes, and where rays meet them."""
+    import numpy as np
+    from helpers_octree import octree_from_dense
+
+    from voxtool.grid import Grid
+    from voxtool.svo.raycast import OctreeRenderer
+
+    dense = np.random.default_rng(4).random((13, 10, 9)) < 0.3
+    octree = octree_from_dense(dense)
+    octree = replace(octree, grid=Grid(octree.grid.shape, (-1, -1, -1), (0.16, 0.16, 0.16)))
+    renderer = OctreeRenderer(octree, device)
+    for rays in two_views((11, 9)):
+        for level in ("voxel", 0, 1):
+            picture, depths = renderer(rays, level=level), renderer.depths(rays, level=level)
+            assert np.array_equal(picture[..., 3] > 0, np.isfinite(depths))
+            assert 10 < np.count_nonzero(picture[..., 3]) < picture[..., 3].size
+
+
+def render_fields(device) -> None:
+    """A ball, by fields with identifiers of either size and hashes with and without a fourth
+    channel."""
+    import numpy as np
+    from helpers_field import plain_field, sphere
+    from test_query import spike, with_w
+
+    from voxtool.adf.raycast import FieldRenderer
+
+    deep = plain_field(lambda p: spike(p) / 32, 0.2 / 32, 13)
+    for field in (plain_field(sphere, 1e-2, 4), with_w(deep, 40)):
+        field = replace(field, origin=(-1.0, -1.0, -1.0), side=2.0)
+        for rays in two_views((9, 7)):
+            picture = FieldRenderer(field, device)(rays)
+            assert set(np.unique(picture[..., 3])) == {0, 1}
+
+
+def render_volumes(device) -> None:
+    """Both methods from outside and inside, by every integrator, of every layout, with cells that
+    are left out; one ray at a time: of several Oclgrind 21.10 spoils the masks, as above."""
+    import numpy as np
+    from helpers_volume import SIX, grid_corners, grid_points, mesh_of, ramp, reference_picture
+
+    from voxtool.camera import Camera
+    from voxtool.opencl import program
+    from voxtool.tets import integrate
+    from voxtool.tets.mesh import UnstructuredMesh
+    from voxtool.tets.render import METHODS, VolumeRenderer
+    from voxtool.tets.textures import build_tet
+
+    constants = {"SCALARS": 6, "LENGTHS": 4}  # a table that takes no minutes here
+    for name, value in constants.items():
+        header = program.generated["tets/integrators.h"]
+        program.generated["tets/integrators.h"] = re.sub(rf"{name} \w+", f"{name} {value}", header)
+        setattr(integrate, name, value)
+
+    shape = (3, 2, 6)
+    points, corners = grid_points(shape) / (np.array(shape) / 2) - 1, grid_corners(shape)
+    cells, scalars = corners[:, SIX].reshape(-1, 4), points @ (0.1, 0.2, 1.0)
+    order = [0, 4, 6, 2, 1, 5, 7, 3]  # as VTK numbers a hexahedron's corners
+    boxes, values = ("hexahedron", corners[:, order]), np.linspace(-1, 1, len(corners))
+    meshes_of = {
+        "raycast": mesh_of(points, cells, scalars),
+        "projection": mesh_of(points, cells, scalars),
+        "hexahedra": UnstructuredMesh(points, [boxes], [values], "s"),
+    }
+    shown = ramp(-1.5, 1.5, 2.0)
+    part = replace(shown, extinctions=shown.extinctions * (0, 0, 1, 1))
+    views = [*two_views((6, 5)), Camera((0.1, 0.2, 0.3), (0, 1, -0.4), fov=100.0).rays(6, 5)]
+    for layout, mesh in meshes_of.items():
+        volume = build_tet(mesh, layout)
+        renderer = VolumeRenderer(volume, device)
+        for rays, method in itertools.product(views, METHODS):
+            picture = renderer.render(rays, part, method)
+            assert picture.any()
+            if layout != "hexahedra":
+                wanted = reference_picture(mesh, part, rays)
+                assert np.abs(picture - wanted).max() < 2e-5, (layout, method)
+        for integrator, method in itertools.product(
+            ("average", "sampled:2", "preintegrated"), METHODS
+        ):
+            assert np.isfinite(renderer.render(views[1], shown, method, integrator)).all()
 
 
 if __name__ == "__main__":

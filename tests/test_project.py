@@ -18,9 +18,9 @@ from helpers_volume import (
 
 from voxtool.camera import Camera, Rays
 from voxtool.errors import MemoryLimitError
-from voxtool.tets import project, raycast
+from voxtool.tets import integrate, project
 from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.raycast import VolumeRenderer
+from voxtool.tets.render import VolumeRenderer
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 
@@ -238,7 +238,7 @@ def test_one_ray_a_work_item_gives_the_same(device, monkeypatch) -> None:
     volume = VolumeRenderer(build_tet(mesh), device)
     rays = rays_of(mesh, "iso", 30.0)
     wanted = volume.project(rays, transfer)
-    monkeypatch.setattr(raycast, "LANES", 1)
+    monkeypatch.setattr(integrate, "LANES", 1)
     found = volume.project(rays, transfer)
     assert np.array_equal(found.picture, wanted.picture)
     assert (found.pairs, found.fragments) == (wanted.pairs, wanted.fragments)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 
 import numpy as np
@@ -21,7 +22,7 @@ from helpers_volume import (
 from voxtool.camera import Camera
 from voxtool.errors import VoxtoolError
 from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.raycast import VolumeRenderer
+from voxtool.tets.render import VolumeRenderer
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 
@@ -330,3 +331,59 @@ def test_unknown_methods_are_refused(device) -> None:
     mesh = mesh_of(points, cells, points[:, 0])
     with pytest.raises(VoxtoolError, match="choose"):
         picture_of(mesh, GREY, rays_of(mesh, "iso", None), device, method="splat")
+
+
+# ---- one tetrahedron, whose middle ray is known
+
+
+def light_of_a_ramp(transfer: TransferFunction, front: float, back: float, length: float):
+    """Red and alpha of a ray on which the scalar is linear, by quadrature with mpmath."""
+    from mpmath import exp, linspace, mp, mpf, quad
+
+    mp.dps = 20
+    points = [front, *sorted(transfer.scalars, reverse=True), back]
+    cuts = [p for p in points if back <= p <= front]
+    red, through = mpf(0), mpf(1)
+    for begin, end in itertools.pairwise(cuts):
+        if begin == end:
+            continue
+        distance = mpf(length) * (begin - end) / (front - back)
+        middle = np.array([(begin + end) / 2])
+        inner = transfer.evaluate(middle + (np.array([begin, end]) - middle) * (1 - 1e-12))
+        c0, c1 = (mpf(float(c)) for c in inner[0][:, 0])
+        t0, t1 = (mpf(float(t)) for t in inner[1])
+
+        def lost(x, t0=t0, t1=t1, d=distance):
+            return exp(-d * (t0 * x + (t1 - t0) * x * x / 2))
+
+        def sent(x, c0=c0, c1=c1, t0=t0, t1=t1, d=distance, lost=lost):
+            return d * (c0 + (c1 - c0) * x) * (t0 + (t1 - t0) * x) * lost(x)
+
+        steep = [mpf(0), *(mpf(2) ** -k for k in range(16, 0, -1)), *linspace(mpf(0.5), 1, 4)[1:]]
+        red += through * quad(sent, steep)
+        through *= lost(mpf(1))
+    return float(red), float(1 - through)
+
+
+@functools.cache
+def transfer_and_light(points: int, extinction: float):
+    """A random transfer function of so many points, and the light of the middle ray."""
+    random = np.random.default_rng(points)
+    scalars = np.linspace(0, 0.5, points) if points < 5 else np.array([0.03, 0.1, 0.11, 0.3, 0.46])
+    transfer = TransferFunction(
+        scalars, random.random((points, 3)), extinction * random.random(points)
+    )
+    return transfer, light_of_a_ramp(transfer, 0.5, 0.0, 0.5)
+
+
+@pytest.mark.parametrize("points", [1, 2, 5])
+@pytest.mark.parametrize("extinction", [1e-6, 0.02, 1.0, 30.0, 2e4])
+def test_one_tetrahedron(device, points, extinction) -> None:
+    """A constant, a linear and a piecewise linear transfer function, all regimes."""
+    corners = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1.0)])
+    mesh = mesh_of(corners, np.array([(0, 1, 2, 3)]), corners[:, 2])
+    transfer, wanted = transfer_and_light(points, extinction)
+    rays = Camera((0.25, 0.25, 5), (0.25, 0.25, 0), fov=None, height=0.1).rays(1, 1)
+    for method in ("raycast", "projection"):
+        red, _, _, alpha = picture_of(mesh, transfer, rays, device, method=method)[0, 0]
+        np.testing.assert_allclose((red, alpha), wanted, rtol=2e-6, atol=1e-12)

@@ -1,5 +1,5 @@
-"""voxtool: triangle meshes to exact sparse voxel octrees and distance fields, tetrahedral volumes to
-pictures, with OpenCL, on CPU or GPU.
+"""voxtool: triangle meshes to exact sparse voxel octrees and distance fields, and pictures of these
+and of tetrahedral volumes, with OpenCL, on CPU or GPU.
 
 The public API. Names are imported when they are first used, so that a command starts fast.
 
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from voxtool.svo.raycast import OctreeRenderer, render_svo
     from voxtool.svo.voxelize import plan_voxelize, voxelize
     from voxtool.tets.mesh import UnstructuredMesh
-    from voxtool.tets.raycast import VolumeRenderer, render_tet
+    from voxtool.tets.render import VolumeRenderer, render_tet
     from voxtool.tets.textures import build_tet, plan_tet
     from voxtool.tets.transfer import TransferFunction
     from voxtool.tets.volume import TetVolume
@@ -93,7 +93,7 @@ _HOMES = {
     "voxtool.svo.raycast": ("OctreeRenderer", "render_svo"),
     "voxtool.svo.voxelize": ("plan_voxelize", "voxelize"),
     "voxtool.tets.mesh": ("UnstructuredMesh",),
-    "voxtool.tets.raycast": ("VolumeRenderer", "render_tet"),
+    "voxtool.tets.render": ("VolumeRenderer", "render_tet"),
     "voxtool.tets.textures": ("build_tet", "plan_tet"),
     "voxtool.tets.transfer": ("TransferFunction",),
     "voxtool.tets.volume": ("TetVolume",),

@@ -18,18 +18,22 @@ void add_preintegrated(Light *light, const Integral *integral, const floats from
     float fs[LANES], ts[LANES], ls[LANES], r[LANES], g[LANES], b[LANES], a[LANES];
     store(from * (SCALARS - 1), fs);
     store(to * (SCALARS - 1), ts);
-    store(length / integral->longest * (LENGTHS - 1), ls);
+    const floats share = length / integral->longest;
+    store((share < 1 ? share : (floats)1) * (LENGTHS - 1), ls);
     for (uint lane = 0; lane < LANES; ++lane) {
         const int f = min(convert_int(fs[lane]), SCALARS - 2);
         const int t = min(convert_int(ts[lane]), SCALARS - 2);
         const int l = min(convert_int(ls[lane]), LENGTHS - 2);
-        const float wf = fs[lane] - f, wt = ts[lane] - t, wl = ls[lane] - l;
-        float4 sum = 0;
-        for (uint corner = 0; corner < 8; ++corner) {
-            const int df = corner >> 2, dt = corner >> 1 & 1, dl = corner & 1;
-            const float w = (df ? wf : 1 - wf) * (dt ? wt : 1 - wt) * (dl ? wl : 1 - wl);
-            sum += w * vload4(((f + df) * SCALARS + t + dt) * LENGTHS + l + dl, integral->table);
+        float4 corners[4];
+        for (uint corner = 0; corner < 4; ++corner) {
+            const int entry = ((f + (corner >> 1)) * SCALARS + t + (corner & 1)) * LENGTHS + l;
+            const float4 shorter = vload4(entry, integral->table);
+            const float4 longer = vload4(entry + 1, integral->table);
+            corners[corner] = shorter + (ls[lane] - l) * (longer - shorter);
         }
+        const float4 from_f = corners[0] + (ts[lane] - t) * (corners[1] - corners[0]);
+        const float4 from_next = corners[2] + (ts[lane] - t) * (corners[3] - corners[2]);
+        const float4 sum = from_f + (fs[lane] - f) * (from_next - from_f);
         r[lane] = sum.x;
         g[lane] = sum.y;
         b[lane] = sum.z;
@@ -38,6 +42,7 @@ void add_preintegrated(Light *light, const Integral *integral, const floats from
     light->r = light->r + light->through * load(r);
     light->g = light->g + light->through * load(g);
     light->b = light->b + light->through * load(b);
+    light->alpha = light->alpha + light->through * load(a);
     light->through = light->through * (1 - load(a));
 }
 #endif

@@ -13,7 +13,7 @@
 #include "tets/textures.h"
 #include "tets/view.h"
 #include "tets/extent.h"
-#include "tets/raycast.h"
+#include "tets/integrators.h"
 #include "tets/project.h"
 #include "tets/depth.h"
 #include "tets/integrate.h"
@@ -219,12 +219,8 @@ void composite_fragments(Followed *rays, __global const float *records, const In
     rays->fragments += lanes ? (ints)1 : (ints)0;
     floats on_ray[4];
     scalars_on_rays(records, lanes ? cell : (ints)0, on_ray);
-#ifdef CONSTANT
-    const floats first = on_ray[2], last = first;
-#else
     const floats first = scalars_at(on_ray, rays->x, rays->y, depth, rays->middle);
     const floats last = scalars_at(on_ray, rays->x, rays->y, end, rays->middle);
-#endif
     Segment segment = {first, last, interval_of(&integral->transfer, first),
                        interval_of(&integral->transfer, last)};
     while (ANY(active)) {
@@ -383,7 +379,7 @@ __kernel void composite(__global const float *records, __global const uint *pair
     store(rays.light.r, r);
     store(rays.light.g, g);
     store(rays.light.b, b);
-    store(1 - rays.light.through, a);
+    store(alpha_of(&rays.light), a);
     store(rays.fragments, fragments);
     uint sum = 0;
     for (uint lane = 0; lane < LANES; ++lane) {

@@ -19,7 +19,8 @@ typedef struct {
 // What is left of a ray, front to back.
 typedef struct {
     floats r, g, b; // so far, premultiplied
-    floats through; // how much passes
+    floats through; // how much passes: 1 - alpha, but exact where it is little
+    floats alpha;   // the sum of the weights, exact where that is little
 } Light;
 
 // A segment of which the scalar is linear: from s, in interval `interval`, to another, in another.
@@ -98,6 +99,7 @@ void add_segment(Light *light, const Sample *front, const Sample *back, const fl
     light->g = light->g + (w_f * front->g + w_b * back->g);
     light->b = light->b + (w_f * front->b + w_b * back->b);
     light->through = light->through * through;
+    light->alpha = light->alpha + (w_f + w_b);
 }
 
 // The same with one colour and one extinction.
@@ -110,4 +112,11 @@ void add_homogeneous(Light *light, const Sample *s, const floats length)
     light->g = light->g + alpha * s->g;
     light->b = light->b + alpha * s->b;
     light->through = light->through * through;
+    light->alpha = light->alpha + alpha;
+}
+
+// The opacity so far.
+floats alpha_of(const Light *light)
+{
+    return light->through < 0.5f ? 1 - light->through : light->alpha;
 }

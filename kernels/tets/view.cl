@@ -170,16 +170,21 @@ __kernel void sort_entries(__global const uint *ends, const uint pixels, __globa
     if (pixel >= pixels)
         return;
     const uint start = pixel > 0 ? ends[pixel - 1] : 0, end = ends[pixel];
-    for (uint i = start + 1; i < end; ++i) {
-        const uint2 entry = vload2(i, entries);
-        uint at = i;
-        for (; at > start; --at) {
-            const uint2 before = vload2(at - 1, entries);
-            const float depth = as_float(before.x), own = as_float(entry.x);
-            if (depth < own || (depth == own && before.y < entry.y))
-                break;
-            vstore2(before, at, entries);
+    // Shell's sort; Knuth's increments
+    uint gap = 1;
+    while (gap < (end - start) / 3)
+        gap = 3 * gap + 1;
+    for (; gap > 0; gap /= 3)
+        for (uint i = start + gap; i < end; ++i) {
+            const uint2 entry = vload2(i, entries);
+            uint at = i;
+            for (; at >= start + gap; at -= gap) {
+                const uint2 before = vload2(at - gap, entries);
+                const float depth = as_float(before.x), own = as_float(entry.x);
+                if (depth < own || (depth == own && before.y <= entry.y))
+                    break;
+                vstore2(before, at, entries);
+            }
+            vstore2(entry, at, entries);
         }
-        vstore2(entry, at, entries);
-    }
 }

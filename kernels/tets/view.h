@@ -54,7 +54,8 @@ bool nearness(const View *v, const double4 plane, float3 *abc)
     if (!(f.w > -NO_SCALE))
         return false;
     if (f.w < NO_SCALE) {
-        const double across = fmax(fabs(f.x), fabs(f.y)), pixel = across > 0 ? across : fabs(f.z);
+        const double across = fabs(f.x) > fabs(f.y) ? fabs(f.x) : fabs(f.y);
+        const double pixel = across > 0 ? across : fabs(f.z);
         f.z -= pixel * NEAR_LINE;
         f.w = pixel / AT_ONCE;
     }

@@ -111,7 +111,7 @@ class FieldRenderer:
         pixels = self.device.empty(4 * width * height, np.float32)
         kernel = self.device.kernel(SOURCE, "raycast", **self.query.options)
         tiles = -(-width // TILE) * -(-height // TILE)
-        with self.device.stage("raycast"):
+        with self.device.stage("ray casting"):
             kernel(
                 tiles * TILE * TILE,
                 *self.query.textures,

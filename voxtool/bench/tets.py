@@ -22,7 +22,7 @@ from voxtool.camera import Camera
 from voxtool.files import read_unstructured
 from voxtool.opencl import open_device
 from voxtool.tets.mesh import tetrahedra
-from voxtool.tets.raycast import METHODS, VolumeRenderer
+from voxtool.tets.render import METHODS, VolumeRenderer
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 

@@ -126,7 +126,7 @@ class FieldScene(Scene):
 
     kind = "field"
     samples = 2
-    stages = ("upload", "raycast")
+    stages = ("upload", "ray casting")
 
     def __init__(
         self,
@@ -208,7 +208,7 @@ class VolumeScene(Scene):
         integrator: str | None = None,
     ) -> None:
         from voxtool.files.transfer import read_transfer
-        from voxtool.tets.raycast import integrator_of
+        from voxtool.tets.integrate import integrator_of
         from voxtool.tets.transfer import DEFAULT_MAP, default_unit_distance, named
         from voxtool.tets.view import kept_blocks
         from voxtool.tets.volume import BLOCK
@@ -227,7 +227,7 @@ class VolumeScene(Scene):
                 opacity_range,
             )
         table = ("preintegrate",) if self.preintegrated else ()
-        self.stages = ("upload", "look", "entries", *table, "cast")
+        self.stages = ("upload", *table, "look", "entries", "ray casting")
         if self.method == "projection":
             self.stages = ("upload", *table, "project", "tiles", "composite")
         kept = kept_blocks(volume, self.transfer.local(volume))
@@ -257,7 +257,7 @@ class VolumeScene(Scene):
         return out
 
     def draw(self, rays: Rays, device: Device) -> np.ndarray:
-        from voxtool.tets.raycast import VolumeRenderer
+        from voxtool.tets.render import VolumeRenderer
 
         return VolumeRenderer(self.volume, device).render(
             rays, self.transfer, self.method, self.integrator

@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from voxtool.opencl import Array
-    from voxtool.tets.transfer import LocalTransfer
+    from voxtool.tets.integrate import Integral
     from voxtool.tets.view import Viewpoint, VisibleCells
 
 SOURCE = "tets/project.cl"
@@ -82,34 +82,13 @@ class _Tiles:
 class CellProjection:
     """Pictures of what a transfer function shows of a volume, by one integrator."""
 
-    def __init__(
-        self,
-        visible: VisibleCells,
-        transfer: LocalTransfer,
-        lanes: int,
-        integrator: str,
-        samples: int,
-        table: tuple[Array, np.float32],
-    ) -> None:
-        """
-        Parameters
-        ----------
-        lanes : rays that a work-item follows side by side, 1 or 16.
-        integrator, samples : as integrator_of has them.
-        table : of the integrator "preintegrated", and the length of its longest segment; any, if
-            it is another.
-        """
+    def __init__(self, visible: VisibleCells, integral: Integral) -> None:
         self.visible = visible
-        self.transfer = transfer
-        self.lanes = lanes
-        self.samples = samples
-        self.table = table
+        self.integral = integral
         self.options: dict[str, int | str] = {
             **visible.textures.options,
-            **({"CONSTANT": 1} if visible.textures.volume.constant else {}),
-            "LANES": lanes,
+            **integral.options,
             "PENDING": PENDING,
-            "INTEGRATOR": integrator.upper(),
         }
 
     def __call__(self, view: Viewpoint) -> Projection:
@@ -186,10 +165,10 @@ class CellProjection:
         return _Tiles(pair_cells, ends, pairs)
 
     def _composite(self, view: Viewpoint, records: Array, seen: int, tiles: _Tiles) -> Projection:
-        device, transfer = self.visible.textures.device, self.transfer
+        device, lanes = self.visible.textures.device, self.integral.lanes
         width, height = view.rays.size
         across, down = tiles_of(view)
-        items = across * down * TILE * TILE // self.lanes
+        items = across * down * TILE * TILE // lanes
         picture = device.empty(4 * width * height, np.float32)
         tallies = device.empty(2 * items, np.uint32)
         # writes: picture, tallies
@@ -198,17 +177,13 @@ class CellProjection:
             records,
             tiles.cells,
             tiles.ends,
-            device.put(transfer.points),
-            device.put(transfer.rows),
-            np.int32(len(transfer.points)),
-            *self.table,
-            np.uint32(self.samples),
+            *self.integral.arguments,
             *view.arguments(),
             np.int32(width),
             np.int32(height),
             picture,
             tallies,
-            local=1 if self.lanes > 1 else TILE * TILE,
+            local=1 if lanes > 1 else TILE * TILE,
         )
         pixels = picture.take().reshape(height, width, 4)
         fragments, passes = tallies.get().reshape(-1, 2).T

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.camera import dot
+from voxtool.errors import MemoryLimitError
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.tets.volume import BLOCK, FACES
 
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 SOURCE = "tets/view.cl"
 NOWHERE = -1
 ON_PLANE = 2.0**-21  # as in kernels/tets/ray.h
+MOST_ENTRIES = (1 << 31) - 1
 NEAREST = 0.5  # of the middle to the eye, in sizes of the local frame
 
 
@@ -95,7 +97,12 @@ class VisibleCells:
         return records
 
     def enter(self, view: Viewpoint) -> Entries:
-        """Where the rays of a viewpoint enter these cells."""
+        """Where the rays of a viewpoint enter these cells.
+
+        Raises
+        ------
+        MemoryLimitError : more than MOST_ENTRIES times, or the device has no memory for them.
+        """
         textures = self.textures
         device, vertices = textures.device, len(textures.volume.vertices)
         width, height = view.rays.size
@@ -109,7 +116,13 @@ class VisibleCells:
             ends = device.zeros(width * height + 1, np.uint32)
             count = textures.kernel("count_entries", **view.options)
             count(self.exposed, *outlines, *size, ends)
-            found = exclusive_scan(ends, width * height)
+            found = int(ends.get(0, width * height).sum(dtype=np.uint64))
+            if found > MOST_ENTRIES:
+                raise MemoryLimitError(
+                    f"rays enter the volume {found} times, at most {MOST_ENTRIES} fit: choose a "
+                    "smaller picture"
+                )
+            exclusive_scan(ends, width * height)
             entries = device.empty(2 * found, np.uint32)
             list_entries = textures.kernel("list_entries", **view.options)
             list_entries(
@@ -141,7 +154,18 @@ class Viewpoint:
 
     @staticmethod
     def of(rays: Rays, volume: TetVolume, device: Device) -> Viewpoint:
-        """The viewpoint of rays in world units."""
+        """The viewpoint of rays in world units.
+
+        Raises
+        ------
+        MemoryLimitError : the device cannot hold their picture.
+        """
+        width, height = rays.size
+        if 16 * width * height > device.info.max_allocation:
+            raise MemoryLimitError(
+                f"{device.info.name} cannot hold a picture of {width} x {height} pixels, "
+                f"{16 * width * height} bytes: choose a smaller one"
+            )
         local = rays.local(volume.origin, volume.scale)
         middle = max(-dot(local.origin, local.direction), NEAREST) if local.perspective else 0.0
         numbers = [*local.origin, *local.direction, *local.right, *local.down, middle]
@@ -176,8 +200,8 @@ def kept_cells(volume: TetVolume, kept: np.ndarray) -> np.ndarray:
     return np.repeat(kept, BLOCK)[: len(volume.cells)]
 
 
-def cell_at(volume: TetVolume, point: np.ndarray) -> int:
-    """The cell that holds a point of the local frame, or nearly; or NOWHERE."""
+def cells_at(volume: TetVolume, point: np.ndarray) -> np.ndarray:
+    """(n,) int64: the cells that hold a point of the local frame, or nearly; the surest first."""
     outside = np.full(len(volume.cells), -np.inf)
     for face, normals in enumerate(volume.normals):
         n = normals.astype(np.float64)
@@ -188,5 +212,5 @@ def cell_at(volume: TetVolume, point: np.ndarray) -> int:
             anchor = volume.vertices[volume.anchors[:, int(face == 0)], :3].astype(np.float64)
             height -= n[:, 0] * anchor[:, 0] + n[:, 1] * anchor[:, 1] + n[:, 2] * anchor[:, 2]
         outside = np.maximum(outside, height)
-    cell = int(outside.argmin())
-    return cell if outside[cell] <= ON_PLANE else NOWHERE
+    found = np.flatnonzero(outside <= ON_PLANE)
+    return found[np.argsort(outside[found], kind="stable")]

@@ -1,8 +1,8 @@
 // The pre-integrated transfer function: what a segment sends and keeps, by its scalars at both ends
-// and its length (Roettger, Kraus and Ertl 2000). Host side: voxtool/tets/raycast.py.
+// and its length (Roettger, Kraus and Ertl 2000). Host side: voxtool/tets/integrate.py.
 // Option: LANES, 1
 
-#include "tets/raycast.h"
+#include "tets/integrators.h"
 #include "tets/transfer.h"
 
 #pragma OPENCL FP_CONTRACT OFF
@@ -35,5 +35,5 @@ __kernel void preintegrate(__global const float *points, __global const float *r
         add_segment(&light, &near, &far, length * share);
         front = to;
     }
-    vstore4((float4)(light.r, light.g, light.b, 1 - light.through), entry, table);
+    vstore4((float4)(light.r, light.g, light.b, alpha_of(&light)), entry, table);
 }
