@@ -101,7 +101,7 @@ def sweep(
                 stages, whole = timing.stage_times(partial(work, device=profiled), profiled, repeat)
                 memory = statistics.median(times)
                 on_device = sum(stages.values())
-                command, peak = _command(octree, style, isovalue, timed.info.index)
+                command, peak = whole_command(octree, style, isovalue, timed.info.index)
                 pitch = max(grid.pitch)
                 row = Row(
                     model=Path(model).name,
@@ -141,7 +141,7 @@ def visited_cubes(octree: Octree) -> int:
     return len(cells)
 
 
-def _command(octree: Octree, style: str, isovalue: float, device: int) -> tuple[float, int]:
+def whole_command(octree: Octree, style: str, isovalue: float, device: int) -> tuple[float, int]:
     """Seconds and peak resident bytes of `voxtool extract` in a process of its own, to a PLY."""
     with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
         source = str(Path(folder, "in.svo.h5"))

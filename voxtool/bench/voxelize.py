@@ -83,7 +83,7 @@ def sweep(
                 stages, whole = timing.stage_times(profiled_work, profiled, repeat)
                 memory = statistics.median(times)
                 on_device = sum(stages.values())
-                command, peak = _command(model, dim, mode, fit, timed.info.index)
+                command, peak = whole_command(model, dim, mode, fit, timed.info.index)
                 row = Row(
                     model=Path(model).name,
                     dim=dim,
@@ -105,7 +105,7 @@ def sweep(
                 yield row
 
 
-def _command(model: str, dim: int, mode: str, fit: str, device: int) -> tuple[float, int]:
+def whole_command(model: str, dim: int, mode: str, fit: str, device: int) -> tuple[float, int]:
     """Seconds and peak resident bytes of `voxtool voxelize` in a process of its own."""
     with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
         return timing.command(

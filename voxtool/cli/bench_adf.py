@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from itertools import groupby
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.cli import options
+from voxtool.cli import options, reports
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
@@ -56,6 +56,7 @@ PLACES = {"in the cube": "cube", "near the surface": "near"}
     show_default=True,
     help="Points of each measurement of queries.",
 )
+@reports.report_options
 def command(
     models: tuple[str, ...],
     tolerances: list[float],
@@ -67,6 +68,7 @@ def command(
     peers: bool,
     device: str | None,
     as_json: bool,
+    **more: Any,
 ) -> None:
     """Time building the distance fields of MODELS, asking them, and exact distances beside them.
 
@@ -83,6 +85,16 @@ def command(
       voxtool bench adf bunny.obj --tolerances 1e-2,1e-3 --max-level 7
       voxtool bench adf bunny.obj --tolerances 1e-3 --band 0.01 --peers
     """
+    if reports.wanted(more):
+        from voxtool.bench.sweep import Sweep
+
+        asked = Sweep(
+            tolerances=tuple(tolerances), levels=(max_level,), sign=sign, queries=points,
+            band=math.inf if band is None else band, repeat=repeat, peers=peers, device=device,
+        )  # fmt: skip
+        reports.measure_and_report(models, asked, ("adf",), as_json=as_json, **more)
+        return
+
     from voxtool.bench.adf import measure_hash, sphere_keys, sweep
     from voxtool.bench.peers import missing_of_distance
     from voxtool.opencl import open_device

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.cli import options
+from voxtool.cli import options, reports
 from voxtool.errors import count_of
 from voxtool.plan.extraction import STYLES
 from voxtool.version import __version__
@@ -37,6 +37,7 @@ SHORT = {"lost voxels": "lost", "histopyramid": "pyramid", "triangles": "faces"}
     show_default=True,
     help="Points on each surface at which the error is measured.",
 )
+@reports.report_options
 def command(
     models: tuple[str, ...],
     dims: list[int],
@@ -47,6 +48,7 @@ def command(
     peers: bool,
     device: str | None,
     as_json: bool,
+    **more: Any,
 ) -> None:
     """Time each stage of extracting surfaces from the solid octrees of MODELS; measure the error.
 
@@ -62,6 +64,16 @@ def command(
       voxtool bench extract bunny.obj --dims 256,512
       voxtool bench extract bunny.obj --dims 512,1024 --styles smooth,nets --peers
     """
+    if reports.wanted(more):
+        from voxtool.bench.sweep import Sweep
+
+        asked = Sweep(
+            dims=tuple(dims), styles=tuple(styles), isovalue=isovalue, samples=samples,
+            repeat=repeat, peers=peers, device=device,
+        )  # fmt: skip
+        reports.measure_and_report(models, asked, ("extract",), as_json=as_json, **more)
+        return
+
     from voxtool.bench.extract import sweep
     from voxtool.opencl import open_device
 

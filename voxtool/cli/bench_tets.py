@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.cli import options
+from voxtool.cli import options, reports
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
@@ -59,6 +59,7 @@ HEADER = "method              integrator      first ms  frame ms +-%        rms 
     show_default=True,
     help="Transfer functions: a ramp of five colours, times as opaque; or two slabs with jumps.",
 )
+@reports.report_options
 def command(
     models: tuple[str, ...],
     scalar: str | None,
@@ -73,6 +74,7 @@ def command(
     peers: bool,
     device: str | None,
     as_json: bool,
+    **more: Any,
 ) -> None:
     """Time drawing MODELS, meshes of volume cells, and measure the pictures' errors.
 
@@ -88,6 +90,17 @@ def command(
       voxtool bench tets bluntfin.vtu --scalar density --peers
       voxtool bench tets bluntfin.vtu --size 256 --transfers x1,x100 --methods raycast
     """
+    if reports.wanted(more):
+        from voxtool.bench.sweep import Sweep
+
+        asked = Sweep(
+            sizes=(size,), view=view, pixels=-(-size // every), methods=tuple(methods),
+            integrators=tuple(integrators), transfers=tuple(transfers), scalar=scalar,
+            component=component, repeat=repeat, peers=peers, device=device,
+        )  # fmt: skip
+        reports.measure_and_report(models, asked, ("tets",), as_json=as_json, **more)
+        return
+
     from voxtool.bench.peers import missing_of_volume
     from voxtool.bench.tets import sweep
     from voxtool.opencl import open_device

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.cli import options
+from voxtool.cli import options, reports
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
@@ -35,27 +35,42 @@ SHORT = {"active nodes": "active", "surface26": "26-sep", "surface6": "6-sep",
     show_default=True,
     help="stretch: as the thesis's tables, eq. (5.1).",
 )
+@reports.samples_option
+@reports.report_options
 def command(
     models: tuple[str, ...],
     dims: list[int],
     modes: list[str],
     fit: str,
+    samples: int,
     repeat: int,
     peers: bool,
     device: str | None,
     as_json: bool,
+    **more: Any,
 ) -> None:
     """Time each stage of voxelizing MODELS.
 
     Stages, device (their sum with survey and read back, by the device's events), host (what Python
     adds) and memory (mesh in memory to octree in memory, and the runs' spread in %) are in ms;
-    command (the whole command in a process of its own) is in s and its peak of memory in MB.
+    command (the whole command in a process of its own) is in s and its peak of memory in MB. With
+    -o or a budget, the error is measured instead, and set against the time.
 
     \b
     Examples:
       voxtool bench voxelize bunny.obj --dims 64,512
       voxtool bench voxelize bunny.obj --dims 512,1024 --modes solid --peers
     """
+    if reports.wanted(more):
+        from voxtool.bench.sweep import Sweep
+
+        asked = Sweep(
+            dims=tuple(dims), modes=tuple(modes), fit=fit, samples=samples, repeat=repeat,
+            peers=peers, device=device,
+        )  # fmt: skip
+        reports.measure_and_report(models, asked, ("voxelize",), as_json=as_json, **more)
+        return
+
     from voxtool.bench.voxelize import sweep
     from voxtool.opencl import open_device
 

@@ -24,6 +24,7 @@ COMMANDS = {
     "render": "voxtool.cli.render",
     "export": "voxtool.cli.export",
     "devices": "voxtool.cli.devices",
+    "selftest": "voxtool.cli.selftest",
     "bench": "voxtool.cli.bench",
 }
 

@@ -1,0 +1,17 @@
+// The weights of segments, LANES a work-item. Host side: voxtool/bench/selftest/volumes.py.
+
+#include "tets/segment.h"
+
+#pragma OPENCL FP_CONTRACT OFF
+
+// What segments of optical depths a and b at their ends weigh and let through.
+__kernel void weigh(__global const float *a, __global const float *b, __global float *w_f,
+                    __global float *w_b, __global float *zeta)
+{
+    const size_t i = get_global_id(0) * LANES;
+    floats front, back, through;
+    segment_weights(load(a + i), load(b + i), &front, &back, &through);
+    store(front, w_f + i);
+    store(back, w_b + i);
+    store(through, zeta + i);
+}

@@ -1,0 +1,277 @@
+"""Charts of what was measured, by matplotlib (the extra `pictures`): as SVG that takes the colours
+of the page it stands in, and as PNG on white."""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from voxtool.bench.points import (
+    MEASURES,
+    charted,
+    duration,
+    exponent,
+    methods_of,
+    pareto,
+    title,
+)
+from voxtool.errors import FileError, printable
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from voxtool.bench.points import Point
+
+COLOURS = ("#2f7ed8", "#e07b00", "#1a9e77", "#c2417c", "#7a6ad8", "#a07a1f", "#d0453e", "#1597a8",
+           "#6b8e23", "#8a5a44", "#5f7f95", "#b05fd0")  # fmt: skip
+MARKERS = "osD^vPXp"
+WIDTH, PLOT = 7.2, 3.7  # inches: of a chart, and the height of what is within its axes
+LEFT, RIGHT, TOP, BOTTOM = 0.8, 0.25, 0.45, 0.55  # around that
+LEGEND = 0.19  # of a line of the legend, of COLUMNS names
+COLUMNS = 3
+DPI = 144  # of PNG
+BAR = 0.42  # inches, of the height of a chart of bars, for each
+
+
+@dataclass(frozen=True)
+class Theme:
+    """Colours of what is written, of lines that guide the eye, and of the ground."""
+
+    ink: str
+    grid: str
+    ground: str
+
+
+PAPER = Theme("#1d2530", "#d5dae0", "#ffffff")
+# of no chart, so that they can be replaced by what CSS says
+PAGE = Theme("#010203", "#040506", "#070809")
+CSS = {PAGE.ink: "currentColor", PAGE.grid: "var(--grid)", PAGE.ground: "var(--card)"}
+
+
+def check_matplotlib() -> None:
+    """Raises FileError, which says what to install, where there is no matplotlib."""
+    try:
+        import matplotlib as _  # noqa: F401
+    except ImportError:
+        raise FileError("charts need matplotlib: pip install 'voxtool[pictures]'") from None
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart: its name, for a file, and its two forms."""
+
+    name: str
+    svg: str
+    png: bytes
+
+
+def charts(points: Sequence[Point], name: str) -> list[Chart]:
+    """All that there are of the points of one chart: error against time, cost against size, and
+    stages; those for which nothing was measured are left out."""
+    drawings = {
+        "error": (draw_error, any(point.error is not None for point in points)),
+        "cost": (draw_cost, bool(_lines_of_cost(points))),
+        "stages": (draw_stages, bool(_bars(points))),
+    }
+    return [
+        _chart(draw, points, f"{name}-{kind}")
+        for kind, (draw, drawn) in drawings.items()
+        if drawn
+    ]
+
+
+def _chart(draw: Any, points: Sequence[Point], name: str) -> Chart:
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    forms = []
+    for theme, form in ((PAGE, "svg"), (PAPER, "png")):
+        style = {
+            **matplotlib.rcParamsDefault,  # whatever the user prefers
+            "svg.fonttype": "none", "svg.hashsalt": name, "font.size": 9, "text.color": theme.ink,
+            "font.sans-serif": ["DejaVu Sans", "Verdana", "sans-serif"],
+            "axes.edgecolor": theme.grid, "axes.labelcolor": theme.ink, "xtick.color": theme.ink,
+            "ytick.color": theme.ink, "axes.facecolor": theme.ground, "grid.color": theme.grid,
+            "figure.facecolor": theme.ground, "savefig.facecolor": theme.ground,
+            "axes.spines.top": False, "axes.spines.right": False, "grid.linewidth": 0.6,
+            "legend.frameon": False, "legend.fontsize": 8, "axes.titlesize": 11,
+            "axes.titlelocation": "left", "axes.titlepad": 12, "axes.axisbelow": True,
+        }  # fmt: skip
+        with matplotlib.rc_context(style), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Glyph")  # names may be in any script
+            figure = Figure(figsize=(WIDTH, PLOT), dpi=DPI)
+            FigureCanvasAgg(figure)
+            draw(figure, points, theme)
+            file = io.BytesIO()
+            metadata = {"Software": None} if form == "png" else {"Date": None}
+            figure.savefig(file, format=form, metadata=metadata)
+        forms.append(file.getvalue())
+    return Chart(name, inline(forms[0].decode()), forms[1])
+
+
+def inline(svg: str) -> str:
+    """An SVG file as an element of a page: without its head, and in the page's colours."""
+    svg = svg[svg.index("<svg") :]
+    svg = re.sub(r"\s*<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
+    svg = re.sub(r' xmlns(:\w+)?="[^"]*"', "", svg)
+    svg = re.sub(r' (width|height)="[\d.]+pt"', "", svg, count=2)
+    for colour, name in CSS.items():
+        svg = svg.replace(colour, name)
+    return svg
+
+
+# --- error against time --------------------------------------------------------------------------
+
+
+def draw_error(figure: Any, points: Sequence[Point], theme: Theme) -> None:
+    """Error against time, one line a method, the Pareto front marked."""
+    plot = figure.add_subplot()
+    plot.set_xscale("log")
+    plot.set_yscale("log")
+    plot.grid(True, which="major")
+    errors = [point.error for point in points if point.error is not None and point.error > 0]
+    floor = min(errors, default=1e-6) / 4  # where errors of 0 are drawn
+    front = pareto(points)
+    where = [(point.seconds, point.error or floor) for point in front]
+    steps = [x for pair in zip(where, [*where[1:], where[-1]], strict=True)
+             for x in (pair[0], (pair[1][0], pair[0][1]))]  # fmt: skip
+    plot.plot(*zip(*steps, strict=True), color=theme.ink, alpha=0.16, linewidth=7, zorder=1,
+              solid_capstyle="round", label="Pareto front")  # fmt: skip
+    for number, (method, found) in enumerate(methods_of(points).items()):
+        colour = COLOURS[number % len(COLOURS)]
+        marker = MARKERS[number % len(MARKERS)]
+        known = sorted((p for p in found if p.error is not None), key=lambda p: p.seconds)
+        style: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 6,
+                                 "linewidth": 1.5, "label": plain(method)}  # fmt: skip
+        if found[0].peer:
+            style |= {"linestyle": (0, (4, 2)), "linewidth": 1.1}
+        if not known:
+            plot.axvline(found[0].seconds, color=colour, linestyle=":", linewidth=1.5,
+                         label=plain(f"{method} (no error is measured)"))  # fmt: skip
+            continue
+        if any(p.label != known[0].label and p.size is None for p in known):
+            style["linestyle"] = "none"  # settings without an order
+        plot.plot(
+            [p.seconds for p in known], [p.error or floor for p in known], zorder=3,
+            markerfacecolor=theme.ground, markeredgewidth=1.4, **style,
+        )  # fmt: skip
+        best = [p for p in known if p in front]
+        plot.plot(
+            [p.seconds for p in best], [p.error or floor for p in best], linestyle="none",
+            marker=marker, markersize=8, color=colour, zorder=4,
+        )  # fmt: skip
+        for p in best:
+            text = plain(p.label or p.method) + ("" if p.error else " (0)")
+            plot.annotate(text, (p.seconds, p.error or floor), (6, 6), fontsize=7,
+                          textcoords="offset points", color=theme.ink, zorder=5)  # fmt: skip
+    plot.margins(0.12, 0.12)
+    point = points[0]
+    measure = charted(point.bench)
+    plot.set_xlabel("seconds")
+    plot.set_ylabel(plain(f"{measure} error, {MEASURES[point.bench][measure]}"))
+    plot.set_title(plain(f"{title(point.chart)}: error against time"))
+    _lay_out(figure, plot)
+
+
+# --- cost against size ---------------------------------------------------------------------------
+
+
+def _lines_of_cost(points: Sequence[Point]) -> dict[str, list[tuple[float, float]]]:
+    """Size and seconds of the points of each method that has several sizes."""
+    lines = {
+        method: sorted((p.size, p.seconds) for p in found if p.size)
+        for method, found in methods_of(points).items()
+    }
+    return {method: line for method, line in lines.items() if len({x for x, _ in line}) > 1}
+
+
+def exponents(points: Sequence[Point]) -> dict[str, tuple[float, float, float]]:
+    """By method: p of seconds ~ size**p, and the least and the largest size that it is fitted to."""
+    return {
+        method: (p, line[0][0], line[-1][0])
+        for method, line in _lines_of_cost(points).items()
+        if (p := exponent(line)) is not None
+    }
+
+
+def draw_cost(figure: Any, points: Sequence[Point], theme: Theme) -> None:
+    """Seconds against size, with the exponents that fit."""
+    plot = figure.add_subplot()
+    plot.set_xscale("log")
+    plot.set_yscale("log")
+    plot.grid(True, which="major")
+    fitted = exponents(points)
+    methods = list(methods_of(points))
+    for method, line in _lines_of_cost(points).items():
+        number = methods.index(method)
+        p, low, high = fitted[method]
+        plot.plot(
+            *zip(*line, strict=True), marker=MARKERS[number % len(MARKERS)], markersize=6,
+            color=COLOURS[number % len(COLOURS)], markerfacecolor=theme.ground, linewidth=1.5,
+            label=plain(f"{method}: size to the {p:.2f}, {low:g} to {high:g}"),
+        )  # fmt: skip
+    point = next(p for p in points if p.size)
+    sizes = sorted({p.size for p in points if p.size})
+    if len(sizes) <= 8:
+        plot.set_xticks(sizes, [f"{size:,g}" for size in sizes])
+        plot.set_xticks([], minor=True)
+    plot.margins(0.08, 0.12)
+    plot.set_xlabel(point.size_of)
+    plot.set_ylabel("seconds")
+    plot.set_title(plain(f"{title(point.chart)}: cost against size"))
+    _lay_out(figure, plot)
+
+
+# --- stages --------------------------------------------------------------------------------------
+
+
+def _bars(points: Sequence[Point]) -> list[Point]:
+    """The slowest point of each method whose stages are known."""
+    known = methods_of(point for point in points if point.stages)
+    return [max(found, key=lambda p: p.seconds) for found in known.values()]
+
+
+def draw_stages(figure: Any, points: Sequence[Point], theme: Theme) -> None:
+    """Where the time goes, of the slowest setting of each method: a bar of stages on the device."""
+    bars = _bars(points)
+    plot = figure.add_subplot()
+    plot.grid(True, axis="x")
+    stages = list(dict.fromkeys(stage for point in bars for stage in point.stages))
+    rows, left = range(len(bars)), [0.0] * len(bars)
+    for number, stage in enumerate(stages):
+        width = [1e3 * point.stages.get(stage, 0.0) for point in bars]
+        plot.barh(rows, width, left=left, color=COLOURS[number % len(COLOURS)], height=0.62,
+                  edgecolor=theme.ground, linewidth=0.8, label=plain(stage))  # fmt: skip
+        left = [a + b for a, b in zip(left, width, strict=True)]
+    for row, (end, point) in enumerate(zip(left, bars, strict=True)):
+        plot.annotate(f" {duration(point.seconds)} in all", (end, row), va="center", fontsize=7)
+    plot.set_yticks(rows, [f"{plain(p.method)}\n{plain(p.label)}" for p in bars])
+    plot.invert_yaxis()
+    plot.set_xlim(0, 1.22 * max(max(left), 1e-6))
+    plot.set_xlabel("ms on the device")
+    plot.set_title(plain(f"{title(points[0].chart)}: stages"))
+    _lay_out(figure, plot, BAR * (len(bars) + 0.4), left=2 * LEFT)
+
+
+# --- words ---------------------------------------------------------------------------------------
+
+
+def plain(text: str) -> str:
+    """A text that matplotlib takes as it is."""
+    return printable(text).replace("$", r"\$")
+
+
+def _lay_out(figure: Any, plot: Any, height: float = PLOT, left: float = LEFT) -> None:
+    """Place the axes, of a height in inches, and the legend below them."""
+    handles, labels = plot.get_legend_handles_labels()
+    legend = LEGEND * -(-len(labels) // COLUMNS) + 0.1
+    whole = TOP + height + BOTTOM + legend
+    figure.set_size_inches(WIDTH, whole)
+    plot.set_position(
+        (left / WIDTH, (BOTTOM + legend) / whole, 1 - (left + RIGHT) / WIDTH, height / whole)
+    )
+    figure.legend(handles, labels, loc="lower center", ncols=COLUMNS, handlelength=2.4)

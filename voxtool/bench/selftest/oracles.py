@@ -1,0 +1,261 @@
+"""Slow, plain oracles of voxels and distances, in Python integers and fractions.
+
+Triangles are three points of three whole numbers in 1/256 voxel: any sequence will do, also an
+array `vertices[faces]`. Voxel (i, j, k) is the closed cube [i, i+1] x [j, j+1] x [k, k+1] in
+voxels. Nothing here is ever rounded, and nothing is shared with what it judges: touching is
+decided by clipping, and ties by numbers that carry an infinitesimal.
+
+Such a number is the tuple (value, a, b, c), which stands for value + a ex + b ey + c ez with
+1 >> ex >> ey >> ez > 0: so tuples compare as the numbers do.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from fractions import Fraction
+from itertools import product
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+    from typing import Any
+
+    Cell = tuple[int, int, int]
+    Point = Sequence[Any]  # whole numbers, or fractions
+    Polygon = list[Point]
+    Slab = tuple[int, int]
+
+UNIT = 256  # a voxel
+HALF = UNIT // 2
+NODE = 8  # voxels along a side of a level 1 node
+ZERO = (0, 0, 0, 0)
+ONE = (1, 0, 0, 0)
+
+
+class OctreeNodes(NamedTuple):
+    """Cells of octree nodes by level, counted in nodes: cell (i, j, k) of level L spans the voxels
+    [i, i+1) * 4 * 2**L along x, and so on.
+
+    refined : level -> nodes with children, from level 1 to the root's.
+    inside : level -> leaves wholly set, from level 1 to the root's.
+    """
+
+    refined: dict[int, set[Cell]]
+    inside: dict[int, set[Cell]]
+
+
+def surface26(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
+    """Voxels whose closed cube touches a closed triangle, if only in one point."""
+    slabs = [[(UNIT * i, UNIT * (i + 1)) for i in range(n)] for n in shape]
+    return {cell for t in _polygons(triangles) for cell in _touched(t, slabs)}
+
+
+def surface6(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
+    """The 6-separating set of Schwarz and Seidel, with the centres moved by (ex, ey, ez)."""
+    found = set()
+    for triangle in _polygons(triangles):
+        forms = _thin_forms(*triangle)
+        for cell in product(*(_overlapped(triangle, a, shape[a]) for a in range(3))):
+            x, y, z = (UNIT * i + HALF for i in cell)
+            if all((d + a * x + b * y + c * z, a, b, c) >= ZERO for d, a, b, c in forms):
+                found.add(cell)
+    return found
+
+
+def solid(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
+    """Voxels from whose centre, moved by (ex, ey, ez), the ray towards -x crosses an odd number of
+    triangles. A triangle that is edge-on to the ray is never crossed."""
+    odd: set[Cell] = set()
+    for triangle in _polygons(triangles):
+        (x0, y0, z0), (ax, ay, az), (bx, by, bz) = _edges(*triangle)
+        det = ay * bz - az * by
+        if det == 0:
+            continue
+        for j, k in product(*(_spanned(triangle, a, shape[a]) for a in (1, 2))):
+            y, z = UNIT * j + HALF - y0, UNIT * k + HALF - z0
+            # (y + ey, z + ez) = s a + t b, by Cramer's rule
+            s = [Fraction(v, det) for v in (y * bz - z * by, 0, bz, -by)]
+            t = [Fraction(v, det) for v in (z * ay - y * az, 0, -az, ay)]
+            if min(s, t) < [Fraction(0)] * 4 or [u + v for u, v in zip(s, t, strict=True)] > list(
+                map(Fraction, ONE)
+            ):
+                continue
+            x = [u * ax + v * bx for u, v in zip(s, t, strict=True)]
+            x[0] += x0
+            odd ^= {(i, j, k) for i in range(shape[0]) if tuple(x) < (UNIT * i + HALF, 1, 0, 0)}
+    return odd
+
+
+def active_nodes(triangles: Iterable, shape: Sequence[int], solid: bool) -> set[Cell]:
+    """Level 1 nodes, counted in nodes, whose closed cube of 8 voxels touches a triangle; for a
+    solid the cube is half a voxel longer at both ends along x (eq. 3.6)."""
+    slabs = []
+    for axis, n in enumerate(shape):
+        wider = HALF if solid and axis == 0 else 0
+        count = -(-n // NODE)
+        ends = [(i * NODE * UNIT, (i + 1) * NODE * UNIT) for i in range(count)]
+        slabs.append([(low - wider, high + wider) for low, high in ends])
+    return {cell for t in _polygons(triangles) for cell in _touched(t, slabs)}
+
+
+def expected_octree_nodes(active: set[Cell], voxels: np.ndarray) -> OctreeNodes:
+    """The nodes that the contract of the octree asks for.
+
+    active : level 1 nodes that the stages of the thesis make active.
+    voxels : bool, indexed [x, y, z], of the grid's shape; beyond it nothing is set.
+    """
+    side = max(NODE, 1 << (max(voxels.shape) - 1).bit_length())
+    top = (side // NODE).bit_length()  # the root's level
+    cells = [tuple(map(int, cell)) for cell in np.argwhere(voxels)]
+    refined, full = {}, {}
+    for level in range(1, top + 1):
+        size = 4 << level
+        counts = Counter(tuple(i // size for i in cell) for cell in cells)
+        mixed = {cell for cell, count in counts.items() if count < size**3}
+        full[level] = set(counts) - mixed
+        refined[level] = mixed | {tuple(i >> (level - 1) for i in cell) for cell in active}
+    inside = {}
+    for level in range(1, top + 1):
+        nodes = {(0, 0, 0)} if level == top else _children(refined[level + 1])
+        inside[level] = (nodes & full[level]) - refined[level]
+    return OctreeNodes(refined, inside)
+
+
+def to_dense(voxels: set[Cell], shape: Sequence[int]) -> np.ndarray:
+    """A set of voxels as a bool array indexed [x, y, z]."""
+    dense = np.zeros(shape, bool)
+    for cell in voxels:
+        dense[cell] = True
+    return dense
+
+
+def distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(N,) float64: how far (N, 3) points are from the nearest of (F, 3, 3) triangles, all taken as
+    the numbers that they are: exact, but rounded once."""
+    corners = [[_rational(c) for c in triangle] for triangle in triangles]
+    return np.array([_root(min(_squared(_rational(p), *t) for t in corners)) for p in points])
+
+
+def _polygons(triangles: Iterable) -> Iterator[Polygon]:
+    """The triangles as lists of points of Python integers."""
+    for triangle in triangles:
+        yield [tuple(int(v) for v in point) for point in triangle]
+
+
+def _children(nodes: set[Cell]) -> set[Cell]:
+    corners = list(product((0, 1), repeat=3))
+    return {(2 * i + a, 2 * j + b, 2 * k + c) for i, j, k in nodes for a, b, c in corners}
+
+
+def _touched(polygon: Polygon, slabs: Sequence[Sequence[Slab]], axis: int = 0) -> Iterator[tuple]:
+    """Cells of a product of closed slabs that a convex polygon touches, which may be a segment or a
+    point: clip it to each slab of one axis, then what is left to those of the next."""
+    low, high = min(p[axis] for p in polygon), max(p[axis] for p in polygon)
+    for index, (start, end) in enumerate(slabs[axis]):
+        if end < low or high < start:
+            continue
+        part = _clip(_clip(polygon, axis, 1, start), axis, -1, end)
+        if not part:
+            continue
+        if axis == 2:
+            yield (index,)
+        else:
+            for rest in _touched(part, slabs, axis + 1):
+                yield (index, *rest)
+
+
+def _clip(polygon: Polygon, axis: int, sign: int, bound: int) -> Polygon:
+    """Sutherland and Hodgman: the part of a convex polygon with sign * (p[axis] - bound) >= 0."""
+    kept = []
+    sides = [sign * (p[axis] - bound) for p in polygon]
+    for i, (p, d) in enumerate(zip(polygon, sides, strict=True)):
+        q, e = polygon[i - 1], sides[i - 1]
+        if d * e < 0:
+            t = Fraction(d, d - e)
+            kept.append(tuple(u + t * (v - u) for u, v in zip(p, q, strict=True)))
+        if d >= 0:
+            kept.append(p)
+    return kept
+
+
+def _edges(v0: Point, v1: Point, v2: Point) -> tuple[Point, Point, Point]:
+    """The first vertex and the edges from it to the others."""
+    return (
+        v0,
+        tuple(q - p for p, q in zip(v0, v1, strict=True)),
+        tuple(q - p for p, q in zip(v0, v2, strict=True)),
+    )
+
+
+def _thin_forms(v0: Point, v1: Point, v2: Point) -> list[tuple[int, int, int, int]]:
+    """Linear forms (d, a, b, c) such that the thin test passes at a centre where none of
+    d + a x + b y + c z is negative: the plane's two sides and three edges in each projection."""
+    _, a, b = _edges(v0, v1, v2)
+    n = [a[u] * b[v] - a[v] * b[u] for u, v in ((1, 2), (2, 0), (0, 1))]
+    across = sum(u * v for u, v in zip(n, v0, strict=True))
+    reach = HALF * max(map(abs, n))
+    forms = [(reach - across, *n), (reach + across, *(-u for u in n))]
+    for flat, u, v in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        sign = -1 if n[flat] < 0 else 1
+        for p, q in ((v0, v1), (v1, v2), (v2, v0)):
+            m = [0, 0, 0]  # the inward normal of the edge
+            m[u], m[v] = sign * (p[v] - q[v]), sign * (q[u] - p[u])
+            reach = HALF * max(map(abs, m))
+            forms.append((reach - m[u] * p[u] - m[v] * p[v], *m))
+    return forms
+
+
+def _overlapped(polygon: Polygon, axis: int, count: int) -> list[int]:
+    """Layers of voxels that meet the polygon's bounds when they move by an infinitesimal."""
+    low, high = (f(p[axis] for p in polygon) for f in (min, max))
+    moved = [(i, (UNIT * i, 1), (UNIT * (i + 1), 1)) for i in range(count)]
+    return [i for i, start, end in moved if start <= (high, 0) and end >= (low, 0)]
+
+
+def _spanned(polygon: Polygon, axis: int, count: int) -> list[int]:
+    """Layers of voxels whose centres lie within the polygon's bounds or on them."""
+    low, high = (f(p[axis] for p in polygon) for f in (min, max))
+    return [i for i in range(count) if low <= UNIT * i + HALF <= high]
+
+
+def _rational(point: np.ndarray) -> list[Fraction]:
+    return [Fraction(float(x)) for x in point]
+
+
+def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
+    return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
+
+
+def _minus(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
+    return [x - y for x, y in zip(a, b, strict=True)]
+
+
+def _to_segment(p: list[Fraction], a: list[Fraction], b: list[Fraction]) -> Fraction:
+    e, w = _minus(b, a), _minus(p, a)
+    ee = _dot(e, e)
+    t = min(max(_dot(w, e) / ee, Fraction(0)), Fraction(1)) if ee else Fraction(0)
+    r = [wi - t * ei for wi, ei in zip(w, e, strict=True)]
+    return _dot(r, r)
+
+
+def _squared(p: list[Fraction], *corners: list[Fraction]) -> Fraction:
+    a, b, c = corners
+    least = min(_to_segment(p, a, b), _to_segment(p, b, c), _to_segment(p, c, a))
+    e, f, w = _minus(b, a), _minus(c, a), _minus(p, a)
+    ee, ef, ff, we, wf = _dot(e, e), _dot(e, f), _dot(f, f), _dot(w, e), _dot(w, f)
+    area = ee * ff - ef * ef
+    if area:
+        u, v = (we * ff - wf * ef) / area, (wf * ee - we * ef) / area
+        if u >= 0 and v >= 0 and u + v <= 1:
+            r = [wi - u * ei - v * fi for wi, ei, fi in zip(w, e, f, strict=True)]
+            least = min(least, _dot(r, r))
+    return least
+
+
+def _root(square: Fraction) -> float:
+    scale = 1 << 1200
+    scaled = math.isqrt(square.numerator * square.denominator * scale * scale)
+    return float(Fraction(scaled, square.denominator * scale))

@@ -1,0 +1,87 @@
+"""voxtool bench compare: what became slower or less accurate."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import click
+
+from voxtool.cli import options
+from voxtool.errors import VoxtoolError, count_of, printable
+
+if TYPE_CHECKING:
+    from voxtool.bench.compare import Change
+
+
+@click.command("compare")
+@click.argument("old")
+@click.argument("new")
+@click.option(
+    "--fail-over", type=click.FloatRange(min=0), metavar="PERCENT",
+    help="Fail if something became slower by more, beyond the noise, or less accurate.",
+)  # fmt: skip
+@click.option("--all", "show_all", is_flag=True, help="Print what has not changed, too.")
+@options.json_option
+def command(old: str, new: str, fail_over: float | None, show_all: bool, as_json: bool) -> None:
+    """Compare two reports of `voxtool bench`, row by row.
+
+    A time has changed where the repeats of the two do not overlap; times are in s or ms. Errors
+    have no noise: any that is larger is told. With --fail-over the exit code is 1 where a row of
+    both became slower by more than this, or less accurate.
+
+    \b
+    Examples:
+      voxtool bench voxelize bunny.obj --dims 64 -o old --json | voxtool bench compare old/report.json -
+      voxtool bench extract bunny.obj --dims 64 -o old --json | voxtool bench compare - old/report.json --fail-over 10
+    """
+    from voxtool.bench.compare import compare, read_report
+
+    before, after = read_report(old), read_report(new)
+    if before.where != after.where:
+        options.tell(
+            f"warning: measured on different devices: {printable(before.where)}; "
+            f"{printable(after.where)}"
+        )
+    changes = compare(before, after)
+    gone, added = (len(one.rows) - len(changes) for one in (before, after))
+    failed = [change for change in changes if fail_over is not None and change.fails(fail_over)]
+    if as_json:
+        rows = [change.as_dict() for change in changes]
+        options.print_json({"rows": rows, "only_in_old": gone, "only_in_new": added})
+    else:
+        print_table(changes, show_all)
+        click.echo(
+            f"{count_of(len(changes), 'row')} in both, {gone} only in the old, {added} only in "
+            "the new"
+        )
+    if not changes:
+        raise VoxtoolError("the reports have no row in common: measure the same models and settings")
+    if failed:
+        raise VoxtoolError(
+            f"{count_of(len(failed), 'row')} slower by more than {fail_over:g} % beyond the noise, "
+            "or less accurate"
+        )
+
+
+def print_table(changes: list[Change], show_all: bool) -> None:
+    """A line for each row that has changed: the slowest first, then what errors became."""
+    told = [c for c in changes if show_all or c.slower or c.faster or c.worse or c.better]
+    for change in sorted(told, key=lambda c: -c.percent):
+        click.echo(line(change))
+    if not told:
+        click.echo("nothing has changed beyond the noise")
+
+
+def line(change: Change) -> str:
+    from voxtool.bench.points import duration
+
+    words = "slower" if change.slower else "faster" if change.faster else "same"
+    name = ", ".join(printable(word) for word in change.key if word)
+    text = (
+        f"{words:<7}{change.percent:+8.1f} %  {duration(change.old.seconds):>9} -> "
+        f"{duration(change.new.seconds):<9}  {name}"
+    )
+    for told, found in (("less accurate", change.worse), ("more accurate", change.better)):
+        for measure, (was, now) in found.items():
+            text += f"; {told}: {printable(measure)} {was:.3g} -> {now:.3g}"
+    return text

@@ -1,0 +1,85 @@
+"""voxtool selftest: whether a device computes right."""
+
+from __future__ import annotations
+
+import platform
+from typing import TYPE_CHECKING
+
+import click
+
+from voxtool.cli import options
+from voxtool.errors import DeviceError
+from voxtool.version import __version__
+
+if TYPE_CHECKING:
+    from voxtool.bench.selftest import Outcome
+
+HEADER = f"{'case':<38}{'error':>9}{'bound':>9}  {'unit':<14}{'verdict':<9}{'s':>5}"
+
+
+@click.command("selftest")
+@options.device_option
+@click.option("--full", is_flag=True, help="More and larger inputs, for some minutes.")
+@options.json_option
+@click.option("-q", "--quiet", is_flag=True, help="Print only cases that fail, and the verdict.")
+def command(device: str | None, full: bool, as_json: bool, quiet: bool) -> None:
+    """Tell in a minute whether a device can be trusted.
+
+    Each case is stiff or extreme, and held against an oracle: rational arithmetic, quadrature, a
+    formula, or a digest that is the same on every device. It prints the measured error, the largest
+    that is right, and how long it took, in s, kernels' compilation included. Units are the case's
+    own; docs/devices.md has what each case checks. If any fails, the exit code is 1.
+
+    \b
+    Examples:
+      voxtool selftest --device cpu
+      voxtool selftest --full --json
+    """
+    from voxtool.bench.selftest import CASES, selftest
+    from voxtool.opencl import open_device
+
+    opened = open_device(device)
+    info = opened.info
+    if not as_json and not quiet:
+        click.echo(f"voxtool {__version__}; {info.name}, {info.platform} {info.driver}\n\n{HEADER}")
+    outcomes: list[Outcome] = []
+    for outcome in selftest(opened, full):
+        outcomes.append(outcome)
+        if not as_json and not (quiet and outcome.passed):
+            click.echo(line(outcome))
+    failed = [o.case.name for o in outcomes if not o.passed]
+    if as_json:
+        options.print_json(
+            {
+                "voxtool": __version__,
+                "device": info.as_dict(),
+                "machine": platform.machine(),
+                "python": platform.python_version(),
+                "full": full,
+                "verdict": "failed" if failed else "ok",
+                "cases": [o.as_dict() for o in outcomes],
+            }
+        )
+    name = f"{info.name} ({info.platform})"
+    if failed:
+        raise DeviceError(
+            f"{len(failed)} of {len(CASES)} cases failed on {name}: {', '.join(failed)}: update "
+            "its driver, or choose another device: see docs/devices.md"
+        )
+    if not as_json:
+        seconds = sum(o.seconds for o in outcomes)
+        click.echo(
+            f"{'' if quiet else chr(10)}{len(CASES)} of {len(CASES)} cases within their bounds, "
+            f"{seconds:.0f} s: {name} can be trusted"
+        )
+
+
+def line(outcome: Outcome) -> str:
+    """A row of the table; below it, how the case failed if it has no error."""
+    case = outcome.case
+    error = "-" if outcome.message else f"{outcome.error:.2g}"
+    row = (
+        f"{case.name:<38}{error:>9}{case.bound:>9.3g}  {case.unit:<14}"
+        f"{'ok' if outcome.passed else 'FAILED':<9}{outcome.seconds:5.1f}"
+    )
+    return f"{row}\n    {outcome.message}" if outcome.message else row
