@@ -185,7 +185,7 @@ def shells_of(mesh: Mesh) -> np.ndarray:
     topology = _topology(mesh, weld=True)
     one, other = topology.pairs // 3
     shells = np.full(len(mesh.faces), -1)
-    shells[topology.proper] = _components(one, other, len(topology.corners))
+    shells[topology.proper] = components(one, other, len(topology.corners))
     return shells
 
 
@@ -231,7 +231,7 @@ def _counts(mesh: Mesh, topology: _Topology) -> dict[str, Any]:
     along = np.bincount(topology.edge, weights=topology.forward)
     even = not (count % 2).any()
     one, other = topology.pairs // 3
-    shells = _components(one, other, len(corners))
+    shells = components(one, other, len(corners))
     return {
         "faces": len(mesh.faces),
         "vertices": len(mesh.vertices),
@@ -258,7 +258,7 @@ def _pinched(topology: _Topology) -> int:
     opposite = forward[s] != forward[t]
     u = np.concatenate([s, _next(s)])
     v = np.concatenate([np.where(opposite, _next(t), t), np.where(opposite, t, _next(t))])
-    fan = _components(u, v, len(corners))
+    fan = components(u, v, len(corners))
     fans = np.bincount(corners[fan == np.arange(len(fan))])
     return int(np.count_nonzero(fans > 1))
 
@@ -292,7 +292,7 @@ def _distinct(rows: np.ndarray) -> int:
     return len(rows) and 1 + int(np.count_nonzero((rows[1:] != rows[:-1]).any(axis=1)))
 
 
-def _components(u: np.ndarray, v: np.ndarray, nodes: int) -> np.ndarray:
+def components(u: np.ndarray, v: np.ndarray, nodes: int) -> np.ndarray:
     """(nodes,) int64: the least node of each node's component, under links from u to v; every
     root hooks onto its least neighbour, then all paths collapse."""
     root = np.arange(nodes)
