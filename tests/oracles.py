@@ -67,6 +67,24 @@ def solid(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
     """Voxels from whose centre, moved by (ex, ey, ez), the ray towards -x crosses an odd number of
     triangles. A triangle that is edge-on to the ray is never crossed."""
     odd: set[Cell] = set()
+    for j, k, x, _ in _crossings(triangles, shape):
+        odd ^= {(i, j, k) for i in range(shape[0]) if x < [UNIT * i + HALF, 1, 0, 0]}
+    return odd
+
+
+def numbers(triangles: Iterable, shape: Sequence[int]) -> np.ndarray:
+    """Of each voxel, indexed [x, y, z], how many of these crossings enter, by the triangle's side
+    that is seen from -x, less those that leave."""
+    found = np.zeros(shape, np.int64)
+    for j, k, x, way in _crossings(triangles, shape):
+        for i in range(shape[0]):
+            if x < [UNIT * i + HALF, 1, 0, 0]:
+                found[i, j, k] += way
+    return found
+
+
+def _crossings(triangles: Iterable, shape: Sequence[int]) -> Iterator[tuple]:
+    """The rows (j, k) that cross a triangle, where along x, and 1 if they enter or -1."""
     for triangle in _polygons(triangles):
         (x0, y0, z0), (ax, ay, az), (bx, by, bz) = _edges(*triangle)
         det = ay * bz - az * by
@@ -81,8 +99,44 @@ def solid(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
                 continue
             x = [u * ax + v * bx for u, v in zip(s, t, strict=True)]
             x[0] += x0
-            odd ^= {(i, j, k) for i in range(shape[0]) if x < [UNIT * i + HALF, 1, 0, 0]}
-    return odd
+            yield j, k, x, -1 if det > 0 else 1
+
+
+def boundary(triangles: np.ndarray) -> list[tuple[tuple, tuple, int]]:
+    """The edges of (N, 3, 3) triangles, by positions, with the number of times that they run from
+    one end to the other less that of the way back, where that is not 0."""
+    net: Counter[tuple] = Counter()
+    for triangle in triangles.tolist():
+        corners = [tuple(corner) for corner in triangle]
+        for p, q in zip(corners, corners[1:] + corners[:1], strict=True):
+            net[min(p, q), max(p, q)] += (p < q) - (p > q)
+    return [(p, q, n) for (p, q), n in sorted(net.items()) if n]
+
+
+def flood(surface: np.ndarray, gap: int) -> np.ndarray:
+    """What the outside cannot reach through a surface, by paths between voxels that share a corner:
+    it stays ceil(gap / 2) voxels away and then grows by as many."""
+    steps = -(-gap // 2)
+    pad = 2 * steps + 2
+    barrier = np.pad(surface, pad)
+    for _ in range(steps):
+        barrier = _grown(barrier)
+    outside = np.zeros_like(barrier)
+    outside[0, 0, 0] = True
+    while not np.array_equal(outside, grown := outside | (_grown(outside) & ~barrier)):
+        outside = grown
+    for _ in range(steps):
+        outside |= _grown(outside) & barrier
+    inside = ~outside
+    return inside[pad:-pad, pad:-pad, pad:-pad]
+
+
+def _grown(dense: np.ndarray) -> np.ndarray:
+    """With the 26 voxels around each."""
+    for axis in range(3):
+        padded = np.moveaxis(np.pad(dense, [(int(a == axis),) * 2 for a in range(3)]), axis, 0)
+        dense = np.moveaxis(padded[:-2] | padded[1:-1] | padded[2:], 0, axis)
+    return dense
 
 
 def active_nodes(triangles: Iterable, shape: Sequence[int], solid: bool) -> set[Cell]:

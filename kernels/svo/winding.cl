@@ -11,6 +11,7 @@
 #include "proximity/solid_angles.h"
 
 #define STACK ((ARITY - 1) * MAX_LEVELS + 1)
+#define SLACK 0x1p-30 // more than rounding takes
 
 // The voxel centres of a block of 2^level voxels, a box.
 typedef struct {
@@ -76,21 +77,47 @@ double steepness_of_area(double area, double squared_gap)
     return area / (2 * PI * squared_gap * sqrt(squared_gap));
 }
 
-// Whether a triangle may meet a box: by its bounds, and by its plane.
+// Whether a triangle may meet a box: by the box's axes, the triangle's normal, and the products of
+// their edges, as far as rounding can tell.
 bool may_meet(const triangle *t, centres c)
 {
     const int3 low = min(min(t->v[0], t->v[1]), t->v[2]), high = max(max(t->v[0], t->v[1]), t->v[2]);
     if (any(low > c.high) || any(high < c.low))
         return false;
-    const double3 a = convert_double3(t->v[1] - t->v[0]), b = convert_double3(t->v[2] - t->v[0]);
-    const double3 n = (double3)(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
-    const double3 size = 0.5 * convert_double3(c.high - c.low);
-    const double3 way = convert_double3(c.low - t->v[0]) + size;
-    const double3 m = n < 0.0 ? -n : n, far = way < 0.0 ? -way : way;
-    const double reach = m.x * size.x + m.y * size.y + m.z * size.z;
-    const double slack = 0x1p-40 * (m.x * far.x + m.y * far.y + m.z * far.z + reach);
-    const double height = n.x * way.x + n.y * way.y + n.z * way.z;
-    return (height < 0 ? -height : height) <= reach + slack;
+    const double3 half_size = 0.5 * convert_double3(c.high - c.low);
+    const double size[3] = {half_size.x, half_size.y, half_size.z};
+    double v[3][3]; // from the middle
+    for (uint i = 0; i < 3; ++i) {
+        const double3 way = convert_double3(t->v[i] - c.low) - half_size;
+        v[i][0] = way.x;
+        v[i][1] = way.y;
+        v[i][2] = way.z;
+    }
+    for (uint i = 0; i < 3; ++i) {
+        for (uint p = 0; p < 3; ++p) {
+            const uint q = (p + 1) % 3, next = (i + 1) % 3;
+            const double mp = v[i][q] - v[next][q], mq = v[next][p] - v[i][p];
+            const double on_edge = mp * v[i][p] + mq * v[i][q];
+            const double beyond = mp * v[(i + 2) % 3][p] + mq * v[(i + 2) % 3][q];
+            const double reach = (mp < 0 ? -mp : mp) * size[p] + (mq < 0 ? -mq : mq) * size[q];
+            const double least = on_edge < beyond ? on_edge : beyond;
+            const double most = on_edge < beyond ? beyond : on_edge;
+            const double slack = SLACK * (reach + most - least);
+            if (least > reach + slack || most < -reach - slack)
+                return false;
+        }
+    }
+    double height = 0, reach = 0, slack = 0;
+    for (uint p = 0; p < 3; ++p) {
+        const uint q = (p + 1) % 3, r = (p + 2) % 3;
+        const double n = (v[1][q] - v[0][q]) * (v[2][r] - v[0][r]) -
+                         (v[1][r] - v[0][r]) * (v[2][q] - v[0][q]);
+        const double m = n < 0 ? -n : n, part = n * v[0][p];
+        height += part;
+        reach += m * size[p];
+        slack += part < 0 ? -part : part;
+    }
+    return (height < 0 ? -height : height) <= reach + SLACK * (reach + slack);
 }
 
 // spreads[i] = by how much the winding number at the voxels of block i can differ from that of its

@@ -51,7 +51,7 @@ SOURCE = "svo/winding.cl"
 REACHES = ((2.0, 2.0**-6), (4.0, 2.0**-9), (10.0, 2.0**-14), (24.0, 0.0))
 DOUBT = REACHES[0][1]
 HALF = 0.5 - 2.0**-21  # so that where it is 1/2 rounding does not show
-NOWHERE = -(1 << 30)  # number of a voxel beyond the grid
+NOWHERE = 1 << 30  # number of a voxel beyond the grid
 BY_VOXEL = NOWHERE  # in place of a brick's threshold
 BRICK_LEVEL = BRICK_SIDE.bit_length() - 1
 BATCH = 1 << 14  # bricks whose voxels are numbered at once
@@ -217,7 +217,7 @@ class NearHoles:
             for winding, (_, doubt) in zip(self._windings, REACHES, strict=True):
                 numbers[asked] = self._numbers(voxels[asked], crossings, winding)
                 asked = asked[np.abs(numbers[asked] - 0.5) < doubt]
-            inside = (numbers >= threshold) & (numbers > NOWHERE)
+            inside = (numbers >= threshold) & (numbers != NOWHERE)
             masks[part] = np.packbits(inside, bitorder="little").view(BRICK)
         return masks
 
