@@ -86,7 +86,7 @@ def main():
                 origin = np.array(grid.origin) + pitch * rng.uniform(-0.5, 0.5, 3)
                 grid = voxtool.Grid(grid.shape, tuple(origin), grid.pitch)
                 count = [
-                    voxtool.voxelize(mesh, grid, mode, device=device).count
+                    voxtool.voxelize(mesh, grid, mode, fill="parity", device=device).count
                     for mode in ("solid", "surface26", "surface6")
                 ]
                 errors.append(count[0] * pitch**3 / volume - 1)

@@ -21,7 +21,7 @@ from pathlib import Path
 import voxtool
 
 GRID = ("dim", "pitch", "bbox", "margin", "fit")
-VOXELIZE = ("mode", "fill", "with_surface")
+VOXELIZE = ("mode", "fill", "gap", "with_surface")
 
 
 def run(case, folder, device):

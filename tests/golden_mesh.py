@@ -32,7 +32,8 @@ REAL_DIMS = (200,)
 def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterator[tuple[str, str]]:
     """Name and digest of every surface at every dim."""
     for dim in dims:
-        octree = voxtool.voxelize(mesh, voxtool.Grid.fit(mesh, dim), device=device)
+        grid = voxtool.Grid.fit(mesh, dim)
+        octree = voxtool.voxelize(mesh, grid, fill="parity", device=device)
         for name, request in REQUESTS.items():
             yield f"{name} {dim}", voxtool.extract(octree, device=device, **request).digest()
 

@@ -10,6 +10,7 @@ import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import meshes
 import numpy as np
@@ -22,7 +23,9 @@ import voxtool
 
 GOLDEN = Path(__file__).parent / "golden" / "svo.json"
 MODELS = Path(__file__).parents[2] / "shared" / "models"
-MODES = ("surface26", "surface6", "solid", "solid+surface26")
+MODES = ("surface26", "surface6", "solid", "solid+surface26")  # solid by parity
+FILLS = (("nonzero", 0), ("winding", 0), ("flood", 0), ("flood", 3))
+FILL_DIM = 128  # the largest
 OWN = ("bunny", "sphere", "torus", "open-box", "needles")
 DIMS = (8, 50, 64, 200, 512)
 REAL = ("stanford-bunny", "armadillo", "dragon", "nefertiti", "fandisk", "rocker-arm", "spot",
@@ -52,13 +55,17 @@ def lattice_points(mesh: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.
 
 
 def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterator[tuple[str, str]]:
-    """Name and digest of the octree of every mode at every dim."""
+    """Name and digest of the octree of every mode and fill rule at every dim."""
     for dim in dims:
         grid = voxtool.Grid.fit(mesh, dim)
         for mode in MODES:
             base, _, surface = mode.partition("+")
-            octree = voxtool.voxelize(mesh, grid, base, with_surface=bool(surface), device=device)
+            more: dict[str, Any] = {"with_surface": bool(surface), "fill": "parity"}
+            octree = voxtool.voxelize(mesh, grid, base, device=device, **more)
             yield f"{mode} {dim}", octree.digest()
+        for fill, gap in FILLS if dim <= FILL_DIM else ():
+            octree = voxtool.voxelize(mesh, grid, fill=fill, gap=gap, device=device)
+            yield f"{octree.fill} {dim}", octree.digest()
 
 
 def main() -> None:

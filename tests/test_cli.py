@@ -212,7 +212,7 @@ def test_voxelize_says_what_it_did_on_stderr(here: Path) -> None:
     assert result.stdout == ""
     octree = read_svo("bunny.svo.h5")
     assert re.fullmatch(
-        r"voxtool: bunny\.obj -> bunny\.svo\.h5: solid, dim 64, pitch [\d.]+; "
+        r"voxtool: bunny\.obj -> bunny\.svo\.h5: solid by parity, dim 64, pitch [\d.]+; "
         rf"{octree.count:,} voxels in [\d.]+ kB, \d+\.\d\d s\n",
         result.stderr,
     )
@@ -313,13 +313,60 @@ def test_the_grid_by_hand(here: Path) -> None:
     assert read_svo("a.svo.h5").grid == Grid.fit(mesh, 20, fit="stretch")
 
 
-def test_open_mesh_warns_with_the_counts_and_fills(here: Path) -> None:
-    result = run("voxelize open.obj --dim 16 -o a.svo.h5")
-    warning = result.stderr.splitlines()[0]
-    assert warning.startswith("voxtool: warning: ")
-    assert "open.obj is not closed: 4 boundary edges, 0 non-manifold edges" in warning
-    assert "parity" in warning
-    assert read_svo("a.svo.h5").mode == "solid"
+@pytest.mark.parametrize(
+    ("fill", "says"),
+    [
+        ("", "; 1 hole, filled where its winding number is 1/2 or more"),
+        ("--fill parity", "; filled by parity, rows of voxels along x leak where they pass a gap"),
+        ("--fill nonzero", "; filled where crossings do not cancel, rows of voxels along x leak"),
+        ("--fill winding", None),
+        ("--fill flood --gap 2", None),
+    ],
+)
+def test_open_mesh_tells_the_counts_and_fills(fill: str, says: str | None, here: Path) -> None:
+    lines = run(f"voxelize open.obj --dim 16 {fill} -o a.svo.h5").stderr.splitlines()
+    rule = (fill or "--fill winding").removeprefix("--fill ").replace(" --gap ", "+gap")
+    assert (read_svo("a.svo.h5").mode, read_svo("a.svo.h5").fill) == ("solid", rule)
+    assert f"solid by {rule}, dim 16" in lines[-1]
+    assert len(lines) == 1 + (says is not None)
+    if says is not None:
+        assert lines[0].startswith("voxtool: " + "warning: " * bool(fill))
+        assert "open.obj is not closed: 4 boundary edges, 0 non-manifold edges" in lines[0]
+        assert says in lines[0]
+
+
+def test_a_mesh_that_is_inside_out_is_told(here: Path) -> None:
+    text = (here / "open.obj").read_text().splitlines()
+    turned = ["f " + " ".join(line.split()[:0:-1]) if line[0] == "f" else line for line in text]
+    (here / "turned.obj").write_text("\n".join(turned) + "\n")
+    told = run("voxelize turned.obj --dim 16 -o a.svo.h5").stderr
+    assert "turned.obj is inside out" in told
+    assert "choose --fill parity or nonzero" in told
+    assert read_svo("a.svo.h5").count == 0
+
+
+def test_rules_and_gaps_that_do_not_go_together(here: Path) -> None:
+    assert "--gap goes with --mode solid --fill flood" in fail("voxelize open.obj --gap 2", code=2)
+    assert "'luck' is not one of" in fail("voxelize open.obj --fill luck", code=2)
+    assert "choose from 0 to 16 voxels" in fail("voxelize open.obj --dim 16 --fill flood --gap 17")
+
+
+def test_the_plan_tells_the_rule(here: Path) -> None:
+    told = run("voxelize open.obj --dim 16 --plan").stdout
+    assert "winding; 1 hole, 2 cap triangles" in told
+    assert re.search(r"scene +10 triangles", told)
+    plan = json.loads(run("voxelize open.obj --dim 16 --plan --json").stdout)
+    assert (plan["fill"], plan["holes"], plan["cap_triangles"]) == ("winding", 1, 2)
+    assert plan["triangles"] == 10
+    assert {"holes", "near holes"} <= set(plan["stages"])
+    told = run("voxelize bunny.obj --dim 16 --plan --fill winding").stdout
+    assert re.search(r"left out +winding numbers near holes: no edge bounds a hole", told)
+    told = run("voxelize open.obj --dim 16 --plan --fill flood --gap 3").stdout
+    assert "flood+gap3" in told
+    assert "left out   crossings, rows and fill: the outside is flooded" in told
+
+
+def test_what_rules_are_for_closed_meshes_is_not_told(here: Path) -> None:
     assert "warning" not in run("voxelize open.obj --dim 16 --mode surface6").stderr
     assert "warning" not in run("voxelize bunny.obj --dim 16").stderr
 
@@ -338,7 +385,9 @@ def test_verbose_tells_device_and_stages(mode: str, here: Path) -> None:
     told = [re.fullmatch(r"voxtool:   (.*?) +\d+\.\d\d ms", line) for line in lines[2:]]
     assert all(told)
     assert [t[1] for t in told if t] == [
-        s for s in stages(mode, False) if s not in ("read mesh", "check mesh", "write file")
+        s
+        for s in stages(mode, "parity", False)
+        if s not in ("read mesh", "check mesh", "write file")
     ]
 
 
@@ -587,7 +636,7 @@ def test_the_bar_counts_the_stages_of_the_plan(mode: str, with_surface: bool, mo
         return
     mesh = load_mesh(models / "bunny.obj")
     plan = plan_voxelize(mesh, Grid.fit(mesh, 32), mode, with_surface=with_surface)
-    shown = stages(mode, with_surface)
+    shown = stages(mode, "auto", with_surface)
     assert shown[0] == "read mesh"
     assert [s for s in shown if s in plan.stages] == plan.stages
     assert shown[-1] == "write file"
@@ -598,10 +647,10 @@ def test_the_bar_is_shown_and_erased(here: Path) -> None:
     assert (code, out) == (0, "")
     shown = re.findall(r"\[(#*)(\.*)\] ([a-z0-9 ]*[a-z0-9])", sent)
     assert shown
-    assert {len(done + left) for done, left, _ in shown} == {len(stages("solid", False))}
+    assert {len(done + left) for done, left, _ in shown} == {len(stages("solid", "auto", False))}
     assert [len(done) for done, _, _ in shown] == sorted(len(done) for done, _, _ in shown)
-    assert "[..........] read mesh" in sent
-    assert "[#########.] write file" in sent
+    assert "[............] read mesh" in sent
+    assert "[###########.] write file" in sent
     message, end = screen(sent)
     assert message.startswith("voxtool: bunny.obj -> a.svo.h5")
     assert end == ""

@@ -13,6 +13,7 @@ from voxtool.grid import FIXED_POINT_BITS
 from voxtool.opencl import Device, primitives, program
 from voxtool.proximity import bvh, winding
 from voxtool.svo import cases, inside, isosurface, octree, rectangles, voxelize
+from voxtool.svo import winding as svo_winding
 
 NODE = octree.NODE
 CONSTANTS = {
@@ -44,6 +45,7 @@ CONSTANTS = {
         "FIXED_POINT_BITS": FIXED_POINT_BITS,
     },
     "svo/inside.h": {"MIXED": inside.MIXED},
+    "svo/winding.h": {"NOWHERE": svo_winding.NOWHERE},
     "svo/isosurface.h": {
         "LATTICE_BITS": isosurface.LATTICE_BITS,
         "LATTICE": isosurface.LATTICE,

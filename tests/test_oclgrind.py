@@ -223,10 +223,20 @@ def voxelize_all(device, variant: str) -> None:
         expected = {m: getattr(oracles, m)(triangles, shape) for m in ("surface26", "surface6")}
         expected["solid"] = oracles.solid(triangles, shape)
         for mode, voxels in expected.items():
-            octree = voxelize(mesh, grid, mode, device=device)
+            octree = voxelize(mesh, grid, mode, fill="parity", device=device)
             octree.validate()
             assert {tuple(v) for v in octree.occupied().tolist()} == voxels, (variant, scene, mode)
-        octree = voxelize(mesh, grid, "solid", with_surface=True, device=device)
+        numbers = oracles.numbers(triangles, shape)
+        octree = voxelize(mesh, grid, fill="nonzero", device=device)
+        assert np.array_equal(octree.to_dense(), numbers != 0), (variant, scene)
+        octree = voxelize(mesh, grid, fill="winding", device=device)
+        if scene == "open":  # by a hole: all but what is near it
+            assert octree.plan["holes"] == 1
+            assert octree.to_dense()[6:12, 7:18, 7:10].all()
+            assert not octree.to_dense()[21:].any()
+        else:
+            assert np.array_equal(octree.to_dense(), numbers > 0), (variant, scene)
+        octree = voxelize(mesh, grid, fill="parity", with_surface=True, device=device)
         found = {tuple(v) for v in octree.occupied().tolist()}
         assert found == expected["solid"] | expected["surface26"], (variant, scene)
 

@@ -35,6 +35,8 @@ def lattice_mesh(vertices, faces) -> Mesh:
 
 
 def run(device, mesh, shape, mode, **options) -> Octree:
+    """By parity, if not told otherwise."""
+    options = {"fill": "parity", **options}
     octree = voxelize(lattice_mesh(*mesh), lattice_grid(shape), mode, device=device, **options)
     octree.validate()
     return octree
@@ -330,7 +332,7 @@ def test_refusals(device: Device) -> None:
     mesh, grid = lattice_mesh(vertices, faces), lattice_grid((16, 16, 16))
     with pytest.raises(VoxtoolError, match="choose one of surface26, surface6, solid"):
         voxelize(mesh, grid, "thick", device=device)
-    with pytest.raises(VoxtoolError, match="choose one of parity"):
+    with pytest.raises(VoxtoolError, match="choose one of auto, parity, nonzero, winding, flood"):
         voxelize(mesh, grid, fill="luck", device=device)
     with pytest.raises(VoxtoolError, match="is a surface already"):
         voxelize(mesh, grid, "surface6", with_surface=True, device=device)

@@ -120,7 +120,7 @@ def diagnose(mesh: Mesh, *, weld: bool = True) -> Diagnosis:
     mesh : any mesh; faces may be degenerate.
     weld : False tells vertices apart by index, not by position.
     """
-    return Diagnosis(**_counts(mesh, _topology(mesh, weld)))
+    return Diagnosis(**_counts(mesh, topology_of(mesh, weld)))
 
 
 def check_surface(mesh: Mesh, *, weld: bool = True) -> SurfaceCheck:
@@ -132,7 +132,7 @@ def check_surface(mesh: Mesh, *, weld: bool = True) -> SurfaceCheck:
     weld : False tells vertices apart by index, not by position: two cubes that touch in a corner
         are a manifold where each has a vertex of its own there.
     """
-    topology = _topology(mesh, weld)
+    topology = topology_of(mesh, weld)
     return SurfaceCheck(**_counts(mesh, topology), nonmanifold_vertices=_pinched(topology))
 
 
@@ -160,14 +160,14 @@ def closed_chain(mesh: Mesh) -> bool:
     lie along the axes, as between rectangles of different size, and cancel along each line; any
     other edge left leaves the surface open. Without faces it is closed.
     """
-    topology = _topology(mesh, weld=True)
+    topology = topology_of(mesh, weld=True)
     edge, forward = topology.edge, topology.forward
     net = 2 * np.bincount(edge, weights=forward) - topology.count
     one = np.empty(len(net), np.int64)
     one[edge] = np.arange(len(edge))  # any side of each edge
     one, net = one[net != 0], net[net != 0]
     net = np.where(forward[one], net, -net)  # along that side
-    ends = np.stack([one, _next(one)])  # corners
+    ends = np.stack([one, next_sides(one)])  # corners
     points = mesh.vertices[mesh.faces[topology.proper].ravel()[ends]]
     along = points[0] != points[1]
     if (np.count_nonzero(along, axis=1) != 1).any():
@@ -182,18 +182,36 @@ def closed_chain(mesh: Mesh) -> bool:
 def shells_of(mesh: Mesh) -> np.ndarray:
     """(F,) int64: equal numbers for faces that edges connect; -1 for those on less than three
     different positions."""
-    topology = _topology(mesh, weld=True)
+    topology = topology_of(mesh, weld=True)
     one, other = topology.pairs // 3
     shells = np.full(len(mesh.faces), -1)
-    shells[topology.proper] = _components(one, other, len(topology.corners))
+    shells[topology.proper] = components(one, other, len(topology.corners))
     return shells
+
+
+def repeated_faces(topology: Topology) -> np.ndarray:
+    """(F,) bool: faces on the same three positions as one before, in any order."""
+    corners = np.sort(topology.corners, axis=1)
+    order = np.lexsort(corners.T)  # stable: of equal ones the first comes first
+    repeated = np.zeros(len(topology.proper), bool)
+    same = (corners[order[1:]] == corners[order[:-1]]).all(axis=1)
+    repeated[np.flatnonzero(topology.proper)[order[1:][same]]] = True
+    return repeated
+
+
+def crowded_edges(mesh: Mesh, topology: Topology) -> tuple[np.ndarray, np.ndarray]:
+    """The edges of more than two faces: (n, 2) int64 vertices, and (n,) int64 how many faces."""
+    crowded = topology.count > 2
+    sides = np.unique(topology.edge, return_index=True)[1][crowded]
+    corners = mesh.faces[topology.proper].astype(np.int64).ravel()
+    return corners[np.stack([sides, next_sides(sides)], axis=1)], topology.count[crowded]
 
 
 # --- topology ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
-class _Topology:
+class Topology:
     """Faces on three different positions, by their sides: side 3 f + k runs from corner k of face
     f to the next.
 
@@ -212,7 +230,8 @@ class _Topology:
     pairs: np.ndarray
 
 
-def _topology(mesh: Mesh, weld: bool) -> _Topology:
+def topology_of(mesh: Mesh, weld: bool = True) -> Topology:
+    """What shares what, by positions; or by index, where weld is False."""
     corners = positions(mesh)[mesh.faces] if weld else mesh.faces.astype(np.int64)
     a, b, c = corners.T
     proper = (a != b) & (b != c) & (c != a)
@@ -221,17 +240,17 @@ def _topology(mesh: Mesh, weld: bool) -> _Topology:
     order = np.argsort(edge, kind="stable")
     same = edge[order[1:]] == edge[order[:-1]]
     pairs = np.stack([order[:-1][same], order[1:][same]])
-    return _Topology(proper, corners, edge, forward, np.bincount(edge), pairs)
+    return Topology(proper, corners, edge, forward, np.bincount(edge), pairs)
 
 
-def _counts(mesh: Mesh, topology: _Topology) -> dict[str, Any]:
+def _counts(mesh: Mesh, topology: Topology) -> dict[str, Any]:
     """The fields of a Diagnosis."""
     corners, count = topology.corners, topology.count
     flat = collinear(mesh.vertices[mesh.faces[topology.proper]])
     along = np.bincount(topology.edge, weights=topology.forward)
     even = not (count % 2).any()
     one, other = topology.pairs // 3
-    shells = _components(one, other, len(corners))
+    shells = components(one, other, len(corners))
     return {
         "faces": len(mesh.faces),
         "vertices": len(mesh.vertices),
@@ -240,30 +259,35 @@ def _counts(mesh: Mesh, topology: _Topology) -> dict[str, Any]:
         "boundary_edges": int(np.count_nonzero(count == 1)),
         "nonmanifold_edges": int(np.count_nonzero(count > 2)),
         "inconsistent_edges": int(np.count_nonzero((count == 2) & (along != 1))),
-        "duplicate_faces": len(corners) - _distinct(np.sort(corners, axis=1)),
+        "duplicate_faces": int(np.count_nonzero(repeated_faces(topology))),
         "degenerate_faces": int(np.count_nonzero(~topology.proper) + np.count_nonzero(flat)),
         "shells": int(np.count_nonzero(shells == np.arange(len(shells)))),
         "euler": int(np.count_nonzero(np.bincount(corners.ravel()))) - len(count) + len(corners),
     }
 
 
-def _pinched(topology: _Topology) -> int:
-    """Positions whose faces are not one fan.
-
-    Two corners at a position belong to one fan where their faces share an edge there. An edge of
-    more than two faces joins none: it ends three fans or more, and a fan has two ends.
-    """
-    corners, forward = topology.corners.ravel(), topology.forward
-    s, t = topology.pairs[:, topology.count[topology.edge[topology.pairs[0]]] == 2]
-    opposite = forward[s] != forward[t]
-    u = np.concatenate([s, _next(s)])
-    v = np.concatenate([np.where(opposite, _next(t), t), np.where(opposite, t, _next(t))])
-    fan = _components(u, v, len(corners))
-    fans = np.bincount(corners[fan == np.arange(len(fan))])
+def _pinched(topology: Topology) -> int:
+    """Positions whose faces are not one fan."""
+    fan = fans_of(topology)
+    fans = np.bincount(topology.corners.ravel()[fan == np.arange(len(fan))])
     return int(np.count_nonzero(fans > 1))
 
 
-def _next(sides: np.ndarray) -> np.ndarray:
+def fans_of(topology: Topology) -> np.ndarray:
+    """(3F,) int64: equal numbers for corners at a position that are of one fan of faces.
+
+    Two corners are where their faces share an edge there. An edge of more than two faces joins
+    none: it ends three fans or more, and a fan has two ends.
+    """
+    forward = topology.forward
+    s, t = topology.pairs[:, topology.count[topology.edge[topology.pairs[0]]] == 2]
+    opposite = forward[s] != forward[t]
+    u = np.concatenate([s, next_sides(s)])
+    v = np.concatenate([np.where(opposite, next_sides(t), t), np.where(opposite, t, next_sides(t))])
+    return components(u, v, len(forward))
+
+
+def next_sides(sides: np.ndarray) -> np.ndarray:
     """The sides that follow within their faces; as corners, the ends of the sides."""
     return sides + np.where(sides % 3 == 2, -2, 1)
 
@@ -287,12 +311,7 @@ def edges_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.unique(key, return_inverse=True)[1].reshape(-1), start < end
 
 
-def _distinct(rows: np.ndarray) -> int:
-    rows = rows[np.lexsort(rows.T)]
-    return len(rows) and 1 + int(np.count_nonzero((rows[1:] != rows[:-1]).any(axis=1)))
-
-
-def _components(u: np.ndarray, v: np.ndarray, nodes: int) -> np.ndarray:
+def components(u: np.ndarray, v: np.ndarray, nodes: int) -> np.ndarray:
     """(nodes,) int64: the least node of each node's component, under links from u to v; every
     root hooks onto its least neighbour, then all paths collapse."""
     root = np.arange(nodes)

@@ -34,7 +34,7 @@ class MemoryLimitError(VoxtoolError):
 
 def count_of(count: int, noun: str) -> str:
     """1 vertex, 2 vertices."""
-    plural = {"vertex": "vertices"}.get(noun, noun + "s")
+    plural = {"vertex": "vertices", "patch": "patches"}.get(noun, noun + "s")
     return f"{count} {noun if count == 1 else plural}"
 
 

@@ -5,11 +5,10 @@
 // coefficients are those of x, y, z; xx, yy, zz, yz, xz, xy; xxx, yyy, zzz, xxy, xxz, yyx, yyz, zzx,
 // zzy, xyz. Only their harmonic parts matter, and only these are kept.
 
-#include "proximity/angles.h"
-#include "proximity/bvh.h"
-#include "proximity/winding.h"
-
 #pragma OPENCL FP_CONTRACT OFF
+
+#include "proximity/angles.h"
+#include "proximity/solid_angles.h"
 
 #define STACK ((ARITY - 1) * MAX_LEVELS + 1)
 
@@ -199,20 +198,9 @@ __kernel void node_moments(const uint below, const uint n, __global const float 
 // Twice the sum of angle_of over a leaf's triangles is the solid angle that they subtend.
 double leaf_angle(__global const double *leaf, uint n, double3 p)
 {
-    const double4 ax = vload4(0, leaf) - p.x, ay = vload4(1, leaf) - p.y, az = vload4(2, leaf) - p.z;
-    const double4 ex = vload4(3, leaf), ey = vload4(4, leaf), ez = vload4(5, leaf);
-    const double4 gx = vload4(6, leaf), gy = vload4(7, leaf), gz = vload4(8, leaf);
-    const double4 foot = vload4(9, leaf);
-    const double4 bx = ax + ex, by = ay + ey, bz = az + ez;
-    const double4 cx = ax + foot * ex + gx, cy = ay + foot * ey + gy, cz = az + foot * ez + gz;
-    const double4 a = sqrt(ax * ax + ay * ay + az * az);
-    const double4 b = sqrt(bx * bx + by * by + bz * bz);
-    const double4 c = sqrt(cx * cx + cy * cy + cz * cz);
-    const double4 volume = ax * (ey * gz - ez * gy) + ay * (ez * gx - ex * gz) + az * (ex * gy - ey * gx);
-    const double4 ab = ax * bx + ay * by + az * bz;
-    const double4 bc = bx * cx + by * cy + bz * cz;
-    const double4 ca = cx * ax + cy * ay + cz * az;
-    const double4 angle = angle_of(volume, a * b * c + ab * c + bc * a + ca * b);
+    double4 x, y, size;
+    triangle_vectors(leaf, p, &x, &y, &size);
+    const double4 angle = angle_of(y, x);
     double sum = angle.x; // the last leaf may hold fewer triangles
     sum += n > 1 ? angle.y : 0;
     sum += n > 2 ? angle.z : 0;
@@ -243,20 +231,8 @@ __kernel void wind(__global const double *points, __global const uint *order, co
     while (top > 0) {
         const uint id = ids[--top];
         __global const double *m = all + (size_t)id * (MOMENTS * ARITY);
-        const double8 x = vload8(0, m) - p.x, y = vload8(1, m) - p.y, z = vload8(2, m) - p.z;
-        const double8 dd = x * x + y * y + z * z;
-        const long8 far = dd > vload8(3, m);
-        const double8 s = 1.0 / (dd > 0x1p-300 ? dd : 0x1p-300);
-        const double8 one = x * vload8(4, m) + y * vload8(5, m) + z * vload8(6, m);
-        const double8 two = x * (x * vload8(7, m) + y * vload8(12, m) + z * vload8(11, m)) +
-                            y * (y * vload8(8, m) + z * vload8(10, m)) + z * z * vload8(9, m);
-        const double8 three =
-            x * (x * (x * vload8(13, m) + y * vload8(16, m) + z * vload8(17, m)) +
-                 y * (y * vload8(18, m) + z * vload8(22, m)) + z * z * vload8(20, m)) +
-            y * (y * (y * vload8(14, m) + z * vload8(19, m)) + z * z * vload8(21, m)) +
-            z * z * z * vload8(15, m);
-        const double8 value = s * sqrt(s) * (one + s * (7.5 * s * three - 3.0 * two));
-        sums += far ? value : 0.0;
+        long8 far;
+        sums += distant_angles(m, p, &far);
         long near[ARITY];
         vstore8(far, 0, near);
         for (uint i = 0; i < ARITY; ++i) {

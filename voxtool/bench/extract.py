@@ -92,7 +92,7 @@ def sweep(
         mesh = load_mesh(model)
         for dim in dims:
             grid = Grid.fit(mesh, dim)
-            octree = voxelize(mesh, grid, "solid", device=timed)
+            octree = voxelize(mesh, grid, "solid", fill="parity", device=timed)
             for style in styles:
                 work = partial(extract, octree, style=style, isovalue=isovalue)
                 surface = work(device=timed)

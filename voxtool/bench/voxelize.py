@@ -77,9 +77,10 @@ def sweep(
         for dim in dims:
             grid = Grid.fit(mesh, dim, fit=fit)
             for mode in modes:
-                octree = voxelize(mesh, grid, mode, device=timed)
-                times = timing.times(partial(voxelize, mesh, grid, mode, device=timed), repeat)
-                profiled_work = partial(voxelize, mesh, grid, mode, device=profiled)
+                work = partial(voxelize, mesh, grid, mode, fill="parity")
+                octree = work(device=timed)
+                times = timing.times(partial(work, device=timed), repeat)
+                profiled_work = partial(work, device=profiled)
                 stages, whole = timing.stage_times(profiled_work, profiled, repeat)
                 memory = statistics.median(times)
                 on_device = sum(stages.values())

@@ -15,6 +15,7 @@ from voxtool.version import __version__
 
 COMMANDS = {
     "voxelize": "voxtool.cli.voxelize",
+    "diagnose": "voxtool.cli.diagnose",
     "svo-info": "voxtool.cli.svo_info",
     "extract": "voxtool.cli.extract",
     "adf-build": "voxtool.cli.adf_build",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -101,6 +102,12 @@ def measure_and_report(
     from voxtool.bench.sweep import bench_of, missing_peers, sweep
     from voxtool.opencl import open_device
 
+    # for an answer alone, neither memory nor what plans save is looked at
+    asked = replace(
+        asked,
+        commands=asked.commands and output is not None,
+        forced=asked.forced and (output is not None or as_json),
+    )
     error, measure = budget_error or (None, None)
     budget = Budget(budget_time, error, measure)
     budget.check({bench for model in models for bench in benches or bench_of(model)})

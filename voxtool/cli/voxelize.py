@@ -11,9 +11,11 @@ import click
 from voxtool.cli import options
 
 if TYPE_CHECKING:
+    from voxtool.diagnosis import Diagnosis
     from voxtool.grid import Grid
     from voxtool.mesh import Mesh
     from voxtool.plan.voxelization import Plan
+    from voxtool.svo.octree import Octree
 
 
 @click.command("voxelize")
@@ -29,10 +31,20 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--fill",
-    type=click.Choice(["parity"]),
-    default="parity",
+    type=click.Choice(["auto", "parity", "nonzero", "winding", "flood"]),
+    default="auto",
     show_default=True,
-    help="What is inside, for solid: an odd number of crossings along x.",
+    help="What is inside, for solid. parity: an odd number of crossings along x; nonzero: those "
+    "that enter and leave do not cancel; winding: a winding number of 1/2 or more; flood: what the "
+    "outside does not reach; auto: parity if the mesh is closed and consistently wound, or else "
+    "winding.",
+)
+@click.option(
+    "--gap",
+    type=click.IntRange(0),
+    default=0,
+    metavar="VOXELS",
+    help="With --fill flood: close openings of up to so many voxels.",
 )
 @click.option("--with-surface", is_flag=True, help="solid and surface26: thin walls survive.")
 @click.option(
@@ -71,6 +83,7 @@ def command(
     no_clobber: bool,
     mode: str,
     fill: str,
+    gap: int,
     with_surface: bool,
     dim: int | None,
     pitch: float | None,
@@ -95,12 +108,17 @@ def command(
     Examples:
       voxtool voxelize bunny.obj --dim 512 --mode solid
       voxtool voxelize bunny.obj --pitch 0.01 --mode surface26 -o bunny.svo.xml
+      voxtool voxelize open.obj --fill winding
+      voxtool voxelize open.obj --fill flood --gap 3
     """
     placed = {"--dim": dim, "--pitch": pitch, "--bbox": bbox, "--margin": margin}
     check_usage([name for name, value in placed.items() if value is not None], like, fit)
     if with_surface and mode != "solid":
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
+    if gap and (fill != "flood" or mode != "solid"):
+        raise click.UsageError("--gap goes with --mode solid --fill flood")
     started = time.perf_counter()
+    from voxtool.diagnosis import diagnose
     from voxtool.errors import human
     from voxtool.files import (
         SVO_FORMATS,
@@ -113,7 +131,7 @@ def command(
     from voxtool.grid import Grid
     from voxtool.mesh import load_mesh
     from voxtool.opencl import open_device
-    from voxtool.svo.voxelize import plan_voxelize, voxelize
+    from voxtool.svo.voxelize import fill_for, plan_voxelize, voxelize
 
     if output is None:
         output = options.output_of(mesh, "svo.h5")
@@ -123,7 +141,7 @@ def command(
             check_target(output, not no_clobber)
         elif sys.stdout.isatty() and file_format not in TEXT_FORMATS:
             raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
-    with options.Progress(stages(mode, with_surface)) as progress:
+    with options.Progress(stages(mode, fill, with_surface)) as progress:
         progress.enter("read mesh")
         loaded = load_mesh(mesh)
         if like:
@@ -132,17 +150,27 @@ def command(
             grid = Grid.fit(loaded, dim, pitch=pitch, bbox=bbox, margin=margin, fit=fit)
         chosen = open_device(device, profile=verbose)
         chosen.on_stage = progress.enter
-        request: dict[str, Any] = {"fill": fill, "with_surface": with_surface, "device": chosen}
+        found = None
+        rule = fill
+        if mode == "solid":
+            progress.enter("check mesh")
+            found = diagnose(loaded)
+            rule = fill_for(found) if fill == "auto" else fill
+        request: dict[str, Any] = {
+            "fill": rule,
+            "gap": gap,
+            "with_surface": with_surface,
+            "device": chosen,
+        }
         if only_plan:
             plan = plan_voxelize(loaded, grid, mode, **request)
             progress.erase()
             print_plan(plan, grid, as_json)
             options.warn_if_refused(plan, max_memory, chosen)
             return
-        if mode == "solid":
-            progress.enter("check mesh")
-            warn_if_open(loaded)
         octree = voxelize(loaded, grid, mode, max_memory=max_memory, **request)
+        if found:
+            tell_of_fill(loaded, found, octree, auto=fill == "auto")
         progress.enter("write file")
         write_svo(octree, output, not no_clobber, file_format)
 
@@ -152,6 +180,7 @@ def command(
             "output": output,
             "dim": grid.dim,
             "mode": octree.mode,
+            "fill": octree.fill,
             "voxels": octree.count,
             "nodes": len(octree.nodes),
             "bricks": len(octree.bricks),
@@ -162,8 +191,9 @@ def command(
             options.print_json(result, err=output == "-")
     else:
         source, target = mesh if mesh != "-" else "stdin", output if output != "-" else "stdout"
+        filled = "" if octree.fill == "none" else f" by {octree.fill}"
         options.tell(
-            f"{source} -> {target}: {octree.mode}, dim {grid.dim}, pitch {pitch_of(grid)}; "
+            f"{source} -> {target}: {octree.mode}{filled}, dim {grid.dim}, pitch {pitch_of(grid)}; "
             f"{octree.count:,} voxels in {human(octree.nbytes)}, {seconds:.2f} s"
         )
     if verbose:
@@ -185,18 +215,22 @@ def check_usage(placed: list[str], like: str | None, fit: str) -> None:
         )
 
 
-def stages(mode: str, with_surface: bool) -> list[str]:
+def stages(mode: str, fill: str, with_surface: bool) -> list[str]:
     """What the progress bar counts: the plan's stages, and what comes before and after."""
-    solid = mode == "solid"
-    surface = "surface26" if with_surface else "" if solid else mode
+    solid, flood = mode == "solid", mode == "solid" and fill == "flood"
+    holes = solid and fill in ("auto", "winding")
+    surface = "surface26" if with_surface or flood else "" if solid else mode
     return [
         "read mesh",
         *(["check mesh"] if solid else []),
         "survey",
+        *(["holes"] if holes else []),
         "active nodes",
         "octree",
-        *(["crossings", "rows", "fill"] if solid else []),
+        *(["crossings", "rows", "fill"] if solid and not flood else []),
+        *(["near holes"] if holes else []),
         *([surface] if surface else []),
+        *(["flood"] if flood else []),
         "read back",
         "write file",
     ]
@@ -208,15 +242,27 @@ def pitch_of(grid: Grid) -> str:
     return sizes[0] if len(set(grid.pitch)) == 1 else " x ".join(sizes)
 
 
-def warn_if_open(mesh: Mesh) -> None:
-    """Parity needs a closed mesh: say what is wrong with this one."""
-    from voxtool.diagnosis import diagnose
+def tell_of_fill(mesh: Mesh, found: Diagnosis, octree: Octree, *, auto: bool) -> None:
+    """What is wrong with a mesh, and what the rule made of it; nothing where all is well."""
+    from voxtool.diagnosis import volume
+    from voxtool.errors import count_of
 
-    diagnosis = diagnose(mesh)
-    if not diagnosis.even:
+    rule = octree.fill
+    leak = "rows of voxels along x leak where they pass a gap"
+    done = {
+        "parity": "" if found.even else f"filled by parity, {leak}",
+        "nonzero": "" if found.watertight else f"filled where crossings do not cancel, {leak}",
+        "winding": "filled where its winding number is 1/2 or more" if auto else "",
+    }.get(rule, "")
+    if rule == "winding" and octree.plan["holes"]:
+        done = f"{count_of(octree.plan['holes'], 'hole')}, {done}" if done else ""
+    name = mesh.name or "mesh"
+    if done:
+        options.tell(f"{'' if auto else 'warning: '}{name} is {found.summary()}; {done}")
+    if rule == "winding" and not octree.count and volume(mesh) < 0:
         options.tell(
-            f"warning: {mesh.name or 'mesh'} is {diagnosis.summary()}; filled by parity, rows of "
-            "voxels along x leak where they pass a gap"
+            f"warning: {name} is inside out, so that its winding numbers are negative and nothing "
+            "is inside: turn its faces, or choose --fill parity or nonzero"
         )
 
 
@@ -232,8 +278,9 @@ def print_plan(plan: Plan, grid: Grid, as_json: bool) -> None:
     shape = " x ".join(map(str, plan.shape))
     rows = [
         ("grid", f"{shape} voxels of {pitch_of(grid)}, octree of {plan.levels} levels"),
-        ("scene", f"{plan.survey.triangles:,} triangles, {plan.survey.outside:,} outside; the "
-         f"largest spans {plan.survey.extent:.1f} voxels"),
+        ("scene", f"{plan.survey.triangles - plan.caps:,} triangles, {plan.survey.outside:,} "
+         f"outside; the largest spans {plan.survey.extent:.1f} voxels"),
+        *([("fill", fill_of(plan))] if plan.solid else []),
         ("stages", ", ".join(plan.stages)),
         *(("left out", f"{what}: {why}") for what, why in plan.left_out().items()),
         ("predicted", f"{plan.bricks:,} bricks, {plan.nodes:,} nodes, "
@@ -242,3 +289,12 @@ def print_plan(plan: Plan, grid: Grid, as_json: bool) -> None:
     ]  # fmt: skip
     for name, text in rows:
         click.echo(f"{name:<10} {text}")
+
+
+def fill_of(plan: Plan) -> str:
+    """The rule that tells inside from outside, and what it makes of holes."""
+    from voxtool.errors import count_of
+
+    if plan.fill != "winding":
+        return plan.rule
+    return f"winding; {count_of(plan.holes, 'hole')}, {count_of(plan.caps, 'cap triangle')}"

@@ -22,7 +22,7 @@ MAX_LINK = 1 << 30  # a link has 30 bits
 class Survey:
     """What is counted of a scene before it is planned.
 
-    triangles, vertices : how many there are.
+    triangles, vertices : how many there are, caps of holes among them.
     outside : triangles that cannot touch the grid nor cross its rows.
     extent : longest side of a bounding box of a triangle, in voxels.
     areas : areas projected along x, y, z, summed over the triangles, in voxel^2.
@@ -42,7 +42,10 @@ class Plan:
     """How a mesh will be voxelized.
 
     side : voxels along a side of the octree's cube; levels : its levels, bricks included.
-    solid, surface : "" or the separability of the surface that is voxelized, "26" or "6".
+    fill : rule that tells inside from outside, or "none" for a surface; gap : voxels of openings
+    that a flood does not pass.
+    surface : "" or the separability of the surface that is voxelized, "26" or "6".
+    holes, caps : of the mesh where they matter, and the triangles that close them.
     wide : predicates in 128 bits; code_bits : of the Morton codes; blocked : the level-1 volume is
     stored by blocks; entry : rows have a state where they enter; tiled, tiled_nodes : triangles
     are shared among work-items, for voxels and for level-1 nodes.
@@ -52,8 +55,11 @@ class Plan:
     survey: Survey
     shape: tuple[int, int, int]
     side: int
-    solid: bool
+    fill: str
+    gap: int
     surface: str
+    holes: int
+    caps: int
     wide: bool
     code_bits: int
     blocked: bool
@@ -61,6 +67,20 @@ class Plan:
     tiled: bool
     tiled_nodes: bool
     active: tuple[int, ...]
+
+    @property
+    def solid(self) -> bool:
+        return self.fill != "none"
+
+    @property
+    def rule(self) -> str:
+        """The rule with its gap, as it is stored with the output."""
+        return f"{self.fill}+gap{self.gap}" if self.gap else self.fill
+
+    @property
+    def listed(self) -> bool:
+        """Whether crossings are listed with their directions."""
+        return self.fill in ("nonzero", "winding")
 
     @property
     def levels(self) -> int:
@@ -71,10 +91,13 @@ class Plan:
         """The stages that will run, in order."""
         return [
             "survey",
+            *(["holes"] if self.caps else []),
             "active nodes",
             "octree",
-            *(["crossings", "rows", "fill"] if self.solid else []),
+            *(["crossings", "rows", "fill"] if self.fill not in ("none", "flood") else []),
+            *(["near holes"] if self.caps else []),
             *([f"surface{self.surface}"] if self.surface else []),
+            *(["flood"] if self.fill == "flood" else []),
         ]
 
     @property
@@ -119,10 +142,20 @@ class Plan:
             out["sharing of triangles among work-items"] = extent
         if not self.solid:
             out["crossings, rows and fill"] = "the mode is a surface"
+        elif self.fill == "flood":
+            out["crossings, rows and fill"] = "the outside is flooded"
         elif not self.entry:
             out["state of rows on entry"] = "no triangle reaches beyond the low-x side"
         if not self.surface:
             out["surface voxels"] = "the mode is solid, without its surface"
+        if self.listed and not self.caps:
+            out["winding numbers near holes"] = (
+                "no edge bounds a hole: whole numbers tell all"
+                if self.fill == "winding"
+                else "crossings are counted, holes or not"
+            )
+        if self.fill == "parity":
+            out["directions of crossings"] = "parity does not need them"
         out["x-neighbour pointers"] = (
             "rows walk the octree itself" if self.solid else "nothing is propagated"
         )
@@ -131,7 +164,9 @@ class Plan:
     def scene(self) -> dict[str, Any]:
         """What the plan says of the scene, to be stored with the output: JSON types only."""
         return {
-            "triangles": self.survey.triangles,
+            "fill": self.rule,
+            **({"holes": self.holes, "cap_triangles": self.caps} if self.fill == "winding" else {}),
+            "triangles": self.survey.triangles - self.caps,
             "triangles_outside": self.survey.outside,
             "largest_extent_voxels": self.survey.extent,
             "stages": self.stages,
@@ -195,21 +230,34 @@ class Plan:
 
 
 def plan_voxelization(
-    survey: Survey, shape: tuple[int, int, int], *, solid: bool, surface: str
+    survey: Survey,
+    shape: tuple[int, int, int],
+    *,
+    fill: str,
+    surface: str,
+    gap: int = 0,
+    holes: int = 0,
+    caps: int = 0,
 ) -> Plan:
     """The plan for a mesh that was surveyed against a grid of the given shape.
 
     Parameters
     ----------
-    solid : fill the inside; surface : "" or the separability of the surface, "26" or "6".
+    fill : rule that tells inside from outside, or "none" for a surface.
+    surface : "" or the separability of the surface, "26" or "6".
+    gap, holes, caps : as in Plan.
     """
+    solid = fill != "none"
     side = 1 << (max(shape) - 1).bit_length()
     return Plan(
         survey=survey,
         shape=shape,
         side=side,
-        solid=solid,
+        fill=fill,
+        gap=gap,
         surface=surface,
+        holes=holes,
+        caps=caps,
         wide=survey.extent > NARROW_EXTENT,
         code_bits=32 if side <= CODE_32_SIDE else 64,
         blocked=side > DENSE_SIDE,
@@ -263,7 +311,10 @@ def _device_bytes(plan: Plan) -> int:
     if plan.entry:
         rows += 8 * -(-plan.shape[1] // CELL) * -(-plan.shape[2] // CELL)
     added = (BRICK_BYTES * plan.bricks + 4 * finest) * (plan.solid and bool(plan.surface))
-    return mesh + shares + volume + lists + rows + added + plan.octree_bytes
+    crossings = 0
+    if plan.listed:  # sorted from one array to another
+        crossings = 2 * 8 * round(survey.areas[0]) + 4 * survey.triangles
+    return mesh + shares + volume + lists + rows + crossings + added + plan.octree_bytes
 
 
 def _rescale(plan: Plan, factor: float) -> Plan:
@@ -272,4 +323,12 @@ def _rescale(plan: Plan, factor: float) -> Plan:
     ax, ay, az = (a * factor**2 for a in s.areas)
     survey = Survey(s.triangles, s.vertices, s.outside, s.extent * factor, (ax, ay, az), s.before)
     nx, ny, nz = (max(round(n * factor), 1) for n in plan.shape)
-    return plan_voxelization(survey, (nx, ny, nz), solid=plan.solid, surface=plan.surface)
+    return plan_voxelization(
+        survey,
+        (nx, ny, nz),
+        fill=plan.fill,
+        gap=plan.gap,
+        surface=plan.surface,
+        holes=plan.holes,
+        caps=plan.caps,
+    )

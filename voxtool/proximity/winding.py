@@ -61,7 +61,7 @@ class WindingNumber:
         self.tree = tree or build_tree(self.device, mesh)
         self.reach = np.float64(reach)
         with self.device.stage("moments"):
-            self._moments = self._sum_moments()
+            self.moments = self._sum_moments()
 
     def _sum_moments(self) -> Array:
         """Of the leaves, then level by level up; children in their order."""
@@ -127,6 +127,6 @@ class WindingNumber:
             self.tree.leaves,
             np.uint32(self.tree.count),
             np.uint32(self.tree.first_leaf),
-            self._moments,
+            self.moments,
             found,
         )

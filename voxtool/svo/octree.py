@@ -321,7 +321,7 @@ class Octree:
                 bad = beyond & level.inside
             else:
                 edge = np.flatnonzero(beyond)
-                allowed = _voxels_within(morton_decode(level.codes[edge]), self.grid.shape)
+                allowed = voxels_within(morton_decode(level.codes[edge]), self.grid.shape)
                 bad = np.zeros(len(level.codes), bool)
                 bad[edge] = (self.bricks[edge] & ~allowed) != 0
             if bad.any():
@@ -363,7 +363,7 @@ def _beyond(level: Level, shape: tuple[int, int, int]) -> np.ndarray:
     return beyond
 
 
-def _voxels_within(bricks: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
+def voxels_within(bricks: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
     """(N, 3) brick cells to (N,) masks of the voxels that lie within the shape."""
     bits = np.uint64(1) << np.arange(BRICK_SIDE**3, dtype=np.uint64)
     within = np.full(len(bricks), ~np.uint64(0))

@@ -69,6 +69,14 @@ def solid(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
     """Voxels from whose centre, moved by (ex, ey, ez), the ray towards -x crosses an odd number of
     triangles. A triangle that is edge-on to the ray is never crossed."""
     odd: set[Cell] = set()
+    for j, k, x, _ in crossings(triangles, shape):
+        odd ^= {(i, j, k) for i in range(shape[0]) if x < (UNIT * i + HALF, 1, 0, 0)}
+    return odd
+
+
+def crossings(triangles: Iterable, shape: Sequence[int]) -> Iterator[tuple]:
+    """The rows (j, k) that cross a triangle, where along x, and 1 if they enter by the triangle's
+    side that is seen from -x, or -1."""
     for triangle in _polygons(triangles):
         (x0, y0, z0), (ax, ay, az), (bx, by, bz) = _edges(*triangle)
         det = ay * bz - az * by
@@ -84,9 +92,7 @@ def solid(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
             ):
                 continue
             x = [u * ax + v * bx for u, v in zip(s, t, strict=True)]
-            x[0] += x0
-            odd ^= {(i, j, k) for i in range(shape[0]) if tuple(x) < (UNIT * i + HALF, 1, 0, 0)}
-    return odd
+            yield j, k, (x[0] + x0, *x[1:]), -1 if det > 0 else 1
 
 
 def active_nodes(triangles: Iterable, shape: Sequence[int], solid: bool) -> set[Cell]:

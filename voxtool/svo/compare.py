@@ -1,0 +1,77 @@
+"""What two octrees of one grid differ in, and the rows that leak."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from voxtool.errors import GridError
+from voxtool.svo.octree import BRICK, BRICK_SIDE, INSIDE, LINK, VALID, Octree, unpack_bricks
+
+EMPTY, FULL = -1, -2  # in place of a node: what is all alike
+
+
+def count_differences(one: Octree, other: Octree) -> tuple[int, int]:
+    """How many voxels are set in the first alone, and in the second alone.
+
+    Both are walked from the root down, in pairs of nodes; where one ends in a leaf, that goes on
+    beside the other's children.
+
+    Raises
+    ------
+    GridError : they are of different grids.
+    """
+    if one.grid != other.grid:
+        raise GridError("octrees of different grids have no voxels in common: use --like")
+    first = second = 0
+    nodes = np.zeros(1, np.int64), np.zeros(1, np.int64)
+    for d in range(one.depth - 1):
+        a, b = (
+            _children(octree, d, node) for octree, node in zip((one, other), nodes, strict=True)
+        )
+        leaves = (a < 0) & (b < 0)
+        volume = (BRICK_SIDE << (one.depth - 1 - d)) ** 3
+        first += volume * int(np.count_nonzero(leaves & (a == FULL) & (b == EMPTY)))
+        second += volume * int(np.count_nonzero(leaves & (a == EMPTY) & (b == FULL)))
+        nodes = tuple(
+            np.where(child < 0, child, child + np.arange(8)[:, None])[:, ~leaves].T.ravel()
+            for child in (a, b)
+        )
+    a, b = (_masks(octree, node) for octree, node in zip((one, other), nodes, strict=True))
+    first += int(np.bitwise_count(a & ~b).sum(dtype=np.int64))
+    second += int(np.bitwise_count(b & ~a).sum(dtype=np.int64))
+    return first, second
+
+
+def _children(octree: Octree, d: int, nodes: np.ndarray) -> np.ndarray:
+    """The first children of nodes of a level below the root's, or what they are filled with."""
+    level = octree.nodes["child"][octree.offsets[d] : octree.offsets[d + 1]]
+    child = np.append(level, [INSIDE, np.uint32(0)])[nodes]  # FULL and EMPTY count from the end
+    leaf = np.where(child & INSIDE, FULL, EMPTY)
+    return np.where(child & VALID, (child & LINK).astype(np.int64), leaf)
+
+
+def _masks(octree: Octree, nodes: np.ndarray) -> np.ndarray:
+    return np.append(octree.bricks, [~BRICK.type(0), BRICK.type(0)])[nodes]
+
+
+def leaking_rows(octree: Octree) -> np.ndarray:
+    """(n, 2) int64 y, z of the rows along x whose last voxel is set, in rising order.
+
+    Of a mesh that ends before that voxel these are the rows that parity fills beyond it: those that
+    cross the mesh an odd number of times.
+    """
+    last = octree.grid.shape[0] - 1
+    rows = [np.empty((0, 2), np.int64)]
+    for level in octree.levels():
+        cells = level.cells
+        at_end = (cells[:, 0] <= last) & (last < cells[:, 0] + level.side)
+        if level.number:
+            across = np.indices((level.side, level.side)).reshape(2, -1).T
+            low = cells[at_end & level.inside, 1:]
+            rows.append((low[:, None] + across).reshape(-1, 2))
+        else:
+            bricks = unpack_bricks(octree.bricks[at_end])[:, last % BRICK_SIDE]
+            brick, y, z = np.nonzero(bricks)
+            rows.append(cells[at_end][brick, 1:] + np.stack([y, z], axis=1))
+    found = np.concatenate(rows)
+    return found[np.lexsort(found.T[::-1])]
