@@ -1,4 +1,4 @@
-"""voxtool bench all, and the reports of the single benches: from models to files; never how fast."""
+"""voxtool bench all, and reports of single benches: from models to files; never how fast."""
 
 from __future__ import annotations
 
@@ -52,7 +52,11 @@ def ball(tmp_path: Path, monkeypatch) -> str:
 
 def test_every_bench_has_times_and_errors(made: Path) -> None:
     told = json.loads((made / "out" / "report.json").read_text())
-    assert (told["format"], told["schema_version"], told["date"]) == ("voxtool-bench", "1.0", "today")
+    assert (told["format"], told["schema_version"], told["date"]) == (
+        "voxtool-bench",
+        "1.0",
+        "today",
+    )
     assert told["device"]["probe"] in ("", "ok")
     assert told["machine"]["cores"] > 0
     points = told["points"]
@@ -99,8 +103,12 @@ def test_commands_of_rows_exist(made: Path) -> None:
 
 def test_what_is_said(made: Path) -> None:
     said = (made / "said.txt").read_text()
-    for chart in ("voxelize, bunny.obj: mesh to voxels", "extract, bunny.obj: ",
-                  "adf, bunny.obj: mesh to field", "tets, volume.vtu: frames through x10"):
+    for chart in (
+        "voxelize, bunny.obj: mesh to voxels",
+        "extract, bunny.obj: ",
+        "adf, bunny.obj: mesh to field",
+        "tets, volume.vtu: frames through x10",
+    ):
         assert f"\n{chart}" in f"\n{said}"
     assert said.count("most accurate: ") == 5
     assert said.endswith("report: out/report.html\n")

@@ -46,7 +46,9 @@ def point(method: str, seconds: float, error: float | None, **more) -> Point:
     errors = {} if error is None else {"rms": error}
     given = {"runs": [0.9 * seconds, seconds, 1.1 * seconds], "errors": errors, "label": "",
              "model": "a.obj", "command": "voxtool bench all a.obj", "setting": {}}  # fmt: skip
-    return Point(**{"bench": "voxelize", "work": "mesh to voxels", "method": method, **given, **more})
+    return Point(
+        **{"bench": "voxelize", "work": "mesh to voxels", "method": method, **given, **more}
+    )
 
 
 def line(method: str, power: float, order: float, sizes=(64, 128, 256)) -> list[Point]:
@@ -82,7 +84,7 @@ def test_pareto_front_against_all_pairs() -> None:
 
     def beaten(p: Point) -> bool:
         return any(
-            q.seconds <= p.seconds and q.error <= p.error
+            q.seconds <= p.seconds and (q.error or 0) <= (p.error or 0)
             and (q.seconds, q.error) != (p.seconds, p.error)
             for q in points if q.error is not None
         )  # fmt: skip

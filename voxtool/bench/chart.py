@@ -77,9 +77,7 @@ def charts(points: Sequence[Point], name: str) -> list[Chart]:
         "stages": (draw_stages, bool(_bars(points))),
     }
     return [
-        _chart(draw, points, f"{name}-{kind}")
-        for kind, (draw, drawn) in drawings.items()
-        if drawn
+        _chart(draw, points, f"{name}-{kind}") for kind, (draw, drawn) in drawings.items() if drawn
     ]
 
 
@@ -88,9 +86,9 @@ def _chart(draw: Any, points: Sequence[Point], name: str) -> Chart:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    forms = []
+    forms: list[bytes] = []
     for theme, form in ((PAGE, "svg"), (PAPER, "png")):
-        style = {
+        style: dict[Any, Any] = {
             **matplotlib.rcParamsDefault,  # whatever the user prefers
             "svg.fonttype": "none", "svg.hashsalt": name, "font.size": 9, "text.color": theme.ink,
             "font.sans-serif": ["DejaVu Sans", "Verdana", "sans-serif"],
@@ -190,7 +188,7 @@ def _lines_of_cost(points: Sequence[Point]) -> dict[str, list[tuple[float, float
 
 
 def exponents(points: Sequence[Point]) -> dict[str, tuple[float, float, float]]:
-    """By method: p of seconds ~ size**p, and the least and the largest size that it is fitted to."""
+    """By method: p of seconds ~ size**p, and the least and largest size that it is fitted to."""
     return {
         method: (p, line[0][0], line[-1][0])
         for method, line in _lines_of_cost(points).items()

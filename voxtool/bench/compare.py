@@ -27,8 +27,8 @@ KEY = ("bench", "model", "work", "method", "label")
 
 @dataclass(frozen=True)
 class Row:
-    """What a report says of a setting: seconds, the median, least and most of its repeats; errors by
-    measure."""
+    """What a report says of a setting: seconds, the median, least and most of its repeats; errors
+    by measure."""
 
     seconds: float
     least: float
@@ -89,9 +89,7 @@ class Change:
 
 def compare(old: Summary, new: Summary) -> list[Change]:
     """What both have, in the order of the new one."""
-    return [
-        change(key, old.rows[key], row) for key, row in new.rows.items() if key in old.rows
-    ]
+    return [change(key, old.rows[key], row) for key, row in new.rows.items() if key in old.rows]
 
 
 def change(key: tuple[str, ...], old: Row, new: Row) -> Change:

@@ -208,9 +208,7 @@ class Budget:
 
 def answers(points: Iterable[Point], budget: Budget) -> list[tuple[str, Point | None]]:
     """What each chart has to say to a budget: its title, and the point to choose, if any is."""
-    return [
-        (title(chart), budget.choose(found)) for chart, found in charts_of(points).items()
-    ]
+    return [(title(chart), budget.choose(found)) for chart, found in charts_of(points).items()]
 
 
 def verdicts(points: Sequence[Point]) -> list[str]:

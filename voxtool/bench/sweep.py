@@ -114,8 +114,8 @@ def sweep(
     benches: tuple[str, ...] | None = None,
     on_step: Callable[[str], None] = lambda step: None,
 ) -> Measured:
-    """Measure every model, in the benches for its kind or in those that are named; `on_step` is told
-    which one begins.
+    """Measure every model, in the benches for its kind or in those that are named; `on_step` is
+    told which one begins.
 
     Raises
     ------
@@ -158,9 +158,11 @@ def of_voxelize(model: str, asked: Sweep, timed: Device, profiled: Device) -> Me
             if mode != "solid":
                 without["volume"] = "a set of voxels that a surface touches is no solid"
             request = {"dims": dim, "modes": mode, "fit": asked.fit, "samples": asked.samples}
+            method = f"{mode}, {octree.fill}" if mode == "solid" else mode
             point = Point(
-                "voxelize", name, "mesh to voxels", mode, f"dim {dim}",
-                setting={"dim": dim, "mode": mode, "fit": asked.fit, "samples": asked.samples},
+                "voxelize", name, "mesh to voxels", method, f"dim {dim}",
+                setting={"dim": dim, "mode": mode, "fill": octree.fill, "fit": asked.fit,
+                         "samples": asked.samples},
                 runs=timing.times(partial(work, device=timed), asked.repeat),
                 command=command("voxelize", model, asked, **request),
                 size=dim, size_of="dim",
@@ -230,8 +232,9 @@ class Reference:
         reason = f"the model is open: {found.boundary_edges} boundary edges"
         self.absent = {} if found.closed else {"volume": reason, "area": reason}
 
-    def errors_of(self, surface: Mesh, without: dict[str, str]) -> dict[str, dict[str, Any]]:
-        """Errors and what is absent, as of a Point; `without` says why measures are of no use."""
+    def errors_of(self, surface: Mesh, without: dict[str, str]) -> Any:
+        """A dict of "errors" and "absent", as of a Point; `without` says why measures are of no
+        use."""
         absent = {**self.absent, **without}
         if not len(surface.faces):
             return {"errors": {}, "absent": dict.fromkeys(MEASURES["extract"], "it is empty")}
@@ -319,10 +322,7 @@ def of_fields(model: str, asked: Sweep, timed: Device, profiled: Device) -> Meas
             distance = peer.build()
             found = distance(points)
             runs = timing.times(partial(distance, points), asked.repeat)
-            if peer.builds_each_time:
-                method = f"{peer.name}, building its trees"
-            else:
-                method = peer.name
+            method = f"{peer.name}, building its trees" if peer.builds_each_time else peer.name
             yield alone(
                 method=method, runs=runs, command=again, peer=True,
                 errors=query_errors(found, distances, side),

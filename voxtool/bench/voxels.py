@@ -1,8 +1,9 @@
-"""The boundary of a set of voxels as a triangle mesh, and what peers made in the form that ours has,
-so that both are held against the model by the same measure."""
+"""The boundary of a set of voxels as a triangle mesh, and what peers made in the form that ours
+has, so that both are held against the model by the same measure."""
 
 from __future__ import annotations
 
+import importlib
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -52,22 +53,20 @@ def of_peer(made: Any, grid: Grid) -> Mesh:
         voxels = np.zeros(cells.max(axis=0, initial=0) + 1, bool)
         voxels[tuple(cells.T)] = True
         return boundary(voxels, np.asarray(made.origin), np.full(3, made.voxel_size))
-    from vtk.util.numpy_support import vtk_to_numpy
-
-    values = vtk_to_numpy(made.GetPointData().GetScalars()).reshape(grid.shape[::-1])
+    support = importlib.import_module("vtk.util.numpy_support")
+    values = support.vtk_to_numpy(made.GetPointData().GetScalars()).reshape(grid.shape[::-1])
     return boundary(values.T != 0, np.array(grid.origin), np.array(grid.pitch))
 
 
 def of_peer_surface(made: Any, octree: Octree) -> Mesh:
-    """The surface that a peer of extract returned: a vtkPolyData or what scikit-image returns, whose
+    """The surface that a peer of extract returned, a vtkPolyData or what scikit-image returns; its
     lattice is the middles of the octree's bricks."""
     if isinstance(made, tuple):
         points, faces = made[0][:, ::-1], made[1]
     else:
-        from vtk.util.numpy_support import vtk_to_numpy
-
-        points = vtk_to_numpy(made.GetPoints().GetData())
-        faces = vtk_to_numpy(made.GetPolys().GetConnectivityArray()).reshape(-1, 3)
+        support = importlib.import_module("vtk.util.numpy_support")
+        points = support.vtk_to_numpy(made.GetPoints().GetData())
+        faces = support.vtk_to_numpy(made.GetPolys().GetConnectivityArray()).reshape(-1, 3)
     side = BRICK_SIDE * np.array(octree.grid.pitch)
     places = (points.astype(np.float64) + 0.5) * side + np.array(octree.grid.origin)
     return Mesh(places, faces.astype(np.int32), name="surface")

@@ -31,12 +31,13 @@ def command(old: str, new: str, fail_over: float | None, show_all: bool, as_json
 
     \b
     Examples:
-      voxtool bench voxelize bunny.obj --dims 64 -o old --json | voxtool bench compare old/report.json -
-      voxtool bench extract bunny.obj --dims 64 -o old --json | voxtool bench compare - old/report.json --fail-over 10
+      voxtool bench voxelize bunny.obj --dims 64 -o a --json | voxtool bench compare a/report.json -
+      voxtool bench extract bunny.obj --dims 64 -o b --json | voxtool bench compare b/report.json -
     """
     from voxtool.bench.compare import compare, read_report
 
-    before, after = read_report(old), read_report(new)
+    after = read_report(new)  # first: it may come through a pipe from who writes the old one
+    before = read_report(old)
     if before.where != after.where:
         options.tell(
             f"warning: measured on different devices: {printable(before.where)}; "
@@ -55,7 +56,9 @@ def command(old: str, new: str, fail_over: float | None, show_all: bool, as_json
             "the new"
         )
     if not changes:
-        raise VoxtoolError("the reports have no row in common: measure the same models and settings")
+        raise VoxtoolError(
+            "the reports have no row in common: measure the same models and settings"
+        )
     if failed:
         raise VoxtoolError(
             f"{count_of(len(failed), 'row')} slower by more than {fail_over:g} % beyond the noise, "

@@ -22,7 +22,7 @@ from voxtool.mesh import Mesh, mesh_from_arrays
 from voxtool.opencl import Device
 from voxtool.svo.isosurface import extract
 from voxtool.svo.raycast import OctreeRenderer
-from voxtool.svo.voxelize import voxelize
+from voxtool.svo.voxelize import FILLS, voxelize
 from voxtool.tets.mesh import UnstructuredMesh
 from voxtool.tets.render import METHODS, VolumeRenderer
 from voxtool.tets.textures import build_tet
@@ -53,9 +53,12 @@ def hollow() -> Mesh:
 def octrees(device: Device) -> Digests:
     for name, mesh in (("solid", solid()), ("hollow", hollow())):
         for dim in (8, 50, 200):
-            for mode in ("surface26", "surface6", "solid"):
-                octree = voxelize(mesh, Grid.fit(mesh, dim), mode, device=device)
-                yield f"{name} {mode} {dim}", octree.digest()
+            grid = Grid.fit(mesh, dim)
+            for mode in ("surface26", "surface6"):
+                yield f"{name} {mode} {dim}", voxelize(mesh, grid, mode, device=device).digest()
+            for fill in FILLS:
+                octree = voxelize(mesh, grid, fill=fill, device=device)
+                yield f"{name} {fill} {dim}", octree.digest()
 
 
 def surfaces(device: Device) -> Digests:

@@ -145,6 +145,19 @@ def distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.array([_root(min(_squared(_rational(p), *t) for t in corners)) for p in points])
 
 
+def winding_numbers(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(N,) float64: how often (F, 3, 3) triangles go around (N, 3) points: their solid angles, one
+    by one, by 4 pi (van Oosterom and Strackee 1983)."""
+    angles = np.zeros(len(points))
+    for triangle in triangles:
+        a, b, c = triangle[:, None] - points
+        x, y, z = (np.sqrt((v * v).sum(axis=1)) for v in (a, b, c))
+        volume = (a * np.cross(b, c)).sum(axis=1)
+        rest = x * y * z + (a * b).sum(axis=1) * z + (b * c).sum(axis=1) * x
+        angles += 2 * np.arctan2(volume, rest + (c * a).sum(axis=1) * y)
+    return angles / (4 * np.pi)
+
+
 def _polygons(triangles: Iterable) -> Iterator[Polygon]:
     """The triangles as lists of points of Python integers."""
     for triangle in triangles:
