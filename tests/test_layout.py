@@ -45,7 +45,7 @@ CONSTANTS = {
         "FIXED_POINT_BITS": FIXED_POINT_BITS,
     },
     "svo/inside.h": {"MIXED": inside.MIXED},
-    "svo/winding.h": {"NOWHERE": svo_winding.NOWHERE},
+    "svo/winding.h": {"NOWHERE": svo_winding.NOWHERE, "ENTERS": svo_winding.ENTERS},
     "svo/isosurface.h": {
         "LATTICE_BITS": isosurface.LATTICE_BITS,
         "LATTICE": isosurface.LATTICE,
