@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 from voxtool.adf import build, field, hashing, query
+from voxtool.adf import raycast as adf_raycast
 from voxtool.errors import DeviceError
 from voxtool.grid import FIXED_POINT_BITS
 from voxtool.opencl import Device, primitives, program
 from voxtool.proximity import bvh, winding
 from voxtool.svo import cases, inside, isosurface, octree, rectangles, voxelize
+from voxtool.svo import raycast as svo_raycast
 from voxtool.svo import winding as svo_winding
+from voxtool.tets import integrate, project, volume
+from voxtool.tets import raycast as tets_raycast
 
 NODE = octree.NODE
 CONSTANTS = {
@@ -44,8 +48,18 @@ CONSTANTS = {
         "LINK": octree.LINK,
         "FIXED_POINT_BITS": FIXED_POINT_BITS,
     },
+    "svo/raycast.h": {"TILE": svo_raycast.TILE},
+    "adf/raycast.h": {"ROOM_LEVEL": adf_raycast.ROOM_LEVEL, "TILE": adf_raycast.TILE},
+    "tets/volume.h": {"BLOCK": volume.BLOCK},
+    "tets/project.h": {"TILE": project.TILE},
+    "tets/raycast.h": {"MOST_STILL": tets_raycast.MOST_STILL},
+    "tets/integrators.h": {
+        **{name.upper(): number for number, name in enumerate(integrate.INTEGRATORS)},
+        "SCALARS": integrate.SCALARS,
+        "LENGTHS": integrate.LENGTHS,
+    },
     "svo/inside.h": {"MIXED": inside.MIXED},
-    "svo/winding.h": {"NOWHERE": svo_winding.NOWHERE},
+    "svo/winding.h": {"NOWHERE": svo_winding.NOWHERE, "ENTERS": svo_winding.ENTERS},
     "svo/isosurface.h": {
         "LATTICE_BITS": isosurface.LATTICE_BITS,
         "LATTICE": isosurface.LATTICE,

@@ -3,6 +3,7 @@
 
 #include "svo/octree.h"
 #include "svo/voxelize.h"
+#include "svo/winding.h"
 #include "svo/morton.h"
 #include "svo/active.h"
 #include "svo/triangle.h"
@@ -522,7 +523,7 @@ void visit_crossings(const triangle *t, const columns *c, int3 shape, int what, 
                 flip_row(&v->out, v->entry, ACTIVE_SET, shape, i, j, k);
             else if (what == LIST)
                 v->crossings[v->count++] =
-                    ((ulong)k * shape.y + j) << v->x_bits | (ulong)(i + 1) << 1 | (sign < 0);
+                    ((ulong)k * shape.y + j) << v->x_bits | (ulong)(i + 1) << 2 | (sign < 0 ? ENTERS : 0);
             else
                 ++v->count;
         }
@@ -564,8 +565,8 @@ __kernel void count_crossings(__global const int *vertices, __global const int *
         counts[gid] = v.count;
 }
 
-// The crossings of share i from firsts[i] on: the row, x_bits - 1 bits of the voxel, counted from -1,
-// and a bit that is set where a row that runs towards high x enters a solid that faces outward.
+// The crossings of share i from firsts[i] on: the row, x_bits - 2 bits of the voxel, counted from -1,
+// and ENTERS where a row that runs towards high x enters a solid that faces outward.
 __kernel void list_crossings(__global const int *vertices, __global const int *faces, const uint n,
                              __global const uint *tile_offsets, const uint tiled, const uint items,
                              const int4 shape, ACTIVE_SET_PARAMETERS, __global const uint *firsts,
@@ -601,12 +602,12 @@ __kernel void flip_changes(__global const ulong *crossings, const uint n, const 
     int number = 0;
     bool inside = false;
     for (uint at = gid; at < n && crossings[at] >> x_bits == row; ++at) {
-        number += crossings[at] & 1 ? 1 : -1;
-        if (at + 1 < n && crossings[at + 1] >> 1 == crossings[at] >> 1)
+        number += crossings[at] & ENTERS ? 1 : -1;
+        if (at + 1 < n && crossings[at + 1] >> 2 == crossings[at] >> 2)
             continue; // another one at the same voxel
         if (inside != (nonzero ? number != 0 : number > 0)) {
             inside = !inside;
-            const int i = (int)(crossings[at] >> 1 & ((1ul << (x_bits - 1)) - 1)) - 1;
+            const int i = (int)(crossings[at] >> 2 & ((1ul << (x_bits - 2)) - 1)) - 1;
             flip_row(&out, entry, ACTIVE_SET, shape.xyz, i, j, k);
         }
     }

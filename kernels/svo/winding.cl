@@ -218,10 +218,10 @@ int number_before(__global const ulong *crossings, uint n, uint x_bits, ulong ro
         else
             high = middle;
     }
-    const ulong end = (row << x_bits) + ((ulong)(x + 2) << 1);
+    const ulong end = (row << x_bits) + ((ulong)(x + 2) << 2);
     int number = 0;
     for (; low < n && crossings[low] < end; ++low)
-        number += crossings[low] & 1 ? 1 : -1;
+        number += crossings[low] & ENTERS ? 1 : -1;
     return number;
 }
 

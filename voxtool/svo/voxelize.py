@@ -481,7 +481,7 @@ def _list_crossings(scene: _Scene, active: _ActiveNodes) -> Crossings:
     n = scene.n + scene.plan.caps
     offsets, shared, items = scene.shares(CROSSED, 0, scene.plan.tiled, n)
     shares = scene.vertices, scene.faces, np.uint32(n), offsets, shared, items
-    shape, x_bits = scene.shape(0), nx.bit_length() + 1
+    shape, x_bits = scene.shape(0), nx.bit_length() + 2
     firsts = device.empty(int(items) + 1, np.uint32)
     scene.kernel("count_crossings")(int(items), *shares, shape, *active.lookup, firsts)
     count = exclusive_scan(firsts, int(items))

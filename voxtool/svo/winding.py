@@ -55,13 +55,15 @@ NOWHERE = 1 << 30  # number of a voxel beyond the grid
 BY_VOXEL = NOWHERE  # in place of a brick's threshold
 BRICK_LEVEL = BRICK_SIDE.bit_length() - 1
 BATCH = 1 << 14  # bricks whose voxels are numbered at once
-program.generated["svo/winding.h"] = program.c_constants(NOWHERE=NOWHERE)
+# A bit is left free below: with it Oclgrind 21.10 meets a shift that it does not know.
+ENTERS = 2
+program.generated["svo/winding.h"] = program.c_constants(NOWHERE=NOWHERE, ENTERS=ENTERS)
 
 
 @dataclass(frozen=True)
 class Crossings:
-    """The crossings of rows with a closed mesh: sorted keys of a row, x_bits - 1 bits of the first
-    voxel beyond, counted from -1, and a bit, 1 where the row enters."""
+    """The crossings of rows with a closed mesh: sorted keys of a row, x_bits - 2 bits of the first
+    voxel beyond, counted from -1, and ENTERS where the row enters."""
 
     keys: Array
     n: int
