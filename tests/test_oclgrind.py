@@ -166,6 +166,7 @@ def main() -> None:
     render_octrees(device)
     render_fields(device)
     render_volumes(device)
+    check_device(device)
     print(json.dumps({"device": device.info.name, "kernels": [*kernels], "options": [*options]}))
 
 
@@ -396,6 +397,20 @@ def two_views(size: tuple[int, int]) -> list[Any]:
     from voxtool.camera import Camera
 
     return [Camera.fit((-1, -1, -1), (1, 1, 1), "iso", fov=fov).rays(*size) for fov in (None, 40)]
+
+
+def check_device(device) -> None:
+    """The kernels that only the selftest has."""
+    import numpy as np
+
+    from voxtool.bench.selftest import arithmetic, volumes
+
+    arithmetic.COUNT = 200
+    volumes.LANES = 1  # as above
+    for case in (arithmetic.single, arithmetic.double, arithmetic.integers):
+        assert case.run(device).passed
+    ends = np.geomspace(1e-3, 10, 8).astype(np.float32)
+    volumes.weights(device, ends, ends)
 
 
 def render_octrees(device) -> None:

@@ -30,8 +30,8 @@ COLOURS = ("#2f7ed8", "#e07b00", "#1a9e77", "#c2417c", "#7a6ad8", "#a07a1f", "#d
 MARKERS = "osD^vPXp"
 WIDTH, PLOT = 7.2, 3.7  # inches: of a chart, and the height of what is within its axes
 LEFT, RIGHT, TOP, BOTTOM = 0.8, 0.25, 0.45, 0.55  # around that
-LEGEND = 0.19  # of a line of the legend, of COLUMNS names
-COLUMNS = 3
+LEGEND = 0.19  # of a line of the legend
+LETTER, KEY = 0.07, 6  # the width of a letter there, and letters that what is before a name takes
 DPI = 144  # of PNG
 BAR = 0.42  # inches, of the height of a chart of bars, for each
 
@@ -266,10 +266,12 @@ def plain(text: str) -> str:
 def _lay_out(figure: Any, plot: Any, height: float = PLOT, left: float = LEFT) -> None:
     """Place the axes, of a height in inches, and the legend below them."""
     handles, labels = plot.get_legend_handles_labels()
-    legend = LEGEND * -(-len(labels) // COLUMNS) + 0.1
+    longest = LETTER * (KEY + max(map(len, labels)))
+    columns = max(1, min(3, int(WIDTH / longest)))
+    legend = LEGEND * -(-len(labels) // columns) + 0.1
     whole = TOP + height + BOTTOM + legend
     figure.set_size_inches(WIDTH, whole)
     plot.set_position(
         (left / WIDTH, (BOTTOM + legend) / whole, 1 - (left + RIGHT) / WIDTH, height / whole)
     )
-    figure.legend(handles, labels, loc="lower center", ncols=COLUMNS, handlelength=2.4)
+    figure.legend(handles, labels, loc="lower center", ncols=columns, handlelength=2.4)

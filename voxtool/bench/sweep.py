@@ -160,7 +160,7 @@ def of_voxelize(model: str, asked: Sweep, timed: Device, profiled: Device) -> Me
             request = {"dims": dim, "modes": mode, "fit": asked.fit, "samples": asked.samples}
             method = f"{mode}, {octree.fill}" if mode == "solid" else mode
             point = Point(
-                "voxelize", name, "mesh to voxels", method, f"dim {dim}",
+                "voxelize", name, work_of(mode), method, f"dim {dim}",
                 setting={"dim": dim, "mode": mode, "fill": octree.fill, "fit": asked.fit,
                          "samples": asked.samples},
                 runs=timing.times(partial(work, device=timed), asked.repeat),
@@ -219,6 +219,11 @@ def of_extract(model: str, asked: Sweep, timed: Device, profiled: Device) -> Mea
                 for peer, run in peers.of_octree(octree, asked.isovalue).items():
                     errors = surface.errors_of(voxels.of_peer_surface(run(), octree), {})
                     yield _peer(point, peer, timing.times(run, asked.repeat), errors)
+
+
+def work_of(mode: str) -> str:
+    """What is timed: a solid is other work than a surface."""
+    return "mesh to solid voxels" if mode == "solid" else "mesh to voxels of the surface"
 
 
 class Reference:
@@ -340,8 +345,8 @@ def of_fields(model: str, asked: Sweep, timed: Device, profiled: Device) -> Meas
 
 
 def build_stages(build: Callable[..., Any], profiled: Device) -> dict[str, float]:
-    """Seconds of the stages of a field's build on the device, after a warm-up."""
-    adf.seconds_to_field(build, profiled)
+    """Seconds of the stages of a field's build on the device; its events know of no compilation, so
+    without a warm-up."""
     profiled.stage_times()
     adf.seconds_to_field(build, profiled)
     return profiled.stage_times()
@@ -382,25 +387,34 @@ def of_pictures(model: str, asked: Sweep, timed: Device, profiled: Device) -> Me
     for transfer_name in asked.transfers:
         transfer = tets.transfer_of(transfer_name, cells)
         work = f"frames through {transfer_name}"
+        largest = max(asked.sizes)
+        every = max(largest // asked.pixels, 1)
+        middles = np.arange(every // 2, largest, every)  # of squares of pixels
+        pixels = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
+        rays = Camera.fit(*box, asked.view, fov=None).rays(largest, largest)
+        expected = reference(
+            cells.vertices, cells.cells, cells.scalars, transfer, rays, pixels,
+            constant=cells.constant,
+        )  # fmt: skip
+        view = tets.View(rays, pixels, expected)
         for size in asked.sizes:
             rays = Camera.fit(*box, asked.view, fov=None).rays(size, size)
-            every = max(size // asked.pixels, 1)
-            middles = np.arange(every // 2, size, every)  # of squares of pixels
-            pixels = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
-            expected = reference(
-                cells.vertices, cells.cells, cells.scalars, transfer, rays, pixels,
-                constant=cells.constant,
-            )  # fmt: skip
-            view = tets.View(rays, pixels, expected)
-            largest = size == max(asked.sizes)
             for method, (renderer, other) in renderers.items():
-                for integrator in asked.integrators if largest else asked.integrators[:1]:
+                for integrator in asked.integrators if size == largest else asked.integrators[:1]:
                     draw = partial(
                         VolumeRenderer.render, rays=rays, transfer=transfer, method=method,
                         integrator=integrator,
                     )  # fmt: skip
                     picture = draw(renderer)
-                    rms, most = view.errors(view.of(picture))
+                    errors, absent = (
+                        {},
+                        dict.fromkeys(
+                            MEASURES["tets"], f"pictures of {largest} x {largest} are compared"
+                        ),
+                    )
+                    if size == largest:
+                        errors = dict(zip(absent, view.errors(view.of(picture)), strict=True))
+                        absent = {}
                     draw(other)
                     profiled.stage_times()
                     request = {"size": size, "every": every, "methods": method,
@@ -416,18 +430,18 @@ def of_pictures(model: str, asked: Sweep, timed: Device, profiled: Device) -> Me
                         ),
                         size=size * size if integrator == asked.integrators[0] else None,
                         size_of="pixels",
-                        errors={"rms": rms, "max": most},
+                        errors=errors,
+                        absent=absent,
                         stages=timing.stage_times(partial(draw, other), profiled, 1)[0],
                         bytes=sum(made[method].sizes().values()),
                     )  # fmt: skip
-            if asked.peers and largest:
-                yield from _picture_peers(cells, view, transfer, name, work, size, asked, model)
+        if asked.peers:
+            yield from _picture_peers(cells, view, transfer, name, work, largest, asked, model)
         if asked.forced:
-            rays = Camera.fit(*box, asked.view, fov=None).rays(max(asked.sizes), max(asked.sizes))
             for method, volume_ in made.items():
                 about = {"bench": "tets", "model": name, "work": f"{work}, {method}"}
                 yield from forced.of_picture(
-                    volume_, rays, transfer, method, timed, asked.repeat, about
+                    volume_, view.rays, transfer, method, timed, asked.repeat, about
                 )
 
 
