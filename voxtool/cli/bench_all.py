@@ -50,7 +50,7 @@ def command(
     \b
     Examples:
       voxtool bench all bunny.obj volume.vtu --scalar density --quick -o report
-      voxtool bench all bunny.obj --quick --budget-error 0.05
+      voxtool bench all bunny.obj --quick --budget-error 0.5
     """
     from voxtool.bench.sweep import QUICK, Sweep
 

@@ -87,8 +87,8 @@ def command(
 
     \b
     Examples:
-      voxtool bench tets bluntfin.vtu --scalar density --peers
-      voxtool bench tets bluntfin.vtu --size 256 --transfers x1,x100 --methods raycast
+      voxtool bench tets volume.vtu --scalar density --size 128 --peers
+      voxtool bench tets volume.vtu --scalar density --size 64 --transfers x1,x100 --methods raycast
     """
     if reports.wanted(more):
         from voxtool.bench.sweep import Sweep

@@ -27,8 +27,8 @@ def command(device: str | None, full: bool, as_json: bool, quiet: bool) -> None:
 
     Each case is stiff or extreme, and held against an oracle: rational arithmetic, quadrature, a
     formula, or a digest that is the same on every device. It prints the measured error, the largest
-    that is right, and how long it took, in s, kernels' compilation included. Units are the case's
-    own; docs/devices.md has what each case checks. If any fails, the exit code is 1.
+    that is right, and how long it took, in s, kernels' compilation included. The units are the
+    case's own; docs/devices.md has what each case checks. If any fails, the exit code is 1.
 
     \b
     Examples:
