@@ -26,7 +26,7 @@ def command() -> None:
       voxtool bench voxelize bunny.obj --dims 64,512
       voxtool bench extract bunny.obj --dims 512,1024 --peers
       voxtool bench adf bunny.obj --tolerances 1e-2,1e-3 --max-level 7
-      voxtool bench tets bluntfin.vtu --scalar density --peers
+      voxtool bench tets volume.vtu --scalar density
     """
 
 
