@@ -657,7 +657,7 @@ def test_the_bar_is_shown_and_erased(here: Path) -> None:
 
 
 def test_warnings_and_errors_stand_alone(here: Path) -> None:
-    code, _, sent = on_terminal("voxelize open.obj --dim 16 -o a.svo.h5", 0, here)
+    code, _, sent = on_terminal("voxelize open.obj --dim 16 --fill parity -o a.svo.h5", 0, here)
     assert code == 0
     warning, message, end = screen(sent)
     assert warning.startswith("voxtool: warning: ")
@@ -665,7 +665,7 @@ def test_warnings_and_errors_stand_alone(here: Path) -> None:
     assert end == ""
     code, _, sent = on_terminal("voxelize bunny.obj --dim 1024 --max-memory 400K", 0, here)
     assert code == 1
-    assert "[##........] survey" in sent
+    assert "[##..........] survey" in sent
     error, end = screen(sent)
     assert error.startswith("voxtool: error: dim 1024 would need")
     assert end == ""
