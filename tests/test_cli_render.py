@@ -22,7 +22,7 @@ from voxtool.camera import Camera
 from voxtool.cli.render import AXES, BELONGS, MAPS, METHODS, VIEWS, output_of
 from voxtool.files import read_adf, read_svo, read_tet
 from voxtool.files.picture import averaged, rounded
-from voxtool.tets import raycast, transfer
+from voxtool.tets import render, transfer
 
 OCTREE, FIELD, VOLUME = "bunny.svo.h5", "bunny.adf.h5", "volume.tet.h5"
 SCENES = {"octree": OCTREE, "field": FIELD, "volume": VOLUME}
@@ -397,7 +397,7 @@ POINTS = [
 
 def test_names_are_those_of_the_library() -> None:
     assert list(MAPS) == list(transfer.MAPS)
-    assert METHODS == raycast.METHODS
+    assert METHODS == render.METHODS
     assert VIEWS == camera.VIEWS
     assert transfer.DEFAULT_MAP == "viridis"  # as the help says
     assert transfer.DEPTH == 24
@@ -409,7 +409,7 @@ def test_volumes_are_the_librarys(method: str, integrator: str, here: Path) -> N
     volume = read_tet(VOLUME)
     rays = Camera((9.0, 5.0, 12.0), (2.0, 1.5, 1.5)).rays(30, 20)
     function = transfer.default(volume)
-    expected = raycast.VolumeRenderer(volume).render(rays, function, method, integrator)
+    expected = render.VolumeRenderer(volume).render(rays, function, method, integrator)
     command = f"{VOLUME} {EYE} --size 30x20 --method {method} --integrator {integrator}"
     assert np.array_equal(floats(command), expected)
     assert 0 < expected[..., 3].max() < 1
@@ -422,7 +422,7 @@ def test_transfer_functions(here: Path) -> None:
     command = f"{VOLUME} {EYE} --size 30x20"
 
     def expected(function: transfer.TransferFunction) -> np.ndarray:
-        return raycast.VolumeRenderer(volume).render(rays, function)
+        return render.VolumeRenderer(volume).render(rays, function)
 
     middle = (low + high) / 2
     found = floats(f"{command} --map gray --opacity-range {high!r},{middle!r} --unit-distance 0.3")

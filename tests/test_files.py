@@ -364,7 +364,7 @@ def test_disk_full_leaves_the_old_file(octree, extension, tmp_path) -> None:
         ("a.svo.h5", b"", "is empty"),
         ("a.svo.h5", b"hello", "is no octree: expected HDF5"),
         ("a.npy", b"\x93NUMPY", "is an export: read the .svo.h5"),
-        ("a.vtu", b'<?xml version="1.0"?><VTKFile/>', "not an octree: its root is VTKFile"),
+        ("a.xml", b'<?xml version="1.0"?><VTKFile/>', "not an octree: its root is VTKFile"),
         ("a.gz", gzip.compress(b"hello"), "no well-formed XML"),
         ("a.svo.h5", b"\x89HDF\r\n\x1a\n", "damaged HDF5 file"),
     ],
