@@ -132,7 +132,7 @@ def test_missing_peers_are_named_with_what_installs_them(ball: str, alone: None)
 
 def test_peers_are_held_against_the_exact_distance(ball: str, monkeypatch) -> None:
     monkeypatch.setattr(peers, "of_distance", half_off)
-    monkeypatch.setattr(peers, "missing_of_distance", list)
+    monkeypatch.setattr(peers, "missing", lambda *modules: [])
     work = f"{WORK} --tolerances 1e-1 --peers --device {ball}"
     off, unsigned = json.loads(run(f"{work} --json").stdout)["rows"][0]["peers"]
     assert (off["name"], unsigned["name"]) == ("Off 1.0", "Unsigned 2.0")

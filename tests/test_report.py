@@ -15,10 +15,11 @@ from pathlib import Path
 import meshes
 import numpy as np
 import pytest
-from conftest import usable_devices
+from conftest import opened, usable_devices
 from helpers_cli import fail, invoke, run
 
-from voxtool.bench import chart, compare, forced, report, voxels
+from voxtool.adf.build import build_adf
+from voxtool.bench import chart, compare, forced, peers, report, timing, voxels
 from voxtool.bench.points import (
     MEASURES,
     Budget,
@@ -30,12 +31,13 @@ from voxtool.bench.points import (
     pareto,
     verdicts,
 )
-from voxtool.bench.sweep import Reference, area
+from voxtool.bench.sweep.surfaces import Reference, area, capped
 from voxtool.diagnosis import diagnose, volume
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.grid import Grid
 from voxtool.mesh import mesh_from_arrays
 from voxtool.opencl import list_devices
+from voxtool.proximity.spread import spread_in_cube
 from voxtool.svo.isosurface import extract
 from voxtool.svo.voxelize import voxelize
 
@@ -387,20 +389,54 @@ def test_the_boundary_of_voxels_is_that_of_the_octree(device) -> None:
 
 def test_errors_of_a_surface(device) -> None:
     ball = mesh_from_arrays(*meshes.icosphere(3))
-    reference = Reference(ball, 2000, device)
+    reference = Reference(ball, 0, 2000, device)
     larger = mesh_from_arrays(1.1 * ball.vertices, ball.faces)
-    errors = reference.errors_of(larger, {})["errors"]
+    errors = reference.errors_of(larger)["errors"]
     assert errors["volume"] == pytest.approx(1.1**3 - 1)
     assert errors["area"] == pytest.approx(1.1**2 - 1)
     assert errors["rms"] == pytest.approx(0.1 / (2 * math.sqrt(3)), rel=0.02)
     assert errors["hausdorff"] == pytest.approx(0.1 / (2 * math.sqrt(3)), rel=0.02)
-    assert reference.errors_of(ball, {"volume": "why"})["errors"].keys() == {
-        "rms", "hausdorff", "area"
-    }  # fmt: skip
-    box = mesh_from_arrays(*meshes.open_box(0, (4, 3, 2)))
-    opened = Reference(box, 100, device).errors_of(box, {})
-    assert opened["errors"].keys() == {"rms", "hausdorff"}
-    assert opened["absent"]["volume"].startswith("the model is open: ")
+    without = Reference(ball, 0, 2000, device, {"volume": "why"}).errors_of(ball)
+    assert without["errors"].keys() == {"rms", "hausdorff", "area"}
+    assert without["absent"] == {"volume": "why"}
+
+
+def test_open_models_are_capped(device) -> None:
+    box, holes = capped(mesh_from_arrays(*meshes.open_box(0, (4, 3, 2))))
+    assert holes == 1
+    assert diagnose(box).closed
+    assert volume(box) == pytest.approx(24)
+    reference = Reference(box, holes, 100, device)
+    assert reference.words == "the model, 1 hole capped"
+    assert reference.errors_of(box)["errors"].keys() == {"rms", "hausdorff", "volume", "area"}
+    ball = mesh_from_arrays(*meshes.icosphere(2))
+    assert capped(ball)[1] == 0
+    assert np.array_equal(capped(ball)[0].faces, ball.faces)
+
+
+@pytest.mark.parametrize("mode", ["surface26", "solid"])
+def test_voxels_of_peers_lie_where_the_model_does(mode: str) -> None:
+    device = opened(usable_devices()[0][0])
+    ball = mesh_from_arrays(*meshes.icosphere(3))
+    grid, reference = Grid.fit(ball, 32), Reference(ball, 0, 2000, device)
+    found = peers.of(ball, grid, mode)
+    assert mode == "solid" or any(name.startswith("trimesh ") for name in found)
+    for name, work in found.items():
+        errors = reference.errors_of(voxels.of_peer(work(), grid))["errors"]
+        assert errors["rms"] * reference.diagonal < grid.pitch[0], name
+        assert errors["hausdorff"] * reference.diagonal < 2 * grid.pitch[0], name
+
+
+def test_slow_peers_are_not_asked_again(monkeypatch) -> None:
+    runs = []
+    others = timing.Peers(9)
+    assert len(others.times("quick", lambda: runs.append(0))) == timing.PEER_RUNS
+    assert len(runs) == 1 + timing.PEER_RUNS
+    monkeypatch.setattr(timing, "PATIENCE", -1)
+    assert len(others.times("slow", lambda: runs.append(0))) == 1
+    assert others.times("slow", lambda: runs.append(0)) == []
+    assert len(runs) == 3 + timing.PEER_RUNS
+    assert others.medians({"slow": list}) == {}
 
 
 # ---- what is forced in
@@ -416,6 +452,11 @@ def test_what_is_forced_in_changes_nothing(device) -> None:
     field = list(forced.of_field(mesh, device, 1, about, tolerance=1e-2, max_level=3))
     assert {saving.what for saving in field} == set(forced.FIELD)
     assert all(saving.same for saving in field)
+    for level, what in ((1, {forced.WIDE, forced.W}), (3, {forced.WIDE})):  # which has w
+        built = build_adf(mesh, device, tolerance=1e-2, max_level=level)
+        asked = list(forced.of_queries(built, spread_in_cube(100), device, 2, about))
+        assert {saving.what for saving in asked} == what
+        assert all(saving.same and len(saving.forced) == 2 for saving in asked)
 
 
 def test_plans_are_as_before_afterwards(device) -> None:

@@ -89,10 +89,10 @@ def sweep(
     timed = open_device(device)
     profiled = open_device(device, profile=True)
     for model in models:
-        mesh = load_mesh(model)
+        mesh, others = load_mesh(model), timing.Peers(repeat)
         for dim in dims:
             grid = Grid.fit(mesh, dim)
-            octree = voxelize(mesh, grid, "solid", fill="parity", device=timed)
+            octree = voxelize(mesh, grid, "solid", device=timed)
             for style in styles:
                 work = partial(extract, octree, style=style, isovalue=isovalue)
                 surface = work(device=timed)
@@ -124,7 +124,7 @@ def sweep(
                     error=deviation(surface.mesh(), mesh, samples, pitch=pitch, device=timed),
                 )
                 if with_peers and style == "smooth":
-                    row.peers = timing.peer_times(peers.of_octree(octree, isovalue), repeat)
+                    row.peers = others.medians(peers.of_octree(octree, isovalue))
                     row.ratios = {name: t / memory for name, t in row.peers.items()}
                 yield row
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.adf import build as adf_build
+from voxtool.adf.query import FieldQuery
 from voxtool.bench import timing
 from voxtool.bench.adf import seconds_to_field
 from voxtool.bench.points import Saving
@@ -24,6 +25,7 @@ from voxtool.tets.render import VolumeRenderer
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from voxtool.adf.field import DistanceField
     from voxtool.camera import Rays
     from voxtool.grid import Grid
     from voxtool.mesh import Mesh
@@ -44,6 +46,8 @@ FIELD = {
     "search for jumps of the sign": {"closed": False, "sign": "pseudonormal"},
     "winding numbers": {"sign": "winding"},
 }
+WIDE = "64-bit identifiers"
+W = "w of the hash's offsets"
 TRANSPARENT = "tetrahedra that the transfer function leaves transparent"
 
 
@@ -92,6 +96,35 @@ def of_field(
             time = partial(seconds_to_field, build, device)
             runs, more = _by_turns(time, forced, repeat)
             yield Saving(**about, what=what, why=why, runs=runs, forced=more, same=same)
+
+
+def of_queries(
+    field: DistanceField,
+    points: np.ndarray,
+    device: Device,
+    repeat: int,
+    about: dict[str, str],
+) -> Iterator[Saving]:
+    """Likewise of distances at points, by what the field's textures do not hold."""
+    table, otherwise = field.hash, {}
+    if field.cells.shape[-1] == 2:
+        high = np.insert(field.cells, 1, 0, axis=-1)
+        why = field.plan["left_out"].get(WIDE, f"leaves end at level {field.depth}")
+        otherwise[WIDE] = replace(field, cells=high), why
+    if not table.has_w:
+        offsets = np.insert(table.offsets, 3, table.m, axis=-1)
+        why = "keys that share an offset differ modulo m"
+        otherwise[W] = replace(field, hash=replace(table, offsets=offsets)), why
+    planned = FieldQuery(field, device)
+    answer = planned(points).distance
+    for what, (other, why) in otherwise.items():
+        forced = FieldQuery(other, device)
+        same = np.array_equal(forced(points).distance, answer)
+        runs, more = [], []
+        for _ in range(repeat):
+            runs += timing.times(partial(planned, points), 1)
+            more += timing.times(partial(forced, points), 1)
+        yield Saving(**about, what=what, why=why, same=same, runs=runs, forced=more)
 
 
 def of_picture(

@@ -7,6 +7,7 @@ import importlib
 import importlib.metadata
 import os
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,13 +24,23 @@ if TYPE_CHECKING:
     from voxtool.tets.transfer import TransferFunction
 
 
+PACKAGES = {  # what they are imported as, and what pip calls them
+    "vtk": "vtk", "open3d": "open3d", "igl": "libigl", "skimage": "scikit-image",
+}  # fmt: skip
+
+
+def missing(*modules: str) -> list[str]:
+    """What pip calls those of them that are not installed; of all if none is named."""
+    return [PACKAGES[name] for name in modules or PACKAGES if _module(name) is None]
+
+
 def of(mesh: Mesh, grid: Grid, mode: str) -> dict[str, Callable[[], object]]:
     """The peers that do this mode's work, by name and version; their inputs are made beforehand."""
-    makers = {"solid": _vtk_stencil, "surface26": _open3d_voxel_grid}
-    if mode not in makers:
-        return {}
-    made = makers[mode](mesh, grid)
-    return dict([made]) if made else {}
+    makers = {
+        "solid": (_vtk_stencil, _trimesh_filled),
+        "surface26": (_open3d_voxel_grid, _trimesh_subdivide),
+    }
+    return dict(made for maker in makers.get(mode, ()) if (made := maker(mesh, grid)))
 
 
 def _module(name: str) -> Any:
@@ -83,6 +94,27 @@ def _open3d_voxel_grid(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object
         return open3d.geometry.VoxelGrid.create_from_triangle_mesh(geometry, grid.pitch[0])
 
     return f"Open3D {open3d.__version__}", run
+
+
+def _trimesh_subdivide(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object]]:
+    """trimesh.voxel.creation.voxelize: voxels that vertices of the subdivided mesh are in."""
+    return f"trimesh {_module('trimesh').__version__}", partial(_trimesh_voxels, mesh, grid)
+
+
+def _trimesh_filled(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object]] | None:
+    """The same, with its holes filled, for which it needs SciPy."""
+    if _module("scipy") is None:
+        return None
+
+    def run() -> object:
+        return _trimesh_voxels(mesh, grid).fill()
+
+    return f"trimesh {_module('trimesh').__version__}", run
+
+
+def _trimesh_voxels(mesh: Mesh, grid: Grid) -> Any:
+    surface = _module("trimesh").Trimesh(mesh.vertices, mesh.faces, process=False)
+    return _module("trimesh.voxel.creation").voxelize(surface, grid.pitch[0])
 
 
 def of_octree(octree: Octree, isovalue: float) -> dict[str, Callable[[], object]]:
@@ -160,17 +192,9 @@ class DistancePeer:
     builds_each_time: bool = False
 
 
-DISTANCE_MODULES = {"open3d": "open3d", "igl": "libigl"}  # and what pip calls them
-
-
 def of_distance(mesh: Mesh) -> list[DistancePeer]:
     """The peers that compute signed distances, each with the threads that it takes by itself."""
     return [peer for maker in (_open3d_scene, _igl_signed_distance) if (peer := maker(mesh))]
-
-
-def missing_of_distance() -> list[str]:
-    """What pip calls those that are not installed."""
-    return [package for module, package in DISTANCE_MODULES.items() if _module(module) is None]
 
 
 def _open3d_scene(mesh: Mesh) -> DistancePeer | None:
@@ -242,11 +266,6 @@ def of_volume(
     if rays.perspective or _module("vtk") is None:
         return []
     return [_vtk_ray_cast(vertices, cells, scalars, transfer, rays, constant)]
-
-
-def missing_of_volume() -> list[str]:
-    """What pip calls those that are not installed."""
-    return [] if _module("vtk") else ["vtk"]
 
 
 def _vtk_ray_cast(

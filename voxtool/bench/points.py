@@ -36,7 +36,8 @@ class Point:
     work : what is timed, which is the same for all points of a chart; method : a line of a chart;
     label : the setting in words; setting : all of it.
     size, size_of : a number that the cost goes with, and what it counts; None where there is none.
-    runs : seconds of each repeat, after a warm-up.
+    runs : seconds of each repeat, after a warm-up; first : of the first one, where later ones have
+    what it made, as frames do.
     errors : by name, as MEASURES; absent : why a measure is not among them.
     stages : seconds on the device, by its events; left_out : what the plan left out, and why.
     bytes : of the result; peak : of resident memory, of the whole command in its own process.
@@ -51,6 +52,7 @@ class Point:
     setting: dict[str, Any]
     runs: list[float]
     command: str
+    first: float | None = None
     size: float | None = None
     size_of: str = ""
     errors: dict[str, float] = field(default_factory=dict)

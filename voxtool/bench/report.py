@@ -159,14 +159,15 @@ def as_csv(points: Sequence[Point]) -> str:
     file = io.StringIO()
     rows = csv.writer(file)
     rows.writerow(
-        ["bench", "model", "work", "method", "setting", "peer", "seconds", "least", "most", "size",
-         "size of", *(f"{name} error" for name in measures), "bytes", "peak bytes", "command"]
+        ["bench", "model", "work", "method", "setting", "peer", "seconds", "least", "most",
+         "first", "size", "size of", *(f"{name} error" for name in measures), "bytes",
+         "peak bytes", "command"]
     )  # fmt: skip
     for point in points:
         words = (point.bench, point.model, point.work, point.method, point.label)
         rows.writerow(
             [*map(_cell, words), int(point.peer), point.seconds, min(point.runs), max(point.runs),
-             point.size, point.size_of, *(point.errors.get(name) for name in measures),
+             point.first, point.size, point.size_of, *(point.errors.get(name) for name in measures),
              point.bytes, point.peak, _cell(point.command)]
         )  # fmt: skip
     return file.getvalue()
@@ -325,6 +326,8 @@ def points_table(found: dict[tuple[str, str, str], list[Point]]) -> str:
             errors = "; ".join(f"{name} {value:.3g}" for name, value in point.errors.items())
             missing = "; ".join(f"no {name}: {why}" for name, why in point.absent.items())
             spread = f"[{duration(min(point.runs))}, {duration(max(point.runs))}]"
+            if point.first is not None:
+                spread += f", the first {duration(point.first)}"
             size = f"{point.size:,g} {point.size_of}" if point.size else ""
             rows.append(
                 ("front" if id(point) in front else "", (

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
     from voxtool.opencl import Device
 
 
+PEER_RUNS = 3
+PATIENCE = 10.0  # seconds
+
+
 def times(work: Callable[[], object], repeat: int) -> list[float]:
     """Seconds of each of `repeat` runs."""
     found = []
@@ -39,13 +43,33 @@ def stage_times(
     return stages, statistics.median(whole[1:])
 
 
-def peer_times(peers: dict[str, Callable[[], object]], repeat: int) -> dict[str, float]:
-    """Median seconds of each peer, after the warm-up that we had, too."""
-    found = {}
-    for name, work in peers.items():
-        work()
-        found[name] = statistics.median(times(work, min(repeat, 3)))
-    return found
+class Peers:
+    """Other tools, which may take very long: at most PEER_RUNS runs each, fewer where they take
+    over PATIENCE in all; and one whose run took that long is not asked again.
+
+    slow : their names.
+    """
+
+    def __init__(self, repeat: int) -> None:
+        self.repeat = min(repeat, PEER_RUNS)
+        self.slow: set[str] = set()
+
+    def times(self, name: str, work: Callable[[], object]) -> list[float]:
+        """Seconds of each run, after the warm-up that we had, too; none of what was too slow."""
+        if name in self.slow:
+            return []
+        (warm,) = times(work, 1)
+        found = times(work, 1)
+        while len(found) < self.repeat and warm + sum(found) < PATIENCE:
+            found += times(work, 1)
+        if min(found) > PATIENCE:
+            self.slow.add(name)
+        return found
+
+    def medians(self, peers: dict[str, Callable[[], object]]) -> dict[str, float]:
+        """By name, of those that are asked."""
+        runs = {name: self.times(name, work) for name, work in peers.items()}
+        return {name: statistics.median(found) for name, found in runs.items() if found}
 
 
 # A process counts the memory of the one that started it towards its own peak, so a small one

@@ -20,13 +20,14 @@ from voxtool.opencl import open_device
 from voxtool.svo.voxelize import voxelize
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Sequence
 
 
 @dataclass
 class Row:
     """One model at one dim in one mode; times are medians, in seconds.
 
+    fill : the rule of a solid, "none" for surfaces.
     stages : on the device, by its events; device : their sum; host : what Python adds, in the same
     runs; memory : mesh in memory to octree in memory, Python included, without events; spread :
     (max - min) / median of `memory`; command : the whole command, in a process of its own, kernels
@@ -37,6 +38,7 @@ class Row:
     model: str
     dim: int
     mode: str
+    fill: str
     triangles: int
     voxels: int
     octree_bytes: int
@@ -59,12 +61,14 @@ def sweep(
     dims: list[int],
     modes: list[str],
     *,
+    fills: Sequence[str] = ("auto",),
     fit: str = "uniform",
     repeat: int = 5,
     device: str | None = None,
     with_peers: bool = False,
 ) -> Iterator[Row]:
-    """Measure every model at every dim in every mode, `repeat` times after a warm-up.
+    """Measure every model at every dim in every mode, solids by each of `fills`, `repeat` times
+    after a warm-up.
 
     Raises
     ------
@@ -73,22 +77,26 @@ def sweep(
     timed = open_device(device)
     profiled = open_device(device, profile=True)
     for model in models:
-        mesh = load_mesh(model)
+        mesh, others = load_mesh(model), timing.Peers(repeat)
         for dim in dims:
             grid = Grid.fit(mesh, dim, fit=fit)
-            for mode in modes:
-                work = partial(voxelize, mesh, grid, mode, fill="parity")
+            every = [
+                (mode, fill) for mode in modes for fill in (fills if mode == "solid" else ["auto"])
+            ]
+            for mode, fill in every:
+                work = partial(voxelize, mesh, grid, mode, fill=fill)
                 octree = work(device=timed)
                 times = timing.times(partial(work, device=timed), repeat)
                 profiled_work = partial(work, device=profiled)
                 stages, whole = timing.stage_times(profiled_work, profiled, repeat)
                 memory = statistics.median(times)
                 on_device = sum(stages.values())
-                command, peak = whole_command(model, dim, mode, fit, timed.info.index)
+                command, peak = whole_command(model, dim, mode, fill, fit, timed.info.index)
                 row = Row(
                     model=Path(model).name,
                     dim=dim,
                     mode=mode,
+                    fill=octree.fill,
                     triangles=len(mesh.faces),
                     voxels=octree.count,
                     octree_bytes=octree.nbytes,
@@ -101,15 +109,17 @@ def sweep(
                     peak=peak,
                 )
                 if with_peers:
-                    row.peers = timing.peer_times(peers.of(mesh, grid, mode), repeat)
+                    row.peers = others.medians(peers.of(mesh, grid, mode))
                     row.ratios = {name: t / memory for name, t in row.peers.items()}
                 yield row
 
 
-def whole_command(model: str, dim: int, mode: str, fit: str, device: int) -> tuple[float, int]:
+def whole_command(
+    model: str, dim: int, mode: str, fill: str, fit: str, device: int
+) -> tuple[float, int]:
     """Seconds and peak resident bytes of `voxtool voxelize` in a process of its own."""
     with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
         return timing.command(
             *("voxelize", model, "-q", "--dim", str(dim), "--mode", mode, "--fit", fit),
-            *("--device", str(device), "-o", str(Path(folder, "out.svo.h5"))),
+            *("--fill", fill, "--device", str(device), "-o", str(Path(folder, "out.svo.h5"))),
         )

@@ -47,7 +47,11 @@ def boundary(voxels: np.ndarray, origin: np.ndarray, pitch: np.ndarray) -> Mesh:
 
 
 def of_peer(made: Any, grid: Grid) -> Mesh:
-    """The boundary of what a peer of voxelize returned: a vtkImageData or an open3d VoxelGrid."""
+    """The boundary of what a peer of voxelize returned: a vtkImageData, or a VoxelGrid of Open3D or
+    trimesh."""
+    if hasattr(made, "matrix"):
+        pitch = np.asarray(made.pitch, np.float64)
+        return boundary(made.matrix, made.translation - pitch / 2, pitch)
     if hasattr(made, "get_voxels"):
         cells = np.array([voxel.grid_index for voxel in made.get_voxels()]).reshape(-1, 3)
         voxels = np.zeros(cells.max(axis=0, initial=0) + 1, bool)

@@ -96,13 +96,13 @@ def command(
         return
 
     from voxtool.bench.adf import measure_hash, sphere_keys, sweep
-    from voxtool.bench.peers import missing_of_distance
+    from voxtool.bench.peers import missing
     from voxtool.opencl import open_device
 
     chosen = open_device(device)
     info = chosen.info
     if peers:
-        for package in missing_of_distance():
+        for package in missing("open3d", "igl"):
             options.tell(f"peer {package} is not installed: pip install {package}")
     rows = sweep(
         list(models), tolerances, max_level=max_level, band=math.inf if band is None else band,

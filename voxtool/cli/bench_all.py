@@ -20,7 +20,7 @@ from voxtool.cli import options, reports
 )  # fmt: skip
 @click.option(
     "--peers", is_flag=True,
-    help="VTK, Open3D, libigl and scikit-image on the same work, if installed.",
+    help="VTK, Open3D, libigl, scikit-image and trimesh on the same work, if installed.",
 )  # fmt: skip
 @click.option("--scalar", metavar="NAME", help="Of volumes; as of `voxtool tet-build`.")
 @click.option("--component", metavar="NAME", help="Of volumes; as of `voxtool tet-build`.")
@@ -54,7 +54,7 @@ def command(
     """
     from voxtool.bench.sweep import QUICK, Sweep
 
-    asked = QUICK if quick else Sweep()
+    asked = QUICK if quick else Sweep(fills=("auto", "parity"))
     asked = replace(
         asked, scalar=scalar, component=component, peers=peers, device=device,
         repeat=repeat or asked.repeat,

@@ -101,13 +101,13 @@ def command(
         reports.measure_and_report(models, asked, ("tets",), as_json=as_json, **more)
         return
 
-    from voxtool.bench.peers import missing_of_volume
+    from voxtool.bench.peers import missing
     from voxtool.bench.tets import sweep
     from voxtool.opencl import open_device
 
     info = open_device(device).info
     if peers:
-        for package in missing_of_volume():
+        for package in missing("vtk"):
             options.tell(f"peer {package} is not installed: pip install {package}")
     rows = sweep(
         list(models), scalar, component, size=size, view=view, every=every, methods=methods,

@@ -97,9 +97,10 @@ def measure_and_report(
     ------
     VoxtoolError : as voxtool.bench.sweep.sweep and voxtool.bench.report.write_report.
     """
+    from voxtool.bench.peers import missing
     from voxtool.bench.points import Budget, Point
     from voxtool.bench.report import Report, check_folder, write_report
-    from voxtool.bench.sweep import bench_of, missing_peers, sweep
+    from voxtool.bench.sweep import bench_of, sweep
     from voxtool.opencl import open_device
 
     # for an answer alone, neither memory nor what plans save is looked at
@@ -115,7 +116,7 @@ def measure_and_report(
         check_folder(output, not no_clobber)
     device = open_device(asked.device)
     if asked.peers:
-        for package in missing_peers():
+        for package in missing():
             options.tell(f"peer {package} is not installed: pip install {package}")
     points: list[Point] = []
     savings: list[Saving] = []
