@@ -14,10 +14,10 @@ from conftest import usable_devices
 from helpers_cli import fail, invoke, run, write_obj
 
 from voxtool.adf.build import cube_of
-from voxtool.adf.query import SEARCHES
 from voxtool.bench import adf, peers
 from voxtool.cli import bench_adf
 from voxtool.mesh import mesh_from_arrays
+from voxtool.plan.field import SEARCHES
 from voxtool.proximity.signs import SignedDistance
 from voxtool.proximity.spread import spread_in_cube
 

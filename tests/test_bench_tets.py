@@ -13,10 +13,9 @@ from test_reference import TETRAHEDRON, constant_of, five, kuhn, look, ramp, ste
 
 from voxtool.bench import peers, tets
 from voxtool.bench.reference import reference
-from voxtool.camera import VIEWS
 from voxtool.cli import bench_tets
+from voxtool.plan.rendering import METHODS, VIEWS
 from voxtool.tets.mesh import UnstructuredMesh, tetrahedra
-from voxtool.tets.render import METHODS
 
 WORK = "bench tets cube.vtu --size 12 --every 2 --repeat 1"
 

@@ -35,8 +35,9 @@ import voxtool
 from voxtool import files, read_unstructured
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.files import tet_hdf5
+from voxtool.plan.volume import LAYOUTS
 from voxtool.tets.mesh import UnstructuredMesh, tetrahedra
-from voxtool.tets.volume import LAYOUTS, TetVolume
+from voxtool.tets.volume import TetVolume
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(__file__).parent / "data"

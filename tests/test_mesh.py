@@ -148,7 +148,7 @@ def test_each_format_comes_back(kind, packed, tmp_path):
     else:
         data = solid.export(file_type=kind)
     data = data.encode() if isinstance(data, str) else data
-    data = gzip.compress(data) if packed else data
+    data = gzip.compress(data, mtime=0) if packed else data
     path = tmp_path / f"m.{kind.removesuffix('_ascii')}{'.gz' * packed}"
     path.write_bytes(data)
     mesh = load_mesh(path)
@@ -161,7 +161,7 @@ def test_each_format_comes_back(kind, packed, tmp_path):
 
 
 def test_standard_input(monkeypatch):
-    for data in (TETRAHEDRON_OBJ, gzip.compress(TETRAHEDRON_OBJ)):
+    for data in (TETRAHEDRON_OBJ, gzip.compress(TETRAHEDRON_OBJ, mtime=0)):
         monkeypatch.setattr(sys, "stdin", SimpleNamespace(buffer=io.BytesIO(data)))
         mesh = load_mesh("-")
         assert mesh.name == "standard input"
@@ -256,10 +256,10 @@ def test_obj_refusals(text, parts, tmp_path):
         ("m.svo.xml", b"<?xml version='1.0'?>", ["XML", "not a mesh"]),
         ("m.vtu", b"<VTKFile>", ["VTK", "not a mesh"]),
         ("m.obj.gz", TETRAHEDRON_OBJ, ["not packed with gzip"]),
-        ("m.obj.gz", gzip.compress(TETRAHEDRON_OBJ)[:-12], ["truncated", "gzip"]),
-        ("m.obj.gz", gzip.compress(TETRAHEDRON_OBJ)[:20] + b"x" * 20, ["gzip"]),
-        ("m.obj.gz", gzip.compress(b""), ["empty"]),
-        ("m.obj.gz", gzip.compress(V3 + b"f 1 2 7\n"), ["line 4", "vertex 7"]),
+        ("m.obj.gz", gzip.compress(TETRAHEDRON_OBJ, mtime=0)[:-12], ["truncated", "gzip"]),
+        ("m.obj.gz", gzip.compress(TETRAHEDRON_OBJ, mtime=0)[:20] + b"x" * 20, ["gzip"]),
+        ("m.obj.gz", gzip.compress(b"", mtime=0), ["empty"]),
+        ("m.obj.gz", gzip.compress(V3 + b"f 1 2 7\n", mtime=0), ["line 4", "vertex 7"]),
         ("m\n\x1b[31m.obj", b"", ["empty"]),
         ("m.stl", b"\0" * 84, ["no faces"]),
         ("m.stl", b"\0" * 50, ["truncated"]),
@@ -351,7 +351,7 @@ def test_no_such_file_folder_and_permission(tmp_path, monkeypatch):
 
 def test_unpacked_size_is_bounded(tmp_path, monkeypatch):
     monkeypatch.setattr(mesh_module, "MAX_BYTES", 5 << 20)
-    message = refusal(gzip.compress(bytes(50 << 20)), tmp_path, "bomb.obj.gz")
+    message = refusal(gzip.compress(bytes(50 << 20), mtime=0), tmp_path, "bomb.obj.gz")
     assert "more than 5 MiB" in message
 
 

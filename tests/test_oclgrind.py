@@ -457,9 +457,10 @@ def render_volumes(device) -> None:
 
     from voxtool.camera import Camera
     from voxtool.opencl import program
+    from voxtool.plan.rendering import METHODS
     from voxtool.tets import integrate
     from voxtool.tets.mesh import UnstructuredMesh
-    from voxtool.tets.render import METHODS, VolumeRenderer
+    from voxtool.tets.render import VolumeRenderer
     from voxtool.tets.textures import build_tet
 
     constants = {"SCALARS": 6, "LENGTHS": 4}  # a table that takes no minutes here

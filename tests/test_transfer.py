@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Device, program
+from voxtool.tets.maps import MAPS
 from voxtool.tets.transfer import (
     DEFAULT_MAP,
-    MAPS,
     MOST_POINTS,
     LocalTransfer,
     TransferFunction,

@@ -21,9 +21,10 @@ from helpers_volume import (
 from voxtool.camera import Camera
 from voxtool.errors import MemoryLimitError
 from voxtool.opencl import Device
+from voxtool.plan.rendering import METHODS
 from voxtool.tets import view
 from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.render import METHODS, VolumeRenderer
+from voxtool.tets.render import VolumeRenderer
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 

@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from voxtool.errors import VoxtoolError
+from voxtool.plan.rendering import VIEWS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-VIEWS = ("front", "back", "left", "right", "top", "bottom", "iso")
 FOV = 30.0  # degrees
 MARGIN = 1.02  # of a named view, around the sphere about the box
+FRAME = 1.04  # around what fills a picture
 MAX_SIDE = 32768  # pixels along a side of a picture
 
 
@@ -60,6 +61,17 @@ class Rays:
             return replace(self, origin=start)
         start = start - dot(start, self.direction) * self.direction
         return replace(self, origin=start, right=self.right / scale, down=self.down / scale)
+
+    def meet_box(self, points: np.ndarray) -> bool:
+        """Whether a box around (N, 3) points, as they are seen, reaches into the picture."""
+        arms = points - self.origin
+        depth = dot(arms.T, self.direction) if self.perspective else np.ones(len(arms))
+        arms, depth = arms[depth > 0], depth[depth > 0]
+        for side, step in zip(self.size, (self.right, self.down), strict=True):
+            across = dot(arms.T, step) / dot(step, step) / depth
+            if not ((across <= side / 2).any() and (across >= -side / 2).any()):
+                return False
+        return True
 
 
 @dataclass(frozen=True)
@@ -139,6 +151,35 @@ class Camera:
         eye = np.array(self.target) + along + c * across + s * cross(axis, across)
         return self if degrees % 360 == 0 else replace(self, eye=triple(eye))
 
+    def framed(self, points: np.ndarray, width: int, height: int) -> Camera:
+        """This camera, moved until all of (N, 3) points fill a picture of width x height pixels.
+
+        Point i is in the picture where |u_i - shift| <= half (distance + depth_i), u_i pixels
+        across at depth 1 and depth_i from the target on; parallel rays know no depth, and a height
+        instead of distances.
+
+        Raises
+        ------
+        VoxtoolError : as rays.
+        """
+        rays, target = self.rays(width, height), np.array(self.target)
+        arms = (points - target).T
+        depth = dot(arms, rays.direction) if rays.perspective else 0.0
+        distance, shift = 0.0, np.zeros(3)
+        for side, step in zip(rays.size, (rays.right, rays.down), strict=True):
+            half = side / 2 / FRAME
+            across = dot(arms, step) / dot(step, step)
+            ends = float((across - half * depth).max()), float((-across - half * depth).max())
+            distance = max(distance, (ends[0] + ends[1]) / 2 / half)
+            shift = shift + (ends[0] - ends[1]) / 2 * step
+        if not distance > 0:  # a single point
+            return self
+        moved = triple(target + shift)
+        if not rays.perspective:
+            eye = triple(np.array(self.eye) + shift)
+            return replace(self, eye=eye, target=moved, height=distance * self.height)
+        return replace(self, eye=triple(target + shift - distance * rays.direction), target=moved)
+
     def rays(self, width: int, height: int) -> Rays:
         """The rays of a picture.
 
@@ -191,9 +232,9 @@ def triple(v: np.ndarray) -> tuple[float, float, float]:
     return x, y, z
 
 
-def dot(a: np.ndarray, b: np.ndarray) -> float:
-    """Written out: a library's may add in another order."""
-    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+def dot(a: np.ndarray, b: np.ndarray) -> Any:
+    """Of (3,) or (3, N) vectors. Written out: a library's may add in another order."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

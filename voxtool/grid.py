@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.errors import GridError
+from voxtool.plan.voxelization import FITS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -88,7 +89,7 @@ class Grid:
         """
         if dim is not None and pitch is not None:
             raise GridError("dim and pitch both set the voxel size: give one of them")
-        if fit not in ("uniform", "stretch"):
+        if fit not in FITS:
             raise GridError(f"fit {fit!r} is neither 'uniform' nor 'stretch'")
         if dim is None and pitch is None:
             dim = 256

@@ -31,12 +31,12 @@ from voxtool.adf.hashing import build_hash, cell_of, identifier_type, key_of
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, open_device, program
 from voxtool.opencl.primitives import exclusive_scan
-from voxtool.plan.field import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
+from voxtool.plan.field import BLOCK_BYTES, PILOT_LEVEL, SIGNS, FieldPlan
 from voxtool.proximity.bvh import FIELDS, LEAF, Frame, build_tree
 from voxtool.proximity.crossings import find_crossings
 from voxtool.proximity.pseudonormals import pseudonormals
 from voxtool.proximity.sides import find_sides, shells_agree
-from voxtool.proximity.signs import SIGNS, default_sign
+from voxtool.proximity.signs import default_sign
 from voxtool.proximity.winding import WindingNumber
 
 if TYPE_CHECKING:

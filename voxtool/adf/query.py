@@ -29,12 +29,12 @@ from voxtool.adf.field import (
 )
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, open_device, program
+from voxtool.plan.field import SEARCHES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 SOURCE = "adf/query.cl"
-SEARCHES = ("linear", "binary", "coherent")
 BLOCK = 1 << 18  # points that are on the device at once
 CHUNK = 1 << 12  # points that are rounded at once: what fits the host's cache
 ALIGNMENT = 128  # bytes, of memory that a CPU's driver shares

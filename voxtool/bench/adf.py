@@ -21,10 +21,11 @@ import numpy as np
 
 from voxtool.adf.build import MAX_LEVEL_ASKED, build_adf, cube_of
 from voxtool.adf.hashing import build_hash, cell_of, key_of
-from voxtool.adf.query import SEARCHES, FieldQuery
+from voxtool.adf.query import FieldQuery
 from voxtool.bench import peers, timing
 from voxtool.mesh import load_mesh
 from voxtool.opencl import open_device
+from voxtool.plan.field import SEARCHES
 from voxtool.proximity.signs import SignedDistance
 from voxtool.proximity.spread import spread_in_cube
 

@@ -21,8 +21,9 @@ from voxtool.bench.reference import reference
 from voxtool.camera import Camera
 from voxtool.files import read_unstructured
 from voxtool.opencl import open_device
+from voxtool.plan.rendering import METHODS
 from voxtool.tets.mesh import tetrahedra
-from voxtool.tets.render import METHODS, VolumeRenderer
+from voxtool.tets.render import VolumeRenderer
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 

@@ -11,6 +11,7 @@ import click
 
 from voxtool.cli import options
 from voxtool.errors import VoxtoolError
+from voxtool.plan.field import SIGNS
 
 if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--sign",
-    type=click.Choice(["pseudonormal", "winding", "none"]),
+    type=click.Choice(SIGNS),
     help="How inside is told from outside.  [default: pseudonormal if the mesh is closed and "
     "does not pass through itself, or else winding]",
 )

@@ -14,6 +14,7 @@ import click
 
 from voxtool.cli import options
 from voxtool.errors import VoxtoolError, count_of
+from voxtool.plan.field import SEARCHES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -80,7 +81,7 @@ class Tally:
 )
 @click.option(
     "--search",
-    type=click.Choice(("linear", "binary", "coherent")),
+    type=click.Choice(SEARCHES),
     default="binary",
     show_default=True,
     help="How leaves are found: from coarse to fine; by halving the levels; or from the level of "

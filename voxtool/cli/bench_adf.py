@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli import options, reports
+from voxtool.plan.field import SEARCHES, SIGNS
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 STAGES = ("tree", "crossings", "moments", "sample", "signs", "winding number", "constrain",
           "examine", "hand down", "hash")  # fmt: skip
 SHORT = {"winding number": "winding", "hand down": "lists"}
-KINDS, SEARCHES = ("random", "rays"), ("linear", "binary", "coherent")
+KINDS = ("random", "rays")
 SIZES = "  blocks    leaves       MB  load % bits/key  hash ms"
 PLACES = {"in the cube": "cube", "near the surface": "near"}
 
@@ -46,7 +47,7 @@ PLACES = {"in the cube": "cube", "near the surface": "near"}
 )
 @click.option(
     "--sign",
-    type=click.Choice(["pseudonormal", "winding", "none"]),
+    type=click.Choice(SIGNS),
     help="As of `voxtool adf-build`.  [default: what suits the mesh]",
 )
 @click.option(

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli import options, reports
+from voxtool.plan.rendering import METHODS, VIEWS
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
     from voxtool.bench.tets import Frame
 
-VIEWS = ("front", "back", "left", "right", "top", "bottom", "iso")
-METHODS = ("raycast", "projection")
 INTEGRATORS = ("linear", "average", "preintegrated", "sampled:1", "sampled:4", "sampled:16")
 TRANSFERS = ("x1", "x10", "x100", "steps")
 HEADER = "method              integrator      first ms  frame ms +-%        rms        max    times"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli import options, reports
+from voxtool.plan.voxelization import FILLS, FITS, MODES
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ SHORT = {"active nodes": "active", "surface26": "26-sep", "surface6": "6-sep",
 @options.bench_options("64,128,256,512,1024,2048", "VTK (solid), Open3D (surface26) and trimesh")
 @click.option(
     "--modes",
-    type=options.List(click.Choice(["surface26", "surface6", "solid"])),
+    type=options.List(click.Choice(MODES)),
     metavar="MODE,...",
     default="surface26,surface6,solid",
     show_default=True,
@@ -31,7 +32,7 @@ SHORT = {"active nodes": "active", "surface26": "26-sep", "surface6": "6-sep",
 )
 @click.option(
     "--fills",
-    type=options.List(click.Choice(["auto", "parity", "nonzero", "winding", "flood"])),
+    type=options.List(click.Choice(FILLS)),
     metavar="RULE,...",
     default="auto",
     show_default=True,
@@ -39,7 +40,7 @@ SHORT = {"active nodes": "active", "surface26": "26-sep", "surface6": "6-sep",
 )
 @click.option(
     "--fit",
-    type=click.Choice(["uniform", "stretch"]),
+    type=click.Choice(FITS),
     default="uniform",
     show_default=True,
     help="stretch: as the thesis's tables, eq. (5.1).",

@@ -77,7 +77,7 @@ def command(
     from voxtool.loops import tubes
     from voxtool.mesh import load_mesh
     from voxtool.opencl import open_device
-    from voxtool.svo.voxelize import FILLS
+    from voxtool.plan.voxelization import FILLS
 
     rules = [fill for fill in FILLS if fill != "auto"]
     if obj is not None:

@@ -15,6 +15,8 @@ import click
 from voxtool.cli import options
 from voxtool.cli.extract import Level
 from voxtool.errors import FileError, VoxtoolError
+from voxtool.plan.rendering import METHODS, VIEWS
+from voxtool.tets.maps import MAPS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -25,13 +27,9 @@ if TYPE_CHECKING:
 
 SIZE = (512, 512)  # pixels
 MOST_SAMPLES = 16  # along a pixel's side
-MARGIN = 1.04  # around what a named view shows
 VISIBLE = 0.5 / 255  # opacity from which on 8 bits show something
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
-VIEWS = ("front", "back", "left", "right", "top", "bottom", "iso")
-MAPS = ("viridis", "inferno", "coolwarm", "turbo", "gray")
-METHODS = ("raycast", "projection")
 # The options that make a transfer function, by their parameters.
 MAKERS = {
     "map_name": "--map",
@@ -490,48 +488,13 @@ def camera_of(scene: Scene, size: tuple[int, int], request: dict[str, Any]) -> t
         camera = Camera(request["eye"], target, up, fov, camera.height)
         looking = f"from ({', '.join(f'{v:g}' for v in camera.eye)})"
     elif request["turn"] is None:  # as it is, it shows all at every turn
-        camera = framed(camera, points, size)
+        camera = camera.framed(points, *size)
     if request["height"] is not None:
         camera = replace(camera, height=request["height"])
     if request["turn"] is not None:
         camera = camera.turned(request["turn"])
         looking += f", turned {request['turn']:g} degrees"
     return camera, looking
-
-
-def framed(camera: Camera, points: np.ndarray, size: tuple[int, int]) -> Camera:
-    """The camera, moved until all points fill the picture.
-
-    Point i is in the picture where |u_i - shift| <= half (distance + depth_i), u_i pixels across at
-    depth 1 and depth_i from the target on; parallel rays know no depth, and a height instead of
-    distances.
-    """
-    import numpy as np
-
-    from voxtool.camera import triple
-
-    rays = camera.rays(*size)
-    target = np.array(camera.target)
-    depth = along(points - target, rays.direction) if rays.perspective else 0.0
-    distance, shift = 0.0, np.zeros(3)
-    for side, step in zip(size, (rays.right, rays.down), strict=True):
-        half = side / 2 / MARGIN
-        across = along(points - target, step) / along(step, step)
-        ends = float((across - half * depth).max()), float((-across - half * depth).max())
-        distance = max(distance, (ends[0] + ends[1]) / 2 / half)
-        shift = shift + (ends[0] - ends[1]) / 2 * step
-    if not distance > 0:  # a single point
-        return camera
-    if not rays.perspective:
-        shifted = triple(camera.eye + shift), triple(target + shift)
-        return replace(camera, eye=shifted[0], target=shifted[1], height=distance * camera.height)
-    eye = target + shift - distance * rays.direction
-    return replace(camera, eye=triple(eye), target=triple(target + shift))
-
-
-def along(arms: np.ndarray, way: np.ndarray) -> Any:
-    """The dot products of vectors and one vector, written out: a library's may add otherwise."""
-    return arms[..., 0] * way[0] + arms[..., 1] * way[1] + arms[..., 2] * way[2]
 
 
 def share_hit(picture: np.ndarray) -> float:
@@ -553,25 +516,11 @@ def warn_of_nothing(scene: Scene, rays: Rays, picture: np.ndarray) -> None:
         why = scene.nothing()
     elif most > 0:
         why = f"its opacity is at most {most:.1g}: choose a smaller --unit-distance"
-    elif not in_view(rays, points):
+    elif not rays.meet_box(points):
         why = f"the camera looks past it, which is in {box}: --view iso shows all"
     else:
         why = f"no ray meets it, which is in {box}: choose a nearer view, or --samples"
     options.tell(f"warning: the picture is empty: {why}")
-
-
-def in_view(rays: Rays, points: np.ndarray) -> bool:
-    """Whether a box around points, as they are seen, reaches into the picture."""
-    import numpy as np
-
-    arms = points - rays.origin
-    depth = along(arms, rays.direction) if rays.perspective else np.ones(len(arms))
-    arms, depth = arms[depth > 0], depth[depth > 0]
-    for side, step in zip(rays.size, (rays.right, rays.down), strict=True):
-        across = along(arms, step) / along(step, step) / depth
-        if not ((across <= side / 2).any() and (across >= -side / 2).any()):
-            return False
-    return True
 
 
 def summary(

@@ -11,6 +11,7 @@ import click
 
 from voxtool.cli import options
 from voxtool.errors import MemoryLimitError
+from voxtool.plan.volume import LAYOUTS
 
 if TYPE_CHECKING:
     from voxtool.plan.volume import VolumePlan
@@ -37,7 +38,7 @@ COMPARED = {
 )
 @click.option(
     "--layout",
-    type=click.Choice(["raycast", "projection", "hexahedra"]),
+    type=click.Choice(LAYOUTS),
     default="raycast",
     show_default=True,
     help="Textures for ray casting, for cell projection, or for hexahedra that stay whole.",

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli import options
+from voxtool.plan.voxelization import FILLS, FITS, MODES
 
 if TYPE_CHECKING:
     from voxtool.diagnosis import Diagnosis
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 @options.output_options("FILE", "Default MESH's name with .svo.h5, in this folder.")
 @click.option(
     "--mode",
-    type=click.Choice(["surface26", "surface6", "solid"]),
+    type=click.Choice(MODES),
     default="solid",
     show_default=True,
     help="surface26: every voxel that touches a triangle; surface6: "
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--fill",
-    type=click.Choice(["auto", "parity", "nonzero", "winding", "flood"]),
+    type=click.Choice(FILLS),
     default="auto",
     show_default=True,
     help="What is inside, for solid. parity: an odd number of crossings along x; nonzero: those "
@@ -66,7 +67,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--fit",
-    type=click.Choice(["uniform", "stretch"]),
+    type=click.Choice(FITS),
     default="uniform",
     show_default=True,
     help="stretch: each axis apart, as eq. (5.1) of the thesis.",

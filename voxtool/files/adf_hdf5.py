@@ -28,7 +28,7 @@ from voxtool.files.head import (
     json_text,
     parse_json,
 )
-from voxtool.proximity.signs import SIGNS
+from voxtool.plan.field import SIGNS
 from voxtool.version import __version__
 
 if TYPE_CHECKING:

@@ -21,6 +21,7 @@ from voxtool.files.head import (
     parse_json,
 )
 from voxtool.grid import Grid
+from voxtool.plan.voxelization import MODES
 from voxtool.svo.octree import Octree
 from voxtool.version import __version__
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 FORMAT = "voxtool-svo"
 FORMAT_VERSION = "1.0"
-MODES = ("surface26", "surface6", "solid", "solid+surface26")
+OCTREE_MODES = (*MODES, "solid+surface26")
 
 LAYOUT: Layout = {
     "format_version": (TEXT, VERSION_LIMIT),
@@ -93,7 +94,7 @@ def check_head(head: dict[str, Any]) -> Grid:
     grid = Grid(head["shape"], head["origin"], head["pitch"])
     expect("dim", head["dim"], (grid.dim,))
     expect("depth", head["depth"], ((grid.side // 4).bit_length(),))
-    expect("mode", head["mode"], MODES)
+    expect("mode", head["mode"], OCTREE_MODES)
     if not re.fullmatch(r"[a-z][a-z0-9+-]*", head["fill"]):  # a name: it changes nothing here
         raise FileError(f"attribute fill is {head['fill']!r}, which names no rule")
     check_source(head["source_sha256"])

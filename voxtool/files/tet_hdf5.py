@@ -26,7 +26,8 @@ from voxtool.files.head import (
     json_text,
     parse_json,
 )
-from voxtool.tets.volume import BLOCK, FACES, LAYOUTS, TetVolume
+from voxtool.plan.volume import LAYOUTS
+from voxtool.tets.volume import BLOCK, FACES, TetVolume
 from voxtool.version import __version__
 
 if TYPE_CHECKING:

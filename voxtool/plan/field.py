@@ -10,6 +10,8 @@ from voxtool.errors import MemoryLimitError, count_of, human
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+SIGNS = ("pseudonormal", "winding", "none")  # what tells inside from outside
+SEARCHES = ("linear", "binary", "coherent")  # for the cell of a point
 BLOCK_BYTES = 27 * 4 + 8 + 8 + 1  # voxels, cell, bounds, and about as much of the hash
 NARROW_LEVEL = 11  # of leaves up to which identifiers of their parents fit 32 bits
 PILOT_LEVEL = 5  # of cells, down to which a field is built to foretell the rest

@@ -7,6 +7,8 @@ from typing import Any
 
 from voxtool.errors import MemoryLimitError, count_of, human
 
+VIEWS = ("front", "back", "left", "right", "top", "bottom", "iso")
+METHODS = ("raycast", "projection")  # of drawing volumes
 RAY_BYTES = 16  # of a ray's colour and opacity, float32
 
 

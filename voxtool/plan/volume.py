@@ -7,6 +7,7 @@ from typing import Any
 
 from voxtool.errors import MemoryLimitError, human
 
+LAYOUTS = ("raycast", "projection", "hexahedra")  # of textures
 PIECES = {"tetra": 1, "pyramid": 2, "wedge": 3, "hexahedron": 6}  # tetrahedra of a cell, at most
 CELL_BYTES = {"raycast": 116, "projection": 104, "hexahedra": 186}  # of its textures, with vertices
 WORK_BYTES = {"raycast": 560, "projection": 560, "hexahedra": 2400}  # at most about: measured

@@ -7,6 +7,9 @@ from typing import Any
 
 from voxtool.errors import MemoryLimitError, human
 
+MODES = ("surface26", "surface6", "solid")
+FILLS = ("auto", "parity", "nonzero", "winding", "flood")  # rules of what is inside of solids
+FITS = ("uniform", "stretch")  # of grids to meshes
 NODE_BYTES = 8
 BRICK_BYTES = 8
 CELL = 8  # voxels along a side of a level-1 node

@@ -14,6 +14,7 @@ import numpy as np
 
 from voxtool.diagnosis import diagnose
 from voxtool.errors import VoxtoolError
+from voxtool.plan.field import SIGNS
 from voxtool.proximity.distance import TriangleDistance
 from voxtool.proximity.pseudonormals import pseudonormals
 from voxtool.proximity.winding import WindingNumber
@@ -21,8 +22,6 @@ from voxtool.proximity.winding import WindingNumber
 if TYPE_CHECKING:
     from voxtool.mesh import Mesh
     from voxtool.opencl import Device
-
-SIGNS = ("pseudonormal", "winding", "none")
 
 
 def default_sign(mesh: Mesh) -> str:

@@ -28,7 +28,16 @@ from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.opencl import Array, Device, open_device, program
 from voxtool.opencl.primitives import exclusive_scan, radix_sort
-from voxtool.plan.voxelization import BLOCK, CELL, TILE, Plan, Survey, plan_voxelization
+from voxtool.plan.voxelization import (
+    BLOCK,
+    CELL,
+    FILLS,
+    MODES,
+    TILE,
+    Plan,
+    Survey,
+    plan_voxelization,
+)
 from voxtool.svo import inside
 from voxtool.svo.build import DeviceOctree, build_octree, code_name
 from voxtool.svo.caps import find_caps
@@ -44,8 +53,6 @@ if TYPE_CHECKING:
     from voxtool.mesh import Mesh
 
 SOURCE = "svo/voxelize.cl"
-MODES = ("surface26", "surface6", "solid")
-FILLS = ("auto", "parity", "nonzero", "winding", "flood")
 TOUCHED, SEPARATING, CROSSED = range(3)  # what a triangle is scan-converted into
 NODE_LEVEL, BLOCK_LEVEL = CELL.bit_length() - 1, BLOCK.bit_length() - 1
 BLOCK_WORDS = (BLOCK // CELL) ** 3 // 32

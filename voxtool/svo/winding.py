@@ -2,7 +2,7 @@
 
 Caps C close a mesh M (caps.py). By linearity w(M) = w(M + C) - w(C), and M + C is closed: about a
 voxel's shifted centre its number N is the crossings of the row before it, those that enter less
-those that leave, which integers tell (docs/accuracy.md). So a voxel is inside where
+those that leave, which integers tell (docs/voxels.md). So a voxel is inside where
 N >= w(C) + 1/2. Away from the caps w(C) is smooth and small, between -1/2 and 1/2 all but near the
 holes, and there inside is where N >= 1. What is left is found block by block, from the octree's
 root down: w(C) in the middle of a block, and how far it can be from that in the block, by the law

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import open_device
+from voxtool.plan.rendering import METHODS
 from voxtool.tets.integrate import Integral
 from voxtool.tets.project import CellProjection
 from voxtool.tets.raycast import cast
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
     from voxtool.tets.project import Projection
     from voxtool.tets.transfer import LocalTransfer, TransferFunction
     from voxtool.tets.volume import TetVolume
-
-METHODS = ("raycast", "projection")
 
 
 def render_tet(

@@ -16,7 +16,7 @@ import numpy as np
 from voxtool.camera import triple
 from voxtool.errors import MeshError, VoxtoolError
 from voxtool.morton import morton_encode
-from voxtool.plan.volume import VolumePlan
+from voxtool.plan.volume import LAYOUTS, VolumePlan
 from voxtool.tets.mesh import (
     ConformingMesh,
     UnstructuredMesh,
@@ -26,7 +26,7 @@ from voxtool.tets.mesh import (
     tetrahedra,
     volume_cells,
 )
-from voxtool.tets.volume import FACES, LAYOUTS, TetVolume, block_ranges
+from voxtool.tets.volume import FACES, TetVolume, block_ranges
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -34,8 +34,8 @@ import numpy as np
 
 from voxtool.errors import FileError
 from voxtool.opencl import program
+from voxtool.plan.volume import LAYOUTS
 
-LAYOUTS = ("raycast", "projection", "hexahedra")
 BLOCK = 64  # consecutive cells that share a range of scalars
 
 # The vertices of each face, so that the normal by the right-hand rule points out.

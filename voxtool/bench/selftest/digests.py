@@ -20,11 +20,13 @@ from voxtool.camera import Camera
 from voxtool.grid import Grid
 from voxtool.mesh import Mesh, mesh_from_arrays
 from voxtool.opencl import Device
+from voxtool.plan.rendering import METHODS
+from voxtool.plan.voxelization import FILLS
 from voxtool.svo.isosurface import extract
 from voxtool.svo.raycast import OctreeRenderer
-from voxtool.svo.voxelize import FILLS, voxelize
+from voxtool.svo.voxelize import voxelize
 from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.render import METHODS, VolumeRenderer
+from voxtool.tets.render import VolumeRenderer
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import default
 

@@ -15,9 +15,10 @@ from voxtool.bench.selftest import shapes
 from voxtool.bench.selftest.case import case
 from voxtool.camera import Camera, Rays
 from voxtool.opencl import Device
+from voxtool.plan.rendering import METHODS
 from voxtool.tets.integrate import LANES
 from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.render import METHODS, VolumeRenderer
+from voxtool.tets.render import VolumeRenderer
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from voxtool.bench import tets
-from voxtool.svo.voxelize import MODES
-from voxtool.tets.render import METHODS
+from voxtool.plan.rendering import METHODS
+from voxtool.plan.voxelization import MODES
 
 
 @dataclass(frozen=True)
