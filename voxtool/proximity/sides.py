@@ -103,22 +103,26 @@ def _beside(
     known = (normals.flat[faces] == 0) & (length > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         rise = np.where(known, ABOVE * twice_area / longest / length, 0) * normal
-    device, middle = winding.device, (a + b + c) / 3
-    numbers = []
-    for points in (middle + rise, middle - rise):
-        found = winding.at_local(device.put(points.T), len(points.T)).take()
-        numbers.append(np.where(known, found, np.nan))
-    return numbers[0], numbers[1]
+    middle = (a + b + c) / 3
+    order = _along_curve(middle.T)
+    numbers = np.full((2, len(faces)), np.nan)
+    for number, points in zip(numbers, (middle + rise, middle - rise), strict=True):
+        near = winding.device.put(points.T[order])
+        number[order] = winding.at_local(near, len(faces)).take()
+    return np.where(known, numbers[0], np.nan), np.where(known, numbers[1], np.nan)
+
+
+def _along_curve(points: np.ndarray) -> np.ndarray:
+    """The order of (n, 3) points in the tree's frame in which near ones follow each other."""
+    cells = ((points + 1) * 512).clip(0, 1023).astype(np.int64)
+    return np.argsort(morton_encode(cells), kind="stable")
 
 
 def _spheres(ends: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """(S, 5): spheres about runs of (E, 2, 3) edges along a Morton curve."""
     if not len(ends):
         return np.empty((0, 5))
-    middles = ends.mean(axis=1)
-    cells = ((middles + 1) * 512).clip(0, 1023).astype(np.int64)
-    order = np.argsort(morton_encode(cells), kind="stable")
-    spheres = []
+    order, spheres = _along_curve(ends.mean(axis=1)), []
     for run in np.array_split(order, min(SPHERES, len(order))):
         points = ends[run].reshape(-1, 3)
         centre = (points.min(axis=0) + points.max(axis=0)) / 2
