@@ -20,7 +20,7 @@ demo: .venv/all.done bunny.obj volume.vtu
 	.venv/bin/voxtool render volume.tet.h5 --opacity-range 0.1,0.5 --legend
 
 test: .venv/test.done
-	.venv/bin/python -m pytest $(ARGS)
+	.venv/bin/python -m pytest -n auto --maxprocesses 4 --dist worksteal $(ARGS)
 
 lint: .venv/test.done
 	.venv/bin/ruff check

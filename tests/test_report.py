@@ -205,16 +205,18 @@ def test_identifiers_of_charts_do_not_clash(written: Path) -> None:
             svgs.append(current)
         if current is not None and tag in ("clippath", "path", "use") and "id" in attributes:
             current.add(attributes["id"])
-    assert len(svgs) == 4
+    assert len(svgs) == 5
     assert all(not a & b for i, a in enumerate(svgs) for b in svgs[:i])
 
 
 def test_files_of_a_report(written: Path) -> None:
     names = {path.name for path in written.iterdir()}
-    assert names > {"report.json", "report.csv", "report.html",
-                    "voxelize-a-obj-mesh-to-voxels-error.png"}  # fmt: skip
+    assert names > {
+        "report.json", "report.csv", "report.html", "voxelize-a-obj-mesh-to-voxels-error.png",
+        "voxelize-a-obj-saved.png",
+    }  # fmt: skip
     assert all(path.read_bytes()[:4] == b"\x89PNG" for path in written.glob("*.png"))
-    assert len(list(written.glob("*.png"))) == 4
+    assert len(list(written.glob("*.png"))) == 5
     rows = list(csv.DictReader(io.StringIO((written / "report.csv").read_text())))
     assert len(rows) == 2 * len(POINTS)
     assert float(rows[0]["seconds"]) == POINTS[0].seconds

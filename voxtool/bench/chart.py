@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import re
+import statistics
 import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -23,7 +24,7 @@ from voxtool.errors import FileError, printable
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from voxtool.bench.points import Point
+    from voxtool.bench.points import Point, Saving
 
 COLOURS = ("#2f7ed8", "#e07b00", "#1a9e77", "#c2417c", "#7a6ad8", "#a07a1f", "#d0453e", "#1597a8",
            "#6b8e23", "#8a5a44", "#5f7f95", "#b05fd0")  # fmt: skip
@@ -34,6 +35,7 @@ LEGEND = 0.19  # of a line of the legend
 LETTER, KEY = 0.07, 6  # the width of a letter there, and letters that what is before a name takes
 DPI = 144  # of PNG
 BAR = 0.42  # inches, of the height of a chart of bars, for each
+NAMES = 3.3  # inches, for what a bar of savings is called
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,23 @@ def charts(points: Sequence[Point], name: str) -> list[Chart]:
     ]
 
 
-def _chart(draw: Any, points: Sequence[Point], name: str) -> Chart:
+def savings_charts(savings: Sequence[Saving]) -> list[Chart]:
+    """What was saved by what plans left out, a chart for each bench and model."""
+    found: dict[tuple[str, str], list[Saving]] = {}
+    for saving in savings:
+        found.setdefault((saving.bench, saving.model), []).append(saving)
+    return [
+        _chart(draw_savings, some, slug(f"{bench}-{model}-saved"))
+        for (bench, model), some in found.items()
+    ]
+
+
+def slug(text: str) -> str:
+    """A file name of a title: voxelize-bunny-obj-mesh-to-voxels."""
+    return re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-")[:100]
+
+
+def _chart(draw: Any, points: Sequence[Any], name: str) -> Chart:
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -255,6 +273,37 @@ def draw_stages(figure: Any, points: Sequence[Point], theme: Theme) -> None:
     _lay_out(figure, plot, BAR * (len(bars) + 0.4), left=2 * LEFT)
 
 
+# --- what was left out ---------------------------------------------------------------------------
+
+
+def draw_savings(figure: Any, savings: Sequence[Saving], theme: Theme) -> None:
+    """How many times the time it takes with what the plan left out forced in: a bar each, from 1
+    on, with the range of the repeats."""
+    plot = figure.add_subplot()
+    plot.grid(True, axis="x")
+    ratios = []
+    for row, saving in enumerate(savings):
+        planned = statistics.median(saving.runs)
+        least, middle, most = (f(saving.forced) / planned for f in (min, statistics.median, max))
+        ratios += [least, most]
+        kind = "within the noise"
+        if saving.beyond_noise:
+            kind = "saved by leaving it out" if saving.saved > 0 else "lost by leaving it out"
+        number = {"saved by leaving it out": 0, "lost by leaving it out": 1}.get(kind)
+        plot.barh(row, middle - 1, left=1, height=0.62, label=kind,
+                  color=theme.grid if number is None else COLOURS[number])  # fmt: skip
+        plot.plot((least, most), (row, row), color=theme.ink, linewidth=1)
+    plot.axvline(1, color=theme.ink, linewidth=1)
+    plot.set_yticks(
+        range(len(savings)), [f"{plain(s.what)}\n{plain(s.work)}" for s in savings], fontsize=7
+    )
+    plot.invert_yaxis()
+    plot.set_xlim(min(0.9, *ratios), max(1.1, *ratios))
+    plot.set_xlabel("times the time as planned, forced in; the line is the range of the repeats")
+    plot.set_title(plain(f"{savings[0].bench}, {savings[0].model}: what was left out"))
+    _lay_out(figure, plot, BAR * (len(savings) + 0.4), left=NAMES)
+
+
 # --- words ---------------------------------------------------------------------------------------
 
 
@@ -266,12 +315,15 @@ def plain(text: str) -> str:
 def _lay_out(figure: Any, plot: Any, height: float = PLOT, left: float = LEFT) -> None:
     """Place the axes, of a height in inches, and the legend below them."""
     handles, labels = plot.get_legend_handles_labels()
-    longest = LETTER * (KEY + max(map(len, labels)))
+    keys = dict(zip(labels, handles, strict=True))  # each label once
+    longest = LETTER * (KEY + max(map(len, keys)))
     columns = max(1, min(3, int(WIDTH / longest)))
-    legend = LEGEND * -(-len(labels) // columns) + 0.1
+    legend = LEGEND * -(-len(keys) // columns) + 0.1
     whole = TOP + height + BOTTOM + legend
     figure.set_size_inches(WIDTH, whole)
     plot.set_position(
         (left / WIDTH, (BOTTOM + legend) / whole, 1 - (left + RIGHT) / WIDTH, height / whole)
     )
-    figure.legend(handles, labels, loc="lower center", ncols=columns, handlelength=2.4)
+    figure.legend(
+        list(keys.values()), list(keys), loc="lower center", ncols=columns, handlelength=2.4
+    )

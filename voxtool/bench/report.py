@@ -7,7 +7,6 @@ import io
 import json
 import os
 import platform
-import re
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -15,7 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.bench.chart import Chart, charts, check_matplotlib, exponents
+from voxtool.bench.chart import (
+    Chart,
+    charts,
+    check_matplotlib,
+    exponents,
+    savings_charts,
+    slug,
+)
 from voxtool.bench.compare import FORMAT, MAJOR
 from voxtool.bench.points import (
     MEASURES,
@@ -130,24 +136,19 @@ def write_report(report: Report, folder: str, clobber: bool = True) -> list[Path
         chart: charts(points, slug(title(chart)))
         for chart, points in charts_of(report.points).items()
     }
-    contents: dict[str, bytes] = {
-        f"{chart.name}.png": chart.png for found in drawn.values() for chart in found
-    }
+    saved = savings_charts(report.savings)
+    every = [*(chart for found in drawn.values() for chart in found), *saved]
+    contents: dict[str, bytes] = {f"{chart.name}.png": chart.png for chart in every}
     text = json.dumps(report.as_dict(), indent=1, allow_nan=False) + "\n"
     contents["report.json"] = text.encode()
     contents["report.csv"] = as_csv(report.points).encode("utf-8", "replace")
-    contents["report.html"] = as_html(report, drawn).encode()
+    contents["report.html"] = as_html(report, drawn, saved).encode()
     written = []
     for name, content in contents.items():
         with atomic_path(Path(folder, name), clobber) as temporary:
             temporary.write_bytes(content)
         written.append(Path(folder, name))
     return written
-
-
-def slug(text: str) -> str:
-    """A file name of a title: voxelize-bunny-obj-mesh-to-voxels."""
-    return re.sub(r"[^A-Za-z0-9]+", "-", text).strip("-")[:100]
 
 
 # --- CSV -----------------------------------------------------------------------------------------
@@ -181,15 +182,15 @@ def _cell(text: str) -> str:
 # --- HTML ----------------------------------------------------------------------------------------
 
 
-def as_html(report: Report, drawn: dict[tuple[str, str, str], list[Chart]]) -> str:
+def as_html(
+    report: Report, drawn: dict[tuple[str, str, str], list[Chart]], saved: Sequence[Chart]
+) -> str:
     """The page: what to choose first, then charts, what was left out, and all figures."""
     found = charts_of(report.points)
     models = ", ".join(dict.fromkeys(point.model for point in report.points))
     cards = "".join(verdict_card(chart, points) for chart, points in found.items())
     pictures = "".join(
-        f"<h3>{shown(title(chart))}</h3><div class=cards>"
-        + "".join(f"<figure class=card>{one.svg}</figure>" for one in drawings)
-        + "</div><br>"
+        f"<h3>{shown(title(chart))}</h3>{figures(drawings)}<br>"
         for chart, drawings in drawn.items()
     )
     return f"""<!doctype html>
@@ -211,6 +212,7 @@ better. Full markers and the wide band are the Pareto front: nothing measured he
 as exact. Dashed lines are other tools, on the same work in the same run.</p>
 {pictures}
 <h2>What the plans left out, and the time that saved</h2>
+{figures(saved)}
 {savings_table(report.savings)}
 {left_out_list(report.points)}
 <h2>Machine and device</h2>
@@ -231,6 +233,11 @@ slowest of all repeats.</p>
 def shown(text: str) -> str:
     """A text that is only text in a page."""
     return escape(printable(text))
+
+
+def figures(drawings: Sequence[Chart]) -> str:
+    every = "".join(f"<figure class=card>{one.svg}</figure>" for one in drawings)
+    return f"<div class=cards>{every}</div>"
 
 
 def where(report: Report) -> str:
