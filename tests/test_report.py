@@ -139,7 +139,7 @@ def test_verdicts_are_of_the_figures() -> None:
     assert said[3].startswith("error up to 1e-4: fine, dim 128")
     assert len(said) == 6
     assert said[-2].startswith("most accurate: fine, dim 256")
-    assert said[-1] == "never the best choice here: VTK 9"
+    assert said[-1] == "never the fastest for its error: VTK 9"
     assert verdicts([POINTS[-1]]) == []
     perfect = verdicts([point("a", 1, 0.0)])
     assert len(perfect) == 2
@@ -429,6 +429,13 @@ def test_voxels_of_peers_lie_where_the_model_does(mode: str) -> None:
         assert errors["hausdorff"] * reference.diagonal < 2 * grid.pitch[0], name
 
 
+def test_what_is_short_is_run_more_often() -> None:
+    assert len(timing.Runs(2).times(list)) == 2
+    assert len(timing.Runs(2, seconds=60).times(list)) == timing.MOST_RUNS
+    assert len(timing.Runs(20, seconds=60).times(list)) == 20
+    assert timing.Runs(2, seconds=5).by_turns(lambda: 2.0, lambda: 3.0) == ([2.0] * 3, [3.0] * 3)
+
+
 def test_slow_peers_are_not_asked_again(monkeypatch) -> None:
     runs = []
     others = timing.Peers(9)
@@ -447,16 +454,18 @@ def test_slow_peers_are_not_asked_again(monkeypatch) -> None:
 def test_what_is_forced_in_changes_nothing(device) -> None:
     mesh = mesh_from_arrays(*meshes.icosphere(2))
     about = {"bench": "voxelize", "model": "ball", "work": "solid"}
-    savings = list(forced.of_voxelize(mesh, Grid.fit(mesh, 64), "solid", device, 1, about))
+    savings = list(
+        forced.of_voxelize(mesh, Grid.fit(mesh, 64), "solid", device, timing.Runs(1), about)
+    )
     assert [saving.what for saving in savings] == list(forced.VOXELIZE)
     assert all(saving.same for saving in savings)
     assert all(len(s.runs) == len(s.forced) == 1 for s in savings)
-    field = list(forced.of_field(mesh, device, 1, about, tolerance=1e-2, max_level=3))
+    field = list(forced.of_field(mesh, device, once, about, tolerance=1e-2, max_level=3))
     assert {saving.what for saving in field} == set(forced.FIELD)
     assert all(saving.same for saving in field)
     for level, what in ((1, {forced.WIDE, forced.W}), (3, {forced.WIDE})):  # which has w
         built = build_adf(mesh, device, tolerance=1e-2, max_level=level)
-        asked = list(forced.of_queries(built, spread_in_cube(100), device, 2, about))
+        asked = list(forced.of_queries(built, spread_in_cube(100), device, timing.Runs(2), about))
         assert {saving.what for saving in asked} == what
         assert all(saving.same and len(saving.forced) == 2 for saving in asked)
 

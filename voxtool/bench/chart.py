@@ -8,6 +8,7 @@ import re
 import statistics
 import warnings
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from voxtool.bench.points import (
@@ -35,7 +36,6 @@ LEGEND = 0.19  # of a line of the legend
 LETTER, KEY = 0.07, 6  # the width of a letter there, and letters that what is before a name takes
 DPI = 144  # of PNG
 BAR = 0.42  # inches, of the height of a chart of bars, for each
-NAMES = 3.3  # inches, for what a bar of savings is called
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,8 @@ def draw_cost(figure: Any, points: Sequence[Point], theme: Theme) -> None:
     point = next(p for p in points if p.size)
     sizes = sorted({p.size for p in points if p.size})
     if len(sizes) <= 8:
-        plot.set_xticks(sizes, [f"{size:,g}" for size in sizes])
+        apart = [b for a, b in pairwise([0, *sizes]) if b > 1.5 * a]
+        plot.set_xticks(apart, [f"{size:,g}" for size in apart])
         plot.set_xticks([], minor=True)
     plot.margins(0.08, 0.12)
     plot.set_xlabel(point.size_of)
@@ -270,7 +271,7 @@ def draw_stages(figure: Any, points: Sequence[Point], theme: Theme) -> None:
     plot.set_xlim(0, 1.22 * max(max(left), 1e-6))
     plot.set_xlabel("ms on the device")
     plot.set_title(plain(f"{title(points[0].chart)}: stages"))
-    _lay_out(figure, plot, BAR * (len(bars) + 0.4), left=2 * LEFT)
+    _lay_out(figure, plot, BAR * (len(bars) + 0.4))
 
 
 # --- what was left out ---------------------------------------------------------------------------
@@ -299,9 +300,9 @@ def draw_savings(figure: Any, savings: Sequence[Saving], theme: Theme) -> None:
     )
     plot.invert_yaxis()
     plot.set_xlim(min(0.9, *ratios), max(1.1, *ratios))
-    plot.set_xlabel("times the time as planned, forced in; the line is the range of the repeats")
+    plot.set_xlabel("time forced in over time as planned; lines: all repeats")
     plot.set_title(plain(f"{savings[0].bench}, {savings[0].model}: what was left out"))
-    _lay_out(figure, plot, BAR * (len(savings) + 0.4), left=NAMES)
+    _lay_out(figure, plot, BAR * (len(savings) + 0.4))
 
 
 # --- words ---------------------------------------------------------------------------------------
@@ -312,8 +313,11 @@ def plain(text: str) -> str:
     return printable(text).replace("$", r"\$")
 
 
-def _lay_out(figure: Any, plot: Any, height: float = PLOT, left: float = LEFT) -> None:
-    """Place the axes, of a height in inches, and the legend below them."""
+def _lay_out(figure: Any, plot: Any, height: float = PLOT) -> None:
+    """Place the axes, of a height in inches, to the right of what bars are called, and the legend
+    below them."""
+    names = [line for tick in plot.get_yticklabels() for line in tick.get_text().split("\n")]
+    left = max(LEFT, LETTER * (max(map(len, names), default=0) + 3))
     handles, labels = plot.get_legend_handles_labels()
     keys = dict(zip(labels, handles, strict=True))  # each label once
     longest = LETTER * (KEY + max(map(len, keys)))

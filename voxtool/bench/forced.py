@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from voxtool.adf.field import DistanceField
+    from voxtool.bench.timing import Runs
     from voxtool.camera import Rays
     from voxtool.grid import Grid
     from voxtool.mesh import Mesh
@@ -63,7 +64,7 @@ def _made_otherwise(module: Any, name: str, change: Callable[[Any], Any]) -> Ite
 
 
 def of_voxelize(
-    mesh: Mesh, grid: Grid, mode: str, device: Device, repeat: int, about: dict[str, str]
+    mesh: Mesh, grid: Grid, mode: str, device: Device, runs: Runs, about: dict[str, str]
 ) -> Iterator[Saving]:
     """What planning a voxelization saves, what is left out being in the plan's words."""
     work = partial(svo_voxelize.voxelize, mesh, grid, mode, device=device)
@@ -75,13 +76,12 @@ def of_voxelize(
             with forced():
                 other = work()
             same = replace(other, fill=octree.fill).digest() == octree.digest()
-            time = partial(_time, work)
-            runs, more = _by_turns(time, forced, repeat)
-            yield Saving(**about, what=what, why=why, runs=runs, forced=more, same=same)
+            planned, more = runs.by_turns(partial(_time, work), _under(forced, _time, work))
+            yield Saving(**about, what=what, why=why, runs=planned, forced=more, same=same)
 
 
 def of_field(
-    mesh: Mesh, device: Device, repeat: int, about: dict[str, str], **request: Any
+    mesh: Mesh, device: Device, runs: Runs, about: dict[str, str], **request: Any
 ) -> Iterator[Saving]:
     """Likewise of a field's build, the measurement of its errors left out."""
     build = partial(adf_build.build_adf, mesh, **request)
@@ -94,15 +94,15 @@ def of_field(
                 other = build(device=device)
             same = replace(other, sign=field.sign).digest() == field.digest()
             time = partial(seconds_to_field, build, device)
-            runs, more = _by_turns(time, forced, repeat)
-            yield Saving(**about, what=what, why=why, runs=runs, forced=more, same=same)
+            planned, more = runs.by_turns(time, _under(forced, time))
+            yield Saving(**about, what=what, why=why, runs=planned, forced=more, same=same)
 
 
 def of_queries(
     field: DistanceField,
     points: np.ndarray,
     device: Device,
-    repeat: int,
+    runs: Runs,
     about: dict[str, str],
 ) -> Iterator[Saving]:
     """Likewise of distances at points, by what the field's textures do not hold."""
@@ -120,11 +120,10 @@ def of_queries(
     for what, (other, why) in otherwise.items():
         forced = FieldQuery(other, device)
         same = np.array_equal(forced(points).distance, answer)
-        runs, more = [], []
-        for _ in range(repeat):
-            runs += timing.times(partial(planned, points), 1)
-            more += timing.times(partial(forced, points), 1)
-        yield Saving(**about, what=what, why=why, same=same, runs=runs, forced=more)
+        found, more = runs.by_turns(
+            partial(_time, partial(planned, points)), partial(_time, partial(forced, points))
+        )
+        yield Saving(**about, what=what, why=why, same=same, runs=found, forced=more)
 
 
 def of_picture(
@@ -133,7 +132,7 @@ def of_picture(
     transfer: TransferFunction,
     method: str,
     device: Device,
-    repeat: int,
+    runs: Runs,
     about: dict[str, str],
 ) -> Iterator[Saving]:
     """Likewise of a picture, of which a later frame is timed."""
@@ -144,24 +143,24 @@ def of_picture(
         same = np.array_equal(forced.render(rays, transfer, method), picture)
     kept = tets_view.kept_blocks(volume, transfer.local(volume))
     why = f"{np.count_nonzero(~kept)} of {kept.size} blocks of cells show nothing"
-    runs, more = [], []
-    for _ in range(repeat):
-        runs += timing.times(lambda: planned.render(rays, transfer, method), 1)
-        more += timing.times(lambda: forced.render(rays, transfer, method), 1)
-    yield Saving(**about, what=TRANSPARENT, why=why, same=same, runs=runs, forced=more)
+    found, more = runs.by_turns(
+        partial(_time, partial(planned.render, rays, transfer, method)),
+        partial(_time, partial(forced.render, rays, transfer, method)),
+    )
+    yield Saving(**about, what=TRANSPARENT, why=why, same=same, runs=found, forced=more)
 
 
 def _time(work: Callable[[], object]) -> float:
     return timing.times(work, 1)[0]
 
 
-def _by_turns(
-    time: Callable[[], float], forced: Callable[[], Any], repeat: int
-) -> tuple[list[float], list[float]]:
-    """Seconds as planned and forced, by turns, so that what else the machine does meets both."""
-    runs, more = [], []
-    for _ in range(repeat):
-        runs.append(time())
+def _under(
+    forced: Callable[[], Any], time: Callable[..., float], *args: Any
+) -> Callable[[], float]:
+    """The same, with something forced in."""
+
+    def run() -> float:
         with forced():
-            more.append(time())
-    return runs, more
+            return time(*args)
+
+    return run

@@ -242,7 +242,7 @@ def verdicts(points: Sequence[Point]) -> list[str]:
     beaten = [method for method in methods_of(points) if method not in on_front]
     known = {point.method for point in points if point.error is not None}
     if always := [method for method in beaten if method in known]:
-        said.append(f"never the best choice here: {'; '.join(always)}")
+        said.append(f"never the fastest for its error: {'; '.join(always)}")
     return said
 
 

@@ -6,6 +6,7 @@ import statistics
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from voxtool.errors import VoxtoolError
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from voxtool.opencl import Device
 
 
+MOST_RUNS = 9
 PEER_RUNS = 3
 PATIENCE = 10.0  # seconds
 
@@ -28,6 +30,39 @@ def times(work: Callable[[], object], repeat: int) -> list[float]:
         work()
         found.append(time.perf_counter() - start)
     return found
+
+
+@dataclass(frozen=True)
+class Runs:
+    """How often work is timed: `repeat` times; what is short more often, up to MOST_RUNS, until it
+    took `seconds` in all."""
+
+    repeat: int
+    seconds: float = 0.0
+
+    def enough(self, found: list[float]) -> bool:
+        """Whether these runs are."""
+        many = len(found) >= MOST_RUNS or sum(found) >= self.seconds
+        return len(found) >= self.repeat and many
+
+    def times(self, work: Callable[[], object]) -> list[float]:
+        """Seconds of each run."""
+        found: list[float] = []
+        while not self.enough(found):
+            found += times(work, 1)
+        return found
+
+    def by_turns(
+        self, one: Callable[[], float], other: Callable[[], float]
+    ) -> tuple[list[float], list[float]]:
+        """The seconds that two works return, by turns, so that what else the machine does meets
+        both."""
+        found: list[float] = []
+        others: list[float] = []
+        while not self.enough(found):
+            found.append(one())
+            others.append(other())
+        return found, others
 
 
 def stage_times(

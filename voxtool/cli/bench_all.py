@@ -16,7 +16,8 @@ from voxtool.cli import options, reports
 @click.option("--quick", is_flag=True, help="Few and small settings: seconds, not minutes.")
 @click.option(
     "--repeat", type=click.IntRange(1), metavar="N",
-    help="Runs after a warm-up; medians are compared.  [default: 3; 2 with --quick]",
+    help="Runs after a warm-up; medians are compared.  [default: 3, and up to 9 of what is short; "
+    "2 with --quick]",
 )  # fmt: skip
 @click.option(
     "--peers", is_flag=True,
@@ -54,9 +55,9 @@ def command(
     """
     from voxtool.bench.sweep import QUICK, Sweep
 
-    asked = QUICK if quick else Sweep(fills=("auto", "parity"))
+    asked = QUICK if quick else Sweep(fills=("auto", "parity"), seconds=0.2)
     asked = replace(
         asked, scalar=scalar, component=component, peers=peers, device=device,
-        repeat=repeat or asked.repeat,
+        repeat=repeat or asked.repeat, seconds=0 if repeat else asked.seconds,
     )  # fmt: skip
     reports.measure_and_report(models, asked, None, as_json=as_json, **more)

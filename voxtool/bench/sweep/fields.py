@@ -71,7 +71,7 @@ def of_fields(
                 work=work,
                 method=f"field, {point.method}",
                 setting={**point.setting, "points": len(points)},
-                runs=timing.times(partial(ask, points), asked.repeat),
+                runs=asked.runs.times(partial(ask, points)),
                 stages=timing.stage_times(partial(profiled_ask, points), profiled, 1)[0],
                 errors=query_errors(answer, distances, side),
             )
@@ -81,7 +81,7 @@ def of_fields(
     again = command("adf", model, replace(asked, peers=True), points=asked.queries)
     yield alone(
         method="exact distances",
-        runs=timing.times(partial(exact, points), asked.repeat),
+        runs=asked.runs.times(partial(exact, points)),
         command=again,
         absent=dict.fromkeys(MEASURES["adf"], "errors are measured against it"),
     )
@@ -103,11 +103,11 @@ def of_fields(
             "work": f"mesh to field, levels to {level}, tolerance {tolerance:g}",
         }  # fmt: skip
         yield from forced.of_field(
-            mesh, timed, asked.repeat, about, tolerance=tolerance, max_level=level, band=asked.band,
+            mesh, timed, asked.runs, about, tolerance=tolerance, max_level=level, band=asked.band,
             sign=asked.sign,
         )  # fmt: skip
         about["work"] = f"{work}, levels to {finest.max_level}, tolerance {finest.tolerance:g}"
-        yield from forced.of_queries(finest, points, timed, asked.repeat, about)
+        yield from forced.of_queries(finest, points, timed, asked.runs, about)
 
 
 def field_errors(reached: dict[str, Any]) -> dict[str, float]:

@@ -65,9 +65,11 @@ def of_pictures(
                     renderer = VolumeRenderer(volume, timed)
                     picture = draw(renderer)
                     first = time.perf_counter() - start
+                    kind, _, samples = integrator.partition(":")
+                    words = f"{samples} a cell, " if samples else ""
                     yield row(
-                        method, f"{integrator}, {size} x {size}", setting=made, first=first,
-                        runs=timing.times(partial(draw, renderer), asked.repeat),
+                        f"{method}, {kind}", f"{words}{size} x {size}", setting=made, first=first,
+                        runs=asked.runs.times(partial(draw, renderer)),
                         command=command("tets", model, asked, **made),
                         size=size * size if integrator == asked.integrators[0] else None,
                         size_of="pixels",
@@ -86,7 +88,7 @@ def of_pictures(
                 ("rays", peer.at(view.pixels)),
             ):
                 yield row(
-                    f"{peer.name}, {what}", f"linear, {largest} x {largest}",
+                    f"{peer.name}, linear, {what}", f"{largest} x {largest}",
                     setting={**request, "size": largest}, runs=runs, first=first, peer=True,
                     errors=_named(view.errors(colours)),
                     command=command("tets", model, asked, **request, size=largest),
@@ -94,7 +96,7 @@ def of_pictures(
         for method, volume in volumes.items() if asked.forced else ():
             about = {"bench": "tets", "model": Path(model).name,
                      "work": f"frames through {name}, {method}"}  # fmt: skip
-            yield from forced.of_picture(volume, rays, transfer, method, timed, asked.repeat, about)
+            yield from forced.of_picture(volume, rays, transfer, method, timed, asked.runs, about)
 
 
 def _errors(view: tets.View, picture: np.ndarray | None) -> Any:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from voxtool.bench import tets
+from voxtool.bench.timing import Runs
 from voxtool.plan.rendering import METHODS
 from voxtool.plan.voxelization import MODES
 
@@ -21,7 +22,8 @@ class Sweep:
     tolerances, levels, band, sign, queries : of fields, and the points that they are asked at.
     sizes, transfers, integrators : of pictures, whose errors are of `pixels` along each side; the
     smaller sizes have the first integrator alone.
-    repeat : runs after a warm-up; commands : whether the peak of memory is measured, by running the
+    repeat : runs after a warm-up, and more of what is short until it took `seconds` in all;
+    commands : whether the peak of memory is measured, by running the
     whole command in a process of its own.
     """
 
@@ -46,10 +48,15 @@ class Sweep:
     scalar: str | None = None
     component: str | None = None
     repeat: int = 3
+    seconds: float = 0.0
     commands: bool = True
     peers: bool = False
     forced: bool = True
     device: str | None = None
+
+    @property
+    def runs(self) -> Runs:
+        return Runs(self.repeat, self.seconds)
 
 
 QUICK = Sweep(

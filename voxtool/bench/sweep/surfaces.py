@@ -65,7 +65,7 @@ def of_voxelize(
                 point = row(
                     method=method,
                     setting={**setting, **rules},
-                    runs=timing.times(partial(work, device=timed), asked.repeat),
+                    runs=asked.runs.times(partial(work, device=timed)),
                     command=command("voxelize", model, asked, **request, **rules),
                     **against.errors_of(boundary),
                     stages=timing.stage_times(partial(work, device=profiled), profiled, 1)[0],
@@ -91,7 +91,7 @@ def of_voxelize(
         for mode in asked.modes:
             about = {"bench": "voxelize", "model": name, "work": f"{mode}, dim {dim}"}
             grid = Grid.fit(mesh, dim, fit=asked.fit)
-            yield from forced.of_voxelize(mesh, grid, mode, timed, asked.repeat, about)
+            yield from forced.of_voxelize(mesh, grid, mode, timed, asked.runs, about)
 
 
 def of_extract(model: str, asked: Sweep, timed: Device, profiled: Device) -> Iterator[Point]:
@@ -109,7 +109,7 @@ def of_extract(model: str, asked: Sweep, timed: Device, profiled: Device) -> Ite
                 "extract", Path(model).name, "solid voxels to surface", style, f"dim {dim}",
                 setting={"dim": dim, "style": style, "isovalue": asked.isovalue,
                          "fill": octree.fill, "samples": asked.samples, "against": against.words},
-                runs=timing.times(partial(work, device=timed), asked.repeat),
+                runs=asked.runs.times(partial(work, device=timed)),
                 command=command("extract", model, asked, **request),
                 size=dim, size_of="dim",
                 **against.errors_of(made.mesh()),
