@@ -454,9 +454,8 @@ def test_slow_peers_are_not_asked_again(monkeypatch) -> None:
 def test_what_is_forced_in_changes_nothing(device) -> None:
     mesh = mesh_from_arrays(*meshes.icosphere(2))
     about = {"bench": "voxelize", "model": "ball", "work": "solid"}
-    savings = list(
-        forced.of_voxelize(mesh, Grid.fit(mesh, 64), "solid", device, timing.Runs(1), about)
-    )
+    once, grid = timing.Runs(1), Grid.fit(mesh, 64)
+    savings = list(forced.of_voxelize(mesh, grid, "solid", device, once, about))
     assert [saving.what for saving in savings] == list(forced.VOXELIZE)
     assert all(saving.same for saving in savings)
     assert all(len(s.runs) == len(s.forced) == 1 for s in savings)
