@@ -439,12 +439,13 @@ def test_what_is_short_is_run_more_often() -> None:
 def test_slow_peers_are_not_asked_again(monkeypatch) -> None:
     runs = []
     others = timing.Peers(9)
-    assert len(others.times("quick", lambda: runs.append(0))) == timing.PEER_RUNS
+    found, made = others.times("quick", lambda: runs.append(0) or len(runs))
+    assert (len(found), made) == (timing.PEER_RUNS, 1 + timing.PEER_RUNS)
     assert len(runs) == 1 + timing.PEER_RUNS
     monkeypatch.setattr(timing, "PATIENCE", -1)
-    assert len(others.times("slow", lambda: runs.append(0))) == 1
-    assert others.times("slow", lambda: runs.append(0)) == []
-    assert len(runs) == 3 + timing.PEER_RUNS
+    assert len(others.times("slow", lambda: runs.append(0))[0]) == 1
+    assert others.times("slow", lambda: runs.append(0)) == ([], None)
+    assert len(runs) == 2 + timing.PEER_RUNS
     assert others.medians({"slow": list}) == {}
 
 

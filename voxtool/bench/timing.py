@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from voxtool.errors import VoxtoolError
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 MOST_RUNS = 9
 PEER_RUNS = 3
-PATIENCE = 10.0  # seconds
+PATIENCE = 5.0  # seconds
 
 
 def times(work: Callable[[], object], repeat: int) -> list[float]:
@@ -79,8 +79,9 @@ def stage_times(
 
 
 class Peers:
-    """Other tools, which may take very long: at most PEER_RUNS runs each, fewer where they take
-    over PATIENCE in all; and one whose run took that long is not asked again.
+    """Other tools, which may take very long: at most PEER_RUNS runs each, after the warm-up that we
+    had, too; no more where they took over PATIENCE in all. One whose first run took that long has
+    no other, and is not asked again.
 
     slow : their names.
     """
@@ -89,21 +90,28 @@ class Peers:
         self.repeat = min(repeat, PEER_RUNS)
         self.slow: set[str] = set()
 
-    def times(self, name: str, work: Callable[[], object]) -> list[float]:
-        """Seconds of each run, after the warm-up that we had, too; none of what was too slow."""
+    def times(self, name: str, work: Callable[[], Any]) -> tuple[list[float], Any]:
+        """Seconds of each run, and what the last one made; no runs of what was too slow."""
         if name in self.slow:
-            return []
-        (warm,) = times(work, 1)
-        found = times(work, 1)
-        while len(found) < self.repeat and warm + sum(found) < PATIENCE:
-            found += times(work, 1)
-        if min(found) > PATIENCE:
+            return [], None
+        made: Any = None
+
+        def run() -> None:
+            nonlocal made
+            made = work()
+
+        found = times(run, 1)
+        if found[0] > PATIENCE:
             self.slow.add(name)
-        return found
+            return found, made
+        warm, found = found[0], []
+        while not found or (len(found) < self.repeat and warm + sum(found) < PATIENCE):
+            found += times(run, 1)
+        return found, made
 
     def medians(self, peers: dict[str, Callable[[], object]]) -> dict[str, float]:
         """By name, of those that are asked."""
-        runs = {name: self.times(name, work) for name, work in peers.items()}
+        runs = {name: self.times(name, work)[0] for name, work in peers.items()}
         return {name: statistics.median(found) for name, found in runs.items() if found}
 
 

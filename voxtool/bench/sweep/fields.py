@@ -89,8 +89,7 @@ def of_fields(
         others = timing.Peers(asked.repeat)
         for peer in peers.of_distance(mesh):
             distance = peer.build()
-            found = distance(points)
-            runs = others.times(peer.name, partial(distance, points))
+            runs, found = others.times(peer.name, partial(distance, points))
             method = f"{peer.name}, building its trees" if peer.builds_each_time else peer.name
             yield alone(
                 method=method, runs=runs, command=again, peer=True,

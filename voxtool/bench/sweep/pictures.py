@@ -82,7 +82,7 @@ def of_pictures(
         )
         for peer in found if asked.peers else ():
             (first,) = timing.times(peer.draw, 1)
-            runs = timing.Peers(asked.repeat).times(peer.name, peer.draw)
+            runs, _ = timing.Peers(asked.repeat).times(peer.name, peer.draw)
             for what, colours in (
                 ("shown", view.of(peer.picture())),
                 ("rays", peer.at(view.pixels)),

@@ -80,11 +80,12 @@ def of_voxelize(
                 found[method] = point
             yield from found.values()
             for peer, run in peers.of(mesh, grid, mode).items() if asked.peers else ():
-                if runs := others.times(f"{peer}, {mode}", run):
+                runs, made = others.times(f"{peer}, {mode}", run)
+                if runs:
                     yield row(
                         method=f"{peer}, {mode}", setting=setting, runs=runs, peer=True,
                         command=command("voxelize", model, asked, **request),
-                        **against.errors_of(voxels.of_peer(run(), grid)),
+                        **against.errors_of(voxels.of_peer(made, grid)),
                     )  # fmt: skip
     if asked.forced:
         dim = max(asked.dims)
@@ -125,8 +126,9 @@ def of_extract(model: str, asked: Sweep, timed: Device, profiled: Device) -> Ite
             yield point
             if asked.peers and style == "smooth":
                 for peer, run in peers.of_octree(octree, asked.isovalue).items():
-                    if runs := others.times(peer, run):
-                        found = against.errors_of(voxels.of_peer_surface(run(), octree))
+                    runs, made = others.times(peer, run)
+                    if runs:
+                        found = against.errors_of(voxels.of_peer_surface(made, octree))
                         yield replace(point, method=peer, runs=runs, peer=True, stages={},
                                       left_out={}, bytes=None, peak=None, **found)  # fmt: skip
 
