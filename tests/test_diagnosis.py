@@ -16,7 +16,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from voxtool.diagnosis import SurfaceCheck, check_surface, closed_chain, diagnose, volume
+from voxtool.diagnosis import (
+    SurfaceCheck,
+    check_surface,
+    closed_chain,
+    diagnose,
+    volume,
+    watertight,
+)
 from voxtool.mesh import Mesh
 
 
@@ -44,6 +51,7 @@ GOOD = {
 
 def check(mesh: Mesh, weld: bool = True, **expected) -> SurfaceCheck:
     found = check_surface(mesh, weld=weld)
+    assert watertight(mesh) == diagnose(mesh).watertight
     expected = GOOD | expected
     assert {key: found.as_dict()[key] for key in expected} == expected
     return found
@@ -195,6 +203,18 @@ def test_nonmanifold_vertices_equal_those_by_hand(rows: list[list[int]]) -> None
     mesh = mesh_of((np.random.default_rng(2).random((6, 3)), np.array(faces)))
     for weld in (True, False):
         assert check_surface(mesh, weld=weld).nonmanifold_vertices == pinched_by_hand(faces)
+
+
+SIDES = [list(side) for side in itertools.permutations(range(4), 3)]  # of a tetrahedron
+WHOLE = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
+
+
+@given(st.lists(st.sampled_from([*SIDES, [0, 0, 1]]), max_size=6), st.booleans())
+@settings(max_examples=400, deadline=None)
+def test_watertight_is_what_a_diagnosis_says(more: list[list[int]], whole: bool) -> None:
+    mesh = mesh_of((np.random.default_rng(2).random((4, 3)), np.array(WHOLE * whole + more)))
+    mesh = Mesh(mesh.vertices, mesh.faces.reshape(-1, 3))
+    assert watertight(mesh) == diagnose(mesh).watertight
 
 
 def test_a_check_holds_the_diagnosis() -> None:

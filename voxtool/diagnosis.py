@@ -123,6 +123,23 @@ def diagnose(mesh: Mesh, *, weld: bool = True) -> Diagnosis:
     return Diagnosis(**_counts(mesh, topology_of(mesh, weld)))
 
 
+def watertight(mesh: Mesh) -> bool:
+    """What a diagnosis says of it, in a fifth of the time: every edge, by position, has exactly two
+    faces, which run along it in opposite directions, and there are edges."""
+    corners = positions(mesh)[mesh.faces]
+    a, b, c = corners.T
+    proper = (a != b) & (b != c) & (c != a)
+    start, end = _sides(corners[proper])
+    sides = np.minimum(start, end) << 33 | np.maximum(start, end) << 1 | (start < end)
+    sides.sort()
+    one, other = sides[::2], sides[1::2]
+    return (
+        0 < len(one) == len(other)
+        and bool((one + 1 == other).all() and (one & 1 == 0).all())
+        and bool((one[1:] != one[:-1]).all())
+    )
+
+
 def check_surface(mesh: Mesh, *, weld: bool = True) -> SurfaceCheck:
     """Describe a mesh as `diagnose` does, and the fans of faces around its vertices.
 
@@ -305,10 +322,14 @@ def positions(mesh: Mesh) -> np.ndarray:
 
 def edges_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(3F,) edge number and (3F,) bool direction of the sides ab, bc, ca of (F, 3) corners."""
-    start = corners.ravel()
-    end = np.roll(corners, -1, axis=1).ravel()
+    start, end = _sides(corners)
     key = np.minimum(start, end) << 32 | np.maximum(start, end)
     return np.unique(key, return_inverse=True)[1].reshape(-1), start < end
+
+
+def _sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3F,) each: where the sides ab, bc, ca of (F, 3) corners begin and end."""
+    return corners.ravel(), np.roll(corners, -1, axis=1).ravel()
 
 
 def components(u: np.ndarray, v: np.ndarray, nodes: int) -> np.ndarray:

@@ -168,7 +168,7 @@ def examine(
     for rule in rules:
         progress.enter(rule)
         octrees[rule] = voxelize(mesh, grid, fill=rule, device=device)
-    report |= fills_of(octrees, report, fill_for(counts))
+    report |= fills_of(octrees, report, fill_for(counts.watertight))
     report["faults"] = list(faults_of(report))
     return report, loops
 

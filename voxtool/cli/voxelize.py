@@ -156,7 +156,7 @@ def command(
         if mode == "solid":
             progress.enter("check mesh")
             found = diagnose(loaded)
-            rule = fill_for(found) if fill == "auto" else fill
+            rule = fill_for(found.watertight) if fill == "auto" else fill
         request: dict[str, Any] = {
             "fill": rule,
             "gap": gap,

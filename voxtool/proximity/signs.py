@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.diagnosis import diagnose
+from voxtool.diagnosis import collinear, watertight
 from voxtool.errors import VoxtoolError
 from voxtool.plan.field import SIGNS
 from voxtool.proximity.distance import TriangleDistance
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 def default_sign(mesh: Mesh) -> str:
     """What suits a mesh: "pseudonormal" if every edge has two faces that run along it in opposite
     directions and no face is without area, and "winding" otherwise."""
-    found = diagnose(mesh)
-    return "pseudonormal" if found.watertight and not found.degenerate_faces else "winding"
+    smooth = watertight(mesh) and not collinear(mesh.vertices[mesh.faces]).any()
+    return "pseudonormal" if smooth else "winding"
 
 
 class SignedDistance:

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.diagnosis import diagnose
+from voxtool.diagnosis import watertight
 from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.opencl import Array, Device, open_device, program
@@ -49,7 +49,6 @@ from voxtool.svo.winding import Crossings, NearHoles
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from voxtool.diagnosis import Diagnosis
     from voxtool.mesh import Mesh
 
 SOURCE = "svo/voxelize.cl"
@@ -163,9 +162,9 @@ def plan_voxelize(
     return _Scene(mesh, grid, mode, fill, gap, with_surface, window, device).plan
 
 
-def fill_for(found: Diagnosis) -> str:
+def fill_for(closed: bool) -> str:
     """What suits a mesh: "parity" if it is closed and consistently wound, or else "winding"."""
-    return "parity" if found.watertight else "winding"
+    return "parity" if closed else "winding"
 
 
 class _Scene:
@@ -195,7 +194,7 @@ class _Scene:
         if fill == "flood" and window is not None:
             raise VoxtoolError("fill 'flood' needs the whole grid: drop window, or choose another")
         if fill == "auto" and mode == "solid":
-            fill = fill_for(diagnose(mesh))
+            fill = fill_for(watertight(mesh))
         self.device = device
         self.mode = mode + ("+surface26" if with_surface else "")
         fill = fill if mode == "solid" else "none"
