@@ -205,6 +205,15 @@ def test_nonmanifold_vertices_equal_those_by_hand(rows: list[list[int]]) -> None
         assert check_surface(mesh, weld=weld).nonmanifold_vertices == pinched_by_hand(faces)
 
 
+@pytest.mark.parametrize("span", [1, 2, 3, 50])
+@pytest.mark.parametrize("count", [0, 1, 2, 500])
+def test_positions_are_numbered_in_their_order(count: int, span: int) -> None:
+    points = np.random.default_rng(count).integers(-span, span, (count, 3)) * -0.5
+    found = positions(Mesh(points, np.zeros((0, 3), np.int32)))
+    rising = sorted({(z, y, x) for x, y, z in points.tolist()})
+    assert found.tolist() == [rising.index((z, y, x)) for x, y, z in points.tolist()]
+
+
 SIDES = [list(side) for side in itertools.permutations(range(4), 3)]  # of a tetrahedron
 WHOLE = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
 

@@ -312,7 +312,13 @@ def next_sides(sides: np.ndarray) -> np.ndarray:
 def positions(mesh: Mesh) -> np.ndarray:
     """(V,) int64: equal numbers for vertices of bit-equal positions."""
     points = mesh.vertices + 0.0  # -0.0 is 0.0
-    order = np.lexsort(points.T)
+    order = np.argsort(points[:, 2])
+    z = points[order, 2]
+    tied = np.zeros(len(points) + 1, bool)
+    tied[1:-1] = z[1:] == z[:-1]
+    tied = tied[1:] | tied[:-1]
+    some = order[tied]
+    order[tied] = some[np.lexsort(points[some].T)]  # which is slow for all
     new = np.ones(len(points), np.int64)
     new[1:] = (points[order[1:]] != points[order[:-1]]).any(axis=1)
     numbers = np.empty_like(new)
