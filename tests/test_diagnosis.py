@@ -21,6 +21,7 @@ from voxtool.diagnosis import (
     check_surface,
     closed_chain,
     diagnose,
+    positions,
     volume,
     watertight,
 )
