@@ -4,12 +4,15 @@ of the page it stands in, and as PNG on white."""
 from __future__ import annotations
 
 import io
+import math
 import re
 import statistics
 import warnings
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from voxtool.bench.points import (
     MEASURES,
@@ -31,10 +34,11 @@ COLOURS = ("#2f7ed8", "#e07b00", "#1a9e77", "#c2417c", "#7a6ad8", "#a07a1f", "#d
            "#6b8e23", "#8a5a44", "#5f7f95", "#b05fd0")  # fmt: skip
 MARKERS = "osD^vPXp"
 WIDTH, PLOT = 7.2, 3.7  # inches: of a chart, and the height of what is within its axes
-LEFT, RIGHT, TOP, BOTTOM = 0.8, 0.25, 0.45, 0.55  # around that
+LEFT, RIGHT, TOP, BOTTOM = 0.95, 0.25, 0.45, 0.55  # around that
 LEGEND = 0.19  # of a line of the legend
 LETTER, KEY = 0.07, 6  # the width of a letter there, and letters that what is before a name takes
 DPI = 144  # of PNG
+NEAR = (80, 20)  # pixels, across and up, within which two labels of points would overlap
 BAR = 0.42  # inches, of the height of a chart of bars, for each
 
 
@@ -169,8 +173,6 @@ def draw_error(figure: Any, points: Sequence[Point], theme: Theme) -> None:
             plot.axvline(found[0].seconds, color=colour, linestyle=":", linewidth=1.5,
                          label=plain(f"{method} (no error is measured)"))  # fmt: skip
             continue
-        if any(p.label != known[0].label and p.size is None for p in known):
-            style["linestyle"] = "none"  # settings without an order
         plot.plot(
             [p.seconds for p in known], [p.error or floor for p in known], zorder=3,
             markerfacecolor=theme.ground, markeredgewidth=1.4, **style,
@@ -180,11 +182,16 @@ def draw_error(figure: Any, points: Sequence[Point], theme: Theme) -> None:
             [p.seconds for p in best], [p.error or floor for p in best], linestyle="none",
             marker=marker, markersize=8, color=colour, zorder=4,
         )  # fmt: skip
-        for p in best:
-            text = plain(p.label or p.method) + ("" if p.error else " (0)")
+    plot.margins(0.12, 0.12)
+    last = np.full(2, -math.inf)
+    for p in front:
+        place = plot.transData.transform((p.seconds, p.error or floor))
+        if (np.abs(place - last) > NEAR).any():  # or their words would overlap
+            several = sum(q.method == p.method and q.error is not None for q in points) > 1
+            text = plain(p.label if several else p.method) + ("" if p.error else " (0)")
             plot.annotate(text, (p.seconds, p.error or floor), (6, 6), fontsize=7,
                           textcoords="offset points", color=theme.ink, zorder=5)  # fmt: skip
-    plot.margins(0.12, 0.12)
+            last = place
     point = points[0]
     measure = charted(point.bench)
     plot.set_xlabel("seconds")
@@ -266,12 +273,13 @@ def draw_stages(figure: Any, points: Sequence[Point], theme: Theme) -> None:
         left = [a + b for a, b in zip(left, width, strict=True)]
     for row, (end, point) in enumerate(zip(left, bars, strict=True)):
         plot.annotate(f" {duration(point.seconds)} in all", (end, row), va="center", fontsize=7)
-    plot.set_yticks(rows, [f"{plain(p.method)}\n{plain(p.label)}" for p in bars])
+    names = [f"{plain(p.method)}\n{plain(p.label)}" for p in bars]
+    plot.set_yticks(rows, names)
     plot.invert_yaxis()
     plot.set_xlim(0, 1.22 * max(max(left), 1e-6))
     plot.set_xlabel("ms on the device")
     plot.set_title(plain(f"{title(points[0].chart)}: stages"))
-    _lay_out(figure, plot, BAR * (len(bars) + 0.4))
+    _lay_out(figure, plot, names)
 
 
 # --- what was left out ---------------------------------------------------------------------------
@@ -295,14 +303,13 @@ def draw_savings(figure: Any, savings: Sequence[Saving], theme: Theme) -> None:
                   color=theme.grid if number is None else COLOURS[number])  # fmt: skip
         plot.plot((least, most), (row, row), color=theme.ink, linewidth=1)
     plot.axvline(1, color=theme.ink, linewidth=1)
-    plot.set_yticks(
-        range(len(savings)), [f"{plain(s.what)}\n{plain(s.work)}" for s in savings], fontsize=7
-    )
+    names = [f"{plain(s.what)}\n{plain(s.work)}" for s in savings]
+    plot.set_yticks(range(len(savings)), names, fontsize=7)
     plot.invert_yaxis()
     plot.set_xlim(min(0.9, *ratios), max(1.1, *ratios))
     plot.set_xlabel("time forced in over time as planned; lines: all repeats")
     plot.set_title(plain(f"{savings[0].bench}, {savings[0].model}: what was left out"))
-    _lay_out(figure, plot, BAR * (len(savings) + 0.4))
+    _lay_out(figure, plot, names)
 
 
 # --- words ---------------------------------------------------------------------------------------
@@ -313,11 +320,11 @@ def plain(text: str) -> str:
     return printable(text).replace("$", r"\$")
 
 
-def _lay_out(figure: Any, plot: Any, height: float = PLOT) -> None:
-    """Place the axes, of a height in inches, to the right of what bars are called, and the legend
-    below them."""
-    names = [line for tick in plot.get_yticklabels() for line in tick.get_text().split("\n")]
-    left = max(LEFT, LETTER * (max(map(len, names), default=0) + 3))
+def _lay_out(figure: Any, plot: Any, bars: Sequence[str] = ()) -> None:
+    """Place the axes, with room for what bars are called, and the legend below them."""
+    lines = [line for name in bars for line in name.split("\n")]
+    left = max(LEFT, LETTER * (max(map(len, lines), default=0) + 3))
+    height = BAR * (len(bars) + 0.4) if bars else PLOT
     handles, labels = plot.get_legend_handles_labels()
     keys = dict(zip(labels, handles, strict=True))  # each label once
     longest = LETTER * (KEY + max(map(len, keys)))
