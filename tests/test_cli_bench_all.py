@@ -159,6 +159,20 @@ def test_a_single_bench_and_its_row_again(ball: str) -> None:
     )
 
 
+def test_rules_of_solids(ball: str) -> None:
+    words = "bench voxelize ball.obj --dims 16 --modes solid,surface6 --fills auto,parity,flood"
+    result = run(f"{words} --repeat 1 --json --budget-error 1 --device {ball}")
+    points = json.loads(result.stdout)["points"]
+    methods = [point["method"] for point in points]
+    assert methods == ["solid, parity", "solid, flood", "surface6"]  # auto is parity here
+    assert [point["setting"]["against"] for point in points] == ["the model"] * 3
+    volumes = [point["errors"].get("volume") for point in points]
+    assert volumes[0] < volumes[1]  # flood has the voxels of the surface
+    assert volumes[2] is None
+    rows = json.loads(run(f"{words} --repeat 1 --json --device {ball}").stdout)["rows"]
+    assert [row["fill"] for row in rows] == ["parity", "parity", "flood", "none"]
+
+
 def test_budgets(ball: str) -> None:
     words = f"bench extract ball.obj --dims 16,32 --repeat 1 --samples 500 --device {ball}"
     said = run(f"{words} --budget-error 1").stdout

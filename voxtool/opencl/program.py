@@ -19,6 +19,7 @@ from voxtool.errors import DeviceError
 _INCLUDE = re.compile(r'^#include "([^"]+)"$', re.MULTILINE)
 _C_TYPES = {"<u4": "uint", "<i4": "int", "<u8": "ulong", "<i8": "long", "|u1": "uchar"}
 OPTIONS = ["-cl-std=CL1.2"]
+ROUNDED = "-cl-fp32-correctly-rounded-divide-sqrt"  # float32, where a device offers it
 
 # Headers that the host writes, so that a layout is given once: name -> text.
 generated: dict[str, str] = {}
@@ -74,6 +75,8 @@ def c_constants(**values: SupportsInt) -> str:
 def build(cl: Any, context: Any, platform: str, source: str, defines: dict[str, int | str]) -> Any:
     """The program of kernels/`source`; raises DeviceError with the compiler's first error."""
     options = [*OPTIONS, *(f"-D{name}={value}" for name, value in sorted(defines.items()))]
+    if context.devices[0].single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
+        options.append(ROUNDED)
     try:
         return cl.Program(context, flatten(source)).build(options)
     except cl.RuntimeError as error:
