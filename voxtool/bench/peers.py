@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 PACKAGES = {  # what they are imported as, and what pip calls them
     "vtk": "vtk", "open3d": "open3d", "igl": "libigl", "skimage": "scikit-image",
+    "scipy": "scipy",  # which trimesh needs for it
 }  # fmt: skip
 
 
@@ -96,13 +97,16 @@ def _open3d_voxel_grid(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object
     return f"Open3D {open3d.__version__}", run
 
 
-def _trimesh_subdivide(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object]]:
-    """trimesh.voxel.creation.voxelize: voxels that vertices of the subdivided mesh are in."""
+def _trimesh_subdivide(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object]] | None:
+    """trimesh.voxel.creation.voxelize: voxels that vertices of the subdivided mesh are in. It needs
+    SciPy."""
+    if _module("scipy") is None:
+        return None
     return f"trimesh {_module('trimesh').__version__}", partial(_trimesh_voxels, mesh, grid)
 
 
 def _trimesh_filled(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object]] | None:
-    """The same, with its holes filled, for which it needs SciPy."""
+    """The same, with its holes filled."""
     if _module("scipy") is None:
         return None
 

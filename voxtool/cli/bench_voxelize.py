@@ -106,7 +106,9 @@ def command(
         click.echo(line(row))
         compared |= bool(row.peers)
     if peers and not compared:
-        options.tell("no peer does these modes: choose solid or surface26")
+        options.tell(
+            "no peer does these modes here: pip install vtk (solid), open3d (surface26), scipy (for trimesh)"
+        )
 
 
 def header() -> str:
