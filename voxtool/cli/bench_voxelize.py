@@ -107,7 +107,8 @@ def command(
         compared |= bool(row.peers)
     if peers and not compared:
         options.tell(
-            "no peer does these modes here: pip install vtk (solid), open3d (surface26), scipy (for trimesh)"
+            "no peer does these modes here: pip install vtk (solid), open3d (surface26), scipy "
+            "(for trimesh)"
         )
 
 
