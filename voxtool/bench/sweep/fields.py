@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,44 +38,43 @@ def of_fields(
     exact = SignedDistance(mesh, timed, asked.sign)
     distances = exact(points)
     work, finest = f"distances at {len(points):,} points", None
-    for level in asked.levels:
-        for tolerance in asked.tolerances:
-            build = partial(
-                build_adf, mesh, tolerance=tolerance, max_level=level, band=asked.band,
-                sign=asked.sign,
-            )  # fmt: skip
-            field, _, stages = adf.timed_build(build, profiled)
-            runs = [adf.seconds_to_field(build, timed) for _ in range(asked.repeat + 1)]
-            request = {"tolerances": tolerance, "max-level": level, "points": asked.queries,
-                       "band": None if math.isinf(asked.band) else asked.band,
-                       "sign": asked.sign}  # fmt: skip
-            point = Point(
-                "adf", name, "mesh to field", f"levels to {level}", f"tolerance {tolerance:g}",
-                setting={"tolerance": tolerance, "max_level": level, "sign": field.sign},
-                runs=runs[1:],  # kernels are compiled in the first
-                command=command("adf", model, asked, **request),
-                size=field.reached["leaves"], size_of="leaves",
-                errors=field_errors(field.reached["errors"]),
-                stages=stages,
-                left_out=field.plan["left_out"],
-                bytes=sum(field.sizes().values()),
-            )  # fmt: skip
-            yield point
-            if finest is None or field.reached["leaves"] >= finest.reached["leaves"]:
-                finest = field
-            ask = FieldQuery(field, timed)
-            answer = ask(points).distance
-            profiled_ask = FieldQuery(field, profiled)
-            profiled.stage_times()
-            yield replace(
-                point,
-                work=work,
-                method=f"field, {point.method}",
-                setting={**point.setting, "points": len(points)},
-                runs=asked.runs.times(partial(ask, points)),
-                stages=timing.stage_times(partial(profiled_ask, points), profiled, 1)[0],
-                errors=query_errors(answer, distances, side),
-            )
+    for level, tolerance in product(asked.levels, asked.tolerances):
+        build = partial(
+            build_adf, mesh, tolerance=tolerance, max_level=level, band=asked.band,
+            sign=asked.sign,
+        )  # fmt: skip
+        field, _, stages = adf.timed_build(build, profiled)
+        runs = [adf.seconds_to_field(build, timed) for _ in range(asked.repeat + 1)]
+        request = {"tolerances": tolerance, "max-level": level, "points": asked.queries,
+                   "band": None if math.isinf(asked.band) else asked.band,
+                   "sign": asked.sign}  # fmt: skip
+        point = Point(
+            "adf", name, "mesh to field", f"levels to {level}", f"tolerance {tolerance:g}",
+            setting={"tolerance": tolerance, "max_level": level, "sign": field.sign},
+            runs=runs[1:],  # kernels are compiled in the first
+            command=command("adf", model, asked, **request),
+            size=field.reached["leaves"], size_of="leaves",
+            errors=field_errors(field.reached["errors"]),
+            stages=stages,
+            left_out=field.plan["left_out"],
+            bytes=sum(field.sizes().values()),
+        )  # fmt: skip
+        yield point
+        if finest is None or field.reached["leaves"] >= finest.reached["leaves"]:
+            finest = field
+        ask = FieldQuery(field, timed)
+        answer = ask(points).distance
+        profiled_ask = FieldQuery(field, profiled)
+        profiled.stage_times()
+        yield replace(
+            point,
+            work=work,
+            method=f"field, {point.method}",
+            setting={**point.setting, "points": len(points)},
+            runs=asked.runs.times(partial(ask, points)),
+            stages=timing.stage_times(partial(profiled_ask, points), profiled, 1)[0],
+            errors=query_errors(answer, distances, side),
+        )
     alone = partial(
         Point, "adf", name, work, label="", setting={"points": len(points)}, size=None
     )  # of what has no field

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -52,31 +53,32 @@ def of_pictures(
         row = partial(Point, "tets", Path(model).name, f"frames through {name}")
         request = {"every": every, "transfers": name, "view": asked.view, "scalar": asked.scalar,
                    "component": asked.component}  # fmt: skip
-        for size in asked.sizes:
-            for method, volume in volumes.items():
-                for integrator in asked.integrators if size == largest else asked.integrators[:1]:
-                    made = {**request, "size": size, "methods": method, "integrators": integrator}
-                    draw = partial(
-                        VolumeRenderer.render, rays=camera.rays(size, size), transfer=transfer,
-                        method=method, integrator=integrator,
-                    )  # fmt: skip
-                    draw(VolumeRenderer(volume, timed))  # kernels are compiled
-                    start = time.perf_counter()
-                    renderer = VolumeRenderer(volume, timed)
-                    picture = draw(renderer)
-                    first = time.perf_counter() - start
-                    kind, _, samples = integrator.partition(":")
-                    words = f"{samples} a cell, " if samples else ""
-                    yield row(
-                        f"{method}, {kind}", f"{words}{size} x {size}", setting=made, first=first,
-                        runs=asked.runs.times(partial(draw, renderer)),
-                        command=command("tets", model, asked, **made),
-                        size=size * size if integrator == asked.integrators[0] else None,
-                        size_of="pixels",
-                        **_errors(view, picture if size == largest else None),
-                        stages=_stages(partial(draw, VolumeRenderer(volume, profiled)), profiled),
-                        bytes=sum(volume.sizes().values()),
-                    )  # fmt: skip
+        for size, method, integrator in product(asked.sizes, volumes, asked.integrators):
+            volume = volumes[method]
+            if size != largest and integrator != asked.integrators[0]:
+                continue  # smaller ones are for the cost alone
+            made = {**request, "size": size, "methods": method, "integrators": integrator}
+            draw = partial(
+                VolumeRenderer.render, rays=camera.rays(size, size), transfer=transfer,
+                method=method, integrator=integrator,
+            )  # fmt: skip
+            draw(VolumeRenderer(volume, timed))  # kernels are compiled
+            start = time.perf_counter()
+            renderer = VolumeRenderer(volume, timed)
+            picture = draw(renderer)
+            first = time.perf_counter() - start
+            kind, _, samples = integrator.partition(":")
+            words = f"{samples} a cell, " if samples else ""
+            yield row(
+                f"{method}, {kind}", f"{words}{size} x {size}", setting=made, first=first,
+                runs=asked.runs.times(partial(draw, renderer)),
+                command=command("tets", model, asked, **made),
+                size=size * size if integrator == asked.integrators[0] else None,
+                size_of="pixels",
+                **_errors(view, picture if size == largest else None),
+                stages=_stages(partial(draw, VolumeRenderer(volume, profiled)), profiled),
+                bytes=sum(volume.sizes().values()),
+            )  # fmt: skip
         found = peers.of_volume(
             cells.vertices, cells.cells, cells.scalars, transfer, rays, constant=cells.constant
         )

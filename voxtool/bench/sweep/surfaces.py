@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,50 +44,49 @@ def of_voxelize(
     mesh, name, others = load_mesh(model), Path(model).name, timing.Peers(asked.repeat)
     solid = Reference(*capped(mesh), asked.samples, timed, NO_AREA)
     surface = Reference(mesh, 0, asked.samples, timed, NO_AREA | NO_SOLID)
-    for dim in asked.dims:
+    for dim, mode in product(asked.dims, asked.modes):
         grid = Grid.fit(mesh, dim, fit=asked.fit)
-        for mode in asked.modes:
-            against = solid if mode == "solid" else surface
-            row = partial(
-                Point, "voxelize", name, work_of(mode), label=f"dim {dim}", size=dim, size_of="dim"
+        against = solid if mode == "solid" else surface
+        row = partial(
+            Point, "voxelize", name, work_of(mode), label=f"dim {dim}", size=dim, size_of="dim"
+        )
+        request = {"dims": dim, "modes": mode, "fit": asked.fit, "samples": asked.samples}
+        setting = {**request, "against": against.words}
+        found: dict[str, Point] = {}
+        for rule in asked.fills if mode == "solid" else ("auto",):
+            work = partial(voxelize, mesh, grid, mode, fill=rule)
+            octree = work(device=timed)
+            method, rules = mode, {}
+            if mode == "solid":
+                method, rules = f"solid, {octree.fill}", {"fills": octree.fill}
+            if method in found:
+                continue  # auto chose what is asked for, too
+            boundary = extract(octree, style="blocks", device=timed).mesh()
+            point = row(
+                method=method,
+                setting={**setting, **rules},
+                runs=asked.runs.times(partial(work, device=timed)),
+                command=command("voxelize", model, asked, **request, **rules),
+                **against.errors_of(boundary),
+                stages=timing.stage_times(partial(work, device=profiled), profiled, 1)[0],
+                left_out=octree.plan["left_out"],
+                bytes=octree.nbytes,
             )
-            request = {"dims": dim, "modes": mode, "fit": asked.fit, "samples": asked.samples}
-            setting = {**request, "against": against.words}
-            found: dict[str, Point] = {}
-            for rule in asked.fills if mode == "solid" else ("auto",):
-                work = partial(voxelize, mesh, grid, mode, fill=rule)
-                octree = work(device=timed)
-                method, rules = mode, {}
-                if mode == "solid":
-                    method, rules = f"solid, {octree.fill}", {"fills": octree.fill}
-                if method in found:
-                    continue  # auto chose what is asked for, too
-                boundary = extract(octree, style="blocks", device=timed).mesh()
-                point = row(
-                    method=method,
-                    setting={**setting, **rules},
-                    runs=asked.runs.times(partial(work, device=timed)),
-                    command=command("voxelize", model, asked, **request, **rules),
-                    **against.errors_of(boundary),
-                    stages=timing.stage_times(partial(work, device=profiled), profiled, 1)[0],
-                    left_out=octree.plan["left_out"],
-                    bytes=octree.nbytes,
+            if asked.commands:
+                _, peak = bench_voxelize.whole_command(
+                    model, dim, mode, rule, asked.fit, timed.info.index
                 )
-                if asked.commands:
-                    _, peak = bench_voxelize.whole_command(
-                        model, dim, mode, rule, asked.fit, timed.info.index
-                    )
-                    point = replace(point, peak=peak)
-                found[method] = point
-            yield from found.values()
-            for peer, run in peers.of(mesh, grid, mode).items() if asked.peers else ():
-                runs, made = others.times(f"{peer}, {mode}", run)
-                if runs:
-                    yield row(
-                        method=f"{peer}, {mode}", setting=setting, runs=runs, peer=True,
-                        command=command("voxelize", model, asked, **request),
-                        **against.errors_of(voxels.of_peer(made, grid)),
-                    )  # fmt: skip
+                point = replace(point, peak=peak)
+            found[method] = point
+        yield from found.values()
+        for peer, run in peers.of(mesh, grid, mode).items() if asked.peers else ():
+            runs, made = others.times(f"{peer}, {mode}", run)
+            if runs:
+                yield row(
+                    method=f"{peer}, {mode}", setting=setting, runs=runs, peer=True,
+                    command=command("voxelize", model, asked, **request),
+                    **against.errors_of(voxels.of_peer(made, grid)),
+                )  # fmt: skip
     if asked.forced:
         dim = max(asked.dims)
         for mode in asked.modes:
