@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 
 import voxtool
-from voxtool.bench.selftest.digests import KINDS, STORED
+from voxtool.selftest.digests import KINDS, STORED
 
 
 def main() -> None:

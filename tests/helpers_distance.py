@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from voxtool.bench.selftest.oracles import distances as exact
+from voxtool.selftest.oracles import distances as exact
 
 __all__ = ["brute", "exact"]
 

@@ -6,8 +6,8 @@ import itertools
 
 import numpy as np
 
-from voxtool.bench.reference import reference
 from voxtool.camera import Camera, Rays
+from voxtool.selftest.reference import reference
 from voxtool.tets.mesh import UnstructuredMesh
 from voxtool.tets.transfer import TransferFunction
 

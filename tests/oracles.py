@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.bench.selftest.oracles import (
+from voxtool.selftest.oracles import (
     HALF,
     UNIT,
     OctreeNodes,

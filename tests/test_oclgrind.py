@@ -42,7 +42,7 @@ HARMLESS = {
         }
     ),
 }
-VARIANTS = {  # of the constants of voxtool.plan.voxelization
+VARIANTS = {  # of the constants of voxtool.svo.plan
     "narrow": {},
     "wide": {"NARROW_EXTENT": 0},
     "blocked": {"DENSE_SIDE": 0},
@@ -128,7 +128,7 @@ def _without_comments(source: Path) -> str:
 
 
 def main() -> None:
-    from voxtool.plan import voxelization as plan
+    from voxtool.svo import plan
 
     plan.TILE = 8  # before kernels/svo/voxelize.cl gets it: triangles are shared among work-items
 
@@ -204,7 +204,7 @@ def voxelize_all(device, variant: str) -> None:
     import oracles
 
     from voxtool.grid import Grid
-    from voxtool.mesh import Mesh
+    from voxtool.mesh.mesh import Mesh
     from voxtool.svo.voxelize import voxelize
 
     scenes = {
@@ -249,9 +249,9 @@ def measure_distances(device) -> None:
     from helpers_distance import brute
     from helpers_signs import winding
 
-    from voxtool.mesh import Mesh
-    from voxtool.proximity.distance import TriangleDistance
-    from voxtool.proximity.signs import SignedDistance
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.spatial.distance import TriangleDistance
+    from voxtool.spatial.signed_distance import SignedDistance
 
     vertices, faces = meshes.torus(sides=(12, 6))
     faces = np.concatenate([faces, [(0, 0, 5), (7, 7, 7)]])
@@ -272,9 +272,9 @@ def extract_surfaces(device) -> None:
     import numpy as np
     from helpers_octree import octree_from_dense
 
-    from voxtool.diagnosis import check_surface, closed_chain
-    from voxtool.mesh import Mesh
-    from voxtool.svo.isosurface import LATTICE, extract
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.mesh.topology import check_surface, closed_chain
+    from voxtool.svo.surface.extract import LATTICE, extract
 
     dense = np.random.default_rng(3).random((18, 17, 9)) < 0.4
     dense[8:16, :8, :8] = True
@@ -300,12 +300,12 @@ def find_faces_that_meet(device) -> None:
     """Faces that others pass, that share a corner or an edge with them, or that lie in a plane."""
     import meshes
     import numpy as np
-    from test_crossings import meet
+    from spatial.test_self_intersections import meet
 
-    from voxtool.mesh import Mesh
-    from voxtool.proximity.bvh import build_tree
-    from voxtool.proximity.crossings import find_crossings
-    from voxtool.proximity.pseudonormals import pseudonormals
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.spatial.bvh import build_tree
+    from voxtool.spatial.pseudonormals import pseudonormals
+    from voxtool.spatial.self_intersections import find_crossings
 
     flat = np.array([(20, 20, 17), (20, 22, 17), (20, 24, 17)]), np.array([(0, 1, 2)])
     fold = np.array([(5, 1, 1), (4, 0, 0), (4, 2, 0), (9, 9, 9)]), np.array([(0, 1, 2), (0, 3, 2)])
@@ -331,7 +331,7 @@ def build_fields(device) -> None:
     from helpers_signs import winding
 
     from voxtool.adf import build
-    from voxtool.mesh import Mesh
+    from voxtool.mesh.mesh import Mesh
 
     build.measure = lambda *_: {}  # which asks at as many points as take minutes here
     ball, lidless = meshes.octahedron(0, 2), meshes.open_box(0, (4, 3, 2))
@@ -373,8 +373,8 @@ def query_fields(device) -> None:
     """Every search, for every answer, by fields with identifiers of either size and hashes with
     and without a fourth channel; one point or several at a time."""
     import numpy as np
+    from adf.test_query import EVERYTHING, equal, spike, with_w
     from helpers_field import plain_field, sphere
-    from test_query import EVERYTHING, equal, spike, with_w
 
     from voxtool.adf import query
 
@@ -403,7 +403,7 @@ def check_device(device) -> None:
     """The kernels that only the selftest has."""
     import numpy as np
 
-    from voxtool.bench.selftest import arithmetic, volumes
+    from voxtool.selftest import arithmetic, volumes
 
     arithmetic.COUNT = 200
     volumes.LANES = 1  # as above
@@ -436,8 +436,8 @@ def render_fields(device) -> None:
     """A ball, by fields with identifiers of either size and hashes with and without a fourth
     channel."""
     import numpy as np
+    from adf.test_query import spike, with_w
     from helpers_field import plain_field, sphere
-    from test_query import spike, with_w
 
     from voxtool.adf.raycast import FieldRenderer
 
@@ -456,8 +456,8 @@ def render_volumes(device) -> None:
     from helpers_volume import SIX, grid_corners, grid_points, mesh_of, ramp, reference_picture
 
     from voxtool.camera import Camera
+    from voxtool.choices import METHODS
     from voxtool.opencl import program
-    from voxtool.plan.rendering import METHODS
     from voxtool.tets import integrate
     from voxtool.tets.mesh import UnstructuredMesh
     from voxtool.tets.render import VolumeRenderer

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from voxtool.adf.query import FieldQuery, query_adf
     from voxtool.adf.raycast import FieldRenderer, render_adf
     from voxtool.camera import Camera, Rays
-    from voxtool.diagnosis import Diagnosis, diagnose
     from voxtool.errors import (
         DeviceError,
         FileError,
@@ -42,14 +41,16 @@ if TYPE_CHECKING:
         write_svo,
         write_tet,
     )
+    from voxtool.files.mesh import load_mesh
     from voxtool.files.picture import write_picture
     from voxtool.files.transfer import read_transfer
     from voxtool.grid import Grid
-    from voxtool.mesh import Mesh, load_mesh, mesh_from_arrays
+    from voxtool.mesh.mesh import Mesh, mesh_from_arrays
+    from voxtool.mesh.topology import Diagnosis, diagnose
     from voxtool.opencl import list_devices, open_device
-    from voxtool.svo.isosurface import Isosurface, extract, plan_extract
     from voxtool.svo.octree import Octree
     from voxtool.svo.raycast import OctreeRenderer, render_svo
+    from voxtool.svo.surface.extract import Isosurface, extract, plan_extract
     from voxtool.svo.voxelize import plan_voxelize, voxelize
     from voxtool.tets.mesh import UnstructuredMesh
     from voxtool.tets.render import VolumeRenderer, render_tet
@@ -63,7 +64,7 @@ _HOMES = {
     "voxtool.adf.query": ("FieldQuery", "query_adf"),
     "voxtool.adf.raycast": ("FieldRenderer", "render_adf"),
     "voxtool.camera": ("Camera", "Rays"),
-    "voxtool.diagnosis": ("Diagnosis", "diagnose"),
+    "voxtool.mesh.topology": ("Diagnosis", "diagnose"),
     "voxtool.errors": (
         "DeviceError",
         "FileError",
@@ -86,9 +87,10 @@ _HOMES = {
     "voxtool.files.picture": ("write_picture",),
     "voxtool.files.transfer": ("read_transfer",),
     "voxtool.grid": ("Grid",),
-    "voxtool.mesh": ("Mesh", "load_mesh", "mesh_from_arrays"),
+    "voxtool.files.mesh": ("load_mesh",),
+    "voxtool.mesh.mesh": ("Mesh", "mesh_from_arrays"),
     "voxtool.opencl": ("list_devices", "open_device"),
-    "voxtool.svo.isosurface": ("Isosurface", "extract", "plan_extract"),
+    "voxtool.svo.surface.extract": ("Isosurface", "extract", "plan_extract"),
     "voxtool.svo.octree": ("Octree",),
     "voxtool.svo.raycast": ("OctreeRenderer", "render_svo"),
     "voxtool.svo.voxelize": ("plan_voxelize", "voxelize"),

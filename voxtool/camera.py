@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voxtool.choices import VIEWS
 from voxtool.errors import VoxtoolError
-from voxtool.plan.rendering import VIEWS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,18 +13,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from voxtool.choices import DEFAULT_DIM, FITS, MAX_DIM, MIN_DIM
 from voxtool.errors import GridError
-from voxtool.plan.voxelization import FITS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from voxtool.mesh import Mesh
+    from voxtool.mesh.mesh import Mesh
 
 FIXED_POINT_BITS = 8  # a voxel is 2**8 units of the fixed-point lattice
 FIXED_POINT_LIMIT = (1 << 30) - 1  # units; differences of coordinates fit 32 bits
-MIN_DIM = 8
-MAX_DIM = 65536
+
+
 DEFAULT_MARGIN = 4
 
 
@@ -92,7 +92,7 @@ class Grid:
         if fit not in FITS:
             raise GridError(f"fit {fit!r} is neither 'uniform' nor 'stretch'")
         if dim is None and pitch is None:
-            dim = 256
+            dim = DEFAULT_DIM
         if dim is not None and not MIN_DIM <= dim <= MAX_DIM:
             raise GridError(f"dim {dim} is out of range: choose from {MIN_DIM} to {MAX_DIM}")
         if pitch is not None and not (math.isfinite(pitch) and pitch > 0):

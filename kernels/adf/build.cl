@@ -9,16 +9,16 @@
 
 #include "adf/build.h"
 #include "adf/samples.h"
-#include "proximity/arctangent.h"
-#include "proximity/bvh.h"
-#include "proximity/names.h"
-#include "spread.h"
+#include "spatial/arctangent.h"
+#include "spatial/bvh.h"
+#include "spatial/names.h"
+#include "morton_bits.h"
 
 #pragma OPENCL FP_CONTRACT OFF
 
 #define LANES double8 // one lane a point
 #define MASKS long8
-#include "proximity/triangle.h"
+#include "spatial/point_triangle.h"
 
 #define SLACK 0x1p-44 // of a length in the frame: more than rounding takes from it
 

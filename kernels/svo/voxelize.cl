@@ -3,10 +3,10 @@
 
 #include "svo/octree.h"
 #include "svo/voxelize.h"
-#include "svo/winding.h"
+#include "svo/fill/winding.h"
 #include "svo/morton.h"
 #include "svo/active.h"
-#include "svo/triangle.h"
+#include "svo/overlap.h"
 
 // ---- which columns a triangle has, and which of them a work-item takes
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.errors import MeshError
-from voxtool.proximity.signs import SignedDistance
-from voxtool.proximity.spread import Spread, spread_in_cube
+from voxtool.spatial.sampling import Spread, spread_in_cube
+from voxtool.spatial.signed_distance import SignedDistance
 
 if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
-    from voxtool.mesh import Mesh
+    from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
 
 SAMPLES = 1 << 15  # of either kind of points

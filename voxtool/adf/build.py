@@ -28,22 +28,23 @@ from voxtool.adf.field import (
     bound_values,
 )
 from voxtool.adf.hashing import build_hash, cell_of, identifier_type, key_of
+from voxtool.adf.plan import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
+from voxtool.choices import SIGNS
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, open_device, program
 from voxtool.opencl.primitives import exclusive_scan
-from voxtool.plan.field import BLOCK_BYTES, PILOT_LEVEL, SIGNS, FieldPlan
-from voxtool.proximity.bvh import FIELDS, LEAF, Frame, build_tree
-from voxtool.proximity.crossings import find_crossings
-from voxtool.proximity.pseudonormals import pseudonormals
-from voxtool.proximity.sides import find_sides, shells_agree
-from voxtool.proximity.signs import default_sign
-from voxtool.proximity.winding import WindingNumber
+from voxtool.spatial.bvh import FIELDS, LEAF, Frame, build_tree
+from voxtool.spatial.pseudonormals import pseudonormals
+from voxtool.spatial.self_intersections import find_crossings
+from voxtool.spatial.sides import find_sides, shells_agree
+from voxtool.spatial.signed_distance import default_sign
+from voxtool.spatial.winding_number import WindingNumber
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from voxtool.mesh import Mesh
-    from voxtool.proximity.pseudonormals import Pseudonormals
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.spatial.pseudonormals import Pseudonormals
 
 SOURCE = "adf/build.cl"
 TOLERANCE = 1e-3  # unless another is asked for

@@ -95,7 +95,7 @@ class DistanceField:
     hash : where the key of a cell is in `cells`.
     bounds : (n, 2, 2, 2) uint8, [block, z, y, x], codes of bound_values; or None.
     origin, side : of the cube: world = origin + side * point.
-    sign : how the sign was found, one of voxtool.proximity.signs.SIGNS.
+    sign : how the sign was found, one of voxtool.spatial.signed_distance.SIGNS.
     tolerance, max_level, band : as asked of the build; in sides, level, and sides or infinite.
     continuous : whether neighbours of different level agree on what they share.
     lipschitz : the steepest that the field is, but in leaves that hold a jump.

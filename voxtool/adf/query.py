@@ -27,9 +27,9 @@ from voxtool.adf.field import (
     half_diagonals,
     no_bounds,
 )
+from voxtool.choices import SEARCHES
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, open_device, program
-from voxtool.plan.field import SEARCHES
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -23,17 +23,17 @@ from voxtool.adf.build import MAX_LEVEL_ASKED, build_adf, cube_of
 from voxtool.adf.hashing import build_hash, cell_of, key_of
 from voxtool.adf.query import FieldQuery
 from voxtool.bench import peers, timing
-from voxtool.mesh import load_mesh
+from voxtool.choices import SEARCHES
+from voxtool.files.mesh import load_mesh
 from voxtool.opencl import open_device
-from voxtool.plan.field import SEARCHES
-from voxtool.proximity.signs import SignedDistance
-from voxtool.proximity.spread import spread_in_cube
+from voxtool.spatial.sampling import spread_in_cube
+from voxtool.spatial.signed_distance import SignedDistance
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from voxtool.adf.field import DistanceField
-    from voxtool.mesh import Mesh
+    from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
 
 FEW = 1 << 17  # points that the exact distance and peers are asked at: they take much longer

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.bench import peers, timing
-from voxtool.bench.error import deviation
 from voxtool.files import write_svo
+from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
-from voxtool.mesh import load_mesh
 from voxtool.morton import morton_encode
 from voxtool.opencl import open_device
-from voxtool.svo.isosurface import extract
+from voxtool.spatial.deviation import deviation
 from voxtool.svo.octree import BRICK_SIDE, Octree
+from voxtool.svo.surface.extract import extract
 from voxtool.svo.voxelize import voxelize
 
 if TYPE_CHECKING:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from voxtool.camera import Rays
     from voxtool.grid import Grid
-    from voxtool.mesh import Mesh
+    from voxtool.mesh.mesh import Mesh
     from voxtool.tets.transfer import TransferFunction
 
 
@@ -265,7 +265,7 @@ def of_volume(
     *,
     constant: bool = False,
 ) -> list[PicturePeer]:
-    """The peers that draw what voxtool.bench.reference does, with the threads that they take by
+    """The peers that draw what voxtool.selftest.reference does, with the threads that they take by
     themselves; none in perspective, in which VTK's scalars are wrong."""
     if rays.perspective or _module("vtk") is None:
         return []

@@ -1,7 +1,7 @@
 """Pictures of tetrahedral volumes: error against time, over methods, integrators and transfer
 functions; beside them a peer, from the same orthographic viewpoint.
 
-Errors are against voxtool.bench.reference, which takes the mesh as it is in float64.
+Errors are against voxtool.selftest.reference, which takes the mesh as it is in float64.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.bench import peers, timing
-from voxtool.bench.reference import reference
 from voxtool.camera import Camera
+from voxtool.choices import METHODS
 from voxtool.files import read_unstructured
 from voxtool.opencl import open_device
-from voxtool.plan.rendering import METHODS
+from voxtool.selftest.reference import reference
 from voxtool.tets.mesh import tetrahedra
 from voxtool.tets.render import VolumeRenderer
 from voxtool.tets.textures import build_tet

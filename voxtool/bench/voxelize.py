@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from voxtool.bench import peers, timing
+from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
-from voxtool.mesh import load_mesh
 from voxtool.opencl import open_device
 from voxtool.svo.voxelize import voxelize
 

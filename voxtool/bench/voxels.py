@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.mesh import Mesh
+from voxtool.mesh.mesh import Mesh
 from voxtool.svo.octree import BRICK_SIDE
 
 if TYPE_CHECKING:

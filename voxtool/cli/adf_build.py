@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from voxtool.choices import SIGNS
 from voxtool.cli import options
 from voxtool.errors import VoxtoolError
-from voxtool.plan.field import SIGNS
 
 if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
-    from voxtool.mesh import Mesh
-    from voxtool.plan.field import FieldPlan
+    from voxtool.adf.plan import FieldPlan
+    from voxtool.mesh.mesh import Mesh
 
 
 @click.command("adf-build")
@@ -106,7 +106,7 @@ def command(
     started = time.perf_counter()
     from voxtool.adf.build import TOLERANCE, build_adf, cube_of, plan_adf
     from voxtool.files import ADF_FORMATS, check_target, format_of, write_adf
-    from voxtool.mesh import load_mesh
+    from voxtool.files.mesh import load_mesh
     from voxtool.opencl import open_device
 
     if output is None:
@@ -167,8 +167,8 @@ def command(
 
 def warn_of_signs(mesh: Mesh, scene: dict[str, Any], sign: str) -> None:
     """Pseudo-normals need a closed mesh: say what is wrong with this one, and what is done."""
-    from voxtool.diagnosis import diagnose
-    from voxtool.proximity.signs import default_sign
+    from voxtool.mesh.topology import diagnose
+    from voxtool.spatial.signed_distance import default_sign
 
     if sign == "none" or scene["closed"]:
         return

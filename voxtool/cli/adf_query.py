@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from voxtool.choices import SEARCHES
 from voxtool.cli import options
 from voxtool.errors import VoxtoolError, count_of
-from voxtool.plan.field import SEARCHES
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -159,8 +159,8 @@ def command(
     from voxtool.adf.query import FieldQuery
     from voxtool.files import check_target, read_adf
     from voxtool.files.points import open_answers, read_points
-    from voxtool.files.slice_png import check_plane, write_slice
     from voxtool.opencl import open_device
+    from voxtool.plots.slice import check_plane, write_slice
 
     if output is None:
         output = default_output(field, points, file_format)

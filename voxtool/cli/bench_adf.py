@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from voxtool.choices import SEARCHES, SIGNS
 from voxtool.cli import options, reports
-from voxtool.plan.field import SEARCHES, SIGNS
 from voxtool.version import __version__
 
 if TYPE_CHECKING:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from voxtool.choices import STYLES
 from voxtool.cli import options, reports
 from voxtool.errors import count_of
-from voxtool.plan.extraction import STYLES
 from voxtool.version import __version__
 
 if TYPE_CHECKING:

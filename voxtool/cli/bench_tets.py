@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from voxtool.choices import METHODS, VIEWS
 from voxtool.cli import options, reports
-from voxtool.plan.rendering import METHODS, VIEWS
 from voxtool.version import __version__
 
 if TYPE_CHECKING:

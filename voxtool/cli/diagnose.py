@@ -15,10 +15,10 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from voxtool.diagnosis import Topology
     from voxtool.grid import Grid
-    from voxtool.loops import Loops
-    from voxtool.mesh import Mesh
+    from voxtool.mesh.loops import Loops
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.mesh.topology import Topology
     from voxtool.opencl import Device
     from voxtool.svo.octree import Octree
 
@@ -72,12 +72,12 @@ def command(
       voxtool diagnose open.obj --obj leaks.obj
       voxtool diagnose bunny.obj --json --strict
     """
+    from voxtool.choices import FILLS
     from voxtool.files import check_target, format_of, write_mesh
+    from voxtool.files.mesh import load_mesh
     from voxtool.grid import Grid
-    from voxtool.loops import tubes
-    from voxtool.mesh import load_mesh
+    from voxtool.mesh.loops import tubes
     from voxtool.opencl import open_device
-    from voxtool.plan.voxelization import FILLS
 
     rules = [fill for fill in FILLS if fill != "auto"]
     if obj is not None:
@@ -121,17 +121,17 @@ def examine(
     """What there is to say of a mesh, with the fill rules on this grid; and its boundary loops."""
     import numpy as np
 
-    from voxtool.diagnosis import (
+    from voxtool.mesh.loops import find_loops
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.mesh.topology import (
         check_surface,
         closed_chain,
         collinear,
         repeated_faces,
         topology_of,
     )
-    from voxtool.loops import find_loops
-    from voxtool.mesh import Mesh
-    from voxtool.proximity.bvh import build_tree
-    from voxtool.proximity.crossings import find_crossings
+    from voxtool.spatial.bvh import build_tree
+    from voxtool.spatial.self_intersections import find_crossings
     from voxtool.svo.voxelize import fill_for, voxelize
 
     progress.enter("topology")
@@ -184,7 +184,7 @@ def loops_of(loops: Loops) -> list[dict[str, Any]]:
 
 def crowded_of(mesh: Mesh, topology: Topology) -> list[dict[str, Any]]:
     """The first of the edges of more than two faces."""
-    from voxtool.diagnosis import crowded_edges
+    from voxtool.mesh.topology import crowded_edges
 
     edges, faces = crowded_edges(mesh, topology)
     ends = mesh.vertices[edges[:LISTED]].tolist()
@@ -206,8 +206,8 @@ def parts_of(mesh: Mesh, topology: Topology, loops: Loops, device: Device) -> di
     """The shells and how they are nested, and the patches that are flipped or have one side."""
     import numpy as np
 
-    from voxtool.proximity.nesting import nest
-    from voxtool.shells import find_patches, find_shells
+    from voxtool.mesh.shells import find_patches, find_shells
+    from voxtool.spatial.nesting import nest
 
     shells, patches = find_shells(mesh, topology, loops), find_patches(mesh, topology)
     nesting = nest(mesh, shells, device)

@@ -9,16 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from voxtool.choices import STYLES
 from voxtool.cli import options
 from voxtool.errors import VoxtoolError
-from voxtool.plan.extraction import MAX_SAMPLES, STYLES
+from voxtool.svo.surface.plan import MAX_SAMPLES
 
 if TYPE_CHECKING:
-    from voxtool.mesh import Mesh
+    from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
-    from voxtool.plan.extraction import ExtractionPlan
-    from voxtool.svo.isosurface import Isosurface
     from voxtool.svo.octree import Octree
+    from voxtool.svo.surface.extract import Isosurface
+    from voxtool.svo.surface.plan import ExtractionPlan
 
 MOST = 0.5  # of the voxels, from which on their loss is a warning
 
@@ -139,9 +140,9 @@ def command(
         read_svo,
         write_mesh,
     )
-    from voxtool.mesh import load_mesh
+    from voxtool.files.mesh import load_mesh
     from voxtool.opencl import open_device
-    from voxtool.svo.isosurface import extract, plan_extract
+    from voxtool.svo.surface.extract import extract, plan_extract
 
     if output is None:
         output = default_output(octree, style, file_format or "obj")
@@ -236,7 +237,7 @@ def summary(octree: Octree, surface: Isosurface, output: str, seconds: float) ->
 
 def check_mesh(octree: Octree, surface: Isosurface) -> dict[str, Any]:
     """Whether the surface is closed, what it is, and its volume against the octree's."""
-    from voxtool.diagnosis import check_surface, closed_chain, volume
+    from voxtool.mesh.topology import check_surface, closed_chain, volume
 
     mesh = surface.mesh()
     enclosed, set_volume = volume(mesh), octree.count * octree.grid.voxel_volume
@@ -255,7 +256,7 @@ def check_mesh(octree: Octree, surface: Isosurface) -> dict[str, Any]:
 
 def measure(surface: Isosurface, reference: Mesh, samples: int, device: Device) -> dict[str, Any]:
     """The deviation between the surface and a mesh."""
-    from voxtool.bench.error import deviation
+    from voxtool.spatial.deviation import deviation
 
     pitch = max(surface.grid.pitch)
     return deviation(surface.mesh(), reference, samples, pitch=pitch, device=device)
@@ -273,8 +274,8 @@ def nothing_inside(name: str, octree: Octree, surface: Isosurface) -> str:
 
 def keeping(octree: Octree) -> str:
     """What keeps voxels that samples lose: samples of their own size, or smaller voxels."""
-    from voxtool.svo.isosurface import plan_extract
     from voxtool.svo.octree import BRICK_SIDE
+    from voxtool.svo.surface.extract import plan_extract
 
     finer = BRICK_SIDE * octree.grid.dim
     mends = []

@@ -17,12 +17,12 @@ from voxtool.version import __version__
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+    from voxtool.adf.plan import FieldPlan
     from voxtool.opencl import Device
     from voxtool.opencl.device import DeviceInfo
-    from voxtool.plan.extraction import ExtractionPlan
-    from voxtool.plan.field import FieldPlan
-    from voxtool.plan.rendering import RenderPlan
-    from voxtool.plan.voxelization import Plan
+    from voxtool.render import RenderPlan
+    from voxtool.svo.plan import Plan
+    from voxtool.svo.surface.plan import ExtractionPlan
 
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from voxtool.choices import METHODS, VIEWS
 from voxtool.cli import options
 from voxtool.cli.extract import Level
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.plan.rendering import METHODS, VIEWS
 from voxtool.tets.maps import MAPS
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from voxtool.camera import Camera, Rays
     from voxtool.cli.scenes import Scene
-    from voxtool.plan.rendering import RenderPlan
+    from voxtool.render import RenderPlan
 
 SIZE = (512, 512)  # pixels
 MOST_SAMPLES = 16  # along a pixel's side
@@ -329,10 +329,10 @@ def command(
 
     from voxtool.camera import MAX_SIDE
     from voxtool.files import check_target, read_scene
-    from voxtool.files.memory import check_memory
     from voxtool.files.picture import WHITE, averaged, check_writer, write_picture
+    from voxtool.memory import check_memory
     from voxtool.opencl import open_device
-    from voxtool.plan.rendering import RenderPlan
+    from voxtool.render import RenderPlan
 
     across = (samples or 1) * max(size)
     if across > MAX_SIDE:

@@ -274,7 +274,7 @@ class VolumeScene(Scene):
 
     def legend(self, height: int, background: Sequence[float] | None) -> np.ndarray:
         """The transfer function, to stand beside a picture."""
-        from voxtool.files.legend import draw_legend
+        from voxtool.plots.legend import draw_legend
 
         volume = self.volume
         return draw_legend(

@@ -12,7 +12,7 @@ from voxtool.errors import DeviceError
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
-    from voxtool.bench.selftest import Outcome
+    from voxtool.selftest import Outcome
 
 HEADER = f"{'case':<38}{'error':>9}{'bound':>9}  {'unit':<14}{'verdict':<9}{'s':>5}"
 
@@ -35,8 +35,8 @@ def command(device: str | None, full: bool, as_json: bool, quiet: bool) -> None:
       voxtool selftest --device cpu
       voxtool selftest --full --json
     """
-    from voxtool.bench.selftest import CASES, selftest
     from voxtool.opencl import open_device
+    from voxtool.selftest import CASES, selftest
 
     opened = open_device(device)
     info = opened.info

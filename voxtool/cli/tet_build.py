@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from voxtool.choices import LAYOUTS
 from voxtool.cli import options
 from voxtool.errors import MemoryLimitError
-from voxtool.plan.volume import LAYOUTS
 
 if TYPE_CHECKING:
-    from voxtool.plan.volume import VolumePlan
+    from voxtool.tets.plan import VolumePlan
     from voxtool.tets.volume import TetVolume
 
 # Bytes a tetrahedron of what the text compares with (section 4.1).
@@ -94,7 +94,7 @@ def command(
     """
     started = time.perf_counter()
     from voxtool.files import TET_FORMATS, check_target, format_of, read_unstructured, write_tet
-    from voxtool.files.memory import available_memory
+    from voxtool.memory import available_memory
     from voxtool.tets.textures import build_tet, plan_tet
 
     if output is None:

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from voxtool.choices import FILLS, FITS, MODES
 from voxtool.cli import options
-from voxtool.plan.voxelization import FILLS, FITS, MODES
 
 if TYPE_CHECKING:
-    from voxtool.diagnosis import Diagnosis
     from voxtool.grid import Grid
-    from voxtool.mesh import Mesh
-    from voxtool.plan.voxelization import Plan
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.mesh.topology import Diagnosis
     from voxtool.svo.octree import Octree
+    from voxtool.svo.plan import Plan
 
 
 @click.command("voxelize")
@@ -119,7 +119,6 @@ def command(
     if gap and (fill != "flood" or mode != "solid"):
         raise click.UsageError("--gap goes with --mode solid --fill flood")
     started = time.perf_counter()
-    from voxtool.diagnosis import diagnose
     from voxtool.errors import human
     from voxtool.files import (
         SVO_FORMATS,
@@ -129,8 +128,9 @@ def command(
         read_svo,
         write_svo,
     )
+    from voxtool.files.mesh import load_mesh
     from voxtool.grid import Grid
-    from voxtool.mesh import load_mesh
+    from voxtool.mesh.topology import diagnose
     from voxtool.opencl import open_device
     from voxtool.svo.voxelize import fill_for, plan_voxelize, voxelize
 
@@ -245,8 +245,8 @@ def pitch_of(grid: Grid) -> str:
 
 def tell_of_fill(mesh: Mesh, found: Diagnosis, octree: Octree, *, auto: bool) -> None:
     """What is wrong with a mesh, and what the rule made of it; nothing where all is well."""
-    from voxtool.diagnosis import volume
     from voxtool.errors import count_of
+    from voxtool.mesh.topology import volume
 
     rule = octree.fill
     leak = "rows of voxels along x leak where they pass a gap"

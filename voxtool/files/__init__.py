@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from voxtool.adf.field import DistanceField
-    from voxtool.mesh import Mesh
+    from voxtool.mesh.mesh import Mesh
     from voxtool.svo.octree import Octree
     from voxtool.tets.mesh import UnstructuredMesh
     from voxtool.tets.volume import TetVolume
@@ -51,17 +51,29 @@ __all__ = [
 
 # Format names and extensions: the module, and its function where it is not `write`.
 SVO_FORMATS = {
-    "svo.h5": ("svo_hdf5", "write"),
-    "svo.xml": ("svo_xml", "write"),
-    "svo.xml.gz": ("svo_xml", "write_gz"),
-    "h5": ("svo_hdf5", "write"),
-    "xml": ("svo_xml", "write"),
-    "xml.gz": ("svo_xml", "write_gz"),
+    "svo.h5": ("voxtool.files.svo_hdf5", "write"),
+    "svo.xml": ("voxtool.files.svo_xml", "write"),
+    "svo.xml.gz": ("voxtool.files.svo_xml", "write_gz"),
+    "h5": ("voxtool.files.svo_hdf5", "write"),
+    "xml": ("voxtool.files.svo_xml", "write"),
+    "xml.gz": ("voxtool.files.svo_xml", "write_gz"),
 }
-ADF_FORMATS = {"adf.h5": ("adf_hdf5", "write"), "h5": ("adf_hdf5", "write")}
-TET_FORMATS = {"tet.h5": ("tet_hdf5", "write"), "h5": ("tet_hdf5", "write")}
-EXPORTS = {name: (name, "write") for name in ("npy", "npz", "vti", "png")}
-MESH_FORMATS = {name: ("surface", f"write_{name}") for name in ("obj", "ply", "stl", "glb", "off")}
+ADF_FORMATS = {
+    "adf.h5": ("voxtool.files.adf_hdf5", "write"),
+    "h5": ("voxtool.files.adf_hdf5", "write"),
+}
+TET_FORMATS = {
+    "tet.h5": ("voxtool.files.tet_hdf5", "write"),
+    "h5": ("voxtool.files.tet_hdf5", "write"),
+}
+EXPORTS = {
+    **{name: (f"voxtool.files.{name}", "write") for name in ("npy", "npz", "vti")},
+    "png": ("voxtool.plots.slice", "write"),
+}
+MESH_FORMATS = {
+    name: ("voxtool.files.mesh_writers", f"write_{name}")
+    for name in ("obj", "ply", "stl", "glb", "off")
+}
 NORMAL_FORMATS = ("obj", "ply", "glb")  # of these, those that hold a normal a vertex
 STREAM_FORMATS = ("svo.h5", "adf.h5", "tet.h5", "obj")  # what stdout gets where no format is named
 TEXT_FORMATS = ("svo.xml", "xml", "obj", "off")  # fit for a terminal
@@ -403,7 +415,7 @@ def _write(
     if format not in formats:
         raise FileError(f"format {format!r} is unknown: choose one of {', '.join(formats)}")
     module_name, function = formats[format]
-    module = import_module(f"voxtool.files.{module_name}")
+    module = import_module(module_name)
     write = getattr(module, function)
     if path == STREAM:
         with standard_output(format in TEXT_FORMATS) as file:
@@ -411,7 +423,7 @@ def _write(
         return
     check_target(path, clobber)
     if hasattr(module, "size"):
-        from voxtool.files.memory import check_disk
+        from voxtool.memory import check_disk
 
         check_disk(path, module.size(content), "choose a smaller dim, or the sparse .npz")
     with atomic_path(path, clobber) as temporary, open(temporary, "w+b") as file:

@@ -13,6 +13,7 @@ import numpy as np
 
 from voxtool.adf.field import MAX_LEVEL, DistanceField
 from voxtool.adf.hashing import SpatialHash
+from voxtool.choices import SIGNS
 from voxtool.errors import FileError
 from voxtool.files import hdf5
 from voxtool.files.head import (
@@ -28,7 +29,6 @@ from voxtool.files.head import (
     json_text,
     parse_json,
 )
-from voxtool.plan.field import SIGNS
 from voxtool.version import __version__
 
 if TYPE_CHECKING:

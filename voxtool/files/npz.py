@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
-from voxtool.files.layers import coordinates
+from voxtool.svo.layers import coordinates
 
 if TYPE_CHECKING:
     from voxtool.svo.octree import Octree

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, BinaryIO
 import numpy as np
 
 from voxtool.errors import FileError, GridError
-from voxtool.files.layers import Leaves, paint, sorted_leaves
-from voxtool.files.memory import check_memory
+from voxtool.memory import check_memory
+from voxtool.svo.layers import Leaves, paint, sorted_leaves
 
 if TYPE_CHECKING:
     from voxtool.svo.octree import Octree

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any
 
+from voxtool.choices import MODES
 from voxtool.errors import FileError
 from voxtool.files.head import (
     FLOAT,
@@ -21,7 +22,6 @@ from voxtool.files.head import (
     parse_json,
 )
 from voxtool.grid import Grid
-from voxtool.plan.voxelization import MODES
 from voxtool.svo.octree import Octree
 from voxtool.version import __version__
 

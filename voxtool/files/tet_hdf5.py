@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from voxtool.choices import LAYOUTS
 from voxtool.errors import FileError
 from voxtool.files import hdf5
 from voxtool.files.head import (
@@ -26,7 +27,6 @@ from voxtool.files.head import (
     json_text,
     parse_json,
 )
-from voxtool.plan.volume import LAYOUTS
 from voxtool.tets.volume import BLOCK, FACES, TetVolume
 from voxtool.version import __version__
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
-from voxtool.files.layers import layers
+from voxtool.svo.layers import layers
 
 if TYPE_CHECKING:
     from voxtool.svo.octree import Octree

@@ -34,9 +34,11 @@ NODE = np.dtype([("parent", "<u4"), ("child", "<u4")])
 INSIDE = np.uint32(1 << 31)
 VALID = np.uint32(1 << 30)
 LINK = np.uint32(VALID - 1)
+MAX_LINK = int(VALID)  # nodes, as a link has 30 bits
 
 BRICK = np.dtype("<u8")
 BRICK_SIDE = 4
+NODE_BYTES, BRICK_BYTES = NODE.itemsize, BRICK.itemsize
 program.generated["svo/octree.h"] = "\n".join(
     [
         program.c_struct("svo_node", NODE),

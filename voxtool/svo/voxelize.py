@@ -23,33 +23,25 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.diagnosis import watertight
+from voxtool.choices import FILLS, MODES
 from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
 from voxtool.grid import FIXED_POINT_BITS, Grid
+from voxtool.mesh.topology import watertight
 from voxtool.opencl import Array, Device, open_device, program
 from voxtool.opencl.primitives import exclusive_scan, radix_sort
-from voxtool.plan.voxelization import (
-    BLOCK,
-    CELL,
-    FILLS,
-    MODES,
-    TILE,
-    Plan,
-    Survey,
-    plan_voxelization,
-)
-from voxtool.svo import inside
 from voxtool.svo.build import DeviceOctree, build_octree, code_name
-from voxtool.svo.caps import find_caps
-from voxtool.svo.contract import contract, states_of
-from voxtool.svo.flood import flood
+from voxtool.svo.fill import parity as inside
+from voxtool.svo.fill.caps import find_caps
+from voxtool.svo.fill.flood import flood
+from voxtool.svo.fill.winding import Crossings, NearHoles
 from voxtool.svo.octree import BRICK, Octree
-from voxtool.svo.winding import Crossings, NearHoles
+from voxtool.svo.plan import BLOCK, CELL, TILE, Plan, Survey, plan_voxelization
+from voxtool.svo.prune import contract, states_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from voxtool.mesh import Mesh
+    from voxtool.mesh.mesh import Mesh
 
 SOURCE = "svo/voxelize.cl"
 TOUCHED, SEPARATING, CROSSED = range(3)  # what a triangle is scan-converted into

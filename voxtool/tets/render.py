@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from voxtool.choices import METHODS
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import open_device
-from voxtool.plan.rendering import METHODS
 from voxtool.tets.integrate import Integral
 from voxtool.tets.project import CellProjection
 from voxtool.tets.raycast import cast

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.camera import triple
+from voxtool.choices import LAYOUTS
 from voxtool.errors import MeshError, VoxtoolError
 from voxtool.morton import morton_encode
-from voxtool.plan.volume import LAYOUTS, VolumePlan
 from voxtool.tets.mesh import (
     ConformingMesh,
     UnstructuredMesh,
@@ -26,6 +26,7 @@ from voxtool.tets.mesh import (
     tetrahedra,
     volume_cells,
 )
+from voxtool.tets.plan import VolumePlan
 from voxtool.tets.volume import FACES, TetVolume, block_ranges
 
 if TYPE_CHECKING:

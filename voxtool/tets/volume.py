@@ -32,9 +32,9 @@ from typing import Any
 
 import numpy as np
 
+from voxtool.choices import LAYOUTS
 from voxtool.errors import FileError
 from voxtool.opencl import program
-from voxtool.plan.volume import LAYOUTS
 
 BLOCK = 64  # consecutive cells that share a range of scalars
 

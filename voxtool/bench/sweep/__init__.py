@@ -13,7 +13,7 @@ from voxtool.bench.sweep.pictures import of_pictures
 from voxtool.bench.sweep.request import QUICK, Sweep
 from voxtool.bench.sweep.surfaces import of_extract, of_voxelize
 from voxtool.files import VOLUME_FORMATS, read_unstructured
-from voxtool.mesh import load_mesh
+from voxtool.files.mesh import load_mesh
 from voxtool.opencl import open_device
 
 if TYPE_CHECKING:

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any
 
 from voxtool.adf.build import build_adf, cube_of
 from voxtool.adf.query import FieldQuery
-from voxtool.bench import adf, forced, peers, timing
+from voxtool.bench import ablation as forced
+from voxtool.bench import adf, peers, timing
 from voxtool.bench.points import MEASURES, Point
 from voxtool.bench.sweep.request import command
-from voxtool.mesh import load_mesh
-from voxtool.proximity.signs import SignedDistance
+from voxtool.files.mesh import load_mesh
+from voxtool.spatial.signed_distance import SignedDistance
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

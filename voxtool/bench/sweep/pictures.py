@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.bench import forced, peers, tets, timing
+from voxtool.bench import ablation as forced
+from voxtool.bench import peers, tets, timing
 from voxtool.bench.points import MEASURES, Point
-from voxtool.bench.reference import reference
 from voxtool.bench.sweep.request import command
 from voxtool.camera import Camera
 from voxtool.files import read_unstructured
+from voxtool.selftest.reference import reference
 from voxtool.tets.mesh import tetrahedra
 from voxtool.tets.render import VolumeRenderer
 from voxtool.tets.textures import build_tet

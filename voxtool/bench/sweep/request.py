@@ -9,8 +9,7 @@ from typing import Any
 
 from voxtool.bench import tets
 from voxtool.bench.timing import Runs
-from voxtool.plan.rendering import METHODS
-from voxtool.plan.voxelization import MODES
+from voxtool.choices import METHODS, MODES
 
 
 @dataclass(frozen=True)

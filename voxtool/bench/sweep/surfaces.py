@@ -11,18 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voxtool.bench import ablation as forced
 from voxtool.bench import extract as bench_extract
-from voxtool.bench import forced, peers, timing, voxels
+from voxtool.bench import peers, timing, voxels
 from voxtool.bench import voxelize as bench_voxelize
-from voxtool.bench.error import deviation
 from voxtool.bench.points import MEASURES, Point
 from voxtool.bench.sweep.request import command
-from voxtool.diagnosis import volume
 from voxtool.errors import count_of
+from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
-from voxtool.mesh import Mesh, load_mesh
-from voxtool.svo.caps import find_caps
-from voxtool.svo.isosurface import extract, plan_extract
+from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.topology import volume
+from voxtool.spatial.deviation import deviation
+from voxtool.svo.fill.caps import find_caps
+from voxtool.svo.surface.extract import extract, plan_extract
 from voxtool.svo.voxelize import voxelize
 
 if TYPE_CHECKING:

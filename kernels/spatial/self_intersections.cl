@@ -1,0 +1,181 @@
+// Faces through which others pass. Host side: voxtool/proximity/crossings.py.
+
+#include "spatial/bvh.h"
+#include "spatial/names.h"
+
+#pragma OPENCL FP_CONTRACT OFF
+
+#define STACK ((ARITY - 1) * MAX_LEVELS + 1)
+#define GAP 0x1p-46 // more than rounding takes from a product with a vector of length 1
+
+double product(double3 a, double3 b)
+{
+    return a.x * b.x + a.y * b.y + a.z * b.z;
+}
+
+double3 crossed(double3 a, double3 b)
+{
+    return (double3)(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
+}
+
+double3 unit(double3 a)
+{
+    const double aa = product(a, a);
+    return aa > 0x1p-900 ? a / sqrt(aa) : (double3)0;
+}
+
+// Whether the projections of two triangles on an axis are apart.
+bool apart_on(double3 axis, const double3 *t, const double3 *u)
+{
+    const double3 a = unit(axis);
+    double low[2] = {INFINITY, INFINITY}, high[2] = {-INFINITY, -INFINITY};
+    for (uint i = 0; i < 3; ++i) {
+        const double on[2] = {product(a, t[i]), product(a, u[i])};
+        for (uint k = 0; k < 2; ++k) {
+            low[k] = on[k] < low[k] ? on[k] : low[k];
+            high[k] = on[k] > high[k] ? on[k] : high[k];
+        }
+    }
+    return low[1] - high[0] > GAP || low[0] - high[1] > GAP;
+}
+
+// Whether two triangles are apart: by the axes of Moeller's and of the coplanar case.
+bool triangles_apart(const double3 *t, const double3 *u)
+{
+    double3 e[3], f[3];
+    for (uint i = 0; i < 3; ++i) {
+        e[i] = t[(i + 1) % 3] - t[i];
+        f[i] = u[(i + 1) % 3] - u[i];
+    }
+    const double3 n = crossed(unit(e[0]), unit(e[1])), m = crossed(unit(f[0]), unit(f[1]));
+    if (apart_on(n, t, u) || apart_on(m, t, u))
+        return true;
+    for (uint i = 0; i < 3; ++i) {
+        if (apart_on(crossed(n, unit(e[i])), t, u) || apart_on(crossed(m, unit(f[i])), t, u))
+            return true;
+        for (uint j = 0; j < 3; ++j)
+            if (apart_on(crossed(unit(e[i]), unit(f[j])), t, u))
+                return true;
+    }
+    return false;
+}
+
+// Whether a plane of this normal through a corner that two triangles share has one of them on
+// either side; their edges from there are t and u. Those of `on` may be in the plane.
+bool parts(double3 normal, const double3 *t, const double3 *u, uint on)
+{
+    const double3 a = unit(normal);
+    for (int way = -1; way <= 1; way += 2) {
+        bool parted = a.x != 0 || a.y != 0 || a.z != 0;
+        for (uint i = 0; i < 2; ++i) {
+            parted &= on >> i & 1 || way * product(a, t[i]) > GAP;
+            parted &= on >> (2 + i) & 1 || way * product(a, u[i]) < -GAP;
+        }
+        if (parted)
+            return true;
+    }
+    return false;
+}
+
+// Whether two triangles that share a corner are apart elsewhere.
+bool fans_apart(double3 t1, double3 t2, double3 u1, double3 u2)
+{
+    const double3 t[2] = {unit(t1), unit(t2)}, u[2] = {unit(u1), unit(u2)};
+    const double3 n = crossed(t[0], t[1]), m = crossed(u[0], u[1]);
+    if (parts(t[0] + t[1] - u[0] - u[1], t, u, 0) || parts(n, t, u, 3) || parts(m, t, u, 12))
+        return true;
+    for (uint i = 0; i < 2; ++i) {
+        if (parts(crossed(n, t[i]), t, u, 1 << i) || parts(crossed(m, u[i]), t, u, 4 << i))
+            return true;
+        for (uint j = 0; j < 2; ++j)
+            if (parts(crossed(t[i], u[j]), t, u, 1 << i | 4 << j))
+                return true;
+    }
+    return false;
+}
+
+double3 corner(__global const double *vertices, __global const int *faces, uint face, uint i)
+{
+    return vload3(faces[3 * (size_t)face + i], vertices);
+}
+
+// Whether two faces meet elsewhere than in what corners they share.
+bool meet(__global const double *vertices, __global const int *faces, __global const int *corners,
+          uint f, uint g)
+{
+    double3 t[3], u[3];
+    uint shared = 0, at_f = 0, at_g = 0, apexes[2] = {0, 0};
+    for (uint i = 0; i < 3; ++i) {
+        t[i] = corner(vertices, faces, f, i);
+        u[i] = corner(vertices, faces, g, i);
+        for (uint j = 0; j < 3; ++j)
+            if (corners[3 * (size_t)f + i] == corners[3 * (size_t)g + j]) {
+                ++shared;
+                at_f = i;
+                at_g = j;
+                apexes[0] += i;
+                apexes[1] += j;
+            }
+    }
+    if (shared == 0)
+        return !triangles_apart(t, u);
+    if (shared == 3)
+        return true;
+    if (shared == 2) { // they fold back if from their edge on they go the same way
+        double3 across[2];
+        for (uint k = 0; k < 2; ++k) {
+            const double3 *own = k == 0 ? t : u;
+            const uint apex = k == 0 ? 3 - apexes[0] : 3 - apexes[1];
+            const double3 along = unit(own[(apex + 2) % 3] - own[(apex + 1) % 3]);
+            const double3 side = own[apex] - own[(apex + 1) % 3];
+            across[k] = unit(side - product(side, along) * along);
+        }
+        const double3 apart = across[0] - across[1];
+        return product(apart, apart) < GAP;
+    }
+    const double3 o = t[at_f];
+    return !fans_apart(t[(at_f + 1) % 3] - o, t[(at_f + 2) % 3] - o, u[(at_g + 1) % 3] - o,
+                       u[(at_g + 2) % 3] - o);
+}
+
+// found[f] = 1 if another face meets face f. corners[3 f + i] numbers positions; faces without a
+// name have no area.
+__kernel void find_crossings(const uint n, __global const uint *names, __global const double *vertices,
+                             __global const int *faces, __global const int *corners,
+                             __global const float *nodes, const uint first_leaf,
+                             __global uchar *found)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n || names[gid] == NAMELESS)
+        return;
+    const uint own = names[gid] / 3;
+    double3 low = INFINITY, high = -INFINITY;
+    for (uint i = 0; i < 3; ++i) {
+        const double3 p = corner(vertices, faces, own, i);
+        low = p < low ? p : low;
+        high = p > high ? p : high;
+    }
+    uint ids[STACK], top = 1;
+    ids[0] = 0;
+    while (top > 0) {
+        const uint id = ids[--top];
+        for (uint i = 0; i < ARITY; ++i) {
+            __global const float *box = nodes + (size_t)id * (6 * ARITY) + i;
+            if (box[0] > high.x || box[ARITY] > high.y || box[2 * ARITY] > high.z ||
+                box[3 * ARITY] < low.x || box[4 * ARITY] < low.y || box[5 * ARITY] < low.z)
+                continue;
+            const uint child = ARITY * id + 1 + i;
+            if (child < first_leaf) {
+                ids[top++] = child;
+                continue;
+            }
+            const uint first = (child - first_leaf) * LEAF;
+            for (uint j = first; j < min(first + LEAF, n); ++j)
+                if (names[j] != NAMELESS && names[j] / 3 != own &&
+                    meet(vertices, faces, corners, own, names[j] / 3)) {
+                    found[own] = 1;
+                    return;
+                }
+        }
+    }
+}

@@ -1,0 +1,253 @@
+// The winding number of a mesh. Host side: voxtool/proximity/winding.py.
+//
+// Moments about a centre are polynomials of a way d: the sums over a node's triangles, of area vector
+// N and points y from the centre, of N.d, the integral of (y.d)(N.d), and that of (y.d)^2 (N.d). Their
+// coefficients are those of x, y, z; xx, yy, zz, yz, xz, xy; xxx, yyy, zzz, xxy, xxz, yyx, yyz, zzx,
+// zzy, xyz. Only their harmonic parts matter, and only these are kept.
+
+#pragma OPENCL FP_CONTRACT OFF
+
+#include "spatial/angles.h"
+#include "spatial/solid_angles.h"
+
+#define STACK ((ARITY - 1) * MAX_LEVELS + 1)
+
+typedef struct {
+    double one[3], two[6], three[10];
+} moments;
+
+// two += f s m
+void add_two(double *two, double f, const double *s, const double *m)
+{
+    two[0] += f * (s[0] * m[0]);
+    two[1] += f * (s[1] * m[1]);
+    two[2] += f * (s[2] * m[2]);
+    two[3] += f * (s[1] * m[2] + s[2] * m[1]);
+    two[4] += f * (s[0] * m[2] + s[2] * m[0]);
+    two[5] += f * (s[0] * m[1] + s[1] * m[0]);
+}
+
+// three += f s q
+void add_three(double *three, double f, const double *s, const double *q)
+{
+    three[0] += f * (s[0] * q[0]);
+    three[1] += f * (s[1] * q[1]);
+    three[2] += f * (s[2] * q[2]);
+    three[3] += f * (s[0] * q[5] + s[1] * q[0]);
+    three[4] += f * (s[0] * q[4] + s[2] * q[0]);
+    three[5] += f * (s[1] * q[5] + s[0] * q[1]);
+    three[6] += f * (s[1] * q[3] + s[2] * q[1]);
+    three[7] += f * (s[2] * q[4] + s[0] * q[2]);
+    three[8] += f * (s[2] * q[3] + s[1] * q[2]);
+    three[9] += f * (s[0] * q[3] + s[1] * q[4] + s[2] * q[5]);
+}
+
+// Take away d.d times what makes the Laplacian.
+void make_harmonic(moments *m)
+{
+    const double trace = (m->two[0] + m->two[1] + m->two[2]) / 3;
+    for (uint i = 0; i < 3; ++i)
+        m->two[i] -= trace;
+    double *c = m->three;
+    const double x = (3 * c[0] + c[5] + c[7]) / 5;
+    const double y = (3 * c[1] + c[3] + c[8]) / 5;
+    const double z = (3 * c[2] + c[4] + c[6]) / 5;
+    c[0] -= x, c[5] -= x, c[7] -= x;
+    c[1] -= y, c[3] -= y, c[8] -= y;
+    c[2] -= z, c[4] -= z, c[6] -= z;
+}
+
+double length_of(const double *v)
+{
+    return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+}
+
+// The middle of a child's box; returns half of the diagonal.
+double box_middle(__global const float *nodes, uint node, uint child, double *middle)
+{
+    __global const float *box = nodes + (size_t)node * (6 * ARITY) + child;
+    double side[3];
+    for (uint i = 0; i < 3; ++i) {
+        const double low = box[i * ARITY], high = box[(3 + i) * ARITY];
+        middle[i] = 0.5 * (low + high);
+        side[i] = 0.5 * (high - low);
+    }
+    return length_of(side);
+}
+
+// The MOMENTS of a child, ARITY apart.
+__global double *child_moments(__global double *all, uint node, uint child)
+{
+    return all + (size_t)node * (MOMENTS * ARITY) + child;
+}
+
+void store_moments(__global double *to, const double *centre, double reach, const moments *m)
+{
+    for (uint i = 0; i < 3; ++i)
+        to[i * ARITY] = centre[i];
+    to[3 * ARITY] = reach;
+    for (uint i = 0; i < 3; ++i)
+        to[(4 + i) * ARITY] = m->one[i];
+    for (uint i = 0; i < 6; ++i)
+        to[(7 + i) * ARITY] = m->two[i];
+    for (uint i = 0; i < 10; ++i)
+        to[(13 + i) * ARITY] = m->three[i];
+}
+
+// Where there is no child: nothing, which is far from everywhere.
+void store_nothing(__global double *to)
+{
+    for (uint i = 0; i < MOMENTS; ++i)
+        to[i * ARITY] = i == 3 ? -1.0 : 0.0;
+}
+
+void clear(moments *m)
+{
+    for (uint i = 0; i < 3; ++i)
+        m->one[i] = 0;
+    for (uint i = 0; i < 6; ++i)
+        m->two[i] = 0;
+    for (uint i = 0; i < 10; ++i)
+        m->three[i] = 0;
+}
+
+// The moments of the leaves over n triangles, in the nodes from `first` on.
+__kernel void leaf_moments(__global const double *leaves, const uint n, __global const float *nodes,
+                           const uint first, const double far, __global double *all)
+{
+    const uint gid = get_global_id(0), count = (n + LEAF - 1) / LEAF;
+    if (gid >= (count + ARITY - 1) / ARITY * ARITY)
+        return;
+    const uint node = first + gid / ARITY, child = gid % ARITY;
+    if (gid >= count) {
+        store_nothing(child_moments(all, node, child));
+        return;
+    }
+    double centre[3], radius = 0;
+    box_middle(nodes, node, child, centre);
+    moments m;
+    clear(&m);
+    for (uint k = 0; k < LEAF && gid * LEAF + k < n; ++k) {
+        __global const double *leaf = leaves + (size_t)gid * (FIELDS * LEAF) + k;
+        double e[3], g[3], v[3][3], sum[3], quadric[6] = {0, 0, 0, 0, 0, 0};
+        for (uint i = 0; i < 3; ++i) {
+            e[i] = leaf[(3 + i) * LEAF];
+            g[i] = leaf[(6 + i) * LEAF];
+            v[0][i] = leaf[i * LEAF] - centre[i];
+            v[1][i] = v[0][i] + e[i];
+            v[2][i] = v[0][i] + leaf[9 * LEAF] * e[i] + g[i];
+            sum[i] = v[0][i] + v[1][i] + v[2][i];
+        }
+        const double area[3] = {0.5 * (e[1] * g[2] - e[2] * g[1]), 0.5 * (e[2] * g[0] - e[0] * g[2]),
+                                0.5 * (e[0] * g[1] - e[1] * g[0])};
+        for (uint i = 0; i < 3; ++i) {
+            m.one[i] += area[i];
+            const double distance = length_of(v[i]);
+            radius = distance > radius ? distance : radius;
+            add_two(quadric, 1.0 / 12, v[i], v[i]);
+        }
+        add_two(quadric, 1.0 / 12, sum, sum);
+        add_two(m.two, 1.0 / 3, sum, area);
+        add_three(m.three, 1, area, quadric);
+    }
+    make_harmonic(&m);
+    store_moments(child_moments(all, node, child), centre, far * far * radius * radius, &m);
+}
+
+// The moments of the n nodes from `below` on, in the nodes from `first` on, a level above.
+__kernel void node_moments(const uint below, const uint n, __global const float *nodes,
+                           const uint first, const double far, __global double *all)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= (n + ARITY - 1) / ARITY * ARITY)
+        return;
+    const uint node = first + gid / ARITY, child = gid % ARITY;
+    if (gid >= n) {
+        store_nothing(child_moments(all, node, child));
+        return;
+    }
+    double centre[3], radius = 0;
+    const double diagonal = box_middle(nodes, node, child, centre);
+    moments m;
+    clear(&m);
+    for (uint k = 0; k < ARITY; ++k) {
+        __global const double *from = child_moments(all, below + gid, k);
+        if (from[3 * ARITY] < 0)
+            continue;
+        double s[3], one[3], two[6], three[10], square[6] = {0, 0, 0, 0, 0, 0};
+        for (uint i = 0; i < 3; ++i) {
+            s[i] = from[i * ARITY] - centre[i];
+            m.one[i] += one[i] = from[(4 + i) * ARITY];
+        }
+        for (uint i = 0; i < 6; ++i)
+            m.two[i] += two[i] = from[(7 + i) * ARITY];
+        for (uint i = 0; i < 10; ++i)
+            m.three[i] += three[i] = from[(13 + i) * ARITY];
+        add_two(square, 1, s, s);
+        add_two(m.two, 1, s, one);
+        add_three(m.three, 2, s, two);
+        add_three(m.three, 1, one, square);
+        const double reach = length_of(s) + sqrt(from[3 * ARITY]) / far;
+        radius = reach > radius ? reach : radius;
+    }
+    make_harmonic(&m);
+    radius = diagonal < radius ? diagonal : radius;
+    store_moments(child_moments(all, node, child), centre, far * far * radius * radius, &m);
+}
+
+// Twice the sum of angle_of over a leaf's triangles is the solid angle that they subtend.
+double leaf_angle(__global const double *leaf, uint n, double3 p)
+{
+    double4 x, y, size;
+    triangle_vectors(leaf, p, &x, &y, &size);
+    const double4 angle = angle_of(y, x);
+    double sum = angle.x; // the last leaf may hold fewer triangles
+    sum += n > 1 ? angle.y : 0;
+    sum += n > 2 ? angle.z : 0;
+    return sum + (n > 3 ? angle.w : 0);
+}
+
+// numbers[i] = the winding number of point i. Children in their order, so that the sum is the same
+// everywhere.
+__kernel void wind(__global const double *points, __global const uint *order, const uint n,
+                   __global const double *leaves, const uint triangles, const uint first_leaf,
+                   __global const double *all, __global double *numbers)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint own = order[gid];
+    const double3 p = vload3(own, points);
+    const double beyond = (double)(1ul << FAR_BITS);
+    if (!(p.x * p.x + p.y * p.y + p.z * p.z < beyond * beyond)) {
+        numbers[own] = 0;
+        return;
+    }
+    uint ids[STACK];
+    uint top = 1;
+    ids[0] = 0;
+    double8 sums = 0;
+    double angles = 0;
+    while (top > 0) {
+        const uint id = ids[--top];
+        __global const double *m = all + (size_t)id * (MOMENTS * ARITY);
+        long8 far;
+        sums += distant_angles(m, p, &far);
+        long near[ARITY];
+        vstore8(far, 0, near);
+        for (uint i = 0; i < ARITY; ++i) {
+            if (near[i])
+                continue;
+            const uint child = ARITY * id + 1 + i;
+            if (child >= first_leaf) {
+                const uint leaf = child - first_leaf;
+                angles += leaf_angle(leaves + (size_t)leaf * (FIELDS * LEAF), triangles - leaf * LEAF, p);
+            } else {
+                ids[top++] = child;
+            }
+        }
+    }
+    const double4 halves = sums.lo + sums.hi;
+    const double2 quarters = halves.lo + halves.hi;
+    numbers[own] = (quarters.x + quarters.y + 2 * angles) / (4 * PI);
+}

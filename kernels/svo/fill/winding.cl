@@ -1,0 +1,381 @@
+// The winding number near holes: over blocks of voxels, and at voxels. Host side:
+// voxtool/svo/winding.py. Options: CODE=ulong, WIDE.
+
+#pragma OPENCL FP_CONTRACT OFF
+
+#include "svo/octree.h"
+#include "svo/fill/winding.h"
+#include "svo/morton.h"
+#include "svo/overlap.h"
+#include "spatial/angles.h"
+#include "spatial/solid_angles.h"
+
+#define STACK ((ARITY - 1) * MAX_LEVELS + 1)
+#define SLACK 0x1p-30 // more than rounding takes
+
+// The voxel centres of a block of 2^level voxels, a box.
+typedef struct {
+    int3 low, high; // 1/256 voxel
+} centres;
+
+centres centres_of(ulong code, uint level)
+{
+    const int3 corner = convert_int3(morton_decode(code) << level);
+    const centres c = {corner * VOXEL + HALF, (corner + (1 << level)) * VOXEL - HALF};
+    return c;
+}
+
+// The frame of a tree: local = (units - frame.xyz) frame.w, in 1/256 voxel.
+double3 to_local(int3 units, double4 frame)
+{
+    return (convert_double3(units) - frame.xyz) * frame.w;
+}
+
+// The square of the distance between two boxes.
+double gap_between(double3 low, double3 high, double3 other_low, double3 other_high)
+{
+    double sum = 0;
+    const double gaps[6] = {other_low.x - high.x, low.x - other_high.x, other_low.y - high.y,
+                            low.y - other_high.y, other_low.z - high.z, low.z - other_high.z};
+    for (uint i = 0; i < 6; i += 2) {
+        const double gap = gaps[i] > gaps[i + 1] ? gaps[i] : gaps[i + 1];
+        sum += gap > 0 ? gap * gap : 0;
+    }
+    return sum;
+}
+
+void child_box(__global const float *nodes, uint id, uint i, double3 *low, double3 *high)
+{
+    __global const float *box = nodes + (size_t)id * (6 * ARITY) + i;
+    *low = (double3)(box[0], box[ARITY], box[2 * ARITY]);
+    *high = (double3)(box[3 * ARITY], box[4 * ARITY], box[5 * ARITY]);
+}
+
+// ---- over blocks
+
+// How steep the winding number can be in a box, by an edge from a to b: by the law of Biot and Savart
+// at most dl / (4 pi r^2) summed along it, and 1 / (2 pi r) however long it is.
+double steepness_of(double3 a, double3 b, double3 low, double3 high, double radius)
+{
+    const double3 e = b - a, way = 0.5 * (low + high) - a;
+    const double ee = e.x * e.x + e.y * e.y + e.z * e.z;
+    double t = (way.x * e.x + way.y * e.y + way.z * e.z) / (ee > 0x1p-300 ? ee : 1.0);
+    t = t > 0 ? t < 1 ? t : 1 : 0;
+    const double3 rest = way - t * e;
+    const double apart = sqrt(rest.x * rest.x + rest.y * rest.y + rest.z * rest.z) - radius;
+    const double gap = sqrt(gap_between(low, high, a < b ? a : b, a < b ? b : a));
+    const double r = apart > gap ? apart : gap;
+    const double length = sqrt(ee);
+    if (!(r > 0))
+        return INFINITY;
+    return (length < 2 * r ? length / r : 2) / (4 * PI * r);
+}
+
+// The same by triangles of this area in all at a distance from the box: each is a dipole.
+double steepness_of_area(double area, double squared_gap)
+{
+    return area / (2 * PI * squared_gap * sqrt(squared_gap));
+}
+
+// Whether a triangle may meet a box: by the box's axes, the triangle's normal, and the products of
+// their edges, as far as rounding can tell.
+bool may_meet(const triangle *t, centres c)
+{
+    const int3 low = min(min(t->v[0], t->v[1]), t->v[2]), high = max(max(t->v[0], t->v[1]), t->v[2]);
+    if (any(low > c.high) || any(high < c.low))
+        return false;
+    const double3 half_size = 0.5 * convert_double3(c.high - c.low);
+    const double size[3] = {half_size.x, half_size.y, half_size.z};
+    double v[3][3]; // from the middle
+    for (uint i = 0; i < 3; ++i) {
+        const double3 way = convert_double3(t->v[i] - c.low) - half_size;
+        v[i][0] = way.x;
+        v[i][1] = way.y;
+        v[i][2] = way.z;
+    }
+    for (uint i = 0; i < 3; ++i) {
+        for (uint p = 0; p < 3; ++p) {
+            const uint q = (p + 1) % 3, next = (i + 1) % 3;
+            const double mp = v[i][q] - v[next][q], mq = v[next][p] - v[i][p];
+            const double on_edge = mp * v[i][p] + mq * v[i][q];
+            const double beyond = mp * v[(i + 2) % 3][p] + mq * v[(i + 2) % 3][q];
+            const double reach = (mp < 0 ? -mp : mp) * size[p] + (mq < 0 ? -mq : mq) * size[q];
+            const double least = on_edge < beyond ? on_edge : beyond;
+            const double most = on_edge < beyond ? beyond : on_edge;
+            const double slack = SLACK * (reach + most - least);
+            if (least > reach + slack || most < -reach - slack)
+                return false;
+        }
+    }
+    double height = 0, reach = 0, slack = 0;
+    for (uint p = 0; p < 3; ++p) {
+        const uint q = (p + 1) % 3, r = (p + 2) % 3;
+        const double n = (v[1][q] - v[0][q]) * (v[2][r] - v[0][r]) -
+                         (v[1][r] - v[0][r]) * (v[2][q] - v[0][q]);
+        const double m = n < 0 ? -n : n, part = n * v[0][p];
+        height += part;
+        reach += m * size[p];
+        slack += part < 0 ? -part : part;
+    }
+    return (height < 0 ? -height : height) <= reach + SLACK * (reach + slack);
+}
+
+// spreads[i] = by how much the winding number at the voxels of block i can differ from that of its
+// middle; infinite where that is as much as `limit`, or where a cap may pass between the voxels.
+// A hole counts by the area of its cap or by its edges, whichever tells less.
+__kernel void bound_spreads(__global const ulong *blocks, const uint n, const uint level,
+                            const double limit, const double4 frame,
+                            __global const float *hole_nodes, __global const uint *hole_names,
+                            __global const double *areas, __global const double *hole_areas,
+                            const uint hole_count,
+                            const uint hole_first_leaf, __global const uint *first,
+                            __global const int *loops,
+                            __global const float *cap_nodes, __global const uint *names,
+                            const uint cap_count, const uint cap_first_leaf,
+                            __global const int *vertices, __global const int *faces,
+                            const uint first_cap, __global double *spreads)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const centres c = centres_of(blocks[gid], level);
+    const double3 low = to_local(c.low, frame), high = to_local(c.high, frame), size = high - low;
+    const double radius = 0.5 * sqrt(size.x * size.x + size.y * size.y + size.z * size.z);
+    uint ids[STACK], top = 1;
+    ids[0] = 0;
+    double steepness = 0;
+    while (top > 0 && steepness * radius < limit) {
+        const uint id = ids[--top];
+        for (uint i = 0; i < ARITY; ++i) {
+            double3 box_low, box_high;
+            child_box(hole_nodes, id, i, &box_low, &box_high);
+            if (!(box_low.x <= box_high.x))
+                continue; // no child
+            const uint child = ARITY * id + 1 + i;
+            const double3 box = box_high - box_low;
+            const double gap = gap_between(low, high, box_low, box_high);
+            if (gap > box.x * box.x + box.y * box.y + box.z * box.z) {
+                steepness += steepness_of_area(areas[child], gap);
+                continue;
+            }
+            if (child < hole_first_leaf) {
+                ids[top++] = child;
+                continue;
+            }
+            const uint leaf = (child - hole_first_leaf) * LEAF;
+            for (uint k = leaf; k < min(leaf + LEAF, hole_count); ++k) {
+                const uint hole = hole_names[k] / 3;
+                double sum = 0;
+                double3 a = to_local(vload3(loops[first[hole + 1] - 1], vertices), frame);
+                for (uint at = first[hole]; at < first[hole + 1]; ++at) {
+                    const double3 b = to_local(vload3(loops[at], vertices), frame);
+                    sum += steepness_of(a, b, low, high, radius);
+                    a = b;
+                }
+                const double by_area = steepness_of_area(hole_areas[hole], gap);
+                steepness += by_area < sum ? by_area : sum;
+            }
+        }
+    }
+    spreads[gid] = INFINITY;
+    if (!(steepness * radius < limit))
+        return;
+    top = 1;
+    ids[0] = 0;
+    while (top > 0) {
+        const uint id = ids[--top];
+        for (uint i = 0; i < ARITY; ++i) {
+            double3 box_low, box_high;
+            child_box(cap_nodes, id, i, &box_low, &box_high);
+            if (any(box_low > high) || any(box_high < low))
+                continue;
+            const uint child = ARITY * id + 1 + i;
+            if (child < cap_first_leaf) {
+                ids[top++] = child;
+                continue;
+            }
+            const uint leaf = (child - cap_first_leaf) * LEAF;
+            for (uint k = leaf; k < min(leaf + LEAF, cap_count); ++k) {
+                const triangle t = fetch_triangle(vertices, faces, first_cap + names[k] / 3);
+                if (may_meet(&t, c))
+                    return;
+            }
+        }
+    }
+    spreads[gid] = steepness * radius;
+}
+
+// ---- at voxels
+
+// The number of crossings of a row up to a voxel: those that enter less those that leave.
+int number_before(__global const ulong *crossings, uint n, uint x_bits, ulong row, int x)
+{
+    uint low = 0, high = n; // the first crossing of the row
+    while (low < high) {
+        const uint middle = low + (high - low) / 2;
+        if (crossings[middle] >> x_bits < row)
+            low = middle + 1;
+        else
+            high = middle;
+    }
+    const ulong end = (row << x_bits) + ((ulong)(x + 2) << 2);
+    int number = 0;
+    for (; low < n && crossings[low] < end; ++low)
+        number += crossings[low] & ENTERS ? 1 : -1;
+    return number;
+}
+
+#define BARELY 0x1p-60 // an angle next to nothing
+#define ROUNDING 0x1p-44
+#define CLOSE 0x1p-30 // of what rounding takes the 2^-52th part from
+
+// From a voxel's shifted centre, the strip that an edge from a to b sweeps towards +x subtends twice
+// the angle of the vector (x, y) that this finds; to the side of the edge's projection that integers
+// tell. a and b count from the centre, and are as far away as |a| and |b| say.
+void strip(int3 a, int3 b, double a_length, double b_length, double *x, double *y, int *side)
+{
+    const long turn = (long)a.y * b.z - (long)a.z * b.y;
+    *side = shift_sign(turn, (long)a.z - b.z, (long)b.y - a.y);
+    *x = 1;
+    *y = *side * BARELY;
+    if (*side == 0)
+        return; // it is parallel to x
+    const long along = (long)a.y * b.y + (long)a.z * b.z;
+    if (a.y == 0 && a.z == 0) { // the shift tells what direction a is in, unless it is ahead
+        if (a.x <= 0) {
+            *x = -(double)b.y;
+            *y = b.z != 0 ? -(double)b.z : *y;
+        }
+    } else if (b.y == 0 && b.z == 0) {
+        if (b.x <= 0) {
+            *x = -(double)a.y;
+            *y = a.z != 0 ? (double)a.z : *y;
+        }
+    } else {
+        const double aa = (double)((long)a.y * a.y + (long)a.z * a.z);
+        const double bb = (double)((long)b.y * b.y + (long)b.z * b.z);
+        const double a_ahead = a.x > 0 ? a_length + a.x : aa / (a_length - a.x);
+        const double b_ahead = b.x > 0 ? b_length + b.x : bb / (b_length - b.x);
+        const double sum = (double)along + a_ahead * b_ahead;
+        if (turn != 0) {
+            *x = sum;
+            *y = (double)turn;
+        } else { // behind the edge or on it, or in front
+            *x = sum <= -ROUNDING * (double)along ? -1 : 1;
+        }
+    }
+}
+
+double length_of(int3 v)
+{
+    const double3 d = convert_double3(v);
+    return sqrt(d.x * d.x + d.y * d.y + d.z * d.z);
+}
+
+// The winding number of a triangle about a voxel's shifted centre: that of the triangle and the
+// strips that its edges sweep towards +x, which is the crossing of the row before the centre, less
+// those of the strips.
+double number_of(const triangle *t, int3 centre)
+{
+    const int3 a = t->v[0] - centre, b = t->v[1] - centre, c = t->v[2] - centre;
+    const double lengths[3] = {length_of(a), length_of(b), length_of(c)};
+    double x[3], y[3];
+    int side[3];
+    strip(a, b, lengths[0], lengths[1], x, y, side);
+    strip(b, c, lengths[1], lengths[2], x + 1, y + 1, side + 1);
+    strip(c, a, lengths[2], lengths[0], x + 2, y + 2, side + 2);
+    const double4 angle = angle_of((double4)(y[0], y[1], y[2], 0), (double4)(x[0], x[1], x[2], 1));
+    int crossing = 0;
+    if (side[0] == side[1] && side[1] == side[2] && side[0] != 0) {
+        const int3 e = b - a, f = c - a;
+        const long nx = cross_term(e.y, f.z, f.y, e.z), ny = cross_term(e.z, f.x, f.z, e.x),
+                   nz = cross_term(e.x, f.y, f.x, e.y);
+        const bool ahead = min(min(a.x, b.x), c.x) > 0, behind = max(max(a.x, b.x), c.x) <= 0;
+        bool before = behind;
+        if (!ahead && !behind) {
+            const wide height = wide_dot(nx, ny, nz, -(long)a.x, -(long)a.y, -(long)a.z);
+            before = !is_negative(nx < 0 ? wide_negative(height) : height);
+        }
+        crossing = before ? -side[0] : 0;
+    }
+    return crossing + (angle.x + angle.y + angle.z) / (2 * PI);
+}
+
+// numbers[i] = the winding number about the shifted centre of voxel voxels[i]: the crossings of its
+// row with the mesh and its caps, less the number of the caps: of triangles that are near each, of
+// others by the moments of the tree. Without `has_caps` the crossings alone; beyond the grid NOWHERE.
+__kernel void number_voxels(__global const ulong *voxels, const uint n, const int4 shape,
+                            __global const ulong *crossings, const uint crossing_count,
+                            const uint x_bits, const uint has_caps, const double4 frame,
+                            __global const double *leaves, __global const uint *names,
+                            const uint cap_count, const uint cap_first_leaf,
+                            __global const double *moments,
+                            __global const int *vertices, __global const int *faces,
+                            const uint first_cap, __global double *numbers)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const int3 voxel = convert_int3(morton_decode(voxels[gid]));
+    if (any(voxel >= shape.xyz)) {
+        numbers[gid] = NOWHERE;
+        return;
+    }
+    const ulong row = (ulong)voxel.z * shape.y + voxel.y;
+    const double number = number_before(crossings, crossing_count, x_bits, row, voxel.x);
+    if (!has_caps) {
+        numbers[gid] = number;
+        return;
+    }
+    const int3 centre = voxel * VOXEL + HALF;
+    const double3 p = to_local(centre, frame);
+    uint ids[STACK], top = 1;
+    ids[0] = 0;
+    double8 angles = 0;
+    double near = 0;
+    while (top > 0) {
+        const uint id = ids[--top];
+        long8 far;
+        angles += distant_angles(moments + (size_t)id * (MOMENTS * ARITY), p, &far);
+        long is_far[ARITY];
+        vstore8(far, 0, is_far);
+        for (uint i = 0; i < ARITY; ++i) {
+            if (is_far[i])
+                continue;
+            const uint child = ARITY * id + 1 + i;
+            if (child < cap_first_leaf) {
+                ids[top++] = child;
+                continue;
+            }
+            const uint leaf = child - cap_first_leaf;
+            double4 x, y, size;
+            triangle_vectors(leaves + (size_t)leaf * (FIELDS * LEAF), p, &x, &y, &size);
+            const long4 close = x < CLOSE * size && (y < 0.0 ? -y : y) < CLOSE * size;
+            double angle[LEAF];
+            long is_close[LEAF];
+            vstore4(angle_of(y, x), 0, angle);
+            vstore4(close, 0, is_close);
+            for (uint k = 0; k < LEAF && leaf * LEAF + k < cap_count; ++k) {
+                if (!is_close[k]) {
+                    near += angle[k] / (2 * PI);
+                    continue;
+                }
+                const uint face = first_cap + names[leaf * LEAF + k] / 3;
+                const triangle t = fetch_triangle(vertices, faces, face);
+                near += number_of(&t, centre);
+            }
+        }
+    }
+    const double4 halves = angles.lo + angles.hi;
+    const double2 quarters = halves.lo + halves.hi;
+    numbers[gid] = number - (quarters.x + quarters.y) / (4 * PI) - near;
+}
+
+// bricks[places[i]] = masks[i].
+__kernel void place_bricks(__global const ulong *masks, __global const uint *places, const uint n,
+                           __global ulong *bricks)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n)
+        bricks[places[gid]] = masks[gid];
+}

@@ -1,0 +1,28 @@
+#include "svo/surface/lattice.h"
+#include "svo/surface/cut_cells.h"
+#include "svo/surface/samples.h"
+
+// Off both ends.
+int within(int t) { return clamp(t, (int)NEAREST, (int)(LATTICE - NEAREST)); }
+
+// Where the edge from a cell, whose tile has a slot, along an axis crosses the surface, in LATTICE of
+// its length: t = (iso - a) / (b - a) from the sample that is outside, rounded once, and kept off both
+// ends.
+int crossing(TILES, SAMPLES, ulong cell, uint slot, uint axis, bool cell_is_inside)
+{
+#ifdef VOXELS
+    const ulong outer = 0, inner = 1;
+#else
+    const ulong next = step_up(cell, axis), tile = next >> 6;
+    uint next_slot = slot;
+    if (tile != cell >> 6)
+        next_slot = tile >> 6 < words ? slot_of(present, ranks, tile) : NOWHERE;
+    const uint here = coverage_of(THESE_TILES, THESE_SAMPLES, cell, slot);
+    const uint beyond = coverage_of(THESE_TILES, THESE_SAMPLES, next, next_slot);
+    const ulong outer = cell_is_inside ? beyond : here, inner = cell_is_inside ? here : beyond;
+#endif
+    const ulong above = isovalue - (outer << 16), range = (inner - outer) << 16;
+    const long t = (long)((2 * above * LATTICE + range) / (2 * range));
+    const int kept = within((int)t);
+    return cell_is_inside ? LATTICE - kept : kept;
+}

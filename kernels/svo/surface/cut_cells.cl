@@ -1,0 +1,258 @@
+// From an octree to the tiles of samples that the surface may pass, and the cubes that it cuts. Host
+// side: voxtool/svo/tiles.py. Options: VOXELS where samples are voxels, and tiles bricks.
+
+#include "svo/octree.h"
+#include "svo/surface/cut_cells.h"
+#include "svo/surface/samples.h"
+
+// The nodes of a level have their `child` words from children[first] on.
+
+// coverage[i] = the set voxels of node i of a level, `full` where it lies inside; `below` are those
+// of the level below it, or `bricks` where that has level 0.
+__kernel void cover_level(__global const uint *children, const uint first, const uint n,
+                          const uint full, __global const ulong *bricks,
+                          __global const uint *below, const uint below_bricks,
+                          __global uint *coverage)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint child = children[first + gid];
+    uint sum = child & INSIDE ? full : 0;
+    if (child & VALID)
+        for (uint i = child & LINK; i < (child & LINK) + 8; ++i)
+            sum += below_bricks ? (uint)popcount(bricks[i]) : below[i];
+    coverage[gid] = sum;
+}
+
+// The codes of a level's refined nodes, from those of the level above; and the tiles in its inside
+// leaves, which are 2^shift each and contiguous in Morton order.
+__kernel void place_nodes(__global const uint *children, const uint first, const uint n,
+                          __global const uint *above_codes, const uint is_root, const uint shift,
+                          __global uint *codes, volatile __global uint *inside)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint child = children[first + gid];
+    const uint code = is_root ? 0 : above_codes[gid >> 3] << 3 | (gid & 7);
+    if (child & VALID)
+        codes[(child & LINK) >> 3] = code;
+    if (!(child & INSIDE))
+        return;
+    const ulong tile = (ulong)code << shift;
+    if (shift < 6)
+        atomic_or(&inside[tile >> 5], (shift ? 0xFFu : 1u) << (tile & 31));
+    else
+        for (ulong word = tile >> 5; word < (tile + (1ul << shift)) >> 5; ++word)
+            inside[word] = 0xFFFFFFFFu;
+}
+
+// The tiles of the octree's refined nodes; those of a node whose children are bricks are eight.
+__kernel void mark_tiles(__global const uint *codes, const uint n, volatile __global uint *active)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+#ifdef VOXELS
+    atomic_or(&active[codes[gid] >> 2], 0xFFu << (8 * (codes[gid] & 3)));
+#else
+    atomic_or(&active[codes[gid] >> 5], 1u << (codes[gid] & 31));
+#endif
+}
+
+// The words of tiles at the corners of word `code`; beyond the root they are 0.
+void corner_words(__global const ulong *words, uint n, uint code, ulong *corner)
+{
+    for (uint j = 0; j < 8; ++j) {
+        const ulong at = corner_cell(code, j);
+        corner[j] = at < n ? words[at] : 0;
+    }
+}
+
+// The tiles that hold a cube that may be cut: one of its eight corners lies in an active tile, or
+// they lie in tiles that are inside and others that are empty. Those that are not active are the
+// thesis's NullCubes. A word is 4 x 4 x 4 tiles.
+__kernel void find_tiles(__global const ulong *active, __global const ulong *inside, const uint n,
+                         __global ulong *present, __global uint *counts)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    ulong corner[8], any = 0, differing = 0;
+    corner_words(active, n, gid, corner);
+    shift_to_corners(corner);
+    for (uint j = 0; j < 8; ++j)
+        any |= corner[j];
+    corner_words(inside, n, gid, corner);
+    shift_to_corners(corner);
+    for (uint j = 1; j < 8; ++j)
+        differing |= corner[j] ^ corner[0];
+    any |= differing;
+    present[gid] = any;
+    counts[gid] = (uint)popcount(any);
+}
+
+// The codes of present tiles; until they are sampled, all are inside or empty as a whole.
+__kernel void list_tiles(__global const ulong *present, __global const uint *ranks,
+                         __global const ulong *inside, const uint n, __global uint *codes,
+                         __global ulong *masks, __global uint *source)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    uint slot = ranks[gid];
+    for (ulong left = present[gid]; left; left &= left - 1) {
+        const uint bit = lowest_bit(left);
+        codes[slot] = gid << 6 | bit;
+        masks[slot] = inside[gid] >> bit & 1 ? ALL : 0;
+        source[slot++] = NOWHERE;
+    }
+}
+
+#ifdef VOXELS
+
+// The masks of the active tiles are the bricks.
+__kernel void sample_tiles(__global const uint *parent_codes, const uint n,
+                           __global const ulong *bricks, __global const ulong *present,
+                           __global const uint *ranks, __global ulong *masks,
+                           __global uint *source)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint slot = slot_of(present, ranks, parent_codes[gid >> 3] << 3 | (gid & 7));
+    masks[slot] = bricks[gid];
+    source[slot] = gid;
+}
+
+#else
+
+// The coverages of the 64 samples of each active tile; which of them are inside, and which are not
+// though they have set voxels.
+__kernel void sample_tiles(__global const uint *codes, const uint n,
+                           __global const uint *children, const uint first, const uint full,
+                           const uint threshold, __global const ulong *bricks, __global const uint *coverage,
+                           __global const ulong *present,
+                           __global const uint *ranks, __global SAMPLE *samples,
+                           __global ulong *below, __global ulong *masks, __global uint *source)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    ulong mask = 0, set = 0;
+    for (uint octant = 0; octant < 8; ++octant) {
+        const uint child = children[first + 8 * gid + octant], node = child & LINK;
+        __global SAMPLE *sample = samples + 64 * (size_t)gid + 8 * octant;
+        if (child & VALID) {
+            for (uint i = 0; i < 8; ++i) {
+                const uint covered = sizeof(SAMPLE) == 1 ? (uint)popcount(bricks[node + i]) // level 0
+                                                         : coverage[node + i];
+                sample[i] = (SAMPLE)covered;
+                mask |= (ulong)(covered >= threshold) << (8 * octant + i);
+                set |= (ulong)(covered > 0) << (8 * octant + i);
+            }
+        } else {
+            for (uint i = 0; i < 8; ++i)
+                sample[i] = (SAMPLE)(child & INSIDE ? full : 0);
+            mask |= (child & INSIDE ? 0xFFul : 0ul) << (8 * octant);
+        }
+    }
+    const uint slot = slot_of(present, ranks, codes[gid]);
+    masks[slot] = mask;
+    below[gid] = set & ~mask;
+    source[slot] = gid;
+}
+
+#endif
+
+// The cubes of each present tile that are cut, and the cut edges that begin in it along x, y and z;
+// and how many they are.
+__kernel void classify_cubes(__global const uint *codes, const uint n, TILES, __global ulong *cut,
+                             __global ulong *cut_edges, __global uint *cubes, __global uint *edges)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    ulong corner[8];
+    corner_masks(THESE_TILES, codes[gid], corner);
+    cut[gid] = cut_cubes(corner);
+    cubes[gid] = (uint)popcount(cut[gid]);
+    for (uint axis = 0; axis < 3; ++axis) {
+        const ulong differing = corner[0] ^ corner[1u << axis];
+        cut_edges[3 * gid + axis] = differing;
+        edges[3 * gid + axis] = (uint)popcount(differing);
+    }
+}
+
+// Each cut cube's tile (its slot) and place in it, and its case.
+__kernel void list_cubes(__global const uint *codes, const uint n, TILES,
+                         __global const uint *first_cube, __global uint *places,
+                         __global uchar *cases)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n || first_cube[gid] == first_cube[gid + 1])
+        return;
+    ulong corner[8];
+    corner_masks(THESE_TILES, codes[gid], corner);
+    uint cube = first_cube[gid];
+    for (ulong left = cut_cubes(corner); left; left &= left - 1) {
+        const uint bit = lowest_bit(left);
+        places[cube] = gid << 6 | bit;
+        cases[cube++] = (uchar)case_of(corner, bit);
+    }
+}
+
+#ifndef VOXELS
+
+// The samples of a tile that are in a mask, or beside such by a face, an edge or a corner.
+ulong dilate(ulong mask)
+{
+    for (uint axis = 0; axis < 3; ++axis) {
+        const uint one = 1u << axis, two = 8u << axis;
+        const ulong low = LAYER(axis);
+        mask |= shift_mask(mask, 0, axis) | (mask & (low | low << two)) << one |
+                (mask & low << one) << (two - one);
+    }
+    return mask;
+}
+
+// lost[2 i], lost[2 i + 1]: the set voxels in samples that are not inside; and, of them, those in
+// samples around which no cube is cut, so that nothing of them is left. Work-item i of `items` adds up
+// every items-th tile.
+__kernel void count_lost(__global const uint *codes, const uint n, TILES, SAMPLES,
+                         __global const ulong *below, __global const ulong *cut, const uint items, __global ulong *lost)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= items)
+        return;
+    ulong sum = 0, vanished = 0;
+    for (uint slot = gid; slot < n; slot += items) {
+        if (source[slot] == NOWHERE)
+            continue;
+        const ulong near = dilate(masks[slot]); // those in a cut cube of the tile
+        for (ulong left = below[source[slot]]; left; left &= left - 1) {
+            const uint bit = lowest_bit(left);
+            const uint covered = samples[64 * (size_t)source[slot] + bit];
+            sum += covered;
+            const ulong cell = (ulong)codes[slot] << 6 | bit;
+            bool seen = near >> bit & 1;
+            for (uint j = 0; j < 8 && !seen; ++j) {
+                ulong cube = cell;
+                bool exists = true; // no cube begins below the root: it is empty there
+                for (uint axis = 0; axis < 3; ++axis)
+                    if (j >> axis & 1) {
+                        exists &= (cube & AXIS << axis) != 0;
+                        cube = step_down(cube, axis);
+                    }
+                const uint at = exists ? slot_of(present, ranks, cube >> 6) : NOWHERE;
+                seen = at != NOWHERE && (cut[at] >> (cube & 63) & 1);
+            }
+            vanished += seen ? 0 : covered;
+        }
+    }
+    lost[2 * gid] = sum;
+    lost[2 * gid + 1] = vanished;
+}
+
+#endif

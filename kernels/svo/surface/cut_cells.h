@@ -1,0 +1,118 @@
+// Tiles: 4 x 4 x 4 samples, whose bits (is the sample inside?) are a mask in the order of a brick.
+// Present tiles have a slot; any other is inside or empty as a whole. A cell is the Morton code of a
+// sample, and of the cube of eight samples of which it is the lowest: that of its tile, then 6 bits.
+
+#include "morton_bits.h"
+
+#define ALL 0xFFFFFFFFFFFFFFFFul
+#define AXIS 0x1249249249249249ul // the bits of x in a Morton code
+#define NOWHERE 0xFFFFFFFFu
+
+// The code of the next cell, or tile, along an axis; beyond the root it has more bits than the root's.
+ulong step_up(ulong code, uint axis)
+{
+    const ulong m = AXIS << axis;
+    return (((code | ~m) + 1) & m) | (code & ~m);
+}
+
+// The code of the cell before, which exists.
+ulong step_down(ulong code, uint axis)
+{
+    const ulong m = AXIS << axis;
+    return (((code & m) - 1) & m) | (code & ~m);
+}
+
+// The cell, or tile, at corner j of a cube: a step up, or none, along each axis.
+ulong corner_cell(ulong code, uint j)
+{
+    const ulong x = AXIS, y = AXIS << 1, z = AXIS << 2;
+    return (((code | ~x) + (j & 1)) & x) | (((code | ~y) + (j >> 1 & 1)) & y) |
+           (((code | ~z) + (j >> 2)) & z);
+}
+
+int3 cell_coordinates(ulong cell)
+{
+    return (int3)((int)gather_bits(cell), (int)gather_bits(cell >> 1), (int)gather_bits(cell >> 2));
+}
+
+// The coordinates in a tile of its sample `bit`.
+int3 place_in_tile(uint bit)
+{
+    return (int3)((int)((bit & 1) | (bit >> 2 & 2)), (int)((bit >> 1 & 1) | (bit >> 3 & 2)),
+                  (int)((bit >> 2 & 1) | (bit >> 4 & 2)));
+}
+
+// The samples of coordinate 0 along an axis; the others lie 1, 8 and 9 << axis bits above.
+#define LAYER(axis)                                                                                \
+    ((axis) == 0   ? 0x0055005500550055ul                                                          \
+     : (axis) == 1 ? 0x0000333300003333ul                                                          \
+                   : 0x000000000F0F0F0Ful)
+
+// A mask moved down by one sample along an axis; `next` is the mask beyond it.
+ulong shift_mask(ulong mask, ulong next, uint axis)
+{
+    const ulong low = LAYER(axis);
+    const uint one = 1u << axis, two = 8u << axis;
+    return (mask >> one & (low | low << two)) | (mask >> (two - one) & low << one) |
+           (next << (two + one) & low << (two + one));
+}
+
+// From the masks of a tile and of the seven above it to those of the corners: bit b of corner[j] is
+// that of corner j of cube b.
+void shift_to_corners(ulong *corner)
+{
+    for (uint axis = 0; axis < 3; ++axis)
+        for (uint j = 0; j < 8; ++j)
+            if (j >> axis & 1)
+                corner[j] = shift_mask(corner[j ^ 1u << axis], corner[j], axis);
+}
+
+// What finds a present tile, and the mask of any tile: the host's Tiles.arguments.
+#define TILES                                                                                      \
+    __global const ulong *present, __global const uint *ranks, __global const ulong *inside,       \
+        const uint words, __global const ulong *masks
+#define THESE_TILES present, ranks, inside, words, masks
+
+uint slot_of(__global const ulong *present, __global const uint *ranks, ulong tile)
+{
+    const ulong word = present[tile >> 6], bit = 1ul << (tile & 63);
+    return word & bit ? ranks[tile >> 6] + (uint)popcount(word & (bit - 1)) : NOWHERE;
+}
+
+// The mask of a tile; beyond the root it is empty.
+ulong mask_of(TILES, ulong tile)
+{
+    if (tile >> 6 >= words)
+        return 0;
+    const uint slot = slot_of(present, ranks, tile);
+    return slot != NOWHERE ? masks[slot] : inside[tile >> 6] >> (tile & 63) & 1 ? ALL : 0;
+}
+
+// Bit b of corner[j]: is corner j of cube b of the tile inside?
+void corner_masks(TILES, uint tile, ulong *corner)
+{
+    for (uint j = 0; j < 8; ++j)
+        corner[j] = mask_of(THESE_TILES, corner_cell(tile, j));
+    shift_to_corners(corner);
+}
+
+// The cubes whose corners are not all alike.
+ulong cut_cubes(const ulong *corner)
+{
+    ulong any = 0, all = ALL;
+    for (uint j = 0; j < 8; ++j) {
+        any |= corner[j];
+        all &= corner[j];
+    }
+    return any & ~all;
+}
+
+uint case_of(const ulong *corner, uint cube)
+{
+    uint found = 0;
+    for (uint j = 0; j < 8; ++j)
+        found |= (uint)(corner[j] >> cube & 1) << j;
+    return found;
+}
+
+uint lowest_bit(ulong bits) { return 63 - (uint)clz(bits & -bits); }

@@ -1,0 +1,225 @@
+// Dual surfaces over the cut cubes: a vertex each loop, a quad each cut edge. Host side:
+// voxtool/svo/dual.py. Options: VOXELS, or SAMPLE, the type of coverages.
+
+#include "svo/surface/dual_case_tables.h"
+#include "svo/surface/crossing.h"
+#include "opencl/histopyramid.h"
+
+// What finds a cut cube: the host's CutCubes.lookup.
+#define CUBES __global const ulong *cut, __global const uint *first_cube
+#define THESE_CUBES cut, first_cube
+
+uint cube_of(TILES, CUBES, ulong cell)
+{
+    const uint slot = slot_of(present, ranks, cell >> 6);
+    return first_cube[slot] + (uint)popcount(cut[slot] & ((1ul << (cell & 63)) - 1));
+}
+
+ulong cell_of(__global const uint *codes, uint place)
+{
+    return (ulong)codes[place >> 6] << 6 | (place & 63);
+}
+
+ulong cell_beyond(ulong cell, uint face)
+{
+    return face & 1 ? step_up(cell, face >> 1) : step_down(cell, face >> 1);
+}
+
+// The case of each cube, the alternative one where its pinched face is also that of the cube beyond;
+// and how many loops, quads (the cut edges that begin in its low corner) and cut edges it has.
+__kernel void resolve_cases(__global const uint *codes, TILES, CUBES, __global const uint *places,
+                            __global const uchar *cases, const uint n, __global ushort *resolved,
+                            __global uint *vertices, __global uint *quads, __global uint *links)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    uint found = cases[gid];
+    const uint low_edges = found ^ (found & 1 ? 0xFF : 0); // corners unlike the lowest
+    quads[gid] = (low_edges >> 1 & 1) + (low_edges >> 2 & 1) + (low_edges >> 4 & 1);
+    const uint face = PINCHED_FACE[found];
+    if (face != NO_FACE) {
+        const ulong beyond = cell_beyond(cell_of(codes, places[gid]), face);
+        const uint other = cube_of(THESE_TILES, THESE_CUBES, beyond);
+        if (PINCHED_FACE[cases[other]] == (face ^ 1))
+            found += ALTERNATIVE;
+    }
+    resolved[gid] = (ushort)found;
+    vertices[gid] = LOOP_COUNT[found];
+    uint edges = 0;
+    for (uint edge = 0; edge < 12; ++edge)
+        edges += LOOP_OF[12 * found + edge] != NO_EDGE;
+    links[gid] = edges;
+}
+
+// Blocks: every loop's vertex is the corner that eight samples share.
+__kernel void place_corners(__global const uint *codes, __global const uint *places, const uint n,
+                            __global const uint *first_vertex, const int shift,
+                            __global int *points)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const int3 point = (cell_coordinates(cell_of(codes, places[gid])) - shift + 1) * LATTICE;
+    for (size_t vertex = first_vertex[gid]; vertex < first_vertex[gid + 1]; ++vertex) {
+        points[3 * vertex] = point.x;
+        points[3 * vertex + 1] = point.y;
+        points[3 * vertex + 2] = point.z;
+    }
+}
+
+// Nets: a loop's vertex begins in the mean of its crossings (Gibson 1998).
+__kernel void place_means(__global const uint *codes, TILES, SAMPLES, __global const uint *places,
+                          __global const ushort *resolved, const uint n,
+                          __global const uint *first_vertex, const int shift, __global int *points)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const ulong cell = cell_of(codes, places[gid]);
+    const int3 low = (cell_coordinates(cell) - shift) * LATTICE + LATTICE / 2;
+    const uint found = resolved[gid];
+    for (uint loop = 0; loop < LOOP_COUNT[found]; ++loop) {
+        int3 sum = 0;
+        int edges = 0;
+        for (uint edge = 0; edge < 12; ++edge) {
+            if (LOOP_OF[12 * found + edge] != loop)
+                continue;
+            const uint j = EDGE_CORNER[edge], axis = edge >> 2;
+            const ulong begin = corner_cell(cell, j);
+            const uint slot = slot_of(present, ranks, begin >> 6);
+            const int t = crossing(THESE_TILES, THESE_SAMPLES, begin, slot, axis, found >> j & 1);
+            sum.x += axis == 0 ? t : (int)(j & 1) * LATTICE;
+            sum.y += axis == 1 ? t : (int)(j >> 1 & 1) * LATTICE;
+            sum.z += axis == 2 ? t : (int)(j >> 2 & 1) * LATTICE;
+            ++edges;
+        }
+        const size_t vertex = first_vertex[gid] + loop;
+        points[3 * vertex] = low.x + within((2 * sum.x + edges) / (2 * edges));
+        points[3 * vertex + 1] = low.y + within((2 * sum.y + edges) / (2 * edges));
+        points[3 * vertex + 2] = low.z + within((2 * sum.z + edges) / (2 * edges));
+    }
+}
+
+// The neighbours of each vertex: where its loop goes on into the next cube.
+__kernel void link_vertices(__global const uint *codes, TILES, CUBES, __global const uint *places,
+                            __global const ushort *resolved, const uint n,
+                            __global const uint *first_vertex, __global const uint *first_link,
+                            __global uint *link_start, __global uint *links)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const ulong cell = cell_of(codes, places[gid]);
+    const uint found = resolved[gid];
+    uint link = first_link[gid];
+    for (uint loop = 0; loop < LOOP_COUNT[found]; ++loop) {
+        link_start[first_vertex[gid] + loop] = link;
+        for (uint edge = 0; edge < 12; ++edge) {
+            if (LOOP_OF[12 * found + edge] != loop)
+                continue;
+            const uint face = FACE_OF[12 * found + edge];
+            const uint other = cube_of(THESE_TILES, THESE_CUBES, cell_beyond(cell, face));
+            const uint across = EDGE_ACROSS[12 * face + edge];
+            links[link++] = first_vertex[other] + LOOP_OF[12 * resolved[other] + across];
+        }
+    }
+    if (gid == n - 1)
+        link_start[first_vertex[n]] = link;
+}
+
+// Each coordinate half of the way to the mean of the neighbours', kept off the sides of its cell.
+__kernel void relax(__global const int *points, __global const uint *link_start,
+                    __global const uint *links, const uint n, __global int *relaxed)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint first = link_start[gid], end = link_start[gid + 1];
+    for (uint axis = 0; axis < 3; ++axis) {
+        const int here = points[3 * (size_t)gid + axis];
+        int sum = 0;
+        for (uint link = first; link < end; ++link)
+            sum += points[3 * (size_t)links[link] + axis] - here;
+        const int low = ((here - LATTICE / 2) >> LATTICE_BITS << LATTICE_BITS) + LATTICE / 2;
+        relaxed[3 * (size_t)gid + axis] =
+            low + within(here - low + sum / (2 * (int)(end - first)));
+    }
+}
+
+// Output quad k is the r-th of cube i: the four cubes around a cut edge, counter-clockwise seen from
+// outside, the lowest first.
+__kernel void list_quads(HISTOPYRAMID, const uint n, __global const uint *codes, TILES, CUBES,
+                         __global const uint *places, __global const ushort *resolved,
+                         __global const uint *first_vertex, __global uint *quads)
+{
+    const uint k = get_global_id(0);
+    __local uint found[2 * WORK_GROUP];
+    uint r;
+    const uint i = histopyramid_input(THIS_HISTOPYRAMID, n, found, &r);
+    if (k >= n)
+        return;
+    const ulong cell = cell_of(codes, places[i]);
+    const bool outward = resolved[i] & 1; // along the axis
+    uint axis = 0;
+    for (;; ++axis) {
+        const bool cut_here = (resolved[i] >> (1u << axis) & 1) != outward;
+        if (cut_here && r-- == 0)
+            break;
+    }
+    const uint b = (axis + 1) % 3, c = (axis + 2) % 3;
+    for (uint place = 0; place < 4; ++place) { // (low, low), (high, low), (high, high), (low, high)
+        const uint low_b = place == 0 || place == 3, low_c = place < 2;
+        ulong at = cell;
+        if (low_b)
+            at = step_down(at, b);
+        if (low_c)
+            at = step_down(at, c);
+        const uint edge = EDGE_AROUND[4 * axis + place];
+        const uint cube = cube_of(THESE_TILES, THESE_CUBES, at);
+        quads[4 * (size_t)k + (outward ? place : (4 - place) % 4)] =
+            first_vertex[cube] + LOOP_OF[12 * resolved[cube] + edge];
+    }
+}
+
+long3 to_long(__global const int *points, uint vertex)
+{
+    return (long3)(points[3 * (size_t)vertex], points[3 * (size_t)vertex + 1],
+                   points[3 * (size_t)vertex + 2]);
+}
+
+bool is_flat(long3 a, long3 b, long3 c)
+{
+    const long3 p = b - a, q = c - a;
+    return p.y * q.z == p.z * q.y && p.z * q.x == p.x * q.z && p.x * q.y == p.y * q.x;
+}
+
+long squared(long3 v) { return v.x * v.x + v.y * v.y + v.z * v.z; }
+
+// Two triangles a quad, along its shorter diagonal unless one of them were of zero area: as its
+// corners lie in four cells around an edge, they are never all on a line.
+__kernel void split_quads(__global const uint *quads, const uint n, __global const int *points,
+                          __global uint *triangles)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    uint vertex[4];
+    long3 point[4];
+    for (uint i = 0; i < 4; ++i) {
+        vertex[i] = quads[4 * (size_t)gid + i];
+        point[i] = to_long(points, vertex[i]);
+    }
+    const bool even = squared(point[2] - point[0]) <= squared(point[3] - point[1]);
+    uint first = even ? 0 : 1; // the diagonal is from here to the corner opposite
+    if (is_flat(point[first], point[first + 1], point[first + 2]) ||
+        is_flat(point[first], point[first + 2], point[(first + 3) % 4]))
+        first = 1 - first;
+    __global uint *out = triangles + 6 * (size_t)gid;
+    out[0] = vertex[first];
+    out[1] = vertex[first + 1];
+    out[2] = vertex[first + 2];
+    out[3] = vertex[first];
+    out[4] = vertex[first + 2];
+    out[5] = vertex[(first + 3) % 4];
+}

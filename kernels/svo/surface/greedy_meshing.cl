@@ -1,0 +1,102 @@
+// Coplanar unit quads of blocks joined to rectangles. Host side: voxtool/svo/rectangles.py.
+
+#include "svo/surface/lattice.h"
+#include "svo/surface/greedy_meshing.h"
+
+// A key is, from the highest bits on: the normal's axis a and sign (3 bits), the quad's plane, then
+// two coordinates of its low corner, along b = a + 1 and c = a + 2 (modulo 3); between them, where
+// rows are joined, the row's length. FIELD bits each.
+#define FIELD_MASK ((1ul << FIELD) - 1)
+
+// Quads in rows along b: the keys' order is that of normal, plane, c, b.
+__kernel void key_quads(__global const uint *quads, const uint n, __global const int *points,
+                        __global ulong *keys, __global uint *order)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    int corner[3][3]; // the lowest corner and those beside it
+    for (uint i = 0; i < 3; ++i) {
+        const size_t vertex = quads[4 * (size_t)gid + (i == 2 ? 3 : i)];
+        for (uint axis = 0; axis < 3; ++axis)
+            corner[i][axis] = points[3 * vertex + axis] >> LATTICE_BITS;
+    }
+    uint a = 0;
+    while (corner[1][a] != corner[0][a] || corner[2][a] != corner[0][a])
+        ++a;
+    const uint b = (a + 1) % 3, c = (a + 2) % 3;
+    const bool outward = corner[1][b] != corner[0][b]; // first along b: counter-clockwise from +a
+    const ulong facing = 2 * a + outward;
+    keys[gid] = ((facing << FIELD | (ulong)corner[0][a]) << FIELD | (ulong)corner[0][c]) << FIELD |
+                (ulong)corner[0][b];
+    order[gid] = gid;
+}
+
+// Where a row of keys that rise by one begins; and all places, to be compacted.
+__kernel void flag_rows(__global const ulong *keys, const uint n, __global uint *flags,
+                        __global uint *places)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    flags[gid] = gid == 0 || keys[gid] != keys[gid - 1] + 1;
+    places[gid] = gid;
+}
+
+// Rows of equal beginning and length in columns: the keys' order is normal, plane, b, length, c.
+__kernel void key_rows(__global const ulong *quad_keys, const uint quads,
+                       __global const uint *row_start, const uint n, __global ulong *keys,
+                       __global uint *order)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint start = row_start[gid], end = gid + 1 < n ? row_start[gid + 1] : quads;
+    const ulong key = quad_keys[start];
+    const ulong b = key & FIELD_MASK, c = key >> FIELD & FIELD_MASK;
+    keys[gid] = ((key >> 2 * FIELD << FIELD | b) << FIELD | (ulong)(end - start)) << FIELD | c;
+    order[gid] = gid;
+}
+
+// The rectangle of rows column_start[i] .. : its corners are those of its corner quads. Marks the
+// vertices that serve.
+__kernel void join_rows(__global const uint *column_start, const uint n,
+                        __global const ulong *row_keys, __global const uint *row_order,
+                        const uint rows, __global const uint *row_start,
+                        __global const uint *quad_order, __global const uint *quads,
+                        __global uint *rectangles, volatile __global uint *used)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint first = column_start[gid], last = (gid + 1 < n ? column_start[gid + 1] : rows) - 1;
+    const uint length = (uint)(row_keys[first] >> FIELD & FIELD_MASK);
+    const uint outward = (uint)(row_keys[first] >> 4 * FIELD & 1);
+    const uint low = row_start[row_order[first]], high = row_start[row_order[last]];
+    for (uint corner = 0; corner < 4; ++corner) { // low, along b and, where outward, on along c
+        const bool far_b = corner == 2 || corner == (outward ? 1 : 3);
+        const bool far_c = corner == 2 || corner == (outward ? 3 : 1);
+        const uint quad = quad_order[(far_c ? high : low) + (far_b ? length - 1 : 0)];
+        const uint vertex = quads[4 * (size_t)quad + corner];
+        rectangles[4 * (size_t)gid + corner] = vertex;
+        atomic_or(&used[vertex], 1u);
+    }
+}
+
+// The vertices that serve, at their new numbers.
+__kernel void keep_points(__global const int *points, __global const uint *numbers, const uint n,
+                          __global int *kept)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n || numbers[gid] == numbers[gid + 1])
+        return;
+    for (uint axis = 0; axis < 3; ++axis)
+        kept[3 * (size_t)numbers[gid] + axis] = points[3 * (size_t)gid + axis];
+}
+
+__kernel void renumber(__global uint *rectangles, const uint n, __global const uint *numbers)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n)
+        rectangles[gid] = numbers[rectangles[gid]];
+}

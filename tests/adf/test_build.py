@@ -1,0 +1,773 @@
+"""Building distance fields: what is stored against other algorithms, formulas and recounts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import meshes
+import numpy as np
+import pytest
+from conftest import model, opened, usable_devices
+from helpers_distance import brute
+from helpers_field import HALVES, OCTANTS, cells_of
+from helpers_signs import winding
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from voxtool.adf import build
+from voxtool.adf.accuracy import measure
+from voxtool.adf.build import CROSSED, build_adf
+from voxtool.adf.field import JUMP, bound_values
+from voxtool.adf.plan import BLOCK_BYTES
+from voxtool.adf.samples import SAMPLES
+from voxtool.files.mesh import load_mesh
+from voxtool.mesh.mesh import Mesh, mesh_from_arrays
+from voxtool.morton import morton_encode
+from voxtool.spatial.sampling import spread_in_cube
+from voxtool.spatial.signed_distance import SignedDistance
+from voxtool.spatial.winding_number import WindingNumber
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from voxtool.adf.field import DistanceField
+    from voxtool.opencl import Device
+
+EXACT = 2e-15  # error of what is compared with, in sides
+SHAPE = (8, 8, 8)
+CLEAR = 0.02  # of a winding number from 1/2: beyond it, its sign is certain
+HALF_DIAGONAL = math.sqrt(3) / 2
+
+
+@pytest.fixture(autouse=True)
+def unmeasured(monkeypatch) -> None:
+    """Errors are measured where they are tested: they take longer than what is built here."""
+    monkeypatch.setattr(build, "measure", lambda *_: {})
+
+
+def mesh_of(vertices, faces=None) -> Mesh:
+    vertices = np.ascontiguousarray(vertices, np.float64).reshape(-1, 3)
+    faces = np.arange(len(vertices)).reshape(-1, 3) if faces is None else faces
+    return Mesh(vertices, np.ascontiguousarray(faces, np.int32))
+
+
+def weights_at(points: np.ndarray) -> np.ndarray:
+    """(..., 8) of a cell's corners at (..., 3) points of it, from 0 to 1."""
+    near = np.where(OCTANTS == 1, points[..., None, :], 1 - points[..., None, :])
+    return near.prod(axis=-1)
+
+
+@dataclass
+class Tree:
+    """The children of a field's blocks, leaves or not, each with its own corners."""
+
+    field: DistanceField
+
+    @cached_property
+    def blocks(self) -> tuple[np.ndarray, np.ndarray]:
+        return cells_of(self.field)
+
+    @cached_property
+    def levels(self) -> np.ndarray:
+        return np.repeat(self.blocks[0] + 1, 8)
+
+    @cached_property
+    def cells(self) -> np.ndarray:
+        return (2 * self.blocks[1].astype(np.int64)[:, None] + OCTANTS).reshape(-1, 3)
+
+    @cached_property
+    def refined(self) -> np.ndarray:
+        own = self.field.blocks.astype(np.uint64)
+        return np.isin(own[:, None] << np.uint64(3) | morton_encode(OCTANTS), own).ravel()
+
+    @cached_property
+    def corners(self) -> np.ndarray:
+        """(n, 8) float64 of float32."""
+        v = self.field.voxels
+        parts = [v[:, z : z + 2, y : y + 2, x : x + 2].reshape(-1, 8) for x, y, z in OCTANTS]
+        return np.stack(parts, axis=1).reshape(-1, 8).astype(np.float64)
+
+    @property
+    def codes(self) -> np.ndarray:
+        assert self.field.bounds is not None
+        return self.field.bounds.ravel()
+
+    def world(self, which: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """(n, k, 3) points of the unit cube in each of n children, in the world."""
+        at = (self.cells[which][:, None] + points) * np.exp2(-self.levels[which])[:, None, None]
+        return np.array(self.field.origin) + self.field.side * at
+
+    def vertices(self) -> np.ndarray:
+        """(27 n, 3) of all blocks, in units of the deepest lattice."""
+        levels, ijk = self.blocks
+        shift = (self.field.depth - 1 - levels)[:, None, None]
+        return ((2 * ijk.astype(np.int64)[:, None] + HALVES) << shift).reshape(-1, 3)
+
+    def vertices_in_world(self) -> np.ndarray:
+        unit = 0.5**self.field.depth
+        return np.array(self.field.origin) + self.field.side * (self.vertices() * unit)
+
+    def hanging(self) -> np.ndarray:
+        """(27 n,) bool: the vertices that lie on a leaf of the block's own level or coarser."""
+        levels, ijk = self.blocks
+        leading = np.uint64(1) << (3 * levels).astype(np.uint64)
+        size = (1 << levels.astype(np.int64))[:, None]
+        hangs = np.zeros((len(levels), 27), bool)
+        for vertex, half in enumerate(HALVES):
+            if (half == 1).sum() in (0, 3):
+                continue
+            for beside in OCTANTS[1:] * (half - 1):
+                at = ijk.astype(np.int64) + beside
+                inside = ((at >= 0) & (at < size)).all(axis=1)
+                codes = morton_encode(at.clip(0)) | leading
+                hangs[:, vertex] |= inside & ~np.isin(codes, self.field.blocks.astype(np.uint64))
+        places = np.unique(self.vertices(), axis=0, return_inverse=True)[1].ravel()
+        return np.bincount(places, hangs.ravel())[places] > 0
+
+
+def check_voxels(
+    field: DistanceField, exact: Callable[[np.ndarray], np.ndarray], error: float = EXACT
+) -> Tree:
+    """That what does not hang is the distance, rounded to float32; `exact` is in world units."""
+    tree = Tree(field)
+    field.validate()
+    distance = exact(tree.vertices_in_world()) / field.side
+    apart = np.abs(field.voxels.ravel().astype(np.float64) - distance)
+    wrong = apart > np.spacing(np.abs(distance).astype(np.float32)) + error
+    if field.continuous:
+        wrong &= ~tree.hanging()
+    assert not wrong.any(), (tree.vertices_in_world()[wrong][:3], apart[wrong].max())
+    return tree
+
+
+def check_bounds(
+    field: DistanceField,
+    exact: Callable[[np.ndarray], np.ndarray],
+    seed: int = 0,
+    count: int = 40,
+    most: int = 4000,
+    unclear: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> np.ndarray:
+    """That no leaf is further from the distance than its bound, at random points and on a lattice
+    of sixths, and then near the worst of these; returns the leaves that were looked at."""
+    tree, rng = Tree(field), np.random.default_rng(seed)
+    leaves = np.flatnonzero(~tree.refined & (tree.codes != JUMP))
+    if len(leaves) > most:
+        leaves = np.sort(rng.choice(leaves, most, replace=False))
+    points = rng.uniform(size=(len(leaves), count, 3))
+    points[:, : count // 2] = np.rint(points[:, : count // 2] * 6) / 6
+    for _ in range(2):
+        stored = (weights_at(points) * tree.corners[leaves][:, None]).sum(axis=-1)
+        world = tree.world(leaves, points).reshape(-1, 3)
+        distance = exact(world).reshape(stored.shape) / field.side
+        error = np.abs(stored - distance)
+        if unclear is not None:
+            error[unclear(world).reshape(error.shape)] = 0
+        excess = error.max(axis=1) - bound_values()[tree.codes[leaves]]
+        at = int(excess.argmax())
+        assert excess[at] <= EXACT, (
+            f"{np.count_nonzero(excess > EXACT)} of {len(leaves)} leaves; worst: error "
+            f"{error[at].max():.3g}, bound {bound_values()[tree.codes[leaves[at]]]:.3g}, level "
+            f"{tree.levels[leaves[at]]}, cell {tree.cells[leaves[at]]}"
+        )
+        worst = points[np.arange(len(leaves)), error.argmax(axis=1)]
+        points = (worst[:, None] + 0.1 * rng.normal(size=points.shape)).clip(0, 1)
+    return leaves
+
+
+# ---- shapes
+
+
+def capped_cone(n: int = 96) -> Mesh:
+    """Of radius 1 and height 2, its apex at (0, 0, 2)."""
+    t = 2 * np.pi * np.arange(n) / n
+    rim = np.stack([np.cos(t), np.sin(t), 0 * t], axis=1)
+    i, j = np.arange(n), (np.arange(n) + 1) % n
+    faces = [np.stack([i, j, 0 * i + n], 1), np.stack([j, i, 0 * i + n + 1], 1)]
+    return mesh_of([*rim, (0, 0, 2), (0, 0, 0)], np.concatenate(faces))
+
+
+def to_cone(points: np.ndarray) -> np.ndarray:
+    radius, z = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2), points[:, 2]
+    along = np.clip(((radius - 1) * -1 + z * 2) / 5, 0, 1)
+    slant = np.sqrt((radius - 1 + along) ** 2 + (z - 2 * along) ** 2)
+    base = np.sqrt(np.maximum(radius - 1, 0) ** 2 + z**2)
+    within = (z > 0) & (2 * radius + z < 2)
+    return np.where(within, -1, 1) * np.minimum(slant, base)
+
+
+def to_sphere(points: np.ndarray) -> np.ndarray:
+    return np.sqrt((points**2).sum(axis=1)) - 1
+
+
+def to_torus(points: np.ndarray) -> np.ndarray:
+    ring = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2) - 2
+    return np.sqrt(ring**2 + points[:, 2] ** 2) - 1
+
+
+def to_box(points: np.ndarray) -> np.ndarray:
+    beyond = np.maximum(-points, points - (3, 4, 5))
+    return np.sqrt((np.maximum(beyond, 0) ** 2).sum(axis=1)) + np.minimum(beyond.max(axis=1), 0)
+
+
+def fan(n: int, height: float, waves: float = 0.0) -> Mesh:
+    """A disc pulled up in its middle, over a point below: its rim may wave."""
+    t = 2 * np.pi * np.arange(n) / n
+    rim = np.stack([np.cos(t), np.sin(t), waves * np.cos(t * (n // 2))], axis=1)
+    i, j = np.arange(n), (np.arange(n) + 1) % n
+    faces = [np.stack([i, j, 0 * i + n], 1), np.stack([j, i, 0 * i + n + 1], 1)]
+    return mesh_of([*rim, (0.03, 0.02, height), (0, 0, -1.5)], np.concatenate(faces))
+
+
+def dented_octahedron(seed: int) -> Mesh:
+    vertices, faces = meshes.octahedron(0, 1)
+    return mesh_of(vertices + 0.25 * np.random.default_rng(seed).normal(size=(6, 3)), faces)
+
+
+CLOSED = {
+    "torus": lambda: mesh_of(*meshes.torus(sides=(9, 5))),
+    "flat fan": lambda: fan(9, 0.01),
+    "fan": lambda: fan(9, 0.6),
+    "hollow fan": lambda: fan(12, -0.6),
+    "saddle": lambda: fan(8, 0.1, 0.5),
+    "thin box": lambda: mesh_of(*meshes.box((0, 0, 0), (1, 1, 1e-3))),
+    "two boxes": lambda: mesh_of(
+        *meshes.join(meshes.box(0, (1, 1, 0.1)), meshes.box((0.1, 0, 0.101), (1.1, 0.9, 0.2)))
+    ),
+    "needle": lambda: mesh_of(*meshes.tetrahedron((0, 0, 0), (9, 1, 0), (9, 0, 1), (9, -1, -1))),
+    "dented": lambda: dented_octahedron(1),
+}
+OPEN = {
+    "triangle": lambda: mesh_of([(0, 0, 0), (2, 0, 0.5), (0, 2, 0.5)]),
+    "sheets": lambda: mesh_of(
+        [(0, 0, 0), (1, 0, 0.2), (0, 1, 0.1), (0, 0, 0.01), (1, 0, 0.21), (0, 1, 0.11)]
+    ),
+    "loose": lambda: mesh_of(*meshes.random_triangles(np.random.default_rng(2), 7, (16,) * 3)),
+    "tiny and large": lambda: mesh_of(
+        *meshes.join(meshes.icosphere(1, (0.3, 0.2, 0.4), 1e-3), (np.eye(3), np.array([(0, 1, 2)])))
+    ),
+}
+continuity = pytest.mark.parametrize("continuous", [True, False], ids=["continuous", "cracks"])
+
+
+# ---- the stored distances
+
+
+@given(meshes.fixed_triangles(SHAPE, max_triangles=6), st.booleans(), st.booleans())
+@settings(max_examples=15)
+def test_any_triangles(device: Device, triangles, twice: bool, continuous: bool) -> None:
+    vertices, faces = triangles
+    mesh = mesh_of(vertices / 256, np.concatenate([faces, faces[::-1]]) if twice else faces)
+    if not np.ptp(mesh.bounds, axis=0).any():
+        return  # a point: no cube is about it
+    field = build_adf(mesh, device, tolerance=0.02, max_level=3, sign="none", continuous=continuous)
+    corners = mesh.vertices[mesh.faces]
+    check_voxels(field, lambda points: brute(points, corners))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_slivers(device: Device, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = rng.uniform(-1, 1, (2, 4, 3))
+    c = (
+        a
+        + rng.uniform(-0.3, 1.3, (4, 1)) * (b - a)
+        + 10.0 ** -rng.uniform(2, 8) * rng.normal(size=(4, 3))
+    )
+    mesh = mesh_of(np.stack([a, b, c], axis=1))
+    field = build_adf(mesh, device, tolerance=0.01, max_level=3, sign="none", continuous=False)
+    check_voxels(field, lambda points: brute(points, mesh.vertices[mesh.faces]))
+
+
+@continuity
+@pytest.mark.parametrize(
+    ("mesh", "formula", "error"),
+    [
+        (lambda: mesh_of(*meshes.icosphere(4)), to_sphere, 0.0015),
+        (lambda: mesh_of(*meshes.box(0, (3, 4, 5))), to_box, 0),
+        (lambda: mesh_of(*meshes.torus(sides=(96, 48))), to_torus, 0.01),
+        (capped_cone, to_cone, 0.0006),  # 1 - cos(pi / 96)
+    ],
+    ids=["sphere", "box", "torus", "cone"],
+)
+def test_formulas(device: Device, mesh, formula, error: float, continuous: bool) -> None:
+    mesh = mesh()
+    field = build_adf(mesh, device, tolerance=4e-3, max_level=4, continuous=continuous)
+    assert field.sign == "pseudonormal"
+    check_voxels(field, formula, error / field.side + EXACT)
+
+
+@pytest.mark.parametrize("name", CLOSED)
+@pytest.mark.parametrize("sign", ["pseudonormal", "winding"])
+def test_closed_meshes_are_the_signed_distance(device: Device, name: str, sign: str) -> None:
+    mesh = CLOSED[name]()
+    field = build_adf(mesh, device, tolerance=8e-3, max_level=4, sign=sign, continuous=False)
+    check_voxels(field, SignedDistance(mesh, device, sign))
+
+
+def settled(mesh: Mesh, device: Device, sign: str) -> Callable[[np.ndarray], np.ndarray]:
+    """The points at which the winding number does not tell the side."""
+    if sign != "winding":
+        return lambda points: np.zeros(len(points), bool)
+    number = WindingNumber(mesh, device)
+    return lambda points: np.abs(number(points) - 0.5) <= CLEAR
+
+
+CROSSING = {
+    "box without lid": lambda: mesh_of(*meshes.open_box(0, (4, 3, 2))),
+    "crossing boxes": lambda: mesh_of(*meshes.join(meshes.box(0, 4), meshes.box((2, 1, 1), 6))),
+    "a face pierced": lambda: mesh_of(
+        *meshes.join(meshes.box(0, 16), meshes.box((9, 3, 15), (11, 5, 17)))
+    ),
+    # four triangles about nothing, whose diagonals differ
+    "no thickness": lambda: mesh_of(
+        [(0, 0, 0), (1, 0, 0.3), (1, 1, 0.3), (0, 1, 0)],
+        [(0, 1, 2), (0, 2, 3), (0, 3, 1), (1, 3, 2)],
+    ),
+}
+
+
+SELF_CROSSING = {
+    **{name: CROSSING[name] for name in ("crossing boxes", "a face pierced")},
+    # which runs from a face of the other through its middle and out beyond the slant
+    "a spike through": lambda: mesh_of(
+        *meshes.join(
+            meshes.tetrahedron((0, 0, 0), (8, 0, 0), (0, 8, 0), (0, 0, 8)),
+            meshes.tetrahedron((1.9, 2.1, -6), (2.1, 1.9, -6), (2.3, 2.3, -6), (2, 2, 9)),
+        )
+    ),
+}
+
+
+def check_signs(mesh: Mesh, field: DistanceField, device: Device) -> None:
+    """That distances are those of SignedDistance, and so are signs where they are certain."""
+    tree = Tree(field)
+    points = tree.vertices_in_world()
+    unclear = settled(mesh, device, field.sign)(points)
+    expected = SignedDistance(mesh, device, field.sign)(points) / field.side
+    stored = field.voxels.ravel().astype(np.float64)
+    apart = np.abs(np.abs(stored) - np.abs(expected))
+    assert (apart <= np.spacing(np.abs(expected).astype(np.float32)) + EXACT).all()
+    wrong = ((stored < 0) != (expected < 0)) & ~unclear & (np.abs(expected) > 1e-12)
+    assert not wrong.any(), f"{np.count_nonzero(wrong)} of {len(wrong)}: {points[wrong][:2]}"
+
+
+@pytest.mark.parametrize("name", CROSSING)
+def test_signs_of_meshes_that_are_open_or_cross(device: Device, name: str) -> None:
+    mesh = CROSSING[name]()
+    field = build_adf(mesh, device, tolerance=4e-3, max_level=6, sign="winding", continuous=False)
+    check_signs(mesh, field, device)
+
+
+@pytest.mark.parametrize("name", SELF_CROSSING)
+def test_closed_meshes_that_pass_through_themselves(device: Device, name: str) -> None:
+    """Winding numbers are their default: inside is what is in any part."""
+    mesh = SELF_CROSSING[name]()
+    field = build_adf(mesh, device, tolerance=4e-3, max_level=5, continuous=False)
+    assert field.sign == "winding"
+    assert not field.plan["closed"]
+    assert 0 < field.plan["crossed_triangles"] < len(mesh.faces)
+    assert "search for jumps of the sign" not in field.plan["left_out"]
+    assert field.reached["jumps"] == 0
+    check_signs(mesh, field, device)
+    some = np.random.default_rng(1).choice(27 * len(field.voxels), 500, replace=False)
+    inside = winding(Tree(field).vertices_in_world()[some], mesh.vertices[mesh.faces]) > 0.5
+    stored = field.voxels.ravel()[some]
+    assert ((stored < 0) == inside)[np.abs(stored) > 1e-9].all()
+    assert 10 < np.count_nonzero(inside) < 490
+
+
+@pytest.mark.parametrize("name", SELF_CROSSING)
+def test_pseudonormals_where_closed_meshes_pass_through_themselves(
+    device: Device, name: str
+) -> None:
+    """As asked for, though they are no sides there: distances are right, and some signs jump."""
+    mesh = SELF_CROSSING[name]()
+    field = build_adf(
+        mesh, device, tolerance=4e-3, max_level=5, sign="pseudonormal", continuous=False
+    )
+    assert field.sign == "pseudonormal"
+    assert field.reached["jumps"] > 0
+    points = Tree(field).vertices_in_world()
+    distance = SignedDistance(mesh, device, "none")(points) / field.side
+    stored = np.abs(field.voxels.ravel().astype(np.float64))
+    assert (np.abs(stored - distance) <= np.spacing(distance.astype(np.float32)) + EXACT).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "sign"),
+    [
+        ("stanford-bunny", "winding"),
+        ("teapot", "winding"),
+        ("rocker-arm", "pseudonormal"),
+        ("spot", "pseudonormal"),
+        ("suzanne", "none"),
+    ],
+)
+def test_real_models(device: Device, name: str, sign: str) -> None:
+    mesh = load_mesh(model(f"{name}.obj"))
+    field = build_adf(mesh, device, tolerance=4e-3, max_level=4, sign=sign, continuous=False)
+    check_signs(mesh, field, device)
+
+
+# ---- the tree
+
+
+def examined(tree: Tree, exact: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """(n,) of every child, how far its interpolation is from the distance at the samples."""
+    points = SAMPLES.T / 4
+    everything = np.arange(len(tree.levels))
+    world = tree.world(everything, np.broadcast_to(points, (len(everything), *points.shape)))
+    distance = exact(world.reshape(-1, 3)).reshape(len(everything), -1) / tree.field.side
+    return np.abs(tree.corners @ weights_at(points).T - distance).max(axis=1)
+
+
+def check_tree(field: DistanceField, mesh: Mesh, device: Device) -> Tree:
+    """That leaves are leaves, and refined cells refined, for the reasons that there are."""
+    tree = Tree(field)
+    field.validate()
+    errors = examined(tree, SignedDistance(mesh, device, field.sign))
+    edge = np.exp2(-tree.levels)
+    unsigned = SignedDistance(mesh, device, "none")
+    middles = tree.world(np.arange(len(edge)), np.full((len(edge), 1, 3), 0.5))
+    middle = unsigned(middles.reshape(-1, 3)) / field.side
+    passed = middle <= HALF_DIAGONAL * edge * (1 + 1e-9)
+    jumps = tree.codes == JUMP
+    beyond = middle - HALF_DIAGONAL * edge > field.band
+    over = (errors > field.tolerance * (1 + 1e-6)) & ~beyond & ~jumps
+    under = errors < field.tolerance * (1 - 1e-6)
+    assert not (over & ~tree.refined & (tree.levels < field.max_level)).any()
+    assert not (under & tree.refined & ~(passed & (edge > CROSSED * field.tolerance))).any()
+    assert not (beyond & tree.refined).any()
+    assert tree.levels.max() <= field.max_level
+    missed = over & ~tree.refined
+    assert field.reached["missed"] == np.count_nonzero(missed)
+    assert field.reached["jumps"] == np.count_nonzero(jumps)
+    assert field.reached["leaves"] == np.count_nonzero(~tree.refined)
+    if missed.any():
+        worst = field.reached["worst"]
+        at = int(np.argmax(np.where(missed, errors, 0)))
+        assert worst["error"] == pytest.approx(errors[at], rel=1e-6)
+        inside = (np.array(worst["where"]) - field.origin) / field.side * 2.0 ** worst["level"]
+        same = (tree.levels == worst["level"]) & (tree.cells == np.floor(inside)).all(axis=1)
+        assert errors[same].tolist() == pytest.approx([errors[at]], rel=1e-6)
+    else:
+        assert "worst" not in field.reached
+    return tree
+
+
+@continuity
+@pytest.mark.parametrize(
+    ("name", "request_"),
+    [
+        ("torus", {"tolerance": 1e-2}),
+        ("torus", {"tolerance": 1e-3, "band": 0.02}),
+        ("fan", {"tolerance": 3e-3, "max_level": 5}),
+        ("two boxes", {"tolerance": 1e-2, "sign": "none"}),
+        ("thin box", {"tolerance": 2e-2, "max_level": 3}),
+        ("triangle", {"tolerance": 1e-2, "sign": "none"}),
+        ("sheets", {"tolerance": 5e-3, "sign": "none"}),
+        ("loose", {"tolerance": 2e-2, "sign": "none"}),
+    ],
+)
+def test_leaves_are_leaves_for_a_reason(
+    device: Device, name: str, request_: dict[str, Any], continuous: bool
+) -> None:
+    mesh = {**CLOSED, **OPEN}[name]()
+    field = build_adf(mesh, device, continuous=continuous, **{"max_level": 4, **request_})
+    check_tree(field, mesh, device)
+
+
+@continuity
+@pytest.mark.parametrize("tolerance", [4e-4, 1e-3, 5e-3])
+def test_jumps_are_refined_while_they_are_coarse(
+    device: Device, tolerance: float, continuous: bool
+) -> None:
+    """Leaves in which the sign jumps have an edge of CROSSED tolerances at most, or the last level:
+    so the sides of a box without lid, which are no jump, are told from the hole."""
+    mesh = CROSSING["box without lid"]()
+    field = build_adf(mesh, device, tolerance=tolerance, max_level=5, continuous=continuous)
+    tree = Tree(field)
+    jumps = np.flatnonzero(tree.codes == JUMP)
+    assert len(jumps)
+    coarse = np.exp2(-tree.levels[jumps]) > CROSSED * tolerance
+    assert (tree.levels[jumps][coarse] == 5).all(), np.bincount(tree.levels[jumps])
+    assert coarse.any() == (tolerance == 4e-4)
+
+
+def test_the_largest_errors_are_refined_first(device: Device) -> None:
+    mesh = CLOSED["fan"]()
+    whole = build_adf(mesh, device, tolerance=1e-3, max_level=5, continuous=False)
+    for most in (BLOCK_BYTES, 20 * BLOCK_BYTES, 100 * BLOCK_BYTES + 1):
+        field = build_adf(
+            mesh, device, tolerance=1e-3, max_level=5, continuous=False, max_bytes=most
+        )
+        assert len(field.voxels) == most // BLOCK_BYTES < len(whole.voxels)
+        tree = check_refused(field, mesh, device)
+        assert field.reached["missed"] > 0 or not tree.refined.all()
+
+
+def check_refused(field: DistanceField, mesh: Mesh, device: Device) -> Tree:
+    """That no cell of a level was refused that has a larger error than one that was refined."""
+    tree = Tree(field)
+    field.validate()
+    errors = examined(tree, SignedDistance(mesh, device, field.sign))
+    for level in range(1, field.depth + 1):
+        of = tree.levels == level
+        if tree.refined[of].any() and not tree.refined[of].all():
+            assert errors[of & tree.refined].min() >= errors[of & ~tree.refined].max() - 1e-7
+    return tree
+
+
+# ---- the bounds
+
+
+@continuity
+@pytest.mark.parametrize("name", CLOSED)
+def test_bounds_of_closed_meshes(device: Device, name: str, continuous: bool) -> None:
+    mesh = CLOSED[name]()
+    for request in ({"tolerance": 1e-2, "max_level": 4}, {"tolerance": 1e-3, "max_level": 3}):
+        field = build_adf(mesh, device, continuous=continuous, **request)
+        assert len(check_bounds(field, SignedDistance(mesh, device)))
+
+
+@continuity
+@pytest.mark.parametrize("name", [*OPEN, "torus", "thin box", "two boxes", "needle"])
+def test_bounds_without_sign(device: Device, name: str, continuous: bool) -> None:
+    mesh = {**CLOSED, **OPEN}[name]()
+    field = build_adf(mesh, device, tolerance=1e-2, max_level=4, sign="none", continuous=continuous)
+    assert len(check_bounds(field, SignedDistance(mesh, device, "none")))
+
+
+@continuity
+@pytest.mark.parametrize("name", CROSSING)
+def test_bounds_by_winding_numbers(device: Device, name: str, continuous: bool) -> None:
+    mesh = CROSSING[name]()
+    field = build_adf(
+        mesh, device, tolerance=5e-3, max_level=6, sign="winding", continuous=continuous
+    )
+    check_bounds(
+        field,
+        SignedDistance(mesh, device, "winding"),
+        unclear=settled(mesh, device, "winding"),
+        most=20_000,
+        count=12,
+    )
+
+
+@continuity
+@pytest.mark.parametrize("name", SELF_CROSSING)
+def test_bounds_where_closed_meshes_pass_through_themselves(
+    device: Device, name: str, continuous: bool
+) -> None:
+    mesh = SELF_CROSSING[name]()
+    for request in ({"tolerance": 5e-3, "max_level": 5}, {"tolerance": 1e-3, "max_level": 4}):
+        field = build_adf(mesh, device, continuous=continuous, **request)
+        exact, unclear = (
+            SignedDistance(mesh, device, "winding"), settled(mesh, device, "winding"),
+        )  # fmt: skip
+        check_bounds(field, exact, unclear=unclear, count=12)
+
+
+@continuity
+@pytest.mark.parametrize("name", SELF_CROSSING)
+def test_bounds_of_sizes_by_pseudonormals_that_jump(
+    device: Device, name: str, continuous: bool
+) -> None:
+    """Where closed meshes pass through themselves, no matter which sign is said: how far the
+    surface is."""
+    mesh = SELF_CROSSING[name]()
+    request = {"tolerance": 1e-3, "max_level": 4, "sign": "pseudonormal"}
+    field = build_adf(mesh, device, continuous=continuous, **request)
+    tree, points = Tree(field), np.random.default_rng(2).uniform(size=(12, 3))
+    leaves = np.flatnonzero(~tree.refined & (tree.codes != JUMP))
+    stored = np.abs(tree.corners[leaves] @ weights_at(points).T)
+    world = tree.world(leaves, np.broadcast_to(points, (len(leaves), *points.shape)))
+    distance = SignedDistance(mesh, device, "none")(world.reshape(-1, 3)).reshape(stored.shape)
+    error = np.abs(stored - distance / field.side).max(axis=1)
+    assert (error <= bound_values()[tree.codes[leaves]] + EXACT).all()
+
+
+# ---- leaves of different level
+
+
+def leaf_at(tree: Tree, points: np.ndarray, bits: int) -> np.ndarray:
+    """(N,) which child is the leaf at (N, 3) int64 points, in units of 2**-bits sides."""
+    leaves = np.flatnonzero(~tree.refined)
+    levels = tree.levels[leaves].astype(np.uint64)
+    codes = morton_encode(tree.cells[leaves]) | np.uint64(1) << np.uint64(3) * levels
+    order = np.argsort(codes)
+    found = np.full(len(points), -1)
+    for level in range(1, tree.field.depth + 1):
+        wanted = morton_encode(points >> (bits - level)) | np.uint64(1 << 3 * level)
+        at = order[np.searchsorted(codes[order], wanted).clip(max=len(order) - 1)]
+        found = np.where(codes[at] == wanted, leaves[at], found)
+    assert (found >= 0).all()
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "request_"),
+    [
+        ("torus", {"tolerance": 1e-2}),
+        ("torus", {"tolerance": 1e-3, "band": 0.01}),
+        ("torus", {"tolerance": 1e-4, "max_level": 6, "max_bytes": 20_000}),
+        ("needle", {"tolerance": 3e-3, "max_level": 6}),
+        ("loose", {"tolerance": 1e-2, "sign": "none"}),
+        ("box without lid", {"tolerance": 1e-2}),
+    ],
+)
+def test_both_sides_of_a_face_agree(device: Device, name: str, request_: dict[str, Any]) -> None:
+    mesh = {**CLOSED, **OPEN, **CROSSING}[name]()
+    field = build_adf(mesh, device, **{"max_level": 5, **request_})
+    tree, rng, bits = Tree(field), np.random.default_rng(1), 20
+    _, first, copies = np.unique(tree.vertices(), axis=0, return_index=True, return_inverse=True)
+    stored = field.voxels.ravel()
+    assert np.array_equal(stored, stored[first][copies.ravel()])
+
+    leaves = np.flatnonzero(~tree.refined)
+    points = rng.integers(0, 5, (len(leaves), 6, 10, 3)) / 4
+    points[:, :, 5:] = rng.integers(0, 1 << 10, (len(leaves), 6, 5, 3)) / (1 << 10)
+    for face in range(6):
+        points[:, face, :, face // 2] = face % 2
+    edge = (1 << (bits - tree.levels[leaves]).astype(np.int64))[:, None, None, None]
+    at = np.rint(tree.cells[leaves][:, None, None] * edge + points * edge).astype(np.int64)
+    across = at.copy()
+    for face in range(6):
+        across[:, face, :, face // 2] -= 1 - face % 2
+    inside = ((across >= 0) & (across < 1 << bits)).all(axis=-1)
+    own = np.broadcast_to(leaves[:, None, None], inside.shape)[inside]
+    other = leaf_at(tree, across[inside].clip(0, (1 << bits) - 1), bits)
+    finer = tree.levels[own] > tree.levels[other]
+    own, other, at = own[finer], other[finer], at[inside][finer]
+    assert len(own) > 100
+    sides = []
+    for which in (own, other):
+        within = at * np.exp2(tree.levels[which] - float(bits))[:, None] - tree.cells[which]
+        assert (within >= 0).all()
+        assert (within <= 1).all()
+        sides.append((weights_at(within) * tree.corners[which]).sum(axis=1))
+    ulp = np.spacing(np.abs(tree.corners[other]).max(axis=1).astype(np.float32))
+    assert (np.abs(sides[0] - sides[1]) <= 2 * ulp).all()
+
+
+# ---- the errors that are told
+
+
+@pytest.mark.parametrize("band", [math.inf, 0.05])
+@pytest.mark.parametrize("name", ["fan", "box without lid"])
+def test_errors(device: Device, name: str, band: float, monkeypatch) -> None:
+    """Within the band, and where the sign does not jump."""
+    monkeypatch.setattr(build, "measure", measure)
+    mesh = {**CLOSED, **CROSSING}[name]()
+    field = build_adf(mesh, device, tolerance=5e-3, max_level=4, band=band)
+    told = field.reached["errors"]
+    points = np.array(field.origin) + field.side * spread_in_cube(1 << 15)
+    exact = SignedDistance(mesh, device, field.sign)(points) / field.side
+    answer = field.query(points, bounds=True)
+    assert answer.bound is not None
+    counts = np.isfinite(answer.bound) & (np.abs(exact) <= band)
+    assert (counts.sum() < len(points)) == (band < 1 or name == "box without lid")
+    errors = np.sort(np.abs(answer.distance / field.side - exact)[counts])
+    assert told["in the cube"] == pytest.approx(
+        {
+            "points": len(errors),
+            "max": errors[-1],
+            "rms": np.sqrt(np.mean(errors**2)),
+            "p99": errors[math.ceil(0.99 * len(errors)) - 1],
+            "within": np.mean(errors <= 5e-3),
+        },
+        rel=1e-9,
+    )
+    near = told["near the surface"]
+    assert 0 < near["rms"] <= near["max"] < 0.1
+    assert near["p99"] <= near["max"]
+    assert 1 << 14 < near["points"] <= 1 << 15
+    assert 0.5 < near["within"] <= 1
+
+
+# ---- what changes nothing
+
+
+SAME = ("voxels", "cells", "bounds")
+
+
+@pytest.mark.parametrize("sign", ["pseudonormal", "winding", "none"])
+@pytest.mark.parametrize("exponent", [-40, 40])
+def test_scale_changes_no_bit(device: Device, sign: str, exponent: int) -> None:
+    mesh = mesh_of(*meshes.torus(sides=(11, 7)))
+    scaled = replace(mesh, vertices=np.ldexp(mesh.vertices, exponent))
+    one, other = (
+        build_adf(m, device, tolerance=1e-2, max_level=4, sign=sign) for m in (mesh, scaled)
+    )
+    for name in SAME:
+        assert np.array_equal(getattr(one, name), getattr(other, name)), name
+    assert np.array_equal(one.hash.offsets, other.hash.offsets)
+    assert (other.side, other.origin) == (
+        math.ldexp(one.side, exponent), tuple(math.ldexp(x, exponent) for x in one.origin)
+    )  # fmt: skip
+    assert one.lipschitz == other.lipschitz
+
+
+@pytest.mark.parametrize(
+    ("scale", "shift", "error"),
+    [
+        (1e12, 0.0, 4e-16),
+        (1e-12, 0.0, 4e-16),
+        (1.0, 1e6, 2 * math.sqrt(3) * np.spacing(1e6) / 7),  # rounded once, of 7 a side
+    ],
+)
+def test_scale_and_place_change_what_rounding_does(
+    device: Device, scale: float, shift: float, error: float
+) -> None:
+    mesh = CLOSED["torus"]()
+    moved = replace(mesh, vertices=mesh.vertices * scale + shift)
+    one, other = (build_adf(m, device, tolerance=7.3e-3, max_level=4) for m in (mesh, moved))
+    assert np.array_equal(one.cells, other.cells)
+    apart = np.abs(one.voxels.astype(np.float64) - other.voxels)
+    assert (apart <= np.spacing(np.abs(one.voxels)) + error).all()
+
+
+@pytest.mark.parametrize("sign", ["pseudonormal", "winding", "none"])
+def test_the_order_of_faces_changes_no_distance(device: Device, sign: str) -> None:
+    """Bounds may differ: of equally good triangles the first serves, of many the first KEPT."""
+    rng = np.random.default_rng(4)
+    for name in ("torus", "saddle", "box without lid"):
+        mesh = {**CLOSED, **CROSSING}[name]()
+        shuffled = replace(mesh, faces=rng.permutation(mesh.faces))
+        request = {"tolerance": 1e-2, "max_level": 4, "sign": sign}
+        one, other = (build_adf(m, device, **request) for m in (mesh, shuffled))
+        assert np.array_equal(one.voxels, other.voxels), name
+        assert np.array_equal(one.cells, other.cells), name
+        assert np.array_equal(one.hash.offsets, other.hash.offsets), name
+
+
+def test_all_devices_agree_bit_for_bit() -> None:
+    for name in ("torus", "box without lid", "loose"):
+        mesh = {**CLOSED, **OPEN, **CROSSING}[name]()
+        fields = [
+            build_adf(mesh, opened(index), tolerance=1e-2, max_level=4)
+            for index, _ in usable_devices()
+        ]
+        assert len({field.digest() for field in fields}) == 1
+        assert all(field.reached == fields[0].reached for field in fields)
+
+
+def test_copies_of_faces_change_nothing_and_end(device: Device) -> None:
+    """As near as each other everywhere, a thousand of them would fill every list."""
+    vertices, faces = meshes.box(0, 4)
+    once, often = (
+        build_adf(
+            mesh_from_arrays(vertices, np.tile(faces, (count, 1))),
+            device,
+            tolerance=1e-2,
+            max_level=5,
+            sign="none",
+        )
+        for count in (1, 1000)
+    )
+    assert np.array_equal(once.voxels, often.voxels)
+    assert np.array_equal(once.cells, often.cells)

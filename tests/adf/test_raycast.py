@@ -1,0 +1,415 @@
+"""Pictures of distance fields against dense marching in numpy, with analytic shapes, and
+invariants."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import meshes
+import numpy as np
+import pytest
+from conftest import opened, usable_devices
+from helpers_field import cells_of, plain_field, point, sphere
+
+from voxtool.adf.build import build_adf
+from voxtool.adf.field import DistanceField
+from voxtool.adf.raycast import (
+    COLOUR,
+    ROOM_LEVEL,
+    FieldRenderer,
+    least_shown,
+    refined_children,
+    render_adf,
+    room,
+    steep_leaves,
+)
+from voxtool.camera import Camera, Rays
+from voxtool.errors import VoxtoolError
+from voxtool.mesh.mesh import mesh_from_arrays
+
+ORIGIN, SIDE = (-3.7, 0.1, 12.0), 2.3
+AMBIENT = 0.08
+SAMPLES = 300  # of the oracle, along a ray's way through the cube
+WHITE = (1.0, 1.0, 1.0)
+
+
+# ---- the oracle
+
+
+def lines_of(rays: Rays) -> tuple[np.ndarray, np.ndarray]:
+    """(N, 3) origins and unit directions of the rays, row by row."""
+    width, height = rays.size
+    y, x = np.indices((height, width)).reshape(2, -1, 1) + 0.5
+    aside = (x - width / 2) * rays.right + (y - height / 2) * rays.down
+    origin = np.broadcast_to(rays.origin, aside.shape) + (0 if rays.perspective else aside)
+    way = np.broadcast_to(rays.direction, aside.shape) + (aside if rays.perspective else 0)
+    return origin, way / np.sqrt((way**2).sum(axis=1, keepdims=True))
+
+
+def marched(
+    field: DistanceField, origin: np.ndarray, way: np.ndarray, offset: float, samples: int
+) -> np.ndarray:
+    """(N,): how far along each of N lines dense marching finds the offset first, or infinite."""
+    low, high = np.array(field.origin), np.array(field.origin) + field.side
+    with np.errstate(divide="ignore"):
+        ends = np.stack([low - origin, high - origin]) / way
+    begin = np.fmax(ends.min(axis=0).max(axis=1), 0)
+    end = ends.max(axis=0).min(axis=1)
+    meets = begin < end
+    begin, end = np.where(meets, begin, 0), np.where(meets, end, 0)
+    step = (end - begin) / samples
+
+    def height(k: np.ndarray) -> np.ndarray:
+        places = origin[:, None] + (begin[:, None] + k * step[:, None])[..., None] * way[:, None]
+        return field.distance(places.reshape(-1, 3)).reshape(places.shape[:2]) - offset
+
+    sampled = height(np.arange(samples)[None] + 1e-9)
+    side = np.where(sampled[:, :1] >= 0, 1, -1)
+    crossed = meets[:, None] & (side * sampled <= 0)
+    first = crossed.argmax(axis=1)[:, None]
+    before, after = np.maximum(first - 1, 0) + 1e-9, first + 1e-9
+    for _ in range(40):
+        middle = (before + after) / 2
+        passed = side * height(middle) <= 0
+        before, after = np.where(passed, before, middle), np.where(passed, middle, after)
+    return np.where(crossed.any(axis=1), begin + after[:, 0] * step, np.inf)
+
+
+def brightness(normal: np.ndarray, rays: Rays) -> np.ndarray:
+    return AMBIENT + (1 - AMBIENT) * (0.5 + 0.5 * (normal * rays.light()).sum(axis=-1)) ** 2
+
+
+def agrees(picture: np.ndarray, field: DistanceField, rays: Rays, offset: float = 0.0) -> None:
+    """A white picture is what dense marching finds; where it does not, denser marching is asked.
+
+    The gradient is another one on each side of a leaf's face: any of them is right.
+    """
+    origin, way = lines_of(rays)
+    bright, shown = picture[..., 0].ravel(), picture[..., 3].ravel() == 1
+    assert not picture.reshape(-1, 4)[~shown].any()
+    depth = np.full(len(origin), np.inf)
+    doubtful = np.arange(len(origin))
+    for samples in (SAMPLES, 50 * SAMPLES):
+        depth[doubtful] = marched(field, origin[doubtful], way[doubtful], offset, samples)
+        found = np.isfinite(depth)
+        right = found == shown
+        hit = np.flatnonzero(found & shown)
+        place = origin[hit] + depth[hit, None] * way[hit]
+        differs = np.full(len(hit), np.inf)
+        for aside in np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)]) * 1e-6 * field.side:
+            gradient = field.gradient(place + aside).astype(float)
+            towards = -np.where((gradient * way[hit]).sum(axis=1) > 0, 1, -1)
+            normal = gradient * (towards / np.sqrt((gradient**2).sum(axis=1)))[:, None]
+            differs = np.minimum(differs, np.abs(brightness(normal, rays) - bright[hit]))
+        right[hit] &= differs < 1e-3
+        doubtful = np.flatnonzero(~right)
+    assert len(hit) > 20
+    assert len(doubtful) == 0
+
+
+def view(field: DistanceField, name: str = "iso", size: int = 24, **options) -> Rays:
+    low = np.array(field.origin)
+    return Camera.fit(low, low + field.side, name, **options).rays(size, size + 3)
+
+
+# ---- fields
+
+
+def built(vertices, faces, device, **request) -> DistanceField:
+    mesh = mesh_from_arrays(np.asarray(vertices, float), faces)
+    return build_adf(mesh, device, **{"tolerance": 2e-3, "max_level": 5, **request})
+
+
+def ball(**head) -> DistanceField:
+    return plain_field(sphere, 2e-3, 6, origin=ORIGIN, side=SIDE, **head)
+
+
+def torus(device, **request) -> DistanceField:
+    return built(*meshes.torus(0.3, 2.0, 0.7), device, **request)
+
+
+def open_box(device, **request) -> DistanceField:
+    return built(*meshes.open_box((0, 0, 0), (4, 3, 2)), device, **request)
+
+
+FIELDS = {
+    "cracks": lambda device: (ball(), 0.0),
+    "continuous": lambda device: (torus(device), 0.0),
+    "band": lambda device: (torus(device, band=0.01), 0.0),
+    "offset": lambda device: (torus(device), 0.3),
+    "inner offset": lambda device: (torus(device), -0.3),
+    "unsigned": lambda device: (torus(device, sign="none"), 0.2),
+    "jumps": lambda device: (open_box(device), 0.0),
+    "jumps and offset": lambda device: (open_box(device), 0.15),
+}
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_the_surface_is_where_dense_marching_finds_it(device, name) -> None:
+    field, offset = FIELDS[name](device)
+    renderer = FieldRenderer(field, device)
+    for rays in (view(field, "iso"), view(field, "right", fov=None)):
+        agrees(renderer(rays, offset=offset, colour=WHITE), field, rays, offset)
+
+
+@pytest.mark.parametrize("fov", [None, 40.0])
+@pytest.mark.parametrize("offset", [0.0, 0.1, -0.1])
+def test_a_sphere(device, fov, offset) -> None:
+    """Its outline and its brightness, to what the field's tolerance makes of them."""
+    field = ball()
+    rays = view(field, fov=fov, size=64)
+    picture = render_adf(field, rays, offset=offset * SIDE, colour=WHITE, device=device)
+    origin, way = lines_of(rays)
+    from_centre = origin - (np.array(ORIGIN) + SIDE / 2)
+    along = -(from_centre * way).sum(axis=1)
+    apart = np.sqrt(((from_centre + along[:, None] * way) ** 2).sum(axis=1))
+    radius = (0.3 + offset) * SIDE
+    shown = picture[..., 3].ravel() == 1
+    error = 2 * field.tolerance * SIDE  # tested between samples, too, it is more than the tolerance
+    assert shown[apart < radius - error].all()
+    assert not shown[apart > radius + error].any()
+    inner = apart < 0.9 * radius
+    depth = along[inner] - np.sqrt(radius**2 - apart[inner] ** 2)
+    normal = (from_centre[inner] + depth[:, None] * way[inner]) / radius
+    assert np.abs(picture[..., 0].ravel()[inner] - brightness(normal, rays)).max() < 0.1
+
+
+def test_a_camera_inside(device) -> None:
+    """It sees the surface from within, all around, lit as it faces the camera."""
+    field = ball()
+    centre = np.array(ORIGIN) + SIDE * np.array([0.52, 0.5, 0.47])
+    camera = Camera(tuple(centre), tuple(centre + np.array([1, 0.2, 0.1])), fov=120)
+    rays = camera.rays(24, 24)
+    picture = render_adf(field, rays, colour=WHITE, device=device)
+    assert (picture[..., 3] == 1).all()
+    agrees(picture, field, rays)
+    outside = replace(camera, eye=tuple(np.array(ORIGIN) + 0.05 * SIDE))  # but within the cube
+    rays = replace(outside, target=tuple(centre)).rays(24, 24)
+    agrees(render_adf(field, rays, colour=WHITE, device=device), field, rays)
+
+
+def test_nothing_behind_the_camera(device) -> None:
+    field = ball()
+    middle, back = np.array(ORIGIN) + SIDE / 2, np.array([0.0, 0.0, 1.0])
+    away = Camera(tuple(middle + SIDE * back), tuple(middle + 2 * SIDE * back))
+    assert not render_adf(field, away.rays(16, 16), device=device).any()
+
+
+def test_every_device_draws_the_same() -> None:
+    devices = [opened(index) for index, _ in usable_devices()]
+    field = open_box(devices[0])
+    for rays in (view(field, size=90), view(field, "front", size=90, fov=None)):
+        first, *others = (render_adf(field, rays, device=d) for d in devices)
+        assert first.any()
+        for other in others:
+            assert np.array_equal(first, other)
+
+
+@pytest.mark.parametrize("name", ["continuous", "jumps", "unsigned", "band"])
+def test_leaps_pass_nothing(device, name) -> None:
+    """The picture is that of a ray that goes from leaf to leaf, but for rounding."""
+    field, offset = FIELDS[name](device)
+    renderer = FieldRenderer(field, device)
+    rays = view(field, size=120)
+    leaping = renderer(rays, offset=offset)
+    assert renderer._leap > 0
+    renderer._leap = np.float32(0)
+    walking = renderer(rays, offset=offset)
+    assert np.array_equal(leaping[..., 3], walking[..., 3])
+    assert np.abs(leaping - walking).max() < 1e-5
+
+
+def test_a_thin_wall(device) -> None:
+    """A thousandth of the side thick, before and behind a ball that has small leaves around it."""
+
+    def wall(p: np.ndarray) -> np.ndarray:
+        ball = np.sqrt(((p - (0.3, 0.6, 0.7)) ** 2).sum(axis=1)) - 0.05
+        return np.minimum(np.abs(p[:, 2] - 0.5) - 5e-4, ball)
+
+    field = plain_field(wall, 1e-3, 7, continuous=True)
+    for name in ("front", "back", "iso"):
+        rays = view(field, name, size=70)
+        shown = render_adf(field, rays, device=device)[..., 3].ravel() == 1
+        origin, way = lines_of(rays)
+        hit = origin + ((0.5 - origin[:, 2]) / way[:, 2])[:, None] * way
+        inside = ((hit > 0.01) & (hit < 0.99))[:, :2].all(axis=1)
+        assert inside.sum() > 500
+        assert shown[inside].all()
+
+
+@pytest.mark.parametrize("lipschitz", [0.0, 1e-3, 1e300])
+def test_a_wrong_lipschitz_constant_changes_nothing(device, lipschitz) -> None:
+    field = torus(device)
+    rays = view(field, size=60)
+    wrong = render_adf(replace(field, lipschitz=lipschitz), rays, device=device)
+    right = render_adf(field, rays, device=device)
+    assert np.array_equal(wrong[..., 3], right[..., 3])
+    assert np.abs(wrong - right).max() < 1e-5
+
+
+def test_rays_along_faces_of_leaves(device) -> None:
+    """Each is in a face, or an edge, of leaves of every level: none is lost."""
+    field = plain_field(sphere, 2e-3, 6)
+    for name in ("front", "top", "left"):
+        camera = Camera.fit((0, 0, 0), (1, 1, 1), name, fov=None)
+        rays = replace(camera, height=1.0).rays(64, 64)
+        rays = replace(rays, origin=rays.origin + (rays.right + rays.down) / 2)
+        shown = render_adf(field, rays, device=device)[..., 3] == 1
+        origin, way = lines_of(rays)
+        apart = np.sqrt((np.cross(origin - 0.5, way) ** 2).sum(axis=1)).reshape(64, 64)
+        assert shown[apart < 0.295].all()
+        assert not shown[apart > 0.305].any()
+
+
+@pytest.mark.parametrize("offset", [1e3, -1e3, 1e38, -1e300])
+def test_offsets_beyond_the_field_show_nothing(device, offset) -> None:
+    field = ball()
+    assert not render_adf(field, view(field), offset=offset, device=device).any()
+
+
+def test_an_unsigned_field_shows_its_sheet(device) -> None:
+    """Without holes, at the distance that stands for 0."""
+    corners = [(0.0, 0, 0), (4, 1, 0.3), (4.5, 4, 1.7), (0.5, 3, 1.4)]
+    faces = [(0, 1, 2), (0, 2, 3)]
+    field = built(corners, faces, device, sign="none", max_level=4, tolerance=1e-4)
+    rays = view(field, "front", size=80, fov=None)
+    shown = render_adf(field, rays, device=device)[..., 3].ravel() == 1
+    origin, _ = lines_of(rays)
+    inside = np.ones(len(origin), bool)
+    for (ax, ay, _), (bx, by, _) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        across = (bx - ax) * (origin[:, 1] - ay) - (by - ay) * (origin[:, 0] - ax)
+        inside &= across > field.side / 16 * math.hypot(bx - ax, by - ay)
+    assert inside.sum() > 500
+    assert shown[inside].all()
+    same = render_adf(field, rays, offset=least_shown(field), device=device)
+    assert np.array_equal(same[..., 3].ravel() == 1, shown)
+    assert least_shown(field) == field.side * max(0.5 ** (field.depth + 1), field.tolerance)
+
+
+def test_turning_and_scaling(device) -> None:
+    """A whole turn returns the same picture, and so does a world that is twice as large."""
+    field = ball()
+    low = np.array(ORIGIN)
+    camera = Camera.fit(low, low + SIDE, "iso")
+    first = render_adf(field, camera.rays(50, 40), device=device)
+    assert np.array_equal(first, render_adf(field, camera.turned(360).rays(50, 40), device=device))
+    assert not np.array_equal(
+        first, render_adf(field, camera.turned(40).rays(50, 40), device=device)
+    )
+    twice = replace(field, origin=tuple(2 * low), side=2 * SIDE)
+    large = Camera.fit(2 * low, 2 * (low + SIDE), "iso")
+    assert np.array_equal(first, render_adf(twice, large.rays(50, 40), device=device))
+
+
+def test_frames_of_a_renderer(device) -> None:
+    """They do not depend on those before, nor pixels on the picture's other pixels."""
+    field = ball()
+    renderer = FieldRenderer(field, device)
+    rays = view(field, size=33)
+    first = renderer(rays)
+    assert first.shape == (36, 33, 4)
+    assert first.dtype == np.float32
+    assert not np.array_equal(renderer(view(field, "back", size=33), offset=0.1), first)
+    assert np.array_equal(renderer(rays), first)
+    blue = renderer(rays, colour=(0, 0, 1))
+    assert not blue[..., :2].any()
+    shown = first[..., 3] == 1
+    assert np.allclose(blue[shown][:, 2] * COLOUR[2], first[shown][:, 2], rtol=1e-6)
+    one = replace(rays, size=(1, 1), origin=rays.origin)  # the middle of the picture
+    whole = renderer(replace(rays, size=(33, 35)))
+    assert np.array_equal(renderer(one)[0, 0], whole[17, 16])
+
+
+@pytest.mark.parametrize("max_level", [11, 17])
+def test_deep_fields(device, max_level) -> None:
+    """A ball with a radius of 2**-9, or 2**-15, which leaves of 64-bit identifiers hold."""
+    field = plain_field(lambda p: np.log2(point(p) + 1e-12), 0.2, max_level, continuous=True)
+    assert field.depth == max_level
+    assert field.cells.shape[-1] == (3 if max_level > 11 else 2)
+    exponent = 2 - max_level
+    centre, radius = np.array([0.3, 0.6, 0.7]), 2.0**exponent
+    for fov in (None, 30.0):
+        rays = Camera.fit(centre - radius, centre + radius, fov=fov).rays(50, 50)
+        picture = render_adf(field, rays, offset=exponent, colour=WHITE, device=device)
+        shown = picture[..., 3].ravel() == 1
+        origin, way = lines_of(rays)
+        apart = np.sqrt((np.cross(origin - centre, way) ** 2).sum(axis=1))
+        assert shown[apart < 0.8 * radius].all()
+        assert not shown[apart > 1.3 * radius].any()
+        assert picture[shown.reshape(50, 50)][:, 0].std() > 0.1
+
+
+def test_a_root_alone(device) -> None:
+    field = plain_field(sphere, 10.0, 3)
+    rays = view(field)
+    agrees(render_adf(field, rays, colour=WHITE, device=device), field, rays)
+
+
+def test_refusals(device) -> None:
+    field = ball()
+    renderer, rays = FieldRenderer(field, device), view(field)
+    for offset in (math.nan, math.inf, -math.inf):
+        with pytest.raises(VoxtoolError, match=f"an offset of {offset}: give a finite distance"):
+            renderer(rays, offset=offset)
+    for colour in ((1, 1), (0, 0, 2), (0, math.nan, 0)):
+        with pytest.raises(VoxtoolError, match="give red, green and blue from 0 to 1"):
+            renderer(rays, colour=colour)
+
+
+# ---- tables
+
+
+def test_refined_children() -> None:
+    field = plain_field(point, 1e-2, 7)
+    levels, cells = cells_of(field)
+    refined = refined_children(field)
+    for child in range(8):
+        octant = np.array([child & 1, child >> 1 & 1, child >> 2])
+        there = np.array(
+            [field.slots(int(n) + 1, (2 * c + octant)[None])[0] >= 0
+             for n, c in zip(levels, cells, strict=True)]
+        )  # fmt: skip
+        assert np.array_equal(refined >> child & 1, there)
+    assert refined.any()
+
+
+def test_steep_leaves_have_all_that_are_steep() -> None:
+    field = plain_field(lambda p: sphere(p) * np.where(p[:, 0] < 0.3, 1, 3), 1e-2, 5)
+    levels, cells = steep_leaves(field, refined_children(field), 1.5)
+    listed = {(int(n), *map(int, c)) for n, c in zip(levels, cells, strict=True)}
+    answer = field.query(np.random.default_rng(1).random((20000, 3)), gradient=True, cell=True)
+    assert answer.gradient is not None
+    assert answer.level is not None
+    assert answer.cell is not None
+    slope = np.sqrt((answer.gradient.astype(float) ** 2).sum(axis=1))
+    leaves = [(int(n), *map(int, c)) for n, c in zip(answer.level, answer.cell, strict=True)]
+    steep = {leaf for leaf, s in zip(leaves, slope, strict=True) if s > 1.5 * (1 + 1e-5)}
+    assert steep
+    assert steep <= listed
+    assert {leaf for leaf in leaves if leaf not in listed}
+    far = [s for leaf, s in zip(leaves, slope, strict=True) if leaf not in listed]
+    assert max(far) <= 1.5 * (1 + 1e-5)
+
+
+def test_room() -> None:
+    """How many cells from the nearest one of a steep leaf, less one, by brute force."""
+    field = ball(continuous=True)
+    levels = np.array([2, 5, 8])
+    cells = np.array([(0, 1, 3), (20, 30, 4), (250, 7, 100)])
+    found = room(field, (levels, cells))
+    n = 1 << ROOM_LEVEL
+    places = np.indices((n, n, n))[::-1]  # x, y, z
+    expected = np.full((n, n, n), n)
+    for level, cell in zip(levels, cells, strict=True):
+        low = np.floor(cell * 2.0 ** (ROOM_LEVEL - level)).astype(int)
+        high = np.maximum(np.ceil((cell + 1) * 2.0 ** (ROOM_LEVEL - level)).astype(int) - 1, low)
+        apart = [
+            np.maximum(np.maximum(a - p, p - b), 0)
+            for p, a, b in zip(places, low, high, strict=True)
+        ]
+        expected = np.minimum(expected, np.max(apart, axis=0))
+    assert np.array_equal(found, np.maximum(expected - 1, 0))
+    none = (np.zeros(0, int), np.zeros((0, 3), int))
+    assert (room(field, none) == n).all()
+    assert not room(ball(), none).any()

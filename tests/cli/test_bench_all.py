@@ -1,0 +1,201 @@
+"""voxtool bench all, and reports of single benches: from models to files; never how fast."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import shutil
+from pathlib import Path
+
+import meshes
+import pytest
+from conftest import usable_devices
+from docs.test_docs import parse
+from helpers_cli import fail, invoke, run, write_obj
+
+from voxtool.bench import sweep
+from voxtool.bench.points import MEASURES
+from voxtool.cli.main import cli
+
+BENCHES = ("voxelize", "extract", "adf", "tets")
+
+
+@pytest.fixture(scope="module")
+def made(models: Path, tmp_path_factory) -> Path:
+    """A folder with models, and out/, the quick report of two of them."""
+    pytest.importorskip("matplotlib")
+    folder = tmp_path_factory.mktemp("bench")
+    for name in ("bunny.obj", "volume.vtu"):
+        shutil.copy(models / name, folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        device = usable_devices()[0][0]
+        result = run(
+            "bench all bunny.obj volume.vtu --scalar density --quick --peers -q -o out "
+            f"--date today --device {device}"
+        )
+        assert result.stderr == ""
+        (folder / "said.txt").write_text(result.stdout)
+    return folder
+
+
+@pytest.fixture
+def ball(tmp_path: Path, monkeypatch) -> str:
+    """The current folder, with ball.obj, which is closed; the device to use."""
+    write_obj(tmp_path / "ball.obj", *meshes.icosphere(2))
+    monkeypatch.chdir(tmp_path)
+    return str(usable_devices()[0][0])
+
+
+# ---- bench all
+
+
+def test_every_bench_has_times_and_errors(made: Path) -> None:
+    told = json.loads((made / "out" / "report.json").read_text())
+    assert (told["format"], told["schema_version"], told["date"]) == (
+        "voxtool-bench",
+        "1.0",
+        "today",
+    )
+    assert told["device"]["probe"] in ("", "ok")
+    assert told["machine"]["cores"] > 0
+    points = told["points"]
+    assert {point["bench"] for point in points} == set(BENCHES)
+    for point in points:
+        assert len(point["runs"]) == 2
+        seconds = point["seconds"]
+        assert 0 < seconds["least"] <= seconds["median"] <= seconds["most"]
+        assert point["errors"].keys() <= MEASURES[point["bench"]].keys()
+        assert point["errors"] or point["absent"]
+        if not point["peer"] and point["method"] != "exact distances":
+            assert all(seconds >= 0 for seconds in point["stages"].values())
+            assert point["stages"]
+            assert point["bytes"] > 0
+    keys = [tuple(point[word] for word in ("bench", "model", "work", "method", "label"))
+            for point in points]  # fmt: skip
+    assert len(set(keys)) == len(keys)
+    linear = [p for p in points if p["bench"] == "tets" and "linear" in p["method"]]
+    assert max(p["errors"].get("max", 0) for p in linear if not p["peer"]) < 1e-5
+
+
+def test_errors_fall_with_finer_settings(made: Path) -> None:
+    points = json.loads((made / "out" / "report.json").read_text())["points"]
+    for work in ("mesh to solid voxels", "solid voxels to surface", "mesh to field"):
+        ours = [p for p in points if p["work"] == work and not p["peer"]]
+        for method in {p["method"] for p in ours}:
+            errors = [p["errors"]["rms"] for p in ours if p["method"] == method]
+            assert errors == sorted(errors, reverse=True), (work, method)
+
+
+def test_what_was_left_out_was_forced_in(made: Path) -> None:
+    savings = json.loads((made / "out" / "report.json").read_text())["savings"]
+    assert {saving["bench"] for saving in savings} == {"voxelize", "adf", "tets"}
+    assert all(saving["same"] for saving in savings)
+    assert all(len(s["runs"]) == len(s["forced"]) == 2 for s in savings)
+
+
+def test_commands_of_rows_exist(made: Path) -> None:
+    for point in json.loads((made / "out" / "report.json").read_text())["points"]:
+        words = shlex.split(point["command"])
+        assert words[:3] == ["voxtool", "bench", point["bench"]]
+        parse(cli, words[1:])
+
+
+def test_what_is_said(made: Path) -> None:
+    said = (made / "said.txt").read_text()
+    for chart in (
+        "voxelize, bunny.obj: mesh to solid voxels",
+        "extract, bunny.obj: ",
+        "adf, bunny.obj: mesh to field",
+        "tets, volume.vtu: frames through x10",
+    ):
+        assert f"\n{chart}" in f"\n{said}"
+    assert said.count("most accurate: ") == 6
+    assert said.endswith("report: out/report.html\n")
+    page = (made / "out" / "report.html").read_text()
+    assert page.count("<svg") == len(list((made / "out").glob("*.png"))) >= 14
+    assert "today" in page
+
+
+def test_no_clobber(made: Path, monkeypatch) -> None:
+    monkeypatch.chdir(made)
+    before = {path: path.stat().st_mtime_ns for path in (made / "out").iterdir()}
+    wrong = fail_in_folder("bench all bunny.obj --quick -o out --no-clobber")
+    assert "report.json exists" in wrong
+    assert {path: path.stat().st_mtime_ns for path in (made / "out").iterdir()} == before
+
+
+def fail_in_folder(command: str) -> str:
+    result = invoke(command)
+    assert result.exit_code == 1
+    assert result.stdout == ""
+    return result.stderr
+
+
+def test_wrong_models_are_one_line_before_anything_is_measured(ball: str) -> None:
+    assert "none.obj: " in fail(f"bench all ball.obj none.obj --quick -o out --device {ball}")
+    assert "there is no folder" in fail(f"bench all ball.obj --quick -o no/out --device {ball}")
+    assert "ball.obj" in fail(f"bench tets ball.obj -o out --device {ball}")
+
+
+# ---- single benches
+
+
+def test_a_single_bench_and_its_row_again(ball: str) -> None:
+    pytest.importorskip("matplotlib")
+    words = "bench voxelize ball.obj --dims 16 --modes solid --repeat 1"
+    result = run(f"{words} -o out --json --device {ball}")
+    (point,) = json.loads(result.stdout)["points"]
+    assert point["errors"].keys() == {"rms", "hausdorff", "volume"}
+    assert point["peak"] > 0
+    assert point["left_out"]["128-bit predicates"]
+    again = shlex.split(point["command"])[1:]
+    again[again.index("-o") + 1] = "again"
+    run(shlex.join(again))
+    (other,) = json.loads(Path("again/report.json").read_text())["points"]
+    assert other["errors"] == point["errors"]
+    assert run("bench compare out/report.json again/report.json").stdout.endswith(
+        "1 row in both, 0 only in the old, 0 only in the new\n"
+    )
+
+
+def test_rules_of_solids(ball: str) -> None:
+    words = "bench voxelize ball.obj --dims 16 --modes solid,surface6 --fills auto,parity,flood"
+    result = run(f"{words} --repeat 1 --json --budget-error 1 --device {ball}")
+    points = json.loads(result.stdout)["points"]
+    methods = [point["method"] for point in points]
+    assert methods == ["solid, parity", "solid, flood", "surface6"]  # auto is parity here
+    assert [point["setting"]["against"] for point in points] == ["the model"] * 3
+    volumes = [point["errors"].get("volume") for point in points]
+    assert volumes[0] < volumes[1]  # flood has the voxels of the surface
+    assert volumes[2] is None
+    rows = json.loads(run(f"{words} --repeat 1 --json --device {ball}").stdout)["rows"]
+    assert [row["fill"] for row in rows] == ["parity", "parity", "flood", "none"]
+
+
+def test_budgets(ball: str) -> None:
+    words = f"bench extract ball.obj --dims 16,32 --repeat 1 --samples 500 --device {ball}"
+    said = run(f"{words} --budget-error 1").stdout
+    assert said.startswith("extract, ball.obj: solid voxels to surface: smooth, dim ")
+    assert said.count("\n") == 1
+    best = run(f"{words} --budget-time 1000").stdout
+    assert ": smooth, dim 32: " in best
+    assert "volume error" in run(f"{words} --budget-error 1:volume").stdout
+    result = invoke(f"{words} --budget-error 1e-12")
+    assert (result.exit_code, result.stdout) == (1, "")
+    assert "error up to 1e-12: nothing that was measured meets it in extract, " in result.stderr
+    assert "no error 'p99'" in fail(f"{words} --budget-error 1:p99")
+
+
+@pytest.mark.parametrize("wrong", ["x", "-1", "nan", "1e999", ":rms"])
+def test_wrong_budgets(ball: str, wrong: str) -> None:
+    result = invoke(f"bench all ball.obj --budget-error={wrong}")
+    assert result.exit_code == 2
+    assert "is no error: write 1e-3" in result.stderr
+    assert invoke("bench all ball.obj --budget-time 0").exit_code == 2
+
+
+def test_benches_for_files() -> None:
+    assert sweep.bench_of("a/b.OBJ") == ("voxelize", "extract", "adf")
+    assert sweep.bench_of("b.ply.gz") == ("voxelize", "extract", "adf")
+    assert sweep.bench_of("b.VTU") == ("tets",)

@@ -1,0 +1,627 @@
+"""voxtool extract: in this process through click's runner, and as the user runs it in a shell."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+from dataclasses import replace
+from pathlib import Path
+
+import meshes
+import numpy as np
+import pytest
+from helpers_cli import ENVIRONMENT, MODULE, fail, on_terminal, process, run, screen, write_obj
+from helpers_cli import invoke as call
+from helpers_octree import ball, octree_from_dense
+
+import voxtool
+from voxtool.cli.extract import default_output
+from voxtool.files import MESH_FORMATS, NORMAL_FORMATS, read_svo, write_svo
+from voxtool.files.mesh import load_mesh
+from voxtool.mesh import topology as diagnosis
+from voxtool.mesh.mesh import Mesh
+from voxtool.opencl import list_devices
+from voxtool.svo.octree import Octree
+from voxtool.svo.surface.extract import extract, plan_extract
+
+STYLES = ("smooth", "blocks", "nets")
+LEVELS = [(style, level) for style in STYLES for level in (None, "voxel", 0, 2)]
+SAID = re.compile(
+    r"voxtool: (\S+) -> (\S+): (smooth|blocks|nets), level (voxel|\d+), isovalue ([\d.]+); "
+    r"([\d,]+) vertices, ([\d,]+) triangles, \d+\.\d\d s\n"
+)
+LOST = re.compile(
+    r"voxtool: ([\d,]+) set voxels \(([\d.e-]+) %\) lie in samples below the isovalue, "
+    r"(?:all of them at the surface|([\d,]+) of them away from the surface: (.*))\n"
+)
+
+
+def number(text: str) -> int:
+    return int(text.replace(",", ""))
+
+
+def said(stderr: str) -> re.Match[str]:
+    """The line that says what was made, which is the first."""
+    found = SAID.match(stderr)
+    assert found, stderr
+    return found
+
+
+def told(command: str, stdin: bytes = b"") -> dict:
+    """The JSON of a command that succeeds."""
+    return json.loads(run(command, stdin).stdout)
+
+
+def plate() -> Octree:
+    """16 x 16 x 16 voxels, of which a plate one voxel thick is set: a quarter of its bricks."""
+    dense = np.zeros((16, 16, 16), bool)
+    dense[3:12, 3:12, 9] = True
+    return octree_from_dense(dense)
+
+
+# ---- what is made
+
+
+@pytest.mark.parametrize(("style", "level"), LEVELS)
+def test_the_file_holds_what_was_said(style: str, level, here: Path) -> None:
+    asked = "" if level is None else f"--level {level}"
+    result = run(f"extract bunny.svo.h5 --style {style} {asked} -o a.obj")
+    assert result.stdout == ""
+    line = said(result.stderr)
+    default = "0" if style == "smooth" else "voxel"
+    shown = default if level is None else str(level)
+    assert line.groups()[:5] == ("bunny.svo.h5", "a.obj", style, shown, "0.5")
+    surface = extract(read_svo("bunny.svo.h5"), style=style, level=level)
+    mesh = load_mesh("a.obj")
+    assert (number(line[6]), number(line[7])) == (len(mesh.vertices), len(mesh.faces))
+    assert np.array_equal(mesh.faces, surface.faces)
+    np.testing.assert_allclose(mesh.vertices, surface.vertices, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", MESH_FORMATS)
+def test_formats(name: str, here: Path) -> None:
+    run(f"extract bunny.svo.h5 --level 1 -o a.{name}")
+    run(f"extract bunny.svo.h5 --level 1 --format {name} -o a.dat")
+    assert Path("a.dat").read_bytes() == Path(f"a.{name}").read_bytes()
+    mesh, surface = load_mesh(f"a.{name}"), extract(read_svo("bunny.svo.h5"), level=1)
+    assert mesh.vertices[mesh.faces] == pytest.approx(surface.vertices[surface.faces], abs=1e-6)
+
+
+def test_the_name_by_default_is_never_the_mesh_it_was_made_from(here: Path) -> None:
+    before = Path("bunny.obj").read_bytes()
+    (here / "folder").mkdir()
+    os.rename("bunny.svo.h5", "folder/bunny.svo.h5")
+    for style in STYLES:
+        run(f"extract folder/bunny.svo.h5 --style {style}")
+        assert len(load_mesh(f"bunny.{style}.obj").faces) > 0
+    assert Path("bunny.obj").read_bytes() == before
+    assert os.listdir("folder") == ["bunny.svo.h5"]
+
+
+@pytest.mark.parametrize(
+    ("octree", "output"),
+    [
+        ("bunny.svo.h5", "bunny.nets.obj"),
+        ("a/b/bunny.svo.xml.gz", "bunny.nets.obj"),
+        ("bunny.svo.xml", "bunny.nets.obj"),
+        ("bunny.h5", "bunny.nets.obj"),
+        ("bunny.v2.svo.h5", "bunny.v2.nets.obj"),
+        ("bunny", "bunny.nets.obj"),
+        ("-", "-"),
+    ],
+)
+def test_default_output(octree: str, output: str) -> None:
+    assert default_output(octree, "nets", "obj") == output
+    assert default_output(octree, "nets", "ply") == output.replace(".obj", ".ply")
+
+
+def test_octrees_of_every_format_have_one_surface(here: Path) -> None:
+    digests = {told("extract bunny.svo.h5 -o a.obj --json")["digest"]}
+    for name in ("b.svo.xml", "b.svo.xml.gz"):
+        write_svo(read_svo("bunny.svo.h5"), name)
+        digests.add(told(f"extract {name} -o a.obj --json")["digest"])
+    assert len(digests) == 1
+
+
+def test_digests_are_equal_on_every_device(here: Path) -> None:
+    devices = [device.index for device in list_devices() if device.probe == "ok"]
+    for request in ("", "--style nets", "--style blocks --merge", "--level 1 --isovalue 0.3"):
+        digests, files = set(), set()
+        for index in devices:
+            command = f"extract bunny.svo.h5 {request} --normals -o a.ply --device {index} --json"
+            digests.add(told(command)["digest"])
+            files.add(Path("a.ply").read_bytes())
+        assert len(digests) == len(files) == 1, request
+
+
+def test_world_coordinates(here: Path) -> None:
+    """A box of whole voxels comes back as it was, wherever it lies."""
+    write_obj(here / "box.obj", *meshes.box((10, -20, 5), (14, -17, 7)))
+    run("voxelize box.obj --pitch 0.25 -q -o box.svo.h5")
+    found = told("extract box.svo.h5 --style blocks --merge -o a.obj --check --against box.obj")
+    assert load_mesh("a.obj").bounds == pytest.approx(load_mesh("box.obj").bounds, abs=1e-12)
+    assert found["triangles"] == 12
+    assert found["check"]["volume"] == pytest.approx(24, rel=1e-12)
+    assert found["against"]["hausdorff"] == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", NORMAL_FORMATS)
+def test_normals(name: str, here: Path) -> None:
+    run(f"extract bunny.svo.h5 --level 1 --normals -o a.{name}")
+    run(f"extract bunny.svo.h5 --level 1 -o plain.{name}")
+    mesh, plain = load_mesh(f"a.{name}"), load_mesh(f"plain.{name}")
+    assert np.array_equal(mesh.vertices, plain.vertices)
+    assert np.array_equal(mesh.faces, plain.faces)
+    assert os.path.getsize(f"a.{name}") > os.path.getsize(f"plain.{name}")
+    if name == "obj":
+        lines = Path("a.obj").read_text().splitlines()
+        normals = np.array([line.split()[1:] for line in lines if line.startswith("vn ")], float)
+        surface = extract(read_svo("bunny.svo.h5"), level=1)
+        assert normals == pytest.approx(surface.normals, abs=1e-8)
+        assert any("//" in line for line in lines if line.startswith("f "))
+
+
+@pytest.mark.parametrize("name", [name for name in MESH_FORMATS if name not in NORMAL_FORMATS])
+def test_normals_that_a_format_does_not_hold(name: str, here: Path) -> None:
+    message = f"--normals: .{name} holds none: write one of .obj, .ply, .glb"
+    assert message in fail(f"extract bunny.svo.h5 --normals -o a.{name}", code=2)
+    assert message in fail(f"extract bunny.svo.h5 --normals --format {name} -o a.obj", code=2)
+
+
+def test_no_clobber_keeps_the_file(here: Path) -> None:
+    run("extract bunny.svo.h5 --level 1 --no-clobber")
+    message = fail("extract bunny.svo.h5 --level 2 --no-clobber")
+    assert message.startswith("bunny.smooth.obj exists")
+    before = Path("bunny.smooth.obj").read_bytes()
+    run("extract bunny.svo.h5 --level 2")
+    assert Path("bunny.smooth.obj").read_bytes() != before
+
+
+# ---- streams
+
+
+def test_stdin_and_stdout(here: Path) -> None:
+    octree = Path("bunny.svo.h5").read_bytes()
+    run("extract bunny.svo.h5 --level 1 -o a.obj")
+    expected = Path("a.obj").read_bytes()
+    for command in ("extract - --level 1", "extract - --level 1 -o -"):
+        result = run(command, octree)
+        assert result.stdout_bytes == expected
+        assert said(result.stderr).groups()[:2] == ("stdin", "stdout")
+    run("extract - --level 1 -o b.obj", octree)
+    assert Path("b.obj").read_bytes() == expected
+    result = run("extract - --level 1 -q", octree)
+    assert (result.stdout_bytes, result.stderr) == (expected, "")
+    run("extract bunny.svo.h5 --level 1 -o a.stl")
+    result = run("extract bunny.svo.h5 --level 1 --format stl -o -")
+    assert result.stdout_bytes == Path("a.stl").read_bytes()
+
+
+def test_json_goes_where_the_mesh_does_not(here: Path) -> None:
+    result = run("extract bunny.svo.h5 --level 1 -o - --json --check")
+    assert result.stdout.startswith("#") or result.stdout.startswith("v ")
+    found = json.loads(result.stderr[: result.stderr.rindex("}") + 1])
+    assert found["output"] == "-"
+    assert found["check"]["closed"]
+
+
+def test_pipe(here: Path, shell) -> None:
+    line = (
+        "voxtool voxelize bunny.obj --dim 64 -q -o - | voxtool extract - -q -o smooth.obj"
+        " && voxtool extract bunny.svo.h5 -q -o - | head -1"
+    )
+    done = subprocess.run(["sh", "-c", line], env=shell, cwd=here, capture_output=True)
+    assert done.returncode == 0
+    assert len(load_mesh("smooth.obj").faces) > 100
+    assert done.stdout.count(b"\n") == 1
+
+
+def test_nothing_on_stdin(here: Path) -> None:
+    assert "stdin is empty" in fail("extract -")
+
+
+def test_no_binary_mesh_is_sent_to_a_terminal(here: Path) -> None:
+    pty = pytest.importorskip("pty")
+    master, slave = pty.openpty()
+    words = [*MODULE, "extract", "bunny.svo.h5", "--format", "ply", "-o", "-"]
+    done = subprocess.run(words, env=ENVIRONMENT, stdout=slave, stderr=subprocess.PIPE)
+    os.close(slave)
+    os.close(master)
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"voxtool: error: stdout is a terminal: redirect it")
+
+
+# ---- JSON, checks and measures
+
+
+def test_json(here: Path) -> None:
+    result = run("extract bunny.svo.h5 --json --isovalue 0.4")
+    found = json.loads(result.stdout)
+    octree = read_svo("bunny.svo.h5")
+    surface = extract(octree, isovalue=0.4)
+    assert found["seconds"] > 0
+    assert {name: value for name, value in found.items() if name != "seconds"} == {
+        "output": "bunny.smooth.obj",
+        "dim": 128,
+        "style": "smooth",
+        "level": 0,
+        "isovalue": 0.4,
+        "vertices": len(surface.points),
+        "triangles": len(surface.faces),
+        "cubes_cut": surface.cubes,
+        "voxels": octree.count,
+        "voxels_below_isovalue": surface.lost.below,
+        "voxels_vanished": surface.lost.vanished,
+        "digest": surface.digest(),
+    }
+    assert told("extract bunny.svo.h5 --json --style nets")["level"] == "voxel"
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("level", ["voxel", 0])
+def test_check(style: str, level, here: Path) -> None:
+    found = told(f"extract bunny.svo.h5 --style {style} --level {level} --check")
+    check = found["check"]
+    assert check["closed"] is check["watertight"] is check["manifold"] is True
+    assert (check["faces"], check["vertices"]) == (found["triangles"], found["vertices"])
+    assert check["euler"] == 2 * check["shells"] - 2 * check["genus"]
+    if level == "voxel":
+        assert (check["shells"], check["genus"]) == (1, 0)
+    octree = read_svo("bunny.svo.h5")
+    assert check["octree_volume"] == pytest.approx(octree.count * octree.grid.voxel_volume)
+    assert check["volume"] == pytest.approx(check["volume_ratio"] * check["octree_volume"])
+    if (style, level) == ("blocks", "voxel"):
+        assert check["volume_ratio"] == pytest.approx(1, rel=0, abs=1e-12)
+    else:  # nets of large samples shrink
+        assert check["volume_ratio"] == pytest.approx(1, abs=0.02 if level == "voxel" else 0.15)
+
+
+def test_check_counts_shells_and_handles(here: Path) -> None:
+    parts = meshes.torus((0, 0, 0), 2, 0.8), meshes.icosphere(2, (6, 0, 0), 1.5)
+    write_obj(here / "two.obj", *meshes.join(*parts))
+    run("voxelize two.obj --dim 96 -q")
+    for style in STYLES:
+        check = told(f"extract two.svo.h5 --style {style} --check")["check"]
+        assert (check["shells"], check["genus"], check["closed"]) == (2, 1, True)
+
+
+def test_check_of_merged_blocks(here: Path) -> None:
+    """T-junctions are no holes: the surface is closed as a chain."""
+    result = run("extract bunny.svo.h5 --style blocks --merge --check")
+    found = json.loads(result.stdout)
+    assert found["check"]["closed"] is True
+    assert found["check"]["volume_ratio"] == pytest.approx(1, rel=0, abs=1e-12)
+    assert found["triangles"] < told("extract bunny.svo.h5 --style blocks --json")["triangles"]
+
+
+def test_check_at_the_border_of_the_grid(here: Path) -> None:
+    for name, dense in (("full", np.ones((8, 8, 8), bool)), ("flat", ball((24, 10, 9), 0.6))):
+        write_svo(octree_from_dense(dense), f"{name}.svo.h5")
+        for style in STYLES:
+            check = told(f"extract {name}.svo.h5 --style {style} --check")["check"]
+            assert check["closed"]
+            assert check["manifold"]
+
+
+def test_a_check_that_fails_is_exit_code_1_and_tells_why(here: Path, monkeypatch) -> None:
+    whole, chain = diagnosis.check_surface, diagnosis.closed_chain
+
+    def torn(mesh: Mesh) -> Mesh:
+        return replace(mesh, faces=mesh.faces[1:])
+
+    monkeypatch.setattr(diagnosis, "check_surface", lambda mesh, **how: whole(torn(mesh), **how))
+    monkeypatch.setattr(diagnosis, "closed_chain", lambda mesh: chain(torn(mesh)))
+    for more in ("", "--style nets", "--style blocks --merge"):
+        result = call(f"extract bunny.svo.h5 --check -o a.obj {more}")
+        assert result.exit_code == 1
+        assert json.loads(result.stdout)["check"]["closed"] is False
+        message = result.stderr.splitlines()[-1]
+        assert message.startswith("voxtool: error: a.obj: what was written is not closed")
+    check = json.loads(call("extract bunny.svo.h5 --check -q").stdout)["check"]
+    assert (check["boundary_edges"], check["watertight"], check["genus"]) == (3, False, None)
+
+
+def test_against(here: Path) -> None:
+    octree = read_svo("bunny.svo.h5")
+    pitch = max(octree.grid.pitch)
+    far = {}
+    for style in STYLES:
+        result = run(f"extract bunny.svo.h5 --style {style} --against bunny.obj --samples 4000")
+        found = json.loads(result.stdout)["against"]
+        said(result.stderr)
+        assert found["samples"] == 4000
+        ways = [
+            found[f"{a}_to_{b}"] for a, b in (("surface", "reference"), ("reference", "surface"))
+        ]
+        for way in ways:
+            assert 0 < way["mean"] <= way["rms"] <= way["max"]
+        assert found["hausdorff"] == max(way["max"] for way in ways)
+        voxels = found["voxels"]
+        assert found["pitch"] == pitch
+        assert voxels["hausdorff"] == pytest.approx(found["hausdorff"] / pitch)
+        far[style] = voxels["surface_to_reference"]["rms"]
+    assert far["nets"] < far["blocks"] < 1
+    assert far["smooth"] < 4  # a sample has four voxels along its side
+
+
+def test_against_is_the_same_every_time(here: Path) -> None:
+    command = "extract bunny.svo.h5 --level 1 --against bunny.obj --samples 1000 --check --json"
+    one, two = told(command), told(command)
+    assert one["against"] == two["against"]
+    assert "check" in one
+
+
+@pytest.mark.parametrize(
+    ("mesh", "message"),
+    [("none.obj", "none.obj: no such file"), ("bunny.svo.h5", "not a mesh")],
+)
+def test_against_what_is_no_mesh(mesh: str, message: str, here: Path) -> None:
+    assert message in fail(f"extract bunny.svo.h5 --against {mesh} -o a.obj")
+
+
+def test_against_a_mesh_without_area(here: Path) -> None:
+    """What cannot be measured is refused before anything is written."""
+    write_obj(Path("flat.obj"), [(0, 0, 0), (1, 1, 1), (2, 2, 2)], [(0, 1, 2)])
+    for output in ("a.obj", "-"):
+        message = fail(f"extract bunny.svo.h5 --against flat.obj -o {output}")
+        assert message.startswith("flat.obj: no area")
+
+
+def test_against_the_file_that_is_replaced(here: Path) -> None:
+    """The mesh is the one that was there before."""
+    run("extract bunny.svo.h5 --level 2 -o a.obj")
+    command = "extract bunny.svo.h5 --level 1 --samples 1000 --json"
+    os.link("a.obj", "before.obj")
+    expected = told(f"{command} --against before.obj -o b.obj")["against"]
+    assert told(f"{command} --against a.obj -o a.obj")["against"] == expected
+
+
+# ---- the plan, and memory
+
+
+@pytest.mark.parametrize(
+    ("style", "more"), [("smooth", ""), ("blocks", ""), ("blocks", "--merge"), ("nets", "")]
+)
+def test_plan_prints_and_writes_nothing(style: str, more: str, here: Path) -> None:
+    before = sorted(os.listdir())
+    text = run(f"extract bunny.svo.h5 --style {style} {more} --plan -o a.obj")
+    plan = run(f"extract bunny.svo.h5 --style {style} {more} --plan --json")
+    assert sorted(os.listdir()) == before
+    assert text.stderr == plan.stderr == ""
+    octree = read_svo("bunny.svo.h5")
+    expected = plan_extract(octree, style=style, merge=bool(more)).as_dict()
+    assert json.loads(plan.stdout) == expected
+    for word in ("surface", "stages", "left out", "predicted", f"{style}, level"):
+        assert word in text.stdout
+    for what in (*expected["stages"], *expected["left_out"]):
+        assert what in text.stdout
+
+
+def test_plan_foresees_the_surface(here: Path) -> None:
+    for style in STYLES:
+        plan = told(f"extract bunny.svo.h5 --style {style} --plan --json")
+        cubes = told(f"extract bunny.svo.h5 --style {style} --json")["cubes_cut"]
+        assert 0.5 < plan["predicted_cut_cubes"] / cubes < 2
+
+
+@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize("limit", ["1M", "200K", "60K"])
+def test_a_refusal_names_a_level_that_works(style: str, limit: str, here: Path) -> None:
+    command = f"extract bunny.svo.h5 --style {style} --max-memory {limit} -o a.obj"
+    finest = f"{command} --level voxel"
+    message = fail(finest)
+    assert "would need" in message
+    found = re.search(r"choose level (\d+)", message)
+    assert found, message
+    run(f"{command} --level {found[1]}")
+
+
+def test_a_refusal_names_no_level_that_the_octree_has_not(here: Path) -> None:
+    message = fail("extract bunny.svo.h5 --max-memory 100 -o a.obj")
+    assert message.endswith("allowed: no level fits; or allow more (see --max-memory)")
+
+
+def test_plan_warns_of_a_refusal(here: Path) -> None:
+    result = run("extract bunny.svo.h5 --style nets --plan --json --max-memory 200K")
+    assert json.loads(result.stdout)["predicted_device_bytes"] > 200 << 10
+    assert result.stderr.startswith("voxtool: warning: this will be refused: a nets surface")
+    assert result.stderr.count("\n") == 1
+
+
+# ---- usage and failures
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("extract", "Missing argument 'OCTREE' (see voxtool extract -h)"),
+        ("extract bunny.svo.h5 --merge", "--merge goes with --style blocks: smooth has no squares"),
+        ("extract bunny.svo.h5 --merge --style nets", "--style blocks: nets has no squares"),
+        ("extract bunny.svo.h5 --style cubes", "'smooth', 'blocks', 'nets'"),
+        ("extract bunny.svo.h5 --level x", "'x': choose voxel, or a level"),
+        ("extract bunny.svo.h5 --level 0.5", "'0.5': choose voxel, or a level"),
+        ("extract bunny.svo.h5 --isovalue half", "'half' is not a valid float"),
+        ("extract bunny.svo.h5 --format svo.h5", "'obj', 'ply', 'stl', 'glb', 'off'"),
+        ("extract bunny.svo.h5 --samples 0", "0 is not in the range"),
+        ("extract bunny.svo.h5 --max-memory lots", "'lots' is no number of bytes"),
+    ],
+)
+def test_usage_errors(command: str, message: str, here: Path) -> None:
+    assert message in fail(command, code=2)
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        *((f"extract bunny.svo.h5 --isovalue {bad}", "choose a share of set voxels between 0 and 1")
+          for bad in ("0", "1", "-0.5", "1.5", "nan", "inf")),
+        ("extract bunny.svo.h5 --level 6", "level 6: choose 'voxel' or a level from 0 to 5"),
+        ("extract bunny.svo.h5 --level -1", "level -1: choose 'voxel' or a level from 0 to 5"),
+        ("extract bunny.svo.h5 -o a.foo", "end it in one of .obj, .ply, .stl, .glb, .off"),
+        ("extract bunny.svo.h5 -o a", "the name says no format"),
+        ("extract bunny.svo.h5 -o none/a.obj", "there is no folder"),
+        ("extract bunny.svo.h5 --device nothing-like-it", "choose one of 0: "),
+        ("extract none.svo.h5", "none.svo.h5: there is no such file"),
+        ("extract .", "is a folder"),
+        ("extract bunny.obj", "bunny.obj is a mesh: voxelize it first (voxtool voxelize"),
+        ("extract notes.txt", "notes.txt is no octree: expected HDF5"),
+        ("extract half.svo.h5", "half.svo.h5: "),
+    ],
+)  # fmt: skip
+def test_failures_are_one_line(command: str, message: str, here: Path) -> None:
+    (here / "notes.txt").write_text("a text\n")
+    octree = (here / "bunny.svo.h5").read_bytes()
+    (here / "half.svo.h5").write_bytes(octree[: len(octree) // 2])
+    assert message in fail(command)
+
+
+@pytest.mark.parametrize("mode", ["surface26", "surface6"])
+def test_a_surface_has_no_inside(mode: str, here: Path) -> None:
+    run(f"voxelize bunny.obj --dim 32 --mode {mode} -q -o shell.svo.h5")
+    for more in ("", "--level voxel", "--style nets", "--style blocks --level 0"):
+        message = fail(f"extract shell.svo.h5 {more}")
+        assert f"an octree of mode {mode} has no inside" in message
+        assert "voxelize with --mode solid" in message
+        assert "--style blocks --level voxel" in message
+        assert message == fail(f"extract shell.svo.h5 {more} --plan")
+    for more in ("", "--level voxel", "--merge"):
+        check = told(f"extract shell.svo.h5 --style blocks {more} --check")["check"]
+        assert check["closed"]
+        assert check["volume_ratio"] == pytest.approx(1, rel=0, abs=1e-12)
+
+
+def test_solid_with_surface_has_an_inside(here: Path) -> None:
+    run("voxelize bunny.obj --dim 32 --with-surface -q -o both.svo.h5")
+    assert told("extract both.svo.h5 --style nets --check")["check"]["closed"]
+
+
+def test_an_empty_result_is_an_error_that_says_what_to_do(here: Path) -> None:
+    write_svo(plate(), "plate.svo.h5")
+    message = fail("extract plate.svo.h5 --isovalue 0.99 -o a.obj")
+    assert message.startswith("plate.svo.h5: none of its 81 set voxels lies in a sample")
+    assert "isovalue 0.99" in message
+    assert "--style nets" in message
+    assert "--dim 64" in message
+    assert "lower isovalue" in message
+    assert "none of its 81" in fail("extract plate.svo.h5 --check --against bunny.obj -o a.obj")
+    run("extract plate.svo.h5 --isovalue 0.2 -o a.obj")
+    run("extract plate.svo.h5 --style nets -o a.obj")
+
+
+def test_no_voxel_is_set(here: Path) -> None:
+    write_svo(octree_from_dense(np.zeros((16, 16, 16), bool)), "void.svo.h5")
+    for style in STYLES:
+        message = fail(f"extract void.svo.h5 --style {style}")
+        assert message.startswith("void.svo.h5: no voxel is set")
+
+
+# ---- lost voxels
+
+
+def test_lost_voxels(here: Path) -> None:
+    dense = ball((64, 64, 64), 0.3)
+    near = np.count_nonzero(dense)
+    dense[4:60, 2, 2] = True  # a hair that no sample holds
+    write_svo(octree_from_dense(dense), "hair.svo.h5")
+    result = run("extract hair.svo.h5")
+    assert said(result.stderr)
+    lost = LOST.search(result.stderr)
+    assert lost, result.stderr
+    assert number(lost[3]) == 56
+    assert "--style nets" in lost[4]
+    assert "--dim 256" in lost[4]
+    share = 100 * number(lost[1]) / (near + 56)
+    assert float(lost[2]) == pytest.approx(share, rel=0.06)
+    found = told("extract hair.svo.h5 --json")
+    assert (found["voxels_below_isovalue"], found["voxels_vanished"]) == (number(lost[1]), 56)
+    for more in ("--style nets", "--style blocks", "--level voxel"):
+        assert "lie in samples" not in run(f"extract hair.svo.h5 {more}").stderr
+    assert "lie in samples" not in run("extract hair.svo.h5 --isovalue 0.001").stderr
+
+
+def test_voxels_below_the_isovalue_that_the_surface_is_near(here: Path) -> None:
+    write_svo(octree_from_dense(ball((64, 64, 64))), "ball.svo.h5")
+    lost = LOST.search(run("extract ball.svo.h5").stderr)
+    assert lost
+    assert lost[3] is None
+    assert number(lost[1]) == told("extract ball.svo.h5 --json")["voxels_below_isovalue"]
+
+
+# ---- quiet, verbose, and the bar
+
+
+def test_quiet_is_silent(here: Path) -> None:
+    for style in STYLES:
+        assert run(f"extract bunny.svo.h5 --style {style} -q").output == ""
+    assert "no such file" in fail("extract none.svo.h5 -q")
+    found = run("extract bunny.svo.h5 -q --check")
+    assert json.loads(found.stdout)["check"]["closed"]
+    assert found.stderr == ""
+
+
+@pytest.mark.parametrize(
+    "more", ["", "--level voxel", "--style nets", "--style blocks", "--style blocks --merge"]
+)
+def test_verbose_tells_device_and_stages(more: str, here: Path) -> None:
+    lines = run(f"extract bunny.svo.h5 -v -o a.obj {more}").stderr.splitlines()
+    start = next(i for i, line in enumerate(lines) if re.fullmatch(r"voxtool: \S.* \(.*\)", line))
+    timed = [re.fullmatch(r"voxtool:   (.*?) +\d+\.\d\d ms", line) for line in lines[start + 1 :]]
+    assert all(timed), lines
+    names = [match[1] for match in timed if match]
+    planned = told(f"extract bunny.svo.h5 --plan --json {more}")["stages"]
+    assert [name for name in names if name in planned] == planned
+
+
+@pytest.mark.parametrize(
+    ("more", "asked"),
+    [
+        ("", {}),
+        ("--level voxel", {"level": "voxel"}),
+        ("--style nets", {"style": "nets"}),
+        ("--style blocks", {"style": "blocks"}),
+        ("--style blocks --merge", {"style": "blocks", "merge": True}),
+    ],
+)
+def test_the_bar_counts_every_stage(more: str, asked: dict, here: Path) -> None:
+    code, out, sent = on_terminal(f"extract bunny.svo.h5 -o a.obj {more}", 0, here)
+    assert (code, out) == (0, "")
+    shown = re.findall(r"\[(#*)(\.*)\] ([a-z0-9 ]*[a-z0-9])", sent)
+    stages = len(plan_extract(read_svo("bunny.svo.h5"), **asked).stages)
+    lengths = [len(done + left) for done, left, _ in shown]
+    assert set(lengths[1:]) == {stages + 3}  # read octree, read back, write file
+    assert lengths[0] in (1, stages + 3)  # before there is a plan
+    counts = [len(done) for done, _, _ in shown]
+    assert counts == sorted(counts)
+    assert shown[0][2] == "read octree"
+    assert shown[-1][2] == "write file"
+    assert screen(sent)[0].startswith("voxtool: bunny.svo.h5 -> a.obj")
+    assert screen(sent)[-1] == ""
+
+
+# ---- processes
+
+
+def test_exit_codes_of_processes(here: Path) -> None:
+    assert process("extract bunny.svo.h5 --check").returncode == 0
+    done = process("extract bunny.obj")
+    assert (done.returncode, done.stdout, done.stderr.count(b"\n")) == (1, b"", 1)
+    done = process("extract bunny.svo.h5 --merge")
+    assert (done.returncode, done.stdout, done.stderr.count(b"\n")) == (2, b"", 1)
+
+
+def test_a_reader_that_has_gone_is_no_traceback(here: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    words = [*MODULE, "extract", "bunny.svo.h5", "-q", "-o", "-"]
+    done = subprocess.run(words, env=ENVIRONMENT, stdout=writer, stderr=subprocess.PIPE)
+    os.close(writer)
+    assert done.returncode == 1
+    assert done.stderr.startswith(b"voxtool: error: standard output was closed")
+    assert done.stderr.count(b"\n") == 1
+
+
+def test_the_library_gives_the_same(here: Path) -> None:
+    surface = voxtool.extract(read_svo("bunny.svo.h5"), style="nets")
+    assert told("extract bunny.svo.h5 --style nets --json")["digest"] == surface.digest()

@@ -1,0 +1,692 @@
+"""The command line: in this process through click's runner, and as the user runs it in a shell."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import json
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import click
+import h5py
+import numpy as np
+import pytest
+from helpers_cli import ENVIRONMENT, MODULE, fail, invoke, on_terminal, process, run, screen
+
+from voxtool.cli import main, options
+from voxtool.cli.options import output_of
+from voxtool.cli.voxelize import stages
+from voxtool.files import read_svo
+from voxtool.files.mesh import load_mesh
+from voxtool.grid import Grid
+from voxtool.svo.voxelize import plan_voxelize, voxelize
+
+MODES = ("surface26", "surface6", "solid")
+
+
+# ---- help
+
+
+def all_commands(command: click.Command = main.cli, path: tuple[str, ...] = ()):
+    yield path, command
+    if isinstance(command, click.Group):
+        context = click.Context(command)
+        for name in command.list_commands(context):
+            child = command.get_command(context, name)
+            assert child
+            yield from all_commands(child, (*path, name))
+
+
+COMMANDS = dict(all_commands())
+
+
+def examples(command: click.Command) -> list[str]:
+    text = (command.help or "").partition("Examples:\n")[2]
+    return [line.strip() for line in text.splitlines() if line.strip()]
+
+
+@pytest.mark.parametrize("path", COMMANDS, ids=" ".join)
+@pytest.mark.parametrize("flag", ["-h", "--help"])
+def test_help(path, flag) -> None:
+    result = run(" ".join([*path, flag]))
+    assert result.stderr == ""
+    text = COMMANDS[path].help or ""
+    sentence = text.partition("\n\n")[0]
+    assert re.fullmatch(r"[A-Z][^.]*(\.[a-z0-9]+[^.]*)*\.", " ".join(sentence.split())), sentence
+    assert re.search(r"\bunits\b|\bms\b|\bGB\b|\bvoxels\b", text.partition("Examples:")[0])
+    assert len(examples(COMMANDS[path])) >= 2
+    for line in examples(COMMANDS[path]):
+        assert line.startswith("voxtool ")
+        assert line in result.stdout  # click has not folded it
+    for parameter in COMMANDS[path].params:
+        if isinstance(parameter, click.Option):
+            assert parameter.help, f"{parameter.name} is not explained"
+
+
+@pytest.mark.parametrize(
+    "line", sorted({line for command in COMMANDS.values() for line in examples(command)})
+)
+def test_every_example_runs(line: str, here: Path, shell) -> None:
+    line = re.sub(r"--dims \S+", "--dims 16 --repeat 1", line)
+    line = re.sub(r"--tolerances \S+", "--tolerances 1e-2 --repeat 1", line)
+    line = line.replace("--dim 512", "--dim 100").replace("--tolerance 1e-4", "--tolerance 1e-2")
+    done = subprocess.run(
+        ["sh", "-c", line], env=shell, cwd=here, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    assert "error:" not in done.stderr
+
+
+def test_no_command_shows_the_help_and_is_a_usage_error(here: Path) -> None:
+    for command in ("", "bench"):
+        result = invoke(command)
+        assert (result.exit_code, result.stdout) == (2, "")
+        assert "Examples:" in result.stderr
+
+
+def test_version() -> None:
+    from voxtool import __version__
+
+    assert run("--version").stdout == f"voxtool {__version__}\n"
+    assert process("--version").stdout.decode().strip() == f"voxtool {__version__}"
+
+
+@pytest.mark.parametrize("arguments", [["--version"], ["-h"], ["voxelize", "-h"], ["voxelize"]])
+def test_start_up_imports_nothing_heavy(arguments) -> None:
+    code = (
+        "import sys; from voxtool.cli.main import main\n"
+        f"sys.argv[1:] = {arguments!r}\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numpy', 'trimesh', 'pyopencl', 'h5py', 'lxml', 'PIL', 'tempfile'}\n"
+        "assert not heavy & set(sys.modules), heavy & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, check=True, capture_output=True)
+
+
+# ---- usage
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("nope", "No such command 'nope' (see voxtool -h)"),
+        ("voxelize", "Missing argument 'MESH' (see voxtool voxelize -h)"),
+        ("voxelize bunny.obj --dimm 64", "No such option '--dimm'"),
+        ("voxelize bunny.obj --dim 7", "7 is not in the range 8<=x<=65536"),
+        ("voxelize bunny.obj --dim 65537", "65537 is not in the range 8<=x<=65536"),
+        ("voxelize bunny.obj --dim x", "'x' is not a valid integer"),
+        ("voxelize bunny.obj --mode shell", "'surface26', 'surface6', 'solid'"),
+        ("voxelize bunny.obj --bbox 0 0 0", "'--bbox' requires 6 arguments"),
+        ("voxelize bunny.obj --margin -1", "-1 is not in the range x>=0"),
+        ("voxelize bunny.obj --max-memory lots", "'lots' is no number of bytes: write 800M or 8G"),
+        ("voxelize bunny.obj --max-memory 0", "'0' is no number of bytes"),
+        ("voxelize bunny.obj --format obj", "'svo.h5', 'svo.xml', 'svo.xml.gz'"),
+        ("voxelize bunny.obj --dim 64 --pitch 1", "--dim and --pitch both set the voxel size"),
+        ("voxelize bunny.obj --like bunny.svo.h5 --dim 64", "--like sets the grid: drop --dim"),
+        (
+            "voxelize bunny.obj --like bunny.svo.h5 --pitch 1 --margin 0",
+            "--like sets the grid: drop --pitch and --margin",
+        ),
+        ("voxelize bunny.obj --like bunny.svo.h5 --fit stretch", "drop --fit"),
+        ("voxelize bunny.obj --fit stretch --margin 2", "--fit stretch goes with --dim alone"),
+        ("voxelize bunny.obj --mode surface6 --with-surface", "surface6 is a surface"),
+        ("export bunny.svo.h5", "where to? Give -o OUT.npy, .npz, .vti or .png"),
+        ("export bunny.svo.h5 -o a.png --slice q=1", "'q=1' is no plane of voxels: write z=128"),
+        ("export bunny.svo.h5 -o a.npy --slice z=1", "--slice goes with .png"),
+        ("bench voxelize bunny.obj --dims 64,x", "'x' is not a valid integer"),
+        ("bench voxelize bunny.obj --dims 64,4", "4 is not in the range 8<=x<=65536"),
+        ("bench voxelize bunny.obj --modes solid,shell", "'shell' is not one of"),
+        ("bench voxelize", "Missing argument 'MODELS...'"),
+    ],
+)
+def test_usage_errors(command: str, message: str, here: Path) -> None:
+    assert message in fail(command, code=2)
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("voxelize none.obj", "none.obj: no such file"),
+        ("voxelize bunny.svo.h5", "not a mesh"),
+        ("voxelize bunny.obj -o bunny.foo", "the name says no format: end it in one of .svo.h5"),
+        ("voxelize bunny.obj -o none/bunny.svo.h5", "there is no folder"),
+        ("voxelize bunny.obj --no-clobber", "bunny.svo.h5 exists"),
+        ("voxelize bunny.obj --like none.svo.h5", "none.svo.h5: there is no such file"),
+        ("voxelize bunny.obj --pitch 0", "pitch 0.0 is not a positive size"),
+        ("voxelize bunny.obj --pitch nan", "pitch nan is not a positive size"),
+        ("voxelize bunny.obj --pitch 1e-9", "choose at least"),
+        ("voxelize bunny.obj --pitch 1e-320", "choose at least"),
+        ("voxelize bunny.obj --dim 8 --margin 4", "choose at most 3"),
+        ("voxelize bunny.obj --bbox 1 1 1 0 0 0", "is empty or not finite"),
+        ("voxelize bunny.obj --bbox 1e9 0 0 1.1e9 1 1 --pitch 1", "choose"),
+        ("voxelize bunny.obj --device nothing-like-it", "choose one of 0: "),
+        ("voxelize bunny.obj --device 99", "choose one of 0: "),
+        ("svo-info none.svo.h5", "none.svo.h5: there is no such file"),
+        (
+            "svo-info bunny.obj",
+            "bunny.obj is a mesh: voxelize it first (voxtool voxelize bunny.obj)",
+        ),
+        ("svo-info .", "is a folder"),
+        ("export bunny.obj -o a.npy", "bunny.obj is a mesh: voxelize it first"),
+        ("export bunny.svo.h5 -o a.foo", "end it in one of .npy, .npz, .vti, .png"),
+        ("export bunny.svo.h5 -o -", "name the format, one of .npy"),
+        ("export bunny.svo.h5 -o a.png --slice z=128", "lies outside the grid: choose 0 to 127"),
+        ("bench voxelize none.obj --dims 16", "none.obj: no such file"),
+        ("bench voxelize bunny.obj --device nothing-like-it", "choose one of 0: "),
+    ],
+)
+def test_failures_are_one_line(command: str, message: str, here: Path) -> None:
+    assert message in fail(command)
+
+
+def test_nothing_on_stdin(here: Path) -> None:
+    assert "empty" in fail("voxelize -")
+    assert "stdin is empty" in fail("svo-info -")
+
+
+def test_stray_errors_of_the_system_are_one_line_too(here: Path, monkeypatch) -> None:
+    @click.command
+    @click.argument("kind")
+    def stray(kind: str) -> None:
+        raise {"memory": MemoryError(), "disk": OSError(28, "No space left", "a.h5")}[kind]
+
+    monkeypatch.setitem(main.COMMANDS, "stray", "stray")
+    monkeypatch.setitem(sys.modules, "stray", SimpleNamespace(command=stray))
+    assert fail("stray memory").startswith("this machine has not enough memory")
+    assert fail("stray disk") == "a.h5: No space left"
+
+
+# ---- voxelize
+
+
+def test_voxelize_says_what_it_did_on_stderr(here: Path) -> None:
+    result = run("voxelize bunny.obj --dim 64")
+    assert result.stdout == ""
+    octree = read_svo("bunny.svo.h5")
+    assert re.fullmatch(
+        r"voxtool: bunny\.obj -> bunny\.svo\.h5: solid by parity, dim 64, pitch [\d.]+; "
+        rf"{octree.count:,} voxels in [\d.]+ kB, \d+\.\d\d s\n",
+        result.stderr,
+    )
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_voxelize_is_the_library(mode: str, here: Path) -> None:
+    run(f"voxelize bunny.obj --dim 40 --mode {mode} -o a.svo.h5")
+    mesh = load_mesh("bunny.obj")
+    octree = read_svo("a.svo.h5")
+    assert octree.digest() == voxelize(mesh, Grid.fit(mesh, 40), mode).digest()
+    assert octree.source_sha256 == hashlib.sha256((here / "bunny.obj").read_bytes()).hexdigest()
+
+
+def test_defaults_are_256_solid(here: Path) -> None:
+    run("voxelize bunny.obj -o a.svo.h5")
+    octree = read_svo("a.svo.h5")
+    assert (octree.grid.dim, octree.mode, octree.fill) == (256, "solid", "parity")
+
+
+def test_with_surface(here: Path) -> None:
+    run("voxelize bunny.obj --dim 32 --with-surface -o a.svo.h5")
+    assert read_svo("a.svo.h5").mode == "solid+surface26"
+
+
+def test_default_name_is_in_the_current_folder(here: Path) -> None:
+    (here / "models").mkdir()
+    packed = here / "models" / "Rabbit.OBJ.GZ"
+    packed.write_bytes(gzip.compress((here / "bunny.obj").read_bytes()))
+    run("voxelize models/Rabbit.OBJ.GZ --dim 16")
+    assert read_svo("Rabbit.svo.h5").count > 0
+    assert os.listdir("models") == ["Rabbit.OBJ.GZ"]
+
+
+@pytest.mark.parametrize(
+    ("mesh", "output"),
+    [
+        ("bunny.obj", "bunny.svo.h5"),
+        ("a/b/bunny.obj.gz", "bunny.svo.h5"),
+        ("bunny.v2.stl", "bunny.v2.svo.h5"),
+        ("bunny", "bunny.svo.h5"),
+        ("-", "-"),
+    ],
+)
+def test_default_output(mesh: str, output: str) -> None:
+    assert output_of(mesh, "svo.h5") == output
+
+
+@pytest.mark.parametrize("name", ["a.svo.h5", "a.svo.xml", "a.svo.xml.gz"])
+def test_formats_have_one_digest(name: str, here: Path) -> None:
+    run(f"voxelize bunny.obj --dim 24 -o {name}")
+    run("voxelize bunny.obj --dim 24 --format svo.xml -o plain")
+    digest = run(f"svo-info {name} --digest").stdout
+    assert re.fullmatch(r"[0-9a-f]{64}\n", digest)
+    assert digest == run("svo-info plain --digest").stdout
+
+
+def test_stdin_and_stdout(here: Path) -> None:
+    mesh = (here / "bunny.obj").read_bytes()
+    run("voxelize bunny.obj --dim 32 -o a.svo.h5")
+    digest = run("svo-info a.svo.h5 --digest").stdout
+    for command in ("voxelize - --dim 32", "voxelize - --dim 32 -o -"):
+        result = run(command, mesh)
+        assert result.stdout_bytes.startswith(b"\x89HDF")
+        assert result.stderr.startswith("voxtool: stdin -> stdout: solid")
+        assert run("svo-info - --digest", result.stdout_bytes).stdout == digest
+    result = run("voxelize - --dim 32 --format svo.xml -o - --json", mesh)
+    assert result.stdout_bytes.startswith(b"<?xml")
+    assert json.loads(result.stderr)["output"] == "-"
+    assert run("svo-info - --digest", result.stdout_bytes).stdout == digest
+    run("voxelize - --dim 32 -o b.svo.h5", gzip.compress(mesh, mtime=0))
+    assert run("svo-info b.svo.h5 --digest").stdout == digest
+
+
+def test_no_clobber_keeps_the_file(here: Path) -> None:
+    run("voxelize bunny.obj --dim 16 -o new.svo.h5 --no-clobber")
+    assert "exists" in fail("voxelize bunny.obj --dim 32 -o new.svo.h5 --no-clobber")
+    run("voxelize bunny.obj --dim 32 -o new.svo.h5")
+    assert read_svo("new.svo.h5").grid.dim == 32
+    assert "exists" in fail("export new.svo.h5 -o new.svo.h5 --format npy --no-clobber")
+
+
+def test_like_shares_the_lattice(here: Path) -> None:
+    run("voxelize open.obj --like bunny.svo.h5 --mode surface26 -o a.svo.h5")
+    assert read_svo("a.svo.h5").grid == read_svo("bunny.svo.h5").grid
+
+
+def test_the_grid_by_hand(here: Path) -> None:
+    grid = "voxelize open.obj --mode surface26 -q -o a.svo.h5 "
+    run(grid + "--pitch 0.125 --margin 2")
+    assert read_svo("a.svo.h5").grid == Grid((36, 28, 20), (-0.25,) * 3, (0.125,) * 3)  # pyright: ignore
+    run(grid + "--bbox -1 -1 -1 7 5 3 --dim 32")
+    assert read_svo("a.svo.h5").grid == Grid((32, 24, 16), (-1.0,) * 3, (0.25,) * 3)  # pyright: ignore
+    run(grid + "--bbox 0 0 0 4 3 2 --pitch 0.25 --margin 1")
+    assert read_svo("a.svo.h5").grid == Grid((18, 14, 10), (-0.25,) * 3, (0.25,) * 3)  # pyright: ignore
+    run(grid + "--dim 20 --fit stretch")
+    mesh = load_mesh("open.obj")
+    assert read_svo("a.svo.h5").grid == Grid.fit(mesh, 20, fit="stretch")
+
+
+@pytest.mark.parametrize(
+    ("fill", "says"),
+    [
+        ("", "; 1 hole, filled where its winding number is 1/2 or more"),
+        ("--fill parity", "; filled by parity, rows of voxels along x leak where they pass a gap"),
+        ("--fill nonzero", "; filled where crossings do not cancel, rows of voxels along x leak"),
+        ("--fill winding", None),
+        ("--fill flood --gap 2", None),
+    ],
+)
+def test_open_mesh_tells_the_counts_and_fills(fill: str, says: str | None, here: Path) -> None:
+    lines = run(f"voxelize open.obj --dim 16 {fill} -o a.svo.h5").stderr.splitlines()
+    rule = (fill or "--fill winding").removeprefix("--fill ").replace(" --gap ", "+gap")
+    assert (read_svo("a.svo.h5").mode, read_svo("a.svo.h5").fill) == ("solid", rule)
+    assert f"solid by {rule}, dim 16" in lines[-1]
+    assert len(lines) == 1 + (says is not None)
+    if says is not None:
+        assert lines[0].startswith("voxtool: " + "warning: " * bool(fill))
+        assert "open.obj is not closed: 4 boundary edges, 0 non-manifold edges" in lines[0]
+        assert says in lines[0]
+
+
+def test_a_mesh_that_is_inside_out_is_told(here: Path) -> None:
+    text = (here / "open.obj").read_text().splitlines()
+    turned = ["f " + " ".join(line.split()[:0:-1]) if line[0] == "f" else line for line in text]
+    (here / "turned.obj").write_text("\n".join(turned) + "\n")
+    told = run("voxelize turned.obj --dim 16 -o a.svo.h5").stderr
+    assert "turned.obj is inside out" in told
+    assert "choose --fill parity or nonzero" in told
+    assert read_svo("a.svo.h5").count == 0
+
+
+def test_rules_and_gaps_that_do_not_go_together(here: Path) -> None:
+    assert "--gap goes with --mode solid --fill flood" in fail("voxelize open.obj --gap 2", code=2)
+    assert "'luck' is not one of" in fail("voxelize open.obj --fill luck", code=2)
+    assert "choose from 0 to 16 voxels" in fail("voxelize open.obj --dim 16 --fill flood --gap 17")
+
+
+def test_the_plan_tells_the_rule(here: Path) -> None:
+    told = run("voxelize open.obj --dim 16 --plan").stdout
+    assert "winding; 1 hole, 2 cap triangles" in told
+    assert re.search(r"scene +10 triangles", told)
+    plan = json.loads(run("voxelize open.obj --dim 16 --plan --json").stdout)
+    assert (plan["fill"], plan["holes"], plan["cap_triangles"]) == ("winding", 1, 2)
+    assert plan["triangles"] == 10
+    assert {"holes", "near holes"} <= set(plan["stages"])
+    told = run("voxelize bunny.obj --dim 16 --plan --fill winding").stdout
+    assert re.search(r"left out +winding numbers near holes: no edge bounds a hole", told)
+    told = run("voxelize open.obj --dim 16 --plan --fill flood --gap 3").stdout
+    assert "flood+gap3" in told
+    assert "left out   crossings, rows and fill: the outside is flooded" in told
+
+
+def test_what_rules_are_for_closed_meshes_is_not_told(here: Path) -> None:
+    assert "warning" not in run("voxelize open.obj --dim 16 --mode surface6").stderr
+    assert "warning" not in run("voxelize bunny.obj --dim 16").stderr
+
+
+def test_quiet_is_silent(here: Path) -> None:
+    for mode in MODES:
+        result = run(f"voxelize open.obj --dim 16 --mode {mode} -q -o a.svo.h5")
+        assert result.output == ""
+    assert "no such file" in fail("voxelize none.obj -q")
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_verbose_tells_device_and_stages(mode: str, here: Path) -> None:
+    lines = run(f"voxelize bunny.obj --dim 32 --mode {mode} -v").stderr.splitlines()
+    assert re.fullmatch(r"voxtool: \S.* \(.*\)", lines[1])
+    told = [re.fullmatch(r"voxtool:   (.*?) +\d+\.\d\d ms", line) for line in lines[2:]]
+    assert all(told)
+    assert [t[1] for t in told if t] == [
+        s
+        for s in stages(mode, "parity", False)
+        if s not in ("read mesh", "check mesh", "write file")
+    ]
+
+
+def test_json_of_voxelize(here: Path) -> None:
+    result = run("voxelize bunny.obj --dim 32 --json")
+    assert result.stderr == ""
+    told = json.loads(result.stdout)
+    octree = read_svo("bunny.svo.h5")
+    assert told["output"] == "bunny.svo.h5"
+    assert (told["dim"], told["mode"]) == (32, "solid")
+    assert told["voxels"] == octree.count
+    assert told["nodes"] == len(octree.nodes)
+    assert told["bricks"] == len(octree.bricks)
+    assert told["bytes"] == octree.nbytes
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_plan_prints_and_writes_nothing(mode: str, here: Path) -> None:
+    before = sorted(os.listdir())
+    text = run(f"voxelize bunny.obj --dim 64 --mode {mode} --plan -o a.svo.h5")
+    plan = run(f"voxelize bunny.obj --dim 64 --mode {mode} --plan --json")
+    assert sorted(os.listdir()) == before
+    assert text.stderr == plan.stderr == ""
+    told = json.loads(plan.stdout)
+    assert told["shape"] == [64, 64, 64]
+    for word in ("stages", "left out", "predicted", "bricks", "work"):
+        assert word in text.stdout
+    run(f"voxelize bunny.obj --dim 64 --mode {mode} -o a.svo.h5")
+    stored = json.loads(run("svo-info a.svo.h5 --json").stdout)["plan"]
+    assert {name: told[name] for name in stored} == stored
+
+
+# ---- memory
+
+
+def test_more_than_max_memory_is_refused_with_the_dim_that_fits(here: Path) -> None:
+    for mode in MODES:
+        command = f"voxelize bunny.obj --mode {mode} -o a.svo.h5 --max-memory 400K"
+        message = fail(f"{command} --dim 1024")
+        assert "dim 1024 would need" in message
+        found = re.search(r"dim (\d+) is the largest that fits", message)
+        assert found, message
+        run(f"{command} --dim {found[1]}")
+        assert read_svo("a.svo.h5").grid.dim == int(found[1])
+        os.remove("a.svo.h5")
+        fail(f"{command} --dim {round(1.1 * int(found[1]))}")
+
+
+def test_no_dim_fits(here: Path) -> None:
+    assert "no dim fits" in fail("voxelize bunny.obj --max-memory 1K")
+
+
+def test_plan_warns_of_a_refusal(here: Path) -> None:
+    result = run("voxelize bunny.obj --plan --json --dim 1024 --max-memory 400K")
+    assert json.loads(result.stdout)["predicted_device_bytes"] > 400 << 10
+    assert "warning: this will be refused: dim 1024 would need" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        ("800", 800),
+        ("8k", 8 << 10),
+        ("800M", 800 << 20),
+        ("1.5GiB", 3 << 29),
+        ("8gb", 8 << 30),
+        ("1T", 1 << 40),
+    ],
+)
+def test_bytes(text: str, number: int) -> None:
+    assert options.Bytes().convert(text, None, None) == number
+
+
+@pytest.mark.parametrize("text", ["", "M", "-1", "0.5", "nan", "inf", "1e30", "8X", "8 lots"])
+def test_no_bytes(text: str) -> None:
+    with pytest.raises(click.BadParameter, match="write 800M or 8G"):
+        options.Bytes().convert(text, None, None)
+
+
+# ---- svo-info
+
+
+def test_svo_info(here: Path) -> None:
+    octree = read_svo("bunny.svo.h5")
+    result = run("svo-info bunny.svo.h5 --check")
+    assert result.stderr == ""
+    for word in (f"{octree.count:,}", "128 x 128 x 128", "solid, filled by parity", "check: ok"):
+        assert word in result.stdout
+    told = json.loads(run("svo-info bunny.svo.h5 --json --check --digest").stdout)
+    assert told["check"] == "ok"
+    assert told["digest"] == octree.digest()
+    assert told["file_bytes"] == os.path.getsize("bunny.svo.h5")
+    assert told["voxels"] == octree.count == sum(level["voxels"] for level in told["levels"])
+    assert told["volume"] == pytest.approx(octree.count * octree.grid.voxel_volume)
+    assert [level["nodes"] for level in told["levels"]] == np.diff(octree.offsets).tolist()
+
+
+@pytest.mark.parametrize(
+    ("dataset", "place", "bits", "invariant"),
+    [
+        ("offsets", -1, 1, "offsets"),
+        ("nodes", (3, 0), 1, "parent"),
+        ("nodes", (0, 1), 8, "child"),
+        ("nodes", (0, 1), 1 << 31, "both coarse-inside and refined"),
+        ("bricks", 0, 1, None),
+    ],
+)
+@pytest.mark.parametrize("flag", ["", "--check", "--digest", "--json"])
+def test_altered_octree_is_refused_by_its_invariant(
+    dataset, place, bits, invariant, flag, here: Path
+) -> None:
+    with h5py.File("bunny.svo.h5", "r+") as file:
+        values = file[dataset]
+        assert isinstance(values, h5py.Dataset)
+        values[place] = np.bitwise_xor(values[place], bits)
+    if invariant is None:  # one voxel more or less is an octree, too
+        run(f"svo-info bunny.svo.h5 {flag}")
+    else:
+        assert invariant in fail(f"svo-info bunny.svo.h5 {flag}")
+
+
+# ---- export
+
+
+def test_export(here: Path) -> None:
+    dense = read_svo("bunny.svo.h5").to_dense()
+    for name in ("a.npy", "a.npz", "a.vti", "a.png", "z.png"):
+        more = "--slice z=32" if name == "z.png" else ""
+        result = run(f"export bunny.svo.h5 -o {name} {more}")
+        assert result.output == ""
+    assert np.array_equal(np.load("a.npy"), dense)
+    with np.load("a.npz") as arrays:
+        assert np.array_equal(arrays["voxels"], np.argwhere(dense))
+    assert (here / "a.vti").read_bytes().startswith(b"<?xml")
+    assert (here / "a.png").read_bytes().startswith(b"\x89PNG")
+    assert (here / "a.png").read_bytes() != (here / "z.png").read_bytes()
+    svo = (here / "bunny.svo.h5").read_bytes()
+    assert run("export - -o - --format npy", svo).stdout_bytes == (here / "a.npy").read_bytes()
+
+
+# ---- bench
+
+
+def test_bench(here: Path) -> None:
+    result = run("bench voxelize bunny.obj --dims 16,32 --modes solid,surface6 --repeat 1")
+    assert result.stderr == ""
+    lines = result.stdout.splitlines()
+    assert lines[2] == "bunny.obj: 3,092 triangles, fit uniform"
+    assert [line.split()[:2] for line in lines[4:]] == [
+        [dim, mode] for dim in ("16", "32") for mode in ("solid", "surface6")
+    ]
+    assert len({len(line) for line in lines[3:]}) == 1
+    told = json.loads(
+        run("bench voxelize bunny.obj --dims 16 --modes solid --repeat 1 --json").stdout
+    )
+    row = told["rows"][0]
+    assert (row["dim"], row["mode"], row["triangles"]) == (16, "solid", 3092)
+    assert row["stages"].keys() >= {"active nodes", "octree", "crossings", "rows", "fill"}
+
+
+# ---- as the user runs it
+
+
+def test_pipe(here: Path, shell) -> None:
+    line = "voxtool voxelize bunny.obj --dim 32 -q -o - | voxtool svo-info - --json | head -1"
+    done = subprocess.run(["sh", "-c", line], env=shell, cwd=here, capture_output=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"{\n", b"")
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("svo-info bunny.svo.h5 --json", b""),
+        ("svo-info bunny.svo.h5", b""),
+        ("devices", b""),
+        ("voxelize bunny.obj --dim 16 -q -o -", b"voxtool: error: standard output was closed"),
+    ],
+)
+def test_a_reader_that_has_gone_is_no_traceback(command: str, message: bytes, here: Path) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    words = [*MODULE, *shlex.split(command)]
+    done = subprocess.run(words, env=ENVIRONMENT, cwd=here, stdout=writer, stderr=subprocess.PIPE)
+    os.close(writer)
+    assert done.returncode == 1
+    assert done.stderr.startswith(message)
+    assert done.stderr.count(b"\n") == bool(message)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+def test_full_stdout_is_one_line(here: Path) -> None:
+    words = [*MODULE, "svo-info", "bunny.svo.h5"]
+    with open("/dev/full", "wb") as full:
+        done = subprocess.run(words, env=ENVIRONMENT, stdout=full, stderr=subprocess.PIPE)
+    assert done.returncode == 1
+    assert done.stderr.startswith(b"voxtool: error: No space left")
+    assert done.stderr.count(b"\n") == 1
+
+
+def test_exit_codes_of_processes(here: Path) -> None:
+    assert process("svo-info bunny.svo.h5 --check").returncode == 0
+    done = process("svo-info bunny.obj")
+    assert (done.returncode, done.stdout, done.stderr.count(b"\n")) == (1, b"", 1)
+    done = process("svo-info")
+    assert (done.returncode, done.stdout, done.stderr.count(b"\n")) == (2, b"", 1)
+
+
+def test_interrupted_in_the_middle_is_130_and_leaves_nothing(here: Path) -> None:
+    code = """
+import sys
+from voxtool.opencl import Device
+stage = Device.stage
+def told(self, name):
+    print(name, flush=True)
+    return stage(self, name)
+Device.stage = told
+from voxtool.cli.main import main
+main()
+"""
+    before = sorted(os.listdir())
+    words = [sys.executable, "-c", code, "voxelize", "bunny.obj", "--dim", "8192"]
+    with subprocess.Popen(
+        [*words, "--mode", "surface26", "-o", "big.svo.h5"],
+        env=ENVIRONMENT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as child:
+        assert child.stdout
+        assert child.stderr
+        assert child.stdout.readline() == b"survey\n"
+        assert child.stdout.readline() == b"active nodes\n"
+        child.send_signal(signal.SIGINT)
+        said = child.stderr.read()
+    assert child.returncode == 130
+    assert said.strip() == b""
+    assert sorted(os.listdir()) == before
+
+
+# ---- the bar
+
+
+@pytest.mark.parametrize("with_surface", [False, True])
+@pytest.mark.parametrize("mode", MODES)
+def test_the_bar_counts_the_stages_of_the_plan(mode: str, with_surface: bool, models) -> None:
+    if with_surface and mode != "solid":
+        return
+    mesh = load_mesh(models / "bunny.obj")
+    plan = plan_voxelize(mesh, Grid.fit(mesh, 32), mode, with_surface=with_surface)
+    shown = stages(mode, "auto", with_surface)
+    assert shown[0] == "read mesh"
+    assert [s for s in shown if s in plan.stages] == plan.stages
+    assert shown[-1] == "write file"
+
+
+def test_the_bar_is_shown_and_erased(here: Path) -> None:
+    code, out, sent = on_terminal("voxelize bunny.obj --dim 64 -o a.svo.h5", 0, here)
+    assert (code, out) == (0, "")
+    shown = re.findall(r"\[(#*)(\.*)\] ([a-z0-9 ]*[a-z0-9])", sent)
+    assert shown
+    assert {len(done + left) for done, left, _ in shown} == {len(stages("solid", "auto", False))}
+    assert [len(done) for done, _, _ in shown] == sorted(len(done) for done, _, _ in shown)
+    assert "[............] read mesh" in sent
+    assert "[###########.] write file" in sent
+    message, end = screen(sent)
+    assert message.startswith("voxtool: bunny.obj -> a.svo.h5")
+    assert end == ""
+
+
+def test_warnings_and_errors_stand_alone(here: Path) -> None:
+    code, _, sent = on_terminal("voxelize open.obj --dim 16 --fill parity -o a.svo.h5", 0, here)
+    assert code == 0
+    warning, message, end = screen(sent)
+    assert warning.startswith("voxtool: warning: ")
+    assert message.startswith("voxtool: open.obj -> a.svo.h5")
+    assert end == ""
+    code, _, sent = on_terminal("voxelize bunny.obj --dim 1024 --max-memory 400K", 0, here)
+    assert code == 1
+    assert "[##..........] survey" in sent
+    error, end = screen(sent)
+    assert error.startswith("voxtool: error: dim 1024 would need")
+    assert end == ""
+
+
+def test_no_bar_for_short_work_when_quiet_or_in_the_plan(here: Path) -> None:
+    _, _, sent = on_terminal("voxelize bunny.obj --dim 16 -o a.svo.h5", 3600, here)
+    assert screen(sent)[0].startswith("voxtool: bunny.obj -> a.svo.h5")
+    assert "[" not in sent
+    assert on_terminal("voxelize bunny.obj --dim 16 -q -o a.svo.h5", 0, here)[2] == ""
+    _, out, sent = on_terminal("voxelize bunny.obj --dim 16 --plan", 0, here)
+    assert out.startswith("grid")
+    assert screen(sent) == [""]
+
+
+def test_no_octree_is_sent_to_a_terminal(here: Path) -> None:
+    pty = pytest.importorskip("pty")
+    master, slave = pty.openpty()
+    words = [*MODULE, "voxelize", "bunny.obj", "-o", "-"]
+    done = subprocess.run(words, env=ENVIRONMENT, stdout=slave, stderr=subprocess.PIPE)
+    os.close(slave)
+    os.close(master)
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"voxtool: error: stdout is a terminal: redirect it")

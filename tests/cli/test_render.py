@@ -1,0 +1,575 @@
+"""voxtool render: pictures as the library's, options and their refusals, plans, empty pictures."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import os
+import re
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import png
+import pytest
+from conftest import usable_devices
+from helpers_cli import ENVIRONMENT, MODULE, fail, process, run
+from PIL import Image
+
+from voxtool.camera import Camera
+from voxtool.choices import METHODS, VIEWS
+from voxtool.cli.render import AXES, BELONGS, output_of
+from voxtool.files import read_adf, read_svo, read_tet
+from voxtool.files.picture import averaged, rounded
+from voxtool.tets import render, transfer
+
+OCTREE, FIELD, VOLUME = "bunny.svo.h5", "bunny.adf.h5", "volume.tet.h5"
+SCENES = {"octree": OCTREE, "field": FIELD, "volume": VOLUME}
+OPTIONS = {
+    "level": "--level 0",
+    "offset": "--offset 0.1",
+    "colour": "--colour #ff8000",
+    "transfer_file": "--transfer a.json",
+    "map_name": "--map gray",
+    "opacity_range": "--opacity-range 0,1",
+    "unit_distance": "--unit-distance 1",
+    "method": "--method raycast",
+    "integrator": "--integrator linear",
+    "legend": "--legend",
+}
+
+
+def floats(command: str) -> np.ndarray:
+    """The picture that a command makes."""
+    run(f"render {command} -q --float -o a.npy")
+    return np.load("a.npy")
+
+
+# ---- what is written
+
+
+@pytest.mark.parametrize("file", [OCTREE, FIELD, VOLUME])
+def test_says_what_it_did_on_stderr(file: str, here: Path) -> None:
+    result = run(f"render {file} --size 80x60")
+    assert result.stdout == ""
+    name = f"{file.partition('.')[0]}.png"
+    said = re.fullmatch(
+        rf"voxtool: {file} -> {name}: 80 x 60, iso view, ([\d.]+) % of pixels hit, \d+\.\d\d s\n",
+        result.stderr,
+    )
+    assert said, result.stderr
+    assert Image.open(name).size == (80, 60)
+    drawn = floats(f"{file} --size 80x60")
+    assert 5 < float(said[1]) < 95
+    assert float(said[1]) == pytest.approx(100 * np.mean(drawn[..., 3] > 0), rel=0.01)
+
+
+def test_the_picture_is_the_librarys(here: Path) -> None:
+    from voxtool.adf.raycast import render_adf
+    from voxtool.svo.raycast import render_svo
+
+    eye, target = (3.0, 2.5, 4.0), (0.1, 0.9, 0.0)
+    rays = Camera(eye, target, AXES["z"], 40.0).rays(60, 40)
+    camera = "--eye 3,2.5,4 --target 0.1,.9,0 --up z --fov 40 --size 60x40 --samples 1"
+    octree, field = read_svo(OCTREE), read_adf(FIELD)
+    assert np.array_equal(floats(f"{OCTREE} {camera}"), render_svo(octree, rays))
+    assert np.array_equal(
+        floats(f"{OCTREE} {camera} --level 1 --colour 1,0,.5"),
+        render_svo(octree, rays, level=1, colour=(1, 0, 0.5)),
+    )
+    assert np.array_equal(floats(f"{FIELD} {camera}"), render_adf(field, rays))
+    assert np.array_equal(
+        floats(f"{FIELD} {camera} --offset=0.1 --colour #ff0000"),
+        render_adf(field, rays, offset=0.1, colour=(1, 0, 0)),
+    )
+
+
+@pytest.mark.parametrize("file", [OCTREE, FIELD, VOLUME])
+def test_pictures_are_the_same_on_every_device(file: str, here: Path) -> None:
+    digests, pictures = set(), set()
+    for index, _ in usable_devices():
+        said = json.loads(
+            run(f"render {file} --size 70x50 --device {index} --json -o a.png").stdout
+        )
+        digests.add(said["digest"])
+        pictures.add(Path("a.png").read_bytes())
+    assert len(digests) == len(pictures) == 1
+
+
+@pytest.mark.parametrize("file", [OCTREE, VOLUME])
+@pytest.mark.parametrize("samples", [2, 4])
+def test_samples_are_means_of_a_larger_picture(file: str, samples: int, here: Path) -> None:
+    fine = floats(f"{file} --samples 1 --size {48 * samples}x{32 * samples}")
+    assert np.array_equal(
+        floats(f"{file} --samples {samples} --size 48x32"), averaged(fine, samples)
+    )
+
+
+def test_surfaces_have_two_samples_a_side_by_default(here: Path) -> None:
+    assert np.array_equal(floats(f"{OCTREE} --size 40"), floats(f"{OCTREE} --size 40 --samples 2"))
+
+
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize(
+    ("background", "colour"),
+    [("", (1, 1, 1)), ("black", (0, 0, 0)), ("#ff8000", (1, 128 / 255, 0)), ("none", None)],
+)
+def test_bits_and_background(bits: int, background: str, colour, here: Path) -> None:
+    drawn = floats(f"{OCTREE} --size 50")
+    behind = f"--background {background}" if background else ""
+    run(f"render {OCTREE} --size 50 --bits {bits} {behind} -o a.png")
+    width, height, rows, info = png.Reader("a.png").read()
+    found = np.array([list(row) for row in rows]).reshape(height, width, -1)
+    assert info["bitdepth"] == bits
+    assert np.array_equal(found, rounded(drawn, bits, colour))
+    corner = [0] * 4 if colour is None else [round(c * (2**bits - 1)) for c in colour]
+    assert found[0, 0].tolist() == corner
+
+
+def test_streams(here: Path) -> None:
+    run(f"render {OCTREE} --size 40 -o a.png")
+    expected = Path("a.png").read_bytes()
+    for command in ("render - --size 40", "render - --size 40 -o -"):
+        result = run(command, (here / OCTREE).read_bytes())
+        assert result.stdout_bytes == expected
+        assert result.stderr.startswith("voxtool: stdin -> stdout: 40 x 40, iso view")
+    result = run("render - --size 40 --float --json", (here / FIELD).read_bytes())
+    assert np.load(io.BytesIO(result.stdout_bytes)).shape == (40, 40, 4)
+    assert json.loads(result.stderr)["output"] == "-"
+
+
+def test_in_a_process_of_its_own(here: Path) -> None:
+    done = process(f"render {OCTREE} --size 32")
+    assert (done.returncode, done.stdout) == (0, b"")
+    assert Image.open("bunny.png").size == (32, 32)
+
+
+def test_no_picture_is_sent_to_a_terminal(here: Path) -> None:
+    pty = pytest.importorskip("pty")
+    master, slave = pty.openpty()
+    words = [*MODULE, "render", OCTREE, "-o", "-"]
+    done = subprocess.run(words, env=ENVIRONMENT, stdout=slave, stderr=subprocess.PIPE)
+    os.close(slave)
+    os.close(master)
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"voxtool: error: stdout is a terminal: redirect it")
+
+
+@pytest.mark.parametrize(
+    ("file", "output", "as_float", "expected"),
+    [
+        ("a/bunny.svo.h5", None, False, ("bunny.png", "png")),
+        ("bunny.svo.xml.gz", None, False, ("bunny.png", "png")),
+        ("fin.v2.tet.h5", None, True, ("fin.v2.npy", "npy")),
+        ("bunny.adf.h5", "b.NPY", False, ("b.NPY", "npy")),
+        ("-", None, False, ("-", "png")),
+        ("bunny.adf.h5", "-", True, ("-", "npy")),
+    ],
+)
+def test_default_output(file: str, output, as_float: bool, expected: tuple[str, str]) -> None:
+    assert output_of(file, output, as_float) == expected
+
+
+def test_json(here: Path) -> None:
+    result = run(f"render {OCTREE} --size 60x40 --samples 3 --json")
+    assert result.stderr == ""
+    said = json.loads(result.stdout)
+    drawn = floats(f"{OCTREE} --size 60x40 --samples 3")
+    octree = read_svo(OCTREE)
+    assert said.pop("seconds") > 0
+    assert said == {
+        "output": "bunny.png",
+        "kind": "octree",
+        "size": [60, 40],
+        "samples": 3,
+        "nodes": len(octree.nodes),
+        "bricks": len(octree.bricks),
+        "pixels_hit": np.mean(drawn[..., 3] > 0),
+        "digest": hashlib.sha256(drawn.tobytes()).hexdigest(),
+    }
+
+
+def test_verbose_and_quiet(here: Path) -> None:
+    lines = run(f"render {OCTREE} --size 32 -v").stderr.splitlines()
+    assert re.fullmatch(r"voxtool: \S.* \(.*\)", lines[1])
+    assert any("ray casting" in line for line in lines[2:])
+    assert run(f"render {OCTREE} --size 32 -q").output == ""
+
+
+# ---- cameras
+
+
+def test_every_view_shows_all_and_fills_the_picture(here: Path) -> None:
+    pictures = []
+    for view in VIEWS:
+        for lens in ("", "--orthographic"):
+            hit = floats(f"{OCTREE} --view {view} --size 96x64 --samples 1 {lens}")[..., 3] > 0
+            assert not hit[[0, -1]].any(), (view, lens)
+            assert not hit[:, [0, -1]].any(), (view, lens)
+            filled = max(np.ptp(np.flatnonzero(hit.any(axis=axis))) / side
+                         for axis, side in ((1, 64), (0, 96)))  # fmt: skip
+            assert filled > 0.75, (view, lens)
+            pictures.append(hit.tobytes())
+    assert len(set(pictures)) == len(pictures)
+
+
+@pytest.mark.parametrize("level", range(6))
+@pytest.mark.parametrize("view", ["iso", "left"])
+def test_coarse_nodes_are_in_the_picture_too(level: int, view: str, here: Path) -> None:
+    hit = floats(f"{OCTREE} --view {view} --size 64 --level {level} --samples 1")[..., 3] > 0
+    assert hit.any()
+    assert not hit[[0, -1]].any()
+    assert not hit[:, [0, -1]].any()
+
+
+@pytest.mark.parametrize("offset", [0, 0.2, -0.1])
+def test_surfaces_of_fields_are_in_the_picture(offset: float, here: Path) -> None:
+    for view in VIEWS:
+        command = f"{FIELD} --offset {offset} --view {view} --size 64 --samples 1"
+        hit = floats(command)[..., 3] > 0
+        assert hit.any(axis=1).sum() > 40 or hit.any(axis=0).sum() > 40
+        assert not hit[[0, -1]].any()
+        assert not hit[:, [0, -1]].any()
+
+
+def test_an_eye_may_be_where_a_view_is(here: Path) -> None:
+    view = floats(f"{OCTREE} --view right --turn 0 --size 40")
+    from voxtool.cli.scenes import OctreeScene
+
+    points = OctreeScene(read_svo(OCTREE)).points()
+    camera = Camera.fit(points.min(axis=0), points.max(axis=0), "right")
+    eye = ",".join(map(repr, camera.eye))
+    assert np.array_equal(floats(f"{OCTREE} --eye {eye} --size 40"), view)
+
+
+def test_turns(here: Path) -> None:
+    command = f"{OCTREE} --view front --size 40 --turn"
+    start = floats(f"{command} 0")
+    assert np.array_equal(floats(f"{command} 360"), start)
+    assert not np.array_equal(floats(f"{command} 40"), start)
+    for degrees in range(0, 360, 45):  # all of it at every turn
+        hit = floats(f"{command} {degrees}")[..., 3] > 0
+        assert not hit[[0, -1]].any()
+        assert not hit[:, [0, -1]].any()
+    quarter = (
+        floats(f"{command} 90")[..., 3]
+        - floats(f"{OCTREE} --view right --size 40 --turn 0")[..., 3]
+    )
+    assert np.abs(quarter).mean() < 0.01
+
+
+def test_height_and_fov(here: Path) -> None:
+    def area(options: str) -> float:
+        return float(floats(f"{OCTREE} --view front --size 128 {options}")[..., 3].mean())
+
+    assert area("--orthographic --height 10") == pytest.approx(
+        4 * area("--orthographic --height 20"), rel=0.05
+    )
+    eye = "--eye 0,1,9 --target 0,1,0"
+    near = float(floats(f"{OCTREE} {eye} --fov 40 --size 128")[..., 3].mean())
+    far = float(floats(f"{OCTREE} {eye} --fov 80 --size 128")[..., 3].mean())
+    assert near == pytest.approx(
+        far * (np.tan(np.radians(40)) / np.tan(np.radians(20))) ** 2, rel=0.05
+    )
+
+
+def test_up(here: Path) -> None:
+    upright = floats(f"{OCTREE} --view front --size 40 --orthographic --samples 1")[..., 3]
+    under = floats(f"{OCTREE} --view front --size 40 --orthographic --samples 1 --up -y")[..., 3]
+    assert np.mean(upright[::-1, ::-1] != under) < 0.02
+    for axis, vector in (("y", "0,1,0"), ("-Y", "0,-2,0"), ("x", "1,0,0")):
+        assert np.array_equal(
+            floats(f"{OCTREE} --up {axis} --size 20"), floats(f"{OCTREE} --up {vector} --size 20")
+        )
+
+
+# ---- what is refused
+
+
+@pytest.mark.parametrize("kind", SCENES)
+@pytest.mark.parametrize("name", BELONGS)
+def test_options_of_other_kinds_are_refused_by_name(kind: str, name: str, here: Path) -> None:
+    if kind in BELONGS[name]:
+        return
+    message = fail(f"render {SCENES[kind]} {OPTIONS[name]}", code=2)
+    option = OPTIONS[name].split()[0]
+    goes = " and ".join(f"{k}s" for k in BELONGS[name])
+    article = "an" if kind == "octree" else "a"
+    assert message.startswith(f"{option} goes with {goes}: {SCENES[kind]} holds {article} {kind}")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ("--view up", "'front', 'back', 'left', 'right', 'top', 'bottom', 'iso'"),
+        ("--eye 1,2,3 --view top", "--eye and --view both place the camera: drop one"),
+        ("--eye 1,2", "'1,2': write three numbers, as 1,2.5,-3"),
+        ("--eye 1,2,nan", "'1,2,nan': write three numbers"),
+        ("--eye z", "'z': write three numbers"),
+        ("--target 1,2,3", "--target goes with --eye"),
+        ("--up w", "'w': write 0,0,1, z or -z"),
+        ("--up --z", "'--z': write 0,0,1, z or -z"),
+        ("--fov 0", "0.0 is not in the range 0.01<=x<=170"),
+        ("--fov 30 --orthographic", "--fov is of a perspective: --orthographic has --height"),
+        ("--height 3", "--height goes with --orthographic"),
+        ("--orthographic --height 0", "'0' is no positive number"),
+        ("--size 0", "'0' is no size: write 800x600, or 512 for both sides"),
+        ("--size 10x", "'10x' is no size"),
+        ("--size 10x20x30", "'10x20x30' is no size"),
+        ("--size -5", "'-5' is no size"),
+        ("--size 9999999", "'9999999' is no size"),
+        ("--size 20000x8 --samples 2", "is 40000 rays along a side, of 32768 that are cast"),
+        ("--size 40000x8", "is 40000 rays along a side"),
+        ("--samples 17", "17 is not in the range 1<=x<=16"),
+        ("--level x", "'x': choose voxel, or a level"),
+        ("--colour red", "'red' is no colour: write #ff8000, 1,0.5,0 (from 0 to 1), white, black"),
+        ("--colour none", "'none' is no colour"),
+        ("--colour 1,2,0", "'1,2,0' is no colour"),
+        ("--colour #ff80", "'#ff80' is no colour"),
+        ("--colour '#ff 0 0'", "'#ff 0 0' is no colour"),
+        ("--background #gggggg", "'#gggggg' is no colour"),
+        ("--bits 12", "'8', '16'"),
+        ("--float -o a.png", "--float writes .npy, and a.png ends in .png"),
+        ("--float --bits 8", "--bits goes with .png: .npy holds the values themselves"),
+        ("-o a.npy --background white", "--background goes with .png"),
+        ("--turn inf", "'inf' is no finite number"),
+        ("--turn east", "'east' is no finite number"),
+        ("--method rays", "'raycast', 'projection'"),
+        ("--opacity-range 2", "'2': write two numbers, as 0.5,2"),
+        ("--opacity-range 0,inf", "'0,inf': write two numbers"),
+        ("--map fire", "'viridis', 'inferno', 'coolwarm', 'turbo', 'gray'"),
+        ("--transfer a.json --map gray", "--map makes a transfer function: drop it or --transfer"),
+        ("--transfer a.json --opacity-range 0,1", "--opacity-range makes a transfer function"),
+        ("--transfer a.json --unit-distance 1", "--unit-distance makes a transfer function"),
+        ("--unit-distance nan", "'nan' is no positive number"),
+    ],
+)
+def test_usage_errors(options: str, message: str, here: Path) -> None:
+    assert message in fail(f"render {OCTREE} {options}", code=2)
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("none.svo.h5", "none.svo.h5: there is no such file"),
+        ("bunny.obj", "bunny.obj is a mesh: make an octree or a field of it first: voxtool voxel"),
+        ("points.csv", "points.csv is no "),
+        ("mesh.vtu", "voxtool tet-build mesh.vtu"),
+        ("other.h5", "an HDF5 file without an attribute format: expected one of voxtool-svo, "),
+        (f"{OCTREE} -o a.jpg", "a.jpg: the name says no format: end it in one of .png, .npy"),
+        (f"{OCTREE} -o none/a.png", "there is no folder"),
+        (f"{OCTREE} -o {OCTREE} --no-clobber", "the name says no format"),
+        (f"{OCTREE} -o old.png --no-clobber", "old.png exists"),
+        (f"{OCTREE} --level 6", "level 6: choose voxel, or a level from 0 to 5"),
+        (f"{OCTREE} --level -1", "level -1: choose voxel, or a level from 0 to 5"),
+        (
+            f"{OCTREE} --eye 1,1,1 --target 0,0,0 --up 1,1,1",
+            "is along the view: choose another --up",
+        ),
+        (f"{OCTREE} --eye 1,1,1 --target 1,1,1", "has no direction"),
+        (f"{OCTREE} --up 0,0,0", "has no direction"),
+        (f"{OCTREE} --fov nan", "a field of view of nan degrees: choose 0.01 to 170"),
+        (f"{OCTREE} --size 2000 --max-memory 10M", "2000 x 2000 pixels, 4 rays each, would need"),
+        (f"{OCTREE} --max-memory 10K", "the octree alone is too large (see --max-memory)"),
+        (f"{OCTREE} --device nothing-like-it", "choose one of 0: "),
+    ],
+)
+def test_failures_are_one_line(command: str, message: str, here: Path) -> None:
+    import h5py
+
+    (here / "old.png").write_bytes(b"mine")
+    (here / "mesh.vtu").write_text('<?xml version="1.0"?><VTKFile/>')
+    with h5py.File("other.h5", "w") as h5:
+        h5["a"] = 1
+    assert message in fail(f"render {command}")
+
+
+# ---- volumes
+
+EYE = "--eye 9,5,12 --target 2,1.5,1.5"
+POINTS = [
+    {"scalar": 2, "color": [0, 0, 1], "extinction": 0},
+    {"scalar": 5.5, "color": [1, 0.5, 0], "extinction": 2.5},
+    {"scalar": 5.5, "color": [0, 1, 0], "extinction": 0.5},
+]
+
+
+def test_defaults_are_those_of_the_help() -> None:
+    assert transfer.DEFAULT_MAP == "viridis"
+    assert transfer.DEPTH == 24
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("integrator", ["linear", "preintegrated", "average", "sampled:3"])
+def test_volumes_are_the_librarys(method: str, integrator: str, here: Path) -> None:
+    volume = read_tet(VOLUME)
+    rays = Camera((9.0, 5.0, 12.0), (2.0, 1.5, 1.5)).rays(30, 20)
+    function = transfer.default(volume)
+    expected = render.VolumeRenderer(volume).render(rays, function, method, integrator)
+    command = f"{VOLUME} {EYE} --size 30x20 --method {method} --integrator {integrator}"
+    assert np.array_equal(floats(command), expected)
+    assert 0 < expected[..., 3].max() < 1
+
+
+def test_transfer_functions(here: Path) -> None:
+    volume = read_tet(VOLUME)
+    low, high = volume.scalar_range
+    rays = Camera((9.0, 5.0, 12.0), (2.0, 1.5, 1.5)).rays(30, 20)
+    command = f"{VOLUME} {EYE} --size 30x20"
+
+    def expected(function: transfer.TransferFunction) -> np.ndarray:
+        return render.VolumeRenderer(volume).render(rays, function)
+
+    middle = (low + high) / 2
+    found = floats(f"{command} --map gray --opacity-range {high!r},{middle!r} --unit-distance 0.3")
+    assert np.array_equal(found, expected(transfer.named("gray", low, high, 0.3, (high, middle))))
+    Path("a.json").write_text(json.dumps({"points": POINTS}))
+    function = transfer.TransferFunction.from_json(json.dumps({"points": POINTS}))
+    assert np.array_equal(floats(f"{command} --transfer a.json"), expected(function))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "a.json: transfer function: no JSON"),
+        (b"{", "a.json: transfer function: no JSON"),
+        (b"\xff\xfe", "a.json: no text, so no transfer function"),
+        (b"[" * 500_000, "a.json: transfer function: no JSON"),
+        (b'{"points": ' * 90_000, "a.json: transfer function: no JSON"),
+        (b" " * (1 << 20) + b"{}", "a.json: a transfer function has at most 1.05 MB"),
+        (b'{"points": []}', "a.json: transfer function of 0 points"),
+        (b'{"points": [1]}', "a.json: transfer function, point 1: "),
+        (
+            b'{"points": [{"scalar": NaN, "color": [0,0,0], "extinction": 0}]}',
+            "point 1: scalar nan is not",
+        ),
+        (b'{"points": [{"scalar": 0, "color": [0,0,0], "extinction": 1e400}]}', "is not 0 or more"),
+        (b'{"points": [{"scalar": 1' + b"0" * 5000 + b"}]}", "a.json: transfer function"),
+        (b'{"points": [{"scalar": 0, "color": [0,0,0], "extinction": 1e300}]}', "float32 holds"),
+    ],
+)
+def test_hostile_transfer_functions_are_one_line(content: bytes, message: str, here: Path) -> None:
+    Path("a.json").write_bytes(content)
+    assert message in fail(f"render {VOLUME} --transfer a.json")
+
+
+def test_a_missing_transfer_function(here: Path) -> None:
+    assert "none.json: there is no such file" in fail(f"render {VOLUME} --transfer none.json")
+    assert "is a folder" in fail(f"render {VOLUME} --transfer /")
+    assert "integrator 'simpson' is unknown" in fail(f"render {VOLUME} --integrator simpson")
+
+
+def test_a_legend_stands_beside_the_picture(here: Path) -> None:
+    run(f"render {VOLUME} --size 240x220 -o a.png")
+    run(f"render {VOLUME} --size 240x220 --legend -o b.png")
+    plain, beside = (np.asarray(Image.open(name)) for name in ("a.png", "b.png"))
+    assert np.array_equal(beside[:, :240], plain)
+    assert beside.shape[1] > 300
+    assert (beside[:, 240:] < 128).any()
+    run(f"render {VOLUME} --size 240x220 --legend --background none --bits 16 -o c.png")
+    assert Image.open("c.png").size == beside.shape[1::-1]
+    assert "leave out --legend" in fail(f"render {VOLUME} --size 100 --legend")
+
+
+def test_what_is_transparent_is_left_out(here: Path) -> None:
+    low, high = read_tet(VOLUME).scalar_range
+    points = [{"scalar": high + 1, "color": [1, 1, 1], "extinction": 0}]
+    Path("a.json").write_text(json.dumps({"points": points}))
+    text = run(f"render {VOLUME} --transfer a.json --plan").stdout
+    assert "cells: the transfer function leaves them transparent" in text
+    assert (
+        json.loads(run(f"render {VOLUME} --transfer a.json --plan --json").stdout)["cells_shown"]
+        == 0
+    )
+    said = run(f"render {VOLUME} --transfer a.json --size 20").stderr
+    assert f"is empty: the transfer function is transparent from {low:.6g} to {high:.6g}" in said
+
+
+def test_too_thin_to_be_seen(here: Path) -> None:
+    said = run(f"render {VOLUME} --unit-distance 1e6 --size 20").stderr
+    assert re.search(
+        r"is empty: its opacity is at most \de-0\d: choose a smaller --unit-dist", said
+    )
+
+
+# ---- plans
+
+
+@pytest.mark.parametrize("file", [OCTREE, FIELD, VOLUME])
+def test_plan_prints_and_writes_nothing(file: str, here: Path) -> None:
+    before = sorted(os.listdir())
+    text = run(f"render {file} --size 30x20 --samples 3 --plan")
+    told = json.loads(run(f"render {file} --size 30x20 --samples 3 --plan --json").stdout)
+    assert sorted(os.listdir()) == before
+    assert text.stderr == ""
+    for word in ("picture    30 x 20 pixels of 3 x 3 rays", "stages", "predicted  5,400 rays"):
+        assert word in text.stdout
+    assert (told["size"], told["samples"], told["rays"]) == ([30, 20], 3, 5400)
+    assert told["predicted_device_bytes"] > 16 * 5400
+    assert SCENES[told["kind"]] == file
+    for what, why in told["left_out"].items():
+        assert f"left out   {what}: {why}" in text.stdout
+
+
+def test_plan_warns_of_a_refusal(here: Path) -> None:
+    result = run(f"render {OCTREE} --plan --max-memory 10M --size 2000")
+    assert "warning: this will be refused: a picture of 2000 x 2000 pixels" in result.stderr
+
+
+def test_plan_tells_what_a_level_leaves_out(here: Path) -> None:
+    assert "what is finer than level 2" in run(f"render {OCTREE} --level 2 --plan").stdout
+    assert "finer" not in run(f"render {OCTREE} --plan").stdout
+
+
+@pytest.mark.parametrize(
+    "file", [OCTREE, FIELD, VOLUME, f"{VOLUME} --method projection --integrator preintegrated"]
+)
+def test_stages_of_the_plan_are_those_that_run(file: str, here: Path) -> None:
+    told = json.loads(run(f"render {file} --plan --json").stdout)["stages"]
+    lines = run(f"render {file} --size 20 -v").stderr.splitlines()[2:]
+    ran = [match[1] for line in lines if (match := re.match(r"voxtool:   (.*?)  +[\d.]+ ms", line))]
+    untimed = {"upload"} - {*ran}  # where arrays are put, not written
+    assert [stage for stage in ran if stage != "other"] == [s for s in told if s not in untimed]
+
+
+# ---- nothing to be seen
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ("--eye 50,50,50 --target 100,100,100", "the camera looks past it, which is in ("),
+        ("--eye 50,50,50 --target 50,0,50 --up x", "the camera looks past it"),
+        ("--orthographic --eye 0,0,50 --target 0,80,0 --height 1", "the camera looks past it"),
+        ("--eye 9e5,0,0 --fov 170 --size 9", "no ray meets it"),
+    ],
+)
+@pytest.mark.parametrize("file", [OCTREE, FIELD])
+def test_empty_pictures_are_told(file: str, options: str, why: str, here: Path) -> None:
+    result = run(f"render {file} {options} -o a.png")
+    first, warning = result.stderr.splitlines()
+    assert " 0 % of pixels hit" in first
+    assert warning.startswith(f"voxtool: warning: the picture is empty: {why}")
+    assert (np.asarray(Image.open("a.png")) == 255).all()
+    assert run(f"render {file} {options} -o a.png -q").stderr == ""
+
+
+def test_an_offset_that_the_field_does_not_have(here: Path) -> None:
+    result = run(f"render {FIELD} --offset -500 --size 30")
+    assert re.search(
+        r"is empty: the field has distances from -[\d.]+ to [\d.]+, so no surface at -500: choose "
+        r"another --offset\n",
+        result.stderr,
+    )
+
+
+def test_an_octree_without_voxels(here: Path) -> None:
+    run("voxelize bunny.obj --bbox 50 50 50 51 51 51 --dim 16 -o none.svo.h5 -q")
+    assert read_svo("none.svo.h5").count == 0
+    assert "is empty: no voxel of the octree is set\n" in run("render none.svo.h5").stderr
+
+
+def test_pictures_that_are_not_empty_are_not_warned_of(here: Path) -> None:
+    for file in SCENES.values():
+        assert "warning" not in run(f"render {file} --size 40").stderr

@@ -1,0 +1,305 @@
+"""A file appears whole or not at all, whatever happens meanwhile."""
+
+from __future__ import annotations
+
+import os
+import signal
+import stat
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from voxtool.errors import FileError
+from voxtool.files.atomic import atomic_path, check_target
+
+POSIX = os.name == "posix"
+posix_only = pytest.mark.skipif(not POSIX, reason="POSIX only")
+
+OLD, NEW = b"old\n", b"new\n"
+
+
+def put(target: Path, data: bytes = NEW, clobber: bool = True) -> None:
+    with atomic_path(target, clobber) as temporary:
+        temporary.write_bytes(data)
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(p.name for p in folder.iterdir())
+
+
+def test_writes_a_new_file(tmp_path: Path) -> None:
+    put(tmp_path / "a.h5")
+    assert (tmp_path / "a.h5").read_bytes() == NEW
+    assert names(tmp_path) == ["a.h5"]
+
+
+def test_replaces_a_file(tmp_path: Path) -> None:
+    (tmp_path / "a.h5").write_bytes(OLD)
+    put(tmp_path / "a.h5")
+    assert (tmp_path / "a.h5").read_bytes() == NEW
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit, MemoryError])
+@pytest.mark.parametrize("exists", [True, False])
+def test_any_exception_leaves_the_old_file_and_nothing_else(tmp_path, error, exists) -> None:
+    target = tmp_path / "a.h5"
+    if exists:
+        target.write_bytes(OLD)
+
+    def fail() -> None:
+        with atomic_path(target) as temporary:
+            temporary.write_bytes(NEW)
+            raise error
+
+    with pytest.raises(error):
+        fail()
+    assert names(tmp_path) == (["a.h5"] if exists else [])
+    assert not exists or target.read_bytes() == OLD
+
+
+@posix_only
+@pytest.mark.parametrize("umask", [0o022, 0o077, 0o002])
+def test_mode_is_that_of_a_plain_file(tmp_path: Path, umask: int) -> None:
+    before = os.umask(umask)
+    try:
+        put(tmp_path / "a.h5")
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a.h5").stat().st_mode) == 0o666 & ~umask
+
+
+def test_temporary_file_lies_beside_the_target_and_is_hidden(tmp_path: Path) -> None:
+    with atomic_path(tmp_path / "a.h5") as temporary:
+        assert temporary.parent == tmp_path
+        assert temporary.name.startswith(".a.h5.")
+        assert temporary.exists()
+
+
+def test_two_writers_at_once_do_not_share_a_temporary_file(tmp_path: Path) -> None:
+    with atomic_path(tmp_path / "a") as one, atomic_path(tmp_path / "a") as two:
+        assert one != two
+        one.write_bytes(b"1")
+        two.write_bytes(b"2")
+    assert (tmp_path / "a").read_bytes() == b"1"  # the outer one ends last
+    assert names(tmp_path) == ["a"]
+
+
+def test_long_and_strange_names(tmp_path: Path) -> None:
+    for name in ("x" * 255, "ř" * 127, "-", " a b\n"):
+        put(tmp_path / name)
+        assert (tmp_path / name).read_bytes() == NEW
+
+
+# What is refused
+
+
+def refusal(target: Path, clobber: bool = True) -> str:
+    before = target.parent.is_dir() and names(target.parent)
+    with pytest.raises(FileError) as early:
+        check_target(target, clobber)
+    with pytest.raises(FileError) as caught:
+        put(target, clobber=clobber)
+    assert str(early.value) == str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert str(target) in str(caught.value)
+    assert before == (target.parent.is_dir() and names(target.parent))
+    return str(caught.value)
+
+
+def test_no_such_folder(tmp_path: Path) -> None:
+    assert "create it" in refusal(tmp_path / "none" / "a.h5")
+
+
+def test_folder_as_a_target(tmp_path: Path) -> None:
+    assert "is a folder" in refusal(tmp_path)
+
+
+def test_file_as_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(OLD)
+    assert "not a folder" in refusal(tmp_path / "file" / "a.h5")
+
+
+def test_no_clobber(tmp_path: Path) -> None:
+    target = tmp_path / "a.h5"
+    put(target, OLD, clobber=False)
+    assert "--no-clobber" in refusal(target, clobber=False)
+    assert target.read_bytes() == OLD
+
+
+@posix_only
+def test_no_clobber_refuses_a_dangling_link(tmp_path: Path) -> None:
+    (tmp_path / "a").symlink_to(tmp_path / "b")
+    assert "exists" in refusal(tmp_path / "a", clobber=False)
+
+
+@posix_only
+@pytest.mark.skipif(POSIX and os.geteuid() == 0, reason="root may write anywhere")
+def test_no_permission(tmp_path: Path) -> None:
+    folder = tmp_path / "locked"
+    folder.mkdir()
+    folder.chmod(0o555)
+    assert "no permission" in refusal(folder / "a.h5")
+
+
+def test_name_too_long(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="too long"):
+        put(tmp_path / ("x" * 256))
+    assert names(tmp_path) == []
+
+
+def test_disk_full_is_one_line_and_leaves_the_old_file(tmp_path: Path) -> None:
+    target = tmp_path / "a.h5"
+    target.write_bytes(OLD)
+    with pytest.raises(FileError, match=r"a\.h5: the disk is full"), atomic_path(target):
+        raise OSError(28, "No space left on device")
+    assert target.read_bytes() == OLD
+    assert names(tmp_path) == ["a.h5"]
+
+
+def test_error_about_another_file_is_not_ours(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError), atomic_path(tmp_path / "a"):
+        (tmp_path / "input").read_bytes()
+    assert names(tmp_path) == []
+
+
+# Links and devices
+
+
+@posix_only
+def test_symbolic_link_is_followed(tmp_path: Path) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "data" / "a")
+    put(tmp_path / "link")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "data" / "a").read_bytes() == NEW
+
+
+@posix_only
+def test_device_gets_the_bytes_and_stays_a_device() -> None:
+    put(Path("/dev/null"))
+    assert stat.S_ISCHR(Path("/dev/null").stat().st_mode)
+
+
+@posix_only
+def test_pipe_gets_the_bytes(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    got: list[bytes] = []
+    reader = threading.Thread(target=lambda: got.append(pipe.read_bytes()))
+    reader.start()
+    put(pipe)
+    reader.join(10)
+    assert got == [NEW]
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+
+
+# Races and kills
+
+
+def test_no_clobber_race_has_one_winner(tmp_path: Path) -> None:
+    target = tmp_path / "a"
+    barrier = threading.Barrier(8)
+    outcomes: list[str] = []
+
+    def write(number: int) -> None:
+        try:
+            with atomic_path(target, clobber=False) as temporary:
+                temporary.write_bytes(b"%d" % number)
+                barrier.wait(10)  # all have passed the early check
+            outcomes.append(f"won {number}")
+        except FileError as error:
+            outcomes.append(str(error))
+
+    threads = [threading.Thread(target=write, args=(n,)) for n in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(20)
+    won = [o for o in outcomes if o.startswith("won")]
+    assert len(outcomes) == 8
+    assert won == [f"won {target.read_text()}"]
+    assert sum("exists" in o for o in outcomes) == 7
+    assert names(tmp_path) == ["a"]
+
+
+@posix_only
+def test_no_clobber_without_hard_links(tmp_path: Path, monkeypatch) -> None:
+    def no_link(*_: object) -> None:
+        raise OSError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", no_link)
+    put(tmp_path / "a", NEW, clobber=False)
+    assert (tmp_path / "a").read_bytes() == NEW
+    with pytest.raises(FileError, match="exists"), atomic_path(tmp_path / "b", clobber=False):
+        (tmp_path / "b").write_bytes(OLD)  # another one was faster
+    assert (tmp_path / "b").read_bytes() == OLD
+    assert names(tmp_path) == ["a", "b"]
+
+
+KILLED = """
+import sys
+from pathlib import Path
+from voxtool.files.atomic import atomic_path
+with atomic_path(sys.argv[1]) as temporary:
+    with open(temporary, "wb") as file:
+        file.write(b"n" * 100_000)
+        file.flush()
+        print("written", flush=True)
+        sys.stdin.read()
+"""
+
+
+@posix_only
+@pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("exists", [True, False])
+def test_a_process_killed_while_writing_leaves_old_or_none(tmp_path, kill, exists) -> None:
+    target = tmp_path / "a.h5"
+    if exists:
+        target.write_bytes(OLD)
+    process = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(target)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        cwd=Path(__file__).parents[2],
+    )
+    with process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"written\n"
+        process.send_signal(kill)
+        process.wait(20)
+    assert target.exists() == exists
+    assert not exists or target.read_bytes() == OLD
+    if kill == signal.SIGINT:
+        assert names(tmp_path) == (["a.h5"] if exists else [])
+
+
+REWRITTEN = """
+import sys
+from voxtool.files.atomic import atomic_path
+for number in range(1_000_000):
+    with atomic_path(sys.argv[1]) as temporary:
+        temporary.write_bytes(bytes([number % 256]) * 50_000)
+"""
+
+
+@posix_only
+def test_killed_at_any_moment_the_file_is_whole(tmp_path: Path) -> None:
+    for delay in (0.0, 0.013, 0.029):
+        target = tmp_path / f"a{delay}"
+        process = subprocess.Popen(
+            [sys.executable, "-c", REWRITTEN, str(target)], cwd=Path(__file__).parents[2]
+        )
+        with process:
+            until = time.monotonic() + 20
+            while not target.exists() and time.monotonic() < until:
+                time.sleep(0.002)
+            time.sleep(delay)
+            process.kill()
+        data = target.read_bytes()
+        assert len(data) == 50_000
+        assert len(set(data)) == 1

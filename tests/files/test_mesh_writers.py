@@ -1,0 +1,418 @@
+"""Mesh files: what is written is read back, in order, or refused in one line."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import meshes
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from voxtool import files, memory
+from voxtool.errors import FileError, MemoryLimitError, MeshError
+from voxtool.files import MESH_FORMATS, NORMAL_FORMATS, write_mesh
+from voxtool.files import mesh_writers as surface
+from voxtool.files.mesh import load_mesh
+from voxtool.mesh.mesh import Mesh, mesh_from_arrays
+
+ROOT = Path(__file__).parents[2]
+TEXT = ("obj", "off")
+SINGLE = ("ply", "stl", "glb")  # float32
+
+
+@pytest.fixture
+def torus() -> Mesh:
+    vertices, faces = meshes.torus(centre=(0.3, -7.1, 2.9))
+    order = np.random.default_rng(3).permutation(len(faces))
+    return mesh_from_arrays(vertices, faces[order])
+
+
+def empty(vertices: int = 0) -> Mesh:
+    return Mesh(np.ones((vertices, 3)), np.empty((0, 3), np.int32))
+
+
+def side_of(mesh: Mesh) -> float:
+    with np.errstate(over="ignore"):
+        return float(np.ptp(mesh.bounds, axis=0).max())
+
+
+def assert_back(path: Path, mesh: Mesh, kind: str) -> Mesh:
+    """The file holds the mesh: the same faces, and vertices within what the format promises."""
+    back = load_mesh(path, kind)
+    if kind == "stl":
+        assert np.array_equal(back.faces, np.arange(3 * len(mesh.faces)).reshape(-1, 3))
+        vertices = mesh.vertices[mesh.faces].reshape(-1, 3)
+    else:
+        assert np.array_equal(back.faces, mesh.faces)
+        vertices = mesh.vertices
+    assert back.vertices.shape == vertices.shape
+    if kind in SINGLE:
+        assert np.array_equal(back.vertices, vertices.astype(np.float32))
+    else:
+        largest = np.abs(vertices).max()
+        off = np.abs(back.vertices - vertices)
+        assert off.max() <= min(1e-17 * largest, 1e-9 * side_of(mesh))
+        assert not off[np.abs(vertices) >= largest / 10].any()
+    return back
+
+
+# Round trips
+
+
+@pytest.mark.parametrize("kind", MESH_FORMATS)
+def test_round_trip(torus: Mesh, kind: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a.{kind.upper()}"
+    write_mesh(torus, path)
+    assert_back(path, torus, kind)
+    write_mesh(torus, tmp_path / "a.dat", format=kind)
+    assert (tmp_path / "a.dat").read_bytes() == path.read_bytes()
+    assert torus.vertices.flags.writeable
+    assert torus.faces.flags.writeable
+
+
+@pytest.mark.parametrize("kind", MESH_FORMATS)
+def test_faces_and_vertices_are_kept_as_they_are(kind: str, tmp_path: Path) -> None:
+    """No face is dropped, no vertex welded: duplicates, points, lines and loose vertices."""
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 0, 0], [9, 9, 9], [2, 0, 0]], float)
+    faces = [[2, 1, 0], [0, 3, 2], [0, 0, 1], [3, 3, 3], [0, 1, 5], [2, 1, 0], [1, 0, 2]]
+    mesh = mesh_from_arrays(vertices, faces)
+    write_mesh(mesh, tmp_path / "a", format=kind)
+    assert_back(tmp_path / "a", mesh, kind)
+
+
+SCALES = (1e-300, 1e-30, 1e-6, 0.999999, 1e6, 1e30, 1e300)
+
+
+@pytest.mark.parametrize("kind", TEXT)
+@pytest.mark.parametrize("scale", SCALES)
+def test_text_of_any_size(torus: Mesh, kind: str, scale: float, tmp_path: Path) -> None:
+    mesh = Mesh(torus.vertices * scale, torus.faces)
+    write_mesh(mesh, tmp_path / "a", format=kind)
+    assert_back(tmp_path / "a", mesh, kind)
+
+
+@pytest.mark.parametrize("kind", TEXT)
+def test_text_far_from_the_origin(torus: Mesh, kind: str, tmp_path: Path) -> None:
+    far = Mesh(torus.vertices * 1e-6 + 1e6, torus.faces)
+    write_mesh(far, tmp_path / "a", format=kind)
+    assert (assert_back(tmp_path / "a", far, kind).vertices == far.vertices).all()
+    # far along x alone: 17 digits of x would lose y and z
+    aside = Mesh(torus.vertices * 1e-12 + [1e6, 0, 0], torus.faces)
+    write_mesh(aside, tmp_path / "b", format=kind)
+    assert_back(tmp_path / "b", aside, kind)
+
+
+@given(data=st.data())
+@settings(max_examples=60, deadline=None)
+def test_text_of_any_floats(data: st.DataObject) -> None:
+    number = st.floats(allow_nan=False, allow_infinity=False)
+    rows = data.draw(st.lists(st.tuples(number, number, number), min_size=3, max_size=5))
+    mesh = Mesh(np.array(rows), np.array([[0, 1, 2]], np.int32))
+    if (mesh.bounds[0] == mesh.bounds[1]).all():
+        return
+    file = io.BytesIO()
+    surface.write_obj(mesh, file)
+    back = load_mesh(io.BytesIO(file.getvalue()), "obj")
+    off = np.abs(back.vertices - mesh.vertices)
+    largest = np.abs(mesh.vertices).max()
+    assert off.max() <= 1e-17 * largest
+    assert off.max() <= 1e-9 * side_of(mesh)
+    assert not off[np.abs(mesh.vertices) >= largest / 10].any()
+
+
+@pytest.mark.parametrize("kind", SINGLE)
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_float32_of_usual_sizes(torus: Mesh, kind: str, scale: float, tmp_path: Path) -> None:
+    mesh = Mesh(torus.vertices * scale, torus.faces)
+    write_mesh(mesh, tmp_path / "a", format=kind)
+    assert_back(tmp_path / "a", mesh, kind)
+
+
+@pytest.mark.parametrize("kind", SINGLE)
+@pytest.mark.parametrize(
+    ("scale", "shift"), [(1e-6, 1e6), (1e60, 0), (1e-60, 0), (1e-3, [1e4, 0, 0]), (1e307, 0)]
+)
+def test_what_float32_would_ruin_is_refused(torus, kind, scale, shift, tmp_path) -> None:
+    mesh = Mesh(torus.vertices * scale + shift, torus.faces)
+    with pytest.raises(FileError, match=r"holds float32, which would move .*: write \.obj or \.o"):
+        write_mesh(mesh, tmp_path / f"a.{kind}")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_float32_of_a_mesh_longer_than_float64(tmp_path: Path) -> None:
+    vertices = [[-1.5e308, 0, 0], [1.5e308, 0, 0], [0, 1e308, 0]]
+    mesh = mesh_from_arrays(vertices, [[0, 1, 2]])
+    with pytest.raises(FileError, match="float32"):
+        write_mesh(mesh, tmp_path / "a.ply")
+    write_mesh(mesh, tmp_path / "a.obj")
+    assert_back(tmp_path / "a.obj", mesh, "obj")
+
+
+def test_float32_tells_a_thousand_cells_apart(torus: Mesh, tmp_path: Path) -> None:
+    """A street of 100 m in metres of a national grid is refused, a town is not."""
+    unit = (torus.vertices - torus.bounds[0]) / side_of(torus)
+    town = Mesh(unit * 5000 + [4.5e6, 5.3e6, 0], torus.faces)
+    write_mesh(town, tmp_path / "a.ply")
+    with pytest.raises(FileError, match="float32"):
+        write_mesh(Mesh(unit * 100 + [4.5e6, 5.3e6, 0], torus.faces), tmp_path / "b.ply")
+
+
+# Normals
+
+
+def glb_tree(data: bytes) -> tuple[dict, bytes]:
+    """The JSON of a GLB, and its binary chunk."""
+    end = 20 + int.from_bytes(data[12:16], "little")
+    return json.loads(data[20:end]), data[end + 8 :]
+
+
+def normals_in(data: bytes, kind: str, count: int) -> np.ndarray:
+    """(count, 3) normals as the bytes of a file have them."""
+    if kind == "obj":
+        lines = [line.split() for line in data.decode().splitlines()]
+        corners = [word for line in lines if line[:1] == ["f"] for word in line[1:]]
+        assert all(word.split("//")[0] == word.split("//")[1] for word in corners)
+        return np.array([line[1:] for line in lines if line[:1] == ["vn"]], float)
+    if kind == "ply":
+        header, _, body = data.partition(b"end_header\n")
+        assert header.count(b"property float") == 6
+        return np.frombuffer(body, "<f4", 6 * count).reshape(count, 6)[:, 3:]
+    tree, body = glb_tree(data)
+    accessor = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]]
+    assert (accessor["count"], accessor["componentType"]) == (count, 5126)
+    start = tree["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    return np.frombuffer(body, "<f4", 3 * count, start).reshape(count, 3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "scale"), [("obj", 1), ("obj", 1e-9), ("obj", 1e40), ("ply", 1), ("glb", 1)]
+)
+def test_normals(kind: str, scale: float, tmp_path: Path) -> None:
+    vertices, faces = meshes.icosphere(2)
+    sphere = mesh_from_arrays(vertices * scale, faces)
+    path = tmp_path / f"a.{kind}"
+    for normals in (vertices.copy(), -np.roll(vertices, 1, axis=0), vertices / 2):
+        write_mesh(sphere, path, normals=normals)
+        assert normals.flags.writeable
+        assert_back(path, sphere, kind)
+        found = normals_in(path.read_bytes(), kind, len(vertices))
+        assert np.abs(found - normals).max() <= (1e-9 if kind == "obj" else 2**-24)
+
+
+@pytest.mark.parametrize("kind", NORMAL_FORMATS)
+def test_without_normals_none_are_written(torus: Mesh, kind: str, tmp_path: Path) -> None:
+    write_mesh(torus, tmp_path / f"a.{kind}")
+    data = (tmp_path / f"a.{kind}").read_bytes()
+    assert not any(word in data for word in (b"vn ", b" nx\n", b"NORMAL"))
+
+
+@pytest.mark.parametrize("kind", ["stl", "off"])
+def test_formats_without_normals_refuse_them(torus: Mesh, kind: str, tmp_path: Path) -> None:
+    with pytest.raises(FileError, match=rf"\.{kind} holds no vertex normals: write one of \.obj"):
+        write_mesh(torus, tmp_path / f"a.{kind}", normals=torus.vertices)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", NORMAL_FORMATS)
+def test_normals_that_do_not_fit(torus: Mesh, kind: str, tmp_path: Path) -> None:
+    path = tmp_path / f"a.{kind}"
+    with pytest.raises(MeshError, match=r"normals of shape \(287, 3\) for 288 vertices"):
+        write_mesh(torus, path, normals=torus.vertices[1:])
+    bad = torus.vertices.copy()
+    bad[5, 1] = np.nan
+    with pytest.raises(MeshError, match="the normal of vertex 5 is not finite"):
+        write_mesh(torus, path, normals=bad)
+    with pytest.raises(MeshError, match="vertex 5 is not finite"):
+        write_mesh(Mesh(bad, torus.faces), path)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("scale", [1e-25, 1e-6, 1, 1e30])
+def test_stl_normals(scale: float, tmp_path: Path) -> None:
+    vertices, faces = meshes.box(-1, 2)
+    faces = np.vstack([faces, [[0, 0, 1], [2, 2, 2]]])
+    write_mesh(mesh_from_arrays(vertices * scale, faces), tmp_path / "a.stl")
+    packed = np.frombuffer((tmp_path / "a.stl").read_bytes()[84:], "V50")
+    found = packed.view(np.uint8).reshape(-1, 50)[:, :12].copy().view("<f4")
+    axes = np.repeat([[-1, 0, 0], [1, 0, 0], [0, -1, 0], [0, 1, 0], [0, 0, -1], [0, 0, 1]], 2, 0)
+    assert np.array_equal(found, np.vstack([axes, np.zeros((2, 3))]))
+
+
+# Formats
+
+
+def test_text_decimals(tmp_path: Path) -> None:
+    """18 significant digits of the largest coordinate; no rounding next to a power of ten."""
+    for largest, decimals in ((1.0, 17), (9.999999999999998, 17), (10.0, 16), (0.1, 18), (1e3, 14)):
+        mesh = mesh_from_arrays([[0, 0, 0], [largest, 0, 0], [0, largest / 3, 0]], [[0, 1, 2]])
+        write_mesh(mesh, tmp_path / "a.obj")
+        words = (tmp_path / "a.obj").read_text().split()
+        assert len(words[words.index("v") + 1].split(".")[1]) == decimals
+
+
+def test_headers(torus: Mesh, tmp_path: Path) -> None:
+    for kind in MESH_FORMATS:
+        write_mesh(torus, tmp_path / f"a.{kind}")
+    openings = {"obj": b"# voxtool ", "ply": b"ply\n", "glb": b"glTF", "off": b"OFF\n288 576 0\n"}
+    for kind, opening in openings.items():
+        assert (tmp_path / f"a.{kind}").read_bytes().startswith(opening)
+    assert len((tmp_path / "a.stl").read_bytes()) == 84 + 50 * 576
+
+
+def test_the_glb_keeps_to_its_specification(torus: Mesh, tmp_path: Path) -> None:
+    write_mesh(torus, tmp_path / "a.glb", normals=torus.vertices)
+    data = (tmp_path / "a.glb").read_bytes()
+    assert int.from_bytes(data[8:12], "little") == len(data)
+    tree, _ = glb_tree(data)
+    primitive = tree["meshes"][0]["primitives"][0]
+    position = tree["accessors"][primitive["attributes"]["POSITION"]]
+    assert position["count"] == 288
+    assert np.array_equal([position["min"], position["max"]], torus.bounds.astype(np.float32))
+    assert tree["accessors"][primitive["indices"]]["count"] == 3 * 576
+
+
+def test_a_glb_of_more_than_4_gib_is_refused(torus, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(surface, "GLB_BYTES", 12 * (576 + 288))
+    write_mesh(torus, tmp_path / "a.glb")
+    with pytest.raises(FileError, match=r"GLB holds 4 GiB at most.*write \.ply"):
+        write_mesh(torus, tmp_path / "b.glb", normals=torus.vertices)
+
+
+@pytest.mark.parametrize("kind", TEXT)
+def test_text_larger_than_memory_is_refused(torus, kind, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(memory, "available_memory", lambda: 200_000)
+    with pytest.raises(MemoryLimitError, match=r"216 kB and 200 kB are free: write \.ply"):
+        write_mesh(torus, tmp_path / f"a.{kind}")
+    write_mesh(torus, tmp_path / "a.ply")
+    assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
+
+
+@pytest.mark.parametrize("vertices", [0, 4])
+@pytest.mark.parametrize("kind", MESH_FORMATS)
+def test_no_faces(kind: str, vertices: int, tmp_path: Path) -> None:
+    """A valid file, which other programs open; a mesh to load has faces."""
+    path = tmp_path / f"a.{kind}"
+    write_mesh(empty(vertices), path)
+    with pytest.raises(MeshError):
+        load_mesh(path)
+    data = path.read_bytes()
+    if kind == "obj":
+        lines = [line.split() for line in data.splitlines()[1:] if line]
+        assert lines == [[b"v", *[b"1." + b"0" * 17] * 3]] * vertices
+    elif kind == "off":
+        assert data.split()[:4] == [b"OFF", b"%d" % vertices, b"0", b"0"]
+    elif kind == "stl":
+        assert data == bytes(84)
+    elif kind == "ply":
+        assert b"element face 0\n" in data
+        assert len(data.partition(b"end_header\n")[2]) == 12 * vertices
+    else:
+        assert "meshes" not in glb_tree(data)[0]
+    if kind in NORMAL_FORMATS:
+        write_mesh(empty(vertices), path, normals=np.ones((vertices, 3)))
+
+
+# Paths and streams
+
+
+def test_bytes_depend_on_the_mesh_alone(tmp_path: Path) -> None:
+    """Twice here, and in other processes, whose hashes differ."""
+    code = (
+        "import sys; sys.path.insert(0, 'tests'); import meshes, voxtool\n"
+        "v, f = meshes.icosphere(1, 0.1); m = voxtool.mesh_from_arrays(v, f)\n"
+        "for k in sys.argv[2:]: voxtool.write_mesh(m, f'{sys.argv[1]}.{k}')\n"
+        "for k in ('obj', 'ply', 'glb'):\n"
+        "    for _ in 'ab': voxtool.write_mesh(m, f'{sys.argv[1]}.n.{k}', normals=v)\n"
+    )
+    for name in ("a", "b"):
+        command = [sys.executable, "-c", code, str(tmp_path / name), *MESH_FORMATS]
+        environment = {**os.environ, "PYTHONHASHSEED": str(ord(name))}
+        subprocess.run(command, cwd=ROOT, check=True, env=environment)
+    written = sorted(p.name[2:] for p in tmp_path.glob("a.*"))
+    assert len(written) == 8
+    for name in written:
+        assert (tmp_path / f"a.{name}").read_bytes() == (tmp_path / f"b.{name}").read_bytes()
+
+
+@pytest.mark.parametrize("kind", [None, *MESH_FORMATS])
+def test_stdout(kind: str | None, tmp_path: Path) -> None:
+    code = (
+        "import sys; sys.path.insert(0, 'tests'); import meshes, voxtool\n"
+        "m = voxtool.mesh_from_arrays(*meshes.torus())\n"
+        f"voxtool.write_mesh(m, '-', format={kind!r})"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True)
+    assert (done.returncode, done.stderr) == (0, b"")
+    path = tmp_path / f"a.{kind or 'obj'}"
+    write_mesh(mesh_from_arrays(*meshes.torus()), path)
+    assert done.stdout == path.read_bytes()
+
+
+class Terminal(io.StringIO):
+    """Standard output of a person."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.buffer = io.BytesIO()  # pyright: ignore[reportAttributeAccessIssue]
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_only_text_goes_to_a_terminal(torus: Mesh, monkeypatch) -> None:
+    for kind in MESH_FORMATS:
+        monkeypatch.setattr(sys, "stdout", terminal := Terminal())
+        if kind in TEXT:
+            write_mesh(torus, "-", format=kind)
+            assert terminal.buffer.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
+        else:
+            with pytest.raises(FileError, match="standard output is a terminal: redirect it"):
+                write_mesh(torus, "-", format=kind)
+
+
+def test_no_clobber(torus: Mesh, tmp_path: Path) -> None:
+    path = tmp_path / "a.obj"
+    write_mesh(torus, path, clobber=False)
+    before = path.read_bytes()
+    with pytest.raises(FileError, match=r"a\.obj exists: name another file, or drop --no-clobber"):
+        write_mesh(empty(), path, clobber=False)
+    assert path.read_bytes() == before
+    write_mesh(empty(), path)
+    assert path.read_bytes() != before
+
+
+def test_what_is_refused_leaves_the_old_file(torus: Mesh, tmp_path: Path) -> None:
+    path = tmp_path / "a.ply"
+    path.write_bytes(b"old")
+    with pytest.raises(FileError, match="float32"):
+        write_mesh(Mesh(torus.vertices + 1e9, torus.faces), path)
+    assert path.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
+
+
+def test_unknown_names(torus: Mesh, tmp_path: Path) -> None:
+    known = r"\.obj, \.ply, \.stl, \.glb, \.off$"
+    with pytest.raises(
+        FileError, match=rf"a\.fbx: the name says no format: end it in one of {known}"
+    ):
+        write_mesh(torus, tmp_path / "a.fbx")
+    with pytest.raises(FileError, match="format 'fbx' is unknown: choose one of obj, ply, stl"):
+        write_mesh(torus, tmp_path / "a.obj", format="fbx", normals=torus.vertices)
+    with pytest.raises(FileError, match="there is no folder"):
+        write_mesh(torus, tmp_path / "no" / "a.obj")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_formats_of_names() -> None:
+    assert files.format_of("-", MESH_FORMATS) == "obj"
+    assert files.format_of("-", files.SVO_FORMATS) == "svo.h5"
+    with pytest.raises(FileError, match="standard output has no extension"):
+        files.format_of("-", files.EXPORTS)
+    assert set(NORMAL_FORMATS) < set(MESH_FORMATS)

@@ -1,0 +1,352 @@
+"""Finding, probing and choosing devices."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from voxtool.cli.main import cli
+from voxtool.errors import DeviceError, MemoryLimitError
+from voxtool.opencl import Device, device, list_devices, open_device
+
+ROOT = Path(__file__).parents[2]
+FIELDS = {
+    "index", "name", "platform", "kind", "driver", "opencl", "units", "memory", "max_allocation",
+    "fp64", "probe",
+}  # fmt: skip
+
+
+@pytest.fixture
+def no_choice(monkeypatch) -> None:
+    monkeypatch.delenv("VOXTOOL_DEVICE", raising=False)
+
+
+def run_python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A fresh interpreter, with neither of the variables that choose devices but those given."""
+    kept = {k: v for k, v in os.environ.items() if k not in ("OCL_ICD_VENDORS", "VOXTOOL_DEVICE")}
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        env={**kept, "PYTHONPATH": str(ROOT), **environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+COMMAND = "from voxtool.cli.main import main; import sys; sys.argv[1:] = {!r}; main()"
+
+
+# ---- what there is
+
+
+def test_devices_lists_all_with_the_outcome_of_the_probe(no_choice) -> None:
+    found = list_devices()
+    assert [d.index for d in found] == list(range(len(found)))
+    result = CliRunner().invoke(cli, ["devices"])
+    assert result.exit_code == 0
+    assert result.stderr == ""
+    for d in found:
+        assert f"{d.index}  {d.name} ({d.platform}, {d.kind})\n" in result.stdout
+        assert f"driver {d.driver}; {d.opencl}; {d.units} units" in result.stdout
+        assert f"probe {d.probe}" in result.stdout
+    told = json.loads(CliRunner().invoke(cli, ["devices", "--json"]).stdout)
+    assert [d.keys() for d in told] == [FIELDS] * len(found)
+    assert told == [d.as_dict() for d in found]
+
+
+def test_gpus_come_first() -> None:
+    kinds = [d.kind for d in list_devices()]
+    assert kinds == sorted(kinds, key=lambda kind: kind != "GPU")
+
+
+def test_numbers_of_a_device_are_plausible(device: Device) -> None:
+    info = device.info
+    assert info.units >= 1
+    assert 0 < info.max_allocation <= info.memory
+    assert 0 < device.max_memory <= info.memory
+    assert info.opencl.startswith("OpenCL ")
+
+
+# ---- nothing to use
+
+
+def assert_says_what_to_install(result) -> None:
+    assert result.exit_code == 1
+    assert result.stderr.startswith("voxtool: error: no usable OpenCL device")
+    assert result.stderr.count("\n") == 1
+    assert "pip install 'voxtool[cpu]'" in result.stderr
+    assert "docs/devices.md" in result.stderr
+
+
+def test_no_device_says_what_to_install(monkeypatch, tmp_path) -> None:
+    monkeypatch.delenv("OCL_ICD_VENDORS", raising=False)
+    monkeypatch.setattr(device, "_cl_devices", list)
+    mesh = tmp_path / "triangle.obj"
+    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    result = CliRunner().invoke(cli, ["devices"])
+    assert_says_what_to_install(result)
+    assert result.stdout == ""
+    result = CliRunner().invoke(cli, ["devices", "--json"])
+    assert_says_what_to_install(result)
+    assert json.loads(result.stdout) == []
+    result = CliRunner().invoke(cli, ["voxelize", str(mesh), "-o", str(tmp_path / "a.svo.h5")])
+    assert_says_what_to_install(result)
+    assert os.listdir(tmp_path) == ["triangle.obj"]
+    with pytest.raises(DeviceError, match="pip install"):
+        open_device()
+
+
+def test_an_empty_folder_of_drivers(tmp_path) -> None:
+    for arguments in (["devices"], ["devices", "--json"]):
+        done = run_python(COMMAND.format(arguments), OCL_ICD_VENDORS=str(tmp_path))
+        assert done.returncode == 1
+        assert done.stderr.startswith("voxtool: error: no usable OpenCL device: ")
+        assert f"only drivers in OCL_ICD_VENDORS={tmp_path} were sought" in done.stderr
+        assert done.stderr.count("\n") == 1
+        assert done.stdout == ("[]\n" if "--json" in arguments else "")
+
+
+def test_no_pyopencl(tmp_path) -> None:
+    (tmp_path / "pyopencl.py").write_text("raise ImportError('libOpenCL.so.1 is not there')")
+    done = run_python(COMMAND.format(["devices"]), PYTHONPATH=f"{tmp_path}{os.pathsep}{ROOT}")
+    assert done.returncode == 1
+    assert "pyopencl cannot be imported (libOpenCL.so.1 is not there): install" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+# ---- probes that fail
+
+
+@pytest.fixture
+def devices_twice(monkeypatch, no_choice):
+    """Every device twice; returns a function that makes the probe of the given indices fail."""
+    found = device._cl_devices()
+    monkeypatch.setattr(device, "_cl_devices", lambda: [*found, *found])
+    probe = device._probe
+
+    def break_down(*indices: int) -> None:
+        calls = iter(range(2 * len(found)))
+
+        def broken(cl_device) -> str:
+            if next(calls) in indices:
+                return "failed: unknown target CPU 'generic'"
+            return probe(cl_device)
+
+        monkeypatch.setattr(device, "_probe", broken)
+
+    return len(found), break_down
+
+
+def test_a_device_whose_probe_fails_is_passed_over_with_a_warning(devices_twice) -> None:
+    _, break_down = devices_twice
+    break_down(0)
+    with pytest.warns(RuntimeWarning, match="passed over .* probe failed: unknown target CPU"):
+        assert open_device().info.index == 1
+    break_down(0)
+    assert [d.probe for d in list_devices()][:2] == ["failed: unknown target CPU 'generic'", "ok"]
+
+
+def test_the_warning_is_one_line_and_not_for_quiet_commands(devices_twice, tmp_path) -> None:
+    _, break_down = devices_twice
+    mesh = tmp_path / "triangle.obj"
+    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    command = ["voxelize", str(mesh), "--mode", "surface26", "-o", str(tmp_path / "a.svo.h5")]
+    break_down(0)
+    result = CliRunner().invoke(cli, command)
+    assert result.exit_code == 0
+    first, second = result.stderr.splitlines()
+    assert first.startswith("voxtool: warning: passed over ")
+    assert second.startswith(f"voxtool: {mesh} -> ")
+    break_down(0)
+    result = CliRunner().invoke(cli, [*command, "-q"])
+    assert (result.exit_code, result.output) == (0, "")
+
+
+def test_every_probe_fails(devices_twice) -> None:
+    count, break_down = devices_twice
+    break_down(*range(2 * count))
+    with pytest.raises(DeviceError, match=r"unknown target CPU 'generic'.*pip install"):
+        open_device()
+    break_down(*range(2 * count))
+    result = CliRunner().invoke(cli, ["devices"])
+    assert result.stdout.count("probe failed: unknown target CPU 'generic'") == 2 * count
+    assert_says_what_to_install(result)
+
+
+def test_a_probe_that_does_not_build_or_is_wrong(device: Device, monkeypatch) -> None:
+    from voxtool.opencl import device as module
+
+    monkeypatch.setattr(module, "PROBE", "__kernel void probe(__global uint *v) { v[0] = oops; }")
+    assert module._probe(device.cl_device).startswith("failed: ")
+    assert "\n" not in module._probe(device.cl_device)
+    monkeypatch.setattr(module, "PROBE", "__kernel void probe(__global uint *v) { v[0] = 7u; }")
+    assert module._probe(device.cl_device) == "failed: the probe kernel gave wrong values"
+
+
+# ---- choosing
+
+
+def test_choosing_by_number_kind_and_name(no_choice, monkeypatch) -> None:
+    usable = [d for d in list_devices() if d.probe == "ok"]
+    assert open_device().info.index == usable[0].index
+    for d in usable:
+        assert open_device(str(d.index)).info.index == d.index
+        first = min(e.index for e in usable if e.kind == d.kind)
+        assert open_device(d.kind.lower()).info.index == first
+        assert open_device(d.kind.upper()).info.index == first
+        for part in (d.platform, d.platform.upper()[:8], d.name):
+            assert part.lower() in f"{d.platform} {d.name}".lower()
+            chosen = open_device(part).info
+            assert part.lower() in f"{chosen.platform} {chosen.name}".lower()
+        monkeypatch.setenv("VOXTOOL_DEVICE", str(d.index))
+        assert open_device().info.index == d.index
+        assert open_device(str(usable[0].index)).info.index == usable[0].index  # beats the variable
+        monkeypatch.delenv("VOXTOOL_DEVICE")
+    monkeypatch.setenv("VOXTOOL_DEVICE", "")
+    assert open_device().info.index == usable[0].index
+
+
+@pytest.mark.parametrize("choice", ["no such thing", "99", "[", "-1", "accelerator"])
+def test_an_unknown_device_lists_the_choices(choice: str, no_choice, monkeypatch) -> None:
+    choices = "; ".join(f"{d.index}: {d.name} ({d.platform})" for d in list_devices())
+    with pytest.raises(DeviceError) as caught:
+        open_device(choice)
+    message = f"no OpenCL device matches {choice!r}: choose one of {choices}"
+    assert str(caught.value) == message
+    monkeypatch.setenv("VOXTOOL_DEVICE", choice)
+    with pytest.raises(DeviceError) as caught:
+        open_device()
+    assert str(caught.value) == message
+
+
+# ---- the embedded driver
+
+LOOK = """
+import os, pathlib, tempfile
+from voxtool.opencl import device
+before = dict(os.environ)
+seen = []
+made = tempfile.TemporaryDirectory
+class Watched(made):
+    def cleanup(self):
+        seen.append((self.name, sorted(p.name for p in pathlib.Path(self.name).iterdir()),
+                     os.environ.get("OCL_ICD_VENDORS")))
+        super().cleanup()
+    def __exit__(self, *error):
+        self.cleanup()
+device.tempfile.TemporaryDirectory = Watched
+names = [d.platform for d in device.list_devices()]
+left = [p for p in os.listdir(tempfile.gettempdir()) if p.startswith("voxtool-icd-")]
+print(repr((names, seen, left, before.get("OCL_ICD_VENDORS"), os.environ.get("OCL_ICD_VENDORS"))))
+"""
+EMBEDDED = Path(sys.prefix, "lib", "libintelocl.so")
+needs_embedded = pytest.mark.skipif(
+    not EMBEDDED.exists(), reason="the extra 'cpu' is not installed: no embedded driver"
+)
+
+
+@needs_embedded
+def test_the_embedded_drivers_folder_is_temporary(tmp_path) -> None:
+    done = run_python(LOOK, TMPDIR=str(tmp_path))
+    names, seen, left, _, after = eval(done.stdout)
+    assert any("Intel" in name for name in names)
+    ((folder, files, variable),) = seen
+    assert Path(folder).parent == tmp_path
+    assert variable is None  # it is unset before the folder goes
+    system = {p.name for p in device.SYSTEM_DRIVERS.glob("*.icd")}
+    assert set(files) == {"voxtool-cpu.icd", *system}
+    assert (left, after) == ([], None)
+    assert os.listdir(tmp_path) == []
+
+
+@needs_embedded
+def test_the_users_own_drivers_are_respected(tmp_path) -> None:
+    own = tmp_path / "vendors"
+    own.mkdir()
+    (own / "one.icd").write_text(f"{EMBEDDED}\n")
+    done = run_python(LOOK, OCL_ICD_VENDORS=str(own))
+    names, seen, left, before, after = eval(done.stdout)
+    assert len(names) == 1
+    assert "Intel" in names[0]
+    assert seen == left == []
+    assert before == after == str(own)
+    assert os.listdir(own) == ["one.icd"]
+
+
+def test_variables_of_drivers_are_defaults() -> None:
+    code = (
+        "import os; from voxtool.opencl import list_devices; list_devices()\n"
+        "print(os.environ['CL_CONFIG_CPU_VECTORIZER_MODE'])"
+    )
+    assert run_python(code).stdout == "1\n"
+    assert run_python(code, CL_CONFIG_CPU_VECTORIZER_MODE="4").stdout == "4\n"
+
+
+def test_nothing_is_written_to_stdout_or_stderr_by_listing() -> None:
+    done = run_python("from voxtool.opencl import list_devices; list_devices()")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+# ---- work and memory
+
+
+def test_arrays_go_there_and_back(device: Device) -> None:
+    values = np.arange(12, dtype=np.uint32).reshape(3, 4)
+    array = device.put(values)
+    assert np.array_equal(array.get(), values.ravel())
+    assert np.array_equal(array.get(2, 5), [2, 3, 4])
+    assert array.get(5, 5).size == 0
+    device.write(array, np.array([9, 8], np.uint32))
+    assert np.array_equal(array.get(0, 3), [9, 8, 2])
+    array.release()
+    for size in (0, 1, 3, 1000):
+        for dtype in (np.uint8, np.uint32, np.uint64):
+            array = device.zeros(size, dtype)
+            assert array.dtype == dtype
+            assert array.get().tolist() == [0] * size
+            array.release()
+    assert device.empty(0, np.uint32).get().size == 0
+
+
+def test_too_large_an_array_is_a_memory_error(device: Device) -> None:
+    with pytest.raises(MemoryLimitError, match="choose a smaller dim"):
+        device.empty(1 << 46, np.uint64)
+
+
+def test_failures_of_the_driver_are_ours(device: Device) -> None:
+    array = device.empty(4, np.uint32)
+    with pytest.raises(DeviceError, match="failed: "):
+        device.write(array, np.zeros(8, np.uint32))  # more than it holds
+    kernel = device.kernel("opencl/primitives.cl", "sum_blocks")
+    with pytest.raises(DeviceError, match="failed: "):
+        kernel(256, array, np.uint32(0), array, local=128)  # not the size that it requires
+    array.release()
+
+
+def test_stage_times() -> None:
+    opened = open_device(profile=True)
+    told: list[str] = []
+    opened.on_stage = told.append
+    with opened.stage("outer"):
+        opened.zeros(10, np.uint32)
+        with opened.stage("inner"):
+            opened.put(np.zeros(4, np.uint32)).get()
+        opened.zeros(10, np.uint32)
+    opened.zeros(10, np.uint32)
+    times = opened.stage_times()
+    assert told == ["outer", "inner"]
+    assert list(times) == ["outer", "inner", "other"]
+    assert all(seconds >= 0 for seconds in times.values())
+    assert opened.stage_times() == {}
+
+
+def test_temporary_folder_of_drivers_is_where_the_system_says() -> None:
+    assert not [p for p in os.listdir(tempfile.gettempdir()) if p.startswith("voxtool-icd-")]

@@ -1,0 +1,188 @@
+"""The deviation between two surfaces, on shapes whose deviation is known."""
+
+from __future__ import annotations
+
+import json
+
+import meshes
+import numpy as np
+import pytest
+from conftest import opened, usable_devices
+
+from voxtool.errors import MeshError, VoxtoolError
+from voxtool.mesh.mesh import Mesh
+from voxtool.opencl import Device
+from voxtool.spatial import sampling as spread
+from voxtool.spatial.deviation import deviation
+
+WAYS = ("surface_to_reference", "reference_to_surface")
+
+
+def mesh_of(vertices, faces, name: str = "") -> Mesh:
+    return Mesh(np.asarray(vertices, np.float64), np.asarray(faces, np.int32), name=name)
+
+
+def plane(side: int = 6, height: float = 0.0, size: float = 1.0) -> Mesh:
+    """2 side^2 triangles over [0, size]^2."""
+    i, j = (a.ravel() for a in np.indices((side, side)))
+    first = i * (side + 1) + j
+    corners = [
+        (first, first + side + 1, first + 1),
+        (first + side + 1, first + side + 2, first + 1),
+    ]
+    x, y = (a.ravel() * size / side for a in np.indices((side + 1, side + 1)))
+    faces = np.concatenate([np.stack(c, axis=1) for c in corners])
+    return mesh_of(np.stack([x, y, np.full_like(x, height)], axis=1), faces)
+
+
+@pytest.mark.parametrize("height", [0.25, 0.1, 3.0, 1e-6])
+def test_a_shifted_plane(device: Device, height: float) -> None:
+    found = deviation(plane(), plane(height=height), 5000, height, device)
+    for way in WAYS:
+        # rounded once for the sum, and once for its square root
+        assert found[way]["mean"] == pytest.approx(height, rel=1e-15)
+        assert found[way]["rms"] == pytest.approx(height, rel=1e-15)
+        assert found[way]["max"] == height
+        assert found["voxels"][way]["max"] == 1
+    assert found["hausdorff"] == height
+    assert found["voxels"]["hausdorff"] == 1
+
+
+def test_a_mesh_and_itself(device: Device) -> None:
+    mesh = mesh_of(*meshes.torus())
+    found = deviation(mesh, mesh, 20_000, device=device)
+    assert found["hausdorff"] < 1e-15
+    assert "voxels" not in found
+    assert "pitch" not in found
+    assert found[WAYS[0]] == found[WAYS[1]]
+
+
+def test_spheres_of_two_radii(device: Device) -> None:
+    inner, outer = (mesh_of(*meshes.icosphere(4, (1, 2, 3), r)) for r in (1, 1.25))
+    found = deviation(inner, outer, 20_000, 0.5, device)
+    for way in WAYS:
+        for name in ("mean", "rms", "max"):
+            assert found[way][name] == pytest.approx(0.25, abs=0.002)
+            assert found["voxels"][way][name] == pytest.approx(0.5, abs=0.004)
+    assert found[WAYS[0]]["vertices"] == len(inner.vertices)
+
+
+def test_a_box_within_a_box(device: Device) -> None:
+    small, large = mesh_of(*meshes.box(1, 3)), mesh_of(*meshes.box(0, 4))
+    found = deviation(small, large, 10_000, device=device)
+    assert found[WAYS[0]]["mean"] == pytest.approx(1, rel=1e-15)
+    assert found[WAYS[0]]["max"] == pytest.approx(1, rel=1e-15)
+    assert found[WAYS[1]]["max"] == found["hausdorff"] == pytest.approx(np.sqrt(3), rel=1e-15)
+    # 1 over the middle of a face; beyond, the square root of 1 and what x and y are past it
+    x, y = np.meshgrid(*[(np.arange(400) + 0.5) / 100] * 2)
+    past = (
+        np.maximum(np.maximum(1 - x, x - 3), 0) ** 2 + np.maximum(np.maximum(1 - y, y - 3), 0) ** 2
+    )
+    assert found[WAYS[1]]["mean"] == pytest.approx(np.sqrt(1 + past).mean(), abs=5e-4)
+    assert found[WAYS[1]]["rms"] == pytest.approx(np.sqrt((1 + past).mean()), abs=5e-4)
+
+
+def test_the_maximum_sees_vertices_between_the_samples(device: Device) -> None:
+    spike = plane(40)
+    spike.vertices[20 * 41 + 20, 2] = 0.5
+    found = deviation(spike, plane(), 1, device=device)
+    assert found[WAYS[0]]["max"] == 0.5
+    assert found[WAYS[0]]["mean"] == found[WAYS[0]]["rms"] < 0.5
+
+
+def test_one_way_is_not_the_other(device: Device) -> None:
+    part, whole = plane(size=1), plane(size=3)
+    found = deviation(part, whole, 10_000, device=device)
+    assert found[WAYS[0]]["max"] < 1e-15
+    assert found[WAYS[1]]["max"] == pytest.approx(np.sqrt(8), rel=1e-15)
+    assert found["hausdorff"] == found[WAYS[1]]["max"]
+
+
+# ---- samples
+
+
+def sample(mesh: Mesh, count: int) -> np.ndarray:
+    return np.concatenate(list(spread.Spread(mesh, "surface").samples(count)))
+
+
+def test_faces_have_their_share_to_within_one() -> None:
+    heights = np.array([1.0, 5, 0, 0.25, 8, 0, 3])  # triangles of base 1, apart along x
+    corners = [[(2 * i, 0, 0), (2 * i + 1, 0, 0), (2 * i, h, 0)] for i, h in enumerate(heights)]
+    vertices = np.reshape(corners, (-1, 3))
+    mesh = mesh_of(vertices, np.arange(21).reshape(-1, 3))
+    for count in (1, 10, 1000, 12_345):
+        points = sample(mesh, count)
+        assert len(points) == count
+        face = (points[:, 0] // 2).astype(int)
+        share = np.bincount(face, minlength=7)
+        assert (np.abs(share - count * heights / heights.sum()) <= 1).all()
+        assert (share[heights == 0] == 0).all()
+        x, y = points[:, 0] % 2, points[:, 1] / heights[face]
+        assert (x >= 0).all()
+        assert (y >= 0).all()
+        assert (x + y <= 1 + 1e-12).all()
+
+
+def test_samples_are_even_within_a_face() -> None:
+    points = sample(mesh_of([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)]), 4096)
+    assert np.abs(points.mean(axis=0) - [1 / 3, 1 / 3, 0]).max() < 1e-3
+    cells = np.bincount((points[:, :2] * 8).astype(int) @ [8, 1], minlength=64).reshape(8, 8)
+    whole = np.add.outer(np.arange(8), np.arange(8)) < 7
+    assert np.abs(cells[whole] - 128).max() < 16  # 11 is the deviation of random points
+
+
+def test_blocks_change_nothing(device: Device, monkeypatch) -> None:
+    meshes_ = mesh_of(*meshes.torus()), mesh_of(*meshes.torus(minor=1.1))
+    expected = deviation(*meshes_, 5000, 0.1, device)
+    monkeypatch.setattr(spread, "BLOCK", 777)
+    assert deviation(*meshes_, 5000, 0.1, device) == expected
+
+
+def test_all_devices_agree() -> None:
+    pair = mesh_of(*meshes.torus()), mesh_of(*meshes.icosphere(3, radius=2))
+    found = [deviation(*pair, 3000, 0.1, opened(index)) for index, _ in usable_devices()]
+    assert all(other == found[0] for other in found[1:])
+
+
+def test_the_result_is_json(device: Device) -> None:
+    found = deviation(plane(), plane(height=1), np.int64(10), np.float64(0.5), device)
+    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    assert found["samples"] == 10
+    assert found["pitch"] == 0.5
+    assert found["maximum_is"] == "lower bound"
+
+
+@pytest.mark.parametrize("exponent", [-400, 400])
+def test_extreme_scales(device: Device, exponent: int) -> None:
+    pair = [meshes.torus(), meshes.torus(minor=1.1)]
+    expected = deviation(*(mesh_of(*m) for m in pair), 2000, device=device)
+    scaled = [mesh_of(np.ldexp(v, exponent), f) for v, f in pair]
+    found = deviation(*scaled, 2000, device=device)
+    for way in WAYS:
+        for name in ("mean", "rms", "max"):
+            assert found[way][name] == np.ldexp(expected[way][name], exponent)
+
+
+# ---- what is refused
+
+
+def test_a_mesh_of_zero_area_is_refused(device: Device) -> None:
+    flat = mesh_of([(0, 0, 0), (1, 1, 1), (2, 2, 2)], [(0, 1, 2), (0, 0, 1)], "wire.obj")
+    for pair in ((flat, plane()), (plane(), flat)):
+        with pytest.raises(
+            MeshError, match=r"wire\.obj: no area: each of its 2 faces .*: give"
+        ) as caught:
+            deviation(*pair, device=device)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("samples", [0, -1, 1.5, True, "many"])
+def test_samples_that_are_refused(device: Device, samples) -> None:
+    with pytest.raises(VoxtoolError, match=r"give a whole number from 1 on"):
+        deviation(plane(), plane(), samples, device=device)
+
+
+@pytest.mark.parametrize("pitch", [0.0, -1.0, np.inf, np.nan])
+def test_pitches_that_are_refused(device: Device, pitch: float) -> None:
+    with pytest.raises(VoxtoolError, match=r"give a length greater than 0"):
+        deviation(plane(), plane(), 10, pitch, device)

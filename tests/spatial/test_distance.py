@@ -1,0 +1,332 @@
+"""Distances to a mesh against rational arithmetic, brute force and analytic shapes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import TYPE_CHECKING
+
+import meshes
+import numpy as np
+import pytest
+from conftest import model, opened, usable_devices
+from helpers_distance import brute, exact
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from voxtool.errors import DeviceError, MeshError, VoxtoolError
+from voxtool.files.mesh import load_mesh
+from voxtool.mesh.mesh import Mesh
+from voxtool.opencl import program
+from voxtool.spatial import bvh, distance
+from voxtool.spatial.distance import TriangleDistance
+
+if TYPE_CHECKING:
+    from voxtool.opencl import Device
+
+EXACT = 1e-15  # error, of the mesh's extent or of the distance, whichever is larger
+SHAPE = (8, 8, 8)
+
+
+def mesh_of(vertices, faces=None) -> Mesh:
+    vertices = np.ascontiguousarray(vertices, np.float64).reshape(-1, 3)
+    faces = np.arange(len(vertices)).reshape(-1, 3) if faces is None else faces
+    return Mesh(vertices, np.ascontiguousarray(faces, np.int32))
+
+
+def check(mesh: Mesh, points: np.ndarray, device: Device, oracle=exact) -> np.ndarray:
+    found = TriangleDistance(mesh, device)(points)
+    expected = oracle(points, mesh.vertices[mesh.faces])
+    low, high = mesh.bounds
+    allowed = EXACT * np.maximum((high - low).max(), expected)
+    assert found.dtype == np.float64
+    assert (np.abs(found - expected) <= allowed).all()
+    return found
+
+
+def around(mesh: Mesh, rng: np.random.Generator, n: int, spread: float = 0.1) -> np.ndarray:
+    """n points on faces, edges and vertices, and as many around them."""
+    corners = mesh.vertices[mesh.faces[rng.integers(0, len(mesh.faces), n)]]
+    weights = rng.uniform(size=(n, 3)) * rng.integers(0, 2, (n, 3))
+    weights[weights.sum(axis=1) == 0, 0] = 1
+    weights /= weights.sum(axis=1, keepdims=True)
+    on = (weights[:, :, None] * corners).sum(axis=1)
+    size = np.ptp(mesh.bounds, axis=0).max()
+    return np.concatenate([on, on + spread * size * rng.normal(size=(n, 3))])
+
+
+# ---- against the oracles
+
+
+@given(
+    meshes.fixed_triangles(SHAPE, max_triangles=6),
+    st.lists(st.tuples(*[st.integers(-1024, 3072)] * 3), min_size=1, max_size=8),
+    st.integers(-40, 40),
+)
+@settings(max_examples=80)
+def test_any_triangles_at_any_scale(device: Device, triangles, points, exponent) -> None:
+    vertices, faces = triangles
+    scale = 2.0**exponent
+    mesh = mesh_of(vertices * scale, faces)
+    check(mesh, np.concatenate([points * np.full(3, scale), mesh.vertices]), device)
+
+
+@given(meshes.closed_meshes(SHAPE), st.integers(0, 1 << 16))
+@settings(max_examples=25)
+def test_closed_meshes(device: Device, vertices_and_faces, seed) -> None:
+    mesh = mesh_of(*vertices_and_faces)
+    check(mesh, around(mesh, np.random.default_rng(seed), 6), device)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_slivers_and_needles(device: Device, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for _ in range(12):
+        a, b = rng.uniform(-1, 1, (2, 3))
+        height, short = 10.0 ** -rng.uniform(0, 17, 2)
+        c = a + rng.uniform(-0.3, 1.3) * (b - a) + height * rng.normal(size=3)
+        if rng.integers(2):
+            b = a + short * rng.normal(size=3)
+        mesh = mesh_of(rng.permutation([a, b, c]))
+        points = [around(mesh, rng, 3, 10.0 ** -rng.uniform(-1, 16)), mesh.vertices]
+        check(mesh, np.concatenate(points), device)
+
+
+def test_every_region_of_a_triangle_of_every_shape(device: Device) -> None:
+    grid = np.stack(np.meshgrid(*[np.arange(-4, 9, 2)] * 2, [0, 3]), axis=-1).reshape(-1, 3)
+    for apex in [(0, 1), (2, 1), (4, 1), (2, 4), (-1, 2), (6, 1), (2, 0), (0, 0), (9, 0)]:
+        corners = np.array([(0, 0, 0), (4, 0, 0), (*apex, 0)])
+        for turn in range(3):
+            for flipped in (corners, corners[::-1]):
+                mesh = mesh_of(np.roll(flipped, turn, axis=0))
+                check(mesh, grid.astype(np.float64), device, brute if turn else exact)
+
+
+def test_degenerate_faces_are_segments_and_points(device: Device) -> None:
+    points = np.array([(0.0, 3, 4), (5, 3, 4), (10, 0, 0), (13, 4, 0), (-3, 0, -4), (2, 0, 0)])
+    segment = mesh_of([(0, 0, 0), (10, 0, 0), (10, 0, 0), (0, 0, 0), (10, 0, 0), (5, 0, 0)])
+    assert TriangleDistance(segment, device)(points).tolist() == [5, 5, 0, 5, 5, 0]
+    point = mesh_of([(10, 0, 0)] * 3)
+    assert TriangleDistance(point, device)(points[2:4]).tolist() == [0, 5]
+    both = mesh_of([(10, 0, 0)] * 3 + [(0, 0, 0), (4, 0, 0), (0, 0, 0)])
+    check(both, points, device)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4, 5, 31, 32, 33, 256, 257, 2049])
+def test_any_number_of_triangles(device: Device, count: int) -> None:
+    rng = np.random.default_rng(count)
+    mesh = mesh_of(meshes.random_triangles(rng, count, size=2)[0] / 256)
+    check(mesh, around(mesh, rng, 50), device, brute)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_equal_triangles(device: Device, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    triangle = rng.uniform(-1, 1, (3, 3))
+    many, one = mesh_of(np.tile(triangle, (1000, 1))), mesh_of(triangle)
+    points = around(one, rng, 100)
+    assert np.array_equal(check(one, points, device), TriangleDistance(many, device)(points))
+
+
+def test_10_000_equal_centroids(device: Device) -> None:
+    rng = np.random.default_rng(1)
+    half = rng.integers(1, 1 << 20, (10_000, 3))
+    corners = np.stack([half, -half, 0 * half], axis=1)
+    mesh = mesh_of(corners / (1 << 20))
+    check(mesh, rng.uniform(-1, 1, (60, 3)), device, brute)
+
+
+@pytest.mark.parametrize("exponent", [-490, -40, 0, 40, 490])
+def test_scale_changes_no_bit(device: Device, exponent: int) -> None:
+    mesh = mesh_of(*meshes.torus())
+    points = around(mesh, np.random.default_rng(3), 300)
+    expected = check(mesh, points, device, brute)
+    scaled = replace(mesh, vertices=np.ldexp(mesh.vertices, exponent))
+    found = TriangleDistance(scaled, device)(np.ldexp(points, exponent))
+    assert np.array_equal(found, np.ldexp(expected, exponent))
+
+
+def test_far_from_the_origin(device: Device) -> None:
+    mesh = mesh_of(*meshes.icosphere(2, (1e6, -1e6, 1e6), 0.01))
+    check(mesh, around(mesh, np.random.default_rng(4), 100), device, brute)
+
+
+@pytest.mark.parametrize("far", [3, 6.9, 7, 100, 2.0**20, 2.0**40, 2.0**80])
+def test_points_far_away(device: Device, far: float) -> None:
+    mesh = mesh_of(*meshes.icosphere(2))
+    directions = np.random.default_rng(5).normal(size=(100, 3))
+    found = check(mesh, far * directions, device, brute)
+    near = TriangleDistance(mesh, device)(directions)  # in blocks of their own, and in one
+    mixed = TriangleDistance(mesh, device)(np.concatenate([directions, far * directions]))
+    assert np.array_equal(mixed, np.concatenate([near, found]))
+
+
+def test_a_huge_triangle_among_tiny_ones(device: Device) -> None:
+    small, faces = meshes.icosphere(3, radius=1e-6)
+    mesh = mesh_of(*meshes.join((small, faces), (np.eye(3) * 1e3 - 400, np.array([(0, 1, 2)]))))
+    points = np.concatenate([small[::20] * 3, around(mesh, np.random.default_rng(6), 50)])
+    check(mesh, points, device, brute)
+
+
+# ---- analytic shapes
+
+
+def test_a_box(device: Device) -> None:
+    measure = TriangleDistance(mesh_of(*meshes.box((0, 0, 0), (4, 6, 8))), device)
+    points = [(2, 3, 4), (1, 3, 4), (2, 3, 11), (7, 10, 4), (6, 9, 14), (0, 0, 0), (4, 2, 7)]
+    assert np.abs(measure(points) - [2, 1, 3, 5, 7, 0, 0]).max() < 8 * EXACT
+
+
+def test_a_sphere(device: Device) -> None:
+    mesh = mesh_of(*meshes.icosphere(4))
+    rng = np.random.default_rng(7)
+    points = rng.normal(size=(2000, 3))
+    radius = np.sqrt((points**2).sum(axis=1))
+    found = TriangleDistance(mesh, device)(points)
+    assert (np.abs(found - np.abs(radius - 1)) < 0.0015).all()  # of which faces are within
+
+
+# ---- what changes nothing
+
+
+def test_neither_order_nor_company_changes_a_bit(device: Device, monkeypatch) -> None:
+    vertices, faces = meshes.torus()
+    rng = np.random.default_rng(8)
+    mesh = mesh_of(vertices, faces)
+    points = around(mesh, rng, 1500)
+    expected = TriangleDistance(mesh, device)(points)
+    shuffled = TriangleDistance(mesh_of(vertices, rng.permutation(faces)), device)
+    order = rng.permutation(len(points))
+    assert np.array_equal(shuffled(points[order]), expected[order])
+    assert np.array_equal(shuffled(points[:7]), expected[:7])
+    monkeypatch.setattr(distance, "BLOCK", 1000)
+    assert np.array_equal(shuffled(points), expected)
+    monkeypatch.setattr(distance, "NEAR", 0.0)  # boxes in double precision
+    assert np.array_equal(shuffled(points), expected)
+
+
+@cache
+def _bunny() -> tuple[Mesh, np.ndarray]:
+    mesh = load_mesh(model("stanford-bunny.obj"))
+    rng = np.random.default_rng(9)
+    low, high = mesh.bounds
+    far = rng.uniform(low - 20 * (high - low), high, (500, 3))
+    return mesh, np.concatenate(
+        [around(mesh, rng, 10_000, 0.01), rng.uniform(low, high, (5000, 3)), far]
+    )
+
+
+def test_all_devices_agree_bit_for_bit() -> None:
+    mesh, points = _bunny()
+    found = [TriangleDistance(mesh, opened(index))(points) for index, _ in usable_devices()]
+    assert all(np.array_equal(found[0], other) for other in found[1:])
+
+
+def test_the_bunny_against_brute_force(device: Device) -> None:
+    mesh, points = _bunny()
+    check(mesh, points[:: len(points) // 12], device, brute)
+
+
+# ---- the tree
+
+
+def test_the_tree_encloses_every_triangle_once(device: Device) -> None:
+    mesh = mesh_of(*meshes.torus(sides=(40, 25)))
+    tree = bvh.build_tree(device, mesh)
+    nodes = tree.nodes.get().reshape(-1, 2, 3, bvh.ARITY).astype(np.float64)
+    leaves = tree.leaves.get().reshape(-1, bvh.FIELDS, bvh.LEAF)
+    local = tree.frame.local(mesh.vertices)
+
+    def corners(leaf: int) -> np.ndarray:
+        a, e, g = (leaves[leaf, i : i + 3].T for i in (0, 3, 6))
+        return np.stack([a, a + e, a + leaves[leaf, 9][:, None] * e + g], axis=1)
+
+    found = np.concatenate([corners(i) for i in range(len(leaves))])[: len(mesh.faces)]
+    order = [np.lexsort(np.round(t.mean(axis=1), 12).T) for t in (found, local[mesh.faces])]
+    assert np.allclose(
+        np.sort(found[order[0]], axis=1), np.sort(local[mesh.faces][order[1]], axis=1), atol=1e-15
+    )
+
+    def enclosed(node: int, low: np.ndarray, high: np.ndarray) -> int:
+        """Leaves below; each box holds its children's boxes, or its triangles."""
+        if node >= tree.first_leaf:
+            triangles = corners(node - tree.first_leaf)
+            assert (triangles >= low).all()
+            assert (triangles <= high).all()
+            return 1
+        count = 0
+        for i in range(bvh.ARITY):
+            from_, to = nodes[node, 0, :, i], nodes[node, 1, :, i]
+            if np.isinf(from_).any():
+                assert (from_ == np.inf).all()
+                assert (to == -np.inf).all()
+                continue
+            assert (from_ >= low).all()
+            assert (to <= high).all()
+            count += enclosed(bvh.ARITY * node + 1 + i, from_, to)
+        return count
+
+    assert enclosed(0, np.full(3, -np.inf), np.full(3, np.inf)) == len(leaves)
+
+
+def test_the_curve_visits_neighbours(device: Device, monkeypatch) -> None:
+    bits = 3
+    cells = np.indices((1 << bits,) * 3).reshape(3, -1).T.astype(np.uint32)
+    source = "curve_of_cells.cl"
+    kernel = f"""
+__kernel void places(__global const uint *cells, __global uint *out) {{
+    out[get_global_id(0)] = (uint)hilbert_index(vload3(get_global_id(0), cells), {bits});
+}}"""
+    text = program.flatten("spatial/hilbert.h") + kernel
+    monkeypatch.setitem(program.generated, source, text)
+    out = device.zeros(len(cells), np.uint32)
+    device.kernel(source, "places")(len(cells), device.put(cells), out)
+    places = out.get()
+    assert sorted(places) == list(range(len(cells)))
+    steps = np.abs(np.diff(cells[np.argsort(places)].astype(int), axis=0)).sum(axis=1)
+    assert (steps == 1).all()
+
+
+# ---- what is refused
+
+
+def test_no_points_is_no_distances(device: Device) -> None:
+    assert TriangleDistance(mesh_of(*meshes.box(0, 1)), device)(np.empty((0, 3))).shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("points", "message"),
+    [
+        ([(0, 0, 0), (0, np.nan, 0)], r"point 1, \(0\.0, nan, 0\.0\), is not finite or too far"),
+        ([(np.inf, 0, 0)], "point 0, .* is not finite or too far"),
+        ([(1e300, 0, 0)], "too far from the mesh: remove it"),
+        ([1, 2, 3], r"points of shape \(3,\): give \(N, 3\)"),
+        ([("a", "b", "c")], "not an array of numbers"),
+    ],
+)
+def test_points_that_are_refused(device: Device, points, message: str) -> None:
+    with pytest.raises(VoxtoolError, match=message) as caught:
+        TriangleDistance(mesh_of(*meshes.box(0, 1)), device)(points)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("scale", [1e-200, 1e200])
+def test_an_extent_whose_square_has_no_number(device: Device, scale: float) -> None:
+    vertices, faces = meshes.box(0, 1)
+    with pytest.raises(MeshError, match="scale the mesh"):
+        TriangleDistance(mesh_of(vertices * scale, faces), device)
+
+
+def test_no_faces(device: Device) -> None:
+    with pytest.raises(MeshError, match="no faces"):
+        TriangleDistance(mesh_of(np.zeros((3, 3)), np.empty((0, 3))), device)
+
+
+def test_a_device_without_double_precision_is_refused(device: Device, monkeypatch) -> None:
+    monkeypatch.setattr(device, "info", replace(device.info, fp64=False))
+    with pytest.raises(DeviceError, match=r"no double precision.*choose another device"):
+        TriangleDistance(mesh_of(*meshes.box(0, 1)), device)
+
+
+def test_a_single_use(device: Device) -> None:
+    assert distance.distance(mesh_of(*meshes.box(0, 2)), [(1, 1, 1)], device).tolist() == [1]

@@ -1,0 +1,493 @@
+"""Surfaces of octrees against dense numpy, exact fractions, analytic shapes and invariants."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from helpers_octree import ball, octree_from_dense
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import voxtool
+from voxtool.errors import MemoryLimitError, VoxtoolError
+from voxtool.grid import Grid
+from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.topology import check_surface, closed_chain, volume
+from voxtool.svo.octree import BRICK, BRICK_VOXELS, NODE, VALID
+from voxtool.svo.surface import cut_cells as tiles
+from voxtool.svo.surface.extract import LATTICE, NEAREST, Isosurface, extract, plan_extract
+from voxtool.svo.surface.plan import MAX_SAMPLES
+
+STYLES = (("smooth", 0), ("smooth", 1), ("smooth", 2), ("smooth", "voxel"), ("blocks", "voxel"),
+          ("blocks", 0), ("nets", "voxel"), ("nets", 0), ("nets", 1), ("nets", 2))  # fmt: skip
+ISOVALUES = (0.5, 0.25, 1 / 64, 0.01, 0.3, 63 / 64, 0.99, 1e-9, 1 - 1e-12)
+
+
+def lattice_mesh(surface: Isosurface) -> Mesh:
+    """The surface in samples."""
+    return Mesh(surface.points / LATTICE, surface.faces)
+
+
+def coverage(dense: np.ndarray, side: int) -> np.ndarray:
+    """Set voxels of the samples of a dense array, which is padded to whole ones."""
+    shape = [-(-n // side) for n in dense.shape]
+    padded = np.zeros([n * side for n in shape], int)
+    padded[tuple(map(slice, dense.shape))] = dense
+    a, b, c = shape
+    return padded.reshape(a, side, b, side, c, side).sum(axis=(1, 3, 5))
+
+
+def inside(surface: Isosurface, dense: np.ndarray) -> np.ndarray:
+    """Which samples are inside, with a layer of empty ones around them."""
+    share = [Fraction(int(n), surface.side**3) for n in range(surface.side**3 + 1)]
+    enough = np.array([s >= Fraction(surface.isovalue) for s in share])
+    enough[-1] = True  # the isovalue is rounded, to 1 at most
+    return np.pad(enough[coverage(dense, surface.side)], 1)
+
+
+def cut_edges(samples: np.ndarray) -> int:
+    return sum(np.count_nonzero(np.diff(samples, axis=a)) for a in range(3))
+
+
+def assert_manifold(surface: Isosurface) -> None:
+    """Closed, 2-manifold by index, no triangle of zero area, every vertex used."""
+    found = check_surface(lattice_mesh(surface), weld=False)
+    assert found.watertight, found
+    assert found.manifold, found
+    assert found.degenerate_faces == 0
+    assert len(np.unique(surface.faces)) == len(surface.points)
+
+
+def lacks(octree: voxtool.Octree, level: int | str) -> bool:
+    """Whether a small octree has no such level."""
+    return isinstance(level, int) and level >= octree.depth
+
+
+@st.composite
+def patterns(draw: st.DrawFn) -> np.ndarray:
+    """Sets of voxels of every kind: scattered, in aligned boxes (whose octrees have inside leaves
+    that touch empty ones), and both; up to the border of their grid."""
+    shape = tuple(draw(st.lists(st.integers(8, 20), min_size=3, max_size=3)))
+    rng = np.random.default_rng(draw(st.integers(0, 1 << 32)))
+    scattered = rng.random(shape) < draw(st.sampled_from([0.02, 0.3, 0.5, 0.8, 0.97]))
+    side = draw(st.sampled_from([1, 2, 4, 8]))
+    boxes = rng.random([-(-n // side) for n in shape]) < draw(st.sampled_from([0.3, 0.5, 0.8]))
+    boxes = np.kron(boxes, np.ones((side,) * 3, bool)).astype(bool)
+    boxes = boxes[tuple(map(slice, shape))]
+    return draw(st.sampled_from([scattered, boxes, scattered & boxes, scattered | boxes]))
+
+
+@given(patterns(), st.sampled_from(STYLES), st.sampled_from(ISOVALUES))
+@settings(max_examples=150)
+def test_every_pattern_has_a_closed_manifold_surface(device, dense, style, isovalue) -> None:
+    octree = octree_from_dense(dense)
+    if lacks(octree, style[1]):
+        return
+    surface = extract(octree, style=style[0], level=style[1], isovalue=isovalue, device=device)
+    samples = inside(surface, dense)
+    edges = cut_edges(samples)
+    if not edges:
+        assert len(surface.faces) == 0
+        return
+    assert_manifold(surface)
+    if style[0] == "smooth":
+        assert len(surface.points) == edges
+    else:
+        assert len(surface.faces) == 2 * edges
+    if style[0] == "blocks":
+        assert volume(lattice_mesh(surface)) == pytest.approx(samples.sum(), rel=1e-12)
+    if style[1] == "voxel":
+        assert surface.lost == tiles.Lost(0, 0)
+    else:
+        assert surface.lost == lost(coverage(dense, surface.side), samples)
+
+
+def lost(covered: np.ndarray, samples: np.ndarray) -> tiles.Lost:
+    """Voxels of samples outside, and of those with no inside sample around them."""
+    near = np.zeros(covered.shape, bool)
+    for i in range(3):
+        for j in range(3):
+            for k in range(3):
+                a, b, c = covered.shape
+                near |= samples[i : i + a, j : j + b, k : k + c]
+    out = ~samples[1:-1, 1:-1, 1:-1]
+    return tiles.Lost(int(covered[out].sum()), int(covered[~near].sum()))
+
+
+def crossings(dense: np.ndarray, surface: Isosurface) -> set[tuple[int, int, int]]:
+    """Where a smooth surface's vertices belong: t = (iso - a) / (b - a), rounded once."""
+    n = surface.side**3
+    covered = np.pad(coverage(dense, surface.side), 1)
+    isovalue = Fraction(max(round(Fraction(surface.isovalue) * n * 2**16), 1), 2**16)
+    found = set()
+    for axis in range(3):
+        low = np.moveaxis(covered, axis, 0)[:-1]
+        high = np.moveaxis(covered, axis, 0)[1:]
+        for place in zip(*np.nonzero((low >= isovalue) != (high >= isovalue)), strict=True):
+            a, b = int(low[place]), int(high[place])
+            outer, inner = min(a, b), max(a, b)
+            t = math.floor((isovalue - outer) / (inner - outer) * LATTICE + Fraction(1, 2))
+            t = min(max(t, NEAREST), LATTICE - NEAREST)
+            point = [int(place[0])] + [int(p) for p in place[1:]]
+            point.insert(axis, point.pop(0))
+            point = [(p - 1) * LATTICE + LATTICE // 2 for p in point]
+            point[axis] += t if a < b else LATTICE - t
+            found.add(tuple(point))
+    return found
+
+
+@given(patterns(), st.sampled_from([0, 1, 2, 3, "voxel"]), st.sampled_from(ISOVALUES))
+@settings(max_examples=40)
+def test_smooth_vertices_are_where_fractions_say(device, dense, level, isovalue) -> None:
+    octree = octree_from_dense(dense)
+    if lacks(octree, level):
+        return
+    surface = extract(octree, level=level, isovalue=isovalue, device=device)
+    points = {tuple(p) for p in surface.points.tolist()}
+    assert len(points) == len(surface.points)
+    assert points == crossings(dense, surface)
+
+
+@given(patterns(), st.sampled_from([0, "voxel"]))
+@settings(max_examples=30)
+def test_nets_stay_in_the_cubes_of_their_blocks(device, dense, level) -> None:
+    octree = octree_from_dense(dense)
+    nets = extract(octree, style="nets", level=level, device=device)
+    blocks = extract(octree, style="blocks", level=level, device=device)
+    assert len(nets.points) == len(blocks.points)
+    assert nets.cubes == blocks.cubes
+    assert (np.abs(nets.points - blocks.points) <= LATTICE // 2 - NEAREST).all()
+
+
+@given(patterns(), st.sampled_from([0, "voxel"]))
+@settings(max_examples=40)
+def test_merged_blocks_are_the_same_boundary_of_fewer_triangles(device, dense, level) -> None:
+    octree = octree_from_dense(dense)
+    blocks = extract(octree, style="blocks", level=level, device=device)
+    merged = extract(octree, style="blocks", level=level, merge=True, device=device)
+    assert len(merged.faces) <= len(blocks.faces)
+    assert squares(merged) == squares(blocks)
+    assert closed_chain(lattice_mesh(merged))
+    assert len(np.unique(merged.faces)) == len(merged.points)
+
+
+def squares(surface: Isosurface) -> dict[tuple[int, ...], int]:
+    """The oriented unit squares that the rectangles of a surface cover, each counted."""
+    covered: dict[tuple[int, ...], int] = {}
+    for first, second in surface.faces.reshape(-1, 2, 3):
+        corners = surface.points[[*first, second[2]]] // LATTICE
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        (axis,) = np.flatnonzero(low == high)
+        p, q = corners[1] - corners[0], corners[2] - corners[0]
+        sign = int(np.sign(np.cross(p, q)[axis]))
+        u, v = (a for a in range(3) if a != axis)
+        for i in range(low[u], high[u]):
+            for j in range(low[v], high[v]):
+                key = (int(axis), sign, int(low[axis]), i, j)
+                covered[key] = covered.get(key, 0) + 1
+    assert set(covered.values()) <= {1}
+    return covered
+
+
+# ---- ties, borders, leaves
+
+
+def test_a_tie_is_inside_and_leaves_no_triangle_of_zero_area(device) -> None:
+    dense = np.zeros((16, 16, 16), bool)
+    dense[4:12, 4:12, 4:10] = True  # the bricks of z = 2 are half full: on the isovalue
+    surface = extract(octree_from_dense(dense), device=device)
+    assert_manifold(surface)
+    assert surface.points[:, 2].max() == 2 * LATTICE + LATTICE // 2 + NEAREST
+    assert len(surface.points) == cut_edges(inside(surface, dense))
+
+
+@pytest.mark.parametrize(("style", "level"), STYLES)
+def test_a_full_grid_closes_at_its_border(device, style, level) -> None:
+    dense = np.ones((16, 16, 16), bool)
+    surface = extract(octree_from_dense(dense), style=style, level=level, device=device)
+    assert_manifold(surface)
+    assert check_surface(lattice_mesh(surface), weld=False).euler == 2
+    low, high = surface.points.min() / LATTICE, surface.points.max() / LATTICE
+    samples = 16 / surface.side
+    assert -0.5 < low <= 0.5
+    assert low + high == pytest.approx(samples, abs=1e-3)  # as far beyond as before
+
+
+def test_an_inside_leaf_beside_an_empty_one_is_no_hole(device) -> None:
+    """No node lies between them, so the thesis's cubes do not meet there."""
+    dense = np.zeros((32, 32, 32), bool)
+    dense[8:16, 8:24, 8:24] = True
+    octree = octree_from_dense(dense)
+    assert len(octree.bricks) == 0
+    for style, level in (("smooth", 0), ("blocks", "voxel"), ("nets", "voxel")):
+        surface = extract(octree, style=style, level=level, device=device)
+        assert_manifold(surface)
+        assert check_surface(lattice_mesh(surface), weld=False).euler == 2
+        share = volume(lattice_mesh(surface)) * surface.side**3 / dense.sum()
+        assert share == pytest.approx(1) if style == "blocks" else 0.8 < share < 1  # edges are cut
+
+
+def test_no_voxel_no_surface(device) -> None:
+    octree = octree_from_dense(np.zeros((9, 9, 9), bool))
+    for style, level in STYLES:
+        surface = extract(octree, style=style, level=level, device=device)
+        assert len(surface.points) == len(surface.faces) == 0
+
+
+def test_voxels_that_touch_in_an_edge_or_a_corner_are_apart(device) -> None:
+    dense = np.zeros((8, 8, 8), bool)
+    dense[2, 2, 2] = dense[3, 3, 2] = dense[4, 4, 3] = True
+    surface = extract(octree_from_dense(dense), style="blocks", device=device)
+    assert_manifold(surface)
+    assert check_surface(lattice_mesh(surface), weld=False).shells == 3
+    assert len(surface.points) == 24
+
+
+def test_a_pinched_edge_joins_its_inside(device) -> None:
+    """Two voxels missing that touch in an edge, in a block: kept apart along it, the inside would
+    use the edge four times."""
+    dense = np.zeros((10, 10, 10), bool)
+    dense[2:8, 2:8, 2:8] = True
+    dense[4, 4, 4] = dense[5, 5, 4] = False
+    surface = extract(octree_from_dense(dense), style="blocks", device=device)
+    assert_manifold(surface)
+    found = check_surface(lattice_mesh(surface), weld=False)
+    assert (found.shells, found.genus) == (3, 0)
+
+
+# ---- shapes
+
+
+@pytest.mark.parametrize(("style", "level"), [("smooth", 0), ("nets", "voxel")])
+def test_a_sphere_converges(device, style, level) -> None:
+    """Volume and area of a ball, with the orders printed (pytest -s).
+
+    The volume's error falls with the square of the pitch. The area's of smooth surfaces ends at
+    half a per cent: coverages are counts of 64 voxels, whose noise tilts the triangles.
+    """
+    radius, errors = 0.4, []
+    for n in (32, 64, 128, 256):
+        octree = octree_from_dense(ball((n, n, n), radius))
+        surface = extract(octree, style=style, level=level, device=device)
+        mesh = Mesh(surface.points * (surface.side / LATTICE / n), surface.faces)
+        exact = 4 / 3 * math.pi * radius**3, 4 * math.pi * radius**2
+        found = volume(mesh), area(mesh)
+        errors.append([abs(f / e - 1) for f, e in zip(found, exact, strict=True)])
+        away = (np.linalg.norm(mesh.vertices - 0.5, axis=1) - radius) * n
+        rms = math.sqrt((away**2).mean())
+        print(f"{style} {n}: volume {errors[-1][0]:.1e}, area {errors[-1][1]:.1e}, RMS {rms:.2f}")
+    (volumes, areas) = np.log2(np.array(errors))[[0, -1]].T
+    orders = (volumes[0] - volumes[1]) / 3, (areas[0] - areas[1]) / 3
+    print(f"{style}: order of volume {orders[0]:.2f}, of area {orders[1]:.2f}")
+    assert 1.7 < orders[0] < 2.3
+    assert errors[-1][0] < 2e-3
+    assert errors[-1][1] < 6e-3
+
+
+def area(mesh: Mesh) -> float:
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
+
+
+def torus(n: int) -> np.ndarray:
+    x, y, z = ((g + 0.5) / n - 0.5 for g in np.ogrid[:n, :n, :n])
+    return (np.sqrt(x * x + y * y) - 0.3) ** 2 + z * z < 0.12**2
+
+
+@pytest.mark.parametrize(("style", "level"), [s for s in STYLES if s[1] != 1])
+def test_a_torus_has_one_handle(device, style, level) -> None:
+    surface = extract(octree_from_dense(torus(96)), style=style, level=level, device=device)
+    assert_manifold(surface)
+    found = check_surface(lattice_mesh(surface), weld=False)
+    assert (found.shells, found.euler, found.genus) == (1, 0, 1)
+
+
+def test_normals_point_outside(device) -> None:
+    octree = octree_from_dense(ball((64, 64, 64), 0.4))
+    for style in ("smooth", "nets"):
+        surface = extract(octree, style=style, device=device)
+        away = surface.vertices - (np.array(octree.grid.origin) + 32 * np.array(octree.grid.pitch))
+        away /= np.linalg.norm(away, axis=1)[:, None]
+        assert np.allclose(np.linalg.norm(surface.normals, axis=1), 1, atol=1e-14)
+        assert (surface.normals * away).sum(axis=1).min() > 0.9
+
+
+def test_normals_of_faces_that_cancel_are_unit(device) -> None:
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.int32) * LATTICE
+    faces = np.array([[0, 1, 2], [0, 2, 1]], np.int32)
+    octree = octree_from_dense(ball((8, 8, 8)))
+    surface = replace(extract(octree, device=device), points=points[:3], faces=faces)
+    assert np.array_equal(np.abs(surface.normals), [[0, 0, 1]] * 3)
+
+
+def test_vertices_lie_in_the_world_where_the_voxels_do(device) -> None:
+    dense = np.zeros((12, 10, 9), bool)
+    dense[3:8, 2:9, 4:6] = True
+    octree = octree_from_dense(dense)
+    octree = replace(octree, grid=Grid(octree.grid.shape, (10, -3, 0.5), (2, 0.5, 1.25)))
+    surface = extract(octree, style="blocks", device=device)
+    low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+    assert low.tolist() == [16, -2, 5.5]
+    assert high.tolist() == [26, 1.5, 8]
+    assert volume(surface.mesh()) == pytest.approx(70 * 1.25)
+
+
+def test_the_mesh_does_not_depend_on_the_root(device) -> None:
+    """A surface that touches low sides needs a root above the root: all else is the same."""
+    dense = ball((16, 16, 16), 0.3)
+    shifted = np.zeros((24, 24, 24), bool)
+    shifted[8:, 8:, 8:] = dense
+    dense[0, 0, 0] = shifted[8, 8, 8] = True
+    for style in ("smooth", "blocks", "nets"):
+        here = extract(octree_from_dense(dense), style=style, level="voxel", device=device)
+        there = extract(octree_from_dense(shifted), style=style, level="voxel", device=device)
+        assert plan_extract(octree_from_dense(dense), style=style, level="voxel").rooted
+        assert here.mesh().faces.shape == there.mesh().faces.shape
+        moved = {tuple(p) for p in (here.points + 8 * LATTICE).tolist()}
+        assert moved == {tuple(p) for p in there.points.tolist()}
+
+
+def test_thin_features_are_counted_as_lost(device) -> None:
+    dense = np.zeros((32, 32, 32), bool)
+    dense[4:20, 4:20, 4:20] = True
+    dense[26, 4:20, 4:20] = True  # a sheet a voxel thick, a quarter of its bricks
+    octree = octree_from_dense(dense)
+    surface = extract(octree, device=device)
+    assert surface.lost == tiles.Lost(256, 256)
+    kept = extract(octree, isovalue=0.25, device=device)
+    assert kept.lost == tiles.Lost(0, 0)
+    assert len(kept.faces) > len(surface.faces)
+
+
+# ---- what is refused
+
+
+def test_arguments_out_of_range_are_refused(device) -> None:
+    octree = octree_from_dense(ball((16, 16, 16)))
+    for isovalue in (0, 1, -0.5, 2, math.nan, "half", None):
+        with pytest.raises(VoxtoolError, match="between 0 and 1"):
+            extract(octree, isovalue=isovalue, device=device)
+    for level in (-1, 3, 99, "brick", 1.0, None.__class__):
+        with pytest.raises(VoxtoolError, match="'voxel' or a level from 0 to 2"):
+            extract(octree, level=level, device=device)
+    with pytest.raises(VoxtoolError, match="choose one of smooth, blocks, nets"):
+        extract(octree, style="cubes", device=device)
+    with pytest.raises(VoxtoolError, match="only blocks"):
+        extract(octree, style="nets", merge=True, device=device)
+
+
+def test_numpy_numbers_are_numbers(device) -> None:
+    octree = octree_from_dense(ball((16, 16, 16)))
+    plain = extract(octree, level=1, isovalue=0.25, device=device)
+    found = extract(octree, level=np.int64(1), isovalue=np.float32(0.25), device=device)
+    assert found.digest() == plain.digest()
+
+
+def test_a_surface_has_no_inside(device) -> None:
+    octree = octree_from_dense(ball((16, 16, 16)), mode="surface26", fill="none")
+    for style, level in STYLES:
+        if (style, level) != ("blocks", "voxel"):
+            with pytest.raises(VoxtoolError, match="--mode solid, or extract --style blocks"):
+                extract(octree, style=style, level=level, device=device)
+    blocks = extract(octree, style="blocks", device=device)
+    assert volume(lattice_mesh(blocks)) == pytest.approx(octree.count)
+
+
+def test_memory_is_planned(device) -> None:
+    octree = octree_from_dense(ball((64, 64, 64)))
+    plan = plan_extract(octree, style="nets")
+    assert plan.device_bytes > 1_000_000
+    with pytest.raises(MemoryLimitError, match="choose level 0"):
+        extract(octree, style="nets", max_memory=plan.device_bytes // 2, device=device)
+    extract(octree, style="nets", max_memory=plan.device_bytes * 5 // 4, device=device)
+
+
+def test_a_surface_larger_than_predicted_is_refused_once_it_is_counted(device) -> None:
+    octree = octree_from_dense(np.indices((32, 32, 32)).sum(axis=0) % 2 == 0)
+    plan = plan_extract(octree, style="blocks")
+    with pytest.raises(MemoryLimitError, match="a blocks surface of level voxel would need"):
+        extract(octree, style="blocks", max_memory=2 * plan.device_bytes, device=device)
+
+
+def octree_of_one_voxel(dim: int, voxel: tuple[int, int, int], mode: str) -> voxtool.Octree:
+    """An octree of any dim with a single path from its root."""
+    depth = (dim // 4).bit_length()
+    nodes = np.zeros(1 + 8 * (depth - 1), NODE)
+    for d in range(depth - 1):
+        shift = depth + 1 - d
+        octant = sum((v >> shift & 1) << a for a, v in enumerate(voxel)) if d else 0
+        own = 1 + 8 * (d - 1) + octant if d else 0
+        nodes["child"][own] = VALID
+        nodes["parent"][1 + 8 * d : 9 + 8 * d] = VALID | octant
+    nodes["child"][-8:] = VALID | np.arange(8, dtype=np.uint32)
+    bricks = np.zeros(8, BRICK)
+    brick = sum((v >> 2 & 1) << a for a, v in enumerate(voxel))
+    bit = int(np.flatnonzero((np.array(voxel) % 4 == BRICK_VOXELS).all(axis=1))[0])
+    bricks[brick] = np.uint64(1) << np.uint64(bit)
+    offsets = np.array([0, *(1 + 8 * d for d in range(depth))], np.uint32)
+    octree = voxtool.Octree(
+        Grid((dim,) * 3, (0, 0, 0), (1, 1, 1)), mode, "parity", offsets, nodes, bricks
+    )
+    octree.validate()
+    assert octree.occupied().tolist() == [list(voxel)]
+    return octree
+
+
+@pytest.mark.parametrize("dim", [4096, 8192, 32768, 65536])
+@pytest.mark.parametrize("voxel", [(4, 5, 6), (3001, 2002, 1003)])
+def test_more_samples_than_codes_have_bits_for_name_a_level_that_works(device, dim, voxel) -> None:
+    octree = octree_of_one_voxel(dim, voxel, "solid")
+    level, refusals = "voxel", 0
+    while True:
+        plan = plan_extract(octree, level=level, isovalue=1e-12)
+        try:
+            surface = extract(octree, level=level, isovalue=1e-12, device=device)
+        except MemoryLimitError as error:
+            assert plan.samples > MAX_SAMPLES
+            refusals += 1
+            level = int(re.search(r"that are extracted: choose level (\d+)", str(error))[1])
+        else:
+            break
+    assert refusals == (dim > 4096)
+    assert_manifold(surface)
+    centre = (surface.points.mean(axis=0) / LATTICE * surface.side) // surface.side
+    assert centre.tolist() == [v // surface.side for v in voxel]
+
+
+def test_without_an_inside_no_level_is_named(device) -> None:
+    octree = octree_of_one_voxel(8192, (9, 9, 9), "surface26")
+    with pytest.raises(MemoryLimitError, match=r"8192 samples along a side, .* no level fits"):
+        extract(octree, style="blocks", device=device)
+
+
+def test_the_plan_says_what_is_left_out() -> None:
+    octree = octree_from_dense(ball((64, 64, 64), 0.3))
+    smooth = plan_extract(octree).as_dict()
+    assert "loops and quads" in smooth["left_out"]
+    assert "root above the octree" in smooth["left_out"]
+    assert smooth["stages"][-2:] == ["histopyramid", "triangles"]
+    merged = plan_extract(octree, style="blocks", merge=True)
+    assert "sorting" not in merged.left_out()
+    assert merged.stages[-2:] == ["merge", "triangles"]
+    assert "relax" in plan_extract(octree, style="nets").stages
+
+
+def test_stages_run_as_planned(device) -> None:
+    octree = octree_from_dense(ball((32, 32, 32)))
+    for request in ({}, {"style": "nets"}, {"style": "blocks", "merge": True}):
+        began: list[str] = []
+        device.on_stage = began.append
+        extract(octree, device=device, **request)
+        device.on_stage = None
+        assert list(dict.fromkeys(began)) == [*plan_extract(octree, **request).stages, "read back"]
+
+
+def test_public_names() -> None:
+    assert voxtool.extract is extract
+    assert voxtool.plan_extract is plan_extract
+    assert voxtool.Isosurface is Isosurface

@@ -1,0 +1,386 @@
+"""The voxelizer against the oracles, analytic solids and invariants, on every device."""
+
+from __future__ import annotations
+
+import meshes
+import numpy as np
+import oracles
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
+from voxtool.grid import Grid
+from voxtool.mesh.mesh import Mesh
+from voxtool.morton import morton_decode
+from voxtool.opencl import Device
+from voxtool.svo.octree import Octree
+from voxtool.svo.voxelize import plan_voxelize, voxelize
+
+MODES = ("surface26", "surface6", "solid")
+SHAPES = st.sampled_from([(8, 8, 8), (16, 16, 16), (16, 9, 5), (7, 12, 16), (24, 20, 30)])
+
+
+def lattice_grid(shape) -> Grid:
+    """A grid whose units are the world's."""
+    return Grid(tuple(shape), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+
+
+def lattice_mesh(vertices, faces) -> Mesh:
+    """A mesh of vertices given in 1/256 voxel."""
+    return Mesh(
+        np.ascontiguousarray(np.asarray(vertices, np.float64).reshape(-1, 3) / 256),
+        np.ascontiguousarray(faces, np.int32),
+    )
+
+
+def run(device, mesh, shape, mode, **options) -> Octree:
+    """By parity, if not told otherwise."""
+    options = {"fill": "parity", **options}
+    octree = voxelize(lattice_mesh(*mesh), lattice_grid(shape), mode, device=device, **options)
+    octree.validate()
+    return octree
+
+
+def assert_contract(octree: Octree, triangles, solid: bool) -> None:
+    """The octree refines exactly the nodes that its contract names."""
+    active = oracles.active_nodes(triangles, octree.grid.shape, solid)
+    expected = oracles.expected_octree_nodes(active, octree.to_dense())
+    for level in octree.levels():
+        if level.number == 0:
+            continue
+        cells = morton_decode(level.codes)
+        assert {tuple(c) for c in cells[level.refined].tolist()} == expected.refined[level.number]
+        assert {tuple(c) for c in cells[level.inside].tolist()} == expected.inside[level.number]
+
+
+@given(data=st.data(), shape=SHAPES)
+@settings(max_examples=200)
+def test_any_triangles_agree_with_the_oracles(device: Device, data, shape) -> None:
+    vertices, faces = data.draw(meshes.fixed_triangles(shape))
+    triangles = vertices[faces]
+    for mode in MODES:
+        octree = run(device, (vertices, faces), shape, mode)
+        expected = getattr(oracles, mode)(triangles, shape)
+        assert {tuple(v) for v in octree.occupied().tolist()} == expected, mode
+        assert octree.count == len(expected)
+        assert_contract(octree, triangles, mode == "solid")
+
+
+@given(data=st.data(), shape=SHAPES)
+@settings(max_examples=150)
+def test_closed_meshes_agree_with_the_oracles(device: Device, data, shape) -> None:
+    vertices, faces = data.draw(meshes.closed_meshes(shape))
+    triangles = vertices[faces]
+    solid = run(device, (vertices, faces), shape, "solid")
+    assert {tuple(v) for v in solid.occupied().tolist()} == oracles.solid(triangles, shape)
+    assert_contract(solid, triangles, True)
+    both = run(device, (vertices, faces), shape, "solid", with_surface=True)
+    surface = run(device, (vertices, faces), shape, "surface26")
+    assert np.array_equal(both.to_dense(), solid.to_dense() | surface.to_dense())
+
+
+@pytest.fixture(params=["wide", "codes64", "blocked", "all"])
+def variant(request, monkeypatch) -> str:
+    """Force a path that only large scenes need."""
+    if request.param in ("wide", "all"):
+        monkeypatch.setattr("voxtool.svo.plan.NARROW_EXTENT", -1)
+    if request.param in ("codes64", "all"):
+        monkeypatch.setattr("voxtool.svo.plan.CODE_32_SIDE", 0)
+    if request.param in ("blocked", "all"):
+        monkeypatch.setattr("voxtool.svo.plan.DENSE_SIDE", 0)
+    return request.param
+
+
+@given(data=st.data(), shape=SHAPES)
+@settings(max_examples=60)
+def test_paths_for_large_scenes_agree(device: Device, variant: str, data, shape) -> None:
+    """Forced on small scenes, they give the octree of the path for small ones, bit for bit."""
+    mesh = data.draw(st.one_of(meshes.fixed_triangles(shape), meshes.closed_meshes(shape)))
+    for mode in MODES:
+        forced = run(device, mesh, shape, mode)
+        plan = plan_voxelize(lattice_mesh(*mesh), lattice_grid(shape), mode, device=device)
+        assert plan.wide == (variant in ("wide", "all"))
+        assert plan.blocked == (variant in ("blocked", "all"))
+        assert plan.code_bits == (64 if variant in ("codes64", "all") else 32)
+        with pytest.MonkeyPatch.context() as usual:
+            for name, value in (("NARROW_EXTENT", 4096), ("CODE_32_SIDE", 8192)):
+                usual.setattr(f"voxtool.svo.plan.{name}", value)
+            usual.setattr("voxtool.svo.plan.DENSE_SIDE", 2048)
+            plain = run(device, mesh, shape, mode)
+        assert forced.digest() == plain.digest()
+
+
+@given(data=st.data(), shape=st.sampled_from([(16, 16, 16), (16, 9, 5)]))
+@settings(max_examples=100)
+def test_huge_triangles_take_the_wide_path(device: Device, data, shape) -> None:
+    vertices, faces = data.draw(meshes.fixed_triangles(shape, reach=(1 << 22) - 64))
+    triangles = vertices[faces]
+    for mode in MODES:
+        octree = run(device, (vertices, faces), shape, mode)
+        expected = getattr(oracles, mode)(triangles, shape)
+        assert {tuple(v) for v in octree.occupied().tolist()} == expected, mode
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_triangles_larger_than_a_share(device: Device, mode: str) -> None:
+    """Triangles of more than 64 columns are shared among work-items."""
+    rng = np.random.default_rng(7)
+    shape = (150, 140, 130)
+    vertices, faces = meshes.random_triangles(rng, 3, shape, margin=20)
+    sliver = np.array([[0, 0, 0], [256 * 150, 256 * 139, 256 * 129], [300, 256 * 130, 17]])
+    vertices = np.concatenate([vertices, sliver])
+    faces = np.concatenate([faces, [[9, 10, 11], [9, 10, 9]]])
+    plan = plan_voxelize(lattice_mesh(vertices, faces), lattice_grid(shape), mode, device=device)
+    assert plan.tiled
+    octree = run(device, (vertices, faces), shape, mode)
+    expected = getattr(oracles, mode)(vertices[faces], shape)
+    assert {tuple(v) for v in octree.occupied().tolist()} == expected
+
+
+# ---- analytic
+
+
+@given(
+    low=st.tuples(*[st.integers(0, 256 * 6)] * 3),
+    size=st.tuples(*[st.integers(1, 9)] * 3),
+)
+@settings(max_examples=200)
+def test_an_aligned_box_has_its_voxels(device: Device, low, size) -> None:
+    """n x m x l voxels whatever the place of its faces on the lattice: centres on a face count on
+    one side and not on the other."""
+    high = [a + 256 * n for a, n in zip(low, size, strict=True)]
+    octree = run(device, meshes.box(low, high), (16, 16, 16), "solid")
+    assert octree.count == size[0] * size[1] * size[2]
+
+
+@pytest.mark.parametrize("place", [0, 1, 127, 128, 129, 255])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_axis_aligned_faces_lose_nothing(device: Device, axis: int, place: int) -> None:
+    """A square across the grid sets a whole layer, or two where it lies between layers."""
+    at = 256 * 5 + place
+    square = np.array([[at, 0, 0], [at, 4096, 0], [at, 4096, 4096], [at, 0, 4096]])
+    mesh = (np.roll(square, axis, axis=1), np.array([[0, 1, 2], [0, 2, 3]]))
+    thin = run(device, mesh, (16, 16, 16), "surface6").to_dense()
+    thick = run(device, mesh, (16, 16, 16), "surface26").to_dense()
+    layers = np.flatnonzero(thick.any(axis=tuple({0, 1, 2} - {axis})))
+    assert layers.tolist() == ([4, 5] if place == 0 else [5])
+    assert thick.take(layers, axis).all()
+    one = np.flatnonzero(thin.any(axis=tuple({0, 1, 2} - {axis})))
+    assert len(one) == 1
+    assert thin.take(one, axis).all()
+
+
+@pytest.mark.parametrize(("subdivisions", "tolerance"), [(3, 0.012), (5, 0.002)])
+def test_volume_of_a_sphere(device: Device, subdivisions: int, tolerance: float) -> None:
+    """Of the polyhedron itself, within the error of counting centres; of the ball to the
+    polyhedron's own deficit (3.0e-2 and 1.9e-3 of the volume)."""
+    centre = np.array([64.37, 63.71, 64.11])
+    vertices, faces = meshes.icosphere(subdivisions, centre, 56.0)
+    octree = run(device, (meshes.fixed(vertices), faces), (128,) * 3, "solid")
+    a, b, c = vertices[faces].transpose(1, 0, 2) - centre
+    volume = np.abs(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6)
+    assert octree.count == pytest.approx(volume, rel=1e-4)
+    assert octree.count == pytest.approx(4 / 3 * np.pi * 56**3, rel=tolerance)
+
+
+# ---- invariants
+
+
+@given(data=st.data())
+@settings(max_examples=100)
+def test_order_and_orientation_change_nothing(device: Device, data) -> None:
+    shape = (16, 16, 16)
+    vertices, faces = data.draw(
+        st.one_of(meshes.fixed_triangles(shape), meshes.closed_meshes(shape))
+    )
+    order = data.draw(st.permutations(range(len(faces))))
+    turned = faces[order].copy()
+    for i, turn in enumerate(data.draw(st.lists(st.integers(0, 5), min_size=len(faces)))):
+        if i < len(turned):
+            turned[i] = np.roll(turned[i][:: 1 if turn < 3 else -1], turn)
+    for mode in MODES:
+        one = run(device, (vertices, faces), shape, mode)
+        other = run(device, (vertices, turned), shape, mode)
+        assert one.digest() == other.digest(), mode
+
+
+@given(data=st.data(), step=st.tuples(*[st.integers(0, 8)] * 3))
+@settings(max_examples=100)
+def test_whole_voxels_shift_the_result(device: Device, data, step) -> None:
+    vertices, faces = data.draw(meshes.closed_meshes((12, 12, 12), beyond=0))
+    vertices = vertices + 256  # voxels that are touched from outside count, too
+    for mode in MODES:
+        still = run(device, (vertices, faces), (24, 24, 24), mode)
+        moved = run(device, (vertices + 256 * np.array(step), faces), (24, 24, 24), mode)
+        assert np.array_equal(still.occupied() + step, moved.occupied()), mode
+
+
+@given(data=st.data())
+@settings(max_examples=150)
+def test_the_outside_never_reaches_the_inside_through_faces(device: Device, data) -> None:
+    """surface6 is 6-separating: flooding from a corner stays outside the closed mesh."""
+    mesh = data.draw(meshes.closed_meshes((20, 20, 20), beyond=0))
+    shape = (24, 24, 24)
+    mesh = (mesh[0] + 2 * 256, mesh[1])
+    surface = run(device, mesh, shape, "surface6").to_dense()
+    thick = run(device, mesh, shape, "surface26").to_dense()
+    solid = run(device, mesh, shape, "solid").to_dense()
+    assert not (surface & ~thick).any()
+    outside = np.zeros(shape, bool)
+    outside[0, 0, 0] = not surface[0, 0, 0]
+    while True:
+        grown = outside.copy()
+        for axis in range(3):
+            for step in (1, -1):
+                grown |= _shifted(outside, axis, step)
+        grown &= ~surface
+        if np.array_equal(grown, outside):
+            break
+        outside = grown
+    assert outside.any()
+    assert not (outside & solid).any()
+
+
+def _shifted(dense: np.ndarray, axis: int, step: int) -> np.ndarray:
+    moved = np.roll(dense, step, axis)
+    edge = [slice(None)] * 3
+    edge[axis] = slice(0, 1) if step > 0 else slice(-1, None)
+    moved[tuple(edge)] = False
+    return moved
+
+
+@given(data=st.data())
+@settings(max_examples=150)
+def test_a_closed_mesh_has_no_odd_column(device: Device, data) -> None:
+    """Beyond a closed mesh nothing is inside, whatever the ties."""
+    vertices, faces = data.draw(meshes.closed_meshes((12, 16, 16), beyond=0))
+    octree = run(device, (vertices, faces), (24, 16, 16), "solid")
+    assert not octree.to_dense()[13:].any()
+
+
+@given(data=st.data())
+@settings(max_examples=100)
+def test_windows_make_up_the_whole(device: Device, data) -> None:
+    """A window holds the voxels of the whole, the parity before its low-x side included."""
+    shape = (20, 16, 12)
+    mesh = data.draw(st.one_of(meshes.fixed_triangles(shape), meshes.closed_meshes(shape)))
+    cut = [data.draw(st.integers(1, n - 1)) for n in shape]
+    for mode in MODES:
+        whole = run(device, mesh, shape, mode).to_dense()
+        for corner in np.ndindex(2, 2, 2):
+            low = [c * a for c, a in zip(corner, cut, strict=True)]
+            high = [n if c else a for c, a, n in zip(corner, cut, shape, strict=True)]
+            size = [b - a for a, b in zip(low, high, strict=True)]
+            if max(size) < 8:
+                continue
+            part = run(device, mesh, shape, mode, window=(low, size))
+            assert part.grid.shape == tuple(size)
+            expected = whole[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+            assert np.array_equal(part.to_dense(), expected), mode
+
+
+# ---- extremes
+
+
+def test_a_million_triangles_in_a_voxel_and_one_over_the_grid(device: Device) -> None:
+    rng = np.random.default_rng(3)
+    vertices, faces = meshes.random_triangles(rng, 1_000_000, (1, 1, 1), margin=0)
+    vertices = np.concatenate(
+        [np.clip(vertices, 1, 255) + 256 * 100, [[0, 0, 0], [0, 65535, 9], [65535, 0, 7]]]
+    )
+    faces = np.concatenate([faces, [[len(vertices) - 3, len(vertices) - 2, len(vertices) - 1]]])
+    octree = run(device, (vertices, faces), (256,) * 3, "surface26")
+    alone = run(device, (vertices, faces[-1:]), (256,) * 3, "surface26")
+    added = octree.to_dense() & ~alone.to_dense()
+    assert np.argwhere(added).tolist() == [[100, 100, 100]]
+
+
+def test_beyond_a_dense_volume(device: Device) -> None:
+    """Blocks of level-1 nodes, at a dim where the plan chooses them."""
+    vertices, faces = meshes.tetrahedron((9, 8, 7), (60, 11, 12), (14, 55, 9), (13, 17, 61))
+    fixed = meshes.fixed(vertices)
+    near = run(device, (fixed, faces), (64,) * 3, "solid")
+    far = run(device, (fixed + 256 * 4032, faces), (4096,) * 3, "solid")
+    plan = plan_voxelize(
+        lattice_mesh(fixed, faces), lattice_grid((4096,) * 3), "solid", device=device
+    )
+    assert plan.blocked
+    assert np.array_equal(far.occupied() - 4032, near.occupied())
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_nothing_in_the_grid_is_an_empty_octree(device: Device, mode: str) -> None:
+    mesh = meshes.box((9000, 9000, 9000), (9999, 9999, 9999))
+    octree = run(device, mesh, (16, 16, 16), mode)
+    assert octree.count == 0
+    assert len(octree.nodes) == 1
+    assert len(octree.occupied()) == 0
+
+
+def test_a_vertex_that_no_face_uses_does_not_matter(device: Device) -> None:
+    vertices, faces = meshes.box((256, 256, 256), (2000, 2000, 2000))
+    far = np.concatenate([vertices, [[1 << 40, 0, 0]]])
+    assert run(device, (far, faces), (16,) * 3, "solid").count == 7**3
+
+
+# ---- refusals
+
+
+def test_refusals(device: Device) -> None:
+    vertices, faces = meshes.box((256, 256, 256), (2000, 2000, 2000))
+    mesh, grid = lattice_mesh(vertices, faces), lattice_grid((16, 16, 16))
+    with pytest.raises(VoxtoolError, match="choose one of surface26, surface6, solid"):
+        voxelize(mesh, grid, "thick", device=device)
+    with pytest.raises(VoxtoolError, match="choose one of auto, parity, nonzero, winding, flood"):
+        voxelize(mesh, grid, fill="luck", device=device)
+    with pytest.raises(VoxtoolError, match="is a surface already"):
+        voxelize(mesh, grid, "surface6", with_surface=True, device=device)
+    with pytest.raises(GridError, match="beyond the grid"):
+        voxelize(mesh, grid, window=((0, 0, 0), (17, 8, 8)), device=device)
+    with pytest.raises(MemoryLimitError, match=r"dim \d+ is the largest that fits"):
+        voxelize(mesh, grid, device=device, max_memory=1000)
+    far = lattice_mesh(vertices + (1 << 31), faces)
+    with pytest.raises(GridError, match="choose a larger pitch or a nearer box"):
+        voxelize(far, grid, device=device)
+
+
+def test_rows_that_leak_may_not_outgrow_the_links(device: Device, monkeypatch) -> None:
+    mesh = meshes.open_box((300, 700, 700), (2000, 2000, 2000), missing=1)
+    assert run(device, mesh, (64,) * 3, "solid").to_dense()[-1].any()  # it leaks to the end
+    monkeypatch.setattr("voxtool.svo.fill.parity.MAX_LINK", 10)
+    with pytest.raises(MemoryLimitError, match="rows that leak through this open mesh"):
+        run(device, mesh, (64,) * 3, "solid")
+
+
+@pytest.mark.parametrize("shape", [(600, 600, 13), (64, 64, 13), (2100, 2100, 13)])
+def test_triangles_beyond_the_grid_but_within_its_nodes(device: Device, shape) -> None:
+    """Nodes reach beyond a grid whose sides are no multiples of theirs; large triangles there call
+    for shares and wide predicates like any other."""
+    z = 256 * 13 + 128
+    far = 1 << 28
+    plane = np.array([[-far, -far, z], [far, -far, z], [0, far, z + 300]])
+    mesh = (plane, np.array([[0, 1, 2]]))
+    for mode in MODES:
+        octree = run(device, mesh, shape, mode)
+        assert octree.count == 0
+        level = octree.levels()[-2]
+        cells = {tuple(c) for c in morton_decode(level.codes[level.refined]).tolist()}
+        assert cells == oracles.active_nodes([plane], shape, mode == "solid")
+
+
+def test_thin_grids_are_dense_in_their_own_shape(device: Device) -> None:
+    shape = (60000, 8, 5)
+    mesh = meshes.box((256 * 10, 256, 256), (256 * 50000, 256 * 6, 256 * 4))
+    octree = run(device, mesh, shape, "solid")
+    dense = octree.to_dense()
+    assert dense.shape == shape
+    assert np.array_equal(np.argwhere(dense), octree.occupied())
+    assert octree.count == 49990 * 5 * 3
+
+
+def test_the_limit_holds_for_rows_that_leak(device: Device) -> None:
+    mesh = meshes.open_box((300, 7000, 7000), (60000, 60000, 60000), missing=1)
+    limit = 4 * run(device, mesh, (64,) * 3, "solid").nbytes
+    with pytest.raises(MemoryLimitError):
+        run(device, mesh, (1024,) * 3, "solid", max_memory=limit)

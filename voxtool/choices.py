@@ -1,0 +1,14 @@
+"""The names that a user chooses between, and the defaults: each is given here once."""
+
+from __future__ import annotations
+
+MIN_DIM, MAX_DIM, DEFAULT_DIM = 8, 65536, 256  # voxels along the longest side of a grid
+FITS = ("uniform", "stretch")  # of grids to meshes
+MODES = ("surface26", "surface6", "solid")  # of voxelization
+FILLS = ("auto", "parity", "nonzero", "winding", "flood")  # rules that decide what is inside
+STYLES = ("smooth", "blocks", "nets")  # of extracted surfaces
+SIGNS = ("pseudonormal", "winding", "none")  # what decides the sign of a distance
+SEARCHES = ("linear", "binary", "coherent")  # for the leaf of a field that holds a point
+LAYOUTS = ("raycast", "projection", "hexahedra")  # of the textures of a volume
+METHODS = ("raycast", "projection")  # of rendering volumes
+VIEWS = ("front", "back", "left", "right", "top", "bottom", "iso")

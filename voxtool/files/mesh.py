@@ -1,0 +1,311 @@
+"""Triangle meshes from OBJ, STL, PLY, OFF, GLB and glTF, packed with gzip or not.
+
+OBJ is read here (obj.py), the other formats by trimesh, from memory, and nothing is moved.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import os
+import re
+import sys
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from voxtool.errors import MeshError, one_line, printable
+from voxtool.files import obj
+from voxtool.mesh.mesh import Mesh, check_counts, check_indices, mesh_from_arrays
+
+KINDS = ("obj", "stl", "ply", "off", "glb", "gltf")  # what trimesh reads with numpy alone
+MAX_BYTES = 8 << 30  # of one file, unpacked; never more than half of the machine's memory
+
+GZIP = b"\x1f\x8b"
+HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
+def load_mesh(path: str | os.PathLike[str] | BinaryIO, file_type: str | None = None) -> Mesh:
+    """Read a triangle mesh from OBJ, STL, PLY, OFF, GLB or glTF, packed with gzip or not.
+
+    Polygons become fans of triangles, objects and groups one mesh, and the meshes of a scene are
+    placed by its transforms. Materials, textures and files beside this one are not read.
+
+    Parameters
+    ----------
+    path : a file, "-" for standard input, or a binary stream.
+    file_type : "obj" or another of KINDS; by default the file name's extension, or the content
+        where there is no name.
+
+    Raises
+    ------
+    MeshError : the file cannot be read or holds no usable mesh; one line that names file, place
+        (line, face or vertex) and mend.
+    """
+    if isinstance(path, os.PathLike):
+        path = os.fsdecode(path)
+    name = printable(path if isinstance(path, str) else getattr(path, "name", "stream"))
+    if path == "-":
+        name = "standard input"
+    try:
+        with _open(path) as stream:
+            first = stream.read(1024)
+            _refuse_other_files(name, first)
+            kind = _kind_of_name(name, path, file_type)
+            data = _read_all(name, stream, first)
+    except (OSError, ValueError) as error:
+        raise MeshError(_cannot_open(name, error)) from None
+    if not data:
+        raise MeshError(f"{name}: the file is empty: export the mesh again")
+    digest = hashlib.sha256(data).hexdigest()
+    data = _unpacked(name, data)
+    kind = kind or _kind_of_content(data)
+    if kind != "obj":
+        return _through_trimesh(name, kind, data, digest)
+    _refuse_binary(name, data)
+    plain = obj.plain(data)
+    try:
+        return _through_trimesh(name, kind, plain or obj.rewritten(name, data), digest)
+    except MeshError:
+        if plain:
+            obj.rewritten(name, data)  # finds the line and says it
+        raise
+
+
+# --- bytes ---------------------------------------------------------------------------------------
+
+
+def _open(path: Any) -> contextlib.AbstractContextManager[BinaryIO]:
+    if path == "-":
+        return contextlib.nullcontext(sys.stdin.buffer)
+    if hasattr(path, "read"):
+        return contextlib.nullcontext(path)
+    return open(path, "rb")
+
+
+def _cannot_open(name: str, error: Exception) -> str:
+    if isinstance(error, FileNotFoundError):
+        return f"{name}: no such file: check the path"
+    if isinstance(error, IsADirectoryError) or os.path.isdir(name):
+        return f"{name}: this is a folder: name a mesh file in it"
+    if isinstance(error, PermissionError):
+        return f"{name}: permission denied: make the file readable"
+    return f"{name}: {getattr(error, 'strerror', None) or one_line(error)}: check the file"
+
+
+def _read_all(name: str, stream: BinaryIO, first: bytes = b"") -> bytes:
+    """The rest of a stream, piece by piece: what is too long is refused before it is held."""
+    limit = MAX_BYTES
+    with contextlib.suppress(AttributeError, ValueError, OSError):  # no sysconf on Windows
+        limit = min(limit, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2)
+    pieces, size = [first], len(first)
+    while piece := stream.read(1 << 22):
+        pieces.append(piece)
+        size += len(piece)
+        if size > limit:
+            raise MeshError(
+                f"{name}: more than {limit >> 20} MiB unpacked, the most that is read here: "
+                "simplify or split the mesh"
+            )
+    return b"".join(pieces)
+
+
+def _unpacked(name: str, data: bytes) -> bytes:
+    """The data, out of its gzip wrapping if it has one."""
+    if not data.startswith(GZIP):
+        if name.lower().endswith(".gz"):
+            raise MeshError(f"{name}: not packed with gzip: drop .gz from its name")
+        return data
+    import gzip
+    import zlib
+
+    try:
+        data = _read_all(name, gzip.GzipFile(fileobj=io.BytesIO(data)))  # pyright: ignore
+    except EOFError:
+        raise MeshError(f"{name}: truncated: the gzip data ends early: copy it again") from None
+    except (OSError, zlib.error) as error:
+        raise MeshError(f"{name}: damaged gzip data: {one_line(error)}: copy it again") from None
+    if not data:
+        raise MeshError(f"{name}: the file is empty once unpacked: export the mesh again")
+    _refuse_other_files(name, data)
+    return data
+
+
+def _refuse_other_files(name: str, data: bytes) -> None:
+    what = ""
+    if data.startswith(HDF5):
+        what = "a voxtool output (HDF5)"
+    elif data[:64].lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<?xml", b"<!DOCTYPE", b"<octree")):
+        what = "XML, such as a voxtool output"
+    elif data.startswith(b"<VTKFile"):
+        what = "a VTK file"
+    if what:
+        other = " or extract one (voxtool extract)" if "voxtool" in what else ""
+        raise MeshError(
+            f"{name}: this is {what}, not a mesh: give the mesh that it was made from{other}"
+        )
+
+
+def _refuse_binary(name: str, data: bytes) -> None:
+    found = _kind_of_content(data)
+    if b"\0" in data[: 1 << 20] or found in ("ply", "glb"):
+        mend = "export it as text" if found == "obj" else f"it looks like .{found}, rename it"
+        raise MeshError(f"{name}: this is no text, so not an OBJ: {mend}")
+
+
+def _kind_of_name(name: str, path: Any, file_type: str | None) -> str:
+    """The format that the caller or the extension names; "" where the content must say."""
+    if file_type is None:
+        if path == "-" or hasattr(path, "read"):
+            return ""
+        base = name.lower().removesuffix(".gz")
+        file_type = os.path.splitext(base)[1]
+        if not file_type:
+            return ""
+    kind = file_type.lower().removesuffix(".gz").lstrip(".")
+    if kind not in KINDS:
+        known = " ".join(f".{k}" for k in KINDS)
+        raise MeshError(f"{name}: unknown mesh format .{kind}: use {known} (or these with .gz)")
+    return kind
+
+
+def _kind_of_content(data: bytes) -> str:
+    if data.startswith((b"ply\n", b"ply\r")):
+        return "ply"
+    if data.startswith(b"glTF"):
+        return "glb"
+    if re.match(rb"\s*(?:ST)?C?N?4?n?OFF\b", data):
+        return "off"
+    if data.lstrip().startswith(b"{"):
+        return "gltf"
+    if _stl_size(data) == len(data) or re.match(rb"\s*solid\b", data):
+        return "stl"
+    return "obj"
+
+
+def _stl_size(data: bytes) -> int:
+    """Bytes of a binary STL of as many triangles as its header counts."""
+    return 84 + 50 * int.from_bytes(data[80:84], "little")
+
+
+# --- trimesh -------------------------------------------------------------------------------------
+
+
+def _through_trimesh(name: str, kind: str, data: bytes, digest: str) -> Mesh:
+    """A mesh as trimesh reads it from memory: no other file, no texture, nothing moved."""
+    import logging
+    import warnings
+
+    import trimesh
+
+    logging.getLogger("trimesh").addHandler(logging.NullHandler())
+    try:
+        promised = _promised(name, kind, data)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # older numpy only warns of unmatched text
+            warnings.filterwarnings("error", message="string or file could not be read")
+            scene = trimesh.load_scene(
+                io.BytesIO(data),
+                file_type=kind,
+                process=False,
+                maintain_order=True,
+                skip_materials=True,
+                fix_texture=False,
+            )
+        vertices, faces = _merged(name, scene)
+    except MeshError:
+        raise
+    except (Exception, SystemExit) as error:
+        reason = one_line(error) or type(error).__name__
+        raise MeshError(
+            f"{name}: not readable as {kind.upper()}: {reason}: it may be truncated or damaged, "
+            "export it again"
+        ) from None
+    if len(faces) and (len(vertices) < promised[0] or len(faces) < promised[1]):
+        raise MeshError(
+            f"{name}: {len(vertices)} vertices and {len(faces)} faces where the header promises "
+            f"{promised[0]} and {promised[1]}: the file is truncated"
+        )
+    units = "m" if kind in ("glb", "gltf") else ""  # the format's own
+    return mesh_from_arrays(vertices, faces, source_sha256=digest, name=name, units=units)
+
+
+def _merged(name: str, scene: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices and faces of all meshes of a scene, placed by its transforms.
+
+    Products are spelled out: what BLAS returns differs from machine to machine.
+    """
+    parents = {b: (a, attributes) for a, b, attributes in scene.graph.to_edgelist()}
+    all_points, all_corners, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
+    for node, (_, attributes) in parents.items():
+        mesh = scene.geometry.get(attributes.get("geometry"))
+        if mesh is None:
+            continue
+        points = np.asarray(mesh.vertices, np.float64)
+        corners = np.asarray(getattr(mesh, "faces", all_corners[0]))
+        check_indices(name, corners, len(points))
+        matrix = _placement(node, parents)
+        if not (matrix == np.eye(4)).all():
+            x, y, z = points.T
+            m = matrix[:3, :, None]
+            points = (m[:, 0] * x + m[:, 1] * y + m[:, 2] * z + m[:, 3]).T
+            (a, b, c), (d, e, f), (g, h, i) = matrix[:3, :3]
+            if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0:
+                corners = corners[:, ::-1]  # a mirror image keeps its outside
+        all_points.append(points)
+        all_corners.append(corners + count)
+        count += len(points)
+    return np.concatenate(all_points), np.concatenate(all_corners)
+
+
+def _placement(node: Any, parents: dict[Any, Any]) -> np.ndarray:
+    """(4, 4) float64: from the node's coordinates to the scene's."""
+    matrix = np.eye(4)
+    for _ in parents:  # no path is longer
+        if node not in parents:
+            break
+        node, attributes = parents[node]
+        m = np.asarray(attributes.get("matrix", np.eye(4)))[:, :, None]
+        matrix = (
+            m[:, 0] * matrix[0] + m[:, 1] * matrix[1] + m[:, 2] * matrix[2] + m[:, 3] * matrix[3]
+        )
+    return matrix
+
+
+def _promised(name: str, kind: str, data: bytes) -> tuple[int, int]:
+    """Vertices and faces that the header counts, 0 where it does not; refused if impossible."""
+    vertices = faces = 0
+    if kind == "ply":
+        header = data[: data.find(b"end_header")]
+        counts = dict(re.findall(rb"^element\s+(vertex|face)\s+(\d+)", header, re.M))
+        vertices, faces = int(counts.get(b"vertex", 0)), int(counts.get(b"face", 0))
+    elif kind == "off":
+        match = re.match(rb"(?:\s|#.*\n)*\w*OFF(?:\s|#.*\n)+(\d+)\s+(\d+)", data)
+        vertices, faces = map(int, match.groups()) if match else (0, 0)
+    elif kind == "stl" and len(data) != _stl_size(data):
+        if b"\0" in data[:1024] or not re.match(rb"\s*solid\b", data):
+            raise MeshError(
+                f"{name}: {len(data)} bytes where an STL of {(_stl_size(data) - 84) // 50} "
+                f"triangles, as the header counts, has {_stl_size(data)}: the file is truncated "
+                "or no STL"
+            )
+        if b"endsolid" not in data[-4096:].lower():
+            raise MeshError(f"{name}: 'endsolid' is missing at its end: the file is truncated")
+    elif kind == "stl":
+        faces = (_stl_size(data) - 84) // 50
+    else:
+        text = data
+        if kind == "glb":
+            text = data[20 : 20 + int.from_bytes(data[12:16], "little")]
+        if kind != "obj":
+            accessors = json.loads(text).get("accessors", [])
+            vertices = max((int(a["count"]) for a in accessors), default=0)
+    check_counts(name, vertices, faces)
+    if vertices + faces > len(data):
+        raise MeshError(
+            f"{name}: {len(data)} bytes cannot hold the {vertices} vertices and {faces} faces "
+            "that the header promises: the file is truncated"
+        )
+    return (vertices, faces) if kind in ("ply", "off", "stl") else (0, 0)

@@ -1,0 +1,1 @@
+"""Triangle meshes: the data, its topology, boundary loops and shells."""

@@ -1,0 +1,158 @@
+"""The shells of a mesh, and the patches of which they are made.
+
+A shell is what edges connect. A patch is a part of one whose faces agree: neighbours run along
+their common edge in opposite directions. Of patches that disagree across edges of two faces, those
+of the less area together are flipped.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from voxtool.mesh.loops import Loops
+from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.topology import Topology, components
+
+
+@dataclass(frozen=True, eq=False)
+class Patches:
+    """The patches of a mesh, those of the most area first.
+
+    of : (F,) int64: the patch of each face, -1 for those on less than three different positions.
+    areas : (P,) float64, world units squared.
+    flipped : (P,) bool: against the greater area around it.
+    one_sided : (P,) bool: of what has one side only, as a Moebius band; nothing there is flipped.
+    """
+
+    of: np.ndarray
+    areas: np.ndarray
+    flipped: np.ndarray
+    one_sided: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Shells:
+    """The shells of a mesh, those of the most faces first.
+
+    of : (F,) int64: the shell of each face, -1 for those on less than three different positions.
+    closed : (S,) bool: every edge is used an even number of times.
+    consistent : (S,) bool: every edge is used in one direction as often as in the other, or once.
+    volumes : (S,) float64, world units cubed, positive where faces are counter-clockwise seen from
+        outside: with each boundary loop closed by a cone to the middle of its box. NaN where the
+        shell is not consistent, or a loop does not close.
+    loops : (S,) int64: boundary loops.
+    low, high : (S, 3) float64: boxes, world units.
+    """
+
+    of: np.ndarray
+    closed: np.ndarray
+    consistent: np.ndarray
+    volumes: np.ndarray
+    loops: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+
+    @property
+    def faces(self) -> np.ndarray:
+        """(S,) int64: faces of each shell."""
+        return np.bincount(self.of[self.of >= 0], minlength=len(self.closed))
+
+
+def find_patches(mesh: Mesh, topology: Topology) -> Patches:
+    """The patches of a mesh, and which are flipped.
+
+    Parameters
+    ----------
+    topology : of the mesh, as topology_of.
+    """
+    n = len(topology.corners)
+    pairs = topology.pairs[:, topology.count[topology.edge[topology.pairs[0]]] == 2]
+    agree = topology.forward[pairs[0]] != topology.forward[pairs[1]]
+    one, other = pairs // 3
+    root = components(one[agree], other[agree], n)
+    # Each face as it is, f, and turned over, f + n: what agrees is linked. A face that is linked to
+    # itself turned over has one side; else the least number says which way the first face was.
+    turned = np.where(agree, 0, n)
+    both = components(
+        np.concatenate([one, one + n]),
+        np.concatenate([other + turned, other + n - turned]),
+        2 * n,
+    )
+    as_it_is, over = both[:n], both[n:]
+    areas = _areas(mesh.vertices[mesh.faces[topology.proper]])
+    piece = np.minimum(as_it_is, over)
+    with_first = as_it_is < over
+    surplus = np.bincount(piece, np.where(with_first, areas, -areas), n)
+    flipped = with_first != (surplus[piece] >= 0)
+
+    numbers, area = _numbered(root, areas)
+    patches = np.full(len(mesh.faces), -1)
+    patches[topology.proper] = numbers
+    first = np.unique(numbers, return_index=True)[1]
+    one_sided = (as_it_is == over)[first]
+    return Patches(patches, area, flipped[first] & ~one_sided, one_sided)
+
+
+def find_shells(mesh: Mesh, topology: Topology, loops: Loops) -> Shells:
+    """The shells of a mesh.
+
+    Parameters
+    ----------
+    topology : of the mesh, as topology_of; loops : as find_loops.
+    """
+    n = len(topology.corners)
+    one, other = topology.pairs // 3
+    of, faces = _numbered(components(one, other, n), np.ones(n))
+    count = len(faces)
+    shells = np.full(len(mesh.faces), -1)
+    shells[topology.proper] = of
+
+    of_edge = np.empty(len(topology.count), np.int64)
+    of_edge[topology.edge] = np.repeat(of, 3)
+    odd = topology.count % 2 == 1
+    net = 2 * np.bincount(topology.edge, topology.forward, len(of_edge)) - topology.count
+    uneven = (net != 0) & (topology.count > 1)
+    closed = np.bincount(of_edge[odd], minlength=count) == 0
+    consistent = np.bincount(of_edge[uneven], minlength=count) == 0
+
+    triangles = mesh.vertices[mesh.faces[topology.proper]] + 0.0
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, of, triangles.min(axis=1))
+    np.maximum.at(high, of, triangles.max(axis=1))
+
+    shell_of_loop = shells[loops.faces[loops.starts[:-1]]]
+    of_cap = shells[loops.faces]
+    middles = np.repeat(loops.low + (loops.high - loops.low) / 2, loops.sizes, axis=0)
+    begin, end = mesh.vertices[loops.edges].transpose(1, 0, 2)
+    cones = np.stack([middles, end, begin], axis=1)
+    which = np.concatenate([of, of_cap])
+    centres = low + (high - low) / 2
+    parts = _volumes(np.concatenate([triangles, cones]) - centres[which][:, None])
+    volumes = np.bincount(which, parts, count).astype(np.float64)  # of none it makes integers
+    volumes[~consistent] = np.nan
+    volumes[shell_of_loop[~loops.closed]] = np.nan
+    holes = np.bincount(shell_of_loop, minlength=count)
+    return Shells(shells, closed, consistent, volumes, holes, low, high)
+
+
+def _numbered(roots: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers in place of roots, and the sum of the weights of each, the greatest first."""
+    numbers = np.unique(roots, return_inverse=True)[1].reshape(-1)
+    sums = np.bincount(numbers, weights).astype(np.float64)
+    order = np.argsort(-sums, kind="stable")
+    return np.argsort(order)[numbers], sums[order]
+
+
+def _areas(triangles: np.ndarray) -> np.ndarray:
+    (ux, uy, uz), (vx, vy, vz) = ((triangles[:, i] - triangles[:, 0]).T for i in (1, 2))
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    return np.sqrt(x * x + y * y + z * z) / 2
+
+
+def _volumes(triangles: np.ndarray) -> np.ndarray:
+    """(n,) float64: of the tetrahedra between (n, 3, 3) triangles and the origin."""
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = triangles.transpose(1, 2, 0)
+    six = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    return six / 6

@@ -1,0 +1,371 @@
+"""What is wrong with a mesh: open edges, shells, faces that may surprise; what it encloses.
+
+By positions: vertices that are bit-equal (-0.0 is 0.0) are one; or by index, where a mesh keeps
+two sheets apart that touch.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from voxtool.errors import count_of
+from voxtool.mesh.mesh import Mesh
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What a mesh is, by positions (vertices that are bit-equal are one) or by index.
+
+    Faces that name a position twice bound nothing: they count in `faces` and `degenerate_faces`
+    alone. An edge is a pair of positions. By index, read "vertex" for "position".
+
+    faces, vertices : as in the file.
+    closed : there are edges, and every one is used an even number of times.
+    even : every edge is used an even number of times, which is what parity filling needs.
+    boundary_edges : edges of exactly one face.
+    nonmanifold_edges : edges of more than two faces.
+    inconsistent_edges : edges of exactly two faces that both run along it in one direction.
+    duplicate_faces : faces on the same three positions as one before, in any order.
+    degenerate_faces : faces of zero area: a position named twice, or three on a line (exactly).
+    shells : groups of faces connected through shared edges.
+    euler : V - E + F of the positions, edges and faces.
+    """
+
+    faces: int
+    vertices: int
+    closed: bool
+    even: bool
+    boundary_edges: int
+    nonmanifold_edges: int
+    inconsistent_edges: int
+    duplicate_faces: int
+    degenerate_faces: int
+    shells: int
+    euler: int
+
+    @property
+    def watertight(self) -> bool:
+        """There are edges, and every one has exactly two faces, which run along it in opposite
+        directions."""
+        return self.closed and not (self.nonmanifold_edges or self.inconsistent_edges)
+
+    def as_dict(self) -> dict[str, int | bool | None]:
+        """The fields by name, of JSON types."""
+        return asdict(self)
+
+    def summary(self) -> str:
+        """One line: "not closed: 223 boundary edges, 0 non-manifold edges, ..."."""
+        counts = (
+            count_of(self.boundary_edges, "boundary edge"),
+            count_of(self.nonmanifold_edges, "non-manifold edge"),
+            count_of(self.inconsistent_edges, "inconsistent edge"),
+            count_of(self.duplicate_faces, "duplicate face"),
+            count_of(self.degenerate_faces, "degenerate face"),
+            count_of(self.shells, "shell"),
+            f"Euler characteristic {self.euler}",
+        )
+        return f"{'closed' if self.closed else 'not closed'}: {', '.join(counts)}"
+
+
+@dataclass(frozen=True)
+class SurfaceCheck(Diagnosis):
+    """A diagnosis that also looks around every vertex, as a surface that was made must pass.
+
+    nonmanifold_vertices : positions whose faces are not one fan, closed or open; the ends of
+        non-manifold edges among them.
+    """
+
+    nonmanifold_vertices: int
+
+    @property
+    def manifold(self) -> bool:
+        """An oriented 2-manifold, with boundary or without: no non-manifold edge or vertex, no
+        inconsistent edge, no duplicate face."""
+        return not (
+            self.nonmanifold_edges
+            or self.nonmanifold_vertices
+            or self.inconsistent_edges
+            or self.duplicate_faces
+        )
+
+    @property
+    def genus(self) -> int | None:
+        """Handles of all shells together: Euler = 2 shells - 2 genus; None unless the mesh is
+        watertight and manifold."""
+        if not (self.watertight and self.manifold):
+            return None
+        return self.shells - self.euler // 2
+
+    def as_dict(self) -> dict[str, int | bool | None]:
+        """The fields and what follows from them by name, of JSON types."""
+        derived = {"watertight": self.watertight, "manifold": self.manifold, "genus": self.genus}
+        return super().as_dict() | derived
+
+    def summary(self) -> str:
+        """As of a diagnosis, with the vertices, and the genus where there is one."""
+        vertices = count_of(self.nonmanifold_vertices, "vertex").replace(" ", " non-manifold ")
+        genus = "" if self.genus is None else f", genus {self.genus}"
+        return f"{super().summary()}, {vertices}{genus}"
+
+
+def diagnose(mesh: Mesh, *, weld: bool = True) -> Diagnosis:
+    """Describe a mesh: open edges, shells, and what else may surprise.
+
+    Parameters
+    ----------
+    mesh : any mesh; faces may be degenerate.
+    weld : False tells vertices apart by index, not by position.
+    """
+    return Diagnosis(**_counts(mesh, topology_of(mesh, weld)))
+
+
+def watertight(mesh: Mesh) -> bool:
+    """What a diagnosis says of it, in a fifth of the time: every edge, by position, has exactly two
+    faces, which run along it in opposite directions, and there are edges."""
+    corners = positions(mesh)[mesh.faces]
+    a, b, c = corners.T
+    proper = (a != b) & (b != c) & (c != a)
+    start, end = _sides(corners[proper])
+    sides = np.minimum(start, end) << 33 | np.maximum(start, end) << 1 | (start < end)
+    sides.sort()
+    one, other = sides[::2], sides[1::2]
+    return (
+        0 < len(one) == len(other)
+        and bool((one + 1 == other).all() and (one & 1 == 0).all())
+        and bool((one[1:] != one[:-1]).all())
+    )
+
+
+def check_surface(mesh: Mesh, *, weld: bool = True) -> SurfaceCheck:
+    """Describe a mesh as `diagnose` does, and the fans of faces around its vertices.
+
+    Parameters
+    ----------
+    mesh : any mesh; faces may be degenerate.
+    weld : False tells vertices apart by index, not by position: two cubes that touch in a corner
+        are a manifold where each has a vertex of its own there.
+    """
+    topology = topology_of(mesh, weld)
+    return SurfaceCheck(**_counts(mesh, topology), nonmanifold_vertices=_pinched(topology))
+
+
+def volume(mesh: Mesh) -> float:
+    """Volume that a closed surface encloses, in cubic world units, positive where its faces are
+    counter-clockwise seen from outside; T-junctions do no harm.
+
+    The tetrahedra between the faces and the centre of the bounding box, summed exactly: the order
+    of the faces does not show. Of an open surface it is the volume of the cones to that centre.
+    """
+    if not len(mesh.faces):
+        return 0.0
+    low, high = mesh.bounds
+    triangles = (mesh.vertices - (low + (high - low) / 2))[mesh.faces]
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = triangles.transpose(1, 2, 0)
+    six = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    return math.fsum(six.tolist()) / 6
+
+
+def closed_chain(mesh: Mesh) -> bool:
+    """Whether a surface closes though edges may end within others (T-junctions): its boundary is
+    zero as a chain, by positions.
+
+    Edges cancel where they run in opposite directions between two positions. What is left must
+    lie along the axes, as between rectangles of different size, and cancel along each line; any
+    other edge left leaves the surface open. Without faces it is closed.
+    """
+    topology = topology_of(mesh, weld=True)
+    edge, forward = topology.edge, topology.forward
+    net = 2 * np.bincount(edge, weights=forward) - topology.count
+    one = np.empty(len(net), np.int64)
+    one[edge] = np.arange(len(edge))  # any side of each edge
+    one, net = one[net != 0], net[net != 0]
+    net = np.where(forward[one], net, -net)  # along that side
+    ends = np.stack([one, next_sides(one)])  # corners
+    points = mesh.vertices[mesh.faces[topology.proper].ravel()[ends]]
+    along = points[0] != points[1]
+    if (np.count_nonzero(along, axis=1) != 1).any():
+        return False
+    # The segments on a line cancel if as many end in each position as begin there: a chain on a
+    # line that has no ends is zero. A position and an axis name the line.
+    place = 3 * topology.corners.ravel()[ends] + np.argmax(along, axis=1)
+    _, place = np.unique(place, return_inverse=True)
+    return not np.bincount(place.ravel(), weights=np.concatenate([-net, net])).any()
+
+
+def shells_of(mesh: Mesh) -> np.ndarray:
+    """(F,) int64: equal numbers for faces that edges connect; -1 for those on less than three
+    different positions."""
+    topology = topology_of(mesh, weld=True)
+    one, other = topology.pairs // 3
+    shells = np.full(len(mesh.faces), -1)
+    shells[topology.proper] = components(one, other, len(topology.corners))
+    return shells
+
+
+def repeated_faces(topology: Topology) -> np.ndarray:
+    """(F,) bool: faces on the same three positions as one before, in any order."""
+    corners = np.sort(topology.corners, axis=1)
+    order = np.lexsort(corners.T)  # stable: of equal ones the first comes first
+    repeated = np.zeros(len(topology.proper), bool)
+    same = (corners[order[1:]] == corners[order[:-1]]).all(axis=1)
+    repeated[np.flatnonzero(topology.proper)[order[1:][same]]] = True
+    return repeated
+
+
+def crowded_edges(mesh: Mesh, topology: Topology) -> tuple[np.ndarray, np.ndarray]:
+    """The edges of more than two faces: (n, 2) int64 vertices, and (n,) int64 how many faces."""
+    crowded = topology.count > 2
+    sides = np.unique(topology.edge, return_index=True)[1][crowded]
+    corners = mesh.faces[topology.proper].astype(np.int64).ravel()
+    return corners[np.stack([sides, next_sides(sides)], axis=1)], topology.count[crowded]
+
+
+# --- topology ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Topology:
+    """Faces on three different positions, by their sides: side 3 f + k runs from corner k of face
+    f to the next.
+
+    proper : (faces of the mesh,) bool: those faces.
+    corners : (F, 3) int64 positions of their corners.
+    edge : (3F,) int64 edge of each side; forward : (3F,) bool: it runs to the greater position.
+    count : (E,) int64 sides of each edge.
+    pairs : (2, P) int64 sides that share an edge: each with the next one there.
+    """
+
+    proper: np.ndarray
+    corners: np.ndarray
+    edge: np.ndarray
+    forward: np.ndarray
+    count: np.ndarray
+    pairs: np.ndarray
+
+
+def topology_of(mesh: Mesh, weld: bool = True) -> Topology:
+    """What shares what, by positions; or by index, where weld is False."""
+    corners = positions(mesh)[mesh.faces] if weld else mesh.faces.astype(np.int64)
+    a, b, c = corners.T
+    proper = (a != b) & (b != c) & (c != a)
+    corners = corners[proper]
+    edge, forward = edges_of(corners)
+    order = np.argsort(edge, kind="stable")
+    same = edge[order[1:]] == edge[order[:-1]]
+    pairs = np.stack([order[:-1][same], order[1:][same]])
+    return Topology(proper, corners, edge, forward, np.bincount(edge), pairs)
+
+
+def _counts(mesh: Mesh, topology: Topology) -> dict[str, Any]:
+    """The fields of a Diagnosis."""
+    corners, count = topology.corners, topology.count
+    flat = collinear(mesh.vertices[mesh.faces[topology.proper]])
+    along = np.bincount(topology.edge, weights=topology.forward)
+    even = not (count % 2).any()
+    one, other = topology.pairs // 3
+    shells = components(one, other, len(corners))
+    return {
+        "faces": len(mesh.faces),
+        "vertices": len(mesh.vertices),
+        "closed": even and len(count) > 0,
+        "even": even,
+        "boundary_edges": int(np.count_nonzero(count == 1)),
+        "nonmanifold_edges": int(np.count_nonzero(count > 2)),
+        "inconsistent_edges": int(np.count_nonzero((count == 2) & (along != 1))),
+        "duplicate_faces": int(np.count_nonzero(repeated_faces(topology))),
+        "degenerate_faces": int(np.count_nonzero(~topology.proper) + np.count_nonzero(flat)),
+        "shells": int(np.count_nonzero(shells == np.arange(len(shells)))),
+        "euler": int(np.count_nonzero(np.bincount(corners.ravel()))) - len(count) + len(corners),
+    }
+
+
+def _pinched(topology: Topology) -> int:
+    """Positions whose faces are not one fan."""
+    fan = fans_of(topology)
+    fans = np.bincount(topology.corners.ravel()[fan == np.arange(len(fan))])
+    return int(np.count_nonzero(fans > 1))
+
+
+def fans_of(topology: Topology) -> np.ndarray:
+    """(3F,) int64: equal numbers for corners at a position that are of one fan of faces.
+
+    Two corners are where their faces share an edge there. An edge of more than two faces joins
+    none: it ends three fans or more, and a fan has two ends.
+    """
+    forward = topology.forward
+    s, t = topology.pairs[:, topology.count[topology.edge[topology.pairs[0]]] == 2]
+    opposite = forward[s] != forward[t]
+    u = np.concatenate([s, next_sides(s)])
+    v = np.concatenate([np.where(opposite, next_sides(t), t), np.where(opposite, t, next_sides(t))])
+    return components(u, v, len(forward))
+
+
+def next_sides(sides: np.ndarray) -> np.ndarray:
+    """The sides that follow within their faces; as corners, the ends of the sides."""
+    return sides + np.where(sides % 3 == 2, -2, 1)
+
+
+def positions(mesh: Mesh) -> np.ndarray:
+    """(V,) int64: equal numbers for vertices of bit-equal positions."""
+    points = mesh.vertices + 0.0  # -0.0 is 0.0
+    order = np.argsort(points[:, 2])
+    z = points[order, 2]
+    tied = np.zeros(len(points) + 1, bool)
+    tied[1:-1] = z[1:] == z[:-1]
+    tied = tied[1:] | tied[:-1]
+    some = order[tied]
+    order[tied] = some[np.lexsort(points[some].T)]  # which is slow for all
+    new = np.ones(len(points), np.int64)
+    new[1:] = (points[order[1:]] != points[order[:-1]]).any(axis=1)
+    numbers = np.empty_like(new)
+    numbers[order] = np.cumsum(new) - 1
+    return numbers
+
+
+def edges_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3F,) edge number and (3F,) bool direction of the sides ab, bc, ca of (F, 3) corners."""
+    start, end = _sides(corners)
+    key = np.minimum(start, end) << 32 | np.maximum(start, end)
+    return np.unique(key, return_inverse=True)[1].reshape(-1), start < end
+
+
+def _sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(3F,) each: where the sides ab, bc, ca of (F, 3) corners begin and end."""
+    return corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+
+
+def components(u: np.ndarray, v: np.ndarray, nodes: int) -> np.ndarray:
+    """(nodes,) int64: the least node of each node's component, under links from u to v; every
+    root hooks onto its least neighbour, then all paths collapse."""
+    root = np.arange(nodes)
+    while len(u):
+        u, v = root[u], root[v]
+        apart = u != v
+        u, v = u[apart], v[apart]
+        np.minimum.at(root, np.maximum(u, v), np.minimum(u, v))
+        while not np.array_equal(root, jump := root[root]):
+            root = jump
+    return root
+
+
+def collinear(triangles: np.ndarray) -> np.ndarray:
+    """(F,) bool: triangles (F, 3, 3) of zero area, exactly: float64 with an error bound, and whole
+    numbers where that cannot tell."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        p, q = (triangles[:, i] - triangles[:, 0] for i in (1, 2))
+        sure = np.zeros(len(triangles), bool)
+        for i, j in ((0, 1), (1, 2), (2, 0)):
+            left, right = p[:, i] * q[:, j], p[:, j] * q[:, i]
+            sure |= np.abs(left - right) > 2**-50 * (np.abs(left) + np.abs(right)) + 2.0**-1000
+    flat = ~sure
+    for face in np.flatnonzero(flat):
+        ratios = [v.as_integer_ratio() for v in triangles[face].ravel().tolist()]
+        unit = max(below for _, below in ratios)  # a power of two
+        x = [above * (unit // below) for above, below in ratios]
+        p, q = ([x[k + i] - x[i] for i in range(3)] for k in (3, 6))
+        flat[face] = all(p[i] * q[j] == p[j] * q[i] for i, j in ((0, 1), (1, 2), (2, 0)))
+    return flat

@@ -1,0 +1,1 @@
+"""Legends, slices and charts."""

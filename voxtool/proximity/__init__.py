@@ -1,1 +1,0 @@
-"""How far points are from a mesh; for all wings."""

@@ -1,0 +1,116 @@
+"""Small octrees, surfaces, fields and pictures, whose digests are the same on every device.
+
+They are in digests.json, which tests/golden_selftest.py writes anew.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.adf.build import build_adf
+from voxtool.adf.raycast import FieldRenderer
+from voxtool.camera import Camera
+from voxtool.choices import FILLS, METHODS
+from voxtool.grid import Grid
+from voxtool.mesh.mesh import Mesh, mesh_from_arrays
+from voxtool.opencl import Device
+from voxtool.selftest import shapes
+from voxtool.selftest.case import Case
+from voxtool.svo.raycast import OctreeRenderer
+from voxtool.svo.surface.extract import extract
+from voxtool.svo.voxelize import voxelize
+from voxtool.tets.mesh import UnstructuredMesh
+from voxtool.tets.render import VolumeRenderer
+from voxtool.tets.textures import build_tet
+from voxtool.tets.transfer import default
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    Digests = Iterator[tuple[str, str]]
+
+STORED = Path(__file__).with_name("digests.json")
+SIZE = (48, 40)
+
+
+def solid() -> Mesh:
+    """A ball with a box that goes through it: closed, and meets itself."""
+    vertices, faces = shapes.ball(2)
+    bar = shapes.box(np.array([-1.5, -0.25, -0.375]), np.array([1.25, 0.375, 0.125]))
+    return mesh_from_arrays(*shapes.join([(vertices, faces), bar]))
+
+
+def hollow() -> Mesh:
+    """A box without a side."""
+    vertices, faces = shapes.box(np.zeros(3), np.array([7.0, 9.0, 8.0]))
+    return mesh_from_arrays(vertices, faces[2:])
+
+
+def octrees(device: Device) -> Digests:
+    for name, mesh in (("solid", solid()), ("hollow", hollow())):
+        for dim in (8, 50, 200):
+            grid = Grid.fit(mesh, dim)
+            for mode in ("surface26", "surface6"):
+                yield f"{name} {mode} {dim}", voxelize(mesh, grid, mode, device=device).digest()
+            for fill in FILLS:
+                octree = voxelize(mesh, grid, fill=fill, device=device)
+                yield f"{name} {fill} {dim}", octree.digest()
+
+
+def surfaces(device: Device) -> Digests:
+    octree = voxelize(solid(), Grid.fit(solid(), 50), device=device)
+    for style in ("smooth", "nets", "blocks"):
+        yield style, extract(octree, style=style, device=device).digest()
+
+
+def fields(device: Device) -> Digests:
+    ball = mesh_from_arrays(*shapes.ball(2))
+    for name, mesh in (("ball", ball), ("solid", solid()), ("hollow", hollow())):
+        yield name, build_adf(mesh, device, tolerance=4e-3, max_level=5).digest()
+
+
+def pictures(device: Device) -> Digests:
+    mesh = solid()
+    rays = Camera.fit(*mesh.bounds).rays(*SIZE)
+    octree = voxelize(mesh, Grid.fit(mesh, 50), device=device)
+    yield "octree", _digest(OctreeRenderer(octree, device)(rays))
+    field = build_adf(mesh, device, tolerance=4e-3, max_level=5)
+    yield "field", _digest(FieldRenderer(field, device)(rays))
+    points, cells = shapes.tetrahedra(*[np.linspace(-1, 1, 6)] * 3)
+    x, y, z = points.T
+    volume = build_tet(UnstructuredMesh(points, [("tetra", cells)], x * x + y * z, "s"))
+    renderer, transfer = VolumeRenderer(volume, device), default(volume)
+    rays = Camera.fit(*volume.bounds()).rays(*SIZE)
+    for method in METHODS:
+        yield f"volume {method}", _digest(renderer.render(rays, transfer, method))
+
+
+def _digest(picture: np.ndarray) -> str:
+    return hashlib.sha256(np.ascontiguousarray(picture, "<f4").data).hexdigest()
+
+
+KINDS: dict[str, Callable[[Device], Digests]] = {
+    "octrees": octrees,
+    "surfaces": surfaces,
+    "fields": fields,
+    "pictures": pictures,
+}
+
+
+def _case(kind: str) -> Case:
+    def measure(device: Device, full: bool) -> int:
+        stored = json.loads(STORED.read_text(encoding="utf-8"))[kind]
+        found = dict(KINDS[kind](device))
+        return sum(found.get(name) != stored.get(name) for name in found.keys() | stored.keys())
+
+    return Case(
+        f"digests of {kind}", "the same bit for bit on every device", "digests wrong", 0, measure
+    )
+
+
+CASES = tuple(map(_case, KINDS))

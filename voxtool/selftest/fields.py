@@ -1,0 +1,244 @@
+"""Distances, and fields of them, where meshes are stiff or extreme."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voxtool.adf.build import CROSSED, build_adf
+from voxtool.adf.hashing import MAX_KEY, SpatialHash, build_hash, cell_of
+from voxtool.adf.query import query_adf
+from voxtool.adf.raycast import FieldRenderer
+from voxtool.camera import Rays
+from voxtool.mesh.mesh import mesh_from_arrays
+from voxtool.opencl import Device
+from voxtool.selftest import oracles, shapes
+from voxtool.selftest.case import case
+from voxtool.selftest.voxels import SCALES
+from voxtool.spatial.distance import TriangleDistance
+from voxtool.spatial.sampling import spread_in_cube
+from voxtool.spatial.winding_number import WindingNumber
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from voxtool.adf.field import DistanceField
+
+    Exact = Callable[[np.ndarray], np.ndarray]
+
+EXACT = 1e-15  # of the extent: what a distance is wrong at most (voxtool/proximity/distance.py)
+WINDING = 1e-3  # and a winding number (voxtool/proximity/winding.py says 8e-4 of 8,550 points)
+POINTS = 20_000
+DEEPEST = 12  # level, from which on identifiers have 64 bits
+
+
+def to_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """(N,) the distance to a box, negative inside."""
+    beyond = np.maximum(low - points, points - high)
+    outside = np.sqrt((np.maximum(beyond, 0) ** 2).sum(axis=1))
+    return outside + np.minimum(beyond.max(axis=1), 0)
+
+
+def over_bound(field: DistanceField, exact: Exact, points: np.ndarray, device: Device) -> float:
+    """The largest error of a field at points, in bounds of the leaves that they are in. One that is
+    not bounded is infinite."""
+    answer = query_adf(field, points, bounds=True, device=device)
+    assert answer.bound is not None
+    if not np.isfinite(answer.bound).all():
+        return math.inf
+    error = np.abs(answer.distance - exact(points)) - EXACT * field.side
+    return float((error / answer.bound).max())
+
+
+@case("distances to needles", "aspect up to 1e9: rational arithmetic", "extents", EXACT)
+def needles(device: Device, full: bool) -> float:
+    random, error = np.random.default_rng(1), 0.0
+    for _ in range(24 if full else 3):
+        a, b = random.uniform(-1, 1, (2, 8, 3))
+        along = random.uniform(-0.3, 1.3, (8, 1))
+        off = 10.0 ** -random.uniform(2, 9, (8, 1)) * random.normal(size=(8, 3))
+        triangles = np.stack([a, b, a + along * (b - a) + off], axis=1)
+        triangles[0, 1] = triangles[0, 0]  # a segment
+        triangles[1] = triangles[1, 0]  # a point
+        points = random.uniform(-1.5, 1.5, (60, 3))
+        points[::2] = triangles[np.arange(30) % 8].mean(axis=1) + 1e-6 * points[::2]
+        error = max(error, _distance_error(device, triangles, points))
+    return error
+
+
+@case("distances at 1e12, 1e-12, 1e8 off", "a ball: rational arithmetic", "extents", EXACT)
+def coordinates(device: Device, full: bool) -> float:
+    vertices, faces = shapes.ball(1)
+    spread = 3 * spread_in_cube(300 if full else 30) - 1.5
+    errors = [
+        _distance_error(device, (vertices * factor + offset)[faces], spread * factor + offset)
+        for factor, offset in SCALES
+    ]
+    return max(errors)
+
+
+def _distance_error(device: Device, triangles: np.ndarray, points: np.ndarray) -> float:
+    """The largest error of distances, in the mesh's extents."""
+    corners = triangles.reshape(-1, 3)
+    mesh = mesh_from_arrays(corners, np.arange(len(corners)).reshape(-1, 3))
+    found = TriangleDistance(mesh, device)(points)
+    extent = float(np.ptp(corners, axis=0).max())
+    return float(np.abs(found - oracles.distances(points, triangles)).max()) / extent
+
+
+@case("winding numbers", "of a ball with a hole: solid angles one by one, numpy", "turns", WINDING)
+def winding(device: Device, full: bool) -> float:
+    vertices, faces = shapes.ball(5 if full else 4)
+    faces = faces[faces.max(axis=1) != 4]  # no face about the pole
+    points = 4 * spread_in_cube(2000 if full else 300) - 2
+    found = WindingNumber(mesh_from_arrays(vertices, faces), device)(points)
+    expected = oracles.winding_numbers(points, vertices[faces])
+    return float(np.abs(found - expected).max())
+
+
+def box_error(
+    device: Device, low: np.ndarray, high: np.ndarray, count: int, **request: Any
+) -> float:
+    """Of a box's field the largest error, by its bounds and by what is promised where a triangle
+    slips between samples; at points everywhere, and near two of the sides."""
+    field = build_adf(mesh_from_arrays(*shapes.box(low, high)), device, **request)
+    spread = spread_in_cube(count)
+    around = np.minimum(2 * (high - low), field.side / 20)
+    near = low - around + (high - low + 2 * around) * spread
+    points = np.concatenate([np.array(field.origin) + field.side * spread, near])
+
+    def exact(points: np.ndarray) -> np.ndarray:
+        return to_box(points, low, high)
+
+    slip = math.sqrt(3) / 2 * CROSSED * field.tolerance * field.side
+    promised = np.abs(query_adf(field, points, device=device).distance - exact(points)) / slip
+    return max(over_bound(field, exact, points, device), float(promised.max()))
+
+
+@case("walls thinner than a cell", "boxes to 1e-9 thick: their formula", "of the bound", 1)
+def walls(device: Device, full: bool) -> float:
+    error = 0.0
+    for thickness in (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-9) if full else (1e-3, 1e-9):
+        low = np.array([0.1, 0.2, 0.3])
+        high = low + np.array([1.0, 0.7, thickness])
+        error = max(error, box_error(device, low, high, POINTS, tolerance=2e-3, max_level=5))
+    return error
+
+
+@case("fields at 1e12, 1e-12, 1e8 off", "boxes: their formula", "of the bound", 1)
+def scales(device: Device, full: bool) -> float:
+    error, size = 0.0, np.array([1.0, 0.75, 0.5])
+    for factor, offset in SCALES:
+        ends = np.array([np.zeros(3), size]) * factor + offset
+        low, high = ends.min(axis=0), ends.max(axis=0)
+        level = 7 if full else 5
+        error = max(error, box_error(device, low, high, POINTS, tolerance=2e-3, max_level=level))
+    return error
+
+
+@case("tolerance 0", "distances that a field of a ball stores: rational arithmetic", "ulp", 0.501)
+def nothing_allowed(device: Device, full: bool) -> float:
+    vertices, faces = shapes.ball(1)
+    level = 5 if full else 4
+    mesh = mesh_from_arrays(vertices, faces)
+    field = build_adf(mesh, device, tolerance=0, max_level=level, sign="none", continuous=False)
+    levels, cells = cell_of(field.blocks)
+    random, count = np.random.default_rng(3), 1000 if full else 100
+    block, (x, y, z) = random.integers(0, len(cells), count), random.integers(0, 3, (3, count))
+    at = np.ldexp(2 * cells[block] + np.stack([x, y, z], axis=1), -levels[block, None] - 1)
+    points = np.array(field.origin) + field.side * at
+    exact = oracles.distances(points, vertices[faces]) / field.side
+    error = np.abs(field.voxels[block, z, y, x] - exact)
+    return float((error / np.spacing(exact.astype(np.float32))).max())
+
+
+@case("level 12", "two specks at opposite corners: rational arithmetic", "of the bound", 1)
+def deepest(device: Device, full: bool) -> float:
+    speck = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) * 0.5**11
+    faces = shapes.TETRAHEDRON_FACES
+    vertices, faces = shapes.join([(speck, faces), (np.ones(3) - speck, faces)])
+    field = build_adf(
+        mesh_from_arrays(vertices, faces), device, tolerance=1e-6, max_level=DEEPEST, band=1e-3,
+        sign="none",
+    )  # fmt: skip
+    if field.depth != DEEPEST:
+        return math.inf
+    spread = spread_in_cube(300 if full else 50)
+    near = (2 * spread - 1) * 0.5**10
+    points = np.concatenate([spread, near, 1 - near])
+
+    def exact(points: np.ndarray) -> np.ndarray:
+        return oracles.distances(points, vertices[faces])
+
+    return over_bound(field, exact, points, device)
+
+
+@case("adversarial hash keys", "lines, planes, lattices, equal remainders: a slot each",
+      "keys wrong", 0)  # fmt: skip
+def hashes(device: Device, full: bool) -> int:
+    random = np.random.default_rng(4)
+    sets = [
+        _lattice(2000, 1, 1, 50),
+        _lattice(1, 1, 900, 1024),
+        _lattice(90, 90, 1, 512),
+        _lattice(10, 10, 10, 1, 2 * 3 * 4 * 5 * 7),
+        _lattice(20, 20, 20, 17),
+        np.concatenate([_lattice(n, n, n, n) for n in (1, 2, 4, 8, 16, 32)]),
+        np.concatenate([_lattice(10, 10, 5)[:-1], [[41, 1, 1]]]),  # two equal modulo m and r
+        np.unique(random.integers(1, MAX_KEY + 1, (20_000, 3)), axis=0),
+        np.unique(random.integers(1, 100, (20_000, 3)), axis=0),
+    ]
+    if full:
+        sets += [
+            _lattice(120, 120, 1, 512),
+            _lattice(1, 90, 90, 333),
+            _lattice(31, 32, 33, 1024),
+            np.unique(random.integers(1, 1 << 13, (500_000, 3)), axis=0),
+        ]
+    return sum(len(keys) - len(set(slots(build_hash(keys, device), keys))) for keys in sets)
+
+
+def _lattice(nx: int, ny: int, nz: int, low: int = 1, step: int = 1) -> np.ndarray:
+    return low + step * np.indices((nx, ny, nz)).reshape(3, -1).T
+
+
+def slots(table: SpatialHash, keys: np.ndarray) -> list[int]:
+    """The slots, from the definition, one key at a time."""
+    found = []
+    for key in keys.tolist():
+        i, j, k = (p % table.r for p in key)
+        offset = table.offsets[k, j, i].tolist()
+        w = offset[3] if len(offset) == 4 else table.m
+        x, y, z = ((p % w + t) % table.m for p, t in zip(key, offset[:3], strict=True))
+        found.append(x + table.m * (y + table.m * z))
+    return found
+
+
+@case("rays along faces of leaves", "a box, but for rays beside its outline: which are met",
+      "rays wrong", 0)  # fmt: skip
+def rays(device: Device, full: bool) -> int:
+    low, high = np.zeros(3), np.array([1.0, 0.75, 0.5])
+    mesh = mesh_from_arrays(*shapes.box(low, high))
+    level = 7 if full else 5
+    field = build_adf(mesh, device, tolerance=2e-3, max_level=level)
+    renderer, step, wrong = FieldRenderer(field, device), field.side / (2 << level), 0
+    size = 2 << level
+    for axis in range(3):
+        u, v = axis - 2, axis - 1
+        direction, right, down = np.zeros((3, 3))
+        direction[axis], right[u], down[v] = -1, step, -step
+        # wholes and halves of the edge of the smallest leaf, from the cube's corner
+        origin = np.array(field.origin) + step * (size // 2 + 0.5)
+        origin[axis] += 2 * field.side
+        picture = renderer(Rays(origin, direction, right, down, False, (size, size)))
+        places = step * (np.arange(size) + 0.5 - size / 2)
+        x, y = origin[u] + places, (origin[v] - places)[:, None]
+        apart = np.maximum(np.maximum(low[u] - x, x - high[u]), np.maximum(low[v] - y, y - high[v]))
+        clear = np.abs(apart) > 2 * step  # an edge of the smallest leaf
+        wrong += int(np.count_nonzero((picture[..., 3] == 1)[clear] != (apart < 0)[clear]))
+    return wrong
+
+
+CASES = (needles, coordinates, winding, walls, scales, nothing_allowed, deepest, hashes, rays)

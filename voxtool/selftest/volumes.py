@@ -1,0 +1,177 @@
+"""Volumes of stiff cells, extreme transfer functions: against quadrature and clipping in float64.
+
+Kernels: kernels/selftest/segments.cl.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+
+import numpy as np
+
+from voxtool.camera import Camera, Rays
+from voxtool.choices import METHODS
+from voxtool.opencl import Device
+from voxtool.selftest import reference, shapes
+from voxtool.selftest.case import case
+from voxtool.tets.integrate import LANES
+from voxtool.tets.mesh import UnstructuredMesh
+from voxtool.tets.render import VolumeRenderer
+from voxtool.tets.textures import build_tet
+from voxtool.tets.transfer import TransferFunction
+
+SOURCE = "selftest/segments.cl"
+GROUP = 64
+WEIGHTS = 1e-6  # of each: what kernels/tets/segment.h promises
+NEAR = 2e-5  # of a colour: float32 planes, depths and scalars
+ROUNDED = 2.0**-23  # of the range of scalars: two roundings of a float32 from 1/2 to 1
+SEEN = 1e-30  # light that is let through counts down to this
+SLIVER = 1e-9  # of a cube: a cell's volume
+GREY = TransferFunction([0.0], [[0.5, 0.5, 0.5]], [0.7])  # pyright: ignore[reportArgumentType]
+
+
+def weights(device: Device, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(3, N) float64 of float32: w_f, w_b and zeta of segments, as rays of this device have."""
+    lanes = LANES if device.info.kind == "CPU" else 1
+    count = len(a)
+    padded = -(-count // (GROUP * lanes)) * GROUP * lanes
+    ends = [device.put(np.resize(v, padded)) for v in (a, b)]
+    found = [device.empty(padded, np.float32) for _ in range(3)]
+    weigh = device.kernel(SOURCE, "weigh", LANES=lanes)
+    weigh(padded // lanes, *ends, *found, local=GROUP)
+    return np.stack([f.get(stop=count) for f in found]).astype(np.float64)
+
+
+def weight_error(device: Device, a: np.ndarray, b: np.ndarray) -> float:
+    """The largest relative error of weights and of what is let through."""
+    found = weights(device, a, b)
+    front, back = a.astype(np.float64), b.astype(np.float64)
+    through = np.exp(-(front + back) / 2)
+    expected = np.stack([*reference.weights(front, back), through])
+    counts = expected > [[0], [0], [SEEN]]
+    error = np.abs(found - expected)
+    return float((error[counts] / expected[counts]).max())
+
+
+@case("segments of optical depth 1e-7 to 1e4", "their weights: quadrature in float64", "relative",
+      WEIGHTS)  # fmt: skip
+def segments(device: Device, full: bool) -> float:
+    random, count = np.random.default_rng(1), 100_000 if full else 3000
+    sizes = np.exp(random.uniform(math.log(1e-7), math.log(1e4), (3, count)))
+    share = random.uniform(-1, 1, count)
+    a = np.concatenate([sizes[0], sizes[1] * (1 - share)]).astype(np.float32)
+    b = np.concatenate([sizes[2], sizes[1] * (1 + share)]).astype(np.float32)
+    edges = np.array([1e-7, 1e-5, 0.1, 0.25, 1, 4, 8, 80, 1e3, 1e4], np.float32)
+    a, b = np.append(a, np.repeat(edges, len(edges))), np.append(b, np.tile(edges, len(edges)))
+    return weight_error(device, a, b)
+
+
+@case("segments of alike and of zero ends", "their weights: quadrature in float64", "relative",
+      WEIGHTS)  # fmt: skip
+def ends(device: Device, full: bool) -> float:
+    random, count = np.random.default_rng(2), 30_000 if full else 1000
+    a = np.exp(random.uniform(math.log(1e-7), math.log(1e4), count)).astype(np.float32)
+    far = np.float32(np.inf)
+    alike = a * (1 + random.uniform(-1e-4, 1e-4, count)).astype(np.float32)
+    b = np.concatenate([a, np.nextafter(a, far), np.nextafter(a, -far), alike, 0 * a])
+    a = np.tile(a, 5)
+    return max(weight_error(device, *pair) for pair in ((a, b), (b, a)))
+
+
+def wavy_block(seed: int, cubes: int = 4) -> UnstructuredMesh:
+    """Cubes cut in six each, with moved corners and a scalar that bends; in [-1, 1] or so."""
+    points, cells = shapes.tetrahedra(*[np.linspace(-1, 1, cubes + 1)] * 3)
+    points = points + np.random.default_rng(seed).uniform(-0.4, 0.4, points.shape) / cubes
+    x, y, z = points.T
+    return UnstructuredMesh(points, [("tetra", cells)], x * (1 - x * x / 3) + y * z, "s")
+
+
+def picture_error(
+    device: Device, mesh: UnstructuredMesh, transfer: TransferFunction, full: bool
+) -> float:
+    """The largest error of a colour in pictures by both methods, beyond what becomes of it when all
+    scalars move by ROUNDED of their range: where a ray runs along a step, that shows."""
+    points, cells, scalars = mesh.points, mesh.cells[0][1], np.asarray(mesh.scalars)
+    moved = ROUNDED * np.ptp(scalars)
+    renderer, error = VolumeRenderer(build_tet(mesh), device), 0.0
+    low, high = points.min(axis=0), points.max(axis=0)
+    views = product(("iso", "left", "top"), (None, 30.0, 100.0)) if full else [("iso", None)]
+    for view, fov in views:
+        rays = Camera.fit(low, high, view, fov=fov).rays(*((80, 64) if full else (40, 32)))
+        expected, less, more = (
+            reference.reference(points, cells, scalars + shift, transfer, rays)
+            for shift in (0, -moved, moved)
+        )
+        allowed = np.maximum(np.abs(less - expected), np.abs(more - expected))
+        if not expected[:, 3].max() > 0.1:
+            return math.inf  # nothing is seen
+        for method in METHODS:
+            found = renderer.render(rays, transfer, method).reshape(-1, 4)
+            error = max(error, float((np.abs(found - expected) - allowed).max()))
+    return error
+
+
+@case("control points 1e-6 apart", "pictures: every cell clipped on every ray, float64",
+      "of a colour", NEAR)  # fmt: skip
+def control_points(device: Device, full: bool) -> float:
+    near = 1e-6
+    at = [-1.5, -0.3, -0.3 + near, 0.2 - near, 0.2, 0.2 + near, 1.5]
+    colours = np.random.default_rng(3).random((len(at), 3))
+    extinctions = [0.3, 0.3, 3.0, 0.5, 3.0, 0.5, 2.0]
+    transfer = TransferFunction(np.array(at), colours, np.array(extinctions))
+    return max(picture_error(device, wavy_block(seed), transfer, full) for seed in _seeds(full))
+
+
+@case("step functions", "pictures: every cell clipped on every ray, float64", "of a colour", NEAR)
+def steps(device: Device, full: bool) -> float:
+    at = [-0.7, -0.7, -0.2, -0.2, 0.1, 0.1, 0.6, 0.6]
+    colours = np.random.default_rng(4).random((len(at), 3))
+    extinctions = [0.0, 0.8, 0.8, 0.0, 0.0, 5.0, 5.0, 0.2]
+    transfer = TransferFunction(np.array(at), colours, np.array(extinctions))
+    return max(picture_error(device, wavy_block(seed), transfer, full) for seed in _seeds(full))
+
+
+def _seeds(full: bool) -> range:
+    return range(5 if full else 1)
+
+
+@case("slivers of 1e-9 relative volume", "pictures: every cell clipped on every ray, float64",
+      "of a colour", NEAR)  # fmt: skip
+def slivers(device: Device, full: bool) -> float:
+    error = 0.0
+    for thin in (SLIVER, 1e-5, 1e-7) if full else (SLIVER,):
+        thick = np.linspace(-1, 1, 4)
+        points, cells = shapes.tetrahedra(thick, thick, np.cumsum([-1, 0.7, thin, 0.6, thin, 0.7]))
+        x, y, z = points.T
+        sheared = np.stack([x + 0.15 * z, y + 0.1 * x, z + 0.2 * y], axis=1)
+        mesh = UnstructuredMesh(sheared, [("tetra", cells)], x - y + x * z, "s")
+        colours = np.random.default_rng(5).random((4, 3))
+        transfer = TransferFunction(np.linspace(-3, 3, 4), colours, np.array([0.5, 2, 0.1, 1]))
+        error = max(error, picture_error(device, mesh, transfer, full))
+    return error
+
+
+@case("rays along edges of cells", "through vertices, edges and faces: 1 - exp(-depth)",
+      "of a colour", WEIGHTS)  # fmt: skip
+def edges(device: Device, full: bool) -> float:
+    cubes, error = 8, 0.0
+    points, cells = shapes.tetrahedra(*[np.linspace(-1, 1, cubes + 1)] * 3)
+    mesh = UnstructuredMesh(points, [("tetra", cells)], points[:, 0], "s")
+    renderer, step = VolumeRenderer(build_tet(mesh), device), 2 / cubes
+    expected = -math.expm1(-2 * float(GREY.extinctions[0]))
+    for parts in (1, 2, 3, 7) if full else (1, 2):
+        size = (cubes + 1) * parts
+        at = (np.arange(size) + 0.5 - size / 2) * step / parts
+        inside = (np.abs(at) < 1)[:, None] & (np.abs(at) < 1)
+        for axis in range(3):
+            direction, right, down = np.zeros((3, 3))
+            direction[axis], right[axis - 2], down[axis - 1] = -1, step / parts, -step / parts
+            rays = Rays(-5 * direction, direction, right, down, False, (size, size))
+            for method in METHODS:
+                opacity = renderer.render(rays, GREY, method)[..., 3][inside]
+                error = max(error, float(np.abs(opacity - expected).max()))
+    return error
+
+
+CASES = (segments, ends, control_points, steps, slivers, edges)

@@ -1,0 +1,317 @@
+"""Voxels of stiff and extreme meshes, all of them against rational arithmetic or formulas."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voxtool.camera import Rays
+from voxtool.choices import MAX_DIM
+from voxtool.grid import FIXED_POINT_BITS, Grid
+from voxtool.mesh.mesh import Mesh, mesh_from_arrays
+from voxtool.opencl import Device
+from voxtool.selftest import oracles, shapes
+from voxtool.selftest.case import case
+from voxtool.svo.raycast import OctreeRenderer
+from voxtool.svo.voxelize import voxelize
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from voxtool.svo.octree import Octree
+
+ORACLES = {
+    "surface26": oracles.surface26,
+    "surface6": oracles.surface6,
+    "solid": oracles.solid,
+}
+UNIT = 1 << FIXED_POINT_BITS  # a voxel: vertices are in 1/256 of it
+SMALL = (14, 12, 13)  # of a grid that rational arithmetic goes through
+DENSE_DIM = 128  # up to which single voxels are compared with a formula
+ASPECT = 1_000_000  # of needles
+CLEAR = 0.01  # of a winding number from 1/2, where its series may err
+MILLION = 1_000_000  # triangles in a voxel
+SCALES = ((1e12, 0.0), (1e-12, 0.0), (1.0, 1e8), (-1.0, -1e8))  # factor, and then offset
+
+
+def lattice_mesh(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+    """A mesh of vertices in 1/256 voxel."""
+    return mesh_from_arrays(np.asarray(vertices, np.float64) / UNIT, faces)
+
+
+def lattice_grid(shape: Sequence[int]) -> Grid:
+    """A grid whose voxels are the world's units."""
+    x, y, z = shape
+    return Grid((x, y, z), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+
+
+def set_voxels(device: Device, mesh: Mesh, grid: Grid, mode: str, **options: Any) -> Octree:
+    """The octree, solids by parity; raises FileError where its structure does not hold."""
+    octree = voxelize(mesh, grid, mode, device=device, **{"fill": "parity", **options})
+    octree.validate()
+    return octree
+
+
+def wrong(octree: Octree, expected: set[tuple[int, int, int]]) -> int:
+    """How many voxels are set that should not be, or the other way round."""
+    return len(cells(octree.occupied()) ^ expected)
+
+
+def cells(voxels: np.ndarray) -> set[tuple[int, int, int]]:
+    """(N, 3) voxels as a set."""
+    return {(i, j, k) for i, j, k in voxels.tolist()}
+
+
+def wrong_by_oracles(
+    device: Device, vertices: np.ndarray, faces: np.ndarray, shape: Sequence[int] = SMALL
+) -> int:
+    """How many voxels differ, in all modes, from those of the oracles; vertices in 1/256 voxel."""
+    mesh, grid = lattice_mesh(vertices, faces), lattice_grid(shape)
+    return sum(
+        wrong(set_voxels(device, mesh, grid, mode), oracle(vertices[faces], shape))
+        for mode, oracle in ORACLES.items()
+    )
+
+
+@case("needles", "aspect 1e6, through and far beyond the grid: rational arithmetic",
+      "voxels wrong", 0)  # fmt: skip
+def needles(device: Device, full: bool) -> int:
+    random, found = np.random.default_rng(1), 0
+    middle = UNIT * np.array(SMALL) // 2
+    for width in (1, 256):  # of which the longer ones take the wide path
+        parts = []
+        for _ in range(12 if full else 3):
+            way = random.normal(size=3)
+            way = np.rint(way / np.abs(way).max() * width * ASPECT).astype(np.int64)
+            start = middle + random.integers(-3 * UNIT, 3 * UNIT, 3) - way // 3
+            ends = start + np.array([[0, 0, 0], [width, 0, 0], [0, width, width]])
+            corners = np.concatenate([ends, [start + way]])
+            parts.append((corners, shapes.TETRAHEDRON_FACES))
+        found += wrong_by_oracles(device, *shapes.join(parts))
+    return found
+
+
+@case("zero-area faces", "segments, points, copies, turned copies: rational arithmetic",
+      "voxels wrong", 0)  # fmt: skip
+def flat_faces(device: Device, full: bool) -> int:
+    random, found = np.random.default_rng(2), 0
+    for _ in range(8 if full else 2):
+        count = 8
+        corners = random.integers(-4, 4 * (np.array(SMALL) + 1), (3 * count, 3)) * (UNIT // 4)
+        faces = np.arange(3 * count).reshape(-1, 3)
+        a, b, c = faces.T
+        middles = (corners[a] + corners[b]) // 2 * 2 - corners[a]  # on a line, or next to it
+        vertices = np.concatenate([corners, middles, 2 * corners[a] - corners[b]])
+        d, e = a // 3 + len(corners), a // 3 + len(corners) + count
+        degenerate = [(a, b, b), (c, c, c), (a, b, d), (e, a, b)]
+        copies = [(c, b, a), (b, c, a), (a, b, c)]
+        every = [np.stack(columns, axis=1) for columns in ((a, b, c), *degenerate, *copies)]
+        faces = random.permutation(np.concatenate([some[::2] for some in every]))
+        found += wrong_by_oracles(device, vertices, faces)
+    return found
+
+
+@case("faces on voxel faces", "boxes at wholes, halves, beside: formulas, rational arithmetic",
+      "voxels wrong", 0)  # fmt: skip
+def boundaries(device: Device, full: bool) -> int:
+    random, found = np.random.default_rng(3), 0
+    places = [0, 1, UNIT // 2 - 1, UNIT // 2, UNIT // 2 + 1, UNIT - 1]
+    shape = (32, 32, 32)
+    for _ in range(24 if full else 3):
+        parts, solid, touched = [], np.zeros(shape, bool), np.zeros(shape, bool)
+        for corner in np.ndindex(2, 2, 2):  # one in each octant
+            low = UNIT * (16 * np.array(corner) + random.integers(2, 5, 3))
+            low = low + random.choice(places, 3)
+            high = low + UNIT * random.integers(1, 10, 3)
+            parts.append(shapes.box(low, high))
+            solid |= _product(*(_layers(n, low, high, axis)[0] for axis, n in enumerate(shape)))
+            over, within = (
+                _product(*(_layers(n, low, high, axis)[which] for axis, n in enumerate(shape)))
+                for which in (1, 2)
+            )
+            touched |= over & ~within
+        vertices, faces = shapes.join(parts)
+        mesh, grid = lattice_mesh(vertices, faces), lattice_grid(shape)
+        thin = oracles.to_dense(oracles.surface6(vertices[faces], shape), shape)
+        for mode, expected in (("solid", solid), ("surface26", touched), ("surface6", thin)):
+            octree = set_voxels(device, mesh, grid, mode)
+            found += int(np.count_nonzero(octree.to_dense() != expected))
+    return found
+
+
+def _layers(
+    count: int, low: np.ndarray, high: np.ndarray, axis: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(count,) bool each, along an axis: whose centre, moved by an infinitesimal, is between low
+    and high; who reaches between them; who lies there without reaching either."""
+    begin = UNIT * np.arange(count)
+    centre, end = begin + UNIT // 2, begin + UNIT
+    a, b = low[axis], high[axis]
+    return (centre >= a) & (centre < b), (end >= a) & (begin <= b), (begin > a) & (end < b)
+
+
+def _product(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+    return x[:, None, None] & y[:, None] & z
+
+
+@case("coordinates of 1e12, 1e-12, 1e8 off", "a ball on the lattice: rational arithmetic",
+      "voxels wrong", 0)  # fmt: skip
+def coordinates(device: Device, full: bool) -> int:
+    found = 0
+    points, faces = shapes.ball(2 if full else 1)
+    for factor, offset in SCALES:
+        mesh = mesh_from_arrays(points * factor + offset, faces)
+        grid = Grid.fit(mesh, 20)
+        vertices = np.array([_on_lattice(grid, vertex) for vertex in mesh.vertices.tolist()])
+        for mode, oracle in ORACLES.items():
+            octree = set_voxels(device, mesh, grid, mode)
+            found += wrong(octree, oracle(vertices[faces], grid.shape))
+    return found
+
+
+def _on_lattice(grid: Grid, point: list[float]) -> list[int]:
+    """round(256 (p - origin) / pitch), ties to even."""
+    return [
+        round(UNIT * (Fraction(p) - Fraction(o)) / Fraction(pitch))
+        for p, o, pitch in zip(point, grid.origin, grid.pitch, strict=True)
+    ]
+
+
+@case("a triangle over 65,536 voxels", "windows at corners, edges and within: rational arithmetic",
+      "voxels wrong", 0)  # fmt: skip
+def wide(device: Device, full: bool) -> int:
+    random, found, size = np.random.default_rng(5), 0, 10
+    grid = lattice_grid((MAX_DIM, MAX_DIM, MAX_DIM))
+    side = UNIT * MAX_DIM
+    corners = np.array([[77, 3, side // 3], [side - 501, side // 5, 1000], [9, side - 5, side - 2]])
+    mesh = lattice_mesh(corners, np.array([[0, 1, 2]]))
+    weights = np.concatenate(
+        [np.eye(3), [[0.5, 0.5, 0], [0, 0.3, 0.7]], random.dirichlet([1, 1, 1], 20 if full else 2)]
+    )
+    for weight in weights:
+        low = np.rint(weight @ corners / UNIT).astype(np.int64) - random.integers(2, size - 2, 3)
+        low = np.clip(low, 0, MAX_DIM - size)
+        window = (low.tolist(), [size] * 3)
+        for mode, oracle in ORACLES.items():
+            octree = set_voxels(device, mesh, grid, mode, window=window)
+            found += wrong(octree, oracle([corners - UNIT * low], [size] * 3))
+    return found
+
+
+@case("a million triangles in a voxel", "that voxel alone, by its surface and by parity",
+      "voxels wrong", 0)  # fmt: skip
+def crowd(device: Device, full: bool) -> int:
+    random, place = np.random.default_rng(6), (100, 37, 211)
+    corners = UNIT * np.array(place) + random.integers(1, UNIT, (MILLION // 2, 3, 3))
+    centre = UNIT * np.array(place) + UNIT // 2
+    around = shapes.octahedron(centre + 1, 60)
+    # each twice, so they cross every row an even number of times; but for one octahedron
+    soup = (corners.reshape(-1, 3), np.tile(np.arange(corners.size // 3).reshape(-1, 3), (2, 1)))
+    vertices, faces = shapes.join([soup, around])
+    mesh, grid = lattice_mesh(vertices, random.permutation(faces)), lattice_grid((256,) * 3)
+    return sum(
+        wrong(set_voxels(device, mesh, grid, mode), {place}) for mode in ("surface26", "solid")
+    )
+
+
+@case("dims 8 to 4096", "octahedra by their formula: all voxels, or all of their number",
+      "voxels wrong", 0)  # fmt: skip
+def dims(device: Device, full: bool) -> int:
+    found = 0
+    more = (27, 100, 200, 777, 1025, 1500, 3000, 4095) if full else ()
+    for dim in (8, 9, 16, 50, 64, 128, 300, 512, 1024, 2048, 4096, *more):
+        centre, radius = _octahedron(dim)
+        octree = _solid_octahedron(device, dim, centre, radius)
+        if dim <= DENSE_DIM:
+            expected = _within(dim, centre, radius)
+            found += int(np.count_nonzero(octree.to_dense() != expected))
+        else:
+            found += abs(octree.count - _count(dim, centre, radius))
+    near, (centre, radius) = 32, _octahedron(32)
+    expected = np.argwhere(_within(near, centre, radius))
+    for dim in (1024, 2048, 4096):  # a small one in the far corner
+        octree = _solid_octahedron(device, dim, centre + UNIT * (dim - near), radius)
+        found += wrong(octree, cells(expected + dim - near))
+    return found
+
+
+def _octahedron(dim: int) -> tuple[np.ndarray, int]:
+    """Centre and radius in 1/256 voxel: no voxel's centre is on it, as sums of three odd numbers
+    are odd."""
+    return UNIT * (dim // 2) + np.array([37, 59, 101]), UNIT * (dim // 2 - 1)
+
+
+def _solid_octahedron(device: Device, dim: int, centre: np.ndarray, radius: int) -> Octree:
+    mesh = lattice_mesh(*shapes.octahedron(centre, radius))
+    return set_voxels(device, mesh, lattice_grid((dim,) * 3), "solid")
+
+
+def _away(dim: int, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(dim,) int64 each: how far the centres of voxels are from an octahedron's along each axis."""
+    x, y, z = (np.abs(UNIT * np.arange(dim) + UNIT // 2 - c) for c in centre.tolist())
+    return x, y, z
+
+
+def _within(dim: int, centre: np.ndarray, radius: int) -> np.ndarray:
+    """(dim, dim, dim) bool."""
+    x, y, z = _away(dim, centre)
+    return x[:, None, None] + y[:, None] + z < radius
+
+
+def _count(dim: int, centre: np.ndarray, radius: int) -> int:
+    """How many voxels are within, row by row along x."""
+    x, y, z = _away(dim, centre)
+    return int(np.searchsorted(np.sort(x), (radius - y[:, None] - z).ravel()).sum())
+
+
+@case("a box without two sides", "by winding numbers: solid angles one by one, numpy",
+      "voxels wrong", 0)  # fmt: skip
+def open_box(device: Device, full: bool) -> int:
+    found, dim = 0, 40 if full else 24
+    vertices, faces = shapes.box(UNIT * np.array([4, 5, 6]) + 9, UNIT * (dim - 5) + np.arange(3))
+    centres = np.indices((dim,) * 3).reshape(3, -1).T + 0.5
+    # two that meet, so that what divides inside from outside is bent; each has two faces
+    for one, other in combinations(range(6), 2) if full else ((0, 2), (3, 4)):
+        kept = np.delete(faces, [2 * one, 2 * one + 1, 2 * other, 2 * other + 1], axis=0)
+        octree = set_voxels(
+            device, lattice_mesh(vertices, kept), lattice_grid((dim,) * 3), "solid", fill="winding"
+        )
+        number = oracles.winding_numbers(centres, vertices[kept] / UNIT)
+        clear = np.abs(number - 0.5) > CLEAR
+        found += int(np.count_nonzero((octree.to_dense().ravel() != (number > 0.5))[clear]))
+    return found
+
+
+@case("rays along edges of voxels", "straight through edges, faces and corners: exact depths",
+      "voxels", 1e-9)  # fmt: skip
+def rays(device: Device, full: bool) -> float:
+    low, high = np.array([3, 2, 4]), np.array([11, 13, 10])
+    mesh = lattice_mesh(*shapes.box(UNIT * low, UNIT * high))
+    octree = set_voxels(device, mesh, lattice_grid((16, 16, 16)), "solid")
+    renderer, error = OctreeRenderer(octree, device), 0.0
+    size = 64
+    for axis in range(3):
+        for sign in (1, -1):
+            direction, right, down = np.zeros((3, 3))
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+            direction[axis], right[u], down[v] = sign, 0.5, 0.5
+            origin = np.full(3, 8.25)  # so every ray is at wholes or halves of voxels
+            origin[axis] = -4 if sign > 0 else 20
+            picture = Rays(origin, direction, right, down, False, (size, size))
+            depths = renderer.depths(picture)
+            steps = 8.25 + 0.5 * (np.arange(size) + 0.5 - size / 2)
+            met = _product(
+                ((steps >= low[v]) & (steps < high[v])), ((steps >= low[u]) & (steps < high[u])),
+                np.ones(1, bool),
+            )[..., 0]  # fmt: skip
+            expected = np.where(met, low[axis] + 4 if sign > 0 else 20 - high[axis], np.inf)
+            if not np.array_equal(np.isfinite(depths), met):
+                return np.inf
+            error = max(error, float(np.abs(depths[met] - expected[met]).max()))
+    return error
+
+
+CASES = (needles, flat_faces, boundaries, coordinates, wide, crowd, dims, open_box, rays)

@@ -1,0 +1,1 @@
+"""Spatial queries over triangle meshes: bounding volumes, distances, winding numbers."""

@@ -1,0 +1,129 @@
+"""Angle-weighted pseudo-normals of the faces, edges and vertices of a mesh.
+
+Baerentzen and Aanaes, "Signed distance computation using the angle weighted pseudonormal" (TVCG
+2005): outside of a closed mesh, the way from the nearest point to the query has a positive product
+with the pseudo-normal of what the nearest point is on. Edges and vertices are told by their
+positions, as in mesh.topology: seams do no harm. Faces on the same three positions share their
+normal, so two that lie back to back bound nothing. Computed on the host, in + - * / and square
+roots: normals from cross products of twice the precision, which leaves slivers theirs.
+
+Limits, with the extent as the unit: a point d away beside a blade of less than about 1e-8 / sqrt(d)
+radians may be taken to be on its other side, for float64 does not tell which side is nearer. Where
+faces without area close gaps between others (T-junctions), the edges there know only their own
+faces; the winding number is right there too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.mesh.topology import collinear, edges_of, positions
+from voxtool.spatial.angles import angle_of
+from voxtool.spatial.bvh import Frame
+
+if TYPE_CHECKING:
+    from voxtool.mesh.mesh import Mesh
+
+SPLIT = 134217729.0  # 2**27 + 1: halves the digits of a float64 (Dekker, 1971)
+
+
+@dataclass(frozen=True, eq=False)
+class Pseudonormals:
+    """What the sides of a mesh are.
+
+    flat : (F,) uint8: 1 where a face has no area, exactly, and so no side. It adds to no normal.
+    features : (F, 7) uint32: rows of `normals` for the face, its sides ab, bc, ca and its corners.
+    normals : (K, 3) float64, not of unit length; 0 where sides cancel.
+    """
+
+    flat: np.ndarray
+    features: np.ndarray
+    normals: np.ndarray
+
+
+def pseudonormals(mesh: Mesh) -> Pseudonormals:
+    """The pseudo-normals of a mesh.
+
+    Raises
+    ------
+    MeshError : as Frame.of.
+    """
+    triangles = np.ldexp(mesh.vertices, -Frame.of(mesh).exponent)[mesh.faces]
+    flat = collinear(triangles)
+    normals, angles = _normals_and_angles(triangles)
+    flat |= (normals == 0).all(axis=1)
+    normals[flat] = 0
+    corners = positions(mesh)[mesh.faces]
+    sides = edges_of(corners)[0].reshape(-1, 3)
+    between = np.sort(sides, axis=1)  # the first and the last side tell the three positions
+    planes = np.unique(between[:, 0] << 32 | between[:, 2], return_inverse=True)[1].reshape(-1, 1)
+    parts, rows, first = [], [], 0
+    for feature, weights in (
+        (planes, np.ones((len(flat), 1))),
+        (sides, np.ones((len(flat), 3))),
+        (corners, angles),
+    ):
+        parts.append(_sums(feature, weights, normals))
+        rows.append(first + feature)
+        first += len(parts[-1])
+    features = np.concatenate(rows, axis=1).astype(np.uint32)
+    return Pseudonormals(flat.astype(np.uint8), features, np.concatenate(parts))
+
+
+def _sums(feature: np.ndarray, weights: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """The weighted sums of the normals of the faces at each feature, in the order of the faces."""
+    numbers = feature.ravel()
+    return np.stack(
+        [np.bincount(numbers, (weights * normals[:, axis, None]).ravel()) for axis in range(3)],
+        axis=1,
+    )
+
+
+def _normals_and_angles(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(F, 3) unit normals, 0 where there is none, and (F, 3) angles at the corners."""
+    a, b, c = (triangles[:, i].T for i in range(3))
+    u, v, w = (_difference(*ends) for ends in ((b, a), (c, a), (c, b)))
+    n = np.stack([_cross(u, v, i, (i + 1) % 3) for i in (1, 2, 0)])
+    exponent = np.frexp(np.abs(n).max(axis=0))[1]
+    n = np.ldexp(n, -exponent)
+    length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+    unit = n / np.where(length > 0, length, 1.0)
+    area = np.ldexp(length, exponent)
+    cosines = (_product(u[0], v[0]), -_product(u[0], w[0]), _product(v[0], w[0]))
+    return unit.T, np.stack([angle_of(area, cosine) for cosine in cosines], axis=1)
+
+
+Twofold = tuple[np.ndarray, np.ndarray]  # a number as the sum of a float64 and a much smaller one
+
+
+def _product(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
+
+
+def _difference(a: np.ndarray, b: np.ndarray) -> Twofold:
+    """a - b exactly (Knuth)."""
+    high = a - b
+    part = high - a
+    return high, (a - (high - part)) - (b + part)
+
+
+def _multiplied(a: np.ndarray, b: np.ndarray) -> Twofold:
+    """a b exactly (Dekker)."""
+    high = a * b
+    a_high, b_high = SPLIT * a, SPLIT * b
+    a_high, b_high = a_high - (a_high - a), b_high - (b_high - b)
+    a_low, b_low = a - a_high, b - b_high
+    return high, a_low * b_low - (((high - a_high * b_high) - a_low * b_high) - a_high * b_low)
+
+
+def _cross(u: Twofold, v: Twofold, i: int, j: int) -> np.ndarray:
+    """u_i v_j - u_j v_i, to about 2^-100 of the products."""
+    (uh, ul), (vh, vl) = u, v
+    one, other = _multiplied(uh[i], vh[j]), _multiplied(uh[j], vh[i])
+    high, low = _difference(one[0], other[0])
+    low = low + ((one[1] - other[1]) + ((uh[i] * vl[j] + ul[i] * vh[j])
+                                        - (uh[j] * vl[i] + ul[j] * vh[i])))  # fmt: skip
+    return high + low

@@ -1,0 +1,68 @@
+"""Points spread over a mesh by area, and through a cube; in the same places every time.
+
+The area, summed along the faces, is cut into equal strata, the middle of each names a face, and
+there the point is the next of Roberts's low-discrepancy sequence R2 ("The unreasonable
+effectiveness of quasirandom sequences", 2018). So a face has its share of the points to within one;
+faces without area have none. Through a cube, points are those of R3.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.errors import MeshError, count_of
+from voxtool.spatial.bvh import Frame
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from voxtool.mesh.mesh import Mesh
+
+BLOCK = 1 << 18  # points that are made at once
+PLASTIC = 1.324717957244746  # the real root of x^3 = x + 1, which R2 is made of
+GOLDEN_3 = 1.2207440846057596  # and of x^4 = x + 1: R3
+
+
+def spread_in_cube(count: int) -> np.ndarray:
+    """(count, 3) float64: points of the unit cube, the first of R3."""
+    i = np.arange(count, dtype=np.float64)
+    steps = [1 / GOLDEN_3, 1 / (GOLDEN_3 * GOLDEN_3), 1 / (GOLDEN_3 * GOLDEN_3 * GOLDEN_3)]
+    return np.stack([(0.5 + i * step) % 1.0 for step in steps], axis=1)
+
+
+class Spread:
+    """Points spread by area over a mesh."""
+
+    def __init__(self, mesh: Mesh, name: str) -> None:
+        """Sum the area; raises MeshError where there is none."""
+        self.mesh = mesh
+        a, b, c = (Frame.of(mesh).local(mesh.vertices[mesh.faces[:, i]]) for i in range(3))
+        (ex, ey, ez), (fx, fy, fz) = (b - a).T, (c - a).T
+        x, y, z = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
+        self.area = np.cumsum(np.sqrt(x * x + y * y + z * z))  # adds one by one, in order
+        if not self.area[-1] > 0:
+            raise MeshError(
+                f"{mesh.name or name}: no area: each of its {count_of(len(mesh.faces), 'face')} is "
+                "a segment or a point: give a mesh whose faces have an area"
+            )
+
+    def samples(self, count: int) -> Iterator[np.ndarray]:
+        """`count` points, in blocks of (n, 3)."""
+        last = int(np.searchsorted(self.area, self.area[-1]))  # with an area
+        for start in range(0, count, BLOCK):
+            i = np.arange(start, min(start + BLOCK, count), dtype=np.float64)
+            along = (i + 0.5) / count * self.area[-1]
+            faces = np.minimum(np.searchsorted(self.area, along, side="right"), last)
+            u, v = (0.5 + i / PLASTIC) % 1.0, (0.5 + i / (PLASTIC * PLASTIC)) % 1.0
+            beyond = u + v > 1.0  # the other half of the parallelogram
+            u, v = np.where(beyond, 1.0 - u, u)[:, None], np.where(beyond, 1.0 - v, v)[:, None]
+            a, b, c = (self.mesh.vertices[self.mesh.faces[faces, corner]] for corner in range(3))
+            yield a + u * (b - a) + v * (c - a)
+
+    def vertices(self) -> np.ndarray:
+        """(n, 3) the vertices that faces use."""
+        used = np.zeros(len(self.mesh.vertices), bool)
+        used[self.mesh.faces] = True
+        return self.mesh.vertices[used]

@@ -1,0 +1,55 @@
+"""Faces of a mesh through which others pass.
+
+Two triangles are apart if their projections on some axis are: the normals, the products of their
+edges, and, where they are coplanar, the products of normals and edges (Gottschalk, Lin and Manocha,
+"OBBTree", SIGGRAPH 1996). If they share a corner, a plane through it must part them; if they share
+two, they must not fold back onto each other. What rounding cannot tell counts as meeting: edges
+that cross at an angle of a, some 2e-17 / a apart.
+
+Kernels: kernels/spatial/self_intersections.cl.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.mesh.topology import positions
+
+if TYPE_CHECKING:
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.opencl import Device
+    from voxtool.spatial.bvh import TriangleTree
+
+SOURCE = "spatial/self_intersections.cl"
+
+
+def find_crossings(device: Device, mesh: Mesh, tree: TriangleTree) -> np.ndarray:
+    """(F,) bool: faces that another one meets elsewhere than in the corners and edges they share.
+
+    Faces without area do not count.
+
+    Parameters
+    ----------
+    tree : of the mesh, with names.
+    """
+    vertices, faces = device.put(tree.frame.local(mesh.vertices)), device.put(mesh.faces)
+    corners = device.put(positions(mesh)[mesh.faces].astype(np.int32))
+    found = device.zeros(len(mesh.faces), np.uint8)
+    with device.stage("crossings"):
+        device.kernel(SOURCE, "find_crossings")(
+            tree.count,
+            np.uint32(tree.count),
+            tree.names,
+            vertices,
+            faces,
+            corners,
+            tree.nodes,
+            np.uint32(tree.first_leaf),
+            found,
+        )
+        crossed = found.take() != 0
+    for array in (vertices, faces, corners):
+        array.release()
+    return crossed

@@ -1,0 +1,134 @@
+"""Which sides of a mesh's faces are inside, by the winding number, so that most points need none.
+
+From a point, go to the nearest point of the mesh, and along that face to its middle. On the way
+the winding number changes only as the boundary's shape lets it, for no face is crossed: by the law
+of Biot and Savart its gradient is at most the sum of dl / (4 pi r^2) over the edges of the
+boundary. So the number near the middle of a face, on the side on which the point is, tells the
+point's, where holes are far enough away. It does not where another face meets this one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.mesh.topology import edges_of, positions, shells_of
+from voxtool.morton import morton_encode
+from voxtool.spatial.winding_number import WindingNumber
+
+if TYPE_CHECKING:
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.opencl import Device
+    from voxtool.spatial.bvh import TriangleTree
+    from voxtool.spatial.pseudonormals import Pseudonormals
+
+SPHERES = 512  # that hold the boundary, at most
+ABOVE = 2.0**-10  # of its height, how far above a face the number in front of it is taken
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """What the winding number is in front of faces, and where it may change.
+
+    front : (F,) float64: on the side to which the face's normal points; behind it is 1 more. NaN
+        where that is not known: the face is flat, is at an edge that is not manifold, is met by
+        another (proximity/crossings.py), or folds back onto one, so that it is not 1 more.
+    spheres : (S, 5) float64: centre, radius, in the frame of the tree, and the length of boundary
+        in each.
+    """
+
+    front: np.ndarray
+    spheres: np.ndarray
+
+
+def find_sides(
+    mesh: Mesh, normals: Pseudonormals, winding: WindingNumber, crossed: np.ndarray
+) -> Sides:
+    """The sides of a mesh's faces.
+
+    Parameters
+    ----------
+    crossed : (F,) bool, as find_crossings.
+    """
+    edges, forth = edges_of(positions(mesh)[mesh.faces])
+    faces_of = np.bincount(edges)
+    net = np.bincount(edges, np.where(forth, 1.0, -1.0))
+    triangles = winding.tree.frame.local(mesh.vertices)[mesh.faces]
+    front, behind = _beside(mesh, np.arange(len(mesh.faces)), normals, winding)
+    odd = ((faces_of != 2) | (net != 0)) & (faces_of != 1)
+    unknown = crossed | odd[edges].reshape(-1, 3).any(axis=1)
+    front[unknown | ~(np.abs(behind - front - 1) < 0.25)] = np.nan
+    side = np.flatnonzero(net[edges] != 0)
+    _, first = np.unique(edges[side], return_index=True)
+    side = side[first]
+    starts = triangles.reshape(-1, 3)[side]
+    ends = np.roll(triangles, -1, axis=1).reshape(-1, 3)[side]
+    return Sides(front, _spheres(np.stack([starts, ends], axis=1), np.abs(net[edges[side]])))
+
+
+def shells_agree(mesh: Mesh, normals: Pseudonormals, device: Device, tree: TriangleTree) -> bool:
+    """Whether in front of every shell of a mesh, which is closed and does not pass through itself,
+    the winding number is 0; or -1, if it is inside out. It is not where shells are nested and wound
+    alike."""
+    shells = shells_of(mesh)
+    faces = np.unique(shells, return_index=True)[1]
+    if len(faces) == 1:
+        return True
+    front, _ = _beside(mesh, faces, normals, WindingNumber(mesh, device, tree=tree))
+    outside = 0.0 if front[0] > -0.5 else -1.0
+    return bool((np.abs(front - outside) < 0.25).all())
+
+
+def _beside(
+    mesh: Mesh, faces: np.ndarray, normals: Pseudonormals, winding: WindingNumber
+) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) float64 each: the winding number above and below the middle of each of (n,) faces; NaN
+    where one is flat."""
+    triangles = winding.tree.frame.local(mesh.vertices)[mesh.faces[faces]]
+    x, y, z = normal = normals.normals[normals.features[faces, 0]].T
+    length = np.sqrt(x * x + y * y + z * z)
+    a, b, c = (triangles[:, i].T for i in range(3))
+    (ux, uy, uz), (vx, vy, vz) = u, v = b - a, c - a
+    wx, wy, wz = v - u
+    longest = np.sqrt(
+        np.maximum(
+            np.maximum(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz),
+            wx * wx + wy * wy + wz * wz,
+        )
+    )
+    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    twice_area = np.sqrt(nx * nx + ny * ny + nz * nz)
+    known = (normals.flat[faces] == 0) & (length > 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rise = np.where(known, ABOVE * twice_area / longest / length, 0) * normal
+    middle = (a + b + c) / 3
+    order = _along_curve(middle.T)
+    numbers = np.full((2, len(faces)), np.nan)
+    for number, points in zip(numbers, (middle + rise, middle - rise), strict=True):
+        near = winding.device.put(points.T[order])
+        number[order] = winding.at_local(near, len(faces)).take()
+    return np.where(known, numbers[0], np.nan), np.where(known, numbers[1], np.nan)
+
+
+def _along_curve(points: np.ndarray) -> np.ndarray:
+    """The order of (n, 3) points in the tree's frame in which near ones follow each other."""
+    cells = ((points + 1) * 512).clip(0, 1023).astype(np.int64)
+    return np.argsort(morton_encode(cells), kind="stable")
+
+
+def _spheres(ends: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """(S, 5): spheres about runs of (E, 2, 3) edges along a Morton curve."""
+    if not len(ends):
+        return np.empty((0, 5))
+    order, spheres = _along_curve(ends.mean(axis=1)), []
+    for run in np.array_split(order, min(SPHERES, len(order))):
+        points = ends[run].reshape(-1, 3)
+        centre = (points.min(axis=0) + points.max(axis=0)) / 2
+        x, y, z = (points - centre).T
+        dx, dy, dz = (ends[run, 1] - ends[run, 0]).T
+        lengths = weights[run] * np.sqrt(dx * dx + dy * dy + dz * dz)
+        radius = np.sqrt((x * x + y * y + z * z).max())
+        spheres.append([*centre, radius, float(np.cumsum(lengths)[-1])])
+    return np.array(spheres)

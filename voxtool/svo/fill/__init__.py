@@ -1,0 +1,1 @@
+"""Fill rules: which voxels are inside a mesh."""

@@ -1,0 +1,132 @@
+"""An octree's voxels in layers: dense exports and slices without the dense array in memory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.memory import check_memory
+from voxtool.svo.octree import BRICK_SIDE, Octree, unpack_bricks
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+OUTSIDE, SET = 0, 1  # a voxel is unset, or SET + the level that holds it
+
+
+@dataclass(frozen=True)
+class Leaves:
+    """The nodes of one level that have no children, their first axis in order.
+
+    number : the level; side : voxels along a side of a node.
+    corners : (N, 3) int32 low corners in voxels, columns in the order asked for.
+    inside : (N,) bool: wholly inside; False at level 0.
+    bricks : (N,) uint64 at level 0, else empty.
+    """
+
+    number: int
+    side: int
+    corners: np.ndarray
+    inside: np.ndarray
+    bricks: np.ndarray
+
+    def touching(self, first: int) -> slice:
+        """The leaves whose first axis spans voxel `first`."""
+        corner = first - first % self.side
+        column = self.corners[:, 0]
+        return slice(*np.searchsorted(column, [corner, corner + 1]).tolist())
+
+
+def sorted_leaves(octree: Octree, order: tuple[int, int, int]) -> list[Leaves]:
+    """The leaves of each level, root first, sorted along axis order[0].
+
+    Raises
+    ------
+    MemoryLimitError : they do not fit in memory.
+    """
+    check_memory(64 * len(octree.nodes), "the leaves of the octree")
+    found = []
+    for level in octree.levels():
+        chosen = slice(None) if level.number == 0 else ~level.refined
+        corners = level.cells[chosen].astype(np.int32)[:, order]
+        by_first = np.argsort(corners[:, 0], kind="stable")
+        inside = level.inside[chosen][by_first]
+        bricks = octree.bricks[by_first] if level.number == 0 else octree.bricks[:0]
+        found.append(Leaves(level.number, level.side, corners[by_first], inside, bricks))
+    return found
+
+
+def paint(
+    leaves: list[Leaves], first: int, order: tuple[int, int, int], shape: Sequence[int]
+) -> np.ndarray:
+    """Four voxel layers, (4, a, b) uint8 of OUTSIDE or SET + level, from voxel `first` (a multiple
+    of 4) along axis order[0]; a and b are the grid's `shape` along the others, rounded up to 4."""
+    a, b = (-(-shape[axis] // BRICK_SIDE) * BRICK_SIDE for axis in order[1:])
+    slab = np.zeros((BRICK_SIDE, a, b), np.uint8)
+    for level in leaves:
+        here = level.touching(first)
+        j, k = level.corners[here, 1:].T // level.side
+        m, n = a // level.side, b // level.side  # nodes that lie in the layers
+        cells = slab[:, : m * level.side, : n * level.side]
+        cells = cells.reshape(BRICK_SIDE, m, level.side, n, level.side).transpose(1, 3, 0, 2, 4)
+        if level.number == 0:
+            held = (j < m) & (k < n)
+            j, k = j[held], k[held]
+            voxels = unpack_bricks(level.bricks[here][held])
+            cells[j, k] = voxels.transpose(0, *(a + 1 for a in order))  # True is SET
+        else:
+            chosen = level.inside[here]
+            cells[j[chosen], k[chosen]] = SET + level.number
+    return slab
+
+
+def layers(octree: Octree, order: tuple[int, int, int] = (0, 1, 2)) -> Iterator[np.ndarray]:
+    """The dense array in pieces of at most four layers, low to high.
+
+    Parameters
+    ----------
+    order : axes of the pieces; the first is the one that they cut.
+
+    Yields
+    ------
+    (n, a, b) bool, n at most 4 and a, b the grid's shape along order[1], order[2].
+    """
+    shape = [octree.grid.shape[axis] for axis in order]
+    check_memory(2 * BRICK_SIDE * (shape[1] + 3) * (shape[2] + 3), "four layers of voxels")
+    leaves = sorted_leaves(octree, order)
+    for first in range(0, shape[0], BRICK_SIDE):
+        slab = paint(leaves, first, order, octree.grid.shape)
+        yield slab[: shape[0] - first, : shape[1], : shape[2]] != OUTSIDE
+
+
+def coordinates(octree: Octree) -> Iterator[np.ndarray]:
+    """The set voxels in lexicographic order, a layer of bricks at a time.
+
+    Yields
+    ------
+    (N, 3) int32 voxels.
+    """
+    leaves = sorted_leaves(octree, (0, 1, 2))
+    for first in range(0, octree.grid.shape[0], BRICK_SIDE):
+        keys = np.sort(np.concatenate([_keys(level, first) for level in leaves]))
+        axes = [(keys >> shift) & 0x1FFFFF for shift in (42, 21, 0)]
+        yield np.stack(axes, axis=1).astype("<i4")
+
+
+def _keys(level: Leaves, first: int) -> np.ndarray:
+    """Set voxels of one level in the four layers from `first`, as int64: x, y, z of 21 bits."""
+    here = level.touching(first)
+    corners = level.corners[here].astype(np.int64)
+    if level.number == 0:
+        brick, *local = np.nonzero(unpack_bricks(level.bricks[here]))
+        x, y, z = corners[brick].T + np.stack(local)
+    else:
+        corners = corners[level.inside[here]].reshape(-1, 3, 1)
+        if not len(corners):
+            return np.empty(0, np.int64)
+        local = np.indices((BRICK_SIDE, level.side, level.side)).reshape(1, 3, -1)
+        x, y, z = (corners[:, a] + local[:, a] for a in range(3))
+        x += first - corners[:, 0]
+    return ((x << 42) | (y << 21) | z).ravel()

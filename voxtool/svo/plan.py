@@ -1,0 +1,332 @@
+"""How a mesh will be voxelized: pure arithmetic on the numbers of a survey."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from voxtool.errors import MemoryLimitError, human
+from voxtool.svo.octree import BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
+
+CELL = 2 * BRICK_SIDE  # voxels along a side of a level-1 node
+BLOCK = 64  # voxels along a side of a block of level-1 nodes
+NARROW_EXTENT = 4096  # voxels up to which a triangle's predicates fit 64 bits
+CODE_32_SIDE = 8192  # voxels up to which level-1 Morton codes fit 32 bits
+DENSE_SIDE = 2048  # voxels up to which the level-1 volume is dense
+TILE = 64  # columns along a side of a work-item's share of a triangle
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What is counted of a scene before it is planned.
+
+    triangles, vertices : how many there are, caps of holes among them.
+    outside : triangles that cannot touch the grid nor cross its rows.
+    extent : longest side of a bounding box of a triangle, in voxels.
+    areas : areas projected along x, y, z, summed over the triangles, in voxel^2.
+    before : whether a triangle reaches beyond the low-x side.
+    """
+
+    triangles: int
+    vertices: int
+    outside: int
+    extent: float
+    areas: tuple[float, float, float]
+    before: bool
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How a mesh will be voxelized.
+
+    side : voxels along a side of the octree's cube; levels : its levels, bricks included.
+    fill : rule that tells inside from outside, or "none" for a surface; gap : voxels of openings
+    that a flood does not pass.
+    surface : "" or the separability of the surface that is voxelized, "26" or "6".
+    holes, caps : of the mesh where they matter, and the triangles that close them.
+    wide : predicates in 128 bits; code_bits : of the Morton codes; blocked : the level-1 volume is
+    stored by blocks; entry : rows have a state where they enter; tiled, tiled_nodes : triangles
+    are shared among work-items, for voxels and for level-1 nodes.
+    active : predicted refined nodes by level, from level 1 up.
+    """
+
+    survey: Survey
+    shape: tuple[int, int, int]
+    side: int
+    fill: str
+    gap: int
+    surface: str
+    holes: int
+    caps: int
+    wide: bool
+    code_bits: int
+    blocked: bool
+    entry: bool
+    tiled: bool
+    tiled_nodes: bool
+    active: tuple[int, ...]
+
+    @property
+    def solid(self) -> bool:
+        return self.fill != "none"
+
+    @property
+    def rule(self) -> str:
+        """The rule with its gap, as it is stored with the output."""
+        return f"{self.fill}+gap{self.gap}" if self.gap else self.fill
+
+    @property
+    def listed(self) -> bool:
+        """Whether crossings are listed with their directions."""
+        return self.fill in ("nonzero", "winding")
+
+    @property
+    def levels(self) -> int:
+        return (self.side // 4).bit_length()
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages that will run, in order."""
+        return [
+            "survey",
+            *(["holes"] if self.caps else []),
+            "active nodes",
+            "octree",
+            *(["crossings", "rows", "fill"] if self.fill not in ("none", "flood") else []),
+            *(["near holes"] if self.caps else []),
+            *([f"surface{self.surface}"] if self.surface else []),
+            *(["flood"] if self.fill == "flood" else []),
+        ]
+
+    @property
+    def nodes(self) -> int:
+        """Predicted number of nodes."""
+        return 1 + 8 * sum(self.active)
+
+    @property
+    def bricks(self) -> int:
+        """Predicted number of bricks."""
+        return 8 * self.active[0]
+
+    @property
+    def octree_bytes(self) -> int:
+        return NODE_BYTES * self.nodes + BRICK_BYTES * self.bricks
+
+    @property
+    def device_bytes(self) -> int:
+        """Predicted peak of memory on the device."""
+        return _device_bytes(self)
+
+    @property
+    def work(self) -> int:
+        """Predicted voxels and crossings that are visited: bounds the time."""
+        ax, ay, az = self.survey.areas
+        voxels = {"": 0.0, "6": max(ax, ay, az), "26": ax + ay + az}[self.surface]
+        return round(voxels + (ax if self.solid else 0)) + self.survey.triangles
+
+    def left_out(self) -> dict[str, str]:
+        """What is not compiled, allocated or run, and why."""
+        extent = f"the largest triangle spans {self.survey.extent:.1f} voxels"
+        out = {}
+        if not self.wide:
+            out["128-bit predicates"] = f"{extent}, of {NARROW_EXTENT} that 64 bits serve"
+        if self.code_bits == 32:
+            out["64-bit Morton codes"] = (
+                f"the octree's side is {self.side}, of {CODE_32_SIDE} that 32 bits serve"
+            )
+        if not self.blocked:
+            out["blocked level-1 volume"] = f"dense, it takes {_dense_bytes(self.side):,} bytes"
+        if not self.tiled:
+            out["sharing of triangles among work-items"] = extent
+        if not self.solid:
+            out["crossings, rows and fill"] = "the mode is a surface"
+        elif self.fill == "flood":
+            out["crossings, rows and fill"] = "the outside is flooded"
+        elif not self.entry:
+            out["state of rows on entry"] = "no triangle reaches beyond the low-x side"
+        if not self.surface:
+            out["surface voxels"] = "the mode is solid, without its surface"
+        if self.listed and not self.caps:
+            out["winding numbers near holes"] = (
+                "no edge bounds a hole: whole numbers tell all"
+                if self.fill == "winding"
+                else "crossings are counted, holes or not"
+            )
+        if self.fill == "parity":
+            out["directions of crossings"] = "parity does not need them"
+        out["x-neighbour pointers"] = (
+            "rows walk the octree itself" if self.solid else "nothing is propagated"
+        )
+        return out
+
+    def scene(self) -> dict[str, Any]:
+        """What the plan says of the scene, to be stored with the output: JSON types only."""
+        return {
+            "fill": self.rule,
+            **({"holes": self.holes, "cap_triangles": self.caps} if self.fill == "winding" else {}),
+            "triangles": self.survey.triangles - self.caps,
+            "triangles_outside": self.survey.outside,
+            "largest_extent_voxels": self.survey.extent,
+            "stages": self.stages,
+            "left_out": self.left_out(),
+            "predicted_nodes": self.nodes,
+            "predicted_bricks": self.bricks,
+        }
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it, the costs included: JSON types only."""
+        return {
+            "shape": list(self.shape),
+            **self.scene(),
+            "predicted_octree_bytes": self.octree_bytes,
+            "predicted_device_bytes": self.device_bytes,
+            "predicted_work": self.work,
+        }
+
+    @property
+    def largest_buffer(self) -> int:
+        """Predicted bytes of the largest single allocation on the device."""
+        mesh = 12 * max(self.survey.vertices, self.survey.triangles)
+        octree = max(NODE_BYTES * self.nodes, BRICK_BYTES * self.bricks)
+        return max(mesh, octree, _volume_bytes(self) // 2)
+
+    def fits(self, max_memory: int, max_allocation: int) -> bool:
+        """Whether memory and links suffice."""
+        return (
+            self.device_bytes <= max_memory
+            and self.largest_buffer <= max_allocation
+            and self.nodes < MAX_LINK
+        )
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Refuse what needs more.
+
+        Parameters
+        ----------
+        max_memory, max_allocation : bytes that the device may use in all, and in one buffer.
+
+        Raises
+        ------
+        MemoryLimitError : with the largest dim that fits.
+        """
+        if self.fits(max_memory, max_allocation):
+            return
+        dim = max(self.shape)
+        low, high = CELL - 1, dim  # low fits, or is none
+        while high - low > 1:
+            middle = (low + high) // 2
+            if _rescale(self, middle / dim).fits(max_memory, max_allocation):
+                low = middle
+            else:
+                high = middle
+        mend = f"dim {low} is the largest that fits" if low >= CELL else "no dim fits"
+        raise MemoryLimitError(
+            f"dim {dim} would need {human(self.device_bytes)} of memory "
+            f"({human(self.largest_buffer)} in one buffer), of {human(max_memory)} "
+            f"({human(max_allocation)}) allowed: {mend} (see --max-memory)"
+        )
+
+
+def plan_voxelization(
+    survey: Survey,
+    shape: tuple[int, int, int],
+    *,
+    fill: str,
+    surface: str,
+    gap: int = 0,
+    holes: int = 0,
+    caps: int = 0,
+) -> Plan:
+    """The plan for a mesh that was surveyed against a grid of the given shape.
+
+    Parameters
+    ----------
+    fill : rule that tells inside from outside, or "none" for a surface.
+    surface : "" or the separability of the surface, "26" or "6".
+    gap, holes, caps : as in Plan.
+    """
+    solid = fill != "none"
+    side = 1 << (max(shape) - 1).bit_length()
+    return Plan(
+        survey=survey,
+        shape=shape,
+        side=side,
+        fill=fill,
+        gap=gap,
+        surface=surface,
+        holes=holes,
+        caps=caps,
+        wide=survey.extent > NARROW_EXTENT,
+        code_bits=32 if side <= CODE_32_SIDE else 64,
+        blocked=side > DENSE_SIDE,
+        entry=solid and survey.before,
+        tiled=survey.extent > TILE - 3,
+        tiled_nodes=survey.extent > (TILE - 3) * CELL,
+        active=_predict_active(survey, shape, side, solid),
+    )
+
+
+def _predict_active(
+    survey: Survey, shape: tuple[int, int, int], side: int, solid: bool
+) -> tuple[int, ...]:
+    """Refined nodes by level: a plane patch of area A and normal n meets A (|nx| w + |ny| h +
+    |nz| d) / c^3 of the boxes of w x h x d that stand on a lattice of spacing c."""
+    if survey.triangles == survey.outside:
+        return (0,) * ((side // CELL).bit_length())
+    ax, ay, az = survey.areas
+    counts = []
+    cell = CELL
+    while cell <= side:
+        widened = cell + 1 if solid else cell
+        expected = (ax * widened + ay * cell + az * cell) / cell**3
+        most = 1
+        for n in shape:
+            most *= -(-n // cell)
+        counts.append(int(min(max(round(expected), 1), most)))
+        cell *= 2
+    return tuple(counts)
+
+
+def _dense_bytes(side: int) -> int:
+    return 2 * 4 * max((side // CELL) ** 3 // 32, 1)
+
+
+def _volume_bytes(plan: Plan) -> int:
+    """The level-1 volume: its words and, as many, their ranks."""
+    if not plan.blocked:
+        return _dense_bytes(plan.side)
+    blocks = plan.active[3] if len(plan.active) > 3 else 1
+    return 2 * 4 * max((plan.side // BLOCK) ** 3 // 32, 1) + blocks * (16 * 4 * 2 + 8)
+
+
+def _device_bytes(plan: Plan) -> int:
+    survey, active, finest = plan.survey, plan.active, plan.active[0]
+    mesh = 12 * (survey.vertices + survey.triangles)
+    shares = 4 * survey.triangles * (plan.tiled or plan.tiled_nodes)
+    volume = _volume_bytes(plan)
+    lists = sum(active) * (plan.code_bits // 8 + 4)
+    rows = 8 * finest + 4 * (plan.nodes - plan.bricks) if plan.solid else 0
+    if plan.entry:
+        rows += 8 * -(-plan.shape[1] // CELL) * -(-plan.shape[2] // CELL)
+    added = (BRICK_BYTES * plan.bricks + 4 * finest) * (plan.solid and bool(plan.surface))
+    crossings = 0
+    if plan.listed:  # sorted from one array to another
+        crossings = 2 * 8 * round(survey.areas[0]) + 4 * survey.triangles
+    return mesh + shares + volume + lists + rows + crossings + added + plan.octree_bytes
+
+
+def _rescale(plan: Plan, factor: float) -> Plan:
+    """The plan of the same scene at another dim."""
+    s = plan.survey
+    ax, ay, az = (a * factor**2 for a in s.areas)
+    survey = Survey(s.triangles, s.vertices, s.outside, s.extent * factor, (ax, ay, az), s.before)
+    nx, ny, nz = (max(round(n * factor), 1) for n in plan.shape)
+    return plan_voxelization(
+        survey,
+        (nx, ny, nz),
+        fill=plan.fill,
+        gap=plan.gap,
+        surface=plan.surface,
+        holes=plan.holes,
+        caps=plan.caps,
+    )

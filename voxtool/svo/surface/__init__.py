@@ -1,0 +1,1 @@
+"""Surfaces of octrees as triangle meshes."""

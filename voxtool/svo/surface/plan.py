@@ -1,0 +1,181 @@
+"""How a surface will be extracted from an octree: pure arithmetic on the numbers of its nodes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from voxtool.errors import MemoryLimitError, human
+from voxtool.svo.octree import BRICK_BYTES
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+MAX_SAMPLES = 4096  # of a surface along a side: tiles of four have Morton codes of 30 bits
+CUBE_BYTES = 24  # device arrays of a surface: a cube that is cut,
+EDGE_BYTES = {"smooth": 40, "blocks": 52, "nets": 84}  # a cut edge,
+MERGE_BYTES = 64  # and one of blocks that are merged
+
+
+@dataclass(frozen=True)
+class ExtractionPlan:
+    """How a surface will be extracted from an octree.
+
+    style, level, merge : as asked; solid : the octree has an inside.
+    nodes : of the octree's levels, level 0 first, with those of roots that were added; rooted :
+    they were, as cubes begin below the octree's low sides.
+    tiles, cubes, edges : predicted, then counted: tiles of 4 x 4 x 4 samples that are looked at,
+    cubes and edges that are cut. Only nodes are known beforehand, so what lies between leaves
+    without nodes is not predicted.
+    coarser : the plans of coarser levels, the finest first, made when they are asked for.
+    """
+
+    style: str
+    level: int | str
+    merge: bool
+    solid: bool
+    nodes: tuple[int, ...]
+    rooted: bool
+    tiles: int
+    cubes: int
+    edges: int
+    coarser: Callable[[], Iterable[ExtractionPlan]] = field(compare=False, repr=False)
+
+    @classmethod
+    def predict(
+        cls,
+        style: str,
+        level: int | str,
+        *,
+        merge: bool,
+        solid: bool,
+        nodes: tuple[int, ...],
+        rooted: bool,
+        coarser: Callable[[], Iterable[ExtractionPlan]] = tuple,
+    ) -> ExtractionPlan:
+        """The plan with what such octrees have: a surface passes about every fourth sample of a
+        tile, or eight of the 64 voxels of a brick; one without an inside passes them twice."""
+        active = _active_tiles(nodes, level)
+        cubes = active * (16 if level != "voxel" else 8 if solid else 20)
+        tiles = 2 * active
+        return cls(style, level, merge, solid, nodes, rooted, tiles, cubes, cubes, coarser)
+
+    @property
+    def voxels(self) -> bool:
+        """Whether samples are voxels."""
+        return self.level == "voxel"
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages that will run, in order."""
+        return [
+            "tiles",
+            "samples",
+            "classify",
+            *([] if self.voxels else ["lost voxels"]),
+            "vertices",
+            *(["relax"] if self.style == "nets" and self.voxels else []),
+            "histopyramid",
+            *([] if self.style == "smooth" else ["quads"]),
+            *(["merge"] if self.merge else []),
+            "triangles",
+        ]
+
+    @property
+    def samples(self) -> int:
+        """Samples along a side of the root."""
+        side = 4 << (len(self.nodes) - 1)  # in voxels
+        return max(side // (1 if isinstance(self.level, str) else 4 << self.level), 1)
+
+    @property
+    def device_bytes(self) -> int:
+        """Peak of memory on the device, the surface included, by the numbers above."""
+        active = _active_tiles(self.nodes, self.level)
+        octree = BRICK_BYTES * self.nodes[0] + 4 * sum(self.nodes[1:])
+        if self.level not in ("voxel", 0):
+            octree += 4 * self.nodes[1]  # coverages
+        sample = 0 if self.voxels else 1 if self.level == 0 else 4
+        tiles = 28 * max(self.samples**3 // 4096, 1) + 56 * self.tiles + 64 * sample * active
+        edge = EDGE_BYTES[self.style] + (MERGE_BYTES if self.merge else 0)
+        return octree + tiles + CUBE_BYTES * self.cubes + edge * self.edges
+
+    @property
+    def largest_buffer(self) -> int:
+        """Bytes of the largest single allocation on the device."""
+        octree, words = BRICK_BYTES * self.nodes[0], self.samples**3 // 512
+        return max(octree, words, 24 * self.tiles, 28 * self.edges)
+
+    def fits(self, max_memory: int, max_allocation: int) -> bool:
+        """Whether memory and codes suffice."""
+        return (
+            self.samples <= MAX_SAMPLES
+            and self.device_bytes <= max_memory
+            and self.largest_buffer <= max_allocation
+        )
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Refuse what needs more memory, or more samples along a side than there are codes for.
+
+        Parameters
+        ----------
+        max_memory, max_allocation : bytes that the device may use in all, and in one buffer.
+
+        Raises
+        ------
+        MemoryLimitError : with the finest level that fits, if one does.
+        """
+        if self.fits(max_memory, max_allocation):
+            return
+        fitting = (plan.level for plan in self.coarser() if plan.fits(max_memory, max_allocation))
+        level = next(fitting, None)
+        mend = "no level fits" if level is None else f"choose level {level}"
+        if self.samples > MAX_SAMPLES:
+            raise MemoryLimitError(
+                f"level {self.level} has {self.samples} samples along a side, of {MAX_SAMPLES} "
+                f"that are extracted: {mend}"
+            )
+        raise MemoryLimitError(
+            f"a {self.style} surface of level {self.level} would need "
+            f"{human(self.device_bytes)} of memory ({human(self.largest_buffer)} in one buffer), "
+            f"of {human(max_memory)} ({human(max_allocation)}) allowed: {mend}; or allow more (see "
+            "--max-memory)"
+        )
+
+    def left_out(self) -> dict[str, str]:
+        """What is not compiled, allocated or run, and why."""
+        out = {"cubes away from nodes": "a set of tiles names those that the surface may pass"}
+        if self.voxels:
+            out["coverages, and voxels lost to them"] = "samples are voxels"
+        elif self.level == 0:
+            out["coverages of 32 bits"] = "a brick's 64 voxels fit 8 bits"
+        if not self.rooted:
+            out["root above the octree"] = "no voxel touches the low sides of its cube"
+        if self.style == "smooth":
+            out["loops and quads"] = "the style is smooth: cubes are marched"
+        elif self.style == "blocks":
+            out["crossings and relaxation"] = "blocks lie on the corners of samples"
+        elif not self.voxels:
+            out["relaxation"] = "coverages are smooth as they are"
+        if self.style != "blocks" or not self.merge:
+            out["sorting"] = "Morton-ordered bits are sorted; only --merge sorts"
+        return out
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it: JSON types only."""
+        return {
+            "style": self.style,
+            "level": self.level,
+            "samples_along_side": self.samples,
+            "stages": self.stages,
+            "left_out": self.left_out(),
+            "predicted_tiles": self.tiles,
+            "predicted_cut_cubes": self.cubes,
+            "predicted_device_bytes": self.device_bytes,
+        }
+
+
+def _active_tiles(nodes: tuple[int, ...], level: int | str) -> int:
+    """Tiles that have nodes: one each 64 nodes that are samples, or each brick."""
+    if isinstance(level, str):  # voxel
+        return nodes[0]
+    return nodes[level + 1] // 8 if level + 1 < len(nodes) - 1 else 1
