@@ -457,7 +457,6 @@ def render_volumes(device) -> None:
 
     from voxtool.camera import Camera
     from voxtool.choices import METHODS
-    from voxtool.opencl import program
     from voxtool.tets import integrate
     from voxtool.tets.mesh import UnstructuredMesh
     from voxtool.tets.render import VolumeRenderer
@@ -465,8 +464,8 @@ def render_volumes(device) -> None:
 
     constants = {"SCALARS": 6, "LENGTHS": 4}  # a table that takes no minutes here
     for name, value in constants.items():
-        header = program.generated["tets/integrators.h"]
-        program.generated["tets/integrators.h"] = re.sub(rf"{name} \w+", f"{name} {value}", header)
+        header = integrate.HEADERS["tets/integrators.h"]
+        integrate.HEADERS["tets/integrators.h"] = re.sub(rf"{name} \w+", f"{name} {value}", header)
         setattr(integrate, name, value)
 
     shape = (3, 2, 6)

@@ -29,6 +29,10 @@ class MemoryLimitError(VoxtoolError):
     """A request needs more memory than it may take."""
 
 
+class MeshWarning(UserWarning):
+    """A result may surprise: it is empty, or the input has a fault that shows in it."""
+
+
 # --- words for messages --------------------------------------------------------------------------
 
 

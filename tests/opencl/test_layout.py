@@ -11,7 +11,7 @@ from voxtool.adf import build, field, hashing, query
 from voxtool.adf import raycast as adf_raycast
 from voxtool.errors import DeviceError
 from voxtool.grid import FIXED_POINT_BITS
-from voxtool.opencl import Device, primitives, program
+from voxtool.opencl import Device, headers, primitives, program
 from voxtool.spatial import bvh
 from voxtool.spatial import winding_number as winding
 from voxtool.svo import octree, voxelize
@@ -167,7 +167,7 @@ def test_the_constants_of_the_device_are_those_of_the_host(
     device: Device, header: str, kernels, request
 ) -> None:
     constants = CONSTANTS[header]
-    assert re.findall(r"#define (\w+)", program.generated[header]) == list(constants)
+    assert re.findall(r"#define (\w+)", headers.generated(header)) == list(constants)
     lines = [f'#include "{header}"', "__kernel void report(__global ulong *out) {"]
     for i, name in enumerate(constants):
         # preprocessed, as a type wide enough for it, and its sign: all masks are unsigned
@@ -178,12 +178,11 @@ def test_the_constants_of_the_device_are_those_of_the_host(
     assert found[1::2] == [int(value > 0) for value in constants.values()]
 
 
-def test_any_record_of_32_and_64_bit_fields(device: Device, kernels, request, monkeypatch) -> None:
+def test_any_record_of_32_and_64_bit_fields(device: Device, kernels, request) -> None:
     record = np.dtype([("a", "<u8"), ("b", "<i4"), ("c", "<u4"), ("d", "<i8")])
-    header = unique(request, "record.h")
-    monkeypatch.setitem(program.generated, header, program.c_struct("record", record))
     assert record.fields
-    lines = [f'#include "{header}"', "__kernel void report(__global ulong *out) {", "    record r;"]
+    lines = [program.c_struct("record", record), "__kernel void report(__global ulong *out) {"]
+    lines.append("    record r;")
     for i, name in enumerate(record.names or ()):
         lines.append(f"    out[{i}] = (ulong)((char *)&r.{name} - (char *)&r);")
     source = kernels(unique(request, "record.cl"), "\n".join([*lines, "out[4] = sizeof(r); }"]))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from conftest import opened, usable_devices
 
-from voxtool.opencl import Device, program
+from voxtool.opencl import Device
 
 REGIMES = (0.25, 4.0, 80.0)  # between which segment.h changes its method
 GROUP = 64
@@ -45,7 +45,7 @@ __kernel void rounded(__global const float *a, __global const float *b, __global
     store(sqrt(load(a + i)), root + i);
 }
 """
-program.generated["test_segment.cl"] = program.flatten("tets/segment.h") + KERNELS
+SOURCE = '#include "tets/segment.h"\n' + KERNELS
 
 
 def run(device: Device, kernel: str, results: int, *values: np.ndarray, lanes: int) -> np.ndarray:
@@ -54,7 +54,7 @@ def run(device: Device, kernel: str, results: int, *values: np.ndarray, lanes: i
     padded = -(-count // (GROUP * lanes)) * GROUP * lanes
     arrays = [device.put(np.resize(v.astype(np.float32), padded)) for v in values]
     out = [device.empty(padded, np.float32) for _ in range(results)]
-    launch = device.kernel("test_segment.cl", kernel, LANES=lanes)
+    launch = device.kernel(SOURCE, kernel, LANES=lanes)
     launch(padded // lanes, *arrays, *out, local=GROUP)
     return np.stack([o.get(stop=count) for o in out])
 

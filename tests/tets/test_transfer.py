@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from voxtool.errors import VoxtoolError
-from voxtool.opencl import Device, program
+from voxtool.opencl import Device
 from voxtool.tets.maps import MAPS
 from voxtool.tets.transfer import (
     DEFAULT_MAP,
@@ -325,7 +325,7 @@ __kernel void cut_once(__global const float *points, __global const float *rows,
     store(is_cut ? (ints)1 : (ints)0, cuts + i);
 }
 """
-program.generated["test_transfer.cl"] = program.flatten("tets/transfer.h") + CUT
+SOURCE = '#include "tets/transfer.h"\n' + CUT
 
 
 def pieces(
@@ -337,7 +337,7 @@ def pieces(
     interval = np.searchsorted(local.points, s_f, side="right").astype(np.int32)
     found: list[list[tuple[float, float, int]]] = [[] for _ in range(count)]
     going = np.ones(count, bool)
-    kernel = device.kernel("test_transfer.cl", "cut_once", LANES=lanes)
+    kernel = device.kernel(SOURCE, "cut_once", LANES=lanes)
     while going.any():
         out = [device.empty(count, t) for t in (np.float32, np.int32, np.int32, np.int32)]
         kernel(

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf import samples  # noqa: F401  (its header)
 from voxtool.adf.accuracy import measure
 from voxtool.adf.field import (
     JUMP,
@@ -31,7 +30,7 @@ from voxtool.adf.hashing import build_hash, cell_of, identifier_type, key_of
 from voxtool.adf.plan import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
 from voxtool.choices import SIGNS
 from voxtool.errors import VoxtoolError
-from voxtool.opencl import Array, Device, open_device, program
+from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.spatial.bvh import FIELDS, LEAF, Frame, build_tree
 from voxtool.spatial.pseudonormals import pseudonormals
@@ -57,16 +56,18 @@ NOWHERE = BEYOND = 0xFFFFFFFF  # no triangle; no cell, as it is out of the cube
 COARSE = BEYOND - 1  # no cell, as there is a leaf
 UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2  # sides of the mesh
 
-program.generated["adf/build.h"] = program.c_constants(
-    JUMP=JUMP,
-    KEPT=KEPT,
-    NOWHERE=NOWHERE,
-    BEYOND=BEYOND,
-    COARSE=COARSE,
-    UNKNOWN=UNKNOWN,
-    OUTSIDE=OUTSIDE,
-    INSIDE=INSIDE,
-)
+HEADERS = {
+    "adf/build.h": program.c_constants(
+        JUMP=JUMP,
+        KEPT=KEPT,
+        NOWHERE=NOWHERE,
+        BEYOND=BEYOND,
+        COARSE=COARSE,
+        UNKNOWN=UNKNOWN,
+        OUTSIDE=OUTSIDE,
+        INSIDE=INSIDE,
+    )
+}
 
 
 def build_adf(
@@ -238,7 +239,7 @@ class _Build:
     ) -> None:
         request.check()
         self.mesh, self.request = mesh, request
-        self.device = device = device or open_device()
+        self.device = device = device or default_device()
         self.memory = (max_memory or device.max_memory, device.info.max_allocation)
         normals = None if request.sign == "none" else pseudonormals(mesh)
         self.tree = build_tree(device, mesh, None if normals is None else normals.flat)

@@ -39,9 +39,7 @@ WEIGHT_BITS = 24  # of the fraction within a cell that a weight in float32 takes
 NO_LEAF, JUMP = 0, 255
 BOUND_STEPS = 8  # of a code for a factor of two: rounding up adds at most 9.1 %
 
-program.generated["adf/field.h"] = program.c_constants(
-    POINT_BITS=POINT_BITS, WEIGHT_BITS=WEIGHT_BITS
-)
+HEADERS = {"adf/field.h": program.c_constants(POINT_BITS=POINT_BITS, WEIGHT_BITS=WEIGHT_BITS)}
 
 
 def bound_values() -> np.ndarray:

@@ -48,7 +48,7 @@ import numpy as np
 
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of
 from voxtool.morton import morton_decode, morton_encode
-from voxtool.opencl import Array, Device, open_device, program
+from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.primitives import radix_sort
 
 if TYPE_CHECKING:
@@ -76,15 +76,17 @@ LOST, WON, NOWHERE = 0, 1, 2  # what becomes of a bucket in a round
 EVEN = 0xC13FA9A9, 0x91E10DA6  # 2**32 over the plastic number, and over its square
 AT_ONCE = 1 << 16  # keys whose slots are found at once, in memory that stays near
 
-program.generated["adf/hashing.h"] = program.c_constants(
-    SLOT_BITS=SLOT_BITS,
-    MOST_PARTED=MOST_PARTED,
-    WORDS=WORDS,
-    LANES=LANES,
-    LOST=LOST,
-    WON=WON,
-    NOWHERE=NOWHERE,
-)
+HEADERS = {
+    "adf/hashing.h": program.c_constants(
+        SLOT_BITS=SLOT_BITS,
+        MOST_PARTED=MOST_PARTED,
+        WORDS=WORDS,
+        LANES=LANES,
+        LOST=LOST,
+        WON=WON,
+        NOWHERE=NOWHERE,
+    )
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +176,7 @@ def build_hash(keys: np.ndarray, device: Device | None = None) -> SpatialHash:
     MemoryLimitError : the keys are more than 2**30, or there is no table of offsets within bounds.
     """
     keys = _checked(keys)
-    keys_on_device = _sort_keys(device or open_device(), keys)
+    keys_on_device = _sort_keys(device or default_device(), keys)
     m = _table_side(len(keys))
     for r, sizes, way in _attempts(keys_on_device, m):
         buckets = _fill_buckets(keys_on_device, r, sizes)

@@ -29,7 +29,7 @@ from voxtool.adf.field import (
 )
 from voxtool.choices import SEARCHES
 from voxtool.errors import VoxtoolError
-from voxtool.opencl import Array, Device, open_device, program
+from voxtool.opencl import Array, Device, default_device, program
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -59,9 +59,11 @@ CPU = Shape(lanes=16, batch=64, run=16, group=4)
 GPU = Shape(lanes=1, batch=1, run=1, group=64)
 GPU_COHERENT = Shape(lanes=1, batch=1, run=16, group=64)
 
-program.generated["adf/query.h"] = program.c_constants(
-    **{search.upper(): number for number, search in enumerate(SEARCHES)}
-)
+HEADERS = {
+    "adf/query.h": program.c_constants(
+        **{search.upper(): number for number, search in enumerate(SEARCHES)}
+    )
+}
 
 
 def query_adf(
@@ -95,7 +97,7 @@ class FieldQuery:
         MemoryLimitError : the field does not fit on it.
         """
         self.field = field
-        self.device = device or open_device()
+        self.device = device or default_device()
         table, (full, deepest) = field.hash, levels_to_search(field)
         self.textures = (
             self._upload(field.voxels),

@@ -39,7 +39,7 @@ SAFETY = 1 - 2.0**-10  # of leaps, for rounding
 ROOM_LEVEL = 5  # of the cells that tell how far steep leaves are
 TILE = 8  # pixels along a side of those that a work-group takes
 
-program.generated["adf/raycast.h"] = program.c_constants(ROOM_LEVEL=ROOM_LEVEL, TILE=TILE)
+HEADERS = {"adf/raycast.h": program.c_constants(ROOM_LEVEL=ROOM_LEVEL, TILE=TILE)}
 
 
 def render_adf(

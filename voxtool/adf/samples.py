@@ -45,17 +45,19 @@ def _corners() -> np.ndarray:
     return places[..., 0] + 3 * places[..., 1] + 9 * places[..., 2]
 
 
-program.generated["adf/samples.h"] = "\n".join(
-    [
-        program.c_constants(POINTS=POINTS, MIDDLE=MIDDLE),
-        f"#define HALF_DIAGONAL {HALF_DIAGONAL.hex()}",
-        f"#define SAMPLE_GAP {SAMPLE_GAP.hex()}",
-        _table("VERTICES", BLOCK),
-        _table("MIDDLES", 2 * OCTANTS + 1),
-        _table("CELL", OCTANTS),
-        _table("SAMPLES", SAMPLES),
-        _table("SIGNS", 2 * OCTANTS - 1, width=8),
-        _table("WEIGHTS", _weights()),
-        _table("CORNERS", _corners(), "uint", width=8),
-    ]
-)
+HEADERS = {
+    "adf/samples.h": "\n".join(
+        [
+            program.c_constants(POINTS=POINTS, MIDDLE=MIDDLE),
+            f"#define HALF_DIAGONAL {HALF_DIAGONAL.hex()}",
+            f"#define SAMPLE_GAP {SAMPLE_GAP.hex()}",
+            _table("VERTICES", BLOCK),
+            _table("MIDDLES", 2 * OCTANTS + 1),
+            _table("CELL", OCTANTS),
+            _table("SAMPLES", SAMPLES),
+            _table("SIGNS", 2 * OCTANTS - 1, width=8),
+            _table("WEIGHTS", _weights()),
+            _table("CORNERS", _corners(), "uint", width=8),
+        ]
+    )
+}

@@ -9,19 +9,25 @@ import re
 import shutil
 import sys
 import tempfile
+import threading
 import warnings
+import weakref
+from collections import OrderedDict
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
 from voxtool.errors import DeviceError, MemoryLimitError
-from voxtool.opencl import program
+from voxtool.opencl import launch, program
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+T = TypeVar("T")
+
+KEPT_SHARE = 0.25  # of the memory that work may take, for data that is used again
 INSTALL_HINT = (
     "install the extra 'cpu' (pip install 'voxtool[cpu]', x86-64) or a driver: see docs/devices.md"
 )
@@ -177,6 +183,27 @@ def open_device(choice: str | None = None, *, profile: bool = False) -> Device:
     raise no_usable_device(failures)
 
 
+def default_device() -> Device:
+    """The device of calls that name none: `open_device()`, once a process.
+
+    It is opened again in a child process after a fork, and when $VOXTOOL_DEVICE changes. Threads
+    may share it.
+
+    Raises
+    ------
+    DeviceError : as open_device.
+    """
+    key = os.getpid(), os.environ.get("VOXTOOL_DEVICE")
+    with _opening:
+        if key not in _default_devices:
+            _default_devices[key] = open_device()
+        return _default_devices[key]
+
+
+_default_devices: dict[tuple[int, str | None], Device] = {}
+_opening = threading.Lock()
+
+
 def no_usable_device(failures: list[str]) -> DeviceError:
     """The error that says what to install, or to unset."""
     mend = INSTALL_HINT
@@ -235,11 +262,18 @@ class Array:
     def _retire(self) -> None:
         """Shared memory must outlive the work that is still enqueued on it."""
         if self.host is not None:
-            self.device.retired.append(self.host)
+            self.device.retire(self.host)
             self.host = None
 
     def __del__(self) -> None:
         self._retire()
+
+
+class _Thread(threading.local):
+    """What each thread is at: the stage, and who is told of the next."""
+
+    stage = "other"
+    progress: Callable[[str], None] | None = None
 
 
 class Device:
@@ -254,14 +288,21 @@ class Device:
         self.queue = cl.CommandQueue(self.context, cl_device, flags)
         self.profile = profile
         self.shares_memory = info.kind == "CPU"
-        self.max_memory = min(info.memory, _machine_memory() if info.kind == "CPU" else sys.maxsize)
-        self.retired: list[np.ndarray] = []  # shared memory, kept until the queue has run dry
-        self.on_stage: Callable[[str], None] | None = None  # told of each stage that begins
-        self._stage = "other"
+        self._retired: list[np.ndarray] = []  # shared memory, kept until the queue has run dry
+        self._kept: OrderedDict[tuple[int, str], tuple[Any, int]] = OrderedDict()
+        self._thread = _Thread()
+        self._lock = threading.RLock()  # a kernel's arguments and its launch belong together
         self._events: list[tuple[str, Any]] = []
-        self._programs: dict[Any, Callable[..., None]] = {}
+        self._kernels: dict[Any, Callable[..., None]] = {}
 
     # ---- memory
+
+    @property
+    def max_memory(self) -> int:
+        """Bytes that work may take: the device's, of a CPU no more than the machine has left."""
+        if self.info.kind != "CPU":
+            return self.info.memory
+        return min(self.info.memory, _machine_memory())
 
     def _array(self, size: int, dtype: np.dtype | type, make: Callable[..., np.ndarray]) -> Array:
         """An array of new memory; if it is shared, host memory that `make` (np.empty, np.zeros)
@@ -329,8 +370,8 @@ class Device:
 
     def read(self, values: np.ndarray, buffer: Any, offset: int) -> None:
         """Copy from a buffer; waits for all that was enqueued."""
-        self._enqueue(self._cl.enqueue_copy, values, buffer, src_offset=offset)
-        self.retired.clear()
+        with self._finishing():
+            self._enqueue(self._cl.enqueue_copy, values, buffer, src_offset=offset)
 
     def finish_into(self, buffer: Any, nbytes: int) -> None:
         """Wait until the shared memory of a buffer holds what the device wrote."""
@@ -341,8 +382,47 @@ class Device:
             mapped.base.release()
             return event
 
-        self._enqueue(map_and_unmap)
-        self.retired.clear()
+        with self._finishing():
+            self._enqueue(map_and_unmap)
+
+    def retire(self, memory: np.ndarray) -> None:
+        """Keep shared memory until the work that is enqueued now is done."""
+        with self._lock:
+            self._retired.append(memory)
+
+    def keep(self, owner: Any, kind: str, nbytes: int, make: Callable[[], T]) -> T:
+        """What `make` returned for this owner and kind, kept on the device for the next call.
+
+        It is released when the owner goes, or when what is kept exceeds KEPT_SHARE of the memory;
+        then the one that was not used for longest goes first.
+
+        Parameters
+        ----------
+        owner : any object that can be weakly referenced; what is made must not refer to it.
+        nbytes : that it takes on the device.
+        """
+        key = id(owner), kind
+        with self._lock:
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key][0]
+            made = make()
+            room = KEPT_SHARE * self.max_memory - nbytes
+            while self._kept and sum(size for _, size in self._kept.values()) > room:
+                self._kept.popitem(last=False)
+            if room >= 0:
+                self._kept[key] = made, nbytes
+                weakref.finalize(owner, self._kept.pop, key, None)
+            return made
+
+    @contextlib.contextmanager
+    def _finishing(self) -> Iterator[None]:
+        """The work in this block waits for all before it, after which shared memory that was
+        retired by then may go."""
+        with self._lock:
+            retired, self._retired = self._retired, []
+        yield
+        del retired
 
     def __del__(self) -> None:
         if hasattr(self, "queue"):
@@ -353,38 +433,65 @@ class Device:
     def kernel(self, source: str, name: str, **defines: int | str) -> Callable[..., None]:
         """A kernel of kernels/`source`, built once with the given -D options.
 
-        Called as `kernel(size, *args)`: at least `size` work-items (none for 0; it is rounded up to
-        whole work-groups of `local`, and PoCL compiles a kernel anew for each size of group), the
-        arguments Arrays and numpy scalars.
+        Called as `kernel(size, *args, local=64, **named)`: at least `size` work-items (none for 0;
+        it is rounded up to whole work-groups of `local`, and PoCL compiles a kernel anew for each
+        size of group); the arguments as launch.bind takes them.
         """
         key = (source, name, *sorted(defines.items()))
-        if key not in self._programs:
-            built = program.build(self._cl, self.context, self.info.platform, source, defines)
-            for kernel in built.all_kernels():
-                self._programs[(source, kernel.function_name, *key[2:])] = self._launcher(kernel)
-        return self._programs[key]
+        with self._lock:
+            if key not in self._kernels:
+                built = program.build(self._cl, self.context, self.info.platform, source, defines)
+                declared = launch.parameters(program.flatten(source), defines)
+                for kernel in built.all_kernels():
+                    name = kernel.function_name
+                    launcher = self._launcher(kernel, name, declared[name])
+                    self._kernels[(source, name, *key[2:])] = launcher
+            return self._kernels[key]
 
-    def _launcher(self, kernel: Any) -> Callable[..., None]:
+    def _launcher(
+        self, kernel: Any, name: str, declared: list[launch.Parameter]
+    ) -> Callable[..., None]:
         enqueue = self._cl.enqueue_nd_range_kernel
 
-        def launch(size: int, *args: Any, local: int = WORK_GROUP) -> None:
+        def run(size: int, *args: Any, local: int = WORK_GROUP, **named: Any) -> None:
             if size == 0:
                 return
-            kernel.set_args(*(a.buffer if isinstance(a, Array) else a for a in args))
-            self._enqueue(enqueue, kernel, (-(-size // local) * local,), (local,))
+            values = launch.bind(name, declared, size, args, named)
+            with self._lock:
+                kernel.set_args(*values)
+                self._enqueue(enqueue, kernel, (-(-size // local) * local,), (local,))
 
-        return launch
+        return run
 
     @contextlib.contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Name the stage to which the work enqueued in this block belongs."""
-        outer, self._stage = self._stage, name
-        if self.on_stage:
-            self.on_stage(name)
+        """Name the stage to which the work of this thread in this block belongs."""
+        outer, self._thread.stage = self._thread.stage, name
+        if self._thread.progress:
+            self._thread.progress(name)
         try:
             yield
         finally:
-            self._stage = outer
+            self._thread.stage = outer
+
+    @property
+    def on_stage(self) -> Callable[[str], None] | None:
+        """Who is told of each stage of this thread."""
+        return self._thread.progress
+
+    @on_stage.setter
+    def on_stage(self, progress: Callable[[str], None] | None) -> None:
+        self._thread.progress = progress
+
+    @contextlib.contextmanager
+    def reporting(self, progress: Callable[[str], None] | None) -> Iterator[None]:
+        """Call `progress` with the name of each stage that this thread begins in this block."""
+        outer = self._thread.progress
+        self._thread.progress = progress or outer
+        try:
+            yield
+        finally:
+            self._thread.progress = outer
 
     def _enqueue(self, work: Callable[..., Any], *args: Any, **options: Any) -> None:
         """Enqueue work, whose event tells the stage's time."""
@@ -397,7 +504,7 @@ class Device:
                 ) from error
             raise DeviceError(f"{self.info.name} failed: {error}") from error
         if self.profile:
-            self._events.append((self._stage, event))
+            self._events.append((self._thread.stage, event))
 
     def stage_times(self) -> dict[str, float]:
         """Seconds on the device by stage since the last call, in order of first use."""

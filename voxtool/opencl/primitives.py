@@ -24,9 +24,11 @@ QUADS = 32  # quadruples of a histopyramid that a work-group of 5 * QUADS makes
 PORTIONS = 128  # portions of keys for each unit of the device, at most
 _KEYS = {np.dtype(np.uint32): "uint", np.dtype(np.uint64): "ulong"}
 
-program.generated["opencl/primitives.h"] = program.c_constants(
-    WORK_GROUP=WORK_GROUP, GROUP=GROUP, ITEMS=ITEMS, DIGIT_BITS=DIGIT_BITS, QUADS=QUADS
-)
+HEADERS = {
+    "opencl/primitives.h": program.c_constants(
+        WORK_GROUP=WORK_GROUP, GROUP=GROUP, ITEMS=ITEMS, DIGIT_BITS=DIGIT_BITS, QUADS=QUADS
+    )
+}
 
 
 def exclusive_scan(values: Array, n: int) -> int:

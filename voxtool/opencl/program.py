@@ -15,14 +15,12 @@ from typing import Any, SupportsInt
 import numpy as np
 
 from voxtool.errors import DeviceError
+from voxtool.opencl import headers
 
 _INCLUDE = re.compile(r'^#include "([^"]+)"$', re.MULTILINE)
 _C_TYPES = {"<u4": "uint", "<i4": "int", "<u8": "ulong", "<i8": "long", "|u1": "uchar"}
 OPTIONS = ["-cl-std=CL1.2"]
 ROUNDED = "-cl-fp32-correctly-rounded-divide-sqrt"  # float32, where a device offers it
-
-# Headers that the host writes, so that a layout is given once: name -> text.
-generated: dict[str, str] = {}
 
 
 @functools.cache
@@ -37,7 +35,8 @@ def kernel_folder() -> Path:
 
 @functools.cache
 def flatten(source: str) -> str:
-    """The text of kernels/`source` with its includes in place, each once."""
+    """The text of kernels/`source`, or of `source` itself if it has lines, with its includes in
+    place, each once."""
     seen: set[str] = set()
 
     def read(name: str) -> str:
@@ -45,9 +44,9 @@ def flatten(source: str) -> str:
             return ""
         seen.add(name)
         lines = []
-        if name in generated:
-            return generated[name]
-        text = (kernel_folder() / name).read_text(encoding="utf-8")
+        if name in headers.HOMES:
+            return headers.generated(name)
+        text = name if "\n" in name else (kernel_folder() / name).read_text(encoding="utf-8")
         for number, line in enumerate(text.splitlines(), 1):
             include = _INCLUDE.match(line)
             if include:
@@ -57,7 +56,8 @@ def flatten(source: str) -> str:
                 lines.append(line)
         return "\n".join(lines)
 
-    return f'#line 1 "{source}"\n{read(source)}\n'
+    label = "source" if "\n" in source else source
+    return f'#line 1 "{label}"\n{read(source)}\n'
 
 
 def c_struct(name: str, dtype: np.dtype) -> str:

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from voxtool.opencl import program
-
 # atan t = t + t^3 P(t^2) on [0, tan(pi/8)] to 2e-17: the first twelve terms of the Chebyshev series
 # 2 sum (-1)^k q^(2k+1) / (2k+1) T_(2k+1)(t / tan(pi/8)), q = tan(pi/16)
 COEFFICIENTS = (
@@ -27,14 +25,16 @@ COEFFICIENTS = (
 EIGHTH = 0.41421356237309503  # tan(pi/8)
 PI = 3.141592653589793
 
-program.generated["spatial/arctangent.h"] = "\n".join(
-    f"#define {name} {value.hex()}"
-    for name, value in (
-        *((f"ARCTANGENT_{i}", value) for i, value in enumerate(COEFFICIENTS)),
-        ("TAN_EIGHTH", EIGHTH),
-        ("PI", PI),
+HEADERS = {
+    "spatial/arctangent.h": "\n".join(
+        f"#define {name} {value.hex()}"
+        for name, value in (
+            *((f"ARCTANGENT_{i}", value) for i, value in enumerate(COEFFICIENTS)),
+            ("TAN_EIGHTH", EIGHTH),
+            ("PI", PI),
+        )
     )
-)
+}
 
 
 def angle_of(y: np.ndarray, x: np.ndarray) -> np.ndarray:

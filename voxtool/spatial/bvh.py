@@ -38,16 +38,18 @@ MARGIN_BITS = 20  # a box in single precision is 2**-20 wider than what it holds
 NAMELESS = 0xFFFFFFFF  # triangle of a leaf
 MAX_EXPONENT = 500  # squares of lengths up to 2**500 are in the range of float64
 
-program.generated["spatial/bvh.h"] = program.c_constants(
-    ARITY=ARITY,
-    LEAF=LEAF,
-    FIELDS=FIELDS,
-    MAX_LEVELS=MAX_LEVELS,
-    FACE_BITS=FACE_BITS,
-    POINT_BITS=POINT_BITS,
-    MARGIN_BITS=MARGIN_BITS,
-)
-program.generated["spatial/names.h"] = program.c_constants(NAMELESS=NAMELESS)
+HEADERS = {
+    "spatial/bvh.h": program.c_constants(
+        ARITY=ARITY,
+        LEAF=LEAF,
+        FIELDS=FIELDS,
+        MAX_LEVELS=MAX_LEVELS,
+        FACE_BITS=FACE_BITS,
+        POINT_BITS=POINT_BITS,
+        MARGIN_BITS=MARGIN_BITS,
+    ),
+    "spatial/names.h": program.c_constants(NAMELESS=NAMELESS),
+}
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.errors import VoxtoolError
-from voxtool.opencl import open_device
+from voxtool.opencl import default_device
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.sampling import Spread
 
@@ -60,7 +60,7 @@ def deviation(
     spreads = [
         Spread(mesh, name) for mesh, name in ((surface, "surface"), (reference, "reference"))
     ]
-    device = device or open_device()
+    device = device or default_device()
     there = _one_way(spreads[0], TriangleDistance(reference, device), int(samples))
     back = _one_way(spreads[1], TriangleDistance(surface, device), int(samples))
     result: dict[str, Any] = {

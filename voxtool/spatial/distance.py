@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.errors import VoxtoolError
-from voxtool.opencl import Array, Device, open_device
+from voxtool.opencl import Array, Device, default_device
 from voxtool.opencl.primitives import radix_sort
 from voxtool.spatial.bvh import MAX_EXPONENT, POINT_BITS, TriangleTree, build_tree
 
@@ -54,7 +54,7 @@ class TriangleDistance:
         MeshError : the mesh has no faces, or an extent beyond 2^±500.
         DeviceError : there is no device, or it has no double precision.
         """
-        self.device = device or open_device()
+        self.device = device or default_device()
         flat = None if normals is None or normals.flat.all() else normals.flat
         self.tree = build_tree(self.device, mesh, flat)
         self._sides: tuple[Array, ...] = ()

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.opencl import Array, Device, open_device, program
-from voxtool.spatial import angles  # noqa: F401  (its header)
+from voxtool.opencl import Array, Device, default_device, program
 from voxtool.spatial.bvh import ARITY, TriangleTree, build_tree
 from voxtool.spatial.distance import at_points
 
@@ -32,9 +31,7 @@ MOMENTS = 23  # numbers of a child: centre (3), squared reach, moments of order 
 FAR_BITS = 60  # from 2**60 extents on, the number is 0
 REACH = 3.0  # radii
 
-program.generated["spatial/winding_number.h"] = program.c_constants(
-    MOMENTS=MOMENTS, FAR_BITS=FAR_BITS
-)
+HEADERS = {"spatial/winding_number.h": program.c_constants(MOMENTS=MOMENTS, FAR_BITS=FAR_BITS)}
 
 
 class WindingNumber:
@@ -59,7 +56,7 @@ class WindingNumber:
         ------
         MeshError, DeviceError : as TriangleDistance.
         """
-        self.device = device or open_device()
+        self.device = device or default_device()
         self.tree = tree or build_tree(self.device, mesh)
         self.reach = np.float64(reach)
         with self.device.stage("moments"):

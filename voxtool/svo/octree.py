@@ -39,13 +39,15 @@ MAX_LINK = int(VALID)  # nodes, as a link has 30 bits
 BRICK = np.dtype("<u8")
 BRICK_SIDE = 4
 NODE_BYTES, BRICK_BYTES = NODE.itemsize, BRICK.itemsize
-program.generated["svo/octree.h"] = "\n".join(
-    [
-        program.c_struct("svo_node", NODE),
-        program.c_constants(INSIDE=INSIDE, VALID=VALID, LINK=LINK),
-        f"#define FIXED_POINT_BITS {FIXED_POINT_BITS}",
-    ]
-)
+HEADERS = {
+    "svo/octree.h": "\n".join(
+        [
+            program.c_struct("svo_node", NODE),
+            program.c_constants(INSIDE=INSIDE, VALID=VALID, LINK=LINK),
+            f"#define FIXED_POINT_BITS {FIXED_POINT_BITS}",
+        ]
+    )
+}
 
 BRICK_VOXELS = morton_decode(np.arange(BRICK_SIDE**3))  # (64, 3): the voxel of each bit
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from voxtool.camera import dot
 from voxtool.errors import MemoryLimitError, VoxtoolError
-from voxtool.opencl import Array, Device, open_device, program
+from voxtool.opencl import Array, Device, default_device, program
 from voxtool.svo.octree import INSIDE, Octree
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 SOURCE = "svo/raycast.cl"
 COLOUR = (0.88, 0.85, 0.8)  # a warm light grey
 TILE = 8  # pixels along a side of the tile that a work-group draws
-program.generated["svo/raycast.h"] = program.c_constants(TILE=TILE)
+HEADERS = {"svo/raycast.h": program.c_constants(TILE=TILE)}
 
 
 def render_svo(
@@ -61,7 +61,7 @@ class OctreeRenderer:
         MemoryLimitError : the octree does not fit on it.
         """
         self.octree = octree
-        self.device = device or open_device()
+        self.device = device or default_device()
         with self.device.stage("coverage"):
             self._tree = self._cover()
 

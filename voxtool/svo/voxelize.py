@@ -27,7 +27,7 @@ from voxtool.choices import FILLS, MODES
 from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.mesh.topology import watertight
-from voxtool.opencl import Array, Device, open_device, program
+from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.primitives import exclusive_scan, radix_sort
 from voxtool.svo.build import DeviceOctree, build_octree, code_name
 from voxtool.svo.fill import parity as inside
@@ -49,14 +49,16 @@ NODE_LEVEL, BLOCK_LEVEL = CELL.bit_length() - 1, BLOCK.bit_length() - 1
 BLOCK_WORDS = (BLOCK // CELL) ** 3 // 32
 HALF_VOXEL = 1 << (FIXED_POINT_BITS - 1)
 SURVEY_ITEMS = 256  # each sums its share of the triangles
-program.generated["svo/voxelize.h"] = program.c_constants(
-    TOUCHED=TOUCHED,
-    SEPARATING=SEPARATING,
-    CROSSED=CROSSED,
-    NODE_LEVEL=NODE_LEVEL,
-    TILE=TILE,
-    BLOCK=BLOCK,
-)
+HEADERS = {
+    "svo/voxelize.h": program.c_constants(
+        TOUCHED=TOUCHED,
+        SEPARATING=SEPARATING,
+        CROSSED=CROSSED,
+        NODE_LEVEL=NODE_LEVEL,
+        TILE=TILE,
+        BLOCK=BLOCK,
+    )
+}
 
 
 def voxelize(
@@ -101,7 +103,7 @@ def voxelize(
     MemoryLimitError : the octree would not fit; the message says which dim does.
     DeviceError : no usable device.
     """
-    device = device or open_device()
+    device = device or default_device()
     scene = _Scene(mesh, grid, mode, fill, gap, with_surface, window, device)
     limit = device.max_memory if max_memory is None else max_memory
     scene.plan.refuse_beyond(limit, device.info.max_allocation)
@@ -150,7 +152,7 @@ def plan_voxelize(
     device: Device | None = None,
 ) -> Plan:
     """What `voxelize` would do with the same arguments, without doing it."""
-    device = device or open_device()
+    device = device or default_device()
     return _Scene(mesh, grid, mode, fill, gap, with_surface, window, device).plan
 
 

@@ -25,11 +25,13 @@ MOST_SAMPLES = 1 << 12  # points in a cell
 SCALARS, LENGTHS = 128, 32  # sides of the pre-integrated table
 LANES = 16  # rays that a work-item of a CPU follows side by side
 
-program.generated["tets/integrators.h"] = program.c_constants(
-    **{name.upper(): number for number, name in enumerate(INTEGRATORS)},
-    SCALARS=SCALARS,
-    LENGTHS=LENGTHS,
-)
+HEADERS = {
+    "tets/integrators.h": program.c_constants(
+        **{name.upper(): number for number, name in enumerate(INTEGRATORS)},
+        SCALARS=SCALARS,
+        LENGTHS=LENGTHS,
+    )
+}
 
 
 class Integral:

@@ -50,7 +50,7 @@ TILE = 8  # pixels along the side of a tile; a multiple of 4
 PENDING = 32  # fragments of a ray that may wait
 MOST_PAIRS = (1 << 31) - 1  # of a cell and a tile
 
-program.generated["tets/project.h"] = program.c_constants(TILE=TILE)
+HEADERS = {"tets/project.h": program.c_constants(TILE=TILE)}
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ SOURCE = "tets/raycast.cl"
 MOST_STILL = 1 << 12  # steps that a ray takes at one place before it is given up
 SLOTS, MANY_SLOTS = 3, 7  # ways out that a record holds: the eye is outside a tetrahedron, or not
 
-program.generated["tets/raycast.h"] = program.c_constants(MOST_STILL=MOST_STILL)
+HEADERS = {"tets/raycast.h": program.c_constants(MOST_STILL=MOST_STILL)}
 
 
 def cast(visible: VisibleCells, view: Viewpoint, integral: Integral) -> np.ndarray:

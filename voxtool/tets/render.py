@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from voxtool.choices import METHODS
 from voxtool.errors import VoxtoolError
-from voxtool.opencl import open_device
+from voxtool.opencl import default_device
 from voxtool.tets.integrate import Integral
 from voxtool.tets.project import CellProjection
 from voxtool.tets.raycast import cast
@@ -50,7 +50,7 @@ class VolumeRenderer:
         MemoryLimitError : the volume does not fit on it.
         """
         self.volume = volume
-        self.device = device or open_device()
+        self.device = device or default_device()
         self._textures = VolumeTextures(volume, self.device)
         self._shown: tuple[TransferFunction, LocalTransfer, VisibleCells] | None = None
 

@@ -53,7 +53,7 @@ PLANAR = 1e-5  # of a hexahedron's size: how far at most its vertices are from t
 STEEPEST = 1e30  # gradient, normalised and local: float32 has room for products with it
 ROUNDED = 2.0**-20  # how far at most a vertex is from its plane, both in float32
 
-program.generated["tets/volume.h"] = program.c_constants(BLOCK=BLOCK)
+HEADERS = {"tets/volume.h": program.c_constants(BLOCK=BLOCK)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from voxtool.svo.octree import BRICK, BRICK_BYTES, LINK, MAX_LINK, NODE_BYTES, V
 
 SOURCE = "svo/fill/parity.cl"
 MIXED = np.uint32(1 << 29)  # a leaf that must be refined
-program.generated["svo/fill/parity.h"] = program.c_constants(MIXED=MIXED)
+HEADERS = {"svo/fill/parity.h": program.c_constants(MIXED=MIXED)}
 ALL_ROWS = np.uint64(0xFFFFFFFFFFFFFFFF)
 
 

@@ -56,7 +56,7 @@ BRICK_LEVEL = BRICK_SIDE.bit_length() - 1
 BATCH = 1 << 14  # bricks whose voxels are numbered at once
 # A bit is left free below: with it Oclgrind 21.10 meets a shift that it does not know.
 ENTERS = 2
-program.generated["svo/fill/winding.h"] = program.c_constants(NOWHERE=NOWHERE, ENTERS=ENTERS)
+HEADERS = {"svo/fill/winding.h": program.c_constants(NOWHERE=NOWHERE, ENTERS=ENTERS)}
 
 
 @dataclass(frozen=True)

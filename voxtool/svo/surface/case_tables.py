@@ -235,3 +235,9 @@ def dual_header() -> str:
     }
     constants = {"ALTERNATIVE": ALTERNATIVE, "NO_FACE": NO_FACE, "NO_EDGE": NO_EDGE}
     return _header(constants, tables)
+
+
+HEADERS = {
+    "svo/surface/case_tables.h": primal_header(),
+    "svo/surface/dual_case_tables.h": dual_header(),
+}

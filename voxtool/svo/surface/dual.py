@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.opencl import Array, Device, program
+from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import build_histopyramid, exclusive_scan
-from voxtool.svo.surface import case_tables as cases
 from voxtool.svo.surface.cut_cells import VOXEL, CutCubes, Tiles
 
 if TYPE_CHECKING:
@@ -26,7 +25,6 @@ if TYPE_CHECKING:
 
 SOURCE = "svo/surface/dual.cl"
 RELAXATIONS = 16  # as VTK's surface nets
-program.generated["svo/surface/dual_case_tables.h"] = cases.dual_header()
 
 
 def dual_surface(

@@ -31,10 +31,9 @@ from voxtool.choices import STYLES
 from voxtool.errors import VoxtoolError
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
-from voxtool.opencl import Array, Device, open_device, program
+from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.primitives import build_histopyramid
 from voxtool.svo.octree import Octree
-from voxtool.svo.surface import case_tables as cases
 from voxtool.svo.surface.cut_cells import (
     MAX_LEVEL,
     VOXEL,
@@ -59,10 +58,11 @@ SOURCE = "svo/surface/marching_cubes.cl"
 LATTICE_BITS = 14
 LATTICE = 1 << LATTICE_BITS  # points count this often a sample's side
 NEAREST = LATTICE // 256  # that a point comes to a sample, or a net's to the sides of its cube
-program.generated["svo/surface/lattice.h"] = program.c_constants(
-    LATTICE_BITS=LATTICE_BITS, LATTICE=LATTICE, NEAREST=NEAREST
-)
-program.generated["svo/surface/case_tables.h"] = cases.primal_header()
+HEADERS = {
+    "svo/surface/lattice.h": program.c_constants(
+        LATTICE_BITS=LATTICE_BITS, LATTICE=LATTICE, NEAREST=NEAREST
+    )
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,7 +175,7 @@ def extract(
     MemoryLimitError : the surface would not fit.
     DeviceError : no usable device.
     """
-    device = device or open_device()
+    device = device or default_device()
     level, field = _field(octree, style, level, isovalue, merge)
     tree = grow(octree, field)
     limits = device.max_memory if max_memory is None else max_memory, device.info.max_allocation

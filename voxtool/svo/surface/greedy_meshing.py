@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 SOURCE = "svo/surface/greedy_meshing.cl"
 FIELD = MAX_SAMPLES.bit_length()  # bits of a coordinate of a corner
 QUAD_BITS, ROW_BITS = 3 + 3 * FIELD, 3 + 4 * FIELD
-program.generated["svo/surface/greedy_meshing.h"] = program.c_constants(FIELD=FIELD)
+HEADERS = {"svo/surface/greedy_meshing.h": program.c_constants(FIELD=FIELD)}
 
 
 def join_rectangles(

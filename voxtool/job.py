@@ -1,0 +1,170 @@
+"""Jobs: work that is planned once, described, and then run or refused.
+
+A wing's `plan_...` function reads and surveys its input, decides, and returns a Job. Its decisions
+are a Plan: a frozen dataclass of plain numbers, which says everything that can be said beforehand.
+`--plan`, the progress bar, `-v`, the benchmarks and the stored output all read the same Plan, and
+`run()` follows it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import sys
+import warnings
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
+
+from voxtool.errors import MeshWarning
+from voxtool.memory import available_memory
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+    from voxtool.opencl import Device
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Predicted bytes: at peak on the device and on the host beside it, and of the largest single
+    allocation on the device."""
+
+    device: int
+    host: int = 0
+    largest: int = 0
+
+
+class Plan(Protocol):
+    """What a job decided before it runs: a frozen dataclass of numbers, names and tuples."""
+
+    @property
+    def stages(self) -> Sequence[str]:
+        """The stages that will run, in order."""
+        ...
+
+    @property
+    def left_out(self) -> Mapping[str, str]:
+        """What is not compiled, allocated or run, and why."""
+        ...
+
+    @property
+    def cost(self) -> Cost:
+        """The memory that the job is predicted to take."""
+        ...
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of the plan in JSON types."""
+        ...
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What `--plan` prints before the stages: names and texts."""
+        ...
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Raise MemoryLimitError if the job needs more bytes than these, in total or in one
+        buffer; the message says what would fit."""
+        ...
+
+
+class Job(ABC, Generic[Result]):
+    """Work that has been planned.
+
+    Attributes
+    ----------
+    device : where it runs; None for a job of the host alone.
+    plan : what was decided.
+    max_memory : bytes that it may take, or None for what the device or the machine has.
+    """
+
+    device: Device | None
+    plan: Any  # a Plan of the wing's own
+    max_memory: int | None = None
+    _progress: Callable[[str], None] | None = None
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The stages that will run, in order."""
+        return tuple(self.plan.stages)
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """What is not compiled, allocated or run, and why."""
+        return dict(self.plan.left_out)
+
+    @property
+    def cost(self) -> Cost:
+        """The memory that the job is predicted to take."""
+        return self.plan.cost
+
+    def describe(self) -> dict[str, Any]:
+        """The plan in JSON types, as `--plan --json` prints it."""
+        return self.plan.as_dict()
+
+    def with_(self, **decisions: Any) -> Self:
+        """The same job with decisions of its plan forced, for ablation and tests.
+
+        Parameters
+        ----------
+        decisions : fields of the plan, and their values.
+
+        Raises
+        ------
+        TypeError : the plan has no such field.
+        """
+        job = copy.copy(self)
+        job.plan = replace(self.plan, **decisions)
+        return job
+
+    def refuse(self) -> None:
+        """Raise MemoryLimitError if the job would take more memory than it may."""
+        if self.device:
+            most, largest = self.device.max_memory, self.device.info.max_allocation
+        else:
+            most, largest = available_memory(), sys.maxsize
+        self.plan.refuse_beyond(most if self.max_memory is None else self.max_memory, largest)
+
+    def run(self, progress: Callable[[str], None] | None = None) -> Result:
+        """Run the job.
+
+        Parameters
+        ----------
+        progress : called with the name of each stage as it begins.
+
+        Raises
+        ------
+        MemoryLimitError : it would not fit; nothing was begun.
+
+        Warns
+        -----
+        MeshWarning : the result may surprise: each of `findings`.
+        """
+        self.refuse()
+        self._progress = progress
+        with self.device.reporting(progress) if self.device else contextlib.nullcontext():
+            result = self._run()
+        for finding in self.findings(result):
+            warnings.warn(finding, MeshWarning, stacklevel=2)
+        return result
+
+    @abstractmethod
+    def _run(self) -> Result:
+        """Do the work as the plan says."""
+
+    def findings(self, result: Result) -> Iterable[str]:
+        """What a user should know of a result: why it is empty, or what was wrong with the input;
+        one line each."""
+        return ()
+
+    @contextlib.contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Name the stage to which the work in this block belongs."""
+        if self.device:
+            with self.device.stage(name):
+                yield
+            return
+        if self._progress:
+            self._progress(name)
+        yield

@@ -1,0 +1,55 @@
+"""The headers that the host generates for the kernels, so that a constant or layout is given once.
+
+A module that shares constants with kernels has a dictionary `HEADERS`, from header names to their
+text. Print them with `python -m voxtool.opencl.headers [NAME ...]`.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+# Header -> the module whose HEADERS holds its text.
+HOMES = {
+    "adf/build.h": "voxtool.adf.build",
+    "adf/field.h": "voxtool.adf.field",
+    "adf/hashing.h": "voxtool.adf.hashing",
+    "adf/query.h": "voxtool.adf.query",
+    "adf/raycast.h": "voxtool.adf.raycast",
+    "adf/samples.h": "voxtool.adf.samples",
+    "opencl/primitives.h": "voxtool.opencl.primitives",
+    "spatial/arctangent.h": "voxtool.spatial.angles",
+    "spatial/bvh.h": "voxtool.spatial.bvh",
+    "spatial/names.h": "voxtool.spatial.bvh",
+    "spatial/winding_number.h": "voxtool.spatial.winding_number",
+    "svo/fill/parity.h": "voxtool.svo.fill.parity",
+    "svo/fill/winding.h": "voxtool.svo.fill.winding",
+    "svo/octree.h": "voxtool.svo.octree",
+    "svo/raycast.h": "voxtool.svo.raycast",
+    "svo/surface/case_tables.h": "voxtool.svo.surface.case_tables",
+    "svo/surface/dual_case_tables.h": "voxtool.svo.surface.case_tables",
+    "svo/surface/greedy_meshing.h": "voxtool.svo.surface.greedy_meshing",
+    "svo/surface/lattice.h": "voxtool.svo.surface.extract",
+    "svo/voxelize.h": "voxtool.svo.voxelize",
+    "tets/integrators.h": "voxtool.tets.integrate",
+    "tets/project.h": "voxtool.tets.project",
+    "tets/raycast.h": "voxtool.tets.raycast",
+    "tets/volume.h": "voxtool.tets.volume",
+}
+
+
+def generated(name: str) -> str:
+    """The text of a generated header."""
+    return import_module(HOMES[name]).HEADERS[name]
+
+
+def main(names: list[str]) -> None:
+    """Print the headers of these names, or all."""
+    for name in names or HOMES:
+        if name not in HOMES:
+            sys.exit(f"{name}: no generated header: choose from {', '.join(HOMES)}")
+        print(f"// {name}, from {HOMES[name]}\n{generated(name)}\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,164 @@
+"""Launching kernels: arguments are converted as the kernel's own declaration says.
+
+Host code passes Arrays, None, plain numbers and tuples of them, by position or by name. The types
+are read from the kernel's source after preprocessing, because drivers lose them: Intel's keeps no
+argument types with a program that pyopencl has cached as a binary.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+_TYPES = {
+    "char": np.int8,
+    "uchar": np.uint8,
+    "short": np.int16,
+    "ushort": np.uint16,
+    "int": np.int32,
+    "uint": np.uint32,
+    "long": np.int64,
+    "ulong": np.uint64,
+    "float": np.float32,
+    "double": np.float64,
+}
+_QUALIFIERS = {"__global", "__constant", "__local", "const", "volatile", "restrict"}
+_DIRECTIVE = re.compile(r"\s*#\s*(ifdef|ifndef|if|elif|else|endif|define|undef)\b\s*(.*)")
+_KERNEL = re.compile(r"__kernel\b[^;{]*?\bvoid\s+(\w+)\s*\(")
+SIZE = "n"  # the parameter that is the number of work-items
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a kernel; `dtype` is None for a pointer, `width` the components of vectors."""
+
+    name: str
+    dtype: np.dtype | None = None
+    width: int = 1
+
+    def convert(self, value: Any) -> Any:
+        """What pyopencl takes for a value.
+
+        Raises
+        ------
+        TypeError, OverflowError : the value does not suit the parameter.
+        """
+        if self.dtype is None:
+            return getattr(value, "buffer", value)
+        if self.width == 1:
+            return self.dtype.type(value)
+        vector = np.zeros(4 if self.width == 3 else self.width, self.dtype)
+        vector[: len(value)] = value
+        return vector
+
+
+def parameters(text: str, defines: dict[str, int | str]) -> dict[str, list[Parameter]]:
+    """The parameters of every kernel in a flattened source, for these -D options."""
+    text, macros = preprocess(text, defines)
+    found = {}
+    for match in _KERNEL.finditer(text):
+        declared = text[match.end() : _closing(text, match.end())]
+        expanded = _expand(declared, macros)
+        found[match[1]] = [_parameter(words) for words in expanded.split(",") if words.strip()]
+    return found
+
+
+def bind(
+    name: str, declared: list[Parameter], size: int, args: tuple[Any, ...], named: dict[str, Any]
+) -> list[Any]:
+    """The arguments of a call, in order and converted.
+
+    The parameter `n` is the number of work-items. Positional arguments fill the parameters that
+    are not given by name, in order. Names that this variant of the kernel does not declare are
+    left out, so that a caller lists what every variant takes.
+
+    Raises
+    ------
+    TypeError : an argument is missing, superfluous, or of another type.
+    """
+    given = {SIZE: size, **named}
+    free = [p.name for p in declared if p.name not in given]
+    if len(args) == len(free) + 1:  # the size is given, too
+        free = [p.name for p in declared if p.name not in named]
+    if len(args) != len(free):
+        raise TypeError(f"kernel {name} takes {', '.join(free)}: {len(args)} arguments are given")
+    given |= dict(zip(free, args, strict=True))
+    return [p.convert(given[p.name]) for p in declared]
+
+
+def preprocess(text: str, defines: dict[str, int | str]) -> tuple[str, dict[str, str]]:
+    """The active lines of a source without comments, and its object-like macros."""
+    text = re.sub(r"//[^\n]*|/\*.*?\*/", " ", text.replace("\\\n", " "), flags=re.DOTALL)
+    macros = {name: str(value) for name, value in defines.items()}
+    lines: list[str] = []
+    active = [(True, True)]  # of each open #if: whether its lines count, whether a branch did
+    for line in text.splitlines():
+        match = _DIRECTIVE.match(line)
+        if not match:
+            if active[-1][0]:
+                lines.append(line)
+            continue
+        word, rest = match[1], match[2].strip()
+        if word in ("ifdef", "ifndef", "if"):
+            outer = active[-1][0]
+            holds = outer and _holds(word, rest, macros)
+            active.append((holds, holds or not outer))
+        elif word in ("elif", "else"):
+            _, done = active.pop()
+            holds = active[-1][0] and not done and (word == "else" or _holds("if", rest, macros))
+            active.append((holds, holds or done))
+        elif word == "endif":
+            active.pop()
+        elif active[-1][0]:
+            key = re.match(r"\w+", rest)
+            if key and word == "undef":
+                macros.pop(key[0], None)
+            elif key and not rest[key.end() :].startswith("("):
+                macros[key[0]] = rest[key.end() :].strip()
+    return "\n".join(lines), macros
+
+
+def _holds(word: str, condition: str, macros: dict[str, str]) -> bool:
+    """Whether an #if, #ifdef or #ifndef holds; names that are no macros count as 0."""
+    if word != "if":
+        return (condition.split()[0] in macros) == (word == "ifdef")
+    condition = re.sub(r"defined\s*\(\s*(\w+)\s*\)", lambda m: str(int(m[1] in macros)), condition)
+    condition = re.sub(r"\b[A-Za-z_]\w*\b", "0", _expand(condition, macros))
+    condition = condition.replace("&&", " and ").replace("||", " or ")
+    if not re.fullmatch(r"(?:[\dxa-f()<>=!+*\s-]|and|or)+", condition):
+        raise ValueError(f"#if {condition}: write numbers, names, defined(), ==, < and > only")
+    return bool(eval(condition, {"__builtins__": {}}))
+
+
+def _expand(text: str, macros: dict[str, str]) -> str:
+    """A text with its object-like macros in place."""
+    for _ in range(16):
+        expanded = re.sub(r"\b[A-Za-z_]\w*\b", lambda m: macros.get(m[0], m[0]), text)
+        if expanded == text:
+            return text
+        text = expanded
+    return text
+
+
+def _closing(text: str, start: int) -> int:
+    """Where the parenthesis that was opened before `start` is closed."""
+    depth = 1
+    for place in range(start, len(text)):
+        depth += {"(": 1, ")": -1}.get(text[place], 0)
+        if depth == 0:
+            return place
+    raise ValueError("a kernel's parameters have no end")
+
+
+def _parameter(declaration: str) -> Parameter:
+    *words, name = re.findall(r"\w+|\*", declaration)
+    if "*" in words:
+        return Parameter(name)
+    kind = next(word for word in words if word not in _QUALIFIERS)
+    match = re.fullmatch(r"([a-z]+)(\d*)", kind)
+    if not match or match[1] not in _TYPES:
+        raise ValueError(f"parameter {declaration.strip()!r} is of a type that is not understood")
+    return Parameter(name, np.dtype(_TYPES[match[1]]), int(match[2] or 1))
