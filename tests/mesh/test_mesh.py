@@ -351,15 +351,15 @@ def test_no_such_file_folder_and_permission(tmp_path, monkeypatch):
 
 
 def test_unpacked_size_is_bounded(tmp_path, monkeypatch):
-    monkeypatch.setattr(mesh_module, "MAX_BYTES", 5 << 20)
+    monkeypatch.setattr("voxtool.files.mesh.MAX_BYTES", 5 << 20)
     message = refusal(gzip.compress(bytes(50 << 20), mtime=0), tmp_path, "bomb.obj.gz")
     assert "more than 5 MiB" in message
 
 
 def test_triangle_limit():
-    mesh_module._check_counts("m", 3, (1 << 31) - 1)
+    mesh_module.check_counts("m", 3, (1 << 31) - 1)
     with pytest.raises(MeshError, match="m: 2147483648 triangles, at most 2147483647"):
-        mesh_module._check_counts("m", 3, 1 << 31)
+        mesh_module.check_counts("m", 3, 1 << 31)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,6 @@ import click
 from voxtool.choices import STYLES
 from voxtool.cli import options
 from voxtool.errors import VoxtoolError
-from voxtool.svo.surface.plan import MAX_SAMPLES
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
@@ -276,6 +275,7 @@ def keeping(octree: Octree) -> str:
     """What keeps voxels that samples lose: samples of their own size, or smaller voxels."""
     from voxtool.svo.octree import BRICK_SIDE
     from voxtool.svo.surface.extract import plan_extract
+    from voxtool.svo.surface.plan import MAX_SAMPLES
 
     finer = BRICK_SIDE * octree.grid.dim
     mends = []

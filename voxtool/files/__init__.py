@@ -68,7 +68,7 @@ TET_FORMATS = {
 }
 EXPORTS = {
     **{name: (f"voxtool.files.{name}", "write") for name in ("npy", "npz", "vti")},
-    "png": ("voxtool.plots.slice", "write"),
+    "png": ("voxtool.files.png", "write"),
 }
 MESH_FORMATS = {
     name: ("voxtool.files.mesh_writers", f"write_{name}")

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from voxtool.errors import DeviceError, MemoryLimitError
+from voxtool.memory import available_memory
 from voxtool.opencl import launch, program
 
 if TYPE_CHECKING:
@@ -302,7 +303,7 @@ class Device:
         """Bytes that work may take: the device's, of a CPU no more than the machine has left."""
         if self.info.kind != "CPU":
             return self.info.memory
-        return min(self.info.memory, _machine_memory())
+        return min(self.info.memory, available_memory())
 
     def _array(self, size: int, dtype: np.dtype | type, make: Callable[..., np.ndarray]) -> Array:
         """An array of new memory; if it is shared, host memory that `make` (np.empty, np.zeros)
@@ -518,12 +519,3 @@ class Device:
 
     def __repr__(self) -> str:
         return f"Device({self.info.name!r}, {self.info.platform!r})"
-
-
-def _machine_memory() -> int:
-    """Bytes of memory that this machine can still give, or a very large number if unknown."""
-    with contextlib.suppress(OSError, ValueError, StopIteration):
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        line = next(line for line in lines if line.startswith("MemAvailable"))
-        return 1024 * int(line.split()[1])
-    return sys.maxsize
