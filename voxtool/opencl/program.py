@@ -39,6 +39,9 @@ def flatten(source: str) -> str:
     place, each once."""
     seen: set[str] = set()
 
+    def label(name: str) -> str:
+        return "source" if "\n" in name else name
+
     def read(name: str) -> str:
         if name in seen:
             return ""
@@ -51,13 +54,12 @@ def flatten(source: str) -> str:
             include = _INCLUDE.match(line)
             if include:
                 lines += [f'#line 1 "{include[1]}"', read(include[1])]
-                lines.append(f'#line {number + 1} "{name}"')
+                lines.append(f'#line {number + 1} "{label(name)}"')
             else:
                 lines.append(line)
         return "\n".join(lines)
 
-    label = "source" if "\n" in source else source
-    return f'#line 1 "{label}"\n{read(source)}\n'
+    return f'#line 1 "{label(source)}"\n{read(source)}\n'
 
 
 def c_struct(name: str, dtype: np.dtype) -> str:
