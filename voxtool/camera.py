@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voxtool.choices import VIEWS
 from voxtool.errors import VoxtoolError
+from voxtool.vector import cross, dot, length, triple, unit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -48,8 +49,8 @@ class Rays:
 
     def light(self) -> np.ndarray:
         """(3,) float64: the unit vector towards the light, at the viewer's upper left."""
-        left, above = -unit(self.right, "right"), -unit(self.down, "down")
-        return unit(0.4 * left + 0.6 * above - self.direction, "light")
+        left, above = -_direction(self.right, "right"), -_direction(self.down, "down")
+        return _direction(0.4 * left + 0.6 * above - self.direction, "light")
 
     def local(self, origin: Sequence[float] | np.ndarray, scale: float) -> Rays:
         """The same rays in coordinates (world − origin) / scale; depths shrink alike.
@@ -65,10 +66,10 @@ class Rays:
     def meet_box(self, points: np.ndarray) -> bool:
         """Whether a box around (N, 3) points, as they are seen, reaches into the picture."""
         arms = points - self.origin
-        depth = dot(arms.T, self.direction) if self.perspective else np.ones(len(arms))
+        depth = dot(arms, self.direction) if self.perspective else np.ones(len(arms))
         arms, depth = arms[depth > 0], depth[depth > 0]
         for side, step in zip(self.size, (self.right, self.down), strict=True):
-            across = dot(arms.T, step) / dot(step, step) / depth
+            across = dot(arms, step) / dot(step, step) / depth
             if not ((across <= side / 2).any() and (across >= -side / 2).any()):
                 return False
         return True
@@ -113,10 +114,10 @@ class Camera:
             raise VoxtoolError(f"view {view!r} is unknown: choose {', '.join(VIEWS)}")
         low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
         centre = low / 2 + high / 2
-        radius = MARGIN * length(high / 2 - low / 2) or 1.0
-        upward = unit(up, "up")
+        radius = MARGIN * _size(high / 2 - low / 2) or 1.0
+        upward = _direction(up, "up")
         front = np.array([0.0, 0.0, 1.0] if abs(upward[2]) < 0.9 else [0.0, -1.0, 0.0])
-        front = unit(front - dot(front, upward) * upward, "up")
+        front = _direction(front - dot(front, upward) * upward, "up")
         right = cross(upward, front)
         way = {
             "front": front,
@@ -125,7 +126,7 @@ class Camera:
             "left": -right,
             "top": upward,
             "bottom": -upward,
-            "iso": unit(front + right + upward, "view"),
+            "iso": _direction(front + right + upward, "view"),
         }[view]
         if view in ("top", "bottom"):
             upward = -front if view == "top" else front
@@ -143,7 +144,7 @@ class Camera:
         """
         if not math.isfinite(degrees):
             raise VoxtoolError(f"a turn of {degrees} degrees: give a finite angle")
-        axis = unit(self.up, "up")
+        axis = _direction(self.up, "up")
         arm = np.array(self.eye) - np.array(self.target)
         along = dot(arm, axis) * axis
         across = arm - along
@@ -163,7 +164,7 @@ class Camera:
         VoxtoolError : as rays.
         """
         rays, target = self.rays(width, height), np.array(self.target)
-        arms = (points - target).T
+        arms = points - target
         depth = dot(arms, rays.direction) if rays.perspective else 0.0
         distance, shift = 0.0, np.zeros(3)
         for side, step in zip(rays.size, (rays.right, rays.down), strict=True):
@@ -196,11 +197,11 @@ class Camera:
         eye, target = np.array(self.eye, np.float64), np.array(self.target, np.float64)
         if not (np.isfinite(eye).all() and np.isfinite(target).all()):
             raise VoxtoolError("the camera's eye and target must be finite")
-        direction = unit(target - eye, "the way from eye to target")
-        right = cross(direction, unit(self.up, "up"))
-        if length(right) < 1e-9:
+        direction = _direction(target - eye, "the way from eye to target")
+        right = cross(direction, _direction(self.up, "up"))
+        if _size(right) < 1e-9:
             raise VoxtoolError(f"up {self.up} is along the view: choose another --up")
-        right = unit(right, "up")
+        right = _direction(right, "up")
         down = cross(direction, right)
         if self.fov is None:
             if not 0 < self.height < math.inf:
@@ -226,44 +227,23 @@ def fov_of(degrees: float) -> float:
     return degrees
 
 
-def triple(v: np.ndarray) -> tuple[float, float, float]:
-    """A vector as three Python floats."""
-    x, y, z = v.tolist()
-    return x, y, z
-
-
-def dot(a: np.ndarray, b: np.ndarray) -> Any:
-    """Of (3,) or (3, N) vectors. Written out: a library's may add in another order."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return np.array(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
-
-
-def length(v: np.ndarray) -> float:
+def _size(v: np.ndarray) -> float:
+    """The length of a vector, also where its square would overflow."""
     largest = float(np.abs(v).max())
-    if not 0 < largest < math.inf:
-        return largest
-    v = v / largest
-    return largest * math.sqrt(dot(v, v))
+    return largest * float(length(v / largest)) if 0 < largest < math.inf else largest
 
 
-def unit(v: Sequence[float] | np.ndarray, what: str) -> np.ndarray:
-    """A vector's direction.
+def _direction(v: Sequence[float] | np.ndarray, what: str) -> np.ndarray:
+    """The direction of a vector.
 
     Raises
     ------
     VoxtoolError : it has none; `what` names it.
     """
     v = np.asarray(v, np.float64)
-    size = length(v)
-    if not 0 < size < math.inf:
+    if not 0 < _size(v) < math.inf:
         raise VoxtoolError(f"{what} {tuple(v.tolist())} has no direction")
-    v = v / float(np.abs(v).max())
-    return v / math.sqrt(dot(v, v))
+    return unit(v)
 
 
 def sine(degrees: float) -> float:

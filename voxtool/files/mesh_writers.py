@@ -16,6 +16,7 @@ from trimesh.exchange.stl import export_stl
 
 from voxtool.errors import FileError, MeshError
 from voxtool.memory import check_memory
+from voxtool.vector import cross, length
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
@@ -150,10 +151,8 @@ def _face_normals(triangles: np.ndarray) -> np.ndarray:
     """(F, 3) float64 unit normals of (F, 3, 3) triangles; zero for those of zero area."""
     with np.errstate(all="ignore"):
         p, q = (triangles[:, i] - triangles[:, 0] for i in (1, 2))
-        (px, py, pz), (qx, qy, qz) = p.T, q.T
-        normal = np.stack([py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx], axis=1)
-        x, y, z = normal.T
-        normal /= np.sqrt(x * x + y * y + z * z)[:, None]
+        normal = cross(p, q)
+        normal /= length(normal)[:, None]
     return np.where(np.isfinite(normal), normal, 0.0)
 
 

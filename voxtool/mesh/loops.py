@@ -15,6 +15,7 @@ import numpy as np
 
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import Topology, fans_of, next_sides
+from voxtool.vector import cross, length, unit
 
 # Corners of a unit triangle in the plane across a segment; the root of 3/4 is given.
 ACROSS = ((1.0, 0.0), (-0.5, 0.8660254037844386), (-0.5, -0.8660254037844386))
@@ -71,8 +72,7 @@ def find_loops(mesh: Mesh, topology: Topology) -> Loops:
 
     loop = np.repeat(np.arange(len(closed)), np.diff(starts))
     points = mesh.vertices[edges] + 0.0
-    dx, dy, dz = (points[:, 1] - points[:, 0]).T
-    lengths = np.bincount(loop, np.sqrt(dx * dx + dy * dy + dz * dz), len(closed))
+    lengths = np.bincount(loop, length(points[:, 1] - points[:, 0]), len(closed))
     low, high = np.full((len(closed), 3), np.inf), np.full((len(closed), 3), -np.inf)
     np.minimum.at(low, loop, points.min(axis=1))
     np.maximum.at(high, loop, points.max(axis=1))
@@ -140,21 +140,11 @@ def tubes(points: np.ndarray, radius: float) -> Mesh:
     Mesh of 6 E vertices and 8 E faces.
     """
     begin, end = points[:, 0], points[:, 1]
-    along = _unit(end - begin)
+    along = unit(end - begin)
     least = np.eye(3)[np.argmin(np.abs(along), axis=1)]
-    u = _unit(_cross(along, least))
-    v = _cross(along, u)
+    u = unit(cross(along, least))
+    v = cross(along, u)
     ring = radius * np.stack([a * u + b * v for a, b in ACROSS], axis=1)
     vertices = np.concatenate([begin[:, None] + ring, end[:, None] + ring], axis=1)
     faces = PRISM + 6 * np.arange(len(points), dtype=np.int32)[:, None, None]
     return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3))
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    x, y, z = (vectors / np.abs(vectors).max(axis=1, keepdims=True)).T
-    return np.stack([x, y, z], axis=1) / np.sqrt(x * x + y * y + z * z)[:, None]
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)

@@ -14,6 +14,7 @@ import numpy as np
 from voxtool.mesh.loops import Loops
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import Topology, components
+from voxtool.vector import cross, dot, length
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,13 +147,10 @@ def _numbered(roots: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _areas(triangles: np.ndarray) -> np.ndarray:
-    (ux, uy, uz), (vx, vy, vz) = ((triangles[:, i] - triangles[:, 0]).T for i in (1, 2))
-    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    return np.sqrt(x * x + y * y + z * z) / 2
+    u, v = (triangles[:, i] - triangles[:, 0] for i in (1, 2))
+    return length(cross(u, v)) / 2
 
 
 def _volumes(triangles: np.ndarray) -> np.ndarray:
     """(n,) float64: of the tetrahedra between (n, 3, 3) triangles and the origin."""
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = triangles.transpose(1, 2, 0)
-    six = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-    return six / 6
+    return dot(triangles[:, 0], cross(triangles[:, 1], triangles[:, 2])) / 6

@@ -14,6 +14,7 @@ import numpy as np
 
 from voxtool.errors import count_of
 from voxtool.mesh.mesh import Mesh
+from voxtool.vector import cross, dot
 
 
 @dataclass(frozen=True)
@@ -164,8 +165,7 @@ def volume(mesh: Mesh) -> float:
         return 0.0
     low, high = mesh.bounds
     triangles = (mesh.vertices - (low + (high - low) / 2))[mesh.faces]
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = triangles.transpose(1, 2, 0)
-    six = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    six = dot(triangles[:, 0], cross(triangles[:, 1], triangles[:, 2]))
     return math.fsum(six.tolist()) / 6
 
 

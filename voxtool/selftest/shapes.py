@@ -9,6 +9,8 @@ from itertools import permutations, product
 
 import numpy as np
 
+from voxtool.vector import length
+
 BOX_FACES = np.array(
     [
         (0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
@@ -46,8 +48,7 @@ def ball(level: int) -> tuple[np.ndarray, np.ndarray]:
         corners = np.stack([faces, m, np.roll(m, 1, axis=1)], axis=2).reshape(-1, 3)
         faces = np.concatenate([corners, m])
         vertices = np.concatenate([vertices, vertices[ends].sum(axis=1) / 2])
-    x, y, z = vertices.T
-    vertices = vertices / np.sqrt(x * x + y * y + z * z)[:, None]
+    vertices = vertices / length(vertices)[:, None]
     return np.rint(vertices * 2**20) / 2**20, faces
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from voxtool.mesh.topology import collinear, edges_of, positions
 from voxtool.spatial.angles import angle_of
 from voxtool.spatial.bvh import Frame
+from voxtool.vector import dot, length
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
@@ -89,18 +90,14 @@ def _normals_and_angles(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     n = np.stack([_cross(u, v, i, (i + 1) % 3) for i in (1, 2, 0)])
     exponent = np.frexp(np.abs(n).max(axis=0))[1]
     n = np.ldexp(n, -exponent)
-    length = np.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-    unit = n / np.where(length > 0, length, 1.0)
-    area = np.ldexp(length, exponent)
-    cosines = (_product(u[0], v[0]), -_product(u[0], w[0]), _product(v[0], w[0]))
+    size = length(n.T)
+    unit = n / np.where(size > 0, size, 1.0)
+    area = np.ldexp(size, exponent)
+    cosines = (dot(u[0].T, v[0].T), -dot(u[0].T, w[0].T), dot(v[0].T, w[0].T))
     return unit.T, np.stack([angle_of(area, cosine) for cosine in cosines], axis=1)
 
 
 Twofold = tuple[np.ndarray, np.ndarray]  # a number as the sum of a float64 and a much smaller one
-
-
-def _product(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
 
 def _difference(a: np.ndarray, b: np.ndarray) -> Twofold:

@@ -14,6 +14,7 @@ import numpy as np
 
 from voxtool.errors import MeshError, count_of
 from voxtool.spatial.bvh import Frame
+from voxtool.vector import cross, length
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -39,9 +40,7 @@ class Spread:
         """Sum the area; raises MeshError where there is none."""
         self.mesh = mesh
         a, b, c = (Frame.of(mesh).local(mesh.vertices[mesh.faces[:, i]]) for i in range(3))
-        (ex, ey, ez), (fx, fy, fz) = (b - a).T, (c - a).T
-        x, y, z = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
-        self.area = np.cumsum(np.sqrt(x * x + y * y + z * z))  # adds one by one, in order
+        self.area = np.cumsum(length(cross(b - a, c - a)))  # adds one by one, in order
         if not self.area[-1] > 0:
             raise MeshError(
                 f"{mesh.name or name}: no area: each of its {count_of(len(mesh.faces), 'face')} is "

@@ -17,6 +17,7 @@ import numpy as np
 from voxtool.mesh.topology import edges_of, positions, shells_of
 from voxtool.morton import morton_encode
 from voxtool.spatial.winding_number import WindingNumber
+from voxtool.vector import cross, length
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
@@ -87,27 +88,20 @@ def _beside(
     """(n,) float64 each: the winding number above and below the middle of each of (n,) faces; NaN
     where one is flat."""
     triangles = winding.tree.frame.local(mesh.vertices)[mesh.faces[faces]]
-    x, y, z = normal = normals.normals[normals.features[faces, 0]].T
-    length = np.sqrt(x * x + y * y + z * z)
-    a, b, c = (triangles[:, i].T for i in range(3))
-    (ux, uy, uz), (vx, vy, vz) = u, v = b - a, c - a
-    wx, wy, wz = v - u
-    longest = np.sqrt(
-        np.maximum(
-            np.maximum(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz),
-            wx * wx + wy * wy + wz * wz,
-        )
-    )
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    twice_area = np.sqrt(nx * nx + ny * ny + nz * nz)
-    known = (normals.flat[faces] == 0) & (length > 0)
+    normal = normals.normals[normals.features[faces, 0]]
+    size = length(normal)
+    a, b, c = (triangles[:, i] for i in range(3))
+    edges = np.stack([b - a, c - a, (c - a) - (b - a)])
+    longest = length(edges).max(axis=0)
+    twice_area = length(cross(edges[0], edges[1]))
+    known = (normals.flat[faces] == 0) & (size > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        rise = np.where(known, ABOVE * twice_area / longest / length, 0) * normal
+        rise = np.where(known, ABOVE * twice_area / longest / size, 0)[:, None] * normal
     middle = (a + b + c) / 3
-    order = _along_curve(middle.T)
+    order = _along_curve(middle)
     numbers = np.full((2, len(faces)), np.nan)
     for number, points in zip(numbers, (middle + rise, middle - rise), strict=True):
-        near = winding.device.put(points.T[order])
+        near = winding.device.put(points[order])
         number[order] = winding.at_local(near, len(faces)).take()
     return np.where(known, numbers[0], np.nan), np.where(known, numbers[1], np.nan)
 
@@ -126,9 +120,7 @@ def _spheres(ends: np.ndarray, weights: np.ndarray) -> np.ndarray:
     for run in np.array_split(order, min(SPHERES, len(order))):
         points = ends[run].reshape(-1, 3)
         centre = (points.min(axis=0) + points.max(axis=0)) / 2
-        x, y, z = (points - centre).T
-        dx, dy, dz = (ends[run, 1] - ends[run, 0]).T
-        lengths = weights[run] * np.sqrt(dx * dx + dy * dy + dz * dz)
-        radius = np.sqrt((x * x + y * y + z * z).max())
+        lengths = weights[run] * length(ends[run, 1] - ends[run, 0])
+        radius = length(points - centre).max()
         spheres.append([*centre, radius, float(np.cumsum(lengths)[-1])])
     return np.array(spheres)

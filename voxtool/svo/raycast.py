@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.camera import dot
 from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.svo.octree import INSIDE, Octree
+from voxtool.vector import dot
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -18,6 +18,7 @@ import numpy as np
 
 from voxtool.errors import MemoryLimitError, MeshError, VoxtoolError, count_of
 from voxtool.tets.volume import HEXAHEDRON_FACES, PLANAR, TETRAHEDRON_FACES
+from voxtool.vector import cross, dot, length
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -365,7 +366,7 @@ def _first_within(points: np.ndarray, first: np.ndarray, distance: float) -> np.
             )
         for a, b in _expanded(begin, count):
             d = (sorted_points[a] - sorted_points[b]) / distance
-            near = d[:, 0] * d[:, 0] + d[:, 1] * d[:, 1] + d[:, 2] * d[:, 2] <= 1
+            near = dot(d, d) <= 1
             ones.append(order[a[near]])
             others.append(order[b[near]])
     label = _components(len(kept), np.concatenate(ones), np.concatenate(others))
@@ -505,7 +506,7 @@ def _volumes(points: np.ndarray, cells: np.ndarray) -> tuple[np.ndarray, np.ndar
     a, b, c = (corners[:, i] - corners[:, 0] for i in (1, 2, 3))
     size = np.zeros(len(cells))
     for p, q in ((a, 0), (b, 0), (c, 0), (a, b), (b, c), (c, a)):
-        size = np.maximum(size, _length(p - q))
+        size = np.maximum(size, length(p - q))
     (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a.T, b.T, c.T
     terms = ((az, bx * cy, cx * by), (bz, cx * ay, ax * cy), (cz, ax * by, bx * ay))
     volume, magnitude = np.zeros(len(cells)), np.zeros(len(cells))
@@ -531,11 +532,6 @@ def _exact_sign(corners: np.ndarray) -> int:
     return (determinant > 0) - (determinant < 0)
 
 
-def _length(v: np.ndarray) -> np.ndarray:
-    x, y, z = v.T
-    return np.sqrt(x * x + y * y + z * z)
-
-
 def _bent(
     points: np.ndarray, cells: np.ndarray, volume: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -547,23 +543,16 @@ def _bent(
     for face in HEXAHEDRON_FACES:
         a, b, c, d = (corners[:, i] for i in face)
         for p, q in pairwise((a, b, c, d, a)):
-            size = np.maximum(size, _length(q - p))
+            size = np.maximum(size, length(q - p))
         normal = cross(c - a, d - b) * way[:, None]
-        area = _length(normal)
+        area = length(normal)
         bent[area == 0] = np.inf
         normal /= np.where(area == 0, 1, area)[:, None]
         centre = (a + b + c + d) / 4
         for i in range(8):
-            x, y, z = ((corners[:, i] - centre) * normal).T
-            height = x + y + z
+            height = dot(corners[:, i] - centre, normal)
             bent = np.maximum(bent, np.abs(height) if i in face else height)
     return bent, size
-
-
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(N, 3): the cross products of rows, each term written out."""
-    (ax, ay, az), (bx, by, bz) = a.T, b.T
-    return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=1)
 
 
 # ---- faces

@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.camera import triple
 from voxtool.choices import LAYOUTS
 from voxtool.errors import MeshError, VoxtoolError
 from voxtool.morton import morton_encode
 from voxtool.tets.mesh import (
     ConformingMesh,
     UnstructuredMesh,
-    cross,
     hexahedra,
     loops,
     tetrahedra,
@@ -28,6 +26,7 @@ from voxtool.tets.mesh import (
 )
 from voxtool.tets.plan import VolumePlan
 from voxtool.tets.volume import FACES, TetVolume, block_ranges
+from voxtool.vector import cross, dot, length, triple
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -198,8 +197,7 @@ def _planes(mesh: ConformingMesh, vertices: np.ndarray, layout: str) -> tuple[np
         loop, backward = loop[:, 0], backward[:, 0]
         corners = [mesh.vertices[loop[:, i]] for i in range(len(face))]
         normal = cross(corners[2] - corners[0], corners[-1] - corners[1])
-        x, y, z = normal.T
-        plane[:, :3] = float32(normal / np.sqrt(x * x + y * y + z * z)[:, None])
+        plane[:, :3] = float32(normal / length(normal)[:, None])
         heights = np.stack([_height(plane, corner) for corner in corners])
         plane[:, 3] = float32(-(heights.min(axis=0) + heights.max(axis=0)) / 2)
         for i in range(len(face)):
@@ -211,9 +209,7 @@ def _planes(mesh: ConformingMesh, vertices: np.ndarray, layout: str) -> tuple[np
 
 def _height(plane: np.ndarray, points: np.ndarray) -> np.ndarray:
     """(T,) float64: of points along the normals of planes."""
-    a, b, c = plane[:, :3].T.astype(np.float64)
-    x, y, z = points.T
-    return a * x + b * y + c * z
+    return dot(plane.astype(np.float64), points)
 
 
 def _slopes(mesh: ConformingMesh) -> np.ndarray:
@@ -222,11 +218,10 @@ def _slopes(mesh: ConformingMesh) -> np.ndarray:
     points, scalars = mesh.vertices[mesh.cells], mesh.scalars[mesh.cells]
     edges = [points[:, i] - points[:, 0] for i in (1, 2, 3)]
     normals = [cross(edges[(i + 1) % 3], edges[(i + 2) % 3]) for i in range(3)]
-    x, y, z = (edges[0] * normals[0]).T
     slopes = np.zeros((len(mesh.cells), 3))
     for i, normal in enumerate(normals):
         slopes += (scalars[:, i + 1] - scalars[:, 0])[:, None] * normal
-    return slopes / (x + y + z)[:, None]
+    return slopes / dot(edges[0], normals[0])[:, None]
 
 
 def _gradients(mesh: ConformingMesh, vertices: np.ndarray) -> tuple[np.ndarray, float]:

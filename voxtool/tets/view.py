@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.camera import dot
 from voxtool.errors import MemoryLimitError
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.tets.volume import BLOCK, FACES
+from voxtool.vector import dot
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -167,7 +167,9 @@ class Viewpoint:
                 f"{16 * width * height} bytes: choose a smaller one"
             )
         local = rays.local(volume.origin, volume.scale)
-        middle = max(-dot(local.origin, local.direction), NEAREST) if local.perspective else 0.0
+        middle = 0.0
+        if local.perspective:
+            middle = max(-float(dot(local.origin, local.direction)), NEAREST)
         numbers = [*local.origin, *local.direction, *local.right, *local.down, middle]
         options: dict[str, int | str] = {"PERSPECTIVE": 1} if local.perspective else {}
         return Viewpoint(local, middle, device.put(np.array(numbers)), options)
@@ -205,12 +207,12 @@ def cells_at(volume: TetVolume, point: np.ndarray) -> np.ndarray:
     outside = np.full(len(volume.cells), -np.inf)
     for face, normals in enumerate(volume.normals):
         n = normals.astype(np.float64)
-        height = n[:, 0] * point[0] + n[:, 1] * point[1] + n[:, 2] * point[2]
+        height = dot(n, point)
         if volume.anchors is None:
             height += n[:, 3]
         else:
             anchor = volume.vertices[volume.anchors[:, int(face == 0)], :3].astype(np.float64)
-            height -= n[:, 0] * anchor[:, 0] + n[:, 1] * anchor[:, 1] + n[:, 2] * anchor[:, 2]
+            height -= dot(n, anchor)
         outside = np.maximum(outside, height)
     found = np.flatnonzero(outside <= ON_PLANE)
     return found[np.argsort(outside[found], kind="stable")]

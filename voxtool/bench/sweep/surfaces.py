@@ -26,6 +26,7 @@ from voxtool.spatial.deviation import deviation
 from voxtool.svo.fill.caps import find_caps
 from voxtool.svo.surface.extract import extract, plan_extract
 from voxtool.svo.voxelize import voxelize
+from voxtool.vector import cross, length
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -190,6 +191,4 @@ class Reference:
 def area(mesh: Mesh) -> float:
     """Of a mesh, in square world units."""
     a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    (ex, ey, ez), (fx, fy, fz) = (b - a).T, (c - a).T
-    x, y, z = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
-    return math.fsum(np.sqrt(x * x + y * y + z * z).tolist()) / 2
+    return math.fsum(length(cross(b - a, c - a)).tolist()) / 2

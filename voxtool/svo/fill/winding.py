@@ -42,6 +42,7 @@ from voxtool.spatial.winding_number import WindingNumber
 from voxtool.svo.build import DeviceOctree
 from voxtool.svo.fill.caps import Caps
 from voxtool.svo.octree import BRICK, BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
+from voxtool.vector import cross, length
 
 SOURCE = "svo/fill/winding.cl"
 # Radii from which on caps count through their moments, and how near to 1/2 a number that is found
@@ -254,9 +255,8 @@ def _boxes(points: np.ndarray, caps: Caps) -> Mesh:
 
 
 def _areas(triangles: np.ndarray) -> np.ndarray:
-    (ux, uy, uz), (vx, vy, vz) = ((triangles[:, i] - triangles[:, 0]).T for i in (1, 2))
-    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    return np.sqrt(x * x + y * y + z * z) / 2
+    u, v = (triangles[:, i] - triangles[:, 0] for i in (1, 2))
+    return length(cross(u, v)) / 2
 
 
 def _descend(codes: np.ndarray, levels: int) -> np.ndarray:

@@ -50,6 +50,7 @@ from voxtool.svo.surface.cut_cells import (
 from voxtool.svo.surface.dual import dual_surface, split_quads
 from voxtool.svo.surface.greedy_meshing import join_rectangles
 from voxtool.svo.surface.plan import ExtractionPlan
+from voxtool.vector import unit
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -115,8 +116,7 @@ class Isosurface:
             chosen = opposed[corner]
             sums[corner[chosen]] = np.stack(areas, axis=1)[chosen]
         sums /= np.array(self.grid.pitch)
-        x, y, z = (sums / np.abs(sums).max(axis=1, keepdims=True)).T
-        return np.stack([x, y, z], axis=1) / np.sqrt(x * x + y * y + z * z)[:, None]
+        return unit(sums)
 
     def mesh(self) -> Mesh:
         """The surface as a triangle mesh in world units."""
