@@ -305,14 +305,16 @@ def find_faces_that_meet(device) -> None:
     from voxtool.mesh.mesh import Mesh
     from voxtool.spatial.bvh import build_tree
     from voxtool.spatial.pseudonormals import pseudonormals
-    from voxtool.spatial.self_intersections import find_crossings
+    from voxtool.spatial.self_intersections import find_self_intersections
 
     flat = np.array([(20, 20, 17), (20, 22, 17), (20, 24, 17)]), np.array([(0, 1, 2)])
     fold = np.array([(5, 1, 1), (4, 0, 0), (4, 2, 0), (9, 9, 9)]), np.array([(0, 1, 2), (0, 3, 2)])
     other = meshes.tetrahedron((2, 2, 2), (9, 3, 2), (3, 9, 3), (2, 3, 9))
     vertices, faces = meshes.join(meshes.tetrahedron(), other, meshes.octahedron(20, 3), flat, fold)
     mesh = Mesh(vertices.astype(np.float64), faces.astype(np.int32))
-    found = find_crossings(device, mesh, build_tree(device, mesh, pseudonormals(mesh).flat))
+    found = find_self_intersections(
+        device, mesh, build_tree(device, mesh, pseudonormals(mesh).flat)
+    )
     met = [
         any(meet(vertices[f], vertices[g]) for g in np.delete(faces, i, axis=0))
         for i, f in enumerate(faces)

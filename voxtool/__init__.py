@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from voxtool.files.transfer import read_transfer
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh, mesh_from_arrays
-    from voxtool.mesh.topology import Diagnosis, diagnose
     from voxtool.opencl import list_devices, open_device
+    from voxtool.report import Report, diagnose
     from voxtool.svo.octree import Octree
     from voxtool.svo.raycast import OctreeRenderer, render_svo
     from voxtool.svo.surface.extract import Isosurface, extract, plan_extract
@@ -64,7 +64,6 @@ _HOMES = {
     "voxtool.adf.query": ("FieldQuery", "query_adf"),
     "voxtool.adf.raycast": ("FieldRenderer", "render_adf"),
     "voxtool.camera": ("Camera", "Rays"),
-    "voxtool.mesh.topology": ("Diagnosis", "diagnose"),
     "voxtool.errors": (
         "DeviceError",
         "FileError",
@@ -90,6 +89,7 @@ _HOMES = {
     "voxtool.files.mesh": ("load_mesh",),
     "voxtool.mesh.mesh": ("Mesh", "mesh_from_arrays"),
     "voxtool.opencl": ("list_devices", "open_device"),
+    "voxtool.report": ("Report", "diagnose"),
     "voxtool.svo.surface.extract": ("Isosurface", "extract", "plan_extract"),
     "voxtool.svo.octree": ("Octree",),
     "voxtool.svo.raycast": ("OctreeRenderer", "render_svo"),
@@ -105,7 +105,6 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 __all__ = [
     "Camera",
     "DeviceError",
-    "Diagnosis",
     "DistanceField",
     "FieldQuery",
     "FieldRenderer",
@@ -119,6 +118,7 @@ __all__ = [
     "Octree",
     "OctreeRenderer",
     "Rays",
+    "Report",
     "TetVolume",
     "TransferFunction",
     "UnstructuredMesh",

@@ -140,7 +140,7 @@ bool meet(__global const double *vertices, __global const int *faces, __global c
 
 // found[f] = 1 if another face meets face f. corners[3 f + i] numbers positions; faces without a
 // name have no area.
-__kernel void find_crossings(const uint n, __global const uint *names, __global const double *vertices,
+__kernel void find_self_intersections(const uint n, __global const uint *names, __global const double *vertices,
                              __global const int *faces, __global const int *corners,
                              __global const float *nodes, const uint first_leaf,
                              __global uchar *found)

@@ -36,7 +36,7 @@ from voxtool.bench.sweep.surfaces import Reference, area, capped
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import mesh_from_arrays
-from voxtool.mesh.topology import diagnose, volume
+from voxtool.mesh.topology import check_topology, volume
 from voxtool.opencl import list_devices
 from voxtool.spatial.sampling import spread_in_cube
 from voxtool.svo.surface.extract import extract
@@ -386,7 +386,7 @@ def test_the_boundary_of_voxels_is_that_of_the_octree(device) -> None:
     assert volume(ball) == pytest.approx(np.count_nonzero(inside) * pitch**3)
     faces = sum(np.count_nonzero(np.diff(np.pad(inside, 1), axis=axis)) for axis in range(3))
     assert area(ball) == pytest.approx(faces * pitch**2)
-    assert diagnose(ball).closed
+    assert check_topology(ball).closed
     assert volume(blocks) == pytest.approx(octree.count * pitch**3)
 
 
@@ -407,7 +407,7 @@ def test_errors_of_a_surface(device) -> None:
 def test_open_models_are_capped(device) -> None:
     box, holes = capped(mesh_from_arrays(*meshes.open_box(0, (4, 3, 2))))
     assert holes == 1
-    assert diagnose(box).closed
+    assert check_topology(box).closed
     assert volume(box) == pytest.approx(24)
     reference = Reference(box, holes, 100, device)
     assert reference.words == "the model, 1 hole capped"

@@ -30,7 +30,7 @@ vertices     0 of more than one fan of faces
 patches      1, 0 flipped
 duplicate    0 faces
 degenerate   0 faces
-crossed      0 faces
+intersecting 0 faces
 shells       1, 1 open
      0 open                             10 faces, volume 24, 1 loop capped
 rows         0 of 1,024 along x leak by parity
@@ -152,7 +152,7 @@ def test_overlapping_cubes(here: Path) -> None:
     assert found["crossed_faces"]["count"] == 12
     assert found["crossed_faces"]["faces"][0] == 2
     assert found["crossed_faces"]["centre"] == pytest.approx([4, 8 / 3, 4 / 3])
-    assert faults(found) == ["12 faces crossed by others"]
+    assert faults(found) == ["12 self-intersecting faces"]
     assert recommended(found) == ("nonzero", "winding")
     assert found["fills"]["parity"]["missing"] == 8 * 4**3  # the common cube, of 8 voxels a side
 
@@ -163,7 +163,7 @@ def test_faces_twice_and_flat_ones(here: Path) -> None:
     found = report((vertices, faces))
     assert found["duplicate_faces"]["faces"] == [12]
     assert found["degenerate_faces"]["faces"] == [13]
-    assert found["crossed_faces"]["count"] == 0  # a copy is no crossing
+    assert found["crossed_faces"]["count"] == 0  # a copy does not intersect
     assert found["diagnosis"]["nonmanifold_edges"] == len(found["crowded_edges"]) == 3
     for edge in found["crowded_edges"]:
         assert edge["faces"] == 3
@@ -190,7 +190,7 @@ def test_what_has_no_inside(here: Path) -> None:
     sheet = report(([[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]], [[0, 1, 2], [0, 2, 3]]))
     assert faults(sheet) == ["1 boundary loop"]
     assert sheet["recommended"]["fill"] == "flood"
-    assert "hardly tell what is inside" in sheet["recommended"]["why"]
+    assert "do not define an inside" in sheet["recommended"]["why"]
 
 
 def test_an_open_mesh_that_faces_inwards(here: Path) -> None:
@@ -283,7 +283,7 @@ def test_failures(here: Path, options: str, code: int, message: str) -> None:
 def test_verbose(here: Path) -> None:
     write_obj(Path("mesh.obj"), *meshes.open_box(0, 2))
     err = run("diagnose mesh.obj --dim 32 -v").stderr
-    assert "crossings" in err
+    assert "self-intersections" in err
     assert "ms\n" in err
 
 

@@ -25,7 +25,7 @@ from voxtool.files.mesh import load_mesh
 from voxtool.mesh import mesh as mesh_module
 from voxtool.mesh import topology as diagnosis
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
-from voxtool.mesh.topology import diagnose
+from voxtool.mesh.topology import check_topology
 
 MODELS = Path(__file__).parents[2].parent / "shared" / "models"
 
@@ -384,7 +384,7 @@ def test_array_refusals(vertices, faces, part):
 
 
 def check(vertices, faces, **expected):
-    found = diagnose(mesh_from_arrays(vertices, faces)).as_dict()
+    found = check_topology(mesh_from_arrays(vertices, faces)).as_dict()
     clean = {
         "boundary_edges": 0, "nonmanifold_edges": 0, "inconsistent_edges": 0,
         "duplicate_faces": 0, "degenerate_faces": 0, "shells": 1,
@@ -403,7 +403,7 @@ def test_closed_solids():
 
 def test_open_cube():
     check(CUBE, CUBE_FACES[1:], closed=False, even=False, boundary_edges=3, euler=1)
-    summary = diagnose(mesh_from_arrays(CUBE, CUBE_FACES[1:])).summary()
+    summary = check_topology(mesh_from_arrays(CUBE, CUBE_FACES[1:])).summary()
     assert summary.startswith("not closed: 3 boundary edges, 0 non-manifold edges, ")
 
 
@@ -508,7 +508,7 @@ def test_diagnosis_equals_the_naive_one(data):
     index = st.integers(0, len(points) - 1)
     faces = np.array(data.draw(st.lists(st.tuples(index, index, index), min_size=1, max_size=16)))
     mesh = Mesh(points, faces.astype(np.int32))
-    assert diagnose(mesh).as_dict() == naive(points, faces.tolist())
+    assert check_topology(mesh).as_dict() == naive(points, faces.tolist())
 
 
 # --- real models ---------------------------------------------------------------------------------
@@ -523,14 +523,14 @@ def model(name: str) -> Path:
 
 def test_bunny_is_open_with_five_holes():
     mesh = load_mesh(model("stanford-bunny.obj"))
-    found = diagnose(mesh)
+    found = check_topology(mesh)
     assert (found.faces, found.vertices) == (69451, 35947)
     assert (found.closed, found.boundary_edges, found.shells) == (False, 223, 1)
     assert 2 - found.euler == 5  # holes of a sphere
 
 
 def test_armadillo_is_closed():
-    found = diagnose(load_mesh(model("armadillo.obj")))
+    found = check_topology(load_mesh(model("armadillo.obj")))
     assert (found.faces, found.closed, found.boundary_edges, found.shells) == (86482, True, 0, 1)
 
 

@@ -1,6 +1,6 @@
 """Checking a surface: fans around vertices, handles, the volume inside, T-junctions.
 
-The counts that `diagnose` makes by positions are tested in test_mesh.py.
+The counts that `check_topology` makes by positions are tested in test_mesh.py.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import (
     SurfaceCheck,
     check_surface,
+    check_topology,
     closed_chain,
-    diagnose,
     positions,
     volume,
     watertight,
@@ -52,7 +52,7 @@ GOOD = {
 
 def check(mesh: Mesh, weld: bool = True, **expected) -> SurfaceCheck:
     found = check_surface(mesh, weld=weld)
-    assert watertight(mesh) == diagnose(mesh).watertight
+    assert watertight(mesh) == check_topology(mesh).watertight
     expected = GOOD | expected
     assert {key: found.as_dict()[key] for key in expected} == expected
     return found
@@ -81,9 +81,9 @@ def test_a_soup_is_a_manifold_by_positions_alone() -> None:
     check(soup, genus=1)
     triangles = {"watertight": False, "boundary_edges": faces.size, "shells": len(faces)}
     check(soup, weld=False, genus=None, **triangles)
-    assert diagnose(soup).closed
-    assert not diagnose(soup, weld=False).closed
-    assert diagnose(soup, weld=False).boundary_edges == faces.size
+    assert check_topology(soup).closed
+    assert not check_topology(soup, weld=False).closed
+    assert check_topology(soup, weld=False).boundary_edges == faces.size
 
 
 def test_two_cubes_that_share_a_vertex() -> None:
@@ -224,13 +224,13 @@ WHOLE = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]]
 def test_watertight_is_what_a_diagnosis_says(more: list[list[int]], whole: bool) -> None:
     mesh = mesh_of((np.random.default_rng(2).random((4, 3)), np.array(WHOLE * whole + more)))
     mesh = Mesh(mesh.vertices, mesh.faces.reshape(-1, 3))
-    assert watertight(mesh) == diagnose(mesh).watertight
+    assert watertight(mesh) == check_topology(mesh).watertight
 
 
 def test_a_check_holds_the_diagnosis() -> None:
     for pair in (CUBE, TORUS, meshes.open_box(0, 1)):
         for weld in (True, False):
-            diagnosis = diagnose(mesh_of(pair), weld=weld)
+            diagnosis = check_topology(mesh_of(pair), weld=weld)
             found = check_surface(mesh_of(pair), weld=weld)
             assert diagnosis.as_dict().items() <= found.as_dict().items()
             assert found.summary().startswith(diagnosis.summary())
@@ -323,7 +323,7 @@ def test_edges_of_many_faces_cancel_by_direction() -> None:
     assert closed_chain(twice)  # all of it is doubled
     sheet = meshes.open_box(0, 1)
     assert not closed_chain(mesh_of(meshes.join(sheet, sheet)))
-    assert diagnose(mesh_of(meshes.join(sheet, sheet))).even
+    assert check_topology(mesh_of(meshes.join(sheet, sheet))).even
     assert closed_chain(mesh_of(meshes.join(sheet, (sheet[0], sheet[1][:, ::-1]))))
 
 

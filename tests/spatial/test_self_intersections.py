@@ -16,7 +16,7 @@ from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
 from voxtool.spatial.bvh import build_tree
 from voxtool.spatial.pseudonormals import pseudonormals
-from voxtool.spatial.self_intersections import find_crossings
+from voxtool.spatial.self_intersections import find_self_intersections
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -31,7 +31,7 @@ def crossings(device: Device, vertices, faces=None) -> np.ndarray:
     vertices = np.asarray(vertices, np.float64).reshape(-1, 3)
     faces = np.arange(len(vertices)).reshape(-1, 3) if faces is None else np.asarray(faces)
     mesh = Mesh(vertices, faces.astype(np.int32))
-    return find_crossings(device, mesh, build_tree(device, mesh, pseudonormals(mesh).flat))
+    return find_self_intersections(device, mesh, build_tree(device, mesh, pseudonormals(mesh).flat))
 
 
 # ---- the oracle

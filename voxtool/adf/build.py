@@ -34,7 +34,7 @@ from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.spatial.bvh import FIELDS, LEAF, Frame, build_tree
 from voxtool.spatial.pseudonormals import pseudonormals
-from voxtool.spatial.self_intersections import find_crossings
+from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.spatial.sides import find_sides, shells_agree
 from voxtool.spatial.signed_distance import default_sign
 from voxtool.spatial.winding_number import WindingNumber
@@ -245,7 +245,7 @@ class _Build:
         self.tree = build_tree(device, mesh, None if normals is None else normals.flat)
         crossed = np.zeros(len(mesh.faces), bool)
         if normals is not None:
-            crossed = find_crossings(device, mesh, self.tree)
+            crossed = find_self_intersections(device, mesh, self.tree)
         closed = default_sign(mesh) == "pseudonormal" and not crossed.any()
         if closed and normals is not None:
             closed = shells_agree(mesh, normals, device, self.tree)

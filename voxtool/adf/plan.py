@@ -53,7 +53,7 @@ class FieldPlan:
         """The stages that will run, in order; those from sample to hand down once a level."""
         return [
             "tree",
-            *(["crossings"] if self.sign != "none" else []),
+            *(["self-intersections"] if self.sign != "none" else []),
             *(["moments"] if self.sign == "winding" else []),
             "sample",
             *(["signs", "winding number"] if self.sign == "winding" else []),

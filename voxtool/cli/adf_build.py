@@ -167,14 +167,14 @@ def command(
 
 def warn_of_signs(mesh: Mesh, scene: dict[str, Any], sign: str) -> None:
     """Pseudo-normals need a closed mesh: say what is wrong with this one, and what is done."""
-    from voxtool.mesh.topology import diagnose
+    from voxtool.mesh.topology import check_topology
     from voxtool.spatial.signed_distance import default_sign
 
     if sign == "none" or scene["closed"]:
         return
     wrong = []
     if default_sign(mesh) != "pseudonormal":
-        wrong.append(f"is {diagnose(mesh).summary()}")
+        wrong.append(f"is {check_topology(mesh).summary()}")
     if scene["crossed_triangles"]:
         wrong.append(f"meets itself in {scene['crossed_triangles']:,} faces")
     done = (

@@ -14,7 +14,7 @@ from voxtool.cli import options
 if TYPE_CHECKING:
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
-    from voxtool.mesh.topology import Diagnosis
+    from voxtool.mesh.topology import TopologyCheck
     from voxtool.svo.octree import Octree
     from voxtool.svo.plan import Plan
 
@@ -130,7 +130,7 @@ def command(
     )
     from voxtool.files.mesh import load_mesh
     from voxtool.grid import Grid
-    from voxtool.mesh.topology import diagnose
+    from voxtool.mesh.topology import check_topology
     from voxtool.opencl import open_device
     from voxtool.svo.voxelize import fill_for, plan_voxelize, voxelize
 
@@ -155,7 +155,7 @@ def command(
         rule = fill
         if mode == "solid":
             progress.enter("check mesh")
-            found = diagnose(loaded)
+            found = check_topology(loaded)
             rule = fill_for(found.watertight) if fill == "auto" else fill
         request: dict[str, Any] = {
             "fill": rule,
@@ -243,7 +243,7 @@ def pitch_of(grid: Grid) -> str:
     return sizes[0] if len(set(grid.pitch)) == 1 else " x ".join(sizes)
 
 
-def tell_of_fill(mesh: Mesh, found: Diagnosis, octree: Octree, *, auto: bool) -> None:
+def tell_of_fill(mesh: Mesh, found: TopologyCheck, octree: Octree, *, auto: bool) -> None:
     """What is wrong with a mesh, and what the rule made of it; nothing where all is well."""
     from voxtool.errors import count_of
     from voxtool.mesh.topology import volume

@@ -18,7 +18,7 @@ from voxtool.vector import cross, dot
 
 
 @dataclass(frozen=True)
-class Diagnosis:
+class TopologyCheck:
     """What a mesh is, by positions (vertices that are bit-equal are one) or by index.
 
     Faces that name a position twice bound nothing: they count in `faces` and `degenerate_faces`
@@ -73,7 +73,7 @@ class Diagnosis:
 
 
 @dataclass(frozen=True)
-class SurfaceCheck(Diagnosis):
+class SurfaceCheck(TopologyCheck):
     """A diagnosis that also looks around every vertex, as a surface that was made must pass.
 
     nonmanifold_vertices : positions whose faces are not one fan, closed or open; the ends of
@@ -113,7 +113,7 @@ class SurfaceCheck(Diagnosis):
         return f"{super().summary()}, {vertices}{genus}"
 
 
-def diagnose(mesh: Mesh, *, weld: bool = True) -> Diagnosis:
+def check_topology(mesh: Mesh, *, weld: bool = True) -> TopologyCheck:
     """Describe a mesh: open edges, shells, and what else may surprise.
 
     Parameters
@@ -121,7 +121,7 @@ def diagnose(mesh: Mesh, *, weld: bool = True) -> Diagnosis:
     mesh : any mesh; faces may be degenerate.
     weld : False tells vertices apart by index, not by position.
     """
-    return Diagnosis(**_counts(mesh, topology_of(mesh, weld)))
+    return TopologyCheck(**_counts(mesh, topology_of(mesh, weld)))
 
 
 def watertight(mesh: Mesh) -> bool:
@@ -142,7 +142,7 @@ def watertight(mesh: Mesh) -> bool:
 
 
 def check_surface(mesh: Mesh, *, weld: bool = True) -> SurfaceCheck:
-    """Describe a mesh as `diagnose` does, and the fans of faces around its vertices.
+    """Describe a mesh as `check_topology` does, and the fans of faces around its vertices.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ def topology_of(mesh: Mesh, weld: bool = True) -> Topology:
 
 
 def _counts(mesh: Mesh, topology: Topology) -> dict[str, Any]:
-    """The fields of a Diagnosis."""
+    """The fields of a TopologyCheck."""
     corners, count = topology.corners, topology.count
     flat = collinear(mesh.vertices[mesh.faces[topology.proper]])
     along = np.bincount(topology.edge, weights=topology.forward)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 SOURCE = "spatial/self_intersections.cl"
 
 
-def find_crossings(device: Device, mesh: Mesh, tree: TriangleTree) -> np.ndarray:
+def find_self_intersections(device: Device, mesh: Mesh, tree: TriangleTree) -> np.ndarray:
     """(F,) bool: faces that another one meets elsewhere than in the corners and edges they share.
 
     Faces without area do not count.
@@ -37,8 +37,8 @@ def find_crossings(device: Device, mesh: Mesh, tree: TriangleTree) -> np.ndarray
     vertices, faces = device.put(tree.frame.local(mesh.vertices)), device.put(mesh.faces)
     corners = device.put(positions(mesh)[mesh.faces].astype(np.int32))
     found = device.zeros(len(mesh.faces), np.uint8)
-    with device.stage("crossings"):
-        device.kernel(SOURCE, "find_crossings")(
+    with device.stage("self-intersections"):
+        device.kernel(SOURCE, "find_self_intersections")(
             tree.count,
             np.uint32(tree.count),
             tree.names,

@@ -51,7 +51,7 @@ def find_sides(
 
     Parameters
     ----------
-    crossed : (F,) bool, as find_crossings.
+    crossed : (F,) bool, as find_self_intersections.
     """
     edges, forth = edges_of(positions(mesh)[mesh.faces])
     faces_of = np.bincount(edges)

@@ -1,0 +1,503 @@
+"""A report on a mesh: what is wrong with it, where, and which fill rule and sign suit it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from voxtool.choices import DEFAULT_DIM, FILLS
+from voxtool.errors import count_of
+from voxtool.grid import Grid
+from voxtool.mesh.loops import Loops, find_loops
+from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.shells import find_patches, find_shells
+from voxtool.mesh.topology import (
+    SurfaceCheck,
+    Topology,
+    check_surface,
+    closed_chain,
+    collinear,
+    crowded_edges,
+    repeated_faces,
+    topology_of,
+)
+from voxtool.opencl import Device, default_device
+from voxtool.spatial.bvh import build_tree
+from voxtool.spatial.nesting import nest
+from voxtool.spatial.self_intersections import find_self_intersections
+from voxtool.svo.compare import count_differences, leaking_rows
+from voxtool.svo.voxelize import fill_for, voxelize
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from voxtool.svo.octree import Octree
+
+RULES = tuple(fill for fill in FILLS if fill != "auto")
+STAGES = ("topology", "self-intersections", "nesting", *RULES)
+
+FLAT = 1e-12  # of the cube of its longest side: a shell of less volume is flat
+FEW = 10  # times fewer voxels by winding than by flood: the faces do not define an inside
+LISTED = 1000  # faces, edges or rows in a list
+SHOWN = {"loops": 8, "patches": 4, "shells": 6}  # rows of each table in the text
+JSON_NAMES = {"self_intersecting_faces": "crossed_faces", "hint": "mend"}  # since version 0.1
+
+
+class Fault(NamedTuple):
+    """Something that is wrong with a mesh, and what helps."""
+
+    what: str
+    hint: str
+
+
+@dataclass(frozen=True)
+class Report:
+    """What is wrong with a mesh, where, and what to do about it.
+
+    Lengths and places are in world units; faces are counted from 0; vertices of bit-equal
+    positions are one. A list of faces, edges or rows ends after 1,000.
+
+    Attributes
+    ----------
+    mesh, units, source_sha256 : of the mesh.
+    diagnosis : the counts of edges, faces, vertices and shells.
+    low, high : corners of the bounding box.
+    dim, pitch : of the grid on which the fill rules are compared.
+    loops : of every boundary loop, the longest first: edges, length, centre, size of its box, and
+        whether it is closed.
+    t_junctions : whether the boundary is only that of edges that end within others.
+    crowded_edges : of edges of more than two faces: how many faces, and the two ends.
+    duplicate_faces, degenerate_faces, self_intersecting_faces : count, list of faces, and the
+        centre of the first.
+    shells : of every shell, the one of most faces first: faces, closed, consistent, volume, loops,
+        box, parent, depth, and what it is: "solid", "cavity", "open", "flat", "mixed",
+        "inside out", or "nested alike" (wound like the shell around it).
+    patches : count, one_sided, and the flipped ones.
+    leaking_rows : rows of voxels along x that leak by parity.
+    auto : the fill rule that `fill="auto"` takes.
+    fills : of each fill rule, its voxels, and those missing and extra beside the recommended one.
+    recommended : fill, sign, and why.
+    faults : what is wrong, and what helps.
+    boundary : the loops themselves; not in as_dict().
+    """
+
+    mesh: str
+    units: str
+    source_sha256: str
+    diagnosis: SurfaceCheck
+    low: list[float]
+    high: list[float]
+    dim: int
+    pitch: float
+    loops: list[dict[str, Any]]
+    t_junctions: bool
+    crowded_edges: list[dict[str, Any]]
+    duplicate_faces: dict[str, Any]
+    degenerate_faces: dict[str, Any]
+    self_intersecting_faces: dict[str, Any]
+    shells: list[dict[str, Any]]
+    patches: dict[str, Any]
+    leaking_rows: dict[str, Any]
+    auto: str
+    fills: dict[str, dict[str, int]]
+    recommended: dict[str, str]
+    faults: list[Fault]
+    boundary: Loops
+
+    def as_dict(self) -> dict[str, Any]:
+        """The report in JSON types."""
+        found = {JSON_NAMES.get(f.name, f.name): getattr(self, f.name) for f in fields(self)}
+        del found["boundary"]
+        found["diagnosis"] = self.diagnosis.as_dict()
+        found["faults"] = [
+            {JSON_NAMES.get(name, name): text for name, text in fault._asdict().items()}
+            for fault in self.faults
+        ]
+        return found
+
+    def text(self) -> str:
+        """The report as one screen of text."""
+        return "\n".join(_lines(self))
+
+    def __str__(self) -> str:
+        return self.text()
+
+    def __repr__(self) -> str:
+        faults = "; ".join(fault.what for fault in self.faults) or "no faults"
+        return f"<Report on {self.mesh or 'a mesh'}: {faults}>"
+
+
+def diagnose(
+    mesh: Mesh,
+    grid: Grid | None = None,
+    *,
+    device: Device | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Report:
+    """Report what is wrong with a mesh, where, and what to do about it.
+
+    Parameters
+    ----------
+    grid : on which the fill rules are compared; by default one of 256 voxels along the mesh's
+        longest side.
+    progress : called with the name of each stage as it begins, one of STAGES.
+
+    Raises
+    ------
+    MeshError : the mesh has no faces, or an extent beyond 2^±500.
+    DeviceError : there is no device, or it has no double precision.
+    """
+    grid = grid or Grid.fit(mesh, DEFAULT_DIM)
+    device = device or default_device()
+    enter = progress or (lambda _: None)
+    enter("topology")
+    topology, counts = topology_of(mesh), check_surface(mesh)
+    loops = find_loops(mesh, topology)
+    flat, repeated = collinear(mesh.vertices[mesh.faces]), repeated_faces(topology)
+    enter("self-intersections")
+    intersecting = _self_intersecting(mesh, flat, repeated, device)
+    low, high = mesh.bounds.tolist()
+    found: dict[str, Any] = {
+        "mesh": mesh.name,
+        "units": mesh.units,
+        "source_sha256": mesh.source_sha256,
+        "diagnosis": counts,
+        "low": low,
+        "high": high,
+        "dim": grid.dim,
+        "pitch": grid.pitch[0],
+        "loops": _loop_rows(loops),
+        "t_junctions": len(loops.closed) > 0 and closed_chain(mesh),
+        "crowded_edges": _crowded_rows(mesh, topology),
+        "duplicate_faces": _listed_faces(mesh, repeated),
+        "degenerate_faces": _listed_faces(mesh, flat),
+        "self_intersecting_faces": _listed_faces(mesh, intersecting),
+    }
+    enter("nesting")
+    found["shells"] = _shell_rows(mesh, topology, loops, device)
+    found["patches"] = _patch_rows(mesh, topology)
+    octrees = {}
+    for rule in RULES:
+        enter(rule)
+        octrees[rule] = voxelize(mesh, grid, fill=rule, device=device)
+    found["auto"] = fill_for(counts.watertight)
+    found |= _compared(octrees, found)
+    return Report(**found, faults=list(_faults(found)), boundary=loops)
+
+
+# ---- what is found
+
+
+def _self_intersecting(
+    mesh: Mesh, flat: np.ndarray, repeated: np.ndarray, device: Device
+) -> np.ndarray:
+    """(F,) bool: faces that others pass through; copies of faces do not count."""
+    intersecting = np.zeros(len(mesh.faces), bool)
+    distinct = Mesh(mesh.vertices, mesh.faces[~repeated])
+    tree = build_tree(device, distinct, flat[~repeated].astype(np.uint8))
+    intersecting[~repeated] = find_self_intersections(device, distinct, tree)
+    return intersecting
+
+
+def _loop_rows(loops: Loops) -> list[dict[str, Any]]:
+    middles, extents = loops.low + (loops.high - loops.low) / 2, loops.high - loops.low
+    columns = loops.sizes, loops.lengths, middles, extents, loops.closed
+    names = "edges", "length", "centre", "size", "closed"
+    rows = zip(*(column.tolist() for column in columns), strict=True)
+    return [dict(zip(names, row, strict=True)) for row in rows]
+
+
+def _crowded_rows(mesh: Mesh, topology: Topology) -> list[dict[str, Any]]:
+    edges, faces = crowded_edges(mesh, topology)
+    ends = mesh.vertices[edges[:LISTED]].tolist()
+    counts = faces[:LISTED].tolist()
+    return [{"faces": n, "ends": pair} for n, pair in zip(counts, ends, strict=True)]
+
+
+def _listed_faces(mesh: Mesh, chosen: np.ndarray) -> dict[str, Any]:
+    """How many faces are chosen, the first of them, and the centre of the very first."""
+    faces = np.flatnonzero(chosen)
+    first = mesh.vertices[mesh.faces[faces[:1]]].mean(axis=1).tolist()
+    return {"count": len(faces), "centre": (first or [None])[0], "faces": faces[:LISTED].tolist()}
+
+
+def _shell_rows(
+    mesh: Mesh, topology: Topology, loops: Loops, device: Device
+) -> list[dict[str, Any]]:
+    shells = find_shells(mesh, topology, loops)
+    nesting = nest(mesh, shells, device)
+    columns = {
+        "faces": shells.faces,
+        "closed": shells.closed,
+        "consistent": shells.consistent,
+        "volume": shells.volumes,
+        "loops": shells.loops,
+        "low": shells.low,
+        "high": shells.high,
+        "parent": nesting.parents,
+        "depth": nesting.depths,
+    }
+    values = zip(*(column.tolist() for column in columns.values()), strict=True)
+    rows = [dict(zip(columns, row, strict=True)) for row in values]
+    for row in rows:
+        row["volume"] = row["volume"] if row["volume"] == row["volume"] else None  # NaN
+        row["parent"] = row["parent"] if row["parent"] >= 0 else None
+    for row in rows:
+        row["is"] = _role(row, rows)
+    return rows
+
+
+def _role(shell: dict[str, Any], shells: list[dict[str, Any]]) -> str:
+    """What a shell is among the others."""
+    volume = shell["volume"]
+    if not shell["closed"]:
+        return "open"
+    if volume is None:
+        return "mixed"
+    side = max(b - a for a, b in zip(shell["low"], shell["high"], strict=True))
+    if abs(volume) <= FLAT * side**3:
+        return "flat"
+    around = shells[shell["parent"]]["volume"] if shell["depth"] else None
+    if around is None:
+        return "solid" if volume > 0 else "inside out"
+    if (volume > 0) == (around > 0):
+        return "nested alike"
+    return "solid" if volume > 0 else "cavity"
+
+
+def _patch_rows(mesh: Mesh, topology: Topology) -> dict[str, Any]:
+    patches = find_patches(mesh, topology)
+    by_patch = np.argsort(patches.of, kind="stable")
+    starts = np.searchsorted(patches.of[by_patch], np.arange(len(patches.areas) + 1))
+    flipped = []
+    for patch in np.flatnonzero(patches.flipped).tolist():
+        faces = by_patch[starts[patch] : starts[patch + 1]]
+        points = mesh.vertices[mesh.faces[faces]].reshape(-1, 3)
+        low, high = points.min(axis=0), points.max(axis=0)
+        flipped.append(
+            {
+                "faces": len(faces),
+                "first": int(faces[0]),
+                "area": float(patches.areas[patch]),
+                "centre": (low + (high - low) / 2).tolist(),
+                "size": (high - low).tolist(),
+            }
+        )
+    one_sided = int(np.count_nonzero(patches.one_sided))
+    return {"count": len(patches.areas), "one_sided": one_sided, "flipped": flipped}
+
+
+# ---- fill rules, advice and faults
+
+
+def _compared(octrees: dict[str, Octree], found: dict[str, Any]) -> dict[str, Any]:
+    """The voxels of each fill rule, the recommended one, and the rows that leak by parity."""
+    counts = {rule: octree.count for rule, octree in octrees.items()}
+    fill, why = _recommended_fill(found, counts)
+    rules = {}
+    for rule, octree in octrees.items():
+        extra, missing = count_differences(octree, octrees[fill])
+        rules[rule] = {"voxels": counts[rule], "missing": missing, "extra": extra}
+    certain = (
+        found["diagnosis"].watertight
+        and not found["degenerate_faces"]["count"]
+        and not _overlaps(found)
+    )
+    rows = leaking_rows(octrees["parity"])
+    _, ny, nz = octrees["parity"].grid.shape
+    return {
+        "leaking_rows": {
+            "count": len(rows),
+            "of": ny * nz,
+            "low": rows.min(axis=0).tolist() if len(rows) else None,
+            "high": rows.max(axis=0).tolist() if len(rows) else None,
+            "rows": rows[:LISTED].tolist(),
+        },
+        "fills": rules,
+        "recommended": {
+            "fill": fill,
+            "sign": "pseudonormal" if certain else "winding",
+            "why": why,
+        },
+    }
+
+
+def _overlaps(found: dict[str, Any]) -> bool:
+    """Whether parts of a mesh intersect, or are nested and wound alike."""
+    return found["self_intersecting_faces"]["count"] > 0 or "nested alike" in _roles(found)
+
+
+def _roles(found: dict[str, Any]) -> list[str]:
+    return [shell["is"] for shell in found["shells"]]
+
+
+def _recommended_fill(found: dict[str, Any], counts: dict[str, int]) -> tuple[str, str]:
+    """The fill rule that suits a mesh, and why."""
+    if not found["diagnosis"].watertight and FEW * counts["winding"] < counts["flood"]:
+        if sum(shell["volume"] or 0 for shell in found["shells"]) < 0:
+            return "flood", (
+                "its faces point inwards: reverse them and fill by winding, or find a --gap that "
+                "closes its holes"
+            )
+        return "flood", (
+            "its faces do not define an inside: flood sets the surface and what it encloses"
+        )
+    if found["auto"] != "parity":
+        return found["auto"], "it suits meshes that are open, doubled or wound inconsistently"
+    if _overlaps(found):
+        return "nonzero", "overlapping and nested parts are united; parity would cut them out"
+    return found["auto"], "the mesh is closed, and the rules agree on it"
+
+
+def _faults(found: dict[str, Any]) -> Iterator[Fault]:
+    """What is wrong, and what helps."""
+    patches, roles = found["patches"], _roles(found)
+    flipped = sum(patch["faces"] for patch in patches["flipped"])
+    repeated, flat, intersecting = (
+        found[f"{kind}_faces"]["count"] for kind in ("duplicate", "degenerate", "self_intersecting")
+    )
+    holes = "close the holes, or fill by winding"
+    if found["t_junctions"]:
+        holes = "no holes: edges end within others (T-junctions)"
+    for count, noun, more, hint in (
+        (len(found["loops"]), "boundary loop", "", holes),
+        (
+            found["diagnosis"].nonmanifold_edges, "edge", " of more than two faces",
+            "remove the faces inside, or fill by winding",
+        ),
+        (flipped, "face", " flipped", "reverse them, or fill by flood"),
+        (patches["one_sided"], "patch", " with one side only", "voxelize it as a surface"),
+        (repeated, "duplicate face", "", "remove them"),
+        (flat, "degenerate face", "", "remove them, or keep them: voxels do not depend on them"),
+        (
+            intersecting, "self-intersecting face", "",
+            "unite the parts, or fill by winding or nonzero",
+        ),
+        (roles.count("inside out"), "shell", " inside out", "reverse its faces"),
+        (
+            roles.count("nested alike"), "shell", " wound like the one around it",
+            "reverse the faces of cavities, or fill by winding",
+        ),
+    ):  # fmt: skip
+        if count:
+            yield Fault(f"{_counted(count, noun)}{more}", hint)
+
+
+# ---- text
+
+
+def _lines(report: Report) -> Iterator[str]:
+    counts, units = report.diagnosis, f" {report.units}" if report.units else ""
+    size = [b - a for a, b in zip(report.low, report.high, strict=True)]
+    state = "closed" if counts.closed else "not closed"
+    yield _row(
+        "mesh",
+        f"{_counted(counts.faces, 'face')}, {_counted(counts.vertices, 'vertex')}, "
+        f"{_counted(counts.shells, 'shell')}; {'watertight' if counts.watertight else state}",
+    )
+    yield _row("box", f"{_by(size)}{units}, from {_point(report.low)} to {_point(report.high)}")
+    yield _row("voxel", f"{report.pitch:.6g}{units} at dim {report.dim}")
+    yield from _loop_lines(report)
+    first = report.crowded_edges[:1]
+    yield _row(
+        "edges",
+        f"{counts.nonmanifold_edges:,} of more than two faces"
+        + "".join(f", the first from {_point(edge['ends'][0])}" for edge in first)
+        + f"; {counts.inconsistent_edges:,} whose two faces disagree",
+    )
+    yield _row("vertices", f"{counts.nonmanifold_vertices:,} of more than one fan of faces")
+    yield from _patch_lines(report)
+    for name, faces in (
+        ("duplicate", report.duplicate_faces),
+        ("degenerate", report.degenerate_faces),
+        ("intersecting", report.self_intersecting_faces),
+    ):
+        text = _counted(faces["count"], "face")
+        if faces["count"]:
+            text += f", the first is {faces['faces'][0]:,} at {_point(faces['centre'])}"
+        yield _row(name, text)
+    yield from _shell_lines(report)
+    yield from _fill_lines(report)
+    for fault in report.faults:
+        yield _row("wrong", f"{fault.what}: {fault.hint}")
+    if not report.faults:
+        yield _row("wrong", "nothing")
+    best = report.recommended
+    chosen = ", as auto does" if best["fill"] == report.auto else ""
+    yield _row("advice", f"voxelize --fill {best['fill']}{chosen}: {best['why']}")
+    yield _row("", f"adf-build --sign {best['sign']}")
+
+
+def _loop_lines(report: Report) -> Iterator[str]:
+    loops, pitch = report.loops, report.pitch
+    edges = sum(loop["edges"] for loop in loops)
+    yield _row("loops", f"{len(loops):,}, of {_counted(edges, 'edge')} of one face")
+    if loops:
+        yield "              length    voxels   edges   centre; size in voxels"
+    for loop in loops[: SHOWN["loops"]]:
+        ends = "" if loop["closed"] else ", not closed"
+        yield (
+            f"  {loop['length']:>18.6g} {loop['length'] / pitch:>9.1f} {loop['edges']:>7,}   "
+            f"{_point(loop['centre'])}; {_by([x / pitch for x in loop['size']], 3)}{ends}"
+        )
+    yield from _more(loops, "loops")
+
+
+def _patch_lines(report: Report) -> Iterator[str]:
+    patches, pitch = report.patches, report.pitch
+    flipped, one_sided = patches["flipped"], patches["one_sided"]
+    more = f", {one_sided:,} with one side only" if one_sided else ""
+    yield _row("patches", f"{patches['count']:,}, {len(flipped):,} flipped{more}")
+    for patch in flipped[: SHOWN["patches"]]:
+        yield (
+            f"  {patch['faces']:>18,} faces, the first is {patch['first']:,}   "
+            f"{_point(patch['centre'])}; {_by([x / pitch for x in patch['size']], 3)}"
+        )
+    yield from _more(flipped, "patches")
+
+
+def _shell_lines(report: Report) -> Iterator[str]:
+    shells = report.shells
+    is_open = sum(shell["is"] == "open" for shell in shells)
+    yield _row("shells", f"{len(shells):,}, {is_open:,} open")
+    for number, shell in enumerate(shells[: SHOWN["shells"]]):
+        what = shell["is"] + ("" if shell["parent"] is None else f", within {shell['parent']}")
+        volume = "no volume" if shell["volume"] is None else f"volume {shell['volume']:.6g}"
+        capped = f", {_counted(shell['loops'], 'loop')} capped" if shell["loops"] else ""
+        yield f"  {number:>4} {what:<22} {shell['faces']:>12,} faces, {volume}{capped}"
+    yield from _more(shells, "shells")
+
+
+def _fill_lines(report: Report) -> Iterator[str]:
+    leaking, place = report.leaking_rows, ""
+    if leaking["count"]:
+        (y0, z0), (y1, z1) = leaking["low"], leaking["high"]
+        place = f", in y {y0:,} to {y1:,} and z {z0:,} to {z1:,}"
+    yield _row("rows", f"{leaking['count']:,} of {leaking['of']:,} along x leak by parity{place}")
+    best = report.recommended["fill"]
+    yield f"fill               voxels       missing         extra   beside {best}"
+    for rule, row in report.fills.items():
+        yield f"  {rule:<8} {row['voxels']:>14,} {row['missing']:>13,} {row['extra']:>13,}"
+
+
+def _row(name: str, text: str) -> str:
+    return f"{name:<12} {text}"
+
+
+def _more(rows: list[Any], kind: str) -> Iterator[str]:
+    if len(rows) > SHOWN[kind]:
+        yield f"  and {len(rows) - SHOWN[kind]:,} more: --json lists all"
+
+
+def _counted(count: int, noun: str) -> str:
+    return count_of(count, noun).replace(str(count), f"{count:,}", 1)
+
+
+def _point(point: list[float]) -> str:
+    return f"({', '.join(f'{x:.5g}' for x in point)})"
+
+
+def _by(sizes: list[float], digits: int = 5) -> str:
+    return " x ".join(f"{x:.{digits}g}" for x in sizes)
