@@ -274,7 +274,8 @@ def extract_surfaces(device) -> None:
 
     from voxtool.mesh.mesh import Mesh
     from voxtool.mesh.topology import check_surface, closed_chain
-    from voxtool.svo.surface.extract import LATTICE, extract
+    from voxtool.svo.surface.extract import extract
+    from voxtool.svo.surface.isosurface import LATTICE
 
     dense = np.random.default_rng(3).random((18, 17, 9)) < 0.4
     dense[8:16, :8, :8] = True

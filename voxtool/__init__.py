@@ -50,7 +50,8 @@ if TYPE_CHECKING:
     from voxtool.report import Report, diagnose
     from voxtool.svo.octree import Octree
     from voxtool.svo.raycast import OctreeRenderer, render_svo
-    from voxtool.svo.surface.extract import Isosurface, extract, plan_extract
+    from voxtool.svo.surface.extract import extract, plan_extract
+    from voxtool.svo.surface.isosurface import Isosurface
     from voxtool.svo.voxelize import plan_voxelize, voxelize
     from voxtool.tets.mesh import UnstructuredMesh
     from voxtool.tets.render import VolumeRenderer, render_tet
@@ -90,7 +91,8 @@ _HOMES = {
     "voxtool.mesh.mesh": ("Mesh", "mesh_from_arrays"),
     "voxtool.opencl": ("list_devices", "open_device"),
     "voxtool.report": ("Report", "diagnose"),
-    "voxtool.svo.surface.extract": ("Isosurface", "extract", "plan_extract"),
+    "voxtool.svo.surface.extract": ("extract", "plan_extract"),
+    "voxtool.svo.surface.isosurface": ("Isosurface",),
     "voxtool.svo.octree": ("Octree",),
     "voxtool.svo.raycast": ("OctreeRenderer", "render_svo"),
     "voxtool.svo.voxelize": ("plan_voxelize", "voxelize"),

@@ -19,8 +19,8 @@ from voxtool.svo import raycast as svo_raycast
 from voxtool.svo.fill import parity as inside
 from voxtool.svo.fill import winding as svo_winding
 from voxtool.svo.surface import case_tables as cases
-from voxtool.svo.surface import extract as isosurface
 from voxtool.svo.surface import greedy_meshing as rectangles
+from voxtool.svo.surface import isosurface
 from voxtool.tets import integrate, project, volume
 from voxtool.tets import raycast as tets_raycast
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+import warnings
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -11,16 +12,14 @@ import click
 
 from voxtool.choices import STYLES
 from voxtool.cli import options
-from voxtool.errors import VoxtoolError
+from voxtool.errors import MeshWarning, VoxtoolError
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
     from voxtool.svo.octree import Octree
-    from voxtool.svo.surface.extract import Isosurface
+    from voxtool.svo.surface.isosurface import Isosurface
     from voxtool.svo.surface.plan import ExtractionPlan
-
-MOST = 0.5  # of the voxels, from which on their loss is a warning
 
 
 class Level(click.ParamType):
@@ -141,7 +140,7 @@ def command(
     )
     from voxtool.files.mesh import load_mesh
     from voxtool.opencl import open_device
-    from voxtool.svo.surface.extract import extract, plan_extract
+    from voxtool.svo.surface.extract import plan_extract
 
     if output is None:
         output = default_output(octree, style, file_format or "obj")
@@ -159,21 +158,22 @@ def command(
         progress.enter("read octree")
         source = read_svo(octree)
         reference = load_mesh(against) if against is not None else None
+        chosen = open_device(device, profile=verbose)
         try:
-            plan = plan_extract(source, **request)
+            job = plan_extract(source, device=chosen, max_memory=max_memory, **request)
         except VoxtoolError as error:
             raise type(error)(f"{octree}: {error}") from error
-        progress.stages = ["read octree", *plan.stages, "read back", "write file"]
-        chosen = open_device(device, profile=verbose)
-        chosen.on_stage = progress.enter
+        progress.stages = ["read octree", *job.stages, "write file"]
         if only_plan:
             progress.erase()
-            print_plan(plan, as_json)
-            options.warn_if_refused(plan, max_memory, chosen)
+            print_plan(job.plan, as_json)
+            options.warn_if_refused(job.plan, max_memory, chosen)
             return
-        surface = extract(source, device=chosen, max_memory=max_memory, **request)
+        with warnings.catch_warnings(action="ignore", category=MeshWarning):
+            surface = job.run(progress.enter)
+        findings = list(job.findings(surface))
         if not len(surface.faces):
-            raise VoxtoolError(nothing_inside(octree, source, surface))
+            raise VoxtoolError(f"{octree}: {findings[0]}")
         checked, measured = {}, {}
         if check:
             progress.enter("check")
@@ -195,7 +195,10 @@ def command(
             f"isovalue {isovalue:g}; {len(surface.points):,} vertices, {len(surface.faces):,} "
             f"triangles, {seconds:.2f} s"
         )
-    tell_lost(source, surface)
+    for finding in findings:
+        options.tell(f"warning: {finding}")
+    if (losses := job.losses(surface)) and not findings:
+        options.tell(losses)
     if verbose:
         options.tell(f"{chosen.info.name} ({chosen.info.platform})")
         for stage, time_on_device in chosen.stage_times().items():
@@ -261,47 +264,6 @@ def measure(surface: Isosurface, reference: Mesh, samples: int, device: Device) 
     return deviation(surface.mesh(), reference, samples, pitch=pitch, device=device)
 
 
-def nothing_inside(name: str, octree: Octree, surface: Isosurface) -> str:
-    """Why there is no surface, and what to do."""
-    if not octree.count:
-        return f"{name}: no voxel is set, so there is no surface: voxelize a mesh with --mode solid"
-    return (
-        f"{name}: none of its {octree.count:,} set voxels lies in a sample that reaches the "
-        f"isovalue {surface.isovalue:g}: {keeping(octree)}, or choose a lower isovalue"
-    )
-
-
-def keeping(octree: Octree) -> str:
-    """What keeps voxels that samples lose: samples of their own size, or smaller voxels."""
-    from voxtool.svo.octree import BRICK_SIDE
-    from voxtool.svo.surface.extract import plan_extract
-    from voxtool.svo.surface.plan import MAX_SAMPLES
-
-    finer = BRICK_SIDE * octree.grid.dim
-    mends = []
-    if plan_extract(octree, style="nets", level="voxel").samples <= MAX_SAMPLES:
-        mends.append("--level voxel --style nets keeps them all")
-    if finer <= BRICK_SIDE * MAX_SAMPLES:
-        mends.append(f"voxelizing with --dim {finer} may keep them")
-    return ", ".join(mends) or "a lower isovalue may keep them"
-
-
-def tell_lost(octree: Octree, surface: Isosurface) -> None:
-    """How many voxels the samples do not show, and what would."""
-    lost = surface.lost
-    if not lost.below:
-        return
-    share = lost.below / octree.count
-    where = "all of them at the surface"
-    if lost.vanished:
-        where = f"{lost.vanished:,} of them away from the surface"
-    mend = f": {keeping(octree)}" if lost.vanished or share > MOST else ""
-    options.tell(
-        f"{'warning: ' if share > MOST else ''}{lost.below:,} set voxels ({100 * share:.2g} %) lie "
-        f"in samples below the isovalue, {where}{mend}"
-    )
-
-
 def print_plan(plan: ExtractionPlan, as_json: bool) -> None:
     """What will be done, what is left out and why, and what it will cost."""
     if as_json:
@@ -310,11 +272,10 @@ def print_plan(plan: ExtractionPlan, as_json: bool) -> None:
     from voxtool.errors import human
 
     rows = [
-        ("surface", f"{plan.style}, level {plan.level}: {plan.samples} samples along the root"),
+        *plan.rows(),
         ("stages", ", ".join(plan.stages)),
-        *(("left out", f"{what}: {why}") for what, why in plan.left_out().items()),
-        ("predicted", f"about {plan.cubes:,} cubes cut, in {plan.tiles:,} tiles; "
-         f"{human(plan.device_bytes)} on the device"),
-    ]  # fmt: skip
+        *(("left out", f"{what}: {why}") for what, why in plan.left_out.items()),
+        ("predicted", f"{human(plan.cost.device)} on the device"),
+    ]
     for name, text in rows:
         click.echo(f"{name:<10} {text}")

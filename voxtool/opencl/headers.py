@@ -29,7 +29,7 @@ HOMES = {
     "svo/surface/case_tables.h": "voxtool.svo.surface.case_tables",
     "svo/surface/dual_case_tables.h": "voxtool.svo.surface.case_tables",
     "svo/surface/greedy_meshing.h": "voxtool.svo.surface.greedy_meshing",
-    "svo/surface/lattice.h": "voxtool.svo.surface.extract",
+    "svo/surface/lattice.h": "voxtool.svo.surface.isosurface",
     "svo/voxelize.h": "voxtool.svo.voxelize",
     "tets/integrators.h": "voxtool.tets.integrate",
     "tets/project.h": "voxtool.tets.project",

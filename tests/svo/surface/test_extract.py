@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import pickle
 import re
+import warnings
 from dataclasses import replace
 from fractions import Fraction
 
@@ -14,13 +16,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import voxtool
-from voxtool.errors import MemoryLimitError, VoxtoolError
+from voxtool.errors import MemoryLimitError, MeshWarning, VoxtoolError
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_surface, closed_chain, volume
 from voxtool.svo.octree import BRICK, BRICK_VOXELS, NODE, VALID
-from voxtool.svo.surface import cut_cells as tiles
-from voxtool.svo.surface.extract import LATTICE, NEAREST, Isosurface, extract, plan_extract
+from voxtool.svo.surface.extract import extract, plan_extract
+from voxtool.svo.surface.isosurface import LATTICE, NEAREST, Isosurface, Lost
 from voxtool.svo.surface.plan import MAX_SAMPLES
 
 STYLES = (("smooth", 0), ("smooth", 1), ("smooth", 2), ("smooth", "voxel"), ("blocks", "voxel"),
@@ -102,12 +104,12 @@ def test_every_pattern_has_a_closed_manifold_surface(device, dense, style, isova
     if style[0] == "blocks":
         assert volume(lattice_mesh(surface)) == pytest.approx(samples.sum(), rel=1e-12)
     if style[1] == "voxel":
-        assert surface.lost == tiles.Lost(0, 0)
+        assert surface.lost == Lost(0, 0)
     else:
         assert surface.lost == lost(coverage(dense, surface.side), samples)
 
 
-def lost(covered: np.ndarray, samples: np.ndarray) -> tiles.Lost:
+def lost(covered: np.ndarray, samples: np.ndarray) -> Lost:
     """Voxels of samples outside, and of those with no inside sample around them."""
     near = np.zeros(covered.shape, bool)
     for i in range(3):
@@ -116,7 +118,7 @@ def lost(covered: np.ndarray, samples: np.ndarray) -> tiles.Lost:
                 a, b, c = covered.shape
                 near |= samples[i : i + a, j : j + b, k : k + c]
     out = ~samples[1:-1, 1:-1, 1:-1]
-    return tiles.Lost(int(covered[out].sum()), int(covered[~near].sum()))
+    return Lost(int(covered[out].sum()), int(covered[~near].sum()))
 
 
 def crossings(dense: np.ndarray, surface: Isosurface) -> set[tuple[int, int, int]]:
@@ -346,7 +348,7 @@ def test_the_mesh_does_not_depend_on_the_root(device) -> None:
     for style in ("smooth", "blocks", "nets"):
         here = extract(octree_from_dense(dense), style=style, level="voxel", device=device)
         there = extract(octree_from_dense(shifted), style=style, level="voxel", device=device)
-        assert plan_extract(octree_from_dense(dense), style=style, level="voxel").rooted
+        assert plan_extract(octree_from_dense(dense), style=style, level="voxel").plan.rooted
         assert here.mesh().faces.shape == there.mesh().faces.shape
         moved = {tuple(p) for p in (here.points + 8 * LATTICE).tolist()}
         assert moved == {tuple(p) for p in there.points.tolist()}
@@ -358,9 +360,9 @@ def test_thin_features_are_counted_as_lost(device) -> None:
     dense[26, 4:20, 4:20] = True  # a sheet a voxel thick, a quarter of its bricks
     octree = octree_from_dense(dense)
     surface = extract(octree, device=device)
-    assert surface.lost == tiles.Lost(256, 256)
+    assert surface.lost == Lost(256, 256)
     kept = extract(octree, isovalue=0.25, device=device)
-    assert kept.lost == tiles.Lost(0, 0)
+    assert kept.lost == Lost(0, 0)
     assert len(kept.faces) > len(surface.faces)
 
 
@@ -401,17 +403,17 @@ def test_a_surface_has_no_inside(device) -> None:
 def test_memory_is_planned(device) -> None:
     octree = octree_from_dense(ball((64, 64, 64)))
     plan = plan_extract(octree, style="nets")
-    assert plan.device_bytes > 1_000_000
+    assert plan.cost.device > 1_000_000
     with pytest.raises(MemoryLimitError, match="choose level 0"):
-        extract(octree, style="nets", max_memory=plan.device_bytes // 2, device=device)
-    extract(octree, style="nets", max_memory=plan.device_bytes * 5 // 4, device=device)
+        extract(octree, style="nets", max_memory=plan.cost.device // 2, device=device)
+    extract(octree, style="nets", max_memory=plan.cost.device * 5 // 4, device=device)
 
 
 def test_a_surface_larger_than_predicted_is_refused_once_it_is_counted(device) -> None:
     octree = octree_from_dense(np.indices((32, 32, 32)).sum(axis=0) % 2 == 0)
     plan = plan_extract(octree, style="blocks")
     with pytest.raises(MemoryLimitError, match="a blocks surface of level voxel would need"):
-        extract(octree, style="blocks", max_memory=2 * plan.device_bytes, device=device)
+        extract(octree, style="blocks", max_memory=2 * plan.cost.device, device=device)
 
 
 def octree_of_one_voxel(dim: int, voxel: tuple[int, int, int], mode: str) -> voxtool.Octree:
@@ -444,7 +446,7 @@ def test_more_samples_than_codes_have_bits_for_name_a_level_that_works(device, d
     octree = octree_of_one_voxel(dim, voxel, "solid")
     level, refusals = "voxel", 0
     while True:
-        plan = plan_extract(octree, level=level, isovalue=1e-12)
+        plan = plan_extract(octree, level=level, isovalue=1e-12).plan
         try:
             surface = extract(octree, level=level, isovalue=1e-12, device=device)
         except MemoryLimitError as error:
@@ -467,24 +469,58 @@ def test_without_an_inside_no_level_is_named(device) -> None:
 
 def test_the_plan_says_what_is_left_out() -> None:
     octree = octree_from_dense(ball((64, 64, 64), 0.3))
-    smooth = plan_extract(octree).as_dict()
-    assert "loops and quads" in smooth["left_out"]
-    assert "root above the octree" in smooth["left_out"]
-    assert smooth["stages"][-2:] == ["histopyramid", "triangles"]
+    job = plan_extract(octree)
+    assert "loops and quads" in job.left_out
+    assert "root above the octree" in job.left_out
+    assert job.stages[-3:] == ("histopyramid", "triangles", "read back")
     merged = plan_extract(octree, style="blocks", merge=True)
-    assert "sorting" not in merged.left_out()
-    assert merged.stages[-2:] == ["merge", "triangles"]
+    assert "sorting" not in merged.left_out
+    assert merged.stages[-3:] == ("merge", "triangles", "read back")
     assert "relax" in plan_extract(octree, style="nets").stages
 
 
-def test_stages_run_as_planned(device) -> None:
-    octree = octree_from_dense(ball((32, 32, 32)))
-    for request in ({}, {"style": "nets"}, {"style": "blocks", "merge": True}):
-        began: list[str] = []
-        device.on_stage = began.append
-        extract(octree, device=device, **request)
-        device.on_stage = None
-        assert list(dict.fromkeys(began)) == [*plan_extract(octree, **request).stages, "read back"]
+@pytest.mark.parametrize("request_", [{}, {"style": "nets"}, {"style": "blocks", "merge": True}])
+def test_stages_run_as_planned_as_often_as_asked(device, request_) -> None:
+    job = plan_extract(octree_from_dense(ball((32, 32, 32))), device=device, **request_)
+    began: list[str] = []
+    first = job.run(began.append)
+    assert tuple(dict.fromkeys(began)) == job.stages
+    assert job.run() == first == extract(job.octree, device=device, **request_)
+
+
+def test_relaxation_can_be_left_out(device) -> None:
+    job = plan_extract(octree_from_dense(ball((32, 32, 32))), style="nets", device=device)
+    flat = job.with_(relaxations=0)
+    assert "relax" not in flat.stages
+    assert "relaxation" in flat.left_out
+    assert len(flat.run().points) == len(job.run().points)
+    assert flat.run() != job.run()
+
+
+def test_findings_say_what_is_lost_or_empty(device) -> None:
+    dense = ball((32, 32, 32), 0.3)
+    with warnings.catch_warnings(action="error"):
+        extract(octree_from_dense(dense), device=device)
+    dense[2:30, 1, 1:3] = True
+    with pytest.warns(MeshWarning, match="56 of them away from the surface: --level voxel"):
+        extract(octree_from_dense(dense), device=device)
+    with pytest.warns(MeshWarning, match="no voxel is set, so there is no surface"):
+        extract(octree_from_dense(dense & False), device=device)
+
+
+def test_a_surface_is_a_value(device) -> None:
+    surface = extract(octree_from_dense(ball((32, 32, 32))), device=device)
+    again = pickle.loads(pickle.dumps(surface))
+    assert again == surface != replace(surface, isovalue=0.25)
+    assert hash(surface) != hash(again)  # by identity
+    for array in (again.points, again.faces, surface.vertices, surface.normals):
+        assert not array.flags.writeable
+    assert re.fullmatch(
+        r"Isosurface\(\S+, level 0, [\d,]+ vertices, [\d,]+ triangles\)", repr(again)
+    )
+    mesh = surface.to_trimesh()
+    assert np.array_equal(mesh.vertices, surface.vertices)
+    assert np.array_equal(mesh.faces, surface.faces)
 
 
 def test_public_names() -> None:

@@ -118,7 +118,7 @@ def of_extract(model: str, asked: Sweep, timed: Device, profiled: Device) -> Ite
                 size=dim, size_of="dim",
                 **against.errors_of(made.mesh()),
                 stages=timing.stage_times(partial(work, device=profiled), profiled, 1)[0],
-                left_out=plan_extract(octree, style=style).left_out(),
+                left_out=plan_extract(octree, style=style, device=timed).left_out,
                 bytes=made.points.nbytes + made.faces.nbytes,
             )  # fmt: skip
             if asked.commands:

@@ -26,6 +26,7 @@ from voxtool.errors import MemoryLimitError
 from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.svo.octree import BRICK_SIDE, BRICK_VOXELS, INSIDE, LINK, VALID, Octree
+from voxtool.svo.surface.isosurface import Lost
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -54,8 +55,9 @@ class Field:
     isovalue: int
 
     @classmethod
-    def of(cls, level: int, isovalue: float) -> Field:
-        """The field of a level and an isovalue in (0, 1)."""
+    def of(cls, level: int | str, isovalue: float) -> Field:
+        """The field of a level, or "voxel", and an isovalue in (0, 1)."""
+        level = VOXEL if isinstance(level, str) else level
         full = (BRICK_SIDE << level) ** 3 if level != VOXEL else 1
         scale = full << ISOVALUE_BITS
         return cls(level, full, min(max(round(Fraction(isovalue) * scale), 1), scale))
@@ -366,18 +368,6 @@ def classify_cubes(device: Device, tiles: Tiles, counted: Callable[..., None]) -
             tiles.n, tiles.codes, n, *tiles.arguments, first_cube, places, cases
         )
     return CutCubes(cubes, edges, cut, cut_edges, first_cube, first_edge, places, cases)
-
-
-@dataclass(frozen=True)
-class Lost:
-    """What samples do not show of the voxels: features thinner than a sample can vanish.
-
-    below : set voxels in samples that are not inside; vanished : of them, those in samples that the
-    surface does not come near (no cube around them is cut).
-    """
-
-    below: int
-    vanished: int
 
 
 def count_lost(device: Device, tiles: Tiles, cubes: CutCubes) -> Lost:

@@ -18,17 +18,16 @@ import numpy as np
 
 from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import build_histopyramid, exclusive_scan
-from voxtool.svo.surface.cut_cells import VOXEL, CutCubes, Tiles
+from voxtool.svo.surface.cut_cells import CutCubes, Tiles
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 SOURCE = "svo/surface/dual.cl"
-RELAXATIONS = 16  # as VTK's surface nets
 
 
 def dual_surface(
-    device: Device, tiles: Tiles, cubes: CutCubes, nets: bool
+    device: Device, tiles: Tiles, cubes: CutCubes, style: str, relaxations: int
 ) -> tuple[Array, Array, int]:
     """The points of the vertices, (3 V,) int32 as in Isosurface, the quads, (4 Q,) uint32, counter-
     clockwise seen from outside, and how many quads there are; of blocks, or of nets."""
@@ -36,7 +35,7 @@ def dual_surface(
     def kernel(name: str) -> Callable[..., None]:
         return device.kernel(SOURCE, name, **tiles.field.options)
 
-    relaxed = nets and tiles.field.level == VOXEL
+    nets, relaxed = style == "nets", relaxations > 0
     n = np.uint32(cubes.n)
     resolved = device.empty(cubes.n, np.uint16)
     first_vertex, quad_counts, first_link = (device.empty(cubes.n + 1, np.uint32) for _ in range(3))
@@ -68,7 +67,7 @@ def dual_surface(
                 first_vertex, first_link, link_start, linked,
             )  # fmt: skip
             moved = device.empty(3 * vertices, np.int32)
-            for _ in range(RELAXATIONS):
+            for _ in range(relaxations):
                 kernel("relax")(vertices, points, link_start, linked, np.uint32(vertices), moved)
                 points, moved = moved, points
             for array in (link_start, linked, moved):

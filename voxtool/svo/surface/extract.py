@@ -1,47 +1,31 @@
-"""Octree to triangle mesh: smooth isosurfaces, blocks and surface nets.
+"""Extraction of a triangle mesh from an octree: marching cubes, voxel faces or surface nets.
 
-The thesis, chapter 4 and sections 5.1 and 6.3. The stages, on the device:
+The stages, on the device (the thesis, chapter 4 and sections 5.1 and 6.3):
 
-1. tiles, samples: which cubes the surface may pass, and the scalars at their corners (tiles.py).
-2. classify: the case of every cube that is cut.
-3. vertices: smooth surfaces have one on each cut edge, dual ones one a loop (dual.py).
-4. histopyramid, triangles: a 5:1 histogram pyramid over the triangle counts of the cut cubes, and
-   one work-item a triangle, which finds its cube through it.
+1. tiles, samples: the cubes that the surface may cross, and the scalars at their corners.
+2. classify: the case of each cut cube.
+3. vertices, triangles: by marching cubes (marching_cubes.py) or by a dual style (dual.py).
 
-All of it is integer arithmetic: points lie on a lattice of 2**-14 of a sample's side, to which the
-crossing of an edge is rounded once, so the mesh is the same on every device.
-
-Kernels: kernels/svo/surface/marching_cubes.cl.
+All of it is integer arithmetic: the crossing of an edge is rounded once, to 2**-14 of a sample's
+side, so the mesh is the same on every device.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
 import math
 import operator
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from voxtool.choices import STYLES
 from voxtool.errors import VoxtoolError
-from voxtool.grid import Grid
-from voxtool.mesh.mesh import Mesh
-from voxtool.opencl import Array, Device, default_device, program
-from voxtool.opencl.primitives import build_histopyramid
-from voxtool.svo.octree import Octree
+from voxtool.job import Job
+from voxtool.opencl import Device, default_device
+from voxtool.svo.octree import BRICK_SIDE
 from voxtool.svo.surface.cut_cells import (
     MAX_LEVEL,
-    VOXEL,
-    CutCubes,
     Field,
-    Lost,
-    Tiles,
-    Tree,
     classify_cubes,
     count_lost,
     find_tiles,
@@ -49,95 +33,19 @@ from voxtool.svo.surface.cut_cells import (
 )
 from voxtool.svo.surface.dual import dual_surface, split_quads
 from voxtool.svo.surface.greedy_meshing import join_rectangles
-from voxtool.svo.surface.plan import ExtractionPlan
-from voxtool.vector import unit
+from voxtool.svo.surface.isosurface import Isosurface
+from voxtool.svo.surface.marching_cubes import march_cubes
+from voxtool.svo.surface.plan import MAX_SAMPLES, ExtractionPlan
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-SOURCE = "svo/surface/marching_cubes.cl"
-LATTICE_BITS = 14
-LATTICE = 1 << LATTICE_BITS  # points count this often a sample's side
-NEAREST = LATTICE // 256  # that a point comes to a sample, or a net's to the sides of its cube
-HEADERS = {
-    "svo/surface/lattice.h": program.c_constants(
-        LATTICE_BITS=LATTICE_BITS, LATTICE=LATTICE, NEAREST=NEAREST
-    )
-}
+    from voxtool.svo.octree import Octree
+    from voxtool.svo.surface.cut_cells import Tree
 
-
-@dataclass(frozen=True, eq=False)
-class Isosurface:
-    """A closed, manifold surface around the inside of an octree.
-
-    grid : the octree's; units : name of the world unit if known, or "".
-    style : "smooth", "blocks" or "nets".
-    level : of the octree's nodes that are samples, or "voxel"; side : voxels along a sample's side.
-    isovalue : a sample is inside where at least this share of it is set.
-    points : (V, 3) int32: the vertices, in 2**-14 of a sample's side from the grid's corner.
-    faces : (F, 3) int32: triangles, counter-clockwise seen from outside.
-    tiles, cubes : tiles of 4 x 4 x 4 cubes that were looked at, and cubes that are cut.
-    lost : set voxels that samples do not show.
-    merged : coplanar quads of blocks are joined; sides of faces may have vertices on them.
-    """
-
-    grid: Grid
-    units: str
-    style: str
-    level: int | str
-    side: int
-    isovalue: float
-    points: np.ndarray
-    faces: np.ndarray
-    tiles: int
-    cubes: int
-    lost: Lost
-    merged: bool = False
-
-    @cached_property
-    def vertices(self) -> np.ndarray:
-        """(V, 3) float64: the vertices, in world units."""
-        voxels = self.points * (self.side / LATTICE)  # exact
-        return voxels * np.array(self.grid.pitch) + np.array(self.grid.origin)
-
-    @cached_property
-    def normals(self) -> np.ndarray:
-        """(V, 3) float64: unit normals of the vertices, pointing outside: the mean of the faces'
-        around them, by area. Sums are of whole numbers, so their order does not show."""
-        corners = self.points[self.faces].astype(np.int64)
-        p, q = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        areas = [p[:, i] * q[:, j] - p[:, j] * q[:, i] for i, j in ((1, 2), (2, 0), (0, 1))]
-        sums = np.zeros((len(self.points), 3))
-        for axis, area in enumerate(areas):
-            for corner in self.faces.T:
-                sums[:, axis] += np.bincount(corner, area, len(self.points))
-        opposed = (sums == 0).all(axis=1)  # the faces' cancel: any one's will do
-        for corner in self.faces.T:
-            chosen = opposed[corner]
-            sums[corner[chosen]] = np.stack(areas, axis=1)[chosen]
-        sums /= np.array(self.grid.pitch)
-        return unit(sums)
-
-    def mesh(self) -> Mesh:
-        """The surface as a triangle mesh in world units."""
-        return Mesh(self.vertices, self.faces, name=f"{self.style} surface", units=self.units)
-
-    def digest(self) -> str:
-        """SHA-256 of the canonical content: grid, style, level, isovalue, points and faces, little-
-        endian. Equal content has an equal digest on every device and platform."""
-        head = {
-            "shape": list(self.grid.shape),
-            "origin": [v.hex() for v in self.grid.origin],
-            "pitch": [v.hex() for v in self.grid.pitch],
-            "style": self.style,
-            "level": self.level,
-            "isovalue": self.isovalue.hex(),
-            "merged": self.merged,
-        }
-        sha = hashlib.sha256(json.dumps(head, sort_keys=True).encode())
-        for array in (self.points, self.faces):
-            sha.update(np.ascontiguousarray(array, "<i4").data)
-        return sha.hexdigest()
+# Shares of the set voxels from which on their loss is a warning: in samples below the isovalue,
+# and, of them, away from the surface.
+MUCH_BELOW, MUCH_VANISHED = 0.5, 0.01
 
 
 def extract(
@@ -152,69 +60,45 @@ def extract(
 ) -> Isosurface:
     """The surface between the inside and the outside of an octree, closed at the grid's border.
 
+    `plan_extract` with the same arguments says what this would do, and refuses nothing.
+
     Parameters
     ----------
+    octree : Octree
     style : "smooth" (marching cubes), "blocks" (the samples' own faces, two triangles a square) or
         "nets" (surface nets, kept in their cubes).
-    level : of the nodes that are samples, from 0 (bricks), or "voxel"; 0 for smooth, and "voxel"
-        for blocks and nets by default.
-    isovalue : in (0, 1): a sample is inside where at least this share of its voxels is set.
-    merge : for "blocks": join coplanar squares to rectangles; then T-junctions are left.
-    device : where to compute; the preferred device by default.
-    max_memory : bytes that the device may use; what device and machine have by default.
+    level : level of the nodes that are samples, from 0 (bricks), or "voxel"; by default 0 for
+        smooth, and "voxel" for blocks and nets.
+    isovalue : in (0, 1): a sample is inside if at least this share of its voxels is set.
+    merge : join coplanar squares of "blocks" to rectangles (greedy meshing); leaves T-junctions.
+    device : where to compute; the default device if None.
+    max_memory : bytes that the device may use; by default what device and machine have.
 
     Returns
     -------
-    Isosurface, the same bit for bit on every device. Without --merge each edge has two faces and
-    each vertex one fan of them. On a face of a cube whose inside samples are diagonal they are kept
-    apart, but where that would pinch a dual surface (cases.py).
+    Isosurface, the same bit for bit on every device. Without `merge` each edge has two faces and
+    each vertex one fan of them. Inside samples that are diagonal on a face of a cube are separated,
+    except where that would pinch a dual surface (case_tables.py).
 
     Raises
     ------
     VoxtoolError : an argument is out of range, or the octree is of a surface and has no inside.
     MemoryLimitError : the surface would not fit.
     DeviceError : no usable device.
+
+    Warns
+    -----
+    MeshWarning : the surface is empty, or the samples lose parts of the octree.
     """
-    device = device or default_device()
-    level, field = _field(octree, style, level, isovalue, merge)
-    tree = grow(octree, field)
-    limits = device.max_memory if max_memory is None else max_memory, device.info.max_allocation
-    plan = _plan(octree, tree, style, level, merge)
-    plan.refuse_beyond(*limits)
-
-    def counted(**numbers: int) -> None:
-        replace(plan, **numbers).refuse_beyond(*limits)
-
-    tiles = find_tiles(device, octree, tree, field, counted)
-    cubes = classify_cubes(device, tiles, counted)
-    lost = count_lost(device, tiles, cubes)
-    if style == "smooth":
-        points, triangles = _marching_cubes(device, tiles, cubes)
-    else:
-        points, quads, n = dual_surface(device, tiles, cubes, nets=style == "nets")
-        if merge:
-            with device.stage("merge"):
-                points, quads, n = join_rectangles(device, points, quads, n)
-        with device.stage("triangles"):
-            triangles = split_quads(device, tiles, points, quads, n)
-    with device.stage("read back"):
-        result = Isosurface(
-            grid=octree.grid,
-            units=octree.units,
-            style=style,
-            level=level,
-            side=field.side,
-            isovalue=float(isovalue),
-            points=points.take().reshape(-1, 3),
-            faces=triangles.take().view(np.int32).reshape(-1, 3),
-            tiles=tiles.n,
-            cubes=cubes.n,
-            lost=lost,
-            merged=merge,
-        )
-    tiles.release()
-    cubes.release()
-    return result
+    return plan_extract(
+        octree,
+        style=style,
+        level=level,
+        isovalue=isovalue,
+        merge=merge,
+        device=device,
+        max_memory=max_memory,
+    ).run()
 
 
 def plan_extract(
@@ -224,16 +108,24 @@ def plan_extract(
     level: int | str | None = None,
     isovalue: float = 0.5,
     merge: bool = False,
-) -> ExtractionPlan:
-    """What `extract` would do with the same arguments, without doing it."""
-    level, field = _field(octree, style, level, isovalue, merge)
-    return _plan(octree, grow(octree, field), style, level, merge)
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> ExtractJob:
+    """The job that `extract` with the same arguments runs.
+
+    Raises
+    ------
+    VoxtoolError, DeviceError : as `extract`.
+    """
+    level, share = _checked(octree, style, level, isovalue, merge)
+    tree, plan = _plan(octree, style, level, share, merge)
+    return ExtractJob(octree, tree, plan, device or default_device(), max_memory)
 
 
-def _field(
+def _checked(
     octree: Octree, style: str, level: int | str | None, isovalue: float, merge: bool
-) -> tuple[int | str, Field]:
-    """The level and the field that are asked for, checked."""
+) -> tuple[int | str, float]:
+    """The level and the isovalue of a request, checked."""
     if style not in STYLES:
         raise VoxtoolError(f"style {style!r} is unknown: choose one of {', '.join(STYLES)}")
     if level is None:
@@ -260,20 +152,25 @@ def _field(
             f"an octree of mode {octree.mode} has no inside to extract a {style} surface from: "
             "voxelize with --mode solid, or extract --style blocks --level voxel"
         )
-    return level, Field.of(VOXEL if level == "voxel" else int(level), share)
+    return level, share
 
 
-def _plan(octree: Octree, tree: Tree, style: str, level: int | str, merge: bool) -> ExtractionPlan:
+def _plan(
+    octree: Octree, style: str, level: int | str, isovalue: float, merge: bool = False
+) -> tuple[Tree, ExtractionPlan]:
+    """The links of the octree, and the plan of an extraction from them."""
     solid = "solid" in octree.mode
+    tree = grow(octree, Field.of(level, isovalue))
 
     def coarser() -> Iterator[ExtractionPlan]:
         first = 0 if isinstance(level, str) else level + 1
         for other in range(first, _coarsest(octree) + 1 if solid else 0):
-            yield _plan(octree, grow(octree, Field.of(other, 0.5)), style, other, merge)
+            yield _plan(octree, style, other, isovalue, merge)[1]
 
-    return ExtractionPlan.predict(
+    return tree, ExtractionPlan.predict(
         style,
         level,
+        isovalue,
         merge=merge,
         solid=solid,
         nodes=tuple(tree.nodes(number) for number in range(tree.top + 1)),
@@ -287,29 +184,95 @@ def _coarsest(octree: Octree) -> int:
     return min(octree.depth - 1, MAX_LEVEL)
 
 
-def _marching_cubes(device: Device, tiles: Tiles, cubes: CutCubes) -> tuple[Array, Array]:
-    """The points of the vertices, a vertex each cut edge, and the triangles."""
-    options = tiles.field.options
-    with device.stage("vertices"):
-        points = device.empty(3 * cubes.edges, np.int32)
-        place_vertices = device.kernel(SOURCE, "place_vertices", **options)
-        place_vertices(
-            tiles.n, tiles.codes, np.uint32(tiles.n), *tiles.arguments, *tiles.sample_arguments,
-            cubes.cut_edges, cubes.first_edge, np.int32(tiles.shift), points,
-        )  # fmt: skip
-    with device.stage("histopyramid"):
-        counts = device.empty(cubes.n, np.uint32)
-        count_triangles = device.kernel(SOURCE, "count_triangles", **options)
-        count_triangles(cubes.n, cubes.cases, np.uint32(cubes.n), counts)
-        pyramid = build_histopyramid(counts, cubes.n)
-    with device.stage("triangles"):
-        triangles = device.empty(3 * pyramid.total, np.uint32)
-        polygonise = device.kernel(SOURCE, "polygonise", **options)
-        polygonise(
-            pyramid.total, *pyramid.arguments, np.uint32(pyramid.total), tiles.codes,
-            *tiles.arguments, cubes.places, cubes.cases, cubes.cut_edges, cubes.first_edge,
-            triangles,
-        )  # fmt: skip
-    pyramid.release()
-    counts.release()
-    return points, triangles
+class ExtractJob(Job[Isosurface]):
+    """The extraction of a surface, planned by `plan_extract`.
+
+    Attributes
+    ----------
+    plan : ExtractionPlan; `with_(relaxations=0)` forces one of its decisions.
+    """
+
+    plan: ExtractionPlan
+    device: Device
+
+    def __init__(
+        self,
+        octree: Octree,
+        tree: Tree,
+        plan: ExtractionPlan,
+        device: Device,
+        max_memory: int | None,
+    ) -> None:
+        self.octree, self._tree = octree, tree
+        self.plan, self.device, self.max_memory = plan, device, max_memory
+
+    def _run(self) -> Isosurface:
+        device, plan = self.device, self.plan
+        field = Field.of(plan.level, plan.isovalue)
+        allowed = device.max_memory if self.max_memory is None else self.max_memory
+
+        def counted(**numbers: int) -> None:
+            replace(plan, **numbers).refuse_beyond(allowed, device.info.max_allocation)
+
+        tiles = find_tiles(device, self.octree, self._tree, field, counted)
+        cubes = classify_cubes(device, tiles, counted)
+        lost = count_lost(device, tiles, cubes)
+        if plan.style == "smooth":
+            points, triangles = march_cubes(device, tiles, cubes)
+        else:
+            points, quads, n = dual_surface(device, tiles, cubes, plan.style, plan.relaxations)
+            if plan.merge:
+                with device.stage("merge"):
+                    points, quads, n = join_rectangles(device, points, quads, n)
+            with device.stage("triangles"):
+                triangles = split_quads(device, tiles, points, quads, n)
+        with device.stage("read back"):
+            return Isosurface(
+                grid=self.octree.grid,
+                units=self.octree.units,
+                style=plan.style,
+                level=plan.level,
+                side=field.side,
+                isovalue=plan.isovalue,
+                points=points.take().reshape(-1, 3),
+                faces=triangles.take().view("int32").reshape(-1, 3),
+                tiles=tiles.n,
+                cubes=cubes.n,
+                lost=lost,
+                merged=plan.merge,
+            )
+
+    def findings(self, result: Isosurface) -> Iterator[str]:
+        """Why the surface is empty, or what the samples lose if that is much of the octree."""
+        count, lost = self.octree.count, result.lost
+        if not count:
+            yield "no voxel is set, so there is no surface: voxelize a mesh with --mode solid"
+        elif not len(result.faces):
+            yield (
+                f"none of the {count:,} set voxels lies in a sample that reaches the isovalue "
+                f"{result.isovalue:g}: {self._keeping()}, or choose a lower isovalue"
+            )
+        elif lost.below > MUCH_BELOW * count or lost.vanished > MUCH_VANISHED * count:
+            yield self.losses(result)
+
+    def losses(self, result: Isosurface) -> str:
+        """How many voxels the samples do not show, and what keeps them; "" if they show all."""
+        lost, count = result.lost, self.octree.count
+        if not lost.below:
+            return ""
+        where = f"{lost.vanished:,} of them away from" if lost.vanished else "all of them at"
+        serious = lost.vanished or lost.below > MUCH_BELOW * count
+        return (
+            f"{lost.below:,} set voxels ({100 * lost.below / count:.2g} %) lie in samples below "
+            f"the isovalue, {where} the surface{f': {self._keeping()}' if serious else ''}"
+        )
+
+    def _keeping(self) -> str:
+        """What keeps voxels that samples lose: samples of their own size, or smaller voxels."""
+        finer = BRICK_SIDE * self.octree.grid.dim
+        hints = []
+        if _plan(self.octree, "nets", "voxel", 0.5)[1].samples <= MAX_SAMPLES:
+            hints.append("--level voxel --style nets keeps them all")
+        if finer <= BRICK_SIDE * MAX_SAMPLES:
+            hints.append(f"voxelizing with --dim {finer} may keep them")
+        return ", ".join(hints) or "a lower isovalue may keep them"

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from voxtool.errors import MemoryLimitError, human
+from voxtool.job import Cost
 from voxtool.svo.octree import BRICK_BYTES
 
 if TYPE_CHECKING:
@@ -15,13 +16,15 @@ MAX_SAMPLES = 4096  # of a surface along a side: tiles of four have Morton codes
 CUBE_BYTES = 24  # device arrays of a surface: a cube that is cut,
 EDGE_BYTES = {"smooth": 40, "blocks": 52, "nets": 84}  # a cut edge,
 MERGE_BYTES = 64  # and one of blocks that are merged
+RELAXATIONS = 16  # of surface nets of voxels, as in VTK
 
 
 @dataclass(frozen=True)
 class ExtractionPlan:
     """How a surface will be extracted from an octree.
 
-    style, level, merge : as asked; solid : the octree has an inside.
+    style, level, isovalue, merge : as requested; solid : the octree has an inside.
+    relaxations : rounds in which vertices of nets move towards the mean of their neighbours.
     nodes : of the octree's levels, level 0 first, with those of roots that were added; rooted :
     they were, as cubes begin below the octree's low sides.
     tiles, cubes, edges : predicted, then counted: tiles of 4 x 4 x 4 samples that are looked at,
@@ -32,8 +35,10 @@ class ExtractionPlan:
 
     style: str
     level: int | str
+    isovalue: float
     merge: bool
     solid: bool
+    relaxations: int
     nodes: tuple[int, ...]
     rooted: bool
     tiles: int
@@ -46,6 +51,7 @@ class ExtractionPlan:
         cls,
         style: str,
         level: int | str,
+        isovalue: float,
         *,
         merge: bool,
         solid: bool,
@@ -58,7 +64,11 @@ class ExtractionPlan:
         active = _active_tiles(nodes, level)
         cubes = active * (16 if level != "voxel" else 8 if solid else 20)
         tiles = 2 * active
-        return cls(style, level, merge, solid, nodes, rooted, tiles, cubes, cubes, coarser)
+        relaxations = RELAXATIONS if style == "nets" and level == "voxel" else 0
+        return cls(
+            style, level, isovalue, merge, solid, relaxations, nodes, rooted, tiles, cubes, cubes,
+            coarser,
+        )  # fmt: skip
 
     @property
     def voxels(self) -> bool:
@@ -74,11 +84,12 @@ class ExtractionPlan:
             "classify",
             *([] if self.voxels else ["lost voxels"]),
             "vertices",
-            *(["relax"] if self.style == "nets" and self.voxels else []),
+            *(["relax"] if self.relaxations else []),
             "histopyramid",
             *([] if self.style == "smooth" else ["quads"]),
             *(["merge"] if self.merge else []),
             "triangles",
+            "read back",
         ]
 
     @property
@@ -88,8 +99,8 @@ class ExtractionPlan:
         return max(side // (1 if isinstance(self.level, str) else 4 << self.level), 1)
 
     @property
-    def device_bytes(self) -> int:
-        """Peak of memory on the device, the surface included, by the numbers above."""
+    def cost(self) -> Cost:
+        """Bytes on the device, the surface included, by the numbers above."""
         active = _active_tiles(self.nodes, self.level)
         octree = BRICK_BYTES * self.nodes[0] + 4 * sum(self.nodes[1:])
         if self.level not in ("voxel", 0):
@@ -97,20 +108,18 @@ class ExtractionPlan:
         sample = 0 if self.voxels else 1 if self.level == 0 else 4
         tiles = 28 * max(self.samples**3 // 4096, 1) + 56 * self.tiles + 64 * sample * active
         edge = EDGE_BYTES[self.style] + (MERGE_BYTES if self.merge else 0)
-        return octree + tiles + CUBE_BYTES * self.cubes + edge * self.edges
-
-    @property
-    def largest_buffer(self) -> int:
-        """Bytes of the largest single allocation on the device."""
-        octree, words = BRICK_BYTES * self.nodes[0], self.samples**3 // 512
-        return max(octree, words, 24 * self.tiles, 28 * self.edges)
+        bricks, words = BRICK_BYTES * self.nodes[0], self.samples**3 // 512
+        return Cost(
+            device=octree + tiles + CUBE_BYTES * self.cubes + edge * self.edges,
+            largest=max(bricks, words, 24 * self.tiles, 28 * self.edges),
+        )
 
     def fits(self, max_memory: int, max_allocation: int) -> bool:
         """Whether memory and codes suffice."""
         return (
             self.samples <= MAX_SAMPLES
-            and self.device_bytes <= max_memory
-            and self.largest_buffer <= max_allocation
+            and self.cost.device <= max_memory
+            and self.cost.largest <= max_allocation
         )
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
@@ -128,19 +137,20 @@ class ExtractionPlan:
             return
         fitting = (plan.level for plan in self.coarser() if plan.fits(max_memory, max_allocation))
         level = next(fitting, None)
-        mend = "no level fits" if level is None else f"choose level {level}"
+        hint = "no level fits" if level is None else f"choose level {level}"
         if self.samples > MAX_SAMPLES:
             raise MemoryLimitError(
                 f"level {self.level} has {self.samples} samples along a side, of {MAX_SAMPLES} "
-                f"that are extracted: {mend}"
+                f"that are extracted: {hint}"
             )
         raise MemoryLimitError(
             f"a {self.style} surface of level {self.level} would need "
-            f"{human(self.device_bytes)} of memory ({human(self.largest_buffer)} in one buffer), "
-            f"of {human(max_memory)} ({human(max_allocation)}) allowed: {mend}; or allow more (see "
+            f"{human(self.cost.device)} of memory ({human(self.cost.largest)} in one buffer), "
+            f"of {human(max_memory)} ({human(max_allocation)}) allowed: {hint}; or allow more (see "
             "--max-memory)"
         )
 
+    @property
     def left_out(self) -> dict[str, str]:
         """What is not compiled, allocated or run, and why."""
         out = {"cubes away from nodes": "a set of tiles names those that the surface may pass"}
@@ -154,7 +164,7 @@ class ExtractionPlan:
             out["loops and quads"] = "the style is smooth: cubes are marched"
         elif self.style == "blocks":
             out["crossings and relaxation"] = "blocks lie on the corners of samples"
-        elif not self.voxels:
+        elif not self.relaxations:
             out["relaxation"] = "coverages are smooth as they are"
         if self.style != "blocks" or not self.merge:
             out["sorting"] = "Morton-ordered bits are sorted; only --merge sorts"
@@ -167,11 +177,19 @@ class ExtractionPlan:
             "level": self.level,
             "samples_along_side": self.samples,
             "stages": self.stages,
-            "left_out": self.left_out(),
+            "left_out": self.left_out,
             "predicted_tiles": self.tiles,
             "predicted_cut_cubes": self.cubes,
-            "predicted_device_bytes": self.device_bytes,
+            "predicted_device_bytes": self.cost.device,
         }
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What `--plan` prints before the stages: names and texts."""
+        surface = f"{self.style}, level {self.level}: {self.samples} samples along the root"
+        return [
+            ("surface", surface),
+            ("cut cubes", f"about {self.cubes:,}, in {self.tiles:,} tiles"),
+        ]
 
 
 def _active_tiles(nodes: tuple[int, ...], level: int | str) -> int:

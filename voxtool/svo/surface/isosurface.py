@@ -1,0 +1,148 @@
+"""The surface of an octree: its data."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voxtool.arrays import equal, read_only
+from voxtool.grid import Grid
+from voxtool.mesh.mesh import Mesh
+from voxtool.opencl import program
+from voxtool.vector import unit
+
+if TYPE_CHECKING:
+    import trimesh
+
+LATTICE_BITS = 14
+LATTICE = 1 << LATTICE_BITS  # steps of the lattice of points along a sample's side
+NEAREST = LATTICE // 256  # steps that a point keeps from a sample or from the sides of its cube
+HEADERS = {
+    "svo/surface/lattice.h": program.c_constants(
+        LATTICE_BITS=LATTICE_BITS, LATTICE=LATTICE, NEAREST=NEAREST
+    )
+}
+
+
+@dataclass(frozen=True)
+class Lost:
+    """Set voxels that the samples do not show; features thinner than a sample can vanish.
+
+    below : set voxels in samples that are not inside.
+    vanished : those of them in samples that no cut cube touches.
+    """
+
+    below: int
+    vanished: int
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Isosurface:
+    """A closed, manifold triangle surface around the inside of an octree.
+
+    Attributes
+    ----------
+    grid : Grid of the octree.
+    units : name of the world unit if known, or "".
+    style : a name in `choices.STYLES`.
+    level : level of the octree's nodes that are samples, or "voxel".
+    side : voxels along a sample's side.
+    isovalue : least share of set voxels of a sample that is inside.
+    points : (V, 3) int32, vertices in 2**-14 of a sample's side from the grid's corner.
+    faces : (F, 3) int32, triangles, counter-clockwise seen from outside.
+    tiles, cubes : tiles of 4 x 4 x 4 cubes that were examined, and cubes that are cut.
+    lost : set voxels that the samples do not show.
+    merged : coplanar squares are joined (greedy meshing), which leaves T-junctions.
+    """
+
+    grid: Grid
+    units: str
+    style: str
+    level: int | str
+    side: int
+    isovalue: float
+    points: np.ndarray
+    faces: np.ndarray
+    tiles: int
+    cubes: int
+    lost: Lost
+    merged: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("points", "faces"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def __eq__(self, other: object) -> bool:
+        return equal(self, other)
+
+    __hash__ = object.__hash__  # by identity, for weak references
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), tuple(getattr(self, field.name) for field in fields(self))
+
+    def __repr__(self) -> str:
+        return (
+            f"Isosurface({self.style}, level {self.level}, {len(self.points):,} vertices, "
+            f"{len(self.faces):,} triangles)"
+        )
+
+    @cached_property
+    def vertices(self) -> np.ndarray:
+        """(V, 3) float64: the vertices, in world units."""
+        voxels = self.points * (self.side / LATTICE)  # exact
+        return read_only(voxels * np.array(self.grid.pitch) + np.array(self.grid.origin))
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """(V, 3) float64: unit normals of the vertices, pointing outside: the mean of the normals
+        of the faces around each, weighted by area.
+
+        The sums are of whole numbers, so their order does not matter.
+        """
+        corners = self.points[self.faces].astype(np.int64)
+        p, q = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        areas = [p[:, i] * q[:, j] - p[:, j] * q[:, i] for i, j in ((1, 2), (2, 0), (0, 1))]
+        sums = np.zeros((len(self.points), 3))
+        for axis, area in enumerate(areas):
+            for corner in self.faces.T:
+                sums[:, axis] += np.bincount(corner, area, len(self.points))
+        opposed = (sums == 0).all(axis=1)  # the faces cancel: use any one of them
+        for corner in self.faces.T:
+            chosen = opposed[corner]
+            sums[corner[chosen]] = np.stack(areas, axis=1)[chosen]
+        sums /= np.array(self.grid.pitch)
+        return read_only(unit(sums))
+
+    def mesh(self) -> Mesh:
+        """The surface as a triangle mesh in world units."""
+        return Mesh(self.vertices, self.faces, name=f"{self.style} surface", units=self.units)
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """The surface as a `trimesh.Trimesh` in world units, vertices and faces in their order."""
+        import trimesh
+
+        return trimesh.Trimesh(
+            self.vertices.copy(), self.faces.copy(), process=False, maintain_order=True
+        )
+
+    def digest(self) -> str:
+        """SHA-256 of the canonical content: grid, style, level, isovalue, points and faces, little-
+        endian. Equal content has an equal digest on every device and platform."""
+        head = {
+            "shape": list(self.grid.shape),
+            "origin": [v.hex() for v in self.grid.origin],
+            "pitch": [v.hex() for v in self.grid.pitch],
+            "style": self.style,
+            "level": self.level,
+            "isovalue": self.isovalue.hex(),
+            "merged": self.merged,
+        }
+        sha = hashlib.sha256(json.dumps(head, sort_keys=True).encode())
+        for array in (self.points, self.faces):
+            sha.update(np.ascontiguousarray(array, "<i4").data)
+        return sha.hexdigest()
