@@ -1,32 +1,51 @@
 # make demo     an environment, an example mesh, its octree, a surface of it, its distance field; an example
 #               volume, and pictures
-# make test     the whole suite
+# make quick    a contributor's loop: one driver, nothing slow; under two minutes
+# make test     the whole suite, on every driver
+# make soak     what takes long: kills, fuzzing, many calls, all models; SECONDS= and SEED= choose a slice
 # make lint     style, types and imports
+# make docs     the site, in build/site
+# make headers  the headers that the host generates for the kernels
 # Only Python 3.11 or newer and a package index are needed; PYTHON= names another interpreter.
 
 PYTHON ?= python3
 PIP_INSTALL := .venv/bin/python -m pip install --quiet --disable-pip-version-check
+PYTEST := .venv/bin/python -m pytest -n auto --maxprocesses 4 --dist worksteal
+SECONDS ?= 3600
+SEED ?=
 ARGS ?=
 
-.PHONY: demo test lint clean
+.PHONY: demo quick test soak lint docs headers clean
 
 demo: .venv/all.done bunny.obj volume.vtu
 	.venv/bin/voxtool voxelize bunny.obj --dim 512 --mode solid
 	.venv/bin/voxtool svo-info bunny.svo.h5
-	.venv/bin/voxtool extract bunny.svo.h5 --style nets -o nets.ply
+	.venv/bin/voxtool extract bunny.svo.h5 --style surface-nets -o nets.ply
 	.venv/bin/voxtool adf-build bunny.obj
 	.venv/bin/voxtool render bunny.adf.h5
 	.venv/bin/voxtool tet-build volume.vtu --scalar density
 	.venv/bin/voxtool render volume.tet.h5 --opacity-range 0.1,0.5 --legend
 
+quick: .venv/test.done
+	$(PYTEST) --quick $(ARGS)
+
 test: .venv/test.done
-	.venv/bin/python -m pytest -n auto --maxprocesses 4 --dist worksteal $(ARGS)
+	$(PYTEST) $(ARGS)
+
+soak: .venv/test.done
+	.venv/bin/python -m pytest tests/soak --soak $(SECONDS) $(if $(SEED),--seed $(SEED)) $(ARGS)
 
 lint: .venv/test.done
 	.venv/bin/ruff check
 	.venv/bin/ruff format --check
 	.venv/bin/basedpyright
 	.venv/bin/lint-imports
+
+docs: .venv/docs.done
+	.venv/bin/mkdocs build --clean --quiet
+
+headers: .venv/all.done
+	.venv/bin/python -m voxtool.opencl.headers
 
 clean:
 	rm -rf .venv bunny.obj bunny.svo.h5 nets.ply bunny.adf.h5 bunny.png volume.vtu volume.tet.h5 volume.png \
@@ -47,6 +66,10 @@ volume.vtu: examples/make_volume.py | .venv/all.done
 .venv/test.done: pyproject.toml | .venv/bin/python
 	$(PIP_INSTALL) -e '.[test]'
 	@touch $@ .venv/all.done
+
+.venv/docs.done: pyproject.toml | .venv/bin/python
+	$(PIP_INSTALL) -e '.[docs]'
+	@touch $@
 
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \

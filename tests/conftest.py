@@ -39,10 +39,28 @@ def opened(index: int) -> Device:
     return open_device(str(index))
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--quick", action="store_true", help="one driver, and no test marked slow")
+    parser.addoption("--soak", type=float, help="seconds that tests/soak may take")
+    parser.addoption("--seed", type=int, help="of tests/soak; a new one every time by default")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what the tier does not run: slow tests in --quick, soak tests without --soak."""
+    left_out = {"slow"} if config.getoption("quick") else set()
+    left_out |= set() if config.getoption("soak") else {"soak"}
+    dropped = [item for item in items if left_out & {mark.name for mark in item.iter_markers()}]
+    if dropped:
+        config.hook.pytest_deselected(items=dropped)
+        items[:] = [item for item in items if item not in set(dropped)]
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "device_index" in metafunc.fixturenames:
         found = usable_devices()
         assert found, "no usable OpenCL device: install the extra 'cpu' or a driver"
+        if metafunc.config.getoption("quick"):
+            found = found[:1]
         metafunc.parametrize(
             "device_index",
             [index for index, _ in found],

@@ -1,0 +1,182 @@
+"""What takes long: random meshes, mutated files, killed writers, many calls, all models.
+
+`make soak SECONDS=600 SEED=7` gives each test its share of the time. The seed is printed, so that a
+failure can be repeated.
+"""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import meshes
+import numpy as np
+import oracles
+import pytest
+from conftest import MODELS, opened, usable_devices
+from helpers_cli import ENVIRONMENT, MODULE
+
+import voxtool
+from voxtool.errors import VoxtoolError
+
+pytestmark = pytest.mark.soak
+SHAPE = (24, 20, 22)
+TESTS = 5  # that share the time
+READERS = {
+    "svo.h5": voxtool.read_svo,
+    "svo.xml": voxtool.read_svo,
+    "adf.h5": voxtool.read_adf,
+    "tet.h5": voxtool.read_tet,
+    "obj": voxtool.load_mesh,
+    "ply": voxtool.load_mesh,
+    "stl": voxtool.load_mesh,
+    "off": voxtool.load_mesh,
+    "glb": voxtool.load_mesh,
+}
+
+
+@pytest.fixture(scope="session")
+def seed(request: pytest.FixtureRequest) -> int:
+    given = request.config.getoption("seed")
+    chosen = random.SystemRandom().randrange(1 << 32) if given is None else given
+    print(f"soak: --seed {chosen}")
+    return chosen
+
+
+@pytest.fixture
+def rounds(request: pytest.FixtureRequest, seed: int) -> Iterator[Iterator[random.Random]]:
+    """One random generator a round, for as long as the test's share of the time lasts."""
+    end = time.monotonic() + request.config.getoption("soak") / TESTS
+    count = 0
+
+    def until_then() -> Iterator[random.Random]:
+        nonlocal count
+        while count == 0 or time.monotonic() < end:
+            yield random.Random(f"{request.node.name} {seed} {count}")
+            count += 1
+
+    yield until_then()
+    print(f"soak: {request.node.name}: {count:,} rounds")
+
+
+def test_random_meshes_agree_with_oracles_on_every_driver(rounds) -> None:
+    """Every mode, voxel by voxel."""
+    devices = [opened(index) for index, _ in usable_devices()]
+    grid = voxtool.Grid(SHAPE, (0, 0, 0), (1, 1, 1))
+    for rng in rounds:
+        generator = np.random.default_rng(rng.randrange(1 << 32))
+        vertices, faces = meshes.random_triangles(generator, rng.randint(1, 8), SHAPE, margin=6)
+        vertices = np.asarray(vertices, float) / rng.choice([1, 2, 256])
+        mesh = voxtool.mesh_from_arrays(vertices, faces)
+        triangles = meshes.fixed(mesh.vertices)[mesh.faces]
+        for mode in ("surface26", "surface6", "solid"):
+            expected = getattr(oracles, mode)(triangles, SHAPE)
+            for device in devices:
+                octree = voxtool.voxelize(mesh, grid, mode, fill="parity", device=device)
+                octree.validate()
+                assert {tuple(v) for v in octree.occupied().tolist()} == expected
+
+
+@pytest.fixture(scope="module")
+def samples(models: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """A small valid file of every format."""
+    folder = tmp_path_factory.mktemp("samples")
+    octree = voxtool.read_svo(models / "bunny.svo.h5")
+    voxtool.write_svo(octree, folder / "a.svo.xml")
+    voxtool.write_svo(octree, folder / "a.svo.h5")
+    voxtool.write_adf(voxtool.read_adf(models / "bunny.adf.h5"), folder / "a.adf.h5")
+    voxtool.write_tet(voxtool.read_tet(models / "volume.tet.h5"), folder / "a.tet.h5")
+    surface = voxtool.extract(octree).mesh()
+    for kind in ("obj", "ply", "stl", "off", "glb"):
+        voxtool.write_mesh(surface, folder / f"a.{kind}")
+    return {kind: (folder / f"a.{kind}").read_bytes() for kind in READERS}
+
+
+def mutated(rng: random.Random, data: bytes) -> bytes:
+    """Some bytes changed, cut out, repeated, or the end missing."""
+    changed = bytearray(data)
+    for _ in range(rng.choice([1, 1, 2, 8])):
+        place = rng.randrange(len(changed) or 1)
+        size = rng.choice([1, 1, 4, 64])
+        match rng.randrange(5):
+            case 0:
+                changed[place : place + size] = rng.randbytes(size)
+            case 1:
+                del changed[place : place + size]
+            case 2:
+                changed[place:place] = changed[place : place + size]
+            case 3:
+                changed[place : place + 8] = rng.choice([b"\xff" * 8, b"\0" * 8, b"-1 1e400 "])
+            case _:
+                del changed[place:]
+    return bytes(changed)
+
+
+def test_mutated_files_are_read_or_refused_in_one_line(rounds, samples, tmp_path: Path) -> None:
+    for rng in rounds:
+        kind = rng.choice(list(READERS))
+        file = tmp_path / f"mutant.{kind}"
+        file.write_bytes(mutated(rng, samples[kind]))
+        message = ""
+        try:
+            READERS[kind](file)
+        except VoxtoolError as error:  # anything else fails the test
+            message = str(error)
+        assert "\n" not in message
+
+
+def test_killed_writers_leave_a_whole_file_or_none(rounds, models: Path, tmp_path: Path) -> None:
+    target = tmp_path / "out.svo.h5"
+    for rng in rounds:
+        before = target.read_bytes() if target.exists() else None
+        words = [*MODULE, *f"voxelize {models}/bunny.obj --dim 256 -q -o {target}".split()]
+        child = subprocess.Popen(words, env=ENVIRONMENT)
+        time.sleep(rng.uniform(0, 1.5))
+        child.send_signal(rng.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGINT]))
+        child.wait()
+        if target.exists() and target.read_bytes() != before:
+            voxtool.read_svo(target).validate()
+        elif before is not None:
+            assert target.read_bytes() == before
+
+
+def test_many_calls_keep_their_memory(rounds, models: Path) -> None:
+    mesh = voxtool.load_mesh(models / "bunny.obj")
+    field = voxtool.read_adf(models / "bunny.adf.h5")
+    resident: list[int] = []
+    for number, rng in enumerate(rounds):
+        octree = voxtool.voxelize(mesh, voxtool.Grid.fit(mesh, rng.choice([32, 64])))
+        voxtool.extract(octree)
+        voxtool.query_adf(field, np.random.default_rng(number).uniform(-1, 2, (100, 3)))
+        resident.append(_resident())
+    warm = len(resident) // 4
+    if len(resident) > 100:
+        assert max(resident[-warm:]) < 1.2 * max(resident[warm : 2 * warm]) + (32 << 20)
+
+
+def _resident() -> int:
+    """Bytes of memory that this process has."""
+    words = Path("/proc/self/statm").read_text().split() if sys.platform == "linux" else ["0", "0"]
+    return int(words[1]) * 4096
+
+
+def test_models_have_one_digest_on_every_driver(rounds) -> None:
+    names = sorted(path.name for path in MODELS.glob("*.obj"))
+    if not names:
+        pytest.skip("the folder of real models is absent")
+    devices = [opened(index) for index, _ in usable_devices()]
+    for rng in rounds:
+        mesh = voxtool.load_mesh(MODELS / rng.choice(names))
+        grid = voxtool.Grid.fit(mesh, rng.randint(8, 400))
+        mode = rng.choice(["surface26", "surface6", "solid"])
+        fill = rng.choice(["parity", "nonzero", "winding", "flood"])
+        found = {
+            voxtool.voxelize(mesh, grid, mode, fill=fill, device=device).digest()
+            for device in devices
+        }
+        assert len(found) == 1, (mesh.name, grid.dim, mode, fill)
