@@ -311,15 +311,7 @@ def test_digest_of_the_documents() -> None:
             sha.update(h5[name][()].tobytes())
     assert sha.hexdigest() == GOLDEN_DIGEST
 
-
-def test_documented_attributes_are_those_written() -> None:
-    section = DOCUMENT.partition("## The distance field")[2].partition("\n## ")[0]
-    table = section.partition("| attribute |")[2]
-    documented = re.findall(r"`(\w+)`", " ".join(re.findall(r"^\| (`[^|]*) \|", table, re.M)))
-    assert documented == ["format", *adf_hdf5.LAYOUT]
-
-
-# Names, streams, files of another kind
+    # Names, streams, files of another kind
 
 
 def test_format_is_chosen_by_extension_and_read_by_content(tmp_path: Path) -> None:

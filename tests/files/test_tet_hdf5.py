@@ -217,15 +217,7 @@ def test_digest_of_the_documents() -> None:
             sha.update(h5[name][()].tobytes())  # pyright: ignore
     assert sha.hexdigest() == GOLDEN_DIGESTS["raycast"]
 
-
-def test_documented_attributes_are_those_written() -> None:
-    section = DOCUMENT.partition("## The tetrahedral volume")[2].partition("\n## ")[0]
-    table = section.partition("| attribute |")[2]
-    documented = re.findall(r"`(\w+)`", " ".join(re.findall(r"^\| (`[^|]*) \|", table, re.M)))
-    assert documented == ["format", *tet_hdf5.LAYOUT]
-
-
-# ---- names, streams, files of another kind
+    # ---- names, streams, files of another kind
 
 
 def test_format_is_chosen_by_extension_and_read_by_content(tmp_path: Path) -> None:

@@ -380,9 +380,9 @@ def _scene_reader(name: str, opening: bytes) -> Reader[Octree | DistanceField | 
         raise _no_textures(name)
     if opening.startswith(hdf5.SIGNATURE):
         readers = {
-            svo_hdf5.FORMAT: svo_hdf5.read,
-            adf_hdf5.FORMAT: adf_hdf5.read,
-            tet_hdf5.FORMAT: tet_hdf5.read,
+            svo_hdf5.SCHEMA.format: svo_hdf5.read,
+            adf_hdf5.SCHEMA.format: adf_hdf5.read,
+            tet_hdf5.SCHEMA.format: tet_hdf5.read,
         }
         return lambda file, size: hdf5.read_by_format(file, size, readers)
     if _is_mesh(name, opening):

@@ -1,178 +1,111 @@
-"""Distance fields as HDF5, format `voxtool-adf`: docs/formats.md has it exactly.
+"""Distance fields as HDF5, format `voxtool-adf`, specified in docs/formats.md.
 
-The datasets are the textures of section 3.2 of the text, as a GPU program would upload them. A file
-is not trusted (hdf5.py), and the field is validated.
+The datasets are the three textures of [ADF, section 3.2] and the error bounds.
 """
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, Any, BinaryIO
-
-import numpy as np
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from voxtool.adf.field import MAX_LEVEL, DistanceField
 from voxtool.adf.hashing import SpatialHash
 from voxtool.choices import SIGNS
-from voxtool.errors import FileError
 from voxtool.files import hdf5
-from voxtool.files.head import (
-    FLOAT,
-    INT,
+from voxtool.files.schema import (
+    FINITE,
+    FROM_ZERO,
     JSON_LIMIT,
-    TEXT,
-    VERSION_LIMIT,
-    Layout,
-    check_source,
-    check_texts,
+    PLAN,
+    POSITIVE,
+    SOURCE,
+    UNITS,
+    Attribute,
+    Dataset,
+    Rule,
+    Schema,
     expect,
-    json_text,
-    parse_json,
+    without,
 )
-from voxtool.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    import numpy as np
 
-FORMAT = "voxtool-adf"
-FORMAT_VERSION = "1.0"
-DISTANCE = np.dtype("<f4")
-WORD = np.dtype("<u4")
-CODE = np.dtype("u1")
-SMALL, LARGE = np.dtype("u1"), np.dtype("<u2")  # offsets where m < 256, and elsewhere
-
-LAYOUT: Layout = {
-    "format_version": (TEXT, VERSION_LIMIT),
-    "creator": (TEXT, 128),
-    "depth": (INT, 1),
-    "m": (INT, 1),
-    "r": (INT, 1),
-    "origin": (FLOAT, 3),
-    "side": (FLOAT, 1),
-    "sign": (TEXT, 32),
-    "tolerance": (FLOAT, 1),
-    "max_level": (INT, 1),
-    "band": (FLOAT, 1),
-    "continuous": (INT, 1),
-    "lipschitz": (FLOAT, 1),
-    "units": (TEXT, 64),
-    "source_sha256": (TEXT, 64),
-    "reached": (TEXT, JSON_LIMIT),
-    "plan": (TEXT, JSON_LIMIT),
-}
+LEVEL = Rule(
+    lambda level: 1 <= level <= MAX_LEVEL, f"is {{value}}: leaves have levels 1 to {MAX_LEVEL}"
+)
+BAND = Rule(lambda x: x >= 0, "is {value}: a number from 0 is expected")
 
 
-def write(field: DistanceField, file: BinaryIO) -> None:
-    """Write a field into an empty file that is open for reading and writing.
-
-    Raises
-    ------
-    FileError : an attribute of the field is out of range, or does not fit.
-    OSError : the file cannot be written.
-    """
-    head = {
-        "format_version": FORMAT_VERSION,
-        "creator": f"voxtool {__version__}",
-        "depth": field.depth,
-        "m": field.hash.m,
-        "r": field.hash.r,
-        "origin": field.origin,
-        "side": field.side,
-        "sign": field.sign,
-        "tolerance": field.tolerance,
-        "max_level": field.max_level,
-        "band": field.band,
-        "continuous": int(field.continuous),
-        "lipschitz": field.lipschitz,
-        "units": field.units,
-        "source_sha256": field.source_sha256,
-        "reached": json_text("reached", field.reached),
-        "plan": json_text("plan", field.plan),
-    }
-    _check_head(head)
-    arrays = {
-        "voxels": np.ascontiguousarray(field.voxels, DISTANCE),
-        "cells": np.ascontiguousarray(field.cells, WORD),
-        "hash": np.ascontiguousarray(field.hash.offsets, SMALL if field.hash.m < 256 else LARGE),
-    }
-    if field.bounds is not None:
-        arrays["bounds"] = np.ascontiguousarray(field.bounds, CODE)
-    hdf5.write(file, FORMAT, head, LAYOUT, arrays)
-
-
-def read(file: BinaryIO, size: int) -> DistanceField:
-    """Read a field from a file of `size` bytes.
-
-    Raises
-    ------
-    FileError : the file is damaged, hostile or of another kind.
-    """
-    return hdf5.read(file, size, _read_open)
-
-
-def _read_open(h5: Any, size: int) -> DistanceField:
-    mend = "build a field first: voxtool adf-build MESH"
-    hdf5.check_format(h5, FORMAT, FORMAT_VERSION, "distance field", mend)
-    head = {name: hdf5.attribute(h5, name, *LAYOUT[name]) for name in LAYOUT}
-    _check_head(head)
-    m, r = head["m"], head["r"]
-    found = {
-        "voxels": hdf5.dataset(h5, "voxels", (None, 3, 3, 3), DISTANCE, size),
-        "cells": hdf5.dataset(h5, "cells", (m, m, m, (2, 3)), WORD, size),
-        "hash": hdf5.dataset(h5, "hash", (r, r, r, (3, 4)), SMALL if m < 256 else LARGE, size),
-    }
-    if hdf5.has_dataset(h5, "bounds"):
-        blocks = found["voxels"].shape[0]
-        found["bounds"] = hdf5.dataset(h5, "bounds", (blocks, 2, 2, 2), CODE, size)
-    return _build(head, {name: hdf5.load(dataset) for name, dataset in found.items()})
-
-
-def _build(head: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> DistanceField:
+def _build(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> DistanceField:
     field = DistanceField(
         arrays["voxels"],
         arrays["cells"],
-        SpatialHash(head["m"], head["r"], arrays["hash"]),
+        SpatialHash(values["m"], values["r"], arrays["hash"]),
         arrays.get("bounds"),
-        origin=head["origin"],
-        side=head["side"],
-        sign=head["sign"],
-        tolerance=head["tolerance"],
-        max_level=head["max_level"],
-        band=head["band"],
-        continuous=bool(head["continuous"]),
-        lipschitz=head["lipschitz"],
-        reached=parse_json("reached", head["reached"]),
-        plan=parse_json("plan", head["plan"]),
-        source_sha256=head["source_sha256"],
-        units=head["units"],
+        **without(values, "depth", "m", "r"),
     )
     field.validate()
-    expect("depth", head["depth"], (field.depth,))
+    expect("depth", values["depth"], (field.depth,))
     return field
 
 
-def _check_head(head: Mapping[str, Any]) -> None:
-    """Check every attribute that has the right type and count.
+SCHEMA = Schema(
+    format="voxtool-adf",
+    version="1.0",
+    what="distance field",
+    hint="build a field first: voxtool adf-build MESH",
+    own=(
+        Attribute("depth", int, "deepest level of a leaf", rule=LEVEL),
+        Attribute("m", int, "slots along each axis of `cells`", at="hash.m"),
+        Attribute("r", int, "entries along each axis of `hash`", at="hash.r"),
+        Attribute("origin", float, "low corner of the cube, in world units", 3, rule=FINITE),
+        Attribute("side", float, "side of the cube, in world units", rule=POSITIVE),
+        Attribute(
+            "sign",
+            str,
+            "rule of the sign: `pseudonormal`, `winding`, or `none` (no distance is negative)",
+            32,
+            choices=SIGNS,
+        ),
+        Attribute("tolerance", float, "error asked for, in sides", rule=FROM_ZERO),
+        Attribute(
+            "max_level",
+            int,
+            f"deepest level allowed for a leaf, at most {MAX_LEVEL}",
+            rule=LEVEL,
+        ),
+        Attribute(
+            "band",
+            float,
+            "distance, in sides, up to which the tolerance holds; infinite: everywhere",
+            rule=BAND,
+        ),
+        Attribute(
+            "continuous",
+            bool,
+            "1 if neighbours of different levels agree on shared faces and edges, to 2 ulp of the "
+            "largest corner distance of the coarser one; else 0",
+        ),
+        Attribute("lipschitz", float, "largest slope of the field", rule=FROM_ZERO),
+        UNITS,
+        SOURCE,
+        Attribute("reached", dict, "errors and counts that the build reached", JSON_LIMIT),
+        PLAN,
+    ),
+    datasets=(
+        Dataset("voxels", "<f4", ("n", 3, 3, 3)),
+        Dataset("cells", "<u4", ("m", "m", "m", (2, 3))),
+        Dataset(
+            "hash",
+            lambda sizes: "u1" if sizes["m"] < 256 else "<u2",
+            ("r", "r", "r", (3, 4)),
+            at="hash.offsets",
+        ),
+        Dataset("bounds", "u1", ("n", 2, 2, 2), needed=lambda sizes, there: there),
+    ),
+    build=_build,
+)
 
-    Raises
-    ------
-    FileError : names the one that is out of range.
-    """
-    check_texts(head, LAYOUT)
-    check_source(head["source_sha256"])
-    expect("sign", head["sign"], SIGNS)
-    expect("continuous", head["continuous"], (0, 1))
-    for name in ("depth", "max_level"):
-        if not 1 <= head[name] <= MAX_LEVEL:
-            raise FileError(
-                f"attribute {name} is {head[name]}: leaves have levels 1 to {MAX_LEVEL}"
-            )
-    if not all(map(math.isfinite, head["origin"])):
-        raise FileError(f"attribute origin {head['origin']} is not finite")
-    if not 0 < head["side"] < math.inf:
-        raise FileError(f"attribute side is {head['side']}: a positive number is expected")
-    for name in ("tolerance", "lipschitz"):
-        if not 0 <= head[name] < math.inf:
-            raise FileError(f"attribute {name} is {head[name]}: a finite number from 0 is expected")
-    if not head["band"] >= 0:
-        raise FileError(f"attribute band is {head['band']}: a number from 0 is expected")
+write = partial(hdf5.write, SCHEMA)
+read = partial(hdf5.read, SCHEMA)

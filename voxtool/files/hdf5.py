@@ -1,8 +1,8 @@
-"""What the HDF5 formats share: attributes and datasets of the root group, written and read.
+"""Records in HDF5: the attributes and datasets of the root group, as a schema lists them.
 
-Datasets are contiguous and uncompressed, so that a program can map or upload them as they lie in
-the file. A file is not trusted: nothing is allocated before its size is known to be in the file,
-and nothing is followed out of it.
+Datasets are contiguous and uncompressed, so a program can map them or upload them unchanged. A file
+is not trusted: no memory is taken for a dataset before its size is known to be in the file, and no
+link is followed.
 """
 
 from __future__ import annotations
@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
 import numpy as np
 
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.files.head import INT, TEXT, VERSION_LIMIT, Layout, check_version
+from voxtool.files.schema import FORMAT, FORMAT_VERSION, Attribute, Schema
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-FORMAT_LIMIT = 64  # bytes of the name of a format
 
 Content = TypeVar("Content")
 
@@ -33,118 +32,133 @@ def _library() -> Any:
 # Writing
 
 
-def write(
-    file: BinaryIO, format: str, head: dict[str, Any], layout: Layout, arrays: dict[str, np.ndarray]
-) -> None:
-    """Write attributes and datasets into an empty file that is open for reading and writing.
+def write(schema: Schema, content: Any, file: BinaryIO) -> None:
+    """Write content into an empty file that is open for reading and writing.
 
     Raises
     ------
+    FileError : an attribute is out of range, or does not fit.
     OSError : the file cannot be written.
     """
+    stored = schema.encode(content)
     h5py = _library()
     with h5py.File(file, "w", track_order=False) as h5:
-        _write_attribute(h5, "format", TEXT, format)
-        for name, (kind, _) in layout.items():
-            _write_attribute(h5, name, kind, head[name])
-        for name, array in arrays.items():
-            h5.create_dataset(name, data=array, track_times=False)
+        _write_attribute(h5, FORMAT, schema.format)
+        for attribute in schema.attributes:
+            _write_attribute(h5, attribute, stored[attribute.name])
+        for dataset in schema.datasets:
+            array = dataset.encode(content, stored)
+            if array is not None:
+                h5.create_dataset(dataset.name, data=array, track_times=False)
 
 
-def _write_attribute(h5: Any, name: str, kind: type, value: Any) -> None:
+def _write_attribute(h5: Any, attribute: Attribute, value: Any) -> None:
     h5py = _library()
-    if kind is TEXT:
+    if attribute.stored is str:
         data = value.encode()
-        h5.attrs.create(name, data, dtype=h5py.string_dtype("utf-8", max(1, len(data))))
+        dtype = h5py.string_dtype("utf-8", max(1, len(data)))
+        h5.attrs.create(attribute.name, data, dtype=dtype)
     else:
-        h5.attrs.create(name, value, dtype="<i8" if kind is INT else "<f8")
+        dtype = "<i8" if attribute.stored is int else "<f8"
+        h5.attrs.create(attribute.name, value, dtype=dtype)
 
 
 # Reading
 
 
-def read(file: BinaryIO, size: int, read_open: Callable[[Any, int], Content]) -> Content:
-    """What `read_open` makes of the open HDF5 file of `size` bytes.
+def read(schema: Schema, file: BinaryIO, size: int) -> Any:
+    """Read the content of a file of `size` bytes.
 
     Raises
     ------
-    FileError : the file is damaged, or what read_open says.
+    FileError : the file is damaged, hostile or of another format.
     """
-    h5py = _library()
-    try:
-        with h5py.File(file, "r") as h5:
-            return read_open(h5, size)
-    except VoxtoolError:
-        raise
-    except Exception as error:  # damage shows in any of the library's errors
-        first = (str(error).splitlines() or [type(error).__name__])[0][:160]
-        raise FileError(f"damaged HDF5 file: {first}") from error
+    return _open(file, lambda h5: _read(schema, h5, size))
 
 
-def check_format(h5: Any, format: str, version: str, what: str, mend: str) -> None:
-    """Check that a file says that it is of this format and major version.
-
-    Parameters
-    ----------
-    what : the format holds; mend : what to do with a file of another format.
-
-    Raises
-    ------
-    FileError : it is of another.
-    """
-    h5py = _library()
-    if not h5py.h5a.exists(h5.id, b"format"):
-        raise FileError(f"an HDF5 file, but no {what}: attribute format={format} is missing")
-    found = attribute(h5, "format", TEXT, FORMAT_LIMIT)
-    if found != format:
-        article = "an" if what[0] in "aeiou" else "a"
-        raise FileError(f"holds {found!r}, not {article} {what} ({format!r}): {mend}")
-    check_version(attribute(h5, "format_version", TEXT, VERSION_LIMIT), version)
+def _read(schema: Schema, h5: Any, size: int) -> Any:
+    _check_format(schema, h5)
+    stored = {attribute.name: _attribute(h5, attribute) for attribute in schema.attributes}
+    schema.check(stored)
+    found, sizes = {}, dict(stored)
+    for dataset in schema.datasets:
+        if not dataset.needed(sizes, h5.id.links.exists(dataset.name.encode())):
+            continue
+        shape = dataset.shape_for(sizes)
+        checked = _dataset(h5, dataset.name, shape, dataset.type_for(sizes), size)
+        names = zip(dataset.shape, checked.shape, strict=True)
+        sizes |= {side: n for side, n in names if isinstance(side, str)}
+        found[dataset.name] = checked
+    return schema.decode(stored, {name: _load(checked) for name, checked in found.items()})
 
 
 def read_by_format(
-    file: BinaryIO, size: int, readers: dict[str, Callable[[BinaryIO, int], Content]]
+    file: BinaryIO, size: int, readers: Mapping[str, Callable[[BinaryIO, int], Content]]
 ) -> Content:
-    """What the reader for the format that a file of `size` bytes names makes of it.
+    """The content of a file of `size` bytes, read by the reader of the format that it names.
 
     Raises
     ------
     FileError : it names none of these, or what the reader says.
     """
 
-    def named(h5: Any, size: int) -> str:
+    def named(h5: Any) -> str:
         if not _library().h5a.exists(h5.id, b"format"):
             raise FileError(f"an HDF5 file without an attribute format: {known}")
-        return attribute(h5, "format", TEXT, FORMAT_LIMIT)
+        return _attribute(h5, FORMAT)
 
     known = f"expected one of {', '.join(readers)}"
-    format = read(file, size, named)
+    format = _open(file, named)
     if format not in readers:
         raise FileError(f"holds {format!r}: {known}")
     return readers[format](file, size)
 
 
-def attribute(h5: Any, name: str, kind: type, limit: int) -> Any:
-    """An attribute of the root group, its type and size checked before it is read.
-
-    Raises
-    ------
-    FileError : it is missing, or of another type or size.
-    """
+def _open(file: BinaryIO, read_open: Callable[[Any], Content]) -> Content:
+    """What `read_open` returns for the open file; damage shows in any of the library's errors."""
     h5py = _library()
+    try:
+        with h5py.File(file, "r") as h5:
+            return read_open(h5)
+    except VoxtoolError:
+        raise
+    except Exception as error:
+        first = (str(error).splitlines() or [type(error).__name__])[0][:160]
+        raise FileError(f"damaged HDF5 file: {first}") from error
+
+
+def _check_format(schema: Schema, h5: Any) -> None:
+    h5py = _library()
+    if not h5py.h5a.exists(h5.id, b"format"):
+        raise FileError(
+            f"an HDF5 file, but no {schema.what}: attribute format={schema.format} is missing"
+        )
+    found = _attribute(h5, FORMAT)
+    if found != schema.format:
+        article = "an" if schema.what[0] in "aeiou" else "a"
+        raise FileError(
+            f"holds {found!r}, not {article} {schema.what} ({schema.format!r}): {schema.hint}"
+        )
+    schema.check_version(_attribute(h5, FORMAT_VERSION))
+
+
+def _attribute(h5: Any, expected: Attribute) -> Any:
+    """The stored value of an attribute, its type and size checked before it is read."""
+    h5py = _library()
+    name, kind, limit = expected.name, expected.stored, expected.size
     if not h5py.h5a.exists(h5.id, name.encode()):
         raise FileError(f"attribute {name} is missing")
     attribute = h5py.h5a.open(h5.id, name.encode())
     stored = attribute.get_type()
-    shape = () if kind is TEXT or limit == 1 else (limit,)
+    shape = () if kind is str or limit == 1 else (limit,)
     if attribute.get_space().get_simple_extent_type() != h5py.h5s.SCALAR and shape == ():
         raise FileError(f"attribute {name} is not one value")
     if attribute.shape != shape:
         raise FileError(f"attribute {name} has shape {attribute.shape} where {shape} is expected")
-    if kind is TEXT:
+    if kind is str:
         return _text(attribute, name, limit)
-    wanted = h5py.h5t.TypeIntegerID if kind is INT else h5py.h5t.TypeFloatID
-    if not isinstance(stored, wanted) or stored.get_size() > 8:
+    type_id = h5py.h5t.TypeIntegerID if kind is int else h5py.h5t.TypeFloatID
+    if not isinstance(stored, type_id) or stored.get_size() > 8:
         raise FileError(f"attribute {name} is not of type {kind.__name__}")
     values = np.empty(shape, stored.dtype)
     attribute.read(values)
@@ -169,22 +183,11 @@ def _text(attribute: Any, name: str, limit: int) -> str:
         raise FileError(f"attribute {name} is not UTF-8 text") from None
 
 
-def has_dataset(h5: Any, name: str) -> bool:
-    """Whether the root group has a member of this name."""
-    return h5.id.links.exists(name.encode())
+def _dataset(h5: Any, name: str, shape: tuple[Any, ...], dtype: np.dtype, size: int) -> Any:
+    """A dataset of the root group, found to be stored in this file as one plain piece.
 
-
-def dataset(h5: Any, name: str, shape: tuple[Any, ...], dtype: np.dtype, size: int) -> Any:
-    """A dataset of the root group that lies whole in this file, in one plain piece.
-
-    Parameters
-    ----------
-    shape : of each side what it must be, the tuple of what it may be, or None for anything.
+    shape : of each side the number or the numbers that are allowed, or None for any.
     size : of the file.
-
-    Raises
-    ------
-    FileError : it is missing, stored in another way, of another type or shape, or not in the file.
     """
     h5py = _library()
     key = name.encode()
@@ -201,8 +204,8 @@ def dataset(h5: Any, name: str, shape: tuple[Any, ...], dtype: np.dtype, size: i
     if creation.get_external_count():
         raise FileError(f"dataset {name} lies in another file: it must lie in this one")
     stored = dataset.get_type()
-    wanted = h5py.h5t.TypeFloatID if dtype.kind == "f" else h5py.h5t.TypeIntegerID
-    if not isinstance(stored, wanted) or stored.dtype != dtype:
+    expected = h5py.h5t.TypeFloatID if dtype.kind == "f" else h5py.h5t.TypeIntegerID
+    if not isinstance(stored, expected) or stored.dtype != dtype:
         raise FileError(f"dataset {name} is not of type {dtype.name}, little-endian")
     found = dataset.shape
     if len(found) != len(shape) or not all(map(_suits, found, shape)):
@@ -225,8 +228,8 @@ def _check_storage(dataset: Any, name: str, size: int) -> None:
         raise FileError(f"dataset {name} needs {needed} bytes that the file does not have")
 
 
-def load(dataset: Any) -> np.ndarray:
-    """The content of a dataset that has been checked."""
+def _load(dataset: Any) -> np.ndarray:
+    """The content of a checked dataset."""
     h5py = _library()
     array = np.empty(dataset.shape, dataset.dtype)
     if array.size:

@@ -1,65 +1,100 @@
-"""Octrees as HDF5, format `voxtool-svo`: docs/formats.md has it exactly.
+"""Octrees as HDF5, format `voxtool-svo`, specified in docs/formats.md.
 
-A file is not trusted (hdf5.py), and the octree is validated.
+The XML of svo_xml.py has the same attributes.
 """
 
 from __future__ import annotations
 
-from typing import Any, BinaryIO
+import re
+from collections.abc import Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from voxtool.errors import FileError
+from voxtool.choices import MODES
 from voxtool.files import hdf5
-from voxtool.files.svo_head import FORMAT, FORMAT_VERSION, LAYOUT, build, check_head, head_of
-from voxtool.svo.octree import BRICK, NODE, Octree, check_offsets
+from voxtool.files.schema import (
+    PLAN,
+    SOURCE,
+    UNITS,
+    Attribute,
+    Dataset,
+    Rule,
+    Schema,
+    expect,
+    without,
+)
+from voxtool.grid import Grid
+from voxtool.svo.octree import NODE, Octree
 
-WORD = np.dtype("<u4")
+if TYPE_CHECKING:
+    import numpy as np
+
+RULE_NAME = Rule(  # any name will do: it changes nothing here
+    lambda text: re.fullmatch(r"[a-z][a-z0-9+-]*", text) is not None,
+    "is {value!r}, which names no rule",
+)
 
 
-def write(octree: Octree, file: BinaryIO) -> None:
-    """Write an octree into an empty file that is open for reading and writing.
+def grid_of(stored: Mapping[str, Any]) -> Grid:
+    """The grid of stored attributes.
 
     Raises
     ------
-    OSError : the file cannot be written.
+    FileError : dim or depth does not fit the shape. GridError : shape, origin or pitch is out of
+        range.
     """
-    nodes = np.ascontiguousarray(octree.nodes, NODE).view(WORD).reshape(-1, 2)
-    arrays = {
-        "offsets": np.ascontiguousarray(octree.offsets, WORD),
-        "nodes": nodes,
-        "bricks": np.ascontiguousarray(octree.bricks, BRICK),
-    }
-    hdf5.write(file, FORMAT, head_of(octree), LAYOUT, arrays)
+    grid = Grid(stored["shape"], stored["origin"], stored["pitch"])
+    expect("dim", stored["dim"], (grid.dim,))
+    expect("depth", stored["depth"], ((grid.side // 4).bit_length(),))
+    return grid
 
 
-def read(file: BinaryIO, size: int) -> Octree:
-    """Read an octree from a file of `size` bytes.
-
-    Raises
-    ------
-    FileError : the file is damaged, hostile or of another kind.
-    """
-    return hdf5.read(file, size, _read_open)
+def _build(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> Octree:
+    octree = Octree(
+        grid_of(values), **arrays, **without(values, "dim", "depth", "shape", "origin", "pitch")
+    )
+    octree.validate()
+    return octree
 
 
-def _read_open(h5: Any, size: int) -> Octree:
-    mend = "voxelize a mesh first: voxtool voxelize MESH"
-    hdf5.check_format(h5, FORMAT, FORMAT_VERSION, "octree", mend)
-    head = {name: hdf5.attribute(h5, name, *LAYOUT[name]) for name in LAYOUT}
-    grid = check_head(head)
-    found = {
-        "offsets": hdf5.dataset(h5, "offsets", (head["depth"] + 1,), WORD, size),
-        "nodes": hdf5.dataset(h5, "nodes", (None, 2), WORD, size),
-        "bricks": hdf5.dataset(h5, "bricks", (None,), BRICK, size),
-    }
-    offsets = hdf5.load(found["offsets"])
-    check_offsets(grid, offsets)
-    nodes, bricks = int(offsets[-1]), int(offsets[-1] - offsets[-2])
-    for name, expected in (("nodes", nodes), ("bricks", bricks)):
-        if found[name].shape[0] != expected:
-            raise FileError(
-                f"dataset {name} has {found[name].shape[0]} rows where offsets say {expected}"
-            )
-    words = hdf5.load(found["nodes"])
-    return build(grid, head, offsets, words.view(NODE).reshape(-1), hdf5.load(found["bricks"]))
+SCHEMA = Schema(
+    format="voxtool-svo",
+    version="1.0",
+    what="octree",
+    hint="voxelize a mesh first: voxtool voxelize MESH",
+    own=(
+        Attribute("dim", int, "voxels along the longest side", at="grid.dim"),
+        Attribute("depth", int, "number of levels"),
+        Attribute("shape", int, "voxels along x, y and z", 3, at="grid.shape"),
+        Attribute(
+            "mode",
+            str,
+            "`surface26`, `surface6`, `solid` or `solid+surface26`",
+            32,
+            choices=(*MODES, "solid+surface26"),
+        ),
+        Attribute(
+            "fill",
+            str,
+            "rule that decided what is inside: `parity`, `nonzero`, `winding`, `flood`, "
+            "`flood+gapN`; `none` for a surface; matches `[a-z][a-z0-9+-]*`",
+            32,
+            rule=RULE_NAME,
+        ),
+        Attribute("origin", float, "low corner of voxel (0, 0, 0); finite", 3, at="grid.origin"),
+        Attribute("pitch", float, "voxel size along x, y and z; positive", 3, at="grid.pitch"),
+        UNITS,
+        SOURCE,
+        PLAN,
+    ),
+    datasets=(
+        Dataset("offsets", "<u4", (lambda sizes: sizes["depth"] + 1,)),
+        Dataset("nodes", "<u4", ("N", 2), rows=NODE),
+        Dataset("bricks", "<u8", ("M",)),
+    ),
+    build=_build,
+    agree=grid_of,
+)
+
+write = partial(hdf5.write, SCHEMA)
+read = partial(hdf5.read, SCHEMA)

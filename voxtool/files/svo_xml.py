@@ -19,18 +19,11 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from voxtool.errors import FileError
-from voxtool.files.head import FLOAT, TEXT, check_version
-from voxtool.files.svo_head import (
-    FORMAT_VERSION,
-    LAYOUT,
-    build,
-    check_head,
-    head_of,
-    is_newer,
-)
+from voxtool.files.svo_hdf5 import SCHEMA, grid_of
 from voxtool.svo.octree import BRICK, NODE, Octree, check_offsets
 
 if TYPE_CHECKING:
+    from voxtool.files.schema import Attribute
     from voxtool.grid import Grid
 
 DTD = Path(__file__).with_name("octree.dtd")
@@ -69,7 +62,7 @@ def write(octree: Octree, file: BinaryIO) -> None:
     ------
     OSError : the file cannot be written.
     """
-    head = head_of(octree)
+    head = SCHEMA.encode(octree)
     attributes = {"dim": head.pop("dim"), "size": len(octree.nodes), "depth": head.pop("depth")}
     attributes |= head
     file.write((OPENING + "<octree").encode())
@@ -155,21 +148,24 @@ def parse_words(text: str) -> np.ndarray:
 
 
 def parse_head(texts: dict[str, str]) -> dict[str, Any]:
-    """The attributes of `octree`, with what a plain document of the thesis leaves out.
+    """The stored attributes of `octree`; where the document leaves one out, its default.
 
     Raises
     ------
-    FileError : one is no number where it should be, or dim is missing.
+    FileError : one is not the number that it should be, or dim is missing.
     """
     if "dim" not in texts:
         raise FileError("attribute dim is missing")
-    check_version(texts.get("format_version", FORMAT_VERSION), FORMAT_VERSION)
-    dim = _numbers("dim", texts["dim"], int, 1)
-    head = {
-        "format_version": FORMAT_VERSION,
+    head: dict[str, Any] = {"format_version": SCHEMA.version}
+    SCHEMA.check_version(texts.get("format_version", SCHEMA.version))
+    for attribute in SCHEMA.attributes:
+        if attribute.name in texts:
+            text = texts[attribute.name]
+            head[attribute.name] = text if attribute.stored is str else _numbers(attribute, text)
+    dim = head["dim"]
+    plain = {
         "creator": "",
-        "dim": dim,
-        "depth": (max(dim - 1, 0).bit_length() - 1),
+        "depth": max(dim - 1, 0).bit_length() - 1,
         "shape": (dim, dim, dim),
         "mode": "solid",
         "fill": "parity",
@@ -179,17 +175,17 @@ def parse_head(texts: dict[str, str]) -> dict[str, Any]:
         "source_sha256": "",
         "plan": "{}",
     }
-    for name, (kind, count) in LAYOUT.items():
-        if name in texts:
-            head[name] = texts[name] if kind is TEXT else _numbers(name, texts[name], kind, count)
-    return head
+    return plain | head
 
 
-def _numbers(name: str, text: str, kind: type, count: int) -> Any:
-    pattern = NUMBER if kind is FLOAT else WHOLE
+def _numbers(attribute: Attribute, text: str) -> Any:
+    kind, count = attribute.stored, attribute.size
+    pattern = NUMBER if kind is float else WHOLE
     words = text.split(" ")
     if len(words) != count or not all(len(w) < 40 and pattern.fullmatch(w) for w in words):
-        raise FileError(f"attribute {name} is {text[:40]!r} where {count} of {kind.__name__} go")
+        raise FileError(
+            f"attribute {attribute.name} is {text[:40]!r} where {count} of {kind.__name__} go"
+        )
     numbers = tuple(map(kind, words))
     return numbers if count > 1 else numbers[0]
 
@@ -300,8 +296,8 @@ class _Reader:
         assert self.grid is not None
         assert self.offsets is not None
         self.check_filled()
-        nodes = self.nodes.array.view(NODE)
-        return build(self.grid, self.head, self.offsets, nodes, self.masks.array.view(BRICK))
+        arrays = {"nodes": self.nodes.array, "bricks": self.masks.array.view(BRICK)}
+        return SCHEMA.decode(self.head, {"offsets": self.offsets, **arrays})
 
     def parse(self, file: BinaryIO) -> None:
         fed, tail = 0, b""
@@ -389,10 +385,12 @@ class _Reader:
         if self.grid is not None:
             raise FileError("an octree inside an octree")
         self.head = parse_head(values)
-        self.grid = check_head(self.head)
+        SCHEMA.check(self.head)
+        self.grid = grid_of(self.head)
         self.size = values.get("size")
-        if is_newer(self.head["format_version"]):
-            values = {k: v for k, v in values.items() if k in LAYOUT or k == "size"}
+        if SCHEMA.is_newer(self.head["format_version"]):
+            known = {"size", *(attribute.name for attribute in SCHEMA.attributes)}
+            values = {k: v for k, v in values.items() if k in known}
         return values
 
     def end_offset(self) -> None:

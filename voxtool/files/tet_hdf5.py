@@ -1,158 +1,88 @@
-"""Tetrahedral volumes as HDF5, format `voxtool-tet`: docs/formats.md has it exactly.
+"""Tetrahedral volumes as HDF5, format `voxtool-tet`, specified in docs/formats.md.
 
-The datasets are the textures of section 4.1 of the text, as a GPU program would upload them. A file
-is not trusted (hdf5.py), and the volume is validated.
+The datasets are the textures of [TetVol, section 4.1, tables 4 and 5].
 """
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING, Any, BinaryIO
-
-import numpy as np
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 from voxtool.choices import LAYOUTS
-from voxtool.errors import FileError
 from voxtool.files import hdf5
-from voxtool.files.head import (
-    FLOAT,
-    INT,
+from voxtool.files.schema import (
+    FINITE,
     JSON_LIMIT,
-    TEXT,
-    VERSION_LIMIT,
-    Layout,
-    check_source,
-    check_texts,
-    expect,
-    json_text,
-    parse_json,
+    PLAN,
+    POSITIVE,
+    SOURCE,
+    UNITS,
+    Attribute,
+    Dataset,
+    Schema,
+    Sizes,
 )
 from voxtool.tets.volume import BLOCK, FACES, TetVolume
-from voxtool.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-FORMAT = "voxtool-tet"
-FORMAT_VERSION = "1.0"
-REAL = np.dtype("<f4")
-INDEX = np.dtype("<i4")
-
-LAYOUT: Layout = {
-    "format_version": (TEXT, VERSION_LIMIT),
-    "creator": (TEXT, 128),
-    "layout": (TEXT, 32),
-    "origin": (FLOAT, 3),
-    "scale": (FLOAT, 1),
-    "scalar": (TEXT, 256),
-    "scalar_range": (FLOAT, 2),
-    "constant": (INT, 1),
-    "units": (TEXT, 64),
-    "source_sha256": (TEXT, 64),
-    "plan": (TEXT, JSON_LIMIT),
-    "report": (TEXT, JSON_LIMIT),
-}
+    import numpy as np
 
 
-def write(volume: TetVolume, file: BinaryIO) -> None:
-    """Write a volume into an empty file that is open for reading and writing.
-
-    Raises
-    ------
-    FileError : an attribute of the volume is out of range, or does not fit.
-    OSError : the file cannot be written.
-    """
-    head = {
-        "format_version": FORMAT_VERSION,
-        "creator": f"voxtool {__version__}",
-        "layout": volume.layout,
-        "origin": volume.origin,
-        "scale": volume.scale,
-        "scalar": volume.scalar,
-        "scalar_range": volume.scalar_range,
-        "constant": int(volume.constant),
-        "units": volume.units,
-        "source_sha256": volume.source_sha256,
-        "plan": json_text("plan", volume.plan),
-        "report": json_text("report", volume.report),
-    }
-    _check_head(head)
-    arrays = {
-        name: np.ascontiguousarray(array, REAL if array.dtype.kind == "f" else INDEX)
-        for name, array in volume.arrays().items()
-    }
-    hdf5.write(file, FORMAT, head, LAYOUT, arrays)
+def _corners(sizes: Sizes) -> int:
+    return 8 if sizes["layout"] == "hexahedra" else 4
 
 
-def read(file: BinaryIO, size: int) -> TetVolume:
-    """Read a volume from a file of `size` bytes.
-
-    Raises
-    ------
-    FileError : the file is damaged, hostile or of another kind.
-    """
-    return hdf5.read(file, size, _read_open)
+def _faces(sizes: Sizes) -> int:
+    return len(FACES[sizes["layout"]])
 
 
-def _read_open(h5: Any, size: int) -> TetVolume:
-    mend = "build its textures first: voxtool tet-build MESH"
-    hdf5.check_format(h5, FORMAT, FORMAT_VERSION, "tetrahedral volume", mend)
-    head = {name: hdf5.attribute(h5, name, *LAYOUT[name]) for name in LAYOUT}
-    _check_head(head)
-    layout = head["layout"]
-    faces, floats = len(FACES[layout]), 3 if layout == "projection" else 4
-    cells = hdf5.dataset(h5, "cells", (None, 8 if layout == "hexahedra" else 4), INDEX, size)
-    count = cells.shape[0]
-    found = {
-        "vertices": hdf5.dataset(h5, "vertices", (None, 4), REAL, size),
-        "cells": cells,
-        "neighbours": hdf5.dataset(h5, "neighbours", (count, faces), INDEX, size),
-        "normals": hdf5.dataset(h5, "normals", (faces, count, floats), REAL, size),
-        "gradients": hdf5.dataset(h5, "gradients", (count, floats), REAL, size),
-        "ranges": hdf5.dataset(h5, "ranges", (-(-count // BLOCK), 2), REAL, size),
-    }
-    if layout == "projection":
-        found["anchors"] = hdf5.dataset(h5, "anchors", (count, 2), INDEX, size)
-    return _build(head, {name: hdf5.load(dataset) for name, dataset in found.items()})
+def _floats(sizes: Sizes) -> int:
+    return 3 if sizes["layout"] == "projection" else 4
 
 
-def _build(head: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> TetVolume:
-    volume = TetVolume(
-        head["layout"],
-        arrays["vertices"],
-        arrays["cells"],
-        arrays["neighbours"],
-        arrays["normals"],
-        arrays["gradients"],
-        arrays.get("anchors"),
-        arrays["ranges"],
-        origin=head["origin"],
-        scale=head["scale"],
-        scalar_range=head["scalar_range"],
-        scalar=head["scalar"],
-        constant=bool(head["constant"]),
-        units=head["units"],
-        source_sha256=head["source_sha256"],
-        plan=parse_json("plan", head["plan"]),
-        report=parse_json("report", head["report"]),
-    )
+def _build(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> TetVolume:
+    volume = TetVolume(anchors=arrays.pop("anchors", None), **arrays, **values)
     volume.validate()
     return volume
 
 
-def _check_head(head: Mapping[str, Any]) -> None:
-    """Check every attribute that has the right type and count.
+SCHEMA = Schema(
+    format="voxtool-tet",
+    version="1.0",
+    what="tetrahedral volume",
+    hint="build its textures first: voxtool tet-build MESH",
+    own=(
+        Attribute("layout", str, "`raycast`, `projection` or `hexahedra`", 32, choices=LAYOUTS),
+        Attribute("origin", float, "of local coordinates, in world units", 3, rule=FINITE),
+        Attribute("scale", float, "world units a local unit, a power of two", rule=POSITIVE),
+        Attribute("scalar", str, "name of the array, with its component", 256),
+        Attribute("scalar_range", float, "low ≤ high", 2, rule=FINITE),
+        Attribute(
+            "constant",
+            bool,
+            "1 if the scalar is one a cell, else 0; 0 for `projection`, 1 for `hexahedra`",
+        ),
+        UNITS,
+        SOURCE,
+        PLAN,
+        Attribute("report", dict, "counts and errors of the build", JSON_LIMIT),
+    ),
+    datasets=(
+        Dataset("vertices", "<f4", ("V", 4)),
+        Dataset("cells", "<i4", ("T", _corners)),
+        Dataset("neighbours", "<i4", ("T", _faces)),
+        Dataset("normals", "<f4", (_faces, "T", _floats)),
+        Dataset("gradients", "<f4", ("T", _floats)),
+        Dataset("ranges", "<f4", (lambda sizes: -(-sizes["T"] // BLOCK), 2)),
+        Dataset(
+            "anchors",
+            "<i4",
+            ("T", 2),
+            needed=lambda sizes, there: sizes["layout"] == "projection",
+        ),
+    ),
+    build=_build,
+)
 
-    Raises
-    ------
-    FileError : names the one that is out of range.
-    """
-    check_texts(head, LAYOUT)
-    check_source(head["source_sha256"])
-    expect("layout", head["layout"], LAYOUTS)
-    expect("constant", head["constant"], (0, 1))
-    for name in ("origin", "scalar_range"):
-        if not all(map(math.isfinite, head[name])):
-            raise FileError(f"attribute {name} {head[name]} is not finite")
-    if not 0 < head["scale"] < math.inf:
-        raise FileError(f"attribute scale is {head['scale']}: a positive number is expected")
+write = partial(hdf5.write, SCHEMA)
+read = partial(hdf5.read, SCHEMA)

@@ -1,0 +1,336 @@
+"""File formats as data.
+
+A `Schema` lists the attributes and the datasets of a format. What is written, what is read, what is
+checked and the tables of docs/formats.md all follow from it.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any, NamedTuple, NoReturn
+
+import numpy as np
+
+from voxtool.errors import FileError
+from voxtool.version import __version__
+
+JSON_LIMIT = 60_000  # bytes; HDF5 ends attributes at 64 KiB
+MAX_DEPTH = 16  # of nested JSON
+
+
+class Rule(NamedTuple):
+    """What a value must satisfy, and the end of the message where it does not."""
+
+    holds: Callable[[Any], bool]
+    otherwise: str  # "{value}" stands for the value
+
+
+FINITE = Rule(lambda numbers: all(map(math.isfinite, numbers)), "{value} is not finite")
+POSITIVE = Rule(lambda x: 0 < x < math.inf, "is {value}: a positive number is expected")
+FROM_ZERO = Rule(lambda x: 0 <= x < math.inf, "is {value}: a finite number from 0 is expected")
+SHA256 = Rule(
+    lambda text: re.fullmatch(r"([0-9a-f]{64})?", text) is not None, "is not 64 hexadecimal digits"
+)
+
+
+@dataclass(frozen=True)
+class Attribute:
+    """One attribute of a format.
+
+    Attributes
+    ----------
+    name : in the file.
+    kind : the value's type in Python: int, float, str, bool (stored as 0 or 1), or dict (stored as
+        a JSON object).
+    meaning : one phrase for docs/formats.md.
+    size : how many numbers there are; of text and JSON, how many bytes of UTF-8 there are at most.
+    at : path of the value in the content, such as "hash.m"; by default the name.
+    choices : the allowed values; empty where any value is.
+    rule : what else the value must satisfy.
+    """
+
+    name: str
+    kind: type
+    meaning: str
+    size: int = 1
+    at: str = ""
+    choices: tuple[Any, ...] = ()
+    rule: Rule | None = None
+
+    @property
+    def stored(self) -> type:
+        """The type in the file: int, float or str."""
+        return {bool: int, dict: str}.get(self.kind, self.kind)
+
+    def encode(self, content: Any) -> Any:
+        """The value of some content, as it is stored."""
+        value = attrgetter(self.at or self.name)(content)
+        return _json_text(self.name, value) if self.kind is dict else _cast(self.stored, value)
+
+    def decode(self, stored: Any) -> Any:
+        """The value in Python of a stored value that has been checked."""
+        return _parse_json(self.name, stored) if self.kind is dict else _cast(self.kind, stored)
+
+    def check(self, stored: Any) -> None:
+        """Check a stored value of the right type and count.
+
+        Raises
+        ------
+        FileError : it is out of range, too long, or cannot be printed.
+        """
+        if self.stored is str:
+            self._check_text(stored)
+        choices = (0, 1) if self.kind is bool else self.choices
+        if choices:
+            expect(self.name, stored, choices)
+        if self.rule and not self.rule.holds(stored):
+            raise FileError(f"attribute {self.name} {self.rule.otherwise.format(value=stored)}")
+
+    def _check_text(self, text: str) -> None:
+        try:
+            size = len(text.encode())
+        except UnicodeEncodeError:
+            raise FileError(f"attribute {self.name} is not Unicode text") from None
+        if size > self.size:
+            raise FileError(f"attribute {self.name} has {size} bytes: at most {self.size} fit")
+        if self.kind is not dict and not text.isprintable():
+            raise FileError(f"attribute {self.name} has characters that cannot be printed")
+
+    def row(self) -> str:
+        """The attribute's row in a table of docs/formats.md."""
+        kind = {int: "integer", float: "float64", bool: "integer", str: "text", dict: "JSON"}
+        size = f" ≤ {self.size:,}" if self.stored is str else ""
+        count = f"{self.size} " if self.stored is not str and self.size > 1 else ""
+        plural = "s" if count and self.stored is int else ""
+        return f"| `{self.name}` | {count}{kind[self.kind]}{plural}{size} | {self.meaning} |"
+
+
+FORMAT = Attribute("format", str, "`{}`", 64)
+FORMAT_VERSION = Attribute("format_version", str, "`{}`", 16)
+CREATOR = Attribute("creator", str, "program and version; no part of the content", 128)
+UNITS = Attribute("units", str, "name of the world unit, or empty", 64)
+SOURCE = Attribute(
+    "source_sha256", str, "SHA-256 of the source file in lower-case hex, or empty", 64, rule=SHA256
+)
+PLAN = Attribute("plan", dict, "what the plan said of the scene", JSON_LIMIT)
+
+Sizes = Mapping[str, Any]  # the stored attributes, and the sides that earlier datasets have named
+Side = int | str | tuple[int, ...] | Callable[[Sizes], int]
+
+
+def always(sizes: Sizes, there: bool) -> bool:
+    """Every file has the dataset."""
+    return True
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """One dataset of a format.
+
+    Attributes
+    ----------
+    name : in the file.
+    dtype : of the numbers, such as "<f4", or a function of the sizes.
+    shape : of each side a number, the numbers that are allowed, the name of a size, or a function
+        of the sizes. A name that no attribute and no dataset before this one has is free, and
+        names the side from here on.
+    at : path of the array in the content; by default the name.
+    rows : structured dtype of a row in Python, where it has one.
+    needed : whether a file has it, from the sizes and from whether it is there.
+    """
+
+    name: str
+    dtype: str | Callable[[Sizes], str]
+    shape: tuple[Side, ...]
+    at: str = ""
+    rows: np.dtype | None = None
+    needed: Callable[[Sizes, bool], bool] = always
+
+    def type_for(self, sizes: Sizes) -> np.dtype:
+        """The type of the numbers, given the sizes."""
+        return np.dtype(self.dtype(sizes) if callable(self.dtype) else self.dtype)
+
+    def shape_for(self, sizes: Sizes) -> tuple[Any, ...]:
+        """Of each side the number or the numbers that are allowed; None where it is free."""
+        return tuple(_side(side, sizes) for side in self.shape)
+
+    def encode(self, content: Any, sizes: Sizes) -> np.ndarray | None:
+        """The array of some content, as it is stored; None where there is none."""
+        array = attrgetter(self.at or self.name)(content)
+        if array is None:
+            return None
+        if self.rows is not None:
+            array = np.ascontiguousarray(array, self.rows).view(self.type_for(sizes))
+            return array.reshape(-1, len(self.rows.names or ()))
+        return np.ascontiguousarray(array, self.type_for(sizes))
+
+    def decode(self, array: np.ndarray) -> np.ndarray:
+        """The array in Python of a stored one."""
+        return array if self.rows is None else array.view(self.rows).reshape(-1)
+
+
+def _side(side: Side, sizes: Sizes) -> Any:
+    if isinstance(side, str):
+        return sizes.get(side)
+    return side(sizes) if callable(side) else side
+
+
+@dataclass(frozen=True)
+class Schema:
+    """A file format.
+
+    Attributes
+    ----------
+    format, version : its name, and the major.minor version that is written.
+    what : the content in words; hint : how to make a file of it.
+    own : its attributes, beside the format's name and version and the creator.
+    datasets : its arrays, in the order in which they are stored.
+    build : the validated content, from the values of the attributes and the arrays by name.
+    agree : a check of the stored attributes as a whole.
+    """
+
+    format: str
+    version: str
+    what: str
+    hint: str
+    own: tuple[Attribute, ...]
+    datasets: tuple[Dataset, ...]
+    build: Callable[[dict[str, Any], dict[str, np.ndarray]], Any]
+    agree: Callable[[Mapping[str, Any]], object] | None = None
+
+    @property
+    def attributes(self) -> tuple[Attribute, ...]:
+        """All attributes but the format's name, in the order in which they are stored."""
+        return (FORMAT_VERSION, CREATOR, *self.own)
+
+    def encode(self, content: Any) -> dict[str, Any]:
+        """The stored attributes of some content.
+
+        Raises
+        ------
+        FileError : one is out of range, or does not fit.
+        """
+        stored = {"format_version": self.version, "creator": f"voxtool {__version__}"}
+        stored |= {attribute.name: attribute.encode(content) for attribute in self.own}
+        self.check(stored)
+        return stored
+
+    def check(self, stored: Mapping[str, Any]) -> None:
+        """Check stored attributes of the right types and counts, and their agreement.
+
+        Raises
+        ------
+        FileError : names the attribute.
+        """
+        self.check_version(stored["format_version"])
+        for attribute in self.attributes:
+            attribute.check(stored[attribute.name])
+        if self.agree:
+            self.agree(stored)
+
+    def decode(self, stored: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Any:
+        """The validated content of checked attributes and arrays.
+
+        Raises
+        ------
+        FileError : a text is not the JSON that it should be, or an invariant does not hold.
+        """
+        values = {
+            attribute.name: attribute.decode(stored[attribute.name]) for attribute in self.own
+        }
+        found = {d.name: d.decode(arrays[d.name]) for d in self.datasets if d.name in arrays}
+        return self.build(values, found)
+
+    def check_version(self, version: str) -> None:
+        """Accept our major version, with any minor one.
+
+        Raises
+        ------
+        FileError : another major version, or none.
+        """
+        found = re.fullmatch(r"([0-9]{1,4})\.([0-9]{1,4})", version)
+        if found is None:
+            raise FileError(f"format_version {version[:16]!r} is no version such as {self.version}")
+        ours, theirs = int(self.version.split(".")[0]), int(found[1])
+        if theirs != ours:
+            age, hint = ("newer", "update voxtool") if theirs > ours else ("older", "write it anew")
+            raise FileError(
+                f"written in format {version}, {age} than the {self.version} that voxtool "
+                f"{__version__} reads: {hint}"
+            )
+
+    def is_newer(self, version: str) -> bool:
+        """Whether an accepted version has a minor number beyond ours: it may say more."""
+        return int(version.split(".")[1]) > int(self.version.split(".")[1])
+
+    def table(self) -> str:
+        """The attributes as a table of docs/formats.md."""
+        rows = [attribute.row() for attribute in (FORMAT, *self.attributes)]
+        rows[0], rows[1] = rows[0].format(self.format), rows[1].format(self.version)
+        return "\n".join(["| attribute | type | meaning |", "| --- | --- | --- |", *rows])
+
+
+def without(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
+    """The values of all names but these."""
+    return {name: value for name, value in values.items() if name not in names}
+
+
+def expect(name: str, value: Any, allowed: tuple[Any, ...]) -> None:
+    """Check that an attribute is one of the values that it may have.
+
+    Raises
+    ------
+    FileError : names both.
+    """
+    if value not in allowed:
+        known = " or ".join(map(str, allowed))
+        raise FileError(f"attribute {name} is {str(value)[:40]!r} where {known} is expected")
+
+
+def _cast(kind: type, value: Any) -> Any:
+    several = isinstance(value, tuple | list | np.ndarray)
+    return tuple(map(kind, value)) if several else kind(value)
+
+
+# --- JSON ----------------------------------------------------------------------------------------
+
+
+def _json_text(name: str, value: dict[str, Any]) -> str:
+    """A dict of JSON types as text."""
+    try:
+        return json.dumps(value, separators=(",", ":"), allow_nan=False)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise FileError(f"attribute {name} cannot be JSON: {str(error)[:80]}") from None
+
+
+def _parse_json(name: str, text: str) -> dict[str, Any]:
+    """A JSON object as a dict; finite numbers, real characters and bounded nesting only."""
+
+    def refuse(constant: str) -> NoReturn:
+        raise ValueError(f"{constant} is no JSON number")
+
+    try:
+        value = json.loads(text, parse_constant=refuse)
+        json.dumps(value, ensure_ascii=False, allow_nan=False).encode()
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"attribute {name} is not JSON: {str(error)[:80]}") from None
+    if not isinstance(value, dict):
+        raise FileError(f"attribute {name} is not a JSON object")
+    if _nesting(value) > MAX_DEPTH:
+        raise FileError(f"attribute {name} is nested deeper than {MAX_DEPTH}")
+    return value
+
+
+def _nesting(value: Any) -> int:
+    """How deep lists and objects are nested, counted without recursion: they may be hostile."""
+    depth, inner = 0, [value]
+    while inner:
+        depth += 1
+        lists = [v.values() if isinstance(v, dict) else v for v in inner]
+        inner = [v for one in lists for v in one if isinstance(v, dict | list)]
+    return depth
