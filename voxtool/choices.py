@@ -12,3 +12,4 @@ SEARCHES = ("linear", "binary", "coherent")  # for the leaf of a field that hold
 LAYOUTS = ("raycast", "projection", "hexahedra")  # of the textures of a volume
 METHODS = ("raycast", "projection")  # of rendering volumes
 VIEWS = ("front", "back", "left", "right", "top", "bottom", "iso")
+WHITE = (1.0, 1.0, 1.0)  # the background of pictures

@@ -32,8 +32,9 @@ from hypothesis import strategies as st
 
 from voxtool import files, memory
 from voxtool.errors import FileError, GridError, MemoryLimitError, VoxtoolError
-from voxtool.files import png, svo_hdf5, svo_xml
+from voxtool.files import svo_hdf5, svo_xml
 from voxtool.grid import Grid
+from voxtool.plots import octree_slice
 from voxtool.svo import layers
 from voxtool.svo.octree import INSIDE, VALID, Octree
 
@@ -839,17 +840,17 @@ def test_png_shows_the_slice(dense: np.ndarray, tmp_path: Path, axis: str) -> No
     assert pixels.shape == tuple(n * scale + 1 for n in expected.shape)
     # its lowest row closes the frame at the top, so voxels start one pixel lower
     centres = pixels[1 + scale // 2 :: scale, scale // 2 :: scale][: expected.shape[0]]
-    assert np.array_equal(centres[:, : expected.shape[1]] % png.LINE > 0, expected)
+    assert np.array_equal(centres[:, : expected.shape[1]] % octree_slice.LINE > 0, expected)
 
 
 def test_png_outlines_every_leaf(dense: np.ndarray) -> None:
     octree = octree_from_dense(dense)
-    picture = png.draw(octree, "z", 10)[::-1]
+    picture = octree_slice.draw_octree_slice(octree, "z", 10)[::-1]
     scale = (picture.shape[1] - 1) // 40
     for level in octree.levels():
         for x, y, z in level.cells[~level.refined | (level.number == 0)]:
             if z <= 10 < z + level.side and x < 40 and y < 33:
-                assert picture[y * scale, x * scale] >= png.LINE
+                assert picture[y * scale, x * scale] >= octree_slice.LINE
 
 
 @pytest.mark.parametrize(

@@ -158,9 +158,10 @@ def command(
     from voxtool.adf.field import no_bounds
     from voxtool.adf.query import FieldQuery
     from voxtool.files import check_target, read_adf
+    from voxtool.files.picture import write_picture
     from voxtool.files.points import open_answers, read_points
     from voxtool.opencl import open_device
-    from voxtool.plots.slice import check_plane, write_slice
+    from voxtool.plots.slice import check_plane, draw_slice
 
     if output is None:
         output = default_output(field, points, file_format)
@@ -183,9 +184,8 @@ def command(
         query = FieldQuery(source, chosen)
         progress.enter(stages[-1])
         if plane is not None:
-            drawn = write_slice(
-                query, output, *plane, size=size or SLICE_SIZE, clobber=not no_clobber
-            )
+            picture, drawn = draw_slice(query, *plane, size=size or SLICE_SIZE)
+            write_picture(picture, output, clobber=not no_clobber)
             tally = Tally(points=len(drawn.distance))
         else:
             asked = {"gradient": gradient, "bounds": bounds, "cell": cell}

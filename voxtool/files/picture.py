@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from voxtool.choices import WHITE
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.files.atomic import atomic_path
 from voxtool.files.streams import STREAM, PathLike, standard_output
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
 
 FORMATS = ("png", "npy")
 BITS = {8: np.uint8, 16: np.uint16}
-WHITE = (1.0, 1.0, 1.0)
 BAND = 64  # rows that are rounded at once, so that the float64 of a large picture fit
 
 
@@ -65,7 +65,7 @@ def write_picture(
         if format == "npy":
             np.lib.format.write_array(file, picture, (1, 0), allow_pickle=False)
         else:
-            _write_png(rounded(picture, bits, background), file)
+            write_png(rounded(picture, bits, background), file)
 
 
 def check_picture(picture: np.ndarray) -> None:
@@ -150,15 +150,27 @@ def _integers(values: np.ndarray, bits: int) -> np.ndarray:
     return np.floor(np.clip(values, 0, 1) * ((1 << bits) - 1) + 0.5)
 
 
-def _write_png(pixels: np.ndarray, file: BinaryIO) -> None:
-    height, width, channels = pixels.shape
+def write_png(pixels: np.ndarray, file: BinaryIO, palette: Sequence[int] | None = None) -> None:
+    """Write the integers of a picture as PNG.
+
+    Parameters
+    ----------
+    pixels : (H, W, 3 or 4) uint8 or uint16, or (H, W) uint8 numbers of a palette.
+    palette : red, green and blue of each number.
+    """
+    height, width = pixels.shape[:2]
     if pixels.dtype == np.uint8:
         from PIL import Image
 
-        Image.fromarray(pixels).save(file, "PNG")
+        if palette is None:
+            image = Image.fromarray(pixels)
+        else:
+            image = Image.frombytes("P", (width, height), pixels.tobytes())
+            image.putpalette(palette)
+        image.save(file, "PNG", optimize=palette is not None)
         return
     import png
 
-    kind: Any = {"greyscale": False, "alpha": channels == 4, "bitdepth": 16}
+    kind: Any = {"greyscale": False, "alpha": pixels.shape[2] == 4, "bitdepth": 16}
     writer = png.Writer(width, height, **kind)
     writer.write_packed(file, (row.astype(">u2").tobytes() for row in pixels))

@@ -1,35 +1,14 @@
-"""One slice of an octree as a picture: its voxels, and the cells of its leaves.
-
-Dark blue is a voxel set in a brick; a leaf wholly inside the solid is the lighter, the coarser it
-is; fine lines bound the leaves. The two axes that remain run right and up in the order x, y, z.
-"""
+"""One slice of an octree as .png, drawn by voxtool.plots.octree_slice."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, BinaryIO
 
-import numpy as np
-
-from voxtool.errors import FileError, GridError
-from voxtool.memory import check_memory
-from voxtool.svo.layers import Leaves, paint, sorted_leaves
+from voxtool.files.picture import check_writer, write_png
+from voxtool.plots.octree_slice import draw_octree_slice, palette
 
 if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
-
-AXES = "xyz"
-TARGET = 1024  # pixels along the longer side
-LEAST_CELL = 8  # pixels: smaller cells get no lines
-LINE = 16  # added to a colour's number where a line crosses it
-
-PAPER, PAPER_LINE = (252, 252, 250), (212, 217, 222)
-BLUES = [(24, 62, 120), (108, 156, 208), (146, 186, 226), (178, 208, 238), (204, 225, 245)]
-BLUE_LINES = [(62, 102, 160), (82, 131, 188), (118, 163, 209), (150, 187, 224), (176, 205, 233)]
-
-
-def size(octree: Octree) -> int:
-    """Bytes that the file takes at most: next to nothing."""
-    return 0
 
 
 def write(octree: Octree, file: BinaryIO, axis: str = "z", value: int | None = None) -> None:
@@ -42,68 +21,5 @@ def write(octree: Octree, file: BinaryIO, axis: str = "z", value: int | None = N
     MemoryLimitError : the picture does not fit in memory.
     OSError : the file cannot be written.
     """
-    try:
-        from PIL import Image
-    except ImportError:
-        raise FileError("pictures need Pillow: pip install 'voxtool[pictures]'") from None
-    picture = Image.fromarray(draw(octree, axis, value), "P")
-    picture.putpalette(palette())
-    picture.save(file, "PNG", optimize=True)
-
-
-def palette() -> list[int]:
-    """Red, green and blue of each number: OUTSIDE, SET + level, and the same + LINE."""
-    plain = [PAPER, *BLUES, *BLUES[-1:] * LINE][:LINE]
-    crossed = [PAPER_LINE, *BLUE_LINES, *BLUE_LINES[-1:] * LINE][:LINE]
-    return [component for colour in (*plain, *crossed) for component in colour]
-
-
-def draw(octree: Octree, axis: str = "z", value: int | None = None) -> np.ndarray:
-    """The slice as (height, width) numbers of the palette, top row first."""
-    if axis not in AXES or len(axis) != 1:
-        raise GridError(f"axis {axis!r} is unknown: choose x, y or z")
-    normal = AXES.index(axis)
-    count = octree.grid.shape[normal]
-    value = _middle(octree, normal) if value is None else value
-    if not 0 <= value < count:
-        raise GridError(f"slice {axis}={value} lies outside the grid: choose 0 to {count - 1}")
-    right, up = (a for a in range(3) if a != normal)
-    width, height = octree.grid.shape[right], octree.grid.shape[up]
-    scale = max(1, round(TARGET / max(width, height)))
-    needed = 4 * octree.grid.side**2 + 4 * scale * scale * width * height
-    check_memory(needed, f"a picture of {width} x {height} voxels and its layers")
-    order = (normal, up, right)
-    leaves = sorted_leaves(octree, order)
-    slab = paint(leaves, value - value % 4, order, octree.grid.shape)
-    voxels = slab[value % 4, :height, :width]
-    picture = np.pad(voxels.repeat(scale, 0).repeat(scale, 1), (0, 1))  # a pixel closes the frame
-    picture[-1], picture[:, -1] = LINE, LINE
-    for level in leaves:
-        _outline(picture, level, level.touching(value), scale)
-    return picture[::-1]
-
-
-def _middle(octree: Octree, axis: int) -> int:
-    """The layer in the middle of what is set; of the grid, where nothing is."""
-    low, high = octree.grid.shape[axis], 0
-    for level in octree.levels():
-        held = level.inside if level.number else octree.bricks != 0
-        cells = level.cells[held, axis]
-        if len(cells):
-            low, high = min(low, int(cells.min())), max(high, int(cells.max()) + level.side)
-    return min(low + high, 2 * octree.grid.shape[axis] - 1) // 2
-
-
-def _outline(picture: np.ndarray, level: Leaves, chosen: slice, scale: int) -> None:
-    """A line along the low sides of each leaf; the neighbour draws the others."""
-    if level.side * scale < LEAST_CELL:
-        return
-    height, width = picture.shape
-    side = level.side * scale
-    for row, column in (level.corners[chosen, 1:] * scale).tolist():
-        if row < height and column < width:
-            for edge in (
-                picture[row, column : column + side],
-                picture[row : row + side, column],
-            ):
-                edge[edge < LINE] += LINE
+    check_writer(8)
+    write_png(draw_octree_slice(octree, axis, value), file, palette())

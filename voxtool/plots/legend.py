@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voxtool.choices import WHITE
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.files.picture import WHITE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -1,21 +1,18 @@
-"""A slice of a distance field as a picture: what it says on a plane, and where its leaves are.
+"""A slice of a distance field as a picture: the distances on a plane, and the leaves it crosses.
 
-Red is inside, blue outside. Isolines are at round distances, the thick one at 0; fine squares are
-the leaves that are large enough to be seen. The two axes that remain run right and up in the order
-x, y, z, in world units.
+Red is inside, blue outside. Isolines are at round distances, the thick one at 0. Thin squares are
+the leaves that are large enough to be seen. The two remaining axes run right and up in the order x,
+y, z, in world units. Matplotlib draws it, so the pixels depend on that library's version.
 """
 
 from __future__ import annotations
 
 import math
-from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.files.atomic import atomic_path
-from voxtool.files.streams import STREAM, PathLike, standard_output
 from voxtool.memory import check_memory
 
 if TYPE_CHECKING:
@@ -31,56 +28,54 @@ BAR = (0.03, 0.025, 0.08)  # from the plot to the scale, its width, and what its
 BYTES = 400  # a pixel, at most: the answer, the isolines, the picture
 
 INSIDE = ("#5e0a1b", "#a82233", "#d65f4c", "#efa07f", "#fbdccb")  # the last at the surface
-OUTSIDE = ("#dbe9f4", "#9cc6e2", "#5b9fcd", "#2b6cab", "#0c2f5e")  # the first
+OUTSIDE = ("#dbe9f4", "#9cc6e2", "#5b9fcd", "#2b6cab", "#0c2f5e")  # the first at the surface
 
 
-def write_slice(
-    query: FieldQuery,
-    path: PathLike,
-    axis: str,
-    value: float,
-    size: int = 800,
-    clobber: bool = True,
-) -> Answer:
-    """Write a picture of a field on a plane as .png; `-` writes stdout.
+def draw_slice(
+    query: FieldQuery, axis: str, value: float, size: int = 800
+) -> tuple[np.ndarray, Answer]:
+    """Return a picture of a distance field on a plane, and the field's values there.
 
     Parameters
     ----------
-    axis, value : the plane: "x", "y" or "z", and where it crosses that axis, in world units.
-    size : pixels of the picture's width.
-    clobber : False refuses an existing file.
+    query : the field, on its device.
+    axis : "x", "y" or "z", the normal of the plane.
+    value : coordinate of the plane along that axis, in world units.
+    size : width of the picture in pixels.
 
     Returns
     -------
-    What the field says at the pixels of the plot.
+    picture : (H, size, 4) float32, premultiplied, top row first; voxtool.write_picture writes it.
+    answer : what the field says at the pixels of the plot, row by row from the lowest.
 
     Raises
     ------
     VoxtoolError : no such axis, or the plane misses the cube.
-    FileError : matplotlib is missing, or the file cannot be written.
+    FileError : matplotlib is missing.
     MemoryLimitError : the picture does not fit in memory.
     """
     try:
-        import matplotlib as _  # noqa: F401
+        import matplotlib
     except ImportError:
         raise FileError("pictures need matplotlib: pip install 'voxtool[pictures]'") from None
     check_plane(query.field, axis, value)
     check_memory(BYTES * size * size, f"a picture {size} pixels wide", "choose a smaller --size")
-    with ExitStack() as stack:
-        if path == STREAM:
-            file: BinaryIO = stack.enter_context(standard_output(text=False))
-        else:
-            temporary = stack.enter_context(atomic_path(path, clobber))
-            file = stack.enter_context(open(temporary, "wb"))
-        return _draw(query, file, AXES.index(axis), value, size)
+    left, right, bottom, top = MARGINS
+    width = 1 - left - right - sum(BAR)
+    count = round(width * size)
+    normal = AXES.index(axis)
+    answer = query(_plane_points(query.field, normal, value, count), cell=True)
+    with matplotlib.rc_context(dict(matplotlib.rcParamsDefault)):  # whatever the user prefers
+        picture = _draw(query.field, answer, normal, value, (size, width, width + bottom + top))
+    return picture, answer
 
 
 def check_plane(field: DistanceField, axis: str, value: float) -> None:
-    """Refuse a plane that misses the cube.
+    """Check that a plane crosses the field's cube.
 
     Raises
     ------
-    VoxtoolError : says where it is.
+    VoxtoolError : names the range of the cube.
     """
     if axis not in AXES or len(axis) != 1:
         raise VoxtoolError(f"axis {axis!r} is unknown: choose x, y or z")
@@ -92,67 +87,82 @@ def check_plane(field: DistanceField, axis: str, value: float) -> None:
         )
 
 
-def _draw(query: FieldQuery, file: BinaryIO, normal: int, value: float, size: int) -> Answer:
-    import matplotlib
+def _draw(
+    field: DistanceField,
+    answer: Answer,
+    normal: int,
+    value: float,
+    sizes: tuple[int, float, float],
+) -> np.ndarray:
+    """The figure as (H, W, 4) float32; `sizes` are its width in pixels, and the plot's width and
+    the figure's height as parts of that."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.figure import Figure
 
-    field = query.field
-    left, right, bottom, top = MARGINS
-    width = 1 - left - right - sum(BAR)
-    height = width + bottom + top
-    count = round(width * size)
-    answer = query(_plane_points(field, normal, value, count), cell=True)
-    distance = answer.distance.reshape(count, count)
-    across, up = (axis for axis in range(3) if axis != normal)
-    extent = [field.origin[a] + end * field.side for a in (across, up) for end in (0, 1)]
+    size, width, height = sizes
+    left, bottom = MARGINS[0], MARGINS[2]
     unit = f" ({field.units})" if field.units else ""
+    inches = ((size + 0.01) / DPI, (height * size + 0.01) / DPI)
+    figure = Figure(figsize=inches, dpi=DPI, facecolor="white")
+    canvas = FigureCanvasAgg(figure)
+    box = (left, bottom / height, width, width / height)
+    plot = figure.add_axes(box)
+    bar = figure.add_axes((left + width + BAR[0], box[1], BAR[1], box[3]))
+    step = _draw_distances(figure, plot, bar, field, answer, normal)
+    drawn = _outline_leaves(plot, field, answer, normal)
+    across, up = (axis for axis in range(3) if axis != normal)
+    plot.set_xlabel(f"{AXES[across]}{unit}", fontsize=9)
+    plot.set_ylabel(f"{AXES[up]}{unit}", fontsize=9)
+    plot.set_title(f"{AXES[normal]} = {value:g}{unit}", fontsize=11, pad=8)
+    plot.tick_params(labelsize=8)
+    bar.tick_params(labelsize=8)
+    bar.set_title(f"distance{unit}", fontsize=8, pad=8)
+    spacing = f"{step:g} {field.units}".strip()
+    legend = f"red inside, blue outside; isolines every {spacing}, thick at 0; {drawn}"
+    figure.text(left, 0.02 / height, legend, fontsize=8, color="#404040")
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba()).astype(np.float32) / 255
+
+
+def _draw_distances(
+    figure: Any, plot: Any, bar: Any, field: DistanceField, answer: Answer, normal: int
+) -> float:
+    """Draw the colours, the isolines and the scale; the step between isolines."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    count = math.isqrt(len(answer.distance))
+    distance = answer.distance.reshape(count, count)
+    low, high = distance.min(), distance.max()
     most = float(np.abs(distance).max()) or 1.0
     step = round_step(most / ISOLINES)
-    levels = step * np.arange(math.ceil(distance.min() / step), distance.max() // step + 1)
-
-    with matplotlib.rc_context(dict(matplotlib.rcParamsDefault)):  # whatever the user prefers
-        figure = Figure(figsize=(size / DPI, height * size / DPI), dpi=DPI, facecolor="white")
-        FigureCanvasAgg(figure)
-        box = (left, bottom / height, width, width / height)
-        plot = figure.add_axes(box)
-        colours = LinearSegmentedColormap.from_list("distance", colour_stops(), 1024)
-        image = plot.imshow(
-            distance, cmap=colours, vmin=-most, vmax=most, origin="lower",
-            interpolation="nearest", extent=(extent[0], extent[1], extent[2], extent[3]),
-        )  # fmt: skip
-        drawn = _outline_leaves(plot, field, answer, normal, count)
-        middles = (np.arange(count) + 0.5) / count  # of the pixels
-        places = [extent[i] + middles * field.side for i in (0, 2)]
-        thin = levels[levels != 0]
-        style: dict[str, Any] = {"colors": "#1a1a1a", "negative_linestyles": "solid"}
-        if len(thin):
-            plot.contour(*places, distance, levels=thin, linewidths=0.6, alpha=0.6, **style)
-        if distance.min() < 0 < distance.max():
-            plot.contour(*places, distance, levels=[0.0], linewidths=2.2, **style)
-        plot.set_xlabel(f"{AXES[across]}{unit}", fontsize=9)
-        plot.set_ylabel(f"{AXES[up]}{unit}", fontsize=9)
-        plot.set_title(f"{AXES[normal]} = {value:g}{unit}", fontsize=11, pad=8)
-        plot.tick_params(labelsize=8)
-        bar = figure.add_axes((left + width + BAR[0], box[1], BAR[1], box[3]))
-        figure.colorbar(image, cax=bar, ticks=levels)
-        bar.set_ylim(distance.min(), distance.max())
-        bar.tick_params(labelsize=8)
-        bar.set_title(f"distance{unit}", fontsize=8, pad=8)
-        legend = (
-            f"red inside, blue outside; isolines every {step:g}{unit[2:-1] and ' ' + field.units}"
-        )
-        figure.text(
-            left, 0.02 / height, f"{legend}, thick at 0; {drawn}", fontsize=8, color="#404040"
-        )
-        figure.savefig(file, format="png", metadata={"Software": None})
-    return answer
+    levels = step * np.arange(math.ceil(low / step), high // step + 1)
+    corners = [field.origin[a] for a in range(3) if a != normal]
+    extent = tuple(corner + end * field.side for corner in corners for end in (0, 1))
+    image = plot.imshow(
+        distance,
+        cmap=LinearSegmentedColormap.from_list("distance", colour_stops(), 1024),
+        vmin=-most,
+        vmax=most,
+        origin="lower",
+        interpolation="nearest",
+        extent=extent,
+    )
+    middles = (np.arange(count) + 0.5) / count * field.side  # of the pixels
+    places = [corner + middles for corner in corners]
+    style: dict[str, Any] = {"colors": "#1a1a1a", "negative_linestyles": "solid"}
+    thin = levels[levels != 0]
+    if len(thin):
+        plot.contour(*places, distance, levels=thin, linewidths=0.6, alpha=0.6, **style)
+    if low < 0 < high:
+        plot.contour(*places, distance, levels=[0.0], linewidths=2.2, **style)
+    figure.colorbar(image, cax=bar, ticks=levels)
+    bar.set_ylim(low, high)
+    return step
 
 
 def _plane_points(field: DistanceField, normal: int, value: float, count: int) -> np.ndarray:
-    """(count**2, 3) float64: the middles of count x count pixels on the cube's face, row by row
-    from the lowest."""
+    """(count**2, 3) float64: centres of count x count pixels on the plane, row by row from the
+    lowest."""
     places = (np.arange(count) + 0.5) * (field.side / count)
     points = np.empty((count, count, 3))
     across, up = (axis for axis in range(3) if axis != normal)
@@ -162,15 +172,13 @@ def _plane_points(field: DistanceField, normal: int, value: float, count: int) -
     return points.reshape(-1, 3)
 
 
-def _outline_leaves(
-    plot: Any, field: DistanceField, answer: Answer, normal: int, count: int
-) -> str:
-    """Squares around the leaves that are large enough; says which ones."""
+def _outline_leaves(plot: Any, field: DistanceField, answer: Answer, normal: int) -> str:
+    """Draw squares around the leaves that are large enough; a phrase that says which ones."""
     from matplotlib.collections import LineCollection
 
     assert answer.level is not None
     assert answer.cell is not None
-    finest = int(math.log2(count / LEAST_LEAF))
+    finest = int(math.log2(math.isqrt(len(answer.level)) / LEAST_LEAF))
     axes = [axis for axis in range(3) if axis != normal]
     segments, shown = [], []
     for level in range(1, finest + 1):
@@ -194,13 +202,13 @@ def _outline_leaves(
 
 
 def colour_stops() -> list[tuple[float, str]]:
-    """Places from 0 to 1 and the colours there; they change at once in the middle, the surface."""
+    """Places from 0 to 1 and their colours, with a step in the middle, at the surface."""
     places = np.linspace(0, 0.5, len(INSIDE)), np.linspace(0.5, 1, len(OUTSIDE))
     return [*zip(places[0].tolist(), INSIDE, strict=True),
             *zip(places[1].tolist(), OUTSIDE, strict=True)]  # fmt: skip
 
 
 def round_step(least: float) -> float:
-    """The least of 1, 2 and 5 times a power of ten that is not below a positive number."""
+    """The smallest of 1, 2 and 5 times a power of ten that is at least a positive number."""
     power = 10.0 ** math.floor(math.log10(least))
     return next(float(f"{step * power:.0e}") for step in (1, 2, 5, 10) if step * power >= least)
