@@ -118,7 +118,7 @@ typedef struct {
 
 nearest nothing_found(void)
 {
-    const nearest found = {INFINITY, INFINITY, NOWHERE};
+    const nearest found = {INFINITY, INFINITY, NO_TRIANGLE};
     return found;
 }
 
@@ -155,7 +155,7 @@ double8 squares_to(const triangle *t, const ways *points)
 // where it is not known. The face is that of the triangle at a place of the lists.
 double number_beside(const scene_of_lists *scene, long place, double x, double y, double z)
 {
-    if (place == NOWHERE)
+    if (place == NO_TRIANGLE)
         return NAN;
     const uint name = scene->names[scene->items[place]];
     const triangle t = triangle_at(scene, (uint)place);
@@ -242,7 +242,7 @@ __kernel void sample_blocks(const uint n, __global const ulong *identifiers, con
         rivals[i] = INFINITY;
     uint others_count = 0;
     for (uint k = 0; k < 8; ++k) {
-        bool known = places[k] == NOWHERE;
+        bool known = places[k] == NO_TRIANGLE;
         for (uint other = 0; other < k; ++other)
             known |= places[other] == places[k];
         if (known)
@@ -445,7 +445,7 @@ __kernel void settle_signs(const uint n, __global const ulong *identifiers, cons
 // ---- continuity
 
 // neighbours[27 b + i] = which of the blocks of this level is that of the cell beside cell b, or
-// COARSE where that cell is a leaf or within one, BEYOND where it is out of the cube. Cell b is
+// COARSE where that cell is a leaf or within one, OUT_OF_CUBE where it is out of the cube. Cell b is
 // child sources[b] of the level above, whose refined children are numbered by `ranks`.
 __kernel void find_neighbours(const uint n, __global const uint *sources, __global const uint *ranks,
                               __global const uint *above, __global uint *neighbours,
@@ -809,7 +809,7 @@ __kernel void list_refined(const uint n, __global const uint *ranks, __global co
 }
 
 // The triangles that refined cells need, from the lists of their parents.
-__kernel void hand_down(const uint n, __global const uint *sources, __global const uint *above,
+__kernel void pass_lists_on(const uint n, __global const uint *sources, __global const uint *above,
                         __global const uint *parent_items, __global const uchar *masks,
                         __global const uint *begins, __global uint *items)
 {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import meshes
@@ -17,10 +17,9 @@ from helpers_signs import winding
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from voxtool.adf import build
-from voxtool.adf.accuracy import measure
-from voxtool.adf.build import CROSSED, build_adf
+from voxtool.adf.build import build_adf
 from voxtool.adf.field import JUMP, bound_values
+from voxtool.adf.levels.examine import CROSSED
 from voxtool.adf.plan import BLOCK_BYTES
 from voxtool.adf.samples import SAMPLES
 from voxtool.files.mesh import load_mesh
@@ -42,10 +41,7 @@ CLEAR = 0.02  # of a winding number from 1/2: beyond it, its sign is certain
 HALF_DIAGONAL = math.sqrt(3) / 2
 
 
-@pytest.fixture(autouse=True)
-def unmeasured(monkeypatch) -> None:
-    """Errors are measured where they are tested: they take longer than what is built here."""
-    monkeypatch.setattr(build, "measure", lambda *_: {})
+build = partial(build_adf, measure=False)  # it takes longer than what is built here
 
 
 def mesh_of(vertices, faces=None) -> Mesh:
@@ -263,7 +259,7 @@ def test_any_triangles(device: Device, triangles, twice: bool, continuous: bool)
     mesh = mesh_of(vertices / 256, np.concatenate([faces, faces[::-1]]) if twice else faces)
     if not np.ptp(mesh.bounds, axis=0).any():
         return  # a point: no cube is about it
-    field = build_adf(mesh, device, tolerance=0.02, max_level=3, sign="none", continuous=continuous)
+    field = build(mesh, device, tolerance=0.02, max_level=3, sign="none", continuous=continuous)
     corners = mesh.vertices[mesh.faces]
     check_voxels(field, lambda points: brute(points, corners))
 
@@ -278,7 +274,7 @@ def test_slivers(device: Device, seed: int) -> None:
         + 10.0 ** -rng.uniform(2, 8) * rng.normal(size=(4, 3))
     )
     mesh = mesh_of(np.stack([a, b, c], axis=1))
-    field = build_adf(mesh, device, tolerance=0.01, max_level=3, sign="none", continuous=False)
+    field = build(mesh, device, tolerance=0.01, max_level=3, sign="none", continuous=False)
     check_voxels(field, lambda points: brute(points, mesh.vertices[mesh.faces]))
 
 
@@ -295,7 +291,7 @@ def test_slivers(device: Device, seed: int) -> None:
 )
 def test_formulas(device: Device, mesh, formula, error: float, continuous: bool) -> None:
     mesh = mesh()
-    field = build_adf(mesh, device, tolerance=4e-3, max_level=4, continuous=continuous)
+    field = build(mesh, device, tolerance=4e-3, max_level=4, continuous=continuous)
     assert field.sign == "pseudonormal"
     check_voxels(field, formula, error / field.side + EXACT)
 
@@ -304,7 +300,7 @@ def test_formulas(device: Device, mesh, formula, error: float, continuous: bool)
 @pytest.mark.parametrize("sign", ["pseudonormal", "winding"])
 def test_closed_meshes_are_the_signed_distance(device: Device, name: str, sign: str) -> None:
     mesh = CLOSED[name]()
-    field = build_adf(mesh, device, tolerance=8e-3, max_level=4, sign=sign, continuous=False)
+    field = build(mesh, device, tolerance=8e-3, max_level=4, sign=sign, continuous=False)
     check_voxels(field, SignedDistance(mesh, device, sign))
 
 
@@ -358,7 +354,7 @@ def check_signs(mesh: Mesh, field: DistanceField, device: Device) -> None:
 @pytest.mark.parametrize("name", CROSSING)
 def test_signs_of_meshes_that_are_open_or_cross(device: Device, name: str) -> None:
     mesh = CROSSING[name]()
-    field = build_adf(mesh, device, tolerance=4e-3, max_level=6, sign="winding", continuous=False)
+    field = build(mesh, device, tolerance=4e-3, max_level=6, sign="winding", continuous=False)
     check_signs(mesh, field, device)
 
 
@@ -366,7 +362,7 @@ def test_signs_of_meshes_that_are_open_or_cross(device: Device, name: str) -> No
 def test_closed_meshes_that_pass_through_themselves(device: Device, name: str) -> None:
     """Winding numbers are their default: inside is what is in any part."""
     mesh = SELF_CROSSING[name]()
-    field = build_adf(mesh, device, tolerance=4e-3, max_level=5, continuous=False)
+    field = build(mesh, device, tolerance=4e-3, max_level=5, continuous=False)
     assert field.sign == "winding"
     assert not field.plan["closed"]
     assert 0 < field.plan["crossed_triangles"] < len(mesh.faces)
@@ -386,9 +382,7 @@ def test_pseudonormals_where_closed_meshes_pass_through_themselves(
 ) -> None:
     """As asked for, though they are no sides there: distances are right, and some signs jump."""
     mesh = SELF_CROSSING[name]()
-    field = build_adf(
-        mesh, device, tolerance=4e-3, max_level=5, sign="pseudonormal", continuous=False
-    )
+    field = build(mesh, device, tolerance=4e-3, max_level=5, sign="pseudonormal", continuous=False)
     assert field.sign == "pseudonormal"
     assert field.reached["jumps"] > 0
     points = Tree(field).vertices_in_world()
@@ -409,7 +403,7 @@ def test_pseudonormals_where_closed_meshes_pass_through_themselves(
 )
 def test_real_models(device: Device, name: str, sign: str) -> None:
     mesh = load_mesh(model(f"{name}.obj"))
-    field = build_adf(mesh, device, tolerance=4e-3, max_level=4, sign=sign, continuous=False)
+    field = build(mesh, device, tolerance=4e-3, max_level=4, sign=sign, continuous=False)
     check_signs(mesh, field, device)
 
 
@@ -477,7 +471,7 @@ def test_leaves_are_leaves_for_a_reason(
     device: Device, name: str, request_: dict[str, Any], continuous: bool
 ) -> None:
     mesh = {**CLOSED, **OPEN}[name]()
-    field = build_adf(mesh, device, continuous=continuous, **{"max_level": 4, **request_})
+    field = build(mesh, device, continuous=continuous, **{"max_level": 4, **request_})
     check_tree(field, mesh, device)
 
 
@@ -489,7 +483,7 @@ def test_jumps_are_refined_while_they_are_coarse(
     """Leaves in which the sign jumps have an edge of CROSSED tolerances at most, or the last level:
     so the sides of a box without lid, which are no jump, are told from the hole."""
     mesh = CROSSING["box without lid"]()
-    field = build_adf(mesh, device, tolerance=tolerance, max_level=5, continuous=continuous)
+    field = build(mesh, device, tolerance=tolerance, max_level=5, continuous=continuous)
     tree = Tree(field)
     jumps = np.flatnonzero(tree.codes == JUMP)
     assert len(jumps)
@@ -500,11 +494,9 @@ def test_jumps_are_refined_while_they_are_coarse(
 
 def test_the_largest_errors_are_refined_first(device: Device) -> None:
     mesh = CLOSED["fan"]()
-    whole = build_adf(mesh, device, tolerance=1e-3, max_level=5, continuous=False)
+    whole = build(mesh, device, tolerance=1e-3, max_level=5, continuous=False)
     for most in (BLOCK_BYTES, 20 * BLOCK_BYTES, 100 * BLOCK_BYTES + 1):
-        field = build_adf(
-            mesh, device, tolerance=1e-3, max_level=5, continuous=False, max_bytes=most
-        )
+        field = build(mesh, device, tolerance=1e-3, max_level=5, continuous=False, max_bytes=most)
         assert len(field.voxels) == most // BLOCK_BYTES < len(whole.voxels)
         tree = check_refused(field, mesh, device)
         assert field.reached["missed"] > 0 or not tree.refined.all()
@@ -530,7 +522,7 @@ def check_refused(field: DistanceField, mesh: Mesh, device: Device) -> Tree:
 def test_bounds_of_closed_meshes(device: Device, name: str, continuous: bool) -> None:
     mesh = CLOSED[name]()
     for request in ({"tolerance": 1e-2, "max_level": 4}, {"tolerance": 1e-3, "max_level": 3}):
-        field = build_adf(mesh, device, continuous=continuous, **request)
+        field = build(mesh, device, continuous=continuous, **request)
         assert len(check_bounds(field, SignedDistance(mesh, device)))
 
 
@@ -538,7 +530,7 @@ def test_bounds_of_closed_meshes(device: Device, name: str, continuous: bool) ->
 @pytest.mark.parametrize("name", [*OPEN, "torus", "thin box", "two boxes", "needle"])
 def test_bounds_without_sign(device: Device, name: str, continuous: bool) -> None:
     mesh = {**CLOSED, **OPEN}[name]()
-    field = build_adf(mesh, device, tolerance=1e-2, max_level=4, sign="none", continuous=continuous)
+    field = build(mesh, device, tolerance=1e-2, max_level=4, sign="none", continuous=continuous)
     assert len(check_bounds(field, SignedDistance(mesh, device, "none")))
 
 
@@ -546,9 +538,7 @@ def test_bounds_without_sign(device: Device, name: str, continuous: bool) -> Non
 @pytest.mark.parametrize("name", CROSSING)
 def test_bounds_by_winding_numbers(device: Device, name: str, continuous: bool) -> None:
     mesh = CROSSING[name]()
-    field = build_adf(
-        mesh, device, tolerance=5e-3, max_level=6, sign="winding", continuous=continuous
-    )
+    field = build(mesh, device, tolerance=5e-3, max_level=6, sign="winding", continuous=continuous)
     check_bounds(
         field,
         SignedDistance(mesh, device, "winding"),
@@ -565,7 +555,7 @@ def test_bounds_where_closed_meshes_pass_through_themselves(
 ) -> None:
     mesh = SELF_CROSSING[name]()
     for request in ({"tolerance": 5e-3, "max_level": 5}, {"tolerance": 1e-3, "max_level": 4}):
-        field = build_adf(mesh, device, continuous=continuous, **request)
+        field = build(mesh, device, continuous=continuous, **request)
         exact, unclear = (
             SignedDistance(mesh, device, "winding"), settled(mesh, device, "winding"),
         )  # fmt: skip
@@ -581,7 +571,7 @@ def test_bounds_of_sizes_by_pseudonormals_that_jump(
     surface is."""
     mesh = SELF_CROSSING[name]()
     request = {"tolerance": 1e-3, "max_level": 4, "sign": "pseudonormal"}
-    field = build_adf(mesh, device, continuous=continuous, **request)
+    field = build(mesh, device, continuous=continuous, **request)
     tree, points = Tree(field), np.random.default_rng(2).uniform(size=(12, 3))
     leaves = np.flatnonzero(~tree.refined & (tree.codes != JUMP))
     stored = np.abs(tree.corners[leaves] @ weights_at(points).T)
@@ -622,7 +612,7 @@ def leaf_at(tree: Tree, points: np.ndarray, bits: int) -> np.ndarray:
 )
 def test_both_sides_of_a_face_agree(device: Device, name: str, request_: dict[str, Any]) -> None:
     mesh = {**CLOSED, **OPEN, **CROSSING}[name]()
-    field = build_adf(mesh, device, **{"max_level": 5, **request_})
+    field = build(mesh, device, **{"max_level": 5, **request_})
     tree, rng, bits = Tree(field), np.random.default_rng(1), 20
     _, first, copies = np.unique(tree.vertices(), axis=0, return_index=True, return_inverse=True)
     stored = field.voxels.ravel()
@@ -659,9 +649,8 @@ def test_both_sides_of_a_face_agree(device: Device, name: str, request_: dict[st
 
 @pytest.mark.parametrize("band", [math.inf, 0.05])
 @pytest.mark.parametrize("name", ["fan", "box without lid"])
-def test_errors(device: Device, name: str, band: float, monkeypatch) -> None:
+def test_errors(device: Device, name: str, band: float) -> None:
     """Within the band, and where the sign does not jump."""
-    monkeypatch.setattr(build, "measure", measure)
     mesh = {**CLOSED, **CROSSING}[name]()
     field = build_adf(mesh, device, tolerance=5e-3, max_level=4, band=band)
     told = field.reached["errors"]
@@ -700,9 +689,7 @@ SAME = ("voxels", "cells", "bounds")
 def test_scale_changes_no_bit(device: Device, sign: str, exponent: int) -> None:
     mesh = mesh_of(*meshes.torus(sides=(11, 7)))
     scaled = replace(mesh, vertices=np.ldexp(mesh.vertices, exponent))
-    one, other = (
-        build_adf(m, device, tolerance=1e-2, max_level=4, sign=sign) for m in (mesh, scaled)
-    )
+    one, other = (build(m, device, tolerance=1e-2, max_level=4, sign=sign) for m in (mesh, scaled))
     for name in SAME:
         assert np.array_equal(getattr(one, name), getattr(other, name)), name
     assert np.array_equal(one.hash.offsets, other.hash.offsets)
@@ -749,8 +736,7 @@ def test_all_devices_agree_bit_for_bit() -> None:
     for name in ("torus", "box without lid", "loose"):
         mesh = {**CLOSED, **OPEN, **CROSSING}[name]()
         fields = [
-            build_adf(mesh, opened(index), tolerance=1e-2, max_level=4)
-            for index, _ in usable_devices()
+            build(mesh, opened(index), tolerance=1e-2, max_level=4) for index, _ in usable_devices()
         ]
         assert len({field.digest() for field in fields}) == 1
         assert all(field.reached == fields[0].reached for field in fields)
@@ -760,7 +746,7 @@ def test_copies_of_faces_change_nothing_and_end(device: Device) -> None:
     """As near as each other everywhere, a thousand of them would fill every list."""
     vertices, faces = meshes.box(0, 4)
     once, often = (
-        build_adf(
+        build(
             mesh_from_arrays(vertices, np.tile(faces, (count, 1))),
             device,
             tolerance=1e-2,

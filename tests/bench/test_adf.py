@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
-from types import SimpleNamespace
 
 import meshes
 import numpy as np
@@ -13,7 +12,7 @@ import pytest
 from conftest import usable_devices
 from helpers_cli import fail, invoke, run, write_obj
 
-from voxtool.adf.build import cube_of
+from voxtool.adf.survey import cube_of
 from voxtool.bench import adf, peers
 from voxtool.choices import SEARCHES
 from voxtool.cli import bench_adf
@@ -86,7 +85,7 @@ def check_row(row: dict) -> None:
     assert {name: type(value) for name, value in row.items()} == types
     assert (row["model"], row["triangles"], row["sign"]) == ("ball.obj", 80, "pseudonormal")
     assert row["leaves"] == 7 * row["blocks"] + 1
-    assert row["stages"].keys() >= {"tree", "sample", "constrain", "examine", "hand down"}
+    assert row["stages"].keys() >= {"tree", "sample", "constrain", "examine", "refine"}
     assert "distance" not in row["stages"]  # is of the errors
     assert row["device"] == sum(row["stages"].values())
     for place in ("in the cube", "near the surface"):
@@ -243,22 +242,6 @@ def test_keys_of_a_sphere(monkeypatch) -> None:
 
 
 # ---- figures
-
-
-def test_the_build_ends_where_its_errors_begin(monkeypatch) -> None:
-    clock = iter([10.0, 13.0])
-    monkeypatch.setattr(adf, "time", SimpleNamespace(perf_counter=lambda: next(clock)))
-    spent = iter([{"sample": 2.0}, {"distance": 5.0}])
-    device = SimpleNamespace(on_stage=None, stage_times=lambda: next(spent))
-
-    def build(device):
-        for stage in ("tree", "sample", "errors", "distance"):
-            device.on_stage(stage)
-        return "a field"
-
-    assert adf.timed_build(build, device) == ("a field", 3.0, {"sample": 2.0})  # type: ignore[arg-type]
-    assert device.on_stage is None
-    assert next(spent, None) is None  # what the errors took is gone
 
 
 def test_errors() -> None:

@@ -13,8 +13,9 @@ import pytest
 from helpers_cli import fail, process, run, write_obj
 
 from voxtool import read_adf
-from voxtool.adf.build import build_adf, cube_of, plan_adf
+from voxtool.adf.build import build_adf, plan_adf
 from voxtool.adf.plan import BLOCK_BYTES
+from voxtool.adf.survey import cube_of
 from voxtool.files.mesh import load_mesh
 
 COARSE = "--tolerance 0.01 --max-level 3"
@@ -212,7 +213,7 @@ def test_meshes_that_pass_through_themselves_are_told(sign: str, says: str, here
     warnings = [line for line in lines if "warning" in line]
     assert len(warnings) == (says != "")
     for line in warnings:
-        assert line.startswith("voxtool: warning: crossing.obj meets itself in 12 faces; ")
+        assert line.startswith("voxtool: warning: crossing.obj intersects itself in 12 faces; ")
         assert says in line
 
 
@@ -231,13 +232,13 @@ def test_meshes_that_pass_through_themselves_have_winding_numbers(here: Path) ->
 
 def test_plan(here: Path) -> None:
     options = "--tolerance 1e-3 --max-level 4"
-    plan = plan_adf(load_mesh("open.obj"), tolerance=1e-3, max_level=4)
+    plan = plan_adf(load_mesh("open.obj"), tolerance=1e-3, max_level=4).plan
     found = json.loads(run(f"adf-build open.obj {options} --plan --json").stdout)
     assert found == json.loads(json.dumps(plan.as_dict()))
     text = run(f"adf-build open.obj {options} --plan").stdout
     assert "tolerance 0.001 sides, levels to 4, sign winding\n" in text
     assert f"at most about {plan.blocks:,} blocks" in text
-    for what, why in plan.left_out().items():
+    for what, why in plan.left_out.items():
         assert f"left out   {what}: {why}\n" in text
     for stage in plan.stages:
         assert stage in text

@@ -7,8 +7,6 @@ import re
 import numpy as np
 import pytest
 
-from voxtool.adf import build, field, hashing, query
-from voxtool.adf import raycast as adf_raycast
 from voxtool.errors import DeviceError
 from voxtool.grid import FIXED_POINT_BITS
 from voxtool.opencl import Device, headers, primitives, program
@@ -54,7 +52,6 @@ CONSTANTS = {
         "FIXED_POINT_BITS": FIXED_POINT_BITS,
     },
     "svo/raycast.h": {"TILE": svo_raycast.TILE},
-    "adf/raycast.h": {"ROOM_LEVEL": adf_raycast.ROOM_LEVEL, "TILE": adf_raycast.TILE},
     "tets/volume.h": {"BLOCK": volume.BLOCK},
     "tets/project.h": {"TILE": project.TILE},
     "tets/raycast.h": {"MOST_STILL": tets_raycast.MOST_STILL},
@@ -76,25 +73,6 @@ CONSTANTS = {
         "NO_FACE": cases.NO_FACE,
         "NO_EDGE": cases.NO_EDGE,
     },
-    "adf/build.h": {
-        name: getattr(build, name)
-        for name in (
-            "JUMP",
-            "KEPT",
-            "NOWHERE",
-            "BEYOND",
-            "COARSE",
-            "UNKNOWN",
-            "OUTSIDE",
-            "INSIDE",
-        )
-    },
-    "adf/hashing.h": {
-        name: getattr(hashing, name)
-        for name in ("SLOT_BITS", "MOST_PARTED", "WORDS", "LANES", "LOST", "WON", "NOWHERE")
-    },
-    "adf/field.h": {"POINT_BITS": field.POINT_BITS, "WEIGHT_BITS": field.WEIGHT_BITS},
-    "adf/query.h": {search.upper(): number for number, search in enumerate(query.SEARCHES)},
     "svo/surface/greedy_meshing.h": {"FIELD": rectangles.FIELD},
     "svo/voxelize.h": {
         "TOUCHED": voxelize.TOUCHED,

@@ -21,7 +21,7 @@ SAMPLES = 1 << 15  # of either kind of points
 NEAR = 1 / 64  # of the side, along each axis, that points near the surface are off it at most
 
 
-def measure(
+def measure_errors(
     field: DistanceField, mesh: Mesh, device: Device | None = None, samples: int = SAMPLES
 ) -> dict[str, Any]:
     """The errors of a field at points spread evenly through its cube, and near the surface.

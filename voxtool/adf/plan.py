@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from voxtool.errors import MemoryLimitError, count_of, human
+from voxtool.adf.field import MAX_LEVEL
+from voxtool.choices import SIGNS
+from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
+from voxtool.job import Cost
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+TOLERANCE = 1e-3  # unless another is asked for
+MAX_LEVEL_ASKED = 9
 BLOCK_BYTES = 27 * 4 + 8 + 8 + 1  # voxels, cell, bounds, and about as much of the hash
 NARROW_LEVEL = 11  # of leaves up to which identifiers of their parents fit 32 bits
 PILOT_LEVEL = 5  # of cells, down to which a field is built to foretell the rest
@@ -22,17 +28,15 @@ ITEM_BYTES = 5  # of a triangle in a list, and of what is known of it
 class FieldPlan:
     """How a field will be built.
 
-    triangles : of the mesh; flat : of these, without area; crossed : that others meet; closed : the
-    mesh is, is wound consistently, does not meet itself, and its shells agree on what is inside.
-    sign, tolerance, max_level, band, continuous, bounds, max_bytes : as asked.
-    refined : cells that are refined, of each level from 0 on, as far as was counted.
-    items : triangles in the lists of the last of these.
+    triangles : number of triangles of the mesh; flat : of those without area; crossed : of those
+    that intersect others; closed : whether the mesh is closed, consistently wound, free of
+    self-intersections, and its shells agree on what is inside.
+    sign, tolerance, max_level, band, continuous, bounds, max_bytes, measure : as requested.
+    refined : number of refined cells of each level from 0 on, as far as they have been counted.
+    items : number of triangles in the lists of the last of these levels.
     """
 
     triangles: int
-    flat: int
-    crossed: int
-    closed: bool
     sign: str
     tolerance: float
     max_level: int
@@ -40,17 +44,33 @@ class FieldPlan:
     continuous: bool
     bounds: bool
     max_bytes: int | None
+    measure: bool = True
+    flat: int = 0
+    crossed: int = 0
+    closed: bool = False
     refined: tuple[int, ...] = ()
     items: int = 0
 
+    def __post_init__(self) -> None:
+        if not 0 <= self.tolerance < math.inf:
+            raise VoxtoolError(f"tolerance {self.tolerance:g}: give a length from 0 on")
+        if not 1 <= self.max_level <= MAX_LEVEL:
+            raise VoxtoolError(f"max level {self.max_level}: choose 1 to {MAX_LEVEL}")
+        if not self.band >= 0:
+            raise VoxtoolError(f"band {self.band:g}: give a length from 0 on")
+        if self.sign and self.sign not in SIGNS:
+            raise VoxtoolError(f"sign {self.sign!r}: choose one of {', '.join(SIGNS)}")
+        if self.max_bytes is not None and self.max_bytes < BLOCK_BYTES:
+            raise VoxtoolError(f"max bytes {self.max_bytes}: one block takes {BLOCK_BYTES}")
+
     @property
     def certain(self) -> bool:
-        """Whether signs are, so that none jumps."""
+        """Whether all signs are certain, so that none jumps."""
         return self.closed and self.sign == "pseudonormal"
 
     @property
     def stages(self) -> list[str]:
-        """The stages that will run, in order; those from sample to hand down once a level."""
+        """The stages that will run, in order; those from sample to refine once a level."""
         return [
             "tree",
             *(["self-intersections"] if self.sign != "none" else []),
@@ -59,11 +79,12 @@ class FieldPlan:
             *(["signs", "winding number"] if self.sign == "winding" else []),
             *(["constrain"] if self.continuous else []),
             "examine",
-            "hand down",
+            "refine",
             "hash",
-            "errors",
+            *(["errors"] if self.measure else []),
         ]
 
+    @property
     def left_out(self) -> dict[str, str]:
         """What is not compiled, allocated or run, and why."""
         out = {}
@@ -87,6 +108,8 @@ class FieldPlan:
             out["64-bit identifiers"] = (
                 f"leaves end at level {self.max_level}, of {NARROW_LEVEL} that 32 bits serve"
             )
+        if not self.measure:
+            out["error measurement"] = "it is not asked for"
         return out
 
     def predicted(self) -> list[int]:
@@ -111,9 +134,14 @@ class FieldPlan:
         return BLOCK_BYTES * self.blocks
 
     @property
-    def device_bytes(self) -> int:
-        """Predicted peak of memory, at most about."""
-        return self._bytes(self.predicted(), max(self.items, self.triangles))
+    def cost(self) -> Cost:
+        """The memory that the build takes at its peak, roughly and at most."""
+        counts, items = self.predicted(), max(self.items, self.triangles)
+        return Cost(self._bytes(counts, items), self.field_bytes, self._largest(counts, items))
+
+    def _largest(self, counts: Sequence[int], items: int) -> int:
+        """Bytes of the largest buffer."""
+        return max(8 * 27 * max(counts, default=0), 4 * items)
 
     def _bytes(self, counts: Sequence[int], items: int) -> int:
         """Of so many cells, level by level, and a level's lists: twice the field, two levels in
@@ -129,7 +157,7 @@ class FieldPlan:
             "crossed_triangles": self.crossed,
             "closed": self.closed,
             "stages": self.stages,
-            "left_out": self.left_out(),
+            "left_out": self.left_out,
         }
 
     def as_dict(self) -> dict[str, Any]:
@@ -139,8 +167,18 @@ class FieldPlan:
             "refined_cells": list(self.refined),
             "predicted_blocks": self.blocks,
             "predicted_field_bytes": self.field_bytes,
-            "predicted_device_bytes": self.device_bytes,
+            "predicted_device_bytes": self.cost.device,
         }
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What `--plan` prints before the stages: names and texts."""
+        counted = ", ".join(f"{count:,}" for count in self.refined)
+        return [
+            ("field", f"tolerance {self.tolerance:.3g} sides, levels to {self.max_level}, sign "
+             f"{self.sign}"),
+            ("scene", f"{self.triangles:,} triangles; {counted} cells are refined, of level 0, 1, "
+             "..."),
+        ]  # fmt: skip
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Refuse what has been counted, and needs more.
@@ -155,7 +193,7 @@ class FieldPlan:
         """
         counts, level = self.refined, len(self.refined) - 1
         needed = self._bytes(counts, self.items)
-        largest = max(8 * 27 * counts[-1], 4 * self.items)
+        largest = self._largest(counts[-1:], self.items)
         if needed <= max_memory and largest <= max_allocation and self.items < 1 << 32:
             return
         fits = f"--max-level {level} fits, or " if level else ""

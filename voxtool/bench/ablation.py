@@ -13,10 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf import build as adf_build
+from voxtool.adf.build import plan_adf
 from voxtool.adf.query import FieldQuery
 from voxtool.bench import timing
-from voxtool.bench.adf import seconds_to_field
 from voxtool.bench.points import Saving
 from voxtool.svo import voxelize as svo_voxelize
 from voxtool.tets import view as tets_view
@@ -84,17 +83,16 @@ def of_field(
     mesh: Mesh, device: Device, runs: Runs, about: dict[str, str], **request: Any
 ) -> Iterator[Saving]:
     """Likewise of a field's build, the measurement of its errors left out."""
-    build = partial(adf_build.build_adf, mesh, **request)
-    field = build(device=device)
+
+    def build(**forced: Any) -> DistanceField:
+        return plan_adf(mesh, device=device, measure=False, **request).with_(**forced).run()
+
+    field = build()
     for what, why in field.plan["left_out"].items():
         if what in FIELD and field.sign != "none":
-            change = partial(replace, **FIELD[what])
-            forced = partial(_made_otherwise, adf_build, "FieldPlan", change)
-            with forced():
-                other = build(device=device)
-            same = replace(other, sign=field.sign).digest() == field.digest()
-            time = partial(seconds_to_field, build, device)
-            planned, more = runs.by_turns(time, _under(forced, time))
+            forced = partial(build, **FIELD[what])
+            same = replace(forced(), sign=field.sign).digest() == field.digest()
+            planned, more = runs.by_turns(partial(_time, build), partial(_time, forced))
             yield Saving(**about, what=what, why=why, runs=planned, forced=more, same=same)
 
 

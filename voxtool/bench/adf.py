@@ -7,10 +7,8 @@ how many points it has paid for itself.
 
 from __future__ import annotations
 
-import contextlib
 import math
 import statistics
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from functools import partial
@@ -19,9 +17,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.build import MAX_LEVEL_ASKED, build_adf, cube_of
+from voxtool.adf.accuracy import measure_errors
+from voxtool.adf.build import build_adf
 from voxtool.adf.hashing import build_hash, cell_of, key_of
+from voxtool.adf.plan import MAX_LEVEL_ASKED
 from voxtool.adf.query import FieldQuery
+from voxtool.adf.survey import cube_of
 from voxtool.bench import peers, timing
 from voxtool.choices import SEARCHES
 from voxtool.files.mesh import load_mesh
@@ -32,7 +33,6 @@ from voxtool.spatial.signed_distance import SignedDistance
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from voxtool.adf.field import DistanceField
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
 
@@ -104,7 +104,7 @@ class Row:
     build : mesh in memory to field in memory, Python included, the measurement of its errors left
     out; spread : (max - min) / median of `build`; stages : on the device, by its events; device :
     their sum; host : what Python adds, in the same runs; bytes : of the textures; error : p99, rms,
-    max in sides of the cube and the share within the tolerance, as voxtool.adf.accuracy.measure;
+    max in sides of the cube and the share within the tolerance, as adf.accuracy.measure_errors;
     missed : leaves over the tolerance; upload : the field's way to the device; hash : of the
     field's keys, alone; exact, peers : of the model, the same in each of its rows.
     """
@@ -174,11 +174,12 @@ def sweep(
             ]
         for tolerance in tolerances:
             build = partial(
-                build_adf, mesh, tolerance=tolerance, max_level=max_level, band=band, sign=sign
-            )
-            built, _, _ = timed_build(build, timed)
-            times = [timed_build(build, timed)[1] for _ in range(repeat)]
-            stages, whole = stage_times(build, profiled, repeat)
+                build_adf, mesh, tolerance=tolerance, max_level=max_level, band=band, sign=sign,
+                measure=False,
+            )  # fmt: skip
+            built = build(timed)
+            times = timing.times(partial(build, timed), repeat)
+            stages, whole = timing.stage_times(partial(build, profiled), profiled, repeat)
             seconds, on_device = statistics.median(times), sum(stages.values())
             upload = statistics.median(timing.times(partial(FieldQuery, built, timed), repeat))
             asked = FieldQuery(built, timed), FieldQuery(built, profiled)
@@ -204,7 +205,7 @@ def sweep(
                 leaves=built.reached["leaves"],
                 bytes=sum(built.sizes().values()),
                 lipschitz=built.lipschitz,
-                error=built.reached["errors"],
+                error=measure_errors(built, mesh, timed),
                 missed=built.reached["missed"],
                 upload=upload,
                 hash=measure_hash(key_of(*cell_of(built.blocks)), timed, repeat),
@@ -215,58 +216,6 @@ def sweep(
 
 
 # --- build and hash ------------------------------------------------------------------------------
-
-
-def timed_build(
-    build: Callable[..., DistanceField], device: Device
-) -> tuple[DistanceField, float, dict[str, float]]:
-    """A field, the seconds that its build took, and those of its stages on a device that profiles,
-    until its errors began to be measured."""
-    seconds, stages = 0.0, {}
-
-    def stop_at_errors(stage: str) -> None:
-        nonlocal seconds, stages
-        if stage == "errors":
-            seconds = time.perf_counter() - start
-            stages = device.stage_times()
-
-    device.on_stage = stop_at_errors
-    start = time.perf_counter()
-    built = build(device=device)
-    device.on_stage = None
-    device.stage_times()  # those of the errors
-    return built, seconds, stages
-
-
-class _Built(Exception):
-    """A field is, but for the measurement of its errors."""
-
-
-def seconds_to_field(build: Callable[..., DistanceField], device: Device) -> float:
-    """Seconds of a build, which is left when its errors would be measured: the field is lost."""
-
-    def leave_at_errors(stage: str) -> None:
-        if stage == "errors":
-            raise _Built
-
-    device.on_stage = leave_at_errors
-    start = time.perf_counter()
-    try:
-        with contextlib.suppress(_Built):
-            build(device=device)
-        return time.perf_counter() - start
-    finally:
-        device.on_stage = None
-
-
-def stage_times(
-    build: Callable[..., DistanceField], profiled: Device, repeat: int
-) -> tuple[dict[str, float], float]:
-    """Median seconds of each stage of a build, and of the whole in the same runs, after a warm-up;
-    as voxtool.bench.timing.stage_times, without the errors."""
-    runs = [timed_build(build, profiled)[1:] for _ in range(repeat + 1)][1:]
-    stages = {name: statistics.median(run[name] for _, run in runs) for name in runs[0][1]}
-    return stages, statistics.median(whole for whole, _ in runs)
 
 
 def measure_hash(keys: np.ndarray, device: Device, repeat: int) -> Hash:

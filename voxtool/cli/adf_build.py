@@ -16,7 +16,6 @@ from voxtool.errors import VoxtoolError
 if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
     from voxtool.adf.plan import FieldPlan
-    from voxtool.mesh.mesh import Mesh
 
 
 @click.command("adf-build")
@@ -104,7 +103,9 @@ def command(
     if tolerance_world is not None and not 0 <= tolerance_world < math.inf:
         raise click.UsageError(f"--tolerance-world {tolerance_world:g}: give a length from 0 on")
     started = time.perf_counter()
-    from voxtool.adf.build import TOLERANCE, build_adf, cube_of, plan_adf
+    from voxtool.adf.build import plan_adf
+    from voxtool.adf.plan import TOLERANCE
+    from voxtool.adf.survey import cube_of
     from voxtool.files import ADF_FORMATS, check_target, format_of, write_adf
     from voxtool.files.mesh import load_mesh
     from voxtool.opencl import open_device
@@ -133,15 +134,16 @@ def command(
             "bounds": not no_bounds,
             "max_bytes": max_bytes,
         }
+        job = plan_adf(loaded, device=chosen, max_memory=max_memory, **request)
         if only_plan:
-            plan = plan_adf(loaded, chosen, **request)
+            plan = job.plan
             progress.erase()
-            warn_of_signs(loaded, plan.scene(), plan.sign)
+            if uncertain := job.sign_finding():
+                options.tell(f"warning: {uncertain}")
             print_plan(plan, as_json)
             options.warn_if_refused(plan, max_memory, chosen)
             return
-        field = build_adf(loaded, chosen, max_memory=max_memory, **request)
-        warn_of_signs(loaded, field.plan, field.sign)
+        field = job.run(progress.enter)
         progress.enter("write file")
         write_adf(field, output, not no_clobber, file_format)
     seconds = time.perf_counter() - started
@@ -163,26 +165,6 @@ def command(
             f"{output}: {field.reached['missed']:,} leaves miss the tolerance (--strict): choose a "
             "higher --max-level, a larger --tolerance or more --max-bytes"
         )
-
-
-def warn_of_signs(mesh: Mesh, scene: dict[str, Any], sign: str) -> None:
-    """Pseudo-normals need a closed mesh: say what is wrong with this one, and what is done."""
-    from voxtool.mesh.topology import check_topology
-    from voxtool.spatial.signed_distance import default_sign
-
-    if sign == "none" or scene["closed"]:
-        return
-    wrong = []
-    if default_sign(mesh) != "pseudonormal":
-        wrong.append(f"is {check_topology(mesh).summary()}")
-    if scene["crossed_triangles"]:
-        wrong.append(f"meets itself in {scene['crossed_triangles']:,} faces")
-    done = (
-        "signs by pseudo-normals may be wrong: --sign winding is made for it"
-        if sign == "pseudonormal"
-        else "inside is where its winding number is over 1/2"
-    )
-    options.tell(f"warning: {mesh.name or 'mesh'} {' and '.join(wrong)}; {done}")
 
 
 def summary(field: DistanceField, output: str, seconds: float) -> dict[str, Any]:
@@ -258,15 +240,12 @@ def print_plan(plan: FieldPlan, as_json: bool) -> None:
         return
     from voxtool.errors import human
 
-    counted = ", ".join(f"{count:,}" for count in plan.refined)
     rows = [
-        ("field", f"tolerance {plan.tolerance:.3g} sides, levels to {plan.max_level}, sign "
-         f"{plan.sign}"),
-        ("scene", f"{plan.triangles:,} triangles; {counted} cells are refined, of level 0, 1, ..."),
+        *plan.rows(),
         ("stages", ", ".join(plan.stages)),
-        *(("left out", f"{what}: {why}") for what, why in plan.left_out().items()),
+        *(("left out", f"{what}: {why}") for what, why in plan.left_out.items()),
         ("predicted", f"at most about {plan.blocks:,} blocks, {human(plan.field_bytes)}; "
-         f"{human(plan.device_bytes)} in work"),
+         f"{human(plan.cost.device)} in work"),
     ]  # fmt: skip
     for name, text in rows:
         click.echo(f"{name:<10} {text}")

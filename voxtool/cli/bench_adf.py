@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from voxtool.bench.adf import Exact, Hash, Row
 
 STAGES = ("tree", "self-intersections", "moments", "sample", "signs", "winding number",
-          "constrain", "examine", "hand down", "hash")  # fmt: skip
-SHORT = {"self-intersections": "intersect", "winding number": "winding", "hand down": "lists"}
+          "constrain", "examine", "refine", "hash")  # fmt: skip
+SHORT = {"self-intersections": "intersect", "winding number": "winding"}
 KINDS = ("random", "rays")
 SIZES = "  blocks    leaves       MB  load % bits/key  hash ms"
 PLACES = {"in the cube": "cube", "near the surface": "near"}

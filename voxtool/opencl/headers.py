@@ -11,7 +11,7 @@ from importlib import import_module
 
 # Header -> the module whose HEADERS holds its text.
 HOMES = {
-    "adf/build.h": "voxtool.adf.build",
+    "adf/build.h": "voxtool.adf.levels.level",
     "adf/field.h": "voxtool.adf.field",
     "adf/hashing.h": "voxtool.adf.hashing",
     "adf/query.h": "voxtool.adf.query",

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.build import CROSSED, build_adf
+from voxtool.adf.build import build_adf
 from voxtool.adf.hashing import MAX_KEY, SpatialHash, build_hash, cell_of
+from voxtool.adf.levels.examine import CROSSED
 from voxtool.adf.query import query_adf
 from voxtool.adf.raycast import FieldRenderer
 from voxtool.camera import Rays

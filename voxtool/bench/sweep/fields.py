@@ -9,8 +9,10 @@ from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from voxtool.adf.build import build_adf, cube_of
+from voxtool.adf.accuracy import measure_errors
+from voxtool.adf.build import build_adf
 from voxtool.adf.query import FieldQuery
+from voxtool.adf.survey import cube_of
 from voxtool.bench import ablation as forced
 from voxtool.bench import adf, peers, timing
 from voxtool.bench.points import MEASURES, Point
@@ -42,10 +44,12 @@ def of_fields(
     for level, tolerance in product(asked.levels, asked.tolerances):
         build = partial(
             build_adf, mesh, tolerance=tolerance, max_level=level, band=asked.band,
-            sign=asked.sign,
+            sign=asked.sign, measure=False,
         )  # fmt: skip
-        field, _, stages = adf.timed_build(build, profiled)
-        runs = [adf.seconds_to_field(build, timed) for _ in range(asked.repeat + 1)]
+        profiled.stage_times()
+        field = build(profiled)
+        stages = profiled.stage_times()
+        runs = timing.times(partial(build, timed), asked.repeat + 1)
         request = {"tolerances": tolerance, "max-level": level, "points": asked.queries,
                    "band": None if math.isinf(asked.band) else asked.band,
                    "sign": asked.sign}  # fmt: skip
@@ -55,7 +59,7 @@ def of_fields(
             runs=runs[1:],  # kernels are compiled in the first
             command=command("adf", model, asked, **request),
             size=field.reached["leaves"], size_of="leaves",
-            errors=field_errors(field.reached["errors"]),
+            errors=field_errors(measure_errors(field, mesh, timed)),
             stages=stages,
             left_out=field.plan["left_out"],
             bytes=sum(field.sizes().values()),

@@ -1,0 +1,83 @@
+"""Jobs of fields: planned once, forced, and what they warn of."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+import meshes
+import numpy as np
+import pytest
+
+from voxtool.adf.build import build_adf, plan_adf
+from voxtool.adf.plan import PILOT_LEVEL
+from voxtool.errors import MemoryLimitError, MeshWarning
+from voxtool.mesh.mesh import Mesh, mesh_from_arrays
+
+if TYPE_CHECKING:
+    from voxtool.opencl import Device
+
+plan = partial(plan_adf, tolerance=1e-3, max_level=6, measure=False)
+
+
+def ball() -> Mesh:
+    return mesh_from_arrays(*meshes.icosphere(2))
+
+
+def box_without_lid() -> Mesh:
+    return mesh_from_arrays(*meshes.open_box(0, (4, 3, 2)))
+
+
+def test_levels_are_built_once(device: Device) -> None:
+    """A plan that was looked at is continued, and runs again from the root."""
+    job, begun = plan(ball(), device=device), []
+    with device.reporting(begun.append):
+        counted = job.plan.refined
+        job.describe()
+        assert begun.count("sample") == PILOT_LEVEL == len(counted) - 1
+        field = job.run()
+        levels = len(field.cells_by_level()) - 1
+        assert begun.count("sample") == levels > PILOT_LEVEL
+        assert job.run().digest() == field.digest()
+        assert begun.count("sample") == 2 * levels
+    assert begun.count("tree") == 0
+    assert job.plan.refined == tuple(field.cells_by_level()[:-1])
+    assert field.digest() == plan(ball(), device=device).run().digest()
+    assert set(begun) <= {*job.stages, "upload"}
+    assert "errors" not in job.stages
+    assert "errors" in job.with_(measure=True).stages
+
+
+@pytest.mark.parametrize(
+    ("forced", "says"),
+    [
+        ({"flat": 1}, True),
+        ({"closed": False, "sign": "pseudonormal"}, True),
+        ({"sign": "winding"}, True),
+        ({"sign": "none"}, False),
+        ({"max_level": 3}, False),
+    ],
+)
+def test_decisions_are_forced(device: Device, forced: dict, says: bool) -> None:
+    job = plan(ball(), device=device)
+    field = job.run()
+    other = job.with_(**forced).run()
+    same = np.array_equal(other.voxels, field.voxels)
+    assert same == says
+    assert job.run().digest() == field.digest()
+    request = {name: value for name, value in forced.items() if name not in ("flat", "closed")}
+    assert np.array_equal(plan(ball(), device=device, **request).run().voxels, other.voxels)
+
+
+def test_memory_is_refused_level_by_level(device: Device) -> None:
+    job = plan(ball(), device=device, max_memory=1 << 20)
+    with pytest.raises(MemoryLimitError, match=r"--max-level \d fits"):
+        job.run()
+
+
+def test_warnings(device: Device) -> None:
+    with pytest.warns(MeshWarning, match="is not closed"):
+        plan(box_without_lid(), device=device).run()
+    sheet = mesh_from_arrays(np.eye(3), [(0, 1, 2)])
+    with pytest.warns(MeshWarning, match="the field has no inside"):
+        build_adf(sheet, device, max_level=3, measure=False)

@@ -1,0 +1,36 @@
+"""Stage "constrain": blocks beside a coarser leaf take its interpolation on what they share, so
+that the field has no cracks."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from voxtool.adf.levels.level import Construction, Level
+
+
+def constrain(work: Construction, level: Level) -> None:
+    """Give vertices that lie on a coarser leaf the values that are interpolated there."""
+    above = level.above
+    if above is None:
+        return
+    device, n = work.device, level.count
+    level.neighbours = device.empty(27 * n, np.uint32)
+    with device.stage("constrain"):
+        work.kernel("find_neighbours")(
+            n,
+            sources=level.sources,
+            ranks=above.ranks,
+            above=above.neighbours,
+            neighbours=level.neighbours,
+            unbalanced=work.unbalanced,
+        )
+        work.kernel("constrain_blocks")(
+            n,
+            sources=level.sources,
+            neighbours=level.neighbours,
+            above=above.values,
+            values=level.values,
+        )

@@ -1,0 +1,59 @@
+"""Stage "examine": the error of each child, whether it is refined, and the bound of a leaf."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from voxtool.adf.levels.level import Construction, Level
+
+CROSSED = 64.0  # tolerances that the edge of a leaf may have where triangles pass, unless certain
+
+
+@dataclass
+class Examined:
+    """The children of a level's cells, on the host.
+
+    voxels : (27 n,) float32, the blocks, in sides; refined : (8 n,) uint32, 1 or 0; errors : (8 n,)
+    float32, in sides, -1 where the sign jumps; codes : (8 n,) uint8, of the bounds of leaves.
+    """
+
+    voxels: np.ndarray
+    refined: np.ndarray
+    errors: np.ndarray
+    codes: np.ndarray
+
+
+def examine(work: Construction, level: Level) -> Examined:
+    """Which children of a level's cells are to be refined, and the errors of all of them."""
+    device, plan, n, side = work.device, work.plan, level.count, work.side
+    voxels = device.empty(27 * n, np.float32)
+    level.ranks = device.empty(8 * n + 1, np.uint32)
+    errors, codes = device.empty(8 * n, np.float32), device.empty(8 * n, np.uint8)
+    with device.stage("examine"):
+        work.kernel("store_voxels")(
+            27 * n, values=level.values, extent=work.survey.extent, voxels=voxels
+        )
+        work.kernel("examine_children")(
+            n,
+            **work.arguments,
+            **level.arguments,
+            doubts=level.doubts,
+            voxels=voxels,
+            tolerance=plan.tolerance * side,
+            misplaced=work.survey.misplaced * side,
+            band=plan.band * side,
+            can_refine=level.number + 1 < plan.max_level,
+            refine_coarse=0.5 ** (level.number + 1) > CROSSED * plan.tolerance,
+            thorough=plan.max_bytes is not None,
+            bounds=work.bound_values,
+            masks=level.masks,
+            flags=level.ranks,
+            errors=errors,
+            codes=codes,
+            steepest=work.steepest,
+        )
+    return Examined(voxels.take(), level.ranks.get(0, 8 * n), errors.take(), codes.take())

@@ -1,0 +1,128 @@
+"""What the construction of a field knows of its mesh: the cube, the tree of triangles, and the data
+that separate inside from outside."""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voxtool.adf.field import POINT_BITS
+from voxtool.spatial.bvh import FIELDS, LEAF, Frame, build_tree
+from voxtool.spatial.pseudonormals import pseudonormals
+from voxtool.spatial.self_intersections import find_self_intersections
+from voxtool.spatial.sides import find_sides, shells_agree
+from voxtool.spatial.signed_distance import default_sign
+from voxtool.spatial.winding_number import WindingNumber
+
+if TYPE_CHECKING:
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.opencl import Device
+
+MARGIN = 1 / 16  # of the cube's side, on both sides of the mesh's longest side
+REACH = 2.0  # of winding numbers: an error of 5e-3 is enough for signs, in half the time
+
+
+class Survey:
+    """A mesh on the device, ready for the construction of a field.
+
+    Attributes
+    ----------
+    signed : whether inside and outside are told apart.
+    tree : the triangles, in the mesh's own frame.
+    flat : number of triangles without area; crossed : (F,) bool, faces that intersect others.
+    closed : whether the mesh is closed, consistently wound, free of self-intersections, and its
+        shells agree on what is inside.
+    extent : half of the cube's side, in the frame.
+    misplaced : how far at most a point in world coordinates is from its place in the field, in
+        sides: fixed point rounds it, and so do coordinates far from 0.
+    """
+
+    def __init__(self, mesh: Mesh, device: Device, signed: bool) -> None:
+        self.mesh, self.device, self.signed = mesh, device, signed
+        self.crossed = np.zeros(len(mesh.faces), bool)
+        self.flat, self.closed = 0, False
+        if signed:
+            normals = self._normals
+            self.flat = int(np.count_nonzero(normals.flat))
+            self.tree = build_tree(device, mesh, normals.flat)
+            self.crossed = find_self_intersections(device, mesh, self.tree)
+            self.closed = default_sign(mesh) == "pseudonormal" and not self.crossed.any()
+            self.closed = self.closed and shells_agree(mesh, normals, device, self.tree)
+        else:
+            self.tree = build_tree(device, mesh, None)
+        self.extent = _extent(mesh, self.tree.frame)
+        self.misplaced = _misplaced(*cube_of(mesh))
+
+    @cached_property
+    def _normals(self) -> Any:
+        return pseudonormals(self.mesh)
+
+    @cached_property
+    def winding(self) -> WindingNumber:
+        """The winding number of the mesh."""
+        return WindingNumber(self.mesh, self.device, tree=self.tree, reach=REACH)
+
+    @cached_property
+    def arguments(self) -> dict[str, Any]:
+        """Kernel arguments by name: the triangles, and pseudo-normals where signs are computed."""
+        named = {"leaves": self.tree.leaves, "extent": self.extent}
+        if self.signed:
+            named["names"] = self.tree.names
+            named["features"] = self.device.put(self._normals.features)
+            named["normals"] = self.device.put(self._normals.normals)
+        return named
+
+    @cached_property
+    def winding_arguments(self) -> dict[str, Any]:
+        """Kernel arguments by name: winding numbers beside faces, and spheres about the boundary;
+        see Sides."""
+        sides = find_sides(self.mesh, self._normals, self.winding, self.crossed)
+        put = self.device.put
+        return {
+            "front": put(sides.front),
+            "spheres": put(sides.spheres),
+            "sphere_count": len(sides.spheres),
+        }
+
+    def distinct_triangles(self) -> np.ndarray:
+        """(n,) uint32 numbers of triangles in the tree. Of equal triangles only the first is
+        listed: they are equally near everywhere, so nothing would ever shorten a list of them."""
+        leaves = self.tree.leaves.get().reshape(-1, FIELDS, LEAF)
+        records = np.ascontiguousarray(leaves.transpose(0, 2, 1).reshape(-1, FIELDS))
+        kept = np.arange(self.tree.count, dtype=np.uint32)
+        codes = records[: len(kept)].view(np.uint64)
+        mixed = np.zeros(len(kept), np.uint64)
+        for field in codes.T:
+            mixed = (mixed ^ field) * np.uint64(0x9E3779B97F4A7C15)
+            mixed ^= mixed >> np.uint64(32)
+        order = np.argsort(mixed, kind="stable")
+        same = (codes[order[1:]] == codes[order[:-1]]).all(axis=1)
+        return np.delete(kept, order[1:][same])
+
+
+def cube_of(mesh: Mesh) -> tuple[np.ndarray, float]:
+    """The origin and the side of the cube of a mesh's field, in world units.
+
+    The mesh is in the middle of the cube, MARGIN of the side away from it along its longest side.
+
+    Raises
+    ------
+    MeshError : as Frame.of.
+    """
+    frame = Frame.of(mesh)
+    extent = _extent(mesh, frame)
+    origin = frame.centre - np.ldexp(extent, frame.exponent)
+    return origin, math.ldexp(2 * extent, frame.exponent)
+
+
+def _extent(mesh: Mesh, frame: Frame) -> float:
+    low, high = frame.local(mesh.bounds)
+    return float((high - low).max()) / (2 - 4 * MARGIN)
+
+
+def _misplaced(origin: np.ndarray, side: float) -> float:
+    farthest = float(np.maximum(np.abs(origin), np.abs(origin + side)).max())
+    return math.sqrt(3) * (2.0**-POINT_BITS + 2 * float(np.spacing(farthest)) / side)
