@@ -42,12 +42,19 @@ HARMLESS = {
         }
     ),
 }
-VARIANTS = {  # of the constants of voxtool.svo.plan
+VARIANTS = {  # forced decisions of VoxelizePlan
     "narrow": {},
-    "wide": {"NARROW_EXTENT": 0},
-    "blocked": {"DENSE_SIDE": 0},
-    "64-bit codes": {"CODE_32_SIDE": 0},
-    "all": {"NARROW_EXTENT": 0, "DENSE_SIDE": 0, "CODE_32_SIDE": 0},
+    "wide": {"wide": True},
+    "blocked": {"blocked": True},
+    "64-bit codes": {"code_bits": 64},
+    "all": {
+        "wide": True,
+        "blocked": True,
+        "code_bits": 64,
+        "tiled": True,
+        "tiled_nodes": True,
+        "tile": 8,
+    },
 }
 
 
@@ -128,10 +135,6 @@ def _without_comments(source: Path) -> str:
 
 
 def main() -> None:
-    from voxtool.svo import plan
-
-    plan.TILE = 8  # before kernels/svo/voxelize.cl gets it: triangles are shared among work-items
-
     from voxtool.opencl import Device, open_device
 
     kernels, options = set(), set()
@@ -153,11 +156,8 @@ def main() -> None:
 
     use_primitives(device)
 
-    limits = {name: getattr(plan, name) for changed in VARIANTS.values() for name in changed}
-    for name, changed in VARIANTS.items():
-        for limit, value in {**limits, **changed}.items():
-            setattr(plan, limit, value)
-        voxelize_all(device, name)
+    for name, decisions in VARIANTS.items():
+        voxelize_all(device, name, decisions)
     extract_surfaces(device)
     measure_distances(device)
     find_faces_that_meet(device)
@@ -196,7 +196,7 @@ def use_primitives(device) -> None:
     assert pyramid.total == scanned.get(0, 1000).sum()
 
 
-def voxelize_all(device, variant: str) -> None:
+def voxelize_all(device, variant: str, decisions: dict[str, Any]) -> None:
     """Every mode, on meshes that are closed, open and beginning before the grid, and on one so
     large that several rows' tiles pass through an inside leaf."""
     import meshes
@@ -205,7 +205,10 @@ def voxelize_all(device, variant: str) -> None:
 
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
-    from voxtool.svo.voxelize import voxelize
+    from voxtool.svo.voxelize import plan_voxelize
+
+    def voxelize(*args, **more):
+        return plan_voxelize(*args, device=device, **more).with_(**decisions).run()
 
     scenes = {
         "closed": meshes.join(
@@ -224,20 +227,20 @@ def voxelize_all(device, variant: str) -> None:
         expected = {m: getattr(oracles, m)(triangles, shape) for m in ("surface26", "surface6")}
         expected["solid"] = oracles.solid(triangles, shape)
         for mode, voxels in expected.items():
-            octree = voxelize(mesh, grid, mode, fill="parity", device=device)
+            octree = voxelize(mesh, grid, mode, fill="parity")
             octree.validate()
             assert {tuple(v) for v in octree.occupied().tolist()} == voxels, (variant, scene, mode)
         numbers = oracles.numbers(triangles, shape)
-        octree = voxelize(mesh, grid, fill="nonzero", device=device)
+        octree = voxelize(mesh, grid, fill="nonzero")
         assert np.array_equal(octree.to_dense(), numbers != 0), (variant, scene)
-        octree = voxelize(mesh, grid, fill="winding", device=device)
+        octree = voxelize(mesh, grid, fill="winding")
         if scene == "open":  # by a hole: all but what is near it
             assert octree.plan["holes"] == 1
             assert octree.to_dense()[6:12, 7:18, 7:10].all()
             assert not octree.to_dense()[21:].any()
         else:
             assert np.array_equal(octree.to_dense(), numbers > 0), (variant, scene)
-        octree = voxelize(mesh, grid, fill="parity", with_surface=True, device=device)
+        octree = voxelize(mesh, grid, fill="parity", with_surface=True)
         found = {tuple(v) for v in octree.occupied().tolist()}
         assert found == expected["solid"] | expected["surface26"], (variant, scene)
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from voxtool.choices import DEFAULT_DIM, FILLS
-from voxtool.errors import count_of
+from voxtool.errors import MeshWarning, count_of
 from voxtool.grid import Grid
 from voxtool.mesh.loops import Loops, find_loops
 from voxtool.mesh.mesh import Mesh
@@ -181,7 +182,8 @@ def diagnose(
     octrees = {}
     for rule in RULES:
         enter(rule)
-        octrees[rule] = voxelize(mesh, grid, fill=rule, device=device)
+        with warnings.catch_warnings(action="ignore", category=MeshWarning):  # it says more itself
+            octrees[rule] = voxelize(mesh, grid, fill=rule, device=device)
     found["auto"] = fill_for(counts.watertight)
     found |= _compared(octrees, found)
     return Report(**found, faults=list(_faults(found)), boundary=loops)

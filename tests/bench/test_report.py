@@ -470,15 +470,3 @@ def test_what_is_forced_in_changes_nothing(device) -> None:
         asked = list(forced.of_queries(built, spread_in_cube(100), device, timing.Runs(2), about))
         assert {saving.what for saving in asked} == what
         assert all(saving.same and len(saving.forced) == 2 for saving in asked)
-
-
-def test_plans_are_as_before_afterwards(device) -> None:
-    from voxtool.svo import voxelize as module
-
-    before = module.plan_voxelization
-    mesh = mesh_from_arrays(*meshes.icosphere(1))
-    changed = forced._made_otherwise(module, "plan_voxelization", lambda p: replace(p, wide=True))
-    with changed:
-        assert module.plan_voxelize(mesh, Grid.fit(mesh, 16), device=device).wide
-    assert module.plan_voxelization is before
-    assert not module.plan_voxelize(mesh, Grid.fit(mesh, 16), device=device).wide

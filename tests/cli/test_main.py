@@ -638,7 +638,7 @@ def test_the_bar_counts_the_stages_of_the_plan(mode: str, with_surface: bool, mo
     plan = plan_voxelize(mesh, Grid.fit(mesh, 32), mode, with_surface=with_surface)
     shown = stages(mode, "auto", with_surface)
     assert shown[0] == "read mesh"
-    assert [s for s in shown if s in plan.stages] == plan.stages
+    assert [s for s in shown if s in plan.stages] == list(plan.stages)
     assert shown[-1] == "write file"
 
 

@@ -79,7 +79,6 @@ CONSTANTS = {
         "SEPARATING": voxelize.SEPARATING,
         "CROSSED": voxelize.CROSSED,
         "NODE_LEVEL": voxelize.NODE_LEVEL,
-        "TILE": voxelize.TILE,
         "BLOCK": voxelize.BLOCK,
     },
 }

@@ -15,7 +15,7 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
 from voxtool.svo.octree import Octree
-from voxtool.svo.voxelize import plan_voxelize, voxelize
+from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize, voxelize
 
 MODES = ("surface26", "surface6", "solid")
 SHAPES = st.sampled_from([(8, 8, 8), (16, 16, 16), (16, 9, 5), (7, 12, 16), (24, 20, 30)])
@@ -34,10 +34,14 @@ def lattice_mesh(vertices, faces) -> Mesh:
     )
 
 
+def planned(device, mesh, shape, mode, **options) -> VoxelizeJob:
+    """By parity by default."""
+    options = {"fill": "parity", "device": device, **options}
+    return plan_voxelize(lattice_mesh(*mesh), lattice_grid(shape), mode, **options)
+
+
 def run(device, mesh, shape, mode, **options) -> Octree:
-    """By parity, if not told otherwise."""
-    options = {"fill": "parity", **options}
-    octree = voxelize(lattice_mesh(*mesh), lattice_grid(shape), mode, device=device, **options)
+    octree = planned(device, mesh, shape, mode, **options).run()
     octree.validate()
     return octree
 
@@ -80,35 +84,28 @@ def test_closed_meshes_agree_with_the_oracles(device: Device, data, shape) -> No
     assert np.array_equal(both.to_dense(), solid.to_dense() | surface.to_dense())
 
 
-@pytest.fixture(params=["wide", "codes64", "blocked", "all"])
-def variant(request, monkeypatch) -> str:
-    """Force a path that only large scenes need."""
-    if request.param in ("wide", "all"):
-        monkeypatch.setattr("voxtool.svo.plan.NARROW_EXTENT", -1)
-    if request.param in ("codes64", "all"):
-        monkeypatch.setattr("voxtool.svo.plan.CODE_32_SIDE", 0)
-    if request.param in ("blocked", "all"):
-        monkeypatch.setattr("voxtool.svo.plan.DENSE_SIDE", 0)
-    return request.param
+LARGE = {
+    "wide": True,
+    "code_bits": 64,
+    "blocked": True,
+    "tiled": True,
+    "tiled_nodes": True,
+    "tile": 4,
+}
 
 
+@pytest.mark.parametrize(
+    "forced",
+    [{"wide": True}, {"code_bits": 64}, {"blocked": True}, LARGE, {**LARGE, "entry": True}],
+)
 @given(data=st.data(), shape=SHAPES)
 @settings(max_examples=60)
-def test_paths_for_large_scenes_agree(device: Device, variant: str, data, shape) -> None:
+def test_paths_for_large_scenes_agree(device: Device, forced: dict, data, shape) -> None:
     """Forced on small scenes, they give the octree of the path for small ones, bit for bit."""
     mesh = data.draw(st.one_of(meshes.fixed_triangles(shape), meshes.closed_meshes(shape)))
     for mode in MODES:
-        forced = run(device, mesh, shape, mode)
-        plan = plan_voxelize(lattice_mesh(*mesh), lattice_grid(shape), mode, device=device)
-        assert plan.wide == (variant in ("wide", "all"))
-        assert plan.blocked == (variant in ("blocked", "all"))
-        assert plan.code_bits == (64 if variant in ("codes64", "all") else 32)
-        with pytest.MonkeyPatch.context() as usual:
-            for name, value in (("NARROW_EXTENT", 4096), ("CODE_32_SIDE", 8192)):
-                usual.setattr(f"voxtool.svo.plan.{name}", value)
-            usual.setattr("voxtool.svo.plan.DENSE_SIDE", 2048)
-            plain = run(device, mesh, shape, mode)
-        assert forced.digest() == plain.digest()
+        job = planned(device, mesh, shape, mode)
+        assert job.run().digest() == job.with_(**forced).run().digest()
 
 
 @given(data=st.data(), shape=st.sampled_from([(16, 16, 16), (16, 9, 5)]))
@@ -131,9 +128,9 @@ def test_triangles_larger_than_a_share(device: Device, mode: str) -> None:
     sliver = np.array([[0, 0, 0], [256 * 150, 256 * 139, 256 * 129], [300, 256 * 130, 17]])
     vertices = np.concatenate([vertices, sliver])
     faces = np.concatenate([faces, [[9, 10, 11], [9, 10, 9]]])
-    plan = plan_voxelize(lattice_mesh(vertices, faces), lattice_grid(shape), mode, device=device)
-    assert plan.tiled
-    octree = run(device, (vertices, faces), shape, mode)
+    job = planned(device, (vertices, faces), shape, mode)
+    assert job.plan.tiled
+    octree = job.run()
     expected = getattr(oracles, mode)(vertices[faces], shape)
     assert {tuple(v) for v in octree.occupied().tolist()} == expected
 
@@ -301,11 +298,9 @@ def test_beyond_a_dense_volume(device: Device) -> None:
     vertices, faces = meshes.tetrahedron((9, 8, 7), (60, 11, 12), (14, 55, 9), (13, 17, 61))
     fixed = meshes.fixed(vertices)
     near = run(device, (fixed, faces), (64,) * 3, "solid")
-    far = run(device, (fixed + 256 * 4032, faces), (4096,) * 3, "solid")
-    plan = plan_voxelize(
-        lattice_mesh(fixed, faces), lattice_grid((4096,) * 3), "solid", device=device
-    )
-    assert plan.blocked
+    job = planned(device, (fixed + 256 * 4032, faces), (4096,) * 3, "solid")
+    assert job.plan.blocked
+    far = job.run()
     assert np.array_equal(far.occupied() - 4032, near.occupied())
 
 

@@ -17,7 +17,7 @@ from voxtool.adf.build import plan_adf
 from voxtool.adf.query import FieldQuery
 from voxtool.bench import timing
 from voxtool.bench.points import Saving
-from voxtool.svo import voxelize as svo_voxelize
+from voxtool.svo.voxelize import plan_voxelize
 from voxtool.tets import view as tets_view
 from voxtool.tets.render import VolumeRenderer
 
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
+    from voxtool.svo.octree import Octree
     from voxtool.tets.transfer import TransferFunction
     from voxtool.tets.volume import TetVolume
 
@@ -66,16 +67,16 @@ def of_voxelize(
     mesh: Mesh, grid: Grid, mode: str, device: Device, runs: Runs, about: dict[str, str]
 ) -> Iterator[Saving]:
     """What planning a voxelization saves, what is left out being in the plan's words."""
-    work = partial(svo_voxelize.voxelize, mesh, grid, mode, device=device)
+
+    def work(**decisions: Any) -> Octree:
+        return plan_voxelize(mesh, grid, mode, device=device).with_(**decisions).run()
+
     octree = work()
     for what, why in octree.plan["left_out"].items():
         if what in VOXELIZE:
-            change = partial(replace, **VOXELIZE[what])
-            forced = partial(_made_otherwise, svo_voxelize, "plan_voxelization", change)
-            with forced():
-                other = work()
-            same = replace(other, fill=octree.fill).digest() == octree.digest()
-            planned, more = runs.by_turns(partial(_time, work), _under(forced, _time, work))
+            forced = partial(work, **VOXELIZE[what])
+            same = replace(forced(), fill=octree.fill).digest() == octree.digest()
+            planned, more = runs.by_turns(partial(_time, work), partial(_time, forced))
             yield Saving(**about, what=what, why=why, runs=planned, forced=more, same=same)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from voxtool.opencl import Device
     from voxtool.opencl.device import DeviceInfo
     from voxtool.render import RenderPlan
-    from voxtool.svo.plan import Plan
+    from voxtool.svo.plan import VoxelizePlan
     from voxtool.svo.surface.plan import ExtractionPlan
 
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
@@ -213,7 +213,9 @@ def tell(message: str) -> None:
 
 
 def warn_if_refused(
-    plan: Plan | ExtractionPlan | FieldPlan | RenderPlan, max_memory: int | None, device: Device
+    plan: VoxelizePlan | ExtractionPlan | FieldPlan | RenderPlan,
+    max_memory: int | None,
+    device: Device,
 ) -> None:
     """What is planned may be more than there is memory for."""
     try:

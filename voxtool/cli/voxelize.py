@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -13,10 +13,7 @@ from voxtool.cli import options
 
 if TYPE_CHECKING:
     from voxtool.grid import Grid
-    from voxtool.mesh.mesh import Mesh
-    from voxtool.mesh.topology import TopologyCheck
-    from voxtool.svo.octree import Octree
-    from voxtool.svo.plan import Plan
+    from voxtool.svo.plan import VoxelizePlan
 
 
 @click.command("voxelize")
@@ -130,9 +127,8 @@ def command(
     )
     from voxtool.files.mesh import load_mesh
     from voxtool.grid import Grid
-    from voxtool.mesh.topology import check_topology
     from voxtool.opencl import open_device
-    from voxtool.svo.voxelize import fill_for, plan_voxelize, voxelize
+    from voxtool.svo.voxelize import plan_voxelize
 
     if output is None:
         output = options.output_of(mesh, "svo.h5")
@@ -150,28 +146,27 @@ def command(
         else:
             grid = Grid.fit(loaded, dim, pitch=pitch, bbox=bbox, margin=margin, fit=fit)
         chosen = open_device(device, profile=verbose)
-        chosen.on_stage = progress.enter
-        found = None
-        rule = fill
         if mode == "solid":
             progress.enter("check mesh")
-            found = check_topology(loaded)
-            rule = fill_for(found.watertight) if fill == "auto" else fill
-        request: dict[str, Any] = {
-            "fill": rule,
-            "gap": gap,
-            "with_surface": with_surface,
-            "device": chosen,
-        }
+        with chosen.reporting(progress.enter):
+            job = plan_voxelize(
+                loaded,
+                grid,
+                mode,
+                fill=fill,
+                gap=gap,
+                with_surface=with_surface,
+                device=chosen,
+                max_memory=max_memory,
+            )
         if only_plan:
-            plan = plan_voxelize(loaded, grid, mode, **request)
             progress.erase()
-            print_plan(plan, grid, as_json)
-            options.warn_if_refused(plan, max_memory, chosen)
+            print_plan(job.plan, grid, as_json)
+            options.warn_if_refused(job.plan, max_memory, chosen)
             return
-        octree = voxelize(loaded, grid, mode, max_memory=max_memory, **request)
-        if found:
-            tell_of_fill(loaded, found, octree, auto=fill == "auto")
+        octree = job.run(progress.enter)
+        for note in job.notes(octree):
+            options.tell(note)
         progress.enter("write file")
         write_svo(octree, output, not no_clobber, file_format)
 
@@ -231,8 +226,7 @@ def stages(mode: str, fill: str, with_surface: bool) -> list[str]:
         *(["crossings", "rows", "fill"] if solid and not flood else []),
         *(["near holes"] if holes else []),
         *([surface] if surface else []),
-        *(["flood"] if flood else []),
-        "read back",
+        "flood" if flood else "read back",
         "write file",
     ]
 
@@ -243,31 +237,7 @@ def pitch_of(grid: Grid) -> str:
     return sizes[0] if len(set(grid.pitch)) == 1 else " x ".join(sizes)
 
 
-def tell_of_fill(mesh: Mesh, found: TopologyCheck, octree: Octree, *, auto: bool) -> None:
-    """What is wrong with a mesh, and what the rule made of it; nothing where all is well."""
-    from voxtool.errors import count_of
-    from voxtool.mesh.topology import volume
-
-    rule = octree.fill
-    leak = "rows of voxels along x leak where they pass a gap"
-    done = {
-        "parity": "" if found.even else f"filled by parity, {leak}",
-        "nonzero": "" if found.watertight else f"filled where crossings do not cancel, {leak}",
-        "winding": "filled where its winding number is 1/2 or more" if auto else "",
-    }.get(rule, "")
-    if rule == "winding" and octree.plan["holes"]:
-        done = f"{count_of(octree.plan['holes'], 'hole')}, {done}" if done else ""
-    name = mesh.name or "mesh"
-    if done:
-        options.tell(f"{'' if auto else 'warning: '}{name} is {found.summary()}; {done}")
-    if rule == "winding" and not octree.count and volume(mesh) < 0:
-        options.tell(
-            f"warning: {name} is inside out, so that its winding numbers are negative and nothing "
-            "is inside: turn its faces, or choose --fill parity or nonzero"
-        )
-
-
-def print_plan(plan: Plan, grid: Grid, as_json: bool) -> None:
+def print_plan(plan: VoxelizePlan, grid: Grid, as_json: bool) -> None:
     """What will be done, what is left out and why, and what it will cost."""
     if as_json:
         options.print_json(
@@ -283,7 +253,7 @@ def print_plan(plan: Plan, grid: Grid, as_json: bool) -> None:
          f"outside; the largest spans {plan.survey.extent:.1f} voxels"),
         *([("fill", fill_of(plan))] if plan.solid else []),
         ("stages", ", ".join(plan.stages)),
-        *(("left out", f"{what}: {why}") for what, why in plan.left_out().items()),
+        *(("left out", f"{what}: {why}") for what, why in plan.left_out.items()),
         ("predicted", f"{plan.bricks:,} bricks, {plan.nodes:,} nodes, "
          f"{human(plan.octree_bytes)}; {human(plan.device_bytes)} on the device"),
         ("work", f"about {plan.work:,} voxels and crossings visited"),
@@ -292,7 +262,7 @@ def print_plan(plan: Plan, grid: Grid, as_json: bool) -> None:
         click.echo(f"{name:<10} {text}")
 
 
-def fill_of(plan: Plan) -> str:
+def fill_of(plan: VoxelizePlan) -> str:
     """The rule that tells inside from outside, and what it makes of holes."""
     from voxtool.errors import count_of
 

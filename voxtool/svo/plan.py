@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from voxtool.errors import MemoryLimitError, human
+from voxtool.errors import MemoryLimitError, count_of, human
+from voxtool.job import Cost
 from voxtool.svo.octree import BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
 
 CELL = 2 * BRICK_SIDE  # voxels along a side of a level-1 node
@@ -36,23 +37,26 @@ class Survey:
 
 
 @dataclass(frozen=True)
-class Plan:
+class VoxelizePlan:
     """How a mesh will be voxelized.
 
-    side : voxels along a side of the octree's cube; levels : its levels, bricks included.
+    mode : of the octree; side : voxels along a side of its cube; levels : its levels, bricks
+    included.
     fill : rule that tells inside from outside, or "none" for a surface; gap : voxels of openings
     that a flood does not pass.
     surface : "" or the separability of the surface that is voxelized, "26" or "6".
     holes, caps : of the mesh where they matter, and the triangles that close them.
     wide : predicates in 128 bits; code_bits : of the Morton codes; blocked : the level-1 volume is
     stored by blocks; entry : rows have a state where they enter; tiled, tiled_nodes : triangles
-    are shared among work-items, for voxels and for level-1 nodes.
+    are shared among work-items, for voxels and for level-1 nodes; tile : columns along a side of
+    a share.
     active : predicted refined nodes by level, from level 1 up.
     """
 
     survey: Survey
     shape: tuple[int, int, int]
     side: int
+    mode: str
     fill: str
     gap: int
     surface: str
@@ -65,6 +69,7 @@ class Plan:
     tiled: bool
     tiled_nodes: bool
     active: tuple[int, ...]
+    tile: int = TILE
 
     @property
     def solid(self) -> bool:
@@ -95,7 +100,7 @@ class Plan:
             *(["crossings", "rows", "fill"] if self.fill not in ("none", "flood") else []),
             *(["near holes"] if self.caps else []),
             *([f"surface{self.surface}"] if self.surface else []),
-            *(["flood"] if self.fill == "flood" else []),
+            *(["flood"] if self.fill == "flood" else ["read back"]),
         ]
 
     @property
@@ -118,12 +123,18 @@ class Plan:
         return _device_bytes(self)
 
     @property
+    def cost(self) -> Cost:
+        """Predicted bytes."""
+        return Cost(self.device_bytes, self.octree_bytes, self.largest_buffer)
+
+    @property
     def work(self) -> int:
         """Predicted voxels and crossings that are visited: bounds the time."""
         ax, ay, az = self.survey.areas
         voxels = {"": 0.0, "6": max(ax, ay, az), "26": ax + ay + az}[self.surface]
         return round(voxels + (ax if self.solid else 0)) + self.survey.triangles
 
+    @property
     def left_out(self) -> dict[str, str]:
         """What is not compiled, allocated or run, and why."""
         extent = f"the largest triangle spans {self.survey.extent:.1f} voxels"
@@ -154,9 +165,6 @@ class Plan:
             )
         if self.fill == "parity":
             out["directions of crossings"] = "parity does not need them"
-        out["x-neighbour pointers"] = (
-            "rows walk the octree itself" if self.solid else "nothing is propagated"
-        )
         return out
 
     def scene(self) -> dict[str, Any]:
@@ -168,7 +176,7 @@ class Plan:
             "triangles_outside": self.survey.outside,
             "largest_extent_voxels": self.survey.extent,
             "stages": self.stages,
-            "left_out": self.left_out(),
+            "left_out": self.left_out,
             "predicted_nodes": self.nodes,
             "predicted_bricks": self.bricks,
         }
@@ -182,6 +190,22 @@ class Plan:
             "predicted_device_bytes": self.device_bytes,
             "predicted_work": self.work,
         }
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What `--plan` prints of the scene."""
+        spans = f"the largest spans {self.survey.extent:.1f} voxels"
+        shape = " x ".join(map(str, self.shape))
+        rows = [
+            ("grid", f"{shape} voxels, octree of {self.levels} levels"),
+            ("scene", f"{self.survey.triangles - self.caps:,} triangles, {self.survey.outside:,} "
+             f"outside; {spans}"),
+        ]  # fmt: skip
+        if self.fill == "winding":
+            caps = count_of(self.caps, "cap triangle")
+            rows.append(("fill", f"winding; {count_of(self.holes, 'hole')}, {caps}"))
+        elif self.solid:
+            rows.append(("fill", self.rule))
+        return rows
 
     @property
     def largest_buffer(self) -> int:
@@ -227,33 +251,32 @@ class Plan:
         )
 
 
-def plan_voxelization(
+def plan_of(
     survey: Survey,
     shape: tuple[int, int, int],
     *,
+    mode: str,
     fill: str,
-    surface: str,
     gap: int = 0,
     holes: int = 0,
     caps: int = 0,
-) -> Plan:
+) -> VoxelizePlan:
     """The plan for a mesh that was surveyed against a grid of the given shape.
 
     Parameters
     ----------
-    fill : rule that tells inside from outside, or "none" for a surface.
-    surface : "" or the separability of the surface, "26" or "6".
-    gap, holes, caps : as in Plan.
+    mode, fill, gap, holes, caps : as in VoxelizePlan.
     """
     solid = fill != "none"
     side = 1 << (max(shape) - 1).bit_length()
-    return Plan(
+    return VoxelizePlan(
         survey=survey,
         shape=shape,
         side=side,
+        mode=mode,
         fill=fill,
         gap=gap,
-        surface=surface,
+        surface="6" if mode == "surface6" else "26" * ("26" in mode or fill == "flood"),
         holes=holes,
         caps=caps,
         wide=survey.extent > NARROW_EXTENT,
@@ -291,7 +314,7 @@ def _dense_bytes(side: int) -> int:
     return 2 * 4 * max((side // CELL) ** 3 // 32, 1)
 
 
-def _volume_bytes(plan: Plan) -> int:
+def _volume_bytes(plan: VoxelizePlan) -> int:
     """The level-1 volume: its words and, as many, their ranks."""
     if not plan.blocked:
         return _dense_bytes(plan.side)
@@ -299,7 +322,7 @@ def _volume_bytes(plan: Plan) -> int:
     return 2 * 4 * max((plan.side // BLOCK) ** 3 // 32, 1) + blocks * (16 * 4 * 2 + 8)
 
 
-def _device_bytes(plan: Plan) -> int:
+def _device_bytes(plan: VoxelizePlan) -> int:
     survey, active, finest = plan.survey, plan.active, plan.active[0]
     mesh = 12 * (survey.vertices + survey.triangles)
     shares = 4 * survey.triangles * (plan.tiled or plan.tiled_nodes)
@@ -315,18 +338,18 @@ def _device_bytes(plan: Plan) -> int:
     return mesh + shares + volume + lists + rows + crossings + added + plan.octree_bytes
 
 
-def _rescale(plan: Plan, factor: float) -> Plan:
+def _rescale(plan: VoxelizePlan, factor: float) -> VoxelizePlan:
     """The plan of the same scene at another dim."""
     s = plan.survey
     ax, ay, az = (a * factor**2 for a in s.areas)
     survey = Survey(s.triangles, s.vertices, s.outside, s.extent * factor, (ax, ay, az), s.before)
     nx, ny, nz = (max(round(n * factor), 1) for n in plan.shape)
-    return plan_voxelization(
+    return plan_of(
         survey,
         (nx, ny, nz),
+        mode=plan.mode,
         fill=plan.fill,
         gap=plan.gap,
-        surface=plan.surface,
         holes=plan.holes,
         caps=plan.caps,
     )

@@ -18,15 +18,17 @@ the active ones gives it at once; where it links x-neighbours, rows walk the oct
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from voxtool.choices import FILLS, MODES
-from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
+from voxtool.errors import GridError, MemoryLimitError, VoxtoolError, count_of
 from voxtool.grid import FIXED_POINT_BITS, Grid
-from voxtool.mesh.topology import watertight
+from voxtool.job import Job
+from voxtool.mesh.topology import check_topology, volume, watertight
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.primitives import exclusive_scan, radix_sort
 from voxtool.svo.build import DeviceOctree, build_octree, code_name
@@ -35,11 +37,11 @@ from voxtool.svo.fill.caps import find_caps
 from voxtool.svo.fill.flood import flood
 from voxtool.svo.fill.winding import Crossings, NearHoles
 from voxtool.svo.octree import BRICK, Octree
-from voxtool.svo.plan import BLOCK, CELL, TILE, Plan, Survey, plan_voxelization
+from voxtool.svo.plan import BLOCK, CELL, TILE, Survey, VoxelizePlan, plan_of
 from voxtool.svo.prune import contract, states_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from voxtool.mesh.mesh import Mesh
 
@@ -55,7 +57,6 @@ HEADERS = {
         SEPARATING=SEPARATING,
         CROSSED=CROSSED,
         NODE_LEVEL=NODE_LEVEL,
-        TILE=TILE,
         BLOCK=BLOCK,
     )
 }
@@ -103,10 +104,50 @@ def voxelize(
     MemoryLimitError : the octree would not fit; the message says which dim does.
     DeviceError : no usable device.
     """
-    device = device or default_device()
-    scene = _Scene(mesh, grid, mode, fill, gap, with_surface, window, device)
-    limit = device.max_memory if max_memory is None else max_memory
-    scene.plan.refuse_beyond(limit, device.info.max_allocation)
+    return plan_voxelize(
+        mesh,
+        grid,
+        mode,
+        fill=fill,
+        gap=gap,
+        with_surface=with_surface,
+        window=window,
+        device=device,
+        max_memory=max_memory,
+    ).run()
+
+
+def plan_voxelize(
+    mesh: Mesh,
+    grid: Grid,
+    mode: str = "solid",
+    *,
+    fill: str = "auto",
+    gap: int = 0,
+    with_surface: bool = False,
+    window: tuple[Sequence[int], Sequence[int]] | None = None,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> VoxelizeJob:
+    """The job that `voxelize` runs with the same arguments: the mesh is on the device, surveyed,
+    and the fill rule is chosen."""
+    job = VoxelizeJob(mesh, grid, device or default_device())
+    job.max_memory = max_memory
+    job.prepare(mode, fill, gap, with_surface, window)
+    return job
+
+
+def fill_for(closed: bool) -> str:
+    """What suits a mesh: "parity" if it is closed and consistently wound, or else "winding"."""
+    return "parity" if closed else "winding"
+
+
+_watertight: WeakKeyDictionary[Mesh, bool] = WeakKeyDictionary()
+
+
+def _voxelize(scene: VoxelizeJob) -> Octree:
+    device = scene.device
+    limit = device.max_memory if scene.max_memory is None else scene.max_memory
     holes = None
     if scene.plan.caps:
         with device.stage("holes"):
@@ -140,41 +181,40 @@ def voxelize(
     return scene.octree(tree, bricks, active.touched)
 
 
-def plan_voxelize(
-    mesh: Mesh,
-    grid: Grid,
-    mode: str = "solid",
-    *,
-    fill: str = "auto",
-    gap: int = 0,
-    with_surface: bool = False,
-    window: tuple[Sequence[int], Sequence[int]] | None = None,
-    device: Device | None = None,
-) -> Plan:
-    """What `voxelize` would do with the same arguments, without doing it."""
-    device = device or default_device()
-    return _Scene(mesh, grid, mode, fill, gap, with_surface, window, device).plan
+class VoxelizeJob(Job[Octree]):
+    """A mesh on a grid's lattice, on the device, and the plan for its voxels.
 
+    Attributes
+    ----------
+    mesh : as it was given.
+    grid : of the result: the window, if one was asked for.
+    watertight : whether every edge of the mesh has two faces that agree.
+    """
 
-def fill_for(closed: bool) -> str:
-    """What suits a mesh: "parity" if it is closed and consistently wound, or else "winding"."""
-    return "parity" if closed else "winding"
+    device: Device
+    plan: VoxelizePlan
 
+    def __init__(self, mesh: Mesh, grid: Grid, device: Device) -> None:
+        self.mesh, self.grid, self.device = mesh, grid, device
+        self._forced: dict[str, Any] = {}
 
-class _Scene:
-    """The mesh on the grid's lattice, on the device, and the plan for it."""
+    @property
+    def watertight(self) -> bool:
+        """Every edge has exactly two faces, which run along it in opposite directions."""
+        if self.mesh not in _watertight:
+            _watertight[self.mesh] = watertight(self.mesh)
+        return _watertight[self.mesh]
 
-    def __init__(
+    def prepare(
         self,
-        mesh: Mesh,
-        grid: Grid,
         mode: str,
         fill: str,
         gap: int,
         with_surface: bool,
         window: tuple[Sequence[int], Sequence[int]] | None,
-        device: Device,
     ) -> None:
+        """Upload and survey the mesh, and plan."""
+        mesh, grid = self.mesh, self.grid
         if mode not in MODES:
             raise VoxtoolError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
         if fill not in FILLS:
@@ -187,12 +227,10 @@ class _Scene:
             raise VoxtoolError(f"gap {gap} is out of range: choose from 0 to {grid.dim} voxels")
         if fill == "flood" and window is not None:
             raise VoxtoolError("fill 'flood' needs the whole grid: drop window, or choose another")
-        if fill == "auto" and mode == "solid":
-            fill = fill_for(watertight(mesh))
-        self.device = device
-        self.mode = mode + ("+surface26" if with_surface else "")
+        self._chosen = fill == "auto" and mode == "solid"
+        if self._chosen:
+            fill = fill_for(self.watertight)
         fill = fill if mode == "solid" else "none"
-        self.source_sha256, self.units = mesh.source_sha256, mesh.units
         try:
             fixed = grid.to_fixed(mesh.vertices)
         except GridError:  # but for vertices that no face uses?
@@ -203,40 +241,125 @@ class _Scene:
                 a + n > m for a, n, m in zip(low, shape, grid.shape, strict=True)
             ):
                 raise GridError(f"window {low}, {shape} reaches beyond the grid's {grid.shape}")
-            grid = grid.window(low, shape)
+            self.grid = grid.window(low, shape)
             fixed -= np.asarray(low, np.int32) << FIXED_POINT_BITS
-        self.grid = grid
         self.n = len(mesh.faces)
-        caps = find_caps(fixed, mesh.faces) if fill == "winding" else None
-        self._fixed, self._caps = fixed, caps
-        closed = mesh.faces if caps is None else np.concatenate([mesh.faces, caps.faces])
-        with device.stage("survey"):
-            self.vertices = device.put(fixed)
-            self.faces = device.put(closed.astype(np.int32, copy=False))  # the caps follow
+        self._fixed = fixed
+        self._plan(mode + ("+surface26" if with_surface else ""), fill, gap)
+
+    def _plan(self, mode: str, fill: str, gap: int) -> None:
+        faces = self.mesh.faces
+        self._caps = caps = find_caps(self._fixed, faces) if fill == "winding" else None
+        closed = faces if caps is None else np.concatenate([faces, caps.faces])
+        with self.device.stage("survey"):
+            self.vertices = self.device.put(self._fixed)
+            self.faces = self.device.put(closed.astype(np.int32, copy=False))  # the caps follow
             survey = self._survey(len(closed))
-        self.plan = plan_voxelization(
+        self.plan = plan_of(
             survey,
-            grid.shape,
+            self.grid.shape,
+            mode=mode,
             fill=fill,
             gap=gap,
-            surface="6" if mode == "surface6" else "26" * ("26" in self.mode or fill == "flood"),
             holes=caps.holes if caps else 0,
             caps=len(caps.faces) if caps else 0,
         )
-        self.side = self.plan.side
-        self.pad = HALF_VOXEL if self.plan.solid else 0  # of a level-1 node, along x (eq. 3.6)
-        self.code = np.dtype(np.uint32 if self.plan.code_bits == 32 else np.uint64)
-        self._options: dict[str, int | str] = {"CODE": code_name(self.code)}
+
+    def with_(self, **decisions: Any) -> VoxelizeJob:
+        """The same job with decisions of its plan forced, for ablation and tests; another `fill`
+        is planned anew.
+
+        Parameters
+        ----------
+        decisions : fields of the plan, and their values.
+
+        Raises
+        ------
+        TypeError : the plan has no such field.
+        """
+        forced = {**self._forced, **decisions}
+        job = super().with_(**forced)
+        job._forced = forced
+        if job.plan.fill != self.plan.fill:
+            job._plan(self.plan.mode, job.plan.fill, job.plan.gap)
+            job.plan = replace(job.plan, **forced)
+        return job
+
+    def _run(self) -> Octree:
+        return _voxelize(self)
+
+    def notes(self, octree: Octree) -> list[str]:
+        """What a user may like to know of the rule that was chosen; no cause for a warning."""
+        if not (self._chosen and octree.fill == "winding") or self.watertight:
+            return []
+        holes = f"{count_of(self.plan.holes, 'hole')}, " if self.plan.holes else ""
+        rule = "filled where its winding number is 1/2 or more"
+        return [f"{self._name} is {check_topology(self.mesh).summary()}; {holes}{rule}"]
+
+    def findings(self, octree: Octree) -> Iterator[str]:
+        """Why the octree is empty, or where its mesh leaks."""
+        leak = {
+            "parity": "filled by parity, rows of voxels along x leak where they pass a gap",
+            "nonzero": "filled where crossings do not cancel, rows of voxels along x leak where "
+            "they pass a gap",
+        }.get(octree.fill)
+        if leak and not self.watertight:
+            found = check_topology(self.mesh)
+            if octree.fill == "nonzero" or not found.even:
+                yield f"{self._name} is {found.summary()}; {leak}"
+        if not octree.bricks.any() and not octree.count:
+            yield f"{self._name} sets no voxel: {self._why_empty()}"
+
+    def _why_empty(self) -> str:
+        if self.plan.survey.outside == self.n + self.plan.caps:
+            return "it lies outside the grid: choose another grid, or none"
+        if self.plan.fill == "winding" and volume(self.mesh) < 0:
+            return (
+                "it is inside out, so that its winding numbers are negative and nothing is inside: "
+                "turn its faces, or choose fill parity or nonzero"
+            )
+        if np.ptp(self.mesh.bounds, axis=0).min() == 0:
+            return "it is flat and encloses nothing: choose mode surface26"
+        if self.plan.solid:
+            return (
+                "no voxel's centre is inside it: choose smaller voxels, mode surface26, or "
+                "with_surface"
+            )
+        return "its faces reach no voxel of the grid"
+
+    @property
+    def _name(self) -> str:
+        return self.mesh.name or "mesh"
+
+    @property
+    def side(self) -> int:
+        """Voxels along a side of the octree."""
+        return self.plan.side
+
+    @property
+    def pad(self) -> int:
+        """By how much level-1 nodes are widened along x (eq. 3.6)."""
+        return HALF_VOXEL if self.plan.solid else 0
+
+    @property
+    def code(self) -> np.dtype:
+        """Of Morton codes."""
+        return np.dtype(np.uint32 if self.plan.code_bits == 32 else np.uint64)
+
+    @property
+    def _options(self) -> dict[str, int | str]:
+        options: dict[str, int | str] = {"CODE": code_name(self.code), "TILE": self.plan.tile}
         if self.plan.wide:
-            self._options["WIDE"] = 1
+            options["WIDE"] = 1
         if self.plan.blocked:
-            self._options["BLOCKED"] = 1
+            options["BLOCKED"] = 1
         if self.plan.surface:
-            self._options["KIND"] = TOUCHED if self.plan.surface == "26" else SEPARATING
+            options["KIND"] = TOUCHED if self.plan.surface == "26" else SEPARATING
+        return options
 
     def _survey(self, triangles: int) -> Survey:
         partial = self.device.empty(6 * SURVEY_ITEMS, np.uint64)
-        survey = self.device.kernel(SOURCE, "survey", CODE="uint")
+        survey = self.device.kernel(SOURCE, "survey", CODE="uint", TILE=TILE)
         n = np.uint32(triangles)
         survey(SURVEY_ITEMS, self.vertices, self.faces, n, self.shape(0), partial)
         parts = partial.get().reshape(-1, 6)
@@ -273,7 +396,9 @@ class _Scene:
             n, self.vertices, self.faces, np.uint32(n), np.int32(kind), np.int32(level),
             self.shape(level), np.int32(self.pad if level else 0), tiles,
         )  # fmt: skip
-        if n * (max(self.grid.shape) // TILE + 1) ** 2 >= 1 << 32:  # they could be so many
+        if (
+            n * (max(self.grid.shape) // self.plan.tile + 1) ** 2 >= 1 << 32
+        ):  # they could be so many
             total = int(tiles.get(0, n).sum(dtype=np.uint64))
             if total >= 1 << 32:
                 raise MemoryLimitError(
@@ -303,7 +428,7 @@ class _Scene:
 
     def octree(self, tree: DeviceOctree, bricks: Array, touched: np.ndarray | None) -> Octree:
         """The octree on the host, of the nodes that the mesh touches, if given, and those that are
-        not all alike; all device memory of the scene is given back."""
+        not all alike."""
         with self.device.stage("read back"):
             lists = [level.codes.get(0, level.n) for level in tree.refined]
             offsets, nodes, masks = tree.offsets, tree.nodes.take(), bricks.take()
@@ -313,19 +438,17 @@ class _Scene:
         return self.result(*contract(lists, states_of(offsets, nodes), masks, touched))
 
     def result(self, offsets: np.ndarray, nodes: np.ndarray, bricks: np.ndarray) -> Octree:
-        """The octree; all device memory of the scene is given back."""
-        self.vertices.release()
-        self.faces.release()
+        """The octree."""
         return Octree(
             grid=self.grid,
-            mode=self.mode,
+            mode=self.plan.mode,
             fill=self.plan.rule,
             offsets=offsets,
             nodes=nodes,
             bricks=bricks,
             plan=self.plan.scene(),
-            source_sha256=self.source_sha256,
-            units=self.units,
+            source_sha256=self.mesh.source_sha256,
+            units=self.mesh.units,
         )
 
 
@@ -372,7 +495,7 @@ class _ActiveNodes:
             array.release()
 
 
-def _find_active_nodes(scene: _Scene, holes: NearHoles | None) -> _ActiveNodes:
+def _find_active_nodes(scene: VoxelizeJob, holes: NearHoles | None) -> _ActiveNodes:
     """The level-1 nodes that triangles touch; for a solid, widened by half a voxel along x, so that
     the first voxel beyond every crossing lies in one (eq. 3.6). And those that caps touch, and near
     holes."""
@@ -390,7 +513,7 @@ def _find_active_nodes(scene: _Scene, holes: NearHoles | None) -> _ActiveNodes:
 
 
 def _activate(
-    scene: _Scene,
+    scene: VoxelizeJob,
     level: int,
     lookup: tuple[Array, ...],
     words: Array,
@@ -419,7 +542,7 @@ def _activate(
     return _collect(scene, words, blocks), touched
 
 
-def _collect(scene: _Scene, words: Array, blocks: _BitSet | None) -> _BitSet:
+def _collect(scene: VoxelizeJob, words: Array, blocks: _BitSet | None) -> _BitSet:
     """Rank the words and list the codes of their set bits (listing A.5)."""
     device, n = scene.device, words.size
     ranks = device.empty(n + 1, np.uint32)
@@ -436,7 +559,7 @@ def _collect(scene: _Scene, words: Array, blocks: _BitSet | None) -> _BitSet:
 # ---- voxels
 
 
-def _flood(scene: _Scene, tree: DeviceOctree, bricks: Array) -> Octree:
+def _flood(scene: VoxelizeJob, tree: DeviceOctree, bricks: Array) -> Octree:
     """What the outside cannot reach through the surface that bricks hold."""
     with scene.device.stage("flood"):
         touched = tree.refined[0].codes.get(0, tree.refined[0].n)
@@ -446,7 +569,7 @@ def _flood(scene: _Scene, tree: DeviceOctree, bricks: Array) -> Octree:
     return scene.result(*contract(*found, touched))
 
 
-def _voxelize_surface(scene: _Scene, active: _ActiveNodes) -> Array:
+def _voxelize_surface(scene: VoxelizeJob, active: _ActiveNodes) -> Array:
     """The bricks of the active nodes with the surface's voxels set."""
     kind = TOUCHED if scene.plan.surface == "26" else SEPARATING
     with scene.device.stage(f"surface{scene.plan.surface}"):
@@ -457,7 +580,7 @@ def _voxelize_surface(scene: _Scene, active: _ActiveNodes) -> Array:
     return bricks
 
 
-def _flip_crossings(scene: _Scene, active: _ActiveNodes) -> tuple[Array, inside.Rows]:
+def _flip_crossings(scene: VoxelizeJob, active: _ActiveNodes) -> tuple[Array, inside.Rows]:
     """The bricks of the active nodes with the first voxel beyond each crossing flipped."""
     flips, rows = _no_flips(scene, active)
     scene.scan_convert(
@@ -467,7 +590,7 @@ def _flip_crossings(scene: _Scene, active: _ActiveNodes) -> tuple[Array, inside.
     return flips, rows
 
 
-def _no_flips(scene: _Scene, active: _ActiveNodes) -> tuple[Array, inside.Rows]:
+def _no_flips(scene: VoxelizeJob, active: _ActiveNodes) -> tuple[Array, inside.Rows]:
     flips = scene.device.zeros(8 * active.n, BRICK)
     rows = inside.Rows(scene.grid.shape, None)
     if scene.plan.entry:
@@ -475,7 +598,7 @@ def _no_flips(scene: _Scene, active: _ActiveNodes) -> tuple[Array, inside.Rows]:
     return flips, rows
 
 
-def _list_crossings(scene: _Scene, active: _ActiveNodes) -> Crossings:
+def _list_crossings(scene: VoxelizeJob, active: _ActiveNodes) -> Crossings:
     """The crossings of rows with the mesh and its caps, with their directions, in order."""
     device, (nx, ny, nz) = scene.device, scene.grid.shape
     n = scene.n + scene.plan.caps
@@ -497,7 +620,7 @@ def _list_crossings(scene: _Scene, active: _ActiveNodes) -> Crossings:
 
 
 def _flip_changes(
-    scene: _Scene, active: _ActiveNodes, crossings: Crossings
+    scene: VoxelizeJob, active: _ActiveNodes, crossings: Crossings
 ) -> tuple[Array, inside.Rows]:
     """The bricks of the active nodes with the first voxel beyond each crossing flipped at which a
     row enters or leaves the inside."""

@@ -221,15 +221,14 @@ def test_with_the_surface(device: Device) -> None:
         assert_contract(both, mesh[0][mesh[1]], True)
 
 
-@pytest.mark.parametrize("limits", [{"NARROW_EXTENT": -1}, {"CODE_32_SIDE": 0}, {"DENSE_SIDE": 0}])
-def test_paths_for_large_scenes_agree(device: Device, limits, monkeypatch) -> None:
-    shape = (70, 60, 50)
+def test_paths_for_large_scenes_agree(device: Device) -> None:
     mesh = meshes.open_box((700, 710, 690), (14500, 13300, 12100), missing=2)
-    meshes_and_fills = [(mesh, fill) for fill in ("nonzero", "winding", "flood")]
-    plain = [run(device, m, shape, fill).digest() for m, fill in meshes_and_fills]
-    for name, value in limits.items():
-        monkeypatch.setattr(f"voxtool.svo.plan.{name}", value)
-    assert [run(device, m, shape, fill).digest() for m, fill in meshes_and_fills] == plain
+    large = {"wide": True, "code_bits": 64, "blocked": True, "tiled": True, "tiled_nodes": True}
+    for fill in ("nonzero", "winding", "flood"):
+        job = plan_voxelize(lattice_mesh(*mesh), lattice_grid((70, 60, 50)), device=device)
+        job = job.with_(fill=fill)
+        digest = run(device, mesh, (70, 60, 50), fill).digest()
+        assert job.run().digest() == job.with_(**large).run().digest() == digest
 
 
 def test_caps_close_what_is_open() -> None:
@@ -383,13 +382,14 @@ def test_auto_is_parity_where_that_is_right(device: Device) -> None:
     for mesh, fill in ((box, "parity"), (meshes.open_box(300, 3000), "winding"),
                        (turned, "winding")):  # fmt: skip
         assert run(device, mesh, (16,) * 3, "auto").fill == fill
-        plan = plan_voxelize(lattice_mesh(*mesh), lattice_grid((16,) * 3), device=device)
-        assert plan.scene()["fill"] == fill
         stages = []
-        device.on_stage = stages.append
-        run(device, mesh, (16,) * 3, "auto")
-        device.on_stage = None
-        assert [s for s in stages if s in plan.stages] == plan.stages
+        with device.reporting(stages.append):
+            job = plan_voxelize(lattice_mesh(*mesh), lattice_grid((16,) * 3), device=device)
+            assert job.watertight == (fill == "parity")
+            octree = job.run()
+            assert job.run().digest() == octree.digest()  # planned once, run again
+        assert octree.plan["fill"] == fill
+        assert [s for s in stages if s in job.stages] == [*job.stages, *job.stages[1:]]
 
 
 # ---- real models
