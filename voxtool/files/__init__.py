@@ -1,14 +1,30 @@
-"""One module a format, behind one read/write pair; the only place besides mesh.py that touches
-the disk. Outputs appear whole or not at all; inputs are recognised by content."""
+"""Reading and writing: one module a format (formats.py lists them), behind a few functions.
+
+Only this package touches the disk. Outputs appear whole or not at all; inputs are recognised by
+content. Modules of formats, and what they import, are loaded when they are first needed.
+"""
 
 from __future__ import annotations
 
-import os
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
+from typing import TYPE_CHECKING, Any
 
 from voxtool.errors import FileError, VoxtoolError
+from voxtool.files import formats
 from voxtool.files.atomic import atomic_path, check_target
+from voxtool.files.formats import (
+    ADF_FORMATS,
+    EXPORTS,
+    MESH_EXTENSIONS,
+    MESH_FORMATS,
+    NORMAL_FORMATS,
+    SVO_FORMATS,
+    TET_FORMATS,
+    VOLUME_FORMATS,
+    Kind,
+    Writer,
+    format_of,
+)
 from voxtool.files.streams import (
     OPENING,
     STREAM,
@@ -20,8 +36,6 @@ from voxtool.files.streams import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
     import numpy as np
 
     from voxtool.adf.field import DistanceField
@@ -30,10 +44,15 @@ if TYPE_CHECKING:
     from voxtool.tets.mesh import UnstructuredMesh
     from voxtool.tets.volume import TetVolume
 
-    Content = TypeVar("Content")
-    Reader = Callable[[BinaryIO, int], Content]
-
 __all__ = [
+    "ADF_FORMATS",
+    "EXPORTS",
+    "MESH_EXTENSIONS",
+    "MESH_FORMATS",
+    "NORMAL_FORMATS",
+    "SVO_FORMATS",
+    "TET_FORMATS",
+    "VOLUME_FORMATS",
     "atomic_path",
     "check_target",
     "export",
@@ -49,50 +68,6 @@ __all__ = [
     "write_tet",
 ]
 
-# Format names and extensions: the module, and its function where it is not `write`.
-SVO_FORMATS = {
-    "svo.h5": ("voxtool.files.svo_hdf5", "write"),
-    "svo.xml": ("voxtool.files.svo_xml", "write"),
-    "svo.xml.gz": ("voxtool.files.svo_xml", "write_gz"),
-    "h5": ("voxtool.files.svo_hdf5", "write"),
-    "xml": ("voxtool.files.svo_xml", "write"),
-    "xml.gz": ("voxtool.files.svo_xml", "write_gz"),
-}
-ADF_FORMATS = {
-    "adf.h5": ("voxtool.files.adf_hdf5", "write"),
-    "h5": ("voxtool.files.adf_hdf5", "write"),
-}
-TET_FORMATS = {
-    "tet.h5": ("voxtool.files.tet_hdf5", "write"),
-    "h5": ("voxtool.files.tet_hdf5", "write"),
-}
-EXPORTS = {
-    **{name: (f"voxtool.files.{name}", "write") for name in ("npy", "npz", "vti")},
-    "png": ("voxtool.files.png", "write"),
-}
-MESH_FORMATS = {
-    name: ("voxtool.files.mesh_writers", f"write_{name}")
-    for name in ("obj", "ply", "stl", "glb", "off")
-}
-NORMAL_FORMATS = ("obj", "ply", "glb")  # of these, those that hold a normal a vertex
-STREAM_FORMATS = ("svo.h5", "adf.h5", "tet.h5", "obj")  # what stdout gets where no format is named
-TEXT_FORMATS = ("svo.xml", "xml", "obj", "off")  # fit for a terminal
-
-MESH_EXTENSIONS = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".3mf", ".dae", ".xyz")
-# Meshes of volume cells: extensions, and what meshio calls the formats.
-VOLUME_FORMATS = {
-    ".vtu": "vtu",
-    ".vtk": "vtk",
-    ".msh": "gmsh",
-    ".mesh": "medit",
-    ".inp": "abaqus",
-    ".ex2": "exodus",
-    ".exo": "exodus",
-    ".e": "exodus",
-}
-MESH_OPENINGS = (b"ply\n", b"ply\r", b"solid ", b"OFF\n", b"OFF\r", b"glTF", b"#", b"v ")
-EXPORT_EXTENSIONS = tuple(f".{name}" for name in EXPORTS)
-
 
 def read_svo(path: PathLike) -> Octree:
     """Read an octree; `-` reads stdin. The format is recognised by content, not by name.
@@ -101,7 +76,7 @@ def read_svo(path: PathLike) -> Octree:
     ------
     FileError : no such file, or one that is damaged, hostile or of another kind.
     """
-    return _read(path, _svo_reader)
+    return _read(path, formats.OCTREE)
 
 
 def write_svo(
@@ -128,7 +103,7 @@ def read_adf(path: PathLike) -> DistanceField:
     ------
     FileError : no such file, or one that is damaged, hostile or of another kind.
     """
-    return _read(path, _adf_reader)
+    return _read(path, formats.FIELD)
 
 
 def write_adf(
@@ -156,7 +131,7 @@ def read_tet(path: PathLike) -> TetVolume:
     ------
     FileError : no such file, or one that is damaged, hostile or of another kind.
     """
-    return _read(path, _tet_reader)
+    return _read(path, formats.VOLUME)
 
 
 def write_tet(
@@ -206,7 +181,7 @@ def read_scene(path: PathLike) -> Octree | DistanceField | TetVolume:
     ------
     FileError : no such file, or one that is damaged, hostile or of another kind.
     """
-    return _read(path, _scene_reader)
+    return _read(path, formats.SCENE)
 
 
 def export(
@@ -271,44 +246,14 @@ def write_mesh(
     _write(mesh, path, clobber, format, MESH_FORMATS, normals=normals)
 
 
-def format_of(path: PathLike, formats: Iterable[str]) -> str:
-    """The format that a name's extension says; for stdout HDF5 or OBJ, if it is one of them.
-
-    Raises
-    ------
-    FileError : no format of these has this extension.
-    """
-    formats = tuple(formats)
-    if path == STREAM:
-        for default in STREAM_FORMATS:
-            if default in formats:
-                return default
-    name = os.fspath(path).lower()
-    endings = {*formats, *SVO_FORMATS, *ADF_FORMATS, *TET_FORMATS}
-    for extension in sorted(endings, key=len, reverse=True):
-        if name.endswith(f".{extension}"):  # the longest: .svo.h5 is no .h5 of another kind
-            if extension in formats:
-                return extension
-            break
-    known = ", ".join(
-        f".{e}" for e in formats if not any(other.endswith(f".{e}") for other in formats)
-    )
-    if path == STREAM:
-        raise FileError(f"standard output has no extension: name the format, one of {known}")
-    raise FileError(f"{path}: the name says no format: end it in one of {known}")
-
-
-# Reading
-
-
-def _read(path: PathLike, reader: Callable[[str, bytes], Reader[Content]]) -> Content:
-    """What the reader for a file's content makes of it."""
+def _read(path: PathLike, kind: Kind) -> Any:
+    """The content of a file, as the reader for its format returns it."""
     name = input_name(path)
     try:
         with open_whole(path) as (file, size):
             if size == 0:
                 raise FileError(f"{name} is empty")
-            read = reader(name, file.read(OPENING))
+            read = formats.reader_for(kind, name, file.read(OPENING))
             file.seek(0)
             try:
                 return read(file, size)
@@ -320,105 +265,21 @@ def _read(path: PathLike, reader: Callable[[str, bytes], Reader[Content]]) -> Co
         raise FileError(f"{name}: more than fits in memory") from error
 
 
-def _svo_reader(name: str, opening: bytes) -> Reader[Octree]:
-    from voxtool.files import hdf5, svo_hdf5, svo_xml
-
-    if opening.startswith(hdf5.SIGNATURE):
-        return svo_hdf5.read
-    if opening.startswith(svo_xml.GZIP_MAGIC):
-        return svo_xml.read_gz
-    if _is_volume_mesh(name):
-        raise _no_textures(name)
-    if _is_mesh(name, opening):
-        raise FileError(f"{name} is a mesh: voxelize it first (voxtool voxelize {name})")
-    if opening.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(b"<"):
-        return svo_xml.read
-    if name.lower().endswith(EXPORT_EXTENSIONS):
-        raise FileError(f"{name} is an export: read the .svo.h5 or .svo.xml that it was made from")
-    raise FileError(f"{name} is no octree: expected HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz)")
-
-
-def _adf_reader(name: str, opening: bytes) -> Reader[DistanceField]:
-    from voxtool.files import adf_hdf5, hdf5
-
-    if opening.startswith(hdf5.SIGNATURE):
-        return adf_hdf5.read
-    if _is_volume_mesh(name):
-        raise _no_textures(name)
-    if _is_mesh(name, opening):
-        raise FileError(f"{name} is a mesh: build a field first: voxtool adf-build {name}")
-    if name.lower().endswith((".svo.xml", ".svo.xml.gz")):
-        raise FileError(f"{name} is an octree: build a field first: voxtool adf-build MESH")
-    raise FileError(f"{name} is no distance field: expected HDF5 (.adf.h5)")
-
-
-def _tet_reader(name: str, opening: bytes) -> Reader[TetVolume]:
-    from voxtool.files import hdf5, tet_hdf5
-
-    if opening.startswith(hdf5.SIGNATURE) and not _is_volume_mesh(name):
-        return tet_hdf5.read
-    if _is_volume_mesh(name):
-        raise _no_textures(name)
-    if _is_mesh(name, opening):
-        raise FileError(
-            f"{name} is a mesh of triangles: a volume is built of tetrahedra or hexahedra: voxtool "
-            "tet-build MESH.vtu"
-        )
-    raise FileError(f"{name} is no tetrahedral volume: expected HDF5 (.tet.h5)")
-
-
-def _no_textures(name: str) -> FileError:
-    return FileError(
-        f"{name} is a mesh of volume cells: build its textures first: voxtool tet-build {name}"
-    )
-
-
-def _scene_reader(name: str, opening: bytes) -> Reader[Octree | DistanceField | TetVolume]:
-    from voxtool.files import adf_hdf5, hdf5, svo_hdf5, tet_hdf5
-
-    if _is_volume_mesh(name):
-        raise _no_textures(name)
-    if opening.startswith(hdf5.SIGNATURE):
-        readers = {
-            svo_hdf5.SCHEMA.format: svo_hdf5.read,
-            adf_hdf5.SCHEMA.format: adf_hdf5.read,
-            tet_hdf5.SCHEMA.format: tet_hdf5.read,
-        }
-        return lambda file, size: hdf5.read_by_format(file, size, readers)
-    if _is_mesh(name, opening):
-        raise FileError(
-            f"{name} is a mesh: make an octree or a field of it first: voxtool voxelize {name}, or "
-            f"voxtool adf-build {name}"
-        )
-    return _svo_reader(name, opening)
-
-
-def _is_volume_mesh(name: str) -> bool:
-    return name.lower().endswith(tuple(VOLUME_FORMATS))
-
-
-def _is_mesh(name: str, opening: bytes) -> bool:
-    return name.lower().endswith(MESH_EXTENSIONS) or opening.startswith(MESH_OPENINGS)
-
-
-# Writing
-
-
 def _write(
     content: Octree | DistanceField | TetVolume | Mesh,
     path: PathLike,
     clobber: bool,
     format: str,
-    formats: dict[str, tuple[str, str]],
+    writers: dict[str, Writer],
     **options: Any,
 ) -> None:
-    if format not in formats:
-        raise FileError(f"format {format!r} is unknown: choose one of {', '.join(formats)}")
-    module_name, function = formats[format]
-    module = import_module(module_name)
-    write = getattr(module, function)
+    if format not in writers:
+        raise FileError(f"format {format!r} is unknown: choose one of {', '.join(writers)}")
+    writer = writers[format]
+    module = import_module(f"voxtool.files.{writer.module}")
+    write = getattr(module, writer.function)
     if path == STREAM:
-        with standard_output(format in TEXT_FORMATS) as file:
+        with standard_output(writer.text) as file:
             write(content, file, **options)
         return
     check_target(path, clobber)

@@ -17,8 +17,6 @@ from voxtool.files.schema import FORMAT, FORMAT_VERSION, Attribute, Schema
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
 
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
-
 Content = TypeVar("Content")
 
 

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from voxtool.grid import Grid
 
 DTD = Path(__file__).with_name("octree.dtd")
-GZIP_MAGIC = b"\x1f\x8b"
 GZIP_LEVEL = 4
 GZIP_RATIO = 1032  # deflate packs no byte of text into less than 1/1032 byte
 

@@ -1,0 +1,183 @@
+"""Every format in one place: what is written and read, by which module, under which names.
+
+A new format is a module with a `write`, a `read` or both, and a line here.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
+
+from voxtool.errors import FileError
+from voxtool.files.streams import STREAM, PathLike
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+
+    Reader = Callable[[BinaryIO, int], Any]
+
+
+class Writer(NamedTuple):
+    """Who writes a format: a function of a module of voxtool.files. Text is fit for a terminal."""
+
+    module: str
+    function: str = "write"
+    text: bool = False
+
+
+# What is written, by the extension that names it.
+SVO_FORMATS = {
+    "svo.h5": Writer("svo_hdf5"),
+    "svo.xml": Writer("svo_xml", text=True),
+    "svo.xml.gz": Writer("svo_xml", "write_gz"),
+    "h5": Writer("svo_hdf5"),
+    "xml": Writer("svo_xml", text=True),
+    "xml.gz": Writer("svo_xml", "write_gz"),
+}
+ADF_FORMATS = {"adf.h5": Writer("adf_hdf5"), "h5": Writer("adf_hdf5")}
+TET_FORMATS = {"tet.h5": Writer("tet_hdf5"), "h5": Writer("tet_hdf5")}
+EXPORTS = {name: Writer(name) for name in ("npy", "npz", "vti", "png")}
+MESH_FORMATS = {
+    name: Writer("mesh_writers", f"write_{name}", text=name in ("obj", "off"))
+    for name in ("obj", "ply", "stl", "glb", "off")
+}
+NORMAL_FORMATS = ("obj", "ply", "glb")  # those of meshes that hold a normal a vertex
+STREAM_FORMATS = ("svo.h5", "adf.h5", "tet.h5", "obj")  # of stdout where no format is named
+
+# Meshes of triangles, by extension or opening. Not all can be read; all are recognised.
+MESH_EXTENSIONS = (".obj", ".ply", ".stl", ".off", ".glb", ".gltf", ".3mf", ".dae", ".xyz")
+MESH_OPENINGS = (b"ply\n", b"ply\r", b"solid ", b"OFF\n", b"OFF\r", b"glTF", b"#", b"v ")
+# Meshes of volume cells: extensions, and meshio's names of the formats.
+VOLUME_FORMATS = {
+    ".vtu": "vtu",
+    ".vtk": "vtk",
+    ".msh": "gmsh",
+    ".mesh": "medit",
+    ".inp": "abaqus",
+    ".ex2": "exodus",
+    ".exo": "exodus",
+    ".e": "exodus",
+}
+
+HDF5, GZIP, BOM = b"\x89HDF\r\n\x1a\n", b"\x1f\x8b", b"\xef\xbb\xbf"
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a file is expected to hold, and what is said of a file of another kind.
+
+    Attributes
+    ----------
+    hdf5 : modules of the HDF5 formats that hold it.
+    xml : whether XML holds it, too.
+    mesh, other : messages for a mesh, and for a file that is nothing known; they follow its name.
+    endings : messages for names that end in one of these.
+    """
+
+    hdf5: tuple[str, ...]
+    mesh: str
+    other: str
+    xml: bool = False
+    endings: dict[tuple[str, ...], str] = field(default_factory=dict)
+
+
+AN_EXPORT = {
+    tuple(f".{name}" for name in EXPORTS): "is an export: read the .svo.h5 or .svo.xml that it was "
+    "made from"
+}
+OCTREE = Kind(
+    hdf5=("svo_hdf5",),
+    xml=True,
+    mesh="is a mesh: voxelize it first (voxtool voxelize {name})",
+    other="is no octree: expected HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz)",
+    endings=AN_EXPORT,
+)
+FIELD = Kind(
+    hdf5=("adf_hdf5",),
+    mesh="is a mesh: build a field first: voxtool adf-build {name}",
+    other="is no distance field: expected HDF5 (.adf.h5)",
+    endings={
+        (".svo.xml", ".svo.xml.gz"): "is an octree: build a field first: voxtool adf-build MESH"
+    },
+)
+VOLUME = Kind(
+    hdf5=("tet_hdf5",),
+    mesh="is a mesh of triangles: a volume is built of tetrahedra or hexahedra: voxtool tet-build "
+    "MESH.vtu",
+    other="is no tetrahedral volume: expected HDF5 (.tet.h5)",
+)
+SCENE = Kind(
+    hdf5=("svo_hdf5", "adf_hdf5", "tet_hdf5"),
+    xml=True,
+    mesh="is a mesh: make an octree or a field of it first: voxtool voxelize {name}, or voxtool "
+    "adf-build {name}",
+    other=OCTREE.other,
+    endings=AN_EXPORT,
+)
+
+
+def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
+    """The function that reads a file of this kind, chosen by the file's opening.
+
+    Raises
+    ------
+    FileError : the file is of another kind; the message names the missing step.
+    """
+    if _is_volume_mesh(name, opening):
+        raise FileError(
+            f"{name} is a mesh of volume cells: build its textures first: voxtool tet-build {name}"
+        )
+    if opening.startswith(HDF5):
+        modules = [import_module(f"voxtool.files.{module}") for module in kind.hdf5]
+        if len(modules) == 1:
+            return modules[0].read
+        from voxtool.files.hdf5 import read_by_format
+
+        readers = {module.SCHEMA.format: module.read for module in modules}
+        return lambda file, size: read_by_format(file, size, readers)
+    if kind.xml and opening.startswith(GZIP):
+        return import_module("voxtool.files.svo_xml").read_gz
+    lower = name.lower()
+    if lower.endswith(MESH_EXTENSIONS) or opening.startswith(MESH_OPENINGS):
+        raise FileError(f"{name} {kind.mesh.format(name=name)}")
+    if kind.xml and opening.removeprefix(BOM).lstrip().startswith(b"<"):
+        return import_module("voxtool.files.svo_xml").read
+    for endings, message in kind.endings.items():
+        if lower.endswith(endings):
+            raise FileError(f"{name} {message}")
+    raise FileError(f"{name} {kind.other}")
+
+
+def _is_volume_mesh(name: str, opening: bytes) -> bool:
+    """By name; HDF5 is one only as Exodus, since ours is read whatever its name is."""
+    known = VOLUME_FORMATS.get(os.path.splitext(name.lower())[1])
+    return known is not None and (known == "exodus" or not opening.startswith(HDF5))
+
+
+def format_of(path: PathLike, formats: Iterable[str]) -> str:
+    """The format that a name's extension says; of stdout HDF5 or OBJ, if it is one of them.
+
+    Raises
+    ------
+    FileError : no format of these has this extension.
+    """
+    formats = tuple(formats)
+    if path == STREAM:
+        for default in STREAM_FORMATS:
+            if default in formats:
+                return default
+    name = os.fspath(path).lower()
+    endings = {*formats, *SVO_FORMATS, *ADF_FORMATS, *TET_FORMATS}
+    for extension in sorted(endings, key=len, reverse=True):
+        if name.endswith(f".{extension}"):  # the longest: .svo.h5 is no .h5 of another kind
+            if extension in formats:
+                return extension
+            break
+    known = ", ".join(
+        f".{e}" for e in formats if not any(other.endswith(f".{e}") for other in formats)
+    )
+    if path == STREAM:
+        raise FileError(f"standard output has no extension: name the format, one of {known}")
+    raise FileError(f"{path}: the name says no format: end it in one of {known}")
