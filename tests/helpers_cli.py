@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shlex
 import subprocess
@@ -39,17 +40,26 @@ def run(command: str, stdin: bytes = b"") -> Result:
     return result
 
 
-def fail(command: str, code: int = 1, stdin: bytes = b"") -> str:
-    """The message of a command that fails: one line on stderr, and nothing written."""
+def fail(command: str, code: int | None = None, stdin: bytes = b"") -> str:
+    """The message of a command that fails: one line on stderr, and nothing written; with --json
+    the same on stdout as JSON. The exit code is 4 where a device or a limit of memory is asked for,
+    else 3, unless another is given."""
+    if code is None:
+        code = 4 if "--device" in command or "--max-memory" in command else 3
     before = {p: p.read_bytes() for p in Path().iterdir()}
     result = invoke(command, stdin)
     assert result.exit_code == code, result.output
-    assert result.stdout_bytes == b""
     assert result.stderr.startswith("voxtool: error: ")
     assert result.stderr.endswith("\n")
     assert result.stderr.count("\n") == 1, result.stderr
     assert {p: p.read_bytes() for p in Path().iterdir()} == before
-    return result.stderr.removeprefix("voxtool: error: ").rstrip()
+    message = result.stderr.removeprefix("voxtool: error: ").rstrip()
+    if "--json" in command:
+        error = json.loads(result.stdout)["error"]
+        assert (error["message"], error["exit_code"]) == (message, code)
+    else:
+        assert result.stdout_bytes == b""
+    return message
 
 
 def process(command: str, **more) -> subprocess.CompletedProcess[bytes]:

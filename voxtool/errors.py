@@ -1,4 +1,4 @@
-"""What can go wrong: each message is one line that names the thing, the place and the mend."""
+"""Errors and warnings. Each message is one line: the thing, the place, and a hint that helps."""
 
 from __future__ import annotations
 
@@ -29,8 +29,20 @@ class MemoryLimitError(VoxtoolError):
     """A request needs more memory than it may take."""
 
 
-class MeshWarning(UserWarning):
+class CheckError(VoxtoolError):
+    """A check or a comparison that was asked for does not hold."""
+
+
+class VoxtoolWarning(UserWarning):
+    """Base of every warning that voxtool issues."""
+
+
+class MeshWarning(VoxtoolWarning):
     """A result may surprise: it is empty, or the input has a fault that shows in it."""
+
+
+class DeviceWarning(VoxtoolWarning):
+    """An OpenCL device cannot be used and is passed over."""
 
 
 # --- words for messages --------------------------------------------------------------------------

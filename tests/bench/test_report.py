@@ -322,7 +322,7 @@ def test_compare_command(tmp_path: Path, monkeypatch) -> None:
     rows = json.loads(run("bench compare old.json new.json --json").stdout)["rows"]
     assert {row["time"] for row in rows} == {"slower"}
     write(tmp_path / "other.json", [replace(POINTS[0], model="b.obj")])
-    assert invoke("bench compare old.json other.json").exit_code == 1
+    assert invoke("bench compare old.json other.json").exit_code == 3
 
 
 def damaged(tmp_path: Path, change) -> str:

@@ -270,9 +270,9 @@ def test_standard_input(here: Path) -> None:
     [
         ("--dim 7", 2, "7 is not in the range"),
         ("--obj -", 2, "stdout has the report: name a file for --obj"),
-        ("--obj leaks.ply", 1, "leaks.ply: the name says no format: end it in one of .obj"),
+        ("--obj leaks.ply", 3, "leaks.ply: the name says no format: end it in one of .obj"),
         ("--obj ./mesh.obj", 2, "is MESH itself"),
-        ("--obj no/leaks.obj", 1, "no"),
+        ("--obj no/leaks.obj", 3, "no"),
     ],
 )
 def test_failures(here: Path, options: str, code: int, message: str) -> None:

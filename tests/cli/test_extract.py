@@ -12,7 +12,7 @@ from pathlib import Path
 import meshes
 import numpy as np
 import pytest
-from helpers_cli import ENVIRONMENT, MODULE, fail, on_terminal, process, run, screen, write_obj
+from helpers_cli import ENVIRONMENT, MODULE, fail, on_terminal, run, screen, write_obj
 from helpers_cli import invoke as call
 from helpers_octree import ball, octree_from_dense
 
@@ -598,28 +598,6 @@ def test_the_bar_counts_every_stage(more: str, asked: dict, here: Path) -> None:
     assert shown[-1][2] == "write file"
     assert screen(sent)[0].startswith("voxtool: bunny.svo.h5 -> a.obj")
     assert screen(sent)[-1] == ""
-
-
-# ---- processes
-
-
-def test_exit_codes_of_processes(here: Path) -> None:
-    assert process("extract bunny.svo.h5 --check").returncode == 0
-    done = process("extract bunny.obj")
-    assert (done.returncode, done.stdout, done.stderr.count(b"\n")) == (1, b"", 1)
-    done = process("extract bunny.svo.h5 --merge")
-    assert (done.returncode, done.stdout, done.stderr.count(b"\n")) == (2, b"", 1)
-
-
-def test_a_reader_that_has_gone_is_no_traceback(here: Path) -> None:
-    reader, writer = os.pipe()
-    os.close(reader)
-    words = [*MODULE, "extract", "bunny.svo.h5", "-q", "-o", "-"]
-    done = subprocess.run(words, env=ENVIRONMENT, stdout=writer, stderr=subprocess.PIPE)
-    os.close(writer)
-    assert done.returncode == 1
-    assert done.stderr.startswith(b"voxtool: error: standard output was closed")
-    assert done.stderr.count(b"\n") == 1
 
 
 def test_the_library_gives_the_same(here: Path) -> None:

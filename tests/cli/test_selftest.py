@@ -114,5 +114,5 @@ def test_json(device_index: int, cases) -> None:
 
 def test_no_such_device() -> None:
     result = invoke("selftest --device nobody")
-    assert (result.exit_code, result.stdout) == (1, "")
+    assert (result.exit_code, result.stdout) == (4, "")
     assert "no OpenCL device matches" in result.stderr

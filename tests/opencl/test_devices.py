@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner
 
 from voxtool.cli.main import cli
-from voxtool.errors import DeviceError, MemoryLimitError
+from voxtool.errors import DeviceError, DeviceWarning, MemoryLimitError
 from voxtool.opencl import Device, device, list_devices, open_device
 
 ROOT = Path(__file__).parents[2]
@@ -79,7 +79,7 @@ def test_numbers_of_a_device_are_plausible(device: Device) -> None:
 
 
 def assert_says_what_to_install(result) -> None:
-    assert result.exit_code == 1
+    assert result.exit_code == 4
     assert result.stderr.startswith("voxtool: error: no usable OpenCL device")
     assert result.stderr.count("\n") == 1
     assert "pip install 'voxtool[cpu]'" in result.stderr
@@ -107,7 +107,7 @@ def test_no_device_says_what_to_install(monkeypatch, tmp_path) -> None:
 def test_an_empty_folder_of_drivers(tmp_path) -> None:
     for arguments in (["devices"], ["devices", "--json"]):
         done = run_python(COMMAND.format(arguments), OCL_ICD_VENDORS=str(tmp_path))
-        assert done.returncode == 1
+        assert done.returncode == 4
         assert done.stderr.startswith("voxtool: error: no usable OpenCL device: ")
         assert f"only drivers in OCL_ICD_VENDORS={tmp_path} were sought" in done.stderr
         assert done.stderr.count("\n") == 1
@@ -117,7 +117,7 @@ def test_an_empty_folder_of_drivers(tmp_path) -> None:
 def test_no_pyopencl(tmp_path) -> None:
     (tmp_path / "pyopencl.py").write_text("raise ImportError('libOpenCL.so.1 is not there')")
     done = run_python(COMMAND.format(["devices"]), PYTHONPATH=f"{tmp_path}{os.pathsep}{ROOT}")
-    assert done.returncode == 1
+    assert done.returncode == 4
     assert "pyopencl cannot be imported (libOpenCL.so.1 is not there): install" in done.stderr
     assert done.stderr.count("\n") == 1
 
@@ -148,7 +148,7 @@ def devices_twice(monkeypatch, no_choice):
 def test_a_device_whose_probe_fails_is_passed_over_with_a_warning(devices_twice) -> None:
     _, break_down = devices_twice
     break_down(0)
-    with pytest.warns(RuntimeWarning, match="passed over .* probe failed: unknown target CPU"):
+    with pytest.warns(DeviceWarning, match="passed over .* probe failed: unknown target CPU"):
         assert open_device().info.index == 1
     break_down(0)
     assert [d.probe for d in list_devices()][:2] == ["failed: unknown target CPU 'generic'", "ok"]

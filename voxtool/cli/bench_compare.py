@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from voxtool.cli import options
-from voxtool.errors import VoxtoolError, count_of, printable
+from voxtool.errors import CheckError, VoxtoolError, count_of, printable
 
 if TYPE_CHECKING:
     from voxtool.bench.compare import Change
@@ -60,7 +60,7 @@ def command(old: str, new: str, fail_over: float | None, show_all: bool, as_json
             "the reports have no row in common: measure the same models and settings"
         )
     if failed:
-        raise VoxtoolError(
+        raise CheckError(
             f"{count_of(len(failed), 'row')} slower by more than {fail_over:g} % beyond the noise, "
             "or less accurate"
         )

@@ -7,7 +7,7 @@ import os
 import click
 
 from voxtool.cli import options
-from voxtool.errors import VoxtoolError, count_of
+from voxtool.errors import CheckError, count_of
 
 TUBE = 2e-3  # radius of a tube about a loop, of the mesh's longest side
 
@@ -93,4 +93,4 @@ def command(
             options.tell(f"  {stage:<18} {1e3 * time_on_device:9.2f} ms")
     if strict and report.faults:
         faults = "; ".join(fault.what for fault in report.faults)
-        raise VoxtoolError(f"{loaded.name or 'mesh'}: {faults} (--strict)")
+        raise CheckError(f"{loaded.name or 'mesh'}: {faults} (--strict)")

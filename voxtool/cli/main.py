@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 import warnings
+from contextlib import contextmanager, suppress
 from importlib import import_module
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from voxtool.cli.options import tell
-from voxtool.errors import VoxtoolError
+from voxtool.cli.options import PRINTED, TO_STDOUT, print_json, tell, warn
+from voxtool.errors import (
+    CheckError,
+    DeviceError,
+    FileError,
+    GridError,
+    MemoryLimitError,
+    MeshError,
+    VoxtoolError,
+    VoxtoolWarning,
+)
 from voxtool.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
 
 COMMANDS = {
     "voxelize": "voxtool.cli.voxelize",
@@ -28,11 +43,27 @@ COMMANDS = {
     "selftest": "voxtool.cli.selftest",
     "bench": "voxtool.cli.bench",
 }
+# What an error is called in JSON, and the exit code; the first that fits.
+ERRORS = (
+    (CheckError, "check", 1),
+    (click.ClickException, "usage", 2),
+    (DeviceError, "device", 4),
+    ((MemoryLimitError, MemoryError), "memory", 4),
+    (MeshError, "mesh", 3),
+    (GridError, "grid", 3),
+    (FileError, "file", 3),
+    (VoxtoolError, "value", 3),
+    (OSError, "file", 3),
+)
+SIGNALS = ("SIGTERM", "SIGHUP")  # end the command in order, as SIGINT does
 
 
 class Voxtool(click.Group):
-    """A group that imports a subcommand's module when it is asked for, and says every failure in
-    one line on stderr: exit code 1 failure, 2 usage, 130 interrupted."""
+    """A group that imports a subcommand's module when it is called, and reports every error in one
+    line on stderr, with --json also as JSON on stdout. Exit codes: 0; 1 a check does not hold;
+    2 usage; 3 input or output; 4 device or memory; 128 and the signal's number."""
+
+    context: click.Context | None = None  # of the call that runs
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -42,52 +73,108 @@ class Voxtool(click.Group):
             return None
         return import_module(COMMANDS[cmd_name]).command
 
-    def main(self, *args: Any, **extra: Any) -> NoReturn:
+    def invoke(self, ctx: click.Context) -> Any:
+        self.context = ctx
+        return super().invoke(ctx)
+
+    def main(self, args: list[str] | None = None, *more: Any, **extra: Any) -> NoReturn:
         extra.update(standalone_mode=False)
-        shown, warnings.showwarning = warnings.showwarning, show_warning
+        words = list(sys.argv[1:] if args is None else args)
+        self.context = None
         try:
-            # a subcommand returns None; --help and the like return an exit code
-            sys.exit(super().main(*args, **extra) or 0)
-        except click.Abort:
-            sys.exit(130)
-        except click.ClickException as error:
-            print_usage_error(error)
-            sys.exit(error.exit_code)
-        except VoxtoolError as error:
-            tell(f"error: {error}")
-        except MemoryError:
-            tell("error: this machine has not enough memory: choose a smaller dim")
-        except OSError as error:
-            where = f"{error.filename}: " if error.filename else ""
-            tell(f"error: {where}{error.strerror or error}")
-        finally:
-            warnings.showwarning = shown
-        sys.exit(1)
+            with library_warnings():
+                # a subcommand returns None; --help and the like return an exit code
+                code = super().main(words, *more, **extra) or 0
+            sys.stdout.flush()
+        except (click.Abort, KeyboardInterrupt):
+            code = 128 + signal.SIGINT
+        except (click.ClickException, VoxtoolError, MemoryError, OSError, SystemExit) as error:
+            if reader_has_gone(error):
+                discard_stdout()
+                code = 0
+            elif isinstance(error, SystemExit):
+                raise
+            else:
+                code = self.report(error, "--json" in words)
+        sys.exit(code)
+
+    def report(self, error: Exception, as_json: bool) -> int:
+        """Print an error; its exit code."""
+        kind, code = next((kind, code) for kinds, kind, code in ERRORS if isinstance(error, kinds))
+        message = message_of(error)
+        if message.startswith("Usage:"):  # the help, where a command stands alone
+            click.echo(message, err=True)
+            return code
+        tell(f"error: {message}")
+        done = self.context.meta if self.context else {}
+        if as_json and PRINTED not in done:  # stdout holds one JSON document
+            found = {"kind": kind, "message": message, "exit_code": code}
+            with suppress(OSError):
+                print_json({"error": found}, err=done.get(TO_STDOUT, False))
+        return code
 
 
-def print_usage_error(error: click.ClickException) -> None:
-    """One line that says where to look; the help as it is, where a command stands alone."""
-    message = error.format_message()
-    if message.startswith("Usage:"):
-        click.echo(message, err=True)
-        return
-    context = error.ctx if isinstance(error, click.UsageError) else None
-    seek = f" (see {context.command_path} -h)" if context else ""
-    tell(f"error: {' '.join(message.split()).removesuffix('.')}{seek}")
+def message_of(error: Exception) -> str:
+    """What an error says, in one line."""
+    if isinstance(error, click.ClickException):
+        message = error.format_message()
+        context = error.ctx if isinstance(error, click.UsageError) else None
+        if message.startswith("Usage:"):
+            return message
+        hint = f" (see {context.command_path} -h)" if context else ""
+        return f"{' '.join(message.split()).removesuffix('.')}{hint}"
+    if isinstance(error, MemoryError):
+        return "this machine has not enough memory: choose a smaller dim"
+    if isinstance(error, OSError):
+        where = f"{error.filename}: " if error.filename else ""
+        return f"{where}{error.strerror or error}"
+    return str(error)
 
 
-def show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    """A warning of the library as a line on stderr."""
-    tell(f"warning: {message}")
+@contextmanager
+def library_warnings() -> Iterator[None]:
+    """Print the library's own warnings as lines on stderr, and those of other libraries not."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", VoxtoolWarning)
+        warnings.showwarning = lambda message, *_, **__: warn(str(message))
+        yield
+
+
+def reader_has_gone(error: BaseException) -> bool:
+    """Whether an error is that nobody reads stdout any more, as in `voxtool ... | head -1`."""
+    cause: BaseException | None = error
+    while cause and not isinstance(cause, BrokenPipeError):
+        cause = cause.__cause__ or cause.__context__
+    return cause is not None
+
+
+def discard_stdout() -> None:
+    """Send what is left in the buffer nowhere, so that the end of the program is quiet."""
+    with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+
+def end_by_signals() -> None:
+    """Let SIGTERM and SIGHUP end the program as an exception, so that temporary files go."""
+
+    def end(number: int, _: object) -> NoReturn:
+        sys.exit(128 + number)
+
+    for name in SIGNALS:
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # not under nohup
+            signal.signal(number, end)
 
 
 @click.group(cls=Voxtool, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, message="voxtool %(version)s")
 def cli() -> None:
-    """Turn meshes into exact voxel octrees, distance fields and pictures, on any OpenCL device.
+    """Turn meshes into exact voxel octrees, distance fields and images, on any OpenCL device.
 
     Commands are chained through files; - is stdin or stdout. Results go to stdout or -o, everything
-    else to stderr. Lengths are in the mesh's own units, dims in voxels.
+    else to stderr. Lengths are in the mesh's own units, dims in voxels. docs/pipelines.md describes
+    exit codes, JSON and pipes.
 
     \b
     Examples:
@@ -100,9 +187,10 @@ def cli() -> None:
 def main() -> NoReturn:
     """Run the command line."""
     try:
+        end_by_signals()
         cli.main(prog_name="voxtool")
     except KeyboardInterrupt:  # outside of click's hands
-        sys.exit(130)
+        sys.exit(128 + signal.SIGINT)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
+from voxtool.choices import MAX_DIM, MIN_DIM
 from voxtool.errors import MemoryLimitError
 from voxtool.version import __version__
 
@@ -26,10 +27,15 @@ if TYPE_CHECKING:
 
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
+DIM = click.IntRange(MIN_DIM, MAX_DIM)
 UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 PROGRESS_AFTER = 1.0  # seconds
 SAMPLES = 100_000  # points on each surface that a deviation is measured at
-BAR = "voxtool.bar"  # where a context keeps its Progress
+# What a context keeps: the Progress that is shown, the warnings so far, whether stdout takes the
+# result of the command, and whether JSON has been printed.
+BAR, WARNINGS, TO_STDOUT, PRINTED = (
+    f"voxtool.{name}" for name in ("bar", "warnings", "to_stdout", "printed")
+)
 
 
 class Bytes(click.ParamType):
@@ -89,6 +95,14 @@ def verbose_option(function: Callable[..., Any]) -> Callable[..., Any]:
     )(function)
 
 
+def strict_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    return click.option(
+        "--strict",
+        is_flag=True,
+        help="Exit with 1 if there is a warning of the input or the result.",
+    )(function)
+
+
 def format_option(*formats: str) -> Decorator:
     """--format, as file_format."""
     return click.option(
@@ -121,7 +135,7 @@ def bench_options(dims: str, peers: str) -> Decorator:
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         return click.option(
             "--dims",
-            type=List(click.IntRange(8, 65536)),
+            type=List(DIM),
             metavar="DIM,...",
             default=dims,
             show_default=True,
@@ -181,7 +195,10 @@ def output_of(mesh: str, extension: str) -> str:
 
 
 def print_json(value: Any, err: bool = False) -> None:
+    """Print the one JSON document of a command, on stdout or on stderr."""
     click.echo(json.dumps(value, indent=2), err=err)
+    if context := click.get_current_context(silent=True):
+        context.meta[PRINTED] = True
 
 
 def print_bench(info: DeviceInfo, rows: Iterable[Any], **request: Any) -> None:
@@ -193,6 +210,20 @@ def print_bench(info: DeviceInfo, rows: Iterable[Any], **request: Any) -> None:
         "python": platform.python_version(),
     }
     print_json({**head, **request, "rows": [row.as_dict() for row in rows]})
+
+
+def issued_warnings() -> list[str]:
+    """The library's warnings in this call of the command line, in order, each once."""
+    context = click.get_current_context(silent=True)
+    return context.meta.setdefault(WARNINGS, []) if context else []
+
+
+def warn(message: str) -> None:
+    """A line on stderr, `voxtool: warning: ...`, the first time that it is given."""
+    issued = issued_warnings()
+    if message not in issued:
+        issued.append(message)
+        tell(f"warning: {message}")
 
 
 def is_quiet() -> bool:
@@ -230,8 +261,8 @@ class Progress:
     A context manager, within a command: when it ends, by an error too, the bar is erased.
     """
 
-    def __init__(self, stages: list[str]) -> None:
-        self.stages = stages
+    def __init__(self, stages: Iterable[str] = ()) -> None:
+        self.stages = list(stages)
         self.done = 0
         self.stage = ""
         self.width = 0  # of what is shown
@@ -252,6 +283,10 @@ class Progress:
             self.due = False
         self.erase()
         click.get_current_context().meta.pop(BAR, None)
+
+    def plan(self, stages: Iterable[str]) -> None:
+        """All stages, those that have ended included."""
+        self.stages = list(stages)
 
     def enter(self, stage: str) -> None:
         """A stage begins; one that was not foreseen is named and does not count."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli import options
-from voxtool.errors import VoxtoolError
+from voxtool.errors import CheckError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -175,4 +175,4 @@ def answer(points: Sequence[Point], budget: Budget, err: bool) -> None:
         told = "" if found is None else f", {measure} error {found:.3g}"
         click.echo(f"{chart}: {named(point)}: {duration(point.seconds)}{told}", err=err)
     if none:
-        raise VoxtoolError(f"{budget}: nothing that was measured meets it in {'; '.join(none)}")
+        raise CheckError(f"{budget}: nothing that was measured meets it in {'; '.join(none)}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from voxtool.cli import options
-from voxtool.errors import DeviceError
+from voxtool.errors import CheckError
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def command(device: str | None, full: bool, as_json: bool, quiet: bool) -> None:
         )
     name = f"{info.name} ({info.platform})"
     if failed:
-        raise DeviceError(
+        raise CheckError(
             f"{len(failed)} of {len(CASES)} cases failed on {name}: {', '.join(failed)}: update "
             "its driver, or choose another device: see docs/devices.md"
         )

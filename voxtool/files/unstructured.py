@@ -18,7 +18,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from voxtool.errors import FileError, printable
+from voxtool.errors import FileError, MeshWarning, printable
 from voxtool.files import VOLUME_FORMATS
 from voxtool.files.streams import STREAM, PathLike, read_error
 from voxtool.tets.mesh import UnstructuredMesh
@@ -164,7 +164,8 @@ def _through_meshio(name: str, path: str, kind: str) -> Any:
             "or have cells that meshio does not know: export it again"
         ) from None
     for line in filter(None, told.getvalue().split("\n\n")):
-        warnings.warn(f"{name}: {printable(' '.join(line.split()))}", stacklevel=4)
+        text = printable(" ".join(line.split()))
+        warnings.warn(f"{name}: {text}", MeshWarning, stacklevel=4)
     return read
 
 

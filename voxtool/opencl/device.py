@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from voxtool.errors import DeviceError, MemoryLimitError
+from voxtool.errors import DeviceError, DeviceWarning, MemoryLimitError
 from voxtool.memory import available_memory
 from voxtool.opencl import launch, program
 
@@ -178,7 +178,7 @@ def open_device(choice: str | None = None, *, profile: bool = False) -> Device:
         outcome = _probe(devices[info.index])
         if outcome == "ok":
             for failure in failures:
-                warnings.warn(f"passed over {failure}", RuntimeWarning, stacklevel=2)
+                warnings.warn(f"passed over {failure}", DeviceWarning, stacklevel=2)
             return Device(devices[info.index], info, profile)
         failures.append(f"{info.name} ({info.platform}), probe {outcome}")
     raise no_usable_device(failures)

@@ -1,0 +1,337 @@
+"""What every command does in the same way: read, plan, run, write, report.
+
+A command module holds its options, its help, and what it reports. `options` at the end of its
+decorators adds the shared options and passes their values as a `Run`, the first argument:
+
+    @click.command("voxelize")
+    @click.argument("mesh")
+    @click.option("--mode", ...)
+    @runner.job_options("FILE", "Default MESH's name with .svo.h5, in this folder.", "svo.h5")
+    def command(run: Run, mesh: str, mode: str) -> None:
+        \"\"\"Help.\"\"\"
+        run.to(mesh, options.output_of(mesh, "svo.h5"), SVO_FORMATS)
+        with run:
+            loaded = run.stage("read mesh", load_mesh, mesh)
+            octree = run.job(plan_voxelize(loaded, Grid.fit(loaded), mode, **run.resources))
+            run.write(write_svo, octree)
+        run.report(f"{octree.count:,} voxels", lambda: {"voxels": octree.count})
+
+`to` refuses an output that cannot be written. `job` prints the plan and ends the command with
+`--plan`; without it, it runs the job under a progress bar whose stages are the job's own. `report`
+prints one line on stderr, or JSON with `--json`, then the device and the time of each stage with
+`-v`; with `--strict`, a warning that was issued ends the command with exit code 1.
+
+Commands without an output file use the same object: `run_options` adds only the options that are
+named, and `finish` takes the place of `report`.
+"""
+
+from __future__ import annotations
+
+import functools
+import sys
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NoReturn, Self, TypeVar
+
+import click
+
+from voxtool.cli import options
+from voxtool.errors import CheckError, MemoryLimitError, VoxtoolError, human
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator, Mapping
+
+    from voxtool.job import Job
+    from voxtool.opencl import Device
+
+    Result = TypeVar("Result")
+
+WRITE = "write file"  # the stage after a job's own
+JOB = "job"  # stands for the stages of a job on the device
+
+
+@dataclass
+class Run:
+    """One call of a command: the values of the shared options, and what was done so far."""
+
+    output: str | None = None
+    no_clobber: bool = False
+    file_format: str | None = None
+    only_plan: bool = False
+    max_memory: int | None = None
+    device_name: str | None = None
+    as_json: bool = False
+    quiet: bool = False
+    verbose: bool = False
+    strict: bool = False
+    source: str = "-"
+    progress: options.Progress = field(default_factory=options.Progress)
+    started: float = field(default_factory=time.perf_counter)
+    seconds: float = 0.0
+    _times: dict[str, float] = field(default_factory=dict)  # of stages on the host
+    _stage: tuple[str, float] | None = None  # the stage that runs, and when it began
+    _device_times: dict[str, float] | None = None  # read once: the device forgets them
+
+    # ---- where the result goes
+
+    def to(self, source: str, default: str, formats: Iterable[str]) -> None:
+        """Choose the output and its format, and refuse an output that cannot be written.
+
+        Parameters
+        ----------
+        source : the input's name, for the report.
+        default : the output without -o.
+        formats : the formats that can be written, the last resort of `file_format`.
+
+        Raises
+        ------
+        click.UsageError : stdout is a terminal, and the format is not text.
+        FileError : the file cannot be written, or its name does not say the format.
+        """
+        from voxtool.files import TEXT_FORMATS, check_target, format_of
+
+        self.source = source
+        if self.output is None:
+            self.output = default
+        self.file_format = self.file_format or format_of(self.output, formats)
+        click.get_current_context().meta[options.TO_STDOUT] = self.to_stdout
+        if self.only_plan:
+            return
+        if not self.to_stdout:
+            check_target(self.output, not self.no_clobber)
+        elif self.file_format not in TEXT_FORMATS and sys.stdout.isatty():
+            raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
+
+    @property
+    def to_stdout(self) -> bool:
+        """Whether stdout takes the result, so that reports go to stderr."""
+        return self.output == "-"
+
+    @property
+    def target(self) -> str:
+        """The output as a message names it."""
+        return "stdout" if self.to_stdout else str(self.output)
+
+    def write(self, write: Callable[..., Any], content: Any, **more: Any) -> None:
+        """Write the result: `write(content, output, clobber, format)`."""
+        self.stage(
+            WRITE, write, content, self.output, not self.no_clobber, self.file_format, **more
+        )
+
+    # ---- the device, the stages, the job
+
+    @cached_property
+    def device(self) -> Device:
+        """The device of --device, opened at the first use."""
+        from voxtool.opencl import open_device
+
+        return open_device(self.device_name, profile=self.verbose or self.as_json)
+
+    @property
+    def resources(self) -> dict[str, Any]:
+        """The arguments of a `plan_...` function that say where it runs: device, max_memory."""
+        return {"device": self.device, "max_memory": self.max_memory}
+
+    def __enter__(self) -> Self:
+        self.progress.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.enter(None)
+        self.progress.__exit__()
+        self.seconds = time.perf_counter() - self.started
+
+    def enter(self, stage: str | None) -> None:
+        """Begin a stage, which ends when the next one begins; None begins none."""
+        now = time.perf_counter()
+        if self._stage:
+            name, began = self._stage
+            self._times[name] = self._times.get(name, 0.0) + now - began
+        self._stage = (stage, now) if stage else None
+        if stage:
+            self.progress.enter(stage)
+
+    def stage(self, name: str, work: Callable[..., Result], *args: Any, **more: Any) -> Result:
+        """The result of `work(*args, **more)`, run as a stage of this name."""
+        self.enter(name)
+        result = work(*args, **more)
+        self.enter(None)
+        return result
+
+    @contextmanager
+    def naming(self, name: str) -> Iterator[None]:
+        """Errors in this block name the file that they are about."""
+        try:
+            yield
+        except MemoryLimitError:
+            raise
+        except VoxtoolError as error:
+            raise type(error)(f"{name if name != '-' else 'stdin'}: {error}") from error
+
+    def job(self, job: Job[Result], after: Iterable[str] = (), **facts: Any) -> Result:
+        """Run a job under the progress bar; with --plan, print its plan and end the command.
+
+        Parameters
+        ----------
+        after : stages of the command between the job and the writing of its result.
+        facts : what --plan --json prints beside the plan.
+        """
+        if self.only_plan:
+            self.print_plan(job, facts)
+        self.progress.plan([*self._times, *job.stages, *after, WRITE])
+        began = time.perf_counter()
+        result = job.run(self.enter if job.device is None else self.progress.enter)
+        self.enter(None)
+        if job.device is not None:
+            self._times[JOB] = time.perf_counter() - began
+        return result
+
+    def print_plan(self, job: Job[Any], facts: Mapping[str, Any]) -> NoReturn:
+        """Print what a job will do, what it leaves out, and what it needs; end the command."""
+        self.progress.erase()
+        if self.as_json:
+            options.print_json({**job.describe(), **facts})
+        else:
+            cost = job.cost
+            needs = {"the device": cost.device, "the host": cost.host}
+            predicted = [f"{human(size)} on {where}" for where, size in needs.items() if size]
+            rows = [
+                *job.plan.rows(),
+                ("stages", ", ".join(job.stages)),
+                *(("left out", f"{what}: {why}") for what, why in job.left_out.items()),
+                ("predicted", ", ".join(predicted)),
+            ]
+            for name, text in rows:
+                click.echo(f"{name:<10} {text}")
+        try:
+            job.refuse()
+        except MemoryLimitError as error:
+            options.tell(f"warning: this will be refused: {error}")
+        raise click.exceptions.Exit(0)
+
+    # ---- what is said of it
+
+    @property
+    def warnings(self) -> list[str]:
+        """The library's warnings so far."""
+        return options.issued_warnings()
+
+    def report(
+        self,
+        text: str,
+        facts: Callable[[], Mapping[str, Any]],
+        details: Iterable[str] = (),
+        *,
+        json_too: bool = False,
+    ) -> None:
+        """Print what was made: a line and its details on stderr, or the facts as JSON; then finish.
+
+        Parameters
+        ----------
+        text : the line, without the names of the files and the time.
+        facts : returns the JSON, without output, warnings, stages and seconds.
+        json_too : print the JSON beside the line even without --json.
+        """
+        if self.as_json or json_too:
+            result = {
+                "output": self.output,
+                **facts(),
+                "warnings": self.warnings,
+                "stages": self.times() if self.as_json else {},
+                "seconds": round(self.seconds, 3),
+            }
+            if not (self.to_stdout and self.quiet):
+                options.print_json(result, err=self.to_stdout)
+        if not self.as_json:
+            source = self.source if self.source != "-" else "stdin"
+            options.tell(f"{source} -> {self.target}: {text}, {self.seconds:.2f} s")
+            for line in details:
+                options.tell(f"  {line}")
+        self.finish()
+
+    def finish(self) -> None:
+        """Print the device and the time of each stage with -v.
+
+        Raises
+        ------
+        CheckError : with --strict, the library has issued a warning.
+        """
+        if self.verbose:
+            if "device" in self.__dict__:
+                options.tell(f"{self.device.info.name} ({self.device.info.platform})")
+            for stage, seconds in self.times().items():
+                options.tell(f"  {stage:<18} {1e3 * seconds:9.2f} ms")
+        if self.strict and self.warnings:
+            raise CheckError(f"{'; '.join(self.warnings)} (--strict)")
+
+    def times(self) -> dict[str, float]:
+        """Seconds by stage, in order: those of kernels and copies for what ran on the device, those
+        of the clock for the rest; "other" is the time that no stage has."""
+        if self._device_times is None:
+            opened = "device" in self.__dict__
+            self._device_times = self.device.stage_times() if opened else {}
+        times: dict[str, float] = {}
+        for name, seconds in self._times.items():
+            times |= self._device_times if name == JOB else {name: seconds}
+        times |= self._device_times
+        rest = self.seconds - sum(times.values())
+        return {**times, "other": rest + times.get("other", 0.0)}
+
+
+# ---- options
+
+SHARED = {
+    "output": "output",
+    "no_clobber": "no_clobber",
+    "file_format": "file_format",
+    "only_plan": "only_plan",
+    "max_memory": "max_memory",
+    "device": "device_name",
+    "as_json": "as_json",
+    "quiet": "quiet",
+    "verbose": "verbose",
+    "strict": "strict",
+}
+
+
+def run_options(*decorators: options.Decorator) -> options.Decorator:
+    """These options; the values of those in SHARED arrive as a Run, the first argument."""
+
+    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(function)
+        def call(**values: Any) -> Any:
+            shared = {SHARED[name]: values.pop(name) for name in SHARED if name in values}
+            return function(Run(**shared), **values)
+
+        command: Callable[..., Any] = call
+        for option in reversed(decorators):
+            command = option(command)
+        return command
+
+    return decorate
+
+
+def job_options(
+    metavar: str, default: str, *formats: str, on_device: bool = True
+) -> options.Decorator:
+    """The options of a command that runs one job: -o, --no-clobber, --format, --plan,
+    --max-memory, --device, --strict, --json, -q, -v.
+
+    Parameters
+    ----------
+    metavar, default : what -o takes, and what its help says of the default.
+    formats : the choices of --format; without any there is no such option.
+    on_device : False leaves out --device.
+    """
+    return run_options(
+        options.output_options(metavar, default),
+        *([options.format_option(*formats)] if formats else []),
+        options.plan_options,
+        *([options.device_option] if on_device else []),
+        options.strict_option,
+        options.json_option,
+        options.quiet_option,
+        options.verbose_option,
+    )
