@@ -11,7 +11,7 @@ import click
 
 from voxtool.choices import SIGNS
 from voxtool.cli import options
-from voxtool.errors import VoxtoolError
+from voxtool.errors import CheckError
 
 if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
@@ -161,7 +161,7 @@ def command(
     if verbose:
         options.tell(f"{chosen.info.name} ({chosen.info.platform})")
     if strict and field.reached["missed"]:
-        raise VoxtoolError(
+        raise CheckError(
             f"{output}: {field.reached['missed']:,} leaves miss the tolerance (--strict): choose a "
             "higher --max-level, a larger --tolerance or more --max-bytes"
         )

@@ -12,7 +12,7 @@ import click
 
 from voxtool.choices import STYLES
 from voxtool.cli import options
-from voxtool.errors import MeshWarning, VoxtoolError
+from voxtool.errors import CheckError, MeshWarning, VoxtoolError
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
@@ -204,7 +204,7 @@ def command(
         for stage, time_on_device in chosen.stage_times().items():
             options.tell(f"  {stage:<18} {1e3 * time_on_device:9.2f} ms")
     if check and not result["check"]["closed"]:
-        raise VoxtoolError(f"{output}: what was written is not closed: report this octree")
+        raise CheckError(f"{output}: what was written is not closed: report this octree")
 
 
 def default_output(octree: str, style: str, file_format: str) -> str:

@@ -73,9 +73,14 @@ class Voxtool(click.Group):
             return None
         return import_module(COMMANDS[cmd_name]).command
 
+    def make_context(self, *args: Any, **extra: Any) -> click.Context:
+        with naming_closed_pipes():
+            return super().make_context(*args, **extra)
+
     def invoke(self, ctx: click.Context) -> Any:
         self.context = ctx
-        return super().invoke(ctx)
+        with naming_closed_pipes():
+            return super().invoke(ctx)
 
     def main(self, args: list[str] | None = None, *more: Any, **extra: Any) -> NoReturn:
         extra.update(standalone_mode=False)
@@ -88,12 +93,10 @@ class Voxtool(click.Group):
             sys.stdout.flush()
         except (click.Abort, KeyboardInterrupt):
             code = 128 + signal.SIGINT
-        except (click.ClickException, VoxtoolError, MemoryError, OSError, SystemExit) as error:
+        except (click.ClickException, VoxtoolError, MemoryError, OSError) as error:
             if reader_has_gone(error):
                 discard_stdout()
                 code = 0
-            elif isinstance(error, SystemExit):
-                raise
             else:
                 code = self.report(error, "--json" in words)
         sys.exit(code)
@@ -141,11 +144,20 @@ def library_warnings() -> Iterator[None]:
         yield
 
 
+@contextmanager
+def naming_closed_pipes() -> Iterator[None]:
+    """Turn BrokenPipeError, which click makes an exit code of 1, into a FileError."""
+    try:
+        yield
+    except BrokenPipeError as error:
+        raise FileError("standard output was closed") from error
+
+
 def reader_has_gone(error: BaseException) -> bool:
     """Whether an error is that nobody reads stdout any more, as in `voxtool ... | head -1`."""
     cause: BaseException | None = error
     while cause and not isinstance(cause, BrokenPipeError):
-        cause = cause.__cause__ or cause.__context__
+        cause = cause.__cause__
     return cause is not None
 
 
