@@ -20,10 +20,10 @@ REQUESTS = {
     "smooth 0.2": {"isovalue": 0.2},
     "smooth level 1": {"level": 1},
     "smooth voxel": {"level": "voxel"},
-    "blocks": {"style": "blocks"},
-    "blocks merged": {"style": "blocks", "merge": True},
-    "nets": {"style": "nets"},
-    "nets level 0": {"style": "nets", "level": 0},
+    "blocks": {"style": "voxel-faces"},
+    "blocks merged": {"style": "voxel-faces", "merge": True},
+    "nets": {"style": "surface-nets"},
+    "nets level 0": {"style": "surface-nets", "level": 0},
 }
 DIMS = (50, 128)
 REAL_DIMS = (200,)

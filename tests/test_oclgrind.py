@@ -287,10 +287,10 @@ def extract_surfaces(device) -> None:
         {},
         {"level": 1},
         {"level": "voxel"},
-        {"style": "blocks"},
-        {"style": "blocks", "level": 0, "merge": True},
-        {"style": "nets"},
-        {"style": "nets", "level": 0},
+        {"style": "voxel-faces"},
+        {"style": "voxel-faces", "level": 0, "merge": True},
+        {"style": "surface-nets"},
+        {"style": "surface-nets", "level": 0},
     )
     for request in requests:
         surface = extract(octree, device=device, **request)

@@ -6,7 +6,10 @@ MIN_DIM, MAX_DIM, DEFAULT_DIM = 8, 65536, 256  # voxels along the longest side o
 FITS = ("uniform", "stretch")  # of grids to meshes
 MODES = ("surface26", "surface6", "solid")  # of voxelization
 FILLS = ("auto", "parity", "nonzero", "winding", "flood")  # rules that decide what is inside
-STYLES = ("smooth", "blocks", "nets")  # of extracted surfaces
+STYLES = ("marching-cubes", "voxel-faces", "surface-nets")  # of extracted surfaces
+MARCHING_CUBES, VOXEL_FACES, SURFACE_NETS = STYLES
+# Names of version 0.1, which are still taken, and which digests still hold.
+STYLE_ALIASES = {"smooth": MARCHING_CUBES, "blocks": VOXEL_FACES, "nets": SURFACE_NETS}
 SIGNS = ("pseudonormal", "winding", "none")  # what decides the sign of a distance
 SEARCHES = ("linear", "binary", "coherent")  # for the leaf of a field that holds a point
 LAYOUTS = ("raycast", "projection", "hexahedra")  # of the textures of a volume

@@ -27,12 +27,12 @@ uint scan_group(uint value, __local uint *buffer, uint *total)
 
 // sums[g] = the sum of block g of `values`.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
-sum_blocks(__global const uint *values, const uint n, __global uint *sums)
+sum_blocks(__global const uint *values, const uint count, __global uint *sums)
 {
     __local uint buffer[2 * GROUP];
     const uint start = (uint)get_global_id(0) * ITEMS;
     uint sum = 0, total;
-    for (uint i = start; i < min(start + ITEMS, n); ++i)
+    for (uint i = start; i < min(start + ITEMS, count); ++i)
         sum += values[i];
     scan_group(sum, buffer, &total);
     if (get_local_id(0) == 0)
@@ -42,19 +42,20 @@ sum_blocks(__global const uint *values, const uint n, __global uint *sums)
 // out[i] = the sum of values[0 .. i - 1], where sums[g] is that before block g (a single block needs
 // no sums); out[n] = the sum of all. `out` may be `values`.
 __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
-scan_blocks(__global const uint *values, const uint n, __global const uint *sums, __global uint *out)
+scan_blocks(__global const uint *values, const uint count, __global const uint *sums,
+            __global uint *out)
 {
     __local uint buffer[2 * GROUP];
     const uint start = (uint)get_global_id(0) * ITEMS;
     uint value[ITEMS], sum = 0, total;
     for (uint i = 0; i < ITEMS; ++i) {
-        value[i] = start + i < n ? values[start + i] : 0;
+        value[i] = start + i < count ? values[start + i] : 0;
         sum += value[i];
     }
     uint running = scan_group(sum, buffer, &total);
     if (get_num_groups(0) > 1)
         running += sums[get_group_id(0)];
-    for (uint i = 0; i < ITEMS && start + i <= n; ++i) {
+    for (uint i = 0; i < ITEMS && start + i <= count; ++i) {
         out[start + i] = running;
         running += value[i];
     }
@@ -62,20 +63,20 @@ scan_blocks(__global const uint *values, const uint n, __global const uint *sums
 
 // ---- histopyramid
 
-// A level of quadruples, from `offset` on, and the sums of its m fives (listing A.14 of the thesis).
+// A level of quadruples, from `offset` on, and the sums of its fives (listing A.14 of the thesis).
 // A quadruple is where the second to the fifth interval begin: the way down need not add. Saturated
 // sums tell that a total does not fit.
 __kernel __attribute__((reqd_work_group_size(5 * QUADS, 1, 1))) void
-build_level(__global const uint *values, const uint n, __global uint4 *levels, const uint offset,
-            __global uint *sums, const uint m)
+build_level(__global const uint *values, const uint count, __global uint4 *levels, const uint offset,
+            __global uint *sums, const uint fives)
 {
-    __local uint fives[5 * QUADS];
+    __local uint group[5 * QUADS];
     const uint gid = get_global_id(0), lid = get_local_id(0);
-    fives[lid] = gid < n ? values[gid] : 0;
+    group[lid] = gid < count ? values[gid] : 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     const uint i = QUADS * (uint)get_group_id(0) + lid;
-    if (lid < QUADS && i < m) {
-        __local const uint *five = &fives[5 * lid]; // five is odd: no bank conflicts
+    if (lid < QUADS && i < fives) {
+        __local const uint *five = &group[5 * lid]; // five is odd: no bank conflicts
         const uint b = five[0], c = add_sat(b, five[1]), d = add_sat(c, five[2]);
         const uint e = add_sat(d, five[3]);
         levels[offset + i] = (uint4)(b, c, d, e);
@@ -85,39 +86,40 @@ build_level(__global const uint *values, const uint n, __global uint4 *levels, c
 
 #else
 
-// ---- radix sort: a work-item's portion of n keys is keys[portion * gid ..]
+// ---- radix sort: work-item gid of n has keys[portion * gid ..], a portion of count keys
 
-// counts[digit * portions + gid] = how many keys of a portion have this digit.
-__kernel void count_digits(__global const KEY *keys, const uint n, const uint portion,
-                           const uint shift, const uint digits, __global uint *counts)
+// counts[digit * n + gid] = how many keys of a portion have this digit.
+__kernel void count_digits(__global const KEY *keys, const uint count, const uint portion,
+                           const uint shift, const uint digits, const uint n,
+                           __global uint *counts)
 {
-    const uint gid = get_global_id(0), portions = (n - 1) / portion + 1;
-    if (gid >= portions)
+    const uint gid = get_global_id(0);
+    if (gid >= n)
         return;
-    uint count[1 << DIGIT_BITS];
+    uint found[1 << DIGIT_BITS];
     for (uint digit = 0; digit < digits; ++digit)
-        count[digit] = 0;
-    const uint end = min(portion * gid + portion, n);
+        found[digit] = 0;
+    const uint end = min(portion * gid + portion, count);
     for (uint i = portion * gid; i < end; ++i)
-        ++count[(uint)(keys[i] >> shift) & (digits - 1)];
+        ++found[(uint)(keys[i] >> shift) & (digits - 1)];
     for (uint digit = 0; digit < digits; ++digit)
-        counts[digit * portions + gid] = count[digit];
+        counts[digit * n + gid] = found[digit];
 }
 
-// Keys in the order of a digit, where starts[digit * portions + gid] is the place of a portion's
+// Keys in the order of a digit, where starts[digit * n + gid] is the place of a portion's
 // first key with it; their values too, if there are.
-__kernel void scatter_keys(__global const KEY *keys, const uint n, const uint portion,
-                           const uint shift, const uint digits, __global const uint *starts,
-                           __global KEY *sorted, __global const uint *values,
-                           __global uint *sorted_values)
+__kernel void scatter_keys(__global const KEY *keys, const uint count, const uint portion,
+                           const uint shift, const uint digits, const uint n,
+                           __global const uint *starts, __global KEY *sorted,
+                           __global const uint *values, __global uint *sorted_values)
 {
-    const uint gid = get_global_id(0), portions = (n - 1) / portion + 1;
-    if (gid >= portions)
+    const uint gid = get_global_id(0);
+    if (gid >= n)
         return;
     uint place[1 << DIGIT_BITS];
     for (uint digit = 0; digit < digits; ++digit)
-        place[digit] = starts[digit * portions + gid];
-    const uint end = min(portion * gid + portion, n);
+        place[digit] = starts[digit * n + gid];
+    const uint end = min(portion * gid + portion, count);
     for (uint i = portion * gid; i < end; ++i) {
         const KEY key = keys[i];
         const uint to = place[(uint)(key >> shift) & (digits - 1)]++;

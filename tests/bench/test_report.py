@@ -378,7 +378,7 @@ def test_the_boundary_of_voxels_is_that_of_the_octree(device) -> None:
     mesh = mesh_from_arrays(*meshes.icosphere(2))
     grid = Grid.fit(mesh, 24)
     octree = voxelize(mesh, grid, "solid", device=device)
-    blocks = extract(octree, style="blocks", device=device).mesh()
+    blocks = extract(octree, style="voxel-faces", device=device).mesh()
     centres = np.indices(grid.shape).reshape(3, -1).T + 0.5
     inside = (((centres * grid.pitch + grid.origin) ** 2).sum(axis=1) < 0.9).reshape(grid.shape)
     ball = voxels.boundary(inside, np.array(grid.origin), np.array(grid.pitch))

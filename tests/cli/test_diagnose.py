@@ -205,7 +205,7 @@ def test_t_junctions_are_no_holes(here: Path) -> None:
     """A prism of eight sides beside a cube, as merged rectangles."""
     write_obj(Path("mesh.obj"), *meshes.join(meshes.box(0, 4), meshes.box([4, 1, 1], [6, 2, 3])))
     run("voxelize mesh.obj --dim 32 -q")
-    run("extract mesh.svo.h5 --style blocks --merge -q -o merged.obj")
+    run("extract mesh.svo.h5 --style voxel-faces --merge -q -o merged.obj")
     found = json.loads(run("diagnose merged.obj --dim 32 --json").stdout)
     assert found["t_junctions"]
     assert len(found["loops"]) > 0

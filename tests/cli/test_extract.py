@@ -26,10 +26,11 @@ from voxtool.opencl import list_devices
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface.extract import extract, plan_extract
 
-STYLES = ("smooth", "blocks", "nets")
+STYLES = ("marching-cubes", "voxel-faces", "surface-nets")
 LEVELS = [(style, level) for style in STYLES for level in (None, "voxel", 0, 2)]
 SAID = re.compile(
-    r"voxtool: (\S+) -> (\S+): (smooth|blocks|nets), level (voxel|\d+), isovalue ([\d.]+); "
+    r"voxtool: (\S+) -> (\S+): (marching-cubes|voxel-faces|surface-nets), "
+    r"level (voxel|\d+), isovalue ([\d.]+); "
     r"([\d,]+) vertices, ([\d,]+) triangles, \d+\.\d\d s\n"
 )
 LOST = re.compile(
@@ -70,7 +71,7 @@ def test_the_file_holds_what_was_said(style: str, level, here: Path) -> None:
     result = run(f"extract bunny.svo.h5 --style {style} {asked} -o a.obj")
     assert result.stdout == ""
     line = said(result.stderr)
-    default = "0" if style == "smooth" else "voxel"
+    default = "0" if style == "marching-cubes" else "voxel"
     shown = default if level is None else str(level)
     assert line.groups()[:5] == ("bunny.svo.h5", "a.obj", style, shown, "0.5")
     surface = extract(read_svo("bunny.svo.h5"), style=style, level=level)
@@ -103,18 +104,18 @@ def test_the_name_by_default_is_never_the_mesh_it_was_made_from(here: Path) -> N
 @pytest.mark.parametrize(
     ("octree", "output"),
     [
-        ("bunny.svo.h5", "bunny.nets.obj"),
-        ("a/b/bunny.svo.xml.gz", "bunny.nets.obj"),
-        ("bunny.svo.xml", "bunny.nets.obj"),
-        ("bunny.h5", "bunny.nets.obj"),
-        ("bunny.v2.svo.h5", "bunny.v2.nets.obj"),
-        ("bunny", "bunny.nets.obj"),
+        ("bunny.svo.h5", "bunny.surface-nets.obj"),
+        ("a/b/bunny.svo.xml.gz", "bunny.surface-nets.obj"),
+        ("bunny.svo.xml", "bunny.surface-nets.obj"),
+        ("bunny.h5", "bunny.surface-nets.obj"),
+        ("bunny.v2.svo.h5", "bunny.v2.surface-nets.obj"),
+        ("bunny", "bunny.surface-nets.obj"),
         ("-", "-"),
     ],
 )
 def test_default_output(octree: str, output: str) -> None:
-    assert default_output(octree, "nets", "obj") == output
-    assert default_output(octree, "nets", "ply") == output.replace(".obj", ".ply")
+    assert default_output(octree, "surface-nets", "obj") == output
+    assert default_output(octree, "surface-nets", "ply") == output.replace(".obj", ".ply")
 
 
 def test_octrees_of_every_format_have_one_surface(here: Path) -> None:
@@ -127,7 +128,12 @@ def test_octrees_of_every_format_have_one_surface(here: Path) -> None:
 
 def test_digests_are_equal_on_every_device(here: Path) -> None:
     devices = [device.index for device in list_devices() if device.probe == "ok"]
-    for request in ("", "--style nets", "--style blocks --merge", "--level 1 --isovalue 0.3"):
+    for request in (
+        "",
+        "--style surface-nets",
+        "--style voxel-faces --merge",
+        "--level 1 --isovalue 0.3",
+    ):
         digests, files = set(), set()
         for index in devices:
             command = f"extract bunny.svo.h5 {request} --normals -o a.ply --device {index} --json"
@@ -140,7 +146,9 @@ def test_world_coordinates(here: Path) -> None:
     """A box of whole voxels comes back as it was, wherever it lies."""
     write_obj(here / "box.obj", *meshes.box((10, -20, 5), (14, -17, 7)))
     run("voxelize box.obj --pitch 0.25 -q -o box.svo.h5")
-    found = told("extract box.svo.h5 --style blocks --merge -o a.obj --check --against box.obj")
+    found = told(
+        "extract box.svo.h5 --style voxel-faces --merge -o a.obj --check --against box.obj"
+    )
     assert load_mesh("a.obj").bounds == pytest.approx(load_mesh("box.obj").bounds, abs=1e-12)
     assert found["triangles"] == 12
     assert found["check"]["volume"] == pytest.approx(24, rel=1e-12)
@@ -173,10 +181,10 @@ def test_normals_that_a_format_does_not_hold(name: str, here: Path) -> None:
 def test_no_clobber_keeps_the_file(here: Path) -> None:
     run("extract bunny.svo.h5 --level 1 --no-clobber")
     message = fail("extract bunny.svo.h5 --level 2 --no-clobber")
-    assert message.startswith("bunny.smooth.obj exists")
-    before = Path("bunny.smooth.obj").read_bytes()
+    assert message.startswith("bunny.marching-cubes.obj exists")
+    before = Path("bunny.marching-cubes.obj").read_bytes()
     run("extract bunny.svo.h5 --level 2")
-    assert Path("bunny.smooth.obj").read_bytes() != before
+    assert Path("bunny.marching-cubes.obj").read_bytes() != before
 
 
 # ---- streams
@@ -243,9 +251,9 @@ def test_json(here: Path) -> None:
     surface = extract(octree, isovalue=0.4)
     assert found["seconds"] > 0
     assert {name: value for name, value in found.items() if name != "seconds"} == {
-        "output": "bunny.smooth.obj",
+        "output": "bunny.marching-cubes.obj",
         "dim": 128,
-        "style": "smooth",
+        "style": "marching-cubes",
         "level": 0,
         "isovalue": 0.4,
         "vertices": len(surface.points),
@@ -256,7 +264,7 @@ def test_json(here: Path) -> None:
         "voxels_vanished": surface.lost.vanished,
         "digest": surface.digest(),
     }
-    assert told("extract bunny.svo.h5 --json --style nets")["level"] == "voxel"
+    assert told("extract bunny.svo.h5 --json --style surface-nets")["level"] == "voxel"
 
 
 @pytest.mark.parametrize("style", STYLES)
@@ -272,7 +280,7 @@ def test_check(style: str, level, here: Path) -> None:
     octree = read_svo("bunny.svo.h5")
     assert check["octree_volume"] == pytest.approx(octree.count * octree.grid.voxel_volume)
     assert check["volume"] == pytest.approx(check["volume_ratio"] * check["octree_volume"])
-    if (style, level) == ("blocks", "voxel"):
+    if (style, level) == ("voxel-faces", "voxel"):
         assert check["volume_ratio"] == pytest.approx(1, rel=0, abs=1e-12)
     else:  # nets of large samples shrink
         assert check["volume_ratio"] == pytest.approx(1, abs=0.02 if level == "voxel" else 0.15)
@@ -289,11 +297,11 @@ def test_check_counts_shells_and_handles(here: Path) -> None:
 
 def test_check_of_merged_blocks(here: Path) -> None:
     """T-junctions are no holes: the surface is closed as a chain."""
-    result = run("extract bunny.svo.h5 --style blocks --merge --check")
+    result = run("extract bunny.svo.h5 --style voxel-faces --merge --check")
     found = json.loads(result.stdout)
     assert found["check"]["closed"] is True
     assert found["check"]["volume_ratio"] == pytest.approx(1, rel=0, abs=1e-12)
-    assert found["triangles"] < told("extract bunny.svo.h5 --style blocks --json")["triangles"]
+    assert found["triangles"] < told("extract bunny.svo.h5 --style voxel-faces --json")["triangles"]
 
 
 def test_check_at_the_border_of_the_grid(here: Path) -> None:
@@ -313,7 +321,7 @@ def test_a_check_that_fails_is_exit_code_1_and_tells_why(here: Path, monkeypatch
 
     monkeypatch.setattr(diagnosis, "check_surface", lambda mesh, **how: whole(torn(mesh), **how))
     monkeypatch.setattr(diagnosis, "closed_chain", lambda mesh: chain(torn(mesh)))
-    for more in ("", "--style nets", "--style blocks --merge"):
+    for more in ("", "--style surface-nets", "--style voxel-faces --merge"):
         result = call(f"extract bunny.svo.h5 --check -o a.obj {more}")
         assert result.exit_code == 1
         assert json.loads(result.stdout)["check"]["closed"] is False
@@ -342,8 +350,8 @@ def test_against(here: Path) -> None:
         assert found["pitch"] == pitch
         assert voxels["hausdorff"] == pytest.approx(found["hausdorff"] / pitch)
         far[style] = voxels["surface_to_reference"]["rms"]
-    assert far["nets"] < far["blocks"] < 1
-    assert far["smooth"] < 4  # a sample has four voxels along its side
+    assert far["surface-nets"] < far["voxel-faces"] < 1
+    assert far["marching-cubes"] < 4  # a sample has four voxels along its side
 
 
 def test_against_is_the_same_every_time(here: Path) -> None:
@@ -382,7 +390,8 @@ def test_against_the_file_that_is_replaced(here: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("style", "more"), [("smooth", ""), ("blocks", ""), ("blocks", "--merge"), ("nets", "")]
+    ("style", "more"),
+    [("marching-cubes", ""), ("voxel-faces", ""), ("voxel-faces", "--merge"), ("surface-nets", "")],
 )
 def test_plan_prints_and_writes_nothing(style: str, more: str, here: Path) -> None:
     before = sorted(os.listdir())
@@ -424,9 +433,11 @@ def test_a_refusal_names_no_level_that_the_octree_has_not(here: Path) -> None:
 
 
 def test_plan_warns_of_a_refusal(here: Path) -> None:
-    result = run("extract bunny.svo.h5 --style nets --plan --json --max-memory 200K")
+    result = run("extract bunny.svo.h5 --style surface-nets --plan --json --max-memory 200K")
     assert json.loads(result.stdout)["predicted_device_bytes"] > 200 << 10
-    assert result.stderr.startswith("voxtool: warning: this will be refused: a nets surface")
+    assert result.stderr.startswith(
+        "voxtool: warning: this will be refused: a surface-nets surface"
+    )
     assert result.stderr.count("\n") == 1
 
 
@@ -437,9 +448,15 @@ def test_plan_warns_of_a_refusal(here: Path) -> None:
     ("command", "message"),
     [
         ("extract", "Missing argument 'OCTREE' (see voxtool extract -h)"),
-        ("extract bunny.svo.h5 --merge", "--merge goes with --style blocks: smooth has no squares"),
-        ("extract bunny.svo.h5 --merge --style nets", "--style blocks: nets has no squares"),
-        ("extract bunny.svo.h5 --style cubes", "'smooth', 'blocks', 'nets'"),
+        (
+            "extract bunny.svo.h5 --merge",
+            "--merge goes with --style voxel-faces: marching-cubes has no",
+        ),
+        (
+            "extract bunny.svo.h5 --merge --style surface-nets",
+            "--style voxel-faces: surface-nets has no",
+        ),
+        ("extract bunny.svo.h5 --style cubes", "'marching-cubes', 'voxel-faces', 'surface-nets'"),
         ("extract bunny.svo.h5 --level x", "'x': choose voxel, or a level"),
         ("extract bunny.svo.h5 --level 0.5", "'0.5': choose voxel, or a level"),
         ("extract bunny.svo.h5 --isovalue half", "'half' is not a valid float"),
@@ -480,21 +497,21 @@ def test_failures_are_one_line(command: str, message: str, here: Path) -> None:
 @pytest.mark.parametrize("mode", ["surface26", "surface6"])
 def test_a_surface_has_no_inside(mode: str, here: Path) -> None:
     run(f"voxelize bunny.obj --dim 32 --mode {mode} -q -o shell.svo.h5")
-    for more in ("", "--level voxel", "--style nets", "--style blocks --level 0"):
+    for more in ("", "--level voxel", "--style surface-nets", "--style voxel-faces --level 0"):
         message = fail(f"extract shell.svo.h5 {more}")
         assert f"an octree of mode {mode} has no inside" in message
         assert "voxelize with --mode solid" in message
-        assert "--style blocks --level voxel" in message
+        assert "--style voxel-faces --level voxel" in message
         assert message == fail(f"extract shell.svo.h5 {more} --plan")
     for more in ("", "--level voxel", "--merge"):
-        check = told(f"extract shell.svo.h5 --style blocks {more} --check")["check"]
+        check = told(f"extract shell.svo.h5 --style voxel-faces {more} --check")["check"]
         assert check["closed"]
         assert check["volume_ratio"] == pytest.approx(1, rel=0, abs=1e-12)
 
 
 def test_solid_with_surface_has_an_inside(here: Path) -> None:
     run("voxelize bunny.obj --dim 32 --with-surface -q -o both.svo.h5")
-    assert told("extract both.svo.h5 --style nets --check")["check"]["closed"]
+    assert told("extract both.svo.h5 --style surface-nets --check")["check"]["closed"]
 
 
 def test_an_empty_result_is_an_error_that_says_what_to_do(here: Path) -> None:
@@ -502,12 +519,12 @@ def test_an_empty_result_is_an_error_that_says_what_to_do(here: Path) -> None:
     message = fail("extract plate.svo.h5 --isovalue 0.99 -o a.obj")
     assert message.startswith("plate.svo.h5: none of the 81 set voxels lies in a sample")
     assert "isovalue 0.99" in message
-    assert "--style nets" in message
+    assert "--style surface-nets" in message
     assert "--dim 64" in message
     assert "lower isovalue" in message
     assert "none of the 81" in fail("extract plate.svo.h5 --check --against bunny.obj -o a.obj")
     run("extract plate.svo.h5 --isovalue 0.2 -o a.obj")
-    run("extract plate.svo.h5 --style nets -o a.obj")
+    run("extract plate.svo.h5 --style surface-nets -o a.obj")
 
 
 def test_no_voxel_is_set(here: Path) -> None:
@@ -530,13 +547,13 @@ def test_lost_voxels(here: Path) -> None:
     lost = LOST.search(result.stderr)
     assert lost, result.stderr
     assert number(lost[3]) == 56
-    assert "--style nets" in lost[4]
+    assert "--style surface-nets" in lost[4]
     assert "--dim 256" in lost[4]
     share = 100 * number(lost[1]) / (near + 56)
     assert float(lost[2]) == pytest.approx(share, rel=0.06)
     found = told("extract hair.svo.h5 --json")
     assert (found["voxels_below_isovalue"], found["voxels_vanished"]) == (number(lost[1]), 56)
-    for more in ("--style nets", "--style blocks", "--level voxel"):
+    for more in ("--style surface-nets", "--style voxel-faces", "--level voxel"):
         assert "lie in samples" not in run(f"extract hair.svo.h5 {more}").stderr
     assert "lie in samples" not in run("extract hair.svo.h5 --isovalue 0.001").stderr
 
@@ -562,7 +579,14 @@ def test_quiet_is_silent(here: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "more", ["", "--level voxel", "--style nets", "--style blocks", "--style blocks --merge"]
+    "more",
+    [
+        "",
+        "--level voxel",
+        "--style surface-nets",
+        "--style voxel-faces",
+        "--style voxel-faces --merge",
+    ],
 )
 def test_verbose_tells_device_and_stages(more: str, here: Path) -> None:
     lines = run(f"extract bunny.svo.h5 -v -o a.obj {more}").stderr.splitlines()
@@ -579,9 +603,9 @@ def test_verbose_tells_device_and_stages(more: str, here: Path) -> None:
     [
         ("", {}),
         ("--level voxel", {"level": "voxel"}),
-        ("--style nets", {"style": "nets"}),
-        ("--style blocks", {"style": "blocks"}),
-        ("--style blocks --merge", {"style": "blocks", "merge": True}),
+        ("--style surface-nets", {"style": "surface-nets"}),
+        ("--style voxel-faces", {"style": "voxel-faces"}),
+        ("--style voxel-faces --merge", {"style": "voxel-faces", "merge": True}),
     ],
 )
 def test_the_bar_counts_every_stage(more: str, asked: dict, here: Path) -> None:
@@ -601,5 +625,5 @@ def test_the_bar_counts_every_stage(more: str, asked: dict, here: Path) -> None:
 
 
 def test_the_library_gives_the_same(here: Path) -> None:
-    surface = voxtool.extract(read_svo("bunny.svo.h5"), style="nets")
-    assert told("extract bunny.svo.h5 --style nets --json")["digest"] == surface.digest()
+    surface = voxtool.extract(read_svo("bunny.svo.h5"), style="surface-nets")
+    assert told("extract bunny.svo.h5 --style surface-nets --json")["digest"] == surface.digest()

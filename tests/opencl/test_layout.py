@@ -73,7 +73,7 @@ CONSTANTS = {
         "NO_FACE": cases.NO_FACE,
         "NO_EDGE": cases.NO_EDGE,
     },
-    "svo/surface/greedy_meshing.h": {"FIELD": rectangles.FIELD},
+    "svo/surface/greedy_meshing.h": {"COORDINATE_BITS": rectangles.COORDINATE_BITS},
     "svo/voxelize.h": {
         "TOUCHED": voxelize.TOUCHED,
         "SEPARATING": voxelize.SEPARATING,

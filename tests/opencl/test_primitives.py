@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from voxtool.errors import MemoryLimitError
-from voxtool.opencl import Array, Device, program
+from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import (
     BLOCK,
     DIGIT_BITS,
@@ -38,7 +37,6 @@ def check(device: Device, values: np.ndarray, room: int = 0) -> None:
     array = device.put(np.concatenate([values.astype(np.uint32), beyond]))
     total = exclusive_scan(array, n)
     found = array.get()
-    array.release()
     expected = np.concatenate([[0], np.cumsum(values, dtype=np.uint64)])
     assert expected[-1] < 1 << 32
     assert total == expected[-1]
@@ -92,7 +90,6 @@ def test_scan_again_and_again_is_the_same(device: Device) -> None:
         array = device.put(values)
         exclusive_scan(array, len(values) - 1)
         results.append(array.get())
-        array.release()
     assert all(np.array_equal(results[0], r) for r in results[1:])
 
 
@@ -155,7 +152,6 @@ def test_sort_by_the_lowest_bits_alone(device: Device, bits: int, dtype: type) -
     array = device.put(keys)
     with pytest.raises(ValueError, match=f"uint32 has no {bits} bits to sort by"):
         radix_sort(array, len(keys), bits)
-    array.release()
 
 
 @pytest.mark.parametrize("dtype", KEYS)
@@ -211,7 +207,6 @@ def test_compact_keeps_the_flagged_in_order(device: Device, size: int, dtype: ty
         scanned = device.put(np.append(flags, 0xDEADBEEF).astype(np.uint32))
         assert np.array_equal(taken(compact(array, scanned, size)), values[flags == 1])
         assert np.array_equal(scanned.get(), np.append(0, np.cumsum(flags)))
-        array.release()
         scanned.release()
 
 
@@ -224,7 +219,6 @@ def test_unique_keeps_each_once(device: Device, size: int, dtype: type) -> None:
         array = device.put(np.append(keys, dtype(7)))  # the last is not looked at
         assert np.array_equal(taken(unique(array, size)), np.unique(keys))
         assert np.array_equal(array.get(0, size), keys)
-        array.release()
 
 
 @given(st.lists(st.integers(0, 50), max_size=300))
@@ -232,7 +226,6 @@ def test_unique_keeps_each_once(device: Device, size: int, dtype: type) -> None:
 def test_sort_and_unique_of_anything(device: Device, keys: list[int]) -> None:
     array, _ = radix_sort(device.put(np.array(keys, np.uint64)), len(keys), 6)
     assert taken(unique(array, len(keys))).tolist() == sorted(set(keys))
-    array.release()
 
 
 # ---- histopyramid
@@ -252,16 +245,9 @@ __kernel void traverse(HISTOPYRAMID, const uint n, __global uint2 *found)
 
 
 @pytest.fixture
-def traverse(device: Device, tmp_path: Path) -> Callable[..., None]:
-    """The kernel above, built as if it were among the others."""
-    header = "opencl/histopyramid.h"
-    (tmp_path / "opencl").mkdir()
-    (tmp_path / header).write_text((program.kernel_folder() / header).read_text())
-    (tmp_path / "traverse.cl").write_text(TRAVERSE)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(program, "kernel_folder", lambda: tmp_path)
-        patch.setattr(program, "flatten", program.flatten.__wrapped__)  # without its cache
-        return device.kernel("traverse.cl", "traverse")
+def traverse(device: Device) -> Callable[..., None]:
+    """The kernel above."""
+    return device.kernel(TRAVERSE, "traverse")
 
 
 def check_pyramid(
@@ -273,13 +259,11 @@ def check_pyramid(
     pyramid = build_histopyramid(array, n)
     assert pyramid.total == counts.sum()
     found = device.empty(2 * pyramid.total, np.uint32)
-    traverse(pyramid.total, *pyramid.arguments, np.uint32(pyramid.total), found)
+    traverse(pyramid.total, found, **pyramid.arguments)
     inputs, rests = found.get().reshape(-1, 2).T
     first = np.cumsum(counts) - counts
     assert np.array_equal(inputs, np.repeat(np.arange(n), counts))
     assert np.array_equal(rests, np.arange(pyramid.total) - np.repeat(first, counts))
-    for thing in (found, array, pyramid):
-        thing.release()
 
 
 PYRAMID_SIZES = sorted(
@@ -323,7 +307,6 @@ def test_pyramid_of_as_many_outputs_as_there_can_be(device: Device, size: int) -
     array = device.put(counts)
     pyramid = build_histopyramid(array, size)
     assert pyramid.total == 0xFFFFFFFE
-    pyramid.release()
     for place, more in ((size - 1, 1), (size - 1, 2), (0, 0xFFFFFFFF)):
         counts[place] = min(int(counts[place]) + more, 0xFFFFFFFF)
         device.write(array, counts)
@@ -332,7 +315,6 @@ def test_pyramid_of_as_many_outputs_as_there_can_be(device: Device, size: int) -
     device.write(array, np.full(size, 0xFFFFFFFF, np.uint32))
     with pytest.raises(MemoryLimitError, match="2\\^32 - 1 outputs or more"):
         build_histopyramid(array, size)
-    array.release()
 
 
 # ---- limits
@@ -349,4 +331,3 @@ def test_what_exceeds_31_bits_is_refused(device: Device) -> None:
     ):
         with pytest.raises(MemoryLimitError, match="choose a smaller dim"):
             refused()
-    array.release()

@@ -78,8 +78,8 @@ def test_faults_are_found(
 def test_other_content_is_found(device: Device, tmp_path, monkeypatch) -> None:
     stored = json.loads(digests.STORED.read_text(encoding="utf-8"))
     assert stored.keys() == digests.KINDS.keys()
-    stored["surfaces"]["nets"] = stored["surfaces"]["blocks"]
-    del stored["surfaces"]["smooth"]
+    stored["surfaces"]["surface-nets"] = stored["surfaces"]["voxel-faces"]
+    del stored["surfaces"]["marching-cubes"]
     monkeypatch.setattr(digests, "STORED", tmp_path / "digests.json")
     digests.STORED.write_text(json.dumps(stored), encoding="utf-8")
     assert BY_NAME["digests of surfaces"].run(device).error == 2

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.bench import peers, timing
+from voxtool.choices import MARCHING_CUBES
 from voxtool.files import write_svo
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
@@ -123,7 +124,7 @@ def sweep(
                     peak=peak,
                     error=deviation(surface.mesh(), mesh, samples, pitch=pitch, device=timed),
                 )
-                if with_peers and style == "smooth":
+                if with_peers and style == MARCHING_CUBES:
                     row.peers = others.medians(peers.of_octree(octree, isovalue))
                     row.ratios = {name: t / memory for name, t in row.peers.items()}
                 yield row

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import STYLES
+from voxtool.choices import MARCHING_CUBES, STYLE_ALIASES, STYLES
 from voxtool.cli import options, reports
 from voxtool.errors import count_of
 from voxtool.version import __version__
@@ -20,12 +20,12 @@ SHORT = {"lost voxels": "lost", "histopyramid": "pyramid", "triangles": "faces"}
 
 
 @click.command("extract")
-@options.bench_options("128,256,512,1024,2048", "VTK and scikit-image (smooth)")
+@options.bench_options("128,256,512,1024,2048", "VTK and scikit-image (marching cubes)")
 @click.option(
     "--styles",
-    type=options.List(click.Choice(STYLES)),
+    type=options.List(options.Alias(STYLES, STYLE_ALIASES)),
     metavar="STYLE,...",
-    default="smooth",
+    default=MARCHING_CUBES,
     show_default=True,
     help="As of `voxtool extract`, at their own levels.",
 )
@@ -62,7 +62,7 @@ def command(
     \b
     Examples:
       voxtool bench extract bunny.obj --dims 256,512
-      voxtool bench extract bunny.obj --dims 512,1024 --styles smooth,nets --peers
+      voxtool bench extract bunny.obj --dims 512,1024 --styles marching-cubes,surface-nets --peers
     """
     if reports.wanted(more):
         from voxtool.bench.sweep import Sweep

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import STYLES
+from voxtool.choices import MARCHING_CUBES, STYLE_ALIASES, STYLES, VOXEL_FACES
 from voxtool.cli import options
 from voxtool.errors import CheckError, MeshWarning, VoxtoolError
 
@@ -45,19 +45,19 @@ class Level(click.ParamType):
 )
 @click.option(
     "--style",
-    type=click.Choice(STYLES),
-    default="smooth",
+    type=options.Alias(STYLES, STYLE_ALIASES),
+    default=MARCHING_CUBES,
     show_default=True,
-    help="smooth: marching cubes over the coverages of bricks; blocks: the exact boundary of the "
-    "voxels; nets: smooth at full resolution, every vertex kept in its cell.  Coarse samples round "
-    "off more.",
+    help="marching-cubes: smooth, from the shares of set voxels of bricks; voxel-faces: the exact "
+    "boundary of the voxels; surface-nets: smooth at full resolution, every vertex kept in its "
+    "cell.  Coarse samples round off more.",
 )
 @click.option(
     "--level",
     type=Level(),
     metavar="N|voxel",
     help="What a sample is: a node of level N (0: a brick of 4 x 4 x 4 voxels; higher: coarser), "
-    "or a voxel.  [default: 0 for smooth, else voxel]",
+    "or a voxel.  [default: 0 for marching-cubes, else voxel]",
 )
 @click.option(
     "--isovalue",
@@ -66,7 +66,11 @@ class Level(click.ParamType):
     show_default=True,
     help="Share of its voxels, between 0 and 1, from which on a sample is inside.",
 )
-@click.option("--merge", is_flag=True, help="blocks: join coplanar squares; leaves T-junctions.")
+@click.option(
+    "--merge",
+    is_flag=True,
+    help="voxel-faces: join coplanar squares (greedy meshing); leaves T-junctions.",
+)
 @click.option("--normals", is_flag=True, help="Write vertex normals, too (.obj, .ply, .glb).")
 @click.option(
     "--check",
@@ -120,10 +124,10 @@ def command(
     \b
     Examples:
       voxtool voxelize bunny.obj --dim 512 -o - | voxtool extract - -o smooth.obj
-      voxtool extract bunny.svo.h5 --style nets --check --against bunny.obj
+      voxtool extract bunny.svo.h5 --style surface-nets --check --against bunny.obj
     """
-    if merge and style != "blocks":
-        raise click.UsageError(f"--merge goes with --style blocks: {style} has no squares")
+    if merge and style != VOXEL_FACES:
+        raise click.UsageError(f"--merge goes with --style {VOXEL_FACES}: {style} has no squares")
     if samples is not None and against is None:
         raise click.UsageError("--samples goes with --against MESH: there is nothing to measure")
     if octree == against == "-":
@@ -208,8 +212,8 @@ def command(
 
 
 def default_output(octree: str, style: str, file_format: str) -> str:
-    """bunny.svo.h5 -> bunny.smooth.obj, in the current folder: never the mesh that it was made
-    from; stdin -> stdout."""
+    """bunny.svo.h5 -> bunny.marching-cubes.obj, in the current folder, never the mesh that it was
+    made from; stdin -> stdout."""
     if octree == "-":
         return "-"
     name = PurePath(octree).name

@@ -16,7 +16,7 @@ from voxtool.errors import MemoryLimitError
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from voxtool.adf.plan import FieldPlan
     from voxtool.opencl import Device
@@ -53,6 +53,17 @@ class Bytes(click.ParamType):
         if not 1 <= number < float(1 << 62):
             self.fail(f"{value!r} is no number of bytes: write 800M or 8G", param, ctx)
         return int(number)
+
+
+class Alias(click.Choice[str]):
+    """A choice of names that accepts their aliases, too."""
+
+    def __init__(self, names: Sequence[str], aliases: Mapping[str, str]) -> None:
+        super().__init__(names)
+        self.aliases = aliases
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        return super().convert(self.aliases.get(value, value), param, ctx)
 
 
 class List(click.ParamType):

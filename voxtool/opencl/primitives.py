@@ -7,7 +7,7 @@ kernels/opencl/histopyramid.h.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 
@@ -65,14 +65,13 @@ def _scan(values: Array, n: int) -> None:
     scan_blocks = device.kernel(SOURCE, "scan_blocks")
     blocks = n // BLOCK + 1  # one holds element n, the sum
     if blocks == 1:
-        scan_blocks(GROUP, values, np.uint32(n), values, values, local=GROUP)
+        scan_blocks(GROUP, values, n, values, values, local=GROUP)
         return
     size = blocks * GROUP
     sums = device.empty(blocks + 1, np.uint32)
-    device.kernel(SOURCE, "sum_blocks")(size, values, np.uint32(n), sums, local=GROUP)
+    device.kernel(SOURCE, "sum_blocks")(size, values, n, sums, local=GROUP)
     _scan(sums, blocks)
-    scan_blocks(size, values, np.uint32(n), sums, values, local=GROUP)
-    sums.release()
+    scan_blocks(size, values, n, sums, values, local=GROUP)
 
 
 @overload
@@ -121,15 +120,12 @@ def radix_sort(
     spare_values = None if values is None else device.empty(n, np.uint32)
     for shift in range(0, bits, width):
         digits = 1 << min(width, bits - shift)
-        cut = (np.uint32(n), np.uint32(portion), np.uint32(shift), np.uint32(digits))
-        count(portions, keys, *cut, table)
+        digit = {"count": n, "portion": portion, "shift": shift, "digits": digits}
+        count(portions, keys, table, **digit)
         _scan(table, portions * digits)
-        scatter(portions, keys, *cut, table, spare, values, spare_values)
+        scatter(portions, keys, table, spare, values, spare_values, **digit)
         keys, spare = spare, keys
         values, spare_values = spare_values, values
-    for array in (table, spare, spare_values):
-        if array is not None:
-            array.release()
     return keys, values
 
 
@@ -149,10 +145,8 @@ def unique(keys: Array, n: int) -> tuple[Array, int]:
     _check(n, "compaction")
     device = keys.device
     flags = device.empty(n + 1, np.uint32)
-    device.kernel(SOURCE, "flag_last", KEY=_KEYS[keys.dtype])(n, keys, np.uint32(n), flags)
-    kept = compact(keys, flags, n)
-    flags.release()
-    return kept
+    device.kernel(SOURCE, "flag_last", KEY=_KEYS[keys.dtype])(n, keys, flags)
+    return compact(keys, flags, n)
 
 
 def compact(values: Array, flags: Array, n: int) -> tuple[Array, int]:
@@ -173,7 +167,7 @@ def compact(values: Array, flags: Array, n: int) -> tuple[Array, int]:
     total = exclusive_scan(flags, n)
     kept = values.device.empty(total, values.dtype)
     move = values.device.kernel(SOURCE, "move_flagged", KEY=_KEYS[values.dtype])
-    move(n, values, np.uint32(n), flags, kept)
+    move(n, values, flags, kept)
     return kept, total
 
 
@@ -195,14 +189,14 @@ class Histopyramid:
     total: int
 
     @property
-    def arguments(self) -> tuple[Array, Array, Array, np.uint32]:
-        """What a kernel takes as its HISTOPYRAMID."""
-        return self.counts, self.levels, self.offsets, np.uint32(self.height)
-
-    def release(self) -> None:
-        """Give back all device memory."""
-        self.levels.release()
-        self.offsets.release()
+    def arguments(self) -> dict[str, Any]:
+        """Arguments of kernels, by name: HISTOPYRAMID."""
+        return {
+            "pyramid_counts": self.counts,
+            "pyramid_levels": self.levels,
+            "pyramid_offsets": self.offsets,
+            "pyramid_height": self.height,
+        }
 
 
 def build_histopyramid(counts: Array, n: int) -> Histopyramid:
@@ -230,17 +224,9 @@ def build_histopyramid(counts: Array, n: int) -> Histopyramid:
     sums, size = counts, n
     for offset, quads in zip(offsets, sizes, strict=True):
         above = device.empty(quads, np.uint32)
-        build(
-            5 * quads, sums, np.uint32(size), levels, offset, above, np.uint32(quads),
-            local=5 * QUADS,
-        )  # fmt: skip
-        if sums is not counts:
-            sums.release()
+        build(5 * quads, sums, size, levels, int(offset), above, quads, local=5 * QUADS)
         sums, size = above, quads
     total = int(sums.get(0, 1)[0]) if n else 0
-    if sums is not counts:
-        sums.release()
     if total == 0xFFFFFFFF:
-        levels.release()
         raise MemoryLimitError("a histopyramid of 2^32 - 1 outputs or more: choose a smaller dim")
     return Histopyramid(counts, levels, device.put(offsets[::-1]), height, total)

@@ -15,7 +15,7 @@ import numpy as np
 from voxtool.adf.build import build_adf
 from voxtool.adf.raycast import FieldRenderer
 from voxtool.camera import Camera
-from voxtool.choices import FILLS, METHODS
+from voxtool.choices import FILLS, METHODS, STYLES
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.opencl import Device
@@ -64,7 +64,7 @@ def octrees(device: Device) -> Digests:
 
 def surfaces(device: Device) -> Digests:
     octree = voxelize(solid(), Grid.fit(solid(), 50), device=device)
-    for style in ("smooth", "nets", "blocks"):
+    for style in STYLES:
         yield style, extract(octree, style=style, device=device).digest()
 
 

@@ -220,14 +220,14 @@ ulong dilate(ulong mask)
 // lost[2 i], lost[2 i + 1]: the set voxels in samples that are not inside; and, of them, those in
 // samples around which no cube is cut, so that nothing of them is left. Work-item i of `items` adds up
 // every items-th tile.
-__kernel void count_lost(__global const uint *codes, const uint n, TILES, SAMPLES,
-                         __global const ulong *below, __global const ulong *cut, const uint items, __global ulong *lost)
+__kernel void count_lost(__global const uint *codes, const uint count, TILES, SAMPLES,
+                         __global const ulong *below, __global const ulong *cut, const uint n, __global ulong *lost)
 {
     const uint gid = get_global_id(0);
-    if (gid >= items)
+    if (gid >= n)
         return;
     ulong sum = 0, vanished = 0;
-    for (uint slot = gid; slot < n; slot += items) {
+    for (uint slot = gid; slot < count; slot += n) {
         if (source[slot] == NOWHERE)
             continue;
         const ulong near = dilate(masks[slot]); // those in a cut cube of the tile

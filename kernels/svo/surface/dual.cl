@@ -29,14 +29,15 @@ ulong cell_beyond(ulong cell, uint face)
 // and how many loops, quads (the cut edges that begin in its low corner) and cut edges it has.
 __kernel void resolve_cases(__global const uint *codes, TILES, CUBES, __global const uint *places,
                             __global const uchar *cases, const uint n, __global ushort *resolved,
-                            __global uint *vertices, __global uint *quads, __global uint *links)
+                            __global uint *first_vertex, __global uint *quad_counts,
+                            __global uint *first_link)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     uint found = cases[gid];
     const uint low_edges = found ^ (found & 1 ? 0xFF : 0); // corners unlike the lowest
-    quads[gid] = (low_edges >> 1 & 1) + (low_edges >> 2 & 1) + (low_edges >> 4 & 1);
+    quad_counts[gid] = (low_edges >> 1 & 1) + (low_edges >> 2 & 1) + (low_edges >> 4 & 1);
     const uint face = PINCHED_FACE[found];
     if (face != NO_FACE) {
         const ulong beyond = cell_beyond(cell_of(codes, places[gid]), face);
@@ -45,11 +46,11 @@ __kernel void resolve_cases(__global const uint *codes, TILES, CUBES, __global c
             found += ALTERNATIVE;
     }
     resolved[gid] = (ushort)found;
-    vertices[gid] = LOOP_COUNT[found];
+    first_vertex[gid] = LOOP_COUNT[found];
     uint edges = 0;
     for (uint edge = 0; edge < 12; ++edge)
         edges += LOOP_OF[12 * found + edge] != NO_EDGE;
-    links[gid] = edges;
+    first_link[gid] = edges;
 }
 
 // Blocks: every loop's vertex is the corner that eight samples share.

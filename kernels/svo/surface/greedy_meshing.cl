@@ -5,11 +5,11 @@
 
 // A key is, from the highest bits on: the normal's axis a and sign (3 bits), the quad's plane, then
 // two coordinates of its low corner, along b = a + 1 and c = a + 2 (modulo 3); between them, where
-// rows are joined, the row's length. FIELD bits each.
-#define FIELD_MASK ((1ul << FIELD) - 1)
+// rows are joined, the row's length. COORDINATE_BITS bits each.
+#define COORDINATE_MASK ((1ul << COORDINATE_BITS) - 1)
 
 // Quads in rows along b: the keys' order is that of normal, plane, c, b.
-__kernel void key_quads(__global const uint *quads, const uint n, __global const int *points,
+__kernel void key_squares(__global const uint *quads, const uint n, __global const int *points,
                         __global ulong *keys, __global uint *order)
 {
     const uint gid = get_global_id(0);
@@ -27,13 +27,13 @@ __kernel void key_quads(__global const uint *quads, const uint n, __global const
     const uint b = (a + 1) % 3, c = (a + 2) % 3;
     const bool outward = corner[1][b] != corner[0][b]; // first along b: counter-clockwise from +a
     const ulong facing = 2 * a + outward;
-    keys[gid] = ((facing << FIELD | (ulong)corner[0][a]) << FIELD | (ulong)corner[0][c]) << FIELD |
+    keys[gid] = ((facing << COORDINATE_BITS | (ulong)corner[0][a]) << COORDINATE_BITS | (ulong)corner[0][c]) << COORDINATE_BITS |
                 (ulong)corner[0][b];
     order[gid] = gid;
 }
 
 // Where a row of keys that rise by one begins; and all places, to be compacted.
-__kernel void flag_rows(__global const ulong *keys, const uint n, __global uint *flags,
+__kernel void flag_runs(__global const ulong *keys, const uint n, __global uint *flags,
                         __global uint *places)
 {
     const uint gid = get_global_id(0);
@@ -44,17 +44,17 @@ __kernel void flag_rows(__global const ulong *keys, const uint n, __global uint 
 }
 
 // Rows of equal beginning and length in columns: the keys' order is normal, plane, b, length, c.
-__kernel void key_rows(__global const ulong *quad_keys, const uint quads,
+__kernel void key_rows(__global const ulong *square_keys, const uint count,
                        __global const uint *row_start, const uint n, __global ulong *keys,
                        __global uint *order)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const uint start = row_start[gid], end = gid + 1 < n ? row_start[gid + 1] : quads;
-    const ulong key = quad_keys[start];
-    const ulong b = key & FIELD_MASK, c = key >> FIELD & FIELD_MASK;
-    keys[gid] = ((key >> 2 * FIELD << FIELD | b) << FIELD | (ulong)(end - start)) << FIELD | c;
+    const uint start = row_start[gid], end = gid + 1 < n ? row_start[gid + 1] : count;
+    const ulong key = square_keys[start];
+    const ulong b = key & COORDINATE_MASK, c = key >> COORDINATE_BITS & COORDINATE_MASK;
+    keys[gid] = ((key >> 2 * COORDINATE_BITS << COORDINATE_BITS | b) << COORDINATE_BITS | (ulong)(end - start)) << COORDINATE_BITS | c;
     order[gid] = gid;
 }
 
@@ -63,20 +63,20 @@ __kernel void key_rows(__global const ulong *quad_keys, const uint quads,
 __kernel void join_rows(__global const uint *column_start, const uint n,
                         __global const ulong *row_keys, __global const uint *row_order,
                         const uint rows, __global const uint *row_start,
-                        __global const uint *quad_order, __global const uint *quads,
+                        __global const uint *square_order, __global const uint *quads,
                         __global uint *rectangles, volatile __global uint *used)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     const uint first = column_start[gid], last = (gid + 1 < n ? column_start[gid + 1] : rows) - 1;
-    const uint length = (uint)(row_keys[first] >> FIELD & FIELD_MASK);
-    const uint outward = (uint)(row_keys[first] >> 4 * FIELD & 1);
+    const uint length = (uint)(row_keys[first] >> COORDINATE_BITS & COORDINATE_MASK);
+    const uint outward = (uint)(row_keys[first] >> 4 * COORDINATE_BITS & 1);
     const uint low = row_start[row_order[first]], high = row_start[row_order[last]];
     for (uint corner = 0; corner < 4; ++corner) { // low, along b and, where outward, on along c
         const bool far_b = corner == 2 || corner == (outward ? 1 : 3);
         const bool far_c = corner == 2 || corner == (outward ? 3 : 1);
-        const uint quad = quad_order[(far_c ? high : low) + (far_b ? length - 1 : 0)];
+        const uint quad = square_order[(far_c ? high : low) + (far_b ? length - 1 : 0)];
         const uint vertex = quads[4 * (size_t)quad + corner];
         rectangles[4 * (size_t)gid + corner] = vertex;
         atomic_or(&used[vertex], 1u);

@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import voxtool
+from voxtool import choices
 from voxtool.errors import MemoryLimitError, MeshWarning, VoxtoolError
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
@@ -25,8 +26,11 @@ from voxtool.svo.surface.extract import extract, plan_extract
 from voxtool.svo.surface.isosurface import LATTICE, NEAREST, Isosurface, Lost
 from voxtool.svo.surface.plan import MAX_SAMPLES
 
-STYLES = (("smooth", 0), ("smooth", 1), ("smooth", 2), ("smooth", "voxel"), ("blocks", "voxel"),
-          ("blocks", 0), ("nets", "voxel"), ("nets", 0), ("nets", 1), ("nets", 2))  # fmt: skip
+pytestmark = pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")
+
+CUBES, FACES, NETS = choices.STYLES
+STYLES = ((CUBES, 0), (CUBES, 1), (CUBES, 2), (CUBES, "voxel"), (FACES, "voxel"),
+          (FACES, 0), (NETS, "voxel"), (NETS, 0), (NETS, 1), (NETS, 2))  # fmt: skip
 ISOVALUES = (0.5, 0.25, 1 / 64, 0.01, 0.3, 63 / 64, 0.99, 1e-9, 1 - 1e-12)
 
 
@@ -97,11 +101,11 @@ def test_every_pattern_has_a_closed_manifold_surface(device, dense, style, isova
         assert len(surface.faces) == 0
         return
     assert_manifold(surface)
-    if style[0] == "smooth":
+    if style[0] == CUBES:
         assert len(surface.points) == edges
     else:
         assert len(surface.faces) == 2 * edges
-    if style[0] == "blocks":
+    if style[0] == FACES:
         assert volume(lattice_mesh(surface)) == pytest.approx(samples.sum(), rel=1e-12)
     if style[1] == "voxel":
         assert surface.lost == Lost(0, 0)
@@ -159,8 +163,8 @@ def test_smooth_vertices_are_where_fractions_say(device, dense, level, isovalue)
 @settings(max_examples=30)
 def test_nets_stay_in_the_cubes_of_their_blocks(device, dense, level) -> None:
     octree = octree_from_dense(dense)
-    nets = extract(octree, style="nets", level=level, device=device)
-    blocks = extract(octree, style="blocks", level=level, device=device)
+    nets = extract(octree, style=NETS, level=level, device=device)
+    blocks = extract(octree, style=FACES, level=level, device=device)
     assert len(nets.points) == len(blocks.points)
     assert nets.cubes == blocks.cubes
     assert (np.abs(nets.points - blocks.points) <= LATTICE // 2 - NEAREST).all()
@@ -170,8 +174,8 @@ def test_nets_stay_in_the_cubes_of_their_blocks(device, dense, level) -> None:
 @settings(max_examples=40)
 def test_merged_blocks_are_the_same_boundary_of_fewer_triangles(device, dense, level) -> None:
     octree = octree_from_dense(dense)
-    blocks = extract(octree, style="blocks", level=level, device=device)
-    merged = extract(octree, style="blocks", level=level, merge=True, device=device)
+    blocks = extract(octree, style=FACES, level=level, device=device)
+    merged = extract(octree, style=FACES, level=level, merge=True, device=device)
     assert len(merged.faces) <= len(blocks.faces)
     assert squares(merged) == squares(blocks)
     assert closed_chain(lattice_mesh(merged))
@@ -226,12 +230,16 @@ def test_an_inside_leaf_beside_an_empty_one_is_no_hole(device) -> None:
     dense[8:16, 8:24, 8:24] = True
     octree = octree_from_dense(dense)
     assert len(octree.bricks) == 0
-    for style, level in (("smooth", 0), ("blocks", "voxel"), ("nets", "voxel")):
+    for style, level in (
+        (CUBES, 0),
+        (FACES, "voxel"),
+        (NETS, "voxel"),
+    ):
         surface = extract(octree, style=style, level=level, device=device)
         assert_manifold(surface)
         assert check_surface(lattice_mesh(surface), weld=False).euler == 2
         share = volume(lattice_mesh(surface)) * surface.side**3 / dense.sum()
-        assert share == pytest.approx(1) if style == "blocks" else 0.8 < share < 1  # edges are cut
+        assert share == pytest.approx(1) if style == FACES else 0.8 < share < 1  # edges are cut
 
 
 def test_no_voxel_no_surface(device) -> None:
@@ -244,7 +252,7 @@ def test_no_voxel_no_surface(device) -> None:
 def test_voxels_that_touch_in_an_edge_or_a_corner_are_apart(device) -> None:
     dense = np.zeros((8, 8, 8), bool)
     dense[2, 2, 2] = dense[3, 3, 2] = dense[4, 4, 3] = True
-    surface = extract(octree_from_dense(dense), style="blocks", device=device)
+    surface = extract(octree_from_dense(dense), style=FACES, device=device)
     assert_manifold(surface)
     assert check_surface(lattice_mesh(surface), weld=False).shells == 3
     assert len(surface.points) == 24
@@ -256,7 +264,7 @@ def test_a_pinched_edge_joins_its_inside(device) -> None:
     dense = np.zeros((10, 10, 10), bool)
     dense[2:8, 2:8, 2:8] = True
     dense[4, 4, 4] = dense[5, 5, 4] = False
-    surface = extract(octree_from_dense(dense), style="blocks", device=device)
+    surface = extract(octree_from_dense(dense), style=FACES, device=device)
     assert_manifold(surface)
     found = check_surface(lattice_mesh(surface), weld=False)
     assert (found.shells, found.genus) == (3, 0)
@@ -265,7 +273,7 @@ def test_a_pinched_edge_joins_its_inside(device) -> None:
 # ---- shapes
 
 
-@pytest.mark.parametrize(("style", "level"), [("smooth", 0), ("nets", "voxel")])
+@pytest.mark.parametrize(("style", "level"), [(CUBES, 0), (NETS, "voxel")])
 def test_a_sphere_converges(device, style, level) -> None:
     """Volume and area of a ball, with the orders printed (pytest -s).
 
@@ -311,7 +319,7 @@ def test_a_torus_has_one_handle(device, style, level) -> None:
 
 def test_normals_point_outside(device) -> None:
     octree = octree_from_dense(ball((64, 64, 64), 0.4))
-    for style in ("smooth", "nets"):
+    for style in (CUBES, NETS):
         surface = extract(octree, style=style, device=device)
         away = surface.vertices - (np.array(octree.grid.origin) + 32 * np.array(octree.grid.pitch))
         away /= np.linalg.norm(away, axis=1)[:, None]
@@ -332,7 +340,7 @@ def test_vertices_lie_in_the_world_where_the_voxels_do(device) -> None:
     dense[3:8, 2:9, 4:6] = True
     octree = octree_from_dense(dense)
     octree = replace(octree, grid=Grid(octree.grid.shape, (10, -3, 0.5), (2, 0.5, 1.25)))
-    surface = extract(octree, style="blocks", device=device)
+    surface = extract(octree, style=FACES, device=device)
     low, high = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
     assert low.tolist() == [16, -2, 5.5]
     assert high.tolist() == [26, 1.5, 8]
@@ -345,7 +353,7 @@ def test_the_mesh_does_not_depend_on_the_root(device) -> None:
     shifted = np.zeros((24, 24, 24), bool)
     shifted[8:, 8:, 8:] = dense
     dense[0, 0, 0] = shifted[8, 8, 8] = True
-    for style in ("smooth", "blocks", "nets"):
+    for style in (CUBES, FACES, NETS):
         here = extract(octree_from_dense(dense), style=style, level="voxel", device=device)
         there = extract(octree_from_dense(shifted), style=style, level="voxel", device=device)
         assert plan_extract(octree_from_dense(dense), style=style, level="voxel").plan.rooted
@@ -377,10 +385,10 @@ def test_arguments_out_of_range_are_refused(device) -> None:
     for level in (-1, 3, 99, "brick", 1.0, None.__class__):
         with pytest.raises(VoxtoolError, match="'voxel' or a level from 0 to 2"):
             extract(octree, level=level, device=device)
-    with pytest.raises(VoxtoolError, match="choose one of smooth, blocks, nets"):
+    with pytest.raises(VoxtoolError, match="choose one of marching-cubes, voxel-faces, "):
         extract(octree, style="cubes", device=device)
-    with pytest.raises(VoxtoolError, match="only blocks"):
-        extract(octree, style="nets", merge=True, device=device)
+    with pytest.raises(VoxtoolError, match="surface-nets has no coplanar squares"):
+        extract(octree, style=NETS, merge=True, device=device)
 
 
 def test_numpy_numbers_are_numbers(device) -> None:
@@ -393,27 +401,27 @@ def test_numpy_numbers_are_numbers(device) -> None:
 def test_a_surface_has_no_inside(device) -> None:
     octree = octree_from_dense(ball((16, 16, 16)), mode="surface26", fill="none")
     for style, level in STYLES:
-        if (style, level) != ("blocks", "voxel"):
-            with pytest.raises(VoxtoolError, match="--mode solid, or extract --style blocks"):
+        if (style, level) != (FACES, "voxel"):
+            with pytest.raises(VoxtoolError, match="--mode solid, or extract --style voxel-faces"):
                 extract(octree, style=style, level=level, device=device)
-    blocks = extract(octree, style="blocks", device=device)
+    blocks = extract(octree, style=FACES, device=device)
     assert volume(lattice_mesh(blocks)) == pytest.approx(octree.count)
 
 
 def test_memory_is_planned(device) -> None:
     octree = octree_from_dense(ball((64, 64, 64)))
-    plan = plan_extract(octree, style="nets")
+    plan = plan_extract(octree, style=NETS)
     assert plan.cost.device > 1_000_000
     with pytest.raises(MemoryLimitError, match="choose level 0"):
-        extract(octree, style="nets", max_memory=plan.cost.device // 2, device=device)
-    extract(octree, style="nets", max_memory=plan.cost.device * 5 // 4, device=device)
+        extract(octree, style=NETS, max_memory=plan.cost.device // 2, device=device)
+    extract(octree, style=NETS, max_memory=plan.cost.device * 5 // 4, device=device)
 
 
 def test_a_surface_larger_than_predicted_is_refused_once_it_is_counted(device) -> None:
     octree = octree_from_dense(np.indices((32, 32, 32)).sum(axis=0) % 2 == 0)
-    plan = plan_extract(octree, style="blocks")
-    with pytest.raises(MemoryLimitError, match="a blocks surface of level voxel would need"):
-        extract(octree, style="blocks", max_memory=2 * plan.cost.device, device=device)
+    plan = plan_extract(octree, style=FACES)
+    with pytest.raises(MemoryLimitError, match="a voxel-faces surface of level voxel would need"):
+        extract(octree, style=FACES, max_memory=2 * plan.cost.device, device=device)
 
 
 def octree_of_one_voxel(dim: int, voxel: tuple[int, int, int], mode: str) -> voxtool.Octree:
@@ -464,7 +472,7 @@ def test_more_samples_than_codes_have_bits_for_name_a_level_that_works(device, d
 def test_without_an_inside_no_level_is_named(device) -> None:
     octree = octree_of_one_voxel(8192, (9, 9, 9), "surface26")
     with pytest.raises(MemoryLimitError, match=r"8192 samples along a side, .* no level fits"):
-        extract(octree, style="blocks", device=device)
+        extract(octree, style=FACES, device=device)
 
 
 def test_the_plan_says_what_is_left_out() -> None:
@@ -473,13 +481,13 @@ def test_the_plan_says_what_is_left_out() -> None:
     assert "loops and quads" in job.left_out
     assert "root above the octree" in job.left_out
     assert job.stages[-3:] == ("histopyramid", "triangles", "read back")
-    merged = plan_extract(octree, style="blocks", merge=True)
+    merged = plan_extract(octree, style=FACES, merge=True)
     assert "sorting" not in merged.left_out
     assert merged.stages[-3:] == ("merge", "triangles", "read back")
-    assert "relax" in plan_extract(octree, style="nets").stages
+    assert "relax" in plan_extract(octree, style=NETS).stages
 
 
-@pytest.mark.parametrize("request_", [{}, {"style": "nets"}, {"style": "blocks", "merge": True}])
+@pytest.mark.parametrize("request_", [{}, {"style": NETS}, {"style": FACES, "merge": True}])
 def test_stages_run_as_planned_as_often_as_asked(device, request_) -> None:
     job = plan_extract(octree_from_dense(ball((32, 32, 32))), device=device, **request_)
     began: list[str] = []
@@ -489,7 +497,7 @@ def test_stages_run_as_planned_as_often_as_asked(device, request_) -> None:
 
 
 def test_relaxation_can_be_left_out(device) -> None:
-    job = plan_extract(octree_from_dense(ball((32, 32, 32))), style="nets", device=device)
+    job = plan_extract(octree_from_dense(ball((32, 32, 32))), style=NETS, device=device)
     flat = job.with_(relaxations=0)
     assert "relax" not in flat.stages
     assert "relaxation" in flat.left_out
@@ -521,6 +529,12 @@ def test_a_surface_is_a_value(device) -> None:
     mesh = surface.to_trimesh()
     assert np.array_equal(mesh.vertices, surface.vertices)
     assert np.array_equal(mesh.faces, surface.faces)
+
+
+def test_styles_of_older_versions_are_aliases(device) -> None:
+    octree = octree_from_dense(ball((16, 16, 16)))
+    for old, style in choices.STYLE_ALIASES.items():
+        assert extract(octree, style=old, device=device).style == style
 
 
 def test_public_names() -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from voxtool.bench import tets
 from voxtool.bench.timing import Runs
-from voxtool.choices import METHODS, MODES
+from voxtool.choices import MARCHING_CUBES, METHODS, MODES, SURFACE_NETS
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Sweep:
     modes: tuple[str, ...] = MODES
     fills: tuple[str, ...] = ("auto",)
     fit: str = "uniform"
-    styles: tuple[str, ...] = ("smooth", "nets")
+    styles: tuple[str, ...] = (MARCHING_CUBES, SURFACE_NETS)
     isovalue: float = 0.5
     samples: int = 20_000
     tolerances: tuple[float, ...] = (1e-2, 3e-3, 1e-3)
@@ -59,7 +59,7 @@ class Sweep:
 
 
 QUICK = Sweep(
-    dims=(16, 32), styles=("smooth",), samples=1000, tolerances=(1e-1, 1e-2), levels=(3,),
+    dims=(16, 32), styles=(MARCHING_CUBES,), samples=1000, tolerances=(1e-1, 1e-2), levels=(3,),
     queries=1 << 10, sizes=(16, 32), pixels=8, transfers=("x10",), repeat=2, commands=False,
     integrators=("linear", "average"),
 )  # fmt: skip

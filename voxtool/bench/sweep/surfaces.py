@@ -17,6 +17,7 @@ from voxtool.bench import peers, timing, voxels
 from voxtool.bench import voxelize as bench_voxelize
 from voxtool.bench.points import MEASURES, Point
 from voxtool.bench.sweep.request import command
+from voxtool.choices import MARCHING_CUBES, VOXEL_FACES
 from voxtool.errors import count_of
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
@@ -64,7 +65,7 @@ def of_voxelize(
                 method, rules = f"solid, {octree.fill}", {"fills": octree.fill}
             if method in found:
                 continue  # auto chose what is asked for, too
-            boundary = extract(octree, style="blocks", device=timed).mesh()
+            boundary = extract(octree, style=VOXEL_FACES, device=timed).mesh()
             point = row(
                 method=method,
                 setting={**setting, **rules},
@@ -127,7 +128,7 @@ def of_extract(model: str, asked: Sweep, timed: Device, profiled: Device) -> Ite
                 )
                 point = replace(point, peak=peak)
             yield point
-            if asked.peers and style == "smooth":
+            if asked.peers and style == MARCHING_CUBES:
                 for peer, run in peers.of_octree(octree, asked.isovalue).items():
                     runs, made = others.times(peer, run)
                     if runs:

@@ -18,30 +18,34 @@ import operator
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from voxtool.choices import STYLES
+from voxtool.choices import (
+    MARCHING_CUBES,
+    STYLE_ALIASES,
+    STYLES,
+    SURFACE_NETS,
+    VOXEL_FACES,
+)
 from voxtool.errors import VoxtoolError
 from voxtool.job import Job
 from voxtool.opencl import Device, default_device
 from voxtool.svo.octree import BRICK_SIDE
 from voxtool.svo.surface.cut_cells import (
-    MAX_LEVEL,
-    Field,
     classify_cubes,
     count_lost,
     find_tiles,
-    grow,
 )
 from voxtool.svo.surface.dual import dual_surface, split_quads
-from voxtool.svo.surface.greedy_meshing import join_rectangles
+from voxtool.svo.surface.greedy_meshing import join_squares
 from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.svo.surface.marching_cubes import march_cubes
 from voxtool.svo.surface.plan import MAX_SAMPLES, ExtractionPlan
+from voxtool.svo.surface.sampling import MAX_LEVEL, Sampling, grow_tree
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from voxtool.svo.octree import Octree
-    from voxtool.svo.surface.cut_cells import Tree
+    from voxtool.svo.surface.sampling import Tree
 
 # Shares of the set voxels from which on their loss is a warning: in samples below the isovalue,
 # and, of them, away from the surface.
@@ -51,7 +55,7 @@ MUCH_BELOW, MUCH_VANISHED = 0.5, 0.01
 def extract(
     octree: Octree,
     *,
-    style: str = "smooth",
+    style: str = MARCHING_CUBES,
     level: int | str | None = None,
     isovalue: float = 0.5,
     merge: bool = False,
@@ -65,12 +69,12 @@ def extract(
     Parameters
     ----------
     octree : Octree
-    style : "smooth" (marching cubes), "blocks" (the samples' own faces, two triangles a square) or
-        "nets" (surface nets, kept in their cubes).
+    style : "marching-cubes", "voxel-faces" (the samples' own faces, two triangles a square) or
+        "surface-nets" (every vertex kept in its cube).
     level : level of the nodes that are samples, from 0 (bricks), or "voxel"; by default 0 for
-        smooth, and "voxel" for blocks and nets.
+        marching cubes, and "voxel" for the other styles.
     isovalue : in (0, 1): a sample is inside if at least this share of its voxels is set.
-    merge : join coplanar squares of "blocks" to rectangles (greedy meshing); leaves T-junctions.
+    merge : join coplanar squares of voxel faces to rectangles (greedy meshing); leaves T-junctions.
     device : where to compute; the default device if None.
     max_memory : bytes that the device may use; by default what device and machine have.
 
@@ -104,7 +108,7 @@ def extract(
 def plan_extract(
     octree: Octree,
     *,
-    style: str = "smooth",
+    style: str = MARCHING_CUBES,
     level: int | str | None = None,
     isovalue: float = 0.5,
     merge: bool = False,
@@ -117,6 +121,7 @@ def plan_extract(
     ------
     VoxtoolError, DeviceError : as `extract`.
     """
+    style = STYLE_ALIASES.get(style, style)
     level, share = _checked(octree, style, level, isovalue, merge)
     tree, plan = _plan(octree, style, level, share, merge)
     return ExtractJob(octree, tree, plan, device or default_device(), max_memory)
@@ -129,7 +134,7 @@ def _checked(
     if style not in STYLES:
         raise VoxtoolError(f"style {style!r} is unknown: choose one of {', '.join(STYLES)}")
     if level is None:
-        level = 0 if style == "smooth" else "voxel"
+        level = 0 if style == MARCHING_CUBES else "voxel"
     if not isinstance(level, str):
         with contextlib.suppress(TypeError):  # a numpy integer, too
             level = int(operator.index(level))
@@ -145,12 +150,12 @@ def _checked(
         share = math.nan
     if not 0 < share < 1:  # NaN neither
         raise VoxtoolError(f"isovalue {isovalue!r}: choose a share of set voxels between 0 and 1")
-    if merge and style != "blocks":
-        raise VoxtoolError(f"only blocks have coplanar squares to merge: drop merge, or {style}")
-    if "solid" not in octree.mode and (style, level) != ("blocks", "voxel"):
+    if merge and style != VOXEL_FACES:
+        raise VoxtoolError(f"{style} has no coplanar squares to merge: choose {VOXEL_FACES}")
+    if "solid" not in octree.mode and (style, level) != (VOXEL_FACES, "voxel"):
         raise VoxtoolError(
             f"an octree of mode {octree.mode} has no inside to extract a {style} surface from: "
-            "voxelize with --mode solid, or extract --style blocks --level voxel"
+            f"voxelize with --mode solid, or extract --style {VOXEL_FACES} --level voxel"
         )
     return level, share
 
@@ -160,7 +165,7 @@ def _plan(
 ) -> tuple[Tree, ExtractionPlan]:
     """The links of the octree, and the plan of an extraction from them."""
     solid = "solid" in octree.mode
-    tree = grow(octree, Field.of(level, isovalue))
+    tree = grow_tree(octree, Sampling.of(level, isovalue))
 
     def coarser() -> Iterator[ExtractionPlan]:
         first = 0 if isinstance(level, str) else level + 1
@@ -208,22 +213,22 @@ class ExtractJob(Job[Isosurface]):
 
     def _run(self) -> Isosurface:
         device, plan = self.device, self.plan
-        field = Field.of(plan.level, plan.isovalue)
+        sampling = Sampling.of(plan.level, plan.isovalue)
         allowed = device.max_memory if self.max_memory is None else self.max_memory
 
         def counted(**numbers: int) -> None:
             replace(plan, **numbers).refuse_beyond(allowed, device.info.max_allocation)
 
-        tiles = find_tiles(device, self.octree, self._tree, field, counted)
+        tiles = find_tiles(device, self.octree, self._tree, sampling, counted)
         cubes = classify_cubes(device, tiles, counted)
         lost = count_lost(device, tiles, cubes)
-        if plan.style == "smooth":
+        if plan.style == MARCHING_CUBES:
             points, triangles = march_cubes(device, tiles, cubes)
         else:
             points, quads, n = dual_surface(device, tiles, cubes, plan.style, plan.relaxations)
             if plan.merge:
                 with device.stage("merge"):
-                    points, quads, n = join_rectangles(device, points, quads, n)
+                    points, quads, n = join_squares(device, points, quads, n)
             with device.stage("triangles"):
                 triangles = split_quads(device, tiles, points, quads, n)
         with device.stage("read back"):
@@ -232,7 +237,7 @@ class ExtractJob(Job[Isosurface]):
                 units=self.octree.units,
                 style=plan.style,
                 level=plan.level,
-                side=field.side,
+                side=sampling.side,
                 isovalue=plan.isovalue,
                 points=points.take().reshape(-1, 3),
                 faces=triangles.take().view("int32").reshape(-1, 3),
@@ -271,8 +276,8 @@ class ExtractJob(Job[Isosurface]):
         """What keeps voxels that samples lose: samples of their own size, or smaller voxels."""
         finer = BRICK_SIDE * self.octree.grid.dim
         hints = []
-        if _plan(self.octree, "nets", "voxel", 0.5)[1].samples <= MAX_SAMPLES:
-            hints.append("--level voxel --style nets keeps them all")
+        if _plan(self.octree, SURFACE_NETS, "voxel", 0.5)[1].samples <= MAX_SAMPLES:
+            hints.append(f"--level voxel --style {SURFACE_NETS} keeps them all")
         if finer <= BRICK_SIDE * MAX_SAMPLES:
             hints.append(f"voxelizing with --dim {finer} may keep them")
         return ", ".join(hints) or "a lower isovalue may keep them"

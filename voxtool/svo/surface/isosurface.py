@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.arrays import equal, read_only
+from voxtool.choices import STYLE_ALIASES
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import program
@@ -137,7 +138,7 @@ class Isosurface:
             "shape": list(self.grid.shape),
             "origin": [v.hex() for v in self.grid.origin],
             "pitch": [v.hex() for v in self.grid.pitch],
-            "style": self.style,
+            "style": next(old for old, style in STYLE_ALIASES.items() if style == self.style),
             "level": self.level,
             "isovalue": self.isovalue.hex(),
             "merged": self.merged,

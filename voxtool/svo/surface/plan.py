@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from voxtool.choices import MARCHING_CUBES, SURFACE_NETS, VOXEL_FACES
 from voxtool.errors import MemoryLimitError, human
 from voxtool.job import Cost
 from voxtool.svo.octree import BRICK_BYTES
@@ -14,8 +15,8 @@ if TYPE_CHECKING:
 
 MAX_SAMPLES = 4096  # of a surface along a side: tiles of four have Morton codes of 30 bits
 CUBE_BYTES = 24  # device arrays of a surface: a cube that is cut,
-EDGE_BYTES = {"smooth": 40, "blocks": 52, "nets": 84}  # a cut edge,
-MERGE_BYTES = 64  # and one of blocks that are merged
+EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 52, SURFACE_NETS: 84}  # a cut edge,
+MERGE_BYTES = 64  # and one of voxel faces that are merged
 RELAXATIONS = 16  # of surface nets of voxels, as in VTK
 
 
@@ -64,7 +65,7 @@ class ExtractionPlan:
         active = _active_tiles(nodes, level)
         cubes = active * (16 if level != "voxel" else 8 if solid else 20)
         tiles = 2 * active
-        relaxations = RELAXATIONS if style == "nets" and level == "voxel" else 0
+        relaxations = RELAXATIONS if style == SURFACE_NETS and level == "voxel" else 0
         return cls(
             style, level, isovalue, merge, solid, relaxations, nodes, rooted, tiles, cubes, cubes,
             coarser,
@@ -86,7 +87,7 @@ class ExtractionPlan:
             "vertices",
             *(["relax"] if self.relaxations else []),
             "histopyramid",
-            *([] if self.style == "smooth" else ["quads"]),
+            *([] if self.style == MARCHING_CUBES else ["quads"]),
             *(["merge"] if self.merge else []),
             "triangles",
             "read back",
@@ -160,13 +161,13 @@ class ExtractionPlan:
             out["coverages of 32 bits"] = "a brick's 64 voxels fit 8 bits"
         if not self.rooted:
             out["root above the octree"] = "no voxel touches the low sides of its cube"
-        if self.style == "smooth":
-            out["loops and quads"] = "the style is smooth: cubes are marched"
-        elif self.style == "blocks":
-            out["crossings and relaxation"] = "blocks lie on the corners of samples"
+        if self.style == MARCHING_CUBES:
+            out["loops and quads"] = "marching cubes need none"
+        elif self.style == VOXEL_FACES:
+            out["crossings and relaxation"] = "voxel faces lie on the corners of samples"
         elif not self.relaxations:
             out["relaxation"] = "coverages are smooth as they are"
-        if self.style != "blocks" or not self.merge:
+        if self.style != VOXEL_FACES or not self.merge:
             out["sorting"] = "Morton-ordered bits are sorted; only --merge sorts"
         return out
 
