@@ -1,11 +1,11 @@
-"""How fast volumes and areas of voxels converge: the tables of docs/accuracy.md.
+"""Measure how volumes and areas of voxels converge: the tables of docs/accuracy.md.
 
     python examples/convergence.py [--dims 32,64,128] [--placements 64]
 
 Closed meshes of known volume V and area integrals are voxelized at several dims, each at several
-random placements against the grid. Printed are the root mean square and the largest relative error
-of the volume of `solid`, and the voxels of `surface26` and `surface6`, times the area of a voxel's
-face, over what they tend to: the integrals of |nx| + |ny| + |nz| and of max(|nx|, |ny|, |nz|).
+random placements in the grid. The script prints the root mean square and the largest relative
+error of the volume of `solid`, and the number of voxels of `surface26` and `surface6` times the area
+of a voxel's face, divided by their limits: the integrals of |nx| + |ny| + |nz| and max(|nx|, |ny|, |nz|).
 """
 
 import argparse
@@ -55,7 +55,7 @@ def cube():
 
 
 def integrals(vertices, faces):
-    """Of a closed mesh: volume, and the integrals of |nx| + |ny| + |nz| and max |n|."""
+    """Return a closed mesh's volume, and the integrals of |nx| + |ny| + |nz| and max |n|."""
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     n = np.abs(np.cross(b - a, c - a)) / 2
     return abs((np.cross(a, b) * c).sum()) / 6, n.sum(), n.max(axis=1).sum()

@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 LOW, HIGH = np.array([-0.95, -0.06, -0.75]), np.array([1.05, 2.45, 0.75])
-BLOCK = 4  # lattice cells along a side of the blocks that are looked at first
+BLOCK = 4  # lattice cells along a side of the blocks that are visited first
 
-# centre, radii, softness of the union; parts off the plane z = 0 have a twin
+# centre, radii, softness of the union; parts off the plane z = 0 are mirrored
 PARTS = [
     ((-0.17, 0.52, 0.00), (0.56, 0.50, 0.45), 0.00),  # rump
     ((0.18, 0.66, 0.00), (0.35, 0.50, 0.33), 0.20),  # chest
@@ -98,7 +98,7 @@ def rabbit(points):
 
 
 def sample(cells):
-    """The field on a lattice of so many cells along y, exact where the surface is near.
+    """Return the field on a lattice of `cells` along y, exact where the surface is near.
 
     Elsewhere the value at the middle of a block stands for all its points: the sign is right.
     """
@@ -113,7 +113,7 @@ def sample(cells):
     return coarse, step
 
 
-def mend(field):
+def repair(field):
     """Fill every cell where two sheets of the surface meet, or nearly so: then the net is manifold.
 
     One sheet alone crosses a cell if its corners inside hang together along its edges, and so do
@@ -142,7 +142,7 @@ def mend(field):
 
 
 def hang_together(corners):
-    """Whether corners of a cube, as numbers of three bits, are one piece along its edges."""
+    """Return whether corners of a cube, as 3-bit numbers, are connected along its edges."""
     reached = set(sorted(corners)[:1])
     for _ in corners:
         reached |= {c for c in corners if {c ^ 1, c ^ 2, c ^ 4} & reached}
@@ -198,12 +198,12 @@ def split(vertices, quads):
 
 
 def make_bunny(triangles=70_000):
-    """Vertices (V, 3), rounded to six decimals, and triangles (T, 3), close to so many."""
+    """Return vertices (V, 3), rounded to six decimals, and about `triangles` triangles (T, 3)."""
     cells = 72
     _, quads = surface_nets(*sample(cells))
     cells = round(cells * float(np.sqrt(triangles / (2 * len(quads)))))
     field, step = sample(cells)
-    vertices, quads = surface_nets(mend(field), step)
+    vertices, quads = surface_nets(repair(field), step)
     vertices = np.round(relax(vertices, quads, step), 6)
     return vertices, split(vertices, quads)
 

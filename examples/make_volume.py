@@ -42,7 +42,7 @@ def double(turn):
 
 
 def density(across, deep, turn):
-    """Of two strands, thinner and brighter towards the crown."""
+    """Return the density of two strands, thinner and brighter towards the crown."""
     c, s = double(double(turn))
     thick = THICK * (1.25 - 0.25 * turn[0])
     total = 0.0
@@ -87,7 +87,7 @@ def make_volume(cells=50_000):
 def main():
     parser = argparse.ArgumentParser(description="Make an example volume: an arch of plasma.")
     parser.add_argument("-o", "--output", type=Path, default=Path("volume.vtu"))
-    parser.add_argument("--cells", type=int, default=50_000, help="at most so many (50000)")
+    parser.add_argument("--cells", type=int, default=50_000, help="at most this many (50000)")
     arguments = parser.parse_args()
     if not 1_000 <= arguments.cells <= 2_000_000:
         parser.error(f"--cells {arguments.cells}: choose from 1000 to 2000000")

@@ -1,10 +1,10 @@
-"""Notice when meshes, or what is made of them, change: digests against a golden file.
+"""Compare meshes and their octrees with the digests in a golden file.
 
-    python examples/regression.py golden.json              exit 1 and a difference if one changed
-    python examples/regression.py golden.json --update     write what is there now
+    python examples/regression.py golden.json              exit 1 and a diff if one changed
+    python examples/regression.py golden.json --update     write the current results
 
-The golden file lists cases; paths count from its folder, and everything but `mesh` is what
-voxtool.Grid.fit and voxtool.voxelize take. `result` is filled in by --update:
+The golden file lists cases. Paths are relative to its folder; the other keys are arguments of
+voxtool.Grid.fit and voxtool.voxelize. --update fills in `result`:
 
     [{"mesh": "bunny.obj", "dim": 64, "mode": "solid"},
      {"mesh": "bunny.obj", "pitch": 0.05, "mode": "surface26"}]
@@ -25,9 +25,9 @@ VOXELIZE = ("mode", "fill", "gap", "with_surface")
 
 
 def run(case, folder, device):
-    """What a case gives now, in few numbers and a digest."""
+    """Return the current result of a case: a few numbers and a digest."""
     if not isinstance(case, dict) or "mesh" not in case:
-        raise voxtool.VoxtoolError(f"{json.dumps(case)} is no case: it names no mesh")
+        raise voxtool.VoxtoolError(f"{json.dumps(case)} is not a case: it names no mesh")
     unknown = sorted(set(case) - {"mesh", "result", *GRID, *VOXELIZE})
     if unknown:
         raise voxtool.VoxtoolError(f"case of {case['mesh']}: {', '.join(unknown)} is unknown")
@@ -64,7 +64,7 @@ def difference(golden, found):
 def main():
     parser = argparse.ArgumentParser(description="Compare digests of octrees with a golden file.")
     parser.add_argument("golden", type=Path)
-    parser.add_argument("--update", action="store_true", help="write what is there now")
+    parser.add_argument("--update", action="store_true", help="write the current results")
     parser.add_argument("--device", help="as in voxtool voxelize --device")
     arguments = parser.parse_args()
     try:
