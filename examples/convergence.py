@@ -4,8 +4,9 @@
 
 Closed meshes of known volume V and area integrals are voxelized at several dims, each at several
 random placements in the grid. The script prints the root mean square and the largest relative
-error of the volume of `solid`, and the number of voxels of `surface26` and `surface6` times the area
-of a voxel's face, divided by their limits: the integrals of |nx| + |ny| + |nz| and max(|nx|, |ny|, |nz|).
+error of the volume of `solid`, and the number of voxels of `surface26` and `surface6` times the
+area of a voxel's face, divided by their limits: the integrals of |nx| + |ny| + |nz| and of
+max(|nx|, |ny|, |nz|).
 """
 
 import argparse
