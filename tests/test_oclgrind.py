@@ -260,7 +260,7 @@ def measure_distances(device) -> None:
     faces = np.concatenate([faces, [(0, 0, 5), (7, 7, 7)]])
     mesh = Mesh(vertices, faces.astype(np.int32))
     measure = TriangleDistance(mesh, device)
-    signed = [SignedDistance(mesh, device, sign) for sign in ("pseudonormal", "winding")]
+    signed = [SignedDistance(mesh, sign, device) for sign in ("pseudonormal", "winding")]
     for scale in (1, 100):
         points = scale * np.random.default_rng(1).uniform(-3, 3, (70, 3))
         distances = measure(points)

@@ -48,6 +48,8 @@ if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh, mesh_from_arrays
     from voxtool.opencl import list_devices, open_device
     from voxtool.report import Report, diagnose
+    from voxtool.spatial.deviation import deviation
+    from voxtool.spatial.signed_distance import DistanceResult, SignedDistance, distance
     from voxtool.svo.octree import Octree
     from voxtool.svo.raycast import OctreeRenderer, render_svo
     from voxtool.svo.surface.extract import extract, plan_extract
@@ -91,6 +93,8 @@ _HOMES = {
     "voxtool.mesh.mesh": ("Mesh", "mesh_from_arrays"),
     "voxtool.opencl": ("list_devices", "open_device"),
     "voxtool.report": ("Report", "diagnose"),
+    "voxtool.spatial.deviation": ("deviation",),
+    "voxtool.spatial.signed_distance": ("DistanceResult", "SignedDistance", "distance"),
     "voxtool.svo.surface.extract": ("extract", "plan_extract"),
     "voxtool.svo.surface.isosurface": ("Isosurface",),
     "voxtool.svo.octree": ("Octree",),
@@ -108,6 +112,7 @@ __all__ = [
     "Camera",
     "DeviceError",
     "DistanceField",
+    "DistanceResult",
     "FieldQuery",
     "FieldRenderer",
     "FileError",
@@ -121,6 +126,7 @@ __all__ = [
     "OctreeRenderer",
     "Rays",
     "Report",
+    "SignedDistance",
     "TetVolume",
     "TransferFunction",
     "UnstructuredMesh",
@@ -129,7 +135,9 @@ __all__ = [
     "__version__",
     "build_adf",
     "build_tet",
+    "deviation",
     "diagnose",
+    "distance",
     "export",
     "extract",
     "list_devices",

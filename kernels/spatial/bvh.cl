@@ -1,4 +1,4 @@
-// The tree of boxes over a mesh's triangles. Host side: voxtool/proximity/bvh.py.
+// A tree of bounding boxes over the triangles of a mesh. Host side: voxtool/spatial/bvh.py.
 
 #include "spatial/bvh.h"
 #include "spatial/hilbert.h"
@@ -32,7 +32,7 @@ void enclose(__global const double *vertices, __global const int *faces, uint fa
     }
 }
 
-// codes[f] = the place along the curve of the middle of face f's box; order[f] = f.
+// codes[f] = the Hilbert index of the centre of face f's box; order[f] = f.
 __kernel void face_codes(__global const double *vertices, __global const int *faces, const uint n,
                          __global ulong *codes, __global uint *order)
 {
@@ -57,17 +57,19 @@ uint longest_edge(double3 a, double3 b, double3 c)
 
 #define TINY 0x1p-900
 
-// Leaf i holds faces LEAF i, LEAF i + 1, ... along the curve; the last face fills up the last leaf. A
-// triangle is its corner a, its longest edge e from there, the height g that stands on e, and where
-// on e its foot is: c = a + foot e + g; as in triangle.h. A squared length whose inverse may overflow is
-// kept as 1: the way to its nearer end is as long.
+// Leaf i holds faces LEAF i, LEAF i + 1, ... of the order; the last face fills up the last leaf.
+//
+// A triangle is stored as its corner a, its longest edge e from there, the height g that stands on
+// e, and the foot of the height along e, so that c = a + foot e + g (see point_triangle.h). A squared
+// length whose inverse may overflow is stored as 1. face_of[slot] = the face.
 __kernel void frame_triangles(__global const double *vertices, __global const int *faces,
-                              const uint n, __global const uint *order, __global double *leaves)
+                              const uint count, __global const uint *order,
+                              __global double *leaves, __global uint *face_of)
 {
     const uint gid = get_global_id(0);
-    if (gid >= (n + LEAF - 1) / LEAF * LEAF)
+    if (gid >= (count + LEAF - 1) / LEAF * LEAF)
         return;
-    const uint face = order[min(gid, n - 1)];
+    const uint face = order[min(gid, count - 1)];
     double3 a = corner(vertices, faces, face, 0);
     double3 b = corner(vertices, faces, face, 1);
     double3 c = corner(vertices, faces, face, 2);
@@ -83,7 +85,7 @@ __kernel void frame_triangles(__global const double *vertices, __global const in
     const double ee = square(e);
     double foot = 0;
     double3 g = f;
-    for (uint i = 0; i < 2 && ee > 0; ++i) { // the second time, g loses what rounding left of e
+    for (uint i = 0; i < 2 && ee > 0; ++i) { // the second pass removes what rounding left of e in g
         const double more = product(g, e) / ee;
         foot += more;
         g -= more * e;
@@ -91,51 +93,50 @@ __kernel void frame_triangles(__global const double *vertices, __global const in
     foot = foot < 0 ? 0 : foot > 1 ? 1 : foot;
     const double gg = square(g), rest = 1 - foot;
     const double edge = ee > TINY ? ee : 1, height = gg > TINY ? gg : 1;
-    const double fields[FIELDS] = {a.x,      a.y,        a.z,
-                                   e.x,      e.y,        e.z,
-                                   g.x,      g.y,        g.z,
-                                   foot,     edge,       1 / edge,
-                                   1 / height, 1 / (foot * foot * edge + height), 1 / (rest * rest * edge + height)};
+    const double per_ac = 1 / (foot * foot * edge + height);
+    const double per_bc = 1 / (rest * rest * edge + height);
+    const double fields[FIELDS] = {a.x, a.y, a.z,  e.x,  e.y,      e.z,        g.x,   g.y,
+                                   g.z, foot, edge, 1 / edge, 1 / height, per_ac, per_bc};
     __global double *leaf = leaves + (size_t)(gid / LEAF) * (FIELDS * LEAF) + gid % LEAF;
     for (uint i = 0; i < FIELDS; ++i)
         leaf[i * LEAF] = fields[i];
+    face_of[gid] = face;
 }
 
-// The name of a triangle of a leaf: three times its face in the mesh, and which corner of it is a;
-// NAMELESS where it is flat.
+// names[slot] = three times the face plus the corner that is a; NAMELESS for faces without area.
 __kernel void name_triangles(__global const double *vertices, __global const int *faces,
-                             const uint n, __global const uint *order, __global const uchar *flat,
-                             __global uint *names)
+                             const uint n, __global const uint *face_of,
+                             __global const uchar *flat, __global uint *names)
 {
     const uint gid = get_global_id(0);
-    if (gid >= (n + LEAF - 1) / LEAF * LEAF)
+    if (gid >= n)
         return;
-    const uint face = order[min(gid, n - 1)];
+    const uint face = face_of[gid];
     const uint turn = longest_edge(corner(vertices, faces, face, 0), corner(vertices, faces, face, 1),
                                    corner(vertices, faces, face, 2));
     names[gid] = flat[face] ? NAMELESS : 3 * face + turn;
 }
 
-// A node's part for child i: low x, y, z and high x, y, z, ARITY apart.
+// The box of a node's child i: low x, y, z and high x, y, z, ARITY apart.
 __global float *child_box(__global float *nodes, uint node, uint i)
 {
     return nodes + (size_t)node * (6 * ARITY) + i;
 }
 
-// A box that is infinitely far from everything, where a node has no child.
+// The box of a child that does not exist: infinitely far from everything.
 void set_empty(__global float *box)
 {
     for (uint side = 0; side < 6; ++side)
         box[side * ARITY] = side < 3 ? INFINITY : -INFINITY;
 }
 
-// The boxes of the leaves, in the nodes from `first` on. The margin is more than rounding to single
-// precision can take away, here and from a point that is near.
-__kernel void bound_leaves(__global const double *vertices, __global const int *faces, const uint n,
+// The boxes of the leaves, in the nodes from `first` on. The margin exceeds the rounding to single
+// precision, of the boxes and of points near the mesh.
+__kernel void bound_leaves(__global const double *vertices, __global const int *faces, const uint count,
                            __global const uint *order, const uint first, __global float *nodes)
 {
     const uint gid = get_global_id(0);
-    const uint leaves = (n + LEAF - 1) / LEAF;
+    const uint leaves = (count + LEAF - 1) / LEAF;
     if (gid >= (leaves + ARITY - 1) / ARITY * ARITY)
         return;
     __global float *box = child_box(nodes, first + gid / ARITY, gid % ARITY);
@@ -145,7 +146,7 @@ __kernel void bound_leaves(__global const double *vertices, __global const int *
     }
     const float margin = 1.0f / (1u << MARGIN_BITS);
     double3 low = INFINITY, high = -INFINITY;
-    for (uint i = gid * LEAF; i < min((gid + 1) * LEAF, n); ++i)
+    for (uint i = gid * LEAF; i < min((gid + 1) * LEAF, count); ++i)
         enclose(vertices, faces, order[i], &low, &high);
     box[0 * ARITY] = (float)low.x - margin;
     box[1 * ARITY] = (float)low.y - margin;
@@ -155,14 +156,14 @@ __kernel void bound_leaves(__global const double *vertices, __global const int *
     box[5 * ARITY] = (float)high.z + margin;
 }
 
-// The boxes of the n nodes from `child` on, in the nodes from `first` on, a level above.
-__kernel void bound_nodes(const uint child, const uint n, const uint first, __global float *nodes)
+// The boxes of the `count` nodes from `child` on, in the nodes from `first` on, a level above.
+__kernel void bound_nodes(const uint child, const uint count, const uint first, __global float *nodes)
 {
     const uint gid = get_global_id(0);
-    if (gid >= (n + ARITY - 1) / ARITY * ARITY)
+    if (gid >= (count + ARITY - 1) / ARITY * ARITY)
         return;
     __global float *box = child_box(nodes, first + gid / ARITY, gid % ARITY);
-    if (gid >= n) {
+    if (gid >= count) {
         set_empty(box);
         return;
     }

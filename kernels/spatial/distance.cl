@@ -1,5 +1,7 @@
-// The distance from points to a mesh. Host side: voxtool/proximity/distance.py. Options: BOX, the
-// precision in which the distance to a box is bounded: float near the mesh, double far away; SIGNED.
+// The nearest triangle of a mesh to each point. Host side: voxtool/spatial/distance.py.
+//
+// Options: BOX, the precision in which distances to boxes are bounded: float near the mesh, double
+// far away; RANKED: the nearest triangle is found, too, not only its distance.
 
 #include "spatial/bvh.h"
 #include "spatial/hilbert.h"
@@ -15,10 +17,11 @@
 #define JOIN(a, b) JOIN_(a, b)
 #define BOXES JOIN(BOX, 8) // one lane a child: ARITY
 #define to_boxes JOIN(convert_, BOXES)
-#define SLACK ((BOX)1 + (sizeof(BOX) == 4 ? (BOX)0x1p-18 : (BOX)0x1p-40)) // beyond its rounding
+#define SLACK ((BOX)1 + (sizeof(BOX) == 4 ? (BOX)0x1p-18 : (BOX)0x1p-40)) // exceeds its rounding
 #define STACK ((ARITY - 1) * MAX_LEVELS + 1)
+#define TINY 0x1p-900 // squares up to this count as 0
 
-// codes[i] = the place of point i along the curve; order[i] = i.
+// codes[i] = the Hilbert index of point i; order[i] = i.
 __kernel void point_codes(__global const double *points, const uint n, __global uint *codes,
                           __global uint *order)
 {
@@ -48,40 +51,21 @@ double lesser(double4 x)
     return least.x < least.y ? least.x : least.y;
 }
 
-// Of the triangles of a leaf, the nearest one that has a name: if it is nearer than `least`, or as
-// near as that and of a lower name, these become its own, and true is returned.
-bool nearest_named(double4 dd, uint4 names, double *least, uint *name)
+// Update the nearest triangle, its squared distance `least` and its rank, by the triangles of a leaf
+// that have a rank; of equally near ones the lowest rank counts. Returns whether it changed.
+bool nearest_ranked(double4 dd, uint4 ranks, double *least, uint *rank)
 {
-    const double4 named = convert_long4(names) == NAMELESS ? INFINITY : dd;
-    const double near = lesser(named);
+    const double4 ranked = convert_long4(ranks) == NAMELESS ? INFINITY : dd;
+    const double near = lesser(ranked);
     if (near > *least)
         return false;
-    const uint4 nearest = convert_uint4(named == near) ? names : (uint4)NAMELESS;
+    const uint4 nearest = convert_uint4(ranked == near) ? ranks : (uint4)NAMELESS;
     const uint2 lower = min(nearest.lo, nearest.hi);
     const uint lowest = min(lower.x, lower.y);
-    const bool better = near < *least || lowest < *name;
+    const bool better = near < *least || lowest < *rank;
     *least = near;
-    *name = better ? lowest : *name;
+    *rank = better ? lowest : *rank;
     return better;
-}
-
-// Whether the way from the nearest point of a leaf's triangle leads inside.
-bool leads_inside(__global const double *leaf, __global const uint *names, uint name, double3 p,
-                  __global const uint *features, __global const double *normals)
-{
-    const triangle t = leaf_triangles(leaf);
-    ways way;
-    long4 feature;
-    triangle_ways(&t, p.x, p.y, p.z, &way, &feature);
-    const double x[LEAF] = {way.x.x, way.x.y, way.x.z, way.x.w};
-    const double y[LEAF] = {way.y.x, way.y.y, way.y.z, way.y.w};
-    const double z[LEAF] = {way.z.x, way.z.y, way.z.z, way.z.w};
-    const long of[LEAF] = {feature.x, feature.y, feature.z, feature.w};
-    uint i = 0;
-    while (i < LEAF - 1 && names[i] != name)
-        ++i;
-    const double3 normal = normal_of(name, (uint)of[i], features, normals);
-    return x[i] * normal.x + y[i] * normal.y + z[i] * normal.z < 0;
 }
 
 // How far x lies outside of each [low, high].
@@ -92,16 +76,17 @@ BOXES gap(float8 low, float8 high, BOX x)
     return outside > (BOX)0 ? outside : (BOX)0;
 }
 
-// distances[i] = the distance of point i to the nearest triangle. Nearest boxes first; a box is left
-// out only where none of its triangles can change the result, which therefore depends neither on
-// the tree nor on the order of the visit. If SIGNED, they are negative inside: where the way from the
-// nearest face that has a name, the first in the mesh of equally near ones, leads inside.
+// distances[i] = the distance of point i to the nearest triangle. If RANKED, slots[i] = the place, in
+// the order of the leaves, of the nearest triangle that has a rank, and of equally near ones that of
+// the lowest rank; NAMELESS where no triangle has one.
+//
+// Nearest boxes come first. A box is passed over only where none of its triangles can change the
+// result, which therefore depends neither on the tree nor on the order of the visit.
 __kernel void nearest_triangles(__global const double *points, __global const uint *order,
                                 const uint n, __global const float *nodes,
                                 __global const double *leaves, const uint first_leaf,
-#ifdef SIGNED
-                                __global const uint *names, __global const uint *features,
-                                __global const double *normals,
+#ifdef RANKED
+                                __global const uint *ranks, __global uint *slots,
 #endif
                                 __global double *distances)
 {
@@ -117,10 +102,9 @@ __kernel void nearest_triangles(__global const double *points, __global const ui
     bounds[0] = 0;
     ids[0] = 0;
     double least = INFINITY;
-#ifdef SIGNED
-    double least_named = INFINITY;
-    uint name = NAMELESS;
-    size_t own_leaf = 0;
+#ifdef RANKED
+    double least_ranked = INFINITY;
+    uint rank = NAMELESS, own_leaf = 0;
 #endif
     BOX reach = INFINITY;
     while (top > 0) {
@@ -128,19 +112,19 @@ __kernel void nearest_triangles(__global const double *points, __global const ui
         if (bounds[top] >= reach)
             continue;
         if (id >= first_leaf) {
-            const size_t leaf = id - first_leaf;
-            const triangle t = leaf_triangles(leaves + leaf * (FIELDS * LEAF));
+            const uint leaf = id - first_leaf;
+            const triangle t = leaf_triangles(leaves + (size_t)leaf * (FIELDS * LEAF));
             ways way;
             long4 feature;
             const double4 dd = triangle_ways(&t, p.x, p.y, p.z, &way, &feature);
             const double near = lesser(dd);
             const bool nearer = near < least;
             least = nearer ? near : least;
-#ifdef SIGNED
-            const bool found = nearest_named(dd, vload4(leaf, names), &least_named, &name);
+#ifdef RANKED
+            const bool found = nearest_ranked(dd, vload4(leaf, ranks), &least_ranked, &rank);
             own_leaf = found ? leaf : own_leaf;
             if (found)
-                reach = (BOX)least_named * SLACK + (BOX)0x1p-100;
+                reach = (BOX)least_ranked * SLACK + (BOX)0x1p-100;
 #else
             if (nearer)
                 reach = (BOX)least * SLACK + (BOX)0x1p-100; // positive, however small it is
@@ -166,12 +150,71 @@ __kernel void nearest_triangles(__global const double *points, __global const ui
             ids[at] = ARITY * id + 1 + i;
         }
     }
-    double distance = sqrt(least);
-#ifdef SIGNED
-    if (name != NAMELESS && distance > 0 &&
-        leads_inside(leaves + own_leaf * (FIELDS * LEAF), names + own_leaf * LEAF, name, p, features,
-                     normals))
-        distance = -distance;
+    distances[own] = sqrt(least);
+#ifdef RANKED
+    uint slot = own_leaf * LEAF;
+    while (rank != NAMELESS && ranks[slot] != rank)
+        ++slot;
+    slots[own] = rank == NAMELESS ? NAMELESS : slot;
 #endif
-    distances[own] = distance;
+}
+
+// The triangle of a slot, seen from p: the way from its nearest point to p, and on what feature of
+// the triangle that point is.
+double3 way_from(__global const double *leaves, uint slot, double3 p, triangle *t, uint *feature)
+{
+    ways way;
+    long4 features;
+    *t = one_triangle(leaves + (size_t)(slot / LEAF) * (FIELDS * LEAF), slot % LEAF);
+    triangle_ways(t, p.x, p.y, p.z, &way, &features);
+    *feature = (uint)features.x;
+    return (double3)(way.x.x, way.y.x, way.z.x);
+}
+
+// Negate the distances of points inside: those where the way from the nearest triangle runs against
+// the pseudo-normal of the feature that it leaves from.
+__kernel void sign_distances(__global const double *points, const uint n,
+                             __global const double *leaves, __global const uint *slots,
+                             __global const uint *names, __global const uint *features,
+                             __global const double *normals, __global double *distances)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n || slots[gid] == NAMELESS || !(distances[gid] > 0))
+        return;
+    triangle t;
+    uint feature;
+    const double3 way = way_from(leaves, slots[gid], vload3(gid, points), &t, &feature);
+    const double3 normal = normal_of(names[slots[gid]], feature, features, normals);
+    if (way.x * normal.x + way.y * normal.y + way.z * normal.z < 0)
+        distances[gid] = -distances[gid];
+}
+
+// The nearest face of each point, its point that is nearest, and the direction from there to the
+// point, of length 1: on the surface the face's normal, 0 where it has no area.
+__kernel void describe_nearest(__global const double *points, const uint n,
+                               __global const double *leaves, __global const uint *slots,
+                               __global const uint *face_of, __global uint *faces,
+                               __global double *nearest, __global double *directions)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const double3 p = vload3(gid, points);
+    triangle t;
+    uint feature;
+    const double3 way = way_from(leaves, slots[gid], p, &t, &feature);
+    const double3 a = (double3)(t.ax.x, t.ay.x, t.az.x), e = (double3)(t.ex.x, t.ey.x, t.ez.x);
+    const double3 g = (double3)(t.gx.x, t.gy.x, t.gz.x);
+    double3 at = p - way;
+    at = feature == A ? a : feature == B ? a + e : feature == C ? a + t.foot.x * e + g : at;
+    double3 v = way;
+    double vv = v.x * v.x + v.y * v.y + v.z * v.z;
+    if (!(vv > TINY)) {
+        v = (double3)(e.y * g.z - e.z * g.y, e.z * g.x - e.x * g.z, e.x * g.y - e.y * g.x);
+        vv = v.x * v.x + v.y * v.y + v.z * v.z;
+    }
+    const double3 direction = vv > TINY ? v / sqrt(vv) : (double3)0;
+    faces[gid] = face_of[slots[gid]];
+    vstore3(at, gid, nearest);
+    vstore3(direction, gid, directions);
 }

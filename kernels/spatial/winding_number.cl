@@ -111,15 +111,15 @@ void clear(moments *m)
         m->three[i] = 0;
 }
 
-// The moments of the leaves over n triangles, in the nodes from `first` on.
-__kernel void leaf_moments(__global const double *leaves, const uint n, __global const float *nodes,
+// The moments of the leaves over `count` triangles, in the nodes from `first` on.
+__kernel void leaf_moments(__global const double *leaves, const uint count, __global const float *nodes,
                            const uint first, const double far, __global double *all)
 {
-    const uint gid = get_global_id(0), count = (n + LEAF - 1) / LEAF;
-    if (gid >= (count + ARITY - 1) / ARITY * ARITY)
+    const uint gid = get_global_id(0), used = (count + LEAF - 1) / LEAF;
+    if (gid >= (used + ARITY - 1) / ARITY * ARITY)
         return;
     const uint node = first + gid / ARITY, child = gid % ARITY;
-    if (gid >= count) {
+    if (gid >= used) {
         store_nothing(child_moments(all, node, child));
         return;
     }
@@ -127,7 +127,7 @@ __kernel void leaf_moments(__global const double *leaves, const uint n, __global
     box_middle(nodes, node, child, centre);
     moments m;
     clear(&m);
-    for (uint k = 0; k < LEAF && gid * LEAF + k < n; ++k) {
+    for (uint k = 0; k < LEAF && gid * LEAF + k < count; ++k) {
         __global const double *leaf = leaves + (size_t)gid * (FIELDS * LEAF) + k;
         double e[3], g[3], v[3][3], sum[3], quadric[6] = {0, 0, 0, 0, 0, 0};
         for (uint i = 0; i < 3; ++i) {
@@ -154,15 +154,15 @@ __kernel void leaf_moments(__global const double *leaves, const uint n, __global
     store_moments(child_moments(all, node, child), centre, far * far * radius * radius, &m);
 }
 
-// The moments of the n nodes from `below` on, in the nodes from `first` on, a level above.
-__kernel void node_moments(const uint below, const uint n, __global const float *nodes,
+// The moments of the `count` nodes from `below` on, in the nodes from `first` on, a level above.
+__kernel void node_moments(const uint below, const uint count, __global const float *nodes,
                            const uint first, const double far, __global double *all)
 {
     const uint gid = get_global_id(0);
-    if (gid >= (n + ARITY - 1) / ARITY * ARITY)
+    if (gid >= (count + ARITY - 1) / ARITY * ARITY)
         return;
     const uint node = first + gid / ARITY, child = gid % ARITY;
-    if (gid >= n) {
+    if (gid >= count) {
         store_nothing(child_moments(all, node, child));
         return;
     }

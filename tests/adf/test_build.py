@@ -301,7 +301,7 @@ def test_formulas(device: Device, mesh, formula, error: float, continuous: bool)
 def test_closed_meshes_are_the_signed_distance(device: Device, name: str, sign: str) -> None:
     mesh = CLOSED[name]()
     field = build(mesh, device, tolerance=8e-3, max_level=4, sign=sign, continuous=False)
-    check_voxels(field, SignedDistance(mesh, device, sign))
+    check_voxels(field, SignedDistance(mesh, sign, device))
 
 
 def settled(mesh: Mesh, device: Device, sign: str) -> Callable[[np.ndarray], np.ndarray]:
@@ -343,7 +343,7 @@ def check_signs(mesh: Mesh, field: DistanceField, device: Device) -> None:
     tree = Tree(field)
     points = tree.vertices_in_world()
     unclear = settled(mesh, device, field.sign)(points)
-    expected = SignedDistance(mesh, device, field.sign)(points) / field.side
+    expected = SignedDistance(mesh, field.sign, device)(points) / field.side
     stored = field.voxels.ravel().astype(np.float64)
     apart = np.abs(np.abs(stored) - np.abs(expected))
     assert (apart <= np.spacing(np.abs(expected).astype(np.float32)) + EXACT).all()
@@ -386,7 +386,7 @@ def test_pseudonormals_where_closed_meshes_pass_through_themselves(
     assert field.sign == "pseudonormal"
     assert field.reached["jumps"] > 0
     points = Tree(field).vertices_in_world()
-    distance = SignedDistance(mesh, device, "none")(points) / field.side
+    distance = SignedDistance(mesh, "none", device)(points) / field.side
     stored = np.abs(field.voxels.ravel().astype(np.float64))
     assert (np.abs(stored - distance) <= np.spacing(distance.astype(np.float32)) + EXACT).all()
 
@@ -423,9 +423,9 @@ def check_tree(field: DistanceField, mesh: Mesh, device: Device) -> Tree:
     """That leaves are leaves, and refined cells refined, for the reasons that there are."""
     tree = Tree(field)
     field.validate()
-    errors = examined(tree, SignedDistance(mesh, device, field.sign))
+    errors = examined(tree, SignedDistance(mesh, field.sign, device))
     edge = np.exp2(-tree.levels)
-    unsigned = SignedDistance(mesh, device, "none")
+    unsigned = SignedDistance(mesh, "none", device)
     middles = tree.world(np.arange(len(edge)), np.full((len(edge), 1, 3), 0.5))
     middle = unsigned(middles.reshape(-1, 3)) / field.side
     passed = middle <= HALF_DIAGONAL * edge * (1 + 1e-9)
@@ -506,7 +506,7 @@ def check_refused(field: DistanceField, mesh: Mesh, device: Device) -> Tree:
     """That no cell of a level was refused that has a larger error than one that was refined."""
     tree = Tree(field)
     field.validate()
-    errors = examined(tree, SignedDistance(mesh, device, field.sign))
+    errors = examined(tree, SignedDistance(mesh, field.sign, device))
     for level in range(1, field.depth + 1):
         of = tree.levels == level
         if tree.refined[of].any() and not tree.refined[of].all():
@@ -523,7 +523,7 @@ def test_bounds_of_closed_meshes(device: Device, name: str, continuous: bool) ->
     mesh = CLOSED[name]()
     for request in ({"tolerance": 1e-2, "max_level": 4}, {"tolerance": 1e-3, "max_level": 3}):
         field = build(mesh, device, continuous=continuous, **request)
-        assert len(check_bounds(field, SignedDistance(mesh, device)))
+        assert len(check_bounds(field, SignedDistance(mesh, device=device)))
 
 
 @continuity
@@ -531,7 +531,7 @@ def test_bounds_of_closed_meshes(device: Device, name: str, continuous: bool) ->
 def test_bounds_without_sign(device: Device, name: str, continuous: bool) -> None:
     mesh = {**CLOSED, **OPEN}[name]()
     field = build(mesh, device, tolerance=1e-2, max_level=4, sign="none", continuous=continuous)
-    assert len(check_bounds(field, SignedDistance(mesh, device, "none")))
+    assert len(check_bounds(field, SignedDistance(mesh, "none", device)))
 
 
 @continuity
@@ -541,7 +541,7 @@ def test_bounds_by_winding_numbers(device: Device, name: str, continuous: bool) 
     field = build(mesh, device, tolerance=5e-3, max_level=6, sign="winding", continuous=continuous)
     check_bounds(
         field,
-        SignedDistance(mesh, device, "winding"),
+        SignedDistance(mesh, "winding", device),
         unclear=settled(mesh, device, "winding"),
         most=20_000,
         count=12,
@@ -557,7 +557,7 @@ def test_bounds_where_closed_meshes_pass_through_themselves(
     for request in ({"tolerance": 5e-3, "max_level": 5}, {"tolerance": 1e-3, "max_level": 4}):
         field = build(mesh, device, continuous=continuous, **request)
         exact, unclear = (
-            SignedDistance(mesh, device, "winding"), settled(mesh, device, "winding"),
+            SignedDistance(mesh, "winding", device), settled(mesh, device, "winding"),
         )  # fmt: skip
         check_bounds(field, exact, unclear=unclear, count=12)
 
@@ -576,7 +576,7 @@ def test_bounds_of_sizes_by_pseudonormals_that_jump(
     leaves = np.flatnonzero(~tree.refined & (tree.codes != JUMP))
     stored = np.abs(tree.corners[leaves] @ weights_at(points).T)
     world = tree.world(leaves, np.broadcast_to(points, (len(leaves), *points.shape)))
-    distance = SignedDistance(mesh, device, "none")(world.reshape(-1, 3)).reshape(stored.shape)
+    distance = SignedDistance(mesh, "none", device)(world.reshape(-1, 3)).reshape(stored.shape)
     error = np.abs(stored - distance / field.side).max(axis=1)
     assert (error <= bound_values()[tree.codes[leaves]] + EXACT).all()
 
@@ -655,7 +655,7 @@ def test_errors(device: Device, name: str, band: float) -> None:
     field = build_adf(mesh, device, tolerance=5e-3, max_level=4, band=band)
     told = field.reached["errors"]
     points = np.array(field.origin) + field.side * spread_in_cube(1 << 15)
-    exact = SignedDistance(mesh, device, field.sign)(points) / field.side
+    exact = SignedDistance(mesh, field.sign, device)(points) / field.side
     answer = field.query(points, bounds=True)
     assert answer.bound is not None
     counts = np.isfinite(answer.bound) & (np.abs(exact) <= band)

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from voxtool.errors import DeviceError, MeshError, VoxtoolError
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
-from voxtool.spatial import bvh, distance
+from voxtool.spatial import bvh
 from voxtool.spatial.distance import TriangleDistance
 
 if TYPE_CHECKING:
@@ -188,7 +188,7 @@ def test_a_sphere(device: Device) -> None:
 # ---- what changes nothing
 
 
-def test_neither_order_nor_company_changes_a_bit(device: Device, monkeypatch) -> None:
+def test_neither_order_nor_company_changes_a_bit(device: Device) -> None:
     vertices, faces = meshes.torus()
     rng = np.random.default_rng(8)
     mesh = mesh_of(vertices, faces)
@@ -198,10 +198,8 @@ def test_neither_order_nor_company_changes_a_bit(device: Device, monkeypatch) ->
     order = rng.permutation(len(points))
     assert np.array_equal(shuffled(points[order]), expected[order])
     assert np.array_equal(shuffled(points[:7]), expected[:7])
-    monkeypatch.setattr(distance, "BLOCK", 1000)
-    assert np.array_equal(shuffled(points), expected)
-    monkeypatch.setattr(distance, "NEAR", 0.0)  # boxes in double precision
-    assert np.array_equal(shuffled(points), expected)
+    for parameters in ({"block": 1000}, {"near": 0.0}):  # 0: boxes in double precision
+        assert np.array_equal(TriangleDistance(mesh, device, **parameters)(points), expected)
 
 
 @cache
@@ -322,7 +320,3 @@ def test_a_device_without_double_precision_is_refused(device: Device, monkeypatc
     monkeypatch.setattr(device, "info", replace(device.info, fp64=False))
     with pytest.raises(DeviceError, match=r"no double precision.*choose another device"):
         TriangleDistance(mesh_of(*meshes.box(0, 1)), device)
-
-
-def test_a_single_use(device: Device) -> None:
-    assert distance.distance(mesh_of(*meshes.box(0, 2)), [(1, 1, 1)], device).tolist() == [1]

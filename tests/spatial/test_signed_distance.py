@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
 from functools import cache
 from itertools import combinations
@@ -11,6 +12,7 @@ import meshes
 import numpy as np
 import pytest
 from conftest import model, opened, usable_devices
+from helpers_distance import brute, exact
 from helpers_signs import inside, winding
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,7 +23,7 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.spatial import angles, bvh
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.pseudonormals import pseudonormals
-from voxtool.spatial.signed_distance import SignedDistance, default_sign
+from voxtool.spatial.signed_distance import SignedDistance, default_sign, distance
 from voxtool.spatial.winding_number import WindingNumber
 
 if TYPE_CHECKING:
@@ -39,7 +41,7 @@ def mesh_of(vertices, faces) -> Mesh:
 
 def signed(mesh: Mesh, points: np.ndarray, device: Device, sign: str) -> np.ndarray:
     """Signed distances, whose sizes are those of the unsigned ones."""
-    found = SignedDistance(mesh, device, sign)(points)
+    found = SignedDistance(mesh, sign, device)(points)
     assert np.array_equal(np.abs(found), TriangleDistance(mesh, device)(points))
     assert not np.signbit(found[found == 0]).any()
     return found
@@ -209,7 +211,7 @@ def test_a_seam_and_every_order_of_corners_change_nothing(device: Device) -> Non
         turned = np.array([np.roll(face, rng.integers(3)) for face in rng.permutation(faces)])
         loose = mesh_of(vertices[turned].reshape(-1, 3), np.arange(24).reshape(8, 3))
         loose.vertices[loose.vertices == 0] *= rng.choice([-1, 1])  # -0.0 is 0.0
-        found = SignedDistance(loose, device, "pseudonormal")(points)
+        found = SignedDistance(loose, "pseudonormal", device)(points)
         assert np.abs(found - expected).max() < 1e-14
 
 
@@ -272,7 +274,7 @@ def test_solids_far_apart(device: Device, kinds, exponent: int, sign: str) -> No
     points = np.concatenate([points, np.rint(points), np.rint(points * 2) / 2])
     found = check(mesh, points, device, sign)
     scaled = replace(mesh, vertices=np.ldexp(mesh.vertices, exponent))
-    again = SignedDistance(scaled, device, sign)(np.ldexp(points, exponent))
+    again = SignedDistance(scaled, sign, device)(np.ldexp(points, exponent))
     assert np.array_equal(again, np.ldexp(found, exponent))
 
 
@@ -283,7 +285,7 @@ def test_inside_out_flips_the_sign(device: Device) -> None:
     vertices, faces = meshes.torus()
     points = np.random.default_rng(14).uniform(-3.5, 3.5, (2000, 3))
     one, other = mesh_of(vertices, faces), mesh_of(vertices, faces[:, ::-1])
-    found = [SignedDistance(m, device, "pseudonormal")(points) for m in (one, other)]
+    found = [SignedDistance(m, "pseudonormal", device)(points) for m in (one, other)]
     assert np.abs(found[0] + found[1]).max() < 1e-14
     numbers = [WindingNumber(m, device)(points) for m in (one, other)]
     assert np.abs(numbers[0] + numbers[1]).max() < 1e-12
@@ -319,7 +321,7 @@ def test_half_a_sphere(device: Device) -> None:
     slope = np.sqrt(1 + z * z)  # of the cone to the rim: a disc seen from height z
     expected = 0.5 * (1 + z / slope)
     assert np.abs(measure(axis) - expected).max() < 0.05  # the rim is ragged
-    found = SignedDistance(mesh, device)
+    found = SignedDistance(mesh, device=device)
     assert found.sign == default_sign(mesh) == "winding"
     assert (found([(0, 0, 0.5), (0, 0, 0.9)]) < 0).all()
     assert (found([(0, 0, -0.5), (0, 0, 1.1)]) > 0).all()
@@ -330,7 +332,7 @@ def test_faces_back_to_back_bound_nothing(device: Device) -> None:
     mesh = mesh_of(vertices, [(0, 1, 2), (0, 2, 1)])
     points = lattice(-2.5, 6.5, 10)
     for sign in SIGNS:
-        assert (SignedDistance(mesh, device, sign)(points) > 0).all()
+        assert (SignedDistance(mesh, sign, device)(points) > 0).all()
 
 
 def test_equal_distances_to_two_sheets_go_to_the_first_face(device: Device) -> None:
@@ -338,7 +340,7 @@ def test_equal_distances_to_two_sheets_go_to_the_first_face(device: Device) -> N
     points = np.array([(0.0, 0, 0), (0.5, 0.25, 0), (-1, -2, 0)])
     for first, expected in ((up, -1), (up * (1, 1, -1), 1)):
         mesh = mesh_of([*first, *(first * (1, 1, -1))], [(0, 1, 2), (3, 4, 5)])
-        found = SignedDistance(mesh, device, "pseudonormal")(points)
+        found = SignedDistance(mesh, "pseudonormal", device)(points)
         assert found.tolist() == [expected] * 3
 
 
@@ -357,7 +359,7 @@ def test_a_turned_face_does_not_change_where_the_winding_number_is_clear(device:
     vertices, faces = meshes.icosphere(2)
     faces[7] = faces[7][::-1]
     points = lattice(-0.5, 0.5, 5)
-    assert (SignedDistance(mesh_of(vertices, faces), device)(points) < 0).all()
+    assert (SignedDistance(mesh_of(vertices, faces), device=device)(points) < 0).all()
 
 
 # ---- degenerate faces
@@ -384,7 +386,7 @@ def test_degenerate_faces_change_nothing(device: Device, sign: str) -> None:
     for _ in range(4):
         where = rng.integers(0, 13, len(flat))
         mesh = mesh_of(more, np.insert(faces, where, flat, axis=0))
-        found = SignedDistance(mesh, device, sign)(points)
+        found = SignedDistance(mesh, sign, device)(points)
         assert np.array_equal(np.signbit(found), np.signbit(expected))
         assert np.abs(found - expected).max() < 1e-15
 
@@ -396,10 +398,10 @@ def test_a_segment_beside_a_solid_has_no_side(device: Device) -> None:
     )
     points = np.array([(7, 3, 2), (1.5, 2.25, 2), (9, 2, 2), (2, 2, 2), (3, 2, 2)])
     for sign in SIGNS:
-        assert SignedDistance(mesh, device, sign)(points).tolist() == [1, -0.25, 1, 0, -1]
+        assert SignedDistance(mesh, sign, device)(points).tolist() == [1, -0.25, 1, 0, -1]
     alone = mesh_of([(6, 2, 2), (8, 2, 2)], [(0, 1, 0)])
     for sign in SIGNS:
-        assert SignedDistance(alone, device, sign)(points[:1]).tolist() == [1]
+        assert SignedDistance(alone, sign, device)(points[:1]).tolist() == [1]
     assert WindingNumber(alone, device)(points).tolist() == [0] * 5
 
 
@@ -480,7 +482,7 @@ def test_all_devices_agree_bit_for_bit() -> None:
     mesh, points = _armadillo()
     devices = [opened(index) for index, _ in usable_devices()]
     for sign in SIGNS:
-        found = [SignedDistance(mesh, d, sign)(points) for d in devices]
+        found = [SignedDistance(mesh, sign, d)(points) for d in devices]
         assert all(np.array_equal(found[0], other) for other in found[1:])
     found = [WindingNumber(mesh, d)(points) for d in devices]
     assert all(np.array_equal(found[0], other) for other in found[1:])
@@ -488,7 +490,7 @@ def test_all_devices_agree_bit_for_bit() -> None:
 
 def test_the_armadillo(device: Device) -> None:
     mesh, points = _armadillo()
-    found = [SignedDistance(mesh, device, sign)(points) for sign in SIGNS]
+    found = [SignedDistance(mesh, sign, device)(points) for sign in SIGNS]
     assert np.array_equal(*found)
     assert 0.2 < (found[0] < 0).mean() < 0.5
     assert default_sign(mesh) == "pseudonormal"
@@ -496,7 +498,7 @@ def test_the_armadillo(device: Device) -> None:
     expected = winding(some, mesh.vertices[mesh.faces])
     assert np.abs(WindingNumber(mesh, device)(some) - expected).max() < WINDING
     shuffled = replace(mesh, faces=np.random.default_rng(20).permutation(mesh.faces))
-    assert np.array_equal(SignedDistance(shuffled, device, "pseudonormal")(points), found[0])
+    assert np.array_equal(SignedDistance(shuffled, "pseudonormal", device)(points), found[0])
 
 
 @both
@@ -504,15 +506,101 @@ def test_the_armadillo(device: Device) -> None:
 def test_scale_changes_no_bit(device: Device, exponent: int, sign: str) -> None:
     mesh = mesh_of(*meshes.torus())
     points = around(mesh, np.random.default_rng(21), 500, 0.1)
-    expected = SignedDistance(mesh, device, sign)(points)
+    expected = SignedDistance(mesh, sign, device)(points)
     scaled = replace(mesh, vertices=np.ldexp(mesh.vertices, exponent))
-    found = SignedDistance(scaled, device, sign)(np.ldexp(points, exponent))
+    found = SignedDistance(scaled, sign, device)(np.ldexp(points, exponent))
     assert np.array_equal(found, np.ldexp(expected, exponent))
 
 
 def test_no_sign_and_no_such_sign(device: Device) -> None:
     mesh = mesh_of(*meshes.box(0, 2))
-    assert SignedDistance(mesh, device, "none")([(1, 1, 1)]).tolist() == [1]
-    assert SignedDistance(mesh, device)([(1, 1, 1)]).tolist() == [-1]
+    assert SignedDistance(mesh, "none", device)([(1, 1, 1)]).tolist() == [1]
+    assert SignedDistance(mesh, device=device)([(1, 1, 1)]).tolist() == [-1]
     with pytest.raises(VoxtoolError, match="choose one of pseudonormal, winding, none"):
-        SignedDistance(mesh, device, "parity")
+        SignedDistance(mesh, "parity", device)
+
+
+# ---- gradient, nearest point and face
+
+
+def check_located(mesh: Mesh, points: np.ndarray, device: Device, sign: str | None) -> None:
+    """That what is found of points holds together, against the distance to every face."""
+    found = distance(mesh, points, sign=sign, gradient=True, nearest=True, face=True, device=device)
+    assert np.array_equal(found.distance, SignedDistance(mesh, sign, device)(points))
+    extent = np.ptp(mesh.bounds, axis=0).max()
+    triangles = mesh.vertices[mesh.faces]
+    each = np.stack([brute(points, t[None]) for t in triangles], axis=1)
+    allowed = 4e-15 * np.maximum(extent, each.min(axis=1))
+    nearly = each <= each.min(axis=1, keepdims=True) + allowed[:, None]
+    assert nearly[np.arange(len(points)), found.face].all()
+    sure = nearly.sum(axis=1) == 1
+    assert np.array_equal(found.face[sure], nearly.argmax(axis=1)[sure])
+    own = [
+        exact(p[None], triangles[[f]])[0] for p, f in zip(found.nearest, found.face, strict=True)
+    ]
+    assert (np.array(own) <= 4e-15 * extent).all()
+    way = points - found.nearest
+    long = np.sqrt((way * way).sum(axis=1))
+    assert (np.abs(long - np.abs(found.distance)) <= allowed).all()
+    clear = long > 1e-9 * extent
+    uphill = np.where(found.distance < 0, -1, 1)[clear, None] * way[clear] / long[clear, None]
+    assert np.abs(found.gradient[clear] - uphill).max() < 1e-5
+    assert np.abs((found.gradient[clear] ** 2).sum(axis=1) - 1).max() < 1e-14
+
+
+@pytest.mark.parametrize("sign", [*SIGNS, "none"])
+def test_gradient_nearest_and_face(device: Device, sign: str) -> None:
+    rng = np.random.default_rng(22)
+    for vertices, faces in (meshes.torus(), meshes.join(meshes.box(0, 4), meshes.box(5, 6))):
+        mesh = mesh_of(vertices, faces)
+        check_located(mesh, around(mesh, rng, 60, 0.2), device, sign)
+    flat = mesh_of([*vertices, (9, 9, 9), (8, 9, 9)], [*faces, (16, 17, 16)])
+    check_located(flat, rng.uniform(-2, 10, (60, 3)), device, sign)
+
+
+def test_of_equally_near_faces_the_first_is_named(device: Device) -> None:
+    vertices, faces = meshes.box(0, 4)
+    rng = np.random.default_rng(23)
+    points = np.array([(2, 2, 2), (4, 4, 4), (5, 5, 5), (2, 2, 5), (-1, 2, 2)], float)
+    for _ in range(3):
+        mesh = mesh_of(vertices, rng.permutation(faces))
+        near = [brute(points, t[None]) for t in mesh.vertices[mesh.faces]]
+        first = np.argmin(near, axis=0)
+        for sign in (*SIGNS, "none"):
+            assert np.array_equal(SignedDistance(mesh, sign, device)(points, face=True).face, first)
+
+
+def test_far_points_are_nearest_to_a_vertex(device: Device) -> None:
+    mesh = mesh_of(*meshes.box(0, 4))
+    found = distance(mesh, np.full((1, 3), 1e9), nearest=True, device=device)
+    assert found.nearest.tolist() == [[4, 4, 4]]
+
+
+def test_on_the_surface_the_gradient_is_the_normal(device: Device) -> None:
+    mesh = mesh_of([*meshes.box(0, 4)[0], (6, 2, 2), (8, 2, 2)], [*meshes.box(0, 4)[1], (8, 9, 8)])
+    found = distance(mesh, [(2, 1, 4), (1, 0, 2), (7, 2, 2)], gradient=True, device=device)
+    assert found.distance.tolist() == [0, 0, 0]
+    assert found.gradient.tolist() == [[0, 0, 1], [0, -1, 0], [0, 0, 0]]
+
+
+def test_one_point(device: Device) -> None:
+    mesh = mesh_of(*meshes.box(0, 4))
+    measure = SignedDistance(mesh, device=device)
+    assert measure([1, 2, 2]) == -1
+    found = measure([-1, 2, 2], gradient=True, nearest=True, face=True)
+    assert (found.distance, found.gradient.tolist(), found.nearest.tolist()) == (
+        1, [-1, 0, 0], [0, 2, 2],
+    )  # fmt: skip
+    assert measure(np.empty((0, 3)), gradient=True).gradient.shape == (0, 3)
+    again = pickle.loads(pickle.dumps(measure))
+    assert again([1, 2, 2]) == -1
+    assert repr(again) == "SignedDistance(mesh, 12 faces, sign 'pseudonormal')"
+
+
+def test_the_tree_is_built_once(device: Device) -> None:
+    mesh = mesh_of(*meshes.torus())
+    stages: list[str] = []
+    with device.reporting(stages.append):
+        for _ in range(3):
+            distance(mesh, [(0, 0, 0)], device=device)
+    assert stages == ["tree", *["distance"] * 3]

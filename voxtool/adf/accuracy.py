@@ -40,7 +40,7 @@ def measure_errors(
     ------
     MeshError, DeviceError : as SignedDistance.
     """
-    exact = SignedDistance(mesh, device, field.sign)
+    exact = SignedDistance(mesh, field.sign, device)
     spread = spread_in_cube(samples)
     errors = {"in the cube": _errors(field, np.array(field.origin) + field.side * spread, exact)}
     with contextlib.suppress(MeshError):  # segments and points have no surface

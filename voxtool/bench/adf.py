@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import statistics
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -164,7 +164,7 @@ def sweep(
     for model in models:
         mesh = load_mesh(model)
         many, few = points_of(mesh, points, max_level)
-        make = partial(SignedDistance, mesh, timed, sign)
+        make = partial(_fresh_distance, mesh, sign, timed)
         exact, distances = measure_exact("exact", make, few, repeat)
         others = []
         if with_peers:
@@ -372,3 +372,8 @@ def break_even(seconds: float, query: Query, exact: Exact) -> int | None:
 
 def _spread(times: list[float]) -> float:
     return (max(times) - min(times)) / statistics.median(times)
+
+
+def _fresh_distance(mesh: Mesh, sign: str | None, device: Device) -> SignedDistance:
+    """The distance to a copy of a mesh, for which nothing is on the device yet."""
+    return SignedDistance(replace(mesh), sign, device)

@@ -1,13 +1,11 @@
-"""A tree of boxes over the triangles of a mesh.
+"""A bounding volume hierarchy over the triangles of a mesh.
 
-A packed R-tree (Kamel and Faloutsos, "On packing R-trees", CIKM 1993): the triangles in the order
-of a Hilbert curve through their middles, LEAF of them in a leaf, ARITY children in a node, every
-level filled from the left. Beside Karras's binary tree along a Morton curve ("Maximizing
-Parallelism in the Construction of BVHs, Octrees, and k-d Trees", HPG 2012) it has no links, no
-cases for equal codes and no climb with atomics: a level is bounded after the one below it. A node
-is tested against all of its children at once, in a vector. The Hilbert curve pays: with this tree
-along a Morton curve, a query at the surface of the bunny or the dragon visits 1.5 to 2 times as
-many leaves.
+A packed R-tree [Kamel 1993]: the triangles are sorted along a Hilbert curve through their centres,
+LEAF of them make a leaf, ARITY children a node, and every level is filled from the left. Unlike the
+binary tree of [Karras 2012] it has no links, needs no case for equal codes and no atomics: each
+level is bounded after the one below it. A node is tested against all of its children at once, in a
+vector. Along a Morton curve, queries near the surface of the bunny or the dragon visit 1.5 to 2
+times as many leaves.
 
 Kernels: kernels/spatial/bvh.cl.
 """
@@ -28,14 +26,14 @@ if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
 
 SOURCE = "spatial/bvh.cl"
-ARITY = 8  # children of a node, and
-LEAF = 4  # triangles of a leaf; the kernels' vector types are of these widths
+ARITY = 8  # children of a node: the width of the kernels' vectors of boxes
+LEAF = 4  # triangles of a leaf: the width of the kernels' vectors of triangles
 FIELDS = 15  # numbers of a triangle, as in kernels/spatial/point_triangle.h
-MAX_LEVELS = 10  # of nodes: ARITY**10 * LEAF is more than there are int32
-FACE_BITS = 21  # of the curve along an axis, for triangles
+MAX_LEVELS = 10  # of nodes: ARITY**10 * LEAF exceeds int32
+FACE_BITS = 21  # of the Hilbert curve along an axis, for triangles
 POINT_BITS = 10  # and for points
-MARGIN_BITS = 20  # a box in single precision is 2**-20 wider than what it holds
-NAMELESS = 0xFFFFFFFF  # triangle of a leaf
+MARGIN_BITS = 20  # a box in single precision is 2**-20 wider than its content
+NAMELESS = 0xFFFFFFFF  # the name of a face without area
 MAX_EXPONENT = 500  # squares of lengths up to 2**500 are in the range of float64
 
 HEADERS = {
@@ -54,7 +52,7 @@ HEADERS = {
 
 @dataclass(frozen=True)
 class Frame:
-    """The coordinates in which the device works: the mesh's box about 0, within [-1, 1].
+    """Local coordinates, in which the device works: the mesh's box is centred at 0, in [-1, 1].
 
     centre : (3,) float64, world units; exponent : world = centre + 2**exponent * local.
     """
@@ -64,7 +62,7 @@ class Frame:
 
     @classmethod
     def of(cls, mesh: Mesh) -> Frame:
-        """The frame of a mesh.
+        """Return the frame of a mesh.
 
         Raises
         ------
@@ -81,7 +79,7 @@ class Frame:
         return cls(low + high, exponent)
 
     def local(self, points: np.ndarray) -> np.ndarray:
-        """World to local; infinite or NaN where the result, or a point, is not finite."""
+        """Local coordinates of world points; infinite or NaN where a point is, or on overflow."""
         with np.errstate(over="ignore", invalid="ignore"):
             return (points - self.centre) * math.ldexp(1.0, -self.exponent)
 
@@ -91,37 +89,52 @@ class TriangleTree:
     """Triangles and their boxes on the device, in local coordinates.
 
     Nodes are numbered from the root, 0, as if every level were full: the children of node i are
-    ARITY * i + 1 and the following; from first_leaf on they are leaves.
+    ARITY * i + 1 and the following; from first_leaf on they are leaves. A slot is the place of a
+    triangle in the order of the leaves; the last leaf repeats the last triangle.
 
-    nodes : float32, of each node low x, y, z and high x, y, z, each of ARITY children in turn;
-    leaves : float64, of each leaf FIELDS, each of LEAF triangles in turn (see frame_triangles);
-    count : of triangles; the last leaf repeats the last one;
-    names : uint32, of each triangle in a leaf (see name_triangles), or None if not asked for.
+    nodes : float32, for each node low x, y, z and high x, y, z of its ARITY children;
+    leaves : float64, for each leaf FIELDS of its LEAF triangles (see frame_triangles);
+    face_of : uint32, the face of each slot;
+    count : of triangles;
+    names : uint32, for each slot three times the face plus the corner that comes first there,
+        NAMELESS for faces without area; None if not asked for.
     """
 
     frame: Frame
     nodes: Array
     leaves: Array
+    face_of: Array
     first_leaf: int
     count: int
     names: Array | None
 
     def parts(self) -> list[tuple[int, int]]:
-        """Of each level of nodes, from the root down, the first node and how many there are."""
+        """The first node of each level, from the root down, and how many nodes it has."""
         count, counts = -(-self.count // LEAF), []
         while count > 1 or not counts:
             count = -(-count // ARITY)
             counts.append(count)
-        firsts = [(ARITY**level - 1) // (ARITY - 1) for level in range(len(counts))]
+        firsts = [first_node(level) for level in range(len(counts))]
         return list(zip(firsts, counts[::-1], strict=True))
 
 
+def first_node(level: int) -> int:
+    """The number of the first node of a level; the root's level is 0."""
+    return (ARITY**level - 1) // (ARITY - 1)
+
+
+def tree_bytes(faces: int) -> int:
+    """Bytes of the tree over so many faces on the device, names included."""
+    leaves = -(-faces // LEAF)
+    return leaves * LEAF * (8 * FIELDS + 8) + (leaves * 8 // 7 + 8 * ARITY) * 24
+
+
 def build_tree(device: Device, mesh: Mesh, flat: np.ndarray | None = None) -> TriangleTree:
-    """The tree over all faces of a mesh, degenerate ones included.
+    """Build the tree over all faces of a mesh, degenerate ones included.
 
     Parameters
     ----------
-    flat : (F,) uint8, 1 for faces that get no name; None gives no names at all.
+    flat : (F,) uint8, 1 for faces without area; None gives no names.
 
     Raises
     ------
@@ -133,60 +146,45 @@ def build_tree(device: Device, mesh: Mesh, flat: np.ndarray | None = None) -> Tr
             f"{device.info.name} has no double precision (cl_khr_fp64), which exact distances "
             "need: choose another device (see voxtool devices)"
         )
-    frame = Frame.of(mesh)
+    frame, n = Frame.of(mesh), len(mesh.faces)
     vertices, faces = device.put(frame.local(mesh.vertices)), device.put(mesh.faces)
-    n = len(mesh.faces)
+    slots = -(-n // LEAF) * LEAF
     with device.stage("tree"):
         order = _sort_faces(device, vertices, faces, n)
-        count = -(-n // LEAF)
-        leaves = device.empty(count * LEAF * FIELDS, np.float64)
-        device.kernel(SOURCE, "frame_triangles")(
-            count * LEAF, vertices, faces, np.uint32(n), order, leaves
-        )
+        leaves, face_of = device.empty(slots * FIELDS, np.float64), device.empty(slots, np.uint32)
+        frame_triangles = device.kernel(SOURCE, "frame_triangles")
+        frame_triangles(slots, vertices, faces, n, order, leaves, face_of)
         nodes, first_leaf = _bound(device, vertices, faces, n, order)
         names = None
         if flat is not None:
-            names, nameless = device.empty(count * LEAF, np.uint32), device.put(flat)
-            device.kernel(SOURCE, "name_triangles")(
-                count * LEAF, vertices, faces, np.uint32(n), order, nameless, names
-            )
-            nameless.release()
-    for array in (vertices, faces, order):
-        array.release()
-    return TriangleTree(frame, nodes, leaves, first_leaf, n, names)
+            names = device.empty(slots, np.uint32)
+            name_triangles = device.kernel(SOURCE, "name_triangles")
+            name_triangles(slots, vertices, faces, face_of, device.put(flat), names)
+    return TriangleTree(frame, nodes, leaves, face_of, first_leaf, n, names)
 
 
 def _sort_faces(device: Device, vertices: Array, faces: Array, n: int) -> Array:
-    """(n,) uint32: the faces along the curve; equal codes stay in the mesh's order."""
+    """(n,) uint32: the faces along the Hilbert curve; equal codes keep the mesh's order."""
     codes, order = device.empty(n, np.uint64), device.empty(n, np.uint32)
-    device.kernel(SOURCE, "face_codes")(n, vertices, faces, np.uint32(n), codes, order)
-    codes, order = radix_sort(codes, n, 3 * FACE_BITS, order)
-    codes.release()
-    return order
+    device.kernel(SOURCE, "face_codes")(n, vertices, faces, codes, order)
+    return radix_sort(codes, n, 3 * FACE_BITS, order)[1]
 
 
 def _bound(
     device: Device, vertices: Array, faces: Array, n: int, order: Array
 ) -> tuple[Array, int]:
-    """The nodes, level by level from the leaves up, and the number of the first leaf."""
+    """The nodes, bounded level by level from the leaves up, and the number of the first leaf."""
     count = -(-n // LEAF)
     levels = 1
     while ARITY**levels < count:
         levels += 1
-    first = [(ARITY**level - 1) // (ARITY - 1) for level in range(levels + 1)]
     parents = -(-count // ARITY)
-    nodes = device.empty((first[levels - 1] + parents) * 6 * ARITY, np.float32)
-    device.kernel(SOURCE, "bound_leaves")(
-        parents * ARITY, vertices, faces, np.uint32(n), order, np.uint32(first[levels - 1]), nodes
-    )
+    first = first_node(levels - 1)
+    nodes = device.empty((first + parents) * 6 * ARITY, np.float32)
+    bound_leaves = device.kernel(SOURCE, "bound_leaves")
+    bound_leaves(parents * ARITY, vertices, faces, n, order, first, nodes)
     bound_nodes = device.kernel(SOURCE, "bound_nodes")
     for level in range(levels - 1, 0, -1):
         count, parents = parents, -(-parents // ARITY)
-        bound_nodes(
-            parents * ARITY,
-            np.uint32(first[level]),
-            np.uint32(count),
-            np.uint32(first[level - 1]),
-            nodes,
-        )
-    return nodes, first[levels]
+        bound_nodes(parents * ARITY, first_node(level), count, first_node(level - 1), nodes)
+    return nodes, first_node(levels)

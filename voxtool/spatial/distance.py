@@ -2,17 +2,18 @@
 
 The result is the least of the distances to all triangles, each computed in the same way wherever
 the triangle is stored: the tree saves work and changes no bit. Points are in local coordinates
-(bvh.Frame), rounded once. Against rational arithmetic, over 200,000 distances to slivers, needles
-and other triangles, the error was at most 6e-16 of the mesh's extent, or of the distance if that is
-larger. Degenerate faces count as the segments and points that they are.
-Negative inside, if the mesh's pseudo-normals are given.
+(bvh.Frame), rounded once. Over 200,000 distances to slivers, needles and other triangles, the error
+against rational arithmetic was at most 6e-16 of the mesh's extent, or of the distance if that is
+larger. Degenerate faces count as the segments and points that they are. If pseudo-normals are
+given, distances are negative inside.
 
 Kernels: kernels/spatial/distance.cl.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -22,32 +23,69 @@ from voxtool.opencl.primitives import radix_sort
 from voxtool.spatial.bvh import MAX_EXPONENT, POINT_BITS, TriangleTree, build_tree
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Iterator
 
     from voxtool.mesh.mesh import Mesh
     from voxtool.spatial.pseudonormals import Pseudonormals
 
 SOURCE = "spatial/distance.cl"
-BLOCK = 1 << 18  # points that are on the device at once
-NEAR = 8.0  # up to which single precision bounds the distance to boxes; see MARGIN_BITS
+POINTS_AT_ONCE = 1 << 18  # on the device
+SORTED_FROM = 1 << 9  # points: fewer are faster in the order in which they come
+NEAR = 8.0  # extents within which single precision bounds distances to boxes; see MARGIN_BITS
 
 
-def distance(mesh: Mesh, points: Any, device: Device | None = None) -> np.ndarray:
-    """The distance from each point to the mesh; as TriangleDistance, for a single use."""
-    return TriangleDistance(mesh, device)(points)
+class Nearest(NamedTuple):
+    """The distances of points, and on request the nearest triangles.
+
+    distances : (n,) float64, world units.
+    faces : (n,) int64; of equally near faces the first in the mesh.
+    points : (n, 3) float64: the nearest points of the mesh, world units.
+    directions : (n, 3) float64 from these to the points, of length 1; on the surface the normal of
+        the face, 0 where it has no area.
+    """
+
+    distances: np.ndarray
+    faces: np.ndarray | None = None
+    points: np.ndarray | None = None
+    directions: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class PointBlock:
+    """Points on the device.
+
+    where : of these points among all; n : how many.
+    local : float64, their local coordinates.
+    order : uint32, in which points near each other follow each other.
+    box : the precision in which distances to boxes can be bounded, "float" or "double".
+    """
+
+    where: slice
+    n: int
+    local: Array
+    order: Array
+    box: str
 
 
 class TriangleDistance:
-    """The distance to a mesh, whose tree is built once and asked many times."""
+    """The distance to a mesh. The tree is built once, for any number of calls."""
 
     def __init__(
-        self, mesh: Mesh, device: Device | None = None, *, normals: Pseudonormals | None = None
+        self,
+        mesh: Mesh,
+        device: Device | None = None,
+        *,
+        normals: Pseudonormals | None = None,
+        block: int = POINTS_AT_ONCE,
+        near: float = NEAR,
     ) -> None:
         """Build the tree.
 
         Parameters
         ----------
-        normals : of the mesh, for distances that are negative inside.
+        normals : the mesh's, for distances that are negative inside.
+        block : points that are on the device at once; changes no result.
+        near : extents within which boxes are bounded in single precision; changes no result.
 
         Raises
         ------
@@ -55,18 +93,21 @@ class TriangleDistance:
         DeviceError : there is no device, or it has no double precision.
         """
         self.device = device or default_device()
-        flat = None if normals is None or normals.flat.all() else normals.flat
-        self.tree = build_tree(self.device, mesh, flat)
+        self.block, self.near = block, near
+        if normals is not None and normals.flat.all():  # no face has a side
+            normals = None
+        self.tree = build_tree(self.device, mesh, normals.flat if normals else None)
         self._sides: tuple[Array, ...] = ()
-        if normals is not None and self.tree.names:
-            features, directions = map(self.device.put, (normals.features, normals.normals))
-            self._sides = (self.tree.names, features, directions)
+        self._has_flat = False
+        if normals:
+            self._sides = tuple(map(self.device.put, (normals.features, normals.normals)))
+            self._has_flat = bool(normals.flat.any())
 
     def __call__(self, points: Any) -> np.ndarray:
-        """The distance from each point to the nearest triangle.
+        """Return the distance from each point to the nearest triangle.
 
-        Points may be in any order: they are visited along a Hilbert curve, BLOCK at a time. Far
-        away (from about 2**40 extents on) every triangle is a candidate, and each is tested.
+        Points may be in any order. Far away (from about 2**40 extents on) every triangle is a
+        candidate, and each is tested.
 
         Parameters
         ----------
@@ -80,45 +121,64 @@ class TriangleDistance:
         ------
         VoxtoolError : a wrong shape, or a point that is not finite or 2^500 extents away.
         """
-        with self.device.stage("distance"):
-            found = at_points(self.device, self.tree, points, self._nearest)
-        return np.ldexp(found, self.tree.frame.exponent)
+        world = checked_points(points)
+        distances = np.empty(len(world))
+        for block in self.blocks(world):
+            distances[block.where] = self.at_block(block).distances
+        return distances
 
-    def _nearest(self, n: int, points: Array, order: Array, box: str, found: Array) -> None:
-        tree, options = self.tree, {"SIGNED": 1} if self._sides else {}
-        self.device.kernel(SOURCE, "nearest_triangles", BOX=box, **options)(
-            n,
-            points,
-            order,
-            np.uint32(n),
-            tree.nodes,
-            tree.leaves,
-            np.uint32(tree.first_leaf),
-            *self._sides,
-            found,
-        )
+    def blocks(self, world: np.ndarray) -> Iterator[PointBlock]:
+        """The points on the device, block by block; raises VoxtoolError as the call."""
+        return point_blocks(self.device, self.tree, world, self.block, self.near)
+
+    def at_block(self, block: PointBlock, located: bool = False) -> Nearest:
+        """Return the distances of a block's points, and if `located` also the nearest triangles."""
+        device, tree, scale = self.device, self.tree, self.tree.frame.exponent
+        with device.stage("distance"):
+            ranks = tree.names if self._sides else tree.face_of if located else None
+            distances, slots = self._search(block, ranks)
+            if self._sides:
+                sign_distances = device.kernel(SOURCE, "sign_distances", BOX="float")
+                sign_distances(
+                    block.n, block.local, tree.leaves, slots, tree.names, *self._sides, distances
+                )
+            if not located:
+                return Nearest(np.ldexp(distances.take(), scale))
+            if self._has_flat:  # they have no sides, but may be nearest
+                _, slots = self._search(block, tree.face_of)
+            faces = device.empty(block.n, np.uint32)
+            nearest, directions = (device.empty(3 * block.n, np.float64) for _ in range(2))
+            describe_nearest = device.kernel(SOURCE, "describe_nearest", BOX="float")
+            describe_nearest(
+                block.n, block.local, tree.leaves, slots, tree.face_of, faces, nearest, directions
+            )
+            return Nearest(
+                np.ldexp(distances.take(), scale),
+                faces.take().astype(np.int64),
+                np.ldexp(nearest.take().reshape(-1, 3), scale) + tree.frame.centre,
+                directions.take().reshape(-1, 3),
+            )
+
+    def _search(self, block: PointBlock, ranks: Array | None) -> tuple[Array, Array | None]:
+        """Local distances of a block's points, and the slots of the nearest triangles by rank."""
+        device, tree = self.device, self.tree
+        options = {"RANKED": 1} if ranks else {}
+        distances = device.empty(block.n, np.float64)
+        slots = device.empty(block.n, np.uint32) if ranks else None
+        nearest_triangles = device.kernel(SOURCE, "nearest_triangles", BOX=block.box, **options)
+        nearest_triangles(
+            block.n, block.local, block.order, tree.nodes, tree.leaves, tree.first_leaf,
+            ranks=ranks, slots=slots, distances=distances,
+        )  # fmt: skip
+        return distances, slots
 
 
-def at_points(
-    device: Device, tree: TriangleTree, points: Any, launch: Callable[..., None]
-) -> np.ndarray:
-    """A number for each point.
-
-    Parameters
-    ----------
-    points : (N, 3) numbers, world units.
-    launch : called as launch(n, points, order, box, found) for each block of n points, which are in
-        local coordinates on the device: to enqueue a kernel that writes n float64 in `found`, and
-        goes through the points in `order`. In the precision `box`, "float" or "double", distances
-        to boxes can be bounded.
-
-    Returns
-    -------
-    (N,) float64: what was found.
+def checked_points(points: Any) -> np.ndarray:
+    """Return points as (N, 3) float64.
 
     Raises
     ------
-    VoxtoolError : as TriangleDistance.
+    VoxtoolError : they are no such array.
     """
     try:
         world = np.asarray(points, np.float64)
@@ -126,34 +186,41 @@ def at_points(
         raise VoxtoolError("points are not an array of numbers: give (N, 3)") from None
     if world.ndim != 2 or world.shape[1] != 3:
         raise VoxtoolError(f"points of shape {world.shape}: give (N, 3)")
-    values = np.empty(len(world), np.float64)
-    for start in range(0, len(world), BLOCK):
-        block = slice(start, start + BLOCK)
-        values[block] = _at_block(device, tree, world[block], start, launch)
-    return values
+    return world
 
 
-def _at_block(
-    device: Device, tree: TriangleTree, world: np.ndarray, start: int, launch: Callable[..., None]
-) -> np.ndarray:
-    """As at_points; `start` is the number of the block's first point, for messages."""
-    n = len(world)
-    local = tree.frame.local(world)
-    reach = np.abs(local).max(axis=1)
-    fits = reach <= 2.0**MAX_EXPONENT
-    if not fits.all():
-        first = int(np.argmin(fits))
-        place = ", ".join(map(str, world[first].tolist()))
-        raise VoxtoolError(
-            f"point {start + first}, ({place}), is not finite or too far from the mesh: remove it"
-        )
-    box = "float" if reach.max() <= NEAR else "double"
-    on_device = device.put(local)
+def point_blocks(
+    device: Device,
+    tree: TriangleTree,
+    world: np.ndarray,
+    block: int = POINTS_AT_ONCE,
+    near: float = NEAR,
+) -> Iterator[PointBlock]:
+    """Yield the points on the device, in local coordinates, `block` of them at a time.
+
+    Raises
+    ------
+    VoxtoolError : a point is not finite or 2^500 extents away.
+    """
+    for start in range(0, len(world), block):
+        local = tree.frame.local(world[start : start + block])
+        reach = np.abs(local).max(axis=1)
+        fits = reach <= 2.0**MAX_EXPONENT
+        if not fits.all():
+            first = start + int(np.argmin(fits))
+            place = ", ".join(map(str, world[first].tolist()))
+            raise VoxtoolError(
+                f"point {first}, ({place}), is not finite or too far from the mesh: remove it"
+            )
+        n, box = len(local), "float" if reach.max() <= near else "double"
+        points = device.put(local)
+        yield PointBlock(slice(start, start + n), n, points, _order(device, points, n), box)
+
+
+def _order(device: Device, points: Array, n: int) -> Array:
+    """(n,) uint32: the points along a Hilbert curve; few of them as they come."""
+    if n < SORTED_FROM:
+        return device.put(np.arange(n, dtype=np.uint32))
     codes, order = device.empty(n, np.uint32), device.empty(n, np.uint32)
-    device.kernel(SOURCE, "point_codes", BOX=box)(n, on_device, np.uint32(n), codes, order)
-    codes, order = radix_sort(codes, n, 3 * POINT_BITS, order)
-    found = device.empty(n, np.float64)
-    launch(n, on_device, order, box, found)
-    for array in (codes, order, on_device):
-        array.release()
-    return found.take()
+    device.kernel(SOURCE, "point_codes", BOX="float")(n, points, codes, order)
+    return radix_sort(codes, n, 3 * POINT_BITS, order)[1]

@@ -45,6 +45,11 @@ class Pseudonormals:
     normals: np.ndarray
 
 
+def normal_bytes(faces: int) -> int:
+    """Bytes of the pseudo-normals of a closed mesh of so many faces on the device."""
+    return faces * (7 * 4 + 3 * 24)
+
+
 def pseudonormals(mesh: Mesh) -> Pseudonormals:
     """The pseudo-normals of a mesh.
 

@@ -1,81 +1,237 @@
 """The signed distance from points to a triangle mesh: negative inside.
 
-By angle-weighted pseudo-normals (pseudonormals.py), which are right for every mesh that is closed
-and consistently wound, or by the generalized winding number (winding.py), which holds also where a
-mesh is open, overlaps itself or is wound inconsistently in places. The sign changes no distance: on
-the surface it is 0.
+The sign comes from angle-weighted pseudo-normals (pseudonormals.py), which are right for every mesh
+that is closed and consistently wound, or from the generalized winding number (winding_number.py),
+which also works where a mesh is open, intersects itself or is wound inconsistently in places. The
+sign changes no magnitude; on the surface the distance is 0.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, overload
 
 import numpy as np
 
 from voxtool.choices import SIGNS
 from voxtool.errors import VoxtoolError
 from voxtool.mesh.topology import collinear, watertight
-from voxtool.spatial.distance import TriangleDistance
-from voxtool.spatial.pseudonormals import pseudonormals
-from voxtool.spatial.winding_number import WindingNumber
+from voxtool.opencl import Device, default_device
+from voxtool.spatial.bvh import tree_bytes
+from voxtool.spatial.distance import TriangleDistance, checked_points
+from voxtool.spatial.pseudonormals import normal_bytes, pseudonormals
+from voxtool.spatial.winding_number import WindingNumber, moment_bytes
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
-    from voxtool.opencl import Device
+
+
+class DistanceResult(NamedTuple):
+    """What is known of points, by `distance` or `SignedDistance`; None where not asked for.
+
+    For one point the arrays lack their first axis.
+
+    Attributes
+    ----------
+    distance : (N,) float64, world units, negative inside.
+    gradient : (N, 3) float64 of length 1, the direction in which the distance grows fastest:
+        outside away from the nearest point, inside towards it. On the surface it is the normal of
+        the nearest face, or 0 if that has no area.
+    nearest : (N, 3) float64: the nearest point of the mesh, world units.
+    face : (N,) int64: the nearest face; of equally near ones the first in the mesh.
+    """
+
+    distance: Any
+    gradient: Any = None
+    nearest: Any = None
+    face: Any = None
 
 
 def default_sign(mesh: Mesh) -> str:
-    """What suits a mesh: "pseudonormal" if every edge has two faces that run along it in opposite
-    directions and no face is without area, and "winding" otherwise."""
+    """Return the sign that suits a mesh: "pseudonormal" if every edge has two faces that run along
+    it in opposite directions and no face is without area, and "winding" otherwise."""
     smooth = watertight(mesh) and not collinear(mesh.vertices[mesh.faces]).any()
     return "pseudonormal" if smooth else "winding"
 
 
-class SignedDistance:
-    """The signed distance to a mesh, whose tree is built once and asked many times.
+def distance_bytes(faces: int, sign: str) -> int:
+    """Bytes that the distance to a mesh of so many faces takes on the device, without points."""
+    more = {"pseudonormal": normal_bytes, "winding": moment_bytes}.get(sign)
+    return tree_bytes(faces) + (more(faces) if more else 0)
 
-    sign : how the sign is found, one of SIGNS.
+
+class SignedDistance:
+    """The signed distance to a mesh, for many calls.
+
+    The tree is built once, stays on the device while the mesh is in use, and is shared by all
+    calls and objects of the same mesh, sign and device.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    sign : "pseudonormal", "winding", "none" (no distance is negative), or None for what suits the
+        mesh (default_sign).
+    device : Device, by default the default one.
+
+    Attributes
+    ----------
+    sign : how the sign is found, one of voxtool.choices.SIGNS.
+
+    Raises
+    ------
+    MeshError : the mesh has no faces, or an extent beyond 2^±500.
+    DeviceError : there is no device, or it has no double precision.
+    VoxtoolError : no such sign.
+
+    Examples
+    --------
+    >>> measure = voxtool.SignedDistance(voxtool.load_mesh("bunny.obj"))
+    >>> measure([[0, 0, 0], [0.1, 0, 0]])
+    >>> measure([0, 0, 0], gradient=True).gradient
     """
 
-    def __init__(self, mesh: Mesh, device: Device | None = None, sign: str | None = None) -> None:
-        """Build the tree and what the sign needs.
-
-        Parameters
-        ----------
-        sign : "pseudonormal", "winding", "none" (no distance is negative), or by default what
-            suits the mesh (default_sign).
-
-        Raises
-        ------
-        MeshError, DeviceError : as TriangleDistance.
-        VoxtoolError : no such sign.
-        """
+    def __init__(self, mesh: Mesh, sign: str | None = None, device: Device | None = None) -> None:
         if sign is not None and sign not in SIGNS:
             raise VoxtoolError(f"sign {sign!r}: choose one of {', '.join(SIGNS)}")
-        self.sign = sign or default_sign(mesh)
-        normals = pseudonormals(mesh) if self.sign == "pseudonormal" else None
-        self._distance = TriangleDistance(mesh, device, normals=normals)
-        self.device, tree = self._distance.device, self._distance.tree
-        self._winding = None
-        if self.sign == "winding":
-            self._winding = WindingNumber(mesh, self.device, tree=tree)
+        self.device = device or default_device()
+        self.mesh = mesh
+        self.sign = sign or self.device.keep(mesh, "default sign", 0, lambda: default_sign(mesh))
+        size = distance_bytes(len(mesh.faces), self.sign)
+        self._distance, self._winding = self.device.keep(
+            mesh, f"distance, sign {self.sign}", size, lambda: _measures(mesh, self.sign, device)
+        )
 
-    def __call__(self, points: Any) -> np.ndarray:
-        """The distance from each point to the nearest triangle, negative inside.
+    @overload
+    def __call__(
+        self,
+        points: Any,
+        *,
+        gradient: Literal[False] = False,
+        nearest: Literal[False] = False,
+        face: Literal[False] = False,
+    ) -> np.ndarray: ...
+    @overload
+    def __call__(
+        self, points: Any, *, gradient: bool = False, nearest: bool = False, face: bool = False
+    ) -> DistanceResult: ...
+    def __call__(
+        self, points: Any, *, gradient: bool = False, nearest: bool = False, face: bool = False
+    ) -> np.ndarray | DistanceResult:
+        """Return the distance from each point to the nearest triangle, negative inside.
 
         Parameters
         ----------
-        points : (N, 3) numbers, world units.
+        points : (N, 3) numbers, or (3,) for one point, world units.
+        gradient, nearest, face : whether these are wanted, too (see DistanceResult).
 
         Returns
         -------
-        (N,) float64, world units; never -0.0.
+        (N,) float64, world units, never -0.0; a DistanceResult if more is asked for.
 
         Raises
         ------
-        VoxtoolError : as TriangleDistance.
+        VoxtoolError : a wrong shape, or a point that is not finite or 2^500 extents away.
         """
-        distances = self._distance(points)
-        if self._winding is None:
-            return distances
-        return np.where((self._winding(points) > 0.5) & (distances > 0), -distances, distances)
+        one = np.ndim(points) == 1
+        world = checked_points([points] if one else points)
+        parts = [self._at_block(block, gradient or nearest or face) for block in
+                 self._distance.blocks(world)]  # fmt: skip
+        if not parts:
+            parts = [(np.empty(0), np.empty((0, 3)), np.empty((0, 3)), np.empty(0, np.int64))]
+        found = [
+            np.concatenate(columns) if asked else None
+            for columns, asked in zip(
+                zip(*parts, strict=True), (True, gradient, nearest, face), strict=True
+            )
+        ]
+        if one:
+            found = [None if column is None else column[0] for column in found]
+        result = DistanceResult(*found)
+        return result if gradient or nearest or face else result.distance
+
+    def _at_block(self, block: Any, located: bool) -> tuple[Any, ...]:
+        """The columns of a DistanceResult for a block's points."""
+        distances, faces, nearest, directions = self._distance.at_block(block, located)
+        if self._winding is not None:
+            inside = (self._winding.at_block(block) > 0.5) & (distances > 0)
+            distances = np.where(inside, -distances, distances)
+        if directions is not None:
+            directions = np.where(distances[:, None] < 0, -directions, directions)
+        return distances, directions, nearest, faces
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return SignedDistance, (self.mesh, self.sign)
+
+    def __repr__(self) -> str:
+        faces = len(self.mesh.faces)
+        return f"SignedDistance({self.mesh.name or 'mesh'}, {faces} faces, sign {self.sign!r})"
+
+
+def _measures(
+    mesh: Mesh, sign: str, device: Device | None
+) -> tuple[TriangleDistance, WindingNumber | None]:
+    """What a sign needs on the device; it does not refer to the mesh."""
+    normals = pseudonormals(mesh) if sign == "pseudonormal" else None
+    distance = TriangleDistance(mesh, device, normals=normals)
+    if sign != "winding":
+        return distance, None
+    return distance, WindingNumber(mesh, device, tree=distance.tree)
+
+
+@overload
+def distance(
+    mesh: Mesh,
+    points: Any,
+    *,
+    sign: str | None = None,
+    gradient: Literal[False] = False,
+    nearest: Literal[False] = False,
+    face: Literal[False] = False,
+    device: Device | None = None,
+) -> np.ndarray: ...
+@overload
+def distance(
+    mesh: Mesh,
+    points: Any,
+    *,
+    sign: str | None = None,
+    gradient: bool = False,
+    nearest: bool = False,
+    face: bool = False,
+    device: Device | None = None,
+) -> DistanceResult: ...
+def distance(
+    mesh: Mesh,
+    points: Any,
+    *,
+    sign: str | None = None,
+    gradient: bool = False,
+    nearest: bool = False,
+    face: bool = False,
+    device: Device | None = None,
+) -> np.ndarray | DistanceResult:
+    """Return the exact signed distance from points to a mesh, negative inside.
+
+    The second call with the same mesh object is cheap: the tree stays on the device.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    points : (N, 3) numbers, or (3,) for one point, world units.
+    sign : "pseudonormal", "winding", "none", or None for what suits the mesh.
+    gradient, nearest, face : whether these are wanted, too (see DistanceResult).
+
+    Returns
+    -------
+    (N,) float64, world units, never -0.0; a DistanceResult if more is asked for. The error is at
+    most 1e-15 of the mesh's extent, or of the distance if that is larger.
+
+    Raises
+    ------
+    MeshError, DeviceError, VoxtoolError : as SignedDistance and its call.
+
+    References
+    ----------
+    [Baerentzen 2005] for pseudo-normals, [Jacobson 2013] and [Barill 2018] for winding numbers.
+    """
+    measure = SignedDistance(mesh, sign, device)
+    return measure(points, gradient=gradient, nearest=nearest, face=face)

@@ -1,13 +1,12 @@
 """The generalized winding number of a triangle mesh.
 
-Jacobson et al., "Robust inside-outside segmentation using generalized winding numbers" (2013): the
-solid angle that the faces subtend, by 4 pi: 1 inside of a closed mesh that faces outward, 0 outside
-of it, and in between where a mesh is open. Barill et al., "Fast winding numbers for soups and
-clouds" (2018): what is further away than REACH times its radius counts through the Taylor series of
-its moments, here to the third order (octupoles), about the middles of the boxes of the tree; nearer
-triangles exactly, by van Oosterom and Strackee. The error was at most 8e-4, and 1.7e-4 in the root
-mean square, over 8,550 points in and around the teapot, fandisk, bunny and armadillo, two thirds of
-them near the surface; with 2 radii 4.7e-3 and 1.1e-3, in about half of the time. The sums are made
+The winding number [Jacobson 2013] is the solid angle that the faces subtend, over 4 pi: 1 inside of
+a closed mesh whose faces point outward, 0 outside of it, and in between where a mesh is open. After
+[Barill 2018], nodes of the tree farther away than REACH times their radius count through the Taylor
+series of their moments, here to the third order (octupoles) about the centres of their boxes;
+nearer triangles count exactly [van Oosterom 1983]. Over 8,550 points in and around the teapot,
+fandisk, bunny and armadillo, two thirds of them near the surface, the error was at most 8e-4 and
+1.7e-4 RMS; with a reach of 2 radii 4.7e-3 and 1.1e-3, in about half of the time. All sums are made
 in one order, that of the tree.
 
 Kernels: kernels/spatial/winding_number.cl.
@@ -20,22 +19,28 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.opencl import Array, Device, default_device, program
-from voxtool.spatial.bvh import ARITY, TriangleTree, build_tree
-from voxtool.spatial.distance import at_points
+from voxtool.spatial.bvh import ARITY, LEAF, TriangleTree, build_tree
+from voxtool.spatial.distance import PointBlock, checked_points, point_blocks
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
 
 SOURCE = "spatial/winding_number.cl"
 MOMENTS = 23  # numbers of a child: centre (3), squared reach, moments of order 1, 2, 3 (3, 6, 10)
-FAR_BITS = 60  # from 2**60 extents on, the number is 0
+FAR_BITS = 60  # beyond 2**60 extents the number is 0
 REACH = 3.0  # radii
+
+
+def moment_bytes(faces: int) -> int:
+    """Bytes of the moments of a mesh of so many faces on the device."""
+    return 8 * MOMENTS * (-(-faces // LEAF) * 8 // 7 + 8 * ARITY)
+
 
 HEADERS = {"spatial/winding_number.h": program.c_constants(MOMENTS=MOMENTS, FAR_BITS=FAR_BITS)}
 
 
 class WindingNumber:
-    """The winding number of a mesh, whose moments are computed once and asked many times."""
+    """The winding number of a mesh. The moments are computed once, for any number of calls."""
 
     def __init__(
         self,
@@ -49,8 +54,8 @@ class WindingNumber:
 
         Parameters
         ----------
-        tree : of the mesh on this device, if there is one.
-        reach : in radii, from which on a node counts through its moments.
+        tree : the mesh's on this device, if there is one.
+        reach : in radii, beyond which a node counts through its moments.
 
         Raises
         ------
@@ -58,39 +63,27 @@ class WindingNumber:
         """
         self.device = device or default_device()
         self.tree = tree or build_tree(self.device, mesh)
-        self.reach = np.float64(reach)
+        self.reach = reach
         with self.device.stage("moments"):
             self.moments = self._sum_moments()
 
     def _sum_moments(self) -> Array:
-        """Of the leaves, then level by level up; children in their order."""
+        """The moments of the leaves, then of the nodes, level by level up; children in order."""
         device, tree = self.device, self.tree
         parts = tree.parts()
         first, count = parts[-1]
         moments = device.empty((first + count) * MOMENTS * ARITY, np.float64)
         device.kernel(SOURCE, "leaf_moments")(
-            count * ARITY,
-            tree.leaves,
-            np.uint32(tree.count),
-            tree.nodes,
-            np.uint32(first),
-            self.reach,
-            moments,
+            count * ARITY, tree.leaves, tree.count, tree.nodes, first, self.reach, moments
         )
         for (first, count), (child, children) in zip(parts[-2::-1], parts[:0:-1], strict=True):
             device.kernel(SOURCE, "node_moments")(
-                count * ARITY,
-                np.uint32(child),
-                np.uint32(children),
-                tree.nodes,
-                np.uint32(first),
-                self.reach,
-                moments,
+                count * ARITY, child, children, tree.nodes, first, self.reach, moments
             )
         return moments
 
     def __call__(self, points: Any) -> np.ndarray:
-        """The winding number of each point: inside where it is more than 0.5.
+        """Return the winding number of each point; points of more than 0.5 are inside.
 
         Parameters
         ----------
@@ -104,28 +97,25 @@ class WindingNumber:
         ------
         VoxtoolError : as TriangleDistance.
         """
-        with self.device.stage("winding number"):
-            return at_points(self.device, self.tree, points, self._wind)
+        world = checked_points(points)
+        numbers = np.empty(len(world))
+        for block in point_blocks(self.device, self.tree, world):
+            numbers[block.where] = self.at_block(block)
+        return numbers
+
+    def at_block(self, block: PointBlock) -> np.ndarray:
+        """(n,) float64: the winding numbers of a block's points."""
+        return self._wind(block.n, block.local, block.order).take()
 
     def at_local(self, points: Array, n: int) -> Array:
-        """The numbers of n points on the device, (n, 3) float64 in the frame of the tree: (n,)
-        float64; as the call, for points that are near each other where they follow each other."""
-        order, found = (self.device.put(np.arange(n, dtype=np.uint32)),
-                        self.device.empty(n, np.float64))  # fmt: skip
-        with self.device.stage("winding number"):
-            self._wind(n, points, order, "double", found)
-        order.release()
-        return found
+        """(n,) float64 on the device: the winding numbers of n points on the device, (n, 3) float64
+        in local coordinates; fast where points near each other follow each other."""
+        return self._wind(n, points, self.device.put(np.arange(n, dtype=np.uint32)))
 
-    def _wind(self, n: int, points: Array, order: Array, _box: str, found: Array) -> None:
-        self.device.kernel(SOURCE, "wind")(
-            n,
-            points,
-            order,
-            np.uint32(n),
-            self.tree.leaves,
-            np.uint32(self.tree.count),
-            np.uint32(self.tree.first_leaf),
-            self.moments,
-            found,
-        )
+    def _wind(self, n: int, points: Array, order: Array) -> Array:
+        tree, numbers = self.tree, self.device.empty(n, np.float64)
+        with self.device.stage("winding number"):
+            self.device.kernel(SOURCE, "wind")(
+                n, points, order, tree.leaves, tree.count, tree.first_leaf, self.moments, numbers
+            )
+        return numbers

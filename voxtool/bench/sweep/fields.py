@@ -38,7 +38,7 @@ def of_fields(
     name, side = Path(model).name, cube_of(mesh)[1]
     many, few = adf.points_of(mesh, asked.queries, max(asked.levels))
     points = (few if asked.queries >= adf.FEW else many)["random"][: asked.queries]
-    exact = SignedDistance(mesh, timed, asked.sign)
+    exact = SignedDistance(mesh, asked.sign, timed)
     distances = exact(points)
     work, finest = f"distances at {len(points):,} points", None
     for level, tolerance in product(asked.levels, asked.tolerances):
