@@ -6,7 +6,8 @@ import numpy as np
 
 from voxtool.grid import Grid
 from voxtool.morton import morton_decode
-from voxtool.svo.octree import BRICK, BRICK_VOXELS, INSIDE, NODE, VALID, Octree
+from voxtool.svo.layout import BRICK, BRICK_VOXELS, INSIDE, NODE, VALID
+from voxtool.svo.octree import Octree
 
 WORLD = {"origin": (-1.5, 0.1, 1e-3), "pitch": (0.1, 0.1, 0.1)}
 

@@ -36,7 +36,8 @@ from voxtool.files import svo_hdf5, svo_xml
 from voxtool.grid import Grid
 from voxtool.plots import octree_slice
 from voxtool.svo import layers
-from voxtool.svo.octree import INSIDE, VALID, Octree
+from voxtool.svo.layout import INSIDE, VALID
+from voxtool.svo.octree import Octree
 
 ROOT = Path(__file__).parents[2]
 DATA = Path(__file__).parents[1] / "data"

@@ -3,84 +3,20 @@
 from __future__ import annotations
 
 import re
+from importlib import import_module
 
 import numpy as np
 import pytest
 
+from voxtool.adf.query import SEARCHES
 from voxtool.errors import DeviceError
-from voxtool.grid import FIXED_POINT_BITS
-from voxtool.opencl import Device, headers, primitives, program
-from voxtool.spatial import bvh
-from voxtool.spatial import winding_number as winding
-from voxtool.svo import octree, voxelize
-from voxtool.svo import raycast as svo_raycast
-from voxtool.svo.fill import parity as inside
-from voxtool.svo.fill import winding as svo_winding
-from voxtool.svo.surface import case_tables as cases
-from voxtool.svo.surface import greedy_meshing as rectangles
-from voxtool.svo.surface import isosurface
-from voxtool.tets import integrate, project, volume
-from voxtool.tets import raycast as tets_raycast
+from voxtool.opencl import Device, headers, program
+from voxtool.svo.layout import NODE
+from voxtool.tets.integrate import INTEGRATORS
 
-NODE = octree.NODE
-CONSTANTS = {
-    "opencl/primitives.h": {
-        "WORK_GROUP": primitives.WORK_GROUP,
-        "GROUP": primitives.GROUP,
-        "ITEMS": primitives.ITEMS,
-        "DIGIT_BITS": primitives.DIGIT_BITS,
-        "QUADS": primitives.QUADS,
-    },
-    "spatial/bvh.h": {
-        name: getattr(bvh, name)
-        for name in (
-            "ARITY",
-            "LEAF",
-            "FIELDS",
-            "MAX_LEVELS",
-            "FACE_BITS",
-            "POINT_BITS",
-            "MARGIN_BITS",
-        )
-    },
-    "spatial/names.h": {"NAMELESS": bvh.NAMELESS},
-    "spatial/winding_number.h": {"MOMENTS": winding.MOMENTS, "FAR_BITS": winding.FAR_BITS},
-    "svo/octree.h": {
-        "INSIDE": octree.INSIDE,
-        "VALID": octree.VALID,
-        "LINK": octree.LINK,
-        "FIXED_POINT_BITS": FIXED_POINT_BITS,
-    },
-    "svo/raycast.h": {"TILE": svo_raycast.TILE},
-    "tets/volume.h": {"BLOCK": volume.BLOCK},
-    "tets/project.h": {"TILE": project.TILE},
-    "tets/raycast.h": {"MOST_STILL": tets_raycast.MOST_STILL},
-    "tets/integrators.h": {
-        **{name.upper(): number for number, name in enumerate(integrate.INTEGRATORS)},
-        "SCALARS": integrate.SCALARS,
-        "LENGTHS": integrate.LENGTHS,
-    },
-    "svo/fill/parity.h": {"MIXED": inside.MIXED},
-    "svo/fill/winding.h": {"NOWHERE": svo_winding.NOWHERE, "ENTERS": svo_winding.ENTERS},
-    "svo/surface/lattice.h": {
-        "LATTICE_BITS": isosurface.LATTICE_BITS,
-        "LATTICE": isosurface.LATTICE,
-        "NEAREST": isosurface.NEAREST,
-    },
-    "svo/surface/case_tables.h": {"MAX_TRIANGLES": cases.MAX_TRIANGLES},
-    "svo/surface/dual_case_tables.h": {
-        "ALTERNATIVE": cases.ALTERNATIVE,
-        "NO_FACE": cases.NO_FACE,
-        "NO_EDGE": cases.NO_EDGE,
-    },
-    "svo/surface/greedy_meshing.h": {"COORDINATE_BITS": rectangles.COORDINATE_BITS},
-    "svo/voxelize.h": {
-        "TOUCHED": voxelize.TOUCHED,
-        "SEPARATING": voxelize.SEPARATING,
-        "CROSSED": voxelize.CROSSED,
-        "NODE_LEVEL": voxelize.NODE_LEVEL,
-        "BLOCK": voxelize.BLOCK,
-    },
+ENUMERATIONS = {  # constants that a header counts from 0, by names of the host
+    "adf/query.h": SEARCHES,
+    "tets/integrators.h": INTEGRATORS,
 }
 
 
@@ -139,20 +75,24 @@ def test_the_node_of_the_device_is_that_of_the_host(device: Device, kernels, req
     array.release()
 
 
-@pytest.mark.parametrize("header", CONSTANTS)
+@pytest.mark.parametrize("header", headers.HOMES)
 def test_the_constants_of_the_device_are_those_of_the_host(
     device: Device, header: str, kernels, request
 ) -> None:
-    constants = CONSTANTS[header]
-    assert re.findall(r"#define (\w+)", headers.generated(header)) == list(constants)
+    """Every header compiles alone, and each whole number in it has the value, and the sign, of the
+    host module's constant of the same name."""
+    home = import_module(headers.HOMES[header])
+    numbers = {name.upper(): i for i, name in enumerate(ENUMERATIONS.get(header, ()))}
+    names = re.findall(r"(?m)^#define (\w+) -?\w+$", headers.generated(header))
+    expected = [int(numbers[n] if n in numbers else getattr(home, n)) for n in names]
+    assert numbers.keys() <= set(names)
     lines = [f'#include "{header}"', "__kernel void report(__global ulong *out) {"]
-    for i, name in enumerate(constants):
-        # preprocessed, as a type wide enough for it, and its sign: all masks are unsigned
+    for i, name in enumerate(names):
         lines += [f"    out[{2 * i}] = {name};", f"    out[{2 * i + 1}] = {name} > 0;"]
     source = kernels(unique(request, "constants.cl"), "\n".join([*lines, "}"]))
-    found = report(device, source, 2 * len(constants))
-    assert found[::2] == [int(value) for value in constants.values()]
-    assert found[1::2] == [int(value > 0) for value in constants.values()]
+    found = report(device, source, max(2 * len(names), 1))
+    assert found[: 2 * len(names) : 2] == expected
+    assert found[1 : 2 * len(names) : 2] == [int(value > 0) for value in expected]
 
 
 def test_any_record_of_32_and_64_bit_fields(device: Device, kernels, request) -> None:

@@ -14,7 +14,8 @@ from voxtool.camera import Camera, Rays
 from voxtool.errors import VoxtoolError
 from voxtool.grid import Grid
 from voxtool.opencl import Device
-from voxtool.svo.octree import BRICK, INSIDE, NODE, VALID, Octree
+from voxtool.svo.layout import BRICK, INSIDE, NODE, VALID
+from voxtool.svo.octree import Octree
 from voxtool.svo.raycast import COLOUR, OctreeRenderer, render_svo
 
 AMBIENT = 0.08
@@ -392,8 +393,9 @@ def test_empty(device: Device):
 def test_refined_nodes_that_are_empty(device: Device):
     """Nodes that a triangle touches may hold no voxel: no level draws them."""
     full = octree_from_dense(np.ones((32, 32, 32), bool), mode="surface26", fill="none")
-    octree = replace(full, bricks=np.zeros_like(full.bricks))
-    octree.bricks[-1] = 1 << 63
+    bricks = np.zeros_like(full.bricks)
+    bricks[-1] = 1 << 63
+    octree = replace(full, bricks=bricks)
     corner = octree.grid.to_world(np.array([[0, 0, 0], [32, 32, 32]]))
     rays = Camera.fit(corner[0], corner[1]).rays(64, 64)
     renderer = OctreeRenderer(octree, device)

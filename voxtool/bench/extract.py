@@ -23,7 +23,8 @@ from voxtool.grid import Grid
 from voxtool.morton import morton_encode
 from voxtool.opencl import open_device
 from voxtool.spatial.deviation import deviation
-from voxtool.svo.octree import BRICK_SIDE, Octree
+from voxtool.svo.layout import BRICK_SIDE
+from voxtool.svo.octree import Octree
 from voxtool.svo.surface.extract import extract
 from voxtool.svo.voxelize import voxelize
 

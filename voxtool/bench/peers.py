@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.morton import morton_decode
-from voxtool.svo.octree import BRICK_SIDE, Octree
+from voxtool.svo.layout import BRICK_SIDE
+from voxtool.svo.octree import Octree
 
 if TYPE_CHECKING:
     from collections.abc import Callable

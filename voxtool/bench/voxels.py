@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.mesh.mesh import Mesh
-from voxtool.svo.octree import BRICK_SIDE
+from voxtool.svo.layout import BRICK_SIDE
 
 if TYPE_CHECKING:
     from voxtool.grid import Grid

@@ -12,7 +12,8 @@ import numpy as np
 from voxtool.adf.field import DistanceField, half_diagonals
 from voxtool.adf.hashing import cell_of
 from voxtool.errors import VoxtoolError, printable
-from voxtool.svo.octree import BRICK_SIDE, Octree
+from voxtool.svo.layout import BRICK_SIDE
+from voxtool.svo.octree import Octree
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

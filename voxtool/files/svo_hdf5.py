@@ -24,7 +24,8 @@ from voxtool.files.schema import (
     without,
 )
 from voxtool.grid import Grid
-from voxtool.svo.octree import NODE, Octree
+from voxtool.svo.layout import NODE
+from voxtool.svo.octree import Octree
 
 if TYPE_CHECKING:
     import numpy as np

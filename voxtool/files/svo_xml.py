@@ -20,7 +20,9 @@ import numpy as np
 
 from voxtool.errors import FileError
 from voxtool.files.svo_hdf5 import SCHEMA, grid_of
-from voxtool.svo.octree import BRICK, NODE, Octree, check_offsets
+from voxtool.svo.layout import BRICK, NODE
+from voxtool.svo.octree import Octree
+from voxtool.svo.validate import check_offsets
 
 if TYPE_CHECKING:
     from voxtool.files.schema import Attribute

@@ -24,7 +24,7 @@ HOMES = {
     "spatial/winding_number.h": "voxtool.spatial.winding_number",
     "svo/fill/parity.h": "voxtool.svo.fill.parity",
     "svo/fill/winding.h": "voxtool.svo.fill.winding",
-    "svo/octree.h": "voxtool.svo.octree",
+    "svo/octree.h": "voxtool.svo.layout",
     "svo/raycast.h": "voxtool.svo.raycast",
     "svo/surface/case_tables.h": "voxtool.svo.surface.case_tables",
     "svo/surface/dual_case_tables.h": "voxtool.svo.surface.case_tables",

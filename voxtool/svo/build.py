@@ -14,7 +14,7 @@ import numpy as np
 from voxtool.errors import MemoryLimitError
 from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
-from voxtool.svo.octree import MAX_LINK, NODE
+from voxtool.svo.layout import MAX_LINK, NODE
 
 SOURCE = "svo/build.cl"
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from voxtool.errors import GridError
-from voxtool.svo.octree import BRICK, BRICK_SIDE, INSIDE, LINK, VALID, Octree, unpack_bricks
+from voxtool.svo.layout import BRICK, BRICK_SIDE, INSIDE, LINK, VALID, unpack_bricks
+from voxtool.svo.octree import Octree
 
 EMPTY, FULL = -1, -2  # in place of a node: what is all alike
 

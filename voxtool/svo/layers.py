@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.memory import check_memory
-from voxtool.svo.octree import BRICK_SIDE, Octree, unpack_bricks
+from voxtool.svo.layout import BRICK_SIDE, unpack_bricks
+from voxtool.svo.octree import Octree
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

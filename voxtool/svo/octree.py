@@ -1,61 +1,54 @@
-"""The sparse voxel octree: the data, as in figures 3.5 and 5.1 of the thesis.
+"""The sparse voxel octree: the data.
 
 Level 0 nodes are bricks of 4 x 4 x 4 voxels; a node of level L spans 4 * 2**L voxels a side, and
 the root spans the grid's cube. A node has no child or eight. The nodes of a level are contiguous
-and in Morton order (x in the lowest bit), so a child index is a multiple of 8; levels are stored
-from the root down in one flat array, and links count from the start of their level.
+and in Morton order (x in the lowest bit), so a child index is a multiple of 8. Levels are stored
+from the root down in one flat array, and links count from the start of their level; level 0 node i
+owns brick i. layout.py gives the bits of nodes and bricks.
 
-A node is two 32-bit words, `parent` and `child`. The bits of a word are given once, here: the
-device's header is generated from them.
-
-    bit 31      INSIDE, in `child` only: a leaf above level 0 that lies wholly inside a solid
-    bit 30      VALID: the word holds a link (the root has no parent, a coarse leaf no child)
-    bits 0..29  LINK: index of the parent, of the first child, or at level 0 of the node's brick
-
-A brick is a 64-bit mask of its voxels in Morton order: bit 0 is voxel (0, 0, 0), bit 1 (1, 0, 0),
-bit 2 (0, 1, 0), bit 4 (0, 0, 1), bit 8 (2, 0, 0). Level 0 node i owns brick i.
+The structure is that of [voCCeL], figures 3.5 and 5.1.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.errors import FileError
-from voxtool.grid import FIXED_POINT_BITS, Grid
-from voxtool.morton import morton_decode, spread_bits
-from voxtool.opencl import program
+from voxtool.arrays import equal, read_only
+from voxtool.choices import MODES
+from voxtool.errors import GridError, VoxtoolError, human
+from voxtool.grid import Grid
+from voxtool.memory import check_memory
+from voxtool.morton import morton_decode
+from voxtool.svo.layout import (
+    BRICK,
+    BRICK_SIDE,
+    INSIDE,
+    NODE,
+    VALID,
+    pack_array,
+    pack_voxels,
+    unpack_bricks,
+)
+from voxtool.svo.prune import octree_of_bricks
+from voxtool.svo.validate import check_sizes, check_structure
 
-NODE = np.dtype([("parent", "<u4"), ("child", "<u4")])
-INSIDE = np.uint32(1 << 31)
-VALID = np.uint32(1 << 30)
-LINK = np.uint32(VALID - 1)
-MAX_LINK = int(VALID)  # nodes, as a link has 30 bits
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
-BRICK = np.dtype("<u8")
-BRICK_SIDE = 4
-NODE_BYTES, BRICK_BYTES = NODE.itemsize, BRICK.itemsize
-HEADERS = {
-    "svo/octree.h": "\n".join(
-        [
-            program.c_struct("svo_node", NODE),
-            program.c_constants(INSIDE=INSIDE, VALID=VALID, LINK=LINK),
-            f"#define FIXED_POINT_BITS {FIXED_POINT_BITS}",
-        ]
-    )
-}
-
-BRICK_VOXELS = morton_decode(np.arange(BRICK_SIDE**3))  # (64, 3): the voxel of each bit
+OCTREE_MODES = (*MODES, "solid+surface26")
 
 
 @dataclass(frozen=True)
 class Level:
     """The nodes of one level, in Morton order.
 
+    Attributes
+    ----------
     number : the level; 0 holds the bricks.
     side : voxels along a side of a node.
     nodes : (N,) view of the octree's nodes, dtype NODE.
@@ -83,19 +76,30 @@ class Level:
         return morton_decode(self.codes) * self.side
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Octree:
     """A set of voxels of a grid.
 
+    Octrees are equal where their digests are: same grid, mode, fill and nodes, whatever their plan
+    and source. They are hashed by identity, so that the device can keep data for one of them.
+
+    Parameters
+    ----------
     grid : where the voxels lie.
     mode : "surface26", "surface6", "solid" or "solid+surface26".
-    fill : rule that told inside from outside: "parity", or "none" for a surface.
+    fill : rule that decided what is inside: "parity", "nonzero", "winding", "flood", "flood+gapN";
+        "none" for surfaces and for voxels that were given.
     offsets : (depth + 1,) uint32: where each level begins, root first; the last is the node count.
     nodes : (N,) NODE.
-    bricks : (M,) uint64, one a level 0 node.
+    bricks : (M,) uint64, one for each level 0 node.
     plan : what the plan said of the scene: JSON types only.
     source_sha256 : hex digest of the bytes that the mesh was read from, or "".
     units : name of the world unit if known, or "".
+
+    Raises
+    ------
+    VoxtoolError : the mode is unknown, or an array is of another type.
+    FileError : the sizes of the arrays do not fit the grid or each other.
     """
 
     grid: Grid
@@ -104,9 +108,102 @@ class Octree:
     offsets: np.ndarray
     nodes: np.ndarray
     bricks: np.ndarray
-    plan: dict[str, Any] = field(default_factory=dict)
-    source_sha256: str = ""
-    units: str = ""
+    plan: dict[str, Any] = field(default_factory=dict, compare=False)
+    source_sha256: str = field(default="", compare=False)
+    units: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        if self.mode not in OCTREE_MODES:
+            raise VoxtoolError(
+                f"octree mode {self.mode!r} is unknown: choose one of {', '.join(OCTREE_MODES)}"
+            )
+        for name, dtype in (("offsets", np.dtype("<u4")), ("nodes", NODE), ("bricks", BRICK)):
+            array = getattr(self, name)
+            if not isinstance(array, np.ndarray) or array.dtype != dtype or array.ndim != 1:
+                raise VoxtoolError(f"octree {name}: give a one-dimensional array of {dtype}")
+            object.__setattr__(self, name, read_only(array))
+        check_sizes(self)
+
+    @classmethod
+    def from_dense(
+        cls,
+        array: Any,
+        origin: Sequence[float] = (0.0, 0.0, 0.0),
+        pitch: Sequence[float] | float = 1.0,
+        *,
+        mode: str = "solid",
+        units: str = "",
+    ) -> Octree:
+        """The octree of a dense array, with fill "none".
+
+        Parameters
+        ----------
+        array : (nx, ny, nz), indexed [x, y, z]; voxels that are not zero are set.
+        origin : world coordinates of the low corner of voxel (0, 0, 0).
+        pitch : world size of a voxel, or one for each axis.
+        mode : "solid": nodes whose voxels are all alike are leaves. "surface26" or "surface6":
+            all nodes that hold a voxel are refined, as for a surface.
+        units : name of the world unit.
+
+        Raises
+        ------
+        GridError : the array has not three axes, or a number is out of a grid's range.
+        """
+        dense = np.asarray(array)
+        if dense.ndim != 3:
+            raise GridError(f"array of shape {dense.shape}: give one with three axes, x, y and z")
+        grid = Grid(dense.shape, origin, pitch)  # pyright: ignore[reportArgumentType]
+        arrays = octree_of_bricks(grid.side, *pack_array(dense != 0), collapse="solid" in mode)
+        return cls(grid, mode, "none", *arrays, units=units)
+
+    @classmethod
+    def from_voxels(
+        cls, indices: Any, grid: Grid, *, mode: str = "solid", units: str = ""
+    ) -> Octree:
+        """The octree of a list of voxels, with fill "none"; no dense array is made.
+
+        Parameters
+        ----------
+        indices : (N, 3) whole numbers x, y, z, in any order; repeated ones count once.
+        mode, units : as in from_dense.
+
+        Raises
+        ------
+        GridError : an index is not in the grid, or no whole number.
+        """
+        voxels = np.asarray(indices)
+        if voxels.size == 0:
+            voxels = np.empty((0, 3), np.int64)
+        if voxels.ndim != 2 or voxels.shape[1] != 3 or voxels.dtype.kind not in "iu":
+            raise GridError(
+                f"voxels of shape {voxels.shape} and type {voxels.dtype}: give (N, 3) whole numbers"
+            )
+        beyond = ((voxels < 0) | (voxels >= grid.shape)).any(axis=1)
+        if beyond.any():
+            raise GridError(
+                f"voxel {tuple(voxels[np.argmax(beyond)].tolist())} is not in the grid of "
+                f"{' x '.join(map(str, grid.shape))}"
+            )
+        arrays = octree_of_bricks(grid.side, *pack_voxels(voxels), collapse="solid" in mode)
+        return cls(grid, mode, "none", *arrays, units=units)
+
+    def __eq__(self, other: object) -> bool:
+        return equal(self, other)
+
+    __hash__ = object.__hash__
+
+    def __repr__(self) -> str:
+        shape = " x ".join(map(str, self.grid.shape))
+        rule = "" if self.fill == "none" else f" by {self.fill}"
+        return f"<Octree {shape}, {self.mode}{rule}, {self.count:,} voxels, {human(self.nbytes)}>"
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Octree, tuple(getattr(self, f.name) for f in fields(self))
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        if copy is False:
+            raise ValueError("an octree is no array: a dense copy is needed")
+        return self.to_dense().astype(dtype or bool, copy=False)
 
     @property
     def depth(self) -> int:
@@ -194,8 +291,18 @@ class Octree:
         }
 
     def to_dense(self) -> np.ndarray:
-        """The set voxels as a bool array indexed [x, y, z], of the grid's shape."""
+        """The voxels as a dense array; `np.asarray(octree)` is the same.
+
+        Returns
+        -------
+        (nx, ny, nz) bool, indexed [x, y, z].
+
+        Raises
+        ------
+        MemoryLimitError : the array does not fit in memory.
+        """
         nx, ny, nz = self.grid.shape
+        check_memory(nx * ny * nz, f"the {nx} x {ny} x {nz} bytes of a dense array")
         dense = np.zeros([-(-n // BRICK_SIDE) * BRICK_SIDE for n in self.grid.shape], bool)
         for level in self.levels():
             s = level.side
@@ -248,144 +355,6 @@ class Octree:
 
         Raises
         ------
-        FileError : names the first that fails, with its level and node.
+        FileError : names the first invariant that does not hold, with its level and node.
         """
-        self._check_offsets()
-        for level in self.levels():
-            self._check_level(level)
-        self._check_border()
-
-    def _check_offsets(self) -> None:
-        check_offsets(self.grid, self.offsets)
-        offsets = self.offsets.astype(np.int64)
-        depth = self.depth
-        if offsets[-1] != len(self.nodes):
-            raise FileError(
-                f"octree offsets: they end at {offsets[-1]} where there are {len(self.nodes)} nodes"
-            )
-        if len(self.bricks) != offsets[-1] - offsets[-2]:
-            raise FileError(
-                f"octree bricks: {len(self.bricks)} for {offsets[-1] - offsets[-2]} level 0 nodes"
-            )
-        for d in range(depth - 1):
-            refined = np.count_nonzero(self.nodes["child"][offsets[d] : offsets[d + 1]] & VALID)
-            if 8 * refined != offsets[d + 2] - offsets[d + 1]:
-                raise FileError(
-                    f"octree children: {refined} refined nodes on level {depth - 1 - d} do not "
-                    f"have the {offsets[d + 2] - offsets[d + 1]} nodes of the level below"
-                )
-
-    def _check_level(self, level: Level) -> None:
-        def refuse(what: str, bad: np.ndarray) -> None:
-            if bad.any():
-                raise FileError(
-                    f"octree {what}: level {level.number}, node {int(np.argmax(bad))} is wrong"
-                )
-
-        parent, child = level.nodes["parent"], level.nodes["child"]
-        refined = level.refined
-        refuse(
-            "inside flag of a refined node (both coarse-inside and refined)", refined & level.inside
-        )
-        if level.number == 0:
-            refuse(
-                "brick link (one brick a node, in order)",
-                child != (VALID | np.arange(len(child), dtype=np.uint32)),
-            )
-        else:
-            links = child[refined] & LINK
-            refuse(
-                "child link (Morton order: 8 nodes after the one before)",
-                links != 8 * np.arange(len(links), dtype=np.uint32),
-            )
-            refuse(
-                "leaf (link bits of a node without children are zero)",
-                ~refined & ((child & LINK) != 0),
-            )
-            if "solid" not in self.mode:
-                refuse("inside flag of a surface", level.inside)
-        if level.number == self.depth - 1:
-            refuse("parent link of the root (it has none)", parent != 0)
-        else:
-            d = self.depth - 1 - level.number
-            above = self.nodes["child"][self.offsets[d - 1] : self.offsets[d]]
-            owners = np.flatnonzero(above & VALID).astype(np.uint32)
-            refuse(
-                "parent link (the parent and its child agree)",
-                parent != (VALID | np.repeat(owners, 8)),
-            )
-
-    def _check_border(self) -> None:
-        """No voxel is set beyond the grid's shape: the padding to a cube is zero."""
-        if self.grid.shape == (self.grid.side,) * 3:
-            return
-        for level in self.levels():
-            beyond = _beyond(level, self.grid.shape)
-            if level.number:
-                bad = beyond & level.inside
-            else:
-                edge = np.flatnonzero(beyond)
-                allowed = voxels_within(morton_decode(level.codes[edge]), self.grid.shape)
-                bad = np.zeros(len(level.codes), bool)
-                bad[edge] = (self.bricks[edge] & ~allowed) != 0
-            if bad.any():
-                raise FileError(
-                    f"octree padding: level {level.number}, node {int(np.argmax(bad))} has voxels "
-                    "set beyond the grid's shape"
-                )
-
-
-def check_offsets(grid: Grid, offsets: np.ndarray) -> None:
-    """Check what offsets, (depth + 1,), can tell alone: before memory is taken for nodes.
-
-    Raises
-    ------
-    FileError : levels that the grid does not have, or of impossible sizes.
-    """
-    offsets = offsets.astype(np.int64)
-    depth = (grid.side // BRICK_SIDE).bit_length()
-    if len(offsets) != depth + 1:
-        raise FileError(
-            f"octree offsets: {len(offsets) - 1} levels where a grid of dim {grid.dim} has {depth}"
-        )
-    sizes = np.diff(offsets)
-    if offsets[0] != 0 or offsets[1] != 1 or (sizes < 0).any():
-        raise FileError("octree offsets: they do not rise from 0 and 1 (the root)")
-    if (sizes[1:] % 8).any():
-        raise FileError("octree offsets: a level below the root is no multiple of 8 nodes")
-    if (sizes[1:] > 8 * sizes[:-1]).any() or sizes.max() > int(LINK) + 1:
-        raise FileError("octree offsets: a level has more nodes than the one above allows")
-
-
-def _beyond(level: Level, shape: tuple[int, int, int]) -> np.ndarray:
-    """(N,) bool: nodes that reach beyond the shape; codes of one axis compare as its cells do."""
-    axis = spread_bits(np.array([(1 << 21) - 1]))[0]  # the bits of x in a code
-    beyond = np.zeros(len(level.codes), bool)
-    for a in range(3):
-        first = spread_bits(np.array([shape[a] // level.side]))[0]  # first cell not wholly within
-        beyond |= (level.codes & (axis << np.uint64(a))) >= (first << np.uint64(a))
-    return beyond
-
-
-def voxels_within(bricks: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
-    """(N, 3) brick cells to (N,) masks of the voxels that lie within the shape."""
-    bits = np.uint64(1) << np.arange(BRICK_SIDE**3, dtype=np.uint64)
-    within = np.full(len(bricks), ~np.uint64(0))
-    for a in range(3):
-        masks = np.array(
-            [bits[BRICK_VOXELS[:, a] < n].sum(dtype=np.uint64) for n in range(BRICK_SIDE + 1)],
-            np.uint64,
-        )
-        within &= masks[np.clip(shape[a] - BRICK_SIDE * bricks[:, a], 0, BRICK_SIDE)]
-    return within
-
-
-def unpack_bricks(bricks: np.ndarray) -> np.ndarray:
-    """(M,) uint64 masks to (M, 4, 4, 4) bool, indexed [brick, x, y, z]."""
-    bits = np.unpackbits(
-        np.ascontiguousarray(bricks, BRICK).view(np.uint8), bitorder="little"
-    ).reshape(-1, 64)
-    x, y, z = BRICK_VOXELS.T
-    dense = np.empty((len(bricks), BRICK_SIDE, BRICK_SIDE, BRICK_SIDE), bool)
-    dense[:, x, y, z] = bits
-    return dense
+        check_structure(self)

@@ -7,7 +7,7 @@ from typing import Any
 
 from voxtool.errors import MemoryLimitError, count_of, human
 from voxtool.job import Cost
-from voxtool.svo.octree import BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
+from voxtool.svo.layout import BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
 
 CELL = 2 * BRICK_SIDE  # voxels along a side of a level-1 node
 BLOCK = 64  # voxels along a side of a block of level-1 nodes

@@ -1,15 +1,15 @@
-"""The octree of a set as its contract has it, from one that is refined further.
+"""Octrees in canonical form, from the states of their nodes.
 
-Refined are the nodes that triangles make active, and those whose voxels are not all alike; what
-else a fill rule refined on its way is taken back, so that the octree tells the mesh and the set
-alone.
+A node is refined if a triangle makes it active, or if its voxels are not all alike. A fill rule may
+refine more on its way; `prune` takes that back, so that the octree depends on the mesh and on the
+set of voxels alone.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from voxtool.svo.octree import BRICK, INSIDE, NODE, VALID
+from voxtool.svo.layout import BRICK, BRICK_SIDE, INSIDE, NODE, VALID
 
 EMPTY, FULL, REFINED = range(3)  # states of nodes
 ALL_VOXELS = ~np.uint64(0)
@@ -23,21 +23,21 @@ def states_of(offsets: np.ndarray, nodes: np.ndarray) -> list[np.ndarray]:
     return np.split(states, offsets[1:-2])[::-1]
 
 
-def contract(
+def prune(
     lists: list[np.ndarray], states: list[np.ndarray], bricks: np.ndarray, active: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Take back what is refined but neither active nor mixed.
+    """Make leaves of the refined nodes that are neither active nor mixed.
 
     Parameters
     ----------
     lists : rising Morton codes of the refined nodes of each level, from level 1 up.
-    states : of all nodes of these levels.
-    bricks : (8 n,) uint64, those of the n refined nodes of level 1.
-    active : rising codes of level-1 nodes that stay refined.
+    states : (n,) uint8 states of all nodes of these levels.
+    bricks : (8 n,) uint64 masks of the n refined nodes of level 1.
+    active : rising Morton codes of the level-1 nodes that stay refined.
 
     Returns
     -------
-    The octree that is left: its offsets, nodes and bricks.
+    offsets, nodes, bricks : as in Octree.
     """
     parts, below = [], np.empty(0, np.uint8)
     for level, (codes, state) in enumerate(zip(lists, states, strict=True), 1):
@@ -59,10 +59,46 @@ def contract(
     return _linked(parts[::-1], bricks)
 
 
+def octree_of_bricks(
+    side: int, codes: np.ndarray, masks: np.ndarray, *, collapse: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The canonical octree of a set of voxels.
+
+    Parameters
+    ----------
+    side : voxels along a side of the root.
+    codes : (n,) uint64 rising Morton codes of the bricks that hold a voxel; masks : (n,) of these.
+    collapse : nodes whose voxels are all set become leaves.
+
+    Returns
+    -------
+    offsets, nodes, bricks : as in Octree.
+    """
+    lists, children = [], codes
+    while side > BRICK_SIDE:
+        lists.append(np.unique(children >> np.uint64(3)))
+        children, side = lists[-1], side // 2
+    states = []
+    for refined, parents in zip(lists, [*lists[1:], None], strict=True):
+        state = np.full(1 if parents is None else 8 * len(parents), EMPTY, np.uint8)
+        places = np.zeros(len(refined), int) if parents is None else _places(refined, parents)
+        state[places] = REFINED
+        states.append(state)
+    bricks = np.zeros(8 * len(lists[0]), BRICK)
+    bricks[_places(codes, lists[0])] = masks
+    return prune(lists, states, bricks, lists[0][:0] if collapse else lists[0])
+
+
+def _places(codes: np.ndarray, parents: np.ndarray) -> np.ndarray:
+    """Where nodes lie among the children of their parents; both are rising Morton codes."""
+    rank = np.searchsorted(parents, codes >> np.uint64(3))
+    return 8 * rank + (codes & np.uint64(7)).astype(np.int64)
+
+
 def _linked(
     levels: list[np.ndarray], bricks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Link the nodes of the levels above the bricks, given by their states, the root first."""
+    """The linked nodes of the levels above the bricks, from their states, root first."""
     sizes = [len(states) for states in levels] + [len(bricks)]
     offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.uint32)
     nodes = np.zeros(int(offsets[-1]), NODE)

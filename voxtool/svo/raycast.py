@@ -23,7 +23,8 @@ import numpy as np
 
 from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.opencl import Array, Device, default_device, program
-from voxtool.svo.octree import INSIDE, Octree
+from voxtool.svo.layout import INSIDE
+from voxtool.svo.octree import Octree
 from voxtool.vector import dot
 
 if TYPE_CHECKING:

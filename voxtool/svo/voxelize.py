@@ -36,9 +36,10 @@ from voxtool.svo.fill import parity as inside
 from voxtool.svo.fill.caps import find_caps
 from voxtool.svo.fill.flood import flood
 from voxtool.svo.fill.winding import Crossings, NearHoles
-from voxtool.svo.octree import BRICK, Octree
+from voxtool.svo.layout import BRICK
+from voxtool.svo.octree import Octree
 from voxtool.svo.plan import BLOCK, CELL, TILE, Survey, VoxelizePlan, plan_of
-from voxtool.svo.prune import contract, states_of
+from voxtool.svo.prune import prune, states_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -435,7 +436,7 @@ class VoxelizeJob(Job[Octree]):
             tree.release_refined()
         if touched is None:
             return self.result(offsets, nodes, masks)
-        return self.result(*contract(lists, states_of(offsets, nodes), masks, touched))
+        return self.result(*prune(lists, states_of(offsets, nodes), masks, touched))
 
     def result(self, offsets: np.ndarray, nodes: np.ndarray, bricks: np.ndarray) -> Octree:
         """The octree."""
@@ -566,7 +567,7 @@ def _flood(scene: VoxelizeJob, tree: DeviceOctree, bricks: Array) -> Octree:
         surface = bricks.take()
         tree.release()
         found = flood(touched, surface, scene.side, scene.grid.shape, scene.plan.gap)
-    return scene.result(*contract(*found, touched))
+    return scene.result(*prune(*found, touched))
 
 
 def _voxelize_surface(scene: VoxelizeJob, active: _ActiveNodes) -> Array:

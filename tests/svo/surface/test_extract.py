@@ -21,7 +21,7 @@ from voxtool.errors import MemoryLimitError, MeshWarning, VoxtoolError
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_surface, closed_chain, volume
-from voxtool.svo.octree import BRICK, BRICK_VOXELS, NODE, VALID
+from voxtool.svo.layout import BRICK, BRICK_VOXELS, NODE, VALID
 from voxtool.svo.surface.extract import extract, plan_extract
 from voxtool.svo.surface.isosurface import LATTICE, NEAREST, Isosurface, Lost
 from voxtool.svo.surface.plan import MAX_SAMPLES

@@ -19,7 +19,7 @@ import numpy as np
 
 from voxtool.mesh.topology import components
 from voxtool.morton import morton_decode, morton_encode
-from voxtool.svo.octree import voxels_within
+from voxtool.svo.layout import voxels_within
 from voxtool.svo.prune import EMPTY, FULL, REFINED
 
 ALL = ~np.uint64(0)

@@ -21,7 +21,7 @@ from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Array, Device, program
 from voxtool.svo.build import DeviceOctree, build_from_lists, code_name
-from voxtool.svo.octree import BRICK, BRICK_BYTES, LINK, MAX_LINK, NODE_BYTES, VALID
+from voxtool.svo.layout import BRICK, BRICK_BYTES, LINK, MAX_LINK, NODE_BYTES, VALID
 
 SOURCE = "svo/fill/parity.cl"
 MIXED = np.uint32(1 << 29)  # a leaf that must be refined

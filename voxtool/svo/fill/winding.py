@@ -41,7 +41,7 @@ from voxtool.spatial.bvh import ARITY, LEAF, TriangleTree, build_tree
 from voxtool.spatial.winding_number import WindingNumber
 from voxtool.svo.build import DeviceOctree
 from voxtool.svo.fill.caps import Caps
-from voxtool.svo.octree import BRICK, BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
+from voxtool.svo.layout import BRICK, BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
 from voxtool.vector import cross, length
 
 SOURCE = "svo/fill/winding.cl"

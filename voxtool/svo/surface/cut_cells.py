@@ -22,7 +22,8 @@ import numpy as np
 from voxtool.errors import MemoryLimitError
 from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
-from voxtool.svo.octree import BRICK_SIDE, Octree
+from voxtool.svo.layout import BRICK_SIDE
+from voxtool.svo.octree import Octree
 from voxtool.svo.surface.isosurface import Lost
 from voxtool.svo.surface.sampling import VOXEL, Sampling, Tree
 

@@ -28,7 +28,7 @@ from voxtool.choices import (
 from voxtool.errors import VoxtoolError
 from voxtool.job import Job
 from voxtool.opencl import Device, default_device
-from voxtool.svo.octree import BRICK_SIDE
+from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.surface.cut_cells import (
     classify_cubes,
     count_lost,

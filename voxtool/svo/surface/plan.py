@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from voxtool.choices import MARCHING_CUBES, SURFACE_NETS, VOXEL_FACES
 from voxtool.errors import MemoryLimitError, human
 from voxtool.job import Cost
-from voxtool.svo.octree import BRICK_BYTES
+from voxtool.svo.layout import BRICK_BYTES
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -11,7 +11,8 @@ from math import ceil
 
 import numpy as np
 
-from voxtool.svo.octree import BRICK_SIDE, BRICK_VOXELS, INSIDE, LINK, VALID, Octree
+from voxtool.svo.layout import BRICK_SIDE, BRICK_VOXELS, INSIDE, LINK, VALID
+from voxtool.svo.octree import Octree
 
 VOXEL = -2  # the level of samples that are voxels: a node of level n spans 4 * 2**n of them
 MAX_LEVEL = 8  # up to which 32 bits count a node's voxels

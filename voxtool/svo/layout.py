@@ -1,0 +1,107 @@
+"""The layout of an octree in memory: nodes, bricks and their bits, for host and device.
+
+A node is two 32-bit words, `parent` and `child`. The device's header is generated from the
+constants of this module.
+
+    bit 31      INSIDE, in `child` only: a leaf above level 0 that lies wholly inside a solid
+    bit 30      VALID: the word holds a link (the root has no parent, a coarse leaf no child)
+    bits 0..29  LINK: index of the parent, of the first child, or at level 0 of the node's brick
+
+A brick is a 64-bit mask of 4 x 4 x 4 voxels in Morton order: bit 0 is voxel (0, 0, 0), bit 1
+(1, 0, 0), bit 2 (0, 1, 0), bit 4 (0, 0, 1), bit 8 (2, 0, 0).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from voxtool.grid import FIXED_POINT_BITS
+from voxtool.morton import morton_decode, morton_encode
+from voxtool.opencl import program
+
+NODE = np.dtype([("parent", "<u4"), ("child", "<u4")])
+INSIDE = np.uint32(1 << 31)
+VALID = np.uint32(1 << 30)
+LINK = np.uint32(VALID - 1)
+MAX_LINK = int(VALID)  # nodes, as a link has 30 bits
+
+BRICK = np.dtype("<u8")
+BRICK_SIDE = 4
+NODE_BYTES, BRICK_BYTES = NODE.itemsize, BRICK.itemsize
+HEADERS = {
+    "svo/octree.h": "\n".join(
+        [
+            program.c_struct("svo_node", NODE),
+            program.c_constants(INSIDE=INSIDE, VALID=VALID, LINK=LINK),
+            f"#define FIXED_POINT_BITS {FIXED_POINT_BITS}",
+        ]
+    )
+}
+
+BRICK_VOXELS = morton_decode(np.arange(BRICK_SIDE**3))  # (64, 3): the voxel of each bit
+
+
+def unpack_bricks(bricks: np.ndarray) -> np.ndarray:
+    """(M, 4, 4, 4) bool voxels of (M,) uint64 masks, indexed [brick, x, y, z]."""
+    bits = np.unpackbits(
+        np.ascontiguousarray(bricks, BRICK).view(np.uint8), bitorder="little"
+    ).reshape(-1, 64)
+    x, y, z = BRICK_VOXELS.T
+    dense = np.empty((len(bricks), BRICK_SIDE, BRICK_SIDE, BRICK_SIDE), bool)
+    dense[:, x, y, z] = bits
+    return dense
+
+
+def pack_array(dense: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The bricks of a dense array that hold a voxel.
+
+    Parameters
+    ----------
+    dense : (nx, ny, nz) bool, indexed [x, y, z].
+
+    Returns
+    -------
+    (M,) uint64 rising Morton codes of the bricks, and (M,) uint64 masks.
+    """
+    padded = np.pad(dense, [(0, -n % BRICK_SIDE) for n in dense.shape])
+    a, b, c = (n // BRICK_SIDE for n in padded.shape)
+    blocks = padded.reshape(a, BRICK_SIDE, b, BRICK_SIDE, c, BRICK_SIDE)
+    cells = np.argwhere(blocks.any(axis=(1, 3, 5)))
+    codes = morton_encode(cells)
+    order = np.argsort(codes)
+    i, j, k = cells[order].T
+    x, y, z = BRICK_VOXELS.T
+    voxels = blocks.transpose(0, 2, 4, 1, 3, 5)[i, j, k][:, x, y, z]
+    return codes[order], np.packbits(voxels, bitorder="little").view(BRICK)
+
+
+def pack_voxels(voxels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The bricks of a list of voxels.
+
+    Parameters
+    ----------
+    voxels : (N, 3) whole numbers from 0 to 2**21 - 1, in any order, repeated or not.
+
+    Returns
+    -------
+    (M,) uint64 rising Morton codes of the bricks, and (M,) uint64 masks.
+    """
+    codes = np.sort(morton_encode(voxels))
+    bits = np.uint64(1) << (codes & np.uint64(63))
+    codes >>= np.uint64(6)
+    first = np.flatnonzero(np.diff(codes, prepend=~codes[:1]))
+    masks = np.bitwise_or.reduceat(bits, first) if len(first) else bits
+    return codes[first], masks.astype(BRICK, copy=False)
+
+
+def voxels_within(bricks: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
+    """(N,) uint64 masks of the voxels that lie within a grid's shape, of (N, 3) brick cells."""
+    bits = np.uint64(1) << np.arange(BRICK_SIDE**3, dtype=np.uint64)
+    within = np.full(len(bricks), ~np.uint64(0))
+    for a in range(3):
+        masks = np.array(
+            [bits[BRICK_VOXELS[:, a] < n].sum(dtype=np.uint64) for n in range(BRICK_SIDE + 1)],
+            np.uint64,
+        )
+        within &= masks[np.clip(shape[a] - BRICK_SIDE * bricks[:, a], 0, BRICK_SIDE)]
+    return within

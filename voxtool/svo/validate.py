@@ -1,0 +1,159 @@
+"""The invariants of an octree."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.errors import FileError
+from voxtool.morton import morton_decode, spread_bits
+from voxtool.svo.layout import BRICK_SIDE, LINK, VALID, voxels_within
+
+if TYPE_CHECKING:
+    from voxtool.grid import Grid
+    from voxtool.svo.octree import Level, Octree
+
+
+def check_offsets(grid: Grid, offsets: np.ndarray) -> None:
+    """Check the sizes of an octree's levels, before memory is allocated for its nodes.
+
+    Parameters
+    ----------
+    offsets : (depth + 1,) whole numbers, as in Octree.
+
+    Raises
+    ------
+    FileError : the grid does not have these levels, or their sizes are impossible.
+    """
+    offsets = offsets.astype(np.int64)
+    depth = (grid.side // BRICK_SIDE).bit_length()
+    if len(offsets) != depth + 1:
+        raise FileError(
+            f"octree offsets: {len(offsets) - 1} levels where a grid of dim {grid.dim} has {depth}"
+        )
+    sizes = np.diff(offsets)
+    if offsets[0] != 0 or offsets[1] != 1 or (sizes < 0).any():
+        raise FileError("octree offsets: they do not rise from 0 and 1 (the root)")
+    if (sizes[1:] % 8).any():
+        raise FileError("octree offsets: a level below the root is no multiple of 8 nodes")
+    if (sizes[1:] > 8 * sizes[:-1]).any() or sizes.max() > int(LINK) + 1:
+        raise FileError("octree offsets: a level has more nodes than the one above allows")
+
+
+def check_sizes(octree: Octree) -> None:
+    """Check that offsets, nodes and bricks have sizes that fit the grid and each other.
+
+    Raises
+    ------
+    FileError : names what does not fit.
+    """
+    check_offsets(octree.grid, octree.offsets)
+    offsets = octree.offsets.astype(np.int64)
+    if offsets[-1] != len(octree.nodes):
+        raise FileError(
+            f"octree offsets: they end at {offsets[-1]} where there are {len(octree.nodes)} nodes"
+        )
+    if len(octree.bricks) != offsets[-1] - offsets[-2]:
+        raise FileError(
+            f"octree bricks: {len(octree.bricks)} for {offsets[-1] - offsets[-2]} level 0 nodes"
+        )
+
+
+def check_structure(octree: Octree) -> None:
+    """Check every invariant of nodes and bricks.
+
+    Raises
+    ------
+    FileError : names the first invariant that does not hold, with its level and node.
+    """
+    check_sizes(octree)
+    _check_children(octree)
+    levels = octree.levels()
+    for level in levels:
+        _check_level(octree, level)
+    _check_padding(octree, levels)
+
+
+def _check_children(octree: Octree) -> None:
+    """Every refined node has eight nodes on the level below."""
+    offsets, depth = octree.offsets.astype(np.int64), octree.depth
+    for d in range(depth - 1):
+        refined = np.count_nonzero(octree.nodes["child"][offsets[d] : offsets[d + 1]] & VALID)
+        if 8 * refined != offsets[d + 2] - offsets[d + 1]:
+            raise FileError(
+                f"octree children: {refined} refined nodes on level {depth - 1 - d} do not "
+                f"have the {offsets[d + 2] - offsets[d + 1]} nodes of the level below"
+            )
+
+
+def _check_level(octree: Octree, level: Level) -> None:
+    """The links and flags of a level's nodes."""
+
+    def refuse(what: str, bad: np.ndarray) -> None:
+        if bad.any():
+            raise FileError(
+                f"octree {what}: level {level.number}, node {int(np.argmax(bad))} is wrong"
+            )
+
+    parent, child = level.nodes["parent"], level.nodes["child"]
+    refined = level.refined
+    refuse("inside flag of a refined node (both coarse-inside and refined)", refined & level.inside)
+    if level.number == 0:
+        refuse(
+            "brick link (one brick a node, in order)",
+            child != (VALID | np.arange(len(child), dtype=np.uint32)),
+        )
+    else:
+        links = child[refined] & LINK
+        refuse(
+            "child link (Morton order: 8 nodes after the one before)",
+            links != 8 * np.arange(len(links), dtype=np.uint32),
+        )
+        refuse(
+            "leaf (link bits of a node without children are zero)",
+            ~refined & ((child & LINK) != 0),
+        )
+        if "solid" not in octree.mode:
+            refuse("inside flag of a surface", level.inside)
+    if level.number == octree.depth - 1:
+        refuse("parent link of the root (it has none)", parent != 0)
+    else:
+        d = octree.depth - 1 - level.number
+        above = octree.nodes["child"][octree.offsets[d - 1] : octree.offsets[d]]
+        owners = np.flatnonzero(above & VALID).astype(np.uint32)
+        refuse(
+            "parent link (the parent and its child agree)",
+            parent != (VALID | np.repeat(owners, 8)),
+        )
+
+
+def _check_padding(octree: Octree, levels: list[Level]) -> None:
+    """No voxel is set between the grid's shape and the octree's cube."""
+    if octree.grid.shape == (octree.grid.side,) * 3:
+        return
+    for level in levels:
+        beyond = _beyond(level, octree.grid.shape)
+        if level.number:
+            bad = beyond & level.inside
+        else:
+            edge = np.flatnonzero(beyond)
+            allowed = voxels_within(morton_decode(level.codes[edge]), octree.grid.shape)
+            bad = np.zeros(len(level.codes), bool)
+            bad[edge] = (octree.bricks[edge] & ~allowed) != 0
+        if bad.any():
+            raise FileError(
+                f"octree padding: level {level.number}, node {int(np.argmax(bad))} has voxels "
+                "set beyond the grid's shape"
+            )
+
+
+def _beyond(level: Level, shape: tuple[int, int, int]) -> np.ndarray:
+    """(N,) bool: whether nodes reach beyond the shape. Along one axis, the bits of two Morton codes
+    compare as the cells do."""
+    axis = spread_bits(np.array([(1 << 21) - 1]))[0]  # the bits of x in a code
+    beyond = np.zeros(len(level.codes), bool)
+    for a in range(3):
+        first = spread_bits(np.array([shape[a] // level.side]))[0]  # that is not wholly within
+        beyond |= (level.codes & (axis << np.uint64(a))) >= (first << np.uint64(a))
+    return beyond
