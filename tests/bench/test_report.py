@@ -1,5 +1,5 @@
-"""Reports of benchmarks: what follows from points, the page, what budgets and comparisons say. The
-points are made up: nothing is measured here."""
+"""Reports of benchmarks: what follows from points, tables, the page, budgets and comparisons. The
+points are made up; only the last sections measure."""
 
 from __future__ import annotations
 
@@ -18,21 +18,23 @@ import pytest
 from conftest import opened, usable_devices
 from helpers_cli import fail, invoke, run
 
-from voxtool.adf.build import build_adf
-from voxtool.bench import ablation as forced
-from voxtool.bench import chart, compare, peers, report, timing, voxels
+from voxtool.adf.build import build_adf, plan_adf
+from voxtool.bench import ablation, compare, peers, report, timing
 from voxtool.bench.points import (
     MEASURES,
+    Ablation,
     Budget,
     Point,
-    Saving,
     answers,
     duration,
     exponent,
+    exponents,
     pareto,
     verdicts,
 )
-from voxtool.bench.sweep.surfaces import Reference, area, capped
+from voxtool.bench.references import Reference, area, boundary, capped, voxels_of_peer
+from voxtool.bench.request import Request
+from voxtool.bench.tables import absent_of, tables_of
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import mesh_from_arrays
@@ -40,7 +42,7 @@ from voxtool.mesh.topology import check_topology, volume
 from voxtool.opencl import list_devices
 from voxtool.spatial.sampling import spread_in_cube
 from voxtool.svo.surface.extract import extract
-from voxtool.svo.voxelize import voxelize
+from voxtool.svo.voxelize import plan_voxelize, voxelize
 
 HOSTILE = """<script src="http://x.example/a.js">alert(1)</script>"'&$x_$=1\x1b[31m\n.obj"""
 
@@ -71,10 +73,10 @@ POINTS = [
 
 
 def made(points=POINTS, **more) -> report.Report:
-    saving = Saving("voxelize", "a.obj", "solid, dim 256", "128-bit predicates", "small triangles",
-                    [1.0, 1.1, 1.2], [2.0, 2.1, 2.2], True)  # fmt: skip
+    one = Ablation("voxelize", "a.obj", "solid, dim 256", "128-bit predicates", "small triangles",
+                   [1.0, 1.1, 1.2], [2.0, 2.1, 2.2], True)  # fmt: skip
     device = next(info for info in list_devices() if info.index == usable_devices()[0][0])
-    return report.Report(list(points), [saving], device, "voxtool bench all a.obj", **more)
+    return report.Report(list(points), [one], device, "voxtool bench all a.obj", **more)
 
 
 # ---- what follows from points
@@ -109,7 +111,7 @@ def test_exponents_of_known_powers() -> None:
     assert fitted == pytest.approx(np.polyfit(np.log(xs), np.log(ys), 1)[0])
     assert exponent([(4, 1.0), (4, 2.0)]) is None
     assert exponent([(1, 1.0), (2, 0.0)]) is None
-    assert chart.exponents(POINTS) == {
+    assert exponents(POINTS) == {
         "coarse": (pytest.approx(1), 64, 256),
         "fine": (pytest.approx(2), 64, 256),
     }
@@ -134,7 +136,7 @@ def test_budgets() -> None:
 
 def test_verdicts_are_of_the_figures() -> None:
     said = verdicts(POINTS)
-    assert said[0].startswith("error up to 1e-1: coarse, dim 64, 64 µs (its error is 0.016)")
+    assert said[0].startswith("error up to 1e-1: coarse, dim 64, 64 µs (error 0.016)")
     assert said[1].startswith("error up to 1e-2: coarse, dim 128, 128 µs")
     assert said[2].startswith("error up to 1e-3: fine, dim 64, 4.1 ms")
     assert said[3].startswith("error up to 1e-4: fine, dim 128")
@@ -144,11 +146,44 @@ def test_verdicts_are_of_the_figures() -> None:
     assert verdicts([POINTS[-1]]) == []
     perfect = verdicts([point("a", 1, 0.0)])
     assert len(perfect) == 2
-    assert "most accurate: a, 0 " in perfect[1]
+    assert "most accurate: a, 1 s (error 0, rms of the model's diagonal)" in perfect[1]
 
 
 def test_durations() -> None:
     assert [duration(s) for s in (12.34, 0.0125, 3e-6)] == ["12.3 s", "12.5 ms", "3 µs"]
+
+
+# ---- tables
+
+
+def test_tables_put_the_error_beside_the_time() -> None:
+    measured = [
+        point("ours", 1e-3, 0.5, label="dim 8", figures={"voxels": 1234, "host": 2e-4, "load": 0.5},
+              stages={"a": 1e-4, "b": 2e-4}, peak=10**8),
+        point("ours", 2e-3, 0.25, label="dim 16", first=0.5, stages={"b": 1e-4},
+              figures={"break-even": None}),
+        point("theirs", 4e-3, 0.75, label="dim 8", peer=True, absent={"area": "of voxels"}),
+    ]  # fmt: skip
+    times, figures, stages = tables_of(measured)
+    assert times.note == "time, and errors: rms: of the model's diagonal"
+    assert times.head == ["setting", "time", "±", "first", "rms", "beside"]
+    assert times.rows == [
+        ["ours, dim 8", "1 ms", "20 %", "-", "0.5", "-"],
+        ["ours, dim 16", "2 ms", "20 %", "500 ms", "0.25", "-"],
+        ["theirs, dim 8", "4 ms", "20 %", "-", "0.75", "4 times"],
+    ]
+    assert times.front == {0, 1}
+    assert figures.head == ["setting", "peak memory", "host", "voxels", "load", "break-even"]
+    assert figures.rows == [
+        ["ours, dim 8", "100 MB", "200 µs", "1,234", "50.00 %", "-"],
+        ["ours, dim 16", "-", "-", "-", "-", "never"],
+    ]
+    assert stages.rows == [["ours, dim 8", "0.30", "0.10", "0.20"],
+                           ["ours, dim 16", "0.10", "-", "0.10"]]  # fmt: skip
+    assert absent_of(measured) == ["theirs: no area: of voxels"]
+    lines = times.lines()
+    assert len({len(line) for line in lines}) == 1
+    assert [line[:2] for line in lines] == ["  ", "* ", "* ", "  "]
 
 
 # ---- files
@@ -264,8 +299,9 @@ def test_existing_files(tmp_path: Path, monkeypatch) -> None:
         report.check_folder(str(tmp_path / "no" / "out"))
 
 
-def test_charts_need_matplotlib(monkeypatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
+@pytest.mark.parametrize("package", ["matplotlib", "jinja2"])
+def test_reports_need_an_extra(monkeypatch, tmp_path: Path, package: str) -> None:
+    monkeypatch.setitem(__import__("sys").modules, package, None)
     with pytest.raises(FileError, match=r"pip install 'voxtool\[pictures\]'"):
         report.check_folder(str(tmp_path / "out"))
     assert not (tmp_path / "out").exists()
@@ -337,7 +373,6 @@ def damaged(tmp_path: Path, change) -> str:
     [
         (lambda v: v.update(format="other"), "no report of `voxtool bench`"),
         (lambda v: v.update(schema_version="2.0"), "schema version 2.0, and 1 can be read"),
-        (lambda v: v.update(schema_version=["\n"]), "schema version"),
         (lambda v: v.update(points={}), "points is no list"),
         (lambda v: v.update(points=[3]), "point 0 is no object"),
         (lambda v: v["points"][1].pop("model"), "point 1, model, is no text"),
@@ -345,10 +380,8 @@ def damaged(tmp_path: Path, change) -> str:
         (lambda v: v["points"][2].update(seconds=1), "point 2, seconds, is no object"),
         (lambda v: v["points"][2]["seconds"].update(least=9), "are not in order"),
         (lambda v: v["points"][2]["seconds"].update(median=0), "is out of range"),
-        (lambda v: v["points"][2]["seconds"].update(median=True), "is no number"),
         (lambda v: v["points"][2]["seconds"].update(most=10**400), "is out of range"),
         (lambda v: v["points"][2]["errors"].update(rms=-1), "is out of range"),
-        (lambda v: v["points"][2]["errors"].update(rms="0"), "is no number"),
         (lambda v: v["points"][2]["errors"].update(rms=math.nan), "is no JSON: NaN"),
         (lambda v: v["points"].append(v["points"][0]), "point 8 is there twice"),
         (lambda v: v.update(device=None), "device is no object"),
@@ -367,8 +400,8 @@ def test_other_files_are_one_line(tmp_path: Path, monkeypatch) -> None:
     assert "there is no such file" in fail("bench compare none.json none.json")
     with open(tmp_path / "large.json", "wb") as file:
         file.truncate(compare.MOST_BYTES + 1)
-    monkeypatch.setattr("helpers_cli.Path.iterdir", lambda self: iter(()))  # not read it twice
-    assert "a report has at most" in fail("bench compare large.json large.json")
+    with pytest.raises(FileError, match="a report has at most"):
+        compare.read_report("large.json")
 
 
 # ---- errors, of voxels and of what peers make
@@ -381,7 +414,7 @@ def test_the_boundary_of_voxels_is_that_of_the_octree(device) -> None:
     blocks = extract(octree, style="voxel-faces", device=device).mesh()
     centres = np.indices(grid.shape).reshape(3, -1).T + 0.5
     inside = (((centres * grid.pitch + grid.origin) ** 2).sum(axis=1) < 0.9).reshape(grid.shape)
-    ball = voxels.boundary(inside, np.array(grid.origin), np.array(grid.pitch))
+    ball = boundary(inside, np.array(grid.origin), np.array(grid.pitch))
     pitch = grid.pitch[0]
     assert volume(ball) == pytest.approx(np.count_nonzero(inside) * pitch**3)
     faces = sum(np.count_nonzero(np.diff(np.pad(inside, 1), axis=axis)) for axis in range(3))
@@ -426,7 +459,7 @@ def test_voxels_of_peers_lie_where_the_model_does(mode: str) -> None:
     found = peers.of(ball, grid, mode)
     assert any(name.startswith("trimesh ") for name in found)
     for name, work in found.items():
-        errors = reference.errors_of(voxels.of_peer(work(), grid))["errors"]
+        errors = reference.errors_of(voxels_of_peer(work(), grid))["errors"]
         assert errors["rms"] * reference.diagonal < grid.pitch[0], name
         assert errors["hausdorff"] * reference.diagonal < 2 * grid.pitch[0], name
 
@@ -438,35 +471,43 @@ def test_what_is_short_is_run_more_often() -> None:
     assert timing.Runs(2, seconds=5).by_turns(lambda: 2.0, lambda: 3.0) == ([2.0] * 3, [3.0] * 3)
 
 
-def test_slow_peers_are_not_asked_again(monkeypatch) -> None:
+def test_slow_tools_are_not_run_again() -> None:
     runs = []
-    others = timing.Peers(9)
-    found, made = others.times("quick", lambda: runs.append(0) or len(runs))
+    quick, slow = timing.Peers(9), timing.Peers(9, patience=-1)
+    found, made = quick.times("quick", lambda: runs.append(0) or len(runs))
     assert (len(found), made) == (timing.PEER_RUNS, 1 + timing.PEER_RUNS)
     assert len(runs) == 1 + timing.PEER_RUNS
-    monkeypatch.setattr(timing, "PATIENCE", -1)
-    assert len(others.times("slow", lambda: runs.append(0))[0]) == 1
-    assert others.times("slow", lambda: runs.append(0)) == ([], None)
+    assert len(slow.times("slow", lambda: runs.append(0))[0]) == 1
+    assert slow.times("slow", lambda: runs.append(0)) == ([], None)
     assert len(runs) == 2 + timing.PEER_RUNS
-    assert others.medians({"slow": list}) == {}
 
 
-# ---- what is forced in
+def test_missing_tools_are_those_of_the_benches() -> None:
+    assert set(peers.missing({"adf"})) <= {"open3d", "libigl"}
+    assert set(peers.missing({"tets"})) <= {"vtk"}
 
 
-def test_what_is_forced_in_changes_nothing(device) -> None:
+# ---- ablation
+
+
+def test_forced_decisions_change_nothing(device) -> None:
     mesh = mesh_from_arrays(*meshes.icosphere(2))
     about = {"bench": "voxelize", "model": "ball", "work": "solid"}
-    once, grid = timing.Runs(1), Grid.fit(mesh, 64)
-    savings = list(forced.of_voxelize(mesh, grid, "solid", device, once, about))
-    assert [saving.what for saving in savings] == list(forced.VOXELIZE)
-    assert all(saving.same for saving in savings)
-    assert all(len(s.runs) == len(s.forced) == 1 for s in savings)
-    field = list(forced.of_field(mesh, device, once, about, tolerance=1e-2, max_level=3))
-    assert {saving.what for saving in field} == set(forced.FIELD)
-    assert all(saving.same for saving in field)
-    for level, what in ((1, {forced.WIDE, forced.W}), (3, {forced.WIDE})):  # which has w
+    bench = timing.Bench(Request(repeat=1, seconds=0), device, device)
+    job = plan_voxelize(mesh, Grid.fit(mesh, 64), "solid", device=device)
+    found = list(ablation.of_voxelize(job, bench, about))
+    assert [one.what for one in found] == list(ablation.VOXELIZE)
+    assert all(one.same for one in found)
+    assert all(len(one.runs) == len(one.forced) == 1 for one in found)
+    request = {"tolerance": 1e-2, "max_level": 3, "measure": False, "device": device}
+    found = list(ablation.of_field(plan_adf(mesh, **request), bench, about))
+    assert {one.what for one in found} == set(ablation.FIELD)
+    assert all(one.same for one in found)
+    unsigned = plan_adf(mesh, sign="none", **request)
+    assert list(ablation.of_field(unsigned, bench, about)) == []
+    points = spread_in_cube(100)
+    for level, what in ((1, {ablation.WIDE, ablation.W}), (3, {ablation.WIDE})):  # which has w
         built = build_adf(mesh, device, tolerance=1e-2, max_level=level)
-        asked = list(forced.of_queries(built, spread_in_cube(100), device, timing.Runs(2), about))
-        assert {saving.what for saving in asked} == what
-        assert all(saving.same and len(saving.forced) == 2 for saving in asked)
+        found = list(ablation.of_queries(built, points, bench, about))
+        assert {one.what for one in found} == what
+        assert all(one.same for one in found)

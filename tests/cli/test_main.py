@@ -528,26 +528,6 @@ def test_export(here: Path) -> None:
     assert run("export - -o - --format npy", svo).stdout_bytes == (here / "a.npy").read_bytes()
 
 
-# ---- bench
-
-
-def test_bench(here: Path) -> None:
-    result = run("bench voxelize bunny.obj --dims 16,32 --modes solid,surface6 --repeat 1")
-    assert result.stderr == ""
-    lines = result.stdout.splitlines()
-    assert lines[2] == "bunny.obj: 3,092 triangles, fit uniform"
-    assert [line.split()[:2] for line in lines[4:]] == [
-        [dim, mode] for dim in ("16", "32") for mode in ("solid", "surface6")
-    ]
-    assert len({len(line) for line in lines[3:]}) == 1
-    told = json.loads(
-        run("bench voxelize bunny.obj --dims 16 --modes solid --repeat 1 --json").stdout
-    )
-    row = told["rows"][0]
-    assert (row["dim"], row["mode"], row["triangles"]) == (16, "solid", 3092)
-    assert row["stages"].keys() >= {"active nodes", "octree", "crossings", "rows", "fill"}
-
-
 # ---- as the user runs it
 
 

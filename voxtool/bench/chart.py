@@ -1,5 +1,5 @@
-"""Charts of what was measured, by matplotlib (the extra `pictures`): as SVG that takes the colours
-of the page it stands in, and as PNG on white."""
+"""Charts of points by matplotlib (the extra `pictures`): SVG in the colours of the page around it,
+and PNG on white."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ import numpy as np
 from voxtool.bench.points import (
     MEASURES,
     charted,
+    cost_lines,
     duration,
-    exponent,
+    exponents,
     methods_of,
     pareto,
     title,
@@ -28,7 +29,7 @@ from voxtool.errors import FileError, printable
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from voxtool.bench.points import Point, Saving
+    from voxtool.bench.points import Ablation, Point
 
 COLOURS = ("#2f7ed8", "#e07b00", "#1a9e77", "#c2417c", "#7a6ad8", "#a07a1f", "#d0453e", "#1597a8",
            "#6b8e23", "#8a5a44", "#5f7f95", "#b05fd0")  # fmt: skip
@@ -58,7 +59,7 @@ CSS = {PAGE.ink: "currentColor", PAGE.grid: "var(--grid)", PAGE.ground: "var(--c
 
 
 def check_matplotlib() -> None:
-    """Raises FileError, which says what to install, where there is no matplotlib."""
+    """Raise FileError if matplotlib is missing."""
     try:
         import matplotlib as _  # noqa: F401
     except ImportError:
@@ -75,11 +76,11 @@ class Chart:
 
 
 def charts(points: Sequence[Point], name: str) -> list[Chart]:
-    """All that there are of the points of one chart: error against time, cost against size, and
-    stages; those for which nothing was measured are left out."""
+    """The drawings of the points of one chart: error against time, cost against size, and stages;
+    without those for which nothing was measured."""
     drawings = {
         "error": (draw_error, any(point.error is not None for point in points)),
-        "cost": (draw_cost, bool(_lines_of_cost(points))),
+        "cost": (draw_cost, bool(cost_lines(points))),
         "stages": (draw_stages, bool(_bars(points))),
     }
     return [
@@ -87,13 +88,13 @@ def charts(points: Sequence[Point], name: str) -> list[Chart]:
     ]
 
 
-def savings_charts(savings: Sequence[Saving]) -> list[Chart]:
-    """What was saved by what plans left out, a chart for each bench and model."""
-    found: dict[tuple[str, str], list[Saving]] = {}
-    for saving in savings:
-        found.setdefault((saving.bench, saving.model), []).append(saving)
+def ablation_charts(ablations: Sequence[Ablation]) -> list[Chart]:
+    """The time that plans saved by what they left out, a chart for each bench and model."""
+    found: dict[tuple[str, str], list[Ablation]] = {}
+    for ablation in ablations:
+        found.setdefault((ablation.bench, ablation.model), []).append(ablation)
     return [
-        _chart(draw_savings, some, slug(f"{bench}-{model}-saved"))
+        _chart(draw_ablations, some, slug(f"{bench}-{model}-saved"))
         for (bench, model), some in found.items()
     ]
 
@@ -203,24 +204,6 @@ def draw_error(figure: Any, points: Sequence[Point], theme: Theme) -> None:
 # --- cost against size ---------------------------------------------------------------------------
 
 
-def _lines_of_cost(points: Sequence[Point]) -> dict[str, list[tuple[float, float]]]:
-    """Size and seconds of the points of each method that has several sizes."""
-    lines = {
-        method: sorted((p.size, p.seconds) for p in found if p.size)
-        for method, found in methods_of(points).items()
-    }
-    return {method: line for method, line in lines.items() if len({x for x, _ in line}) > 1}
-
-
-def exponents(points: Sequence[Point]) -> dict[str, tuple[float, float, float]]:
-    """By method: p of seconds ~ size**p, and the least and largest size that it is fitted to."""
-    return {
-        method: (p, line[0][0], line[-1][0])
-        for method, line in _lines_of_cost(points).items()
-        if (p := exponent(line)) is not None
-    }
-
-
 def draw_cost(figure: Any, points: Sequence[Point], theme: Theme) -> None:
     """Seconds against size, with the exponents that fit."""
     plot = figure.add_subplot()
@@ -229,7 +212,7 @@ def draw_cost(figure: Any, points: Sequence[Point], theme: Theme) -> None:
     plot.grid(True, which="major")
     fitted = exponents(points)
     methods = list(methods_of(points))
-    for method, line in _lines_of_cost(points).items():
+    for method, line in cost_lines(points).items():
         number = methods.index(method)
         p, low, high = fitted[method]
         plot.plot(
@@ -285,30 +268,30 @@ def draw_stages(figure: Any, points: Sequence[Point], theme: Theme) -> None:
 # --- what was left out ---------------------------------------------------------------------------
 
 
-def draw_savings(figure: Any, savings: Sequence[Saving], theme: Theme) -> None:
-    """How many times the time it takes with what the plan left out forced in: a bar each, from 1
-    on, with the range of the repeats."""
+def draw_ablations(figure: Any, ablations: Sequence[Ablation], theme: Theme) -> None:
+    """The time with a decision forced over the time as planned: a bar for each, from 1, and the
+    range of the repeats."""
     plot = figure.add_subplot()
     plot.grid(True, axis="x")
     ratios = []
-    for row, saving in enumerate(savings):
-        planned = statistics.median(saving.runs)
-        least, middle, most = (f(saving.forced) / planned for f in (min, statistics.median, max))
+    for row, one in enumerate(ablations):
+        planned = statistics.median(one.runs)
+        least, middle, most = (f(one.forced) / planned for f in (min, statistics.median, max))
         ratios += [least, most]
         kind = "within the noise"
-        if saving.beyond_noise:
-            kind = "saved by leaving it out" if saving.saved > 0 else "lost by leaving it out"
+        if one.beyond_noise:
+            kind = "saved by leaving it out" if one.saved > 0 else "lost by leaving it out"
         number = {"saved by leaving it out": 0, "lost by leaving it out": 1}.get(kind)
         plot.barh(row, middle - 1, left=1, height=0.62, label=kind,
                   color=theme.grid if number is None else COLOURS[number])  # fmt: skip
         plot.plot((least, most), (row, row), color=theme.ink, linewidth=1)
     plot.axvline(1, color=theme.ink, linewidth=1)
-    names = [f"{plain(s.what)}\n{plain(s.work)}" for s in savings]
-    plot.set_yticks(range(len(savings)), names, fontsize=7)
+    names = [f"{plain(s.what)}\n{plain(s.work)}" for s in ablations]
+    plot.set_yticks(range(len(ablations)), names, fontsize=7)
     plot.invert_yaxis()
     plot.set_xlim(min(0.9, *ratios), max(1.1, *ratios))
-    plot.set_xlabel("time forced in over time as planned; lines: all repeats")
-    plot.set_title(plain(f"{savings[0].bench}, {savings[0].model}: what was left out"))
+    plot.set_xlabel("time with it forced over time as planned; lines: all repeats")
+    plot.set_title(plain(f"{ablations[0].bench}, {ablations[0].model}: what was left out"))
     _lay_out(figure, plot, names)
 
 

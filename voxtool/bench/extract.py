@@ -1,139 +1,98 @@
-"""Extraction against run time: cubes, times of stages, memory, error, and peers on the same work.
+"""Surfaces of solid octrees: their error against the time from octree to surface.
 
-As the thesis's table 7.3 and, beside it, what the user waits for: octree in memory to surface in
-memory, and the whole command in a process of its own.
+The figures "nodes", "looked at" and "cut" are shares of the grid's samples: the cubes that the
+algorithm of [voCCeL] visits, those that are examined 64 at once here, and those that are cut by
+the surface and examined one by one.
 """
 
 from __future__ import annotations
 
-import statistics
 import tempfile
-from dataclasses import asdict, dataclass, field
+from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.bench import peers, timing
+from voxtool.bench import timing
+from voxtool.bench.points import Point
+from voxtool.bench.references import Reference, capped, surface_of_peer
 from voxtool.choices import MARCHING_CUBES
 from voxtool.files import write_svo
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.morton import morton_encode
-from voxtool.opencl import open_device
-from voxtool.spatial.deviation import deviation
 from voxtool.svo.layout import BRICK_SIDE
-from voxtool.svo.octree import Octree
-from voxtool.svo.surface.extract import extract
+from voxtool.svo.surface.extract import plan_extract
 from voxtool.svo.voxelize import voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-
-@dataclass
-class Row:
-    """One model at one dim in one style; times are medians, in seconds.
-
-    samples : along a side of the grid; cubes : those of the thesis, nodes and NullCubes, at level
-    0 (None at others); tiles : cubes of the tiles that were looked at, 64 at once; cut : cubes that
-    are cut, which alone are looked at one by one. stages : on the device, by its events; device :
-    their sum; host : what Python adds, in the same runs; memory : octree in memory to surface in
-    memory, Python included; spread : (max - min) / median of `memory`; command : the whole command,
-    in a process of its own, kernels cached; peak : its peak of resident memory, in bytes; error :
-    deviation from the model; peers : seconds by name, the dense grid included, and `ratios` : peer
-    / memory.
-    """
-
-    model: str
-    dim: int
-    style: str
-    level: int | str
-    samples: int
-    cubes: int | None
-    tiles: int
-    cut: int
-    vertices: int
-    triangles: int
-    stages: dict[str, float]
-    device: float
-    memory: float
-    host: float
-    spread: float
-    command: float
-    peak: int
-    error: dict[str, Any]
-    peers: dict[str, float] = field(default_factory=dict)
-    ratios: dict[str, float] = field(default_factory=dict)
-
-    def as_dict(self) -> dict[str, Any]:
-        return asdict(self)
+    from voxtool.bench.timing import Bench
+    from voxtool.svo.octree import Octree
+    from voxtool.svo.surface.isosurface import Isosurface
 
 
-def sweep(
-    models: list[str],
-    dims: list[int],
-    styles: list[str],
-    *,
-    isovalue: float = 0.5,
-    repeat: int = 5,
-    samples: int = 100_000,
-    device: str | None = None,
-    with_peers: bool = False,
-) -> Iterator[Row]:
-    """Measure every model at every dim in every style, `repeat` times after a warm-up.
+def measure(model: str, bench: Bench) -> Iterator[Point]:
+    """The points of a model."""
+    asked, mesh, others = bench.request, load_mesh(model), timing.Peers(bench.request.repeat)
+    against = Reference(*capped(mesh), asked.samples, bench.timed)
+    for dim, style in product(asked.dims, asked.styles):
+        octree = voxelize(mesh, Grid.fit(mesh, dim), "solid", device=bench.timed)
+        plan = partial(plan_extract, octree, style=style, isovalue=asked.isovalue)
+        job = plan(device=bench.timed)
+        made = job.run()
+        request = {"dims": dim, "styles": style, "isovalue": asked.isovalue,
+                   "samples": asked.samples}  # fmt: skip
+        point = Point(
+            "extract", Path(model).name, "solid voxels to surface", style, f"dim {dim}",
+            setting={**request, "fill": octree.fill, "level": made.level,
+                     "against": against.words},
+            command=asked.command("extract", model, **request),
+            size=dim, size_of="dim",
+            left_out=job.left_out,
+            bytes=made.points.nbytes + made.faces.nbytes,
+            **against.errors_of(made.mesh()),
+            **bench.measured(lambda device, plan=plan: plan(device=device).run()),
+        )  # fmt: skip
+        figures = {**_cubes(octree, made), **_in_voxels(point, against, octree), **point.figures}
+        point = replace(point, figures=figures)
+        if asked.commands:
+            seconds, peak = _command(octree, style, asked.isovalue, bench.timed.info.index)
+            point = replace(point, figures={**figures, "command": seconds}, peak=peak)
+        yield point
+        if not asked.peers or style != MARCHING_CUBES:
+            continue
+        for peer, run in bench.tools.of_octree(octree, asked.isovalue).items():
+            runs, result = others.times(peer, run)
+            if runs:
+                found = against.errors_of(surface_of_peer(result, octree))
+                beside = replace(point, method=peer, runs=runs, peer=True, figures={}, stages={},
+                                 left_out={}, bytes=None, peak=None, **found)  # fmt: skip
+                yield replace(beside, figures=_in_voxels(beside, against, octree))
 
-    Raises
-    ------
-    VoxtoolError : a model cannot be read, a dim does not fit, or a command fails.
-    """
-    timed = open_device(device)
-    profiled = open_device(device, profile=True)
-    for model in models:
-        mesh, others = load_mesh(model), timing.Peers(repeat)
-        for dim in dims:
-            grid = Grid.fit(mesh, dim)
-            octree = voxelize(mesh, grid, "solid", device=timed)
-            for style in styles:
-                work = partial(extract, octree, style=style, isovalue=isovalue)
-                surface = work(device=timed)
-                times = timing.times(partial(work, device=timed), repeat)
-                profiled.stage_times()
-                stages, whole = timing.stage_times(partial(work, device=profiled), profiled, repeat)
-                memory = statistics.median(times)
-                on_device = sum(stages.values())
-                command, peak = whole_command(octree, style, isovalue, timed.info.index)
-                pitch = max(grid.pitch)
-                row = Row(
-                    model=Path(model).name,
-                    dim=dim,
-                    style=style,
-                    level=surface.level,
-                    samples=-(-dim // surface.side),
-                    cubes=visited_cubes(octree) if surface.level == 0 else None,
-                    tiles=BRICK_SIDE**3 * surface.tiles,
-                    cut=surface.cubes,
-                    vertices=len(surface.points),
-                    triangles=len(surface.faces),
-                    stages=stages,
-                    device=on_device,
-                    memory=memory,
-                    host=whole - on_device,
-                    spread=(max(times) - min(times)) / memory,
-                    command=command,
-                    peak=peak,
-                    error=deviation(surface.mesh(), mesh, samples, pitch=pitch, device=timed),
-                )
-                if with_peers and style == MARCHING_CUBES:
-                    row.peers = others.medians(peers.of_octree(octree, isovalue))
-                    row.ratios = {name: t / memory for name, t in row.peers.items()}
-                yield row
+
+def _cubes(octree: Octree, surface: Isosurface) -> dict[str, float | None]:
+    """The size of a surface, and the shares of the grid's samples that were visited."""
+    samples = -(-max(octree.grid.shape) // surface.side)
+    found: dict[str, float | None] = {
+        "vertices": len(surface.points),
+        "triangles": len(surface.faces),
+        "samples a side": samples,
+    }
+    if surface.level == 0:
+        found["nodes"] = visited_cubes(octree) / samples**3
+    found["looked at"] = BRICK_SIDE**3 * surface.tiles / samples**3
+    found["cut"] = surface.cubes / samples**3
+    return found
 
 
 def visited_cubes(octree: Octree) -> int:
-    """How many cubes have a corner in a level 0 node: the nodes and the thesis's NullCubes (section
-    4.1), every one of which its algorithm looks at."""
+    """The number of cubes with a corner in a level 0 node: the nodes and the NullCubes of
+    [voCCeL], section 4.1, all of which its algorithm visits."""
     cells = octree.levels()[-1].cells // BRICK_SIDE
     for axis in range(3):
         below = cells[cells[:, axis] > 0]
@@ -143,8 +102,19 @@ def visited_cubes(octree: Octree) -> int:
     return len(cells)
 
 
-def whole_command(octree: Octree, style: str, isovalue: float, device: int) -> tuple[float, int]:
-    """Seconds and peak resident bytes of `voxtool extract` in a process of its own, to a PLY."""
+def _in_voxels(point: Point, against: Reference, octree: Octree) -> dict[str, float]:
+    """The distances between surface and model, in voxels."""
+    unit = against.diagonal / max(octree.grid.pitch)
+    names = {"rms": "rms in voxels", "hausdorff": "max in voxels"}
+    return {
+        name: unit * point.errors[measure]
+        for measure, name in names.items()
+        if measure in point.errors
+    }
+
+
+def _command(octree: Octree, style: str, isovalue: float, device: int) -> tuple[float, int]:
+    """Seconds and peak resident bytes of `voxtool extract` in its own process, to a PLY."""
     with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
         source = str(Path(folder, "in.svo.h5"))
         write_svo(octree, source)

@@ -25,15 +25,22 @@ if TYPE_CHECKING:
     from voxtool.tets.transfer import TransferFunction
 
 
-PACKAGES = {  # what they are imported as, and what pip calls them
-    "vtk": "vtk", "open3d": "open3d", "igl": "libigl", "skimage": "scikit-image",
-    "scipy": "scipy",  # which trimesh needs for it
-}  # fmt: skip
+PACKAGES = {  # imported name, package name, and the benches that use it
+    "vtk": ("vtk", {"voxelize", "extract", "tets"}),
+    "open3d": ("open3d", {"voxelize", "adf"}),
+    "igl": ("libigl", {"adf"}),
+    "skimage": ("scikit-image", {"extract"}),
+    "scipy": ("scipy", {"voxelize"}),  # needed by trimesh
+}
 
 
-def missing(*modules: str) -> list[str]:
-    """What pip calls those of them that are not installed; of all if none is named."""
-    return [PACKAGES[name] for name in modules or PACKAGES if _module(name) is None]
+def missing(benches: set[str]) -> list[str]:
+    """The packages that these benches could use and that are not installed."""
+    return [
+        package
+        for name, (package, used) in PACKAGES.items()
+        if used & benches and _module(name) is None
+    ]
 
 
 def of(mesh: Mesh, grid: Grid, mode: str) -> dict[str, Callable[[], object]]:

@@ -1,5 +1,5 @@
-"""What a benchmark measured, point by point: an error beside every time, and what follows from
-them: Pareto fronts, exponents, and the cheapest setting that meets a demand."""
+"""Points: the error of one setting beside its time; and what follows from points: Pareto fronts,
+exponents, and the cheapest setting that meets a budget."""
 
 from __future__ import annotations
 
@@ -20,12 +20,45 @@ SURFACE = {
     "volume": "of the model's volume",
     "area": "of the model's area",
 }
-FIELD = dict.fromkeys(("rms", "p99", "max"), "sides of the cube")
+CUBE = dict.fromkeys(("rms", "p99", "max"), "of the cube's side")
 MEASURES = {  # of errors, by bench, and their units; the first is drawn in charts
     "voxelize": SURFACE,
     "extract": SURFACE,
-    "adf": FIELD | {f"{name} near the surface": unit for name, unit in FIELD.items()},
+    "adf": CUBE | {f"{name} near the surface": unit for name, unit in CUBE.items()},
+    "distance": CUBE,
     "tets": dict.fromkeys(("rms", "max"), "of colours from 0 to 1"),
+}
+FIGURES = {  # what else is measured, and in what: s, ns, share, count or number
+    "host": "s",
+    "command": "s",
+    "build": "s",
+    "upload": "s",
+    "triangles": "count",
+    "vertices": "count",
+    "voxels": "count",
+    "samples a side": "count",
+    "nodes": "share",
+    "looked at": "share",
+    "cut": "share",
+    "rms in voxels": "number",
+    "max in voxels": "number",
+    "depth": "count",
+    "blocks": "count",
+    "over tolerance": "count",
+    "within": "share",
+    "within near the surface": "share",
+    "lipschitz": "number",
+    "load": "share",
+    "bits a key": "number",
+    "side of slots": "count",
+    "side of offsets": "count",
+    "w": "count",
+    "ns a point": "ns",
+    "break-even": "count",
+    "max unsigned": "number",
+    "other sign": "count",
+    "pixels compared": "count",
+    "largest alpha": "number",
 }
 
 
@@ -33,15 +66,21 @@ MEASURES = {  # of errors, by bench, and their units; the first is drawn in char
 class Point:
     """One setting of one method on one model.
 
-    work : what is timed, which is the same for all points of a chart; method : a line of a chart;
-    label : the setting in words; setting : all of it.
-    size, size_of : a number that the cost goes with, and what it counts; None where there is none.
-    runs : seconds of each repeat, after a warm-up; first : of the first one, where later ones have
-    what it made, as frames do.
-    errors : by name, as MEASURES; absent : why a measure is not among them.
-    stages : seconds on the device, by its events; left_out : what the plan left out, and why.
+    Attributes
+    ----------
+    work : what is timed; the same for all points of a chart.
+    method, label : a line of a chart, and the setting in words.
+    setting : all of the setting.
+    runs : seconds of each repeat, after a warm-up.
+    first : seconds of the first run, where later runs reuse what it made, as frames do.
+    size, size_of : the number that the cost is drawn against, and what it counts.
+    errors : by name, as MEASURES; absent : why a measure is missing.
+    figures : further measures by name, as FIGURES; None for a break-even that is never reached.
+    stages : seconds of each stage on the device, by its events.
+    left_out : what the plan left out, and why.
     bytes : of the result; peak : of resident memory, of the whole command in its own process.
-    command : measures it again. peer : another tool; its errors are by the same measure.
+    command : measures the point again.
+    peer : whether this is another tool; its errors are by the same measure.
     """
 
     bench: str
@@ -57,6 +96,7 @@ class Point:
     size_of: str = ""
     errors: dict[str, float] = field(default_factory=dict)
     absent: dict[str, str] = field(default_factory=dict)
+    figures: dict[str, float | None] = field(default_factory=dict)
     stages: dict[str, float] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
     bytes: int | None = None
@@ -66,6 +106,11 @@ class Point:
     @property
     def seconds(self) -> float:
         return statistics.median(self.runs)
+
+    @property
+    def spread(self) -> float:
+        """The slowest run minus the fastest, over the median."""
+        return (max(self.runs) - min(self.runs)) / self.seconds
 
     @property
     def error(self) -> float | None:
@@ -79,7 +124,7 @@ class Point:
 
     @property
     def key(self) -> tuple[str, str, str, str, str]:
-        """By this points of two reports are the same."""
+        """What identifies the same point in two reports."""
         return *self.chart, self.method, self.label
 
     def as_dict(self) -> dict[str, Any]:
@@ -89,11 +134,14 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Saving:
-    """What leaving something out saved: the same work with it, and without.
+class Ablation:
+    """One decision of a plan replaced: the same work with what the plan left out, and without.
 
-    runs, forced : seconds of each repeat as planned, and with it forced in, by turns.
-    same : whether the results were the same, bit for bit.
+    Attributes
+    ----------
+    what, why : what the plan left out, and its reason.
+    runs, forced : seconds of each repeat as planned, and with the decision forced, in turns.
+    same : whether the results are the same, bit for bit.
     """
 
     bench: str
@@ -107,12 +155,12 @@ class Saving:
 
     @property
     def saved(self) -> float:
-        """Seconds, of medians; below 0 if it takes longer without."""
+        """The seconds that leaving it out saves, by medians; negative if it costs time."""
         return statistics.median(self.forced) - statistics.median(self.runs)
 
     @property
     def beyond_noise(self) -> bool:
-        """Whether the slowest of one kind is faster than the fastest of the other."""
+        """Whether the slowest run of one kind is faster than the fastest of the other."""
         return max(self.runs) < min(self.forced) or max(self.forced) < min(self.runs)
 
     def as_dict(self) -> dict[str, Any]:
@@ -142,8 +190,8 @@ def methods_of(points: Iterable[Point]) -> dict[str, list[Point]]:
 
 
 def pareto(points: Iterable[Point]) -> list[Point]:
-    """The points that no other one beats: as fast or faster and as exact or more exact, and one of
-    both truly. The fastest first; points without an error are not among them."""
+    """The points that no other point dominates, the fastest first. Points without an error are
+    not among them."""
     front: list[Point] = []
     known = [(point.seconds, point.error, point) for point in points if point.error is not None]
     least = math.inf
@@ -155,7 +203,7 @@ def pareto(points: Iterable[Point]) -> list[Point]:
 
 
 def exponent(points: Sequence[tuple[float, float]]) -> float | None:
-    """p of y ~ x**p by least squares on logarithms; None for less than two different x, or where a
+    """p of y ~ x**p by least squares on logarithms; None for fewer than two different x, or if a
     number is not positive."""
     if len({x for x, _ in points}) < 2 or any(v <= 0 for point in points for v in point):
         return None
@@ -166,25 +214,44 @@ def exponent(points: Sequence[tuple[float, float]]) -> float | None:
     )
 
 
+def cost_lines(points: Sequence[Point]) -> dict[str, list[tuple[float, float]]]:
+    """Size and seconds of the points of each method that has several sizes."""
+    lines = {
+        method: sorted((p.size, p.seconds) for p in found if p.size)
+        for method, found in methods_of(points).items()
+    }
+    return {method: line for method, line in lines.items() if len({x for x, _ in line}) > 1}
+
+
+def exponents(points: Sequence[Point]) -> dict[str, tuple[float, float, float]]:
+    """By method: p of seconds ~ size**p, and the least and largest size of the fit."""
+    return {
+        method: (p, line[0][0], line[-1][0])
+        for method, line in cost_lines(points).items()
+        if (p := exponent(line)) is not None
+    }
+
+
 # --- what to choose ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Budget:
-    """What a setting must keep: seconds, an error by some measure, or both."""
+    """The limits of a setting: seconds, an error by some measure, or both."""
 
     time: float | None = None
     error: float | None = None
     measure: str | None = None  # the charted one by default
 
     def met(self, point: Point) -> bool:
+        """Whether a point keeps both limits."""
         error = point.errors.get(self.measure or charted(point.bench))
         return (self.time is None or point.seconds <= self.time) and (
             self.error is None or (error is not None and error <= self.error)
         )
 
     def choose(self, points: Iterable[Point]) -> Point | None:
-        """The cheapest of those that meet it; the most accurate, if only time is asked for."""
+        """The cheapest point that meets the error; the most accurate, if only time is limited."""
         met = [point for point in points if self.met(point)]
         if self.error is not None:
             return min(met, key=lambda point: point.seconds, default=None)
@@ -192,7 +259,7 @@ class Budget:
         return min(known, key=lambda found: found[:2])[2] if known else None
 
     def check(self, benches: Iterable[str]) -> None:
-        """Refuse a measure that one of the benches does not have; raises VoxtoolError."""
+        """Raise VoxtoolError if one of the benches does not have the measure."""
         for bench in benches:
             if self.measure is not None and self.measure not in MEASURES[bench]:
                 raise VoxtoolError(
@@ -209,18 +276,24 @@ class Budget:
 
 
 def answers(points: Iterable[Point], budget: Budget) -> list[tuple[str, Point | None]]:
-    """What each chart has to say to a budget: its title, and the point to choose, if any is."""
-    return [(title(chart), budget.choose(found)) for chart, found in charts_of(points).items()]
+    """The title of each chart in which an error was measured, and the point to choose in it, if any
+    meets the budget."""
+    return [
+        (title(chart), budget.choose(found))
+        for chart, found in charts_of(points).items()
+        if any(point.errors for point in found)
+    ]
 
 
 def verdicts(points: Sequence[Point]) -> list[str]:
-    """Of one chart: the cheapest point for each power of ten of the error, what is always beaten,
-    and what errors come to. In words."""
+    """What to choose in one chart, in words: the cheapest point for each power of ten of the error,
+    the most accurate point, and the methods that are never on the Pareto front."""
     front = pareto(points)
     if not front:
         return []
     said = []
-    unit = f"{charted(front[0].bench)} {MEASURES[front[0].bench][charted(front[0].bench)]}"
+    measure = charted(front[0].bench)
+    unit = f"{measure} {MEASURES[front[0].bench][measure]}"
     positive = [point.error for point in front if point.error]
     powers = range(
         math.ceil(math.log10(max(positive, default=1))),
@@ -232,11 +305,11 @@ def verdicts(points: Sequence[Point]) -> list[str]:
         if point is not None and point is not after:
             said.append(
                 f"error up to 1e{power}: {named(point)}, {duration(point.seconds)} "
-                f"(its error is {point.error:.2g})"
+                f"(error {point.error:.2g})"
             )
     best = front[-1]
     said.append(
-        f"most accurate: {named(best)}, {best.error:.2g} ({unit}) in {duration(best.seconds)}"
+        f"most accurate: {named(best)}, {duration(best.seconds)} (error {best.error:.2g}, {unit})"
     )
     on_front = {point.method for point in front}
     beaten = [method for method in methods_of(points) if method not in on_front]
@@ -246,15 +319,26 @@ def verdicts(points: Sequence[Point]) -> list[str]:
     return said
 
 
+def costs(points: Sequence[Point]) -> list[str]:
+    """How the time of each method of one chart grows with the size, in words."""
+    size_of = next((point.size_of for point in points if point.size), "")
+    return [
+        f"time of {method}: {size_of} to the {p:.2f}, from {low:,g} to {high:,g}"
+        for method, (p, low, high) in exponents(points).items()
+    ]
+
+
 # --- words ---------------------------------------------------------------------------------------
 
 
 def title(chart: tuple[str, str, str]) -> str:
+    """voxelize, bunny.obj: mesh to solid voxels."""
     bench, model, work = chart
     return f"{bench}, {model}: {work}"
 
 
 def named(point: Point) -> str:
+    """solid, parity, dim 64."""
     return f"{point.method}, {point.label}" if point.label else point.method
 
 

@@ -1,4 +1,4 @@
-"""How long: of work in this process, of its stages on the device, and of a whole command."""
+"""Time of work in this process, of its stages on the device, and of a whole command."""
 
 from __future__ import annotations
 
@@ -7,19 +7,22 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from voxtool.bench import peers
 from voxtool.errors import VoxtoolError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from voxtool.bench.request import Request
     from voxtool.opencl import Device
 
 
 MOST_RUNS = 9
 PEER_RUNS = 3
-PATIENCE = 5.0  # seconds
+PATIENCE = 5.0  # seconds of a peer
 
 
 def times(work: Callable[[], object], repeat: int) -> list[float]:
@@ -34,14 +37,14 @@ def times(work: Callable[[], object], repeat: int) -> list[float]:
 
 @dataclass(frozen=True)
 class Runs:
-    """How often work is timed: `repeat` times; what is short more often, up to MOST_RUNS, until it
-    took `seconds` in all."""
+    """How often work is timed: `repeat` times; short work more often, up to MOST_RUNS, until it
+    took `seconds` in total."""
 
     repeat: int
     seconds: float = 0.0
 
     def enough(self, found: list[float]) -> bool:
-        """Whether these runs are."""
+        """Whether these runs are enough."""
         many = len(found) >= MOST_RUNS or sum(found) >= self.seconds
         return len(found) >= self.repeat and many
 
@@ -55,7 +58,7 @@ class Runs:
     def by_turns(
         self, one: Callable[[], float], other: Callable[[], float]
     ) -> tuple[list[float], list[float]]:
-        """The seconds that two works return, by turns, so that what else the machine does meets
+        """The seconds that two works return, in turns, so that other load of the machine slows
         both."""
         found: list[float] = []
         others: list[float] = []
@@ -65,33 +68,65 @@ class Runs:
         return found, others
 
 
-def stage_times(
-    work: Callable[[], object], device: Device, repeat: int
-) -> tuple[dict[str, float], float]:
-    """Median seconds of each stage by the device's events, and of the whole in the same runs, after
-    a warm-up."""
-    runs, whole = [], []
-    for _ in range(repeat + 1):
-        whole += times(work, 1)
-        runs.append(device.stage_times())
-    stages = {name: statistics.median(run[name] for run in runs[1:]) for name in runs[0]}
-    return stages, statistics.median(whole[1:])
+@dataclass(frozen=True)
+class Bench:
+    """What measuring needs.
+
+    Attributes
+    ----------
+    request : what is measured.
+    timed, profiled : the same device twice, without and with events.
+    tools : the functions of voxtool.bench.peers.
+    """
+
+    request: Request
+    timed: Device
+    profiled: Device
+    tools: Any = peers
+
+    def measured(self, work: Callable[[Device], object]) -> dict[str, Any]:
+        """The runs, the stages and the figure "host" of a Point, for work that takes a device.
+
+        "host" is what Python adds to the stages, in the runs that give them.
+        """
+        work(self.timed)  # kernels are compiled
+        stages, whole = self.stages(work)
+        return {
+            "runs": self.request.runs.times(partial(work, self.timed)),
+            "stages": stages,
+            "figures": {"host": whole - sum(stages.values())},
+        }
+
+    def stages(self, work: Callable[[Device], object]) -> tuple[dict[str, float], float]:
+        """Median seconds of each stage on the device, and of the whole in the same runs, after a
+        warm-up."""
+        runs, whole = [], []
+        for _ in range(self.request.repeat + 1):
+            self.profiled.stage_times()
+            whole += times(partial(work, self.profiled), 1)
+            runs.append(self.profiled.stage_times())
+        names = runs[-1]
+        stages = {name: statistics.median(run.get(name, 0.0) for run in runs[1:]) for name in names}
+        return stages, statistics.median(whole[1:])
 
 
 class Peers:
-    """Other tools, which may take very long: at most PEER_RUNS runs each, after the warm-up that we
-    had, too; no more where they took over PATIENCE in all. One whose first run took that long has
-    no other, and is not asked again.
+    """Timing of other tools, which may take very long.
 
-    slow : their names.
+    Each has at most PEER_RUNS runs after a warm-up, and no further run once they took `patience`
+    seconds in total. A tool whose first run takes longer is run once, and skipped afterwards.
+
+    Attributes
+    ----------
+    slow : names of the tools that are skipped.
     """
 
-    def __init__(self, repeat: int) -> None:
-        self.repeat = min(repeat, PEER_RUNS)
+    def __init__(self, repeat: int, patience: float = PATIENCE) -> None:
+        self.repeat, self.patience = min(repeat, PEER_RUNS), patience
         self.slow: set[str] = set()
 
     def times(self, name: str, work: Callable[[], Any]) -> tuple[list[float], Any]:
-        """Seconds of each run, and what the last one made; no runs of what was too slow."""
+        """Seconds of each run, and the last result; no runs if the tool is skipped."""
         if name in self.slow:
             return [], None
         made: Any = None
@@ -101,22 +136,17 @@ class Peers:
             made = work()
 
         found = times(run, 1)
-        if found[0] > PATIENCE:
+        if found[0] > self.patience:
             self.slow.add(name)
             return found, made
         warm, found = found[0], []
-        while not found or (len(found) < self.repeat and warm + sum(found) < PATIENCE):
+        while not found or (len(found) < self.repeat and warm + sum(found) < self.patience):
             found += times(run, 1)
         return found, made
 
-    def medians(self, peers: dict[str, Callable[[], object]]) -> dict[str, float]:
-        """By name, of those that are asked."""
-        runs = {name: self.times(name, work)[0] for name, work in peers.items()}
-        return {name: statistics.median(found) for name, found in runs.items() if found}
 
-
-# A process counts the memory of the one that started it towards its own peak, so a small one
-# stands between.
+# The peak memory of a process includes that of the process that started it: a small one stands
+# between.
 _LAUNCHER = """
 import os, resource, subprocess, sys, time
 start = time.perf_counter()
@@ -127,11 +157,11 @@ print(code, seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 
 
 def command(*words: str) -> tuple[float, int]:
-    """Seconds and peak resident bytes of `voxtool` with these words in a process of its own.
+    """Seconds and peak resident bytes of `voxtool` with these words, in its own process.
 
     Raises
     ------
-    VoxtoolError : it fails.
+    VoxtoolError : the command fails.
     """
     launched = subprocess.run(
         [sys.executable, "-S", "-c", _LAUNCHER, sys.executable, "-m", "voxtool.cli.main", *words],

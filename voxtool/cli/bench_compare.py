@@ -1,4 +1,4 @@
-"""voxtool bench compare: what became slower or less accurate."""
+"""voxtool bench compare: what became slower or less accurate, between two reports."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     "--fail-over", type=click.FloatRange(min=0), metavar="PERCENT",
     help="Fail if something became slower by more, beyond the noise, or less accurate.",
 )  # fmt: skip
-@click.option("--all", "show_all", is_flag=True, help="Print what has not changed, too.")
+@click.option("--all", "show_all", is_flag=True, help="Print also what has not changed.")
 @options.json_option
 def command(old: str, new: str, fail_over: float | None, show_all: bool, as_json: bool) -> None:
     """Compare two reports of `voxtool bench`, row by row.
 
     A time has changed where the repeats of the two do not overlap; times are in s or ms. Errors
-    have no noise: any that is larger is told. With --fail-over the exit code is 1 where a row of
+    have no noise: any larger error is reported. With --fail-over the exit code is 1 where a row of
     both became slower by more than this, or less accurate.
 
     \b
@@ -67,11 +67,11 @@ def command(old: str, new: str, fail_over: float | None, show_all: bool, as_json
 
 
 def print_table(changes: list[Change], show_all: bool) -> None:
-    """A line for each row that has changed: the slowest first, then what errors became."""
-    told = [c for c in changes if show_all or c.slower or c.faster or c.worse or c.better]
-    for change in sorted(told, key=lambda c: -c.percent):
+    """Print a line for each row that has changed, the slowest first."""
+    changed = [c for c in changes if show_all or c.slower or c.faster or c.worse or c.better]
+    for change in sorted(changed, key=lambda c: -c.percent):
         click.echo(line(change))
-    if not told:
+    if not changed:
         click.echo("nothing has changed beyond the noise")
 
 
@@ -84,7 +84,7 @@ def line(change: Change) -> str:
         f"{words:<7}{change.percent:+8.1f} %  {duration(change.old.seconds):>9} -> "
         f"{duration(change.new.seconds):<9}  {name}"
     )
-    for told, found in (("less accurate", change.worse), ("more accurate", change.better)):
+    for verdict, found in (("less accurate", change.worse), ("more accurate", change.better)):
         for measure, (was, now) in found.items():
-            text += f"; {told}: {printable(measure)} {was:.3g} -> {now:.3g}"
+            text += f"; {verdict}: {printable(measure)} {was:.3g} -> {now:.3g}"
     return text

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import platform
 import sys
 import threading
 from pathlib import PurePath
@@ -13,14 +12,12 @@ import click
 
 from voxtool.choices import MAX_DIM, MIN_DIM
 from voxtool.errors import MemoryLimitError
-from voxtool.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from voxtool.adf.plan import FieldPlan
     from voxtool.opencl import Device
-    from voxtool.opencl.device import DeviceInfo
     from voxtool.render import RenderPlan
     from voxtool.svo.plan import VoxelizePlan
     from voxtool.svo.surface.plan import ExtractionPlan
@@ -140,47 +137,6 @@ def plan_options(function: Callable[..., Any]) -> Callable[..., Any]:
     )(function)
 
 
-def bench_options(dims: str, peers: str) -> Decorator:
-    """--dims with their default, and measure_options."""
-
-    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        return click.option(
-            "--dims",
-            type=List(DIM),
-            metavar="DIM,...",
-            default=dims,
-            show_default=True,
-            help="Voxels along the longest side.",
-        )(measure_options(peers)(function))
-
-    return decorate
-
-
-def measure_options(peers: str) -> Decorator:
-    """MODELS, --repeat, --peers with what they are, --device, --json."""
-
-    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        for option in reversed(
-            (
-                click.argument("models", nargs=-1, required=True),
-                click.option(
-                    "--repeat",
-                    type=click.IntRange(1),
-                    default=5,
-                    show_default=True,
-                    help="Runs after a warm-up; medians are printed.",
-                ),
-                click.option("--peers", is_flag=True, help=f"{peers}, if installed."),
-                device_option,
-                json_option,
-            )
-        ):
-            function = option(function)
-        return function
-
-    return decorate
-
-
 def output_options(metavar: str, default: str) -> Decorator:
     """-o and --no-clobber."""
 
@@ -210,17 +166,6 @@ def print_json(value: Any, err: bool = False) -> None:
     click.echo(json.dumps(value, indent=2), err=err)
     if context := click.get_current_context(silent=True):
         context.meta[PRINTED] = True
-
-
-def print_bench(info: DeviceInfo, rows: Iterable[Any], **request: Any) -> None:
-    """The rows of a benchmark as JSON, and where and how they were measured."""
-    head = {
-        "voxtool": __version__,
-        "device": info.as_dict(),
-        "machine": platform.machine(),
-        "python": platform.python_version(),
-    }
-    print_json({**head, **request, "rows": [row.as_dict() for row in rows]})
 
 
 def issued_warnings() -> list[str]:

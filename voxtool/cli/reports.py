@@ -1,26 +1,27 @@
-"""What the benches share that write reports: options, measuring, and what is printed of it."""
+"""What the benches share: options, measuring, and printing."""
 
 from __future__ import annotations
 
 import shlex
-import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from voxtool.cli import options
-from voxtool.errors import CheckError
+from voxtool.errors import CheckError, printable
+from voxtool.version import __version__
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from voxtool.bench.points import Budget, Point, Saving
-    from voxtool.bench.sweep import Sweep
+    from voxtool.bench.points import Budget, Point
+    from voxtool.bench.report import Report
+    from voxtool.bench.request import Request
 
 
 class Error(click.ParamType):
-    """A number, and after a colon the measure that it is of: 1e-3 or 1e-3:hausdorff."""
+    """A number, and its measure after a colon: 1e-3 or 1e-3:hausdorff."""
 
     name = "error"
 
@@ -52,38 +53,25 @@ def report_options(function: Callable[..., Any]) -> Callable[..., Any]:
             ),
             click.option(
                 "--budget-time", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS",
-                help="Say which setting is the most accurate in this time.",
+                help="Print only the most accurate setting within this time.",
             ),
             click.option(
                 "--budget-error", type=Error(), metavar="ERROR[:MEASURE]",
-                help="Say which setting is the cheapest with this error at most.",
+                help="Print only the cheapest setting with at most this error.",
             ),
-            click.option("--date", metavar="TEXT", help="To be written in the report."),
+            click.option("--date", metavar="TEXT", help="Written in the report."),
         )
     ):  # fmt: skip
         function = option(function)
     return function
 
 
-samples_option = click.option(
-    "--samples",
-    type=click.IntRange(1, 100_000_000),
-    default=20_000,
-    show_default=True,
-    help="Points on each surface at which the error of a report is measured.",
-)
-
-
-def wanted(given: dict[str, Any]) -> bool:
-    """Whether a report or an answer is asked for, and not the bench's own table."""
-    return any(given[name] is not None for name in ("output", "budget_time", "budget_error"))
-
-
 def measure_and_report(
     models: Sequence[str],
-    asked: Sweep,
+    request: Request,
     benches: tuple[str, ...] | None,
     *,
+    words: Sequence[str],
     output: str | None,
     no_clobber: bool,
     budget_time: float | None,
@@ -91,7 +79,7 @@ def measure_and_report(
     date: str | None,
     as_json: bool,
 ) -> None:
-    """Measure, print what to choose, and write the report.
+    """Measure, print the points and what to choose, and write the report.
 
     Raises
     ------
@@ -100,68 +88,71 @@ def measure_and_report(
     from voxtool.bench.peers import missing
     from voxtool.bench.points import Budget, Point
     from voxtool.bench.report import Report, check_folder, write_report
-    from voxtool.bench.sweep import bench_of, sweep
+    from voxtool.bench.request import benches_for
+    from voxtool.bench.sweep import sweep
     from voxtool.opencl import open_device
 
-    # for an answer alone, neither memory nor what plans save is looked at
-    asked = replace(
-        asked,
-        commands=asked.commands and output is not None,
-        forced=asked.forced and (output is not None or as_json),
-    )
     error, measure = budget_error or (None, None)
     budget = Budget(budget_time, error, measure)
-    budget.check({bench for model in models for bench in benches or bench_of(model)})
+    asked = budget_time is not None or budget_error is not None
+    steps = [(bench, model) for model in models for bench in benches or benches_for(model)]
+    budget.check({bench for bench, _ in steps})
     if output is not None:
         check_folder(output, not no_clobber)
-    device = open_device(asked.device)
-    if asked.peers:
-        for package in missing():
+    if asked and output is None:  # an answer needs neither the memory nor the ablations
+        request = replace(request, commands=False, ablations=False)
+    info = open_device(request.device).info
+    if request.peers:
+        for package in missing({bench for bench, _ in steps}):
             options.tell(f"peer {package} is not installed: pip install {package}")
-    points: list[Point] = []
-    savings: list[Saving] = []
-    steps = [f"{bench}, {model}" for model in models for bench in benches or bench_of(model)]
-    with options.Progress(steps) as progress:
-        for found in sweep(models, asked, benches, on_step=progress.enter):
-            if isinstance(found, Point):
-                points.append(found)
-            else:
-                savings.append(found)
-    words = [word if word.isprintable() else "?" for word in sys.argv[1:]]
-    report = Report(points, savings, device.info, shlex.join(["voxtool", *words]), date)
+    with options.Progress([f"{bench}, {model}" for bench, model in steps]) as progress:
+        found = list(sweep(models, request, benches, progress.enter))
+    report = Report(
+        [one for one in found if isinstance(one, Point)],
+        [one for one in found if not isinstance(one, Point)],
+        info, shlex.join(["voxtool", *map(printable, words)]), date,
+    )  # fmt: skip
     if output is not None:
         write_report(report, output, not no_clobber)
     if as_json:
         options.print_json(report.as_dict())
-    elif budget_time is None and budget_error is None:
-        print_verdicts(report.points)
+    elif not asked:
+        click.echo(f"voxtool {__version__}; {info.name}, {info.platform} {info.driver}")
+        print_points(report)
     if output is not None and not as_json:
         click.echo(f"report: {output.rstrip('/')}/report.html")
-    if budget_time is not None or budget_error is not None:
-        answer(points, budget, as_json)
+    if asked:
+        answer(report.points, budget, as_json)
 
 
-def print_verdicts(points: Sequence[Point]) -> None:
-    """What to choose, chart by chart."""
-    from voxtool.bench.chart import exponents
-    from voxtool.bench.points import charts_of, title, verdicts
+def print_points(report: Report) -> None:
+    """The tables of each chart and what to choose from it; then the ablations."""
+    from voxtool.bench.points import charts_of, costs, duration, title, verdicts
+    from voxtool.bench.tables import absent_of, tables_of
 
-    for chart, found in charts_of(points).items():
-        click.echo(f"{title(chart)}")
-        for line in verdicts(found):
-            click.echo(f"  {line}")
-        for method, (p, low, high) in exponents(found).items():
-            size_of = next(point.size_of for point in found if point.size)
-            click.echo(f"  cost of {method}: {size_of} to the {p:.2f}, {low:,g} to {high:,g}")
-        click.echo()
+    for chart, points in charts_of(report.points).items():
+        click.echo(f"\n{printable(title(chart))}")
+        for table in tables_of(points):
+            click.echo(f"  {table.note}")
+            for line in table.lines():
+                click.echo(f"    {printable(line)}")
+        for line in (*absent_of(points), *verdicts(points), *costs(points)):
+            click.echo(f"  {printable(line)}")
+    for one in report.ablations:
+        kind = "within the noise"
+        if one.beyond_noise:
+            kind = f"{duration(abs(one.saved))} {'saved' if one.saved > 0 else 'lost'}"
+        result = "" if one.same else "; the result differs"
+        words = f"{one.bench}, {one.model}: {one.work}: without {one.what}: {kind}{result}"
+        click.echo(f"{chr(10) * (one is report.ablations[0])}{printable(words)}")
 
 
 def answer(points: Sequence[Point], budget: Budget, err: bool) -> None:
-    """The setting to choose in each chart.
+    """Print the setting to choose in each chart.
 
     Raises
     ------
-    VoxtoolError : there is none in some chart.
+    CheckError : nothing meets the budget in some chart.
     """
     from voxtool.bench.points import answers, charted, duration, named
 
@@ -172,7 +163,7 @@ def answer(points: Sequence[Point], budget: Budget, err: bool) -> None:
             continue
         measure = budget.measure or charted(point.bench)
         found = point.errors.get(measure)
-        told = "" if found is None else f", {measure} error {found:.3g}"
-        click.echo(f"{chart}: {named(point)}: {duration(point.seconds)}{told}", err=err)
+        error = "" if found is None else f", {measure} error {found:.3g}"
+        click.echo(f"{chart}: {named(point)}: {duration(point.seconds)}{error}", err=err)
     if none:
         raise CheckError(f"{budget}: nothing that was measured meets it in {'; '.join(none)}")

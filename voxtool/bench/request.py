@@ -1,0 +1,105 @@
+"""What a benchmark measures, and the command line that measures one of its points again."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from dataclasses import dataclass
+from typing import Any
+
+from voxtool.bench.timing import Runs
+from voxtool.choices import MARCHING_CUBES, METHODS, MODES, SEARCHES, SURFACE_NETS
+
+KINDS = ("random", "rays")  # of points: in quasi-random order, and one after another along rays
+INTEGRATORS = ("linear", "average", "preintegrated", "sampled:1", "sampled:4", "sampled:16")
+TRANSFERS = ("x1", "x10", "x100", "steps")
+SETTINGS = {  # the fields of a Request that each bench reads
+    "voxelize": ("dims", "modes", "fills", "fit", "samples"),
+    "extract": ("dims", "styles", "isovalue", "samples"),
+    "adf": ("tolerances", "levels", "band", "sign", "points", "kinds", "searches"),
+    "tets": ("sizes", "pixels", "view", "methods", "integrators", "transfers", "scalar",
+             "component"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is measured, and how often. The defaults are those of `voxtool bench all`.
+
+    Attributes
+    ----------
+    dims, modes, fills, fit, styles, isovalue : of voxels and surfaces; fills are the rules of
+        solids.
+    samples : points on each surface at which errors are measured.
+    tolerances, levels, band, sign : of distance fields; sphere_level : the depth of the sphere
+        whose cells are hashed.
+    points, kinds, searches : how many points a field is asked at, in which order, and how.
+    sizes, view, methods, integrators, transfers, scalar, component : of pictures of volumes; the
+        smaller sizes take the first integrator alone.
+    pixels : along each side of the largest picture, at which errors are measured.
+    repeat, seconds : runs after a warm-up, and more of short work until it took these seconds.
+    commands : whether whole commands are run in their own process, for their time and memory.
+    ablations : whether decisions of plans are forced.
+    """
+
+    dims: tuple[int, ...] = (64, 128, 256, 512)
+    modes: tuple[str, ...] = MODES
+    fills: tuple[str, ...] = ("auto", "parity")
+    fit: str = "uniform"
+    styles: tuple[str, ...] = (MARCHING_CUBES, SURFACE_NETS)
+    isovalue: float = 0.5
+    samples: int = 20_000
+    tolerances: tuple[float, ...] = (1e-2, 3e-3, 1e-3)
+    levels: tuple[int, ...] = (5, 7)
+    band: float = math.inf
+    sign: str | None = None
+    sphere_level: int = 10
+    points: int = 1 << 17
+    kinds: tuple[str, ...] = KINDS
+    searches: tuple[str, ...] = SEARCHES
+    sizes: tuple[int, ...] = (128, 256, 512)
+    pixels: int = 64
+    view: str = "iso"
+    methods: tuple[str, ...] = METHODS
+    integrators: tuple[str, ...] = INTEGRATORS
+    transfers: tuple[str, ...] = TRANSFERS
+    scalar: str | None = None
+    component: str | None = None
+    repeat: int = 3
+    seconds: float = 0.2
+    commands: bool = True
+    peers: bool = False
+    ablations: bool = True
+    device: str | None = None
+
+    @property
+    def runs(self) -> Runs:
+        """How often work is timed."""
+        return Runs(self.repeat, self.seconds)
+
+    def command(self, bench: str, model: str, **setting: Any) -> str:
+        """The shell command that measures one point again: `setting` replaces fields."""
+        words = ["voxtool", "bench", bench, model]
+        for name in (*SETTINGS[bench], "repeat", "device"):
+            value = setting.get(name, getattr(self, name))
+            if value is None or value == math.inf:
+                continue
+            each = value if isinstance(value, tuple) else (value,)
+            words += [f"--{name}", ",".join(map(str, each))]
+        return shlex.join([*words, *["--peers"] * self.peers, "-o", "report"])
+
+
+QUICK = Request(
+    dims=(16, 32), fills=("auto",), styles=(MARCHING_CUBES,), samples=1000, tolerances=(1e-1, 1e-2),
+    levels=(3,), sphere_level=4, points=1 << 10, searches=("binary",), kinds=KINDS[:1],
+    sizes=(16, 32), pixels=8, transfers=("x10",), integrators=("linear", "average"), repeat=2,
+    seconds=0.0, commands=False,
+)  # fmt: skip
+
+
+def benches_for(model: str) -> tuple[str, ...]:
+    """The benches for a file, by its name."""
+    from voxtool.files import VOLUME_FORMATS  # heavy: the help does without
+
+    name = model.lower().removesuffix(".gz")
+    return ("tets",) if name.endswith(tuple(VOLUME_FORMATS)) else ("voxelize", "extract", "adf")

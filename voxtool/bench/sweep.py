@@ -1,0 +1,62 @@
+"""The measuring engine: every bench of every model, point by point.
+
+Every time is of work in this process whose kernels are compiled, after a warm-up. Other tools do
+the same work in the same run, and their errors are measured in the same way.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+from voxtool.bench import adf, extract, tets, voxelize
+from voxtool.bench.request import benches_for
+from voxtool.bench.timing import Bench
+from voxtool.errors import MeshWarning
+from voxtool.files import read_unstructured
+from voxtool.files.mesh import load_mesh
+from voxtool.opencl import open_device
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from voxtool.bench.points import Ablation, Point
+    from voxtool.bench.request import Request
+
+BENCHES = {
+    "voxelize": voxelize.measure,
+    "extract": extract.measure,
+    "adf": adf.measure,
+    "tets": tets.measure,
+}
+
+
+def sweep(
+    models: Sequence[str],
+    request: Request,
+    benches: tuple[str, ...] | None = None,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Iterator[Point | Ablation]:
+    """Measure every model, in the named benches or in all those of its kind.
+
+    Parameters
+    ----------
+    progress : called with the bench and the model as each begins.
+
+    Raises
+    ------
+    VoxtoolError : a model cannot be read, or something of it cannot be computed.
+    """
+    bench = Bench(request, open_device(request.device), open_device(request.device, profile=True))
+    for model in models:  # a wrong one is refused before anything is measured
+        if (benches or benches_for(model)) == ("tets",):
+            read_unstructured(model, request.scalar, request.component)
+        else:
+            load_mesh(model)
+    for model in models:
+        for name in benches or benches_for(model):
+            progress(f"{name}, {model}")
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", MeshWarning)  # every run would repeat it
+                found = list(BENCHES[name](model, bench))
+            yield from found

@@ -1,0 +1,171 @@
+"""Points as tables, for a terminal and for a page: the error beside the time, further figures, and
+the stages. A column that no point of a table has is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+from voxtool.bench.points import FIGURES, MEASURES, duration, named, pareto
+from voxtool.errors import human
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from voxtool.bench.points import Point
+
+NONE = "-"  # where a point has nothing in a column
+
+
+@dataclass(frozen=True)
+class Table:
+    """Texts in columns, of which the first names the rows.
+
+    Attributes
+    ----------
+    note : what the columns are in; front : numbers of the rows on the Pareto front.
+    """
+
+    head: list[str]
+    rows: list[list[str]]
+    note: str
+    front: frozenset[int] = frozenset()
+
+    def lines(self) -> list[str]:
+        """The table as text: the front is marked with *."""
+        first = [("* " if i in self.front else "  ") + row[0] for i, row in enumerate(self.rows)]
+        cells = [[f"  {self.head[0]}", *self.head[1:]]]
+        cells += [[name, *row[1:]] for name, row in zip(first, self.rows, strict=True)]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        return [
+            "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])])
+            for row in cells
+        ]
+
+
+def tables_of(points: Sequence[Point]) -> list[Table]:
+    """The tables of the points of one chart."""
+    front = {id(point) for point in pareto(points)}
+    marked = frozenset(i for i, point in enumerate(points) if id(point) in front)
+    measures = MEASURES[points[0].bench]
+    stages = dict.fromkeys(stage for point in points for stage in point.stages)
+    errors = {
+        "time": lambda p: duration(p.seconds),
+        "±": lambda p: f"{100 * p.spread:.0f} %",
+        "first": lambda p: NONE if p.first is None else duration(p.first),
+        **{name: partial(_error, name) for name in measures},
+        "beside": partial(_ratio, points),
+    }
+    figures = {
+        "size": _size,
+        "result": lambda p: NONE if p.bytes is None else human(p.bytes),
+        "peak memory": lambda p: NONE if p.peak is None else human(p.peak),
+        **{name: partial(_figure, name) for name in FIGURES},
+    }
+    times = {
+        "all": lambda p: f"{1e3 * sum(p.stages.values()):.2f}" if p.stages else NONE,
+        **{name: partial(_stage, name) for name in stages},
+    }
+    found = [
+        _table(points, _error_note(points), marked, errors),
+        _table(points, _figures_note(points), frozenset(), figures),
+        _table(points, "stages on the device, ms", frozenset(), times),
+    ]
+    return [table for table in found if len(table.head) > 1]
+
+
+def absent_of(points: Sequence[Point]) -> list[str]:
+    """Why measures are missing in a chart, each reason once."""
+    reasons: dict[str, tuple[dict[str, None], dict[str, None]]] = {}
+    for point in points:
+        for measure, why in point.absent.items():
+            methods, measures = reasons.setdefault(why, ({}, {}))
+            methods[point.method] = measures[measure] = None
+    every, lines = set(MEASURES[points[0].bench]), []
+    for why, (methods, measures) in reasons.items():
+        missing = "error" if set(measures) == every else ", ".join(measures)
+        lines.append(f"{'; '.join(methods)}: no {missing}: {why}")
+    return lines
+
+
+def _table(
+    points: Sequence[Point],
+    note: str,
+    front: frozenset[int],
+    columns: dict[str, Callable[[Point], str]],
+) -> Table:
+    """A table of the columns that some point has, and of the points that have something in it."""
+    texts = {name: [text(point) for point in points] for name, text in columns.items()}
+    kept = {name: column for name, column in texts.items() if set(column) != {NONE}}
+    rows = [
+        [named(point), *(column[i] for column in kept.values())]
+        for i, point in enumerate(points)
+        if any(column[i] != NONE for column in kept.values())
+    ]
+    return Table(["setting", *kept], rows, note, front)
+
+
+def _error_note(points: Sequence[Point]) -> str:
+    """What the errors of a chart are in."""
+    units: dict[str, list[str]] = {}
+    for name, unit in MEASURES[points[0].bench].items():
+        if any(name in point.errors for point in points):
+            units.setdefault(unit, []).append(name)
+    note = "; ".join(f"{', '.join(names)}: {unit}" for unit, names in units.items())
+    return f"time, and errors: {note}" if note else "time"
+
+
+def _figures_note(points: Sequence[Point]) -> str:
+    """What the less plain figures of a chart are."""
+    words = {
+        "host": "what Python adds to the stages",
+        "command": "the whole command in its own process",
+        "peak memory": "resident, of that command",
+        "nodes": "cubes that the algorithm of [voCCeL] visits, of the grid's samples",
+        "break-even": "points from which the field takes less time than exact distances",
+    }
+    names = {name for point in points for name in point.figures}
+    names |= {"peak memory"} if any(point.peak for point in points) else set()
+    return "; ".join(["figures", *(f"{n}: {what}" for n, what in words.items() if n in names)])
+
+
+def _size(point: Point) -> str:
+    """The size that the label does not have."""
+    if point.size is None or point.size_of in ("dim", "pixels"):
+        return NONE
+    return f"{point.size:,.0f} {point.size_of}"
+
+
+def _error(name: str, point: Point) -> str:
+    return _number(point.errors.get(name))
+
+
+def _stage(name: str, point: Point) -> str:
+    return f"{1e3 * point.stages[name]:.2f}" if name in point.stages else NONE
+
+
+def _figure(name: str, point: Point) -> str:
+    if name not in point.figures:
+        return NONE
+    value, unit = point.figures[name], FIGURES[name]
+    if value is None:
+        return "never"
+    if unit == "s":
+        return duration(value)
+    if unit == "ns":
+        return f"{value:,.1f}"
+    if unit == "share":
+        return f"{100 * value:.2f} %"
+    return f"{value:,.0f}" if unit == "count" else _number(value)
+
+
+def _number(value: float | None) -> str:
+    return NONE if value is None else f"{value:.3g}"
+
+
+def _ratio(points: Sequence[Point], point: Point) -> str:
+    """The time of another tool beside voxtool's of the same setting."""
+    ours = next((p for p in points if not p.peer and p.label == point.label), None)
+    return f"{point.seconds / ours.seconds:.2g} times" if point.peer and ours else NONE
