@@ -21,8 +21,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.files import points as module
-from voxtool.files.points import open_answers, read_points
+from voxtool.files import answers as module
+from voxtool.files.answers import open_answers
+from voxtool.files.points import read_points
 
 ROOT = Path(__file__).parents[2]
 POINTS = np.array([[0.1, -2.5, 3e-300], [1e300, np.nan, np.inf], [-0.0, 7.0, 1 / 3]])
@@ -221,23 +222,20 @@ BINARY = ply(SMALL, "binary_little_endian")
 
 FAULTS: list[tuple[str, bytes, str]] = [
     ("a.npy", b"", "is empty"),
-    ("a.npy", b"\x93NUMPY\3\0", "of a version that no array of numbers has"),
+    ("a.npy", b"\x93NUMPY\3\0", "is no .npy array, or its header is damaged"),
     ("a.npy", described("'|O'"), r"type \|O: points are integers, float32 or float64"),
     ("a.npy", described("[('x', '<f8')]"), "points are integers, float32 or float64"),
-    ("a.npy", described("'<c16'"), "an array of type <c16"),
     ("a.npy", described("'<f16'"), "an array of type <f16"),
     ("a.npy", described("'|b1'"), r"an array of type \|b1"),
     ("a.npy", described(shape="(3,)"), r"an array of shape \(3,\): points are \(N, 3\)"),
     ("a.npy", described(shape="(2, 4)"), r"shape \(2, 4\): points are \(N, 3\)"),
     ("a.npy", described(shape="(-1, 3)"), r"shape \(-1, 3\)"),
-    ("a.npy", described(shape="(2.0, 3)"), r"shape \(2.0, 3\)"),
-    ("a.npy", described(shape="'\x1b[2J'"), r"shape \?\[2J: points"),
-    ("a.npy", described(shape="(10**3, 3)"), "its header is damaged"),
-    ("a.npy", described(fortran="1"), "fortran_order is neither True nor False"),
-    ("a.npy", header("[1]"), "its header is damaged"),
-    ("a.npy", header("{"), "its header is damaged"),
-    ("a.npy", header("(" * 9000), "its header is damaged"),
-    ("a.npy", header("'" + "a" * 20_000 + "'"), "its header has 20002 bytes: at most 10000"),
+    ("a.npy", described(shape="'\x1b[2J'"), "is no .npy array, or its header is damaged"),
+    ("a.npy", described(shape="(10**3, 3)"), "is no .npy array, or its header is damaged"),
+    ("a.npy", described(fortran="1"), "is no .npy array, or its header is damaged"),
+    ("a.npy", header("[1]"), "is no .npy array, or its header is damaged"),
+    ("a.npy", header("(" * 9000), "is no .npy array, or its header is damaged"),
+    ("a.npy", header("'" + "a" * 20_000 + "'"), "is no .npy array, or its header is damaged"),
     ("a.npy", described(shape="(999999999999, 3)"), "cut short: 41 of 999999999999 points are"),
     ("a.npy", npy(SMALL)[:-1], "is cut short: 4 of 5 points are there: copy it anew"),
     ("a.npy", npy(SMALL[:1])[:-1], "is cut short: 0 of 1 point are there"),
@@ -248,7 +246,7 @@ FAULTS: list[tuple[str, bytes, str]] = [
     ("a.npz", packed(zipfile.ZIP_LZMA, a=npy(SMALL)), "is packed by method 14: write it with"),
     ("a.npz", packed(a=npy(SMALL)[:-9]), "is cut short: 4 of 5"),
     ("a.npz", packed(a=npy(np.asfortranarray(SMALL))[:-9]), "is cut short: 3 of 5"),
-    ("a.npz", packed(a=b"hello"), "is no .npy array: write it with numpy.save"),
+    ("a.npz", packed(a=b"hello"), "is no .npy array, or its header is damaged"),
     ("a.npz", flipped(packed(a=npy(SMALL)), 200), "damaged .npz: Bad CRC-32"),
     ("a.csv", b"1,2,3\n1,2,3\n1,O.2,3\n", "line 3: 'O.2' is no number"),
     ("a.csv", b"1,2,O.3\n4,5,6\n", "line 1: 'O.3' is no number"),
@@ -501,7 +499,7 @@ def shortest(value: np.float32) -> str:
 
 
 def test_csv_of_many_blocks(tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(module, "TEXT_ROWS", 7)
+    monkeypatch.setattr(module, "CSV_ROWS", 7)
     blocks = blocks_of(3, 20)
     with open_answers(tmp_path / "a.csv", TABLE) as answers:
         for block in blocks:
@@ -551,7 +549,7 @@ def test_disk_full_is_one_line(tmp_path: Path) -> None:
         "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (900, 900))\n"
         "import numpy, sys\n"
         "from voxtool.errors import FileError\n"
-        "from voxtool.files.points import open_answers\n"
+        "from voxtool.files.answers import open_answers\n"
         "try:\n"
         f"    with open_answers({str(tmp_path / 'a.npy')!r}, [('d', 'f8')]) as answers:\n"
         "        answers.write([numpy.zeros(100_000)])\n"
@@ -587,7 +585,7 @@ def test_blocks_of_other_columns_are_refused(block: list, tmp_path: Path) -> Non
 def stdout_of(format: str, **options: Any) -> subprocess.CompletedProcess[bytes]:
     code = (
         "import numpy; from voxtool.errors import FileError\n"
-        "from voxtool.files.points import open_answers\n"
+        "from voxtool.files.answers import open_answers\n"
         "try:\n"
         f"    with open_answers('-', [('a', 'f8'), ('b', 'u1')], {format}) as answers:\n"
         "        for i in range(3): answers.write([numpy.full(2, i / 10), numpy.full(2, i)])\n"

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from voxtool.adf.field import Answer
     from voxtool.adf.query import FieldQuery
-    from voxtool.files.points import Answers
+    from voxtool.files.answers import Answers
 
 SLICE_SIZE = 800  # pixels
 ANSWER_COLUMNS = {
@@ -158,8 +158,9 @@ def command(
     from voxtool.adf.field import no_bounds
     from voxtool.adf.query import FieldQuery
     from voxtool.files import check_target, read_adf
+    from voxtool.files.answers import open_answers
     from voxtool.files.picture import write_picture
-    from voxtool.files.points import open_answers, read_points
+    from voxtool.files.points import read_points
     from voxtool.opencl import open_device
     from voxtool.plots.slice import check_plane, draw_slice
 

@@ -1,0 +1,166 @@
+"""Tables of answers, written row by row: memory does not grow with their number."""
+
+from __future__ import annotations
+
+import sys
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+
+from voxtool.errors import FileError, VoxtoolError
+from voxtool.files.atomic import atomic_path
+from voxtool.files.formats import format_of
+from voxtool.files.streams import STREAM, PathLike, standard_output
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator, Sequence
+
+    from numpy.typing import DTypeLike
+
+CSV_ROWS = 1 << 16  # rows whose text is in memory at once
+
+
+class Answers(ABC):
+    """A table in a file, written block by block.
+
+    text : whether it is fit for a terminal.
+    columns : the name and the type of each.
+    count : of the rows that have been written.
+    """
+
+    text: bool
+
+    def __init__(self, file: BinaryIO, columns: Sequence[tuple[str, DTypeLike]]) -> None:
+        self.file = file
+        self.columns = [(name, np.dtype(kind)) for name, kind in columns]
+        self.count = 0
+        self._begin()
+
+    def write(self, block: Mapping[str, Any] | Sequence[Any]) -> None:
+        """Write k rows.
+
+        Parameters
+        ----------
+        block : (k,) arrays by the names of the columns; or a list of arrays, (k,) for a column and
+            (k, c) for c of them, in the order of the columns.
+
+        Raises
+        ------
+        VoxtoolError : they are not the columns, or not of one length.
+        OSError : the file cannot be written.
+        """
+        if isinstance(block, Mapping):
+            block = [block[name] for name, _ in self.columns]
+        parts = [part if part.ndim == 2 else part[:, None] for part in map(np.asarray, block)]
+        values = [column for part in parts for column in part.T]
+        if len(values) != len(self.columns) or len({len(column) for column in values}) != 1:
+            raise VoxtoolError(
+                f"answers of shapes {', '.join(str(part.shape) for part in parts)}: "
+                f"{len(self.columns)} columns of one length are expected"
+            )
+        self._write(values)
+        self.count += len(values[0])
+
+    @abstractmethod
+    def _begin(self) -> None:
+        """Write what comes before the rows."""
+
+    @abstractmethod
+    def _write(self, values: list[np.ndarray]) -> None:
+        """Write rows, of which each column is given."""
+
+    @abstractmethod
+    def end(self) -> None:
+        """Write what is known only in the end."""
+
+
+class NpyAnswers(Answers):
+    """(N,) float64 where there is one column, (N, C) elsewhere. The header is written again when N
+    is known: numpy pads it, so that its size does not depend on N."""
+
+    text = False
+
+    def _begin(self) -> None:
+        more = (len(self.columns),) if len(self.columns) > 1 else ()
+        header = {"descr": "<f8", "fortran_order": False, "shape": (self.count, *more)}
+        np.lib.format.write_array_header_1_0(self.file, header)
+
+    def _write(self, values: list[np.ndarray]) -> None:
+        self.file.write(np.stack(values, axis=1).astype("<f8", "C").tobytes())
+
+    def end(self) -> None:
+        self.file.seek(0)
+        self._begin()
+
+
+class CsvAnswers(Answers):
+    """A line of names, then a line a row: the shortest decimals that read back as the same number
+    of the column's type, and integers for integers and bools."""
+
+    text = True
+
+    def _begin(self) -> None:
+        self.file.write(",".join(name for name, _ in self.columns).encode() + b"\n")
+
+    def end(self) -> None:
+        pass
+
+    def _write(self, values: list[np.ndarray]) -> None:
+        for first in range(0, len(values[0]), CSV_ROWS):
+            words = [
+                _words(column[first : first + CSV_ROWS].astype(kind))
+                for column, (_, kind) in zip(values, self.columns, strict=True)
+            ]
+            rows = map(",".join, zip(*words, strict=True))
+            self.file.write("".join(f"{row}\n" for row in rows).encode())
+
+
+def _words(column: np.ndarray) -> Iterable[str]:
+    if column.dtype.kind != "f":
+        return map(str, column.astype(np.int64).tolist())
+    return map(str, column if column.dtype.itemsize < 8 else column.tolist())
+
+
+ANSWER_FORMATS: dict[str, type[Answers]] = {"npy": NpyAnswers, "csv": CsvAnswers}
+
+
+@contextmanager
+def open_answers(
+    path: PathLike,
+    columns: Sequence[tuple[str, DTypeLike]],
+    format: str | None = None,
+    clobber: bool = True,
+) -> Iterator[Answers]:
+    """A table of answers for writing, as .npy or .csv; `-` writes stdout, as .csv to a terminal and
+    else as .npy. It appears when the block ends, and not at all if it ends with an error.
+
+    Parameters
+    ----------
+    columns : the name of each and its type, which decides the decimals of text; a .npy is float64.
+    format : "npy" or "csv" instead of what the name says.
+    clobber : False refuses an existing file.
+
+    Raises
+    ------
+    FileError : the file cannot be written, or its name says no format.
+    """
+    if format is None:
+        if path == STREAM:
+            format = "csv" if sys.stdout.isatty() else "npy"
+        else:
+            format = format_of(path, ANSWER_FORMATS)
+    if format not in ANSWER_FORMATS:
+        raise FileError(f"format {format!r} is unknown: choose one of {', '.join(ANSWER_FORMATS)}")
+    kind = ANSWER_FORMATS[format]
+    with ExitStack() as stack:
+        if path == STREAM:
+            file = stack.enter_context(standard_output(kind.text))
+        else:
+            temporary = stack.enter_context(atomic_path(path, clobber))
+            file = stack.enter_context(open(temporary, "w+b"))
+        answers = kind(file, columns)
+        yield answers
+        answers.end()
