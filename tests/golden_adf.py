@@ -17,7 +17,8 @@ import numpy as np
 
 import voxtool
 from voxtool.adf.build import build_adf
-from voxtool.adf.field import Answer, DistanceField
+from voxtool.adf.field import DistanceField
+from voxtool.adf.host_query import QueryResult
 from voxtool.adf.query import query_adf
 
 GOLDEN = Path(__file__).parent / "golden" / "adf.json"
@@ -40,7 +41,7 @@ def points_of(field: DistanceField) -> np.ndarray:
     return np.array(field.origin) + field.side * (1.25 * numbers - 0.125)
 
 
-def digest_of(answer: Answer) -> str:
+def digest_of(answer: QueryResult) -> str:
     """SHA-256 of all that was answered."""
     sha = hashlib.sha256()
     for name, array in sorted(vars(answer).items()):

@@ -207,9 +207,8 @@ __kernel void raycast(__global const float *voxels, __global const uint *cells,
                       const uint r, const int full, const int deepest,
                       __global const uchar *refined, __global const uchar *room, const float leap,
                       __global const double *camera, const uint perspective, const uint width,
-                      const uint height, const float offset, const float light_x,
-                      const float light_y, const float light_z, const float red,
-                      const float green, const float blue, __global float *pixels)
+                      const uint height, const float offset, const float3 light,
+                      const float3 colour, __global float *pixels)
 {
     const Hash hash = {cells, offsets, inverses, m, r};
     const uint across = (width + TILE - 1) / TILE;
@@ -251,9 +250,8 @@ __kernel void raycast(__global const float *voxels, __global const uint *cells,
         side = side != 0 ? side : along.x >= 0 ? 1 : -1;
         float root;
         if (first_root(side * along, &root)) {
-            const float3 light = (float3)(light_x, light_y, light_z);
             const float bright = shade(v, start + root * step, ray.way, light);
-            vstore4((float4)(bright * red, bright * green, bright * blue, 1), 0, pixel);
+            vstore4((float4)(bright * colour, 1), 0, pixel);
             return;
         }
 

@@ -7,7 +7,7 @@
 //   W              the hash has a fourth channel
 //   WIDE           identifiers have 64 bits
 
-#include "adf/field.h"
+#include "adf/points.h"
 
 #define JOIN_(a, b) a##b
 #define JOIN(a, b) JOIN_(a, b)

@@ -17,8 +17,8 @@ from helpers_signs import winding
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from voxtool.adf.bounds import JUMP, bound_values
 from voxtool.adf.build import build_adf
-from voxtool.adf.field import JUMP, bound_values
 from voxtool.adf.levels.examine import CROSSED
 from voxtool.adf.plan import BLOCK_BYTES
 from voxtool.adf.samples import SAMPLES

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -12,27 +15,31 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import voxtool
-from voxtool.adf import query as query_module
-from voxtool.adf.field import Answer, DistanceField, assemble
+from voxtool.adf.field import DistanceField, assemble
 from voxtool.adf.hashing import SpatialHash, key_of
+from voxtool.adf.host_query import QueryResult, to_fixed
 from voxtool.adf.query import (
     BLOCK,
     CHUNK,
     GPU,
     GPU_COHERENT,
+    HOST_POINTS,
     SEARCHES,
     FieldQuery,
-    inverses,
-    levels_to_search,
+    Lattice,
     query_adf,
 )
+from voxtool.adf.textures import inverses, levels_to_search
 from voxtool.errors import VoxtoolError
+
+if TYPE_CHECKING:
+    from voxtool.opencl import Device
 
 EVERYTHING = {"gradient": True, "bounds": True, "cell": True}
 ORIGIN, SIDE = (-3.7, 0.1, 12.0), 2.3
 
 
-def equal(found: Answer, expected: Answer) -> None:
+def equal(found: QueryResult, expected: QueryResult) -> None:
     for name, array in vars(expected).items():
         other = getattr(found, name)
         if array is None:
@@ -40,6 +47,11 @@ def equal(found: Answer, expected: Answer) -> None:
         else:
             assert other.dtype == array.dtype, name
             assert np.array_equal(other, array, equal_nan=array.dtype.kind == "f"), name
+
+
+def on_device(field: DistanceField, device: Device, **options: Any) -> FieldQuery:
+    """Queries that the host answers none of."""
+    return FieldQuery(field, device, host_points=0, **options)
 
 
 def spike(p: np.ndarray) -> np.ndarray:
@@ -84,15 +96,15 @@ def balls() -> DistanceField:
 @pytest.mark.parametrize("asked", [{}, *({name: True} for name in EVERYTHING), EVERYTHING])
 def test_answers_are_the_oracles(device, balls, search, asked) -> None:
     points = points_of(balls)
-    equal(FieldQuery(balls, device)(points, search=search, **asked), balls.query(points, **asked))
+    equal(on_device(balls, device)(points, search=search, **asked), balls.query(points, **asked))
 
 
 @pytest.mark.parametrize("search", SEARCHES)
-def test_other_shapes_of_the_work_give_the_same(device, balls, search, monkeypatch) -> None:
+def test_other_shapes_of_the_work_give_the_same(device, balls, search) -> None:
     """As a GPU is given it."""
-    monkeypatch.setattr(query_module, "CPU", GPU_COHERENT if search == "coherent" else GPU)
+    shape = GPU_COHERENT if search == "coherent" else GPU
     points = points_of(balls, 300)
-    found = FieldQuery(balls, device)(points, search=search, **EVERYTHING)
+    found = on_device(balls, device, shape=shape)(points, search=search, **EVERYTHING)
     equal(found, balls.query(points, **EVERYTHING))
 
 
@@ -104,7 +116,7 @@ def test_deep_fields(device, search, max_level) -> None:
     assert field.depth == max_level
     assert field.cells.shape[-1] == (3 if max_level > 11 else 2)
     points = points_of(field)
-    found = FieldQuery(field, device)(points, search=search, **EVERYTHING)
+    found = on_device(field, device)(points, search=search, **EVERYTHING)
     equal(found, field.query(points, **EVERYTHING))
     assert found.level is not None
     assert found.level.max() == max_level
@@ -115,7 +127,7 @@ def test_deep_fields(device, search, max_level) -> None:
 def test_a_hash_with_w(device, balls, search, deep) -> None:
     field = with_w(plain_field(spike, 0.2, 14) if deep else balls)
     points = points_of(field)
-    found = FieldQuery(field, device)(points, search=search, **EVERYTHING)
+    found = on_device(field, device)(points, search=search, **EVERYTHING)
     equal(found, field.query(points, **EVERYTHING))
 
 
@@ -125,7 +137,7 @@ def test_offsets_of_16_bits(device, search, w) -> None:
     field = with_w(plain_field(sphere, 1e-2, 5), m=300 if w else 299, w=w)
     assert field.hash.offsets.dtype == np.uint16
     points = points_of(field)
-    found = FieldQuery(field, device)(points, search=search, **EVERYTHING)
+    found = on_device(field, device)(points, search=search, **EVERYTHING)
     equal(found, field.query(points, **EVERYTHING))
 
 
@@ -165,7 +177,7 @@ def test_a_root_alone(device, search) -> None:
     field = plain_field(sphere, 10.0, 3)
     assert levels_to_search(field) == (0, 0)
     points = points_of(field, 100)
-    found = FieldQuery(field, device)(points, search=search, **EVERYTHING)
+    found = on_device(field, device)(points, search=search, **EVERYTHING)
     equal(found, field.query(points, **EVERYTHING))
 
 
@@ -174,7 +186,7 @@ def test_a_full_octree(device, search) -> None:
     field = plain_field(lambda p: np.sin(40 * p).sum(axis=1), 1e-9, 3)
     assert levels_to_search(field) == (2, 2)
     points = points_of(field, 100)
-    found = FieldQuery(field, device)(points, search=search, **EVERYTHING)
+    found = on_device(field, device)(points, search=search, **EVERYTHING)
     equal(found, field.query(points, **EVERYTHING))
 
 
@@ -198,33 +210,33 @@ def test_order_changes_nothing(device, balls, search) -> None:
     for unit in (mixed, mixed[::-1], line):
         points = unit * SIDE + np.array(ORIGIN)
         equal(
-            FieldQuery(balls, device)(points, search=search, cell=True),
+            on_device(balls, device)(points, search=search, cell=True),
             balls.query(points, cell=True),
         )
 
 
 @pytest.mark.parametrize("n", [0, 1, 15, 16, 17, CHUNK - 1, CHUNK + 1])
 def test_any_number_of_points(device, balls, n) -> None:
-    query = FieldQuery(balls, device)
+    query = on_device(balls, device)
     points = np.random.default_rng(n).random((n, 3)) * SIDE + np.array(ORIGIN)
     for search in SEARCHES:
         for asked in ({}, EVERYTHING):
             equal(query(points, search=search, **asked), balls.query(points, **asked))
 
 
-def test_blocks(device, balls, monkeypatch) -> None:
+def test_blocks(device, balls) -> None:
     """Blocks are in their places, those with points outside between others without."""
-    monkeypatch.setattr(query_module, "BLOCK", 1000)
     points = np.random.default_rng(4).random((7777, 3))
     points[2500:2600] += 1
     points[7000] = math.nan
     points = points * SIDE + np.array(ORIGIN)
-    equal(FieldQuery(balls, device)(points, **EVERYTHING), balls.query(points, **EVERYTHING))
+    found = on_device(balls, device, block=1000)(points, **EVERYTHING)
+    equal(found, balls.query(points, **EVERYTHING))
 
 
 def test_more_points_than_a_block_has(device, balls) -> None:
     points = np.random.default_rng(5).random((2 * BLOCK + 17, 3)) * SIDE + np.array(ORIGIN)
-    query = FieldQuery(balls, device)
+    query = on_device(balls, device)
     found = query(points)
     equal(query(points, search="coherent"), found)
     for part in (slice(0, 999), slice(BLOCK - 500, BLOCK + 500), slice(2 * BLOCK - 500, None)):
@@ -235,9 +247,9 @@ def test_without_bounds(device) -> None:
     field = plain_field(sphere, 1e-2, 5, bounds=False, origin=ORIGIN, side=SIDE)
     points = points_of(field)
     asked = {"gradient": True, "cell": True}
-    equal(FieldQuery(field, device)(points, **asked), field.query(points, **asked))
+    equal(on_device(field, device)(points, **asked), field.query(points, **asked))
     with pytest.raises(VoxtoolError, match="no bounds"):
-        FieldQuery(field, device)(points, bounds=True)
+        on_device(field, device)(points, bounds=True)
 
 
 @pytest.mark.parametrize("outside", ["some", "all"])
@@ -247,7 +259,7 @@ def test_outside_the_distance_is_a_lower_bound(device, balls, outside) -> None:
     if outside == "all":
         unit = unit[((unit < 0) | (unit > 1)).any(axis=1)]
     points = unit * SIDE + np.array(ORIGIN)
-    answer = FieldQuery(balls, device)(points, **EVERYTHING)
+    answer = on_device(balls, device)(points, **EVERYTHING)
     assert answer.outside.all() == (outside == "all")
     far = answer.outside
     assert np.array_equal(far, ((points < ORIGIN) | ((points - ORIGIN) / SIDE > 1)).any(axis=1))
@@ -277,8 +289,8 @@ def test_the_same_lattice_as_the_oracles(device) -> None:
             (0,) * 3,
         ]
         fixed, outside = np.empty((5000, 3), np.uint32), np.zeros(5000, bool)
-        query_module._Lattice(field).round(points, fixed, outside)
-        expected, beyond = field.fixed(points)
+        Lattice(field).round(points, fixed, outside)
+        expected, beyond = to_fixed(field, points)
         assert np.array_equal(fixed, expected)
         assert np.array_equal(outside, beyond)
         assert beyond.any()
@@ -316,7 +328,7 @@ def test_inverses() -> None:
 
 
 def test_strided_and_integer_points(device, balls) -> None:
-    query = FieldQuery(balls, device)
+    query = on_device(balls, device)
     wide = np.random.default_rng(8).random((100, 6)) * SIDE + np.array(ORIGIN * 2)
     for points in (wide[:, ::2], np.asfortranarray(wide[:, :3]), wide[::-1, 3:]):
         equal(query(points), balls.query(points))
@@ -325,21 +337,60 @@ def test_strided_and_integer_points(device, balls) -> None:
 
 
 def test_refusals(device, balls) -> None:
-    query = FieldQuery(balls, device)
-    with pytest.raises(VoxtoolError, match=r"points of shape \(3,\): give \(N, 3\)"):
-        query([1, 2, 3])
+    query = on_device(balls, device)
+    with pytest.raises(VoxtoolError, match=r"points of shape \(4,\): give \(N, 3\) or"):
+        query([1, 2, 3, 4])
     with pytest.raises(VoxtoolError, match="not an array of numbers"):
         query([("a", "b", "c")])
     with pytest.raises(VoxtoolError, match="search 'quick' is unknown: choose linear, binary"):
         query([(0, 0, 0)], search="quick")
 
 
-def test_public_names(device, balls) -> None:
+def test_one_call_is_one_function(device, balls) -> None:
     assert voxtool.query_adf is query_adf
     assert voxtool.FieldQuery is FieldQuery
-    points = points_of(balls, 50)
-    found = query_adf(balls, points, search="linear", device=device, **EVERYTHING)
-    equal(found, balls.query(points, **EVERYTHING))
+    for n in (1, HOST_POINTS, HOST_POINTS + 1):  # on the host, and on the device
+        points = points_of(balls, n)[:n]
+        found = query_adf(balls, points, search="linear", device=device, **EVERYTHING)
+        equal(found, balls.query(points, **EVERYTHING))
+
+
+@pytest.mark.parametrize("point", [(0.4, 0.5, 0.6), (-1, 0.5, 2), (math.nan, 0, 0)])
+def test_one_point_is_a_point(device, balls, point) -> None:
+    point = list(np.array(point) * SIDE + np.array(ORIGIN))
+    several = balls.query([point], **EVERYTHING)
+    for query in (partial(query_adf, balls), on_device(balls, device), balls.query):
+        found = query(point, **EVERYTHING)
+        equal(found, several[0])
+        assert np.shape(found.distance) == ()
+        assert np.shape(found.gradient) == np.shape(found.cell) == (3,)
+    assert np.shape(balls.gradient(point)) == (3,)
+
+
+def test_textures_stay_on_the_device_while_the_field_does(device, balls) -> None:
+    field, began = replace(balls, units="mm"), []
+    points = points_of(field, 300)
+    with device.reporting(began.append):
+        for _ in range(3):
+            query_adf(field, points, bounds=True, device=device)
+        assert began.count("upload") == 4  # three textures, and the bounds
+        kept = [key for key in device._kept if key[0] == id(field)]
+        assert len(kept) == 2
+        del field
+        assert not [key for key in device._kept if key in kept]
+
+
+def test_fields_and_queries_pickle(balls) -> None:
+    field, query = pickle.loads(pickle.dumps((balls, FieldQuery(balls))))
+    assert field == balls == query.field
+    assert field != replace(balls, side=1.0)
+    assert not field.voxels.flags.writeable
+    point = [0.5 * SIDE + x for x in ORIGIN]
+    assert query(point) == query_adf(balls, point)
+    assert repr(field) == f"DistanceField({len(field.voxels):,} blocks, levels to 7, tolerance " + (
+        "0.002, sign pseudonormal, side 2.3)"
+    )
+    assert repr(query).startswith("FieldQuery(DistanceField(")
 
 
 def test_only_what_is_needed_is_compiled(device, balls, monkeypatch) -> None:
@@ -352,11 +403,10 @@ def test_only_what_is_needed_is_compiled(device, balls, monkeypatch) -> None:
 
     monkeypatch.setattr(type(device), "kernel", recorded)
     inside = np.full((5, 3), 0.4) * SIDE + np.array(ORIGIN)
-    query = FieldQuery(balls, device)
+    query = on_device(balls, device)
     query(inside)
     optional = {"W", "WIDE", "GRADIENT", "BOUNDS", "CELL"}
     assert optional & set(seen[-1]) == ({"W"} if balls.hash.has_w else set())
-    assert "_bounds" not in vars(query)
     query(inside, bounds=True)
     assert optional & set(seen[-1]) - {"W"} == {"BOUNDS"}
     assert len(seen) == 2

@@ -76,8 +76,9 @@ def golden_field() -> DistanceField:
         plan={"left_out": {"64-bit identifiers": "levels 0 to 2"}},
     )
     assert field.bounds is not None
-    field.bounds[3, 1, 0, 1] = 255
-    return with_w(field, 2)
+    bounds = field.bounds.copy()
+    bounds[3, 1, 0, 1] = 255
+    return with_w(replace(field, bounds=bounds), 2)
 
 
 def deep_field(**head: Any) -> DistanceField:

@@ -19,85 +19,39 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from voxtool.adf.bounds import NO_LEAF
 from voxtool.adf.hashing import SpatialHash, cell_identifier, cell_of, identifier_type, key_of
+from voxtool.adf.host_query import QueryResult, query_on_host
+from voxtool.arrays import equal, read_only
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.opencl import program
 
-POINT_BITS = 32  # of a coordinate in the cube
 MAX_LEVEL = 21  # of a leaf, whose parent has a key of 21 bits and an identifier of 61
 FAR = 1024.0  # sides: no distance in a cube is near it, and none overflows
-WEIGHT_BITS = 24  # of the fraction within a cell that a weight in float32 takes
-
-# A bound is a code: no leaf, none (a jump, or over a side), or 2**((code - 254) / 8) sides.
-NO_LEAF, JUMP = 0, 255
-BOUND_STEPS = 8  # of a code for a factor of two: rounding up adds at most 9.1 %
-
-HEADERS = {"adf/field.h": program.c_constants(POINT_BITS=POINT_BITS, WEIGHT_BITS=WEIGHT_BITS)}
 
 
-def bound_values() -> np.ndarray:
-    """(256,) float64: what each code bounds the error to, in sides: 0 for NO_LEAF, infinite for
-    JUMP, and else 2**((code - 254) / 8), by square roots alone."""
-    eighth = math.sqrt(math.sqrt(math.sqrt(2.0)))
-    steps = [1.0]
-    for _ in range(BOUND_STEPS - 1):
-        steps.append(steps[-1] * eighth)
-    values = np.zeros(256)
-    for code in range(1, JUMP):
-        exponent, step = divmod(code - (JUMP - 1), BOUND_STEPS)
-        values[code] = math.ldexp(steps[step], exponent)
-    values[JUMP] = np.inf
-    return values
-
-
-def bound_codes(bounds: np.ndarray) -> np.ndarray:
-    """The codes of bounds in sides: the least that is not below each; JUMP for what is over 1."""
-    return np.clip(np.searchsorted(bound_values()[:JUMP], bounds), 1, JUMP).astype(np.uint8)
-
-
-@dataclass(frozen=True, eq=False)
-class Answer:
-    """What a field says at N points.
-
-    distance : (N,) float64, world units; NaN where the point is. Outside of the cube a lower bound
-        on the distance (see DistanceField.query).
-    gradient : (N, 3) float32, or None if not asked for.
-    bound : (N,) float64, world units: how far at most the distance is from the exact one; infinite
-        outside of the cube, and where a cell holds a jump; or None.
-    level, cell : (N,) uint8 and (N, 3) uint32: the leaf, cell (i, j, k) of its level, or None.
-    outside : (N,) bool: not in the cube.
-    """
-
-    distance: np.ndarray
-    gradient: np.ndarray | None
-    bound: np.ndarray | None
-    level: np.ndarray | None
-    cell: np.ndarray | None
-    outside: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class DistanceField:
     """Distances to a mesh, sampled as finely as each place needs.
 
+    Attributes
+    ----------
     voxels : (n, 3, 3, 3) float32, [block, z, y, x], in sides of the cube.
     cells : (m, m, m, 2 or 3) uint32, [z, y, x]: low word of the identifier, high word if there is
         one, block; all 0 where the slot is free.
     hash : where the key of a cell is in `cells`.
     bounds : (n, 2, 2, 2) uint8, [block, z, y, x], codes of bound_values; or None.
-    origin, side : of the cube: world = origin + side * point.
-    sign : how the sign was found, one of voxtool.spatial.signed_distance.SIGNS.
-    tolerance, max_level, band : as asked of the build; in sides, level, and sides or infinite.
-    continuous : whether neighbours of different level agree on what they share.
-    lipschitz : the steepest that the field is, but in leaves that hold a jump.
-    reached : what the build reached: errors, counts; JSON types only.
+    origin, side : of the cube, in world units: world = origin + side * point.
+    sign : method of the sign, one of voxtool.choices.SIGNS.
+    tolerance, max_level, band : as requested; in sides, level, and sides or infinite.
+    continuous : whether neighbours of different levels agree on their common faces.
+    lipschitz : the steepest slope in any leaf in which the sign does not jump.
+    reached : what the build achieved: errors, counts; JSON types only.
     plan : what the plan said of the scene: JSON types only.
     source_sha256 : hex digest of the bytes that the mesh was read from, or "".
     units : name of the world unit if known, or "".
@@ -115,18 +69,37 @@ class DistanceField:
     band: float
     continuous: bool
     lipschitz: float
-    reached: dict[str, Any] = field(default_factory=dict)
-    plan: dict[str, Any] = field(default_factory=dict)
-    source_sha256: str = ""
+    reached: dict[str, Any] = field(default_factory=dict, compare=False)
+    plan: dict[str, Any] = field(default_factory=dict, compare=False)
+    source_sha256: str = field(default="", compare=False)
     units: str = ""
+
+    def __post_init__(self) -> None:
+        for name in ("voxels", "cells", "bounds"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def __eq__(self, other: object) -> bool:
+        return equal(self, other)
+
+    __hash__ = object.__hash__  # by identity, for weak references and Device.keep
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), tuple(getattr(self, f.name) for f in fields(self))
+
+    def __repr__(self) -> str:
+        return (
+            f"DistanceField({len(self.voxels):,} blocks, levels to {self.depth}, tolerance "
+            f"{self.tolerance:g}, sign {self.sign}, side {self.side:g})"
+        )
 
     # ---- structure
 
-    @property
+    @cached_property
     def identifiers(self) -> np.ndarray:
         """(m, m, m) uint32 or uint64: of the cell in each slot; 0 where it is free."""
         if self.cells.shape[-1] == 2:
-            return self.cells[..., 0]
+            return np.ascontiguousarray(self.cells[..., 0])
         low, high = self.cells[..., 0].astype(np.uint64), self.cells[..., 1].astype(np.uint64)
         return high << np.uint64(32) | low
 
@@ -139,9 +112,9 @@ class DistanceField:
         ordered[self.cells[..., -1].ravel()[taken]] = identifiers[taken]
         return ordered
 
-    @property
+    @cached_property
     def depth(self) -> int:
-        """The deepest level of a leaf."""
+        """The deepest level of a leaf; the root has level 0."""
         return (int(self.identifiers.max()).bit_length() - 1) // 3 + 1
 
     def cells_by_level(self) -> list[int]:
@@ -160,131 +133,40 @@ class DistanceField:
         found = self.identifiers.ravel()[slot]
         return np.where(found == cell_identifier(level, ijk), words[:, -1].astype(np.int64), -1)
 
-    # ---- queries: the oracle of query.py
-
-    def fixed(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """(N, 3) world points as (N, 3) uint32 in units of 2**-32 sides, and (N,) bool: outside.
-
-        Points outside of the cube, and NaN, become the nearest in it, and 0.
-        """
-        with np.errstate(over="ignore", invalid="ignore"):
-            u = (points - np.array(self.origin)) / self.side
-            outside = np.logical_not(((u >= 0) & (u <= 1)).all(axis=1))
-            u = np.where(u > 0, u, 0.0) * 2.0**POINT_BITS
-        return np.where(u < 2.0**POINT_BITS, u, 2.0**POINT_BITS - 1).astype(np.uint32), outside
+    # ---- queries
 
     def distance(self, points: Any) -> np.ndarray:
-        """(N,) float64: the distance at each of (N, 3) points, world units; as query."""
+        """(N,) float64, world units: the distance at each of (N, 3) points; see query."""
         return self.query(points).distance
 
     def gradient(self, points: Any) -> np.ndarray:
-        """(N, 3) float32: the gradient at each of (N, 3) points; as query."""
+        """(N, 3) float32: the gradient at each of (N, 3) points; see query."""
         gradient = self.query(points, gradient=True).gradient
         assert gradient is not None
         return gradient
 
     def query(
         self, points: Any, *, gradient: bool = False, bounds: bool = False, cell: bool = False
-    ) -> Answer:
-        """What the field says at points, in numpy: the oracle of voxtool.query_adf.
+    ) -> QueryResult:
+        """The values of the field at points, computed on the host.
 
-        Outside of the cube the distance is sqrt(g^2 + max(|d| - e, 0)^2), where g is the distance
-        to the cube, d the field's at the nearest point of the cube and e its bound, or without
+        voxtool.query_adf returns the same, bit for bit, faster for many points.
+
+        Outside the cube the distance is sqrt(g^2 + max(|d| - e, 0)^2), where g is the distance to
+        the cube, d the field's value at the nearest point of the cube, and e its bound, or without
         bounds (sqrt(3) / 2) of the leaf's edge. As the mesh is inside the cube, the exact distance
-        is no less. Its gradient is that of this expression.
+        is at least that. The gradient is that of this expression.
 
         Parameters
         ----------
-        points : (N, 3) numbers, world units.
-        gradient, bounds, cell : whether they are asked for.
+        points : (N, 3) numbers, world units, or a single point [x, y, z].
+        gradient, bounds, cell : whether to return them.
 
         Raises
         ------
         VoxtoolError : a wrong shape, or bounds of a field without them.
         """
-        points = checked_points(points)
-        if bounds and self.bounds is None:
-            raise no_bounds()
-        fixed, outside = self.fixed(points)
-        level, block = self._search(fixed)
-        child = fixed.astype(np.uint64) >> (POINT_BITS - 1 - level)[:, None].astype(np.uint64)
-        octant = (child & np.uint64(1)).astype(np.int64)
-        values = self._corners(block, octant)
-        fraction = (fixed << (level + 1)[:, None].astype(np.uint32)) >> np.uint32(
-            POINT_BITS - WEIGHT_BITS
-        )
-        t = fraction.astype(np.float32) * np.float32(2.0**-WEIGHT_BITS)
-        distance = trilinear(values, t)
-        slope = None
-        if gradient or outside.any():
-            slope = trilinear_gradient(values, t) * np.ldexp(np.float32(1), level + 1)[:, None]
-        bound = None
-        if self.bounds is not None and (bounds or outside.any()):
-            code = self.bounds[block, octant[:, 2], octant[:, 1], octant[:, 0]]
-            bound = bound_values()[code]
-        elif outside.any():
-            bound = half_diagonals(level + 1)
-        world = distance.astype(np.float64) * self.side
-        if outside.any():
-            assert slope is not None
-            assert bound is not None
-            self.extend(points, outside, distance, world, slope, bound)
-        lost = np.isnan(points).any(axis=1)
-        world[lost] = np.nan
-        if slope is not None:
-            slope[lost] = np.nan
-        if bounds:
-            assert bound is not None
-            bound = np.where(outside, np.inf, bound * self.side)
-        return Answer(
-            world,
-            slope if gradient else None,
-            bound if bounds else None,
-            (level + 1).astype(np.uint8) if cell else None,
-            child.astype(np.uint32) if cell else None,
-            outside & ~lost,
-        )
-
-    def _search(self, fixed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of each point the deepest cell that has a block: (N,) int64 levels and blocks, by the
-        linear search of section 3.5."""
-        level, block = np.zeros(len(fixed), np.int64), np.zeros(len(fixed), np.int64)
-        pending = np.arange(len(fixed))
-        for deeper in range(self.depth):
-            found = self.slots(deeper, fixed[pending].astype(np.int64) >> (POINT_BITS - deeper))
-            pending, found = pending[found >= 0], found[found >= 0]
-            level[pending], block[pending] = deeper, found
-        return level, block
-
-    def _corners(self, block: np.ndarray, octant: np.ndarray) -> np.ndarray:
-        """(N, 2, 2, 2) float32, [z, y, x]: the distances at the vertices of children of blocks."""
-        x, y, z = octant.T[:, :, None, None, None]
-        dz, dy, dx = np.ogrid[:2, :2, :2]
-        return self.voxels[block[:, None, None, None], z + dz, y + dy, x + dx]
-
-    def extend(
-        self,
-        points: np.ndarray,
-        outside: np.ndarray,
-        distance: np.ndarray,
-        world: np.ndarray,
-        slope: np.ndarray,
-        bound: np.ndarray,
-    ) -> None:
-        """Give points outside of the cube their lower bound, in `world`, and its gradient."""
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            u = (points[outside] - np.array(self.origin)) / self.side
-            beyond = np.where(u < 0, u, np.where(u > 1, u - 1, 0.0))
-            near = np.abs(distance[outside].astype(np.float64)) - bound[outside]
-            near = np.where(near > 0, near, 0.0)
-            exponent = np.frexp(np.abs(beyond).max(axis=1))[1]  # squares of large ones overflow
-            x, y, z = np.ldexp(beyond.T, -exponent)
-            part = np.ldexp(near, -exponent)
-            total = np.ldexp(np.sqrt(x * x + y * y + z * z + part * part), exponent)
-            inward = np.where(distance[outside] < 0, -near, near)[:, None]
-            steep = np.where(beyond != 0, beyond, inward * slope[outside]) / total[:, None]
-        world[outside] = total * self.side
-        slope[outside] = steep.astype(np.float32)
+        return query_on_host(self, points, gradient=gradient, bounds=bounds, cell=cell)
 
     # ---- sizes, identity, soundness
 
@@ -379,56 +261,6 @@ class DistanceField:
             refined[of, (order[1:] & order.dtype.type(7)).astype(np.int64)] = True
             if not np.array_equal((self.bounds == NO_LEAF).reshape(-1, 8), refined):
                 raise FileError("field bounds: they are not those of the leaves")
-
-
-def half_diagonals(levels: np.ndarray) -> np.ndarray:
-    """(N,) float64: of cells of these levels, in sides; no distance in one is further off."""
-    return np.ldexp(math.sqrt(3) / 2, -levels)
-
-
-def trilinear(values: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """(N,) float32: (N, 2, 2, 2) values, [z, y, x], interpolated at (N, 3) float32 in [0, 1]; along
-    x first, a + t (b - a) each."""
-    for axis in range(3):
-        a, b = values[..., 0], values[..., 1]
-        weight = t[:, axis].reshape(-1, *[1] * (a.ndim - 1))
-        values = a + weight * (b - a)
-    return values
-
-
-def trilinear_gradient(values: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """(N, 3) float32: the gradient of trilinear, by an edge's length: along each axis the
-    differences, interpolated along the other two in the order of x, y, z."""
-    slopes = []
-    for axis in range(3):
-        last = 3 - axis  # of the axes [point, z, y, x]
-        v = np.diff(values, axis=last).squeeze(last)
-        for other in (a for a in range(3) if a != axis):
-            weight = t[:, other].reshape(-1, *[1] * (v.ndim - 2))
-            v = v[..., 0] + weight * (v[..., 1] - v[..., 0])
-        slopes.append(v)
-    return np.stack(slopes, axis=1)
-
-
-def checked_points(points: Any) -> np.ndarray:
-    """(N, 3) float64 of anything.
-
-    Raises
-    ------
-    VoxtoolError : it is no such array.
-    """
-    try:
-        world = np.asarray(points, np.float64)
-    except (TypeError, ValueError):
-        raise VoxtoolError("points are not an array of numbers: give (N, 3)") from None
-    if world.ndim != 2 or world.shape[1] != 3:
-        raise VoxtoolError(f"points of shape {world.shape}: give (N, 3)")
-    return world
-
-
-def no_bounds() -> VoxtoolError:
-    """The error where bounds are asked of a field without them."""
-    return VoxtoolError("the field has no bounds: build it without --no-bounds")
 
 
 def assemble(

@@ -42,10 +42,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voxtool.arrays import equal, read_only
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Array, Device, default_device, program
@@ -89,7 +90,7 @@ HEADERS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SpatialHash:
     """A function from keys to slots without collisions among the keys that it was built for.
 
@@ -102,6 +103,20 @@ class SpatialHash:
     m: int
     r: int
     offsets: np.ndarray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "offsets", read_only(self.offsets))
+
+    def __eq__(self, other: object) -> bool:
+        return equal(self, other)
+
+    __hash__ = object.__hash__  # by identity
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.m, self.r, self.offsets)
+
+    def __repr__(self) -> str:
+        return f"SpatialHash(m={self.m}, r={self.r}{', with w' if self.has_w else ''})"
 
     @property
     def has_w(self) -> bool:

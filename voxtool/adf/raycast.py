@@ -23,9 +23,9 @@ import numpy as np
 
 from voxtool.adf.field import FAR
 from voxtool.adf.hashing import cell_of
-from voxtool.adf.query import FieldQuery
+from voxtool.adf.textures import textures_of
 from voxtool.errors import VoxtoolError
-from voxtool.opencl import program
+from voxtool.opencl import default_device, program
 
 if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
@@ -66,15 +66,15 @@ class FieldRenderer:
         MemoryLimitError : the field does not fit on it.
         """
         self.field = field
-        self.query = FieldQuery(field, device)
-        self.device = self.query.device
+        self.device = device or default_device()
+        self.textures = textures_of(field, self.device)
         refined = refined_children(field)
         limit = min(field.lipschitz, STEEPEST)
-        self._leap = np.float32(SAFETY / limit if limit > 0 else 0)
-        self._tables = (
-            self.device.put(refined),
-            self.device.put(room(field, steep_leaves(field, refined, limit))),
-        )
+        self._leap = SAFETY / limit if limit > 0 else 0.0
+        self._tables = {
+            "refined": self.device.put(refined),
+            "room": self.device.put(room(field, steep_leaves(field, refined, limit))),
+        }
 
     def __call__(
         self, rays: Rays, *, offset: float = 0.0, colour: tuple[float, float, float] = COLOUR
@@ -109,22 +109,22 @@ class FieldRenderer:
         camera = np.concatenate([local.origin, local.direction, local.right, local.down])
         width, height = rays.size
         pixels = self.device.empty(4 * width * height, np.float32)
-        kernel = self.device.kernel(SOURCE, "raycast", **self.query.options)
+        kernel = self.device.kernel(SOURCE, "raycast", **self.textures.options)
         tiles = -(-width // TILE) * -(-height // TILE)
         with self.device.stage("ray casting"):
             kernel(
                 tiles * TILE * TILE,
-                *self.query.textures,
-                *self._tables,
-                self._leap,
-                self.device.put(camera),
-                np.uint32(rays.perspective),
-                np.uint32(width),
-                np.uint32(height),
-                np.float32(shown),
-                *map(np.float32, rays.light()),
-                *map(np.float32, colour),
-                pixels,
+                **self.textures.arguments,
+                **self._tables,
+                leap=self._leap,
+                camera=self.device.put(camera),
+                perspective=rays.perspective,
+                width=width,
+                height=height,
+                offset=shown,
+                light=rays.light(),
+                colour=colour,
+                pixels=pixels,
                 local=TILE * TILE,
             )
             return pixels.take().reshape(height, width, 4)

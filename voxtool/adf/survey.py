@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.field import POINT_BITS
+from voxtool.adf.host_query import POINT_BITS
 from voxtool.spatial.bvh import FIELDS, LEAF, Frame, build_tree
 from voxtool.spatial.pseudonormals import pseudonormals
 from voxtool.spatial.self_intersections import find_self_intersections

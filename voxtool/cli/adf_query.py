@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from voxtool.adf.field import Answer
+    from voxtool.adf.host_query import QueryResult
     from voxtool.adf.query import FieldQuery
     from voxtool.files.answers import Answers
 
@@ -62,7 +62,7 @@ class Tally:
     nan: int = 0
     seconds: float = 0.0
 
-    def add(self, points: np.ndarray, answer: Answer, seconds: float) -> None:
+    def add(self, points: np.ndarray, answer: QueryResult, seconds: float) -> None:
         import numpy as np
 
         self.points += len(points)
@@ -155,7 +155,7 @@ def command(
             "--slice draws distances: leave out POINTS, --gradient, --bounds, --cell and --format"
         )
     started = time.perf_counter()
-    from voxtool.adf.field import no_bounds
+    from voxtool.adf.host_query import no_bounds
     from voxtool.adf.query import FieldQuery
     from voxtool.files import check_target, read_adf
     from voxtool.files.answers import open_answers

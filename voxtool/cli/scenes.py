@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from voxtool.adf.field import DistanceField, half_diagonals
+from voxtool.adf.bounds import half_diagonals
+from voxtool.adf.field import DistanceField
 from voxtool.adf.hashing import cell_of
 from voxtool.errors import VoxtoolError, printable
 from voxtool.svo.layout import BRICK_SIDE

@@ -12,7 +12,7 @@ from importlib import import_module
 # Header -> the module whose HEADERS holds its text.
 HOMES = {
     "adf/build.h": "voxtool.adf.levels.level",
-    "adf/field.h": "voxtool.adf.field",
+    "adf/points.h": "voxtool.adf.host_query",
     "adf/hashing.h": "voxtool.adf.hashing",
     "adf/query.h": "voxtool.adf.query",
     "adf/raycast.h": "voxtool.adf.raycast",

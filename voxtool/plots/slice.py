@@ -16,7 +16,8 @@ from voxtool.errors import FileError, VoxtoolError
 from voxtool.memory import check_memory
 
 if TYPE_CHECKING:
-    from voxtool.adf.field import Answer, DistanceField
+    from voxtool.adf.field import DistanceField
+    from voxtool.adf.host_query import QueryResult
     from voxtool.adf.query import FieldQuery
 
 AXES = "xyz"
@@ -33,7 +34,7 @@ OUTSIDE = ("#dbe9f4", "#9cc6e2", "#5b9fcd", "#2b6cab", "#0c2f5e")  # the first a
 
 def draw_slice(
     query: FieldQuery, axis: str, value: float, size: int = 800
-) -> tuple[np.ndarray, Answer]:
+) -> tuple[np.ndarray, QueryResult]:
     """Return a picture of a distance field on a plane, and the field's values there.
 
     Parameters
@@ -89,7 +90,7 @@ def check_plane(field: DistanceField, axis: str, value: float) -> None:
 
 def _draw(
     field: DistanceField,
-    answer: Answer,
+    answer: QueryResult,
     normal: int,
     value: float,
     sizes: tuple[int, float, float],
@@ -125,7 +126,7 @@ def _draw(
 
 
 def _draw_distances(
-    figure: Any, plot: Any, bar: Any, field: DistanceField, answer: Answer, normal: int
+    figure: Any, plot: Any, bar: Any, field: DistanceField, answer: QueryResult, normal: int
 ) -> float:
     """Draw the colours, the isolines and the scale; the step between isolines."""
     from matplotlib.colors import LinearSegmentedColormap
@@ -172,7 +173,7 @@ def _plane_points(field: DistanceField, normal: int, value: float, count: int) -
     return points.reshape(-1, 3)
 
 
-def _outline_leaves(plot: Any, field: DistanceField, answer: Answer, normal: int) -> str:
+def _outline_leaves(plot: Any, field: DistanceField, answer: QueryResult, normal: int) -> str:
     """Draw squares around the leaves that are large enough; a phrase that says which ones."""
     from matplotlib.collections import LineCollection
 

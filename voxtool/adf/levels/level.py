@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.field import JUMP, bound_values
+from voxtool.adf.bounds import JUMP, bound_values
 from voxtool.opencl import program
 
 if TYPE_CHECKING:
