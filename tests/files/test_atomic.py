@@ -7,8 +7,11 @@ import signal
 import stat
 import subprocess
 import sys
+import tempfile
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -136,13 +139,24 @@ def test_no_clobber_refuses_a_dangling_link(tmp_path: Path) -> None:
     assert "exists" in refusal(tmp_path / "a", clobber=False)
 
 
+@contextmanager
+def without_privileges() -> Iterator[Path]:
+    """A folder that cannot be written; root becomes nobody, since root may write anywhere."""
+    with tempfile.TemporaryDirectory() as folder:
+        os.chmod(folder, 0o555)
+        user = os.getresuid()
+        if user[1] == 0:
+            os.setresuid(65534, 65534, 0)
+        try:
+            yield Path(folder)
+        finally:
+            os.setresuid(*user)
+
+
 @posix_only
-@pytest.mark.skipif(POSIX and os.geteuid() == 0, reason="root may write anywhere")
-def test_no_permission(tmp_path: Path) -> None:
-    folder = tmp_path / "locked"
-    folder.mkdir()
-    folder.chmod(0o555)
-    assert "no permission" in refusal(folder / "a.h5")
+def test_no_permission() -> None:
+    with without_privileges() as folder:
+        assert "no permission" in refusal(folder / "a.h5")
 
 
 def test_name_too_long(tmp_path: Path) -> None:
