@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from voxtool.adf.query import FieldQuery, query_adf
     from voxtool.adf.raycast import FieldRenderer, render_adf
     from voxtool.camera import Camera, Rays
+    from voxtool.distances import distance_grid, plan_distance, plan_distance_grid
     from voxtool.errors import (
         DeviceError,
         FileError,
@@ -67,6 +68,7 @@ _HOMES = {
     "voxtool.adf.query": ("FieldQuery", "query_adf"),
     "voxtool.adf.raycast": ("FieldRenderer", "render_adf"),
     "voxtool.camera": ("Camera", "Rays"),
+    "voxtool.distances": ("distance_grid", "plan_distance", "plan_distance_grid"),
     "voxtool.errors": (
         "DeviceError",
         "FileError",
@@ -138,6 +140,7 @@ __all__ = [
     "deviation",
     "diagnose",
     "distance",
+    "distance_grid",
     "export",
     "extract",
     "list_devices",
@@ -145,6 +148,8 @@ __all__ = [
     "mesh_from_arrays",
     "open_device",
     "plan_adf",
+    "plan_distance",
+    "plan_distance_grid",
     "plan_extract",
     "plan_tet",
     "plan_voxelize",

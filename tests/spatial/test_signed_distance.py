@@ -603,4 +603,4 @@ def test_the_tree_is_built_once(device: Device) -> None:
     with device.reporting(stages.append):
         for _ in range(3):
             distance(mesh, [(0, 0, 0)], device=device)
-    assert stages == ["tree", *["distance"] * 3]
+    assert stages == ["pseudo-normals", "tree", *["distance"] * 3]

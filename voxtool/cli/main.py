@@ -33,6 +33,7 @@ COMMANDS = {
     "diagnose": "voxtool.cli.diagnose",
     "svo-info": "voxtool.cli.svo_info",
     "extract": "voxtool.cli.extract",
+    "distance": "voxtool.cli.distance",
     "adf-build": "voxtool.cli.adf_build",
     "adf-query": "voxtool.cli.adf_query",
     "adf-info": "voxtool.cli.adf_info",

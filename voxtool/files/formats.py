@@ -43,6 +43,10 @@ MESH_FORMATS = {
     name: Writer("mesh_writers", f"write_{name}", text=name in ("obj", "off"))
     for name in ("obj", "ply", "stl", "glb", "off")
 }
+TEXT_FORMATS = (  # fit for a terminal
+    *(name for name, writer in {**SVO_FORMATS, **MESH_FORMATS}.items() if writer.text),
+    "csv",
+)
 NORMAL_FORMATS = ("obj", "ply", "glb")  # those of meshes that hold a normal a vertex
 STREAM_FORMATS = ("svo.h5", "adf.h5", "tet.h5", "obj")  # of stdout where no format is named
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
+from voxtool.files.atomic import atomic_path
+from voxtool.files.streams import STREAM, PathLike, standard_output
 from voxtool.svo.layers import layers
 
 if TYPE_CHECKING:
@@ -29,3 +31,20 @@ def write(octree: Octree, file: BinaryIO) -> None:
     np.lib.format.write_array_header_1_0(file, header)
     for slab in layers(octree):
         file.write(np.ascontiguousarray(slab).data)
+
+
+def write_array(
+    values: np.ndarray, path: PathLike, clobber: bool = True, format: str | None = None
+) -> None:
+    """Write an array as .npy; `-` writes stdout.
+
+    Raises
+    ------
+    FileError : the file cannot be written, or exists and clobber is False.
+    """
+    if path == STREAM:
+        with standard_output(False) as file:
+            np.save(file, values)
+        return
+    with atomic_path(path, clobber) as temporary, open(temporary, "wb") as file:
+        np.save(file, values)

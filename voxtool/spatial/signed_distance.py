@@ -97,7 +97,10 @@ class SignedDistance:
         self.sign = sign or self.device.keep(mesh, "default sign", 0, lambda: default_sign(mesh))
         size = distance_bytes(len(mesh.faces), self.sign)
         self._distance, self._winding = self.device.keep(
-            mesh, f"distance, sign {self.sign}", size, lambda: _measures(mesh, self.sign, device)
+            mesh,
+            f"distance, sign {self.sign}",
+            size,
+            lambda: _measures(mesh, self.sign, self.device),
         )
 
     @overload
@@ -167,10 +170,13 @@ class SignedDistance:
 
 
 def _measures(
-    mesh: Mesh, sign: str, device: Device | None
+    mesh: Mesh, sign: str, device: Device
 ) -> tuple[TriangleDistance, WindingNumber | None]:
     """What a sign needs on the device; it does not refer to the mesh."""
-    normals = pseudonormals(mesh) if sign == "pseudonormal" else None
+    normals = None
+    if sign == "pseudonormal":
+        with device.stage("pseudo-normals"):
+            normals = pseudonormals(mesh)
     distance = TriangleDistance(mesh, device, normals=normals)
     if sign != "winding":
         return distance, None

@@ -1,0 +1,294 @@
+"""Exact distances as jobs: from any points, and at the voxel centres of a grid.
+
+The signs of a grid are voxelize's own: a distance is negative exactly where the voxel is set. Its
+magnitudes are those of the unrounded mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voxtool.choices import SIGNS
+from voxtool.errors import MemoryLimitError, VoxtoolError, human
+from voxtool.job import Cost, Job
+from voxtool.memory import available_memory
+from voxtool.opencl import default_device
+from voxtool.spatial.distance import POINTS_AT_ONCE
+from voxtool.spatial.signed_distance import SignedDistance, default_sign, distance_bytes
+from voxtool.svo.layers import layers
+from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
+
+if TYPE_CHECKING:
+    from voxtool.grid import Grid
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.opencl import Device
+
+POINT_BYTES = 48  # on the device, of a point that is measured: place, order, codes, distance
+LOCATED_BYTES = 56  # more if its nearest point is described
+SIGN_STAGES = {"pseudonormal": ["pseudo-normals"], "winding": ["moments"], "none": []}
+SIGN_NAMES = {"pseudonormal": "pseudo-normals", "winding": "winding numbers"}
+
+
+@dataclass(frozen=True)
+class DistancePlan:
+    """How points are measured.
+
+    triangles : of the mesh.
+    sign : how the sign is found, one of SIGNS.
+    located : whether gradients, nearest points or faces are found.
+    block : points that are on the device at once.
+    """
+
+    triangles: int
+    sign: str
+    located: bool
+    block: int = POINTS_AT_ONCE
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages, in order."""
+        first, last = SIGN_STAGES[self.sign], ["distance"]
+        if self.sign == "winding":
+            return ["tree", *first, *last, "winding number"]
+        return [*first, "tree", *last]
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """What is not computed, and why."""
+        reason = "no distance is negative" if self.sign == "none" else f"the sign is {self.sign}"
+        out = {what: reason for sign, what in SIGN_NAMES.items() if sign != self.sign}
+        if not self.located:
+            out["gradients, nearest points and faces"] = "not asked for"
+        return out
+
+    @property
+    def cost(self) -> Cost:
+        """Predicted bytes."""
+        points = self.block * (POINT_BYTES + (LOCATED_BYTES if self.located else 0))
+        size = distance_bytes(self.triangles, self.sign)
+        return Cost(size + points, 2 * points, max(120 * self.triangles, 24 * self.block))
+
+    def as_dict(self) -> dict[str, Any]:
+        """The plan in JSON types."""
+        return {**asdict(self), "stages": self.stages, "left_out": self.left_out,
+                "predicted_device_bytes": self.cost.device}  # fmt: skip
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What `--plan` prints of the scene."""
+        return [("scene", f"{self.triangles:,} triangles"), ("sign", self.sign)]
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Raise MemoryLimitError if the device has less memory than predicted."""
+        if self.cost.device > max_memory or self.cost.largest > max_allocation:
+            raise MemoryLimitError(
+                f"{self.triangles:,} triangles need {human(self.cost.device)}, "
+                f"{human(self.cost.largest)} of it at once; {human(max_memory)} and "
+                f"{human(max_allocation)} are free: simplify the mesh"
+            )
+
+
+class DistanceJob(Job[SignedDistance]):
+    """What measures points, planned; its result is ready for any number of points."""
+
+    plan: DistancePlan
+
+    def __init__(self, mesh: Mesh, plan: DistancePlan, device: Device) -> None:
+        self.mesh, self.plan, self.device = mesh, plan, device
+
+    def _run(self) -> SignedDistance:
+        return SignedDistance(self.mesh, self.plan.sign, self.device)
+
+
+def plan_distance(
+    mesh: Mesh,
+    *,
+    sign: str | None = None,
+    located: bool = False,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> DistanceJob:
+    """Plan the measuring of points; the job's `run()` returns a SignedDistance.
+
+    Parameters
+    ----------
+    sign : "pseudonormal", "winding", "none", or None for what suits the mesh.
+    located : whether gradients, nearest points or faces will be asked for.
+
+    Raises
+    ------
+    VoxtoolError : no such sign. DeviceError : there is no device.
+    """
+    if sign is not None and sign not in SIGNS:
+        raise VoxtoolError(f"sign {sign!r}: choose one of {', '.join(SIGNS)}")
+    plan = DistancePlan(len(mesh.faces), sign or default_sign(mesh), located)
+    job = DistanceJob(mesh, plan, device or default_device())
+    job.max_memory = max_memory
+    return job
+
+
+@dataclass(frozen=True)
+class DistanceGridPlan:
+    """How the voxel centres of a grid are measured.
+
+    shape : of the grid.
+    dtype : of the result, "float64" or "float32".
+    distance : the plan of the magnitudes.
+    voxels : the plan of the octree that has the signs; None if no distance is negative.
+    """
+
+    shape: tuple[int, int, int]
+    dtype: str
+    distance: DistancePlan
+    voxels: Any = None
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages, in order."""
+        return [*(self.voxels.stages if self.voxels else []), *self.distance.stages]
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """What is not computed, and why."""
+        if self.voxels:
+            return dict(self.voxels.left_out)
+        return {"voxels": "no distance is negative"}
+
+    @property
+    def cost(self) -> Cost:
+        """Predicted bytes."""
+        nx, ny, nz = self.shape
+        costs = [self.distance.cost, *([self.voxels.cost] if self.voxels else [])]
+        return Cost(
+            max(cost.device for cost in costs),
+            nx * ny * nz * np.dtype(self.dtype).itemsize + sum(cost.host for cost in costs),
+            max(cost.largest for cost in costs),
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """The plan in JSON types."""
+        return {
+            **(self.voxels.as_dict() if self.voxels else {"shape": list(self.shape)}),
+            "dtype": self.dtype,
+            "triangles": self.distance.triangles,
+            "stages": self.stages,
+            "left_out": self.left_out,
+            "predicted_device_bytes": self.cost.device,
+            "predicted_host_bytes": self.cost.host,
+        }
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What `--plan` prints of the scene."""
+        shape = " x ".join(map(str, self.shape))
+        rows = self.voxels.rows() if self.voxels else [("grid", f"{shape} voxels")]
+        return [*rows, ("distances", f"{shape} {self.dtype}")]
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Raise MemoryLimitError if device or machine have less memory than predicted."""
+        for plan in (self.voxels, self.distance):
+            if plan:
+                plan.refuse_beyond(max_memory, max_allocation)
+        free = available_memory()
+        if self.cost.host > free:
+            fits = int(max(self.shape) * (free / self.cost.host) ** (1 / 3))
+            raise MemoryLimitError(
+                f"{' x '.join(map(str, self.shape))} distances need {human(self.cost.host)} of the "
+                f"machine's memory and {human(free)} are free: choose a dim of {fits} or less"
+            )
+
+
+class DistanceGridJob(Job[np.ndarray]):
+    """A dense grid of distances, planned."""
+
+    plan: DistanceGridPlan
+
+    def __init__(self, mesh: Mesh, grid: Grid, voxels: VoxelizeJob | None, device: Device) -> None:
+        self.mesh, self.grid, self.voxels, self.device = mesh, grid, voxels, device
+
+    def _run(self) -> np.ndarray:
+        octree = self.voxels.run(self._progress) if self.voxels else None
+        distances = self._magnitudes()
+        if octree is None:
+            return distances
+        least, x = np.finfo(distances.dtype).tiny, 0
+        for voxels in layers(octree):
+            part = distances[x : x + len(voxels)]
+            np.copyto(part, np.minimum(-part, -least), where=voxels)
+            x += len(voxels)
+        return distances
+
+    def _magnitudes(self) -> np.ndarray:
+        """(nx, ny, nz): the distances of the voxel centres, without signs."""
+        measure = SignedDistance(self.mesh, "none", self.device)
+        distances = np.empty(self.grid.shape, self.plan.dtype)
+        flat, block = distances.reshape(-1), self.plan.distance.block
+        for start in range(0, len(flat), block):
+            numbers = np.arange(start, min(start + block, len(flat)))
+            cells = np.stack(np.unravel_index(numbers, self.grid.shape), axis=1)
+            flat[numbers] = measure(self.grid.to_world(cells + 0.5))
+        return distances
+
+
+def plan_distance_grid(
+    mesh: Mesh,
+    grid: Grid,
+    *,
+    fill: str = "auto",
+    gap: int = 0,
+    dtype: Any = np.float64,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> DistanceGridJob:
+    """Plan the distances at the voxel centres of a grid; see distance_grid."""
+    name = np.dtype(dtype).name
+    if name not in ("float64", "float32"):
+        raise VoxtoolError(f"dtype {name}: choose float64 or float32")
+    device, voxels = device or default_device(), None
+    if fill != "none":
+        voxels = plan_voxelize(mesh, grid, fill=fill, gap=gap, device=device, max_memory=max_memory)
+    job = DistanceGridJob(mesh, grid, voxels, device)
+    magnitudes = DistancePlan(len(mesh.faces), "none", located=False)
+    job.plan = DistanceGridPlan(grid.shape, name, magnitudes, voxels.plan if voxels else None)
+    job.max_memory = max_memory
+    return job
+
+
+def distance_grid(
+    mesh: Mesh,
+    grid: Grid,
+    *,
+    fill: str = "auto",
+    gap: int = 0,
+    dtype: Any = np.float64,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> np.ndarray:
+    """Return the signed distances at the voxel centres of a grid.
+
+    A distance is negative exactly where `voxelize(mesh, grid, fill=fill, gap=gap)` sets the voxel,
+    so that `distance_grid(mesh, grid) < 0` equals the octree. The magnitudes are those of the
+    unrounded mesh. Where the centre of a set voxel lies on the mesh, the distance is the negative
+    normal number nearest to 0, -2.2e-308 (float32: -1.2e-38).
+
+    Parameters
+    ----------
+    mesh : Mesh
+    grid : Grid
+    fill : the fill rule of voxelize ("auto", "parity", "nonzero", "winding" or "flood"), or "none"
+        for distances without a sign.
+    gap : with "flood", openings of up to so many voxels are closed.
+    dtype : of the result: float64, or float32, to which distances are rounded.
+
+    Returns
+    -------
+    (nx, ny, nz) array of world units, [x, y, z].
+
+    Raises
+    ------
+    GridError, MemoryLimitError, DeviceError, VoxtoolError : as voxelize and SignedDistance.
+    """
+    return plan_distance_grid(
+        mesh, grid, fill=fill, gap=gap, dtype=dtype, device=device, max_memory=max_memory
+    ).run()
