@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import golden_adf
+import golden_distance
 import golden_mesh
 import golden_picture
 import golden_svo
@@ -15,6 +16,7 @@ import voxtool
 
 GOLDEN = json.loads(golden_svo.GOLDEN.read_text(encoding="utf-8"))
 FIELDS = json.loads(golden_adf.GOLDEN.read_text(encoding="utf-8"))
+DISTANCES = json.loads(golden_distance.GOLDEN.read_text(encoding="utf-8"))
 PICTURES = json.loads(golden_picture.GOLDEN.read_text(encoding="utf-8"))
 SURFACES = json.loads(golden_mesh.GOLDEN.read_text(encoding="utf-8"))
 
@@ -52,6 +54,11 @@ def test_surfaces_of_real_models(device, name: str) -> None:
     mesh = voxtool.load_mesh(model(f"{name}.obj"))
     found = dict(golden_mesh.digests(mesh, golden_mesh.REAL_DIMS, device))
     assert found == SURFACES[f"{name}.obj"]
+
+
+@pytest.mark.parametrize("name", golden_distance.OWN)
+def test_distances_to_own_meshes(device, name: str) -> None:
+    assert dict(golden_distance.digests(golden_svo.own_mesh(name), device)) == DISTANCES[name]
 
 
 @pytest.mark.parametrize("name", golden_adf.OWN)

@@ -48,6 +48,7 @@ FAULTS = [  # the case that finds it, and what goes wrong in a kernel
     ("integers of 64 bits", "convert_long(xs[i])", "convert_long_rte(xs[i])"),
     ("scan, sort, unique, pyramid", "sorted[to] = key;", "sorted[to] = key + (i == 77777);"),
     ("distances to needles", "px - u * t->ex", "px - u * t->ex * (1 + 1e-14)"),
+    ("nearest points of slivers", "at = p - way;", "at = p - way * (1 + 1e-13);"),
     ("winding numbers", "7.5 * s * three", "7.0 * s * three"),
     ("segments of optical depth 1e-7 to 1e4", "+ 0.626684487f;", "+ 0.62669f;"),
     ("segments of alike and of zero ends", "0.16666542f", "0.16665f"),

@@ -156,7 +156,7 @@ def measure_grid(run: Run, mesh: Mesh, grid: Grid, fill: str, dtype: str) -> dic
     from voxtool.files.npy import write_array
 
     job = plan_distance_grid(mesh, grid, fill=fill, dtype=dtype, **run.resources)
-    place = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
+    place: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
     found = run.job(job, **place)
     run.write(write_array, found)
     fill = job.plan.voxels.fill if job.plan.voxels else "none"
@@ -197,8 +197,8 @@ def answer(
         if not finite.all():
             first = answers.count + int(np.argmin(finite))
             raise VoxtoolError(f"{name}: point {first} is not finite: remove it")
-        found = measure(block, **asked)
-        parts = [found] if isinstance(found, np.ndarray) else [p for p in found if p is not None]
+        found: Any = measure(block, **asked)
+        parts = [found] if not any(asked.values()) else [p for p in found if p is not None]
         negative += int(np.count_nonzero(parts[0] < 0))
         answers.write(parts)
     return negative

@@ -20,6 +20,7 @@ from voxtool.selftest.case import case
 from voxtool.selftest.voxels import SCALES
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.sampling import spread_in_cube
+from voxtool.spatial.signed_distance import distance
 from voxtool.spatial.winding_number import WindingNumber
 
 if TYPE_CHECKING:
@@ -29,8 +30,8 @@ if TYPE_CHECKING:
 
     Exact = Callable[[np.ndarray], np.ndarray]
 
-EXACT = 1e-15  # of the extent: what a distance is wrong at most (voxtool/proximity/distance.py)
-WINDING = 1e-3  # and a winding number (voxtool/proximity/winding.py says 8e-4 of 8,550 points)
+EXACT = 1e-15  # of the extent: what a distance is wrong at most (voxtool/spatial/distance.py)
+WINDING = 1e-3  # and a winding number (voxtool/spatial/winding_number.py says 8e-4 of 8,550 points)
 POINTS = 20_000
 DEEPEST = 12  # level, from which on identifiers have 64 bits
 
@@ -78,6 +79,29 @@ def coordinates(device: Device, full: bool) -> float:
         for factor, offset in SCALES
     ]
     return max(errors)
+
+
+@case("nearest points of slivers", "faces and ways: rational arithmetic", "extents", 4 * EXACT)
+def nearest(device: Device, full: bool) -> float:
+    random, error = np.random.default_rng(2), 0.0
+    for _ in range(12 if full else 2):
+        corners = random.uniform(-1, 1, (8, 3, 3))
+        corners[:, 2] = corners[:, 0] + 10.0 ** -random.uniform(1, 9, (8, 1)) * corners[:, 2]
+        mesh = mesh_from_arrays(corners.reshape(-1, 3), np.arange(24).reshape(-1, 3))
+        points = random.uniform(-1.5, 1.5, (40, 3))
+        found = distance(
+            mesh, points, sign="none", gradient=True, nearest=True, face=True, device=device
+        )
+        exact = oracles.distances(points, corners)
+        reached = found.nearest + exact[:, None] * found.gradient
+        off = [
+            oracles.distances(point[None], corners[face][None])[0]
+            for point, face in zip(found.nearest, found.face, strict=True)
+        ]
+        wrong = [np.abs(found.distance - exact), np.abs(reached - points), np.array(off)]
+        extent = float(np.ptp(mesh.bounds, axis=0).max())
+        error = max(error, *(float(values.max()) / extent for values in wrong))
+    return error
 
 
 def _distance_error(device: Device, triangles: np.ndarray, points: np.ndarray) -> float:
@@ -242,4 +266,15 @@ def rays(device: Device, full: bool) -> int:
     return wrong
 
 
-CASES = (needles, coordinates, winding, walls, scales, nothing_allowed, deepest, hashes, rays)
+CASES = (
+    needles,
+    coordinates,
+    nearest,
+    winding,
+    walls,
+    scales,
+    nothing_allowed,
+    deepest,
+    hashes,
+    rays,
+)
