@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from voxtool.cli.runner import Run
-    from voxtool.files.points import Answers
+    from voxtool.files.answers import Answers
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
     from voxtool.spatial.signed_distance import SignedDistance
@@ -101,8 +101,8 @@ def command(
     if placing["dim"] and placing["pitch"]:
         raise click.UsageError("--dim and --pitch both set the voxel size: drop one of them")
     from voxtool.files import read_svo
+    from voxtool.files.answers import ANSWER_FORMATS
     from voxtool.files.mesh import load_mesh
-    from voxtool.files.points import ANSWER_FORMATS
     from voxtool.grid import Grid
 
     if on_grid:
@@ -171,7 +171,8 @@ def measure_points(
 ) -> dict[str, Any]:
     """Write the distances of points, block by block; return what the report says."""
     from voxtool.distances import plan_distance
-    from voxtool.files.points import open_answers, read_points
+    from voxtool.files.answers import open_answers
+    from voxtool.files.points import read_points
 
     job = plan_distance(mesh, sign=sign, located=any(asked.values()), **run.resources)
     measure = run.job(job)
