@@ -1,4 +1,4 @@
-// What all else is made of, one value a work-item. Host side: voxtool/bench/selftest/arithmetic.py.
+// The arithmetic that everything else uses, one value a work-item. Host side: voxtool/selftest/arithmetic.py.
 // Options: REAL, float or double.
 
 #pragma OPENCL FP_CONTRACT OFF

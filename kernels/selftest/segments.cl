@@ -1,4 +1,4 @@
-// The weights of segments, LANES a work-item. Host side: voxtool/bench/selftest/volumes.py.
+// The weights of segments, LANES a work-item. Host side: voxtool/selftest/volumes.py.
 
 #include "tets/segment.h"
 

@@ -7,9 +7,10 @@ import json
 import math
 
 import pytest
-from helpers_cli import invoke, run
+from helpers_cli import invoke
 
-from voxtool.errors import DeviceError
+from voxtool.cli.selftest import report
+from voxtool.errors import CheckError, DeviceError
 from voxtool.selftest.case import Case
 
 
@@ -24,19 +25,22 @@ BROKEN = Case("broken", "what does not build", "values", 0, broken)
 LOST = Case("lost", "what is no number", "values", 1, lambda device, full: math.nan)
 
 
-@pytest.fixture
-def cases(monkeypatch: pytest.MonkeyPatch):
-    def choose(*chosen: Case) -> None:
-        monkeypatch.setattr("voxtool.selftest.CASES", chosen)
-
-    return choose
+def printed(capsys, device, *cases: Case, full=False, as_json=False, quiet=False) -> str:
+    """What the command prints for these cases."""
+    report(device, cases, full, as_json, quiet)
+    return capsys.readouterr().out
 
 
-def test_all_within_their_bounds(device_index: int, cases) -> None:
-    cases(GOOD, EXACT)
-    result = run(f"selftest --device {device_index}")
-    assert result.stderr == ""
-    head, blank, columns, good, exact, again, verdict = result.stdout.splitlines()
+def failed(capsys, device, *cases: Case, **how) -> tuple[str, str]:
+    """What the command prints for cases of which one fails, and the message of the error."""
+    with pytest.raises(CheckError) as error:
+        printed(capsys, device, *cases, **how)
+    return capsys.readouterr().out, str(error.value)
+
+
+def test_all_within_their_bounds(device, capsys) -> None:
+    lines = printed(capsys, device, GOOD, EXACT).splitlines()
+    head, blank, columns, good, exact, again, verdict = lines
     assert head.startswith("voxtool ")
     assert (blank, again) == ("", "")
     assert columns.split() == ["case", "error", "bound", "unit", "verdict", "s"]
@@ -45,53 +49,41 @@ def test_all_within_their_bounds(device_index: int, cases) -> None:
     assert [row.index("ok") for row in (good, exact)] == [columns.index("verdict")] * 2
     assert verdict.startswith("2 of 2 cases within their bounds, ")
     assert verdict.endswith(" can be trusted")
+    assert " 2e-07 " in printed(capsys, device, GOOD, full=True)
 
 
-def test_full(device_index: int, cases) -> None:
-    cases(GOOD)
-    assert " 2e-07 " in run(f"selftest --device {device_index} --full").stdout
-
-
-def test_failures(device_index: int, cases) -> None:
-    cases(GOOD, BAD, BROKEN, LOST)
-    result = invoke(f"selftest --device {device_index}")
-    assert result.exit_code == 1
-    rows = result.stdout.splitlines()[3:]
-    assert [row.split()[:5] for row in rows] == [
+def test_failures(device, capsys) -> None:
+    out, message = failed(capsys, device, GOOD, BAD, BROKEN, LOST)
+    assert [row.split()[:5] for row in out.splitlines()[3:]] == [
         ["good", "1e-07", "1e-06", "values", "ok"],
         ["bad", "3", "0", "values", "FAILED"],
         ["broken", "-", "0", "values", "FAILED"],
         ["kernels/x.cl", "does", "not", "build"],
         ["lost", "nan", "1", "values", "FAILED"],
     ]
-    assert "trusted" not in result.output
-    assert result.stderr.startswith("voxtool: error: 3 of 4 cases failed on ")
-    assert result.stderr.endswith(
-        ": bad, broken, lost: update its driver, or choose another device: see docs/devices.md\n"
+    assert "trusted" not in out
+    assert message.startswith("3 of 4 cases failed on ")
+    assert message.endswith(
+        ": bad, broken, lost: update its driver, or choose another device: see docs/devices.md"
     )
-    assert result.stderr.count("\n") == 1
 
 
-def test_quiet(device_index: int, cases) -> None:
-    cases(GOOD, EXACT)
-    (verdict,) = run(f"selftest --device {device_index} -q").stdout.splitlines()
+def test_quiet(device, capsys) -> None:
+    (verdict,) = printed(capsys, device, GOOD, EXACT, quiet=True).splitlines()
     assert verdict.startswith("2 of 2 cases within their bounds")
-    cases(GOOD, BAD)
-    result = invoke(f"selftest --device {device_index} -q")
-    assert result.exit_code == 1
-    (row,) = result.stdout.splitlines()
+    out, message = failed(capsys, device, GOOD, BAD, quiet=True)
+    (row,) = out.splitlines()
     assert row.startswith("bad ")
-    assert result.stderr.startswith("voxtool: error: 1 of 2 cases failed on ")
+    assert message.startswith("1 of 2 cases failed on ")
 
 
-def test_json(device_index: int, cases) -> None:
-    cases(GOOD, EXACT)
-    result = run(f"selftest --device {device_index} --json")
-    told = json.loads(result.stdout)
-    assert (told["verdict"], told["full"], told["device"]["index"]) == ("ok", False, device_index)
-    seconds = told["cases"][0].pop("seconds")
+def test_json(device, capsys) -> None:
+    value = json.loads(printed(capsys, device, GOOD, EXACT, as_json=True))
+    assert (value["verdict"], value["full"]) == ("ok", False)
+    assert value["device"]["index"] == device.info.index
+    seconds = value["cases"][0].pop("seconds")
     assert 0 <= seconds < 1
-    assert told["cases"][0] == {
+    assert value["cases"][0] == {
         "name": "good",
         "what": "what is right",
         "error": 1e-7,
@@ -100,12 +92,10 @@ def test_json(device_index: int, cases) -> None:
         "verdict": "ok",
         "message": "",
     }
-    cases(GOOD, BROKEN, LOST)
-    result = invoke(f"selftest --device {device_index} --json --full")
-    assert result.exit_code == 1
-    told = json.loads(result.stdout)
-    assert (told["verdict"], told["full"]) == ("failed", True)
-    assert [(c["error"], c["verdict"], c["message"]) for c in told["cases"]] == [
+    out, _ = failed(capsys, device, GOOD, BROKEN, LOST, as_json=True, full=True)
+    value = json.loads(out)
+    assert (value["verdict"], value["full"]) == ("failed", True)
+    assert [(c["error"], c["verdict"], c["message"]) for c in value["cases"]] == [
         (2e-7, "ok", ""),
         (None, "failed", "kernels/x.cl does not build"),
         (None, "failed", ""),

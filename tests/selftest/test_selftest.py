@@ -58,32 +58,27 @@ FAULTS = [  # the case that finds it, and what goes wrong in a kernel
 
 
 @pytest.mark.parametrize(("name", "right", "wrong"), FAULTS)
-def test_faults_are_found(
-    name: str, right: str, wrong: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_faults_are_found(name: str, right: str, wrong: str) -> None:
     """On one device: it is the case that is tested."""
-    flatten, changed = program.flatten, []
+    changed = []
 
-    def faulty(source: str) -> str:
-        text = flatten(source)
+    def faulty(text: str) -> str:
         changed.append(right in text)
         return text.replace(right, wrong)
 
-    monkeypatch.setattr(program, "flatten", faulty)
-    outcome = BY_NAME[name].run(open_device(str(usable_devices()[0][0])))
+    with program.changed_sources(faulty):
+        outcome = BY_NAME[name].run(open_device(str(usable_devices()[0][0])))
     assert any(changed)
     assert outcome.message == ""
     assert outcome.error > outcome.case.bound
 
 
-def test_other_content_is_found(device: Device, tmp_path, monkeypatch) -> None:
-    stored = json.loads(digests.STORED.read_text(encoding="utf-8"))
+def test_other_content_is_found(device: Device) -> None:
+    stored = digests.stored()
     assert stored.keys() == digests.KINDS.keys()
     stored["surfaces"]["surface-nets"] = stored["surfaces"]["voxel-faces"]
     del stored["surfaces"]["marching-cubes"]
-    monkeypatch.setattr(digests, "STORED", tmp_path / "digests.json")
-    digests.STORED.write_text(json.dumps(stored), encoding="utf-8")
-    assert BY_NAME["digests of surfaces"].run(device).error == 2
+    assert digests.differing(device, "surfaces", stored["surfaces"]) == 2
 
 
 @pytest.mark.parametrize(
@@ -111,15 +106,16 @@ def test_an_error_that_is_none_does_not_pass(device: Device, error: float) -> No
     json.dumps(outcome.as_dict(), allow_nan=False)
 
 
-def test_full_is_handed_on(device: Device, monkeypatch) -> None:
+def test_full_reaches_the_cases(device: Device) -> None:
     asked = []
 
     def measure(device: Device, full: bool) -> float:
         asked.append(full)
         return 0
 
-    monkeypatch.setattr("voxtool.selftest.CASES", (Case("one", "nothing", "values", 0, measure),))
-    assert [o.passed for o in (*selftest(device), *selftest(device, True))] == [True, True]
+    cases = (Case("one", "nothing", "values", 0, measure),)
+    runs = [*selftest(device, cases=cases), *selftest(device, True, cases)]
+    assert [outcome.passed for outcome in runs] == [True, True]
     assert asked == [False, True]
 
 

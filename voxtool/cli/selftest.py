@@ -1,4 +1,4 @@
-"""voxtool selftest: whether a device computes right."""
+"""voxtool selftest: whether a device computes correctly."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from voxtool.errors import CheckError
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
-    from voxtool.selftest import Outcome
+    from voxtool.opencl import Device
+    from voxtool.selftest.case import Case, Outcome
 
 HEADER = f"{'case':<38}{'error':>9}{'bound':>9}  {'unit':<14}{'verdict':<9}{'s':>5}"
 
@@ -23,12 +24,12 @@ HEADER = f"{'case':<38}{'error':>9}{'bound':>9}  {'unit':<14}{'verdict':<9}{'s':
 @options.json_option
 @click.option("-q", "--quiet", is_flag=True, help="Print only cases that fail, and the verdict.")
 def command(device: str | None, full: bool, as_json: bool, quiet: bool) -> None:
-    """Tell in a minute whether a device can be trusted.
+    """Check in a minute whether a device computes correctly.
 
-    Each case is stiff or extreme, and held against an oracle: rational arithmetic, quadrature, a
-    formula, or a digest that is the same on every device. It prints the measured error, the largest
-    that is right, and how long it took, in s, kernels' compilation included. The units are the
-    case's own; docs/devices.md has what each case checks. If any fails, the exit code is 1.
+    Each case is stiff or extreme, and compared with an oracle: rational arithmetic, quadrature, a
+    formula, or a digest that is the same on every device. Columns: the measured error, the largest
+    correct error, and the time in s, with the compilation of kernels. The units are the case's
+    own; docs/devices.md says what each case checks. The exit code is 1 if a case fails.
 
     \b
     Examples:
@@ -36,14 +37,25 @@ def command(device: str | None, full: bool, as_json: bool, quiet: bool) -> None:
       voxtool selftest --full --json
     """
     from voxtool.opencl import open_device
-    from voxtool.selftest import CASES, selftest
+    from voxtool.selftest import CASES
 
-    opened = open_device(device)
-    info = opened.info
+    report(open_device(device), CASES, full, as_json, quiet)
+
+
+def report(device: Device, cases: tuple[Case, ...], full: bool, as_json: bool, quiet: bool) -> None:
+    """Run the cases and print their outcomes.
+
+    Raises
+    ------
+    CheckError : a case failed.
+    """
+    from voxtool.selftest import selftest
+
+    info = device.info
     if not as_json and not quiet:
         click.echo(f"voxtool {__version__}; {info.name}, {info.platform} {info.driver}\n\n{HEADER}")
     outcomes: list[Outcome] = []
-    for outcome in selftest(opened, full):
+    for outcome in selftest(device, full, cases):
         outcomes.append(outcome)
         if not as_json and not (quiet and outcome.passed):
             click.echo(line(outcome))
@@ -63,19 +75,19 @@ def command(device: str | None, full: bool, as_json: bool, quiet: bool) -> None:
     name = f"{info.name} ({info.platform})"
     if failed:
         raise CheckError(
-            f"{len(failed)} of {len(CASES)} cases failed on {name}: {', '.join(failed)}: update "
+            f"{len(failed)} of {len(cases)} cases failed on {name}: {', '.join(failed)}: update "
             "its driver, or choose another device: see docs/devices.md"
         )
     if not as_json:
         seconds = sum(o.seconds for o in outcomes)
         click.echo(
-            f"{'' if quiet else chr(10)}{len(CASES)} of {len(CASES)} cases within their bounds, "
+            f"{'' if quiet else chr(10)}{len(cases)} of {len(cases)} cases within their bounds, "
             f"{seconds:.0f} s: {name} can be trusted"
         )
 
 
 def line(outcome: Outcome) -> str:
-    """A row of the table; below it, how the case failed if it has no error."""
+    """A row of the table, and below it why a case has no error."""
     case = outcome.case
     error = "-" if outcome.message else f"{outcome.error:.2g}"
     row = (

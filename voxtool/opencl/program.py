@@ -9,13 +9,18 @@ from __future__ import annotations
 
 import functools
 import re
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, SupportsInt
+from typing import TYPE_CHECKING, Any, SupportsInt
 
 import numpy as np
 
 from voxtool.errors import DeviceError
 from voxtool.opencl import headers
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
 
 _INCLUDE = re.compile(r'^#include "([^"]+)"$', re.MULTILINE)
 _C_TYPES = {"<u4": "uint", "<i4": "int", "<u8": "ulong", "<i8": "long", "|u1": "uchar"}
@@ -62,6 +67,29 @@ def flatten(source: str) -> str:
     return f'#line 1 "{label(source)}"\n{read(source)}\n'
 
 
+_change: ContextVar[Callable[[str], str] | None] = ContextVar("change", default=None)
+
+
+@contextmanager
+def changed_sources(change: Callable[[str], str]) -> Iterator[None]:
+    """Build programs in this block from what `change` makes of their sources.
+
+    Tests use it to show that a faulty kernel is found. A device that has built a kernel before
+    keeps it: open another one.
+    """
+    token = _change.set(change)
+    try:
+        yield
+    finally:
+        _change.reset(token)
+
+
+def source_text(source: str) -> str:
+    """The text that a program is built from."""
+    change, text = _change.get(), flatten(source)
+    return change(text) if change else text
+
+
 def c_struct(name: str, dtype: np.dtype) -> str:
     """The C declaration of a packed numpy record of 32- and 64-bit fields."""
     assert dtype.fields is not None
@@ -80,7 +108,7 @@ def build(cl: Any, context: Any, platform: str, source: str, defines: dict[str, 
     if context.devices[0].single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
         options.append(ROUNDED)
     try:
-        return cl.Program(context, flatten(source)).build(options)
+        return cl.Program(context, source_text(source)).build(options)
     except cl.RuntimeError as error:
         log = [line for line in str(error).splitlines() if "error" in line.lower()]
         raise DeviceError(

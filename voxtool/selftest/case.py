@@ -1,15 +1,16 @@
-"""A case of the selftest: what is measured, against what, and how wrong it may be."""
+"""A case of the selftest: what is measured, its oracle, and the largest correct error."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import dataclass
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.errors import VoxtoolError, one_line
+from voxtool.errors import MeshWarning, VoxtoolError, one_line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,9 +24,14 @@ if TYPE_CHECKING:
 class Case:
     """One line of the table.
 
-    name : a few words; what : what is held against which oracle.
-    unit : of error and bound; bound : the largest error that is right, by what docs promise.
-    measure : called as measure(device, full) for the error; full asks for more and larger inputs.
+    Attributes
+    ----------
+    name : a few words.
+    what : what is computed, and its oracle.
+    unit : of error and bound.
+    bound : the largest correct error, as documented.
+    measure : called as measure(device, full), returns the error; full asks for more and larger
+        inputs.
     """
 
     name: str
@@ -35,11 +41,13 @@ class Case:
     measure: Measure
 
     def run(self, device: Device, full: bool = False) -> Outcome:
-        """Measure. A device that is wrong may make anything fail: that is a verdict, too."""
+        """Measure. A faulty device may make anything fail: every exception is a verdict."""
         start = perf_counter()
         error, message = math.nan, ""
         try:
-            with np.errstate(all="ignore"):  # what is no number is no error within the bound
+            # an error that is not a number is not within the bound
+            with np.errstate(all="ignore"), warnings.catch_warnings():
+                warnings.simplefilter("ignore", MeshWarning)  # the meshes are bad on purpose
                 error = float(self.measure(device, full))
         except VoxtoolError as failure:
             message = one_line(failure)
@@ -50,9 +58,13 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a case.
+    """The outcome of a case.
 
-    error : as measured, NaN if it failed; message : how it failed, or "". seconds : it took.
+    Attributes
+    ----------
+    error : as measured; NaN if the case failed with an exception.
+    message : the exception, or "".
+    seconds : that the case took.
     """
 
     case: Case
@@ -65,7 +77,7 @@ class Outcome:
         return self.error <= self.case.bound
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON types; an error that is no number is null."""
+        """JSON types; an error that is not finite is null."""
         return {
             "name": self.case.name,
             "what": self.case.what,
@@ -79,5 +91,5 @@ class Outcome:
 
 
 def case(name: str, what: str, unit: str, bound: float) -> Callable[[Measure], Case]:
-    """Make a case of the function that measures it."""
+    """Decorator: the case of the function that measures it."""
     return lambda measure: Case(name, what, unit, bound, measure)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from voxtool.camera import Rays
     from voxtool.tets.transfer import TransferFunction
 
-PAIRS = 1 << 19  # of a cell and a pixel that are looked at together, if a row has no more
+PAIRS = 1 << 19  # of a cell and a pixel that are clipped together, unless a row has more
 ROUNDING = 1e-14  # of a volume, by the terms that it is the sum of; cells below have none
 POINTS = 12  # of each panel of a quadrature
 SLACK = 1e-9  # pixels that boxes are wider than their cells, which rounding does not reach
@@ -54,6 +54,7 @@ def reference(
     pixels: np.ndarray | None = None,
     *,
     constant: bool = False,
+    most: int = PAIRS,
 ) -> np.ndarray:
     """The colours of pixels.
 
@@ -65,6 +66,7 @@ def reference(
         volume are nowhere.
     scalars : (V,) float64, or (T,) if they are constant in each cell.
     pixels : (N, 2) int, column and row, none twice; all by default, row by row.
+    most : pairs of a cell and a pixel that are clipped together, unless a row has more.
 
     Returns
     -------
@@ -75,7 +77,7 @@ def reference(
         row, column = np.divmod(np.arange(width * height), width)
         pixels = np.stack([column, row], axis=1)
     picture = np.zeros((len(pixels), 4))
-    for found in segments(vertices, cells, scalars, rays, pixels, constant=constant):
+    for found in segments(vertices, cells, scalars, rays, pixels, constant=constant, most=most):
         composite(picture, found, transfer)
     return picture
 
@@ -91,6 +93,7 @@ def segments(
     pixels: np.ndarray,
     *,
     constant: bool = False,
+    most: int = PAIRS,
 ) -> Iterator[Segments]:
     """What cells leave of the rays of pixels, band by band of the picture; as reference."""
     x, y = (pixels + 0.5 - np.array(rays.size) / 2).T
@@ -112,7 +115,7 @@ def segments(
     chosen = np.full((len(lines), len(columns)), -1)
     chosen[at_line, at_column] = np.arange(len(pixels))
     corners = scalars[cells] if not constant else np.repeat(scalars[:, None], 4, axis=1)
-    for top, bottom in bands(first, stop, len(lines)):
+    for top, bottom in bands(first, stop, len(lines), most):
         cell, column, line = pairs(first, stop, top, bottom)
         pixel = chosen[line, column]
         cell, pixel = cell[pixel >= 0], pixel[pixel >= 0]
@@ -163,15 +166,15 @@ def projected_boxes(corners: np.ndarray, perspective: bool) -> tuple[np.ndarray,
     return low, high
 
 
-def bands(first: np.ndarray, stop: np.ndarray, lines: int) -> Iterator[tuple[int, int]]:
-    """Ranges of lines with about PAIRS pairs of a cell and a pixel in each."""
+def bands(first: np.ndarray, stop: np.ndarray, lines: int, most: int) -> Iterator[tuple[int, int]]:
+    """Ranges of lines with about `most` pairs of a cell and a pixel in each."""
     across = np.maximum(stop[0] - first[0], 0)
     across[stop[1] <= first[1]] = 0
     change = np.bincount(first[1], across, lines + 1) - np.bincount(stop[1], across, lines + 1)
     work = np.cumsum(change)[:lines]
     top, sum_ = 0, 0.0
     for line, more in enumerate(work):
-        if sum_ and sum_ + more > PAIRS:
+        if sum_ and sum_ + more > most:
             yield top, line
             top, sum_ = line, 0.0
         sum_ += more
