@@ -1,4 +1,4 @@
-// The bits of a number moved apart, bit i to bit 3 i, and back (eq. 2.2 of the thesis).
+// The bits of a number moved apart, bit i to bit 3 i, and back ([voCCeL], eq. 2.2).
 
 ulong spread_bits(uint value)
 {

@@ -1,4 +1,4 @@
-"""What memory and disk have to spare, and refusing what they have not."""
+"""Free memory and disk space, and errors for requests beyond them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from voxtool.errors import FileError, MemoryLimitError, human
 
 
 def available_memory() -> int:
-    """Bytes of memory that programs can still take; without end where the system does not say."""
+    """Bytes of memory that programs can still take; 2**62 where the system does not say."""
     with suppress(OSError, ValueError, StopIteration), open("/proc/meminfo") as lines:
         return 1024 * int(next(line.split()[1] for line in lines if "MemAvailable" in line))
     with suppress(AttributeError, OSError, ValueError):
@@ -20,7 +20,7 @@ def available_memory() -> int:
 
 
 def check_memory(size: int, what: str, instead: str = "choose a smaller dim") -> None:
-    """Refuse what does not fit in memory.
+    """Check that a request fits in free memory.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def check_memory(size: int, what: str, instead: str = "choose a smaller dim") ->
 
 
 def check_disk(path: str | os.PathLike[str], size: int, instead: str) -> None:
-    """Refuse a file of `size` bytes that its disk cannot take.
+    """Check that the disk has room for a file of `size` bytes.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-// The inputs of output elements, by a 5:1 histopyramid (section 4.1 of the thesis). The host's
+// The inputs of output elements, by a 5:1 histopyramid ([voCCeL], section 4.1). The host's
 // Histopyramid.arguments; a group has WORK_GROUP work-items.
 #include "opencl/primitives.h"
 

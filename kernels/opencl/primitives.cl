@@ -63,7 +63,7 @@ scan_blocks(__global const uint *values, const uint count, __global const uint *
 
 // ---- histopyramid
 
-// A level of quadruples, from `offset` on, and the sums of its fives (listing A.14 of the thesis).
+// A level of quadruples, from `offset` on, and the sums of its fives ([voCCeL], listing A.14).
 // A quadruple is where the second to the fifth interval begin: the way down need not add. Saturated
 // sums tell that a total does not fit.
 __kernel __attribute__((reqd_work_group_size(5 * QUADS, 1, 1))) void

@@ -1,6 +1,6 @@
 #include "morton_bits.h"
 
-// Morton codes (eq. 2.2 of the thesis), x in the lowest bit. CODE is uint where the finest level-1
+// Morton codes ([voCCeL], eq. 2.2), x in the lowest bit. CODE is uint where the finest level-1
 // cells fit 10 bits an axis, ulong otherwise: the plan decides.
 
 uint spread_10_bits(uint v)

@@ -32,7 +32,7 @@ from hypothesis import strategies as st
 
 from voxtool import files, memory
 from voxtool.errors import FileError, GridError, MemoryLimitError, VoxtoolError
-from voxtool.files import svo_hdf5, svo_xml
+from voxtool.files import skeleton, svo_hdf5, svo_xml
 from voxtool.grid import Grid
 from voxtool.plots import octree_slice
 from voxtool.svo import layers
@@ -280,13 +280,13 @@ def test_datasets_can_be_uploaded_as_they_lie(octree: Octree, tmp_path: Path) ->
 def test_xml_is_valid_by_the_packaged_dtd(octree: Octree) -> None:
     from lxml import etree
 
-    with svo_xml.DTD.open("rb") as file:
+    with skeleton.DTD.open("rb") as file:
         dtd = etree.DTD(file)
     for o in (octree, octree_from_dense(np.zeros((9, 8, 8), bool))):
         assert dtd.validate(etree.fromstring(to_bytes(o, "svo.xml"))), dtd.error_log
 
 
-def test_xml_of_the_thesis_needs_dim_alone() -> None:
+def test_plain_xml_needs_dim_alone() -> None:
     text = b"""<octree dim='8'><offset> 0 1\n9 </offset><levels><level>
       <node child="1073741824" parent="0"/></level><level>%s</level></levels>
       <subgrid size="16">%s<bitmask> 7 </bitmask></subgrid></octree>""" % (

@@ -55,7 +55,7 @@ GOLDEN_DIGESTS = {
 
 
 def golden_volume(layout: str = "raycast") -> TetVolume:
-    """Three boxes in a row; all but for hexahedra a pyramid too, and scalars that differ."""
+    """Three boxes in a row; a pyramid too, except for hexahedra, and scalars that differ."""
     points, cells = lattice((3, 1, 1))
     points = points * (0.7, 1.3, 2) + np.array([10, 0, -3])
     head = {"source_sha256": "0f" * 32, "name": "golden.vtu", "units": "mm"}
@@ -217,7 +217,8 @@ def test_digest_of_the_documents() -> None:
             sha.update(h5[name][()].tobytes())  # pyright: ignore
     assert sha.hexdigest() == GOLDEN_DIGESTS["raycast"]
 
-    # ---- names, streams, files of another kind
+
+# ---- names, streams, files of another kind
 
 
 def test_format_is_chosen_by_extension_and_read_by_content(tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ def write_adf(
     Parameters
     ----------
     clobber : False refuses an existing file.
-    format : "adf.h5", whatever the name says.
+    format : "adf.h5" instead of what the name says.
 
     Raises
     ------
@@ -144,7 +144,7 @@ def write_tet(
     Parameters
     ----------
     clobber : False refuses an existing file.
-    format : "tet.h5", whatever the name says.
+    format : "tet.h5" instead of what the name says.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def read_unstructured(
 
 
 def read_scene(path: PathLike) -> Octree | DistanceField | TetVolume:
-    """Read an octree, a distance field or a tetrahedral volume, whichever it is; `-` reads stdin.
+    """Read an octree, a distance field or a tetrahedral volume; `-` reads stdin.
 
     Raises
     ------
@@ -218,9 +218,9 @@ def write_mesh(
 ) -> None:
     """Write a triangle mesh as .obj, .ply, .stl, .glb or .off; `-` writes stdout, as OBJ.
 
-    Faces keep their order, and vertices too but for STL, which has none: it repeats the corners
-    of every face. OBJ and OFF are text: coordinates of a tenth of the largest and more come back
-    bit for bit, the others within 1e-17 of the largest and 1e-9 of the mesh's longest side. PLY,
+    Faces keep their order; vertices, too, except in STL, which repeats the corners of every
+    face. OBJ and OFF are text: a coordinate that is at least a tenth of the largest is read back
+    bit for bit, others within 1e-17 of the largest and 1e-9 of the mesh's longest side. PLY,
     STL and GLB hold float32, 1 part in 1.6e7 of a coordinate; a mesh is refused if that moves
     vertices by more than a thousandth of its longest side. The unit of GLB is the metre; the
     others have none. Without faces the file is valid, but there is no mesh in it to load.

@@ -1,4 +1,4 @@
-"""Tables of answers, written row by row: memory does not grow with their number."""
+"""Tables of answers, written block by block: a table may be larger than memory."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ CSV_ROWS = 1 << 16  # rows whose text is in memory at once
 class Answers(ABC):
     """A table in a file, written block by block.
 
-    text : whether it is fit for a terminal.
-    columns : the name and the type of each.
-    count : of the rows that have been written.
+    text : whether a terminal can show it.
+    columns : the name and the type of each column.
+    count : the number of rows written so far.
     """
 
     text: bool
@@ -44,12 +44,12 @@ class Answers(ABC):
 
         Parameters
         ----------
-        block : (k,) arrays by the names of the columns; or a list of arrays, (k,) for a column and
-            (k, c) for c of them, in the order of the columns.
+        block : (k,) arrays by column name; or a list of arrays in the order of the columns, where
+            (k,) is one column and (k, c) is c columns.
 
         Raises
         ------
-        VoxtoolError : they are not the columns, or not of one length.
+        VoxtoolError : the number of columns is wrong, or their lengths differ.
         OSError : the file cannot be written.
         """
         if isinstance(block, Mapping):
@@ -70,16 +70,18 @@ class Answers(ABC):
 
     @abstractmethod
     def _write(self, values: list[np.ndarray]) -> None:
-        """Write rows, of which each column is given."""
+        """Write rows, given as columns."""
 
     @abstractmethod
     def end(self) -> None:
-        """Write what is known only in the end."""
+        """Write what is known only after the last row."""
 
 
 class NpyAnswers(Answers):
-    """(N,) float64 where there is one column, (N, C) elsewhere. The header is written again when N
-    is known: numpy pads it, so that its size does not depend on N."""
+    """A .npy file: (N,) float64 for one column, else (N, C).
+
+    The header is written again when N is known; numpy pads it to the same size.
+    """
 
     text = False
 
@@ -97,8 +99,11 @@ class NpyAnswers(Answers):
 
 
 class CsvAnswers(Answers):
-    """A line of names, then a line a row: the shortest decimals that read back as the same number
-    of the column's type, and integers for integers and bools."""
+    """A .csv file: a line of names, then one line a row.
+
+    Floats are the shortest decimals that read back as the same number of the column's type;
+    integers and bools are integers.
+    """
 
     text = True
 
@@ -134,12 +139,14 @@ def open_answers(
     format: str | None = None,
     clobber: bool = True,
 ) -> Iterator[Answers]:
-    """A table of answers for writing, as .npy or .csv; `-` writes stdout, as .csv to a terminal and
-    else as .npy. It appears when the block ends, and not at all if it ends with an error.
+    """Open a table of answers for writing, as .npy or .csv.
+
+    `-` writes stdout: .csv to a terminal, else .npy. The file appears when the block ends, and not
+    at all if it ends with an error.
 
     Parameters
     ----------
-    columns : the name of each and its type, which decides the decimals of text; a .npy is float64.
+    columns : name and type of each column. The type decides the decimals of .csv; .npy is float64.
     format : "npy" or "csv" instead of what the name says.
     clobber : False refuses an existing file.
 

@@ -1,6 +1,6 @@
 """A file appears whole or not at all: write beside the target, fsync, rename.
 
-A process that is killed leaves the old file, or none, and at worst a hidden `.NAME.RANDOM.tmp`.
+A killed process leaves the old file or none, and at worst a hidden `.NAME.RANDOM.tmp`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
-MENDS = {
+HINTS = {
     errno.ENOSPC: "the disk is full: free some space, or write to another disk",
     errno.EDQUOT: "the disk quota is used up: free some space, or write to another disk",
     errno.EFBIG: "the file would be larger than its disk or a limit (ulimit -f) allows",
@@ -33,7 +33,7 @@ MENDS = {
 
 
 def check_target(target: str | os.PathLike[str], clobber: bool = True) -> None:
-    """Refuse early, before any work, a file that could not be written later.
+    """Check, before any work, that a file can be written.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def check_target(target: str | os.PathLike[str], clobber: bool = True) -> None:
         exists and clobber is False.
     """
     target = Path(target)
-    if os.path.isdir(target):  # a name that is too long is no error here
+    if os.path.isdir(target):  # a name that is too long raises no error here
         raise FileError(f"cannot write {target}: it is a folder: name a file in it")
     if not clobber and os.path.lexists(target):
         raise _refusal(target)
@@ -51,20 +51,20 @@ def check_target(target: str | os.PathLike[str], clobber: bool = True) -> None:
     if not os.path.isdir(folder):
         raise FileError(f"cannot write {target}: {folder} is a file, not a folder")
     if not _is_device(target) and not os.access(folder, os.W_OK | os.X_OK):
-        raise FileError(f"cannot write {target}: {MENDS[errno.EACCES]}")
+        raise FileError(f"cannot write {target}: {HINTS[errno.EACCES]}")
 
 
 @contextmanager
 def atomic_path(target: str | os.PathLike[str], clobber: bool = True) -> Iterator[Path]:
-    """A temporary path beside `target`, which replaces it when the block ends well.
+    """Yield a temporary path beside `target`; the file replaces the target when the block ends.
 
-    The file exists, is empty and has mode 0666 & ~umask. When the block raises anything at all,
-    it is removed and the target is left as it was. A symbolic link is followed; a device or pipe
+    The file exists, is empty and has mode 0666 & ~umask. If the block raises any exception, the
+    file is removed and the target is unchanged. A symbolic link is followed; a device or pipe
     (/dev/null, /dev/stdout) gets the bytes at the end.
 
     Parameters
     ----------
-    clobber : False refuses an existing target, also one that appears in the meantime.
+    clobber : False refuses an existing target, including one that appears during the block.
 
     Raises
     ------
@@ -93,9 +93,9 @@ def atomic_path(target: str | os.PathLike[str], clobber: bool = True) -> Iterato
 
 
 def write_error(target: str | os.PathLike[str], error: OSError) -> FileError:
-    """What went wrong with writing `target`, in one line with its mend."""
-    mend = MENDS.get(error.errno or 0, error.strerror or str(error))
-    return FileError(f"cannot write {target}: {mend}")
+    """The error of writing `target`, in one line with a hint."""
+    hint = HINTS.get(error.errno or 0, error.strerror or str(error))
+    return FileError(f"cannot write {target}: {hint}")
 
 
 def _refusal(target: Path) -> FileError:
@@ -103,7 +103,7 @@ def _refusal(target: Path) -> FileError:
 
 
 def _is_ours(error: OSError, temporary: Path | None, target: Path) -> bool:
-    """Whether an error is about what is written, not about something that the block reads."""
+    """True if an error concerns the file that is written, not one that the block reads."""
     if isinstance(error, BrokenPipeError) or error.errno is None:
         return False
     names = (None, str(temporary), str(target), os.path.realpath(target))
@@ -148,7 +148,7 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def _rename_new(temporary: Path, target: Path) -> None:
-    """Rename, or refuse: of any number of processes at once, one wins."""
+    """Rename, or refuse an existing target; if several processes do it at once, one succeeds."""
     if os.name == "nt":
         try:
             temporary.rename(target)  # refuses an existing target there
@@ -171,7 +171,7 @@ def _rename_new(temporary: Path, target: Path) -> None:
 
 
 def _claim(target: Path) -> None:
-    """Make an empty file where there is none, on file systems without hard links."""
+    """Create an empty file, or refuse; for file systems without hard links."""
     try:
         os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
     except FileExistsError:

@@ -1,4 +1,4 @@
-"""Every format in one place: what is written and read, by which module, under which names.
+"""The table of all formats: names, and the modules that write and read them.
 
 A new format is a module with a `write`, a `read` or both, and a line here.
 """
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 class Writer(NamedTuple):
-    """Who writes a format: a function of a module of voxtool.files. Text is fit for a terminal."""
+    """The function of a module of voxtool.files that writes a format; a terminal can show text."""
 
     module: str
     function: str = "write"
@@ -70,14 +70,14 @@ HDF5, GZIP, BOM = b"\x89HDF\r\n\x1a\n", b"\x1f\x8b", b"\xef\xbb\xbf"
 
 @dataclass(frozen=True)
 class Kind:
-    """What a file is expected to hold, and what is said of a file of another kind.
+    """A kind of content, and the messages for files of another kind.
 
     Attributes
     ----------
     hdf5 : modules of the HDF5 formats that hold it.
-    xml : whether XML holds it, too.
-    mesh, other : messages for a mesh, and for a file that is nothing known; they follow its name.
-    endings : messages for names that end in one of these.
+    xml : whether the XML format holds it, too.
+    mesh, other : messages for a mesh and for any other file, written after its name.
+    endings : messages by the endings of names.
     """
 
     hdf5: tuple[str, ...]
@@ -123,7 +123,7 @@ SCENE = Kind(
 
 
 def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
-    """The function that reads a file of this kind, chosen by the file's opening.
+    """The function that reads a file of this kind, chosen by the first bytes of the file.
 
     Raises
     ------
@@ -155,17 +155,17 @@ def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
 
 
 def _is_volume_mesh(name: str, opening: bytes) -> bool:
-    """By name; HDF5 is one only as Exodus, since ours is read whatever its name is."""
+    """Judged by name. HDF5 counts as Exodus only: other HDF5 files are read by content."""
     known = VOLUME_FORMATS.get(os.path.splitext(name.lower())[1])
     return known is not None and (known == "exodus" or not opening.startswith(HDF5))
 
 
 def format_of(path: PathLike, formats: Iterable[str]) -> str:
-    """The format that a name's extension says; of stdout HDF5 or OBJ, if it is one of them.
+    """The format that the extension of a name says; for stdout HDF5 or OBJ.
 
     Raises
     ------
-    FileError : no format of these has this extension.
+    FileError : none of the formats has this extension.
     """
     formats = tuple(formats)
     if path == STREAM:

@@ -97,7 +97,7 @@ def read_by_format(
 
     Raises
     ------
-    FileError : it names none of these, or what the reader says.
+    FileError : it names another format, or the reader refuses it.
     """
 
     def named(h5: Any) -> str:
@@ -113,7 +113,7 @@ def read_by_format(
 
 
 def _open(file: BinaryIO, read_open: Callable[[Any], Content]) -> Content:
-    """What `read_open` returns for the open file; damage shows in any of the library's errors."""
+    """The result of `read_open`; any error of the library means a damaged file."""
     h5py = _library()
     try:
         with h5py.File(file, "r") as h5:

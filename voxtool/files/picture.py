@@ -1,11 +1,11 @@
-"""Pictures: premultiplied colour and opacity, as PNG of 8 or 16 bits or as they are (.npy).
+"""Pictures as PNG of 8 or 16 bits, or as arrays (.npy).
 
 A picture is (H, W, 4) float32, top row first: red, green and blue times opacity, and opacity, from
-0 to 1. Written, a value v is the integer floor(v (2**bits - 1) + 1/2), in float64: what is computed
-is stored as it is, without a gamma. Over a background B the colour is C + (1 - A) B; without one,
-PNG wants the straight colour C / A, and 0 where the opacity rounds to 0.
+0 to 1. PNG stores a value v as the integer floor(v (2**bits - 1) + 1/2), computed in float64; there
+is no gamma. Over a background B the colour is C + (1 - A) B. Without a background, the straight
+colour C / A is stored, and 0 where the opacity rounds to 0.
 
-Pillow writes colours of 8 bits only, so pypng writes those of 16.
+Pillow writes 8 bits a channel only; pypng writes 16.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 FORMATS = ("png", "npy")
 BITS = {8: np.uint8, 16: np.uint16}
-BAND = 64  # rows that are rounded at once, so that the float64 of a large picture fit
+BAND = 64  # rows that are rounded at once, to bound the memory of their float64
 
 
 def write_picture(
@@ -46,7 +46,7 @@ def write_picture(
     bits, background : of a png: 8 or 16 a value, and red, green and blue from 0 to 1, or None for
         a transparent picture.
     clobber : False refuses an existing file.
-    format : "png", or "npy" for the picture as it is.
+    format : "png", or "npy" for the array.
 
     Raises
     ------
@@ -69,11 +69,11 @@ def write_picture(
 
 
 def check_picture(picture: np.ndarray) -> None:
-    """Refuse what is no picture.
+    """Check that an array is a picture.
 
     Raises
     ------
-    VoxtoolError : another shape or type, or a value that is not finite.
+    VoxtoolError : its shape or type is another, or a value is not finite.
     """
     if picture.ndim != 3 or picture.shape[2] != 4 or picture.dtype != np.float32:
         raise VoxtoolError(
@@ -85,7 +85,7 @@ def check_picture(picture: np.ndarray) -> None:
 
 
 def check_writer(bits: int) -> None:
-    """Refuse early what could not be written later.
+    """Check, before any work, that PNG of this depth can be written.
 
     Raises
     ------
@@ -101,7 +101,7 @@ def check_writer(bits: int) -> None:
 
 
 def averaged(picture: np.ndarray, samples: int) -> np.ndarray:
-    """The picture of 1 / samples the size, each pixel the mean of samples x samples, row by row.
+    """The picture reduced by `samples` along both axes; a pixel is the mean of its samples.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def averaged(picture: np.ndarray, samples: int) -> np.ndarray:
 def rounded(
     picture: np.ndarray, bits: int = 8, background: Sequence[float] | None = WHITE
 ) -> np.ndarray:
-    """The integers of a picture.
+    """The integers that PNG stores for a picture.
 
     Returns
     -------
@@ -146,7 +146,7 @@ def rounded(
 
 
 def _integers(values: np.ndarray, bits: int) -> np.ndarray:
-    """Half is rounded up."""
+    """Values from 0 to 1 as integers; halves are rounded up."""
     return np.floor(np.clip(values, 0, 1) * ((1 << bits) - 1) + 0.5)
 
 

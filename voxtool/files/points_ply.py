@@ -32,20 +32,21 @@ PLY_HEADER_LINES = 1000
 
 @dataclass
 class _Element:
-    """An element of a PLY file; the type of a property is None where it is a list."""
+    """An element of a PLY file; a property that is a list has the type None."""
 
     name: str
     count: int
     properties: list[tuple[str, str | None]]
 
     def record(self, order: str, fault: str) -> np.dtype:
-        """The bytes of one, in this byte order; FileError(fault) if a list has more or less."""
+        """The structured type of one element; FileError(fault) if a property is a list."""
         if not all(kind for _, kind in self.properties):
             raise FileError(fault)
         return np.dtype([(f"{i}", f"{order}{t}") for i, (_, t) in enumerate(self.properties)])
 
 
 def read_ply(file: BinaryIO, size: int | None, block: int) -> Iterator[np.ndarray]:
+    """Yield the vertices of a PLY file, in blocks of (k, 3) float64."""
     format, elements, lines, start = _ply_header(file)
     at = next((i for i, element in enumerate(elements) if element.name == "vertex"), None)
     if at is None:
@@ -80,7 +81,7 @@ def read_ply(file: BinaryIO, size: int | None, block: int) -> Iterator[np.ndarra
 
 
 def _ply_header(file: BinaryIO) -> tuple[str, list[_Element], int, int]:
-    """The format, the elements, and the lines and bytes of the header."""
+    """The format, the elements, and the number of lines and bytes of the header."""
     line = file.readline(LINE_LIMIT)
     if line.split() != [b"ply"]:
         raise FileError("is no PLY file: its first line is not ply")
@@ -111,7 +112,7 @@ def _ply_header(file: BinaryIO) -> tuple[str, list[_Element], int, int]:
 def _by_record(
     file: BinaryIO, record: np.dtype, places: tuple[int, ...], count: int, block: int
 ) -> Iterator[np.ndarray]:
-    """Blocks of the points of `count` records, as many as are there."""
+    """Yield the points of at most `count` records, in blocks."""
     rows = min(block, max(RECORD_BYTES // record.itemsize, 1))
     while count:
         data = file.read(min(rows, count) * record.itemsize)

@@ -1,4 +1,4 @@
-"""Points in text: a line each, with commas or white space between the columns."""
+"""Points in text: one a line, with commas or white space between the columns."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ NUMBER = re.compile(
 
 
 def cut_short(declared: int, there: int) -> FileError:
+    """The error of a file that has fewer points than it declares."""
     return FileError(
         f"is cut short: {there} of {count_of(declared, 'point')} are there: copy it anew"
     )
@@ -31,10 +32,10 @@ def cut_short(declared: int, there: int) -> FileError:
 
 @dataclass(frozen=True)
 class Columns:
-    """How a line of text holds a point.
+    """The columns of a line of text that hold a point.
 
-    delimiter : between columns, None for white space; places : of x, y and z, None where the line
-    holds these three alone.
+    delimiter : between columns; None for white space.
+    places : columns of x, y and z; None where a line has these three only.
     """
 
     delimiter: str | None
@@ -42,6 +43,7 @@ class Columns:
 
 
 def read_text(file: BinaryIO, format: str, block: int) -> Iterator[np.ndarray]:
+    """Yield the points of a text file, in blocks of (k, 3) float64."""
     lines = lines_of(file)
     first = next(lines, None)
     if first is None:
@@ -54,7 +56,7 @@ def read_text(file: BinaryIO, format: str, block: int) -> Iterator[np.ndarray]:
 
 
 def _csv_columns(number: int, line: str) -> tuple[Columns, bool]:
-    """Where x, y and z are, and whether the first line is a header that says so."""
+    """The columns of x, y and z, and whether the first line is a header."""
     words = line.split(",")
     if any(map(NUMBER.fullmatch, words)):
         return Columns(",", None), False
@@ -67,7 +69,7 @@ def _csv_columns(number: int, line: str) -> tuple[Columns, bool]:
 
 
 def lines_of(file: BinaryIO, first: int = 1) -> Iterator[tuple[int, str]]:
-    """The lines with their numbers, without comments, and without those that are blank then."""
+    """Yield numbered lines, without comments and blank lines."""
     text = io.TextIOWrapper(file, "utf-8-sig", errors="replace")
     number = first
     while line := text.readline(LINE_LIMIT):
@@ -80,7 +82,7 @@ def lines_of(file: BinaryIO, first: int = 1) -> Iterator[tuple[int, str]]:
 
 
 def by_line(lines: Iterable[tuple[int, str]], columns: Columns, block: int) -> Iterator[np.ndarray]:
-    """Blocks of points of a line each."""
+    """Yield the points of lines, in blocks."""
     numbers: list[int] = []
     texts: list[str] = []
     letters = 0
@@ -115,15 +117,15 @@ def _parsed(lines: list[str], columns: Columns) -> np.ndarray | None:
 
 
 def _fault(line: str, columns: Columns) -> str:
-    """What is wrong with a line that holds no point."""
+    """The reason why a line holds no point."""
     words = line.split(columns.delimiter)
     if columns.places is None and len(words) != 3:
-        mend = ": name them in a header line" if len(words) > 3 else ""
-        return f"{count_of(len(words), 'column')} where x,y,z are expected{mend}"
+        hint = ": name them in a header line" if len(words) > 3 else ""
+        return f"{count_of(len(words), 'column')} where x,y,z are expected{hint}"
     places = columns.places or (0, 1, 2)
     if len(words) <= max(places):
         return f"{count_of(len(words), 'column')}, too few for x, y and z"
     wrong = next((p for p in places if not NUMBER.fullmatch(words[p])), places[0])
     word = words[wrong].strip()
-    mend = ": columns with commas between them are .csv" if "," in word else ""
-    return f"{printable(repr(word[:40]))} is no number{mend}"
+    hint = ": columns with commas between them are .csv" if "," in word else ""
+    return f"{printable(repr(word[:40]))} is no number{hint}"

@@ -24,7 +24,7 @@ MAX_DEPTH = 16  # of nested JSON
 
 
 class Rule(NamedTuple):
-    """What a value must satisfy, and the end of the message where it does not."""
+    """A condition on a value, and the end of the message for a value that breaks it."""
 
     holds: Callable[[Any], bool]
     otherwise: str  # "{value}" stands for the value
@@ -156,7 +156,7 @@ class Dataset:
         return np.dtype(self.dtype(sizes) if callable(self.dtype) else self.dtype)
 
     def shape_for(self, sizes: Sizes) -> tuple[Any, ...]:
-        """Of each side the number or the numbers that are allowed; None where it is free."""
+        """The allowed number or numbers of each side; None where a side is free."""
         return tuple(_side(side, sizes) for side in self.shape)
 
     def encode(self, content: Any, sizes: Sizes) -> np.ndarray | None:
@@ -191,7 +191,7 @@ class Schema:
     own : its attributes, beside the format's name and version and the creator.
     datasets : its arrays, in the order in which they are stored.
     build : the validated content, from the values of the attributes and the arrays by name.
-    agree : a check of the stored attributes as a whole.
+    agree : a check that the stored attributes agree with each other.
     """
 
     format: str
@@ -265,7 +265,7 @@ class Schema:
             )
 
     def is_newer(self, version: str) -> bool:
-        """Whether an accepted version has a minor number beyond ours: it may say more."""
+        """True if an accepted version has a newer minor number, so that it may hold more."""
         return int(version.split(".")[1]) > int(self.version.split(".")[1])
 
     def table(self) -> str:
@@ -327,7 +327,7 @@ def _parse_json(name: str, text: str) -> dict[str, Any]:
 
 
 def _nesting(value: Any) -> int:
-    """How deep lists and objects are nested, counted without recursion: they may be hostile."""
+    """The nesting depth of lists and objects, without recursion: the input may be hostile."""
     depth, inner = 0, [value]
     while inner:
         depth += 1

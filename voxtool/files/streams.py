@@ -1,4 +1,4 @@
-"""Standard input and output as files, and what went wrong with reading, in one line."""
+"""Standard input and output as files, and errors of reading in one line."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ OPENING = 64  # bytes by which a format is recognised
 
 
 def input_name(path: PathLike) -> str:
-    """How messages call an input."""
+    """The name of an input in messages."""
     return "stdin" if path == STREAM else os.fspath(path)
 
 
 def read_error(name: str, error: OSError) -> FileError:
-    """What went wrong with reading `name`, in one line."""
+    """The error of reading `name`, in one line."""
     if isinstance(error, FileNotFoundError):
         return FileError(f"{name}: there is no such file")
     if isinstance(error, IsADirectoryError):
@@ -39,7 +39,7 @@ def read_error(name: str, error: OSError) -> FileError:
 
 @contextmanager
 def open_whole(path: PathLike) -> Iterator[tuple[BinaryIO, int]]:
-    """A seekable file and its size; what cannot be sought (stdin, a pipe) is read whole."""
+    """Yield a seekable file and its size; stdin and pipes are read into memory first."""
     if path == STREAM:
         data = sys.stdin.buffer.read()
         yield io.BytesIO(data), len(data)
@@ -54,7 +54,7 @@ def open_whole(path: PathLike) -> Iterator[tuple[BinaryIO, int]]:
 
 @contextmanager
 def open_stream(path: PathLike) -> Iterator[tuple[BinaryIO, bytes, int | None]]:
-    """A file at its beginning, its opening, and its size if it can be sought; stdin cannot."""
+    """Yield a file at its start, its first bytes, and its size, or None for stdin and pipes."""
     if path == STREAM:
         opening = sys.stdin.buffer.read(OPENING)
         yield io.BufferedReader(_Resumed(opening, sys.stdin.buffer)), opening, None
@@ -69,7 +69,7 @@ def open_stream(path: PathLike) -> Iterator[tuple[BinaryIO, bytes, int | None]]:
 
 
 class _Resumed(io.RawIOBase):
-    """A stream of which the opening has been read, from its beginning."""
+    """A stream from its start, of which the first bytes have been read already."""
 
     def __init__(self, opening: bytes, rest: Any) -> None:
         self._opening = opening
@@ -89,16 +89,17 @@ class _Resumed(io.RawIOBase):
 
 @contextmanager
 def standard_output(text: bool) -> Iterator[BinaryIO]:
-    """A temporary file that is copied to stdout when the block ends well: a format may need to go
-    back and forth.
+    """Yield a temporary file that is copied to stdout when the block ends.
+
+    A format may seek in the file; stdout cannot.
 
     Parameters
     ----------
-    text : whether it is fit for a terminal.
+    text : whether a terminal can show it.
 
     Raises
     ------
-    FileError : stdout is a terminal and the content not fit for it, or cannot be written.
+    FileError : stdout is a terminal and cannot show the content, or it cannot be written.
     """
     if not text and sys.stdout.isatty():
         raise FileError("standard output is a terminal: redirect it, or name a file with -o")
@@ -118,6 +119,6 @@ def standard_output(text: bool) -> Iterator[BinaryIO]:
 
 
 def _discard_stdout() -> None:
-    """Send what is left in the buffer nowhere, so that the end of the program is quiet."""
+    """Send the rest of the buffer to the null device, so that the program ends quietly."""
     with open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())

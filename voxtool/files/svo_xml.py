@@ -1,10 +1,9 @@
-"""Octrees as XML by octree.dtd, after listing 5.1 of the thesis: docs/formats.md has it exactly.
+"""Octrees as XML after [voCCeL, listing 5.1]; octree.dtd and docs/formats.md specify it.
 
-Written and read as a stream. A document is not trusted: it has no internal subset and no
-entities, nothing outside it is read, its text is bounded by the sizes that it declares, and those
-by the file's size, before memory is taken. Each element is checked as it arrives; what they make
-together is validated against the packaged DTD through a skeleton in which a run of `node` or
-`bitmask` elements stands as one.
+Documents are written and read as streams. A document is not trusted: an internal subset and
+entities are refused, no other file is read, its text is bounded by the sizes that it declares, and
+these by the size of the file, before memory is taken. Each element is checked as it arrives; their
+order is validated against the packaged DTD (skeleton.py).
 """
 
 from __future__ import annotations
@@ -12,13 +11,13 @@ from __future__ import annotations
 import gzip
 import re
 import zlib
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from voxtool.errors import FileError
+from voxtool.files.skeleton import MAX_ELEMENTS, Skeleton
 from voxtool.files.svo_hdf5 import SCHEMA, grid_of
 from voxtool.svo.layout import BRICK, NODE
 from voxtool.svo.octree import Octree
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from voxtool.files.schema import Attribute
     from voxtool.grid import Grid
 
-DTD = Path(__file__).with_name("octree.dtd")
 GZIP_LEVEL = 4
 GZIP_RATIO = 1032  # deflate packs no byte of text into less than 1/1032 byte
 
@@ -44,7 +42,6 @@ CHUNK = 1 << 16  # bytes fed to the parser at once
 LONGEST_TOKEN = 1 << 18  # bytes of one tag or comment
 HEAD_BYTES = 1 << 20  # text that needs no declared size
 ROW_BYTES = 256  # text that each declared node or bitmask may take
-MAX_SKELETON = 64  # elements that are no repetition: 15 levels and a few more
 
 ENTITY = re.compile(rb"&(?!(?:amp|lt|gt|quot|apos|#[0-9]{1,7}|#x[0-9a-fA-F]{1,6});)")
 LONGEST_REFERENCE = len("&#x10ffff;")
@@ -82,7 +79,7 @@ def write(octree: Octree, file: BinaryIO) -> None:
 
 
 def write_gz(octree: Octree, file: BinaryIO) -> None:
-    """Write an octree as gzip-compressed XML; no name and no time in it.
+    """Write an octree as gzip-compressed XML, without a name and a time.
 
     Raises
     ------
@@ -93,7 +90,7 @@ def write_gz(octree: Octree, file: BinaryIO) -> None:
 
 
 def _as_text(value: Any) -> str:
-    """Numbers as the shortest text that reads back as the same number."""
+    """The text of an attribute; numbers in the shortest form that reads back the same."""
     if isinstance(value, list | tuple):
         return " ".join(map(repr, value))
     return str(value)
@@ -134,7 +131,7 @@ def read_gz(file: BinaryIO, size: int) -> Octree:
 
 
 def parse_words(text: str) -> np.ndarray:
-    """Decimal numbers separated by single spaces, to (N,) uint32.
+    """The (N,) uint32 of decimal numbers separated by single spaces.
 
     Raises
     ------
@@ -192,7 +189,7 @@ def _numbers(attribute: Attribute, text: str) -> Any:
 
 
 class _Words:
-    """Unsigned 32-bit numbers that arrive as text, into an array of a declared length."""
+    """An array of a declared length that is filled with numbers as their text arrives."""
 
     def __init__(self, count: int, what: str) -> None:
         self.array = np.empty(count, "<u4")
@@ -214,54 +211,15 @@ class _Words:
         self.pending.clear()
 
 
-class _Skeleton:
-    """The document with its text left out and runs of equal leaves reduced to one."""
-
-    def __init__(self) -> None:
-        self.root: Any = None
-        self.open: list[Any] = []
-        self.count = 0
-
-    def start(self, name: str, attributes: list[str]) -> None:
-        from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
-
-        self.count += 1
-        if self.count > MAX_SKELETON:
-            raise FileError("more elements than an octree has")
-        empty = dict.fromkeys(attributes, "")
-        if self.root is None:
-            element = self.root = etree.Element(name, empty)
-        else:
-            element = etree.SubElement(self.open[-1], name, empty)
-        self.open.append(element)
-
-    def end(self) -> None:
-        self.open.pop()
-
-    def validate(self) -> None:
-        """Hold the document against the packaged DTD.
-
-        Raises
-        ------
-        FileError : the first violation.
-        """
-        from lxml import etree  # pyright: ignore[reportAttributeAccessIssue]
-
-        with DTD.open("rb") as file:
-            dtd = etree.DTD(file)
-        if self.root is None or not dtd.validate(self.root):
-            raise FileError(f"not by octree.dtd: {dtd.error_log[0].message[:160]}")
-
-
 class _Reader:
-    """The parser's events, element by element, into the octree's arrays."""
+    """Receives the events of the XML parser and fills the arrays of an octree."""
 
     def __init__(self, text_limit: int) -> None:
         from xml.parsers import expat
 
         self.text_limit = text_limit  # bytes of text that the file can hold at most
         self.allowed = HEAD_BYTES  # bytes of text that the declared sizes justify
-        self.skeleton = _Skeleton()
+        self.skeleton = Skeleton()
         self.within = ""  # innermost open element
         self.leaf = False  # it is a node or a bitmask
         self.runs: set[str] = set()  # leaves that the open element already has
@@ -328,7 +286,7 @@ class _Reader:
                 f"{self.masks.filled} bitmasks where {len(self.masks.array)} are declared"
             )
 
-    # What is refused wherever it stands
+    # Refused anywhere
 
     def doctype(self, name: str, system: str | None, public: str | None, internal: int) -> None:
         if internal:
@@ -382,7 +340,7 @@ class _Reader:
         self.runs.clear()
 
     def start_octree(self, values: dict[str, str]) -> dict[str, str]:
-        """Check the attributes; those that the DTD is to judge."""
+        """Check the attributes; return those that the DTD validates."""
         if self.grid is not None:
             raise FileError("an octree inside an octree")
         self.head = parse_head(values)
@@ -398,7 +356,7 @@ class _Reader:
         """Check the declared sizes, then take memory for them."""
         if self.grid is None or self.offsets is not None:
             raise FileError("the offsets are not the first thing in the octree")
-        words = "".join(self.text).split()[:MAX_SKELETON]
+        words = "".join(self.text).split()[:MAX_ELEMENTS]
         offsets = parse_words(" ".join(words))
         check_offsets(self.grid, offsets)
         nodes, masks = int(offsets[-1]), 2 * int(offsets[-1] - offsets[-2])
@@ -440,8 +398,10 @@ class _Reader:
 
 
 def refuse_entities(text: bytes) -> bytes:
-    """Find references to undeclared entities: after a DOCTYPE whose subset is not read, the
-    parser passes over those in attributes. What is left to look at with the next text."""
+    """Refuse references to undeclared entities; return the bytes to search again with the next.
+
+    After a DOCTYPE whose subset is not read, the parser ignores such references in attributes.
+    """
     for match in ENTITY.finditer(text):
         if match.start() < len(text) - LONGEST_REFERENCE:
             raise FileError("entities are refused: remove them")

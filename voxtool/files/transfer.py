@@ -1,4 +1,4 @@
-"""Transfer functions as JSON files: voxtool.tets.transfer says what is in them."""
+"""Transfer functions as JSON files; voxtool.tets.transfer specifies their content."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def read(path: PathLike, scalar: str | None, component: str | int | None) -> Uns
 
 
 def _kind(name: str, file: BinaryIO) -> str:
-    """What meshio calls the format of a file."""
+    """The name that meshio has for the format of a file."""
     extension = PurePath(name).suffix.lower()
     if name.lower().endswith((".tet.h5", ".svo.h5", ".adf.h5")):
         raise FileError(f"{name} is no mesh: name the file that it was made from")
@@ -143,27 +143,27 @@ def _magnitude(rows: np.ndarray) -> np.ndarray:
 
 
 def _through_meshio(name: str, path: str, kind: str) -> Any:
-    """The mesh as meshio reads it; what it prints is said as warnings."""
+    """The mesh as meshio reads it; its messages become warnings."""
     try:
         import meshio
     except ImportError:
         raise FileError(
             f"{name}: meshio reads it, which is not installed: pip install 'voxtool[tets]'"
         ) from None
-    said, told = io.StringIO(), io.StringIO()
+    printed, warned = io.StringIO(), io.StringIO()
     try:
-        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(told):
+        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(warned):
             read = meshio.read(path, file_format=kind)
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # it prints why, and exits
-        reason = said.getvalue() if isinstance(error, SystemExit) else f"{error}"
+        reason = printed.getvalue() if isinstance(error, SystemExit) else f"{error}"
         reason = printable(" ".join(reason.split()))[:200]
         raise FileError(
             f"{name}: meshio cannot read it as {kind}{reason and ': '}{reason}: it may be damaged, "
             "or have cells that meshio does not know: export it again"
         ) from None
-    for line in filter(None, told.getvalue().split("\n\n")):
+    for line in filter(None, warned.getvalue().split("\n\n")):
         text = printable(" ".join(line.split()))
         warnings.warn(f"{name}: {text}", MeshWarning, stacklevel=4)
     return read
@@ -173,7 +173,7 @@ def _through_meshio(name: str, path: str, kind: str) -> Any:
 
 
 class _Scanned(Exception):
-    """What is needed of an XML file has been seen."""
+    """Raised when the needed part of an XML file has been parsed."""
 
 
 def _scan_xml(name: str, file: BinaryIO, size: int) -> None:

@@ -43,7 +43,7 @@ def draw_legend(
     scalar_range : what is shown, in the scalar's own units.
     title : the scalar's name; unit : the name of the world unit, or "".
     height : pixels.
-    background : that it will be written over, whose contrast the text has; None: as over white.
+    background : the colour behind the legend, which decides the colour of its text; None is white.
 
     Returns
     -------

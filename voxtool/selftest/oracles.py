@@ -110,7 +110,7 @@ def active_nodes(triangles: Iterable, shape: Sequence[int], solid: bool) -> set[
 def expected_octree_nodes(active: set[Cell], voxels: np.ndarray) -> OctreeNodes:
     """The nodes that the contract of the octree asks for.
 
-    active : level 1 nodes that the stages of the thesis make active.
+    active : level 1 nodes that the stages of [voCCeL] make active.
     voxels : bool, indexed [x, y, z], of the grid's shape; beyond it nothing is set.
     """
     side = max(NODE, 1 << (max(voxels.shape) - 1).bit_length())
