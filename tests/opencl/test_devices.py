@@ -15,7 +15,7 @@ from click.testing import CliRunner
 
 from voxtool.cli.main import cli
 from voxtool.errors import DeviceError, DeviceWarning, MemoryLimitError
-from voxtool.opencl import Device, device, list_devices, open_device
+from voxtool.opencl import Device, discovery, driver, list_devices, open_device
 
 ROOT = Path(__file__).parents[2]
 FIELDS = {
@@ -88,7 +88,7 @@ def assert_says_what_to_install(result) -> None:
 
 def test_no_device_says_what_to_install(monkeypatch, tmp_path) -> None:
     monkeypatch.delenv("OCL_ICD_VENDORS", raising=False)
-    monkeypatch.setattr(device, "_cl_devices", list)
+    monkeypatch.setattr(discovery, "_cl_devices", list)
     mesh = tmp_path / "triangle.obj"
     mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     result = CliRunner().invoke(cli, ["devices"])
@@ -128,9 +128,9 @@ def test_no_pyopencl(tmp_path) -> None:
 @pytest.fixture
 def devices_twice(monkeypatch, no_choice):
     """Every device twice; returns a function that makes the probe of the given indices fail."""
-    found = device._cl_devices()
-    monkeypatch.setattr(device, "_cl_devices", lambda: [*found, *found])
-    probe = device._probe
+    found = discovery._cl_devices()
+    monkeypatch.setattr(discovery, "_cl_devices", lambda: [*found, *found])
+    probe = discovery._probe
 
     def break_down(*indices: int) -> None:
         calls = iter(range(2 * len(found)))
@@ -140,7 +140,7 @@ def devices_twice(monkeypatch, no_choice):
                 return "failed: unknown target CPU 'generic'"
             return probe(cl_device)
 
-        monkeypatch.setattr(device, "_probe", broken)
+        monkeypatch.setattr(discovery, "_probe", broken)
 
     return len(found), break_down
 
@@ -182,13 +182,13 @@ def test_every_probe_fails(devices_twice) -> None:
 
 
 def test_a_probe_that_does_not_build_or_is_wrong(device: Device, monkeypatch) -> None:
-    from voxtool.opencl import device as module
-
-    monkeypatch.setattr(module, "PROBE", "__kernel void probe(__global uint *v) { v[0] = oops; }")
-    assert module._probe(device.cl_device).startswith("failed: ")
-    assert "\n" not in module._probe(device.cl_device)
-    monkeypatch.setattr(module, "PROBE", "__kernel void probe(__global uint *v) { v[0] = 7u; }")
-    assert module._probe(device.cl_device) == "failed: the probe kernel gave wrong values"
+    monkeypatch.setattr(
+        discovery, "PROBE", "__kernel void probe(__global uint *v) { v[0] = oops; }"
+    )
+    assert discovery._probe(device.cl_device).startswith("failed: ")
+    assert "\n" not in discovery._probe(device.cl_device)
+    monkeypatch.setattr(discovery, "PROBE", "__kernel void probe(__global uint *v) { v[0] = 7u; }")
+    assert discovery._probe(device.cl_device) == "failed: the probe kernel gave wrong values"
 
 
 # ---- choosing
@@ -231,7 +231,7 @@ def test_an_unknown_device_lists_the_choices(choice: str, no_choice, monkeypatch
 
 LOOK = """
 import os, pathlib, tempfile
-from voxtool.opencl import device
+from voxtool.opencl import driver, list_devices
 before = dict(os.environ)
 seen = []
 made = tempfile.TemporaryDirectory
@@ -242,8 +242,8 @@ class Watched(made):
         super().cleanup()
     def __exit__(self, *error):
         self.cleanup()
-device.tempfile.TemporaryDirectory = Watched
-names = [d.platform for d in device.list_devices()]
+driver.tempfile.TemporaryDirectory = Watched
+names = [d.platform for d in list_devices()]
 left = [p for p in os.listdir(tempfile.gettempdir()) if p.startswith("voxtool-icd-")]
 print(repr((names, seen, left, before.get("OCL_ICD_VENDORS"), os.environ.get("OCL_ICD_VENDORS"))))
 """
@@ -261,7 +261,7 @@ def test_the_embedded_drivers_folder_is_temporary(tmp_path) -> None:
     ((folder, files, variable),) = seen
     assert Path(folder).parent == tmp_path
     assert variable is None  # it is unset before the folder goes
-    system = {p.name for p in device.SYSTEM_DRIVERS.glob("*.icd")}
+    system = {p.name for p in driver.SYSTEM_DRIVERS.glob("*.icd")}
     assert set(files) == {"voxtool-cpu.icd", *system}
     assert (left, after) == ([], None)
     assert os.listdir(tmp_path) == []

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from voxtool.bench.points import Ablation, Point
-    from voxtool.opencl.device import DeviceInfo
+    from voxtool.opencl.discovery import DeviceInfo
 
 SCHEMA_VERSION = f"{MAJOR}.1"
 FILES = ("report.json", "report.csv", "report.html")

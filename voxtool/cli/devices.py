@@ -21,7 +21,7 @@ def command(as_json: bool) -> None:
       voxtool voxelize bunny.obj --device cpu
     """
     from voxtool.opencl import list_devices
-    from voxtool.opencl.device import no_usable_device
+    from voxtool.opencl.discovery import no_usable_device
 
     found = list_devices()
     if as_json:

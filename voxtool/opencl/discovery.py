@@ -1,0 +1,186 @@
+"""Finding OpenCL devices, probing them, and choosing one."""
+
+from __future__ import annotations
+
+import os
+import re
+import threading
+import warnings
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from voxtool.errors import DeviceError, DeviceWarning
+from voxtool.opencl import driver
+from voxtool.opencl.device import Device
+
+PROBE = """
+__kernel __attribute__((reqd_work_group_size(256, 1, 1))) void probe(__global uint *values) {
+    values[get_global_id(0)] = 3u * (uint)get_global_id(0) + 1u;
+}
+"""
+
+
+@dataclass(frozen=True)
+class DeviceInfo:
+    """What is known of a device, and the outcome of the probe kernel: "ok", or what failed."""
+
+    index: int
+    name: str
+    platform: str
+    kind: str
+    driver: str
+    opencl: str
+    units: int
+    memory: int
+    max_allocation: int
+    fp64: bool
+    probe: str
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it in JSON types."""
+        return asdict(self)
+
+    def matches(self, choice: str) -> bool:
+        """Whether this is the device of an index, of a kind, or with a part of a name."""
+        if choice.isdecimal():
+            return self.index == int(choice)
+        if choice.lower() in ("cpu", "gpu"):
+            return self.kind.lower() == choice.lower()
+        names = f"{self.platform} {self.name} {self.opencl}"
+        return re.search(re.escape(choice), names, re.IGNORECASE) is not None
+
+
+def list_devices() -> list[DeviceInfo]:
+    """Every device with the probe's outcome, in the order in which they are preferred."""
+    return [_info(i, d, _probe(d)) for i, d in enumerate(_cl_devices())]
+
+
+def open_device(choice: str | None = None, *, profile: bool = False) -> Device:
+    """The device to use.
+
+    Parameters
+    ----------
+    choice : an index of `voxtool devices`, "cpu", "gpu", or a part of the platform's or the
+        device's name; by default $VOXTOOL_DEVICE, or the first device that works, GPUs first.
+    profile : time each stage by events of the device.
+
+    Raises
+    ------
+    DeviceError : no device, none that matches, or none that passes the probe.
+
+    Warns
+    -----
+    DeviceWarning : a device that would be preferred fails the probe.
+    """
+    choice = choice or os.environ.get("VOXTOOL_DEVICE") or None
+    devices = _cl_devices()
+    if not devices:
+        raise no_usable_device([])
+    infos = [_info(i, d, "") for i, d in enumerate(devices)]
+    matching = [i for i in infos if choice is None or i.matches(choice)]
+    if not matching:
+        names = "; ".join(f"{i.index}: {i.name} ({i.platform})" for i in infos)
+        raise DeviceError(f"no OpenCL device matches {choice!r}: choose one of {names}")
+    failures = []
+    for info in matching:
+        outcome = _probe(devices[info.index])
+        if outcome == "ok":
+            for failure in failures:
+                warnings.warn(f"passed over {failure}", DeviceWarning, stacklevel=2)
+            return Device(devices[info.index], info, profile)
+        failures.append(f"{info.name} ({info.platform}), probe {outcome}")
+    raise no_usable_device(failures)
+
+
+def default_device() -> Device:
+    """The device of calls that name none: `open_device()`, once a process.
+
+    It is opened again in a child process after a fork, and when $VOXTOOL_DEVICE changes. Threads
+    may share it.
+
+    Raises
+    ------
+    DeviceError : as `open_device`.
+    """
+    key = os.getpid(), os.environ.get("VOXTOOL_DEVICE")
+    with _opening:
+        if key not in _default_devices:
+            _default_devices[key] = open_device()
+        return _default_devices[key]
+
+
+_default_devices: dict[tuple[int, str | None], Device] = {}
+_opening = threading.Lock()
+
+
+def _renew_lock() -> None:
+    """Replace the lock, which another thread of the parent may have held."""
+    global _opening
+    _opening = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_renew_lock)
+
+
+def no_usable_device(failures: list[str]) -> DeviceError:
+    """The error that says what to install, or what to do instead."""
+    hint = driver.FORK_HINT if driver.forks else driver.INSTALL_HINT
+    if folder := os.environ.get("OCL_ICD_VENDORS"):
+        hint += f"; only drivers in OCL_ICD_VENDORS={folder} were sought"
+    return DeviceError("; ".join(["no usable OpenCL device", *failures]) + f": {hint}")
+
+
+def _cl_devices() -> list[Any]:
+    """Every device of every platform; GPUs first, otherwise in the loader's order."""
+    cl = driver.opencl()
+    try:
+        found = [d for p in cl.get_platforms() for d in p.get_devices()]
+    except cl.Error:
+        found = []
+    return sorted(found, key=lambda d: not d.type & cl.device_type.GPU)
+
+
+def _info(index: int, cl_device: Any, probe: str) -> DeviceInfo:
+    kinds = driver.opencl().device_type
+    return DeviceInfo(
+        index=index,
+        name=cl_device.name.strip(),
+        platform=cl_device.platform.name.strip(),
+        kind="GPU"
+        if cl_device.type & kinds.GPU
+        else "CPU"
+        if cl_device.type & kinds.CPU
+        else "accelerator",
+        driver=cl_device.driver_version,
+        opencl=cl_device.version.strip(),
+        units=cl_device.max_compute_units,
+        memory=cl_device.global_mem_size,
+        max_allocation=cl_device.max_mem_alloc_size,
+        fp64="cl_khr_fp64" in cl_device.extensions,
+        probe=probe,
+    )
+
+
+def _probe(cl_device: Any) -> str:
+    """The outcome of a three-line kernel in a work-group as large as any of ours: "ok", or the
+    first line of what failed."""
+    cl = driver.opencl()
+    if not driver.survives(cl_device.platform.name.strip()):
+        return "failed: this driver does not work in a forked process"
+    try:
+        context = cl.Context([cl_device])
+        queue = cl.CommandQueue(context)
+        kernel = cl.Kernel(cl.Program(context, PROBE).build(), "probe")
+        values = np.zeros(256, np.uint32)
+        buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, values.nbytes)
+        kernel(queue, values.shape, values.shape, buffer)
+        cl.enqueue_copy(queue, values, buffer)
+    except (cl.Error, RuntimeError, OSError) as error:
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        return f"failed: {lines[0] if lines else type(error).__name__}"
+    if not np.array_equal(values, 3 * np.arange(256, dtype=np.uint32) + 1):
+        return "failed: the probe kernel gave wrong values"
+    return "ok"
