@@ -1,17 +1,26 @@
-"""The names that a user chooses between, and the defaults: each is given here once."""
+"""The names that a user chooses between, and the defaults: each is given here once.
+
+Where there is a default, it is the first name, or a constant of its own, or depends on the scene.
+"""
 
 from __future__ import annotations
 
 MIN_DIM, MAX_DIM, DEFAULT_DIM = 8, 65536, 256  # voxels along the longest side of a grid
 FITS = ("uniform", "stretch")  # of grids to meshes
 MODES = ("surface26", "surface6", "solid")  # of voxelization
+DEFAULT_MODE = "solid"
 FILLS = ("auto", "parity", "nonzero", "winding", "flood")  # rules that decide what is inside
 STYLES = ("marching-cubes", "voxel-faces", "surface-nets")  # of extracted surfaces
 MARCHING_CUBES, VOXEL_FACES, SURFACE_NETS = STYLES
 # Names of version 0.1, which are still taken, and which digests still hold.
 STYLE_ALIASES = {"smooth": MARCHING_CUBES, "blocks": VOXEL_FACES, "nets": SURFACE_NETS}
+DEFAULT_TOLERANCE = 1e-3  # of a distance field, in sides of its cube
+# Levels of the leaves of a field, from the root on: a leaf of level 21 has a parent whose key has
+# 21 bits and whose identifier has 61.
+DEFAULT_MAX_LEVEL, MAX_LEVEL = 9, 21
 SIGNS = ("pseudonormal", "winding", "none")  # what decides the sign of a distance
 SEARCHES = ("linear", "binary", "coherent")  # for the leaf of a field that holds a point
+DEFAULT_SEARCH = "binary"
 LAYOUTS = ("raycast", "projection", "hexahedra")  # of the textures of a volume
 METHODS = ("raycast", "projection")  # of rendering volumes
 VIEWS = ("front", "back", "left", "right", "top", "bottom", "iso")

@@ -158,6 +158,10 @@ class Job(ABC, Generic[Result]):
         one line each."""
         return ()
 
+    def notes(self, result: Result) -> Iterable[str]:
+        """What a user may like to know of a result, one line each; no cause for a warning."""
+        return ()
+
     @contextlib.contextmanager
     def stage(self, name: str) -> Iterator[None]:
         """Name the stage to which the work in this block belongs."""

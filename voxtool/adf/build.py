@@ -21,8 +21,9 @@ from voxtool.adf.levels.examine import examine
 from voxtool.adf.levels.level import Construction
 from voxtool.adf.levels.refine import list_size, refine
 from voxtool.adf.levels.sample import sample
-from voxtool.adf.plan import MAX_LEVEL_ASKED, PILOT_LEVEL, TOLERANCE, FieldPlan
+from voxtool.adf.plan import PILOT_LEVEL, FieldPlan
 from voxtool.adf.survey import Survey
+from voxtool.choices import DEFAULT_MAX_LEVEL, DEFAULT_TOLERANCE
 from voxtool.job import Job
 from voxtool.mesh.topology import check_topology
 from voxtool.opencl import Device, default_device
@@ -63,8 +64,8 @@ def build_adf(mesh: Mesh, device: Device | None = None, **request: Any) -> Dista
 def plan_adf(
     mesh: Mesh,
     *,
-    tolerance: float = TOLERANCE,
-    max_level: int = MAX_LEVEL_ASKED,
+    tolerance: float = DEFAULT_TOLERANCE,
+    max_level: int = DEFAULT_MAX_LEVEL,
     band: float = math.inf,
     sign: str | None = None,
     continuous: bool = True,

@@ -29,9 +29,9 @@ from voxtool.adf.bounds import NO_LEAF
 from voxtool.adf.hashing import SpatialHash, cell_identifier, cell_of, identifier_type, key_of
 from voxtool.adf.host_query import QueryResult, query_on_host
 from voxtool.arrays import equal, read_only
+from voxtool.choices import MAX_LEVEL
 from voxtool.errors import FileError, VoxtoolError
 
-MAX_LEVEL = 21  # of a leaf, whose parent has a key of 21 bits and an identifier of 61
 FAR = 1024.0  # sides: no distance in a cube is near it, and none overflows
 
 

@@ -6,16 +6,13 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from voxtool.adf.field import MAX_LEVEL
-from voxtool.choices import SIGNS
+from voxtool.choices import MAX_LEVEL, SIGNS
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
 from voxtool.job import Cost
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-TOLERANCE = 1e-3  # unless another is asked for
-MAX_LEVEL_ASKED = 9
 BLOCK_BYTES = 27 * 4 + 8 + 8 + 1  # voxels, cell, bounds, and about as much of the hash
 NARROW_LEVEL = 11  # of leaves up to which identifiers of their parents fit 32 bits
 PILOT_LEVEL = 5  # of cells, down to which a field is built to foretell the rest

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import sys
-import time
-import warnings
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from voxtool.choices import MARCHING_CUBES, STYLE_ALIASES, STYLES, VOXEL_FACES
-from voxtool.cli import options
-from voxtool.errors import CheckError, MeshWarning, VoxtoolError
+from voxtool.cli import options, runner
+from voxtool.errors import CheckError
 
 if TYPE_CHECKING:
-    from voxtool.mesh.mesh import Mesh
-    from voxtool.opencl import Device
+    from voxtool.cli.runner import Run
     from voxtool.svo.octree import Octree
-    from voxtool.svo.surface.isosurface import Isosurface
-    from voxtool.svo.surface.plan import ExtractionPlan
+    from voxtool.svo.surface.extract import Isosurface
 
 
 class Level(click.ParamType):
@@ -40,31 +35,28 @@ class Level(click.ParamType):
 
 @click.command("extract")
 @click.argument("octree")
-@options.output_options(
-    "FILE", "Default OCTREE's name with the style, and .obj or --format, in this folder."
-)
 @click.option(
     "--style",
     type=options.Alias(STYLES, STYLE_ALIASES),
     default=MARCHING_CUBES,
     show_default=True,
     help="marching-cubes: smooth, from the shares of set voxels of bricks; voxel-faces: the exact "
-    "boundary of the voxels; surface-nets: smooth at full resolution, every vertex kept in its "
-    "cell.  Coarse samples round off more.",
+    "boundary of the voxels; surface-nets: smooth at full resolution, with every vertex inside its "
+    "cell.  Coarser samples round off more.",
 )
 @click.option(
     "--level",
     type=Level(),
     metavar="N|voxel",
     help="What a sample is: a node of level N (0: a brick of 4 x 4 x 4 voxels; higher: coarser), "
-    "or a voxel.  [default: 0 for marching-cubes, else voxel]",
+    "or a voxel.  [default: 0 for marching-cubes, otherwise voxel]",
 )
 @click.option(
     "--isovalue",
     type=float,
     default=0.5,
     show_default=True,
-    help="Share of its voxels, between 0 and 1, from which on a sample is inside.",
+    help="A sample is inside if at least this share of its voxels is set, between 0 and 1.",
 )
 @click.option(
     "--merge",
@@ -76,44 +68,32 @@ class Level(click.ParamType):
     "--check",
     is_flag=True,
     help="Print as JSON whether the mesh is closed and manifold, its genus, shells and volume; "
-    "exit 1 if it is not closed.",
+    "exit with 1 if it is not closed.",
 )
 @click.option(
     "--against",
     metavar="MESH",
-    help="Print as JSON how far the surface and this mesh are from each other, both ways; the "
-    "memory that it takes does not count for --max-memory.",
+    help="Print as JSON the distances between the surface and this mesh, both ways.  Their memory "
+    "does not count for --max-memory.",
 )
 @click.option(
     "--samples",
     type=click.IntRange(1, 100_000_000),
-    help=f"Points on each surface that --against measures at.  [default: {options.SAMPLES}]",
+    help=f"With --against: points on each surface.  [default: {options.SAMPLES}]",
 )
-@options.format_option("obj", "ply", "stl", "glb", "off")
-@options.plan_options
-@options.device_option
-@options.json_option
-@options.quiet_option
-@options.verbose_option
+@runner.job_options(
+    "FILE",
+    "Default OCTREE's name with the style, and .obj or --format, in this folder.",
+    "obj", "ply", "stl", "glb", "off",
+)  # fmt: skip
 def command(
+    run: Run,
     octree: str,
-    output: str | None,
-    no_clobber: bool,
-    style: str,
-    level: int | str | None,
-    isovalue: float,
-    merge: bool,
     normals: bool,
     check: bool,
     against: str | None,
     samples: int | None,
-    file_format: str | None,
-    only_plan: bool,
-    max_memory: int | None,
-    device: str | None,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
+    **request: Any,
 ) -> None:
     """Extract a closed triangle mesh from an OCTREE, visiting only the cubes that matter.
 
@@ -126,89 +106,47 @@ def command(
       voxtool voxelize bunny.obj --dim 512 -o - | voxtool extract - -o smooth.obj
       voxtool extract bunny.svo.h5 --style surface-nets --check --against bunny.obj
     """
-    if merge and style != VOXEL_FACES:
+    style = request["style"]
+    if request["merge"] and style != VOXEL_FACES:
         raise click.UsageError(f"--merge goes with --style {VOXEL_FACES}: {style} has no squares")
     if samples is not None and against is None:
         raise click.UsageError("--samples goes with --against MESH: there is nothing to measure")
     if octree == against == "-":
         raise click.UsageError("OCTREE and --against cannot both be stdin: name a file for one")
-    started = time.perf_counter()
-    from voxtool.files import (
-        MESH_FORMATS,
-        NORMAL_FORMATS,
-        TEXT_FORMATS,
-        check_target,
-        format_of,
-        read_svo,
-        write_mesh,
-    )
+    from voxtool.files import MESH_FORMATS, NORMAL_FORMATS, read_svo, write_mesh
     from voxtool.files.mesh import load_mesh
-    from voxtool.opencl import open_device
     from voxtool.svo.surface.extract import plan_extract
 
-    if output is None:
-        output = default_output(octree, style, file_format or "obj")
-    file_format = file_format or format_of(output, MESH_FORMATS)
-    if normals and file_format not in NORMAL_FORMATS:
+    run.to(octree, default_output(octree, style, run.file_format or "obj"), MESH_FORMATS)
+    if normals and run.file_format not in NORMAL_FORMATS:
         held = ", ".join(f".{name}" for name in NORMAL_FORMATS)
-        raise click.UsageError(f"--normals: .{file_format} holds none: write one of {held}")
-    if not only_plan:
-        if output != "-":
-            check_target(output, not no_clobber)
-        elif sys.stdout.isatty() and file_format not in TEXT_FORMATS:
-            raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
-    request: dict[str, Any] = {"style": style, "level": level, "isovalue": isovalue, "merge": merge}
-    with options.Progress(["read octree"]) as progress:
-        progress.enter("read octree")
-        source = read_svo(octree)
+        raise click.UsageError(f"--normals: .{run.file_format} holds none: write one of {held}")
+    more: dict[str, Any] = {}
+    with run:
+        source = run.stage("read octree", read_svo, octree)
         reference = load_mesh(against) if against is not None else None
-        chosen = open_device(device, profile=verbose)
-        try:
-            job = plan_extract(source, device=chosen, max_memory=max_memory, **request)
-        except VoxtoolError as error:
-            raise type(error)(f"{octree}: {error}") from error
-        progress.stages = ["read octree", *job.stages, "write file"]
-        if only_plan:
-            progress.erase()
-            print_plan(job.plan, as_json)
-            options.warn_if_refused(job.plan, max_memory, chosen)
-            return
-        with warnings.catch_warnings(action="ignore", category=MeshWarning):
-            surface = job.run(progress.enter)
-        findings = list(job.findings(surface))
-        if not len(surface.faces):
-            raise VoxtoolError(f"{octree}: {findings[0]}")
-        checked, measured = {}, {}
+        after = [name for name, wanted in (("check", check), ("measure", against)) if wanted]
+        with run.naming(octree):
+            job = run.plan(plan_extract, source, **request)
+            surface = run.job(job, after, empty=lambda surface: not len(surface.faces))
         if check:
-            progress.enter("check")
-            checked = {"check": check_mesh(source, surface)}
+            more["check"] = run.stage("check", check_mesh, source, surface)
         if reference is not None:
-            progress.enter("measure")
-            measured = {"against": measure(surface, reference, samples or options.SAMPLES, chosen)}
-        progress.enter("write file")
-        vertex_normals = surface.normals if normals else None
-        write_mesh(surface.mesh(), output, not no_clobber, file_format, normals=vertex_normals)
-    seconds = time.perf_counter() - started
-    result = {**summary(source, surface, output, seconds), **checked, **measured}
-    if as_json or check or reference is not None:
-        options.print_json(result, err=output == "-")
-    if not as_json:
-        target = output if output != "-" else "stdout"
-        options.tell(
-            f"{octree if octree != '-' else 'stdin'} -> {target}: {style}, level {surface.level}, "
-            f"isovalue {isovalue:g}; {len(surface.points):,} vertices, {len(surface.faces):,} "
-            f"triangles, {seconds:.2f} s"
-        )
-    for finding in findings:
-        options.tell(f"warning: {finding}")
-    if (losses := job.losses(surface)) and not findings:
-        options.tell(losses)
-    if verbose:
-        options.tell(f"{chosen.info.name} ({chosen.info.platform})")
-        for stage, time_on_device in chosen.stage_times().items():
-            options.tell(f"  {stage:<18} {1e3 * time_on_device:9.2f} ms")
-    if check and not result["check"]["closed"]:
-        raise CheckError(f"{output}: what was written is not closed: report this octree")
+            from voxtool.spatial.deviation import deviation
+
+            more["against"] = run.stage(
+                "measure", deviation, surface.mesh(), reference, samples or options.SAMPLES,
+                pitch=max(surface.grid.pitch), device=run.device,
+            )  # fmt: skip
+        run.write(write_mesh, surface.mesh(), normals=surface.normals if normals else None)
+    run.report(
+        f"{style}, level {surface.level}, isovalue {surface.isovalue:g}; "
+        f"{len(surface.points):,} vertices, {len(surface.faces):,} triangles",
+        lambda: {**facts_of(source, surface), **more},
+        json_too=bool(more),
+    )
+    if check and not more["check"]["closed"]:
+        raise CheckError(f"{run.output}: the surface is not closed: report this octree")
 
 
 def default_output(octree: str, style: str, file_format: str) -> str:
@@ -222,10 +160,9 @@ def default_output(octree: str, style: str, file_format: str) -> str:
     return f"{name}.{style}.{file_format}"
 
 
-def summary(octree: Octree, surface: Isosurface, output: str, seconds: float) -> dict[str, Any]:
+def facts_of(octree: Octree, surface: Isosurface) -> dict[str, Any]:
     """What was made, in JSON types."""
     return {
-        "output": output,
         "dim": octree.grid.dim,
         "style": surface.style,
         "level": surface.level,
@@ -237,7 +174,6 @@ def summary(octree: Octree, surface: Isosurface, output: str, seconds: float) ->
         "voxels_below_isovalue": surface.lost.below,
         "voxels_vanished": surface.lost.vanished,
         "digest": surface.digest(),
-        "seconds": round(seconds, 3),
     }
 
 
@@ -258,28 +194,3 @@ def check_mesh(octree: Octree, surface: Isosurface) -> dict[str, Any]:
         "octree_volume": set_volume,
         "volume_ratio": enclosed / set_volume,
     }
-
-
-def measure(surface: Isosurface, reference: Mesh, samples: int, device: Device) -> dict[str, Any]:
-    """The deviation between the surface and a mesh."""
-    from voxtool.spatial.deviation import deviation
-
-    pitch = max(surface.grid.pitch)
-    return deviation(surface.mesh(), reference, samples, pitch=pitch, device=device)
-
-
-def print_plan(plan: ExtractionPlan, as_json: bool) -> None:
-    """What will be done, what is left out and why, and what it will cost."""
-    if as_json:
-        options.print_json(plan.as_dict())
-        return
-    from voxtool.errors import human
-
-    rows = [
-        *plan.rows(),
-        ("stages", ", ".join(plan.stages)),
-        *(("left out", f"{what}: {why}") for what, why in plan.left_out.items()),
-        ("predicted", f"{human(plan.cost.device)} on the device"),
-    ]
-    for name, text in rows:
-        click.echo(f"{name:<10} {text}")

@@ -268,6 +268,7 @@ class Progress:
         if not self.due:
             return
         left = len(self.stages) - self.done
-        text = f"[{'#' * self.done}{'.' * left}] {self.stage}"
+        bar = f"[{'#' * self.done}{'.' * left}] " if self.stages else ""
+        text = f"{bar}{self.stage}"
         click.echo(f"\r{text:<{self.width}}", err=True, nl=False)
         self.width = len(text)

@@ -12,14 +12,16 @@ decorators adds the shared options and passes their values as a `Run`, the first
         run.to(mesh, options.output_of(mesh, "svo.h5"), SVO_FORMATS)
         with run:
             loaded = run.stage("read mesh", load_mesh, mesh)
-            octree = run.job(plan_voxelize(loaded, Grid.fit(loaded), mode, **run.resources))
+            job = run.plan(plan_voxelize, loaded, Grid.fit(loaded), mode)
+            octree = run.job(job)
             run.write(write_svo, octree)
         run.report(f"{octree.count:,} voxels", lambda: {"voxels": octree.count})
 
-`to` refuses an output that cannot be written. `job` prints the plan and ends the command with
-`--plan`; without it, it runs the job under a progress bar whose stages are the job's own. `report`
-prints one line on stderr, or JSON with `--json`, then the device and the time of each stage with
-`-v`; with `--strict`, a warning that was issued ends the command with exit code 1.
+`to` refuses an output that cannot be written. `plan` makes the job, with the device and the memory
+that the options name. `job` runs it under a progress bar whose stages are the job's own; with
+`--plan` it prints the plan instead and ends the command. `report` prints one line on stderr, or
+JSON with `--json`, then the device and the time of each stage with `-v`; with `--strict`, a warning
+that was issued ends the command with exit code 1.
 
 Commands without an output file use the same object: `run_options` adds only the options that are
 named, and `finish` takes the place of `report`.
@@ -30,6 +32,7 @@ from __future__ import annotations
 import functools
 import sys
 import time
+import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -38,7 +41,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, Self, TypeVar
 import click
 
 from voxtool.cli import options
-from voxtool.errors import CheckError, MemoryLimitError, VoxtoolError, human
+from voxtool.errors import CheckError, MemoryLimitError, VoxtoolError, VoxtoolWarning, human
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -47,8 +50,9 @@ if TYPE_CHECKING:
     from voxtool.opencl import Device
 
     Result = TypeVar("Result")
+    AnyJob = TypeVar("AnyJob", bound=Job[Any])
 
-WRITE = "write file"  # the stage after a job's own
+PLAN, WRITE = "plan", "write file"  # the stages before and after a job's own
 JOB = "job"  # stands for the stages of a job on the device
 
 
@@ -62,6 +66,7 @@ class Run:
     only_plan: bool = False
     max_memory: int | None = None
     device_name: str | None = None
+    on_device: bool = False  # whether the command has --device
     as_json: bool = False
     quiet: bool = False
     verbose: bool = False
@@ -129,11 +134,6 @@ class Run:
 
         return open_device(self.device_name, profile=self.verbose or self.as_json)
 
-    @property
-    def resources(self) -> dict[str, Any]:
-        """The arguments of a `plan_...` function that say where it runs: device, max_memory."""
-        return {"device": self.device, "max_memory": self.max_memory}
-
     def __enter__(self) -> Self:
         self.progress.__enter__()
         return self
@@ -170,22 +170,45 @@ class Run:
         except VoxtoolError as error:
             raise type(error)(f"{name if name != '-' else 'stdin'}: {error}") from error
 
-    def job(self, job: Job[Result], after: Iterable[str] = (), **facts: Any) -> Result:
+    def plan(self, plan: Callable[..., AnyJob], *args: Any, **request: Any) -> AnyJob:
+        """The job of a `plan_...` function, with device= and max_memory= as the options say."""
+        request["max_memory"] = self.max_memory
+        if not self.on_device:
+            return self.stage(PLAN, plan, *args, **request)
+        with self.device.reporting(self.progress.enter):
+            return self.stage(PLAN, plan, *args, device=self.device, **request)
+
+    def job(
+        self,
+        job: Job[Result],
+        after: Iterable[str] = (),
+        empty: Callable[[Result], bool] = lambda _: False,
+        **facts: Any,
+    ) -> Result:
         """Run a job under the progress bar; with --plan, print its plan and end the command.
 
         Parameters
         ----------
         after : stages of the command between the job and the writing of its result.
+        empty : whether a result cannot be written; its first warning is then the error.
         facts : what --plan --json prints beside the plan.
         """
         if self.only_plan:
             self.print_plan(job, facts)
         self.progress.plan([*self._times, *job.stages, *after, WRITE])
         began = time.perf_counter()
-        result = job.run(self.enter if job.device is None else self.progress.enter)
+        with warnings.catch_warnings(record=True) as caught:
+            result = job.run(self.enter if job.device is None else self.progress.enter)
         self.enter(None)
+        found = [str(w.message) for w in caught if issubclass(w.category, VoxtoolWarning)]
+        if empty(result):
+            raise VoxtoolError(found[0])
+        for message in found:
+            options.warn(message)
         if job.device is not None:
             self._times[JOB] = time.perf_counter() - began
+        for note in job.notes(result):
+            options.tell(note)
         return result
 
     def print_plan(self, job: Job[Any], facts: Mapping[str, Any]) -> NoReturn:
@@ -277,7 +300,7 @@ class Run:
             times |= self._device_times if name == JOB else {name: seconds}
         times |= self._device_times
         rest = self.seconds - sum(times.values())
-        return {**times, "other": rest + times.get("other", 0.0)}
+        return {**times, "other": max(rest, 0.0) + times.get("other", 0.0)}
 
 
 # ---- options
@@ -303,7 +326,7 @@ def run_options(*decorators: options.Decorator) -> options.Decorator:
         @functools.wraps(function)
         def call(**values: Any) -> Any:
             shared = {SHARED[name]: values.pop(name) for name in SHARED if name in values}
-            return function(Run(**shared), **values)
+            return function(Run(**shared, on_device="device_name" in shared), **values)
 
         command: Callable[..., Any] = call
         for option in reversed(decorators):

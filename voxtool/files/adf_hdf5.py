@@ -8,9 +8,9 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from voxtool.adf.field import MAX_LEVEL, DistanceField
+from voxtool.adf.field import DistanceField
 from voxtool.adf.hashing import SpatialHash
-from voxtool.choices import SIGNS
+from voxtool.choices import MAX_LEVEL, SIGNS
 from voxtool.files import hdf5
 from voxtool.files.schema import (
     FINITE,

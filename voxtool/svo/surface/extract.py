@@ -260,6 +260,11 @@ class ExtractJob(Job[Isosurface]):
         elif lost.below > MUCH_BELOW * count or lost.vanished > MUCH_VANISHED * count:
             yield self.losses(result)
 
+    def notes(self, result: Isosurface) -> Iterator[str]:
+        """What the samples lose, where that is little."""
+        if result.lost.below and not list(self.findings(result)):
+            yield self.losses(result)
+
     def losses(self, result: Isosurface) -> str:
         """How many voxels the samples do not show, and what keeps them; "" if they show all."""
         lost, count = result.lost, self.octree.count
