@@ -175,6 +175,7 @@ class FieldPlan:
              f"{self.sign}"),
             ("scene", f"{self.triangles:,} triangles; {counted} cells are refined, of level 0, 1, "
              "..."),
+            ("blocks", f"at most about {self.blocks:,}, {human(self.field_bytes)}"),
         ]  # fmt: skip
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:

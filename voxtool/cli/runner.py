@@ -46,6 +46,7 @@ from voxtool.errors import CheckError, MemoryLimitError, VoxtoolError, VoxtoolWa
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
+    from voxtool.files.formats import Writer
     from voxtool.job import Job
     from voxtool.opencl import Device
 
@@ -75,27 +76,28 @@ class Run:
     progress: options.Progress = field(default_factory=options.Progress)
     started: float = field(default_factory=time.perf_counter)
     seconds: float = 0.0
+    _notes: list[str] = field(default_factory=list)  # of the job
     _times: dict[str, float] = field(default_factory=dict)  # of stages on the host
     _stage: tuple[str, float] | None = None  # the stage that runs, and when it began
     _device_times: dict[str, float] | None = None  # read once: the device forgets them
 
     # ---- where the result goes
 
-    def to(self, source: str, default: str, formats: Iterable[str]) -> None:
+    def to(self, source: str, default: str, formats: Mapping[str, Writer]) -> None:
         """Choose the output and its format, and refuse an output that cannot be written.
 
         Parameters
         ----------
         source : the input's name, for the report.
         default : the output without -o.
-        formats : the formats that can be written, the last resort of `file_format`.
+        formats : those that can be written, of voxtool.files.formats.
 
         Raises
         ------
         click.UsageError : stdout is a terminal, and the format is not text.
         FileError : the file cannot be written, or its name does not say the format.
         """
-        from voxtool.files import TEXT_FORMATS, check_target, format_of
+        from voxtool.files import check_target, format_of
 
         self.source = source
         if self.output is None:
@@ -106,7 +108,7 @@ class Run:
             return
         if not self.to_stdout:
             check_target(self.output, not self.no_clobber)
-        elif self.file_format not in TEXT_FORMATS and sys.stdout.isatty():
+        elif not formats[self.file_format].text and sys.stdout.isatty():
             raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
 
     @property
@@ -207,8 +209,7 @@ class Run:
             options.warn(message)
         if job.device is not None:
             self._times[JOB] = time.perf_counter() - began
-        for note in job.notes(result):
-            options.tell(note)
+        self._notes += job.notes(result)
         return result
 
     def print_plan(self, job: Job[Any], facts: Mapping[str, Any]) -> NoReturn:
@@ -254,13 +255,14 @@ class Run:
         Parameters
         ----------
         text : the line, without the names of the files and the time.
-        facts : returns the JSON, without output, warnings, stages and seconds.
+        facts : returns the JSON, without output, notes, warnings, stages and seconds.
         json_too : print the JSON beside the line even without --json.
         """
         if self.as_json or json_too:
             result = {
                 "output": self.output,
                 **facts(),
+                "notes": self._notes,
                 "warnings": self.warnings,
                 "stages": self.times() if self.as_json else {},
                 "seconds": round(self.seconds, 3),
@@ -270,8 +272,8 @@ class Run:
         if not self.as_json:
             source = self.source if self.source != "-" else "stdin"
             options.tell(f"{source} -> {self.target}: {text}, {self.seconds:.2f} s")
-            for line in details:
-                options.tell(f"  {line}")
+            for line in (*(f"  {detail}" for detail in details), *self._notes):
+                options.tell(line)
         self.finish()
 
     def finish(self) -> None:
@@ -299,8 +301,8 @@ class Run:
         for name, seconds in self._times.items():
             times |= self._device_times if name == JOB else {name: seconds}
         times |= self._device_times
-        rest = self.seconds - sum(times.values())
-        return {**times, "other": max(rest, 0.0) + times.get("other", 0.0)}
+        times.pop("other", None)
+        return {**times, "other": max(self.seconds - sum(times.values()), 0.0)}
 
 
 # ---- options

@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     type=click.Choice(FILLS),
     default=FILLS[0],
     show_default=True,
-    help="What is inside, for solid. parity: an odd number of crossings along x; nonzero: crossings "
-    "that enter and leave do not cancel; winding: a winding number of 1/2 or more; flood: everything "
-    "that the outside cannot reach; auto: parity if the mesh is closed and consistently wound, "
-    "otherwise winding.",
+    help="What is inside, for solid. parity: an odd number of crossings along x; nonzero: "
+    "crossings that enter and leave do not cancel; winding: a winding number of 1/2 or more; "
+    "flood: everything that the outside cannot reach; auto: parity if the mesh is closed and "
+    "consistently wound, otherwise winding.",
 )
 @click.option(
     "--gap",

@@ -205,6 +205,9 @@ class VoxelizePlan:
             rows.append(("fill", f"winding; {count_of(self.holes, 'hole')}, {caps}"))
         elif self.solid:
             rows.append(("fill", self.rule))
+        size = human(self.octree_bytes)
+        rows.append(("octree", f"about {self.bricks:,} bricks, {self.nodes:,} nodes, {size}"))
+        rows.append(("work", f"about {self.work:,} voxels and crossings visited"))
         return rows
 
     @property
