@@ -59,7 +59,7 @@ def test_help(path, flag) -> None:
     text = COMMANDS[path].help or ""
     sentence = text.partition("\n\n")[0]
     assert re.fullmatch(r"[A-Z][^.]*(\.[a-z0-9]+[^.]*)*\.", " ".join(sentence.split())), sentence
-    assert re.search(r"\bunits\b|\bms\b|\bGB\b|\bvoxels\b", text.partition("Examples:")[0])
+    assert re.search(r"\b(units|ms|s|GB|voxels|diagonals)\b", text.partition("Examples:")[0])
     assert len(examples(COMMANDS[path])) >= 2
     for line in examples(COMMANDS[path]):
         assert line.startswith("voxtool ")

@@ -6,11 +6,11 @@ import statistics
 import subprocess
 import sys
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from voxtool.bench import peers
 from voxtool.errors import VoxtoolError
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class Bench:
     request: Request
     timed: Device
     profiled: Device
-    tools: Any = peers
+    tools: Any = field(default_factory=partial(import_module, "voxtool.bench.peers"))
 
     def measured(self, work: Callable[[Device], object]) -> dict[str, Any]:
         """The runs, the stages and the figure "host" of a Point, for work that takes a device.

@@ -155,7 +155,7 @@ def measure_grid(run: Run, mesh: Mesh, grid: Grid, fill: str, dtype: str) -> dic
     from voxtool.distances import plan_distance_grid
     from voxtool.files.npy import write_array
 
-    job = plan_distance_grid(mesh, grid, fill=fill, dtype=dtype, **run.resources)
+    job = run.plan(plan_distance_grid, mesh, grid, fill=fill, dtype=dtype)
     place: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
     found = run.job(job, **place)
     run.write(write_array, found)
@@ -174,7 +174,7 @@ def measure_points(
     from voxtool.files.answers import open_answers
     from voxtool.files.points import read_points
 
-    job = plan_distance(mesh, sign=sign, located=any(asked.values()), **run.resources)
+    job = run.plan(plan_distance, mesh, sign=sign, located=any(asked.values()))
     measure = run.job(job)
     run.enter("distance")
     columns = [("distance", "f8")]

@@ -46,7 +46,6 @@ from voxtool.errors import CheckError, MemoryLimitError, VoxtoolError, VoxtoolWa
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping
 
-    from voxtool.files.formats import Writer
     from voxtool.job import Job
     from voxtool.opencl import Device
 
@@ -83,14 +82,14 @@ class Run:
 
     # ---- where the result goes
 
-    def to(self, source: str, default: str, formats: Mapping[str, Writer]) -> None:
+    def to(self, source: str, default: str, formats: Iterable[str]) -> None:
         """Choose the output and its format, and refuse an output that cannot be written.
 
         Parameters
         ----------
         source : the input's name, for the report.
         default : the output without -o.
-        formats : those that can be written, of voxtool.files.formats.
+        formats : those that can be written, of voxtool.files.formats or voxtool.files.answers.
 
         Raises
         ------
@@ -98,6 +97,7 @@ class Run:
         FileError : the file cannot be written, or its name does not say the format.
         """
         from voxtool.files import check_target, format_of
+        from voxtool.files.formats import TEXT_FORMATS
 
         self.source = source
         if self.output is None:
@@ -108,7 +108,7 @@ class Run:
             return
         if not self.to_stdout:
             check_target(self.output, not self.no_clobber)
-        elif not formats[self.file_format].text and sys.stdout.isatty():
+        elif self.file_format not in TEXT_FORMATS and sys.stdout.isatty():
             raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
 
     @property
