@@ -42,14 +42,19 @@ def surfaces(mesh: voxtool.Mesh, device: Any) -> Iterator[tuple[str, str]]:
     """Name and digest of pictures of a mesh's octree and of its field."""
     octree = voxtool.voxelize(mesh, voxtool.Grid.fit(mesh, 48), fill="parity", device=device)
     field = voxtool.build_adf(mesh, device, tolerance=4e-3, max_level=5)
-    svo, adf = voxtool.OctreeRenderer(octree, device), voxtool.FieldRenderer(field, device)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     for name, (view, fov) in VIEWS.items():
         rays = Camera.fit(low, high, view, fov=fov).rays(*SIZE)
         for level in ("voxel", 1):
-            yield f"octree {level} {name}", digest(svo(rays, level=level))
+            yield (
+                f"octree {level} {name}",
+                digest(voxtool.render(octree, rays, level=level, device=device)),
+            )
         for offset in (0.0, 0.02):
-            yield f"field {offset} {name}", digest(adf(rays, offset=offset * field.side))
+            yield (
+                f"field {offset} {name}",
+                digest(voxtool.render(field, rays, offset=offset * field.side, device=device)),
+            )
 
 
 def own_volume(name: str) -> voxtool.TetVolume:
@@ -74,7 +79,6 @@ def volume_pictures(
     volume: voxtool.TetVolume, device: Any, views: Iterable[str] = tuple(VIEWS)
 ) -> Iterator[tuple[str, str]]:
     """Name and digest of pictures of a volume."""
-    renderer = voxtool.VolumeRenderer(volume, device)
     low, high = volume.bounds()
     unit = float((high - low).max()) / 8
     transfer = named("viridis", *volume.scalar_range, unit)
@@ -83,7 +87,10 @@ def volume_pictures(
         rays = Camera.fit(low, high, view, fov=fov).rays(*SIZE)
         for method in ("raycast", "projection"):
             for integrator in INTEGRATORS:
-                picture = renderer.render(rays, transfer, method, integrator)
+                picture = voxtool.render(
+                    volume, rays, transfer=transfer, method=method, integrator=integrator,
+                    device=device,
+                )  # fmt: skip
                 yield f"{method} {integrator} {name}", digest(picture)
 
 

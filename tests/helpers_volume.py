@@ -7,9 +7,13 @@ import itertools
 import numpy as np
 
 from voxtool.camera import Camera, Rays
+from voxtool.opencl import Device
 from voxtool.selftest.reference import reference
 from voxtool.tets.mesh import UnstructuredMesh
+from voxtool.tets.project import Projection
+from voxtool.tets.scene import VolumeScene
 from voxtool.tets.transfer import TransferFunction
+from voxtool.tets.volume import TetVolume
 
 # A cube's corners are 4 x + 2 y + z. Kuhn's six tetrahedra: the ways from corner 0 to corner 7.
 SIX = np.array([np.cumsum([0, *way]) for way in itertools.permutations((1, 2, 4))])
@@ -54,6 +58,26 @@ def tet_grid(
 
 def mesh_of(points: np.ndarray, cells: np.ndarray, scalars, name: str = "s") -> UnstructuredMesh:
     return UnstructuredMesh(points, [("tetra", np.asarray(cells))], scalars, name)
+
+
+class Pictures:
+    """Pictures of a volume by a device, which keeps the volume."""
+
+    def __init__(self, volume: TetVolume, device: Device) -> None:
+        self.volume, self.device = volume, device
+
+    def scene(self, transfer: TransferFunction, *how, **decisions) -> VolumeScene:
+        """What a transfer function shows, by a method and an integrator."""
+        return VolumeScene(self.volume, transfer, *how, **decisions)
+
+    def render(self, rays: Rays, transfer: TransferFunction, *how, **decisions) -> np.ndarray:
+        return self.scene(transfer, *how, **decisions).draw(rays, self.device)
+
+    def project(
+        self, rays: Rays, transfer: TransferFunction, integrator="linear", **decisions
+    ) -> Projection:
+        scene = self.scene(transfer, "projection", integrator, **decisions)
+        return scene.project(rays, self.device)
 
 
 def ramp(

@@ -412,11 +412,10 @@ def check_device(device) -> None:
     from voxtool.selftest import arithmetic, volumes
 
     arithmetic.COUNT = 200
-    volumes.LANES = 1  # as above
     for case in (arithmetic.single, arithmetic.double, arithmetic.integers):
         assert case.run(device).passed
     ends = np.geomspace(1e-3, 10, 8).astype(np.float32)
-    volumes.weights(device, ends, ends)
+    volumes.weights(device, ends, ends, lanes=1)  # as above
 
 
 def render_octrees(device) -> None:
@@ -425,16 +424,16 @@ def render_octrees(device) -> None:
     from helpers_octree import octree_from_dense
 
     from voxtool.grid import Grid
-    from voxtool.svo.raycast import OctreeRenderer
+    from voxtool.svo.raycast import cast, depths
 
     dense = np.random.default_rng(4).random((13, 10, 9)) < 0.3
     octree = octree_from_dense(dense)
     octree = replace(octree, grid=Grid(octree.grid.shape, (-1, -1, -1), (0.16, 0.16, 0.16)))
-    renderer = OctreeRenderer(octree, device)
     for rays in two_views((11, 9)):
         for level in ("voxel", 0, 1):
-            picture, depths = renderer(rays, level=level), renderer.depths(rays, level=level)
-            assert np.array_equal(picture[..., 3] > 0, np.isfinite(depths))
+            picture = cast(octree, rays, level=level, device=device)
+            met = np.isfinite(depths(octree, rays, level=level, device=device))
+            assert np.array_equal(picture[..., 3] > 0, met)
             assert 10 < np.count_nonzero(picture[..., 3]) < picture[..., 3].size
 
 
@@ -445,13 +444,13 @@ def render_fields(device) -> None:
     from adf.test_query import spike, with_w
     from helpers_field import plain_field, sphere
 
-    from voxtool.adf.raycast import FieldRenderer
+    from voxtool.adf.raycast import cast
 
     deep = plain_field(lambda p: spike(p) / 32, 0.2 / 32, 13)
     for field in (plain_field(sphere, 1e-2, 4), with_w(deep, 40)):
         field = replace(field, origin=(-1.0, -1.0, -1.0), side=2.0)
         for rays in two_views((9, 7)):
-            picture = FieldRenderer(field, device)(rays)
+            picture = cast(field, rays, device=device)
             assert set(np.unique(picture[..., 3])) == {0, 1}
 
 
@@ -459,20 +458,20 @@ def render_volumes(device) -> None:
     """Both methods from outside and inside, by every integrator, of every layout, with cells that
     are left out; one ray at a time: of several Oclgrind 21.10 spoils the masks, as above."""
     import numpy as np
-    from helpers_volume import SIX, grid_corners, grid_points, mesh_of, ramp, reference_picture
+    from helpers_volume import (
+        SIX,
+        Pictures,
+        grid_corners,
+        grid_points,
+        mesh_of,
+        ramp,
+        reference_picture,
+    )
 
     from voxtool.camera import Camera
     from voxtool.choices import METHODS
-    from voxtool.tets import integrate
     from voxtool.tets.mesh import UnstructuredMesh
-    from voxtool.tets.render import VolumeRenderer
     from voxtool.tets.textures import build_tet
-
-    constants = {"SCALARS": 6, "LENGTHS": 4}  # a table that takes no minutes here
-    for name, value in constants.items():
-        header = integrate.HEADERS["tets/integrators.h"]
-        integrate.HEADERS["tets/integrators.h"] = re.sub(rf"{name} \w+", f"{name} {value}", header)
-        setattr(integrate, name, value)
 
     shape = (3, 2, 6)
     points, corners = grid_points(shape) / (np.array(shape) / 2) - 1, grid_corners(shape)
@@ -489,9 +488,9 @@ def render_volumes(device) -> None:
     views = [*two_views((6, 5)), Camera((0.1, 0.2, 0.3), (0, 1, -0.4), fov=100.0).rays(6, 5)]
     for layout, mesh in meshes_of.items():
         volume = build_tet(mesh, layout)
-        renderer = VolumeRenderer(volume, device)
+        pictures = Pictures(volume, device)
         for rays, method in itertools.product(views, METHODS):
-            picture = renderer.render(rays, part, method)
+            picture = pictures.render(rays, part, method, lanes=1)
             assert picture.any()
             if layout != "hexahedra":
                 wanted = reference_picture(mesh, part, rays)
@@ -499,7 +498,9 @@ def render_volumes(device) -> None:
         for integrator, method in itertools.product(
             ("average", "sampled:2", "preintegrated"), METHODS
         ):
-            assert np.isfinite(renderer.render(views[1], shown, method, integrator)).all()
+            # a small table, which takes no minutes here
+            found = pictures.render(views[1], shown, method, integrator, lanes=1, table=(6, 4))
+            assert np.isfinite(found).all()
 
 
 if __name__ == "__main__":

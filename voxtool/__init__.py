@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from voxtool.adf.build import build_adf, plan_adf
     from voxtool.adf.field import DistanceField
     from voxtool.adf.query import FieldQuery, query_adf
-    from voxtool.adf.raycast import FieldRenderer, render_adf
     from voxtool.camera import Camera, Rays
     from voxtool.distances import distance_grid, plan_distance, plan_distance_grid
     from voxtool.errors import (
@@ -48,25 +47,23 @@ if TYPE_CHECKING:
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh, mesh_from_arrays
     from voxtool.opencl import list_devices, open_device
+    from voxtool.rendering import camera_for, plan_render, render
     from voxtool.report import Report, diagnose
     from voxtool.spatial.deviation import deviation
     from voxtool.spatial.signed_distance import DistanceResult, SignedDistance, distance
     from voxtool.svo.octree import Octree
-    from voxtool.svo.raycast import OctreeRenderer, render_svo
     from voxtool.svo.surface.extract import extract, plan_extract
     from voxtool.svo.surface.isosurface import Isosurface
     from voxtool.svo.voxelize import plan_voxelize, voxelize
     from voxtool.tets.mesh import UnstructuredMesh
-    from voxtool.tets.render import VolumeRenderer, render_tet
     from voxtool.tets.textures import build_tet, plan_tet
-    from voxtool.tets.transfer import TransferFunction
+    from voxtool.tets.transfer import TransferFunction, default_transfer
     from voxtool.tets.volume import TetVolume
 
 _HOMES = {
     "voxtool.adf.build": ("build_adf", "plan_adf"),
     "voxtool.adf.field": ("DistanceField",),
     "voxtool.adf.query": ("FieldQuery", "query_adf"),
-    "voxtool.adf.raycast": ("FieldRenderer", "render_adf"),
     "voxtool.camera": ("Camera", "Rays"),
     "voxtool.distances": ("distance_grid", "plan_distance", "plan_distance_grid"),
     "voxtool.errors": (
@@ -99,13 +96,12 @@ _HOMES = {
     "voxtool.spatial.signed_distance": ("DistanceResult", "SignedDistance", "distance"),
     "voxtool.svo.surface.extract": ("extract", "plan_extract"),
     "voxtool.svo.surface.isosurface": ("Isosurface",),
+    "voxtool.rendering": ("camera_for", "plan_render", "render"),
     "voxtool.svo.octree": ("Octree",),
-    "voxtool.svo.raycast": ("OctreeRenderer", "render_svo"),
     "voxtool.svo.voxelize": ("plan_voxelize", "voxelize"),
     "voxtool.tets.mesh": ("UnstructuredMesh",),
-    "voxtool.tets.render": ("VolumeRenderer", "render_tet"),
     "voxtool.tets.textures": ("build_tet", "plan_tet"),
-    "voxtool.tets.transfer": ("TransferFunction",),
+    "voxtool.tets.transfer": ("TransferFunction", "default_transfer"),
     "voxtool.tets.volume": ("TetVolume",),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
@@ -116,7 +112,6 @@ __all__ = [
     "DistanceField",
     "DistanceResult",
     "FieldQuery",
-    "FieldRenderer",
     "FileError",
     "Grid",
     "GridError",
@@ -125,18 +120,18 @@ __all__ = [
     "Mesh",
     "MeshError",
     "Octree",
-    "OctreeRenderer",
     "Rays",
     "Report",
     "SignedDistance",
     "TetVolume",
     "TransferFunction",
     "UnstructuredMesh",
-    "VolumeRenderer",
     "VoxtoolError",
     "__version__",
     "build_adf",
     "build_tet",
+    "camera_for",
+    "default_transfer",
     "deviation",
     "diagnose",
     "distance",
@@ -151,6 +146,7 @@ __all__ = [
     "plan_distance",
     "plan_distance_grid",
     "plan_extract",
+    "plan_render",
     "plan_tet",
     "plan_voxelize",
     "query_adf",
@@ -159,9 +155,7 @@ __all__ = [
     "read_tet",
     "read_transfer",
     "read_unstructured",
-    "render_adf",
-    "render_svo",
-    "render_tet",
+    "render",
     "voxelize",
     "write_adf",
     "write_mesh",

@@ -6,6 +6,8 @@ machine; the angle functions are our own.
 
 from __future__ import annotations
 
+import contextlib
+import itertools
 import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -62,6 +64,20 @@ class Rays:
             return replace(self, origin=start)
         start = start - dot(start, self.direction) * self.direction
         return replace(self, origin=start, right=self.right / scale, down=self.down / scale)
+
+    def finer(self, samples: int) -> Rays:
+        """samples x samples rays for each pixel.
+
+        Raises
+        ------
+        VoxtoolError : more than MAX_SIDE rays along a side.
+        """
+        if samples == 1:
+            return self
+        width, height = (samples * side for side in self.size)
+        check_size(width, height)
+        right, down = self.right / samples, self.down / samples
+        return replace(self, right=right, down=down, size=(width, height))
 
     def meet_box(self, points: np.ndarray) -> bool:
         """Whether a box around (N, 3) points, as they are seen, reaches into the picture."""
@@ -192,8 +208,7 @@ class Camera:
         ------
         VoxtoolError : a size, an angle or a direction that makes no picture.
         """
-        if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-            raise VoxtoolError(f"a picture of {width} x {height} pixels: sides are 1 to {MAX_SIDE}")
+        check_size(width, height)
         eye, target = np.array(self.eye, np.float64), np.array(self.target, np.float64)
         if not (np.isfinite(eye).all() and np.isfinite(target).all()):
             raise VoxtoolError("the camera's eye and target must be finite")
@@ -213,6 +228,37 @@ class Camera:
         return Rays(
             eye, direction, step * right, step * down, self.fov is not None, (width, height)
         )
+
+
+def box_corners(low: np.ndarray, sides: np.ndarray | int) -> np.ndarray:
+    """(8 N, 3): the corners of N boxes, of their (N, 3) low corners and their sides."""
+    steps = np.array(list(itertools.product((0, 1), repeat=3)))
+    return (low + steps[:, None] * sides).reshape(-1, 3)
+
+
+def checked_colour(colour: Sequence[float]) -> tuple[float, float, float]:
+    """Red, green and blue as three floats.
+
+    Raises
+    ------
+    VoxtoolError : they are not three numbers from 0 to 1.
+    """
+    with contextlib.suppress(TypeError, ValueError):
+        red, green, blue = (float(c) for c in colour)
+        if all(0 <= c <= 1 for c in (red, green, blue)):
+            return red, green, blue
+    raise VoxtoolError(f"colour {colour!r}: give red, green and blue between 0 and 1")
+
+
+def check_size(width: int, height: int) -> None:
+    """Refuse a picture that is too large, or empty.
+
+    Raises
+    ------
+    VoxtoolError : a side is not from 1 to MAX_SIDE.
+    """
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise VoxtoolError(f"a picture of {width} x {height} pixels: sides are 1 to {MAX_SIDE}")
 
 
 def fov_of(degrees: float) -> float:

@@ -125,15 +125,15 @@ __kernel void list_pairs(__global const float *records, __global const uint *lis
 }
 
 // One work-item a pair, sorted: where the list of each tile begins and ends.
-__kernel void find_tiles(__global const uint *pair_tiles, const uint pairs, __global uint *ends)
+__kernel void find_tiles(__global const uint *pair_tiles, const uint n, __global uint *ends)
 {
     const uint pair = get_global_id(0);
-    if (pair >= pairs)
+    if (pair >= n)
         return;
     const uint tile = pair_tiles[pair];
     if (pair == 0 || pair_tiles[pair - 1] != tile)
         ends[2 * tile] = pair;
-    if (pair + 1 == pairs || pair_tiles[pair + 1] != tile)
+    if (pair + 1 == n || pair_tiles[pair + 1] != tile)
         ends[2 * tile + 1] = pair + 1;
 }
 

@@ -194,7 +194,7 @@ __kernel void cast(__global const float *records, __global const uint *ends,
         place.interval = follows;
         place.depth = active ? depth : place.depth;
         place.cell = goes_on ? place.cell : beyond;
-        place.cell = (active & (place.still < MOST_STILL)) ? place.cell : (ints)NOWHERE;
+        place.cell = (active & (place.still < MAX_STILL)) ? place.cell : (ints)NOWHERE;
         const ints opaque = light.through < LEAST_LIGHT;
         if (ANY(opaque)) {
             int done[LANES];

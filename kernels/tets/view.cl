@@ -18,7 +18,7 @@ bool is_kept(__global const uchar *kept, const uint cell)
 
 // One work-item a cell. Its record: `slots` times the nearness a, b, c of a plane and the cell beyond it,
 // then the scalar on the ray, of view.h.
-__kernel void look(TEXTURES, __global const int *neighbours, __global const uchar *kept,
+__kernel void set_up_cells(TEXTURES, __global const int *neighbours, __global const uchar *kept,
                    __global const double *viewpoint, const uint slots, __global float *records)
 {
     const uint cell = get_global_id(0);
@@ -164,10 +164,10 @@ __kernel void list_entries(TEXTURES, __global const int *exposed, const uint n,
 }
 
 // One work-item a pixel: its entries by depth, equal depths by cell, whatever the order they came in.
-__kernel void sort_entries(__global const uint *ends, const uint pixels, __global uint *entries)
+__kernel void sort_entries(__global const uint *ends, const uint n, __global uint *entries)
 {
     const uint pixel = get_global_id(0);
-    if (pixel >= pixels)
+    if (pixel >= n)
         return;
     const uint start = pixel > 0 ? ends[pixel - 1] : 0, end = ends[pixel];
     // Shell's sort; Knuth's increments

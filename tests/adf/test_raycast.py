@@ -17,10 +17,9 @@ from voxtool.adf.field import DistanceField
 from voxtool.adf.raycast import (
     COLOUR,
     ROOM_LEVEL,
-    FieldRenderer,
+    cast,
     least_shown,
     refined_children,
-    render_adf,
     room,
     steep_leaves,
 )
@@ -148,9 +147,8 @@ FIELDS = {
 @pytest.mark.parametrize("name", FIELDS)
 def test_the_surface_is_where_dense_marching_finds_it(device, name) -> None:
     field, offset = FIELDS[name](device)
-    renderer = FieldRenderer(field, device)
     for rays in (view(field, "iso"), view(field, "right", fov=None)):
-        agrees(renderer(rays, offset=offset, colour=WHITE), field, rays, offset)
+        agrees(cast(field, rays, offset=offset, colour=WHITE, device=device), field, rays, offset)
 
 
 @pytest.mark.parametrize("fov", [None, 40.0])
@@ -159,7 +157,7 @@ def test_a_sphere(device, fov, offset) -> None:
     """Its outline and its brightness, to what the field's tolerance makes of them."""
     field = ball()
     rays = view(field, fov=fov, size=64)
-    picture = render_adf(field, rays, offset=offset * SIDE, colour=WHITE, device=device)
+    picture = cast(field, rays, offset=offset * SIDE, colour=WHITE, device=device)
     origin, way = lines_of(rays)
     from_centre = origin - (np.array(ORIGIN) + SIDE / 2)
     along = -(from_centre * way).sum(axis=1)
@@ -181,26 +179,26 @@ def test_a_camera_inside(device) -> None:
     centre = np.array(ORIGIN) + SIDE * np.array([0.52, 0.5, 0.47])
     camera = Camera(tuple(centre), tuple(centre + np.array([1, 0.2, 0.1])), fov=120)
     rays = camera.rays(24, 24)
-    picture = render_adf(field, rays, colour=WHITE, device=device)
+    picture = cast(field, rays, colour=WHITE, device=device)
     assert (picture[..., 3] == 1).all()
     agrees(picture, field, rays)
     outside = replace(camera, eye=tuple(np.array(ORIGIN) + 0.05 * SIDE))  # but within the cube
     rays = replace(outside, target=tuple(centre)).rays(24, 24)
-    agrees(render_adf(field, rays, colour=WHITE, device=device), field, rays)
+    agrees(cast(field, rays, colour=WHITE, device=device), field, rays)
 
 
 def test_nothing_behind_the_camera(device) -> None:
     field = ball()
     middle, back = np.array(ORIGIN) + SIDE / 2, np.array([0.0, 0.0, 1.0])
     away = Camera(tuple(middle + SIDE * back), tuple(middle + 2 * SIDE * back))
-    assert not render_adf(field, away.rays(16, 16), device=device).any()
+    assert not cast(field, away.rays(16, 16), device=device).any()
 
 
 def test_every_device_draws_the_same() -> None:
     devices = [opened(index) for index, _ in usable_devices()]
     field = open_box(devices[0])
     for rays in (view(field, size=90), view(field, "front", size=90, fov=None)):
-        first, *others = (render_adf(field, rays, device=d) for d in devices)
+        first, *others = (cast(field, rays, device=d) for d in devices)
         assert first.any()
         for other in others:
             assert np.array_equal(first, other)
@@ -210,12 +208,9 @@ def test_every_device_draws_the_same() -> None:
 def test_leaps_pass_nothing(device, name) -> None:
     """The picture is that of a ray that goes from leaf to leaf, but for rounding."""
     field, offset = FIELDS[name](device)
-    renderer = FieldRenderer(field, device)
     rays = view(field, size=120)
-    leaping = renderer(rays, offset=offset)
-    assert renderer._leap > 0
-    renderer._leap = np.float32(0)
-    walking = renderer(rays, offset=offset)
+    leaping = cast(field, rays, offset=offset, device=device)
+    walking = cast(field, rays, offset=offset, leap=False, device=device)
     assert np.array_equal(leaping[..., 3], walking[..., 3])
     assert np.abs(leaping - walking).max() < 1e-5
 
@@ -230,7 +225,7 @@ def test_a_thin_wall(device) -> None:
     field = plain_field(wall, 1e-3, 7, continuous=True)
     for name in ("front", "back", "iso"):
         rays = view(field, name, size=70)
-        shown = render_adf(field, rays, device=device)[..., 3].ravel() == 1
+        shown = cast(field, rays, device=device)[..., 3].ravel() == 1
         origin, way = lines_of(rays)
         hit = origin + ((0.5 - origin[:, 2]) / way[:, 2])[:, None] * way
         inside = ((hit > 0.01) & (hit < 0.99))[:, :2].all(axis=1)
@@ -242,8 +237,8 @@ def test_a_thin_wall(device) -> None:
 def test_a_wrong_lipschitz_constant_changes_nothing(device, lipschitz) -> None:
     field = torus(device)
     rays = view(field, size=60)
-    wrong = render_adf(replace(field, lipschitz=lipschitz), rays, device=device)
-    right = render_adf(field, rays, device=device)
+    wrong = cast(replace(field, lipschitz=lipschitz), rays, device=device)
+    right = cast(field, rays, device=device)
     assert np.array_equal(wrong[..., 3], right[..., 3])
     assert np.abs(wrong - right).max() < 1e-5
 
@@ -255,7 +250,7 @@ def test_rays_along_faces_of_leaves(device) -> None:
         camera = Camera.fit((0, 0, 0), (1, 1, 1), name, fov=None)
         rays = replace(camera, height=1.0).rays(64, 64)
         rays = replace(rays, origin=rays.origin + (rays.right + rays.down) / 2)
-        shown = render_adf(field, rays, device=device)[..., 3] == 1
+        shown = cast(field, rays, device=device)[..., 3] == 1
         origin, way = lines_of(rays)
         apart = np.sqrt((np.cross(origin - 0.5, way) ** 2).sum(axis=1)).reshape(64, 64)
         assert shown[apart < 0.295].all()
@@ -265,7 +260,7 @@ def test_rays_along_faces_of_leaves(device) -> None:
 @pytest.mark.parametrize("offset", [1e3, -1e3, 1e38, -1e300])
 def test_offsets_beyond_the_field_show_nothing(device, offset) -> None:
     field = ball()
-    assert not render_adf(field, view(field), offset=offset, device=device).any()
+    assert not cast(field, view(field), offset=offset, device=device).any()
 
 
 def test_an_unsigned_field_shows_its_sheet(device) -> None:
@@ -274,7 +269,7 @@ def test_an_unsigned_field_shows_its_sheet(device) -> None:
     faces = [(0, 1, 2), (0, 2, 3)]
     field = built(corners, faces, device, sign="none", max_level=4, tolerance=1e-4)
     rays = view(field, "front", size=80, fov=None)
-    shown = render_adf(field, rays, device=device)[..., 3].ravel() == 1
+    shown = cast(field, rays, device=device)[..., 3].ravel() == 1
     origin, _ = lines_of(rays)
     inside = np.ones(len(origin), bool)
     for (ax, ay, _), (bx, by, _) in zip(corners, [*corners[1:], corners[0]], strict=True):
@@ -282,7 +277,7 @@ def test_an_unsigned_field_shows_its_sheet(device) -> None:
         inside &= across > field.side / 16 * math.hypot(bx - ax, by - ay)
     assert inside.sum() > 500
     assert shown[inside].all()
-    same = render_adf(field, rays, offset=least_shown(field), device=device)
+    same = cast(field, rays, offset=least_shown(field), device=device)
     assert np.array_equal(same[..., 3].ravel() == 1, shown)
     assert least_shown(field) == field.side * max(0.5 ** (field.depth + 1), field.tolerance)
 
@@ -292,33 +287,31 @@ def test_turning_and_scaling(device) -> None:
     field = ball()
     low = np.array(ORIGIN)
     camera = Camera.fit(low, low + SIDE, "iso")
-    first = render_adf(field, camera.rays(50, 40), device=device)
-    assert np.array_equal(first, render_adf(field, camera.turned(360).rays(50, 40), device=device))
-    assert not np.array_equal(
-        first, render_adf(field, camera.turned(40).rays(50, 40), device=device)
-    )
+    first = cast(field, camera.rays(50, 40), device=device)
+    assert np.array_equal(first, cast(field, camera.turned(360).rays(50, 40), device=device))
+    assert not np.array_equal(first, cast(field, camera.turned(40).rays(50, 40), device=device))
     twice = replace(field, origin=tuple(2 * low), side=2 * SIDE)
     large = Camera.fit(2 * low, 2 * (low + SIDE), "iso")
-    assert np.array_equal(first, render_adf(twice, large.rays(50, 40), device=device))
+    assert np.array_equal(first, cast(twice, large.rays(50, 40), device=device))
 
 
-def test_frames_of_a_renderer(device) -> None:
+def test_frames(device) -> None:
     """They do not depend on those before, nor pixels on the picture's other pixels."""
     field = ball()
-    renderer = FieldRenderer(field, device)
     rays = view(field, size=33)
-    first = renderer(rays)
+    first = cast(field, rays, device=device)
     assert first.shape == (36, 33, 4)
     assert first.dtype == np.float32
-    assert not np.array_equal(renderer(view(field, "back", size=33), offset=0.1), first)
-    assert np.array_equal(renderer(rays), first)
-    blue = renderer(rays, colour=(0, 0, 1))
+    back = cast(field, view(field, "back", size=33), offset=0.1, device=device)
+    assert not np.array_equal(back, first)
+    assert np.array_equal(cast(field, rays, device=device), first)
+    blue = cast(field, rays, colour=(0, 0, 1), device=device)
     assert not blue[..., :2].any()
     shown = first[..., 3] == 1
     assert np.allclose(blue[shown][:, 2] * COLOUR[2], first[shown][:, 2], rtol=1e-6)
     one = replace(rays, size=(1, 1), origin=rays.origin)  # the middle of the picture
-    whole = renderer(replace(rays, size=(33, 35)))
-    assert np.array_equal(renderer(one)[0, 0], whole[17, 16])
+    whole = cast(field, replace(rays, size=(33, 35)), device=device)
+    assert np.array_equal(cast(field, one, device=device)[0, 0], whole[17, 16])
 
 
 @pytest.mark.parametrize("max_level", [11, 17])
@@ -331,7 +324,7 @@ def test_deep_fields(device, max_level) -> None:
     centre, radius = np.array([0.3, 0.6, 0.7]), 2.0**exponent
     for fov in (None, 30.0):
         rays = Camera.fit(centre - radius, centre + radius, fov=fov).rays(50, 50)
-        picture = render_adf(field, rays, offset=exponent, colour=WHITE, device=device)
+        picture = cast(field, rays, offset=exponent, colour=WHITE, device=device)
         shown = picture[..., 3].ravel() == 1
         origin, way = lines_of(rays)
         apart = np.sqrt((np.cross(origin - centre, way) ** 2).sum(axis=1))
@@ -343,18 +336,18 @@ def test_deep_fields(device, max_level) -> None:
 def test_a_root_alone(device) -> None:
     field = plain_field(sphere, 10.0, 3)
     rays = view(field)
-    agrees(render_adf(field, rays, colour=WHITE, device=device), field, rays)
+    agrees(cast(field, rays, colour=WHITE, device=device), field, rays)
 
 
 def test_refusals(device) -> None:
     field = ball()
-    renderer, rays = FieldRenderer(field, device), view(field)
+    rays = view(field)
     for offset in (math.nan, math.inf, -math.inf):
         with pytest.raises(VoxtoolError, match=f"an offset of {offset}: give a finite distance"):
-            renderer(rays, offset=offset)
+            cast(field, rays, offset=offset, device=device)
     for colour in ((1, 1), (0, 0, 2), (0, math.nan, 0)):
-        with pytest.raises(VoxtoolError, match="give red, green and blue from 0 to 1"):
-            renderer(rays, colour=colour)
+        with pytest.raises(VoxtoolError, match="give red, green and blue between 0 and 1"):
+            cast(field, rays, colour=colour, device=device)
 
 
 # ---- tables

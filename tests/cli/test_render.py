@@ -21,8 +21,9 @@ from voxtool.camera import Camera
 from voxtool.choices import METHODS, VIEWS
 from voxtool.cli.render import AXES, BELONGS, output_of
 from voxtool.files import read_adf, read_svo, read_tet
-from voxtool.files.picture import averaged, rounded
-from voxtool.tets import render, transfer
+from voxtool.files.picture import rounded
+from voxtool.rendering import averaged, camera_for, render
+from voxtool.tets import transfer
 
 OCTREE, FIELD, VOLUME = "bunny.svo.h5", "bunny.adf.h5", "volume.tet.h5"
 SCENES = {"octree": OCTREE, "field": FIELD, "volume": VOLUME}
@@ -66,22 +67,19 @@ def test_says_what_it_did_on_stderr(file: str, here: Path) -> None:
 
 
 def test_the_picture_is_the_librarys(here: Path) -> None:
-    from voxtool.adf.raycast import render_adf
-    from voxtool.svo.raycast import render_svo
-
     eye, target = (3.0, 2.5, 4.0), (0.1, 0.9, 0.0)
     rays = Camera(eye, target, AXES["z"], 40.0).rays(60, 40)
     camera = "--eye 3,2.5,4 --target 0.1,.9,0 --up z --fov 40 --size 60x40 --samples 1"
     octree, field = read_svo(OCTREE), read_adf(FIELD)
-    assert np.array_equal(floats(f"{OCTREE} {camera}"), render_svo(octree, rays))
+    assert np.array_equal(floats(f"{OCTREE} {camera}"), render(octree, rays))
     assert np.array_equal(
         floats(f"{OCTREE} {camera} --level 1 --colour 1,0,.5"),
-        render_svo(octree, rays, level=1, colour=(1, 0, 0.5)),
+        render(octree, rays, level=1, colour=(1, 0, 0.5)),
     )
-    assert np.array_equal(floats(f"{FIELD} {camera}"), render_adf(field, rays))
+    assert np.array_equal(floats(f"{FIELD} {camera}"), render(field, rays))
     assert np.array_equal(
         floats(f"{FIELD} {camera} --offset=0.1 --colour #ff0000"),
-        render_adf(field, rays, offset=0.1, colour=(1, 0, 0)),
+        render(field, rays, offset=0.1, colour=(1, 0, 0)),
     )
 
 
@@ -235,10 +233,7 @@ def test_surfaces_of_fields_are_in_the_picture(offset: float, here: Path) -> Non
 
 def test_an_eye_may_be_where_a_view_is(here: Path) -> None:
     view = floats(f"{OCTREE} --view right --turn 0 --size 40")
-    from voxtool.cli.scenes import OctreeScene
-
-    points = OctreeScene(read_svo(OCTREE)).points()
-    camera = Camera.fit(points.min(axis=0), points.max(axis=0), "right")
+    camera = camera_for(read_svo(OCTREE), "right", turn=0)
     eye = ",".join(map(repr, camera.eye))
     assert np.array_equal(floats(f"{OCTREE} --eye {eye} --size 40"), view)
 
@@ -361,8 +356,8 @@ def test_usage_errors(options: str, message: str, here: Path) -> None:
         (f"{OCTREE} -o none/a.png", "there is no folder"),
         (f"{OCTREE} -o {OCTREE} --no-clobber", "the name says no format"),
         (f"{OCTREE} -o old.png --no-clobber", "old.png exists"),
-        (f"{OCTREE} --level 6", "level 6: choose voxel, or a level from 0 to 5"),
-        (f"{OCTREE} --level -1", "level -1: choose voxel, or a level from 0 to 5"),
+        (f"{OCTREE} --level 6", "level 6: choose 'voxel' or a level from 0 to 5"),
+        (f"{OCTREE} --level -1", "level -1: choose 'voxel' or a level from 0 to 5"),
         (
             f"{OCTREE} --eye 1,1,1 --target 0,0,0 --up 1,1,1",
             "is along the view: choose another --up",
@@ -405,8 +400,7 @@ def test_defaults_are_those_of_the_help() -> None:
 def test_volumes_are_the_librarys(method: str, integrator: str, here: Path) -> None:
     volume = read_tet(VOLUME)
     rays = Camera((9.0, 5.0, 12.0), (2.0, 1.5, 1.5)).rays(30, 20)
-    function = transfer.default(volume)
-    expected = render.VolumeRenderer(volume).render(rays, function, method, integrator)
+    expected = render(volume, rays, method=method, integrator=integrator)
     command = f"{VOLUME} {EYE} --size 30x20 --method {method} --integrator {integrator}"
     assert np.array_equal(floats(command), expected)
     assert 0 < expected[..., 3].max() < 1
@@ -419,7 +413,7 @@ def test_transfer_functions(here: Path) -> None:
     command = f"{VOLUME} {EYE} --size 30x20"
 
     def expected(function: transfer.TransferFunction) -> np.ndarray:
-        return render.VolumeRenderer(volume).render(rays, function)
+        return render(volume, rays, transfer=function)
 
     middle = (low + high) / 2
     found = floats(f"{command} --map gray --opacity-range {high!r},{middle!r} --unit-distance 0.3")
@@ -477,7 +471,7 @@ def test_what_is_transparent_is_left_out(here: Path) -> None:
     points = [{"scalar": high + 1, "color": [1, 1, 1], "extinction": 0}]
     Path("a.json").write_text(json.dumps({"points": points}))
     text = run(f"render {VOLUME} --transfer a.json --plan").stdout
-    assert "cells: the transfer function leaves them transparent" in text
+    assert "left out   transparent cells: the transfer function leaves " in text
     assert (
         json.loads(run(f"render {VOLUME} --transfer a.json --plan --json").stdout)["cells_shown"]
         == 0
@@ -489,7 +483,7 @@ def test_what_is_transparent_is_left_out(here: Path) -> None:
 def test_too_thin_to_be_seen(here: Path) -> None:
     said = run(f"render {VOLUME} --unit-distance 1e6 --size 20").stderr
     assert re.search(
-        r"is empty: its opacity is at most \de-0\d: choose a smaller --unit-dist", said
+        r"is empty: its opacity is at most \de-0\d: choose a smaller unit distance", said
     )
 
 
@@ -503,7 +497,12 @@ def test_plan_prints_and_writes_nothing(file: str, here: Path) -> None:
     told = json.loads(run(f"render {file} --size 30x20 --samples 3 --plan --json").stdout)
     assert sorted(os.listdir()) == before
     assert text.stderr == ""
-    for word in ("picture    30 x 20 pixels of 3 x 3 rays", "stages", "predicted  5,400 rays"):
+    for word in (
+        "picture    30 x 20 pixels of 3 x 3 rays",
+        "rays       5,400",
+        "stages",
+        "predicted",
+    ):
         assert word in text.stdout
     assert (told["size"], told["samples"], told["rays"]) == ([30, 20], 3, 5400)
     assert told["predicted_device_bytes"] > 16 * 5400
@@ -518,7 +517,7 @@ def test_plan_warns_of_a_refusal(here: Path) -> None:
 
 
 def test_plan_tells_what_a_level_leaves_out(here: Path) -> None:
-    assert "what is finer than level 2" in run(f"render {OCTREE} --level 2 --plan").stdout
+    assert "voxels finer than level 2" in run(f"render {OCTREE} --level 2 --plan").stdout
     assert "finer" not in run(f"render {OCTREE} --plan").stdout
 
 
@@ -548,7 +547,7 @@ def test_stages_of_the_plan_are_those_that_run(file: str, here: Path) -> None:
 @pytest.mark.parametrize("file", [OCTREE, FIELD])
 def test_empty_pictures_are_told(file: str, options: str, why: str, here: Path) -> None:
     result = run(f"render {file} {options} -o a.png")
-    first, warning = result.stderr.splitlines()
+    warning, first = result.stderr.splitlines()
     assert " 0 % of pixels hit" in first
     assert warning.startswith(f"voxtool: warning: the picture is empty: {why}")
     assert (np.asarray(Image.open("a.png")) == 255).all()
@@ -559,7 +558,7 @@ def test_an_offset_that_the_field_does_not_have(here: Path) -> None:
     result = run(f"render {FIELD} --offset -500 --size 30")
     assert re.search(
         r"is empty: the field has distances from -[\d.]+ to [\d.]+, so no surface at -500: choose "
-        r"another --offset\n",
+        r"another offset\n",
         result.stderr,
     )
 

@@ -13,8 +13,9 @@ import pytest
 from PIL import Image
 
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.files.picture import averaged, rounded, write_picture
+from voxtool.files.picture import rounded, write_picture
 from voxtool.plots.legend import LEAST_HEIGHT, draw_legend
+from voxtool.rendering import averaged
 
 BACKGROUNDS = {"white": (1.0, 1.0, 1.0), "blue": (0.1, 0.25, 0.7), "none": None}
 

@@ -16,7 +16,7 @@ from voxtool.grid import Grid
 from voxtool.opencl import Device
 from voxtool.svo.layout import BRICK, INSIDE, NODE, VALID
 from voxtool.svo.octree import Octree
-from voxtool.svo.raycast import COLOUR, OctreeRenderer, render_svo
+from voxtool.svo.raycast import COLOUR, cast, depths
 
 AMBIENT = 0.08
 UNIT = {"origin": (0.0, 0.0, 0.0), "pitch": (1.0, 1.0, 1.0)}
@@ -105,7 +105,6 @@ def patterns() -> list[Octree]:
 def test_first_hits(device: Device, which: int):
     """Each ray meets the nearest box, at its depth; but those that pass an edge within 1e-6."""
     octree = patterns()[which]
-    renderer = OctreeRenderer(octree, device)
     pitch = np.array(octree.grid.pitch)
     met = 0
     for number, camera in enumerate(cameras(octree, np.random.default_rng(which))):
@@ -115,13 +114,13 @@ def test_first_hits(device: Device, which: int):
             expected = nearest(low, high, rays)
             clear = clear_of_edges(low, high, 1e-6 * pitch, rays)
             assert clear.mean() > 0.95
-            found = renderer.depths(rays, level=level)
+            found = depths(octree, rays, level=level, device=device)
             assert np.array_equal(np.isfinite(found)[clear], np.isfinite(expected)[clear])
             finite = clear & np.isfinite(expected)
             np.testing.assert_allclose(
                 found[finite], expected[finite], rtol=1e-12, atol=1e-9 * pitch.max()
             )
-            picture = renderer(rays, level=level)
+            picture = cast(octree, rays, level=level, device=device)
             assert np.array_equal(picture[..., 3], np.isfinite(found).astype(np.float32))
             assert not picture[np.isinf(found)].any()
             assert (picture[np.isfinite(found)] > 0).all()
@@ -147,9 +146,9 @@ def test_rays_along_axes(device: Device, axis: int, sign: int):
         inside = (u >= 0) & (u < 16)
         expected = np.where(inside[:, None] & inside, 3.0 if sign > 0 else 4.0, np.inf)
         for dense in (leaf, bricks):
-            renderer = OctreeRenderer(placed(octree_from_dense(dense), **UNIT), device)
+            scene = placed(octree_from_dense(dense), **UNIT)
             for level in ("voxel", 0, 1, 2):
-                assert np.array_equal(renderer.depths(rays, level=level), expected)
+                assert np.array_equal(depths(scene, rays, level=level, device=device), expected)
 
 
 @pytest.mark.parametrize("perspective", [False, True])
@@ -164,7 +163,7 @@ def test_rays_through_edges(device: Device, perspective: bool):
         right, down = np.array([0, 0, 1 / 16]), np.array([0, 1 / 16, 0])
         rays = Rays(eye, direction, right, down, perspective, (17, 17))  # the middle is at 0
         low, high = np.array([[12.0, 0, 0]]), np.array([[14.0, 32, 32]])
-        found = OctreeRenderer(octree, device).depths(rays)
+        found = depths(octree, rays, device=device)
         clear = clear_of_edges(low, high, np.array([0, 1e-9, 1e-9]), rays)
         assert clear.mean() > 0.85
         assert np.array_equal(found[clear], nearest(low, high, rays)[clear])
@@ -184,7 +183,7 @@ def test_rays_between_voxels_that_share_an_edge(device: Device):
         rays = Rays(eye, direction, np.array([0, 0, 0.1]), np.array([0, 0, 0.2]), False, (3, 3))
         for dense, expected in ((beside, np.inf), (across, 7)):
             octree = placed(octree_from_dense(dense), **UNIT)
-            assert (OctreeRenderer(octree, device).depths(rays) == expected).all()
+            assert (depths(octree, rays, device=device) == expected).all()
     for sign in (-1, 1):  # and where it enters the grid
         eye, direction = np.array([4 - 5.0 * sign, 4 - sign, 4.5]), np.array([sign, sign, 0.0])
         rays = Rays(eye, direction, np.array([0, 0, 0.1]), np.array([0, 0, 0.2]), False, (3, 3))
@@ -192,7 +191,7 @@ def test_rays_between_voxels_that_share_an_edge(device: Device):
             dense = np.zeros((8, 8, 8), bool)
             dense[0 if sign > 0 else 7, 4 if step == sign else 3] = True
             octree = placed(octree_from_dense(dense), **UNIT)
-            assert (OctreeRenderer(octree, device).depths(rays) == expected).all()
+            assert (depths(octree, rays, device=device) == expected).all()
 
 
 def test_within(device: Device):
@@ -200,28 +199,28 @@ def test_within(device: Device):
     solid = placed(octree_from_dense(np.ones((32, 32, 32), bool)), **UNIT)
     cave = np.ones((32, 32, 32), bool)
     cave[9:23, 9:23, 9:23] = False
-    cave_renderer = OctreeRenderer(placed(octree_from_dense(cave), **UNIT), device)
+    cave_renderer = placed(octree_from_dense(cave), **UNIT)
     rng = np.random.default_rng(2)
     low, high = np.full((1, 3), 9.0), np.full((1, 3), 23.0)
     for _ in range(4):
         eye, target = rng.uniform(10, 22, (2, 3))
         rays = Camera(tuple(eye), tuple(target), fov=120.0).rays(24, 24)
-        picture = render_svo(solid, rays, device=device)
+        picture = cast(solid, rays, device=device)
         assert (picture[..., 3] == 1).all()
         assert np.isfinite(picture).all()
-        assert not OctreeRenderer(solid, device).depths(rays).any()
+        assert not depths(solid, rays, device=device).any()
         _, directions = every_ray(rays)
         far = np.maximum((low - eye) / directions, (high - eye) / directions).min(axis=2)
-        np.testing.assert_allclose(cave_renderer.depths(rays), far, rtol=1e-12)
+        np.testing.assert_allclose(depths(cave_renderer, rays, device=device), far, rtol=1e-12)
 
 
 def test_behind_the_eye(device: Device):
     """Perspective rays begin at the eye, orthographic ones are whole lines."""
     octree = placed(octree_from_dense(np.ones((8, 8, 8), bool)), **UNIT)
     away = Camera((4, 4, 20), (4, 4, 30), fov=40.0)
-    assert not render_svo(octree, away.rays(9, 9), device=device).any()
+    assert not cast(octree, away.rays(9, 9), device=device).any()
     lines = replace(away, fov=None, height=4.0).rays(9, 9)
-    assert (OctreeRenderer(octree, device).depths(lines) == -20).all()
+    assert (depths(octree, lines, device=device) == -20).all()
 
 
 # --- light ---------------------------------------------------------------------------------------
@@ -263,19 +262,18 @@ def coverage_gradient(octree: Octree, side: int, points: np.ndarray) -> np.ndarr
 def test_light(device: Device, which: int):
     """The light on each hit is that of the spline's gradient half a cell before it."""
     octree = patterns()[which]
-    renderer = OctreeRenderer(octree, device)
     origin, pitch = np.array(octree.grid.origin), np.array(octree.grid.pitch)
     lit, bent = 0, 0
     for camera in cameras(octree, np.random.default_rng(which)):
         rays = camera.rays(13, 11)
         for level in ("voxel", *range(octree.depth)):
-            depths = renderer.depths(rays, level=level)
-            met = np.isfinite(depths)
+            away = depths(octree, rays, level=level, device=device)
+            met = np.isfinite(away)
             origins, views = (v[met] for v in every_ray(rays))
             side = 2 if level == "voxel" else min(4 << int(level), octree.grid.side // 2)
             way = views / pitch
             way /= np.sqrt((way**2).sum(axis=1, keepdims=True))
-            points = (origins + depths[met][:, None] * views - origin) / pitch - side / 2 * way
+            points = (origins + away[met][:, None] * views - origin) / pitch - side / 2 * way
             into = coverage_gradient(octree, side, points) / pitch * pitch.max()
             views = views / np.sqrt((views**2).sum(axis=1, keepdims=True))
             along = (into * views).sum(axis=1)
@@ -283,7 +281,7 @@ def test_light(device: Device, which: int):
             size = np.sqrt((into**2).sum(axis=1))
             sure = size > 1e-6
             expected = [brightness(-n, rays) for n in into[sure]]
-            found = renderer(rays, level=level, colour=(1, 1, 1))[met][sure, 0]
+            found = cast(octree, rays, level=level, colour=(1, 1, 1), device=device)[met][sure, 0]
             np.testing.assert_allclose(found, expected, atol=1e-4)
             lit += np.count_nonzero(sure)
             bent += np.count_nonzero(along[sure] < -1e-3)
@@ -308,7 +306,7 @@ def test_planes_are_smooth(device: Device, slopes: tuple[float, float], mode: st
     for way in (normal, normal * (1, 1, 3), normal + np.array([0.4, 0, 0])):
         eye = middle + 100 * way / np.abs(way).max()
         rays = Camera(tuple(eye), tuple(middle), fov=None, height=12.0).rays(48, 48)
-        picture = render_svo(octree, rays, colour=(1, 0.5, 0.25), device=device)
+        picture = cast(octree, rays, colour=(1, 0.5, 0.25), device=device)
         expected = brightness(normal, rays)
         error = picture[..., 0] - expected
         assert abs(error.mean()) < 0.01
@@ -326,7 +324,7 @@ def test_faces_where_coverage_is_constant(device: Device):
             way[axis] = sign
             up = tuple(np.roll((1.0, 0.0, 0.0), axis + 1))
             rays = Camera((32.5, 32.5, 32.5), tuple(32.5 + way), up, fov=5.0).rays(3, 3)
-            picture = render_svo(octree, rays, colour=(1, 1, 1), device=device)
+            picture = cast(octree, rays, colour=(1, 1, 1), device=device)
             faces = [brightness(-np.sign(way) * e, rays) for e in np.eye(3)]
             assert min(abs(picture[1, 1, 0] - f) for f in faces) < 1e-6
 
@@ -342,7 +340,7 @@ def test_symmetry(device: Device):
         dense &= (towards > 7) | ~ball((32, 32, 32), 0.2).any(axis=axis, keepdims=True)
         octree = placed(octree_from_dense(dense), (-16, -16, -16), (1, 1, 1))
         camera = Camera.fit((-16, -16, -16), (16, 16, 16), view)
-        pictures.append(render_svo(octree, camera.rays(50, 50), device=device))
+        pictures.append(cast(octree, camera.rays(50, 50), device=device))
     for other in pictures[1:]:
         np.testing.assert_allclose(other, pictures[0], atol=1e-5)
     assert np.array_equal(pictures[0][..., 3], pictures[0][::-1, :, 3])
@@ -360,7 +358,7 @@ def test_same_on_every_device():
         for camera in cameras(octree, np.random.default_rng(9)):
             for level in ("voxel", *range(octree.depth)):
                 rays = camera.rays(33, 21)
-                first, *others = [render_svo(octree, rays, level=level, device=d) for d in devices]
+                first, *others = [cast(octree, rays, level=level, device=d) for d in devices]
                 for other in others:
                     assert first.tobytes() == other.tobytes()
 
@@ -370,24 +368,23 @@ def test_frames(device: Device):
     octree = octree_from_dense(ball((32, 32, 32)))
     low = np.array(octree.grid.origin)
     camera = Camera.fit(low, low + 32 * np.array(octree.grid.pitch))
-    renderer = OctreeRenderer(octree, device)
-    first = renderer(camera.rays(37, 11))
+    first = cast(octree, camera.rays(37, 11), device=device)
     assert first.shape == (11, 37, 4)
     assert first.dtype == np.float32
     assert 0 < first[..., 3].mean() < 1
-    turned = renderer(camera.turned(30).rays(37, 11))
+    turned = cast(octree, camera.turned(30).rays(37, 11), device=device)
     assert not np.array_equal(first, turned)
-    assert np.array_equal(first, renderer(camera.turned(360).rays(37, 11)))
-    assert np.array_equal(first, renderer(camera.turned(-720).rays(37, 11)))
+    assert np.array_equal(first, cast(octree, camera.turned(360).rays(37, 11), device=device))
+    assert np.array_equal(first, cast(octree, camera.turned(-720).rays(37, 11), device=device))
     assert (first[..., :3] <= np.array(COLOUR, np.float32)).all()
-    assert renderer(camera.rays(1, 1)).shape == (1, 1, 4)
+    assert cast(octree, camera.rays(1, 1), device=device).shape == (1, 1, 4)
 
 
 def test_empty(device: Device):
     octree = octree_from_dense(np.zeros((9, 8, 8), bool))
     rays = Camera.fit(octree.grid.origin, octree.grid.to_world(np.array([[9, 8, 8]]))[0]).rays(8, 8)
     for level in ("voxel", *range(octree.depth)):
-        assert not render_svo(octree, rays, level=level, device=device).any()
+        assert not cast(octree, rays, level=level, device=device).any()
 
 
 def test_refined_nodes_that_are_empty(device: Device):
@@ -398,8 +395,10 @@ def test_refined_nodes_that_are_empty(device: Device):
     octree = replace(full, bricks=bricks)
     corner = octree.grid.to_world(np.array([[0, 0, 0], [32, 32, 32]]))
     rays = Camera.fit(corner[0], corner[1]).rays(64, 64)
-    renderer = OctreeRenderer(octree, device)
-    shares = [renderer(rays, level=level)[..., 3].mean() for level in ("voxel", 0, 1, 2, 3)]
+    shares = [
+        cast(octree, rays, level=level, device=device)[..., 3].mean()
+        for level in ("voxel", 0, 1, 2, 3)
+    ]
     assert 0 < shares[0] < shares[1] < shares[2] < shares[3] < shares[4]
 
 
@@ -440,7 +439,6 @@ def test_deepest_octree(device: Device, voxel: tuple[int, int, int]):
         high.append(level.cells[level.inside] + level.side)
     low = np.concatenate([*low, [voxel]]).astype(float)
     high = np.concatenate([*high, [np.array(voxel) + 1]]).astype(float)
-    renderer = OctreeRenderer(octree, device)
     seen = 0
     for way in ((1, 0.3, 0.2), (-0.4, 1, -0.3), (0.2, -0.5, 1), (-1, -1.1, -0.9)):
         for distance in (3.0, 200_000.0):
@@ -448,13 +446,13 @@ def test_deepest_octree(device: Device, voxel: tuple[int, int, int]):
             flat = Camera(tuple(eye), tuple(np.array(voxel) + 0.5), fov=None, height=3.0)
             for camera in (flat, replace(flat, fov=0.02), replace(flat, fov=50.0)):
                 rays = camera.rays(21, 21)
-                found, expected = renderer.depths(rays), nearest(low, high, rays)
+                found, expected = depths(octree, rays, device=device), nearest(low, high, rays)
                 clear = clear_of_edges(low, high, np.full(3, 1e-6), rays)
                 assert np.array_equal(np.isfinite(found)[clear], np.isfinite(expected)[clear])
                 finite = clear & np.isfinite(expected)
                 np.testing.assert_allclose(found[finite], expected[finite], rtol=0, atol=1e-8)
                 seen += np.count_nonzero(finite)
-                assert np.isfinite(renderer(rays)).all()
+                assert np.isfinite(cast(octree, rays, device=device)).all()
     assert seen > 1000
 
 
@@ -465,7 +463,7 @@ def test_unknown_level(device: Device, level):
     with pytest.raises(
         VoxtoolError, match=re.escape(f"level {level!r}: choose 'voxel' or a level")
     ):
-        render_svo(octree, rays, level=level, device=device)
+        cast(octree, rays, level=level, device=device)
 
 
 @pytest.mark.parametrize(
@@ -475,14 +473,13 @@ def test_unknown_colour(device: Device, colour):
     octree = octree_from_dense(ball((16, 16, 16)))
     rays = Camera((9, 9, 9), (0, 0, 0)).rays(4, 4)
     with pytest.raises(VoxtoolError, match="give red, green and blue between 0 and 1"):
-        render_svo(octree, rays, colour=colour, device=device)
+        cast(octree, rays, colour=colour, device=device)
 
 
 def test_far_eyes(device: Device):
     octree = placed(octree_from_dense(ball((16, 16, 16))), (0, 0, 0), (1e-9, 1e-9, 1e-9))
-    renderer = OctreeRenderer(octree, device)
-    assert not renderer(Camera((0, 0, 1e290), (0, 0, 2e290)).rays(4, 4)).any()
-    distant = renderer(Camera((0, 0, 1e20), (8e-9, 8e-9, 8e-9)).rays(1, 1))
+    assert not cast(octree, Camera((0, 0, 1e290), (0, 0, 2e290)).rays(4, 4), device=device).any()
+    distant = cast(octree, Camera((0, 0, 1e20), (8e-9, 8e-9, 8e-9)).rays(1, 1), device=device)
     assert np.isfinite(distant).all()
     with pytest.raises(VoxtoolError, match="choose an eye that is nearer"):
-        renderer(Camera((0, 0, 1e305), (0, 0, 1)).rays(4, 4))
+        cast(octree, Camera((0, 0, 1e305), (0, 0, 1)).rays(4, 4), device=device)

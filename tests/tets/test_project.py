@@ -7,6 +7,7 @@ import pytest
 from conftest import opened, usable_devices
 from helpers_volume import (
     SIX,
+    Pictures,
     grid_corners,
     grid_points,
     mesh_of,
@@ -18,9 +19,8 @@ from helpers_volume import (
 
 from voxtool.camera import Camera, Rays
 from voxtool.errors import MemoryLimitError
-from voxtool.tets import integrate, project
+from voxtool.tets import project
 from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.render import VolumeRenderer
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 
@@ -67,7 +67,7 @@ def test_picture_is_the_ray_casters(device, view, fov, holes, extinction) -> Non
     mesh = mesh_with_holes(holes=holes)
     transfer, rays = ramp(-1.5, 1.5, extinction), rays_of(mesh, view, fov)
     for layout in ("raycast", "projection"):
-        volume = VolumeRenderer(build_tet(mesh, layout), device)
+        volume = Pictures(build_tet(mesh, layout), device)
         cast = volume.render(rays, transfer)
         found = volume.render(rays, transfer, method="projection")
         assert cast[..., 3].max() > 0.1
@@ -81,7 +81,7 @@ def test_picture_is_the_ray_casters(device, view, fov, holes, extinction) -> Non
 def test_integrators_are_the_ray_casters(device, integrator, fov) -> None:
     mesh = mesh_with_holes(seed=2, holes=0.2)
     transfer, rays = ramp(-1.5, 1.5, 2.0, steps=7), rays_of(mesh, "iso", fov)
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     cast = volume.render(rays, transfer, integrator=integrator)
     found = volume.render(rays, transfer, "projection", integrator)
     assert np.abs(found - cast).max() < NEAR
@@ -100,7 +100,7 @@ def test_random_meshes_cameras_and_transfer_functions(device, seed) -> None:
     eye = tuple((random.normal(size=3) * random.choice([0.3, 2, 9])).tolist())
     camera = Camera(eye, (0.1, 0.2, 0.3), (0.2, 1.0, 0.1), fov=float(random.uniform(5, 140)))
     rays = camera.rays(*random.integers(20, 60, 2).tolist())
-    found = VolumeRenderer(build_tet(mesh), device).render(rays, transfer, "projection")
+    found = Pictures(build_tet(mesh), device).render(rays, transfer, "projection")
     wanted = reference_picture(mesh, transfer, rays)
     assert np.abs(found - wanted).max() < TRUE
 
@@ -116,14 +116,14 @@ def test_constant_cells_and_hexahedra(device) -> None:
     for rays in [*(rays_of(mesh, view, fov) for view, fov in VIEWS), inside]:
         wanted = reference_picture(cut, transfer, rays)
         for layout in ("raycast", "hexahedra"):
-            volume = VolumeRenderer(build_tet(mesh, layout), device)
+            volume = Pictures(build_tet(mesh, layout), device)
             assert np.abs(volume.render(rays, transfer, "projection") - wanted).max() < TRUE
 
 
 @pytest.mark.parametrize("size", [(1, 1), (8, 8), (7, 5), (9, 17), (65, 1), (3, 40)])
 def test_sizes(device, size) -> None:
     mesh, transfer = mesh_with_holes(seed=3), ramp(-1.5, 1.5, 2.0)
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     for fov in (None, 60.0):
         rays = rays_of(mesh, "iso", fov, size)
         found = volume.render(rays, transfer, "projection")
@@ -137,7 +137,7 @@ def test_the_same_on_every_device() -> None:
     for view, fov in VIEWS:
         rays = rays_of(mesh, view, fov)
         first, *others = (
-            VolumeRenderer(build_tet(mesh), opened(index)).project(rays, transfer)
+            Pictures(build_tet(mesh), opened(index)).project(rays, transfer)
             for index, _ in usable_devices()
         )
         for other in others:
@@ -155,7 +155,7 @@ def test_the_nearer_cell_hides_the_farther(device, nearest) -> None:
     flat = np.array([(-1, -1, 0), (1, -1, 0), (0, 1, 0), (0, 0, 0.3)])
     behind = np.array([(0, 0, 0.0), (0, 0, -1.0)])
     corners = np.stack([flat + behind[nearest], flat + behind[1 - nearest]])
-    volume = VolumeRenderer(build_tet(cells_of(corners, [0, 1])), device)
+    volume = Pictures(build_tet(cells_of(corners, [0, 1])), device)
     found = volume.render(down_z(0.4, 16), colours_of(2, THICK), "projection")
     assert (found == [nearest == 0, nearest == 1, 0, 1]).all()
 
@@ -176,7 +176,7 @@ def test_cells_that_overlap_in_a_cycle(device, turn) -> None:
         sticks.append(np.column_stack([ends, [-0.5, -0.5, 0.5, 0.45]]))
         crossings.append(end)
     mesh, transfer = cells_of(sticks, [0, 1, 2]), colours_of(3, THICK)
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     rays = down_z(3.0, 60)
     found = volume.render(rays, transfer, "projection")
     for i, (x, y) in enumerate(crossings):  # the stick that ends there is over the next
@@ -207,7 +207,7 @@ def test_more_cells_than_may_wait_and_all_out_of_order(device) -> None:
     n = 200
     mesh = cells_of(spokes(n), np.random.default_rng(5).permutation(n))
     transfer = colours_of(n, 30.0)
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     rays = down_z(0.2 / n, 9)
     found = volume.project(rays, transfer)
     assert found.fragments > 0.9 * n * 25
@@ -218,13 +218,12 @@ def test_more_cells_than_may_wait_and_all_out_of_order(device) -> None:
 
 
 @pytest.mark.parametrize("pending", [1, 2, 4])
-def test_any_number_may_wait(device, pending, monkeypatch) -> None:
+def test_any_number_may_wait(device, pending) -> None:
     mesh, transfer = mesh_with_holes(seed=6, holes=0.1), ramp(-1.5, 1.5, 5.0)
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     views = [rays_of(mesh, view, fov) for view, fov in VIEWS]
     wanted = [volume.project(rays, transfer) for rays in views]
-    monkeypatch.setattr(project, "PENDING", pending)
-    found = [volume.project(rays, transfer) for rays in views]
+    found = [volume.project(rays, transfer, pending=pending) for rays in views]
     for one, other in zip(found, wanted, strict=True):
         assert np.array_equal(one.picture, other.picture)
         assert one.fragments == other.fragments
@@ -232,14 +231,13 @@ def test_any_number_may_wait(device, pending, monkeypatch) -> None:
     assert max(one.passes for one in found) > 1
 
 
-def test_one_ray_a_work_item_gives_the_same(device, monkeypatch) -> None:
+def test_one_ray_a_work_item_gives_the_same(device) -> None:
     """As a GPU is given it."""
     mesh, transfer = mesh_with_holes(seed=7), ramp(-1.5, 1.5, 5.0)
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     rays = rays_of(mesh, "iso", 30.0)
     wanted = volume.project(rays, transfer)
-    monkeypatch.setattr(integrate, "LANES", 1)
-    found = volume.project(rays, transfer)
+    found = volume.project(rays, transfer, lanes=1)
     assert np.array_equal(found.picture, wanted.picture)
     assert (found.pairs, found.fragments) == (wanted.pairs, wanted.fragments)
 
@@ -254,7 +252,7 @@ def test_no_hole_and_no_double_through_vertices_edges_and_faces(device, parts) -
     mesh = mesh_of(points, cells, points[:, 0])
     grey = TransferFunction(np.array([0.0]), np.full((1, 3), 0.5), np.array([0.7]))
     # pixel centres on the grid's lines, and on 1/parts of its steps
-    volume, rays = VolumeRenderer(build_tet(mesh), device), down_z(0.25 * 9, 9 * parts)
+    volume, rays = Pictures(build_tet(mesh), device), down_z(0.25 * 9, 9 * parts)
     found = volume.render(rays, grey, "projection")
     assert np.abs(found - volume.render(rays, grey)).max() < 1e-6
     x = (np.arange(9 * parts) + 0.5 - 4.5 * parts) * 0.25 / parts
@@ -272,7 +270,7 @@ def test_eye_inside_and_near(device, fov, eye) -> None:
     mesh = mesh_of(points, cells, wavy(points))
     rays = Camera(eye, (1.0, 0.3, -0.4), fov=fov).rays(36, 28)
     transfer = ramp(-1.5, 1.5, 2.0)
-    found = VolumeRenderer(build_tet(mesh), device).render(rays, transfer, "projection")
+    found = Pictures(build_tet(mesh), device).render(rays, transfer, "projection")
     assert np.abs(found - reference_picture(mesh, transfer, rays)).max() < TRUE
 
 
@@ -285,7 +283,7 @@ def test_eye_on_a_vertex_a_face_and_an_edge(device, eye) -> None:
     rays = Camera(eye, (-0.37, 0.31, -0.43), fov=110).rays(30, 22)
     transfer = ramp(-1.5, 1.5, 2.0)
     wanted = reference_picture(mesh, transfer, rays)
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     for method in ("projection", "raycast"):
         assert np.abs(volume.render(rays, transfer, method) - wanted).max() < TRUE
 
@@ -298,7 +296,7 @@ def test_slivers_and_needles(device, squeeze) -> None:
     points = points @ [(1.0, 0.1, 0.2), (0.0, 1.0, 0.3), (0.0, 0.0, 1.0)]
     mesh = mesh_of(points, cells, wavy(straight))
     transfer = ramp(-1.5, 1.5, 3.0)
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     for view, fov in VIEWS:
         rays = rays_of(mesh, view, fov)
         found = volume.render(rays, transfer, "projection")
@@ -310,7 +308,7 @@ def test_slivers_and_needles(device, squeeze) -> None:
 
 def test_nothing_to_see(device) -> None:
     mesh, transfer = mesh_with_holes(seed=8), ramp(-1.5, 1.5, 2.0)
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     away = Camera((0, 0, 5), (0, 0, 9), fov=60).rays(20, 20)
     found = volume.project(away, transfer)
     assert not found.picture.any()
@@ -324,7 +322,7 @@ def test_nothing_to_see(device) -> None:
 def test_fragments_end_where_it_is_opaque(device) -> None:
     points, cells = tet_grid((6, 6, 6), seed=9)
     mesh = mesh_of(points, cells, wavy(points))
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     rays = rays_of(mesh, "iso", 30.0)
     clear, thick = (volume.project(rays, ramp(-1.5, 1.5, extinction)) for extinction in (1, 1e5))
     assert thick.pairs == clear.pairs
@@ -337,7 +335,7 @@ def test_fragments_are_each_rays_ways_through_cells(device) -> None:
     mesh = mesh_of(points, cells, points[:, 0])
     volume = build_tet(mesh)
     rays = rays_of(mesh, "iso", None)
-    found = VolumeRenderer(volume, device).project(rays, ramp(-2, 2, 1.0))
+    found = Pictures(volume, device).project(rays, ramp(-2, 2, 1.0))
     local = rays.local(volume.origin, volume.scale)
     width, height = rays.size
     corners = volume.vertices[volume.cells, :3].astype(float)
@@ -357,9 +355,8 @@ def test_fragments_are_each_rays_ways_through_cells(device) -> None:
     assert abs(found.fragments - ways) <= ways / 1000
 
 
-def test_too_many_pairs(device, monkeypatch) -> None:
-    monkeypatch.setattr(project, "MOST_PAIRS", 100)
+def test_too_many_pairs(device) -> None:
     mesh = mesh_with_holes()
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     with pytest.raises(MemoryLimitError, match="pairs of a cell and a tile: choose a smaller"):
-        volume.project(rays_of(mesh, "iso", None, (64, 64)), ramp(-1.5, 1.5, 1.0))
+        volume.project(rays_of(mesh, "iso", None, (64, 64)), ramp(-1.5, 1.5, 1.0), max_pairs=100)

@@ -10,6 +10,7 @@ import pytest
 from helpers_volume import (
     FIVE,
     SIX,
+    Pictures,
     grid_corners,
     grid_points,
     mesh_of,
@@ -22,7 +23,6 @@ from helpers_volume import (
 from voxtool.camera import Camera
 from voxtool.errors import VoxtoolError
 from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.render import VolumeRenderer
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 
@@ -31,7 +31,7 @@ GREY = TransferFunction(np.array([0.0]), np.full((1, 3), 0.5), np.array([0.7]))
 
 
 def picture_of(mesh, transfer, rays, device, layout="raycast", **how) -> np.ndarray:
-    return VolumeRenderer(build_tet(mesh, layout), device).render(rays, transfer, **how)
+    return Pictures(build_tet(mesh, layout), device).render(rays, transfer, **how)
 
 
 def wavy(points: np.ndarray) -> np.ndarray:
@@ -213,7 +213,7 @@ def test_other_integrators_come_near(device, integrator) -> None:
     mesh = mesh_of(points, cells, wavy(points))
     rays, transfer = rays_of(mesh, "iso", 30.0), ramp(-1.5, 1.5, 2.0)
     wanted = reference_picture(mesh, transfer, rays)
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     error = np.abs(volume.render(rays, transfer, integrator=integrator) - wanted).max()
     exact = np.abs(volume.render(rays, transfer) - wanted).max()
     assert exact < error < {"sampled:64": 1e-3}.get(integrator, 0.1)
@@ -225,18 +225,18 @@ def test_transparent_blocks_are_left_out(device) -> None:
     mesh = mesh_of(points, cells, np.square(points).sum(axis=1))
     clear, full = np.array([0.0, 0.0, 1.0, 0.0, 0.0]), np.array([1e-9, 1e-9, 1.0, 1e-9, 1e-9])
     at, colours = np.array([0.0, 0.3, 0.4, 0.5, 3.0]), np.random.default_rng(1).random((5, 3))
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     for view, fov in VIEWS:
         rays = rays_of(mesh, view, fov)
         some = volume.render(rays, TransferFunction(at, colours, 20 * clear))
-        left_out = 1 - volume.shown(TransferFunction(at, colours, clear)).cells / len(cells)
+        left_out = 1 - volume.scene(TransferFunction(at, colours, clear)).cells_shown / len(cells)
         assert 0.3 < left_out < 1
         every = volume.render(rays, TransferFunction(at, colours, 20 * full))
-        assert volume.shown(TransferFunction(at, colours, full)).cells == len(cells)
+        assert volume.scene(TransferFunction(at, colours, full)).cells_shown == len(cells)
         assert np.abs(some - every).max() < NEAR
     nothing = TransferFunction(at, colours, 0 * clear)
     assert not volume.render(rays, nothing).any()
-    assert volume.shown(nothing).cells == 0
+    assert volume.scene(nothing).cells_shown == 0
 
 
 @pytest.mark.parametrize("power", [-40, 40])
@@ -269,7 +269,7 @@ def test_once_around_is_the_same_picture(device) -> None:
     points, cells = tet_grid((3, 4, 3), seed=12)
     mesh = mesh_of(points, cells, wavy(points))
     camera = Camera.fit((-1, -1, -1), (1, 1, 1), "iso")
-    volume, transfer = VolumeRenderer(build_tet(mesh), device), ramp(-1.5, 1.5, 2.0)
+    volume, transfer = Pictures(build_tet(mesh), device), ramp(-1.5, 1.5, 2.0)
     first, round_, half = (
         volume.render(camera.turned(turn).rays(40, 40), transfer) for turn in (0, 360, 180)
     )
@@ -292,7 +292,7 @@ def test_opaque_in_front_hides_what_is_behind(device) -> None:
 def test_sizes_that_are_no_multiple_of_a_tile(device) -> None:
     points, cells = tet_grid((3, 3, 3), seed=14)
     mesh, transfer = mesh_of(points, cells, wavy(points)), ramp(-1.5, 1.5, 2.0)
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     for size in itertools.product((1, 3, 17), (1, 5, 18)):
         rays = rays_of(mesh, "iso", 30.0, size)
         wanted = reference_picture(mesh, transfer, rays)

@@ -20,7 +20,7 @@ from voxtool.tets.transfer import (
     MOST_POINTS,
     LocalTransfer,
     TransferFunction,
-    default,
+    default_transfer,
     named,
 )
 
@@ -177,7 +177,7 @@ def test_what_makes_no_map_is_refused(how) -> None:
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
 def test_the_default_shows_something_of_any_mesh(scale: float) -> None:
     """At full extinction the longest side takes much of the light; at the least, none."""
-    f = default(volume(-3, 5, scale))
+    f = default_transfer(volume(-3, 5, scale))
     tau = f.evaluate(np.array([-3, 5]))[1]
     assert tau[0] == 0
     assert 0.9 < 1 - np.exp(-tau[1] * 4 * scale) <= 1
@@ -188,7 +188,7 @@ def test_the_default_shows_something_of_any_mesh(scale: float) -> None:
 
 @pytest.mark.parametrize("high", [2.0, np.nextafter(2, 3)])
 def test_the_default_of_a_field_that_hardly_varies_is_seen(high: float) -> None:
-    local = default(volume(2, high)).local(volume(2, high))
+    local = default_transfer(volume(2, high)).local(volume(2, high))
     assert held(local, np.array([high > 2], np.float32))[0, 3] > 0
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers_volume import (
     SIX,
+    Pictures,
     grid_corners,
     grid_points,
     mesh_of,
@@ -22,9 +23,7 @@ from voxtool.camera import Camera
 from voxtool.choices import METHODS
 from voxtool.errors import MemoryLimitError
 from voxtool.opencl import Device
-from voxtool.tets import view
 from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.render import VolumeRenderer
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 
@@ -68,8 +67,8 @@ def test_what_memory_held_before_never_shows(device, kind, method, monkeypatch) 
         return array
 
     mesh, layout = layered_meshes()[kind]
-    volume = VolumeRenderer(build_tet(mesh, layout), device)
-    assert not volume.shown(LAYER).kept[0]
+    volume = Pictures(build_tet(mesh, layout), device)
+    assert not volume.scene(LAYER).blocks[0]
     views = [
         rays_of(mesh, "iso", None, (19, 17)),
         Camera((0.35, 0.35, 0.4), (0.1, -0.3, 0.2), fov=100.0).rays(19, 17),
@@ -91,7 +90,7 @@ def test_an_eye_on_vertices_edges_and_faces(device, holes) -> None:
     """Cells meet there that are no neighbours of each other, where others are gone."""
     points, cells = tet_grid((4, 4, 4), seed=2, holes=holes)
     mesh, transfer = mesh_of(points, cells, wavy(points)), ramp(-1.5, 1.5, 2.0)
-    volume, random = VolumeRenderer(build_tet(mesh), device), np.random.default_rng(3)
+    volume, random = Pictures(build_tet(mesh), device), np.random.default_rng(3)
     for corners in points[cells[random.permutation(len(cells))[:8]]]:
         for count in (1, 2, 3):
             eye = corners[:count].mean(axis=0)
@@ -114,7 +113,7 @@ def test_rays_through_the_edges_of_notches(device, way) -> None:
     eye = tuple(-5.0 * np.array(way))
     up = (0, 1, 0) if way == (0, 0, 1) else (0, 0, 1)
     rays = Camera(eye, (0, 0, 0), up, fov=None, height=49 * 0.125 * 0.5**0.5).rays(49, 49)
-    found = VolumeRenderer(build_tet(mesh), device).render(rays, GREY)
+    found = Pictures(build_tet(mesh), device).render(rays, GREY)
     error = np.full((49, 49), np.inf)
     for x, y in ((0, 0), (1, 2), (2, -1), (-1, -2), (-2, 1), (1, -2), (-1, 2), (2, 1), (-2, -1)):
         aside = 1e-5 * (x * rays.right + y * rays.down)
@@ -134,24 +133,23 @@ def test_many_entries_are_sorted(device) -> None:
     for z in (-9.0, 1009.0):
         rays = Camera((0, 0, z), (0, 0, 500), fov=None, height=0.1).rays(3, 3)
         wanted = reference_picture(mesh, transfer, rays)
-        found = VolumeRenderer(build_tet(mesh), device).render(rays, transfer)
+        found = Pictures(build_tet(mesh), device).render(rays, transfer)
         assert 0.5 < wanted[..., 3].max() < 1
         assert np.abs(found - wanted).max() < 5e-3
 
 
-def test_more_entries_than_are_counted_are_refused(device, monkeypatch) -> None:
+def test_more_entries_than_are_counted_are_refused(device) -> None:
     points, cells = tet_grid((2, 2, 2), seed=1)
     mesh = mesh_of(points, cells, wavy(points))
-    volume = VolumeRenderer(build_tet(mesh), device)
-    monkeypatch.setattr(view, "MOST_ENTRIES", 10)
+    volume = Pictures(build_tet(mesh), device)
     with pytest.raises(MemoryLimitError, match="smaller picture"):
-        volume.render(rays_of(mesh, "iso", None), GREY)
+        volume.render(rays_of(mesh, "iso", None), GREY, max_entries=10)
 
 
 def test_pictures_beyond_memory_are_refused_at_once(device, monkeypatch) -> None:
     points, cells = tet_grid((2, 2, 2), seed=1)
     mesh = mesh_of(points, cells, wavy(points))
-    volume = VolumeRenderer(build_tet(mesh), device)
+    volume = Pictures(build_tet(mesh), device)
     monkeypatch.setattr(device, "info", replace(device.info, max_allocation=16 * 40 * 32 - 1))
     for method in METHODS:
         with pytest.raises(MemoryLimitError, match="40 x 32 pixels"):
@@ -164,7 +162,7 @@ def test_opaque_pictures_end_at_one(device, fov) -> None:
     points, cells = tet_grid((3, 3, 3), seed=6)
     for scalars in (wavy(points), [wavy(points[cells].mean(axis=1))]):
         mesh = mesh_of(points, cells, scalars)
-        volume, rays = VolumeRenderer(build_tet(mesh), device), rays_of(mesh, "iso", fov)
+        volume, rays = Pictures(build_tet(mesh), device), rays_of(mesh, "iso", fov)
         for extinction in (1e2, 1e6, 1e20):
             white = replace(ramp(-1.5, 1.5, extinction), colours=np.ones((4, 3)))
             for method in METHODS:

@@ -17,17 +17,20 @@ Kernels: kernels/adf/raycast.cl.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from voxtool.adf.field import FAR
 from voxtool.adf.hashing import cell_of
 from voxtool.adf.textures import textures_of
+from voxtool.camera import checked_colour
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import default_device, program
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from voxtool.adf.field import DistanceField
     from voxtool.camera import Rays
     from voxtool.opencl import Device
@@ -42,92 +45,87 @@ TILE = 8  # pixels along a side of those that a work-group takes
 HEADERS = {"adf/raycast.h": program.c_constants(ROOM_LEVEL=ROOM_LEVEL, TILE=TILE)}
 
 
-def render_adf(
+def cast(
     field: DistanceField,
     rays: Rays,
     *,
     offset: float = 0.0,
-    colour: tuple[float, float, float] = COLOUR,
+    colour: Sequence[float] = COLOUR,
+    leap: bool = True,
     device: Device | None = None,
 ) -> np.ndarray:
-    """What rays see of a field; as FieldRenderer, for a single picture."""
-    return FieldRenderer(field, device)(rays, offset=offset, colour=colour)
+    """The picture that rays in the world give of a field's surface.
+
+    The field stays on the device for the next picture.
+
+    Parameters
+    ----------
+    offset : the distance that the surface shown has, world units; it is rounded to float32. Of an
+        unsigned field, which is nowhere negative and hardly anywhere 0, offset 0 shows the distance
+        least_shown.
+    colour : red, green and blue of the surface, from 0 to 1.
+    leap : whether rays leap as far as the distance allows; the picture is the same but for
+        rounding.
+
+    Returns
+    -------
+    (height, width, 4) float32: premultiplied colour, and opacity: 1 where the surface is.
+
+    Raises
+    ------
+    DeviceError : there is no device.
+    VoxtoolError : an offset or a colour that is none.
+    MemoryLimitError : the field or the picture does not fit on the device.
+    """
+    device = device or default_device()
+    colour = checked_colour(colour)
+    shown = min(max(checked_offset(field, offset) / field.side, -FAR), FAR)
+    textures = textures_of(field, device)
+    leaps = device.keep(field, "leaps", len(field.blocks), lambda: _leaps(field, device))
+    local = rays.local(field.origin, field.side)
+    camera = np.concatenate([local.origin, local.direction, local.right, local.down])
+    width, height = rays.size
+    pixels = device.empty(4 * width * height, np.float32)
+    tiles = -(-width // TILE) * -(-height // TILE)
+    with device.stage("ray casting"):
+        device.kernel(SOURCE, "raycast", **textures.options)(
+            tiles * TILE * TILE,
+            **textures.arguments,
+            **leaps if leap else {**leaps, "leap": 0},
+            camera=device.put(camera),
+            perspective=rays.perspective,
+            width=width,
+            height=height,
+            offset=shown,
+            light=rays.light(),
+            colour=colour,
+            pixels=pixels,
+            local=TILE * TILE,
+        )
+        return pixels.take().reshape(height, width, 4)
 
 
-class FieldRenderer:
-    """A field on a device, uploaded once and looked at many times."""
+def _leaps(field: DistanceField, device: Device) -> dict[str, Any]:
+    """What lets rays leap: arguments of the kernel, by name."""
+    refined = refined_children(field)
+    limit = min(field.lipschitz, STEEPEST)
+    return {
+        "refined": device.put(refined),
+        "room": device.put(room(field, steep_leaves(field, refined, limit))),
+        "leap": SAFETY / limit if limit > 0 else 0,
+    }
 
-    def __init__(self, field: DistanceField, device: Device | None = None) -> None:
-        """Upload the field's textures, and what lets rays leap.
 
-        Raises
-        ------
-        DeviceError : there is no device.
-        MemoryLimitError : the field does not fit on it.
-        """
-        self.field = field
-        self.device = device or default_device()
-        self.textures = textures_of(field, self.device)
-        refined = refined_children(field)
-        limit = min(field.lipschitz, STEEPEST)
-        self._leap = SAFETY / limit if limit > 0 else 0.0
-        self._tables = {
-            "refined": self.device.put(refined),
-            "room": self.device.put(room(field, steep_leaves(field, refined, limit))),
-        }
+def checked_offset(field: DistanceField, offset: float) -> float:
+    """The distance that is shown for an offset, world units.
 
-    def __call__(
-        self, rays: Rays, *, offset: float = 0.0, colour: tuple[float, float, float] = COLOUR
-    ) -> np.ndarray:
-        """A picture.
-
-        Parameters
-        ----------
-        rays : in world coordinates.
-        offset : the distance that the surface shown has, world units; it is rounded to float32. Of
-            an unsigned field, which is nowhere negative and hardly anywhere 0, offset 0 shows the
-            distance least_shown.
-        colour : red, green and blue of the surface, from 0 to 1.
-
-        Returns
-        -------
-        (height, width, 4) float32: premultiplied colour, and opacity: 1 where the surface is.
-
-        Raises
-        ------
-        VoxtoolError : an offset or a colour that is none.
-        MemoryLimitError : the picture does not fit on the device.
-        """
-        if not math.isfinite(offset):
-            raise VoxtoolError(f"an offset of {offset}: give a finite distance")
-        if len(colour) != 3 or not all(0 <= c <= 1 for c in colour):
-            raise VoxtoolError(f"colour {tuple(colour)}: give red, green and blue from 0 to 1")
-        if self.field.sign == "none" and offset == 0:
-            offset = least_shown(self.field)
-        shown = min(max(offset / self.field.side, -FAR), FAR)
-        local = rays.local(self.field.origin, self.field.side)
-        camera = np.concatenate([local.origin, local.direction, local.right, local.down])
-        width, height = rays.size
-        pixels = self.device.empty(4 * width * height, np.float32)
-        kernel = self.device.kernel(SOURCE, "raycast", **self.textures.options)
-        tiles = -(-width // TILE) * -(-height // TILE)
-        with self.device.stage("ray casting"):
-            kernel(
-                tiles * TILE * TILE,
-                **self.textures.arguments,
-                **self._tables,
-                leap=self._leap,
-                camera=self.device.put(camera),
-                perspective=rays.perspective,
-                width=width,
-                height=height,
-                offset=shown,
-                light=rays.light(),
-                colour=colour,
-                pixels=pixels,
-                local=TILE * TILE,
-            )
-            return pixels.take().reshape(height, width, 4)
+    Raises
+    ------
+    VoxtoolError : it is not finite.
+    """
+    if not math.isfinite(offset):
+        raise VoxtoolError(f"an offset of {offset}: give a finite distance")
+    return offset or (least_shown(field) if field.sign == "none" else 0.0)
 
 
 def least_shown(field: DistanceField) -> float:

@@ -15,6 +15,7 @@ import numpy as np
 from voxtool.adf.query import FieldQuery
 from voxtool.bench import timing
 from voxtool.bench.points import Ablation
+from voxtool.tets.scene import TRANSPARENT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
     from voxtool.bench.timing import Bench
     from voxtool.job import Job
+    from voxtool.rendering import RenderJob
     from voxtool.svo.octree import Octree
 
 T = TypeVar("T")
@@ -40,7 +42,6 @@ FIELD = {
 }
 WIDE = "64-bit identifiers"
 W = "w of the hash's offsets"
-TRANSPARENT = "tetrahedra that the transfer function leaves transparent"
 
 
 def of_job(
@@ -89,8 +90,11 @@ def of_field(job: Job[DistanceField], bench: Bench, about: dict[str, str]) -> It
         yield from of_job(job, FIELD, same, bench, about)
 
 
-def of_picture(volume, rays, transfer, method, bench, about):
-    yield from ()
+def of_picture(job: RenderJob, bench: Bench, about: dict[str, str]) -> Iterator[Ablation]:
+    """Ablations of a later frame of a volume."""
+    scene: Any = job.plan.scene
+    every = {"kept": np.ones_like(scene.blocks)}
+    yield from of_job(job, {TRANSPARENT: every}, np.array_equal, bench, about)
 
 
 def of_queries(

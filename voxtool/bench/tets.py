@@ -6,6 +6,7 @@ Errors are those of voxtool.selftest.reference, which draws the same mesh in flo
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -18,9 +19,9 @@ from voxtool.bench.points import MEASURES, Point
 from voxtool.bench.references import ReferencePicture
 from voxtool.camera import Camera
 from voxtool.files import read_unstructured
+from voxtool.rendering import plan_render, render
 from voxtool.selftest.reference import reference
 from voxtool.tets.mesh import tetrahedra
-from voxtool.tets.render import VolumeRenderer
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 
@@ -67,7 +68,10 @@ def measure(model: str, bench: Bench) -> Iterator[Point | Ablation]:
             yield from _peers(cells, transfer, exact, row, settings, model, bench)
         for method, volume in volumes.items() if asked.ablations else ():
             work = {**about, "work": f"{about['work']}, {method}"}
-            yield from ablation.of_picture(volume, exact.rays, transfer, method, bench, work)
+            job = plan_render(
+                volume, exact.rays, transfer=transfer, method=method, device=bench.timed
+            )
+            yield from ablation.of_picture(job, bench, work)
 
 
 def reference_picture(
@@ -120,15 +124,14 @@ def _frame(
 ) -> Point:
     """The point of frames after the first."""
     draw = partial(
-        VolumeRenderer.render, rays=camera.rays(sizes, sizes), transfer=transfer, method=methods,
+        render, view=camera.rays(sizes, sizes), transfer=transfer, method=methods,
         integrator=integrators,
     )  # fmt: skip
-    draw(VolumeRenderer(volume, bench.timed))  # kernels are compiled
+    draw(volume, device=bench.timed)  # kernels are compiled
+    volume = replace(volume)  # which no device has yet
     start = time.perf_counter()
-    renderer = VolumeRenderer(volume, bench.timed)
-    picture = draw(renderer)
+    picture = draw(volume, device=bench.timed)
     first = time.perf_counter() - start
-    renderers = {bench.timed: renderer, bench.profiled: VolumeRenderer(volume, bench.profiled)}
     kind, _colon, samples = integrators.partition(":")
     label = (f"{samples} a cell, " if samples else "") + f"{sizes} x {sizes}"
     found: dict[str, Any] = {}
@@ -138,7 +141,7 @@ def _frame(
         width, height = exact.rays.size
         reason = f"pictures of {width} x {height} are compared"
         found["absent"] = dict.fromkeys(MEASURES["tets"], reason)
-    measured = bench.measured(lambda device: draw(renderers[device]))
+    measured = bench.measured(lambda device: draw(volume, device=device))
     measured["figures"] |= found.pop("figures", {})
     return row(
         method=f"{methods}, {kind}", label=label, first=first,

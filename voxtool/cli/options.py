@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from voxtool.adf.plan import FieldPlan
     from voxtool.opencl import Device
-    from voxtool.render import RenderPlan
+    from voxtool.rendering import RenderPlan
     from voxtool.svo.plan import VoxelizePlan
     from voxtool.svo.surface.plan import ExtractionPlan
 

@@ -6,7 +6,7 @@ import hashlib
 import math
 import sys
 import time
-from dataclasses import replace
+from contextlib import contextmanager
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -15,19 +15,20 @@ import click
 from voxtool.choices import METHODS, VIEWS
 from voxtool.cli import options
 from voxtool.cli.extract import Level
-from voxtool.errors import FileError, VoxtoolError
+from voxtool.errors import FileError, MemoryLimitError, VoxtoolError, human, printable
 from voxtool.tets.maps import MAPS
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     import numpy as np
 
-    from voxtool.camera import Camera, Rays
-    from voxtool.cli.scenes import Scene
-    from voxtool.render import RenderPlan
+    from voxtool.rendering import RenderJob
+    from voxtool.tets.transfer import TransferFunction
+    from voxtool.tets.volume import TetVolume
 
 SIZE = (512, 512)  # pixels
 MOST_SAMPLES = 16  # along a pixel's side
-VISIBLE = 0.5 / 255  # opacity from which on 8 bits show something
 AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 # The options that make a transfer function, by their parameters.
@@ -325,14 +326,11 @@ def command(
     check_request(request)
     started = time.perf_counter()
     source = file if file != "-" else "stdin"
-    import numpy as np
-
     from voxtool.camera import MAX_SIDE
     from voxtool.files import check_target, read_scene
-    from voxtool.files.picture import WHITE, averaged, check_writer, write_picture
-    from voxtool.memory import check_memory
+    from voxtool.files.picture import WHITE, check_writer, write_picture
     from voxtool.opencl import open_device
-    from voxtool.render import RenderPlan
+    from voxtool.rendering import camera_for, plan_render
 
     across = (samples or 1) * max(size)
     if across > MAX_SIDE:
@@ -355,38 +353,27 @@ def command(
     paper = None if background == "none" else background or WHITE
     with options.Progress(["read file"]) as progress:
         progress.enter("read file")
-        scene = scene_of(read_scene(file), source, request)
-        camera, looking = camera_of(scene, size, request)
-        width, height = size
-        if samples is None:
-            samples = scene.samples if scene.samples * max(size) <= MAX_SIDE else 1
-        rays = camera.rays(samples * width, samples * height)
-        chosen = open_device(device, profile=verbose)
-        chosen.on_stage = progress.enter
-        plan = RenderPlan(
-            scene.kind, width, height, samples, scene.stages, scene.left_out(), scene.counts(),
-            scene.device_bytes(),
-        )  # fmt: skip
-        progress.stages = ["read file", *plan.stages, "write file"]
+        content = read_scene(file)
+        with naming(source):
+            shown = options_of(content, source, request)
+            camera = camera_for(content, size=size, **camera_options(request), **shown)
+            chosen = open_device(device, profile=verbose)
+            job = plan_render(
+                content, camera, size=size, samples=samples, device=chosen, max_memory=max_memory,
+                **shown,
+            )  # fmt: skip
+        progress.stages = ["read file", *job.stages, "write file"]
         if only_plan:
             progress.erase()
-            print_plan(plan, as_json)
-            options.warn_if_refused(plan, max_memory, chosen)
+            print_plan(job, as_json)
             return
-        plan.refuse_beyond(max_memory or chosen.max_memory, chosen.info.max_allocation)
-        check_memory(
-            plan.host_bytes,
-            f"{plan.rays:,} rays",
-            "choose a smaller --size or fewer --samples",
-        )
-        legend = [scene.legend(height, paper)] if request["legend"] else []
-        try:
-            drawn = averaged(scene.draw(rays, chosen), samples)
-        except VoxtoolError as error:
-            raise type(error)(f"{source}: {error}") from error
+        job.refuse()
+        legend = request["legend"] and legend_of(job, size[1], paper)
+        with naming(source):
+            drawn = job.run(progress.enter)
         progress.enter("write file")
         write_picture(
-            np.concatenate([drawn, *legend], axis=1),
+            beside(drawn, legend),
             output,
             bits=int(bits or 8),
             background=paper,
@@ -394,20 +381,28 @@ def command(
             format=file_format,
         )
     seconds = time.perf_counter() - started
-    hit = share_hit(drawn)
     if as_json:
-        result = summary(plan, output, drawn, hit, seconds)
-        options.print_json(result, err=output == "-")
+        options.print_json(summary(job, output, drawn, seconds), err=output == "-")
     else:
         options.tell(
-            f"{source} -> {output if output != '-' else 'stdout'}: {width} x {height}, {looking}, "
-            f"{100 * hit:.3g} % of pixels hit, {seconds:.2f} s"
+            f"{source} -> {output if output != '-' else 'stdout'}: {size[0]} x {size[1]}, "
+            f"{viewpoint(request)}, {100 * share_hit(drawn):.3g} % of pixels hit, {seconds:.2f} s"
         )
-    warn_of_nothing(scene, rays, drawn)
     if verbose:
         options.tell(f"{chosen.info.name} ({chosen.info.platform})")
         for stage, time_on_device in chosen.stage_times().items():
             options.tell(f"  {stage:<18} {1e3 * time_on_device:9.2f} ms")
+
+
+@contextmanager
+def naming(source: str) -> Iterator[None]:
+    """Errors in this block name the file; those of other files and of memory are as they are."""
+    try:
+        yield
+    except (FileError, MemoryLimitError):
+        raise
+    except VoxtoolError as error:
+        raise type(error)(f"{source}: {error}") from error
 
 
 def check_request(request: dict[str, Any]) -> None:
@@ -446,55 +441,86 @@ def output_of(file: str, output: str | None, as_float: bool) -> tuple[str, str]:
     return output, found
 
 
-def scene_of(content: Any, source: str, request: dict[str, Any]) -> Scene:
-    """What to draw, after a look at the options that would not go with it."""
-    from voxtool.cli.scenes import scene_class
+def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, Any]:
+    """The options of the picture that go with what the file holds.
 
-    scene = scene_class(content)
+    Raises
+    ------
+    click.UsageError : an option was given that goes with another kind of file.
+    """
+    from voxtool.rendering import SCENES
+
+    kind = SCENES[type(content)].kind
     for parameter in click.get_current_context().command.params:
         name = parameter.name or ""
-        kinds = BELONGS.get(name, (scene.kind,))
-        if scene.kind not in kinds and request[name] is not None and request[name] is not False:
+        kinds = BELONGS.get(name, (kind,))
+        if kind not in kinds and request[name] is not None and request[name] is not False:
+            article = "an" if kind[0] in "aeiou" else "a"
             raise click.UsageError(
-                f"{parameter.opts[0]} goes with {' and '.join(f'{kind}s' for kind in kinds)}: "
-                f"{source} holds {an(scene.kind)}"
+                f"{parameter.opts[0]} goes with {' and '.join(f'{k}s' for k in kinds)}: "
+                f"{source} holds {article} {kind}"
             )
-    fitting = {name: request[name] for name, kinds in BELONGS.items() if scene.kind in kinds}
-    fitting.pop("legend", None)  # draws nothing of the scene
-    try:
-        return scene(content, **fitting)
-    except FileError:  # names its own file
-        raise
-    except VoxtoolError as error:
-        raise type(error)(f"{source}: {error}") from error
+    names = ("method", "integrator") if kind == "volume" else ("level", "offset", "colour")
+    given = {name: request[name] for name in names if request[name] is not None}
+    if kind == "volume":
+        given["transfer"] = transfer_of(content, request)
+    return given
 
 
-def an(noun: str) -> str:
-    return f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
+def transfer_of(volume: TetVolume, request: dict[str, Any]) -> TransferFunction:
+    """The transfer function that was asked for."""
+    from voxtool.files.transfer import read_transfer
+    from voxtool.tets.transfer import DEFAULT_MAP, default_transfer
+
+    if request["transfer_file"] is not None:
+        return read_transfer(request["transfer_file"])
+    return default_transfer(
+        volume,
+        request["map_name"] or DEFAULT_MAP,
+        opacity_range=request["opacity_range"],
+        unit_distance=request["unit_distance"],
+    )
 
 
-def camera_of(scene: Scene, size: tuple[int, int], request: dict[str, Any]) -> tuple[Camera, str]:
-    """The camera that was asked for, and in words where it is."""
-    from voxtool.camera import FOV, Camera
+def camera_options(request: dict[str, Any]) -> dict[str, Any]:
+    """The options of the camera as camera_for takes them."""
+    given = {
+        name: request[name]
+        for name in ("view", "eye", "target", "up", "fov", "height", "turn")
+        if request[name] is not None
+    }
+    return {**given, "fov": None} if request["orthographic"] else given
 
-    up = request["up"] or AXES["y"]
-    fov = None if request["orthographic"] else request["fov"] or FOV
-    view = request["view"] or "iso"
-    points = scene.points()
-    camera = Camera.fit(points.min(axis=0), points.max(axis=0), view, up=up, fov=fov)
-    looking = f"{view} view"
+
+def viewpoint(request: dict[str, Any]) -> str:
+    """Where the camera is, in words."""
+    where = f"{request['view'] or 'iso'} view"
     if request["eye"]:
-        target = request["target"] or camera.target
-        camera = Camera(request["eye"], target, up, fov, camera.height)
-        looking = f"from ({', '.join(f'{v:g}' for v in camera.eye)})"
-    elif request["turn"] is None:  # as it is, it shows all at every turn
-        camera = camera.framed(points, *size)
-    if request["height"] is not None:
-        camera = replace(camera, height=request["height"])
-    if request["turn"] is not None:
-        camera = camera.turned(request["turn"])
-        looking += f", turned {request['turn']:g} degrees"
-    return camera, looking
+        where = f"from ({', '.join(f'{v:g}' for v in request['eye'])})"
+    turn = request["turn"]
+    return where if turn is None else f"{where}, turned {turn:g} degrees"
+
+
+def legend_of(job: RenderJob, height: int, background: Any) -> np.ndarray:
+    """The legend of a volume's transfer function."""
+    from voxtool.plots.legend import draw_legend
+
+    scene: Any = job.plan.scene
+    return draw_legend(
+        scene.shown_through,
+        scene.content.scalar_range,
+        printable(scene.content.scalar),
+        height,
+        unit=printable(scene.content.units),
+        background=background,
+    )
+
+
+def beside(picture: np.ndarray, legend: np.ndarray | bool) -> np.ndarray:
+    """The picture, with the legend at its right if there is one."""
+    import numpy as np
+
+    return picture if legend is False else np.concatenate([picture, legend], axis=1)
 
 
 def share_hit(picture: np.ndarray) -> float:
@@ -504,56 +530,33 @@ def share_hit(picture: np.ndarray) -> float:
     return float(np.count_nonzero(picture[..., 3])) / picture[..., 3].size
 
 
-def warn_of_nothing(scene: Scene, rays: Rays, picture: np.ndarray) -> None:
-    """Say why nothing is visible, if nothing is."""
-    most = float(picture[..., 3].max())
-    if most >= VISIBLE:
-        return
-    points = scene.points()
-    corners = points.min(axis=0), points.max(axis=0)
-    box = " to ".join(f"({', '.join(f'{v:.6g}' for v in corner)})" for corner in corners)
-    if scene.nothing():
-        why = scene.nothing()
-    elif most > 0:
-        why = f"its opacity is at most {most:.1g}: choose a smaller --unit-distance"
-    elif not rays.meet_box(points):
-        why = f"the camera looks past it, which is in {box}: --view iso shows all"
-    else:
-        why = f"no ray meets it, which is in {box}: choose a nearer view, or --samples"
-    options.tell(f"warning: the picture is empty: {why}")
-
-
-def summary(
-    plan: RenderPlan, output: str, picture: np.ndarray, hit: float, seconds: float
-) -> dict[str, Any]:
-    """What was drawn, in JSON types. The digest is of the picture before it is rounded."""
+def summary(job: RenderJob, output: str, picture: np.ndarray, seconds: float) -> dict[str, Any]:
+    """What was drawn, in JSON types. The digest is that of the picture before it is rounded."""
+    described = job.describe()
     return {
         "output": output,
-        "kind": plan.kind,
-        "size": [plan.width, plan.height],
-        "samples": plan.samples,
-        **plan.counts,
-        "pixels_hit": hit,
+        **{name: described[name] for name in ("kind", "size", "samples")},
+        **job.plan.scene.counts,
+        "pixels_hit": share_hit(picture),
         "digest": hashlib.sha256(picture.astype("<f4").tobytes()).hexdigest(),
         "seconds": round(seconds, 3),
     }
 
 
-def print_plan(plan: RenderPlan, as_json: bool) -> None:
-    """What will be done, what is left out and why, and what it will cost."""
+def print_plan(job: RenderJob, as_json: bool) -> None:
+    """Print what will be done, what is left out and why, and what it will cost."""
     if as_json:
-        options.print_json(plan.as_dict())
-        return
-    from voxtool.errors import human
-
-    each = f" of {plan.samples} x {plan.samples} rays" if plan.samples > 1 else ""
-    counts = ", ".join(f"{count:,} {name.replace('_', ' ')}" for name, count in plan.counts.items())
-    rows = [
-        ("picture", f"{plan.width} x {plan.height} pixels{each}"),
-        (plan.kind, counts),
-        ("stages", ", ".join(plan.stages)),
-        *(("left out", f"{what}: {why}") for what, why in plan.left_out.items()),
-        ("predicted", f"{plan.rays:,} rays; {human(plan.device_bytes)} on the device"),
-    ]
-    for name, text in rows:
-        click.echo(f"{name:<10} {text}")
+        options.print_json(job.describe())
+    else:
+        rows = [
+            *job.plan.rows(),
+            ("stages", ", ".join(job.stages)),
+            *(("left out", f"{what}: {why}") for what, why in job.left_out.items()),
+            ("predicted", f"{human(job.cost.device)} on the device"),
+        ]
+        for name, text in rows:
+            click.echo(f"{name:<10} {text}")
+    try:
+        job.refuse()
+    except MemoryLimitError as error:
+        options.tell(f"warning: this will be refused: {error}")

@@ -100,26 +100,6 @@ def check_writer(bits: int) -> None:
         ) from None
 
 
-def averaged(picture: np.ndarray, samples: int) -> np.ndarray:
-    """The picture reduced by `samples` along both axes; a pixel is the mean of its samples.
-
-    Parameters
-    ----------
-    picture : (samples H, samples W, 4) float32.
-
-    Returns
-    -------
-    (H, W, 4) float32, rounded once from float64.
-    """
-    if samples == 1:
-        return picture
-    total = np.zeros((picture.shape[0] // samples, picture.shape[1] // samples, 4))
-    for row in range(samples):
-        for column in range(samples):
-            total += picture[row::samples, column::samples]
-    return (total / samples**2).astype(np.float32)
-
-
 def rounded(
     picture: np.ndarray, bits: int = 8, background: Sequence[float] | None = WHITE
 ) -> np.ndarray:

@@ -13,21 +13,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.adf.build import build_adf
-from voxtool.adf.raycast import FieldRenderer
 from voxtool.camera import Camera
 from voxtool.choices import FILLS, METHODS, STYLES
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.opencl import Device
+from voxtool.rendering import render
 from voxtool.selftest import shapes
 from voxtool.selftest.case import Case
-from voxtool.svo.raycast import OctreeRenderer
 from voxtool.svo.surface.extract import extract
 from voxtool.svo.voxelize import voxelize
 from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.render import VolumeRenderer
 from voxtool.tets.textures import build_tet
-from voxtool.tets.transfer import default
+from voxtool.tets.transfer import named
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -78,16 +76,19 @@ def pictures(device: Device) -> Digests:
     mesh = solid()
     rays = Camera.fit(*mesh.bounds).rays(*SIZE)
     octree = voxelize(mesh, Grid.fit(mesh, 50), device=device)
-    yield "octree", _digest(OctreeRenderer(octree, device)(rays))
+    yield "octree", _digest(render(octree, rays, device=device))
     field = build_adf(mesh, device, tolerance=4e-3, max_level=5)
-    yield "field", _digest(FieldRenderer(field, device)(rays))
+    yield "field", _digest(render(field, rays, device=device))
     points, cells = shapes.tetrahedra(*[np.linspace(-1, 1, 6)] * 3)
     x, y, z = points.T
     volume = build_tet(UnstructuredMesh(points, [("tetra", cells)], x * x + y * z, "s"))
-    renderer, transfer = VolumeRenderer(volume, device), default(volume)
+    transfer = named("viridis", *volume.scalar_range, 2 / 24)
     rays = Camera.fit(*volume.bounds()).rays(*SIZE)
     for method in METHODS:
-        yield f"volume {method}", _digest(renderer.render(rays, transfer, method))
+        yield (
+            f"volume {method}",
+            _digest(render(volume, rays, transfer=transfer, method=method, device=device)),
+        )
 
 
 def _digest(picture: np.ndarray) -> str:

@@ -11,7 +11,7 @@ from voxtool.adf.build import build_adf
 from voxtool.adf.hashing import MAX_KEY, SpatialHash, build_hash, cell_of
 from voxtool.adf.levels.examine import CROSSED
 from voxtool.adf.query import query_adf
-from voxtool.adf.raycast import FieldRenderer
+from voxtool.adf.raycast import cast
 from voxtool.camera import Rays
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.opencl import Device
@@ -248,7 +248,7 @@ def rays(device: Device, full: bool) -> int:
     mesh = mesh_from_arrays(*shapes.box(low, high))
     level = 7 if full else 5
     field = build_adf(mesh, device, tolerance=2e-3, max_level=level)
-    renderer, step, wrong = FieldRenderer(field, device), field.side / (2 << level), 0
+    step, wrong = field.side / (2 << level), 0
     size = 2 << level
     for axis in range(3):
         u, v = axis - 2, axis - 1
@@ -257,7 +257,8 @@ def rays(device: Device, full: bool) -> int:
         # wholes and halves of the edge of the smallest leaf, from the cube's corner
         origin = np.array(field.origin) + step * (size // 2 + 0.5)
         origin[axis] += 2 * field.side
-        picture = renderer(Rays(origin, direction, right, down, False, (size, size)))
+        lines = Rays(origin, direction, right, down, False, (size, size))
+        picture = cast(field, lines, device=device)
         places = step * (np.arange(size) + 0.5 - size / 2)
         x, y = origin[u] + places, (origin[v] - places)[:, None]
         apart = np.maximum(np.maximum(low[u] - x, x - high[u]), np.maximum(low[v] - y, y - high[v]))

@@ -13,11 +13,11 @@ import numpy as np
 from voxtool.camera import Camera, Rays
 from voxtool.choices import METHODS
 from voxtool.opencl import Device
+from voxtool.rendering import render
 from voxtool.selftest import reference, shapes
 from voxtool.selftest.case import case
 from voxtool.tets.integrate import LANES
 from voxtool.tets.mesh import UnstructuredMesh
-from voxtool.tets.render import VolumeRenderer
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 
@@ -31,9 +31,9 @@ SLIVER = 1e-9  # of a cube: a cell's volume
 GREY = TransferFunction([0.0], [[0.5, 0.5, 0.5]], [0.7])  # pyright: ignore[reportArgumentType]
 
 
-def weights(device: Device, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def weights(device: Device, a: np.ndarray, b: np.ndarray, lanes: int | None = None) -> np.ndarray:
     """(3, N) float64 of float32: w_f, w_b and zeta of segments, as rays of this device have."""
-    lanes = LANES if device.info.kind == "CPU" else 1
+    lanes = lanes or (LANES if device.info.kind == "CPU" else 1)
     count = len(a)
     padded = -(-count // (GROUP * lanes)) * GROUP * lanes
     ends = [device.put(np.resize(v, padded)) for v in (a, b)]
@@ -94,7 +94,7 @@ def picture_error(
     scalars move by ROUNDED of their range: where a ray runs along a step, that shows."""
     points, cells, scalars = mesh.points, mesh.cells[0][1], np.asarray(mesh.scalars)
     moved = ROUNDED * np.ptp(scalars)
-    renderer, error = VolumeRenderer(build_tet(mesh), device), 0.0
+    volume, error = build_tet(mesh), 0.0
     low, high = points.min(axis=0), points.max(axis=0)
     views = product(("iso", "left", "top"), (None, 30.0, 100.0)) if full else [("iso", None)]
     for view, fov in views:
@@ -107,7 +107,8 @@ def picture_error(
         if not expected[:, 3].max() > 0.1:
             return math.inf  # nothing is seen
         for method in METHODS:
-            found = renderer.render(rays, transfer, method).reshape(-1, 4)
+            picture = render(volume, rays, transfer=transfer, method=method, device=device)
+            found = picture.reshape(-1, 4)
             error = max(error, float((np.abs(found - expected) - allowed).max()))
     return error
 
@@ -158,7 +159,7 @@ def edges(device: Device, full: bool) -> float:
     cubes, error = 8, 0.0
     points, cells = shapes.tetrahedra(*[np.linspace(-1, 1, cubes + 1)] * 3)
     mesh = UnstructuredMesh(points, [("tetra", cells)], points[:, 0], "s")
-    renderer, step = VolumeRenderer(build_tet(mesh), device), 2 / cubes
+    volume, step = build_tet(mesh), 2 / cubes
     expected = -math.expm1(-2 * float(GREY.extinctions[0]))
     for parts in (1, 2, 3, 7) if full else (1, 2):
         size = (cubes + 1) * parts
@@ -169,7 +170,8 @@ def edges(device: Device, full: bool) -> float:
             direction[axis], right[axis - 2], down[axis - 1] = -1, step / parts, -step / parts
             rays = Rays(-5 * direction, direction, right, down, False, (size, size))
             for method in METHODS:
-                opacity = renderer.render(rays, GREY, method)[..., 3][inside]
+                picture = render(volume, rays, transfer=GREY, method=method, device=device)
+                opacity = picture[..., 3][inside]
                 error = max(error, float(np.abs(opacity - expected).max()))
     return error
 

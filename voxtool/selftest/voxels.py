@@ -15,7 +15,7 @@ from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.opencl import Device
 from voxtool.selftest import oracles, shapes
 from voxtool.selftest.case import case
-from voxtool.svo.raycast import OctreeRenderer
+from voxtool.svo.raycast import depths
 from voxtool.svo.voxelize import voxelize
 
 if TYPE_CHECKING:
@@ -291,8 +291,7 @@ def rays(device: Device, full: bool) -> float:
     low, high = np.array([3, 2, 4]), np.array([11, 13, 10])
     mesh = lattice_mesh(*shapes.box(UNIT * low, UNIT * high))
     octree = set_voxels(device, mesh, lattice_grid((16, 16, 16)), "solid")
-    renderer, error = OctreeRenderer(octree, device), 0.0
-    size = 64
+    error, size = 0.0, 64
     for axis in range(3):
         for sign in (1, -1):
             direction, right, down = np.zeros((3, 3))
@@ -301,16 +300,16 @@ def rays(device: Device, full: bool) -> float:
             origin = np.full(3, 8.25)  # so every ray is at wholes or halves of voxels
             origin[axis] = -4 if sign > 0 else 20
             picture = Rays(origin, direction, right, down, False, (size, size))
-            depths = renderer.depths(picture)
+            found = depths(octree, picture, device=device)
             steps = 8.25 + 0.5 * (np.arange(size) + 0.5 - size / 2)
             met = _product(
                 ((steps >= low[v]) & (steps < high[v])), ((steps >= low[u]) & (steps < high[u])),
                 np.ones(1, bool),
             )[..., 0]  # fmt: skip
             expected = np.where(met, low[axis] + 4 if sign > 0 else 20 - high[axis], np.inf)
-            if not np.array_equal(np.isfinite(depths), met):
+            if not np.array_equal(np.isfinite(found), met):
                 return np.inf
-            error = max(error, float(np.abs(depths[met] - expected[met]).max()))
+            error = max(error, float(np.abs(found[met] - expected[met]).max()))
     return error
 
 

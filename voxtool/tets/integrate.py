@@ -6,8 +6,7 @@ Kernels: kernels/tets/integrate.cl; kernels/tets/integrate.h is for those who fo
 from __future__ import annotations
 
 import re
-from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,19 +16,18 @@ from voxtool.opencl import program
 if TYPE_CHECKING:
     from voxtool.opencl import Array, Device
     from voxtool.tets.transfer import LocalTransfer
+    from voxtool.tets.view import DeviceVolume
     from voxtool.tets.volume import TetVolume
 
 SOURCE = "tets/integrate.cl"
 INTEGRATORS = ("linear", "preintegrated", "average", "sampled")
 MOST_SAMPLES = 1 << 12  # points in a cell
-SCALARS, LENGTHS = 128, 32  # sides of the pre-integrated table
-LANES = 16  # rays that a work-item of a CPU follows side by side
+TABLE = 128, 32  # scalars and lengths along the sides of the pre-integrated table
+LANES = 16  # rays that a work-item follows side by side on a CPU
 
 HEADERS = {
     "tets/integrators.h": program.c_constants(
-        **{name.upper(): number for number, name in enumerate(INTEGRATORS)},
-        SCALARS=SCALARS,
-        LENGTHS=LENGTHS,
+        **{name.upper(): number for number, name in enumerate(INTEGRATORS)}
     )
 }
 
@@ -37,61 +35,62 @@ HEADERS = {
 class Integral:
     """A transfer function on a device, and an integrator.
 
-    lanes : rays that a work-item of this device follows side by side.
-    arguments : the kernels' parameters points, rows, count, table, longest and samples.
-    options : of kernels.
+    lanes : rays that a work-item follows side by side.
+    arguments : of kernels, by name; options : of kernels.
     """
 
     def __init__(
-        self, volume: TetVolume, transfer: LocalTransfer, device: Device, integrator: str
+        self,
+        volume: TetVolume,
+        transfer: LocalTransfer,
+        on_device: DeviceVolume,
+        integrator: str,
+        lanes: int | None = None,
+        table: tuple[int, int] = TABLE,
     ) -> None:
         """
         Parameters
         ----------
         integrator : as integrator_of takes it.
+        lanes : 1 or 16; by default what suits the device.
+        table : scalars and lengths along the sides of the pre-integrated table.
 
         Raises
         ------
         VoxtoolError : an unknown integrator.
         """
         name, samples = integrator_of(integrator)
-        self.volume = volume
-        self.device = device
-        self.lanes = LANES if device.info.kind == "CPU" else 1
-        self.transfer = (
-            device.put(transfer.points),
-            device.put(transfer.rows),
-            np.int32(len(transfer.points)),
-        )
-        table, longest = device.empty(0, np.float32), np.float32(1)  # nobody looks there
-        if name == "preintegrated":
-            table, longest = self.preintegrate(), self.longest
-        self.arguments = (*self.transfer, table, longest, np.uint32(samples))
+        device = on_device.device
+        self.lanes = lanes or (LANES if device.info.kind == "CPU" else 1)
+        self.arguments: dict[str, Any] = {
+            "points": device.put(transfer.points),
+            "rows": device.put(transfer.rows),
+            "count": len(transfer.points),
+            "table": None,
+            "longest": 1,
+            "samples": samples,
+        }
         self.options: dict[str, int | str] = {
             "LANES": self.lanes,
             "INTEGRATOR": name.upper(),
             **({"CONSTANT": 1} if volume.constant else {}),
         }
+        if name == "preintegrated":
+            self.options |= {"SCALARS": table[0], "LENGTHS": table[1]}
+            self.arguments["longest"] = on_device.longest(volume)
+            self.arguments["table"] = self._preintegrate(device, table)
 
-    def preintegrate(self) -> Array:
-        """The pre-integrated transfer function: (SCALARS, SCALARS, LENGTHS, 4) float32."""
-        entries = SCALARS * SCALARS * LENGTHS
-        with self.device.stage("preintegrate"):
-            table = self.device.empty(4 * entries, np.float32)
-            preintegrate = self.device.kernel(SOURCE, "preintegrate", LANES=1)
-            preintegrate(entries, *self.transfer, self.longest, table)
+    def _preintegrate(self, device: Device, sides: tuple[int, int]) -> Array:
+        """The pre-integrated transfer function: (scalars, scalars, lengths, 4) float32."""
+        scalars, lengths = sides
+        entries = scalars * scalars * lengths
+        with device.stage("preintegrate"):
+            table = device.empty(4 * entries, np.float32)
+            kernel = device.kernel(
+                SOURCE, "preintegrate", LANES=1, SCALARS=scalars, LENGTHS=lengths
+            )
+            kernel(entries, **{**self.arguments, "table": table})
         return table
-
-    @cached_property
-    def longest(self) -> np.float32:
-        """The longest way through a cell: between two of its vertices, local."""
-        x, y, z, _ = self.volume.vertices[self.volume.cells].T
-        longest = np.float32(0)
-        for one in range(len(x)):
-            for other in range(one):
-                dx, dy, dz = x[one] - x[other], y[one] - y[other], z[one] - z[other]
-                longest = max(longest, (dx * dx + dy * dy + dz * dz).max())
-        return np.sqrt(longest)
 
 
 def integrator_of(text: str) -> tuple[str, int]:

@@ -36,30 +36,30 @@ import numpy as np
 from voxtool.errors import MemoryLimitError
 from voxtool.opencl import program
 from voxtool.opencl.primitives import exclusive_scan, radix_sort
-from voxtool.tets.volume import FACES
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from voxtool.opencl import Array
     from voxtool.tets.integrate import Integral
-    from voxtool.tets.view import Viewpoint, VisibleCells
+    from voxtool.tets.view import DeviceVolume, ShownCells, Viewpoint
 
 SOURCE = "tets/project.cl"
 TILE = 8  # pixels along the side of a tile; a multiple of 4
 PENDING = 32  # fragments of a ray that may wait
-MOST_PAIRS = (1 << 31) - 1  # of a cell and a tile
+MAX_PAIRS = (1 << 31) - 1  # of a cell and a tile
 
 HEADERS = {"tets/project.h": program.c_constants(TILE=TILE)}
 
 
 @dataclass(frozen=True)
 class Projection:
-    """A picture, and what it took.
+    """A picture, and the work that it took.
 
     picture : (H, W, 4) float32: red, green and blue, premultiplied, and alpha.
-    cells : how many may be in the picture; pairs : of one of these and a tile; fragments : ways of
-    rays through cells; passes : over the list of the tile that took the most.
+    cells : that may be in the picture; pairs : of one of these and a tile.
+    fragments : parts of rays within cells that were composited.
+    passes : over the list of the tile that took the most.
     """
 
     picture: np.ndarray
@@ -80,119 +80,120 @@ class _Tiles:
 
 
 class CellProjection:
-    """Pictures of what a transfer function shows of a volume, by one integrator."""
+    """The projection of the cells that a transfer function shows, for one viewpoint."""
 
-    def __init__(self, visible: VisibleCells, integral: Integral) -> None:
-        self.visible = visible
-        self.integral = integral
-        self.options: dict[str, int | str] = {
-            **visible.textures.options,
-            **integral.options,
-            "PENDING": PENDING,
-        }
+    def __init__(
+        self,
+        volume: DeviceVolume,
+        shown: ShownCells,
+        view: Viewpoint,
+        integral: Integral,
+        *,
+        pending: int = PENDING,
+        max_pairs: int = MAX_PAIRS,
+    ) -> None:
+        """
+        Parameters
+        ----------
+        pending : fragments of a ray that may wait.
+        max_pairs : pairs of a cell and a tile, beyond which the picture is refused.
+        """
+        self.volume, self.shown, self.view, self.integral = volume, shown, view, integral
+        self.device, self.max_pairs = volume.device, max_pairs
+        width, height = view.rays.size
+        self.tiles_across, self.tiles_down = -(-width // TILE), -(-height // TILE)
+        self.options = {**volume.options, **integral.options, **view.options, "PENDING": pending}
 
-    def __call__(self, view: Viewpoint) -> Projection:
-        """The picture from a viewpoint.
+    def run(self) -> Projection:
+        """Project the cells, list them by tile, and composite each ray's fragments.
 
         Raises
         ------
-        MemoryLimitError : the device has no memory for a frame, or there are more than MOST_PAIRS
+        MemoryLimitError : the device has no memory for a frame, or there are more than max_pairs
             pairs of a cell and a tile.
         """
-        device = self.visible.textures.device
-        with device.stage("project"):
-            records, cells, seen = self._project(view)
-        with device.stage("tiles"):
-            tiles = self._bin(view, records, cells, seen)
-        with device.stage("composite"):
-            return self._composite(view, records, seen, tiles)
+        with self.device.stage("cell projection"):
+            records, cells = self._project_cells()
+        with self.device.stage("tile lists"):
+            tiles = self._list_tiles(records, cells)
+        with self.device.stage("compositing"):
+            return self._composite(records, cells, tiles)
 
-    def _kernel(self, view: Viewpoint, name: str) -> Callable[..., None]:
-        return self.visible.textures.device.kernel(SOURCE, name, **self.options, **view.options)
+    def _kernel(self, name: str) -> Callable[..., None]:
+        return self.device.kernel(SOURCE, name, **self.options)
 
-    def _project(self, view: Viewpoint) -> tuple[Array, Array, int]:
-        """The cells' records, the cells that may be in the picture by depth, and their number."""
-        textures, device = self.visible.textures, self.visible.textures.device
-        volume = textures.volume
-        width, height = view.rays.size
-        vertices, cells = len(volume.vertices), len(volume.cells)
-        projected = device.empty(4 * vertices, np.float32)
-        project = textures.kernel("project_vertices", **view.options)
-        project(vertices, textures.vertices, np.uint32(vertices), view.on_device, projected)
-        records = device.empty(4 * (len(FACES[volume.layout]) + 2) * cells, np.float32)
-        starts = device.empty(cells + 1, np.uint32)
+    def _project_cells(self) -> tuple[Array, Array]:
+        """The cells' records, and the cells that may be in the picture, by depth."""
+        device, count = self.device, self.volume.cells
+        records = device.empty(4 * (self.volume.faces + 2) * count, np.float32)
+        starts = device.empty(count + 1, np.uint32)
         # writes: records, starts
-        self._kernel(view, "project_cells")(
-            cells,
-            *textures.arguments,
-            self.visible.on_device,
-            textures.cells,
-            projected,
-            view.on_device,
-            np.int32(width),
-            np.int32(height),
-            records,
-            starts,
+        self._kernel("project_cells")(
+            count,
+            **self.volume.arguments,
+            **self.view.arguments,
+            kept=self.shown.flags,
+            projected=self.volume.project_vertices(self.view),
+            records=records,
+            flags=starts,
         )
-        seen = exclusive_scan(starts, cells)
+        seen = exclusive_scan(starts, count)
         depths, listed = device.empty(seen, np.uint32), device.empty(seen, np.uint32)
-        self._kernel(view, "list_cells")(cells, records, starts, np.uint32(cells), depths, listed)
-        return records, radix_sort(depths, seen, 32, listed)[1], seen
+        self._kernel("list_cells")(
+            count, records=records, starts=starts, depths=depths, listed=listed
+        )
+        return records, radix_sort(depths, seen, 32, listed)[1]
 
-    def _bin(self, view: Viewpoint, records: Array, cells: Array, seen: int) -> _Tiles:
-        """The cells of each tile; sorting keeps their order."""
-        device = self.visible.textures.device
-        across, down = tiles_of(view)
-        n = np.uint32(seen)
+    def _list_tiles(self, records: Array, cells: Array) -> _Tiles:
+        """The cells of each tile; sorting is stable, so they stay in order of depth."""
+        device, seen = self.device, cells.size
         starts = device.empty(seen + 1, np.uint32)
-        self._kernel(view, "count_tiles")(seen, records, cells, n, starts)
+        listed = {"records": records, "listed": cells}
+        self._kernel("count_tiles")(seen, **listed, counts=starts)
         pairs = int(starts.get(0, seen).sum(dtype=np.uint64))
-        if pairs > MOST_PAIRS:
+        if pairs > self.max_pairs:
             raise MemoryLimitError(
                 f"{seen} cells in {pairs} pairs of a cell and a tile: choose a smaller picture, or "
-                "--method raycast"
+                "the method raycast"
             )
         exclusive_scan(starts, seen)
         pair_tiles, pair_cells = device.empty(pairs, np.uint32), device.empty(pairs, np.uint32)
         # writes: pair_tiles, pair_cells
-        self._kernel(view, "list_pairs")(
-            seen, records, cells, n, starts, np.uint32(across), pair_tiles, pair_cells
+        self._kernel("list_pairs")(
+            seen,
+            **listed,
+            starts=starts,
+            tiles_across=self.tiles_across,
+            pair_tiles=pair_tiles,
+            pair_cells=pair_cells,
         )
-        bits = (across * down - 1).bit_length()
-        pair_tiles, pair_cells = radix_sort(pair_tiles, pairs, bits, pair_cells)
-        ends = device.zeros(2 * across * down, np.uint32)
-        self._kernel(view, "find_tiles")(pairs, pair_tiles, np.uint32(pairs), ends)
+        tiles = self.tiles_across * self.tiles_down
+        pair_tiles, pair_cells = radix_sort(pair_tiles, pairs, (tiles - 1).bit_length(), pair_cells)
+        ends = device.zeros(2 * tiles, np.uint32)
+        self._kernel("find_tiles")(pairs, pair_tiles=pair_tiles, ends=ends)
         return _Tiles(pair_cells, ends, pairs)
 
-    def _composite(self, view: Viewpoint, records: Array, seen: int, tiles: _Tiles) -> Projection:
-        device, lanes = self.visible.textures.device, self.integral.lanes
-        width, height = view.rays.size
-        across, down = tiles_of(view)
-        items = across * down * TILE * TILE // lanes
+    def _composite(self, records: Array, cells: Array, tiles: _Tiles) -> Projection:
+        """The picture: the fragments of each ray, in order."""
+        device, lanes = self.device, self.integral.lanes
+        width, height = self.view.rays.size
+        items = self.tiles_across * self.tiles_down * TILE * TILE // lanes
         picture = device.empty(4 * width * height, np.float32)
         tallies = device.empty(2 * items, np.uint32)
         # writes: picture, tallies
-        self._kernel(view, "composite")(
+        self._kernel("composite")(
             items,
-            records,
-            tiles.cells,
-            tiles.ends,
-            *self.integral.arguments,
-            *view.arguments(),
-            np.int32(width),
-            np.int32(height),
-            picture,
-            tallies,
+            **self.integral.arguments,
+            **self.view.arguments,
+            records=records,
+            pair_cells=tiles.cells,
+            ends=tiles.ends,
+            picture=picture,
+            tallies=tallies,
             local=1 if lanes > 1 else TILE * TILE,
         )
         pixels = picture.take().reshape(height, width, 4)
         fragments, passes = tallies.get().reshape(-1, 2).T
         return Projection(
-            pixels, seen, tiles.pairs, int(fragments.sum(dtype=np.uint64)), int(passes.max())
+            pixels, cells.size, tiles.pairs, int(fragments.sum(dtype=np.uint64)), int(passes.max())
         )
-
-
-def tiles_of(view: Viewpoint) -> tuple[int, int]:
-    """How many tiles the picture of a viewpoint is across and down."""
-    width, height = view.rays.size
-    return -(-width // TILE), -(-height // TILE)

@@ -15,35 +15,43 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.opencl import program
-from voxtool.tets.view import ON_PLANE, cells_at
-from voxtool.tets.volume import BLOCK
+from voxtool.tets.view import cells_at, ray_entries, set_up_cells
+from voxtool.tets.volume import BLOCK, ON_PLANE
 
 if TYPE_CHECKING:
     from voxtool.tets.integrate import Integral
-    from voxtool.tets.view import Viewpoint, VisibleCells
+    from voxtool.tets.view import DeviceVolume, ShownCells, Viewpoint
+    from voxtool.tets.volume import TetVolume
 
 SOURCE = "tets/raycast.cl"
-MOST_STILL = 1 << 12  # steps that a ray takes at one place before it is given up
-SLOTS, MANY_SLOTS = 3, 7  # ways out that a record holds: the eye is outside a tetrahedron, or not
+MAX_STILL = 1 << 12  # steps that a ray takes at one place before it is given up
+SLOTS, MANY_SLOTS = 3, 7  # exit faces of a record: the eye is outside a tetrahedron, or not
 
-HEADERS = {"tets/raycast.h": program.c_constants(MOST_STILL=MOST_STILL)}
+HEADERS = {"tets/raycast.h": program.c_constants(MAX_STILL=MAX_STILL)}
 
 
-def cast(visible: VisibleCells, view: Viewpoint, integral: Integral) -> np.ndarray:
+def cast(
+    volume: TetVolume,
+    on_device: DeviceVolume,
+    shown: ShownCells,
+    view: Viewpoint,
+    integral: Integral,
+    max_entries: int,
+) -> np.ndarray:
     """(H, W, 4) float32: red, green and blue, premultiplied, and alpha.
 
     Raises
     ------
-    MemoryLimitError : the device has no memory for a frame.
+    MemoryLimitError : the device has no memory for a frame, or rays enter the volume more than
+        `max_entries` times.
     """
-    device, volume = visible.textures.device, visible.textures.volume
-    eye = view.rays.origin
+    device, eye = on_device.device, view.rays.origin
     inside = view.rays.perspective and bool((np.abs(eye) <= 1 + ON_PLANE).all())
     eye_cells = cells_at(volume, eye) if inside else np.zeros(0, np.int64)
-    eye_cells = eye_cells[visible.kept[eye_cells // BLOCK]].astype(np.uint32)
+    eye_cells = eye_cells[shown.kept[eye_cells // BLOCK]].astype(np.uint32)
     slots = MANY_SLOTS if inside or volume.layout == "hexahedra" else SLOTS
-    records = visible.look(view, slots)
-    entries = visible.enter(view)
+    records = set_up_cells(on_device, shown, view, slots)
+    entries = ray_entries(on_device, shown, view, max_entries)
     width, height = view.rays.size
     tiles, lanes = -(-width // 4) * -(-height // 4), integral.lanes
     with device.stage("ray casting"):
@@ -51,16 +59,14 @@ def cast(visible: VisibleCells, view: Viewpoint, integral: Integral) -> np.ndarr
         kernel = device.kernel(SOURCE, "cast", SLOTS=slots, **integral.options, **view.options)
         kernel(
             16 * tiles // lanes,
-            records,
-            entries.ends,
-            entries.entries,
-            *integral.arguments,
-            device.put(eye_cells),
-            np.uint32(len(eye_cells)),
-            *view.arguments(),
-            np.int32(width),
-            np.int32(height),
-            picture,
+            **integral.arguments,
+            **view.arguments,
+            records=records,
+            ends=entries.ends,
+            entries=entries.entries,
+            eye_cells=device.put(eye_cells),
+            eye_count=len(eye_cells),
+            picture=picture,
             local=1 if lanes > 1 else 64,
         )
         return picture.take().reshape(height, width, 4)

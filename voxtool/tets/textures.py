@@ -209,7 +209,7 @@ def _planes(mesh: ConformingMesh, vertices: np.ndarray, layout: str) -> tuple[np
 
 def _height(plane: np.ndarray, points: np.ndarray) -> np.ndarray:
     """(T,) float64: of points along the normals of planes."""
-    return dot(plane.astype(np.float64), points)
+    return dot(plane[:, :3].astype(np.float64), points)
 
 
 def _slopes(mesh: ConformingMesh) -> np.ndarray:

@@ -303,12 +303,21 @@ def named(
     return TransferFunction(scalars, smooth, ramp / unit_distance)
 
 
-def default_unit_distance(volume: TetVolume) -> float:
-    """World units, by the mesh's size."""
+def default_transfer(
+    volume: TetVolume,
+    name: str = DEFAULT_MAP,
+    *,
+    opacity_range: Sequence[float] | None = None,
+    unit_distance: float | None = None,
+) -> TransferFunction:
+    """A map of colours over the range of a volume's scalars, and a ramp of extinction.
+
+    Parameters
+    ----------
+    name, opacity_range, unit_distance : as `named` takes them; by default full extinction leaves
+        1/e of the light after a 24th of the volume's longest side.
+    """
     low, high = volume.bounds()
-    return float((high - low).max()) / DEPTH
-
-
-def default(volume: TetVolume) -> TransferFunction:
-    """A transfer function that shows something of any data."""
-    return named(DEFAULT_MAP, *volume.scalar_range, default_unit_distance(volume))
+    if unit_distance is None:
+        unit_distance = float((high - low).max()) / DEPTH or 1.0
+    return named(name, *volume.scalar_range, unit_distance, opacity_range)

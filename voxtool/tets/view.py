@@ -1,21 +1,22 @@
-"""What rays of a viewpoint meet of a volume: each cell's ways out, and where rays enter.
+"""A volume on a device, and what a viewpoint needs of it: cells set up, and where rays enter.
 
-Cells that the transfer function leaves transparent are no part of it: rays leave before them and
-enter again behind.
+Blocks of cells that the transfer function leaves transparent are left out: rays leave the volume
+before them and enter it again behind.
 
 Kernels: kernels/tets/view.cl.
 """
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from voxtool.errors import MemoryLimitError
 from voxtool.opencl.primitives import exclusive_scan
-from voxtool.tets.volume import BLOCK, FACES
+from voxtool.tets.volume import BLOCK, FACES, ON_PLANE
 from voxtool.vector import dot
 
 if TYPE_CHECKING:
@@ -23,133 +24,113 @@ if TYPE_CHECKING:
 
     from voxtool.camera import Rays
     from voxtool.opencl import Array, Device
-    from voxtool.tets.transfer import LocalTransfer
     from voxtool.tets.volume import TetVolume
 
 SOURCE = "tets/view.cl"
-NOWHERE = -1
-ON_PLANE = 2.0**-21  # as in kernels/tets/ray.h
-MOST_ENTRIES = (1 << 31) - 1
+MAX_ENTRIES = (1 << 31) - 1
+MAX_SHOWN = 4  # sets of cells whose exposed faces are kept
 NEAREST = 0.5  # of the middle to the eye, in sizes of the local frame
 
 
-class VolumeTextures:
-    """The textures of a volume on a device."""
+class DeviceVolume:
+    """The textures of a volume on a device, uploaded once and kept there as long as the volume.
+
+    arguments : of kernels, by name.
+    options : of kernels.
+    cells, vertices : their numbers; faces : of a cell.
+    longest : the longest path through a cell, between two of its vertices, local.
+    """
 
     def __init__(self, volume: TetVolume, device: Device) -> None:
-        self.volume = volume
         self.device = device
+        self.cells, self.vertices = len(volume.cells), len(volume.vertices)
+        self.faces = len(FACES[volume.layout])
         with device.stage("upload"):
-            self.vertices = device.put(volume.vertices)
-            self.cells = device.put(volume.cells)
-            self.neighbours = device.put(volume.neighbours)
-            self.sides = device.put(volume.faces.astype(np.uint8))
-            textures = [device.put(volume.normals), device.put(volume.gradients), self.vertices]
+            self.arguments: dict[str, Any] = {
+                "normals": device.put(volume.normals),
+                "gradients": device.put(volume.gradients),
+                "vertices": device.put(volume.vertices),
+                "cells_vertices": device.put(volume.cells),
+                "neighbours": device.put(volume.neighbours),
+                "sides": device.put(volume.faces.astype(np.uint8)),
+                "cells": self.cells,
+            }
             if volume.anchors is not None:
-                textures.append(device.put(volume.anchors))
-        # the parameters TEXTURES of kernels/tets/textures.h
-        self.arguments = (*textures, np.uint32(len(volume.cells)))
+                self.arguments["anchors"] = device.put(volume.anchors)
         self.options: dict[str, int | str] = {
-            "FACES": len(FACES[volume.layout]),
+            "FACES": self.faces,
             **({"ANCHORED": 1} if volume.anchors is not None else {}),
         }
+        self._shown: OrderedDict[bytes, ShownCells] = OrderedDict()
+        self._longest: float | None = None
+
+    @staticmethod
+    def of(volume: TetVolume, device: Device) -> DeviceVolume:
+        """The volume on the device, uploaded at the first call.
+
+        Raises
+        ------
+        MemoryLimitError : it does not fit.
+        """
+        size = sum(volume.sizes().values())
+        return device.keep(volume, "render", size, lambda: DeviceVolume(volume, device))
+
+    def shown(self, volume: TetVolume, kept: np.ndarray) -> ShownCells:
+        """The cells of the blocks that are kept; those of the last calls are not found again."""
+        key = kept.tobytes()
+        if key not in self._shown:
+            cells = kept_cells(volume, kept)
+            leads_on = np.append(cells, False)[volume.neighbours]  # -1 is the last
+            exposed = np.flatnonzero((cells[:, None] & ~leads_on).ravel()).astype(np.int32)
+            flags = self.device.put(kept.astype(np.uint8))
+            if len(self._shown) == MAX_SHOWN:
+                self._shown.popitem(last=False)
+            self._shown[key] = ShownCells(kept, flags, self.device.put(exposed))
+        return self._shown[key]
+
+    def longest(self, volume: TetVolume) -> float:
+        """The longest path through a cell, between two of its vertices, local."""
+        if self._longest is None:
+            self._longest = longest_edge(volume)
+        return self._longest
 
     def kernel(self, name: str, **options: int | str) -> Callable[..., None]:
         """A kernel of view.cl for these textures."""
         return self.device.kernel(SOURCE, name, **self.options, **options)
 
+    def project_vertices(self, view: Viewpoint) -> Array:
+        """(V, 4) float32: where each vertex is in the picture, and its depth."""
+        projected = self.device.empty(4 * self.vertices, np.float32)
+        project = self.kernel("project_vertices", **view.options)
+        project(self.vertices, **self.arguments, **view.arguments, projected=projected)
+        return projected
 
-class VisibleCells:
-    """What a transfer function shows of a volume.
 
-    kept : (blocks,) bool; cells : how many are in these; exposed : how many of their faces lead to
-    none of these.
+@dataclass(frozen=True, eq=False)
+class ShownCells:
+    """The cells that a transfer function does not leave transparent.
+
+    kept : (blocks,) bool, on the host; flags : the same on the device.
+    exposed : (n,) int32 on the device: their faces across which there is none of these cells, as
+        cell * faces + face.
     """
 
-    def __init__(self, textures: VolumeTextures, transfer: LocalTransfer) -> None:
-        volume, device = textures.volume, textures.device
-        self.textures = textures
-        self.kept = kept_blocks(volume, transfer)
-        kept = kept_cells(volume, self.kept)
-        self.cells = int(np.count_nonzero(kept))
-        leads_on = np.append(kept, False)[volume.neighbours]  # -1 is the last
-        exposed = np.flatnonzero((kept[:, None] & ~leads_on).ravel()).astype(np.int32)
-        self.exposed = len(exposed)
-        self.on_device = device.put(self.kept.astype(np.uint8))
-        self.exposed_on_device = device.put(exposed)
-
-    def look(self, view: Viewpoint, slots: int) -> Array:
-        """The records of these cells for a viewpoint: (T, 4 (slots + 1)) float32."""
-        textures = self.textures
-        device, cells = textures.device, len(textures.volume.cells)
-        with device.stage("look"):
-            records = device.empty(4 * (slots + 1) * cells, np.float32)
-            look = textures.kernel("look", **view.options)
-            look(
-                cells,
-                *textures.arguments,
-                textures.neighbours,
-                self.on_device,
-                view.on_device,
-                np.uint32(slots),
-                records,
-            )
-        return records
-
-    def enter(self, view: Viewpoint) -> Entries:
-        """Where the rays of a viewpoint enter these cells.
-
-        Raises
-        ------
-        MemoryLimitError : more than MOST_ENTRIES times, or the device has no memory for them.
-        """
-        textures = self.textures
-        device, vertices = textures.device, len(textures.volume.vertices)
-        width, height = view.rays.size
-        size = np.int32(width), np.int32(height)
-        n = np.uint32(self.exposed)
-        with device.stage("entries"):
-            projected = device.empty(4 * vertices, np.float32)
-            project = textures.kernel("project_vertices", **view.options)
-            project(vertices, textures.vertices, np.uint32(vertices), view.on_device, projected)
-            outlines = (self.exposed_on_device, n, textures.cells, projected, textures.sides)
-            ends = device.zeros(width * height + 1, np.uint32)
-            count = textures.kernel("count_entries", **view.options)
-            count(self.exposed, *outlines, *size, ends)
-            found = int(ends.get(0, width * height).sum(dtype=np.uint64))
-            if found > MOST_ENTRIES:
-                raise MemoryLimitError(
-                    f"rays enter the volume {found} times, at most {MOST_ENTRIES} fit: choose a "
-                    "smaller picture"
-                )
-            exclusive_scan(ends, width * height)
-            entries = device.empty(2 * found, np.uint32)
-            list_entries = textures.kernel("list_entries", **view.options)
-            list_entries(
-                self.exposed,
-                *textures.arguments,
-                *outlines,
-                *size,
-                view.on_device,
-                ends,
-                entries,
-            )
-            sort = textures.kernel("sort_entries", **view.options)
-            sort(width * height, ends, np.uint32(width * height), entries)
-        return Entries(ends, entries, found)
+    kept: np.ndarray
+    flags: Array
+    exposed: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Viewpoint:
     """Rays in a volume's frame, on a device.
 
     middle : t of rays from which depths are counted, near that of the volume's middle.
-    on_device : origin, direction, right, down and middle, 13 float64; options : of kernels.
+    arguments : of kernels, by name; options : of kernels.
     """
 
     rays: Rays
     middle: float
-    on_device: Array
+    arguments: dict[str, Any]
     options: dict[str, int | str]
 
     @staticmethod
@@ -171,30 +152,78 @@ class Viewpoint:
         if local.perspective:
             middle = max(-float(dot(local.origin, local.direction)), NEAREST)
         numbers = [*local.origin, *local.direction, *local.right, *local.down, middle]
-        options: dict[str, int | str] = {"PERSPECTIVE": 1} if local.perspective else {}
-        return Viewpoint(local, middle, device.put(np.array(numbers)), options)
+        arguments = {
+            "viewpoint": device.put(np.array(numbers)),
+            "middle": middle,
+            "right_square": dot(local.right, local.right),
+            "down_square": dot(local.down, local.down),
+            "width": width,
+            "height": height,
+        }
+        return Viewpoint(local, middle, arguments, {"PERSPECTIVE": 1} if local.perspective else {})
 
-    def arguments(self) -> tuple[np.float32, np.float32, np.float32]:
-        """Of kernels: the middle, and the squares of a pixel's steps, for the lengths of rays."""
-        right, down = self.rays.right, self.rays.down
-        return np.float32(self.middle), np.float32(dot(right, right)), np.float32(dot(down, down))
 
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Entries:
     """Where rays enter: those of pixel p are at ends[p - 1] to ends[p], by their depth.
 
-    entries : (count, 2) uint32 on the device: the depth's float32, and the cell.
+    entries : (n, 2) uint32 on the device: the depth's float32, and the cell.
     """
 
     ends: Array
     entries: Array
-    count: int
 
 
-def kept_blocks(volume: TetVolume, transfer: LocalTransfer) -> np.ndarray:
-    """(blocks,) bool: the blocks of cells that the transfer function does not leave transparent."""
-    return ~transfer.transparent(volume.ranges[:, 0], volume.ranges[:, 1])
+def set_up_cells(volume: DeviceVolume, shown: ShownCells, view: Viewpoint, slots: int) -> Array:
+    """The records of cells for a viewpoint, (T, 4 (slots + 1)) float32: the exit faces and the
+    scalar as functions of the pixel."""
+    device = volume.device
+    with device.stage("cell setup"):
+        records = device.empty(4 * (slots + 1) * volume.cells, np.float32)
+        volume.kernel("set_up_cells", **view.options)(
+            volume.cells,
+            **volume.arguments,
+            **view.arguments,
+            kept=shown.flags,
+            slots=slots,
+            records=records,
+        )
+    return records
+
+
+def ray_entries(
+    volume: DeviceVolume, shown: ShownCells, view: Viewpoint, max_entries: int = MAX_ENTRIES
+) -> Entries:
+    """Where the rays of a viewpoint enter the cells shown.
+
+    Raises
+    ------
+    MemoryLimitError : more than `max_entries`, or the device has no memory for them.
+    """
+    device, (width, height) = volume.device, view.rays.size
+    pixels, faces = width * height, shown.exposed.size
+    with device.stage("ray entries"):
+        ends = device.zeros(pixels + 1, np.uint32)
+        arguments = {
+            **volume.arguments,
+            **view.arguments,
+            "exposed": shown.exposed,
+            "projected": volume.project_vertices(view),
+        }
+        volume.kernel("count_entries", **view.options)(faces, **arguments, counts=ends)
+        found = int(ends.get(0, pixels).sum(dtype=np.uint64))
+        if found > max_entries:
+            raise MemoryLimitError(
+                f"rays enter the volume {found} times, at most {max_entries} fit: choose a "
+                "smaller picture"
+            )
+        exclusive_scan(ends, pixels)
+        entries = device.empty(2 * found, np.uint32)
+        volume.kernel("list_entries", **view.options)(
+            faces, **arguments, starts=ends, entries=entries
+        )
+        volume.kernel("sort_entries", **view.options)(pixels, ends=ends, entries=entries)
+    return Entries(ends, entries)
 
 
 def kept_cells(volume: TetVolume, kept: np.ndarray) -> np.ndarray:
@@ -202,8 +231,20 @@ def kept_cells(volume: TetVolume, kept: np.ndarray) -> np.ndarray:
     return np.repeat(kept, BLOCK)[: len(volume.cells)]
 
 
+def longest_edge(volume: TetVolume) -> float:
+    """The largest distance of two vertices of one cell, local, in float32."""
+    x, y, z, _ = volume.vertices[volume.cells].T
+    longest = np.float32(0)
+    for one in range(len(x)):
+        for other in range(one):
+            dx, dy, dz = x[one] - x[other], y[one] - y[other], z[one] - z[other]
+            longest = max(longest, (dx * dx + dy * dy + dz * dz).max())
+    return float(np.sqrt(longest))
+
+
 def cells_at(volume: TetVolume, point: np.ndarray) -> np.ndarray:
-    """(n,) int64: the cells that hold a point of the local frame, or nearly; the surest first."""
+    """(n,) int64: the cells that hold a point of the local frame, up to ON_PLANE; those that it is
+    deepest in come first."""
     outside = np.full(len(volume.cells), -np.inf)
     for face, normals in enumerate(volume.normals):
         n = normals.astype(np.float64)

@@ -53,7 +53,10 @@ PLANAR = 1e-5  # of a hexahedron's size: how far at most its vertices are from t
 STEEPEST = 1e30  # gradient, normalised and local: float32 has room for products with it
 ROUNDED = 2.0**-20  # how far at most a vertex is from its plane, both in float32
 
-HEADERS = {"tets/volume.h": program.c_constants(BLOCK=BLOCK)}
+PLANE_BITS = 21
+ON_PLANE = 2.0**-PLANE_BITS  # local: a point this near to a plane of float32 is on it
+
+HEADERS = {"tets/volume.h": program.c_constants(BLOCK=BLOCK, PLANE_BITS=PLANE_BITS)}
 
 
 @dataclass(frozen=True, eq=False)

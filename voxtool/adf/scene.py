@@ -1,0 +1,122 @@
+"""A distance field as a scene: what `render` asks of its surface."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from voxtool.adf.bounds import half_diagonals
+from voxtool.adf.field import DistanceField
+from voxtool.adf.hashing import cell_of
+from voxtool.adf.raycast import COLOUR, cast, checked_offset
+from voxtool.camera import box_corners, checked_colour
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from voxtool.camera import Rays
+    from voxtool.opencl import Device
+
+FINEST_LEVEL = 5  # of the boxes that bound the surface
+
+
+@dataclass(frozen=True, eq=False)
+class FieldScene:
+    """The surface of a distance field, or an offset surface.
+
+    offset : the distance that the surface shown has, world units; negative inside.
+    colour : red, green and blue of the surface, from 0 to 1.
+    leap : whether rays leap as far as the distance allows.
+
+    Raises
+    ------
+    VoxtoolError : the offset is not finite, or there is no such colour.
+    """
+
+    kind: ClassVar[str] = "field"
+    samples: ClassVar[int] = 2
+
+    content: DistanceField
+    offset: float = 0.0
+    colour: Sequence[float] = COLOUR
+    leap: bool = True
+
+    def __post_init__(self) -> None:
+        checked_offset(self.content, self.offset)
+        checked_colour(self.colour)
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The stages of drawing, in order."""
+        return ("upload", "ray casting")
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """What is not uploaded, and why."""
+        if self.content.bounds is None:
+            return {}
+        return {"the texture of bounds": "rays do not need error bounds"}
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The sizes of the field, by name."""
+        return {"blocks": len(self.content.voxels)}
+
+    @property
+    def device_bytes(self) -> int:
+        """Bytes of the field on the device."""
+        return sum(size for name, size in self.content.sizes().items() if name != "bounds")
+
+    def points(self) -> np.ndarray:
+        """(N, 3) float64, world units: points whose convex hull holds everything shown.
+
+        They are the corners of the leaves that the surface crosses, or of coarser cells that it may
+        cross.
+        """
+        field = self.content
+        offset = checked_offset(field, self.offset) / field.side
+        every = field.blocks.astype(np.uint64)  # ascending
+        count = int(np.searchsorted(every, 8**FINEST_LEVEL))  # of those above that level
+        blocks, voxels = every[:count], field.voxels[:count]
+        levels = cell_of(blocks)[0] + 1  # of their children
+        near = half_diagonals(levels) + field.tolerance
+        passed = []
+        for z, y, x in itertools.product((0, 1), repeat=3):
+            children = blocks << np.uint64(3) | np.uint64(4 * z + 2 * y + x)
+            corners = voxels[:, z : z + 2, y : y + 2, x : x + 2].reshape(-1, 8) - offset
+            crossed = (corners.min(axis=1) <= 0) & (corners.max(axis=1) >= 0)
+            places = np.minimum(np.searchsorted(every, children), len(every) - 1)
+            refined = every[places] == children
+            # near a sign discontinuity, a crossed cell may be far from the surface
+            found = np.abs(corners).min(axis=1) <= near
+            found &= np.where(refined, levels == FINEST_LEVEL, crossed)
+            passed.append(children[found])
+        shown = np.concatenate(passed)
+        levels, cells = cell_of(shown if len(shown) else np.ones(1, np.uint64))
+        sides = np.ldexp(1.0, -levels)[:, None]
+        return np.array(field.origin) + field.side * box_corners(cells * sides, sides)
+
+    def draw(self, rays: Rays, device: Device) -> np.ndarray:
+        """(H, W, 4) float32, premultiplied: one value a ray."""
+        return cast(
+            self.content,
+            rays,
+            offset=self.offset,
+            colour=self.colour,
+            leap=self.leap,
+            device=device,
+        )
+
+    def why_empty(self) -> str:
+        """Why no ray can meet anything, or ""."""
+        field, offset = self.content, checked_offset(self.content, self.offset)
+        low, high = (field.side * float(v) for v in (field.voxels.min(), field.voxels.max()))
+        if low <= offset <= high:
+            return ""
+        return (
+            f"the field has distances from {low:.6g} to {high:.6g}, so no surface at {offset:g}: "
+            "choose another offset"
+        )

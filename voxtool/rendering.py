@@ -1,0 +1,388 @@
+"""Pictures of an octree, a distance field or a tetrahedral volume.
+
+Each wing has a scene, which says where its content is, how it is drawn, and why nothing may be
+visible. A scene is a frozen dataclass of the options that its picture has.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
+
+import numpy as np
+
+from voxtool.adf.field import DistanceField
+from voxtool.adf.scene import FieldScene
+from voxtool.camera import FOV, MAX_SIDE, Camera, Rays
+from voxtool.errors import DeviceError, MemoryLimitError, VoxtoolError, count_of, human
+from voxtool.job import Cost, Job
+from voxtool.memory import check_memory
+from voxtool.opencl import Device, default_device
+from voxtool.svo.octree import Octree
+from voxtool.svo.scene import OctreeScene
+from voxtool.tets.scene import VolumeScene
+from voxtool.tets.volume import TetVolume
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+Content = Octree | DistanceField | TetVolume
+
+SIZE = (512, 512)  # pixels
+RAY_BYTES = 16  # of a ray's colour and opacity, float32
+VISIBLE = 0.5 / 255  # opacity from which on 8 bits show something
+SCENES: dict[type, Any] = {
+    Octree: OctreeScene,
+    DistanceField: FieldScene,
+    TetVolume: VolumeScene,
+}
+
+
+class Scene(Protocol):
+    """Content that rays are cast at, with the options of its picture.
+
+    kind : "octree", "field" or "volume".
+    samples : along a pixel's side, by default.
+    """
+
+    kind: ClassVar[str]
+    samples: ClassVar[int]
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The stages of drawing, in order."""
+        ...
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """What is not drawn or computed, and why."""
+        ...
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The sizes of the content, by name."""
+        ...
+
+    @property
+    def device_bytes(self) -> int:
+        """Bytes of the content on the device."""
+        ...
+
+    def points(self) -> np.ndarray:
+        """(N, 3) float64, world units: points whose convex hull holds everything shown."""
+        ...
+
+    def draw(self, rays: Rays, device: Device) -> np.ndarray:
+        """(H, W, 4) float32, premultiplied: one value a ray."""
+        ...
+
+    def why_empty(self) -> str:
+        """Why nothing can be seen, from wherever one looks; or ""."""
+        ...
+
+
+def scene_of(content: Content, **options: Any) -> OctreeScene | FieldScene | VolumeScene:
+    """The scene that shows this content.
+
+    Parameters
+    ----------
+    options : of an octree `level` and `colour`, of a field `offset` and `colour`, of a volume
+        `transfer`, `method` and `integrator`, as OctreeScene, FieldScene and VolumeScene take them.
+
+    Raises
+    ------
+    VoxtoolError : an option that the content does not have, or a value that it does not take.
+    """
+    if type(content) not in SCENES:
+        raise VoxtoolError(
+            f"a {type(content).__name__} cannot be drawn: give an Octree, a DistanceField or a "
+            "TetVolume"
+        )
+    scene: Any = SCENES[type(content)]
+    known = [f.name for f in fields(scene)][1:]
+    for name in options.keys() - known:
+        raise VoxtoolError(f"{name} is no option of the {scene.kind}: choose {', '.join(known)}")
+    return scene(content, **options)
+
+
+@dataclass(frozen=True)
+class RenderPlan:
+    """How a picture will be made.
+
+    scene : what is drawn, with its options.
+    size : of the picture, width and height in pixels; samples x samples rays a pixel.
+    """
+
+    scene: Scene
+    size: tuple[int, int]
+    samples: int
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The stages that will run, in order."""
+        return self.scene.stages
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """What is not drawn or computed, and why."""
+        return self.scene.left_out
+
+    @property
+    def rays(self) -> int:
+        """The number of rays."""
+        return self.size[0] * self.size[1] * self.samples**2
+
+    @property
+    def cost(self) -> Cost:
+        """On the device the scene and the rays' colours; on the host those as they are read back,
+        and the pixels in float64 and as integers."""
+        rays = RAY_BYTES * self.rays
+        pixels = RAY_BYTES * self.size[0] * self.size[1]
+        return Cost(self.scene.device_bytes + rays, host=rays + 6 * pixels, largest=rays)
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of the plan in JSON types."""
+        return {
+            "kind": self.scene.kind,
+            "size": list(self.size),
+            "samples": self.samples,
+            "rays": self.rays,
+            "stages": list(self.stages),
+            "left_out": self.left_out,
+            **self.scene.counts,
+            "predicted_device_bytes": self.cost.device,
+        }
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What `--plan` prints before the stages."""
+        each = f" of {self.samples} x {self.samples} rays" if self.samples > 1 else ""
+        counts = self.scene.counts.items()
+        return [
+            ("picture", f"{self.size[0]} x {self.size[1]} pixels{each}"),
+            (self.scene.kind, ", ".join(f"{n:,} {name.replace('_', ' ')}" for name, n in counts)),
+            ("rays", f"{self.rays:,}"),
+        ]
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Raise MemoryLimitError if the picture needs more bytes than these, in total or in one
+        buffer."""
+        cost, scene = self.cost, self.scene
+        if cost.device <= max_memory and cost.largest <= max_allocation:
+            return
+        hint = "choose a smaller --size or fewer --samples"
+        if scene.device_bytes > max_memory:
+            hint = f"the {scene.kind} alone is too large"
+        raise MemoryLimitError(
+            f"a picture of {self.size[0]} x {self.size[1]} pixels, "
+            f"{count_of(self.samples**2, 'ray')} each, would need {human(cost.device)} of memory "
+            f"({human(cost.largest)} in one buffer), of {human(max_memory)} "
+            f"({human(max_allocation)}) allowed: {hint} (see --max-memory)"
+        )
+
+
+class RenderJob(Job[np.ndarray]):
+    """A picture that has been planned; `run` returns (H, W, 4) float32, premultiplied.
+
+    rays : of the samples.
+    """
+
+    plan: RenderPlan
+    device: Device
+
+    def __init__(
+        self, plan: RenderPlan, rays: Rays, device: Device, max_memory: int | None
+    ) -> None:
+        self.plan, self.rays, self.device, self.max_memory = plan, rays, device, max_memory
+
+    def with_(self, **decisions: Any) -> Self:
+        """The same job with options or decisions of its scene forced, for ablation and tests.
+
+        Raises
+        ------
+        TypeError : the scene has no such field.
+        """
+        return super().with_(scene=replace(self.plan.scene, **decisions))  # pyright: ignore
+
+    def refuse(self) -> None:
+        """Raise MemoryLimitError if the picture would take more memory than it may."""
+        super().refuse()
+        hint = "choose a smaller --size or fewer --samples"
+        check_memory(self.cost.host, f"{self.plan.rays:,} rays", hint)
+
+    def _run(self) -> np.ndarray:
+        return averaged(self.plan.scene.draw(self.rays, self.device), self.plan.samples)
+
+    def findings(self, result: np.ndarray) -> Iterator[str]:
+        """Why nothing is visible, if nothing is."""
+        most, scene = float(result[..., 3].max()), self.plan.scene
+        if most >= VISIBLE:
+            return
+        points = scene.points()
+        corners = points.min(axis=0), points.max(axis=0)
+        box = " to ".join(f"({', '.join(f'{v:.6g}' for v in corner)})" for corner in corners)
+        if why := scene.why_empty():
+            pass
+        elif most > 0:
+            why = f"its opacity is at most {most:.1g}: choose a smaller unit distance"
+        elif not self.rays.meet_box(points):
+            why = f"the camera looks past it, which is in {box}: the iso view shows all"
+        else:
+            why = f"no ray meets it, which is in {box}: look from nearer, or choose more samples"
+        yield f"the picture is empty: {why}"
+
+
+def plan_render(
+    content: Content,
+    view: Camera | Rays | str | None = None,
+    *,
+    size: tuple[int, int] = SIZE,
+    samples: int | None = None,
+    device: Device | None = None,
+    max_memory: int | None = None,
+    **options: Any,
+) -> RenderJob:
+    """A job that draws a picture.
+
+    Parameters
+    ----------
+    content : an octree, a distance field or a tetrahedral volume.
+    view : a camera; the name of a view ("front", "back", "left", "right", "top", "bottom", "iso"),
+        with everything in the picture; or rays, one a pixel. By default "iso".
+    size : width and height, pixels; rays have their own.
+    samples : samples x samples rays a pixel, whose mean it shows; by default 2 for octrees and
+        fields, which have sharp edges, and 1 for volumes and for rays.
+    device : by default the first that works, GPUs first.
+    max_memory : bytes that the picture may take on the device; by default what it has.
+    options : of an octree `level` ("voxel", or a level from 0 on) and `colour`; of a field `offset`
+        (world units) and `colour`; of a volume `transfer` (a TransferFunction), `method`
+        ("raycast" or "projection") and `integrator` ("linear", "preintegrated", "average" or
+        "sampled:N").
+
+    Raises
+    ------
+    VoxtoolError : a view, size or option that makes no picture.
+    DeviceError : there is no device, or it has no double precision.
+    """
+    scene = scene_of(content, **options)
+    if isinstance(view, Rays):
+        samples = samples or 1
+        rays = view.finer(samples)
+        size = view.size
+    else:
+        samples = samples or (scene.samples if scene.samples * max(size) <= MAX_SIDE else 1)
+        camera = view if isinstance(view, Camera) else camera_for(scene, view or "iso", size=size)
+        rays = camera.rays(samples * size[0], samples * size[1])
+    device = device or default_device()
+    if not device.info.fp64:
+        raise DeviceError(
+            f"{device.info.name} has no double precision (cl_khr_fp64), which pictures need: "
+            "choose another --device"
+        )
+    return RenderJob(RenderPlan(scene, size, samples), rays, device, max_memory)
+
+
+def render(
+    content: Content,
+    view: Camera | Rays | str | None = None,
+    *,
+    size: tuple[int, int] = SIZE,
+    samples: int | None = None,
+    device: Device | None = None,
+    max_memory: int | None = None,
+    **options: Any,
+) -> np.ndarray:
+    """A picture of an octree, a distance field or a tetrahedral volume.
+
+    The content stays on the device, so that the next picture of it is drawn sooner.
+
+    Parameters
+    ----------
+    content, view, size, samples, device, max_memory, options : as `plan_render` takes them.
+
+    Returns
+    -------
+    (H, W, 4) float32, top row first: red, green and blue, premultiplied, and opacity, from 0 to 1;
+    the same bit for bit on every device.
+
+    Raises
+    ------
+    VoxtoolError : a view, size or option that makes no picture.
+    DeviceError : there is no device, or it has no double precision.
+    MemoryLimitError : the picture would not fit; nothing was begun.
+
+    Warns
+    -----
+    MeshWarning : nothing is visible, and why.
+
+    Examples
+    --------
+    >>> picture = voxtool.render(octree, "front", size=(800, 600))
+    >>> picture = voxtool.render(volume, transfer=voxtool.default_transfer(volume, "inferno"))
+    """
+    return plan_render(
+        content, view, size=size, samples=samples, device=device, max_memory=max_memory, **options
+    ).run()
+
+
+def camera_for(
+    content: Content | Scene,
+    view: str = "iso",
+    *,
+    eye: Sequence[float] | None = None,
+    target: Sequence[float] | None = None,
+    up: Sequence[float] = (0.0, 1.0, 0.0),
+    fov: float | None = FOV,
+    height: float | None = None,
+    turn: float | None = None,
+    size: tuple[int, int] = SIZE,
+    **options: Any,
+) -> Camera:
+    """A camera that looks at content.
+
+    Parameters
+    ----------
+    view : the name of a view, with everything in the picture.
+    eye, target : where to look from instead, and at what, by default the middle; world units.
+    up : any direction that is not along the view.
+    fov : degrees that the picture's shorter side takes, or None for an orthographic camera.
+    height : of an orthographic picture's shorter side, world units; by default it shows all.
+    turn : degrees about `up` around the target, for turntables: then everything is in the picture
+        at every turn.
+    size : of the picture, pixels.
+    options : of the scene, as `plan_render` takes them.
+
+    Raises
+    ------
+    VoxtoolError : numbers that make no camera.
+    """
+    scene = scene_of(content, **options) if isinstance(content, Content) else content
+    points, up = scene.points(), tuple(up)
+    camera = Camera.fit(points.min(axis=0), points.max(axis=0), view, up=up, fov=fov)
+    if eye is not None:
+        target = camera.target if target is None else tuple(target)
+        camera = Camera(tuple(eye), target, up, fov, camera.height)  # pyright: ignore
+    elif turn is None:
+        camera = camera.framed(points, *size)
+    if height is not None:
+        camera = replace(camera, height=height)
+    return camera if turn is None else camera.turned(turn)
+
+
+def averaged(picture: np.ndarray, samples: int) -> np.ndarray:
+    """The picture of 1 / samples the size, each pixel the mean of samples x samples, row by row.
+
+    Parameters
+    ----------
+    picture : (samples H, samples W, 4) float32.
+
+    Returns
+    -------
+    (H, W, 4) float32, rounded once from float64.
+    """
+    if samples == 1:
+        return picture
+    total = np.zeros((picture.shape[0] // samples, picture.shape[1] // samples, 4))
+    for row in range(samples):
+        for column in range(samples):
+            total += picture[row::samples, column::samples]
+    return (total / samples**2).astype(np.float32)

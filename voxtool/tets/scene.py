@@ -1,0 +1,158 @@
+"""A tetrahedral volume as a scene: what `render` asks of it, and how its picture is made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from voxtool.choices import METHODS
+from voxtool.errors import VoxtoolError, printable
+from voxtool.tets.integrate import TABLE, Integral, integrator_of
+from voxtool.tets.project import MAX_PAIRS, PENDING, CellProjection, Projection
+from voxtool.tets.raycast import cast
+from voxtool.tets.transfer import LocalTransfer, TransferFunction, default_transfer
+from voxtool.tets.view import MAX_ENTRIES, DeviceVolume, Viewpoint, kept_cells
+
+if TYPE_CHECKING:
+    from voxtool.camera import Rays
+    from voxtool.opencl import Device
+    from voxtool.tets.volume import TetVolume
+
+
+TRANSPARENT = "transparent cells"
+
+
+@dataclass(frozen=True, eq=False)
+class VolumeScene:
+    """A tetrahedral volume through a transfer function.
+
+    transfer : colours and extinctions of scalars; by default `default_transfer`.
+    method : "raycast", or "projection".
+    integrator : "linear", exact for the transfer function; "average", of the mean of both ends of a
+        cell; "sampled:N", N points in each cell; "preintegrated", from a table.
+    kept : (blocks,) bool, the blocks of cells that are drawn; by default those that the transfer
+        function does not leave transparent.
+    lanes : rays that a work-item follows side by side, 1 or 16; by default what suits the device.
+    pending, max_pairs : of cell projection: fragments of a ray that may wait, and pairs of a cell
+        and a tile beyond which a picture is refused.
+    max_entries : of ray casting: entries of rays beyond which a picture is refused.
+    table : scalars and lengths along the sides of the pre-integrated table.
+
+    Raises
+    ------
+    VoxtoolError : an unknown method or integrator, or an extinction that float32 does not hold.
+    """
+
+    kind: ClassVar[str] = "volume"
+    samples: ClassVar[int] = 1
+
+    content: TetVolume
+    transfer: TransferFunction | None = None
+    method: str = "raycast"
+    integrator: str = "linear"
+    kept: np.ndarray | None = None
+    lanes: int | None = None
+    pending: int = PENDING
+    max_pairs: int = MAX_PAIRS
+    max_entries: int = MAX_ENTRIES
+    table: tuple[int, int] = TABLE
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise VoxtoolError(f"method {self.method!r} is unknown: choose {', '.join(METHODS)}")
+        integrator_of(self.integrator)
+        _ = self.local
+
+    @cached_property
+    def shown_through(self) -> TransferFunction:
+        """The transfer function."""
+        return default_transfer(self.content) if self.transfer is None else self.transfer
+
+    @cached_property
+    def local(self) -> LocalTransfer:
+        """The transfer function in the volume's frame."""
+        return self.shown_through.local(self.content)
+
+    @cached_property
+    def blocks(self) -> np.ndarray:
+        """(blocks,) bool: the blocks of cells that are drawn."""
+        if self.kept is not None:
+            return self.kept
+        return ~self.local.transparent(*self.content.ranges.T)
+
+    @cached_property
+    def cells_shown(self) -> int:
+        """The number of cells in these blocks."""
+        return int(np.count_nonzero(kept_cells(self.content, self.blocks)))
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The stages of drawing, in order."""
+        table = ("preintegrate",) if self.integrator == "preintegrated" else ()
+        if self.method == "projection":
+            return ("upload", *table, "cell projection", "tile lists", "compositing")
+        return ("upload", *table, "cell setup", "ray entries", "ray casting")
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """What is not drawn or computed, and why."""
+        out, count = {}, len(self.content.cells)
+        if self.cells_shown < count:
+            hidden = count - self.cells_shown
+            out[TRANSPARENT] = f"the transfer function leaves {hidden:,} of {count:,} transparent"
+        if self.integrator != "preintegrated":
+            out["pre-integrated table"] = f"the integrator is {self.integrator}"
+        return out
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The sizes of the volume, by name."""
+        return {"cells": len(self.content.cells), "cells_shown": self.cells_shown}
+
+    @property
+    def device_bytes(self) -> int:
+        """Bytes on the device: the textures, and the records of cells and vertices for a view."""
+        volume = self.content
+        view = 64 * len(volume.cells) + 16 * len(volume.vertices)
+        return sum(volume.sizes().values()) + view
+
+    def points(self) -> np.ndarray:
+        """(V, 3) float64, world units: the vertices, whatever the transfer function shows."""
+        volume = self.content
+        return np.array(volume.origin) + volume.scale * volume.vertices[:, :3].astype(np.float64)
+
+    def draw(self, rays: Rays, device: Device) -> np.ndarray:
+        """(H, W, 4) float32, premultiplied: one value a ray."""
+        if self.method == "projection":
+            return self.project(rays, device).picture
+        volume = DeviceVolume.of(self.content, device)
+        shown = volume.shown(self.content, self.blocks)
+        integral = self._integral(volume)
+        view = Viewpoint.of(rays, self.content, device)
+        return cast(self.content, volume, shown, view, integral, self.max_entries)
+
+    def project(self, rays: Rays, device: Device) -> Projection:
+        """The picture by cell projection, and the work that it took."""
+        volume = DeviceVolume.of(self.content, device)
+        shown = volume.shown(self.content, self.blocks)
+        integral = self._integral(volume)
+        view = Viewpoint.of(rays, self.content, device)
+        return CellProjection(
+            volume, shown, view, integral, pending=self.pending, max_pairs=self.max_pairs
+        ).run()
+
+    def _integral(self, volume: DeviceVolume) -> Integral:
+        return Integral(self.content, self.local, volume, self.integrator, self.lanes, self.table)
+
+    def why_empty(self) -> str:
+        """Why nothing can be seen, from wherever one looks; or ""."""
+        if self.cells_shown:
+            return ""
+        low, high = self.content.scalar_range
+        return (
+            f"the transfer function is transparent from {low:.6g} to {high:.6g}, where "
+            f"{printable(self.content.scalar)} is: choose another"
+        )
