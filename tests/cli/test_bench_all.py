@@ -14,10 +14,10 @@ from docs.test_docs import parse
 from helpers_cli import fail, invoke, run, write_obj
 
 from voxtool.bench.points import FIGURES, MEASURES
-from voxtool.bench.request import benches_for
+from voxtool.bench.request import MESH_BENCHES, benches_for
 from voxtool.cli.main import cli
 
-BENCHES = ("voxelize", "extract", "adf", "tets")
+BENCHES = ("voxelize", "extract", "adf", "distance", "tets")
 
 
 @pytest.fixture(scope="module")
@@ -72,10 +72,11 @@ def test_every_bench_has_times_and_errors(made: Path) -> None:
         if not point["peer"] and not alone:
             assert all(seconds >= 0 for seconds in point["stages"].values())
             assert point["stages"]
-            assert point["bytes"] > 0
+            assert point["bytes"] or point["work"].startswith("exact distances")
     keys = [tuple(point[word] for word in ("bench", "model", "work", "method", "label"))
             for point in points]  # fmt: skip
     assert len(set(keys)) == len(keys)
+    assert all(p["errors"]["max"] < 1e-13 for p in points if p["bench"] == "distance")
     linear = [p for p in points if p["bench"] == "tets" and "linear" in p["method"]]
     assert max(p["errors"].get("max", 0) for p in linear if not p["peer"]) < 1e-5
 
@@ -109,10 +110,11 @@ def test_what_is_said(made: Path) -> None:
         "voxelize, bunny.obj: mesh to solid voxels",
         "extract, bunny.obj: ",
         "adf, bunny.obj: mesh to field",
+        "distance, bunny.obj: mesh to dense grid of distances",
         "tets, volume.vtu: frames through x10",
     ):
         assert f"\n{chart}" in f"\n{said}"
-    assert said.count("  most accurate: ") == 6
+    assert said.count("  most accurate: ") == 10
     assert said.endswith("report: out/report.html\n")
     page = (made / "out" / "report.html").read_text()
     assert page.count("<svg") == len(list((made / "out").glob("*.png"))) >= 14
@@ -250,6 +252,6 @@ def test_a_band_of_nothing_is_measured(ball: str) -> None:
 
 
 def test_benches_for_files() -> None:
-    assert benches_for("a/b.OBJ") == ("voxelize", "extract", "adf")
-    assert benches_for("b.ply.gz") == ("voxelize", "extract", "adf")
+    assert benches_for("a/b.OBJ") == MESH_BENCHES
+    assert benches_for("b.ply.gz") == MESH_BENCHES
     assert benches_for("b.VTU") == ("tets",)

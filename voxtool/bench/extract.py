@@ -41,15 +41,16 @@ def measure(model: str, bench: Bench) -> Iterator[Point]:
     asked, mesh, others = bench.request, load_mesh(model), timing.Peers(bench.request.repeat)
     against = Reference(*capped(mesh), asked.samples, bench.timed)
     for dim, style in product(asked.dims, asked.styles):
-        octree = voxelize(mesh, Grid.fit(mesh, dim), "solid", device=bench.timed)
+        grid, fill = Grid.fit(mesh, dim), asked.fills[0]
+        octree = voxelize(mesh, grid, "solid", fill=fill, device=bench.timed)
         plan = partial(plan_extract, octree, style=style, isovalue=asked.isovalue)
         job = plan(device=bench.timed)
         made = job.run()
-        request = {"dims": dim, "styles": style, "isovalue": asked.isovalue,
+        request = {"dims": dim, "fills": fill, "styles": style, "isovalue": asked.isovalue,
                    "samples": asked.samples}  # fmt: skip
         point = Point(
             "extract", Path(model).name, "solid voxels to surface", style, f"dim {dim}",
-            setting={**request, "fill": octree.fill, "level": made.level,
+            setting={**request, "rule": octree.fill, "level": made.level,
                      "against": against.words},
             command=asked.command("extract", model, **request),
             size=dim, size_of="dim",

@@ -15,11 +15,14 @@ INTEGRATORS = ("linear", "average", "preintegrated", "sampled:1", "sampled:4", "
 TRANSFERS = ("x1", "x10", "x100", "steps")
 SETTINGS = {  # the fields of a Request that each bench reads
     "voxelize": ("dims", "modes", "fills", "fit", "samples"),
-    "extract": ("dims", "styles", "isovalue", "samples"),
+    "extract": ("dims", "fills", "styles", "isovalue", "samples"),
     "adf": ("tolerances", "levels", "band", "sign", "points", "kinds", "searches"),
+    "distance": ("points", "sign", "grids", "fills"),
     "tets": ("sizes", "pixels", "view", "methods", "integrators", "transfers", "scalar",
              "component"),
 }  # fmt: skip
+
+MESH_BENCHES = ("voxelize", "extract", "adf", "distance")
 
 
 @dataclass(frozen=True)
@@ -29,11 +32,12 @@ class Request:
     Attributes
     ----------
     dims, modes, fills, fit, styles, isovalue : of voxels and surfaces; fills are the rules of
-        solids.
+        solids, of which surfaces take the first.
     samples : points on each surface at which errors are measured.
     tolerances, levels, band, sign : of distance fields; sphere_level : the depth of the sphere
         whose cells are hashed.
     points, kinds, searches : how many points a field is asked at, in which order, and how.
+    grids : dims of dense grids of distances.
     sizes, view, methods, integrators, transfers, scalar, component : of pictures of volumes; the
         smaller sizes take the first integrator alone.
     pixels : along each side of the largest picture, at which errors are measured.
@@ -57,6 +61,7 @@ class Request:
     points: int = 1 << 17
     kinds: tuple[str, ...] = KINDS
     searches: tuple[str, ...] = SEARCHES
+    grids: tuple[int, ...] = (32, 64)
     sizes: tuple[int, ...] = (128, 256, 512)
     pixels: int = 64
     view: str = "iso"
@@ -92,8 +97,8 @@ class Request:
 QUICK = Request(
     dims=(16, 32), fills=("auto",), styles=(MARCHING_CUBES,), samples=1000, tolerances=(1e-1, 1e-2),
     levels=(3,), sphere_level=4, points=1 << 10, searches=("binary",), kinds=KINDS[:1],
-    sizes=(16, 32), pixels=8, transfers=("x10",), integrators=("linear", "average"), repeat=2,
-    seconds=0.0, commands=False,
+    grids=(16,), sizes=(16, 32), pixels=8, transfers=("x10",), integrators=("linear", "average"),
+    repeat=2, seconds=0.0, commands=False,
 )  # fmt: skip
 
 
@@ -102,4 +107,4 @@ def benches_for(model: str) -> tuple[str, ...]:
     from voxtool.files import VOLUME_FORMATS  # heavy: the help does without
 
     name = model.lower().removesuffix(".gz")
-    return ("tets",) if name.endswith(tuple(VOLUME_FORMATS)) else ("voxelize", "extract", "adf")
+    return ("tets",) if name.endswith(tuple(VOLUME_FORMATS)) else MESH_BENCHES

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from typing import TYPE_CHECKING
 
-from voxtool.bench import adf, extract, tets, voxelize
+from voxtool.bench import adf, distance, extract, tets, voxelize
 from voxtool.bench.request import benches_for
 from voxtool.bench.timing import Bench
 from voxtool.errors import MeshWarning
@@ -27,6 +27,7 @@ BENCHES = {
     "voxelize": voxelize.measure,
     "extract": extract.measure,
     "adf": adf.measure,
+    "distance": distance.measure,
     "tets": tets.measure,
 }
 

@@ -46,7 +46,8 @@ DIM, COUNT = click.IntRange(MIN_DIM, MAX_DIM), click.IntRange(1, 100_000_000)
 OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {  # by fields of a Request
     "dims": ("Voxels along the longest side.", _numbers(DIM, "DIM,...")),
     "modes": ("Modes, as of `voxtool voxelize`.", _choices(MODES)),
-    "fills": ("Fill rules of solids, as of `voxtool voxelize`.", _choices(FILLS)),
+    "fills": ("Fill rules of solids, as of `voxtool voxelize`; surfaces take the first.",
+              _choices(FILLS)),
     "fit": ("stretch: eq. (5.1) of [voCCeL], as its tables.", {"type": click.Choice(FITS)}),
     "samples": ("Points on each surface at which errors are measured.", {"type": COUNT}),
     "styles": ("Styles, as of `voxtool extract`, at their own levels.",
@@ -62,6 +63,7 @@ OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {  # by fields of a Request
     "kinds": ("Points: random, or along rays.", _choices(KINDS)),
     "searches": ("How the leaf of a point is found, as of `voxtool adf-query`.",
                  _choices(SEARCHES)),
+    "grids": ("Voxels along the longest side of dense grids.", _numbers(DIM, "DIM,...")),
     "sizes": ("Pixels along each side; errors are of the largest.",
               _numbers(click.IntRange(1, 8192), "PIXELS,...")),
     "pixels": ("Pixels along each side at which errors are measured.", {"type": COUNT}),
@@ -108,6 +110,14 @@ COMMANDS = {
     Examples:
       voxtool bench adf bunny.obj --tolerances 1e-2,1e-3 --levels 7
       voxtool bench adf bunny.obj --tolerances 1e-3 --band 0.01 --peers
+    """,
+    "distance": """Measure exact distances to MODELS, at points and on dense grids.
+
+    Errors are measured in rational arithmetic at a few points.
+
+    \b
+    Examples:
+      voxtool bench distance bunny.obj --points 1000 --grids 16
     """,
     "tets": """Measure pictures of MODELS, which are volume meshes, against pictures in float64.
 
