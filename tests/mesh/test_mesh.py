@@ -6,6 +6,7 @@ import gzip
 import hashlib
 import io
 import itertools
+import pickle
 import struct
 import sys
 from collections import Counter
@@ -20,8 +21,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from voxtool.errors import MeshError
-from voxtool.files import obj as wavefront
-from voxtool.files.mesh import load_mesh
+from voxtool.files import obj
+from voxtool.files.mesh import as_mesh, load_mesh
 from voxtool.mesh import mesh as mesh_module
 from voxtool.mesh import topology as diagnosis
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
@@ -78,16 +79,40 @@ def test_obj_keeps_order_and_every_bit(tmp_path):
     assert len(mesh.source_sha256) == 64
 
 
-def test_the_rewritten_obj_is_the_same_mesh(tmp_path):
+def by_line(text: bytes) -> tuple[list, list]:
+    """What the slow reader makes of a text."""
+    return tuple(array.tolist() for array in obj._by_line("m", text))  # pyright: ignore
+
+
+ODDITIES = (
+    b"vt 0 0\n", b"vn 0 0 1\n", b"o x\n", b"g\n", b"# v 1 2\n", b"\n", b"l 1 2\n", b"f 1 2\n",
+    b"v 1 2 3 0.5 .5 1\r\n", b"v\t1e-3 +2. -.5\n", b"f 1//2 2/ 3/-1/+1\n", b"f -1 -2 -3 -3\n",
+    b"f 3 2 1 2 3\n",
+)  # fmt: skip
+
+
+@given(st.lists(st.sampled_from(ODDITIES)), st.booleans(), st.integers(1, 64))
+def test_both_readers_of_obj_agree(lines, ended, size):
+    text = b"".join([V3, *lines])
+    text = text if ended else text.removesuffix(b"\n").removesuffix(b"\r")
+    try:
+        assert tuple(array.tolist() for array in obj._quick(text, size)) == by_line(text)
+    except obj._OddityError:
+        assert not ended  # a last face of two vertices may be cut
+
+
+def test_what_the_quick_reader_leaves_to_the_other():
     rng = np.random.default_rng(6)
     text = b"".join(b"v %r %r %r\n" % tuple(p) for p in rng.random((9, 3)).tolist())
     text += b"".join(b"f %d %d %d\n" % tuple(f) for f in rng.integers(1, 10, (20, 3)).tolist())
-    odd = text.replace(b"f ", b"\tf\t").replace(b"v ", b" v  ")
-    assert wavefront.plain(text)
-    assert not wavefront.plain(odd)
-    for other in (odd, text.replace(b"\n", b"\r\n"), b"\xef\xbb\xbf" + text):
-        assert read(other).vertices.tobytes() == read(text).vertices.tobytes()
-        assert (read(other).faces == read(text).faces).all()
+    expected = by_line(text)
+    for odd in (text.replace(b"f ", b"\tf\t"), text.replace(b"\n", b"\r"), text + b"v 0 0 # \\\n0"):
+        with pytest.raises(obj._OddityError):
+            obj._quick(odd)
+    assert (read(text.replace(b"f ", b"\tf\t")).faces == expected[1]).all()
+    for other in (text.replace(b"\n", b"\r\n"), b"\xef\xbb\xbf" + text):
+        mesh = read(other)
+        assert (mesh.vertices.tolist(), mesh.faces.tolist()) == expected
 
 
 def test_polygons_become_fans():
@@ -109,7 +134,6 @@ def test_groups_objects_and_materials_merge_in_order():
 
 def test_texture_seams_do_not_split_vertices():
     text = V3 + b"v 1 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nvt .5 .5\nf 1/1 2/2 3/3\nf 3/4 2/1 4/2\n"
-    assert wavefront.plain(text)
     mesh = read(text)
     assert len(mesh.vertices) == 4
     assert mesh.faces.tolist() == [[0, 1, 2], [2, 1, 3]]
@@ -378,6 +402,43 @@ def test_triangle_limit():
 def test_array_refusals(vertices, faces, part):
     with pytest.raises(MeshError, match=part):
         mesh_from_arrays(vertices, faces)
+
+
+# --- the data ------------------------------------------------------------------------------------
+
+
+def test_a_mesh_cannot_be_written_to():
+    vertices, faces = POINTS.copy(), TETRAHEDRON.copy()
+    mesh = mesh_from_arrays(vertices, faces)
+    with pytest.raises(ValueError, match="read-only"):
+        mesh.vertices *= 10  # pyright: ignore
+    vertices *= 10
+    faces[:] = 0
+    assert (mesh.vertices == POINTS).all()
+    assert (mesh.faces == TETRAHEDRON).all()
+    assert mesh.bounds.tolist() == [[0, 0, 0], [1, 1, 1]]
+
+
+def test_meshes_are_values():
+    mesh = mesh_from_arrays(POINTS, TETRAHEDRON, name="a.obj")
+    assert mesh == mesh_from_arrays(POINTS, TETRAHEDRON, name="a.obj")
+    assert mesh != mesh_from_arrays(2 * POINTS, TETRAHEDRON, name="a.obj")
+    again = pickle.loads(pickle.dumps(mesh))
+    assert again == mesh
+    assert not again.vertices.flags.writeable
+    assert repr(mesh) == "Mesh('a.obj', 4 vertices, 4 faces)"
+
+
+def test_what_holds_a_mesh_becomes_one(tmp_path):
+    mesh = mesh_from_arrays(POINTS, TETRAHEDRON)
+    (tmp_path / "m.obj").write_bytes(TETRAHEDRON_OBJ)
+    assert as_mesh(mesh) is mesh
+    assert as_mesh(mesh.to_trimesh()) == mesh
+    assert as_mesh((POINTS, TETRAHEDRON)) == mesh
+    for path in (tmp_path / "m.obj", str(tmp_path / "m.obj")):
+        assert (as_mesh(path).faces == TETRAHEDRON).all()
+    with pytest.raises(MeshError, match="int is no mesh: give a Mesh, "):
+        as_mesh(3)
 
 
 # --- diagnosis -----------------------------------------------------------------------------------

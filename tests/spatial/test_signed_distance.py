@@ -209,8 +209,9 @@ def test_a_seam_and_every_order_of_corners_change_nothing(device: Device) -> Non
     expected = check(mesh_of(vertices, faces), points, device, "pseudonormal")
     for _ in range(6):
         turned = np.array([np.roll(face, rng.integers(3)) for face in rng.permutation(faces)])
-        loose = mesh_of(vertices[turned].reshape(-1, 3), np.arange(24).reshape(8, 3))
-        loose.vertices[loose.vertices == 0] *= rng.choice([-1, 1])  # -0.0 is 0.0
+        corners = vertices[turned].reshape(-1, 3).astype(np.float64)
+        corners[corners == 0] *= rng.choice([-1, 1])  # -0.0 is 0.0
+        loose = mesh_of(corners, np.arange(24).reshape(8, 3))
         found = SignedDistance(loose, "pseudonormal", device)(points)
         assert np.abs(found - expected).max() < 1e-14
 

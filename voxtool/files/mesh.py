@@ -1,6 +1,6 @@
 """Triangle meshes from OBJ, STL, PLY, OFF, GLB and glTF, packed with gzip or not.
 
-OBJ is read here (obj.py), the other formats by trimesh, from memory, and nothing is moved.
+OBJ is read by obj.py, the other formats by trimesh, from memory. Nothing is welded or moved.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def load_mesh(path: str | os.PathLike[str] | BinaryIO, file_type: str | None = N
     Raises
     ------
     MeshError : the file cannot be read or holds no usable mesh; one line that names file, place
-        (line, face or vertex) and mend.
+        (line, face or vertex) and remedy.
     """
     if isinstance(path, os.PathLike):
         path = os.fsdecode(path)
@@ -65,13 +65,35 @@ def load_mesh(path: str | os.PathLike[str] | BinaryIO, file_type: str | None = N
     if kind != "obj":
         return _through_trimesh(name, kind, data, digest)
     _refuse_binary(name, data)
-    plain = obj.plain(data)
-    try:
-        return _through_trimesh(name, kind, plain or obj.rewritten(name, data), digest)
-    except MeshError:
-        if plain:
-            obj.rewritten(name, data)  # finds the line and says it
-        raise
+    vertices, faces = obj.parse(name, data)
+    return mesh_from_arrays(vertices, faces, source_sha256=digest, name=name)
+
+
+def as_mesh(thing: Any) -> Mesh:
+    """Return a mesh of whatever holds one.
+
+    Parameters
+    ----------
+    thing : a Mesh; the path of a mesh file; a trimesh.Trimesh, or anything else with `vertices` and
+        `faces` (as the result of `extract`); or a pair of arrays, (V, 3) and (F, 3).
+
+    Raises
+    ------
+    MeshError : it is none of these, or no usable mesh.
+    """
+    if isinstance(thing, Mesh):
+        return thing
+    if isinstance(thing, str | os.PathLike):
+        return load_mesh(thing)
+    if hasattr(thing, "vertices") and hasattr(thing, "faces"):
+        units = getattr(thing, "units", None)
+        return mesh_from_arrays(thing.vertices, thing.faces, units=units or "")
+    if isinstance(thing, tuple | list) and len(thing) == 2:
+        return mesh_from_arrays(*thing)
+    raise MeshError(
+        f"{type(thing).__name__} is no mesh: give a Mesh, a trimesh.Trimesh, a path, or a pair of "
+        "arrays, (V, 3) vertices and (F, 3) faces"
+    )
 
 
 # --- bytes ---------------------------------------------------------------------------------------
@@ -299,9 +321,8 @@ def _promised(name: str, kind: str, data: bytes) -> tuple[int, int]:
         text = data
         if kind == "glb":
             text = data[20 : 20 + int.from_bytes(data[12:16], "little")]
-        if kind != "obj":
-            accessors = json.loads(text).get("accessors", [])
-            vertices = max((int(a["count"]) for a in accessors), default=0)
+        accessors = json.loads(text).get("accessors", [])
+        vertices = max((int(a["count"]) for a in accessors), default=0)
     check_counts(name, vertices, faces)
     if vertices + faces > len(data):
         raise MeshError(

@@ -1,8 +1,8 @@
 """Triangle meshes: the data, checked.
 
-A mesh is kept as its file has it: vertices and faces in the file's order, nothing welded, nothing
-dropped. Faces that name a vertex twice, or of zero area, are the segments and points that they
-are. Two vertices are one where their positions are bit-equal (-0.0 is 0.0).
+A mesh keeps vertices and faces in the file's order; nothing is welded, nothing dropped. Faces that
+name a vertex twice, or of zero area, are the segments and points that they are. Vertices of
+bit-equal positions (-0.0 is 0.0) count as one.
 """
 
 from __future__ import annotations
@@ -13,15 +13,23 @@ from typing import Any
 
 import numpy as np
 
+from voxtool.arrays import equal, read_only
 from voxtool.errors import MeshError, count_of, one_line
 
 MAX_COUNT = (1 << 31) - 1  # triangles, and vertices: indices are int32
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Mesh:
     """A triangle mesh; `mesh_from_arrays` makes one of any arrays and checks it.
 
+    Its arrays cannot be written to: bounds, trees and octrees are computed from them once. For a
+    mesh of other vertices use `dataclasses.replace(mesh, vertices=...)`. Meshes are equal if all
+    their arrays and texts are; they are hashed by identity, so that what is computed from a mesh
+    can be kept with it.
+
+    Attributes
+    ----------
     vertices : (V, 3) float64, C-contiguous, world units.
     faces : (F, 3) int32, C-contiguous: the vertices of each triangle.
     source_sha256 : hex digest of the bytes that it was read from (for .gz: the packed ones), or "".
@@ -34,6 +42,23 @@ class Mesh:
     source_sha256: str = ""
     name: str = ""
     units: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices", read_only(self.vertices))
+        object.__setattr__(self, "faces", read_only(self.faces))
+
+    def __eq__(self, other: object) -> bool:
+        return equal(self, other)
+
+    __hash__ = object.__hash__
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Mesh, (self.vertices, self.faces, self.source_sha256, self.name, self.units)
+
+    def __repr__(self) -> str:
+        name = f"{self.name!r}, " if self.name else ""
+        vertices = count_of(len(self.vertices), "vertex")
+        return f"Mesh({name}{vertices}, {count_of(len(self.faces), 'face')})"
 
     @cached_property
     def bounds(self) -> np.ndarray:
@@ -48,13 +73,19 @@ class Mesh:
         used = np.zeros(len(self.vertices), bool)
         used[self.faces] = True
         points = self.vertices[used]
-        return np.stack([points.min(axis=0), points.max(axis=0)]) + 0.0  # no -0.0
+        return read_only(np.stack([points.min(axis=0), points.max(axis=0)]) + 0.0)  # no -0.0
+
+    def to_trimesh(self) -> Any:
+        """Return a copy as a trimesh.Trimesh, with vertices and faces in the same order."""
+        import trimesh
+
+        return trimesh.Trimesh(self.vertices.copy(), self.faces.copy(), process=False)
 
 
 def mesh_from_arrays(
     vertices: Any, faces: Any, *, source_sha256: str = "", name: str = "", units: str = ""
 ) -> Mesh:
-    """A checked mesh of any arrays.
+    """Return a checked mesh of any arrays, which are copied.
 
     Parameters
     ----------
@@ -69,7 +100,7 @@ def mesh_from_arrays(
     """
     where = name or "mesh"
     try:
-        points = np.ascontiguousarray(vertices, np.float64)
+        points = np.array(vertices, np.float64, order="C")
         corners = np.asarray(faces)
     except (TypeError, ValueError) as error:
         raise MeshError(f"{where}: not arrays of numbers: {one_line(error)}") from None
@@ -92,7 +123,7 @@ def mesh_from_arrays(
             f"{where}: vertex {vertex} is not finite: ({', '.join(map(str, points[vertex]))}): "
             "remove it or give it a position"
         )
-    indices = np.ascontiguousarray(corners, np.int32)
+    indices = np.array(corners, np.int32, order="C")
     mesh = Mesh(points, indices, source_sha256, name, units)
     if (mesh.bounds[0] == mesh.bounds[1]).all():
         raise MeshError(
@@ -103,16 +134,18 @@ def mesh_from_arrays(
 
 
 def check_counts(name: str, vertices: int, faces: int) -> None:
+    """Refuse a mesh of more vertices or faces than int32 can number."""
     for count, what in ((faces, "triangles"), (vertices, "vertices")):
         if count > MAX_COUNT:
             raise MeshError(f"{name}: {count} {what}, at most {MAX_COUNT} can be read: split it")
 
 
 def check_indices(where: str, corners: np.ndarray, vertices: int) -> None:
+    """Refuse faces that name vertices which do not exist."""
     if len(corners) and (corners.min() < 0 or corners.max() >= vertices):
         bad = (corners < 0) | (corners >= vertices)
         face = int(np.argmax(bad.any(axis=1)))
         raise MeshError(
             f"{where}: face {face} names vertex {corners[face][bad[face]][0]} where there are "
-            f"{vertices}, both counted from 0: mend the index, or the file is truncated"
+            f"{vertices}, both counted from 0: correct the index, or the file is truncated"
         )
