@@ -41,10 +41,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from voxtool import files, memory
-from voxtool.errors import FileError, GridError, MemoryLimitError, VoxtoolError
+from voxtool.errors import FileError, MemoryLimitError, VoxtoolError
 from voxtool.files import skeleton, svo_hdf5, svo_xml
 from voxtool.grid import Grid
-from voxtool.plots import octree_slice
 from voxtool.svo import layers
 from voxtool.svo.layout import INSIDE, VALID
 from voxtool.svo.octree import Octree
@@ -778,50 +777,6 @@ def test_vti_opens_in_vtk(dense: np.ndarray, tmp_path: Path) -> None:
     cells = image.GetCellData().GetScalars()
     assert cells.GetName() == "occupancy"
     assert np.array_equal(vtk_to_numpy(cells).reshape(21, 33, 40), dense.transpose(2, 1, 0))
-
-
-@pytest.mark.parametrize("axis", ["x", "y", "z"])
-def test_png_shows_the_slice(dense: np.ndarray, tmp_path: Path, axis: str) -> None:
-    image_module = pytest.importorskip("PIL.Image")
-    path = exported(dense, tmp_path / "a.png", axis=axis, value=10)
-    expected = np.take(dense, 10, "xyz".index(axis)).T[::-1]  # right, up
-    with image_module.open(path) as picture:
-        pixels = np.array(picture)
-    scale = round(1024 / max(expected.shape))
-    assert pixels.shape == tuple(n * scale + 1 for n in expected.shape)
-    # its lowest row closes the frame at the top, so voxels start one pixel lower
-    centres = pixels[1 + scale // 2 :: scale, scale // 2 :: scale][: expected.shape[0]]
-    assert np.array_equal(centres[:, : expected.shape[1]] % octree_slice.LINE > 0, expected)
-
-
-def test_png_outlines_every_leaf(dense: np.ndarray) -> None:
-    octree = octree_from_dense(dense)
-    picture = octree_slice.draw_octree_slice(octree, "z", 10)[::-1]
-    scale = (picture.shape[1] - 1) // 40
-    for level in octree.levels():
-        for x, y, z in level.cells[~level.refined | (level.number == 0)]:
-            if z <= 10 < z + level.side and x < 40 and y < 33:
-                assert picture[y * scale, x * scale] >= octree_slice.LINE
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"axis": "z", "value": 21}, "slice z=21 lies outside the grid: choose 0 to 20"),
-        ({"axis": "x", "value": -1}, "slice x=-1 lies outside"),
-        ({"axis": "w"}, "axis 'w' is unknown: choose x, y or z"),
-    ],
-)
-def test_png_refuses_a_slice_outside(dense, tmp_path, options, message) -> None:
-    with pytest.raises(GridError, match=message):
-        files.export(octree_from_dense(dense), tmp_path / "a.png", **options)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_png_without_pillow_names_the_extra(dense, tmp_path, monkeypatch) -> None:
-    monkeypatch.setitem(sys.modules, "PIL", None)
-    with pytest.raises(FileError, match=r"pip install 'voxtool\[pictures\]'"):
-        files.export(octree_from_dense(dense), tmp_path / "a.png")
 
 
 def huge_octree() -> Octree:
