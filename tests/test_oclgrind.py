@@ -53,7 +53,7 @@ VARIANTS = {  # forced decisions of VoxelizePlan
         "code_bits": 64,
         "tiled": True,
         "tiled_nodes": True,
-        "tile": 8,
+        "column_tile": 8,
     },
 }
 

@@ -1,5 +1,5 @@
-// The octree, bottom-up from shortened Morton codes (section 3.2 and listing A.2 of the thesis). Host
-// side: voxtool/svo/build.py. Options: CODE.
+// The octree, bottom-up from shortened Morton codes ([voCCeL], section 3.2 and listing A.2). Host side:
+// voxtool/svo/build.py. Options: CODE.
 
 #include "svo/octree.h"
 

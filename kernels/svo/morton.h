@@ -35,8 +35,8 @@ uint voxel_place(uint3 voxel)
     return spread.x | spread.y << 1 | spread.z << 2;
 }
 
-// The bit of a row of voxels along x in the 64-bit state of its tile of 8 x 8 rows. The faces
-// (voxels of x = 0) of the four bricks of a tile interleave in it: see face_of.
+// The bit of a row of voxels along x in the 64-bit state of its bundle of 8 x 8 rows. The faces
+// (voxels of x = 0) of the four bricks of a bundle interleave in it: see face_of.
 uint row_bit(uint y, uint z)
 {
     return ((y >> 2) & 1) | (y & 1) << 1 | (z & 1) << 2 | ((z >> 2) & 1) << 3 |

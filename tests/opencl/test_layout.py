@@ -142,7 +142,7 @@ def where(text: str, wanted: str) -> tuple[str, int]:
 def test_every_kernel_includes_only_what_there_is() -> None:
     folder = program.kernel_folder()
     sources = [p.relative_to(folder).as_posix() for p in folder.rglob("*.cl")]
-    assert {"opencl/primitives.cl", "svo/voxelize.cl", "svo/build.cl"} <= set(sources)
+    assert {"opencl/primitives.cl", "svo/scan.cl", "svo/build.cl"} <= set(sources)
     for source in sources:
         text = program.flatten(source)
         assert "#include" not in text

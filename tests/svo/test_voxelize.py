@@ -14,6 +14,9 @@ from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
+from voxtool.svo.build import DeviceOctree
+from voxtool.svo.fill.open_rows import refuse_beyond
+from voxtool.svo.layout import NODE
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize, voxelize
 
@@ -90,7 +93,7 @@ LARGE = {
     "blocked": True,
     "tiled": True,
     "tiled_nodes": True,
-    "tile": 4,
+    "column_tile": 4,
 }
 
 
@@ -340,12 +343,16 @@ def test_refusals(device: Device) -> None:
         voxelize(far, grid, device=device)
 
 
-def test_rows_that_leak_may_not_outgrow_the_links(device: Device, monkeypatch) -> None:
-    mesh = meshes.open_box((300, 700, 700), (2000, 2000, 2000), missing=1)
-    assert run(device, mesh, (64,) * 3, "solid").to_dense()[-1].any()  # it leaks to the end
-    monkeypatch.setattr("voxtool.svo.fill.parity.MAX_LINK", 10)
+def test_rows_that_leak_may_not_outgrow_memory_or_links(device: Device) -> None:
+    mesh = meshes.open_box((300, 7000, 7000), (60000, 60000, 60000), missing=1)
+    leaking = run(device, mesh, (64,) * 3, "solid")
+    assert leaking.to_dense()[-1].any()  # it leaks to the end
+    with pytest.raises(MemoryLimitError):
+        run(device, mesh, (1024,) * 3, "solid", max_memory=4 * leaking.nbytes)
+    tree = DeviceOctree(np.array([0, 1, 9]), device.zeros(9, NODE), [])
+    refuse_beyond(tree, 1 << 26, 0, 1 << 40)
     with pytest.raises(MemoryLimitError, match="rows that leak through this open mesh"):
-        run(device, mesh, (64,) * 3, "solid")
+        refuse_beyond(tree, 1 << 27, 0, 1 << 40)
 
 
 @pytest.mark.parametrize("shape", [(600, 600, 13), (64, 64, 13), (2100, 2100, 13)])
@@ -372,10 +379,3 @@ def test_thin_grids_are_dense_in_their_own_shape(device: Device) -> None:
     assert dense.shape == shape
     assert np.array_equal(np.argwhere(dense), octree.occupied())
     assert octree.count == 49990 * 5 * 3
-
-
-def test_the_limit_holds_for_rows_that_leak(device: Device) -> None:
-    mesh = meshes.open_box((300, 7000, 7000), (60000, 60000, 60000), missing=1)
-    limit = 4 * run(device, mesh, (64,) * 3, "solid").nbytes
-    with pytest.raises(MemoryLimitError):
-        run(device, mesh, (1024,) * 3, "solid", max_memory=limit)

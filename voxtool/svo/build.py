@@ -1,12 +1,13 @@
 """The octree on the device, from the Morton codes of its refined nodes.
 
-Bottom-up as in the thesis (section 3.2, listing A.2): the parents of a level's refined nodes are
-found by shortening their codes; flags, a scan and a compaction leave each once. The build ends at
-the root's level, however many nodes are active. Kernels: kernels/svo/build.cl.
+The build goes bottom-up ([voCCeL], section 3.2, listing A.2): the parents of a level's refined
+nodes are found by shortening their codes; flags, a scan and a compaction keep each of them once.
+Kernels: kernels/svo/build.cl.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,16 +49,10 @@ class DeviceOctree:
         """The root's level."""
         return len(self.refined)
 
-    def release(self) -> None:
-        """Give back all device memory."""
-        self.nodes.release()
-        self.release_refined()
-
-    def release_refined(self) -> None:
-        """Give back what served to build the octree."""
-        for level in self.refined:
-            level.codes.release()
-            level.parent_index.release()
+    def kernel(self, source: str, name: str) -> Callable[..., None]:
+        """A kernel for Morton codes of the octree's type."""
+        code = code_name(self.refined[0].codes.dtype)
+        return self.nodes.device.kernel(source, name, CODE=code)
 
 
 def code_name(dtype: np.dtype) -> str:
@@ -79,13 +74,12 @@ def build_octree(device: Device, side: int, codes: Array, n: int) -> DeviceOctre
     refined = []
     for _ in range((side // 8).bit_length()):
         parent_index = device.empty(n + 1, np.uint32)
-        tag_parents(n, codes, np.uint32(n), parent_index)
+        tag_parents(n, codes, parent_index)
         refined.append(RefinedNodes(codes, parent_index, n))
         count = exclusive_scan(parent_index, n) if n else 0
         parents = device.empty(count, codes.dtype)
-        strip_mortons(n, codes, np.uint32(n), parent_index, parents)
+        strip_mortons(n, codes, parent_index, parents)
         codes, n = parents, count
-    codes.release()  # of the root's parent
     return _link(device, refined)
 
 
@@ -122,14 +116,7 @@ def _link(device: Device, refined: list[RefinedNodes]) -> DeviceOctree:
     for number, level in enumerate(refined, 1):
         depth = top - number
         link_level(
-            level.n,
-            level.codes,
-            np.uint32(level.n),
-            level.parent_index,
-            np.uint32(number == top),
-            np.uint32(number),
-            offsets[depth],
-            offsets[depth + 1],
-            nodes,
-        )
+            level.n, level.codes, level.parent_index, number == top, number, offsets[depth],
+            offsets[depth + 1], nodes,
+        )  # fmt: skip
     return DeviceOctree(offsets, nodes, refined)

@@ -10,11 +10,11 @@ from voxtool.job import Cost
 from voxtool.svo.layout import BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
 
 CELL = 2 * BRICK_SIDE  # voxels along a side of a level-1 node
-BLOCK = 64  # voxels along a side of a block of level-1 nodes
+NODE_BLOCK = 64  # voxels along a side of a block of level-1 nodes
 NARROW_EXTENT = 4096  # voxels up to which a triangle's predicates fit 64 bits
 CODE_32_SIDE = 8192  # voxels up to which level-1 Morton codes fit 32 bits
 DENSE_SIDE = 2048  # voxels up to which the level-1 volume is dense
-TILE = 64  # columns along a side of a work-item's share of a triangle
+COLUMN_TILE = 64  # columns along a side of a work-item's share of a triangle
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class VoxelizePlan:
     holes, caps : of the mesh where they matter, and the triangles that close them.
     wide : predicates in 128 bits; code_bits : of the Morton codes; blocked : the level-1 volume is
     stored by blocks; entry : rows have a state where they enter; tiled, tiled_nodes : triangles
-    are shared among work-items, for voxels and for level-1 nodes; tile : columns along a side of
-    a share.
+    are shared among work-items, for voxels and for level-1 nodes; column_tile : columns along a
+    side of a share.
     active : predicted refined nodes by level, from level 1 up.
     """
 
@@ -69,7 +69,7 @@ class VoxelizePlan:
     tiled: bool
     tiled_nodes: bool
     active: tuple[int, ...]
-    tile: int = TILE
+    column_tile: int = COLUMN_TILE
 
     @property
     def solid(self) -> bool:
@@ -286,8 +286,8 @@ def plan_of(
         code_bits=32 if side <= CODE_32_SIDE else 64,
         blocked=side > DENSE_SIDE,
         entry=solid and survey.before,
-        tiled=survey.extent > TILE - 3,
-        tiled_nodes=survey.extent > (TILE - 3) * CELL,
+        tiled=survey.extent > COLUMN_TILE - 3,
+        tiled_nodes=survey.extent > (COLUMN_TILE - 3) * CELL,
         active=_predict_active(survey, shape, side, solid),
     )
 
@@ -322,7 +322,7 @@ def _volume_bytes(plan: VoxelizePlan) -> int:
     if not plan.blocked:
         return _dense_bytes(plan.side)
     blocks = plan.active[3] if len(plan.active) > 3 else 1
-    return 2 * 4 * max((plan.side // BLOCK) ** 3 // 32, 1) + blocks * (16 * 4 * 2 + 8)
+    return 2 * 4 * max((plan.side // NODE_BLOCK) ** 3 // 32, 1) + blocks * (16 * 4 * 2 + 8)
 
 
 def _device_bytes(plan: VoxelizePlan) -> int:

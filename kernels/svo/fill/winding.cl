@@ -1,9 +1,10 @@
 // The winding number near holes: over blocks of voxels, and at voxels. Host side:
-// voxtool/svo/winding.py. Options: CODE=ulong, WIDE.
+// voxtool/svo/fill/winding.py. Options: CODE=ulong, WIDE.
 
 #pragma OPENCL FP_CONTRACT OFF
 
 #include "svo/octree.h"
+#include "svo/fill/crossings.h"
 #include "svo/fill/winding.h"
 #include "svo/morton.h"
 #include "svo/overlap.h"
@@ -121,19 +122,15 @@ bool may_meet(const triangle *t, centres c)
 }
 
 // spreads[i] = by how much the winding number at the voxels of block i can differ from that of its
-// middle; infinite where that is as much as `limit`, or where a cap may pass between the voxels.
-// A hole counts by the area of its cap or by its edges, whichever tells less.
+// middle; infinite where that is as much as `limit`. A hole counts by the area of its cap or by its
+// edges, whichever bound is lower.
 __kernel void bound_spreads(__global const ulong *blocks, const uint n, const uint level,
                             const double limit, const double4 frame,
                             __global const float *hole_nodes, __global const uint *hole_names,
                             __global const double *areas, __global const double *hole_areas,
-                            const uint hole_count,
-                            const uint hole_first_leaf, __global const uint *first,
-                            __global const int *loops,
-                            __global const float *cap_nodes, __global const uint *names,
-                            const uint cap_count, const uint cap_first_leaf,
-                            __global const int *vertices, __global const int *faces,
-                            const uint first_cap, __global double *spreads)
+                            const uint hole_count, const uint hole_first_leaf,
+                            __global const uint *first, __global const int *loops,
+                            __global const int *vertices, __global double *spreads)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -177,10 +174,23 @@ __kernel void bound_spreads(__global const ulong *blocks, const uint n, const ui
             }
         }
     }
-    spreads[gid] = INFINITY;
-    if (!(steepness * radius < limit))
+    const double spread = steepness * radius;
+    spreads[gid] = spread < limit ? spread : INFINITY;
+}
+
+// spreads[i] = infinite where a cap may pass between the voxels of block i.
+__kernel void exclude_caps(__global const ulong *blocks, const uint n, const uint level,
+                        const double4 frame, __global const float *cap_nodes,
+                        __global const uint *names, const uint cap_count,
+                        const uint cap_first_leaf, __global const int *vertices,
+                        __global const int *faces, const uint first_cap, __global double *spreads)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n || spreads[gid] == INFINITY)
         return;
-    top = 1;
+    const centres c = centres_of(blocks[gid], level);
+    const double3 low = to_local(c.low, frame), high = to_local(c.high, frame);
+    uint ids[STACK], top = 1;
     ids[0] = 0;
     while (top > 0) {
         const uint id = ids[--top];
@@ -197,12 +207,13 @@ __kernel void bound_spreads(__global const ulong *blocks, const uint n, const ui
             const uint leaf = (child - cap_first_leaf) * LEAF;
             for (uint k = leaf; k < min(leaf + LEAF, cap_count); ++k) {
                 const triangle t = fetch_triangle(vertices, faces, first_cap + names[k] / 3);
-                if (may_meet(&t, c))
+                if (may_meet(&t, c)) {
+                    spreads[gid] = INFINITY;
                     return;
+                }
             }
         }
     }
-    spreads[gid] = steepness * radius;
 }
 
 // ---- at voxels
@@ -301,33 +312,35 @@ double number_of(const triangle *t, int3 centre)
     return crossing + (angle.x + angle.y + angle.z) / (2 * PI);
 }
 
-// numbers[i] = the winding number about the shifted centre of voxel voxels[i]: the crossings of its
-// row with the mesh and its caps, less the number of the caps: of triangles that are near each, of
-// others by the moments of the tree. Without `has_caps` the crossings alone; beyond the grid NOWHERE.
+// numbers[i] = the crossings of its row before the shifted centre of voxel voxels[i], those that enter
+// minus those that leave; BEYOND_GRID beyond the grid.
 __kernel void number_voxels(__global const ulong *voxels, const uint n, const int4 shape,
-                            __global const ulong *crossings, const uint crossing_count,
-                            const uint x_bits, const uint has_caps, const double4 frame,
-                            __global const double *leaves, __global const uint *names,
-                            const uint cap_count, const uint cap_first_leaf,
-                            __global const double *moments,
-                            __global const int *vertices, __global const int *faces,
-                            const uint first_cap, __global double *numbers)
+                            __global const ulong *crossings, const uint count, const uint x_bits,
+                            __global double *numbers)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     const int3 voxel = convert_int3(morton_decode(voxels[gid]));
-    if (any(voxel >= shape.xyz)) {
-        numbers[gid] = NOWHERE;
-        return;
-    }
     const ulong row = (ulong)voxel.z * shape.y + voxel.y;
-    const double number = number_before(crossings, crossing_count, x_bits, row, voxel.x);
-    if (!has_caps) {
-        numbers[gid] = number;
+    numbers[gid] = any(voxel >= shape.xyz)
+                       ? BEYOND_GRID
+                       : number_before(crossings, count, x_bits, row, voxel.x);
+}
+
+// Subtract the winding number of the caps about the shifted centres of voxels: triangles that are near
+// count one by one, others by the moments of the tree.
+__kernel void subtract_caps(__global const ulong *voxels, const uint n, const double4 frame,
+                            __global const double *leaves, __global const uint *names,
+                            const uint cap_count, const uint cap_first_leaf,
+                            __global const double *moments, __global const int *vertices,
+                            __global const int *faces, const uint first_cap,
+                            __global double *numbers)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n || numbers[gid] == BEYOND_GRID)
         return;
-    }
-    const int3 centre = voxel * VOXEL + HALF;
+    const int3 centre = convert_int3(morton_decode(voxels[gid])) * VOXEL + HALF;
     const double3 p = to_local(centre, frame);
     uint ids[STACK], top = 1;
     ids[0] = 0;
@@ -368,7 +381,7 @@ __kernel void number_voxels(__global const ulong *voxels, const uint n, const in
     }
     const double4 halves = angles.lo + angles.hi;
     const double2 quarters = halves.lo + halves.hi;
-    numbers[gid] = number - (quarters.x + quarters.y) / (4 * PI) - near;
+    numbers[gid] = numbers[gid] - (quarters.x + quarters.y) / (4 * PI) - near;
 }
 
 // bricks[places[i]] = masks[i].

@@ -1,18 +1,18 @@
-// Parity fill: from the crossings of rows along x to inside voxels and inside leaves. Host side:
-// voxtool/svo/inside.py. Options: CODE.
+// From the flips of rows along x to inside voxels and inside leaves. Host side:
+// voxtool/svo/fill/rows.py. Options: CODE.
 //
-// A tile is 8 x 8 rows along x, a level-1 node wide; its state is 64 bits, one a row: inside or
+// A bundle is 8 x 8 rows along x, a level-1 node wide; its state is 64 bits, one a row: inside or
 // not. The bits of a brick are numbered in Morton order, so voxels of x = 0 .. 3 lie at offsets
-// 0, 1, 8 and 9 from those of X0, and the faces of a tile's four bricks interleave in its state.
+// 0, 1, 8 and 9 from those of X0, and the faces of a bundle's four bricks interleave in its state.
 
 #include "svo/octree.h"
-#include "svo/fill/parity.h"
+#include "svo/fill/rows.h"
 #include "svo/morton.h"
 
 #define X0 0x0055005500550055ul // the voxels of a brick with x = 0
 #define ALL 0xFFFFFFFFFFFFFFFFul
 
-// The rows of quadrant o (brick octant / 2) of a tile's state, as bits of X0; and back.
+// The rows of quadrant o (brick octant / 2) of a bundle's state, as bits of X0; and back.
 ulong face_of(ulong state, uint o) { return (state >> ((o & 1) + 8 * (o >> 1))) & X0; }
 ulong rows_of(ulong face, uint o) { return face << ((o & 1) + 8 * (o >> 1)); }
 
@@ -43,23 +43,21 @@ ulong exit_face(ulong brick) { return (brick >> 9) & X0; }
 
 #define MAX_LEVELS 16
 
-// Walk a tile's rows through the octree along x. Level-1 nodes get their rows' state on entry; for a
-// leaf, `fills` counts the tiles that fill it, or is MIXED where a tile fills it in part or it
-// reaches beyond the grid. With `record`, the chosen tiles' states are written for the leaves that
-// are to be refined (child = slot + 1) instead.
+// Walk a bundle's rows through the octree along x. Level-1 nodes get their rows' state on entry; for a
+// leaf, `fills` counts the bundles that fill it, or is MIXED where a bundle fills it in part or it
+// reaches beyond the grid. If bundles are chosen, their states in the leaves that are to be refined
+// (child = slot + 1) are recorded instead.
 __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offsets, const uint top,
-                         const int4 shape, const uint tiles_y, const uint tiles,
-                         __global const uint *chosen, const uint record,
-                         __global const ulong *entry, const uint has_entry,
-                         __global const ulong *bricks, __global ulong *entries,
+                         const int4 shape, const uint n, __global const uint *chosen,
+                         __global const ulong *entry, __global const ulong *bricks, __global ulong *entries,
                          volatile __global uint *fills, __global ulong *states)
 {
     const uint gid = get_global_id(0);
-    if (gid >= tiles)
+    if (gid >= n)
         return;
-    const uint tile = record ? chosen[gid] : gid;
-    const uint y = tile % tiles_y, z = tile / tiles_y;
-    ulong state = has_entry ? entry[tile] : 0;
+    const uint bundle = chosen ? chosen[gid] : gid, bundles_y = (uint)(shape.y + 7) / 8;
+    const uint y = bundle % bundles_y, z = bundle / bundles_y;
+    ulong state = entry ? entry[bundle] : 0;
     const uint end = (uint)(shape.x + 7) / 8;
     uint path[MAX_LEVELS]; // the nodes that hold cell (x, y, z), from the root down
     path[top] = 0;
@@ -77,14 +75,15 @@ __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offset
         uint next;
         if (child & VALID) {
             const uint index = (child & LINK) / 8;
-            entries[index] = state;
+            if (!chosen)
+                entries[index] = state;
             state ^= node_flips(bricks + 8 * index);
             next = x + 1;
         } else {
             const uint side = 1u << (level - 1); // of the leaf, in cells
             const uint leaf = offsets[top - level] + path[level];
             next = (x | (side - 1)) + 1;
-            if (record) {
+            if (chosen) {
                 if (child & LINK)
                     states[(child & LINK) - 1 + (y & (side - 1)) + (z & (side - 1)) * side] = state;
             } else if (state == ALL && 8 * next <= (uint)shape.x) {
@@ -98,8 +97,8 @@ __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offset
     }
 }
 
-// A leaf that every tile of it fills is inside; one that only some fill must be refined: it gets
-// MIXED, and is counted.
+// A leaf that all its bundles fill is inside; one that only some fill must be refined: it gets MIXED,
+// and is counted.
 __kernel void mark_leaves(__global svo_node *nodes, __constant uint *offsets, const uint top,
                           const uint n, __global const uint *fills,
                           volatile __global uint *unresolved)
@@ -127,7 +126,7 @@ __kernel void move_bricks(__global const ulong *flips, __global const uint *posi
         bricks[8 * positions[gid / 8] + gid % 8] = flips[gid];
 }
 
-// The same for voxels, which are added to those there.
+// The same, but the voxels are added to those that are set.
 __kernel void unite_bricks(__global const ulong *added, __global const uint *positions,
                            const uint n, __global ulong *bricks)
 {

@@ -1,0 +1,43 @@
+// The set of active level-1 nodes as bits in Morton order. Host side: voxtool/svo/active.py. Options:
+// CODE, BLOCKED.
+
+#include "svo/octree.h"
+#include "svo/scan.h"
+#include "svo/active.h"
+
+// counts[i] = the number of bits set in word i.
+__kernel void count_bits(__global const uint *words, const uint n, __global uint *counts)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n)
+        counts[gid] = popcount(words[gid]);
+}
+
+// The Morton codes of the set bits, in order ([voCCeL] listing A.5). In a blocked set, 16 words belong
+// to each block, whose codes are given.
+__kernel void write_mortons(__global const uint *words, const uint n, __global const uint *ranks,
+                            __global const CODE *blocks, __global CODE *codes)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const CODE base = blocks ? (blocks[gid >> 4] << 9) | (CODE)((gid & 15) << 5) : (CODE)gid << 5;
+    uint out = ranks[gid];
+    for (uint word = words[gid]; word; word &= word - 1)
+        codes[out++] = base | (CODE)popcount((word & -word) - 1u);
+}
+
+// Set the bits of level-1 nodes, or of the blocks that hold them, by their codes.
+__kernel void activate_nodes(__global const CODE *codes, const uint n, const int level,
+                             ACTIVE_SET_PARAMETERS, volatile __global uint *target)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    CODE code = level == NODE_LEVEL ? codes[gid] : codes[gid] >> 9;
+#ifdef BLOCKED
+    if (level == NODE_LEVEL)
+        code = (CODE)set_index(block_words, block_ranks, code >> 9) << 9 | (code & 511);
+#endif
+    atomic_or(&target[(uint)(code >> 5)], 1u << (uint)(code & 31));
+}

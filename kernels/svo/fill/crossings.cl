@@ -1,0 +1,169 @@
+// The crossings of rows of voxel centres along x with triangles. Host side:
+// voxtool/svo/fill/crossings.py. Options: those of columns.h.
+
+#include "svo/columns.h"
+#include "svo/fill/crossings.h"
+
+// What is done with the crossings of rows of centres with a triangle.
+#define FLIP 0  // the first voxel at or beyond each is flipped
+#define COUNT 1 // they are counted
+#define LIST 2  // they are written down, by row, voxel and direction
+
+#ifdef BLOCKED // for COUNT and LIST
+#define NO_ACTIVE_SET 0, 0, 0, 0
+#else
+#define NO_ACTIVE_SET 0, 0
+#endif
+
+typedef struct {
+    sink out;
+    volatile __global uint *entry;
+    __global ulong *crossings;
+    uint count, x_bits;
+} visitor;
+
+uint bundle_of(uint3 voxel, int3 shape)
+{
+    return (voxel.y >> 3) + (voxel.z >> 3) * (uint)((shape.y + 7) >> 3);
+}
+
+// Flip a row from voxel i on; from -1 on it is its state on entry.
+void flip_row(sink *out, volatile __global uint *entry, ACTIVE_SET_PARAMETERS, int3 shape, int i,
+              int j, int k)
+{
+    const uint3 voxel = (uint3)(max(i, 0), j, k);
+    if (i < 0) {
+        const uint row = row_bit(j & 7, k & 7);
+        atomic_xor(&entry[2 * bundle_of(voxel, shape) + (row >> 5)], 1u << (row & 31));
+        return;
+    }
+    uint bit;
+    const uint word = voxel_word(out, ACTIVE_SET, voxel, &bit);
+    put_xor(out, word, bit);
+}
+
+// Visit the crossings of rows of centres with the triangle (eq. 3.5), each at the first voxel at or
+// beyond it. Rows whose centre, moved by the infinitesimal shift, lies in the projection are
+// crossed; a centre on the triangle is beyond the crossing. Crossings before x = 0 are at voxel -1.
+void visit_crossings(const triangle *t, const columns *c, int3 shape, int what, visitor *v,
+                     ACTIVE_SET_PARAMETERS)
+{
+    const int3 u = t->v[0], a = t->v[1] - u, b = t->v[2] - u;
+    long nx = cross_term(a.y, b.z, b.y, a.z);
+    if (nx == 0)
+        return; // parallel to x: no row crosses it
+    const int sign = nx < 0 ? -1 : 1;
+    nx *= sign;
+    const long ny = cross_term(a.z, b.x, b.z, a.x) * sign, nz = cross_term(a.x, b.y, b.x, a.y) * sign;
+    const edge_functions e = project(CROSSED, (int3)(t->v[0].y, t->v[1].y, t->v[2].y),
+                                     (int3)(t->v[0].z, t->v[1].z, t->v[2].z), sign, VOXEL, 0, 0, true);
+    const int last = c->high.z - c->low.z; // the axis is x
+    const wide right = wide_product(ny, VOXEL), up = wide_product(nx, VOXEL);
+    for (int k = c->low.y; k <= c->high.y; ++k) {
+        long3 yz = e.p * c->low.x + e.q * k + e.d;
+        int j = c->low.x;
+        for (; j <= c->high.x && !none_negative(yz); ++j)
+            yz += e.p;
+        if (j > c->high.x)
+            continue;
+        // n . (centre - v0) of the first voxel that it can be; it rises along x
+        wide low = wide_dot(nx, ny, nz, (long)c->low.z * VOXEL + HALF - u.x,
+                            (long)j * VOXEL + HALF - u.y, (long)k * VOXEL + HALF - u.z);
+        for (; j <= c->high.x && none_negative(yz); ++j, yz += e.p, low = wide_sum(low, right)) {
+            wide first = low;
+            const int r = first_not_before(&first, nx, VOXEL, up, last);
+            const int i = max(c->low.z + r, -1);
+            if (i >= shape.x)
+                continue; // beyond the high-x side
+            if (what == FLIP)
+                flip_row(&v->out, v->entry, ACTIVE_SET, shape, i, j, k);
+            else if (what == LIST)
+                v->crossings[v->count++] =
+                    ((ulong)k * shape.y + j) << v->x_bits | (ulong)(i + 1) << 2 | (sign < 0 ? ENTERS : 0);
+            else
+                ++v->count;
+        }
+    }
+}
+
+__kernel void flip_crossings(__global const int *vertices, __global const int *faces,
+                       const uint triangles, __global const uint *tile_offsets, const uint n,
+                             const int4 shape, ACTIVE_SET_PARAMETERS,
+                             volatile __global uint *bricks, volatile __global uint *entry)
+{
+    triangle t;
+    columns c;
+    if (!take_share(vertices, faces, triangles, tile_offsets, n, CROSSED, 0, shape.xyz, 0, &t, &c))
+        return;
+    visitor v;
+    v.out = open_sink(bricks);
+    v.entry = entry;
+    visit_crossings(&t, &c, shape.xyz, FLIP, &v, ACTIVE_SET);
+    flush_xor(&v.out);
+}
+
+// ---- crossings with their directions
+
+// counts[i] = the number of crossings that share i lists.
+__kernel void count_crossings(__global const int *vertices, __global const int *faces,
+                       const uint triangles, __global const uint *tile_offsets, const uint n,
+                              const int4 shape, __global uint *counts)
+{
+    const uint gid = get_global_id(0);
+    visitor v;
+    v.count = 0;
+    triangle t;
+    columns c;
+    if (take_share(vertices, faces, triangles, tile_offsets, n, CROSSED, 0, shape.xyz, 0, &t, &c))
+        visit_crossings(&t, &c, shape.xyz, COUNT, &v, NO_ACTIVE_SET);
+    if (gid < n)
+        counts[gid] = v.count;
+}
+
+// The crossings of share i from firsts[i] on: the row, x_bits - 2 bits of the voxel, counted from -1,
+// and ENTERS where a row that runs towards high x enters a solid that faces outward.
+__kernel void list_crossings(__global const int *vertices, __global const int *faces,
+                       const uint triangles, __global const uint *tile_offsets, const uint n,
+                             const int4 shape, __global const uint *firsts,
+                             const uint x_bits, __global ulong *crossings)
+{
+    triangle t;
+    columns c;
+    if (!take_share(vertices, faces, triangles, tile_offsets, n, CROSSED, 0, shape.xyz, 0, &t, &c))
+        return;
+    visitor v;
+    v.count = firsts[get_global_id(0)];
+    v.x_bits = x_bits;
+    v.crossings = crossings;
+    visit_crossings(&t, &c, shape.xyz, LIST, &v, NO_ACTIVE_SET);
+}
+
+// Flip rows where the number of crossings before, those that enter less those that leave, comes to
+// be among those that are inside, or ceases to be: from 1 on, or with `nonzero` all but 0. The
+// first crossing of a row walks it; crossings are sorted.
+__kernel void flip_changes(__global const ulong *crossings, const uint n, const uint x_bits,
+                           const uint nonzero, const int4 shape, ACTIVE_SET_PARAMETERS,
+                           volatile __global uint *bricks, volatile __global uint *entry)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const ulong row = crossings[gid] >> x_bits;
+    if (gid > 0 && crossings[gid - 1] >> x_bits == row)
+        return;
+    const int j = (int)(row % shape.y), k = (int)(row / shape.y);
+    sink out = open_sink(bricks);
+    int number = 0;
+    bool inside = false;
+    for (uint at = gid; at < n && crossings[at] >> x_bits == row; ++at) {
+        number += crossings[at] & ENTERS ? 1 : -1;
+        if (at + 1 < n && crossings[at + 1] >> 2 == crossings[at] >> 2)
+            continue; // another one at the same voxel
+        if (inside != (nonzero ? number != 0 : number > 0)) {
+            inside = !inside;
+            const int i = (int)(crossings[at] >> 2 & ((1ul << (x_bits - 2)) - 1)) - 1;
+            flip_row(&out, entry, ACTIVE_SET, shape.xyz, i, j, k);
+        }
+    }
+    flush_xor(&out);
+}

@@ -1,0 +1,40 @@
+// A mesh on a grid's lattice, summed up in numbers for the plan. Host side: voxtool/svo/lattice.py.
+
+#include "svo/octree.h"
+#include "svo/scan.h"
+#include "svo/overlap.h"
+
+// Each work-item's partial sums over its triangles: largest extent in units, doubled projected areas
+// along x, y, z in 1/256 voxel^2, whether one lies below x = 0, how many miss every box of the grid.
+__kernel void survey(__global const int *vertices, __global const int *faces, const uint count,
+                     const int4 shape, __global ulong *partial)
+{
+    const uint gid = get_global_id(0), items = get_global_size(0);
+    ulong extent = 0, x = 0, y = 0, z = 0, before = 0, outside = 0;
+    // what the widest boxes reach: blocks of level-1 nodes, and half a voxel more along x
+    const int3 end = ((shape.xyz + NODE_BLOCK - 1) / NODE_BLOCK * NODE_BLOCK) * VOXEL + HALF;
+    for (uint i = gid; i < count; i += items) {
+        const triangle t = fetch_triangle(vertices, faces, i);
+        const int3 low = min(min(t.v[0], t.v[1]), t.v[2]);
+        const int3 high = max(max(t.v[0], t.v[1]), t.v[2]);
+        if (any(high.yz < 0) || any(low > end)) {
+            ++outside;
+            continue;
+        }
+        if (low.x <= -HALF)
+            before = 1;
+        const uint3 size = as_uint3(high) - as_uint3(low);
+        extent = max(extent, (ulong)max(max(size.x, size.y), size.z));
+        const int3 a = t.v[1] - t.v[0], b = t.v[2] - t.v[0];
+        x += abs(cross_term(a.y, b.z, b.y, a.z)) >> FIXED_POINT_BITS;
+        y += abs(cross_term(a.z, b.x, b.z, a.x)) >> FIXED_POINT_BITS;
+        z += abs(cross_term(a.x, b.y, b.x, a.y)) >> FIXED_POINT_BITS;
+    }
+    __global ulong *out = partial + 6 * gid;
+    out[0] = extent;
+    out[1] = x;
+    out[2] = y;
+    out[3] = z;
+    out[4] = before;
+    out[5] = outside;
+}

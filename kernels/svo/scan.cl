@@ -1,0 +1,167 @@
+// Scan conversion of triangles into the boxes that they touch: level-1 nodes, blocks of these, and
+// voxels ([voCCeL], sections 3.2 and A.4). Host side: voxtool/svo/scan.py. Options: those of
+// columns.h, and KIND.
+
+#include "svo/columns.h"
+
+// tiles[i] = the number of shares of triangle i.
+__kernel void count_tiles(__global const int *vertices, __global const int *faces, const uint n,
+                          const int kind, const int level, const int4 shape, const int pad,
+                          __global uint *tiles)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const triangle t = fetch_triangle(vertices, faces, gid);
+    tiles[gid] = columns_of(&t, kind, level, shape.xyz, (int3)(pad, 0, 0)).tiles;
+}
+
+// ---- scan conversion
+
+// What does not depend on the box (the set-up stage of [voCCeL] section 3.2).
+typedef struct {
+    int size;                // of a box, in units
+    int3 first;              // low corner of box (0, 0, c.low.z) from v0, in units
+    edge_functions xy, yz, zx; // in swizzled axes
+    long nx, ny, nz;         // normal, turned so that nz >= 0
+    wide near, far;          // what n . (low corner - v0) gains on a box's near and far side
+} scan;
+
+scan set_up(const triangle *t, const columns *c, int kind, int level, int pad_x)
+{
+    scan s;
+    const int3 pad = swizzle((int3)(pad_x, 0, 0), c->axis);
+    const int3 u = swizzle(t->v[0], c->axis), v = swizzle(t->v[1], c->axis),
+               w = swizzle(t->v[2], c->axis), a = v - u, b = w - u;
+    s.size = VOXEL << level;
+    s.first = (int3)(0, 0, c->low.z * s.size) - pad - u;
+    s.nx = cross_term(a.y, b.z, b.y, a.z);
+    s.ny = cross_term(a.z, b.x, b.z, a.x);
+    s.nz = cross_term(a.x, b.y, b.x, a.y);
+    const int3 x = (int3)(u.x, v.x, w.x), y = (int3)(u.y, v.y, w.y), z = (int3)(u.z, v.z, w.z);
+    s.xy = project(kind, x, y, s.nz < 0 ? -1 : 1, s.size, pad.x, pad.y, c->axis != 1);
+    s.yz = project(kind, y, z, s.nx < 0 ? -1 : 1, s.size, pad.y, pad.z, c->axis != 0);
+    s.zx = project(kind, z, x, s.ny < 0 ? -1 : 1, s.size, pad.z, pad.x, c->axis != 2);
+    if (s.nz < 0) {
+        s.nx = -s.nx;
+        s.ny = -s.ny;
+        s.nz = -s.nz;
+    }
+    if (kind == SEPARATING) { // the centre is within half a voxel of the plane along the axis
+        const int tie = c->axis == 2   ? shift_sign(s.nx, s.ny, s.nz)
+                        : c->axis == 0 ? shift_sign(s.nz, s.nx, s.ny)
+                                       : shift_sign(s.ny, s.nz, s.nx);
+        s.far = wide_sum(wide_dot(s.nx, s.ny, s.nz, HALF, HALF, VOXEL), wide_product(tie < 0, -1));
+        s.near = wide_sum(wide_dot(s.nx, s.ny, 0, HALF, HALF, 0), wide_product(tie > 0, 1));
+    } else { // the plane passes between the critical points (eq. 3.1)
+        const int3 box = s.size + 2 * pad;
+        s.far = wide_dot(max(s.nx, 0l), max(s.ny, 0l), s.nz, box.x, box.y, box.z);
+        s.near = wide_dot(min(s.nx, 0l), min(s.ny, 0l), 0, box.x, box.y, 0);
+    }
+    return s;
+}
+
+#define STORE_VOXELS 0 // in bricks
+#define STORE_NODES 1  // in the volume of level-1 nodes
+#define STORE_BLOCKS 2 // in the volume of blocks, which is dense
+
+void put_box(sink *out, int store, ACTIVE_SET_PARAMETERS, uint3 box)
+{
+    if (store == STORE_VOXELS) {
+        uint bit;
+        const uint word = voxel_word(out, ACTIVE_SET, box, &bit);
+        put_or(out, word, bit);
+        return;
+    }
+    CODE code = morton_encode(box);
+#ifdef BLOCKED
+    if (store == STORE_NODES)
+        code = (CODE)set_index(block_words, block_ranks, code >> 9) << 9 | (code & 511);
+#endif
+    put_or(out, (uint)(code >> 5), 1u << (uint)(code & 31));
+}
+
+// Store the boxes that the triangle touches, column by column. In a column, the plane meets the
+// boxes from the first whose far side is not before it to the last whose near side is not behind it
+// (fig. 3.4); from one column to the next, where they begin moves by no more than a box or two. A
+// row of columns within a convex set is one run: the first that is left ends it.
+void scan_convert(const scan *s, const columns *c, sink *out, int store, ACTIVE_SET_PARAMETERS)
+{
+    const int last = c->high.z - c->low.z;
+    const wide right = wide_product(s->nx, s->size), up = wide_product(s->nz, s->size),
+               down = wide_negative(up);
+    const wide gap = wide_sum(s->near, wide_negative(s->far));
+    for (int q = c->low.y; q <= c->high.y; ++q) {
+        long3 xy = s->xy.p * c->low.x + s->xy.q * q + s->xy.d;
+        int p = c->low.x;
+        for (; p <= c->high.x && !none_negative(xy); ++p)
+            xy += s->xy.p;
+        if (p > c->high.x)
+            continue;
+        // box r of the column, its edge functions, and n . (p - v0) at its far side
+        wide far = wide_sum(s->far, wide_dot(s->nx, s->ny, s->nz, (long)p * s->size + s->first.x,
+                                             (long)q * s->size + s->first.y, s->first.z));
+        int r = first_not_before(&far, s->nz, s->size, up, last);
+        long3 yz = s->yz.p * q + s->yz.q * (c->low.z + r) + s->yz.d;
+        long3 zx = s->zx.p * (c->low.z + r) + s->zx.q * p + s->zx.d;
+        for (; p <= c->high.x && none_negative(xy); ++p) {
+            for (; r <= last && is_negative(far); ++r, far = wide_sum(far, up)) {
+                yz += s->yz.q;
+                zx += s->zx.p;
+            }
+            for (; r > 0 && !is_negative(wide_sum(far, down)); --r, far = wide_sum(far, down)) {
+                yz -= s->yz.q;
+                zx -= s->zx.p;
+            }
+            long3 yz_box = yz, zx_box = zx;
+            wide near = wide_sum(far, gap);
+            for (int k = r; k <= last && !is_positive(near); ++k, near = wide_sum(near, up)) {
+                if (none_negative(yz_box | zx_box)) {
+                    const int3 box = (int3)(p, q, c->low.z + k);
+                    put_box(out, store, ACTIVE_SET, as_uint3(unswizzle(box, c->axis)));
+                }
+                yz_box += s->yz.q;
+                zx_box += s->zx.p;
+            }
+            xy += s->xy.p;
+            zx += s->zx.q;
+            far = wide_sum(far, right);
+        }
+    }
+    flush_or(out);
+}
+
+// ---- kernels
+
+// Set the bits of the boxes of 2^level voxels, widened by `pad` along x, that a triangle touches:
+// level-1 nodes (level 3), or blocks of 8 x 8 x 8 of those (level 6).
+__kernel void activate(__global const int *vertices, __global const int *faces,
+                       const uint triangles, __global const uint *tile_offsets, const uint n,
+                       const int level, const int4 shape, const int pad, ACTIVE_SET_PARAMETERS,
+                       volatile __global uint *target)
+{
+    triangle t;
+    columns c;
+    if (!take_share(vertices, faces, triangles, tile_offsets, n, TOUCHED, level, shape.xyz, pad, &t, &c))
+        return;
+    const scan s = set_up(&t, &c, TOUCHED, level, pad);
+    sink out = open_sink(target);
+    scan_convert(&s, &c, &out, level == NODE_LEVEL ? STORE_NODES : STORE_BLOCKS, ACTIVE_SET);
+}
+
+// The voxels of a surface: those whose closed cube touches a triangle (TOUCHED), or the 6-separating
+// set (SEPARATING). Option: KIND.
+#ifdef KIND
+__kernel void set_surface(__global const int *vertices, __global const int *faces,
+                       const uint triangles, __global const uint *tile_offsets, const uint n,
+                          const int4 shape, ACTIVE_SET_PARAMETERS, volatile __global uint *bricks)
+{
+    triangle t;
+    columns c;
+    if (!take_share(vertices, faces, triangles, tile_offsets, n, KIND, 0, shape.xyz, 0, &t, &c))
+        return;
+    const scan s = set_up(&t, &c, KIND, 0, 0);
+    sink out = open_sink(bricks);
+    scan_convert(&s, &c, &out, STORE_VOXELS, ACTIVE_SET);
+}
+#endif

@@ -1,0 +1,104 @@
+"""A mesh on the fixed-point lattice of a grid, on the device.
+
+Vertices are rounded once to 1/256 voxel; everything after that is integer arithmetic. Kernel:
+kernels/svo/lattice.cl.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.errors import GridError
+from voxtool.grid import FIXED_POINT_BITS, Grid
+from voxtool.svo.fill.caps import Caps, find_caps
+from voxtool.svo.plan import Survey
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.opencl import Array, Device
+
+SOURCE = "svo/lattice.cl"
+SURVEY_ITEMS = 256  # work-items; each sums its share of the triangles
+
+
+@dataclass(frozen=True, eq=False)
+class LatticeMesh:
+    """A mesh in grid units.
+
+    Attributes
+    ----------
+    grid : where the voxels lie.
+    fixed : (V, 3) int32 vertices, in 1/256 voxel.
+    vertices, faces : the same on the device; the faces of the caps follow those of the mesh.
+    triangles : faces of the mesh alone.
+    caps : what closes the holes of the mesh, or None where no rule asks for them.
+    """
+
+    device: Device
+    grid: Grid
+    fixed: np.ndarray
+    vertices: Array
+    faces: Array
+    triangles: int
+    caps: Caps | None
+
+    def survey(self) -> Survey:
+        """What a plan is made from."""
+        n = self.faces.size // 3
+        partial = self.device.empty(6 * SURVEY_ITEMS, np.uint64)
+        survey = self.device.kernel(SOURCE, "survey")
+        survey(SURVEY_ITEMS, self.vertices, self.faces, n, self.grid.shape, partial)
+        parts = partial.get().reshape(-1, 6)
+        units = 1 << FIXED_POINT_BITS
+        x, y, z = (int(v) / (2 * units) for v in parts[:, 1:4].sum(axis=0))
+        return Survey(
+            triangles=n,
+            vertices=self.vertices.size // 3,
+            outside=int(parts[:, 5].sum()),
+            extent=int(parts[:, 0].max()) / units,
+            areas=(x, y, z),
+            before=bool(parts[:, 4].any()),
+        )
+
+
+def place_mesh(
+    mesh: Mesh,
+    grid: Grid,
+    window: tuple[Sequence[int], Sequence[int]] | None,
+    with_caps: bool,
+    device: Device,
+) -> LatticeMesh:
+    """The mesh on the lattice of a grid, or of a window of the grid.
+
+    Raises
+    ------
+    GridError : a vertex lies too far from the grid's corner, or the window is not in the grid.
+    """
+    try:
+        fixed = grid.to_fixed(mesh.vertices)
+    except GridError:  # vertices that no face uses may lie anywhere
+        fixed = grid.to_fixed(_used_vertices(mesh))
+    if window is not None:
+        low, shape = window
+        if min(low) < 0 or any(a + n > m for a, n, m in zip(low, shape, grid.shape, strict=True)):
+            raise GridError(f"window {low}, {shape} reaches beyond the grid's {grid.shape}")
+        grid = grid.window(low, shape)
+        fixed -= np.asarray(low, np.int32) << FIXED_POINT_BITS
+    caps = find_caps(fixed, mesh.faces) if with_caps else None
+    faces = mesh.faces if caps is None else np.concatenate([mesh.faces, caps.faces])
+    faces = faces.astype(np.int32, copy=False)
+    return LatticeMesh(
+        device, grid, fixed, device.put(fixed), device.put(faces), len(mesh.faces), caps
+    )
+
+
+def _used_vertices(mesh: Mesh) -> np.ndarray:
+    """The vertices; those that no face uses are moved onto one that a face uses."""
+    used = np.zeros(len(mesh.vertices), bool)
+    used[mesh.faces] = True
+    return np.where(used[:, None], mesh.vertices, mesh.vertices[mesh.faces[0, 0]])
