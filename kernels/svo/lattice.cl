@@ -7,12 +7,12 @@
 // Each work-item's partial sums over its triangles: largest extent in units, doubled projected areas
 // along x, y, z in 1/256 voxel^2, whether one lies below x = 0, how many miss every box of the grid.
 __kernel void survey(__global const int *vertices, __global const int *faces, const uint count,
-                     const int4 shape, __global ulong *partial)
+                     const int3 shape, __global ulong *partial)
 {
     const uint gid = get_global_id(0), items = get_global_size(0);
     ulong extent = 0, x = 0, y = 0, z = 0, before = 0, outside = 0;
     // what the widest boxes reach: blocks of level-1 nodes, and half a voxel more along x
-    const int3 end = ((shape.xyz + NODE_BLOCK - 1) / NODE_BLOCK * NODE_BLOCK) * VOXEL + HALF;
+    const int3 end = ((shape + NODE_BLOCK - 1) / NODE_BLOCK * NODE_BLOCK) * VOXEL + HALF;
     for (uint i = gid; i < count; i += items) {
         const triangle t = fetch_triangle(vertices, faces, i);
         const int3 low = min(min(t.v[0], t.v[1]), t.v[2]);

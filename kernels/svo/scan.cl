@@ -6,14 +6,14 @@
 
 // tiles[i] = the number of shares of triangle i.
 __kernel void count_tiles(__global const int *vertices, __global const int *faces, const uint n,
-                          const int kind, const int level, const int4 shape, const int pad,
+                          const int kind, const int level, const int3 shape, const int pad,
                           __global uint *tiles)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     const triangle t = fetch_triangle(vertices, faces, gid);
-    tiles[gid] = columns_of(&t, kind, level, shape.xyz, (int3)(pad, 0, 0)).tiles;
+    tiles[gid] = columns_of(&t, kind, level, shape, (int3)(pad, 0, 0)).tiles;
 }
 
 // ---- scan conversion
@@ -137,12 +137,12 @@ void scan_convert(const scan *s, const columns *c, sink *out, int store, ACTIVE_
 // level-1 nodes (level 3), or blocks of 8 x 8 x 8 of those (level 6).
 __kernel void activate(__global const int *vertices, __global const int *faces,
                        const uint triangles, __global const uint *tile_offsets, const uint n,
-                       const int level, const int4 shape, const int pad, ACTIVE_SET_PARAMETERS,
+                       const int level, const int3 shape, const int pad, ACTIVE_SET_PARAMETERS,
                        volatile __global uint *target)
 {
     triangle t;
     columns c;
-    if (!take_share(vertices, faces, triangles, tile_offsets, n, TOUCHED, level, shape.xyz, pad, &t, &c))
+    if (!take_share(vertices, faces, triangles, tile_offsets, n, TOUCHED, level, shape, pad, &t, &c))
         return;
     const scan s = set_up(&t, &c, TOUCHED, level, pad);
     sink out = open_sink(target);
@@ -154,11 +154,11 @@ __kernel void activate(__global const int *vertices, __global const int *faces,
 #ifdef KIND
 __kernel void set_surface(__global const int *vertices, __global const int *faces,
                        const uint triangles, __global const uint *tile_offsets, const uint n,
-                          const int4 shape, ACTIVE_SET_PARAMETERS, volatile __global uint *bricks)
+                          const int3 shape, ACTIVE_SET_PARAMETERS, volatile __global uint *bricks)
 {
     triangle t;
     columns c;
-    if (!take_share(vertices, faces, triangles, tile_offsets, n, KIND, 0, shape.xyz, 0, &t, &c))
+    if (!take_share(vertices, faces, triangles, tile_offsets, n, KIND, 0, shape, 0, &t, &c))
         return;
     const scan s = set_up(&t, &c, KIND, 0, 0);
     sink out = open_sink(bricks);

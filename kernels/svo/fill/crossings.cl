@@ -88,17 +88,17 @@ void visit_crossings(const triangle *t, const columns *c, int3 shape, int what, 
 
 __kernel void flip_crossings(__global const int *vertices, __global const int *faces,
                        const uint triangles, __global const uint *tile_offsets, const uint n,
-                             const int4 shape, ACTIVE_SET_PARAMETERS,
+                             const int3 shape, ACTIVE_SET_PARAMETERS,
                              volatile __global uint *bricks, volatile __global uint *entry)
 {
     triangle t;
     columns c;
-    if (!take_share(vertices, faces, triangles, tile_offsets, n, CROSSED, 0, shape.xyz, 0, &t, &c))
+    if (!take_share(vertices, faces, triangles, tile_offsets, n, CROSSED, 0, shape, 0, &t, &c))
         return;
     visitor v;
     v.out = open_sink(bricks);
     v.entry = entry;
-    visit_crossings(&t, &c, shape.xyz, FLIP, &v, ACTIVE_SET);
+    visit_crossings(&t, &c, shape, FLIP, &v, ACTIVE_SET);
     flush_xor(&v.out);
 }
 
@@ -107,15 +107,15 @@ __kernel void flip_crossings(__global const int *vertices, __global const int *f
 // counts[i] = the number of crossings that share i lists.
 __kernel void count_crossings(__global const int *vertices, __global const int *faces,
                        const uint triangles, __global const uint *tile_offsets, const uint n,
-                              const int4 shape, __global uint *counts)
+                              const int3 shape, __global uint *counts)
 {
     const uint gid = get_global_id(0);
     visitor v;
     v.count = 0;
     triangle t;
     columns c;
-    if (take_share(vertices, faces, triangles, tile_offsets, n, CROSSED, 0, shape.xyz, 0, &t, &c))
-        visit_crossings(&t, &c, shape.xyz, COUNT, &v, NO_ACTIVE_SET);
+    if (take_share(vertices, faces, triangles, tile_offsets, n, CROSSED, 0, shape, 0, &t, &c))
+        visit_crossings(&t, &c, shape, COUNT, &v, NO_ACTIVE_SET);
     if (gid < n)
         counts[gid] = v.count;
 }
@@ -124,25 +124,25 @@ __kernel void count_crossings(__global const int *vertices, __global const int *
 // and ENTERS where a row that runs towards high x enters a solid that faces outward.
 __kernel void list_crossings(__global const int *vertices, __global const int *faces,
                        const uint triangles, __global const uint *tile_offsets, const uint n,
-                             const int4 shape, __global const uint *firsts,
+                             const int3 shape, __global const uint *firsts,
                              const uint x_bits, __global ulong *crossings)
 {
     triangle t;
     columns c;
-    if (!take_share(vertices, faces, triangles, tile_offsets, n, CROSSED, 0, shape.xyz, 0, &t, &c))
+    if (!take_share(vertices, faces, triangles, tile_offsets, n, CROSSED, 0, shape, 0, &t, &c))
         return;
     visitor v;
     v.count = firsts[get_global_id(0)];
     v.x_bits = x_bits;
     v.crossings = crossings;
-    visit_crossings(&t, &c, shape.xyz, LIST, &v, NO_ACTIVE_SET);
+    visit_crossings(&t, &c, shape, LIST, &v, NO_ACTIVE_SET);
 }
 
 // Flip rows where the number of crossings before, those that enter less those that leave, comes to
 // be among those that are inside, or ceases to be: from 1 on, or with `nonzero` all but 0. The
 // first crossing of a row walks it; crossings are sorted.
 __kernel void flip_changes(__global const ulong *crossings, const uint n, const uint x_bits,
-                           const uint nonzero, const int4 shape, ACTIVE_SET_PARAMETERS,
+                           const uint nonzero, const int3 shape, ACTIVE_SET_PARAMETERS,
                            volatile __global uint *bricks, volatile __global uint *entry)
 {
     const uint gid = get_global_id(0);
@@ -162,7 +162,7 @@ __kernel void flip_changes(__global const ulong *crossings, const uint n, const 
         if (inside != (nonzero ? number != 0 : number > 0)) {
             inside = !inside;
             const int i = (int)(crossings[at] >> 2 & ((1ul << (x_bits - 2)) - 1)) - 1;
-            flip_row(&out, entry, ACTIVE_SET, shape.xyz, i, j, k);
+            flip_row(&out, entry, ACTIVE_SET, shape, i, j, k);
         }
     }
     flush_xor(&out);

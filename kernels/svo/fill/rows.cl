@@ -48,7 +48,7 @@ ulong exit_face(ulong brick) { return (brick >> 9) & X0; }
 // reaches beyond the grid. If bundles are chosen, their states in the leaves that are to be refined
 // (child = slot + 1) are recorded instead.
 __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offsets, const uint top,
-                         const int4 shape, const uint n, __global const uint *chosen,
+                         const int3 shape, const uint n, __global const uint *chosen,
                          __global const ulong *entry, __global const ulong *bricks, __global ulong *entries,
                          volatile __global uint *fills, __global ulong *states)
 {
@@ -136,7 +136,7 @@ __kernel void unite_bricks(__global const ulong *added, __global const uint *pos
 }
 
 // From flips to voxels: the prefix parity along x of each level-1 node's bricks, cut at the grid.
-__kernel void fill_bricks(__global const CODE *codes, const uint n, const int4 shape,
+__kernel void fill_bricks(__global const CODE *codes, const uint n, const int3 shape,
                           __global const ulong *entries, __global ulong *bricks)
 {
     const uint gid = get_global_id(0);

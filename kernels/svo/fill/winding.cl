@@ -314,7 +314,7 @@ double number_of(const triangle *t, int3 centre)
 
 // numbers[i] = the crossings of its row before the shifted centre of voxel voxels[i], those that enter
 // minus those that leave; BEYOND_GRID beyond the grid.
-__kernel void number_voxels(__global const ulong *voxels, const uint n, const int4 shape,
+__kernel void number_voxels(__global const ulong *voxels, const uint n, const int3 shape,
                             __global const ulong *crossings, const uint count, const uint x_bits,
                             __global double *numbers)
 {
@@ -323,7 +323,7 @@ __kernel void number_voxels(__global const ulong *voxels, const uint n, const in
         return;
     const int3 voxel = convert_int3(morton_decode(voxels[gid]));
     const ulong row = (ulong)voxel.z * shape.y + voxel.y;
-    numbers[gid] = any(voxel >= shape.xyz)
+    numbers[gid] = any(voxel >= shape)
                        ? BEYOND_GRID
                        : number_before(crossings, count, x_bits, row, voxel.x);
 }
