@@ -1,5 +1,5 @@
-// How bright a surface is: half Lambert's law (Mitchell, McTaggart and Green, Shading in Valve's
-// Source Engine, SIGGRAPH 2006), so that what turns away from the light keeps its shape.
+// The brightness of a surface: half Lambert's law [Mitchell 2006], which keeps the shape visible
+// where the surface turns away from the light.
 
 #define AMBIENT 0.08f
 

@@ -65,7 +65,7 @@ scan_blocks(__global const uint *values, const uint count, __global const uint *
 
 // A level of quadruples, from `offset` on, and the sums of its fives ([voCCeL], listing A.14).
 // A quadruple is where the second to the fifth interval begin: the way down need not add. Saturated
-// sums tell that a total does not fit.
+// sums show that a total does not fit.
 __kernel __attribute__((reqd_work_group_size(5 * QUADS, 1, 1))) void
 build_level(__global const uint *values, const uint count, __global uint4 *levels, const uint offset,
             __global uint *sums, const uint fives)

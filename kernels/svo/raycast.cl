@@ -1,4 +1,4 @@
-// Pictures of an octree. Host side: voxtool/svo/raycast.py.
+// Ray casting of an octree. Host side: voxtool/svo/raycast.py.
 //
 // A node has side 2^k voxels: k = 0 voxels, 2 bricks, 3 nodes of level 1, and so on. Its word
 // is 0 where nothing is set in it, and INSIDE where all is because a leaf says so; otherwise a
@@ -6,11 +6,11 @@
 // bit), too, and a coarser node's the index of its first child. Nodes are counted from the root
 // on; the bricks from first_brick on.
 //
-// Octants are mirrored so that every ray goes up along each axis. Rays are at plane i of an
-// axis when t = (i - origin) inverse, which never falls as i grows, however it is rounded; and
-// at t in the cell between planes i and j where t(i) <= t < t(j). So all levels agree where a
-// ray is, it goes from cell to neighbour with no hole between, and each step takes it up by a
-// whole cell: it ends.
+// Octants are mirrored so that every ray goes up along each axis. A ray is at plane i of an axis
+// when t = (i - origin) inverse, which never falls as i grows, however it is rounded; and at t it
+// is in the cell between planes i and j where t(i) <= t < t(j). So all levels agree on where a
+// ray is, it goes from a cell to its neighbour without a gap, and each step moves it up by a
+// whole cell, so it ends.
 
 #include "shading.h"
 #include "svo/octree.h"
@@ -30,7 +30,7 @@
         const uint first_brick
 #define THIS_OCTREE words, shares, bricks, first_brick
 
-// Of a node's child: its word.
+// The word of a child of a node.
 ulong child_of(OCTREE, const ulong word, const int k, const uint octant)
 {
     if (k > BRICK)
@@ -50,7 +50,7 @@ float coverage(__global const float *shares, const ulong word, const int k)
     return shares[((uint)word - 1) >> 3];
 }
 
-// That of its child of side 2^k; of a leaf that is inside, too.
+// The share of its child of side 2^k; also of a leaf that is inside.
 float share_of_child(OCTREE, const ulong word, const int k, const uint octant)
 {
     if (k >= BRICK && word == INSIDE)
@@ -59,8 +59,7 @@ float share_of_child(OCTREE, const ulong word, const int k, const uint octant)
 }
 
 // The words of a level's nodes, which are those from `first` on, and the shares of the refined
-// ones, from those of the level below, of side 2^k. Where a refined node holds nothing, it ends
-// here.
+// ones, from those of the level below, of side 2^k. A refined node that holds nothing gets word 0.
 __kernel void cover_level(__global const uint *children, const uint first, const uint n,
                           const int k, __global uint *words, __global float *shares,
                           __global const ulong *bricks, const uint first_brick)
@@ -81,7 +80,7 @@ __kernel void cover_level(__global const uint *children, const uint first, const
     words[first + gid] = word;
 }
 
-// What a ray meets is the node at `low` of side 2^k; `above` are the words of the nodes around
+// A ray, and what it meets: the node at `low` of side 2^k; `above` are the words of the nodes around
 // it, its own included. All but `direction` is mirrored.
 typedef struct {
     double3 origin, direction, speed, inverse;
@@ -126,7 +125,7 @@ uint octant_at(const int3 place, const int k)
     return (uint)(bit.x | bit.y << 1 | bit.z << 2);
 }
 
-// How many low bits make two places differ.
+// The number of low bits in which two places differ.
 int differing_bits(const int3 a, const int3 b)
 {
     const int3 changed = a ^ b;
@@ -153,8 +152,8 @@ void set_out(ray_state *ray, __global const double *frame, const int perspective
     ray->mirror = octant_at(convert_int3(down), 0);
 }
 
-// Whether a ray meets a node of side 2^finest that holds something, or a leaf that is inside; and
-// which is the first. Perspective rays begin at 0.
+// Find the first node of side 2^finest that holds something, or leaf that is inside, on a ray;
+// returns whether there is one. Perspective rays begin at 0.
 int meet(ray_state *ray, OCTREE, const int root, const int finest, const int perspective)
 {
     const int side = 1 << root;
@@ -189,7 +188,7 @@ int meet(ray_state *ray, OCTREE, const int root, const int finest, const int per
     }
 }
 
-// The word of the node of side 2^k at a place in such nodes, or what it has in a larger leaf.
+// The word of the node of side 2^k at a place in such nodes, or the word it has inside a larger leaf.
 ulong word_at(const ray_state *ray, OCTREE, const int root, const int k, const int3 node)
 {
     if (any(node < 0) || any(node >= 1 << (root - k)))
@@ -255,15 +254,15 @@ double3 coverage_gradient(const ray_state *ray, OCTREE, const int root, const in
     return gradient;
 }
 
-// v as it was before octants were mirrored.
+// v before octants were mirrored.
 double3 unmirrored(const double3 v, const uint mirror)
 {
     return (double3)(mirror & 1 ? -v.x : v.x, mirror & 2 ? -v.y : v.y, mirror & 4 ? -v.z : v.z);
 }
 
-// The unit normal in the world of what the ray met, towards the viewer: against the gradient of the
-// coverage; seen from behind, it is turned until it is seen from the side. Where the coverage says
-// nothing, it is that of the face.
+// The unit normal in the world of what the ray met, towards the viewer: opposite to the gradient of
+// the coverage; if it would point away from the viewer, it is turned until it is perpendicular to the
+// view. Where the gradient vanishes, it is the normal of the face.
 double3 normal_at(const ray_state *ray, OCTREE, const int root, const int k, const double3 pitch)
 {
     const double3 view = ray->direction * pitch;
@@ -301,7 +300,7 @@ int pixel_of(const uint width, const uint height, uint *column, uint *row)
     __global const double *frame, const int perspective, const uint width, const uint height,      \
         const int root, const int finest
 
-// How deep each pixel's ray meets something, in the frame's unit; infinite where it does not.
+// The depth at which each pixel's ray meets something, in the frame's unit; infinite if it does not.
 __kernel void find_depths(OCTREE, PICTURE, __global double *depths)
 {
     uint column, row;

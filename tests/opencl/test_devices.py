@@ -306,13 +306,11 @@ def test_arrays_go_there_and_back(device: Device) -> None:
     assert array.get(5, 5).size == 0
     device.write(array, np.array([9, 8], np.uint32))
     assert np.array_equal(array.get(0, 3), [9, 8, 2])
-    array.release()
     for size in (0, 1, 3, 1000):
         for dtype in (np.uint8, np.uint32, np.uint64):
             array = device.zeros(size, dtype)
             assert array.dtype == dtype
             assert array.get().tolist() == [0] * size
-            array.release()
     assert device.empty(0, np.uint32).get().size == 0
 
 
@@ -328,14 +326,12 @@ def test_failures_of_the_driver_are_ours(device: Device) -> None:
     kernel = device.kernel("opencl/primitives.cl", "sum_blocks")
     with pytest.raises(DeviceError, match="failed: "):
         kernel(256, array, np.uint32(0), array, local=128)  # not the size that it requires
-    array.release()
 
 
 def test_stage_times() -> None:
     opened = open_device(profile=True)
     told: list[str] = []
-    opened.on_stage = told.append
-    with opened.stage("outer"):
+    with opened.reporting(told.append), opened.stage("outer"):
         opened.zeros(10, np.uint32)
         with opened.stage("inner"):
             opened.put(np.zeros(4, np.uint32)).get()

@@ -45,9 +45,8 @@ def check(device: Device, values: np.ndarray, room: int = 0) -> None:
 
 
 SIZES = sorted(
-    {0, 1, 2, 3, 7, 1001, 65_537, 1_000_003}
-    | {2**k + d for k in (3, 5, 8, 10, 11, 12, 16, 20) for d in (-1, 0, 1)}
-    | {k * limit + d for limit in (GROUP, BLOCK) for k in (1, 2, 3) for d in (-1, 0, 1)}
+    {0, 1, 2, 3, 1001, 1_000_003}
+    | {k * limit + d for limit in (GROUP, BLOCK) for k in (1, 3) for d in (-1, 0, 1)}
     | {TWO_LEVELS + d for d in (-BLOCK, -1, 0, 1, BLOCK)}
 )
 
@@ -107,19 +106,15 @@ def check_sort(device: Device, keys: np.ndarray, bits: int, room: int = 0) -> No
         found, found_values = radix_sort(array, n, bits, values)
         assert found.dtype == keys.dtype
         assert np.array_equal(found.get(0, n), keys[order])
-        found.release()
         assert (found_values is None) == (numbers is None)
         if found_values is not None:
             assert np.array_equal(found_values.get(0, n), order)
-            found_values.release()
 
 
 KEYS = [np.uint32, np.uint64]
 DIGITS = 1 << DIGIT_BITS
 SORT_SIZES = sorted(
-    {0, 1, 2, 3, 7, 1001, 65_537, 100_003}
-    | {2**k + d for k in (3, 6, 8, 11, 16) for d in (-1, 0, 1)}
-    | {k * DIGITS + d for k in (2, 3, 64, 65) for d in (-1, 0, 1)}
+    {0, 1, 2, 3, 1001, 100_003} | {k * DIGITS + d for k in (1, 2, 65) for d in (-1, 0, 1)}
 )
 
 
@@ -141,7 +136,7 @@ def test_sort_where_portions_begin_to_grow(device: Device, past: int) -> None:
     check_sort(device, random_keys(size, np.uint32), 16)
 
 
-@pytest.mark.parametrize("bits", [0, 1, 2, 7, 8, 9, 13, 16, 17, 31, 32, 33, 42, 63, 64])
+@pytest.mark.parametrize("bits", [0, 1, 8, 9, 17, 32, 33, 42, 64])
 @pytest.mark.parametrize("dtype", KEYS)
 def test_sort_by_the_lowest_bits_alone(device: Device, bits: int, dtype: type) -> None:
     keys = random_keys(5003, dtype)
@@ -194,7 +189,7 @@ def taken(kept: tuple[Array, int]) -> np.ndarray:
     return array.take()
 
 
-COMPACT_SIZES = [0, 1, 2, 63, 64, 65, 1001, BLOCK - 1, BLOCK, BLOCK + 1, 1_000_003]
+COMPACT_SIZES = [0, 1, 63, 64, 65, BLOCK - 1, BLOCK, BLOCK + 1, 1_000_003]
 
 
 @pytest.mark.parametrize("dtype", KEYS)
@@ -207,7 +202,6 @@ def test_compact_keeps_the_flagged_in_order(device: Device, size: int, dtype: ty
         scanned = device.put(np.append(flags, 0xDEADBEEF).astype(np.uint32))
         assert np.array_equal(taken(compact(array, scanned, size)), values[flags == 1])
         assert np.array_equal(scanned.get(), np.append(0, np.cumsum(flags)))
-        scanned.release()
 
 
 @pytest.mark.parametrize("dtype", KEYS)
@@ -267,9 +261,9 @@ def check_pyramid(
 
 
 PYRAMID_SIZES = sorted(
-    {0, 1, 2, 3, 4, 7, 1001, 100_003}
-    | {5**k + d for k in (1, 2, 3, 4, 5, 6, 7) for d in (-1, 0, 1)}
-    | {k * 5 * QUADS + d for k in (1, 2, 5 * QUADS) for d in (-1, 0, 1)}
+    {0, 1, 2, 3, 1001}
+    | {5**k + d for k in (1, 2, 3, 5, 7) for d in (-1, 0, 1)}
+    | {k * 5 * QUADS + d for k in (1, 5 * QUADS) for d in (-1, 0, 1)}
 )
 
 

@@ -299,15 +299,6 @@ class Device:
         finally:
             self._thread.stage = outer
 
-    @property
-    def on_stage(self) -> Callable[[str], None] | None:
-        """Who is told of each stage of this thread."""
-        return self._thread.progress
-
-    @on_stage.setter
-    def on_stage(self, progress: Callable[[str], None] | None) -> None:
-        self._thread.progress = progress
-
     @contextlib.contextmanager
     def reporting(self, progress: Callable[[str], None] | None) -> Iterator[None]:
         """Call `progress` with the name of each stage that this thread begins in this block."""

@@ -34,7 +34,7 @@ HEADERS = {
 def exclusive_scan(values: Array, n: int) -> int:
     """Replace values[0 .. n-1] by their exclusive prefix sum, values[n] by the sum of all.
 
-    Up- and down-sweep over blocks (the thesis, section 5.1), in any number of levels.
+    Up- and down-sweep over blocks [voCCeL, section 5.1], in any number of levels.
 
     Parameters
     ----------
@@ -83,15 +83,15 @@ def radix_sort(
 ) -> tuple[Array, Array | None]:
     """Sort n keys by their lowest `bits` bits; keys that are equal in these keep their order.
 
-    From the lowest digit to the highest, as in the thesis (section 5.1): each work-item counts the
+    From the lowest digit to the highest [voCCeL, section 5.1]: each work-item counts the
     digits of a portion of the keys, the counts H(digit, portion) are scanned, and each work-item
     moves its keys, in order, to where the scan says. Does not wait for the device.
 
     Parameters
     ----------
-    keys : uint32 or uint64, at least n elements. It is consumed: released, or returned.
+    keys : uint32 or uint64, at least n elements; overwritten.
     bits : 0 to the width of a key.
-    values : uint32, at least n elements that go where their keys go; consumed likewise.
+    values : uint32, at least n elements that go where their keys go; overwritten.
 
     Returns
     -------
@@ -132,7 +132,7 @@ def radix_sort(
 def unique(keys: Array, n: int) -> tuple[Array, int]:
     """The distinct keys of n sorted ones, in a new array, and their number; waits for the device.
 
-    The last key of each run is kept (the thesis, section 6.3: uniquify).
+    The last key of each run is kept [voCCeL, section 6.3: uniquify].
 
     Parameters
     ----------
@@ -173,9 +173,9 @@ def compact(values: Array, flags: Array, n: int) -> tuple[Array, int]:
 
 @dataclass(frozen=True)
 class Histopyramid:
-    """A 5:1 histopyramid over counts: which input has output k, and which of its outputs that is.
+    """A 5:1 histopyramid over counts, which finds the input of each output [Dyken 2008].
 
-    Section 4.1 of the thesis. A kernel that includes kernels/opencl/histopyramid.h walks it.
+    The variant of [voCCeL, section 4.1]. kernels/opencl/histopyramid.h has its traversal.
 
     counts : those that it is over, which must outlive it; levels : uint32, a quadruple each node
     (where the intervals of its second to fifth child begin), from the top level down; offsets :
@@ -200,7 +200,7 @@ class Histopyramid:
 
 
 def build_histopyramid(counts: Array, n: int) -> Histopyramid:
-    """The histopyramid of n counts, which need not be a power of five (the thesis, section 6.3).
+    """The histopyramid of n counts, which need not be a power of five [voCCeL, section 6.3].
 
     Sums saturate on the device, so none that does not fit goes unnoticed. Waits for the device.
 

@@ -1,14 +1,14 @@
-"""Pictures of an octree by ray casting, at any of its levels: the thesis's demonstration program.
+"""Ray casting of an octree at any of its levels, as the demonstration program of [voCCeL].
 
-A ray goes from node to node and passes empty ones as a whole (Laine and Karras, Efficient Sparse
-Voxel Octrees, I3D 2010); of the level that is drawn, each node that holds a set voxel is a cube.
+A ray goes from node to node and skips empty ones [Laine 2010]. Each node of the drawn level that
+holds a set voxel is a cube.
 
-Light falls on the smooth surface that the coverages suggest, which are the shares of set voxels of
-the nodes that are drawn, or of 2 x 2 x 2 voxels: normals are against the gradient of a quadratic
-B-spline over their means around the corners of cells.
+Shading uses the smooth surface that coverages suggest: the shares of set voxels of the nodes that
+are drawn, or of 2 x 2 x 2 voxels. Normals are opposite to the gradient of a quadratic B-spline over
+their means around the corners of cells.
 
-Times along rays are float64, and that of a plane is rounded three times: a ray meets it where it
-should to 2**-51 of the distance from the eye, in voxels, so to 1e-9 voxel at a million voxels.
+Times along rays are float64, and that of a plane is rounded three times, so the error of a hit is
+2**-51 of its distance from the eye: 1e-9 voxel at a million voxels.
 
 Kernels: kernels/svo/raycast.cl.
 """

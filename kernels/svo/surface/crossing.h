@@ -2,12 +2,12 @@
 #include "svo/surface/cut_cells.h"
 #include "svo/surface/samples.h"
 
-// Off both ends.
+// A place on an edge, kept off both ends.
 int within(int t) { return clamp(t, (int)NEAREST, (int)(LATTICE - NEAREST)); }
 
-// Where the edge from a cell, whose tile has a slot, along an axis crosses the surface, in LATTICE of
-// its length: t = (iso - a) / (b - a) from the sample that is outside, rounded once, and kept off both
-// ends.
+// The place, in LATTICE of its length, where the edge from a cell along an axis crosses the surface:
+// t = (iso - a) / (b - a) from the sample that is outside, rounded once, and kept off both ends. The
+// cell's tile has a slot.
 int crossing(TILES, SAMPLES, ulong cell, uint slot, uint axis, bool cell_is_inside)
 {
 #ifdef VOXELS

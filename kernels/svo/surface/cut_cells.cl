@@ -1,5 +1,6 @@
-// From an octree to the tiles of samples that the surface may pass, and the cubes that it cuts. Host
-// side: voxtool/svo/tiles.py. Options: VOXELS where samples are voxels, and tiles bricks.
+// From an octree to the tiles of samples that the surface may cross, and the cubes that it cuts.
+// Host side: voxtool/svo/surface/cut_cells.py. Options: VOXELS if samples are voxels, and tiles
+// bricks; otherwise SAMPLE, the type of coverages.
 
 #include "svo/octree.h"
 #include "svo/surface/cut_cells.h"
@@ -61,7 +62,7 @@ __kernel void mark_tiles(__global const uint *codes, const uint n, volatile __gl
 #endif
 }
 
-// The words of tiles at the corners of word `code`; beyond the root they are 0.
+// The words of tiles at the corners of word `code`; 0 beyond the root.
 void corner_words(__global const ulong *words, uint n, uint code, ulong *corner)
 {
     for (uint j = 0; j < 8; ++j) {
@@ -71,8 +72,8 @@ void corner_words(__global const ulong *words, uint n, uint code, ulong *corner)
 }
 
 // The tiles that hold a cube that may be cut: one of its eight corners lies in an active tile, or
-// they lie in tiles that are inside and others that are empty. Those that are not active are the
-// thesis's NullCubes. A word is 4 x 4 x 4 tiles.
+// they lie in tiles that are inside and others that are empty. Those that are not active hold the
+// NullCubes of [voCCeL, section 4.1]. A word is 4 x 4 x 4 tiles.
 __kernel void find_tiles(__global const ulong *active, __global const ulong *inside, const uint n,
                          __global ulong *present, __global uint *counts)
 {
@@ -93,7 +94,7 @@ __kernel void find_tiles(__global const ulong *active, __global const ulong *ins
     counts[gid] = (uint)popcount(any);
 }
 
-// The codes of present tiles; until they are sampled, all are inside or empty as a whole.
+// The codes of present tiles; until they are sampled, each is completely inside or empty.
 __kernel void list_tiles(__global const ulong *present, __global const uint *ranks,
                          __global const ulong *inside, const uint n, __global uint *codes,
                          __global ulong *masks, __global uint *source)
@@ -132,8 +133,8 @@ __kernel void sample_tiles(__global const uint *parent_codes, const uint n,
 // though they have set voxels.
 __kernel void sample_tiles(__global const uint *codes, const uint n,
                            __global const uint *children, const uint first, const uint full,
-                           const uint threshold, __global const ulong *bricks, __global const uint *coverage,
-                           __global const ulong *present,
+                           const uint threshold, __global const ulong *bricks,
+                           __global const uint *coverage, __global const ulong *present,
                            __global const uint *ranks, __global SAMPLE *samples,
                            __global ulong *below, __global ulong *masks, __global uint *source)
 {
@@ -205,7 +206,7 @@ __kernel void list_cubes(__global const uint *codes, const uint n, TILES,
 
 #ifndef VOXELS
 
-// The samples of a tile that are in a mask, or beside such by a face, an edge or a corner.
+// The samples of a tile that are in a mask, or that share a face, an edge or a corner with one.
 ulong dilate(ulong mask)
 {
     for (uint axis = 0; axis < 3; ++axis) {
@@ -217,11 +218,11 @@ ulong dilate(ulong mask)
     return mask;
 }
 
-// lost[2 i], lost[2 i + 1]: the set voxels in samples that are not inside; and, of them, those in
-// samples around which no cube is cut, so that nothing of them is left. Work-item i of `items` adds up
-// every items-th tile.
+// lost[2 i], lost[2 i + 1]: the set voxels in samples that are not inside, and, of them, those in
+// samples around which no cube is cut. Work-item i of n adds up every n-th of `count` tiles.
 __kernel void count_lost(__global const uint *codes, const uint count, TILES, SAMPLES,
-                         __global const ulong *below, __global const ulong *cut, const uint n, __global ulong *lost)
+                         __global const ulong *below, __global const ulong *cut, const uint n,
+                         __global ulong *lost)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)

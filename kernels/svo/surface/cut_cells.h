@@ -1,5 +1,5 @@
 // Tiles: 4 x 4 x 4 samples, whose bits (is the sample inside?) are a mask in the order of a brick.
-// Present tiles have a slot; any other is inside or empty as a whole. A cell is the Morton code of a
+// Present tiles have a slot; any other is completely inside or empty. A cell is the Morton code of a
 // sample, and of the cube of eight samples of which it is the lowest: that of its tile, then 6 bits.
 
 #include "morton_bits.h"
@@ -67,7 +67,7 @@ void shift_to_corners(ulong *corner)
                 corner[j] = shift_mask(corner[j ^ 1u << axis], corner[j], axis);
 }
 
-// What finds a present tile, and the mask of any tile: the host's Tiles.arguments.
+// The arguments that find a present tile, and the mask of any tile: of the host's Tiles.arguments.
 #define TILES                                                                                      \
     __global const ulong *present, __global const uint *ranks, __global const ulong *inside,       \
         const uint words, __global const ulong *masks

@@ -1,11 +1,11 @@
-// Dual surfaces over the cut cubes: a vertex each loop, a quad each cut edge. Host side:
-// voxtool/svo/dual.py. Options: VOXELS, or SAMPLE, the type of coverages.
+// Dual surfaces over the cut cubes: a vertex for each loop, a quad for each cut edge. Host side:
+// voxtool/svo/surface/dual.py. Options: VOXELS, or SAMPLE, the type of coverages.
 
 #include "svo/surface/dual_case_tables.h"
 #include "svo/surface/crossing.h"
 #include "opencl/histopyramid.h"
 
-// What finds a cut cube: the host's CutCubes.lookup.
+// The arguments that find a cut cube: of the host's CutCubes.arguments.
 #define CUBES __global const ulong *cut, __global const uint *first_cube
 #define THESE_CUBES cut, first_cube
 
@@ -53,7 +53,7 @@ __kernel void resolve_cases(__global const uint *codes, TILES, CUBES, __global c
     first_link[gid] = edges;
 }
 
-// Blocks: every loop's vertex is the corner that eight samples share.
+// Voxel faces: the vertex of every loop is the corner that eight samples share.
 __kernel void place_corners(__global const uint *codes, __global const uint *places, const uint n,
                             __global const uint *first_vertex, const int shift,
                             __global int *points)

@@ -1,11 +1,11 @@
-// Coplanar unit quads of blocks joined to rectangles. Host side: voxtool/svo/rectangles.py.
+// Coplanar unit squares joined to rectangles. Host side: voxtool/svo/surface/greedy_meshing.py.
 
 #include "svo/surface/lattice.h"
 #include "svo/surface/greedy_meshing.h"
 
-// A key is, from the highest bits on: the normal's axis a and sign (3 bits), the quad's plane, then
+// A key is, from the highest bits on: the normal's axis a and sign (3 bits), the plane, then
 // two coordinates of its low corner, along b = a + 1 and c = a + 2 (modulo 3); between them, where
-// rows are joined, the row's length. COORDINATE_BITS bits each.
+// rows are joined, the row's length; COORDINATE_BITS each.
 #define COORDINATE_MASK ((1ul << COORDINATE_BITS) - 1)
 
 // Quads in rows along b: the keys' order is that of normal, plane, c, b.

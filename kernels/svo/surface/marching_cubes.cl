@@ -1,5 +1,5 @@
-// Marching cubes over the cut cubes: a vertex each cut edge, one work-item a triangle. Host side:
-// voxtool/svo/isosurface.py. Options: VOXELS, or SAMPLE, the type of coverages.
+// Marching cubes over the cut cubes: a vertex for each cut edge, a work-item for each triangle. Host
+// side: voxtool/svo/surface/marching_cubes.py. Options: VOXELS, or SAMPLE, the type of coverages.
 
 #include "svo/surface/case_tables.h"
 #include "svo/surface/crossing.h"
@@ -38,7 +38,7 @@ uint vertex_of(TILES, __global const ulong *cut_edges, __global const uint *firs
     return first_vertex[edges] + (uint)popcount(cut_edges[edges] & ((1ul << (cell & 63)) - 1));
 }
 
-// How many triangles each cut cube has.
+// The number of triangles of each cut cube.
 __kernel void count_triangles(__global const uchar *cases, const uint n, __global uint *counts)
 {
     const uint gid = get_global_id(0);
@@ -46,7 +46,7 @@ __kernel void count_triangles(__global const uchar *cases, const uint n, __globa
         counts[gid] = TRIANGLE_COUNT[cases[gid]];
 }
 
-// Output triangle k is the r-th of cube i, as the histopyramid tells.
+// Output triangle k is the r-th of cube i, by the histopyramid.
 __kernel void polygonise(HISTOPYRAMID, const uint n, __global const uint *codes, TILES,
                          __global const uint *places, __global const uchar *cases,
                          __global const ulong *cut_edges, __global const uint *first_vertex,

@@ -1,5 +1,5 @@
-// What tells the coverage of a sample: the host's Tiles.sample_arguments. `isovalue` counts 2^-16 of
-// a voxel's coverage.
+// The arguments that give the coverage of a sample, of the host's Tiles.arguments. `isovalue` counts
+// 2^-16 of a voxel's coverage.
 #ifdef VOXELS
 #define SAMPLES const ulong isovalue
 #define THESE_SAMPLES isovalue

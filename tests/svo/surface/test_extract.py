@@ -225,7 +225,7 @@ def test_a_full_grid_closes_at_its_border(device, style, level) -> None:
 
 
 def test_an_inside_leaf_beside_an_empty_one_is_no_hole(device) -> None:
-    """No node lies between them, so the thesis's cubes do not meet there."""
+    """No node lies between them, so the cubes of [voCCeL] do not meet there."""
     dense = np.zeros((32, 32, 32), bool)
     dense[8:16, 8:24, 8:24] = True
     octree = octree_from_dense(dense)

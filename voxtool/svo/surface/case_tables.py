@@ -4,18 +4,18 @@ Corner j of a cube lies at (j & 1, j >> 1 & 1, j >> 2 & 1), as in a brick; bit j
 where corner j is inside. Edge 4 a + k runs along axis a from the corner whose coordinates on the
 two other axes, in rising order, are the bits of k; face 2 a + s lies at coordinate s of axis a.
 
-On each face the surface leaves segments between cut edges; they join to loops around the cube, a
-polygon each. A face whose inside corners are diagonal is ambiguous. The rule: such a face
-separates its inside corners. It looks at the face alone, so the two cubes of a face always agree,
-and the surface closes whatever the corners are (tables that complement cases do not: Duerst 1988).
+On each face the surface leaves segments between cut edges, which join to loops around the cube, a
+polygon each. A face whose inside corners are diagonal is ambiguous, and separates its inside
+corners. This rule depends on the face alone, so the two cubes of a face always agree, and the
+surface is closed for any corners; with tables that complement cases it is not [Duerst 1988].
 
-Primal (marching cubes; Lorensen and Cline 1987): each loop is cut into triangles by diagonals that
-do not lie in a face, or the cube beyond it might use the same one: so edges have two triangles.
+Primal, marching cubes [Lorensen 1987]: each loop is cut into triangles. No diagonal lies in a face,
+because the cube beyond the face might use the same one; so each edge has two triangles.
 
-Dual (Nielson 2004): each loop is a vertex, each cut edge a quad. Where both cubes of an ambiguous
-face pass through it twice with one loop, the quads' edges would coincide; there, and only there,
-both cubes join the inside corners instead (Wenger, Isosurfaces, 2013, section 3.5): `ALTERNATIVE`.
-All such cubes have one ambiguous face, so the choice concerns no other.
+Dual [Nielson 2004]: each loop is a vertex, each cut edge a quad. Where both cubes of an ambiguous
+face pass through it twice with one loop, edges of quads would coincide. There, and only there, both
+cubes join the inside corners instead [Wenger 2013, section 3.5]: `ALTERNATIVE`. All such cubes have
+one ambiguous face, so the choice concerns no other.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Extraction of a triangle mesh from an octree: marching cubes, voxel faces or surface nets.
 
-The stages, on the device (the thesis, chapter 4 and sections 5.1 and 6.3):
+The stages, on the device [voCCeL, chapter 4 and sections 5.1 and 6.3]:
 
 1. tiles, samples: the cubes that the surface may cross, and the scalars at their corners.
 2. classify: the case of each cut cube.

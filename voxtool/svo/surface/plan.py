@@ -1,4 +1,4 @@
-"""How a surface will be extracted from an octree: pure arithmetic on the numbers of its nodes."""
+"""The plan of an extraction: arithmetic on the numbers of nodes of an octree."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from voxtool.svo.layout import BRICK_BYTES
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
-MAX_SAMPLES = 4096  # of a surface along a side: tiles of four have Morton codes of 30 bits
-CUBE_BYTES = 24  # device arrays of a surface: a cube that is cut,
+MAX_SAMPLES = 4096  # along a side: tiles of four have Morton codes of 30 bits
+CUBE_BYTES = 24  # on the device: of a cube that is cut,
 EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 52, SURFACE_NETS: 84}  # a cut edge,
 MERGE_BYTES = 64  # and one of voxel faces that are merged
 RELAXATIONS = 16  # of surface nets of voxels, as in VTK
@@ -22,16 +22,15 @@ RELAXATIONS = 16  # of surface nets of voxels, as in VTK
 
 @dataclass(frozen=True)
 class ExtractionPlan:
-    """How a surface will be extracted from an octree.
+    """The plan of an extraction.
 
     style, level, isovalue, merge : as requested; solid : the octree has an inside.
     relaxations : rounds in which vertices of nets move towards the mean of their neighbours.
-    nodes : of the octree's levels, level 0 first, with those of roots that were added; rooted :
-    they were, as cubes begin below the octree's low sides.
-    tiles, cubes, edges : predicted, then counted: tiles of 4 x 4 x 4 samples that are looked at,
-    cubes and edges that are cut. Only nodes are known beforehand, so what lies between leaves
-    without nodes is not predicted.
-    coarser : the plans of coarser levels, the finest first, made when they are asked for.
+    nodes : numbers of nodes of the levels, level 0 first, with those of roots that were added.
+    rooted : roots were added, because cubes begin below the octree's low sides.
+    tiles, cubes, edges : predicted, then counted: tiles of 4 x 4 x 4 samples that are examined,
+        cubes and edges that are cut. What lies between leaves without nodes is not predicted.
+    coarser : the plans of coarser levels, the finest first, made on request.
     """
 
     style: str
@@ -60,8 +59,8 @@ class ExtractionPlan:
         rooted: bool,
         coarser: Callable[[], Iterable[ExtractionPlan]] = tuple,
     ) -> ExtractionPlan:
-        """The plan with what such octrees have: a surface passes about every fourth sample of a
-        tile, or eight of the 64 voxels of a brick; one without an inside passes them twice."""
+        """The plan with predicted numbers: a surface crosses about every fourth sample of a tile,
+        or eight of the 64 voxels of a brick; that of an octree without an inside, twice as many."""
         active = _active_tiles(nodes, level)
         cubes = active * (16 if level != "voxel" else 8 if solid else 20)
         tiles = 2 * active
@@ -124,7 +123,7 @@ class ExtractionPlan:
         )
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Refuse what needs more memory, or more samples along a side than there are codes for.
+        """Refuse an extraction that needs more memory, or more samples along a side than codes.
 
         Parameters
         ----------
@@ -154,7 +153,7 @@ class ExtractionPlan:
     @property
     def left_out(self) -> dict[str, str]:
         """What is not compiled, allocated or run, and why."""
-        out = {"cubes away from nodes": "a set of tiles names those that the surface may pass"}
+        out = {"cubes away from nodes": "a set of tiles holds those that the surface may cross"}
         if self.voxels:
             out["coverages, and voxels lost to them"] = "samples are voxels"
         elif self.level == 0:
@@ -194,7 +193,7 @@ class ExtractionPlan:
 
 
 def _active_tiles(nodes: tuple[int, ...], level: int | str) -> int:
-    """Tiles that have nodes: one each 64 nodes that are samples, or each brick."""
+    """Tiles that have nodes: one for 64 nodes that are samples, or for each brick."""
     if isinstance(level, str):  # voxel
         return nodes[0]
     return nodes[level + 1] // 8 if level + 1 < len(nodes) - 1 else 1
