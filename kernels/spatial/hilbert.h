@@ -1,5 +1,5 @@
-// The place of a cell along the Hilbert curve of 2^bits cells an axis (Skilling, "Programming the
-// Hilbert curve", 2004): cells that follow each other are neighbours.
+// The index of a cell along the Hilbert curve of 2^bits cells an axis [Skilling 2004]: consecutive
+// cells are neighbours.
 ulong hilbert_index(uint3 cell, uint bits)
 {
     uint x[3] = {cell.x, cell.y, cell.z};
@@ -21,7 +21,7 @@ ulong hilbert_index(uint3 cell, uint bits)
     return index;
 }
 
-// The cell of a coordinate in [-1, 1], of 2^bits; beyond, the nearest.
+// The cell of a coordinate in [-1, 1], one of 2^bits; the nearest cell for others.
 uint cell_of(double x, uint bits)
 {
     const double inside = x < -1.0 ? -1.0 : x > 1.0 ? 1.0 : x;

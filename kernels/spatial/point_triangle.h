@@ -1,11 +1,11 @@
-// The way from triangles to points, many at once. Who includes this defines LANES, double4 or
-// double8, and MASKS, long4 or long8: one triangle a lane, one point a lane, or both.
+// The way from triangles to points, many at once. The includer defines LANES, double4 or double8,
+// and MASKS, long4 or long8: a lane holds a triangle, a point, or both.
 
-// What of a triangle a point is nearest to; ab is its longest edge.
+// The feature of a triangle that a point is nearest to; ab is its longest edge.
 enum { FACE, AB, BC, CA, A, B, C };
 
-// As frame_triangles leaves it: corner a, edge e, height g, where on e the height stands; e.e, and
-// what divides: 1 / e.e, 1 / g.g, and 1 by the squared lengths of ac and bc.
+// As frame_triangles stores it: corner a, edge e, height g, the foot of the height along e; e.e, and
+// 1 / e.e, 1 / g.g, and the inverse squared lengths of ac and bc.
 typedef struct {
     LANES ax, ay, az, ex, ey, ez, gx, gy, gz, foot, ee, per_ee, per_gg, per_ac, per_bc;
 } triangle;
@@ -34,8 +34,8 @@ LANES clamped(LANES t)
     return t < 1.0 ? t : 1.0;
 }
 
-// The ways from the nearest points of triangles to points, and on what these are; returns the
-// squares of their lengths.
+// The ways from the nearest points of triangles to points, and the features that these lie on;
+// returns the squares of their lengths.
 //
 // In the triangle's plane, with e and g as axes, a is (0, 0), b is (1, 0) and c is (foot, 1). As e
 // is the longest edge, the angles at a and b are acute. So a point below ab is nearest to ab; one
@@ -70,7 +70,7 @@ LANES triangle_ways(const triangle *t, LANES x, LANES y, LANES z, ways *way, MAS
     return way->x * way->x + way->y * way->y + way->z * way->z;
 }
 
-// The pseudo-normal of what of a triangle of this name a point is nearest to.
+// The pseudo-normal of a feature of the triangle of this name.
 double3 normal_of(uint name, uint feature, __global const uint *features,
                   __global const double *normals)
 {

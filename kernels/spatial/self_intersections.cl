@@ -1,4 +1,4 @@
-// Faces through which others pass. Host side: voxtool/proximity/crossings.py.
+// Self-intersections of a mesh. Host side: voxtool/spatial/self_intersections.py.
 
 #include "spatial/bvh.h"
 #include "spatial/names.h"
@@ -6,14 +6,14 @@
 #pragma OPENCL FP_CONTRACT OFF
 
 #define STACK ((ARITY - 1) * MAX_LEVELS + 1)
-#define GAP 0x1p-46 // more than rounding takes from a product with a vector of length 1
+#define GAP 0x1p-46 // exceeds the rounding of a product with a unit vector
 
 double product(double3 a, double3 b)
 {
     return a.x * b.x + a.y * b.y + a.z * b.z;
 }
 
-double3 crossed(double3 a, double3 b)
+double3 cross_of(double3 a, double3 b)
 {
     return (double3)(a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x);
 }
@@ -39,7 +39,7 @@ bool apart_on(double3 axis, const double3 *t, const double3 *u)
     return low[1] - high[0] > GAP || low[0] - high[1] > GAP;
 }
 
-// Whether two triangles are apart: by the axes of Moeller's and of the coplanar case.
+// Whether two triangles are apart, by the axes of the general and of the coplanar case.
 bool triangles_apart(const double3 *t, const double3 *u)
 {
     double3 e[3], f[3];
@@ -47,21 +47,21 @@ bool triangles_apart(const double3 *t, const double3 *u)
         e[i] = t[(i + 1) % 3] - t[i];
         f[i] = u[(i + 1) % 3] - u[i];
     }
-    const double3 n = crossed(unit(e[0]), unit(e[1])), m = crossed(unit(f[0]), unit(f[1]));
+    const double3 n = cross_of(unit(e[0]), unit(e[1])), m = cross_of(unit(f[0]), unit(f[1]));
     if (apart_on(n, t, u) || apart_on(m, t, u))
         return true;
     for (uint i = 0; i < 3; ++i) {
-        if (apart_on(crossed(n, unit(e[i])), t, u) || apart_on(crossed(m, unit(f[i])), t, u))
+        if (apart_on(cross_of(n, unit(e[i])), t, u) || apart_on(cross_of(m, unit(f[i])), t, u))
             return true;
         for (uint j = 0; j < 3; ++j)
-            if (apart_on(crossed(unit(e[i]), unit(f[j])), t, u))
+            if (apart_on(cross_of(unit(e[i]), unit(f[j])), t, u))
                 return true;
     }
     return false;
 }
 
-// Whether a plane of this normal through a corner that two triangles share has one of them on
-// either side; their edges from there are t and u. Those of `on` may be in the plane.
+// Whether a plane of this normal, through a corner that two triangles share, separates them; their
+// edges from there are t and u. Edges in the bit set `on` may lie in the plane.
 bool parts(double3 normal, const double3 *t, const double3 *u, uint on)
 {
     const double3 a = unit(normal);
@@ -81,14 +81,14 @@ bool parts(double3 normal, const double3 *t, const double3 *u, uint on)
 bool fans_apart(double3 t1, double3 t2, double3 u1, double3 u2)
 {
     const double3 t[2] = {unit(t1), unit(t2)}, u[2] = {unit(u1), unit(u2)};
-    const double3 n = crossed(t[0], t[1]), m = crossed(u[0], u[1]);
+    const double3 n = cross_of(t[0], t[1]), m = cross_of(u[0], u[1]);
     if (parts(t[0] + t[1] - u[0] - u[1], t, u, 0) || parts(n, t, u, 3) || parts(m, t, u, 12))
         return true;
     for (uint i = 0; i < 2; ++i) {
-        if (parts(crossed(n, t[i]), t, u, 1 << i) || parts(crossed(m, u[i]), t, u, 4 << i))
+        if (parts(cross_of(n, t[i]), t, u, 1 << i) || parts(cross_of(m, u[i]), t, u, 4 << i))
             return true;
         for (uint j = 0; j < 2; ++j)
-            if (parts(crossed(t[i], u[j]), t, u, 1 << i | 4 << j))
+            if (parts(cross_of(t[i], u[j]), t, u, 1 << i | 4 << j))
                 return true;
     }
     return false;
@@ -99,7 +99,7 @@ double3 corner(__global const double *vertices, __global const int *faces, uint 
     return vload3(faces[3 * (size_t)face + i], vertices);
 }
 
-// Whether two faces meet elsewhere than in what corners they share.
+// Whether two faces meet elsewhere than in the corners and edges that they share.
 bool meet(__global const double *vertices, __global const int *faces, __global const int *corners,
           uint f, uint g)
 {
@@ -121,7 +121,7 @@ bool meet(__global const double *vertices, __global const int *faces, __global c
         return !triangles_apart(t, u);
     if (shared == 3)
         return true;
-    if (shared == 2) { // they fold back if from their edge on they go the same way
+    if (shared == 2) { // they fold back if they leave their common edge in the same direction
         double3 across[2];
         for (uint k = 0; k < 2; ++k) {
             const double3 *own = k == 0 ? t : u;

@@ -1,4 +1,4 @@
-// The winding number of a mesh. Host side: voxtool/proximity/winding.py.
+// The winding number of a mesh. Host side: voxtool/spatial/winding_number.py.
 //
 // Moments about a centre are polynomials of a way d: the sums over a node's triangles, of area vector
 // N and points y from the centre, of N.d, the integral of (y.d)(N.d), and that of (y.d)^2 (N.d). Their

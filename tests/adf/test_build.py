@@ -25,7 +25,7 @@ from voxtool.adf.samples import SAMPLES
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.morton import morton_encode
-from voxtool.spatial.sampling import spread_in_cube
+from voxtool.spatial.sampling import sample_cube
 from voxtool.spatial.signed_distance import SignedDistance
 from voxtool.spatial.winding_number import WindingNumber
 
@@ -654,7 +654,7 @@ def test_errors(device: Device, name: str, band: float) -> None:
     mesh = {**CLOSED, **CROSSING}[name]()
     field = build_adf(mesh, device, tolerance=5e-3, max_level=4, band=band)
     told = field.reached["errors"]
-    points = np.array(field.origin) + field.side * spread_in_cube(1 << 15)
+    points = np.array(field.origin) + field.side * sample_cube(1 << 15)
     exact = SignedDistance(mesh, field.sign, device)(points) / field.side
     answer = field.query(points, bounds=True)
     assert answer.bound is not None

@@ -20,7 +20,7 @@ from voxtool.bench.timing import Bench
 from voxtool.choices import SEARCHES
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.opencl import open_device
-from voxtool.spatial.sampling import spread_in_cube
+from voxtool.spatial.sampling import sample_cube
 from voxtool.spatial.signed_distance import SignedDistance
 
 REQUEST = Request(tolerances=(1e-1, 1e-2), levels=(4,), points=2000, sphere_level=3, repeat=1,
@@ -99,7 +99,7 @@ def test_other_tools_are_compared_with_exact_distances(points: list[Point]) -> N
     assert exact.absent["rms"] == "errors are measured against it"
     mesh = mesh_from_arrays(*meshes.icosphere(1))
     origin, side = cube_of(mesh)
-    distances = SignedDistance(mesh)(origin + side * spread_in_cube(2000))
+    distances = SignedDistance(mesh)(origin + side * sample_cube(2000))
     inside = int(np.count_nonzero(distances < 0))
     for tool in (off, unsigned):
         assert tool.peer

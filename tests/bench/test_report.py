@@ -40,7 +40,7 @@ from voxtool.grid import Grid
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.mesh.topology import check_topology, volume
 from voxtool.opencl import list_devices
-from voxtool.spatial.sampling import spread_in_cube
+from voxtool.spatial.sampling import sample_cube
 from voxtool.svo.surface.extract import extract
 from voxtool.svo.voxelize import plan_voxelize, voxelize
 
@@ -505,7 +505,7 @@ def test_forced_decisions_change_nothing(device) -> None:
     assert all(one.same for one in found)
     unsigned = plan_adf(mesh, sign="none", **request)
     assert list(ablation.of_field(unsigned, bench, about)) == []
-    points = spread_in_cube(100)
+    points = sample_cube(100)
     for level, what in ((1, {ablation.WIDE, ablation.W}), (3, {ablation.WIDE})):  # which has w
         built = build_adf(mesh, device, tolerance=1e-2, max_level=level)
         found = list(ablation.of_queries(built, points, bench, about))

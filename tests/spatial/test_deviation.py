@@ -13,8 +13,8 @@ from conftest import opened, usable_devices
 from voxtool.errors import MeshError, VoxtoolError
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
-from voxtool.spatial import sampling as spread
 from voxtool.spatial.deviation import deviation
+from voxtool.spatial.sampling import SurfaceSampler
 
 WAYS = ("surface_to_reference", "reference_to_surface")
 
@@ -105,7 +105,7 @@ def test_one_way_is_not_the_other(device: Device) -> None:
 
 
 def sample(mesh: Mesh, count: int) -> np.ndarray:
-    return np.concatenate(list(spread.Spread(mesh, "surface").samples(count)))
+    return np.concatenate(list(SurfaceSampler(mesh, "surface").samples(count)))
 
 
 def test_faces_have_their_share_to_within_one() -> None:
@@ -134,11 +134,10 @@ def test_samples_are_even_within_a_face() -> None:
     assert np.abs(cells[whole] - 128).max() < 16  # 11 is the deviation of random points
 
 
-def test_blocks_change_nothing(device: Device, monkeypatch) -> None:
-    meshes_ = mesh_of(*meshes.torus()), mesh_of(*meshes.torus(minor=1.1))
-    expected = deviation(*meshes_, 5000, 0.1, device)
-    monkeypatch.setattr(spread, "BLOCK", 777)
-    assert deviation(*meshes_, 5000, 0.1, device) == expected
+def test_blocks_change_nothing() -> None:
+    sampler = SurfaceSampler(mesh_of(*meshes.torus()), "surface")
+    (expected,) = sampler.samples(5000)
+    assert np.array_equal(np.concatenate(list(sampler.samples(5000, 777))), expected)
 
 
 def test_all_devices_agree() -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.errors import MeshError
-from voxtool.spatial.sampling import Spread, spread_in_cube
+from voxtool.spatial.sampling import SurfaceSampler, sample_cube
 from voxtool.spatial.signed_distance import SignedDistance
 
 if TYPE_CHECKING:
@@ -41,10 +41,10 @@ def measure_errors(
     MeshError, DeviceError : as SignedDistance.
     """
     exact = SignedDistance(mesh, field.sign, device)
-    spread = spread_in_cube(samples)
+    spread = sample_cube(samples)
     errors = {"in the cube": _errors(field, np.array(field.origin) + field.side * spread, exact)}
     with contextlib.suppress(MeshError):  # segments and points have no surface
-        on_surface = np.concatenate(list(Spread(mesh, "mesh").samples(samples)))
+        on_surface = np.concatenate(list(SurfaceSampler(mesh, "mesh").samples(samples)))
         near = on_surface + NEAR * field.side * (2 * spread - 1)
         errors["near the surface"] = _errors(field, near, exact)
     return errors

@@ -27,7 +27,7 @@ from voxtool.bench import ablation, timing
 from voxtool.bench.points import MEASURES, Point
 from voxtool.bench.references import distance_errors, sign_figures
 from voxtool.files.mesh import load_mesh
-from voxtool.spatial.sampling import spread_in_cube
+from voxtool.spatial.sampling import sample_cube
 from voxtool.spatial.signed_distance import SignedDistance
 
 if TYPE_CHECKING:
@@ -267,7 +267,7 @@ def points_of(mesh: Mesh, request: Request) -> dict[str, np.ndarray]:
     origin, side = cube_of(mesh)
     step = 0.5 ** (max(request.levels) + 1)
     makers = {
-        "random": lambda: spread_in_cube(request.points),
+        "random": lambda: sample_cube(request.points),
         "rays": lambda: rays_through_cube(request.points, step).reshape(-1, 3),
     }
     return {kind: origin + side * makers[kind]() for kind in request.kinds}

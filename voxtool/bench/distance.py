@@ -23,7 +23,7 @@ from voxtool.errors import count_of
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.selftest.oracles import distances
-from voxtool.spatial.sampling import spread_in_cube
+from voxtool.spatial.sampling import sample_cube
 from voxtool.spatial.signed_distance import SignedDistance, default_sign
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def _at_points(mesh: Mesh, model: str, bench: Bench) -> Iterator[Point]:
     """Distances at one point, a thousand, and many; with and without nearest points."""
     asked, (origin, side) = bench.request, cube_of(mesh)
     sign = asked.sign or default_sign(mesh)
-    places = origin + side * spread_in_cube(asked.points)
+    places = origin + side * sample_cube(asked.points)
     exact = exact_distances(mesh, places[:CHECKED])
     build = statistics.median(timing.times(partial(_fresh, mesh, sign, bench.timed), asked.repeat))
     every = {device: SignedDistance(mesh, sign, device) for device in (bench.timed, bench.profiled)}

@@ -19,7 +19,7 @@ from voxtool.selftest import oracles, shapes
 from voxtool.selftest.case import case
 from voxtool.selftest.voxels import SCALES
 from voxtool.spatial.distance import TriangleDistance
-from voxtool.spatial.sampling import spread_in_cube
+from voxtool.spatial.sampling import sample_cube
 from voxtool.spatial.signed_distance import distance
 from voxtool.spatial.winding_number import WindingNumber
 
@@ -73,7 +73,7 @@ def needles(device: Device, full: bool) -> float:
 @case("distances at 1e12, 1e-12, 1e8 off", "a ball: rational arithmetic", "extents", EXACT)
 def coordinates(device: Device, full: bool) -> float:
     vertices, faces = shapes.ball(1)
-    spread = 3 * spread_in_cube(300 if full else 30) - 1.5
+    spread = 3 * sample_cube(300 if full else 30) - 1.5
     errors = [
         _distance_error(device, (vertices * factor + offset)[faces], spread * factor + offset)
         for factor, offset in SCALES
@@ -117,7 +117,7 @@ def _distance_error(device: Device, triangles: np.ndarray, points: np.ndarray) -
 def winding(device: Device, full: bool) -> float:
     vertices, faces = shapes.ball(5 if full else 4)
     faces = faces[faces.max(axis=1) != 4]  # no face about the pole
-    points = 4 * spread_in_cube(2000 if full else 300) - 2
+    points = 4 * sample_cube(2000 if full else 300) - 2
     found = WindingNumber(mesh_from_arrays(vertices, faces), device)(points)
     expected = oracles.winding_numbers(points, vertices[faces])
     return float(np.abs(found - expected).max())
@@ -129,7 +129,7 @@ def box_error(
     """Of a box's field the largest error, by its bounds and by what is promised where a triangle
     slips between samples; at points everywhere, and near two of the sides."""
     field = build_adf(mesh_from_arrays(*shapes.box(low, high)), device, **request)
-    spread = spread_in_cube(count)
+    spread = sample_cube(count)
     around = np.minimum(2 * (high - low), field.side / 20)
     near = low - around + (high - low + 2 * around) * spread
     points = np.concatenate([np.array(field.origin) + field.side * spread, near])
@@ -190,7 +190,7 @@ def deepest(device: Device, full: bool) -> float:
     )  # fmt: skip
     if field.depth != DEEPEST:
         return math.inf
-    spread = spread_in_cube(300 if full else 50)
+    spread = sample_cube(300 if full else 50)
     near = (2 * spread - 1) * 0.5**10
     points = np.concatenate([spread, near, 1 - near])
 

@@ -1,4 +1,4 @@
-"""The angle of a vector, in + - * / alone, so that it is the same on every machine.
+"""The angle of a vector, by + - * / alone: the same on every machine.
 
 The kernels have it in kernels/spatial/angles.h, with the same coefficients.
 """

@@ -1,8 +1,7 @@
-"""How far two surfaces are apart, measured from points spread over each to the other.
+"""The deviation between two surfaces: distances from samples of each to the other [Cignoni 1998].
 
-After Cignoni, Rocchini and Scopigno, "Metro: measuring error on simplified surfaces", 1998. Points
-are spread by area, and in the same places every time (voxtool.spatial.sampling). Distances are
-exact to rounding (voxtool.spatial.distance).
+Samples are quasi-random, by area, and in the same places every time (sampling.py). Distances are
+exact to rounding (distance.py).
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ import numpy as np
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import default_device
 from voxtool.spatial.distance import TriangleDistance
-from voxtool.spatial.sampling import Spread
+from voxtool.spatial.sampling import SurfaceSampler
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
@@ -29,40 +28,47 @@ def deviation(
     pitch: float | None = None,
     device: Device | None = None,
 ) -> dict[str, Any]:
-    """The deviation between two surfaces, both ways: mean, root mean square and maximum.
+    """Return the deviation between two surfaces, both ways: mean, root mean square and maximum.
 
-    Mean and RMS are over `samples` points, spread by area. The maximum is over these and the
-    vertices of the mesh that they are on, as far as faces use them. It is a lower bound of the
-    one-sided Hausdorff distance: between the points, the surface may be farther away. So is
-    "hausdorff", the larger of the two, of the Hausdorff distance.
+    Mean and RMS are over `samples` quasi-random points, by area. The maximum is over these and the
+    vertices that faces use. It is a lower bound of the one-sided Hausdorff distance, because the
+    surface may be farther away between the samples; "hausdorff", the larger of the two maxima, is
+    one of the Hausdorff distance.
 
     Parameters
     ----------
-    samples : points on each of the two; pitch : side of a voxel, world units.
+    surface, reference : Mesh
+    samples : on each of the two.
+    pitch : side of a voxel, world units, for distances in voxels.
 
     Returns
     -------
-    JSON types: "samples"; "surface_to_reference" and "reference_to_surface", each with "mean",
-    "rms", "max" and "vertices", the number of vertices that count for the maximum; "hausdorff";
-    "maximum_is": "lower bound". World units. With a pitch also "pitch", and in "voxels" the
-    distances in voxels.
+    dict of JSON types, world units: "samples"; "surface_to_reference" and "reference_to_surface",
+    each with "mean", "rms", "max" and "vertices", the number of vertices that count for the
+    maximum; "hausdorff"; "maximum_is": "lower bound". With a pitch also "pitch", and "voxels" with
+    the distances in voxels.
 
     Raises
     ------
     MeshError : a mesh without faces or of zero area, or of an extent beyond 2^±500.
     VoxtoolError : samples or pitch is not positive, or the meshes are 2^500 extents apart.
     DeviceError : there is no device, or it has no double precision.
+
+    References
+    ----------
+    [Cignoni 1998], [Roberts 2018].
     """
     if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or samples < 1:
         raise VoxtoolError(f"samples {samples}: give a whole number from 1 on")
     if pitch is not None and not 0 < pitch < math.inf:
         raise VoxtoolError(f"pitch {pitch:g}: give a length greater than 0")
-    spreads = [
-        Spread(mesh, name) for mesh, name in ((surface, "surface"), (reference, "reference"))
+    samplers = [
+        SurfaceSampler(mesh, name)
+        for mesh, name in ((surface, "surface"), (reference, "reference"))
     ]
     device = device or default_device()
-    there = _one_way(spreads[0], TriangleDistance(reference, device), int(samples))
-    back = _one_way(spreads[1], TriangleDistance(surface, device), int(samples))
+    there = _one_way(samplers[0], TriangleDistance(reference, device), int(samples))
+    back = _one_way(samplers[1], TriangleDistance(surface, device), int(samples))
     result: dict[str, Any] = {
         "samples": int(samples),
         "surface_to_reference": there,
@@ -82,10 +88,10 @@ def deviation(
     return result
 
 
-def _one_way(spread: Spread, to: TriangleDistance, samples: int) -> dict[str, Any]:
-    """Mean, RMS and maximum of the distances from a mesh's samples, and vertices, to another."""
-    distances = np.concatenate([to(points) for points in spread.samples(samples)])
-    vertices = spread.vertices()
+def _one_way(sampler: SurfaceSampler, to: TriangleDistance, samples: int) -> dict[str, Any]:
+    """Mean, RMS and maximum of the distances from a mesh's samples and vertices to another."""
+    distances = np.concatenate([to(points) for points in sampler.samples(samples)])
+    vertices = sampler.vertices()
     farthest = float(distances.max())
     # math.fsum rounds once, whatever the order; the squares are of numbers up to 1
     relative = distances / farthest if farthest > 0 else distances

@@ -1,8 +1,8 @@
-"""Which closed shell of a mesh holds which others.
+"""Which closed shells of a mesh contain which others.
 
-A shell holds another whose box is in its own, and whose outermost vertices, those of the least and
-the greatest x, y and z, are where its winding number is not 0. Shells that pass through each other
-mostly do not hold each other then; that faces cross tells proximity/crossings.py.
+A shell contains another if its box contains the other's, and its winding number is not 0 at the
+other's outermost vertices, those of the least and the greatest x, y and z. Shells that intersect
+mostly contain each other in neither direction; self_intersections.py finds those.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 class Nesting:
     """A tree of shells.
 
-    parents : (S,) int64: the innermost shell that holds each, or -1.
-    depths : (S,) int64: how many hold each.
+    parents : (S,) int64: the innermost shell that contains each, or -1.
+    depths : (S,) int64: how many contain each.
     """
 
     parents: np.ndarray
@@ -33,7 +33,7 @@ class Nesting:
 
 
 def nest(mesh: Mesh, shells: Shells, device: Device) -> Nesting:
-    """How the shells of a mesh are nested.
+    """Return how the shells of a mesh are nested.
 
     Raises
     ------

@@ -1,16 +1,15 @@
 """Angle-weighted pseudo-normals of the faces, edges and vertices of a mesh.
 
-Baerentzen and Aanaes, "Signed distance computation using the angle weighted pseudonormal" (TVCG
-2005): outside of a closed mesh, the way from the nearest point to the query has a positive product
-with the pseudo-normal of what the nearest point is on. Edges and vertices are told by their
-positions, as in mesh.topology: seams do no harm. Faces on the same three positions share their
-normal, so two that lie back to back bound nothing. Computed on the host, in + - * / and square
-roots: normals from cross products of twice the precision, which leaves slivers theirs.
+Outside of a closed mesh, the way from the nearest point to the query has a positive product with
+the pseudo-normal of the feature that the nearest point lies on [Baerentzen 2005]. Edges and
+vertices are identified by position, as in mesh.topology: seams do no harm. Faces on the same three
+positions share their normal, so that two back to back bound nothing. All is computed on the host,
+in + - * / and square roots; cross products have twice the precision, which keeps slivers' normals.
 
-Limits, with the extent as the unit: a point d away beside a blade of less than about 1e-8 / sqrt(d)
-radians may be taken to be on its other side, for float64 does not tell which side is nearer. Where
-faces without area close gaps between others (T-junctions), the edges there know only their own
-faces; the winding number is right there too.
+Limits, in extents: a point d away beside a blade of less than about 1e-8 / sqrt(d) radians may be
+taken for one on the other side, because float64 cannot decide which side is nearer. Where faces
+without area close gaps between others (T-junctions), edges have only their own faces; the winding
+number is right there, too.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ SPLIT = 134217729.0  # 2**27 + 1: halves the digits of a float64 (Dekker, 1971)
 
 @dataclass(frozen=True, eq=False)
 class Pseudonormals:
-    """What the sides of a mesh are.
+    """The pseudo-normals of a mesh.
 
     flat : (F,) uint8: 1 where a face has no area, exactly, and so no side. It adds to no normal.
     features : (F, 7) uint32: rows of `normals` for the face, its sides ab, bc, ca and its corners.
@@ -51,7 +50,7 @@ def normal_bytes(faces: int) -> int:
 
 
 def pseudonormals(mesh: Mesh) -> Pseudonormals:
-    """The pseudo-normals of a mesh.
+    """Return the pseudo-normals of a mesh.
 
     Raises
     ------

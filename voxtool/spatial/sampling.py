@@ -1,9 +1,8 @@
-"""Points spread over a mesh by area, and through a cube; in the same places every time.
+"""Quasi-random samples of a mesh's surface, by area, and of a cube: the same every time.
 
-The area, summed along the faces, is cut into equal strata, the middle of each names a face, and
-there the point is the next of Roberts's low-discrepancy sequence R2 ("The unreasonable
-effectiveness of quasirandom sequences", 2018). So a face has its share of the points to within one;
-faces without area have none. Through a cube, points are those of R3.
+The area, summed along the faces, is cut into equal strata. The middle of each stratum names a face,
+and there the sample is the next point of the low-discrepancy sequence R2 [Roberts 2018]. So a face
+has its share of the samples to within one; faces without area have none. A cube is sampled by R3.
 """
 
 from __future__ import annotations
@@ -21,20 +20,20 @@ if TYPE_CHECKING:
 
     from voxtool.mesh.mesh import Mesh
 
-BLOCK = 1 << 18  # points that are made at once
-PLASTIC = 1.324717957244746  # the real root of x^3 = x + 1, which R2 is made of
-GOLDEN_3 = 1.2207440846057596  # and of x^4 = x + 1: R3
+SAMPLES_AT_ONCE = 1 << 18  # in memory
+PLASTIC = 1.324717957244746  # the real root of x^3 = x + 1: the base of R2
+GOLDEN_3 = 1.2207440846057596  # and of x^4 = x + 1: the base of R3
 
 
-def spread_in_cube(count: int) -> np.ndarray:
-    """(count, 3) float64: points of the unit cube, the first of R3."""
+def sample_cube(count: int) -> np.ndarray:
+    """(count, 3) float64: the first points of R3 in the unit cube."""
     i = np.arange(count, dtype=np.float64)
     steps = [1 / GOLDEN_3, 1 / (GOLDEN_3 * GOLDEN_3), 1 / (GOLDEN_3 * GOLDEN_3 * GOLDEN_3)]
     return np.stack([(0.5 + i * step) % 1.0 for step in steps], axis=1)
 
 
-class Spread:
-    """Points spread by area over a mesh."""
+class SurfaceSampler:
+    """Samples of a mesh's surface, by area."""
 
     def __init__(self, mesh: Mesh, name: str) -> None:
         """Sum the area; raises MeshError where there is none."""
@@ -47,11 +46,11 @@ class Spread:
                 "a segment or a point: give a mesh whose faces have an area"
             )
 
-    def samples(self, count: int) -> Iterator[np.ndarray]:
-        """`count` points, in blocks of (n, 3)."""
+    def samples(self, count: int, block: int = SAMPLES_AT_ONCE) -> Iterator[np.ndarray]:
+        """Yield `count` samples, in blocks of (n, 3) float64, at most `block` at a time."""
         last = int(np.searchsorted(self.area, self.area[-1]))  # with an area
-        for start in range(0, count, BLOCK):
-            i = np.arange(start, min(start + BLOCK, count), dtype=np.float64)
+        for start in range(0, count, block):
+            i = np.arange(start, min(start + block, count), dtype=np.float64)
             along = (i + 0.5) / count * self.area[-1]
             faces = np.minimum(np.searchsorted(self.area, along, side="right"), last)
             u, v = (0.5 + i / PLASTIC) % 1.0, (0.5 + i / (PLASTIC * PLASTIC)) % 1.0
@@ -61,7 +60,7 @@ class Spread:
             yield a + u * (b - a) + v * (c - a)
 
     def vertices(self) -> np.ndarray:
-        """(n, 3) the vertices that faces use."""
+        """(n, 3) float64: the vertices that faces use."""
         used = np.zeros(len(self.mesh.vertices), bool)
         used[self.mesh.faces] = True
         return self.mesh.vertices[used]

@@ -1,10 +1,10 @@
-"""Faces of a mesh through which others pass.
+"""Self-intersections: faces of a mesh through which others pass.
 
 Two triangles are apart if their projections on some axis are: the normals, the products of their
-edges, and, where they are coplanar, the products of normals and edges (Gottschalk, Lin and Manocha,
-"OBBTree", SIGGRAPH 1996). If they share a corner, a plane through it must part them; if they share
-two, they must not fold back onto each other. What rounding cannot tell counts as meeting: edges
-that cross at an angle of a, some 2e-17 / a apart.
+edges, and, where they are coplanar, the products of normals and edges [Gottschalk 1996]. If they
+share a corner, a plane through it must separate them; if they share two, they must not fold back
+onto each other. What rounding cannot decide counts as an intersection: edges that meet at an angle
+of a, some 2e-17 / a apart.
 
 Kernels: kernels/spatial/self_intersections.cl.
 """
@@ -32,24 +32,13 @@ def find_self_intersections(device: Device, mesh: Mesh, tree: TriangleTree) -> n
 
     Parameters
     ----------
-    tree : of the mesh, with names.
+    tree : the mesh's, with names.
     """
     vertices, faces = device.put(tree.frame.local(mesh.vertices)), device.put(mesh.faces)
     corners = device.put(positions(mesh)[mesh.faces].astype(np.int32))
     found = device.zeros(len(mesh.faces), np.uint8)
     with device.stage("self-intersections"):
         device.kernel(SOURCE, "find_self_intersections")(
-            tree.count,
-            np.uint32(tree.count),
-            tree.names,
-            vertices,
-            faces,
-            corners,
-            tree.nodes,
-            np.uint32(tree.first_leaf),
-            found,
+            tree.count, tree.names, vertices, faces, corners, tree.nodes, tree.first_leaf, found
         )
-        crossed = found.take() != 0
-    for array in (vertices, faces, corners):
-        array.release()
-    return crossed
+        return found.take() != 0

@@ -1,10 +1,10 @@
-"""Which sides of a mesh's faces are inside, by the winding number, so that most points need none.
+"""Which sides of a mesh's faces are inside, so that most points need no winding number.
 
-From a point, go to the nearest point of the mesh, and along that face to its middle. On the way
-the winding number changes only as the boundary's shape lets it, for no face is crossed: by the law
-of Biot and Savart its gradient is at most the sum of dl / (4 pi r^2) over the edges of the
-boundary. So the number near the middle of a face, on the side on which the point is, tells the
-point's, where holes are far enough away. It does not where another face meets this one.
+Go from a point to the nearest point of the mesh, and along that face to its centroid. No face is
+passed on the way, so that the winding number changes only with the boundary's shape: by the law of
+Biot and Savart its gradient is at most the sum of dl / (4 pi r^2) over the edges of the boundary.
+Where holes are far enough away, the number near the centroid of a face, on the side of the point,
+therefore decides the point's. It does not where another face intersects this one.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
     from voxtool.spatial.bvh import TriangleTree
     from voxtool.spatial.pseudonormals import Pseudonormals
 
-SPHERES = 512  # that hold the boundary, at most
+SPHERES = 512  # that enclose the boundary, at most
 ABOVE = 2.0**-10  # of its height, how far above a face the number in front of it is taken
 
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """What the winding number is in front of faces, and where it may change.
+    """The winding number in front of faces, and where it may change.
 
-    front : (F,) float64: on the side to which the face's normal points; behind it is 1 more. NaN
-        where that is not known: the face is flat, is at an edge that is not manifold, is met by
-        another (proximity/crossings.py), or folds back onto one, so that it is not 1 more.
-    spheres : (S, 5) float64: centre, radius, in the frame of the tree, and the length of boundary
-        in each.
+    front : (F,) float64: on the side to which the face's normal points; behind the face it is 1
+        more. NaN where it is not known: the face is flat, has a non-manifold edge, is intersected
+        (self_intersections.py), or folds back onto another, so that it is not 1 more.
+    spheres : (S, 5) float64: centre and radius in the tree's local coordinates, and the length of
+        the boundary in each.
     """
 
     front: np.ndarray
@@ -45,13 +45,13 @@ class Sides:
 
 
 def find_sides(
-    mesh: Mesh, normals: Pseudonormals, winding: WindingNumber, crossed: np.ndarray
+    mesh: Mesh, normals: Pseudonormals, winding: WindingNumber, intersecting: np.ndarray
 ) -> Sides:
-    """The sides of a mesh's faces.
+    """Return the sides of a mesh's faces.
 
     Parameters
     ----------
-    crossed : (F,) bool, as find_self_intersections.
+    intersecting : (F,) bool, of find_self_intersections.
     """
     edges, forth = edges_of(positions(mesh)[mesh.faces])
     faces_of = np.bincount(edges)
@@ -59,7 +59,7 @@ def find_sides(
     triangles = winding.tree.frame.local(mesh.vertices)[mesh.faces]
     front, behind = _beside(mesh, np.arange(len(mesh.faces)), normals, winding)
     odd = ((faces_of != 2) | (net != 0)) & (faces_of != 1)
-    unknown = crossed | odd[edges].reshape(-1, 3).any(axis=1)
+    unknown = intersecting | odd[edges].reshape(-1, 3).any(axis=1)
     front[unknown | ~(np.abs(behind - front - 1) < 0.25)] = np.nan
     side = np.flatnonzero(net[edges] != 0)
     _, first = np.unique(edges[side], return_index=True)
@@ -70,8 +70,9 @@ def find_sides(
 
 
 def shells_agree(mesh: Mesh, normals: Pseudonormals, device: Device, tree: TriangleTree) -> bool:
-    """Whether in front of every shell of a mesh, which is closed and does not pass through itself,
-    the winding number is 0; or -1, if it is inside out. It is not where shells are nested and wound
+    """Whether the winding number in front of every shell is 0; or -1, if the mesh is inside out.
+
+    The mesh is closed and has no self-intersections. It is not so where shells are nested and wound
     alike."""
     shells = shells_of(mesh)
     faces = np.unique(shells, return_index=True)[1]
@@ -85,7 +86,7 @@ def shells_agree(mesh: Mesh, normals: Pseudonormals, device: Device, tree: Trian
 def _beside(
     mesh: Mesh, faces: np.ndarray, normals: Pseudonormals, winding: WindingNumber
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) float64 each: the winding number above and below the middle of each of (n,) faces; NaN
+    """(n,) float64 each: the winding number above and below the centroid of each of (n,) faces; NaN
     where one is flat."""
     triangles = winding.tree.frame.local(mesh.vertices)[mesh.faces[faces]]
     normal = normals.normals[normals.features[faces, 0]]
