@@ -67,26 +67,30 @@ double8 absolute(double8 a)
     return a < 0.0 ? -a : a;
 }
 
-// The triangles of a level's lists, and what tells their sides.
+// Groups of parameters. LISTS: the cells of a level and their lists of triangles; SIDES: what tells
+// the sides of triangles, where signs are computed; BOUNDARY: spheres about the mesh's boundary, and
+// the length of boundary in each.
+#define LISTS                                                                                          \
+    __global const ulong *identifiers, const uint level, const double extent,                          \
+        __global const uint *begins, __global const double *leaves, __global const uint *items
 #ifdef SIGNED
 #ifdef WINDING
-#define FRONT __global const double *front;
-#define FRONT_ARGUMENT , __global const double *front
+#define FRONT , __global const double *front
 #define FRONT_VALUE , front
+#define BOUNDARY , __global const double *spheres, const uint sphere_count
 #define in_front(scene, face) scene->front[face]
 #else
 #define FRONT
-#define FRONT_ARGUMENT
 #define FRONT_VALUE
+#define BOUNDARY
 #define in_front(scene, face) 0.0
 #endif
-#define SCENE_ARGUMENTS                                                                                \
-    __global const double *leaves, __global const uint *items, __global const uint *names,             \
-        __global const uint *features, __global const double *normals FRONT_ARGUMENT
+#define SIDES                                                                                          \
+    , __global const uint *names, __global const uint *features, __global const double *normals FRONT
 #define SCENE_VALUES leaves, items, names, features, normals FRONT_VALUE
 #define has_side(scene, item) (scene->names[item] != NAMELESS)
 #else
-#define SCENE_ARGUMENTS __global const double *leaves, __global const uint *items
+#define SIDES
 #define SCENE_VALUES leaves, items
 #define has_side(scene, item) true
 #endif
@@ -98,7 +102,9 @@ typedef struct {
     __global const uint *names;
     __global const uint *features;
     __global const double *normals;
-    FRONT
+#ifdef WINDING
+    __global const double *front;
+#endif
 #endif
 } scene_of_lists;
 
@@ -188,66 +194,42 @@ double sway(double x, double y, double z, double reach, __global const double *s
 
 // ---- the blocks of the cells that are refined
 
-// values[27 b + i] = the distance at vertex i of block b, of the cell identifiers[b]. masks[j] says
-// for item j of its list which of the cell's children need it: bit k is child k. counts[8 b + k] =
-// how many child k needs.
-//
-// The distance to a triangle is convex, and so is nowhere below its tangent. Inside a cell it is
-// nowhere above the trilinear interpolation of what it is at the corners. So a triangle is nowhere
-// nearest in a child where its tangent from the child's middle is, at all corners, above the
-// distance to some other one: to the nearest of the middle of any child, here.
-//
-// states[b] says on which side of the mesh the whole block is, if it is known: where its parent's
-// is, and where triangles do not pass. Bit i of doubts[b] says that the sign of vertex i is not
-// known, and that of asked[b] that its winding number is to be computed: at first, where no
-// triangles pass, the middle's.
-__kernel void sample_blocks(const uint n, __global const ulong *identifiers, const uint level,
-                            const double extent, __global const uint *begins, SCENE_ARGUMENTS,
-#ifdef SIGNED
-                            __global const uint *sources, __global const uchar *above,
-                            __global uchar *states,
-#ifdef WINDING
-                            __global const double *spheres, const uint sphere_count,
-                            __global uint *doubts, __global uint *asked,
-#endif
-#endif
-                            __global double *values, __global uchar *masks, __global uint *counts)
+// The squared distances at the corners of the eight children to up to eight triangles: `corners`
+// has a lane a child; `least` is the smallest so far at each corner.
+typedef struct {
+    double8 corners[8][8], least[8];
+    uint count;
+} rival_distances;
+
+// Of each child's middle the nearest triangle of a list.
+nearest nearest_to_middles(const scene_of_lists *scene, uint begin, uint end, const ways *middles)
 {
-    const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-    const scene_of_lists scene = {SCENE_VALUES};
-    const uint begin = begins[gid], end = begins[gid + 1];
-    const uint3 cell = cell_of(identifiers[gid], level);
-    const double edge = extent / (1ul << level) * 2, radius = edge * HALF_DIAGONAL + SLACK;
-
-    const ways middles = lattice_points(4 * cell, MIDDLES, 0, level + 2, extent);
-    nearest of_middles = nothing_found();
+    nearest found = nothing_found();
     for (uint j = begin; j < end; ++j) {
-        const triangle t = triangle_at(&scene, j);
-        look_at(&scene, j, squares_to(&t, &middles), &of_middles);
+        const triangle t = triangle_at(scene, j);
+        look_at(scene, j, squares_to(&t, middles), &found);
     }
+    return found;
+}
 
-    // these, each once, and the squared distances to them at the corners of the children
-    ways points[POINTS / 8];
-    for (uint k = 0; k < POINTS / 8; ++k)
-        points[k] = lattice_points(2 * cell, VERTICES, k, level + 1, extent);
-    nearest found[8];
-    for (uint child = 0; child < 8; ++child)
-        found[child] = nothing_found();
+// Take the triangles nearest to the middles into account at the vertices of a block, each once.
+void look_at_rivals(const scene_of_lists *scene, long8 which, const ways *points, nearest *found,
+                    rival_distances *rivals)
+{
     long places[8];
-    vstore8(of_middles.which, 0, places);
-    double8 others[8][8], rivals[8]; // of each corner, a lane a child; rivals are the least as yet
-    for (uint i = 0; i < 8; ++i)
-        rivals[i] = INFINITY;
-    uint others_count = 0;
+    vstore8(which, 0, places);
+    rivals->count = 0;
+    for (uint i = 0; i < 8; ++i) {
+        found[i] = nothing_found();
+        rivals->least[i] = INFINITY;
+    }
     for (uint k = 0; k < 8; ++k) {
         bool known = places[k] == NO_TRIANGLE;
         for (uint other = 0; other < k; ++other)
             known |= places[other] == places[k];
         if (known)
             continue;
-        const triangle t = triangle_at(&scene, (uint)places[k]);
+        const triangle t = triangle_at(scene, (uint)places[k]);
         double squares[POINTS];
         for (uint v = 0; v < POINTS / 8; ++v)
             vstore8(squares_to(&t, &points[v]), v, squares);
@@ -257,40 +239,78 @@ __kernel void sample_blocks(const uint n, __global const ulong *identifiers, con
                 corners[j] = squares[CORNERS[8 * i + j]];
                 children[j] = squares[CORNERS[8 * j + i]];
             }
-            look_at(&scene, (uint)places[k], vload8(0, corners), &found[i]);
-            const double8 other = others[others_count][i] = vload8(0, children);
-            rivals[i] = other < rivals[i] ? other : rivals[i];
+            look_at(scene, (uint)places[k], vload8(0, corners), &found[i]);
+            const double8 other = rivals->corners[rivals->count][i] = vload8(0, children);
+            rivals->least[i] = other < rivals->least[i] ? other : rivals->least[i];
         }
-        ++others_count;
+        ++rivals->count;
     }
+}
 
-    // each child's, and the distances at its corners where a tangent lets them be the least
+// Which children need a triangle (all bits of a lane), and in which of these it may be the nearest
+// at a corner: by its tangents from the middles.
+long8 children_that_need(const triangle *t, const ways *middles, double edge,
+                         const rival_distances *rivals, long8 *nearer)
+{
+    ways way;
+    MASKS feature;
+    const double8 dd = triangle_ways(t, middles->x, middles->y, middles->z, &way, &feature);
+    const double8 x = 0.25 * edge * way.x, y = 0.25 * edge * way.y, z = 0.25 * edge * way.z;
+    const double8 base = dd - SLACK * (edge + sqrt(dd));
+    double8 least[8]; // tangents, times the distance of the middle, squared; 0 where negative
+    long8 near = 0;
+    for (uint i = 0; i < 8; ++i) {
+        const double8 tangent = base + (i & 1 ? x : -x) + (i & 2 ? y : -y) + (i & 4 ? z : -z);
+        least[i] = tangent > 0.0 ? tangent * tangent : 0.0;
+        near |= least[i] <= rivals->least[i] * dd;
+    }
+    long8 needs = -1;
+    for (uint other = 0; other < rivals->count; ++other) {
+        long8 some = 0;
+        for (uint i = 0; i < 8; ++i)
+            some |= least[i] <= rivals->corners[other][i] * dd;
+        needs &= some;
+    }
+    *nearer = near & needs;
+    return needs;
+}
+
+// values[27 b + i] = the distance at vertex i of block b, of the cell identifiers[b]; places[27 b + i]
+// = where in the lists the nearest triangle with a side stands. masks[j] says for item j of its list
+// which of the cell's children need it: bit k is child k. counts[8 b + k] = how many child k needs.
+//
+// The distance to a triangle is convex, and so is nowhere below its tangent. Inside a cell it is
+// nowhere above the trilinear interpolation of its values at the corners. So a triangle is nowhere
+// nearest in a child where its tangent from the child's middle is, at all corners, above the
+// distance to some other one: here, to the nearest of the middle of any child.
+__kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
+                            __global uint *places, __global uchar *masks, __global uint *counts)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const scene_of_lists scene = {SCENE_VALUES};
+    const uint begin = begins[gid], end = begins[gid + 1];
+    const uint3 cell = cell_of(identifiers[gid], level);
+    const double edge = extent / (1ul << level) * 2;
+    const ways middles = lattice_points(4 * cell, MIDDLES, 0, level + 2, extent);
+    ways points[POINTS / 8];
+    for (uint k = 0; k < POINTS / 8; ++k)
+        points[k] = lattice_points(2 * cell, VERTICES, k, level + 1, extent);
+    nearest found[8]; // at the corners of each child
+    rival_distances rivals;
+    look_at_rivals(&scene, nearest_to_middles(&scene, begin, end, &middles).which, points, found,
+                   &rivals);
+
     const long8 bits = (long8)(1, 2, 4, 8, 16, 32, 64, 128);
     long8 needed = 0;
     for (uint j = begin; j < end; ++j) {
         const triangle t = triangle_at(&scene, j);
-        ways way;
-        MASKS feature;
-        const double8 dd = triangle_ways(&t, middles.x, middles.y, middles.z, &way, &feature);
-        const double8 x = 0.25 * edge * way.x, y = 0.25 * edge * way.y, z = 0.25 * edge * way.z;
-        const double8 base = dd - SLACK * (edge + sqrt(dd));
-        double8 least[8]; // tangents, times the distance of the middle, squared; 0 where negative
-        long8 nearer = 0;
-        for (uint i = 0; i < 8; ++i) {
-            const double8 tangent = base + (i & 1 ? x : -x) + (i & 2 ? y : -y) + (i & 4 ? z : -z);
-            least[i] = tangent > 0.0 ? tangent * tangent : 0.0;
-            nearer |= least[i] <= rivals[i] * dd;
-        }
-        long8 needs = -1;
-        for (uint other = 0; other < others_count; ++other) {
-            long8 some = 0;
-            for (uint i = 0; i < 8; ++i)
-                some |= least[i] <= others[other][i] * dd;
-            needs &= some;
-        }
+        long8 nearer;
+        const long8 needs = children_that_need(&t, &middles, edge, &rivals, &nearer);
         needed -= needs;
         masks[j] = (uchar)gathered(needs & bits);
-        for (uint left = gathered(nearer & needs & bits), child = 0; left > 0; left >>= 1, ++child) {
+        for (uint left = gathered(nearer & bits), child = 0; left > 0; left >>= 1, ++child) {
             if (!(left & 1))
                 continue;
             const ways corners = lattice_points(2 * cell + octant(child), CELL, 0, level + 1, extent);
@@ -302,50 +322,86 @@ __kernel void sample_blocks(const uint n, __global const ulong *identifiers, con
             vstore8(found[child].square, 0, reached);
 #endif
             for (uint i = 0; i < 8; ++i)
-                ((double *)&rivals[i])[child] = reached[i];
+                ((double *)&rivals.least[i])[child] = reached[i];
         }
     }
     long counted[8];
     vstore8(needed, 0, counted);
-    for (uint child = 0; child < 8; ++child)
-        counts[8 * (size_t)gid + child] = (uint)counted[child];
-
-    // a vertex is a corner of one child, or has the same in each
-    double distances[27];
-    long which[27];
     for (uint child = 0; child < 8; ++child) {
+        counts[8 * (size_t)gid + child] = (uint)counted[child];
+        // a vertex is a corner of one child, or has the same in each
         double corners[8];
         long own[8];
         vstore8(sqrt(found[child].square), 0, corners);
         vstore8(found[child].which, 0, own);
         for (uint i = 0; i < 8; ++i) {
-            distances[CORNERS[8 * child + i]] = corners[i];
-            which[CORNERS[8 * child + i]] = own[i];
+            const size_t vertex = 27 * (size_t)gid + CORNERS[8 * child + i];
+            values[vertex] = corners[i];
+#ifdef SIGNED
+            places[vertex] = (uint)own[i];
+#endif
         }
     }
+}
+
 #ifdef SIGNED
-    double x[POINTS], y[POINTS], z[POINTS];
-    for (uint k = 0; k < POINTS / 8; ++k) {
-        vstore8(points[k].x, k, x);
-        vstore8(points[k].y, k, y);
-        vstore8(points[k].z, k, z);
+double3 vertex_point(ulong identifier, uint level, double extent, uint i)
+{
+    const uint3 cell = cell_of(identifier, level);
+    const double8 vertex =
+        (double8)(2 * cell.x + i % 3, 2 * cell.y + i / 3 % 3, 2 * cell.z + i / 9, 0, 0, 0, 0, 0);
+    return lattice(vertex, level + 1, extent).s012;
+}
+
+double with_sign(double value, bool inside)
+{
+    const double distance = value < 0 ? -value : value;
+    return inside && distance > 0 ? -distance : distance;
+}
+
+// The length of the longest edge of the triangles of a list.
+double longest_edge(const scene_of_lists *scene, uint begin, uint end)
+{
+    double longest = 0;
+    for (uint j = begin; j < end; ++j) {
+        const double ee = triangle_at(scene, j).ee.s0;
+        longest = ee > longest ? ee : longest;
     }
+    return sqrt(longest);
+}
+
+// Gives distances their signs. states[b] says on which side of the mesh the whole block is, if it is
+// known: where its parent's is known, and where no triangles pass. Bit i of doubts[b] says that the
+// sign of vertex i is not known, and that of asked[b] that its winding number is to be computed: at
+// first, where no triangles pass, the middle's.
+__kernel void sign_blocks(const uint n, LISTS SIDES BOUNDARY, __global const uint *sources,
+                          __global const uchar *above, __global const uint *places,
+                          __global uchar *states,
+#ifdef WINDING
+                          __global uint *doubts, __global uint *asked,
+#endif
+                          __global double *values)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const scene_of_lists scene = {SCENE_VALUES};
+    __global double *own = values + 27 * (size_t)gid;
+    __global const uint *nearest_of = places + 27 * (size_t)gid;
+    const double radius = extent / (1ul << level) * 2 * HALF_DIAGONAL + SLACK;
+    const bool apart = own[MIDDLE] > radius;
     uchar state = above[sources[gid] / 8];
     double leeway = 0;
 #ifdef WINDING
     if (state == UNKNOWN) {
-        double longest = 0;
-        for (uint j = begin; j < end; ++j) {
-            const double ee = triangle_at(&scene, j).ee.s0;
-            longest = ee > longest ? ee : longest;
-        }
-        leeway = sway(x[MIDDLE], y[MIDDLE], z[MIDDLE], distances[MIDDLE] + 3 * radius + sqrt(longest),
-                      spheres, sphere_count);
+        const double3 p = vertex_point(identifiers[gid], level, extent, MIDDLE);
+        const double reach = own[MIDDLE] + 3 * radius + longest_edge(&scene, begins[gid], begins[gid + 1]);
+        leeway = sway(p.x, p.y, p.z, reach, spheres, sphere_count);
     }
 #endif
-    const bool apart = distances[MIDDLE] > radius;
     if (state == UNKNOWN && apart) {
-        const double number = number_beside(&scene, which[MIDDLE], x[MIDDLE], y[MIDDLE], z[MIDDLE]);
+        const double3 p = vertex_point(identifiers[gid], level, extent, MIDDLE);
+        const double number = number_beside(&scene, nearest_of[MIDDLE], p.x, p.y, p.z);
         if (fabs(number - 0.5) > leeway)
             state = number > 0.5 ? INSIDE : OUTSIDE;
     }
@@ -353,23 +409,21 @@ __kernel void sample_blocks(const uint n, __global const ulong *identifiers, con
     for (uint i = 0; i < 27; ++i) {
         bool inside = state == INSIDE;
         if (state == UNKNOWN) {
+            const double3 p = vertex_point(identifiers[gid], level, extent, i);
             const double number =
-                apart ? NAN : number_beside(&scene, which[i], x[i], y[i], z[i]);
+                apart ? NAN : number_beside(&scene, nearest_of[i], p.x, p.y, p.z);
             inside = number > 0.5;
             doubtful |= (fabs(number - 0.5) > leeway ? 0u : 1u) << i;
         }
-        if (inside && distances[i] > 0)
-            distances[i] = -distances[i];
+        own[i] = with_sign(own[i], inside);
     }
     states[gid] = state;
 #ifdef WINDING
     doubts[gid] = doubtful;
     asked[gid] = apart && doubtful ? 1u << MIDDLE : doubtful;
 #endif
-#endif
-    for (uint i = 0; i < 27; ++i)
-        values[27 * (size_t)gid + i] = distances[i];
 }
+#endif
 
 #ifdef WINDING
 // counts[b] = of how many vertices of block b the number is asked.
@@ -378,14 +432,6 @@ __kernel void count_asked(const uint n, __global const uint *asked, __global uin
     const uint gid = get_global_id(0);
     if (gid < n)
         counts[gid] = popcount(asked[gid]);
-}
-
-double3 vertex_point(ulong identifier, uint level, double extent, uint i)
-{
-    const uint3 cell = cell_of(identifier, level);
-    const double8 vertex =
-        (double8)(2 * cell.x + i % 3, 2 * cell.y + i / 3 % 3, 2 * cell.z + i / 9, 0, 0, 0, 0, 0);
-    return lattice(vertex, level + 1, extent).s012;
 }
 
 // Their points.
@@ -400,12 +446,6 @@ __kernel void list_asked(const uint n, __global const ulong *identifiers, const 
     for (uint i = 0; i < 27; ++i)
         if (asked[gid] >> i & 1)
             vstore3(vertex_point(identifiers[gid], level, extent, i), at++, points);
-}
-
-double with_sign(double value, bool inside)
-{
-    const double distance = value < 0 ? -value : value;
-    return inside && distance > 0 ? -distance : distance;
 }
 
 // Their signs, from the numbers there. The number of the middle of a block that no triangle passes
@@ -698,94 +738,126 @@ double sample_error(const child_list *list, const ways *points, uint k, const do
     return highest(absolute(interpolated - (outward < 0.0 ? -distance : distance)));
 }
 
+// What decides whether a child is refined, in the frame: tolerance, how far points are misplaced by
+// rounding, and how far from the surface cells are refined; whether children can be refined, must be
+// where triangles pass, and whether all samples are taken.
+#define LIMITS                                                                                         \
+    const double tolerance, const double misplaced, const double band, const uint can_refine,          \
+        const uint refine_coarse, const uint thorough
+
+// A child of a block, and what is known of it. corners: its distances; radius: half of its diagonal;
+// middle: the distance of its middle; passed: triangles may pass through it; in_doubt: the sign of a
+// corner is not known. error: at most or at the samples so far; bound: of the error.
+typedef struct {
+    uint3 cell;
+    double corners[8], edge, slope, radius, middle, error, bound;
+    bool in_doubt, passed;
+} child_cell;
+
+// The steepest that the interpolation in a cell is.
+double slope_of(double8 field, double edge)
+{
+    const double dx = highest(absolute(field.s11335577 - field.s00224466));
+    const double dy = highest(absolute(field.s23672367 - field.s01450145));
+    const double dz = highest(absolute(field.s45674567 - field.s01230123));
+    return sqrt(dx * dx + dy * dy + dz * dz) / edge;
+}
+
+// The error at the first eight samples, which suffice to refine most children that are.
+void sample_middle(const child_list *list, child_cell *c, uint level, double extent)
+{
+    const ways central = lattice_points(4 * c->cell, SAMPLES, 0, level + 3, extent);
+    c->error = sample_error(list, &central, 0, c->corners, c->in_doubt, c->radius, &c->middle);
+    c->passed = c->middle <= c->radius;
+}
+
+// The bound without samples; then, if this is over the tolerance, the errors at the other samples,
+// until the child is `refined` unless this is thorough; and the bound between samples.
+bool sample_all(const child_list *list, child_cell *c, uint level, double extent, bool refined,
+                bool can_refine, double tolerance, double misplaced,
+                uint refine_coarse, uint thorough)
+{
+    const double8 field = vload8(0, c->corners), size = absolute(field);
+    const ways at = lattice_points(c->cell, CELL, 0, level + 1, extent);
+#ifdef SIGNED
+    if (!c->passed)
+#endif
+        c->bound = bound_apart(list, &at, size, c->edge);
+#ifdef CLOSED
+    if (c->passed)
+        c->bound = bound_passed(list, &at, field, c->middle + 2 * c->radius);
+#endif
+    const double rounding = highest(size) * 0x1p-21 + SLACK + misplaced;
+    c->bound += rounding;
+    if (c->bound <= tolerance) {
+        c->error = c->bound;
+        return refined;
+    }
+    for (uint k = 1; k < POINTS / 8 && (thorough || !refined); ++k) {
+        const ways points = lattice_points(4 * c->cell, SAMPLES, k, level + 3, extent);
+        double elsewhere;
+        const double miss = sample_error(list, &points, k, c->corners, c->in_doubt || !c->passed,
+                                         c->radius, &elsewhere);
+        c->error = miss > c->error ? miss : c->error;
+        refined = can_refine && c->error > tolerance;
+    }
+    const double unsure = c->in_doubt && c->passed ? 2 * (c->middle + c->radius) : 0;
+    const double between = c->error + unsure + rounding + (1 + c->slope) * (SAMPLE_GAP * c->edge);
+    c->bound = between < c->bound ? between : c->bound;
+    return refined || (can_refine && c->passed && refine_coarse);
+}
+
 // For each child c of block c / 8: flags[c] = 1 if it is to be refined. errors[c] = how far its
 // interpolation is from the distance, in sides: at most, if that is within the tolerance, and else
 // at its samples, the first ones of which that are over it suffice to refine, unless this is to be
 // `thorough`; 0 beyond the band, and -1 where the sign jumps. codes[c] = the code of its bound.
-__kernel void examine_children(const uint n, __global const ulong *identifiers, const uint level,
-                               const double extent, __global const uint *begins, SCENE_ARGUMENTS,
+__kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
 #ifdef WINDING
                                __global const uint *doubts,
 #endif
-                               __global const float *voxels, const double tolerance,
-                               const double misplaced, const double band, const uint can_refine,
-                               const uint refine_coarse, const uint thorough,
-                               __global const double *bounds, __global const uchar *masks,
-                               __global uint *flags, __global float *errors,
-                               __global uchar *codes, __global uint *steepest)
+                               __global const float *voxels, __global const double *bounds,
+                               __global const uchar *masks, __global uint *flags,
+                               __global float *errors, __global uchar *codes,
+                               __global uint *steepest)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     child_list list = {{SCENE_VALUES}, masks, begins[gid], begins[gid + 1], 0};
     const uint3 parent = cell_of(identifiers[gid], level);
-    const double side = 2 * extent, edge = side / (2ul << level);
-    const double radius = edge * HALF_DIAGONAL + SLACK;
+    const double side = 2 * extent;
+    child_cell c;
+    c.edge = side / (2ul << level);
+    c.radius = c.edge * HALF_DIAGONAL + SLACK;
     float slope_of_leaves = 0;
     for (uint child = 0; child < 8; ++child) {
         const size_t place = 8 * (size_t)gid + child;
-        const uint3 cell = 2 * parent + octant(child);
         list.child = child;
-        double corners[8];
-        for (uint i = 0; i < 8; ++i)
-            corners[i] = voxels[27 * (size_t)gid + CORNERS[8 * child + i]] * side;
-        const double8 field = vload8(0, corners), size = absolute(field);
-        const double dx = highest(absolute(field.s11335577 - field.s00224466));
-        const double dy = highest(absolute(field.s23672367 - field.s01450145));
-        const double dz = highest(absolute(field.s45674567 - field.s01230123));
-        const double slope = sqrt(dx * dx + dy * dy + dz * dz) / edge;
-        bool in_doubt = false;
+        c.cell = 2 * parent + octant(child);
+        c.in_doubt = false;
+        for (uint i = 0; i < 8; ++i) {
+            c.corners[i] = voxels[27 * (size_t)gid + CORNERS[8 * child + i]] * side;
 #ifdef WINDING
-        for (uint i = 0; i < 8; ++i)
-            in_doubt |= doubts[gid] >> CORNERS[8 * child + i] & 1;
+            c.in_doubt |= doubts[gid] >> CORNERS[8 * child + i] & 1;
 #endif
-        // the first samples suffice to refine most that are
-        const ways central = lattice_points(4 * cell, SAMPLES, 0, level + 3, extent);
-        double middle;
-        double error = sample_error(&list, &central, 0, corners, in_doubt, radius, &middle);
-        const bool passed = middle <= radius; // by triangles, perhaps
-        const bool beyond = middle - radius > band;
+        }
+        c.slope = slope_of(vload8(0, c.corners), c.edge);
+        c.bound = INFINITY;
+        sample_middle(&list, &c, level, extent);
+        const bool beyond = c.middle - c.radius > band, may_refine = can_refine && !beyond;
         bool jumped = false;
 #ifdef JUMPS
-        jumped = jumps(corners, edge, passed);
+        jumped = jumps(c.corners, c.edge, c.passed);
 #endif
-        bool refined = can_refine && !beyond && (jumped ? refine_coarse : error > tolerance);
-        double bound = INFINITY;
-        if (!jumped && (!refined || thorough)) {
-            const ways at = lattice_points(cell, CELL, 0, level + 1, extent);
-#ifdef SIGNED
-            if (!passed)
-#endif
-                bound = bound_apart(&list, &at, size, edge);
-#ifdef CLOSED
-            if (passed)
-                bound = bound_passed(&list, &at, field, middle + 2 * radius);
-#endif
-            const double rounding = highest(size) * 0x1p-21 + SLACK + misplaced;
-            bound += rounding;
-            if (bound <= tolerance) {
-                error = bound;
-            } else {
-                for (uint k = 1; k < POINTS / 8 && (thorough || !refined); ++k) {
-                    const ways points = lattice_points(4 * cell, SAMPLES, k, level + 3, extent);
-                    double elsewhere;
-                    const double miss = sample_error(&list, &points, k, corners, in_doubt || !passed,
-                                                     radius, &elsewhere);
-                    error = miss > error ? miss : error;
-                    refined = can_refine && !beyond && error > tolerance;
-                }
-                const double unsure = in_doubt && passed ? 2 * (middle + radius) : 0;
-                const double between =
-                    error + unsure + rounding + (1 + slope) * (SAMPLE_GAP * edge);
-                bound = between < bound ? between : bound;
-                refined |= can_refine && !beyond && passed && refine_coarse;
-            }
-        }
+        bool refined = may_refine && (jumped ? refine_coarse : c.error > tolerance);
+        if (!jumped && (!refined || thorough))
+            refined = sample_all(&list, &c, level, extent, refined, may_refine, tolerance, misplaced,
+                                 refine_coarse, thorough);
         flags[place] = refined;
-        errors[place] = jumped ? -1 : beyond ? 0 : (float)(error / side);
-        codes[place] = jumped ? JUMP : code_of(bound / side, bounds);
-        if (!refined && !jumped && slope > slope_of_leaves)
-            slope_of_leaves = (float)slope;
+        errors[place] = jumped ? -1 : beyond ? 0 : (float)(c.error / side);
+        codes[place] = jumped ? JUMP : code_of(c.bound / side, bounds);
+        if (!refined && !jumped && c.slope > slope_of_leaves)
+            slope_of_leaves = (float)c.slope;
     }
     if (as_uint(slope_of_leaves) > *steepest)
         atomic_max(steepest, as_uint(slope_of_leaves));

@@ -3,7 +3,7 @@ each child needs."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,25 +20,30 @@ def sample(work: Construction, level: Level) -> None:
     level.values = device.empty(27 * n, np.float64)
     level.masks = device.empty(level.items.size, np.uint8)
     level.needed = device.empty(8 * n, np.uint32)
-    above = asked = None
-    if "SIGNED" in work.options:
-        level.states = device.empty(n, np.uint8)
-        above = level.above.states if level.above else device.zeros(1, np.uint8)
+    signed = "SIGNED" in work.options
+    named: dict[str, Any] = {
+        **work.arguments,
+        **level.arguments,
+        "values": level.values,
+        "places": device.empty(27 * n, np.uint32) if signed else None,
+    }
+    with device.stage("sample"):
+        work.kernel("sample_blocks")(n, **named, masks=level.masks, counts=level.needed)
+        if signed:
+            sign(work, level, named)
+
+
+def sign(work: Construction, level: Level, named: dict[str, Any]) -> None:
+    """Give the distances of a level's blocks their signs."""
+    device, n = work.device, level.count
+    level.states = device.empty(n, np.uint8)
+    above = level.above.states if level.above else device.zeros(1, np.uint8)
+    asked = None
     if "WINDING" in work.options:
         level.doubts, asked = device.empty(n, np.uint32), device.empty(n, np.uint32)
-    with device.stage("sample"):
-        work.kernel("sample_blocks")(
-            n,
-            **work.arguments,
-            **level.arguments,
-            above=above,
-            states=level.states,
-            doubts=level.doubts,
-            asked=asked,
-            values=level.values,
-            masks=level.masks,
-            counts=level.needed,
-        )
+    work.kernel("sign_blocks")(
+        n, **named, above=above, states=level.states, doubts=level.doubts, asked=asked
+    )
     if asked is not None:
         for _ in ("middles of blocks", "vertices"):
             settle_signs(work, level, asked)
