@@ -11,12 +11,12 @@ from importlib import import_module
 
 # Header -> the module whose HEADERS holds its text.
 HOMES = {
-    "adf/build.h": "voxtool.adf.levels.level",
+    "adf/levels/level.h": "voxtool.adf.levels.level",
+    "adf/levels/sample_points.h": "voxtool.adf.levels.sample_points",
     "adf/points.h": "voxtool.adf.host_query",
     "adf/hashing.h": "voxtool.adf.hashing",
     "adf/query.h": "voxtool.adf.query",
     "adf/raycast.h": "voxtool.adf.raycast",
-    "adf/samples.h": "voxtool.adf.samples",
     "opencl/primitives.h": "voxtool.opencl.primitives",
     "spatial/arctangent.h": "voxtool.spatial.angles",
     "spatial/bvh.h": "voxtool.spatial.bvh",

@@ -10,6 +10,8 @@ import numpy as np
 if TYPE_CHECKING:
     from voxtool.adf.levels.level import Construction, Level
 
+SOURCE = "adf/levels/constrain.cl"
+
 
 def constrain(work: Construction, level: Level) -> None:
     """Give vertices that lie on a coarser leaf the values that are interpolated there."""
@@ -19,7 +21,7 @@ def constrain(work: Construction, level: Level) -> None:
     device, n = work.device, level.count
     level.neighbours = device.empty(27 * n, np.uint32)
     with device.stage("constrain"):
-        work.kernel("find_neighbours")(
+        work.kernel(SOURCE, "find_neighbours")(
             n,
             sources=level.sources,
             ranks=above.ranks,
@@ -27,7 +29,7 @@ def constrain(work: Construction, level: Level) -> None:
             neighbours=level.neighbours,
             unbalanced=work.unbalanced,
         )
-        work.kernel("constrain_blocks")(
+        work.kernel(SOURCE, "constrain_blocks")(
             n,
             sources=level.sources,
             neighbours=level.neighbours,

@@ -10,6 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     from voxtool.adf.levels.level import Construction, Level
 
+SOURCE = "adf/levels/examine.cl"
 CROSSED = 64.0  # tolerances that the edge of a leaf may have where triangles pass, unless certain
 
 
@@ -34,10 +35,10 @@ def examine(work: Construction, level: Level) -> Examined:
     level.ranks = device.empty(8 * n + 1, np.uint32)
     errors, codes = device.empty(8 * n, np.float32), device.empty(8 * n, np.uint8)
     with device.stage("examine"):
-        work.kernel("store_voxels")(
+        work.kernel(SOURCE, "store_voxels")(
             27 * n, values=level.values, extent=work.survey.extent, voxels=voxels
         )
-        work.kernel("examine_children")(
+        work.kernel(SOURCE, "examine_children")(
             n,
             **work.arguments,
             **level.arguments,

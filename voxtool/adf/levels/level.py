@@ -22,14 +22,13 @@ if TYPE_CHECKING:
     from voxtool.adf.survey import Survey
     from voxtool.opencl import Array, Device
 
-SOURCE = "adf/build.cl"
 KEPT = 32  # triangles of a cell that are combined in pairs, at most
 NO_TRIANGLE = OUT_OF_CUBE = 0xFFFFFFFF
 COARSE = OUT_OF_CUBE - 1  # a neighbour that is a leaf, or lies within one
 UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2  # sides of the mesh
 
 HEADERS = {
-    "adf/build.h": program.c_constants(
+    "adf/levels/level.h": program.c_constants(
         JUMP=JUMP,
         KEPT=KEPT,
         NO_TRIANGLE=NO_TRIANGLE,
@@ -141,7 +140,7 @@ class Construction:
         """The cube's side, in the frame."""
         return 2 * self.survey.extent
 
-    def kernel(self, name: str, source: str = SOURCE) -> Callable[..., None]:
+    def kernel(self, source: str, name: str) -> Callable[..., None]:
         """A kernel with this construction's options."""
         return self.device.kernel(source, name, **self.options)
 

@@ -12,6 +12,8 @@ from voxtool.opencl.primitives import exclusive_scan
 if TYPE_CHECKING:
     from voxtool.adf.levels.level import Construction
 
+SOURCE = "adf/levels/refine.cl"
+
 
 def list_size(level: Level, refined: np.ndarray) -> int:
     """How many triangles the lists of the refined children have; `refined` : (8 n,), not 0."""
@@ -27,7 +29,7 @@ def refine(work: Construction, level: Level, size: int) -> Level:
         total = exclusive_scan(level.ranks, 8 * n)
         identifiers = device.empty(total, np.uint64)
         sources, begins = device.empty(total, np.uint32), device.empty(total + 1, np.uint32)
-        work.kernel("list_refined")(
+        work.kernel(SOURCE, "list_refined")(
             8 * n,
             ranks=level.ranks,
             above=level.identifiers,
@@ -38,7 +40,7 @@ def refine(work: Construction, level: Level, size: int) -> Level:
         )
         exclusive_scan(begins, total)
         items = device.empty(size, np.uint32)
-        work.kernel("pass_lists_on")(
+        work.kernel(SOURCE, "pass_lists_on")(
             total,
             sources=sources,
             above=level.begins,

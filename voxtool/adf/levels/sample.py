@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from voxtool.adf.levels.level import Construction, Level
     from voxtool.opencl import Array
 
+SOURCE = "adf/levels/sample.cl"
+
 
 def sample(work: Construction, level: Level) -> None:
     """Compute the distances of a level's blocks, their signs, and who needs which triangle."""
@@ -28,7 +30,7 @@ def sample(work: Construction, level: Level) -> None:
         "places": device.empty(27 * n, np.uint32) if signed else None,
     }
     with device.stage("sample"):
-        work.kernel("sample_blocks")(n, **named, masks=level.masks, counts=level.needed)
+        work.kernel(SOURCE, "sample_blocks")(n, **named, masks=level.masks, counts=level.needed)
         if signed:
             sign(work, level, named)
 
@@ -41,7 +43,7 @@ def sign(work: Construction, level: Level, named: dict[str, Any]) -> None:
     asked = None
     if "WINDING" in work.options:
         level.doubts, asked = device.empty(n, np.uint32), device.empty(n, np.uint32)
-    work.kernel("sign_blocks")(
+    work.kernel(SOURCE, "sign_blocks")(
         n, **named, above=above, states=level.states, doubts=level.doubts, asked=asked
     )
     if asked is not None:
@@ -54,15 +56,15 @@ def settle_signs(work: Construction, level: Level, asked: Array) -> None:
     device, n = work.device, level.count
     begins = device.empty(n + 1, np.uint32)
     with device.stage("signs"):
-        work.kernel("count_asked")(n, asked=asked, counts=begins)
+        work.kernel(SOURCE, "count_asked")(n, asked=asked, counts=begins)
         total = exclusive_scan(begins, n)
         if total == 0:
             return
         points = device.empty(3 * total, np.float64)
         named = {**work.arguments, **level.arguments, "asked": asked, "begins": begins}
-        work.kernel("list_asked")(n, **named, points=points)
+        work.kernel(SOURCE, "list_asked")(n, **named, points=points)
         numbers = work.survey.winding.at_local(points, total)
-        work.kernel("settle_signs")(
+        work.kernel(SOURCE, "settle_signs")(
             n,
             **named,
             numbers=numbers,

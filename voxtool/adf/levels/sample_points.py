@@ -46,7 +46,7 @@ def _corners() -> np.ndarray:
 
 
 HEADERS = {
-    "adf/samples.h": "\n".join(
+    "adf/levels/sample_points.h": "\n".join(
         [
             program.c_constants(POINTS=POINTS, MIDDLE=MIDDLE),
             f"#define HALF_DIAGONAL {HALF_DIAGONAL.hex()}",

@@ -1,0 +1,84 @@
+// Continuity across levels: blocks take the values of coarser leaves on what they share. Host side:
+// voxtool/adf/levels/constrain.py.
+
+#pragma OPENCL FP_CONTRACT OFF
+
+#include "adf/levels/level.h"
+
+uint3 octant(uint child)
+{
+    return (uint3)(child & 1, child >> 1 & 1, child >> 2);
+}
+
+// neighbours[27 b + i] = which of the blocks of this level is that of the cell beside cell b, or
+// COARSE where that cell is a leaf or within one, OUT_OF_CUBE where it is out of the cube. Cell b is
+// child sources[b] of the level above, whose refined children are numbered by `ranks`.
+__kernel void find_neighbours(const uint n, __global const uint *sources, __global const uint *ranks,
+                              __global const uint *above, __global uint *neighbours,
+                              __global uint *unbalanced)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint parent = sources[gid] / 8;
+    const int3 own = convert_int3(octant(sources[gid] % 8));
+    for (int i = 0; i < 27; ++i) {
+        const int3 at = own + (int3)(i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1);
+        const int3 up = at >> 1, bits = at & 1;
+        const uint of = above[27 * (size_t)parent + (up.x + 1) + 3 * (up.y + 1) + 9 * (up.z + 1)];
+        uint found = of;
+        if (of < COARSE) {
+            const size_t child = 8 * (size_t)of + bits.x + 2 * bits.y + 4 * bits.z;
+            found = ranks[child] < ranks[child + 1] ? ranks[child] : COARSE;
+        } else if (of == COARSE) {
+            *unbalanced = 1;
+        }
+        neighbours[27 * (size_t)gid + i] = found;
+    }
+}
+
+// Vertices of a block that lie on a coarser leaf get what is interpolated there, which is the mean
+// of the ends of the edge, or the corners of the face, that they are the middle of: these are on
+// the same leaf, and have been constrained before. Corners are those of the parent's block.
+__kernel void constrain_blocks(const uint n, __global const uint *sources,
+                               __global const uint *neighbours, __global const double *above,
+                               __global double *values)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    __global double *own = values + 27 * (size_t)gid;
+    __global const double *parent = above + 27 * (size_t)(sources[gid] / 8);
+    const uint3 low = octant(sources[gid] % 8);
+    for (uint corner = 0; corner < 8; ++corner) {
+        const uint3 o = octant(corner), at = low + o;
+        own[2 * o.x + 6 * o.y + 18 * o.z] = parent[at.x + 3 * at.y + 9 * at.z];
+    }
+    for (int i = 0; i < 27; ++i) {
+        const int3 side = (int3)(i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1);
+        const int middles = (side.x == 0) + (side.y == 0) + (side.z == 0);
+        if (middles == 0 || middles == 3)
+            continue;
+        bool hangs = false; // one of the cells that share the edge or face
+        for (int j = 1; j < 8; ++j) {
+            const int3 beside = side * (int3)(j & 1, j >> 1 & 1, j >> 2);
+            const int cell = 13 + beside.x + 3 * beside.y + 9 * beside.z;
+            hangs |= cell != 13 && neighbours[27 * (size_t)gid + cell] == COARSE;
+        }
+        if (!hangs)
+            continue;
+        double sum = 0;
+        for (int j = 0; j < 1 << middles; ++j) {
+            int3 at = side;
+            int bit = j;
+            if (side.x == 0)
+                at.x = 2 * (bit & 1) - 1, bit >>= 1;
+            if (side.y == 0)
+                at.y = 2 * (bit & 1) - 1, bit >>= 1;
+            if (side.z == 0)
+                at.z = 2 * (bit & 1) - 1;
+            sum += own[13 + at.x + 3 * at.y + 9 * at.z];
+        }
+        own[i] = sum / (1 << middles);
+    }
+}

@@ -1,0 +1,310 @@
+// The errors of a level's children, and which of them are refined. Host side:
+// voxtool/adf/levels/examine.py.
+
+#include "adf/levels/lists.h"
+
+// voxels = values, in sides of the cube.
+__kernel void store_voxels(const uint n, __global const double *values, const double extent,
+                           __global float *voxels)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n)
+        voxels[gid] = (float)(values[gid] / (2 * extent));
+}
+
+// ---- the children: leaves, or not
+
+// The code of a bound in sides: the least whose value is not below it.
+uchar code_of(double bound, __global const double *bounds)
+{
+    uint low = 1, high = JUMP; // which is that of a bound over 1, too
+    while (low < high) {
+        const uint middle = (low + high) / 2;
+        if (bounds[middle] >= bound)
+            high = middle;
+        else
+            low = middle + 1;
+    }
+    return (uchar)low;
+}
+
+// Whether distances at the corners of a cell differ by more than they can where the sign does not
+// jump; those that hang on a leaf where it does, by more than interpolation of others can. Where
+// triangles do not pass, no sign changes.
+bool jumps(const double *corners, double edge, bool passed)
+{
+    for (uint i = 0; i < 8; ++i)
+        for (uint j = i + 1; j < 8; ++j) {
+            const double apart = corners[i] - corners[j], far = edge * edge * popcount(i ^ j);
+            const bool alike = (corners[i] < 0) == (corners[j] < 0);
+            if (!alike && !passed)
+                return true;
+            if (apart * apart > (alike ? 3 : 1) * far * (1 + 0x1p-20))
+                return true;
+        }
+    return false;
+}
+
+// The triangles that a child of a block needs: those of the block's list that have its bit.
+typedef struct {
+    scene_of_lists scene;
+    __global const uchar *masks;
+    uint begin, end, child;
+} child_list;
+
+// The place of the first one from a place on; `end` if there is none.
+uint from(const child_list *list, uint place)
+{
+    while (place < list->end && !(list->masks[place] >> list->child & 1))
+        ++place;
+    return place;
+}
+
+// How far the interpolation of distances of a certain size at the corners of a cell is from the
+// distance to the mesh, at most, whatever its sign: above it and below it; and the distances at the
+// corners to the triangle that bounds it best from above.
+//
+// The distance is the least of convex d_t. So it is nowhere above the interpolation of any d_t, or
+// of the mean of two. And interpolation is a mean over corners v: with q nearest to p, n the way
+// from q, and u, w the parts of v - p along and across n, d_t(v) <= |v - q| <= d_t(p) + u + w^2 /
+// (2 (d_t(p) + u)), where the mean of u is 0 and that of w^2 is at most edge^2 / 2; edge^2 / 4
+// beside an edge, along which q may slide, and 0 on one side of a face. The mean of |v - q| is no
+// more than the root of that of its square, either.
+typedef struct {
+    double above, below;
+    double8 best;
+} bounds_apart;
+
+// Take a triangle into account, by what it is at the corners.
+void bound_by(bounds_apart *bounds, double8 d, const ways *way, MASKS feature, double8 size,
+              double edge)
+{
+    const double excess = highest(d - size);
+    bounds->best = excess < bounds->above ? d : bounds->best;
+    bounds->above = excess < bounds->above ? excess : bounds->above;
+    const bool one = all(feature == (MASKS)feature.s0), edge_alone = one && feature.s0 < A;
+    double bend = 0;
+    const bool aside = all(way->x * way->x.s0 + way->y * way->y.s0 + way->z * way->z.s0 > 0);
+    if (!(one && feature.s0 == FACE && aside)) {
+        const double squares = edge * edge, low = lowest(d) - edge * HALF_DIAGONAL;
+        const double near = low > 0 ? low : 0, across = edge_alone ? 0.25 : 0.5;
+        bend = sqrt(near * near + (across + 0.25) * squares) - near;
+        const double ahead = low - 2 * edge * HALF_DIAGONAL; // d_t(p) + u is no less
+        const double curved = across * squares / (2 * ahead);
+        bend = ahead > 0 && curved < bend ? curved : bend;
+    }
+    const double shortfall = highest(size - d) + bend;
+    bounds->below = shortfall > bounds->below ? shortfall : bounds->below;
+}
+
+double bound_apart(const child_list *list, const ways *at, double8 size, double edge)
+{
+    bounds_apart bounds = {INFINITY, 0, 0};
+    double8 distances[KEPT];
+    uint count = 0;
+    for (uint j = from(list, list->begin); j < list->end; j = from(list, j + 1)) {
+        const triangle t = triangle_at(&list->scene, j);
+        ways way;
+        MASKS feature;
+        const double8 d = sqrt(triangle_ways(&t, at->x, at->y, at->z, &way, &feature));
+        bound_by(&bounds, d, &way, feature, size, edge);
+        if (count < KEPT)
+            distances[count++] = d;
+    }
+    for (uint i = 0; i < count; ++i) {
+        const double excess = highest(0.5 * (bounds.best + distances[i]) - size);
+        bounds.above = excess < bounds.above ? excess : bounds.above;
+    }
+    return bounds.above > bounds.below ? bounds.above : bounds.below;
+}
+
+#ifdef CLOSED
+// The same where triangles pass, with the signs of a closed mesh, and distances of `farthest` at
+// most. If all normals are within an angle of the first, so is the way to the nearest point, and
+// every distance is that to the plane of a triangle, divided by a cosine of at least that of twice
+// the angle.
+double bound_passed(const child_list *list, const ways *at, double8 field, double farthest)
+{
+    double3 axis = 0;
+    double cosine = 1, apart = 0;
+    const scene_of_lists *scene = &list->scene;
+    for (uint j = from(list, list->begin); j < list->end && cosine > 0.75; j = from(list, j + 1)) {
+        const triangle t = triangle_at(scene, j);
+        const uint name = scene->names[scene->items[j]];
+        double3 normal = normal_of(name, FACE, scene->features, scene->normals);
+        const double square = normal.x * normal.x + normal.y * normal.y + normal.z * normal.z;
+        if (square == 0)
+            return INFINITY;
+        normal /= sqrt(square);
+        if (axis.x == 0 && axis.y == 0 && axis.z == 0)
+            axis = normal;
+        const double c = axis.x * normal.x + axis.y * normal.y + axis.z * normal.z;
+        cosine = c < cosine ? c : cosine;
+        const double8 plane =
+            (at->x - t.ax) * normal.x + (at->y - t.ay) * normal.y + (at->z - t.az) * normal.z;
+        const double misses = highest(absolute(plane - field));
+        apart = misses > apart ? misses : apart;
+    }
+    return cosine > 0.75 ? apart + 2 * (1 - cosine * cosine) * farthest : INFINITY;
+}
+#endif
+
+// How far the interpolation is from the distance at eight of a cell's samples, at most, by the
+// triangles of a child's list; and how far the first of them is from these. In doubt, or if that is
+// so far that the whole cell is on one side, the sign is that of the interpolation.
+double sample_error(const child_list *list, const ways *points, uint k, const double *corners,
+                    bool in_doubt, double radius, double *first)
+{
+    const scene_of_lists *scene = &list->scene;
+    nearest found = nothing_found();
+    for (uint j = from(list, list->begin); j < list->end; j = from(list, j + 1)) {
+        const triangle t = triangle_at(scene, j);
+        look_at(scene, j, squares_to(&t, points), &found);
+    }
+    const double8 distance = sqrt(found.square);
+    *first = distance.s0;
+    double8 interpolated = 0;
+    for (uint i = 0; i < 8; ++i)
+        interpolated += corners[i] * vload8(k, WEIGHTS + i * POINTS);
+    double8 outward = interpolated;
+#ifdef SIGNED
+    if (!in_doubt && (k > 0 || *first <= radius)) {
+        double x[8], y[8], z[8], numbers[8];
+        long which[8];
+        vstore8(points->x, 0, x);
+        vstore8(points->y, 0, y);
+        vstore8(points->z, 0, z);
+        vstore8(found.which, 0, which);
+        for (uint i = 0; i < 8; ++i)
+            numbers[i] = number_beside(scene, which[i], x[i], y[i], z[i]);
+        const double8 number = vload8(0, numbers);
+        outward = number == number ? 0.5 - number : interpolated;
+    }
+#endif
+    return highest(absolute(interpolated - (outward < 0.0 ? -distance : distance)));
+}
+
+// What decides whether a child is refined, in the frame: tolerance, how far points are misplaced by
+// rounding, and how far from the surface cells are refined; whether children can be refined, must be
+// where triangles pass, and whether all samples are taken.
+#define LIMITS                                                                                         \
+    const double tolerance, const double misplaced, const double band, const uint can_refine,          \
+        const uint refine_coarse, const uint thorough
+
+// A child of a block, and what is known of it. corners: its distances; radius: half of its diagonal;
+// middle: the distance of its middle; passed: triangles may pass through it; in_doubt: the sign of a
+// corner is not known. error: at most or at the samples so far; bound: of the error.
+typedef struct {
+    uint3 cell;
+    double corners[8], edge, slope, radius, middle, error, bound;
+    bool in_doubt, passed;
+} child_cell;
+
+// The steepest that the interpolation in a cell is.
+double slope_of(double8 field, double edge)
+{
+    const double dx = highest(absolute(field.s11335577 - field.s00224466));
+    const double dy = highest(absolute(field.s23672367 - field.s01450145));
+    const double dz = highest(absolute(field.s45674567 - field.s01230123));
+    return sqrt(dx * dx + dy * dy + dz * dz) / edge;
+}
+
+// The error at the first eight samples, which suffice to refine most children that are.
+void sample_middle(const child_list *list, child_cell *c, uint level, double extent)
+{
+    const ways central = lattice_points(4 * c->cell, SAMPLES, 0, level + 3, extent);
+    c->error = sample_error(list, &central, 0, c->corners, c->in_doubt, c->radius, &c->middle);
+    c->passed = c->middle <= c->radius;
+}
+
+// The bound without samples; then, if this is over the tolerance, the errors at the other samples,
+// until the child is `refined` unless this is thorough; and the bound between samples.
+bool sample_all(const child_list *list, child_cell *c, uint level, double extent, bool refined,
+                bool can_refine, double tolerance, double misplaced,
+                uint refine_coarse, uint thorough)
+{
+    const double8 field = vload8(0, c->corners), size = absolute(field);
+    const ways at = lattice_points(c->cell, CELL, 0, level + 1, extent);
+#ifdef SIGNED
+    if (!c->passed)
+#endif
+        c->bound = bound_apart(list, &at, size, c->edge);
+#ifdef CLOSED
+    if (c->passed)
+        c->bound = bound_passed(list, &at, field, c->middle + 2 * c->radius);
+#endif
+    const double rounding = highest(size) * 0x1p-21 + SLACK + misplaced;
+    c->bound += rounding;
+    if (c->bound <= tolerance) {
+        c->error = c->bound;
+        return refined;
+    }
+    for (uint k = 1; k < POINTS / 8 && (thorough || !refined); ++k) {
+        const ways points = lattice_points(4 * c->cell, SAMPLES, k, level + 3, extent);
+        double elsewhere;
+        const double miss = sample_error(list, &points, k, c->corners, c->in_doubt || !c->passed,
+                                         c->radius, &elsewhere);
+        c->error = miss > c->error ? miss : c->error;
+        refined = can_refine && c->error > tolerance;
+    }
+    const double unsure = c->in_doubt && c->passed ? 2 * (c->middle + c->radius) : 0;
+    const double between = c->error + unsure + rounding + (1 + c->slope) * (SAMPLE_GAP * c->edge);
+    c->bound = between < c->bound ? between : c->bound;
+    return refined || (can_refine && c->passed && refine_coarse);
+}
+
+// For each child c of block c / 8: flags[c] = 1 if it is to be refined. errors[c] = how far its
+// interpolation is from the distance, in sides: at most, if that is within the tolerance, and else
+// at its samples, the first ones of which that are over it suffice to refine, unless this is to be
+// `thorough`; 0 beyond the band, and -1 where the sign jumps. codes[c] = the code of its bound.
+__kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
+#ifdef WINDING
+                               __global const uint *doubts,
+#endif
+                               __global const float *voxels, __global const double *bounds,
+                               __global const uchar *masks, __global uint *flags,
+                               __global float *errors, __global uchar *codes,
+                               __global uint *steepest)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    child_list list = {{SCENE_VALUES}, masks, begins[gid], begins[gid + 1], 0};
+    const uint3 parent = cell_of(identifiers[gid], level);
+    const double side = 2 * extent;
+    child_cell c;
+    c.edge = side / (2ul << level);
+    c.radius = c.edge * HALF_DIAGONAL + SLACK;
+    float slope_of_leaves = 0;
+    for (uint child = 0; child < 8; ++child) {
+        const size_t place = 8 * (size_t)gid + child;
+        list.child = child;
+        c.cell = 2 * parent + octant(child);
+        c.in_doubt = false;
+        for (uint i = 0; i < 8; ++i) {
+            c.corners[i] = voxels[27 * (size_t)gid + CORNERS[8 * child + i]] * side;
+#ifdef WINDING
+            c.in_doubt |= doubts[gid] >> CORNERS[8 * child + i] & 1;
+#endif
+        }
+        c.slope = slope_of(vload8(0, c.corners), c.edge);
+        c.bound = INFINITY;
+        sample_middle(&list, &c, level, extent);
+        const bool beyond = c.middle - c.radius > band, may_refine = can_refine && !beyond;
+        bool jumped = false;
+#ifdef JUMPS
+        jumped = jumps(c.corners, c.edge, c.passed);
+#endif
+        bool refined = may_refine && (jumped ? refine_coarse : c.error > tolerance);
+        if (!jumped && (!refined || thorough))
+            refined = sample_all(&list, &c, level, extent, refined, may_refine, tolerance, misplaced,
+                                 refine_coarse, thorough);
+        flags[place] = refined;
+        errors[place] = jumped ? -1 : beyond ? 0 : (float)(c.error / side);
+        codes[place] = jumped ? JUMP : code_of(c.bound / side, bounds);
+        if (!refined && !jumped && c.slope > slope_of_leaves)
+            slope_of_leaves = (float)c.slope;
+    }
+    if (as_uint(slope_of_leaves) > *steepest)
+        atomic_max(steepest, as_uint(slope_of_leaves));
+}

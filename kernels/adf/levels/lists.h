@@ -1,0 +1,174 @@
+// Cells and their lists of triangles: what the stages of a level share. Options: SIGNED, distances are
+// negative inside; WINDING, inside is decided by the winding number (voxtool/spatial/sides.py), and
+// otherwise by pseudo-normals; CLOSED, the mesh is closed, and otherwise JUMPS, the sign may change away
+// from the surface; FLAT, some triangles have no area.
+//
+// Lengths are in the mesh's own frame (voxtool/spatial/bvh.py), in which the cube is [-extent,
+// extent]^3. A cell has a list of triangles, among which are the nearest ones to every point of it.
+
+#include "adf/levels/level.h"
+#include "adf/levels/sample_points.h"
+#include "spatial/arctangent.h"
+#include "spatial/bvh.h"
+#include "spatial/names.h"
+#include "morton_bits.h"
+
+#pragma OPENCL FP_CONTRACT OFF
+
+#define LANES double8 // one lane a point
+#define MASKS long8
+#include "spatial/point_triangle.h"
+
+#define SLACK 0x1p-44 // of a length in the frame: more than rounding takes from it
+
+// The cell of an identifier: a Morton code after a leading one.
+uint3 cell_of(ulong identifier, uint level)
+{
+    const ulong code = identifier ^ 1ul << 3 * level;
+    return (uint3)(gather_bits(code), gather_bits(code >> 1), gather_bits(code >> 2));
+}
+
+uint3 octant(uint child)
+{
+    return (uint3)(child & 1, child >> 1 & 1, child >> 2);
+}
+
+// A coordinate of the lattice of 2^level edges a side.
+double8 lattice(double8 vertex, uint level, double extent)
+{
+    return extent * (vertex * (2.0 / (1ul << level)) - 1.0);
+}
+
+// Eight points of a lattice: POINTS from i on of a table of offsets from a vertex.
+ways lattice_points(uint3 vertex, __constant const double *offsets, uint i, uint level, double extent)
+{
+    ways at;
+    at.x = lattice(vertex.x + vload8(i, offsets), level, extent);
+    at.y = lattice(vertex.y + vload8(i, offsets + POINTS), level, extent);
+    at.z = lattice(vertex.z + vload8(i, offsets + 2 * POINTS), level, extent);
+    return at;
+}
+
+double highest(double8 a)
+{
+    const double4 b = a.lo > a.hi ? a.lo : a.hi;
+    const double2 c = b.lo > b.hi ? b.lo : b.hi;
+    return c.x > c.y ? c.x : c.y;
+}
+
+double lowest(double8 a)
+{
+    return -highest(-a);
+}
+
+double8 absolute(double8 a)
+{
+    return a < 0.0 ? -a : a;
+}
+
+// Groups of parameters. LISTS: the cells of a level and their lists of triangles; SIDES: what tells
+// the sides of triangles, where signs are computed; BOUNDARY: spheres about the mesh's boundary, and
+// the length of boundary in each.
+#define LISTS                                                                                          \
+    __global const ulong *identifiers, const uint level, const double extent,                          \
+        __global const uint *begins, __global const double *leaves, __global const uint *items
+#ifdef SIGNED
+#ifdef WINDING
+#define FRONT , __global const double *front
+#define FRONT_VALUE , front
+#define BOUNDARY , __global const double *spheres, const uint sphere_count
+#define in_front(scene, face) scene->front[face]
+#else
+#define FRONT
+#define FRONT_VALUE
+#define BOUNDARY
+#define in_front(scene, face) 0.0
+#endif
+#define SIDES                                                                                          \
+    , __global const uint *names, __global const uint *features, __global const double *normals FRONT
+#define SCENE_VALUES leaves, items, names, features, normals FRONT_VALUE
+#define has_side(scene, item) (scene->names[item] != NAMELESS)
+#else
+#define SIDES
+#define SCENE_VALUES leaves, items
+#define has_side(scene, item) true
+#endif
+
+typedef struct {
+    __global const double *leaves;
+    __global const uint *items;
+#ifdef SIGNED
+    __global const uint *names;
+    __global const uint *features;
+    __global const double *normals;
+#ifdef WINDING
+    __global const double *front;
+#endif
+#endif
+} scene_of_lists;
+
+// The triangle at a place of the lists.
+triangle triangle_at(const scene_of_lists *scene, uint place)
+{
+    const uint item = scene->items[place];
+    return one_triangle(scene->leaves + (size_t)(item / LEAF) * (FIELDS * LEAF), item % LEAF);
+}
+
+// Of eight points: the squared distance to the nearest triangle, and where in the lists it stands;
+// of those that have a side, if some are FLAT.
+typedef struct {
+    double8 square, sided;
+    long8 which;
+} nearest;
+
+nearest nothing_found(void)
+{
+    const nearest found = {INFINITY, INFINITY, NO_TRIANGLE};
+    return found;
+}
+
+// Take the triangle at a place of the lists into account, whose squared distances these are.
+void look_at(const scene_of_lists *scene, uint place, double8 square, nearest *found)
+{
+#ifdef FLAT
+    found->square = square < found->square ? square : found->square;
+    const long8 nearer = square < (has_side(scene, scene->items[place]) ? found->sided : 0.0);
+    found->sided = nearer ? square : found->sided;
+#else
+    const long8 nearer = square < found->square;
+    found->square = nearer ? square : found->square;
+#endif
+    found->which = nearer ? (long8)place : found->which;
+}
+
+uint gathered(long8 bits)
+{
+    const long4 halves = bits.lo | bits.hi;
+    const long2 quarters = halves.lo | halves.hi;
+    return (uint)(quarters.x | quarters.y);
+}
+
+double8 squares_to(const triangle *t, const ways *points)
+{
+    ways way;
+    MASKS feature;
+    return triangle_ways(t, points->x, points->y, points->z, &way, &feature);
+}
+
+#ifdef SIGNED
+// The winding number on the side of a face on which a point is, at the middle of the face; NAN
+// where it is not known. The face is that of the triangle at a place of the lists.
+double number_beside(const scene_of_lists *scene, long place, double x, double y, double z)
+{
+    if (place == NO_TRIANGLE)
+        return NAN;
+    const uint name = scene->names[scene->items[place]];
+    const triangle t = triangle_at(scene, (uint)place);
+    ways way;
+    MASKS feature;
+    triangle_ways(&t, x, y, z, &way, &feature);
+    const double3 n = normal_of(name, (uint)feature.s0, scene->features, scene->normals);
+    const bool behind = way.x.s0 * n.x + way.y.s0 * n.y + way.z.s0 * n.z < 0;
+    return in_front(scene, name / 3) + (behind ? 1.0 : 0.0);
+}
+#endif

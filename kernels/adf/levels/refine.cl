@@ -1,0 +1,31 @@
+// The refined children as the cells of the next level. Host side: voxtool/adf/levels/refine.py.
+
+// Of the refined children, which `ranks` numbers: their identifiers, where they come from, and how
+// many triangles they need.
+__kernel void list_refined(const uint n, __global const uint *ranks, __global const ulong *above,
+                           __global const uint *needed, __global ulong *identifiers,
+                           __global uint *sources, __global uint *counts)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n || ranks[gid] == ranks[gid + 1])
+        return;
+    const uint rank = ranks[gid];
+    identifiers[rank] = above[gid / 8] << 3 | gid % 8;
+    sources[rank] = gid;
+    counts[rank] = needed[gid];
+}
+
+// The triangles that refined cells need, from the lists of their parents.
+__kernel void pass_lists_on(const uint n, __global const uint *sources, __global const uint *above,
+                        __global const uint *parent_items, __global const uchar *masks,
+                        __global const uint *begins, __global uint *items)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint parent = sources[gid] / 8, child = sources[gid] % 8;
+    uint at = begins[gid];
+    for (uint j = above[parent]; j < above[parent + 1]; ++j)
+        if (masks[j] >> child & 1)
+            items[at++] = parent_items[j];
+}
