@@ -8,6 +8,13 @@
 
 #define WORD 64 // bits of a ulong
 
+// Groups of parameters. KEYS: their codes; BUCKETS: those of a window, which search together, where
+// the keys of each begin and how many they are, and how much farther each key is than the first.
+#define KEYS __global const ulong *codes, const uint top
+#define BUCKETS                                                                                        \
+    __global const uint *window, __global const uint *firsts, __global const uint *sizes,              \
+        __global uint *apart
+
 uint bits_of(uint top)
 {
     return 32 - clz(top);
@@ -42,7 +49,7 @@ uint3 wrapped(uint3 p, uint m)
     return (uint3)(p.x < m ? p.x : p.x - m, p.y < m ? p.y : p.y - m, p.z < m ? p.z : p.z - m);
 }
 
-__kernel void encode_keys(__global const uint *keys, const uint n, const uint top,
+__kernel void encode_keys(const uint n, __global const uint *keys, const uint top,
                           __global ulong *codes)
 {
     const uint gid = get_global_id(0);
@@ -53,7 +60,7 @@ __kernel void encode_keys(__global const uint *keys, const uint n, const uint to
 }
 
 // repeated = the first of the sorted codes that equals the next one.
-__kernel void find_repeated(__global const ulong *codes, const uint n, __global uint *repeated)
+__kernel void find_repeated(const uint n, __global const ulong *codes, __global uint *repeated)
 {
     const uint gid = get_global_id(0);
     if (gid + 1 < n && codes[gid] == codes[gid + 1])
@@ -63,8 +70,7 @@ __kernel void find_repeated(__global const ulong *codes, const uint n, __global 
 // ---- buckets
 
 // sizes[cell] = how many keys are equal to it mod r.
-__kernel void count_keys(__global const ulong *codes, const uint n, const uint top, const uint r,
-                         __global uint *sizes)
+__kernel void count_keys(const uint n, KEYS, const uint r, __global uint *sizes)
 {
     const uint gid = get_global_id(0);
     if (gid < n)
@@ -72,8 +78,8 @@ __kernel void count_keys(__global const ulong *codes, const uint n, const uint t
 }
 
 // cells[i] = key i mod r; order[i] = i.
-__kernel void find_cells(__global const ulong *codes, const uint n, const uint top, const uint r,
-                         __global uint *cells, __global uint *order)
+__kernel void find_cells(const uint n, KEYS, const uint r, __global uint *cells,
+                         __global uint *order)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -101,16 +107,13 @@ bool parts(uint w, __global const ulong *codes, __global const uint *keys, uint 
 // Algorithm 3.1: w of the buckets of a window, the first of the `choices` from first_choice[gid] on,
 // and over, that parts a bucket's keys; 0 if none does. Then where, with an offset of 0, each
 // bucket's first key is, and how much farther its other ones are.
-__kernel void place_keys(__global const uint *window, __global const uint *first_choice,
-                         const uint count, __global const ulong *codes, const uint top,
-                         __global const uint *order, __global const uint *firsts,
-                         __global const uint *sizes, __global const uint *choices,
+__kernel void place_keys(const uint n, BUCKETS, KEYS, __global const uint *order,
+                         __global const uint *first_choice, __global const uint *choices,
                          const uint choice_count, const uint m, const uint r, const uint inverse,
-                         __global uint *ws, __global uint *places, __global uint *apart,
-                         __global uint *steps)
+                         __global uint *ws, __global uint *places, __global uint *steps)
 {
     const uint gid = get_global_id(0);
-    if (gid >= count)
+    if (gid >= n)
         return;
     const uint bucket = window[gid], first = firsts[bucket], size = sizes[bucket];
     uint w = 0;
@@ -136,10 +139,10 @@ __kernel void place_keys(__global const uint *window, __global const uint *first
 // The table of bits, 1 where a slot is vacant. A row along x holds its slots twice, one after the
 // other, so that a slot and what is farther need no mod; then zeros. It is searched span by span, of
 // WORDS words each, and has twice as many words as its `spans`.
-__kernel void vacate(const uint m, const uint spans, __global ulong *vacant)
+__kernel void vacate(const uint n, const uint m, const uint spans, __global ulong *vacant)
 {
     const uint gid = get_global_id(0);
-    if (gid >= m * m * 2 * WORDS * spans)
+    if (gid >= n)
         return;
     const uint begin = gid % (2 * WORDS * spans) * WORD;
     vacant[gid] = begin >= 2 * m ? 0 : ~0ul >> (WORD - min(2 * m - begin, (uint)WORD));
@@ -162,16 +165,14 @@ uint claim_of(uint gid, uint round)
 
 // For each bucket of a window, the next vacant slot for its first key at which its other keys find
 // vacant slots too; and its claim to all of them. steps[bucket] spans have been searched in vain;
-// the bucket is LOST until it has its slots, NOWHERE after `reach` spans.
-__kernel void search(__global const uint *window, const uint count, __global const uint *firsts,
-                     __global const uint *sizes, __global const uint *apart,
-                     __global const ulong *vacant, const uint m, const uint spans,
-                     __global const uint *starts, const uint reach, __global uint *steps,
-                     const uint round, __global uint *claims, __global uint *targets,
-                     __global uchar *outcome)
+// the bucket is LOST until it has its slots, NO_PLACE after `reach` spans.
+__kernel void search(const uint n, BUCKETS, __global const ulong *vacant, const uint m,
+                     const uint spans, __global const uint *starts, const uint reach,
+                     __global uint *steps, const uint round, __global uint *claims,
+                     __global uint *targets, __global uchar *outcome)
 {
     const uint gid = get_global_id(0);
-    if (gid >= count)
+    if (gid >= n)
         return;
     const uint bucket = window[gid], first = firsts[bucket], size = sizes[bucket];
     uint step = steps[bucket];
@@ -201,7 +202,7 @@ __kernel void search(__global const uint *window, const uint count, __global con
         }
     }
     steps[bucket] = step;
-    outcome[gid] = step < reach ? LOST : NOWHERE;
+    outcome[gid] = step < reach ? LOST : NO_PLACE;
     if (step == reach)
         return;
     const uint3 target = wrapped((uint3)(WORD * WORDS * span + lowest(fits), y, z), m);
@@ -211,13 +212,12 @@ __kernel void search(__global const uint *window, const uint count, __global con
 }
 
 // Take the slots of the buckets that have all that they claim.
-__kernel void settle(__global const uint *window, const uint count, __global const uint *firsts,
-                     __global const uint *sizes, __global const uint *apart, __global uint *vacant,
-                     const uint m, const uint spans, const uint round, __global const uint *claims,
-                     __global const uint *targets, __global uchar *outcome)
+__kernel void settle(const uint n, BUCKETS, __global uint *vacant, const uint m, const uint spans,
+                     const uint round, __global const uint *claims, __global const uint *targets,
+                     __global uchar *outcome)
 {
     const uint gid = get_global_id(0);
-    if (gid >= count || outcome[gid] == NOWHERE)
+    if (gid >= n || outcome[gid] == NO_PLACE)
         return;
     const uint bucket = window[gid], first = firsts[bucket], size = sizes[bucket];
     const uint3 target = unpacked(targets[bucket]);

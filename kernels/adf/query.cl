@@ -1,4 +1,4 @@
-// What a field says at points: section 3.5 of the text. Host side: voxtool/adf/query.py.
+// The values of a field at points [ADF, section 3.5]. Host side: voxtool/adf/query.py.
 //
 // A work-item looks for the cells of BATCH points at a time. Each lane goes through a run of RUN
 // consecutive points, on to the next as soon as its own search has ended. Points are padded to whole
@@ -112,12 +112,56 @@ floats bilerp(floats a, floats b, floats c, floats d, floats s, floats t)
     return lerp(lerp(a, b, s), lerp(c, d, s), t);
 }
 
-// What the field says at points: distances, in sides; of these, if asked for: gradients; the codes of
-// the leaves' bounds; the leaves' levels and cells.
-__kernel void query(__global const uint *points, __global const float *voxels,
-                    __global const uint *cells, __global const OFFSET *offsets,
-                    __global const float *inverses, const uint m, const uint r, const int full,
-                    const int deepest, __global float *distances
+// BATCH leaves: the distances at their corners, by x, then y, then z.
+typedef struct {
+    float v[8][BATCH];
+} leaf_corners;
+
+// The corners of leaves, which are children of blocks: the first vertex of each among its block's.
+void read_corners(__global const float *voxels, const uint *block, const uint *first,
+                  leaf_corners *leaves)
+{
+    EACH_POINT(i)
+    {
+        __global const float *v = voxels + (27 * (size_t)block[i] + first[i]);
+        leaves->v[0][i] = v[0];
+        leaves->v[1][i] = v[1];
+        leaves->v[2][i] = v[3];
+        leaves->v[3][i] = v[4];
+        leaves->v[4][i] = v[9];
+        leaves->v[5][i] = v[10];
+        leaves->v[6][i] = v[12];
+        leaves->v[7][i] = v[13];
+    }
+}
+
+// The values of BATCH points in their leaves, children of cells of these levels: distances, in sides,
+// and gradients if there is room for them.
+void interpolate(const leaf_corners *leaves, const uint *x, const uint *y, const uint *z,
+                 const int *level, __global float *distances, float *dx, float *dy, float *dz)
+{
+    EACH_VECTOR(i)
+    {
+        const floats tx = weights(load(x + i), load(level + i));
+        const floats ty = weights(load(y + i), load(level + i));
+        const floats tz = weights(load(z + i), load(level + i));
+        const floats a = load(leaves->v[0] + i), b = load(leaves->v[1] + i);
+        const floats c = load(leaves->v[2] + i), d = load(leaves->v[3] + i);
+        const floats e = load(leaves->v[4] + i), f = load(leaves->v[5] + i);
+        const floats g = load(leaves->v[6] + i), h = load(leaves->v[7] + i);
+        store(lerp(bilerp(a, b, c, d, tx, ty), bilerp(e, f, g, h, tx, ty), tz), distances + i);
+#ifdef GRADIENT
+        const floats per_side = to_floats((ints)2 << load(level + i));
+        store(bilerp(b - a, d - c, f - e, h - g, ty, tz) * per_side, dx + i);
+        store(bilerp(c - a, d - b, g - e, h - f, tx, tz) * per_side, dy + i);
+        store(bilerp(e - a, f - b, g - c, h - d, tx, ty) * per_side, dz + i);
+#endif
+    }
+}
+
+// The values of the field at points: distances, in sides; and if asked for, gradients, the codes of
+// the leaves' bounds, and the leaves' levels and cells.
+__kernel void query(__global const uint *points, TEXTURES, __global float *distances
 #ifdef GRADIENT
                     , __global float *gradients
 #endif
@@ -150,47 +194,16 @@ __kernel void query(__global const uint *points, __global const float *voxels,
             store(bx + 3 * by + 9 * bz, corner + i);
             store(bx + 2 * by + 4 * bz, octant + i);
         }
-        // the distances at the vertices of the leaves, by their x, y and z
-        float v000[BATCH], v100[BATCH], v010[BATCH], v110[BATCH];
-        float v001[BATCH], v101[BATCH], v011[BATCH], v111[BATCH];
-        EACH_POINT(i)
-        {
-            __global const float *v = voxels + (27 * (size_t)block[i] + corner[i]);
-            v000[i] = v[0];
-            v100[i] = v[1];
-            v010[i] = v[3];
-            v110[i] = v[4];
-            v001[i] = v[9];
-            v101[i] = v[10];
-            v011[i] = v[12];
-            v111[i] = v[13];
-        }
+        leaf_corners corners;
+        read_corners(voxels, block, corner, &corners);
         float dx[BATCH], dy[BATCH], dz[BATCH];
-        EACH_VECTOR(i)
-        {
-            const floats tx = weights(load(x + i), load(level + i));
-            const floats ty = weights(load(y + i), load(level + i));
-            const floats tz = weights(load(z + i), load(level + i));
-            const floats a = load(v000 + i), b = load(v100 + i), c = load(v010 + i);
-            const floats d = load(v110 + i), e = load(v001 + i), f = load(v101 + i);
-            const floats g = load(v011 + i), h = load(v111 + i);
-            store(lerp(bilerp(a, b, c, d, tx, ty), bilerp(e, f, g, h, tx, ty), tz),
-                  distances + first + begin + i);
-#ifdef GRADIENT
-            const floats per_side = to_floats((ints)2 << load(level + i));
-            store(bilerp(b - a, d - c, f - e, h - g, ty, tz) * per_side, dx + i);
-            store(bilerp(c - a, d - b, g - e, h - f, tx, tz) * per_side, dy + i);
-            store(bilerp(e - a, f - b, g - c, h - d, tx, ty) * per_side, dz + i);
-#endif
-        }
+        interpolate(&corners, x, y, z, level, distances + first + begin, dx, dy, dz);
 #if defined(GRADIENT) || defined(BOUNDS) || defined(CELL)
         EACH_POINT(i)
         {
             const size_t point = first + begin + i;
 #ifdef GRADIENT
-            gradients[3 * point] = dx[i];
-            gradients[3 * point + 1] = dy[i];
-            gradients[3 * point + 2] = dz[i];
+            vstore3((float3)(dx[i], dy[i], dz[i]), point, gradients);
 #endif
 #ifdef BOUNDS
             codes[point] = bounds[8 * (size_t)block[i] + octant[i]];
@@ -198,9 +211,7 @@ __kernel void query(__global const uint *points, __global const float *voxels,
 #ifdef CELL
             const int above = POINT_BITS - 1 - level[i];
             leaf_levels[point] = (uchar)(level[i] + 1);
-            leaves[3 * point] = x[i] >> above;
-            leaves[3 * point + 1] = y[i] >> above;
-            leaves[3 * point + 2] = z[i] >> above;
+            vstore3((uint3)(x[i] >> above, y[i] >> above, z[i] >> above), point, leaves);
 #endif
         }
 #endif

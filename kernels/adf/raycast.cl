@@ -202,11 +202,8 @@ float shade(const float8 v, const float3 at, const double3 way, const float3 lig
 // refined: a bit for each child of a block, whether it has a block; room: for each cell of ROOM_LEVEL
 // how many of its edges a ray may leap, at most; leap: how far it may for each unit of distance;
 // camera: origin, direction, right and down; pixels: premultiplied colour, and opacity.
-__kernel void raycast(__global const float *voxels, __global const uint *cells,
-                      __global const OFFSET *offsets, __global const float *inverses, const uint m,
-                      const uint r, const int full, const int deepest,
-                      __global const uchar *refined, __global const uchar *room, const float leap,
-                      __global const double *camera, const uint perspective, const uint width,
+__kernel void raycast(TEXTURES, __global const uchar *refined, __global const uchar *room,
+                      const float leap, __global const double *camera, const uint perspective, const uint width,
                       const uint height, const float offset, const float3 light,
                       const float3 colour, __global float *pixels)
 {

@@ -1,4 +1,4 @@
-// Looking for cells: section 3.4 of the text. Shared by query.cl and raycast.cl.
+// Looking for cells: [ADF, section 3.4]. Shared by query.cl and raycast.cl.
 //
 // Cells are looked for BATCH at a time, so that the reads of the textures wait for memory together;
 // LANES of them make a vector. Options:
@@ -45,6 +45,12 @@
 #else
 #define CHANNELS 3
 #endif
+
+// A group of parameters: the textures of a field; the levels down to which all cells have blocks, and
+// any cell has.
+#define TEXTURES                                                                                       \
+    __global const float *voxels, __global const uint *cells, __global const OFFSET *offsets,          \
+        __global const float *inverses, const uint m, const uint r, const int full, const int deepest
 
 // The textures that find a cell, and the sizes of their sides.
 typedef struct {

@@ -11,15 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from voxtool.adf import hashing
-from voxtool.adf.hashing import (
-    MAX_LEVEL,
-    SpatialHash,
-    build_hash,
-    cell_identifier,
-    cell_of,
-    identifier_type,
-    key_of,
-)
+from voxtool.adf.cells import MAX_LEVEL, cell_identifier, cell_of, identifier_type, key_of
+from voxtool.adf.hashing import build_hash
+from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.opencl import Device
 
@@ -250,13 +244,10 @@ def test_buckets_are_numbered_by_falling_size_then_by_cell(device: Device) -> No
 
 
 @pytest.mark.parametrize(("m", "r", "dtype"), [(255, 4, np.uint8), (256, 3, np.uint16)])
-def test_offsets_have_16_bits_where_m_needs_them(
-    m: int, r: int, dtype: type, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(hashing, "_table_side", lambda n: m if n > 100 else 3)
+def test_offsets_have_16_bits_where_m_needs_them(m: int, r: int, dtype: type) -> None:
     keys = block(5, 5, 5)
     keys[-1] = (1 + r * m, 1, 1)  # so w is stored too, and it is m in most places
-    table = build_hash(keys)
+    table = build_hash(keys, side=m, max_r=r)
     table.validate(keys)
     assert (table.m, table.r, table.offsets.max()) == (m, r, m)
     assert table.has_w
@@ -312,10 +303,9 @@ def test_more_keys_than_the_largest_table_holds_are_refused() -> None:
     assert "\n" not in str(error.value)
 
 
-def test_no_table_within_bounds_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hashing._Search, "run", lambda _: None)
+def test_no_table_within_bounds_is_one_line() -> None:
     with pytest.raises(MemoryLimitError, match="no perfect hash of 41 keys") as error:
-        build_hash(keys_of(near_sphere(2, 0.3)))
+        build_hash(keys_of(near_sphere(2, 0.3)), max_r=1)
     assert "\n" not in str(error.value)
 
 

@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import voxtool
+from voxtool.adf.cells import key_of
 from voxtool.adf.field import DistanceField, assemble
-from voxtool.adf.hashing import SpatialHash, key_of
 from voxtool.adf.host_query import QueryResult, to_fixed
 from voxtool.adf.query import (
     BLOCK,
@@ -29,6 +29,7 @@ from voxtool.adf.query import (
     Lattice,
     query_adf,
 )
+from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.adf.textures import inverses, levels_to_search
 from voxtool.errors import VoxtoolError
 

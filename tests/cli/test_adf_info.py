@@ -14,7 +14,7 @@ from helpers_cli import fail, run, write_obj
 from helpers_field import plain_field, point
 
 from voxtool import read_adf, write_adf
-from voxtool.adf.hashing import cell_of
+from voxtool.adf.cells import cell_of
 
 DATA = Path(__file__).parents[1] / "data"
 GOLDEN = """\

@@ -13,7 +13,7 @@ from helpers_cli import fail, process, run
 from helpers_field import plain_field, sphere
 
 from voxtool import read_adf, write_adf
-from voxtool.adf.hashing import key_of
+from voxtool.adf.cells import key_of
 from voxtool.cli.adf_query import default_output
 from voxtool.plots.slice import INSIDE, OUTSIDE, round_step
 

@@ -45,8 +45,9 @@ from hypothesis import strategies as st
 
 import voxtool
 from voxtool import files
+from voxtool.adf.cells import cell_of, key_of
 from voxtool.adf.field import DistanceField, assemble
-from voxtool.adf.hashing import SpatialHash, cell_of, key_of
+from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.errors import FileError
 from voxtool.files import adf_hdf5
 

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.adf.bounds import NO_LEAF
+from voxtool.adf.cells import cell_of, identifier_type, key_of
 from voxtool.adf.field import DistanceField, assemble
-from voxtool.adf.hashing import build_hash, cell_of, identifier_type, key_of
+from voxtool.adf.hashing import build_hash
 from voxtool.adf.plan import BLOCK_BYTES
 from voxtool.adf.survey import cube_of
 

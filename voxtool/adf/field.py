@@ -26,8 +26,9 @@ from typing import Any
 import numpy as np
 
 from voxtool.adf.bounds import NO_LEAF
-from voxtool.adf.hashing import SpatialHash, cell_identifier, cell_of, identifier_type, key_of
+from voxtool.adf.cells import cell_identifier, cell_of, identifier_type, key_of
 from voxtool.adf.host_query import QueryResult, query_on_host
+from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.arrays import equal, read_only
 from voxtool.choices import MAX_LEVEL
 from voxtool.errors import FileError, VoxtoolError

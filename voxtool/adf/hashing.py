@@ -1,38 +1,37 @@
-"""A perfect spatial hash over the cells of an octree: one read of a small table, then one of a
-dense one, whatever the key.
+"""Building a perfect spatial hash of the cells of an octree: a lookup reads a small table, then a
+dense one, whatever the key [Lefebvre 2006; ADF, sections 3.3 and 3.4].
 
-Sections 3.3 and 3.4 of the text, after Lefebvre and Hoppe ("Perfect Spatial Hashing", SIGGRAPH
-2006). A key p, three whole numbers, goes to slot
+A key p, three whole numbers, has slot
 
     h(p) = ((p mod w) + (x, y, z)) mod m,  (x, y, z, w) = offsets[p mod r],
 
-axis by axis, in a table of m x m x m; m is the least whose cube holds the keys. Keys that are equal
-mod r are a bucket, and move together: buckets by falling size, each takes the first offset that
-puts all its keys into free slots (algorithm of section 3.4.2). w is m, and not stored, unless keys
-of some bucket are equal mod m: no offset parts them, another w can (algorithm 3.1).
+axis by axis, in a table of m x m x m; m is the smallest side whose cube holds the keys. Keys that
+are equal mod r form a bucket and move together: buckets by falling size, each takes the first
+offset that puts all its keys into free slots (section 3.4.2). w is m, and not stored, unless keys
+of some bucket are equal mod m: no offset separates them, but another w can (algorithm 3.1).
 
-What differs from the text:
+Differences from [ADF]:
 
-- r is coprime to m, or keys equal mod both would be many.
+- r is coprime to m. Otherwise many keys would be equal modulo both.
 - Slots are searched in the order of s / r mod m. The keys of a bucket differ by multiples of r, so
-  there they lie as near to each other as in a grid r times as coarse: those of a plane or a cube
-  are a plate or a block. A row of slots in this order is a row of bits, many tested at once.
-- Buckets search in rounds, the next of those that are left together. Each looks for slots that
-  were vacant when the round began and claims them; of those that claim a slot, the first has it,
-  and the others search on. Buckets of one key take the slots that are left, in their order.
-- Buckets are scattered where there would be enough places for each if vacant slots were random
-  ones: each begins to search at a place of its own. In an octree that is full down to some level,
-  all buckets are alike and soon want what others took. There w differs from bucket to bucket, which
+  in this order they are as close to each other as in a grid r times coarser. A row of slots is a
+  row of bits, and many are tested at once.
+- Buckets search in rounds, the next of the remaining ones together. Each looks for slots that were
+  vacant when the round began and claims them. The first bucket that claims a slot gets it, and the
+  others search on. Buckets of one key take the slots that are left, in order.
+- Buckets are scattered if random vacant slots would offer each of them enough places: each begins
+  its search at its own place. In an octree that is full down to some level all buckets have the
+  same shape and soon compete for the same places. There w differs from bucket to bucket, which
   makes their shapes different.
-- Otherwise they are packed, each into the first slots that it fits, from m places on: the way for
-  planes, as a box has them. w is m, wherever that parts the keys.
-- A bucket that finds no place tries others of the w that part its keys.
+- Otherwise buckets are packed, each into the first slots that it fits, from m starting places. This
+  suits planes, such as the faces of a box. w is m wherever that separates the keys.
+- A bucket that finds no place tries others of the w that separate its keys.
 
-The table depends on the set of keys alone, neither on their order nor on the device.
+The table depends on the set of keys alone, not on their order or the device.
 
-The hash maps every key to some slot. Who looks for a cell that may be absent stores identifiers
-in the slots and compares (section 3.4.3): Morton codes with a leading one tell cells of all levels
-apart.
+The hash maps every key to some slot. To look up a cell that may be absent, identifiers are stored
+in the slots and compared (section 3.4.3): Morton codes after a leading one, which are different for
+cells of different levels.
 
 Kernels: kernels/adf/hashing.cl.
 """
@@ -46,9 +45,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.arrays import equal, read_only
+from voxtool.adf.cells import MAX_KEY, shown
+from voxtool.adf.spatial_hash import SpatialHash, offset_type
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of
-from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.primitives import radix_sort
 
@@ -56,9 +55,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 SOURCE = "adf/hashing.cl"
-MAX_LEVEL = 20  # of a cell: the three coordinates of its key fit 63 bits
-MAX_LEVEL_32 = 10  # of cells whose identifiers fit 32 bits
-MAX_KEY = (2 << MAX_LEVEL) - 1  # along an axis
 SLOT_BITS = 10  # of a slot along an axis: m is at most 1024
 KEYS_AN_OFFSET = 6  # n / 2d offsets to begin with: 4 bits a key where an offset has 24
 SCATTERED_KEYS = 4  # keys an offset down to which one looks for an r that lets buckets be scattered
@@ -73,9 +69,8 @@ BUDGET = 1 << 22  # spans searched in vain before r grows
 LANES = 1 << 14  # buckets that search together, at most
 CROWD = 4  # vacant slots for each pair of keys of buckets that search together, at least
 MAX_ROUNDS = (1 << 32) // LANES  # a claim has 32 bits for the round and the bucket of its window
-LOST, WON, NOWHERE = 0, 1, 2  # what becomes of a bucket in a round
+LOST, WON, NO_PLACE = 0, 1, 2  # what becomes of a bucket in a round
 EVEN = 0xC13FA9A9, 0x91E10DA6  # 2**32 over the plastic number, and over its square
-AT_ONCE = 1 << 16  # keys whose slots are found at once, in memory that stays near
 
 HEADERS = {
     "adf/hashing.h": program.c_constants(
@@ -85,105 +80,29 @@ HEADERS = {
         LANES=LANES,
         LOST=LOST,
         WON=WON,
-        NOWHERE=NOWHERE,
+        NO_PLACE=NO_PLACE,
     )
 }
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class SpatialHash:
-    """A function from keys to slots without collisions among the keys that it was built for.
+def build_hash(
+    keys: np.ndarray,
+    device: Device | None = None,
+    *,
+    side: int | None = None,
+    max_r: int | None = None,
+) -> SpatialHash:
+    """The perfect hash of a set of keys; it depends neither on their order nor on the device.
 
-    m : side of the table of slots.
-    r : side of the table of offsets.
-    offsets : (r, r, r, 3 or 4) uint8 where m < 256, else uint16; indexed [z, y, x], each x, y, z
-        and, where some bucket needs it, w: 1 to m.
-    """
-
-    m: int
-    r: int
-    offsets: np.ndarray
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "offsets", read_only(self.offsets))
-
-    def __eq__(self, other: object) -> bool:
-        return equal(self, other)
-
-    __hash__ = object.__hash__  # by identity
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.m, self.r, self.offsets)
-
-    def __repr__(self) -> str:
-        return f"SpatialHash(m={self.m}, r={self.r}{', with w' if self.has_w else ''})"
-
-    @property
-    def has_w(self) -> bool:
-        """Whether w is stored; elsewhere it is m."""
-        return self.offsets.shape[-1] == 4
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the offsets."""
-        return self.offsets.nbytes
-
-    def bits_a_key(self, n: int) -> float:
-        """Bits of the offsets for each of n keys."""
-        return 8 * self.nbytes / max(n, 1)
-
-    def load(self, n: int) -> float:
-        """Share of the slots that n keys take."""
-        return n / self.m**3
-
-    def slots(self, keys: np.ndarray) -> np.ndarray:
-        """(n, 3) keys, none negative, to (n,) int64 slots x + m (y + m z)."""
-        keys, m = np.asarray(keys, np.int64), self.m
-        slots = np.empty(len(keys), np.int64)
-        for begin in range(0, len(keys), AT_ONCE):
-            some = keys[begin : begin + AT_ONCE]
-            x, y, z = (some % self.r).T
-            offset = self.offsets[z, y, x].astype(np.int64)
-            w = offset[:, 3:] if self.has_w else m
-            x, y, z = ((some % w + offset[:, :3]) % m).T
-            slots[begin : begin + AT_ONCE] = x + m * (y + m * z)
-        return slots
-
-    def validate(self, keys: np.ndarray) -> None:
-        """Check that the table is sound and that each of these keys has a slot of its own.
-
-        Raises
-        ------
-        VoxtoolError : names what is wrong, or two keys of one slot.
-        """
-        self._check_table()
-        slots = self.slots(keys)
-        shared = np.flatnonzero(np.bincount(slots, minlength=self.m**3) > 1)
-        if len(shared):
-            first, second = (_shown(keys[i]) for i in np.flatnonzero(slots == shared[0])[:2])
-            raise VoxtoolError(f"spatial hash: keys {first} and {second} have the same slot")
-
-    def _check_table(self) -> None:
-        m, r, offsets = self.m, self.r, self.offsets
-        if m < 1 or r < 1 or offsets.shape not in ((r, r, r, 3), (r, r, r, 4)):
-            raise VoxtoolError(f"spatial hash: r = {r}, but offsets of shape {offsets.shape}")
-        if offsets.dtype != _offset_type(m):
-            raise VoxtoolError(f"spatial hash: m = {m}, but offsets of type {offsets.dtype}")
-        w = offsets[..., 3:]
-        if (offsets[..., :3] >= m).any() or (w < 1).any() or (w > m).any():
-            raise VoxtoolError(f"spatial hash: m = {m}, but an offset is out of range")
-
-
-def build_hash(keys: np.ndarray, device: Device | None = None) -> SpatialHash:
-    """The perfect hash of a set of keys; their order does not matter, nor does the device.
-
-    r grows from KEYS_AN_OFFSET keys an offset until a table is found, at most to 2 m or MAX_R.
-    Takes some 16 bytes a slot and 70 bytes a key meanwhile.
+    r grows from KEYS_AN_OFFSET keys an offset until a table is found. The build takes about 16
+    bytes a slot and 70 bytes a key.
 
     Parameters
     ----------
     keys : (n, 3) integers in [1, 2**21 - 1], distinct.
-    device : by default that of open_device().
+    device : by default that of default_device().
+    side : of the table of slots; by default the smallest.
+    max_r : largest side of the table of offsets; by default 2 m, or MAX_R if that is more.
 
     Raises
     ------
@@ -192,8 +111,9 @@ def build_hash(keys: np.ndarray, device: Device | None = None) -> SpatialHash:
     """
     keys = _checked(keys)
     keys_on_device = _sort_keys(device or default_device(), keys)
-    m = _table_side(len(keys))
-    for r, sizes, way in _attempts(keys_on_device, m):
+    m = side or _table_side(len(keys))
+    max_r = max(2 * m, MAX_R) if max_r is None else max_r
+    for r, sizes, way in _attempts(keys_on_device, m, max_r):
         buckets = _fill_buckets(keys_on_device, r, sizes)
         offsets = _Search(buckets, m, way).run()
         if offsets is not None:
@@ -201,7 +121,7 @@ def build_hash(keys: np.ndarray, device: Device | None = None) -> SpatialHash:
             table.validate(keys)
             return table
     raise MemoryLimitError(
-        f"no perfect hash of {count_of(len(keys), 'key')} with offsets up to {_max_r(m)}^3: they "
+        f"no perfect hash of {count_of(len(keys), 'key')} with offsets up to {max_r}^3: they "
         "lie along a line, or their differences have many divisors"
     )
 
@@ -218,7 +138,7 @@ def _checked(keys: np.ndarray) -> np.ndarray:
         )
     if keys.min(initial=1) < 1 or keys.max(initial=1) > MAX_KEY:
         wrong = keys[((keys < 1) | (keys > MAX_KEY)).any(axis=1)][0]
-        raise VoxtoolError(f"key {_shown(wrong)} is out of range: keys are 1 to {MAX_KEY}")
+        raise VoxtoolError(f"key {shown(wrong)} is out of range: keys are 1 to {MAX_KEY}")
     return keys
 
 
@@ -228,10 +148,6 @@ def _table_side(n: int) -> int:
     while m**3 < n:
         m += 1
     return m
-
-
-def _max_r(m: int) -> int:
-    return max(2 * m, MAX_R)
 
 
 # --- buckets -------------------------------------------------------------------------------------
@@ -249,9 +165,9 @@ class _Keys:
     top: int
 
     @property
-    def arguments(self) -> tuple[Array, np.uint32, np.uint32]:
-        """What kernels take as codes, n and top."""
-        return self.codes, np.uint32(self.codes.size), np.uint32(self.top)
+    def arguments(self) -> dict[str, Any]:
+        """Kernel arguments by name."""
+        return {"codes": self.codes, "top": self.top}
 
 
 @dataclass(frozen=True)
@@ -274,16 +190,16 @@ class _Buckets:
 def _sort_keys(device: Device, keys: np.ndarray) -> _Keys:
     n, top = len(keys), int(keys.max(initial=1))
     points, codes = device.put(keys.astype(np.uint32)), device.empty(n, np.uint64)
-    device.kernel(SOURCE, "encode_keys")(n, points, np.uint32(n), np.uint32(top), codes)
-    points.release()
+    device.kernel(SOURCE, "encode_keys")(n, keys=points, top=top, codes=codes)
+    del points
     codes, _ = radix_sort(codes, n, 3 * top.bit_length())
     repeated = device.put(np.array([n], np.uint32))
-    device.kernel(SOURCE, "find_repeated")(n, codes, np.uint32(n), repeated)
+    device.kernel(SOURCE, "find_repeated")(n, codes=codes, repeated=repeated)
     first = int(repeated.get()[0])
     if first < n:
         bits, code = top.bit_length(), int(codes.get(first, first + 1)[0])
         key = np.array([code >> bits * axis & (1 << bits) - 1 for axis in range(3)])
-        raise VoxtoolError(f"key {_shown(key)} is repeated: keys are distinct")
+        raise VoxtoolError(f"key {shown(key)} is repeated: keys are distinct")
     return _Keys(codes, top)
 
 
@@ -295,17 +211,17 @@ class _Way(Enum):
     PACKED = auto()  # from m places on
 
 
-def _attempts(keys: _Keys, m: int) -> Iterator[tuple[int, np.ndarray, _Way]]:
+def _attempts(keys: _Keys, m: int, max_r: int) -> Iterator[tuple[int, np.ndarray, _Way]]:
     """Each r to try, how many keys each of its offsets has, and the way to try."""
     n = keys.codes.size
     first = _table_side(-(-n // KEYS_AN_OFFSET))
-    for r in range(first, _table_side(-(-n // SCATTERED_KEYS)) + 1):
+    for r in range(first, min(max_r, _table_side(-(-n // SCATTERED_KEYS))) + 1):
         if math.gcd(r, 2 * m) == 1:  # an odd r: more w are coprime to it
             sizes = _count_keys(keys, r)
             if _has_choice(sizes, m):
                 yield r, sizes, _Way.DIFFERING if keys.top < ALIKE * r else _Way.SCATTERED
     r = first
-    while r <= _max_r(m):
+    while r <= max_r:
         if math.gcd(r, m) == 1:
             sizes = _count_keys(keys, r)
             yield r, sizes, _Way.PACKED
@@ -319,7 +235,7 @@ def _count_keys(keys: _Keys, r: int) -> np.ndarray:
     """(r**3,) uint32: how many keys each offset has."""
     device = keys.codes.device
     sizes = device.zeros(r**3, np.uint32)
-    device.kernel(SOURCE, "count_keys")(keys.codes.size, *keys.arguments, np.uint32(r), sizes)
+    device.kernel(SOURCE, "count_keys")(keys.codes.size, **keys.arguments, r=r, sizes=sizes)
     return sizes.take()
 
 
@@ -340,9 +256,8 @@ def _fill_buckets(keys: _Keys, r: int, sizes: np.ndarray) -> _Buckets:
     """Steps 1 to 3 of the algorithm, from the number of keys of each offset."""
     device, n = keys.codes.device, keys.codes.size
     cells, order = device.empty(n, np.uint32), device.empty(n, np.uint32)
-    device.kernel(SOURCE, "find_cells")(n, *keys.arguments, np.uint32(r), cells, order)
-    cells, order = radix_sort(cells, n, (r**3 - 1).bit_length(), order)
-    cells.release()
+    device.kernel(SOURCE, "find_cells")(n, **keys.arguments, r=r, cells=cells, order=order)
+    _, order = radix_sort(cells, n, (r**3 - 1).bit_length(), order)
     falling = np.argsort(sizes.max() - sizes, kind="stable")[: np.count_nonzero(sizes)]
     sizes = sizes.astype(np.int64)
     firsts = np.cumsum(sizes) - sizes
@@ -366,17 +281,34 @@ class _Search:
             starts = np.arange(b) % m * (m * spans)  # a layer of slots each
         else:
             starts = _evenly(np.arange(b) * EVEN[0], m * m * spans)
-        self.starts = device.put(starts.astype(np.uint32))
-        self.firsts = device.put(buckets.firsts.astype(np.uint32))
-        self.sizes = device.put(buckets.sizes.astype(np.uint32))
+        slots = 2 * WORDS * m * m * spans
         self.w, self.places = device.empty(b, np.uint32), device.empty(b, np.uint32)
-        self.apart = device.empty(buckets.order.size, np.uint32)
-        self.steps, self.targets = device.empty(b, np.uint32), device.empty(b, np.uint32)
-        self.claims = device.put(np.full(m**3, 0xFFFFFFFF, np.uint32))
+        self.targets = device.empty(b, np.uint32)
         self.outcome = device.empty(LANES, np.uint8)
-        self.vacant = device.empty(2 * WORDS * m * m * spans, np.uint64)
-        vacate = device.kernel(SOURCE, "vacate")
-        vacate(self.vacant.size, np.uint32(m), np.uint32(spans), self.vacant)
+        self.vacant = device.empty(slots, np.uint64)
+        self.arguments = {
+            **buckets.keys.arguments,
+            "order": buckets.order,
+            "firsts": device.put(buckets.firsts.astype(np.uint32)),
+            "sizes": device.put(buckets.sizes.astype(np.uint32)),
+            "starts": device.put(starts.astype(np.uint32)),
+            "choices": device.put(self.choices),
+            "choice_count": len(self.choices),
+            "m": m,
+            "r": buckets.r,
+            "inverse": pow(buckets.r, -1, m),
+            "spans": spans,
+            "reach": self.reach,
+            "ws": self.w,
+            "places": self.places,
+            "apart": device.empty(buckets.order.size, np.uint32),
+            "steps": device.empty(b, np.uint32),
+            "claims": device.put(np.full(m**3, 0xFFFFFFFF, np.uint32)),
+            "targets": self.targets,
+            "vacant": self.vacant,
+            "outcome": self.outcome,
+        }
+        device.kernel(SOURCE, "vacate")(slots, **self.arguments)
 
     def run(self) -> np.ndarray | None:
         """(r, r, r, 3 or 4) uint8 or uint16: the table of offsets; None where there is none for
@@ -396,7 +328,7 @@ class _Search:
             few = vacant // (CROWD * int(sizes[pending[0]]) ** 2)
             window = pending[: max(min(few, most), 1)]
             outcome = self._round(window, number)
-            stuck = window[outcome == NOWHERE]
+            stuck = window[outcome == NO_PLACE]
             if len(stuck):
                 tries[stuck] += 1
                 vain += len(stuck) * self.reach
@@ -412,27 +344,21 @@ class _Search:
 
         At first it is m, if that parts the keys, and any other one at later tries.
         """
-        m, r, count = self.m, self.buckets.r, len(window)
-        wide = int(np.count_nonzero(SPREAD * self.choices >= m))
+        wide = int(np.count_nonzero(SPREAD * self.choices >= self.m))
         others = _evenly(window.astype(np.int64) * EVEN[1] + tries * EVEN[0], wide)
-        first = np.where(tries, others, 0)
-        codes, _, top = self.buckets.keys.arguments
+        first = np.where(tries, others, 0).astype(np.uint32)
         self.device.kernel(SOURCE, "place_keys")(
-            count, self.device.put(window), self.device.put(first.astype(np.uint32)),
-            np.uint32(count), codes, top, self.buckets.order, self.firsts, self.sizes,
-            self.device.put(self.choices), np.uint32(len(self.choices)), np.uint32(m),
-            np.uint32(r), np.uint32(pow(r, -1, m)), self.w, self.places, self.apart, self.steps,
-        )  # fmt: skip
+            len(window),
+            **self.arguments,
+            window=self.device.put(window),
+            first_choice=self.device.put(first),
+        )
 
     def _round(self, window: np.ndarray, number: int) -> np.ndarray:
         """(k,) uint8: what becomes of the k buckets of a window."""
-        buckets = (self.device.put(window), np.uint32(len(window)), self.firsts, self.sizes)
-        table = (self.apart, self.vacant, np.uint32(self.m), np.uint32(self.spans))
-        claims = (np.uint32(number), self.claims, self.targets, self.outcome)
-        self.device.kernel(SOURCE, "search")(
-            len(window), *buckets, *table, self.starts, np.uint32(self.reach), self.steps, *claims
-        )
-        self.device.kernel(SOURCE, "settle")(len(window), *buckets, *table, *claims)
+        named = {**self.arguments, "window": self.device.put(window), "round": number}
+        for kernel in ("search", "settle"):
+            self.device.kernel(SOURCE, kernel)(len(window), **named)
         return self.outcome.get(0, len(window))
 
     def _offsets(self) -> np.ndarray:
@@ -445,7 +371,7 @@ class _Search:
         rest = vacant[: np.count_nonzero(single)]
         targets[:, single] = rest % m, rest // m % m, rest // (m * m)
         w = self.w.get()
-        table = np.zeros((r**3, 4 if (w != m).any() else 3), _offset_type(m))
+        table = np.zeros((r**3, 4 if (w != m).any() else 3), offset_type(m))
         table[:, 3:] = m
         table[cells, :3] = ((targets - _unpacked(self.places.get())) * r % m).T
         table[cells, 3:] = w[:, None]
@@ -469,53 +395,3 @@ def _unpacked(slots: np.ndarray) -> np.ndarray:
     """(b,) slots of the device to (3, b) int64 x, y, z."""
     shifts = np.array([[0], [SLOT_BITS], [2 * SLOT_BITS]])
     return slots.astype(np.int64) >> shifts & (1 << SLOT_BITS) - 1
-
-
-def _offset_type(m: int) -> np.dtype:
-    return np.dtype(np.uint8 if m < 256 else np.uint16)
-
-
-def _shown(key: np.ndarray) -> str:
-    return f"({', '.join(map(str, key.tolist()))})"
-
-
-# --- cells ---------------------------------------------------------------------------------------
-
-
-def key_of(level: int | np.ndarray, ijk: np.ndarray) -> np.ndarray:
-    """(n, 3) cells of a level, or of (n,) levels, to (n, 3) int64 keys 2**level + ijk (eq. 3-1)."""
-    ijk = np.asarray(ijk, np.int64)
-    return ijk + (1 << np.broadcast_to(np.asarray(level, np.int64), len(ijk)))[:, None]
-
-
-def identifier_type(level: int) -> np.dtype:
-    """The type of the identifiers of octrees whose deepest stored cells are of this level."""
-    return np.dtype(np.uint32 if level <= MAX_LEVEL_32 else np.uint64)
-
-
-def cell_identifier(level: int, ijk: np.ndarray) -> np.ndarray:
-    """(n, 3) cells of a level to (n,) identifiers (section 3.4.3): Morton codes after a leading
-    one, of 3 level + 1 bits; uint32 up to level 10, else uint64. None is 0.
-
-    Raises
-    ------
-    VoxtoolError : the level is beyond MAX_LEVEL, or has no such cell.
-    """
-    ijk = np.asarray(ijk)
-    if not 0 <= level <= MAX_LEVEL:
-        raise VoxtoolError(f"no cell has level {level}: levels are 0 to {MAX_LEVEL}")
-    wrong = np.flatnonzero(((ijk < 0) | (ijk >> level > 0)).any(axis=1))
-    if len(wrong):
-        raise VoxtoolError(f"level {level} has no cell {_shown(ijk[wrong[0]])}")
-    codes = morton_encode(ijk) | np.uint64(1 << 3 * level)
-    return codes.astype(identifier_type(level))
-
-
-def cell_of(identifiers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) identifiers, none 0, to the (n,) int64 levels and (n, 3) int64 cells."""
-    codes = np.asarray(identifiers, np.uint64)
-    levels = np.zeros(len(codes), np.int64)
-    for level in range(1, MAX_LEVEL + 1):
-        levels[codes >> np.uint64(3 * level) != 0] = level
-    leading = np.uint64(1) << (3 * levels).astype(np.uint64)
-    return levels, morton_decode(codes ^ leading)

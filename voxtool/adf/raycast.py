@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voxtool.adf.cells import cell_of
 from voxtool.adf.field import FAR
-from voxtool.adf.hashing import cell_of
 from voxtool.adf.textures import textures_of
 from voxtool.camera import checked_colour
 from voxtool.errors import VoxtoolError

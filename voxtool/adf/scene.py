@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from voxtool.adf.bounds import half_diagonals
+from voxtool.adf.cells import cell_of
 from voxtool.adf.field import DistanceField
-from voxtool.adf.hashing import cell_of
 from voxtool.adf.raycast import COLOUR, cast, checked_offset
 from voxtool.camera import box_corners, checked_colour
 

@@ -20,7 +20,8 @@ import numpy as np
 
 from voxtool.adf.accuracy import measure_errors
 from voxtool.adf.build import plan_adf
-from voxtool.adf.hashing import build_hash, cell_of, key_of
+from voxtool.adf.cells import cell_of, key_of
+from voxtool.adf.hashing import build_hash
 from voxtool.adf.query import FieldQuery
 from voxtool.adf.survey import cube_of
 from voxtool.bench import ablation, timing

@@ -65,7 +65,7 @@ def summary(field: DistanceField) -> dict[str, Any]:
     import numpy as np
 
     from voxtool.adf.bounds import JUMP
-    from voxtool.adf.hashing import cell_of, identifier_type
+    from voxtool.adf.cells import cell_of, identifier_type
 
     n, depth = len(field.voxels), field.depth
     leaves = field.leaves_by_level()

@@ -235,7 +235,7 @@ def answer_points(
     query: FieldQuery, blocks: Iterable[np.ndarray], answers: Answers, **request: Any
 ) -> Tally:
     """Ask for the points, block by block, and write the answers."""
-    from voxtool.adf.hashing import key_of
+    from voxtool.adf.cells import key_of
 
     tally = Tally()
     for points in blocks:

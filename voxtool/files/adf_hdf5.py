@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from voxtool.adf.field import DistanceField
-from voxtool.adf.hashing import SpatialHash
+from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.choices import MAX_LEVEL, SIGNS
 from voxtool.files import hdf5
 from voxtool.files.schema import (

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.adf.build import build_adf
-from voxtool.adf.hashing import MAX_KEY, SpatialHash, build_hash, cell_of
+from voxtool.adf.cells import MAX_KEY, cell_of
+from voxtool.adf.hashing import build_hash
 from voxtool.adf.levels.examine import CROSSED
 from voxtool.adf.query import query_adf
 from voxtool.adf.raycast import cast
+from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.camera import Rays
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.opencl import Device

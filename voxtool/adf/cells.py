@@ -1,0 +1,60 @@
+"""Cells of an octree: their keys and identifiers [ADF, sections 3.3 and 3.4].
+
+Levels are counted from the root, which has level 0. (Octrees of voxels count the other way, from
+their finest level.)
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from voxtool.errors import VoxtoolError
+from voxtool.morton import morton_decode, morton_encode
+
+MAX_LEVEL = 20  # of a cell with children: the three coordinates of its key fit 63 bits
+MAX_LEVEL_32 = 10  # of cells whose identifiers fit 32 bits
+MAX_KEY = (2 << MAX_LEVEL) - 1  # along an axis
+
+
+def key_of(level: int | np.ndarray, ijk: np.ndarray) -> np.ndarray:
+    """(n, 3) cells of a level, or of (n,) levels, to (n, 3) int64 keys 2**level + ijk (eq. 3-1)."""
+    ijk = np.asarray(ijk, np.int64)
+    return ijk + (1 << np.broadcast_to(np.asarray(level, np.int64), len(ijk)))[:, None]
+
+
+def identifier_type(level: int) -> np.dtype:
+    """The type of the identifiers of octrees whose deepest stored cells are of this level."""
+    return np.dtype(np.uint32 if level <= MAX_LEVEL_32 else np.uint64)
+
+
+def cell_identifier(level: int, ijk: np.ndarray) -> np.ndarray:
+    """(n, 3) cells of a level to (n,) identifiers (section 3.4.3): Morton codes after a leading
+    one, of 3 level + 1 bits; uint32 up to level 10, else uint64. None is 0.
+
+    Raises
+    ------
+    VoxtoolError : the level is beyond MAX_LEVEL, or has no such cell.
+    """
+    ijk = np.asarray(ijk)
+    if not 0 <= level <= MAX_LEVEL:
+        raise VoxtoolError(f"no cell has level {level}: levels are 0 to {MAX_LEVEL}")
+    wrong = np.flatnonzero(((ijk < 0) | (ijk >> level > 0)).any(axis=1))
+    if len(wrong):
+        raise VoxtoolError(f"level {level} has no cell {shown(ijk[wrong[0]])}")
+    codes = morton_encode(ijk) | np.uint64(1 << 3 * level)
+    return codes.astype(identifier_type(level))
+
+
+def cell_of(identifiers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) identifiers, none 0, to the (n,) int64 levels and (n, 3) int64 cells."""
+    codes = np.asarray(identifiers, np.uint64)
+    levels = np.zeros(len(codes), np.int64)
+    for level in range(1, MAX_LEVEL + 1):
+        levels[codes >> np.uint64(3 * level) != 0] = level
+    leading = np.uint64(1) << (3 * levels).astype(np.uint64)
+    return levels, morton_decode(codes ^ leading)
+
+
+def shown(key: np.ndarray) -> str:
+    """A key or cell for messages."""
+    return f"({', '.join(map(str, key.tolist()))})"
