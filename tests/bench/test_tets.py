@@ -11,14 +11,16 @@ from conftest import opened, usable_devices
 from helpers_cli import run
 from selftest.test_reference import TETRAHEDRON, constant_of, five, kuhn, look, ramp, steps
 
-from voxtool.bench import peers, tets
+from voxtool.bench import ablation, peers, tets
 from voxtool.bench.references import ReferencePicture
 from voxtool.bench.request import TRANSFERS, Request
 from voxtool.bench.timing import Bench
 from voxtool.choices import METHODS
 from voxtool.opencl import open_device
+from voxtool.rendering import plan_render
 from voxtool.selftest.reference import reference
 from voxtool.tets.mesh import UnstructuredMesh, tetrahedra
+from voxtool.tets.textures import build_tet
 
 REQUEST = Request(sizes=(6, 12), pixels=6, transfers=("x10",), scalar="heat", repeat=1, seconds=0,
                   integrators=("linear", "sampled:1"), ablations=False, peers=True)  # fmt: skip
@@ -73,6 +75,20 @@ def test_points(cube: str) -> None:
     assert shown.errors["max"] == pytest.approx(0.5)
     assert rays.errors["max"] == 0
     assert shown.runs == rays.runs
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_transparent_cells_are_forced_in(device, method: str) -> None:
+    vertices, cells = kuhn(8)
+    mesh = UnstructuredMesh(vertices, [("tetra", cells)], vertices[:, 0], "s")
+    transfer = tets.transfer_of("steps", tetrahedra(mesh))
+    job = plan_render(build_tet(mesh, method), look(12, 12), transfer=transfer, method=method,
+                      device=device)  # fmt: skip
+    bench = Bench(Request(repeat=1, seconds=0), device, device)
+    about = {"bench": "tets", "model": "cube", "work": "frames"}
+    (one,) = ablation.of_picture(job, bench, about)
+    assert one.same
+    assert "transparent" in one.what
 
 
 def test_constant_cells(cube: str) -> None:

@@ -92,7 +92,7 @@ def test_errors_fall_with_finer_settings(made: Path) -> None:
 
 def test_ablations(made: Path) -> None:
     savings = json.loads((made / "out" / "report.json").read_text())["savings"]
-    assert {saving["bench"] for saving in savings} == {"voxelize", "adf", "tets"}
+    assert {saving["bench"] for saving in savings} == {"voxelize", "adf"}
     assert all(saving["same"] for saving in savings)
     assert all(len(s["runs"]) == len(s["forced"]) == 2 for s in savings)
 

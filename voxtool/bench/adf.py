@@ -253,8 +253,8 @@ def _queries(built: Point, field: DistanceField, exact: _Exact, bench: Bench) ->
 
 
 def break_even(spent: float, saved: float) -> float | None:
-    """How often work that saves these seconds must be done until it made up for those that were
-    spent on it; None if it saves nothing."""
+    """The number of runs after which the seconds saved in each make up for the seconds spent; None
+    if nothing is saved."""
     return None if saved <= 0 else max(0.0, spent / saved)
 
 
@@ -276,7 +276,7 @@ def points_of(mesh: Mesh, request: Request) -> dict[str, np.ndarray]:
 
 def rays_through_cube(count: int, step: float) -> np.ndarray:
     """(rays, n, 3) float64: points of the unit cube, `step` apart along parallel rays, at least
-    `count` in all; row by row, as the pixels of a picture.
+    `count` together; row by row, like the pixels of a picture.
 
     The rays run along DIRECTION, from z = 0 to z = 1, and none leaves the cube before.
     """

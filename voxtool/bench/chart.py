@@ -243,7 +243,7 @@ def _bars(points: Sequence[Point]) -> list[Point]:
 
 
 def draw_stages(figure: Any, points: Sequence[Point], theme: Theme) -> None:
-    """Where the time goes, of the slowest setting of each method: a bar of stages on the device."""
+    """A bar of the stages on the device for the slowest setting of each method."""
     bars = _bars(points)
     plot = figure.add_subplot()
     plot.grid(True, axis="x")
@@ -255,7 +255,7 @@ def draw_stages(figure: Any, points: Sequence[Point], theme: Theme) -> None:
                   edgecolor=theme.ground, linewidth=0.8, label=plain(stage))  # fmt: skip
         left = [a + b for a, b in zip(left, width, strict=True)]
     for row, (end, point) in enumerate(zip(left, bars, strict=True)):
-        plot.annotate(f" {duration(point.seconds)} in all", (end, row), va="center", fontsize=7)
+        plot.annotate(f" {duration(point.seconds)} together", (end, row), va="center", fontsize=7)
     names = [f"{plain(p.method)}\n{plain(p.label)}" for p in bars]
     plot.set_yticks(rows, names)
     plot.invert_yaxis()

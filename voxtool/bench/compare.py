@@ -1,8 +1,8 @@
-"""Two reports of benchmarks: what became slower or less accurate, beyond the noise.
+"""Comparison of two reports of benchmarks: what became slower or less accurate, beyond the noise.
 
-Rows are the same by bench, model, work, method and setting. A time has changed where all repeats of
-one report are on one side of all repeats of the other. Errors have no noise, for the same input
-gives the same output; what differs by less than ERROR_NOISE is a peer's rounding.
+Rows are matched by bench, model, work, method and label. A time has changed if all runs of one
+report are slower than all runs of the other. Errors have no noise, because the same input gives the
+same output; differences below ERROR_NOISE are allowed for other tools.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ KEY = ("bench", "model", "work", "method", "label")
 
 @dataclass(frozen=True)
 class Row:
-    """What a report says of a setting: seconds, the median, least and most of its repeats; errors
-    by measure."""
+    """One setting of a report: the median, least and most seconds of its runs, and its errors by
+    measure."""
 
     seconds: float
     least: float
@@ -38,7 +38,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Summary:
-    """A report: its rows by bench, model, work, method and label; where : on what, in words."""
+    """A report: its rows by bench, model, work, method and label; where : the device, in words."""
 
     rows: dict[tuple[str, ...], Row]
     where: str
@@ -46,10 +46,13 @@ class Summary:
 
 @dataclass(frozen=True)
 class Change:
-    """A row in two reports.
+    """A row that two reports have.
 
-    faster, slower : beyond the noise; percent : of the time, by which the new median is over the
-    old; worse, better : the measures of the error that became larger or smaller, with both values.
+    Attributes
+    ----------
+    faster, slower : whether the time has changed beyond the noise.
+    percent : by which the new median is over the old one.
+    worse, better : errors that became larger or smaller, by measure, with both values.
     """
 
     key: tuple[str, ...]
@@ -71,7 +74,7 @@ class Change:
         return self.new.most < self.old.least
 
     def fails(self, over: float) -> bool:
-        """Whether it is slower by more than so many percent, or less accurate."""
+        """Whether the row is slower by more than `over` percent, or less accurate."""
         return bool(self.worse) or (self.slower and self.percent > over)
 
     def as_dict(self) -> dict[str, Any]:
@@ -88,7 +91,7 @@ class Change:
 
 
 def compare(old: Summary, new: Summary) -> list[Change]:
-    """What both have, in the order of the new one."""
+    """The changes of the rows that both reports have, in the order of the new one."""
     return [change(key, old.rows[key], row) for key, row in new.rows.items() if key in old.rows]
 
 
@@ -142,7 +145,7 @@ def _refuse(constant: str) -> NoReturn:
 
 @dataclass(frozen=True)
 class _Checked:
-    """What the report of this name says, checked; raises FileError."""
+    """Checked access to the JSON of a report; every method raises FileError."""
 
     name: str
 

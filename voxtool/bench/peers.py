@@ -1,5 +1,5 @@
-"""Other tools on the same work, where they are installed: mesh in memory to voxels in memory,
-octree in memory to surface in memory, distances from points to a mesh, and pictures of volumes."""
+"""Other tools on the same work, if they are installed: mesh to voxels, octree to surface, distances
+from points to a mesh, and pictures of volumes, all in memory."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def missing(benches: set[str]) -> list[str]:
 
 
 def of(mesh: Mesh, grid: Grid, mode: str) -> dict[str, Callable[[], object]]:
-    """The peers that do this mode's work, by name and version; their inputs are made beforehand."""
+    """The tools that voxelize in this mode, by name and version; their inputs are made before."""
     makers = {
         "solid": (_vtk_stencil, _trimesh_filled),
         "surface26": (_open3d_voxel_grid, _trimesh_subdivide),
@@ -106,7 +106,7 @@ def _open3d_voxel_grid(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object
 
 
 def _trimesh_subdivide(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object]] | None:
-    """trimesh.voxel.creation.voxelize: voxels that vertices of the subdivided mesh are in. It needs
+    """trimesh.voxel.creation.voxelize: the voxels of the subdivided mesh's vertices. It needs
     SciPy."""
     if _module("scipy") is None:
         return None
@@ -114,7 +114,7 @@ def _trimesh_subdivide(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object
 
 
 def _trimesh_filled(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object]] | None:
-    """The same, with its holes filled."""
+    """The voxels of _trimesh_subdivide with its holes filled."""
     if _module("scipy") is None:
         return None
 
@@ -130,8 +130,8 @@ def _trimesh_voxels(mesh: Mesh, grid: Grid) -> Any:
 
 
 def of_octree(octree: Octree, isovalue: float) -> dict[str, Callable[[], object]]:
-    """The peers that extract a smooth surface, by name and version. They need the dense grid of
-    coverages, which is computed in their time."""
+    """The tools that extract a smooth surface, by name and version. Their time includes the dense
+    grid of coverages that they need."""
     makers = (_vtk_flying_edges, _skimage_marching_cubes)
     return dict(made for maker in makers if (made := maker(octree, isovalue)))
 
@@ -193,10 +193,12 @@ def _skimage_marching_cubes(
 
 @dataclass(frozen=True)
 class DistancePeer:
-    """What computes the signed distance of points to a mesh.
+    """A tool that computes signed distances to a mesh.
 
-    build : makes what it needs of the mesh, and returns what gives (N,) float distances at (N, 3)
-    float64 points; builds_each_time : this builds it anew whenever it is asked.
+    Attributes
+    ----------
+    build : prepares the mesh and returns a function from (N, 3) float64 points to (N,) distances.
+    builds_each_time : whether that function prepares the mesh again in every call.
     """
 
     name: str
@@ -205,7 +207,7 @@ class DistancePeer:
 
 
 def of_distance(mesh: Mesh) -> list[DistancePeer]:
-    """The peers that compute signed distances, each with the threads that it takes by itself."""
+    """The tools that compute signed distances, each with its own choice of threads."""
     return [peer for maker in (_open3d_scene, _igl_signed_distance) if (peer := maker(mesh))]
 
 
@@ -231,8 +233,8 @@ def _open3d_scene(mesh: Mesh) -> DistancePeer | None:
 
 
 def _igl_signed_distance(mesh: Mesh) -> DistancePeer | None:
-    """signed_distance with fast winding numbers w, which builds its trees in every call, and gives
-    (1 - 2 |w|) times the distance: it is exact where w is 0 or 1."""
+    """signed_distance with fast winding numbers w. It builds its trees in every call, and returns
+    (1 - 2 |w|) times the distance, which is exact if w is 0 or 1."""
     igl = _module("igl")
     if igl is None:
         return None
@@ -251,11 +253,13 @@ def _igl_signed_distance(mesh: Mesh) -> DistancePeer | None:
 
 @dataclass(frozen=True)
 class PicturePeer:
-    """What draws a tetrahedral volume.
+    """A tool that draws a tetrahedral volume.
 
-    draw : draws it; the first time also prepares what the volume needs.
-    picture : (H, W, 4) float64 premultiplied RGBA as it is shown, after it was drawn.
-    at : (N, 4) float64 likewise, what the rays of (N, 2) pixels, column and row, find.
+    Attributes
+    ----------
+    draw : draws the volume; the first call also prepares it.
+    picture : returns (H, W, 4) float64 premultiplied RGBA as shown, after `draw`.
+    at : returns (N, 4) float64 premultiplied RGBA of the rays of (N, 2) pixels, column and row.
     """
 
     name: str
@@ -273,8 +277,8 @@ def of_volume(
     *,
     constant: bool = False,
 ) -> list[PicturePeer]:
-    """The peers that draw what voxtool.selftest.reference does, with the threads that they take by
-    themselves; none in perspective, in which VTK's scalars are wrong."""
+    """The tools that draw what voxtool.selftest.reference draws, with their own choice of threads.
+    There is none in perspective, in which VTK's scalars are wrong."""
     if rays.perspective or _module("vtk") is None:
         return []
     return [_vtk_ray_cast(vertices, cells, scalars, transfer, rays, constant)]
@@ -291,8 +295,8 @@ def _vtk_ray_cast(
     """vtkUnstructuredGridVolumeRayCastMapper with its linear integrator. (Partial pre-integration
     crashes.)
 
-    Its picture has 8 bits, cut off, and is shown as a texture that is larger by a pixel in all; its
-    rays by themselves have float32.
+    Its picture has 8 bits, truncated, and is shown as a texture that is one pixel too large; its
+    rays alone have float32.
     """
     vtk, support = _module("vtk"), _module("vtk.util.numpy_support")
     points, array, grid = vtk.vtkPoints(), vtk.vtkCellArray(), vtk.vtkUnstructuredGrid()
@@ -372,7 +376,7 @@ def _vtk_ray_cast(
 
 
 def _apart(scalars: np.ndarray) -> np.ndarray:
-    """The scalars of control points without two that are equal, as steps must be for VTK."""
+    """The scalars of control points, with the first of two equal ones moved: VTK takes no steps."""
     apart = scalars.astype(np.float64)
     apart[:-1][scalars[:-1] == scalars[1:]] -= 1e-9 * (scalars[-1] - scalars[0])
     return apart

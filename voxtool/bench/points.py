@@ -124,7 +124,7 @@ class Point:
 
     @property
     def key(self) -> tuple[str, str, str, str, str]:
-        """What identifies the same point in two reports."""
+        """The names that identify the same point in two reports."""
         return *self.chart, self.method, self.label
 
     def as_dict(self) -> dict[str, Any]:
@@ -286,7 +286,7 @@ def answers(points: Iterable[Point], budget: Budget) -> list[tuple[str, Point | 
 
 
 def verdicts(points: Sequence[Point]) -> list[str]:
-    """What to choose in one chart, in words: the cheapest point for each power of ten of the error,
+    """Advice on one chart, in words: the cheapest point for each power of ten of the error,
     the most accurate point, and the methods that are never on the Pareto front."""
     front = pareto(points)
     if not front:
@@ -320,7 +320,7 @@ def verdicts(points: Sequence[Point]) -> list[str]:
 
 
 def costs(points: Sequence[Point]) -> list[str]:
-    """How the time of each method of one chart grows with the size, in words."""
+    """The growth of the time of each method of one chart with the size, in words."""
     size_of = next((point.size_of for point in points if point.size), "")
     return [
         f"time of {method}: {size_of} to the {p:.2f}, from {low:,g} to {high:,g}"

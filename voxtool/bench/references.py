@@ -1,4 +1,4 @@
-"""What results are held against: the model, exact pictures, and the measures of errors.
+"""References that results are compared with (models, exact pictures), and measures of errors.
 
 Voxels are compared by the boundary of their set, so voxtool's results and those of other tools are
 measured in the same way.

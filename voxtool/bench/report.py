@@ -44,8 +44,7 @@ TEMPLATE = Path(__file__).with_name("report.html")
 
 @dataclass(frozen=True)
 class Report:
-    """What was measured, on which device, and by which command; date : as it was given, or
-    None."""
+    """The points and ablations, the device, and the command; date : as given, or None."""
 
     points: list[Point]
     ablations: list[Ablation]

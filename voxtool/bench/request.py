@@ -1,4 +1,4 @@
-"""What a benchmark measures, and the command line that measures one of its points again."""
+"""The request of a benchmark, and the command line that measures one of its points again."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ MESH_BENCHES = ("voxelize", "extract", "adf", "distance")
 
 @dataclass(frozen=True)
 class Request:
-    """What is measured, and how often. The defaults are those of `voxtool bench all`.
+    """The settings to measure, and how often. The defaults are those of `voxtool bench all`.
 
     Attributes
     ----------

@@ -38,7 +38,7 @@ def sweep(
     benches: tuple[str, ...] | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Iterator[Point | Ablation]:
-    """Measure every model, in the named benches or in all those of its kind.
+    """Measure every model, in the named benches or in all benches of its kind.
 
     Parameters
     ----------

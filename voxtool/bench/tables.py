@@ -108,7 +108,7 @@ def _table(
 
 
 def _error_note(points: Sequence[Point]) -> str:
-    """What the errors of a chart are in."""
+    """A line that names the units of the errors."""
     units: dict[str, list[str]] = {}
     for name, unit in MEASURES[points[0].bench].items():
         if any(name in point.errors for point in points):
@@ -118,7 +118,7 @@ def _error_note(points: Sequence[Point]) -> str:
 
 
 def _figures_note(points: Sequence[Point]) -> str:
-    """What the less plain figures of a chart are."""
+    """A line that explains the figures whose names do not."""
     words = {
         "host": "what Python adds to the stages",
         "command": "the whole command in its own process",

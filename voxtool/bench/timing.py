@@ -70,7 +70,7 @@ class Runs:
 
 @dataclass(frozen=True)
 class Bench:
-    """What measuring needs.
+    """A request and the devices that it is measured on.
 
     Attributes
     ----------

@@ -106,5 +106,5 @@ def _with_command(point: Point, model: str, fill: str, bench: Bench) -> Point:
 
 
 def work_of(mode: str) -> str:
-    """What is timed: a solid is other work than a surface."""
+    """The name of the timed work: a solid is other work than a surface."""
     return "mesh to solid voxels" if mode == "solid" else "mesh to voxels of the surface"

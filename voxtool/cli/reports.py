@@ -1,4 +1,4 @@
-"""What the benches share: options, measuring, and printing."""
+"""Options, measuring and printing of all benches."""
 
 from __future__ import annotations
 

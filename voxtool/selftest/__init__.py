@@ -1,4 +1,4 @@
-"""Whether a device computes correctly: stiff and extreme cases, each against an oracle.
+"""Checks of a device: stiff and extreme cases, each compared with an oracle.
 
 An oracle is another algorithm (rational arithmetic, quadrature, clipping), a formula, or a digest
 that is the same on every device. Every run computes the same cases.

@@ -1,4 +1,4 @@
-"""The arithmetic of a device, bit for bit numpy's, and the primitives over arrays.
+"""Arithmetic of a device, compared bit for bit with numpy, and the primitives over arrays.
 
 Kernels: kernels/selftest/arithmetic.cl.
 """
@@ -20,7 +20,7 @@ JOINT = slice(5, 7)  # what a contraction would round less often
 
 
 def compute(device: Device, name: str, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """(7, N): what the device makes of three numbers each; see the kernel."""
+    """(7, N): the results of the kernel `compute` for each three numbers."""
     n, real = len(a), REALS[name]
     results = device.empty(7 * n, real)
     inputs = [device.put(v.astype(real)) for v in (a, b, c)]
@@ -29,14 +29,14 @@ def compute(device: Device, name: str, a: np.ndarray, b: np.ndarray, c: np.ndarr
 
 
 def computed(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """The same in numpy, where nothing is contracted."""
+    """(7, N): the same by numpy, which contracts nothing."""
     with np.errstate(all="ignore"):
         return np.stack([a + b, a - b, a * b, a / b, np.sqrt(a), a * b + c, a * b + b * c + c * a])
 
 
 def operands(name: str, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers of all sizes, of nearly the same, and whole ones; a is positive, none is 0. A third
-    of c is the negated product, so that a contracted a b + c is what the product lost."""
+    """Numbers of all sizes, nearly equal ones, and whole ones; a is positive, none is 0. A third of
+    c is the negated product, so that a contracted a b + c is the rounding error of the product."""
     random, real = np.random.default_rng(1), REALS[name]
     size = np.exp2(random.integers(-RANGES[name], RANGES[name], (3, count)))
     a, b, c = random.uniform(1, 2, (3, count)) * size * random.choice([-1, 1], (3, count))
@@ -49,7 +49,7 @@ def operands(name: str, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def differing(found: np.ndarray, expected: np.ndarray) -> int:
-    """How many have other bits."""
+    """The number of values with different bits."""
     kind = f"u{found.itemsize}"
     return int(np.count_nonzero(found.view(kind) != expected.view(kind)))
 
@@ -120,7 +120,7 @@ def integers(device: Device, full: bool) -> int:
 
 
 def counted(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """(11, N) uint64: what the kernel `count` should find."""
+    """(11, N) uint64: the expected results of the kernel `count`."""
     c, d = a.view(np.int64), b.view(np.int64)
     shift = b & np.uint64(63)
     shifted = a >> shift
@@ -149,7 +149,7 @@ def low_bits(numbers: np.ndarray) -> np.ndarray:
 
 
 def upper_half(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Of products of 128 bits, in Python integers."""
+    """The upper halves of products of 128 bits, by Python integers."""
     return low_bits((a.astype(object) * b.astype(object)) >> 64)
 
 

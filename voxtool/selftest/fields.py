@@ -128,8 +128,8 @@ def winding(device: Device, full: bool) -> float:
 def box_error(
     device: Device, low: np.ndarray, high: np.ndarray, count: int, **request: Any
 ) -> float:
-    """Of a box's field the largest error, by its bounds and by what is promised where a triangle
-    slips between samples; at points everywhere, and near two of the sides."""
+    """The largest error of a box's field, over its bounds and over the promised limit for triangles
+    between samples; at points everywhere, and near two of the sides."""
     field = build_adf(mesh_from_arrays(*shapes.box(low, high)), device, **request)
     spread = sample_cube(count)
     around = np.minimum(2 * (high - low), field.side / 20)
@@ -243,7 +243,7 @@ def slots(table: SpatialHash, keys: np.ndarray) -> list[int]:
     return found
 
 
-@case("rays along faces of leaves", "a box, but for rays beside its outline: which are met",
+@case("rays along faces of leaves", "a box, except rays beside its outline: which hit",
       "rays wrong", 0)  # fmt: skip
 def rays(device: Device, full: bool) -> int:
     low, high = np.zeros(3), np.array([1.0, 0.75, 0.5])

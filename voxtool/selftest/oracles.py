@@ -1,9 +1,9 @@
 """Slow, plain oracles of voxels and distances, in Python integers and fractions.
 
-Triangles are three points of three whole numbers in 1/256 voxel: any sequence will do, also an
-array `vertices[faces]`. Voxel (i, j, k) is the closed cube [i, i+1] x [j, j+1] x [k, k+1] in
-voxels. Nothing here is ever rounded, and nothing is shared with what it judges: touching is
-decided by clipping, and ties by numbers that carry an infinitesimal.
+Triangles are three points of three integers in 1/256 voxel, in any sequence, such as an array
+`vertices[faces]`. Voxel (i, j, k) is the closed cube [i, i+1] x [j, j+1] x [k, k+1] in voxels.
+Nothing here is rounded, and nothing is shared with the code under test: touching is decided by
+clipping, and ties by numbers with an infinitesimal part.
 
 Such a number is the tuple (value, a, b, c), which stands for value + a ex + b ey + c ez with
 1 >> ex >> ey >> ez > 0: so tuples compare as the numbers do.
@@ -54,7 +54,7 @@ def surface26(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
 
 
 def surface6(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
-    """The 6-separating set of Schwarz and Seidel, with the centres moved by (ex, ey, ez)."""
+    """The 6-separating set of [Schwarz 2010], with the centres moved by (ex, ey, ez)."""
     found = set()
     for triangle in _polygons(triangles):
         forms = _thin_forms(*triangle)
@@ -139,15 +139,15 @@ def to_dense(voxels: set[Cell], shape: Sequence[int]) -> np.ndarray:
 
 
 def distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(N,) float64: how far (N, 3) points are from the nearest of (F, 3, 3) triangles, all taken as
-    the numbers that they are: exact, but rounded once."""
+    """(N,) float64: the distances of (N, 3) points to the nearest of (F, 3, 3) triangles, computed
+    exactly and rounded once."""
     corners = [[_rational(c) for c in triangle] for triangle in triangles]
     return np.array([_root(min(_squared(_rational(p), *t) for t in corners)) for p in points])
 
 
 def winding_numbers(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(N,) float64: how often (F, 3, 3) triangles go around (N, 3) points: their solid angles, one
-    by one, by 4 pi (van Oosterom and Strackee 1983)."""
+    """(N,) float64: the winding numbers of (F, 3, 3) triangles about (N, 3) points: their solid
+    angles over 4 pi [Oosterom 1983]."""
     angles = np.zeros(len(points))
     for triangle in triangles:
         a, b, c = triangle[:, None] - points

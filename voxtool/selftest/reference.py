@@ -1,12 +1,12 @@
-"""The picture of a tetrahedral volume in float64, by the plainest algorithm: every cell is clipped
-on every ray whose pixel its projection may cover, what is left of the rays is sorted by depth, cut
-at the control points of the transfer function, integrated and composited.
+"""The picture of a tetrahedral volume in float64, by a plain algorithm: every ray is clipped to
+every cell whose projection may cover its pixel; the intervals are sorted by depth, cut at the
+control points of the transfer function, integrated and composited.
 
-Nothing here knows which cells are neighbours, and no gradient is made. Pixel centres are moved by
-an infinitesimal (εx ≫ εy) where a ray lies in a face, so one cell owns it.
+It uses neither the neighbours of cells nor gradients. A ray in a face of two cells belongs to one
+of them: pixel centres are moved by an infinitesimal (εx ≫ εy).
 
-The model is that of Williams, Max and Stein, "A high accuracy volume renderer for unstructured
-data", 1998: emission and extinction linear between control points, colour c τ a unit of length.
+Emission and extinction are linear between control points, and the emission per unit of length is
+c τ [Williams 1998].
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ SLACK = 1e-9  # pixels that boxes are wider than their cells, which rounding doe
 
 @dataclass(frozen=True)
 class Segments:
-    """What cells leave of rays, by pixel and then by depth.
+    """The intervals of rays inside cells, by pixel and then by depth.
 
     pixel : (n,) int, which of those asked for; cell : (n,) int; near, far : (n,) float64, t of the
     rays; length : (n,) float64, world units; scalars : (n, 2) float64, at near and far.
@@ -95,7 +95,7 @@ def segments(
     constant: bool = False,
     most: int = PAIRS,
 ) -> Iterator[Segments]:
-    """What cells leave of the rays of pixels, band by band of the picture; as reference."""
+    """The intervals of the rays of pixels inside cells, one band of the picture at a time."""
     x, y = (pixels + 0.5 - np.array(rays.size) / 2).T
     way = rays.direction + rays.perspective * (x[:, None] * rays.right + y[:, None] * rays.down)
     speed = np.sqrt((way * way).sum(axis=1))
@@ -127,7 +127,7 @@ def planes_of(places: np.ndarray, cells: np.ndarray) -> np.ndarray:
     normalised; 0 where a cell has no volume.
 
     The corners of a face are taken in the order of their positions, so cells that share it have the
-    same numbers but for the sign.
+    same numbers except for the sign.
     """
     order = np.lexsort(places.T)
     rank = np.empty(len(places), np.int64)
@@ -204,7 +204,7 @@ def clip(
     speed: np.ndarray,
     perspective: bool,
 ) -> Segments:
-    """What cells leave of rays: for each pair, (n,) of a cell and a pixel at x and y."""
+    """The interval of the ray in the cell for each pair, (n,) of a cell and a pixel at x and y."""
     normal, offset = planes[cell, :, :3], planes[cell, :, 3]
     across = normal[..., 0] * x[:, None] + normal[..., 1] * y[:, None]
     # a face's plane has the value start + t slope along the ray

@@ -1,6 +1,6 @@
-"""What is tested with: meshes of triangles, vertices (V, 3) and faces (F, 3), and of tetrahedra.
+"""Test shapes: triangle meshes, vertices (V, 3) and faces (F, 3), and tetrahedral meshes.
 
-Made with + - * / and the root alone, so they are the same on every machine.
+They are computed with + - * / and square roots alone, so they are the same on every machine.
 """
 
 from __future__ import annotations

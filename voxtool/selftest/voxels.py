@@ -1,4 +1,4 @@
-"""Voxels of stiff and extreme meshes, all of them against rational arithmetic or formulas."""
+"""Voxels of stiff and extreme meshes, compared with rational arithmetic or formulas."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ def lattice_grid(shape: Sequence[int]) -> Grid:
 
 
 def set_voxels(device: Device, mesh: Mesh, grid: Grid, mode: str, **options: Any) -> Octree:
-    """The octree, solids by parity; raises FileError where its structure does not hold."""
+    """The octree, solids by parity; raises FileError if its structure is invalid."""
     octree = voxelize(mesh, grid, mode, device=device, **{"fill": "parity", **options})
     octree.validate()
     return octree
 
 
 def wrong(octree: Octree, expected: set[tuple[int, int, int]]) -> int:
-    """How many voxels are set that should not be, or the other way round."""
+    """The number of voxels whose state differs from the expected one."""
     return len(cells(octree.occupied()) ^ expected)
 
 
@@ -68,7 +68,7 @@ def cells(voxels: np.ndarray) -> set[tuple[int, int, int]]:
 def wrong_by_oracles(
     device: Device, vertices: np.ndarray, faces: np.ndarray, shape: Sequence[int] = SMALL
 ) -> int:
-    """How many voxels differ, in all modes, from those of the oracles; vertices in 1/256 voxel."""
+    """The number of voxels that differ from the oracles in any mode; vertices in 1/256 voxel."""
     mesh, grid = lattice_mesh(vertices, faces), lattice_grid(shape)
     return sum(
         wrong(set_voxels(device, mesh, grid, mode), oracle(vertices[faces], shape))
@@ -145,8 +145,8 @@ def boundaries(device: Device, full: bool) -> int:
 def _layers(
     count: int, low: np.ndarray, high: np.ndarray, axis: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(count,) bool each, along an axis: whose centre, moved by an infinitesimal, is between low
-    and high; who reaches between them; who lies there without reaching either."""
+    """(count,) bool each, voxels along an axis: those whose centre, moved by an infinitesimal, is
+    between low and high; those that touch the interval; those strictly inside it."""
     begin = UNIT * np.arange(count)
     centre, end = begin + UNIT // 2, begin + UNIT
     a, b = low[axis], high[axis]
@@ -208,7 +208,7 @@ def crowd(device: Device, full: bool) -> int:
     corners = UNIT * np.array(place) + random.integers(1, UNIT, (MILLION // 2, 3, 3))
     centre = UNIT * np.array(place) + UNIT // 2
     around = shapes.octahedron(centre + 1, 60)
-    # each twice, so they cross every row an even number of times; but for one octahedron
+    # each twice, so they cross every row an even number of times; the octahedron is there once
     soup = (corners.reshape(-1, 3), np.tile(np.arange(corners.size // 3).reshape(-1, 3), (2, 1)))
     vertices, faces = shapes.join([soup, around])
     mesh, grid = lattice_mesh(vertices, random.permutation(faces)), lattice_grid((256,) * 3)
@@ -250,7 +250,7 @@ def _solid_octahedron(device: Device, dim: int, centre: np.ndarray, radius: int)
 
 
 def _away(dim: int, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(dim,) int64 each: how far the centres of voxels are from an octahedron's along each axis."""
+    """(dim,) int64 each: distances of voxel centres from an octahedron's centre along each axis."""
     x, y, z = (np.abs(UNIT * np.arange(dim) + UNIT // 2 - c) for c in centre.tolist())
     return x, y, z
 
@@ -262,7 +262,7 @@ def _within(dim: int, centre: np.ndarray, radius: int) -> np.ndarray:
 
 
 def _count(dim: int, centre: np.ndarray, radius: int) -> int:
-    """How many voxels are within, row by row along x."""
+    """The number of voxels within, by rows along x."""
     x, y, z = _away(dim, centre)
     return int(np.searchsorted(np.sort(x), (radius - y[:, None] - z).ravel()).sum())
 
