@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -81,7 +82,8 @@ def test_points(cube: str) -> None:
 def test_transparent_cells_are_forced_in(device, method: str) -> None:
     vertices, cells = kuhn(8)
     mesh = UnstructuredMesh(vertices, [("tetra", cells)], vertices[:, 0], "s")
-    transfer = tets.transfer_of("steps", tetrahedra(mesh))
+    points = ramp(5)
+    transfer = replace(points, scalars=points.scalars / 4 + 0.75)  # half of the blocks are below
     job = plan_render(build_tet(mesh, method), look(12, 12), transfer=transfer, method=method,
                       device=device)  # fmt: skip
     bench = Bench(Request(repeat=1, seconds=0), device, device)
