@@ -80,8 +80,8 @@ class Grid:
         pitch : voxel size in world units instead of dim.
         bbox : X0 Y0 Z0 X1 Y1 Z1 in world units: the grid covers this box instead of the mesh.
         margin : empty voxels on each side; min(4, dim // 8) by default, 0 with bbox.
-        fit : "uniform" (cubic voxels) or "stretch" (each axis apart, mapped to [4, dim]: eq. (5.1)
-            of the thesis, for comparison with its tables; takes dim alone).
+        fit : "uniform" (cubic voxels) or "stretch" (each axis scaled on its own to [4, dim], as
+            [voCCeL], eq. 5.1; takes dim alone).
 
         Raises
         ------
@@ -101,8 +101,8 @@ class Grid:
             raise GridError(f"margin {margin} is negative: choose 0 or more voxels")
         low, high = _bounds(mesh, bbox)
         with np.errstate(over="ignore"):
-            longest_extent = float(np.max(high - low))
-        if not math.isfinite(longest_extent):
+            longest = float(np.max(high - low))
+        if not math.isfinite(longest):
             raise GridError("the mesh spans more than floating point holds: scale it down")
         if fit == "stretch":
             if dim is None or bbox is not None or margin is not None:
@@ -113,37 +113,14 @@ class Grid:
         if bbox is not None and margin is None:
             margin = 0
         if dim is not None:
-            if margin is None:
-                margin = min(DEFAULT_MARGIN, dim // 8)
-            inner = dim - 2 * margin
-            if inner < 1:
-                raise GridError(
-                    f"margin {margin} on both sides leaves no voxel of dim {dim}: choose at most "
-                    f"{(dim - 1) // 2}"
-                )
-            pitch = longest_extent / inner
-            if not pitch > 0:
-                raise GridError("the mesh is so small that a voxel has no size: scale it up")
-            if bbox is None:
-                shape = (dim, dim, dim)
-            else:  # the box may be no cube
-                shape = np.minimum(_voxel_count(high - low, pitch), inner) + 2 * margin
+            pitch, margin = _pitch_for(dim, margin, longest)
+            shape = np.full(3, dim)
+            if bbox is not None:  # the box may be no cube
+                count = np.minimum(_voxel_count(high - low, pitch), dim - 2 * margin)
+                shape = count + 2 * margin
         else:
             assert pitch is not None
-            count = _voxel_count(high - low, pitch)
-            longest = int(count.max())
-            if longest > MAX_DIM:
-                least = 1.001 * longest_extent / (MAX_DIM - 2 * DEFAULT_MARGIN)
-                raise GridError(
-                    f"pitch {pitch:g} makes {longest_extent / pitch:.7g} voxels along the longest "
-                    f"side, of {MAX_DIM} allowed: choose at least {least:.4g}"
-                )
-            if margin is None:  # the largest m <= 4 that the dim it makes allows
-                margin = next(
-                    m for m in range(DEFAULT_MARGIN, -1, -1) if m <= (longest + 2 * m) // 8
-                )
-            shape = count + 2 * margin
-            shape[np.argmax(shape)] = max(int(shape.max()), MIN_DIM)
+            shape, margin = _shape_for(pitch, margin, high - low)
         _check_resolution(low, high, (pitch, pitch, pitch))
         return cls(tuple(shape), tuple(low - margin * pitch), (pitch, pitch, pitch))
 
@@ -219,8 +196,41 @@ def _bounds(mesh: Mesh, bbox: Sequence[float] | None) -> tuple[np.ndarray, np.nd
     return box[0], box[1]
 
 
+def _pitch_for(dim: int, margin: int | None, longest: float) -> tuple[float, int]:
+    """The voxel size at which a length spans dim voxels, margins included; and the margin."""
+    if margin is None:
+        margin = min(DEFAULT_MARGIN, dim // 8)
+    inner = dim - 2 * margin
+    if inner < 1:
+        raise GridError(
+            f"margin {margin} on both sides leaves no voxel of dim {dim}: choose at most "
+            f"{(dim - 1) // 2}"
+        )
+    pitch = longest / inner
+    if not pitch > 0:
+        raise GridError("the mesh is so small that a voxel has no size: scale it up")
+    return pitch, margin
+
+
+def _shape_for(pitch: float, margin: int | None, extent: np.ndarray) -> tuple[np.ndarray, int]:
+    """The voxels of this size that cover an extent, margins included; and the margin."""
+    count = _voxel_count(extent, pitch)
+    longest, size = int(count.max()), float(extent.max())
+    if longest > MAX_DIM:
+        least = 1.001 * size / (MAX_DIM - 2 * DEFAULT_MARGIN)
+        raise GridError(
+            f"pitch {pitch:g} makes {size / pitch:.7g} voxels along the longest "
+            f"side, of {MAX_DIM} allowed: choose at least {least:.4g}"
+        )
+    if margin is None:  # the largest m <= 4 that the dim it makes allows
+        margin = next(m for m in range(DEFAULT_MARGIN, -1, -1) if m <= (longest + 2 * m) // 8)
+    shape = count + 2 * margin
+    shape[np.argmax(shape)] = max(int(shape.max()), MIN_DIM)
+    return shape, margin
+
+
 def _check_resolution(low: np.ndarray, high: np.ndarray, pitch: Sequence[float]) -> None:
-    """Far from the origin, floating point cannot tell the corners of small voxels apart."""
+    """Refuse voxels whose corners floating point cannot tell apart, so far from the origin."""
     farthest = np.maximum(np.abs(low), np.abs(high))
     if (np.asarray(pitch) < 4 * np.spacing(farthest)).any():
         raise GridError(

@@ -1,4 +1,4 @@
-"""Morton codes: the bits of a cell's coordinates in turn, x in the lowest."""
+"""Morton codes ([voCCeL], eq. 2.2): the bits of a cell's coordinates in turn, x in the lowest."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def spread_bits(values: np.ndarray) -> np.ndarray:
-    """(N,) whole numbers below 2**21 to uint64 with bit i moved to bit 3i (eq. 2.2)."""
+    """(N,) uint64 of (N,) whole numbers below 2**21: bit i moved to bit 3i."""
     v = np.asarray(values, np.uint64)
     for shift, mask in (
         (32, 0x1F00000000FFFF),
@@ -20,7 +20,7 @@ def spread_bits(values: np.ndarray) -> np.ndarray:
 
 
 def gather_bits(codes: np.ndarray) -> np.ndarray:
-    """(N,) Morton codes to the numbers whose bits lie at 3i: the inverse of spread_bits."""
+    """(N,) uint64 numbers of (N,) codes: bit 3i moved to bit i, the inverse of spread_bits."""
     v = np.asarray(codes, np.uint64) & np.uint64(0x1249249249249249)
     for shift, mask in (
         (2, 0x10C30C30C30C30C3),
@@ -34,12 +34,12 @@ def gather_bits(codes: np.ndarray) -> np.ndarray:
 
 
 def morton_encode(points: np.ndarray) -> np.ndarray:
-    """(N, 3) cells to (N,) uint64 Morton codes, x in the lowest bit (eq. 2.2)."""
+    """(N,) uint64 Morton codes of (N, 3) cells, x in the lowest bit."""
     x, y, z = (spread_bits(points[:, a]) << np.uint64(a) for a in range(3))
     return x | y | z
 
 
 def morton_decode(codes: np.ndarray) -> np.ndarray:
-    """(N,) Morton codes to (N, 3) int64 cells."""
+    """(N, 3) int64 cells of (N,) Morton codes."""
     codes = np.asarray(codes, np.uint64)
     return np.stack([gather_bits(codes >> np.uint64(a)) for a in range(3)], axis=1).astype(np.int64)

@@ -58,7 +58,7 @@ class ActiveNodes:
 
     @property
     def n(self) -> int:
-        """How many there are."""
+        """The number of active nodes."""
         return self.nodes.n
 
     @property

@@ -1,4 +1,4 @@
-"""What two octrees of one grid differ in, and the rows that leak."""
+"""Differences between two octrees of one grid, and rows of voxels that leak."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from voxtool.errors import GridError
 from voxtool.svo.layout import BRICK, BRICK_SIDE, INSIDE, LINK, VALID, unpack_bricks
 from voxtool.svo.octree import Octree
 
-EMPTY, FULL = -1, -2  # in place of a node: what is all alike
+EMPTY, FULL = -1, -2  # in place of a node: a uniform block of voxels
 
 
 def count_differences(one: Octree, other: Octree) -> tuple[int, int]:
-    """How many voxels are set in the first alone, and in the second alone.
+    """The number of voxels that are set in the first octree only, and in the second only.
 
-    Both are walked from the root down, in pairs of nodes; where one ends in a leaf, that goes on
-    beside the other's children.
+    Both are walked from the root down, in pairs of nodes; a leaf of one is paired with all
+    descendants of the other's node.
 
     Raises
     ------
-    GridError : they are of different grids.
+    GridError : the octrees are of different grids.
     """
     if one.grid != other.grid:
         raise GridError("octrees of different grids have no voxels in common: use --like")
@@ -44,7 +44,7 @@ def count_differences(one: Octree, other: Octree) -> tuple[int, int]:
 
 
 def _children(octree: Octree, d: int, nodes: np.ndarray) -> np.ndarray:
-    """The first children of nodes of a level below the root's, or what they are filled with."""
+    """The first child of each node of a level, or what the node is filled with."""
     level = octree.nodes["child"][octree.offsets[d] : octree.offsets[d + 1]]
     child = np.append(level, [INSIDE, np.uint32(0)])[nodes]  # FULL and EMPTY count from the end
     leaf = np.where(child & INSIDE, FULL, EMPTY)
@@ -56,10 +56,14 @@ def _masks(octree: Octree, nodes: np.ndarray) -> np.ndarray:
 
 
 def leaking_rows(octree: Octree) -> np.ndarray:
-    """(n, 2) int64 y, z of the rows along x whose last voxel is set, in rising order.
+    """The rows along x whose last voxel is set.
 
-    Of a mesh that ends before that voxel these are the rows that parity fills beyond it: those that
-    cross the mesh an odd number of times.
+    If the mesh ends before that voxel, these are the rows that parity fills beyond the mesh,
+    because they cross it an odd number of times.
+
+    Returns
+    -------
+    (n, 2) int64 y, z, in rising order.
     """
     last = octree.grid.shape[0] - 1
     rows = [np.empty((0, 2), np.int64)]

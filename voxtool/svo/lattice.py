@@ -48,7 +48,7 @@ class LatticeMesh:
     caps: Caps | None
 
     def survey(self) -> Survey:
-        """What a plan is made from."""
+        """The numbers that a plan is made from."""
         n = self.faces.size // 3
         partial = self.device.empty(6 * SURVEY_ITEMS, np.uint64)
         survey = self.device.kernel(SOURCE, "survey")

@@ -1,4 +1,4 @@
-"""An octree's voxels in layers: dense exports and slices without the dense array in memory."""
+"""The voxels of an octree in layers: dense exports and slices without a dense array in memory."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Leaves:
 
     number : the level; side : voxels along a side of a node.
     corners : (N, 3) int32 low corners in voxels, columns in the order asked for.
-    inside : (N,) bool: wholly inside; False at level 0.
+    inside : (N,) bool: completely inside; False at level 0.
     bricks : (N,) uint64 at level 0, else empty.
     """
 

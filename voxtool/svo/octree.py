@@ -245,7 +245,7 @@ class Octree:
         return self.nodes.nbytes + self.bricks.nbytes
 
     def summary(self) -> dict[str, Any]:
-        """What the octree holds, in JSON types; lengths in world units, volumes in their cubes.
+        """Counts and sizes in JSON types; lengths in world units, volumes in their cubes.
 
         A level's `voxels` are those that its inside leaves or bricks hold; its `coverage` is the
         share of the volume of its nodes that is set.

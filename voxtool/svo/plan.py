@@ -1,4 +1,4 @@
-"""How a mesh will be voxelized: pure arithmetic on the numbers of a survey."""
+"""Plans of voxelization: arithmetic on the numbers of a survey, before anything runs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COLUMN_TILE = 64  # columns along a side of a work-item's share of a triangle
 
 @dataclass(frozen=True)
 class Survey:
-    """What is counted of a scene before it is planned.
+    """The numbers of a scene that a plan is made from.
 
     triangles, vertices : how many there are, caps of holes among them.
     outside : triangles that cannot touch the grid nor cross its rows.
@@ -38,11 +38,11 @@ class Survey:
 
 @dataclass(frozen=True)
 class VoxelizePlan:
-    """How a mesh will be voxelized.
+    """The decisions on how a mesh is voxelized.
 
     mode : of the octree; side : voxels along a side of its cube; levels : its levels, bricks
     included.
-    fill : rule that tells inside from outside, or "none" for a surface; gap : voxels of openings
+    fill : rule that decides what is inside, or "none" for a surface; gap : voxels of openings
     that a flood does not pass.
     surface : "" or the separability of the surface that is voxelized, "26" or "6".
     holes, caps : of the mesh where they matter, and the triangles that close them.
@@ -226,11 +226,12 @@ class VoxelizePlan:
         )
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Refuse what needs more.
+        """Raise MemoryLimitError if the work needs more memory.
 
         Parameters
         ----------
-        max_memory, max_allocation : bytes that the device may use in all, and in one buffer.
+        max_memory, max_allocation : bytes that may be allocated on the device, in total and in
+            one buffer.
 
         Raises
         ------
@@ -246,11 +247,11 @@ class VoxelizePlan:
                 low = middle
             else:
                 high = middle
-        mend = f"dim {low} is the largest that fits" if low >= CELL else "no dim fits"
+        hint = f"dim {low} is the largest that fits" if low >= CELL else "no dim fits"
         raise MemoryLimitError(
             f"dim {dim} would need {human(self.device_bytes)} of memory "
             f"({human(self.largest_buffer)} in one buffer), of {human(max_memory)} "
-            f"({human(max_allocation)}) allowed: {mend} (see --max-memory)"
+            f"({human(max_allocation)}) allowed: {hint} (see --max-memory)"
         )
 
 

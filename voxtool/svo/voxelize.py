@@ -17,9 +17,9 @@ the active ones gives it at once. [voCCeL] links x-neighbours; here rows walk th
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -41,7 +41,7 @@ from voxtool.svo.prune import prune, states_of
 from voxtool.svo.scan import Scan
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
@@ -153,7 +153,17 @@ def fill_for(closed: bool) -> str:
     return "parity" if closed else "winding"
 
 
-_watertight: WeakKeyDictionary[Mesh, bool] = WeakKeyDictionary()
+Found = TypeVar("Found")
+_found: dict[tuple[int, str], Any] = {}
+
+
+def _once(check: Callable[[Mesh], Found], mesh: Mesh) -> Found:
+    """What a check found of a mesh, kept as long as the mesh, which cannot be changed."""
+    key = id(mesh), check.__name__
+    if key not in _found:
+        _found[key] = check(mesh)
+        weakref.finalize(mesh, _found.pop, key, None)
+    return _found[key]
 
 
 class VoxelizeJob(Job[Octree]):
@@ -187,9 +197,7 @@ class VoxelizeJob(Job[Octree]):
     def watertight(self) -> bool:
         """Whether every edge of the mesh has exactly two faces, which run along it in opposite
         directions; computed once a mesh."""
-        if self.mesh not in _watertight:
-            _watertight[self.mesh] = watertight(self.mesh)
-        return _watertight[self.mesh]
+        return _once(watertight, self.mesh)
 
     def place(self, mode: str, fill: str, gap: int) -> None:
         """Upload and survey the mesh, and plan."""
@@ -292,12 +300,12 @@ class VoxelizeJob(Job[Octree]):
         )
 
     def notes(self, octree: Octree) -> list[str]:
-        """What a user may like to know of the rule that was chosen; no cause for a warning."""
+        """Lines on the rule that was chosen for an open mesh; they are no warnings."""
         if not (self.chosen and octree.fill == "winding") or self.watertight:
             return []
         holes = f"{count_of(self.plan.holes, 'hole')}, " if self.plan.holes else ""
         rule = "filled where its winding number is 1/2 or more"
-        return [f"{self._name} is {check_topology(self.mesh).summary()}; {holes}{rule}"]
+        return [f"{self._name} is {_once(check_topology, self.mesh).summary()}; {holes}{rule}"]
 
     def findings(self, octree: Octree) -> Iterator[str]:
         """Why the octree is empty, or where its mesh leaks."""
@@ -307,7 +315,7 @@ class VoxelizeJob(Job[Octree]):
             "they pass a gap",
         }.get(octree.fill)
         if leak and not self.watertight:
-            found = check_topology(self.mesh)
+            found = _once(check_topology, self.mesh)
             if octree.fill == "nonzero" or not found.even:
                 yield f"{self._name} is {found.summary()}; {leak}"
         if not octree.bricks.any() and not octree.count:

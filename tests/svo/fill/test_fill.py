@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from svo.test_voxelize import assert_contract, lattice_grid, lattice_mesh
 
 from voxtool import Grid, Mesh, load_mesh
-from voxtool.errors import MemoryLimitError, VoxtoolError
+from voxtool.errors import MemoryLimitError, MeshWarning, VoxtoolError
 from voxtool.opencl import Device
 from voxtool.svo.fill.caps import find_caps
 from voxtool.svo.octree import Octree
@@ -390,6 +390,42 @@ def test_auto_is_parity_where_that_is_right(device: Device) -> None:
             assert job.run().digest() == octree.digest()  # planned once, run again
         assert octree.plan["fill"] == fill
         assert [s for s in stages if s in job.stages] == [*job.stages, *job.stages[1:]]
+
+
+# ---- findings
+
+
+FLAT = np.array([[300, 300, 999], [3000, 300, 999], [300, 3000, 999]]), np.array([[0, 1, 2]])
+BOX = meshes.box(300, 3000)
+SPECK = meshes.box(300, 310)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "mode", "fill", "message"),
+    [
+        (FLAT, "solid", "winding", "it is flat and encloses nothing: choose mode surface26"),
+        ((BOX[0], BOX[1][:, ::-1]), "solid", "winding", "it is inside out"),
+        (SPECK, "solid", "parity", "no voxel's centre is inside it"),
+        ((BOX[0] + 99999, BOX[1]), "solid", "auto", "it lies outside the grid"),
+        ((BOX[0] + 99999, BOX[1]), "surface6", "auto", "it lies outside the grid"),
+    ],
+)
+def test_an_empty_octree_says_why(device: Device, mesh, mode: str, fill: str, message: str) -> None:
+    grid = lattice_grid((16,) * 3)
+    with pytest.warns(MeshWarning, match=f"sets no voxel: {message}"):
+        assert not voxelize(lattice_mesh(*mesh), grid, mode, fill=fill, device=device).count
+
+
+def test_notes_and_warnings_name_what_is_open(device: Device) -> None:
+    mesh, grid = lattice_mesh(*meshes.open_box(300, 3000)), lattice_grid((16,) * 3)
+    for fill in ("parity", "nonzero"):
+        with pytest.warns(MeshWarning, match="4 boundary edges.* rows of voxels along x leak"):
+            voxelize(mesh, grid, fill=fill, device=device)
+    job = plan_voxelize(mesh, grid, device=device)
+    octree = job.run()
+    assert not list(job.findings(octree))
+    assert "1 hole, filled where its winding number is 1/2 or more" in job.notes(octree)[0]
+    assert not job.with_(fill="flood").notes(job.with_(fill="flood").run())
 
 
 # ---- real models

@@ -35,7 +35,7 @@ class Caps:
 
     @property
     def holes(self) -> int:
-        """How many loops there are."""
+        """The number of loops."""
         return len(self.first) - 1
 
     @property

@@ -1,14 +1,14 @@
-"""Inside is what the outside cannot reach through the surface.
+"""Fill by flooding: inside is everything that the outside cannot reach.
 
-The surface is "surface26", which no path through voxels that share a face, an edge or a corner
-passes; the outside is what such paths reach from far away. Beyond the grid there is no surface. It
-is flooded in the octree: a leaf that nothing touches is reached as a whole, a brick's voxels by the
-components that they fall into. Components and leaves that touch are linked, and what is linked to a
+The surface is "surface26": no path through voxels that share a face, an edge or a corner passes it.
+The outside is what such paths reach from far away; beyond the grid there is no surface. The flood
+runs in the octree: a leaf without surface is reached completely or not at all, the free voxels of a
+brick by connected components. Components and leaves that touch are linked, and what is linked to a
 far corner is outside.
 
-With a gap of N voxels the outside is kept ceil(N / 2) voxels away from the surface, so that it does
-not pass openings of up to N voxels; then it grows by as many steps into the voxels that were kept
-free, so that the solid is no fatter.
+With a gap of N voxels, the outside first stays ceil(N / 2) voxels away from the surface, so that it
+does not pass openings of up to N voxels. Then it grows by as many steps, so that closing gaps does
+not thicken the solid.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ LOW = [np.uint64(m) for m in (0x0055005500550055, 0x0000333300003333, 0x00000000
 def flood(
     nodes: np.ndarray, surface: np.ndarray, side: int, shape: tuple[int, int, int], gap: int
 ) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
-    """What the outside cannot reach, the surface included.
+    """The octree of what the outside cannot reach, the surface included.
 
     Parameters
     ----------
     nodes : rising Morton codes of level-1 nodes; surface : (8 n,) uint64 masks of their bricks.
         All other nodes are free of surface.
     side : voxels along a side of the octree; shape : voxels of the grid.
-    gap : voxels of openings that the outside does not pass.
+    gap : width in voxels of openings that the outside does not pass.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def flood(
 
 
 class _Octree:
-    """The octree of given level-1 nodes: where bricks and leaves lie beside each other.
+    """The octree of given level-1 nodes, and which of its bricks and leaves touch.
 
     lists : codes of the refined nodes by level, from level 1 up; refined : where they are among all
     nodes of their level; first, total : where the numbers of a level's nodes begin, and end.
@@ -94,8 +94,8 @@ class _Octree:
         self.beside = {d: self._node_at(cells + d) for d in AROUND}
 
     def _node_at(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The ranks of level-1 nodes at cells, -1 where there is none, and there the numbers of the
-        leaves; -1 beyond the octree."""
+        """The ranks of the level-1 nodes at cells, or -1; where there is none, the numbers of the
+        leaves, or -1 beyond the octree."""
         rank, leaf = np.full(len(cells), -1), np.full(len(cells), -1)
         some = np.flatnonzero(self.holds(cells, 1))
         level, number = self.find(morton_encode(cells[some]), 1)
@@ -104,8 +104,8 @@ class _Octree:
         return rank, leaf
 
     def find(self, codes: np.ndarray, least: int) -> tuple[np.ndarray, np.ndarray]:
-        """For cells of level `least`: the level and the number of the leaf that holds each; or, 0
-        and the rank among the refined ones, where the cell is refined itself."""
+        """The level and the number of the leaf that holds each cell of level `least`; or 0 and the
+        rank among the refined cells, where the cell is refined itself."""
         levels, numbers = np.zeros(len(codes), np.int64), np.zeros(len(codes), np.int64)
         left, parent = np.arange(len(codes)), np.zeros(len(codes), np.int64)
         for level in range(len(self.lists), least - 1, -1):
@@ -135,7 +135,8 @@ class _Octree:
         return np.all(within, axis=1)
 
     def neighbours(self, d: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """The bricks beside the bricks, -1 where there is none, and there the leaves, or -1."""
+        """The brick next to each brick in direction d, or -1; and where there is none the leaf, or
+        -1."""
         octant = np.arange(8)
         place = np.stack([octant & 1, octant >> 1 & 1, octant >> 2], axis=1) + d
         step = place >> 1  # to the node
@@ -161,8 +162,8 @@ class _Octree:
 
 
 def _reach(octree: _Octree, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(nodes,) bool: leaves that the outside reaches; (bricks,) masks of the voxels that it does,
-    of those that are free."""
+    """(nodes,) bool: the leaves that the outside reaches; and (bricks,) masks of the free voxels
+    that it reaches."""
     brick, part = _parts(free)
     first = np.searchsorted(brick, np.arange(len(free) + 1))
     count = np.diff(first)
@@ -268,8 +269,8 @@ def _parts(free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _dilate(nodes: np.ndarray, surface: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """The voxels up to so many steps from a surface: the level-1 nodes, those given among them, and
-    the masks of their bricks."""
+    """The voxels up to a number of steps from a surface: the level-1 nodes that hold them or were
+    given, and the masks of their bricks."""
     codes, masks = _children(nodes)[surface != 0], surface[surface != 0]
     for _ in range(steps):
         for axis in range(3):
@@ -293,7 +294,7 @@ def _dilate(nodes: np.ndarray, surface: np.ndarray, steps: int) -> tuple[np.ndar
 
 
 def _united(codes: np.ndarray, masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Masks of the same brick as one."""
+    """The masks of each brick united into one."""
     order = np.argsort(codes, kind="stable")
     codes, masks = codes[order], masks[order]
     first = np.flatnonzero(np.diff(codes, prepend=~codes[:1]))

@@ -110,7 +110,7 @@ def _locate(
 
 
 def refuse_beyond(tree: DeviceOctree, added: int, slots: int, max_memory: int) -> None:
-    """Refuse a tree with so many refined nodes added, and slots of 8 bytes, that does not fit."""
+    """Raise MemoryLimitError if a tree with added refined nodes, and slots, does not fit."""
     nodes = int(tree.offsets[-1]) + 8 * added
     needed = nodes * (NODE_BYTES + 2 * BRICK_BYTES) + 8 * slots  # the bricks are moved
     if max(nodes, slots) >= MAX_LINK or needed > max_memory:

@@ -18,8 +18,8 @@ with the rule for ties, and the angles of three strips that the triangle's edges
 
 whose jumps are those of the crossing. So a centre on a cap, or behind an edge, is no special case.
 
-Other triangles count through their moments (spatial/winding_number.py), from so many radii on that
-the number, where it is about 1/2, is within 5e-7 of the sum over all triangles. Inside is where it
+Other triangles count through their moments (spatial/winding_number.py), from such a distance
+on that a number near 1/2 is within 5e-7 of the sum over all triangles. Inside is where it
 is HALF or more: 1/2, up to 1e-6. The rule is that of [Jacobson 2013]. Kernels:
 kernels/svo/fill/winding.cl.
 """
@@ -253,7 +253,7 @@ def _areas(triangles: np.ndarray) -> np.ndarray:
 
 
 def _descend(codes: np.ndarray, levels: int) -> np.ndarray:
-    """The Morton codes of all cells that lie so many levels below."""
+    """The Morton codes of all cells that lie a number of levels below."""
     below = np.arange(8**levels, dtype=np.uint64)
     return ((codes << np.uint64(3 * levels))[:, None] | below).ravel()
 
