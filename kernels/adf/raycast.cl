@@ -1,10 +1,9 @@
-// What rays see of a distance field: the leaves along each, by the coherent search of section 3.5.
-// Host side: voxtool/adf/raycast.py.
+// Ray casting of a distance field: the leaves along each ray, by the coherent search of [ADF, section
+// 3.5]. Host side: voxtool/adf/raycast.py.
 //
 // In a leaf the field along a ray is a cubic, and the ray meets the surface at its first root
-// (Marmitt, Kleer, Wald, Friedrich and Slusallek, Fast and Accurate Ray-Voxel Intersection Techniques
-// for Iso-Surface Ray Tracing, VMV 2004). From the far side of a leaf a ray leaps as far as the
-// surface is away at least (Hart, Sphere Tracing, The Visual Computer 12, 1996).
+// [Marmitt 2004]. From the far side of a leaf a ray leaps by the least distance of the surface
+// [Hart 1996].
 //
 // Lengths along a ray are float64. Which leaf is next is decided by whole numbers that never go back,
 // so every ray ends. Options: OFFSET, W and WIDE of search.h.

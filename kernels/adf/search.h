@@ -1,6 +1,6 @@
-// Looking for cells: [ADF, section 3.4]. Shared by query.cl and raycast.cl.
+// Looking up cells: [ADF, section 3.4]. Shared by query.cl and raycast.cl.
 //
-// Cells are looked for BATCH at a time, so that the reads of the textures wait for memory together;
+// BATCH cells are looked up at a time, so that their reads of the textures wait for memory together;
 // LANES of them make a vector. Options:
 //   LANES, BATCH   1 or 16; a multiple of LANES
 //   OFFSET         the type of the hash's offsets, uchar or ushort

@@ -644,7 +644,7 @@ def test_both_sides_of_a_face_agree(device: Device, name: str, request_: dict[st
     assert (np.abs(sides[0] - sides[1]) <= 2 * ulp).all()
 
 
-# ---- the errors that are told
+# ---- measured errors
 
 
 @pytest.mark.parametrize("band", [math.inf, 0.05])

@@ -1,4 +1,7 @@
-"""How far a field is from the exact distance, at points that are the same every time."""
+"""The measured error of a field, against exact distances at quasi-random points.
+
+The points are the same every time.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +29,9 @@ def measure_errors(
 ) -> dict[str, Any]:
     """The errors of a field at points spread evenly through its cube, and near the surface.
 
-    Points near the surface are spread over it by area, and moved along each axis by up to NEAR
-    sides (proximity/spread.py); there are none if no face has an area. Where a leaf holds a jump,
-    or the point is beyond the band, no error counts.
+    Points near the surface are distributed over it by area, and moved along each axis by up to
+    NEAR sides (spatial/sampling.py); there are none if no face has an area. Points in leaves where
+    the sign jumps, and points beyond the band, are excluded.
 
     Returns
     -------

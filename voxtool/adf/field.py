@@ -1,18 +1,17 @@
-"""The adaptively sampled distance field: the data, as in figure 3.2 of the text.
+"""The adaptively sampled distance field as data [ADF, figure 3.2].
 
-A full octree over the unit cube, whose first vertex is the origin; the root has level 0. A cell
-with children has a block of 3 x 3 x 3 distances, those at the vertices of its eight children, so
-each child has its own eight in 2 x 2 x 2 of them. Leaves are implicit: they are the children that
-have no block. Three textures:
+It is a full octree over the unit cube. The root has level 0, and its children level 1. (Octrees of
+voxels count the other way, from their finest level.) A cell with children has a block of 3 x 3 x 3
+distances at the vertices of its eight children, so that the eight of each child are 2 x 2 x 2 of
+them. Leaves are implicit: they are the children without a block. A field has three textures:
 
-    voxels   the blocks, in the order of their cells: level by level, along the Morton curve
+    voxels   the blocks, in the order of their cells: by level, then along the Morton curve
     cells    the identifier of a cell and the number of its block, where the hash puts its key
     hash     offsets of a perfect spatial hash (hashing.py)
 
-and, unless left out, a fourth: a byte for each of a block's children, what its error is at most.
+and optionally a fourth: a byte for each child of a block, which bounds its error (bounds.py).
 
-Distances are in sides of the cube, in float32, negative inside. A point is three 32-bit numbers in
-units of 2**-32 sides: its bits are the cell of every level and the fraction within, exactly.
+Distances are float32, in sides of the cube, and negative inside.
 """
 
 from __future__ import annotations
@@ -119,11 +118,11 @@ class DistanceField:
         return (int(self.identifiers.max()).bit_length() - 1) // 3 + 1
 
     def cells_by_level(self) -> list[int]:
-        """How many cells with children each level has, from 0, the root's, to the leaves' last."""
+        """The number of cells with children of each level, from the root (0) to the deepest leaves."""
         return np.bincount(cell_of(self.blocks)[0], minlength=self.depth + 1).tolist()
 
     def leaves_by_level(self) -> list[int]:
-        """How many leaves each level has, from 1, the root's children, to the deepest."""
+        """The number of leaves of each level, from 1, the root's children, to the deepest."""
         refined = self.cells_by_level()
         return [8 * above - own for above, own in zip([0, *refined], refined, strict=False)][1:]
 
@@ -183,8 +182,9 @@ class DistanceField:
         return sizes
 
     def digest(self) -> str:
-        """SHA-256 of the canonical content: all but the reached, the plan and the source. Equal
-        content has an equal digest on every device and platform."""
+        """SHA-256 of the canonical content, without `reached`, `plan`, source and units.
+
+        Equal content has an equal digest on every device and platform."""
         head = {
             "origin": [v.hex() for v in self.origin],
             "side": self.side.hex(),

@@ -204,10 +204,10 @@ def _sort_keys(device: Device, keys: np.ndarray) -> _Keys:
 
 
 class _Way(Enum):
-    """How buckets find their places."""
+    """The ways in which buckets search for places."""
 
     SCATTERED = auto()  # from anywhere on
-    DIFFERING = auto()  # likewise, and with w that differ
+    DIFFERING = auto()  # from anywhere on, with w that differ from bucket to bucket
     PACKED = auto()  # from m places on
 
 

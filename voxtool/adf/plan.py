@@ -1,4 +1,7 @@
-"""How the distance field of a mesh will be built, and what its upper levels foretell."""
+"""The plan of a distance field: its decisions, and predictions from its upper levels.
+
+Levels are counted from the root, which has level 0.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ if TYPE_CHECKING:
 
 BLOCK_BYTES = 27 * 4 + 8 + 8 + 1  # voxels, cell, bounds, and about as much of the hash
 NARROW_LEVEL = 11  # of leaves up to which identifiers of their parents fit 32 bits
-PILOT_LEVEL = 5  # of cells, down to which a field is built to foretell the rest
+PILOT_LEVEL = 5  # of cells, down to which a field is built to predict the rest
 GROWTH = 4  # of refined cells from level to level, at most about: they lie along surfaces
 CELL_BYTES = 27 * (8 + 4 + 4 + 8) + 8 + 2 * 4 + 8 * (4 + 4 + 1 + 4)  # of a refined cell's arrays
 ITEM_BYTES = 5  # of a triangle in a list, and of what is known of it
@@ -23,7 +26,7 @@ ITEM_BYTES = 5  # of a triangle in a list, and of what is known of it
 
 @dataclass(frozen=True)
 class FieldPlan:
-    """How a field will be built.
+    """The decisions of a build, and the cells counted so far.
 
     triangles : number of triangles of the mesh; flat : of those without area; crossed : of those
     that intersect others; closed : whether the mesh is closed, consistently wound, free of
@@ -83,7 +86,7 @@ class FieldPlan:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not compiled, allocated or run, and why."""
+        """What is not compiled, allocated or run: names and reasons."""
         out = {}
         if self.sign != "winding":
             out["winding numbers"] = (
@@ -142,7 +145,7 @@ class FieldPlan:
 
     def _bytes(self, counts: Sequence[int], items: int) -> int:
         """Of so many cells, level by level, and a level's lists: twice the field, two levels in
-        work, and two levels' lists, which have about as many triangles in all."""
+        work, and two levels' lists, whose number of triangles is about the same."""
         return (
             2 * BLOCK_BYTES * sum(counts) + CELL_BYTES * sum(counts[-2:]) + 2 * ITEM_BYTES * items
         )
@@ -183,7 +186,7 @@ class FieldPlan:
 
         Parameters
         ----------
-        max_memory, max_allocation : bytes that the device may use in all, and in one buffer.
+        max_memory, max_allocation : bytes that the device may use in total, and in one buffer.
 
         Raises
         ------

@@ -1,14 +1,15 @@
-"""The surface of a field, or one at a distance from it, as rays see it.
+"""Ray casting of the surface of a field, or of an offset surface at a distance from it.
 
-A ray goes from leaf to leaf. In a leaf the field along it is a cubic, whose first root is found; so
-nothing between two steps is missed, however thin: what is shown is where the field first takes the
-value of the offset. From a leaf's far side the ray leaps as far as the surface is away at least,
-(distance - offset) / the Lipschitz constant: sphere tracing. That needs a field that is nowhere
-steeper, and has no cracks. So rays do not leap into leaves that are steeper: those that the stored
-constant leaves out, which hold a jump, and the few that are steeper than STEEPEST and would make
-all leaps short. A table tells how far they are. In fields with cracks rays do not leap at all.
+A ray goes from leaf to leaf. In a leaf the field along the ray is a cubic, whose first root is
+found [Marmitt 2004], so that nothing between two steps is missed, however thin: the picture shows
+where the field first takes the value of the offset. From the far side of a leaf the ray leaps by
+the least distance of the surface, (distance - offset) / the Lipschitz constant: sphere tracing
+[Hart 1996]. This requires a field without cracks that is nowhere steeper. So rays do not leap into
+steeper leaves: those where the sign jumps, which the stored constant excludes, and the few steeper
+than STEEPEST, which would make all leaps short. A table stores how far these leaves are. In fields
+with cracks rays do not leap.
 
-A ray that begins inside sees the surface from there. Nothing is shown outside of the cube: surfaces
+A ray that begins inside sees the surface from inside. Nothing is shown outside the cube: surfaces
 that leave it are open there. An offset beyond the field's values shows nothing.
 
 Kernels: kernels/adf/raycast.cl.

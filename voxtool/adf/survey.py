@@ -30,7 +30,7 @@ class Survey:
 
     Attributes
     ----------
-    signed : whether inside and outside are told apart.
+    signed : whether distances have a sign.
     tree : the triangles, in the mesh's own frame.
     flat : number of triangles without area; crossed : (F,) bool, faces that intersect others.
     closed : whether the mesh is closed, consistently wound, free of self-intersections, and its

@@ -159,7 +159,7 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
 
 #ifdef WINDING
 // How far the winding number may change on the way from a point to the middle of a face `reach`
-// away at most; see voxtool/proximity/sides.py.
+// away at most; see voxtool/spatial/sides.py.
 double sway(double x, double y, double z, double reach, __global const double *spheres, uint count)
 {
     double sum = 0x1p-6; // two winding numbers are wrong by less

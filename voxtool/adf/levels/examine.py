@@ -29,7 +29,7 @@ class Examined:
 
 
 def examine(work: Construction, level: Level) -> Examined:
-    """Which children of a level's cells are to be refined, and the errors of all of them."""
+    """The errors of the children of a level's cells, and which of them are to be refined."""
     device, plan, n, side = work.device, work.plan, level.count, work.side
     voxels = device.empty(27 * n, np.float32)
     level.ranks = device.empty(8 * n + 1, np.uint32)

@@ -43,7 +43,7 @@ HEADERS = {
 
 @dataclass
 class Parents:
-    """What a level reads of the level above.
+    """The arrays that a level reads of the level above.
 
     values : float64, 27 a cell; states : uint8, or None; neighbours : uint32, 27 a cell, or None;
     ranks : uint32, of each child how many before it are refined.
@@ -100,7 +100,7 @@ class Level:
 
 @dataclass
 class Construction:
-    """What the stages of all levels share.
+    """The data that the stages of all levels share.
 
     arguments : of kernels, by name: the triangles and what separates inside from outside.
     options : -D options of the kernels.

@@ -1,6 +1,6 @@
-"""Where a cell is sampled: offsets and weights, as tables for the kernels.
+"""Tables for the kernels: the points at which a cell is sampled, and interpolation weights there.
 
-Points are looked at in vectors of eight, so rows of tables are filled up with their last number.
+Kernels read points in vectors of eight, so rows are padded with their last number.
 """
 
 from __future__ import annotations
