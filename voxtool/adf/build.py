@@ -159,7 +159,7 @@ class FieldJob(Job["DistanceField"]):
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not compiled, allocated or run: names and reasons; nothing is built to know them."""
+        """What is not compiled, allocated or run, with reasons; nothing is built to know it."""
         return self._plan.left_out
 
     def with_(self, **decisions: Any) -> Self:

@@ -118,7 +118,7 @@ class DistanceField:
         return (int(self.identifiers.max()).bit_length() - 1) // 3 + 1
 
     def cells_by_level(self) -> list[int]:
-        """The number of cells with children of each level, from the root (0) to the deepest leaves."""
+        """The number of cells with children of each level, from the root (0) to the leaves."""
         return np.bincount(cell_of(self.blocks)[0], minlength=self.depth + 1).tolist()
 
     def leaves_by_level(self) -> list[int]:
