@@ -218,7 +218,7 @@ def draw_cost(figure: Any, points: Sequence[Point], theme: Theme) -> None:
         plot.plot(
             *zip(*line, strict=True), marker=MARKERS[number % len(MARKERS)], markersize=6,
             color=COLOURS[number % len(COLOURS)], markerfacecolor=theme.ground, linewidth=1.5,
-            label=plain(f"{method}: size to the {p:.2f}, {low:g} to {high:g}"),
+            label=plain(f"{method}: size^{p:.2f}, {low:g} to {high:g}"),
         )  # fmt: skip
     point = next(p for p in points if p.size)
     sizes = sorted({p.size for p in points if p.size})
@@ -255,7 +255,7 @@ def draw_stages(figure: Any, points: Sequence[Point], theme: Theme) -> None:
                   edgecolor=theme.ground, linewidth=0.8, label=plain(stage))  # fmt: skip
         left = [a + b for a, b in zip(left, width, strict=True)]
     for row, (end, point) in enumerate(zip(left, bars, strict=True)):
-        plot.annotate(f" {duration(point.seconds)} together", (end, row), va="center", fontsize=7)
+        plot.annotate(f" {duration(point.seconds)} in total", (end, row), va="center", fontsize=7)
     names = [f"{plain(p.method)}\n{plain(p.label)}" for p in bars]
     plot.set_yticks(rows, names)
     plot.invert_yaxis()

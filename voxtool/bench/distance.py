@@ -19,7 +19,6 @@ from voxtool.bench import timing
 from voxtool.bench.points import Point
 from voxtool.bench.references import distance_errors
 from voxtool.distances import plan_distance_grid
-from voxtool.errors import count_of
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.selftest.oracles import distances
@@ -57,7 +56,7 @@ def _at_points(mesh: Mesh, model: str, bench: Bench) -> Iterator[Point]:
     for count, (method, located) in product(sorted({1, 1000, asked.points}), methods.items()):
         some = places[:count]
         found = np.abs(every[bench.timed](some[:CHECKED]))
-        work = f"exact distances at {count_of(count, 'random point')}"
+        work = f"exact distances at {count:,} random point{'s' * (count > 1)}"
         point = Point(
             "distance", Path(model).name, work, method, "",
             setting={"points": count, "sign": sign},

@@ -28,38 +28,16 @@ MEASURES = {  # of errors, by bench, and their units; the first is drawn in char
     "distance": CUBE,
     "tets": dict.fromkeys(("rms", "max"), "of colours from 0 to 1"),
 }
-FIGURES = {  # what else is measured, and in what: s, ns, share, count or number
-    "host": "s",
-    "command": "s",
-    "build": "s",
-    "upload": "s",
-    "triangles": "count",
-    "vertices": "count",
-    "voxels": "count",
-    "samples a side": "count",
-    "nodes": "share",
-    "looked at": "share",
-    "cut": "share",
-    "rms in voxels": "number",
-    "max in voxels": "number",
-    "depth": "count",
-    "blocks": "count",
-    "over tolerance": "count",
-    "within": "share",
-    "within near the surface": "share",
-    "lipschitz": "number",
-    "load": "share",
-    "bits a key": "number",
-    "side of slots": "count",
-    "side of offsets": "count",
-    "w": "count",
-    "ns a point": "ns",
-    "break-even": "count",
-    "max unsigned": "number",
-    "other sign": "count",
-    "pixels compared": "count",
-    "largest alpha": "number",
-}
+_UNITS = {  # of further measures, in the order of their columns
+    "host": "s", "command": "s", "build": "s", "upload": "s", "ns a point": "ns",
+    "samples a side": "count", "nodes": "share", "looked at": "share", "cut": "share",
+    "rms in voxels": "number", "max in voxels": "number", "lipschitz": "number", "load": "share",
+    "within": "share", "within near the surface": "share", "bits a key": "number",
+    "max unsigned": "number", "largest alpha": "number",
+}  # fmt: skip
+_COUNTS = ("triangles", "vertices", "voxels", "depth", "blocks", "over tolerance", "side of slots",
+           "side of offsets", "w", "break-even", "other sign", "pixels compared")  # fmt: skip
+FIGURES = {**dict.fromkeys(_COUNTS, "count"), **_UNITS}  # what else is measured, and in what unit
 
 
 @dataclass(frozen=True)
@@ -323,7 +301,7 @@ def costs(points: Sequence[Point]) -> list[str]:
     """The growth of the time of each method of one chart with the size, in words."""
     size_of = next((point.size_of for point in points if point.size), "")
     return [
-        f"time of {method}: {size_of} to the {p:.2f}, from {low:,g} to {high:,g}"
+        f"time of {method} ~ {size_of}^{p:.2f}, from {low:,g} to {high:,g} {size_of}"
         for method, (p, low, high) in exponents(points).items()
     ]
 
