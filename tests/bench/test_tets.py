@@ -20,7 +20,8 @@ from voxtool.choices import METHODS
 from voxtool.opencl import open_device
 from voxtool.rendering import plan_render
 from voxtool.selftest.reference import reference
-from voxtool.tets.mesh import UnstructuredMesh, tetrahedra
+from voxtool.tets.conforming import tetrahedra
+from voxtool.tets.mesh import UnstructuredMesh
 from voxtool.tets.textures import build_tet
 
 REQUEST = Request(sizes=(6, 12), pixels=6, transfers=("x10",), scalar="heat", repeat=1, seconds=0,

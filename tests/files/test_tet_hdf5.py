@@ -47,7 +47,8 @@ from voxtool import files, read_unstructured
 from voxtool.choices import LAYOUTS
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.files import tet_hdf5
-from voxtool.tets.mesh import UnstructuredMesh, tetrahedra
+from voxtool.tets.conforming import tetrahedra
+from voxtool.tets.mesh import UnstructuredMesh
 from voxtool.tets.volume import TetVolume
 
 ROOT = Path(__file__).parents[2]

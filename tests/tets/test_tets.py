@@ -30,8 +30,9 @@ from hypothesis import strategies as st
 
 from voxtool import read_unstructured
 from voxtool.errors import MemoryLimitError, MeshError, VoxtoolError
-from voxtool.tets import mesh as tets_mesh
-from voxtool.tets.mesh import hexahedra, match_faces, tetrahedra
+from voxtool.tets.conforming import hexahedra, scaled, signed_volumes, tetrahedra
+from voxtool.tets.faces import match_faces
+from voxtool.tets.merge import first_at_place, first_within
 from voxtool.tets.textures import build_tet, plan_tet
 from voxtool.tets.volume import (
     BLOCK,
@@ -150,9 +151,9 @@ def test_merging_is_that_of_every_pair(corners, distance: float, seed: int) -> N
             if gap <= Fraction(distance) ** 2:
                 old, new = max(group[i], group[j]), min(group[i], group[j])
                 group = [new if g == old else g for g in group]
-    first = tets_mesh._first_at_place(points)
+    first = first_at_place(points)
     if distance:
-        first = tets_mesh._first_within(points, first, distance)
+        first = first_within(points, first, distance)
     assert first.tolist() == group
 
 
@@ -163,7 +164,7 @@ def test_merging_far_from_the_origin_and_of_many_points() -> None:
     both = np.concatenate([points, close])
     distance = 3e-5
     gaps = np.sqrt(((close[:, None] - points[None]) ** 2).sum(axis=2))
-    first = tets_mesh._first_within(both, tets_mesh._first_at_place(both), distance)
+    first = first_within(both, first_at_place(both), distance)
     alone = (gaps <= distance).sum(axis=1) == 1
     assert np.count_nonzero(alone) > 490
     assert np.array_equal(first[3000:][alone], gaps.argmin(axis=1)[alone])
@@ -196,15 +197,14 @@ def test_the_first_point_keeps_its_scalar_and_the_others_are_counted() -> None:
     assert assert_matched(found) == 6
 
 
-def test_too_many_pairs_are_refused(monkeypatch) -> None:
+def test_too_many_pairs_are_refused() -> None:
     points = np.random.default_rng(0).uniform(0, 1, (2000, 3))
     mesh = tet_mesh(points, np.arange(2000).reshape(-1, 4))
-    monkeypatch.setattr(tets_mesh, "MAX_PAIRS", 1 << 16)
     with pytest.raises(
         MemoryLimitError, match=r"a merge distance of 0\.5 compares more than 65,536"
     ):
-        tetrahedra(mesh, 0.5)
-    tetrahedra(mesh, 1e-6)
+        plan_tet(mesh, merge_distance=0.5).with_(max_pairs=1 << 16).run()
+    tetrahedra(mesh, 1e-6, max_pairs=1 << 16)
 
 
 @pytest.mark.parametrize("distance", [-1.0, np.nan, np.inf])
@@ -249,7 +249,7 @@ def nearly_flat(seed: int) -> np.ndarray:
 def test_the_sign_of_a_volume_is_exact(seed: int) -> None:
     corners = nearly_flat(seed)
     points, cells = corners.reshape(-1, 3), np.arange(400).reshape(-1, 4)
-    _, sign, _ = tets_mesh._volumes(tets_mesh._unit(points), cells)
+    _, sign, _ = signed_volumes(scaled(points), cells)
     exact = []
     for o, a, b, c in corners.tolist():
         u, v, w = (
@@ -478,7 +478,7 @@ def test_scalars_of_cells_are_constant() -> None:
             one = tetrahedra(unstructured(mesh.points, [(kind, [cell])]))
             parts.append(six_volumes(one.vertices, one.cells).sum() * v)
     assert total == pytest.approx(sum(parts), rel=1e-5)
-    with pytest.raises(VoxtoolError, match="one a cell, and the text's table 4 holds"):
+    with pytest.raises(VoxtoolError, match="one a cell, and the layout projection holds"):
         build_tet(unstructured(mesh.points, mesh.cells, values), "projection")
 
 
@@ -612,7 +612,7 @@ def test_hexahedra_that_cannot_stay_whole_are_refused() -> None:
         (unstructured(line, [("hexahedron", [range(8)])], [np.ones(1)]), "1 of 1 hexahedra"),
         (unstructured(dent, [("hexahedron", [range(8)])], [np.ones(1)]), "1 of 1 hexahedra"),
         (unstructured(points, [("hexahedron", twice)], values), "a vertex twice, the first is 3"),
-        (unstructured(points, block), "s is one a point and --layout hexahedra wants one a cell"),
+        (unstructured(points, block), "s is one a point and --layout hexahedra takes one a cell"),
         (unstructured(np.concatenate([points, PYRAMID + 9]),
                       [*block, ("pyramid", [range(60, 65)])], [*values, np.ones(1)]),
          "has pyramid cells beside hexahedra"),
@@ -671,25 +671,25 @@ def test_bytes_of_the_text() -> None:
 @pytest.mark.parametrize("layout", ["raycast", "projection"])
 def test_the_plan_foretells(layout: str) -> None:
     mesh = assembly((4, 4, 4), 0)
-    plan = plan_tet(mesh, layout)
-    volume = built(mesh, layout)
+    job = plan_tet(mesh, layout)
+    plan, volume = job.plan, built(mesh, layout)
     assert plan.cells == {kind: len(block) for kind, block in mesh.cells}
     assert len(volume.cells) <= plan.predicted_cells <= 1.2 * len(volume.cells)
     assert volume.plan == plan.scene()
-    assert "splitting" not in plan.left_out()
-    assert "splitting" in plan_tet(cube(5), layout).left_out()
+    assert "splitting" not in job.left_out
+    assert "splitting" in plan_tet(cube(5), layout).left_out
     stages: list[str] = []
-    build_tet(mesh, layout, on_stage=stages.append)
+    assert job.run(stages.append).digest() == job.run().digest() == volume.digest()
     assert stages == plan.stages
 
 
 def test_more_than_max_memory_is_refused_before_it_starts() -> None:
     mesh = cube(24)
     stages: list[str] = []
-    needed = plan_tet(mesh).work_bytes
+    needed = plan_tet(mesh).cost.host
     build_tet(mesh, max_memory=needed)
     with pytest.raises(MemoryLimitError, match=r"24 cells would need .* about 12 fit"):
-        build_tet(mesh, max_memory=needed // 2, on_stage=stages.append)
+        plan_tet(mesh, max_memory=needed // 2).run(stages.append)
     assert stages == []
 
 

@@ -30,7 +30,11 @@ FIGURE_28 = (0.25, 0.5, 0.75)
 def volume(low: float = 0.0, high: float = 1.0, scale: float = 1.0) -> Any:
     """As much of a volume as a transfer function looks at."""
     corners = np.array([[0, 0, 0], [4, 2, 1]]) * scale
-    return SimpleNamespace(scalar_range=(low, high), scale=scale, bounds=lambda: corners)
+    vertices = np.linspace((0, 0, 0, 0), (0, 0, 0, 1), 101, dtype=np.float32)
+    return SimpleNamespace(
+        scalar_range=(low, high), scale=scale, bounds=lambda: corners, constant=False,
+        vertices=vertices,
+    )  # fmt: skip
 
 
 def function(scalars, extinctions=None, seed: int = 0) -> TransferFunction:
@@ -184,6 +188,16 @@ def test_the_default_shows_something_of_any_mesh(scale: float) -> None:
     assert f.evaluate(np.array([-3.0]))[0][0] * 255 == pytest.approx(
         list(bytes.fromhex(MAPS[DEFAULT_MAP].split()[0]))
     )
+
+
+def test_the_default_hides_what_three_quarters_of_the_vertices_have() -> None:
+    usual = default_transfer(volume(0, 100)).evaluate(np.array([70, 75, 99, 100]))[1]
+    assert usual[:2].tolist() == [0, 0]
+    assert usual[2] == pytest.approx(usual[3]) != 0
+    full = default_transfer(volume(0, 100), opacity_range="full").evaluate(np.array([50, 100]))[1]
+    assert full[0] == pytest.approx(full[1] / 2)
+    with pytest.raises(VoxtoolError, match="give two scalars, or 'full'"):
+        default_transfer(volume(), opacity_range="all")
 
 
 @pytest.mark.parametrize("high", [2.0, np.nextafter(2, 3)])

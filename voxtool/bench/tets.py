@@ -21,7 +21,7 @@ from voxtool.camera import Camera
 from voxtool.files import read_unstructured
 from voxtool.rendering import plan_render, render
 from voxtool.selftest.reference import reference
-from voxtool.tets.mesh import tetrahedra
+from voxtool.tets.conforming import tetrahedra
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 

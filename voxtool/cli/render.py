@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import math
-import sys
-import time
-from contextlib import contextmanager
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from voxtool.choices import METHODS, VIEWS
-from voxtool.cli import options
+from voxtool.cli import runner
 from voxtool.cli.extract import Level
-from voxtool.errors import FileError, MemoryLimitError, VoxtoolError, human, printable
+from voxtool.errors import printable
 from voxtool.tets.maps import MAPS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     import numpy as np
 
+    from voxtool.cli.runner import Run
     from voxtool.rendering import RenderJob
     from voxtool.tets.transfer import TransferFunction
     from voxtool.tets.volume import TetVolume
@@ -94,19 +90,19 @@ class Vector(click.ParamType):
         self.fail(f"{value!r}: {mend}", param, ctx)
 
 
-class Pair(click.ParamType):
-    """A,B."""
+class Range(click.ParamType):
+    """A,B, or the word full."""
 
-    name = "pair"
+    name = "range"
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, float]:
-        if isinstance(value, tuple):
+    ) -> tuple[float, float] | str:
+        if isinstance(value, tuple) or value == "full":
             return value
         numbers = numbers_of(value, 2)
         if numbers is None:
-            self.fail(f"{value!r}: write two numbers, as 0.5,2", param, ctx)
+            self.fail(f"{value!r}: write two numbers, as 0.5,2, or full", param, ctx)
         return numbers[0], numbers[1]
 
 
@@ -168,9 +164,6 @@ def numbers_of(text: Any, count: int) -> tuple[float, ...] | None:
 
 @click.command("render")
 @click.argument("file")
-@options.output_options(
-    "PICTURE", "Default FILE's name with .png, or with --float .npy, in this folder."
-)
 @click.option(
     "--view",
     type=click.Choice(VIEWS),
@@ -251,10 +244,10 @@ def numbers_of(text: Any, count: int) -> tuple[float, ...] | None:
 )
 @click.option(
     "--opacity-range",
-    type=Pair(),
-    metavar="A,B",
-    help="Volumes: scalars at which a map's extinction is 0 and full; A may be the higher one.  "
-    "[default: the data's range]",
+    type=Range(),
+    metavar="A,B|full",
+    help="Volumes: scalars at which a map's extinction is 0 and full; A may be the higher one; "
+    "full: the data's range.  [default: the data's 75th and 99th percentiles]",
 )
 @click.option(
     "--unit-distance",
@@ -290,26 +283,17 @@ def numbers_of(text: Any, count: int) -> tuple[float, ...] | None:
     is_flag=True,
     help="Write .npy: (height, width, 4) float32, premultiplied red, green, blue and opacity.",
 )
-@options.plan_options
-@options.device_option
-@options.json_option
-@options.quiet_option
-@options.verbose_option
+@runner.job_options(
+    "PICTURE", "Default FILE's name with .png, or with --float .npy, in this folder."
+)
 def command(
+    run: Run,
     file: str,
-    output: str | None,
-    no_clobber: bool,
     size: tuple[int, int],
     samples: int | None,
     background: Any,
     bits: str | None,
     as_float: bool,
-    only_plan: bool,
-    max_memory: int | None,
-    device: str | None,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
     **request: Any,
 ) -> None:
     """Draw a picture of an octree, a distance field or a volume FILE.
@@ -324,13 +308,36 @@ def command(
       voxtool render volume.tet.h5 --legend --size 800x600
     """
     check_request(request)
-    started = time.perf_counter()
-    source = file if file != "-" else "stdin"
-    from voxtool.camera import MAX_SIDE
-    from voxtool.files import check_target, read_scene
-    from voxtool.files.picture import WHITE, check_writer, write_picture
-    from voxtool.opencl import open_device
+    check_rays(size, samples)
+    from voxtool.files import read_scene
+    from voxtool.files.picture import FORMATS, WHITE, check_writer, write_picture
     from voxtool.rendering import camera_for, plan_render
+
+    if run.output in (None, "-"):
+        run.file_format = "npy" if as_float else "png"
+    run.to(file, output_of(file, as_float), FORMATS)
+    check_format(run, as_float)
+    depth = int(bits or 8)
+    if run.file_format == "png" and not run.only_plan:
+        check_writer(depth)
+    paper = None if background == "none" else background or WHITE
+    with run:
+        content = run.stage("read file", read_scene, file)
+        with run.naming(file):
+            shown = options_of(content, file, request)
+            camera = camera_for(content, size=size, **camera_options(request), **shown)
+            job = run.plan(plan_render, content, camera, size=size, samples=samples, **shown)
+        drawn = run.job(job)
+        picture = with_legend(drawn, job, paper) if request["legend"] else drawn
+        run.write(write_picture, picture, bits=depth, background=paper)
+    hit = share_hit(drawn)
+    text = f"{size[0]} x {size[1]}, {viewpoint(request)}, {100 * hit:.3g} % of pixels hit"
+    run.report(text, lambda: summary(job, drawn, hit))
+
+
+def check_rays(size: tuple[int, int], samples: int | None) -> None:
+    """Refuse more rays along a side than are cast."""
+    from voxtool.camera import MAX_SIDE
 
     across = (samples or 1) * max(size)
     if across > MAX_SIDE:
@@ -338,71 +345,16 @@ def command(
             f"--size {size[0]}x{size[1]} with --samples {samples or 1} is {across} rays along a "
             f"side, of {MAX_SIDE} that are cast: choose less"
         )
-    output, file_format = output_of(file, output, as_float)
-    if file_format == "npy":
+
+
+def check_format(run: Run, as_float: bool) -> None:
+    """Refuse options that do not go with the format of the file."""
+    if as_float and run.file_format != "npy":
+        raise click.UsageError(f"--float writes .npy, and {run.output} ends in .{run.file_format}")
+    if run.file_format == "npy":
         for name in ("bits", "background", "legend"):
             if click.get_current_context().params[name]:
                 raise click.UsageError(f"--{name} goes with .png: .npy holds the values themselves")
-    if not only_plan:
-        if output != "-":
-            check_target(output, not no_clobber)
-        elif sys.stdout.isatty():
-            raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
-        if file_format == "png":
-            check_writer(int(bits or 8))
-    paper = None if background == "none" else background or WHITE
-    with options.Progress(["read file"]) as progress:
-        progress.enter("read file")
-        content = read_scene(file)
-        with naming(source):
-            shown = options_of(content, source, request)
-            camera = camera_for(content, size=size, **camera_options(request), **shown)
-            chosen = open_device(device, profile=verbose)
-            job = plan_render(
-                content, camera, size=size, samples=samples, device=chosen, max_memory=max_memory,
-                **shown,
-            )  # fmt: skip
-        progress.stages = ["read file", *job.stages, "write file"]
-        if only_plan:
-            progress.erase()
-            print_plan(job, as_json)
-            return
-        job.refuse()
-        legend = request["legend"] and legend_of(job, size[1], paper)
-        with naming(source):
-            drawn = job.run(progress.enter)
-        progress.enter("write file")
-        write_picture(
-            beside(drawn, legend),
-            output,
-            bits=int(bits or 8),
-            background=paper,
-            clobber=not no_clobber,
-            format=file_format,
-        )
-    seconds = time.perf_counter() - started
-    if as_json:
-        options.print_json(summary(job, output, drawn, seconds), err=output == "-")
-    else:
-        options.tell(
-            f"{source} -> {output if output != '-' else 'stdout'}: {size[0]} x {size[1]}, "
-            f"{viewpoint(request)}, {100 * share_hit(drawn):.3g} % of pixels hit, {seconds:.2f} s"
-        )
-    if verbose:
-        options.tell(f"{chosen.info.name} ({chosen.info.platform})")
-        for stage, time_on_device in chosen.stage_times().items():
-            options.tell(f"  {stage:<18} {1e3 * time_on_device:9.2f} ms")
-
-
-@contextmanager
-def naming(source: str) -> Iterator[None]:
-    """Errors in this block name the file; those of other files and of memory are as they are."""
-    try:
-        yield
-    except (FileError, MemoryLimitError):
-        raise
-    except VoxtoolError as error:
-        raise type(error)(f"{source}: {error}") from error
 
 
 def check_request(request: dict[str, Any]) -> None:
@@ -421,24 +373,14 @@ def check_request(request: dict[str, Any]) -> None:
         raise click.UsageError("--height goes with --orthographic: a perspective has --fov")
 
 
-def output_of(file: str, output: str | None, as_float: bool) -> tuple[str, str]:
-    """Where to write, and as what: bunny.svo.h5 -> bunny.png, in the current folder; stdin ->
-    stdout."""
-    from voxtool.files import format_of
-    from voxtool.files.picture import FORMATS
-
-    default = "npy" if as_float else "png"
-    if output is None and file != "-":
-        name = PurePath(file).name
-        for extension in (".gz", ".h5", ".xml", ".svo", ".adf", ".tet"):
-            name = name.removesuffix(extension)
-        output = f"{name}.{default}"
-    if output is None or output == "-":
-        return "-", default
-    found = format_of(output, FORMATS)
-    if as_float and found != "npy":
-        raise click.UsageError(f"--float writes .npy, and {output} ends in .{found}")
-    return output, found
+def output_of(file: str, as_float: bool) -> str:
+    """The default output: bunny.svo.h5 -> bunny.png, in the current folder; stdin -> stdout."""
+    if file == "-":
+        return "-"
+    name = PurePath(file).name
+    for extension in (".gz", ".h5", ".xml", ".svo", ".adf", ".tet"):
+        name = name.removesuffix(extension)
+    return f"{name}.{'npy' if as_float else 'png'}"
 
 
 def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, Any]:
@@ -501,26 +443,23 @@ def viewpoint(request: dict[str, Any]) -> str:
     return where if turn is None else f"{where}, turned {turn:g} degrees"
 
 
-def legend_of(job: RenderJob, height: int, background: Any) -> np.ndarray:
-    """The legend of a volume's transfer function."""
+def with_legend(picture: np.ndarray, job: RenderJob, background: Any) -> np.ndarray:
+    """The picture with the legend of its transfer function at the right."""
+    import numpy as np
+
     from voxtool.plots.legend import draw_legend
 
     scene: Any = job.plan.scene
-    return draw_legend(
+    volume = scene.content
+    legend = draw_legend(
         scene.shown_through,
-        scene.content.scalar_range,
-        printable(scene.content.scalar),
-        height,
-        unit=printable(scene.content.units),
+        volume.scalar_range,
+        printable(volume.scalar),
+        len(picture),
+        unit=printable(volume.units),
         background=background,
     )
-
-
-def beside(picture: np.ndarray, legend: np.ndarray | bool) -> np.ndarray:
-    """The picture, with the legend at its right if there is one."""
-    import numpy as np
-
-    return picture if legend is False else np.concatenate([picture, legend], axis=1)
+    return np.concatenate([picture, legend], axis=1)
 
 
 def share_hit(picture: np.ndarray) -> float:
@@ -530,33 +469,12 @@ def share_hit(picture: np.ndarray) -> float:
     return float(np.count_nonzero(picture[..., 3])) / picture[..., 3].size
 
 
-def summary(job: RenderJob, output: str, picture: np.ndarray, seconds: float) -> dict[str, Any]:
+def summary(job: RenderJob, picture: np.ndarray, hit: float) -> dict[str, Any]:
     """What was drawn, in JSON types. The digest is that of the picture before it is rounded."""
     described = job.describe()
     return {
-        "output": output,
         **{name: described[name] for name in ("kind", "size", "samples")},
         **job.plan.scene.counts,
-        "pixels_hit": share_hit(picture),
+        "pixels_hit": hit,
         "digest": hashlib.sha256(picture.astype("<f4").tobytes()).hexdigest(),
-        "seconds": round(seconds, 3),
     }
-
-
-def print_plan(job: RenderJob, as_json: bool) -> None:
-    """Print what will be done, what is left out and why, and what it will cost."""
-    if as_json:
-        options.print_json(job.describe())
-    else:
-        rows = [
-            *job.plan.rows(),
-            ("stages", ", ".join(job.stages)),
-            *(("left out", f"{what}: {why}") for what, why in job.left_out.items()),
-            ("predicted", f"{human(job.cost.device)} on the device"),
-        ]
-        for name, text in rows:
-            click.echo(f"{name:<10} {text}")
-    try:
-        job.refuse()
-    except MemoryLimitError as error:
-        options.tell(f"warning: this will be refused: {error}")

@@ -32,11 +32,11 @@ BAND = 64  # rows that are rounded at once, to bound the memory of their float64
 def write_picture(
     picture: np.ndarray,
     path: PathLike,
+    clobber: bool = True,
+    format: str = "png",
     *,
     bits: int = 8,
     background: Sequence[float] | None = WHITE,
-    clobber: bool = True,
-    format: str = "png",
 ) -> None:
     """Write a picture; `-` writes stdout.
 

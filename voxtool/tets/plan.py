@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from voxtool.errors import MemoryLimitError, human
+from voxtool.job import Cost
+from voxtool.tets.merge import MAX_PAIRS
 
 PIECES = {"tetra": 1, "pyramid": 2, "wedge": 3, "hexahedron": 6}  # tetrahedra of a cell, at most
 CELL_BYTES = {"raycast": 116, "projection": 104, "hexahedra": 186}  # of its textures, with vertices
@@ -21,6 +23,7 @@ class VolumePlan:
     cells : of the mesh, by kind; ignored : cells that are no volumes, by kind.
     points : of the mesh.
     constant : whether the scalar is one a cell.
+    max_pairs : pairs of points, compared for merging, beyond which the work is refused.
     """
 
     layout: str
@@ -29,6 +32,7 @@ class VolumePlan:
     ignored: dict[str, int]
     points: int
     constant: bool
+    max_pairs: int = MAX_PAIRS
 
     @property
     def stages(self) -> list[str]:
@@ -36,6 +40,7 @@ class VolumePlan:
         cells = "hexahedra" if self.layout == "hexahedra" else "tetrahedra"
         return [cells, "order", "planes", "gradients"]
 
+    @property
     def left_out(self) -> dict[str, str]:
         """What is not done or stored, and why."""
         out = {}
@@ -48,10 +53,9 @@ class VolumePlan:
         if self.constant:
             out["gradients but 0"] = "the scalar is one a cell"
         if self.layout == "projection":
-            out["offsets of planes and scalar terms"] = "anchors serve, as in table 4 of the text"
+            out["offsets of planes and scalar terms"] = "anchors serve, as in table 4 of [TetVol]"
         else:
-            out["anchors"] = "planes have offsets, as in table 5 of the text"
-        out["vertex attributes for OpenGL"] = "no rasterizer reads them (48 bytes a tetrahedron)"
+            out["anchors"] = "planes have offsets, as in table 5 of [TetVol]"
         return out
 
     @property
@@ -78,7 +82,7 @@ class VolumePlan:
             "ignored": self.ignored,
             "points": self.points,
             "stages": self.stages,
-            "left_out": self.left_out(),
+            "left_out": self.left_out,
         }
 
     def as_dict(self) -> dict[str, Any]:
@@ -92,13 +96,24 @@ class VolumePlan:
             "predicted_work_bytes": self.work_bytes,
         }
 
-    def refuse_beyond(self, max_memory: int) -> None:
-        """Refuse what needs more than so many bytes of memory.
+    @property
+    def cost(self) -> Cost:
+        """The memory that the work will take at most, about."""
+        return Cost(0, host=self.work_bytes)
 
-        Raises
-        ------
-        MemoryLimitError : with what would fit.
-        """
+    def rows(self) -> list[tuple[str, str]]:
+        """What `--plan` prints before the stages."""
+        read = ", ".join(f"{count:,} {kind}" for kind, count in self.cells.items())
+        return [
+            ("volume", f"layout {self.layout}, merge distance {self.merge_distance:g}"),
+            ("mesh", f"{read}, {self.points:,} points"),
+            ("cells", f"at most {self.predicted_cells:,}, {human(self.volume_bytes)}"),
+        ]
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Raise MemoryLimitError if the work needs more bytes of memory; the message says what
+        would fit."""
+        del max_allocation  # it runs on the host
         if self.work_bytes <= max_memory:
             return
         fits = self.predicted_cells * max_memory // self.work_bytes

@@ -1,4 +1,4 @@
-"""A mesh of cells to the textures of section 4.1 of the text.
+"""A mesh of cells to the textures of a volume [TetVol, section 4.1].
 
 Everything is found in float64, in local coordinates, and rounded to float32 once. A face is the
 same whichever of its cells sees it: its plane is found from its vertices in one order, and the cell
@@ -9,27 +9,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voxtool.choices import LAYOUTS
 from voxtool.errors import MeshError, VoxtoolError
+from voxtool.job import Job
 from voxtool.morton import morton_encode
-from voxtool.tets.mesh import (
-    ConformingMesh,
-    UnstructuredMesh,
-    hexahedra,
-    loops,
-    tetrahedra,
-    volume_cells,
-)
+from voxtool.tets.conforming import hexahedra, tetrahedra
+from voxtool.tets.faces import loops
+from voxtool.tets.mesh import ConformingMesh, UnstructuredMesh, VolumeCells, volume_cells
 from voxtool.tets.plan import VolumePlan
 from voxtool.tets.volume import FACES, TetVolume, block_ranges
 from voxtool.vector import cross, dot, length, triple
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 MORTON_BITS = 21  # of each coordinate of a centroid
 LEAST = 2.0**-126  # what float32 holds below it, some devices take for 0
@@ -41,104 +33,140 @@ def build_tet(
     merge_distance: float = 0.0,
     *,
     max_memory: int | None = None,
-    on_stage: Callable[[str], None] | None = None,
 ) -> TetVolume:
-    """The textures of a mesh's volume cells, which become tetrahedra but for "hexahedra".
+    """The textures of a mesh's volume cells: plan_tet(...).run().
 
     Parameters
     ----------
-    layout : "raycast" (table 5 of the text), "projection" (table 4), or "hexahedra" (table 5 with
-        six faces, for hexahedra with planar faces and one scalar a cell).
-    merge_distance : points this near become one, world units; 0 merges those at one place.
-    max_memory : bytes that the work may take; None does not ask.
-    on_stage : told the name of each stage as it begins.
+    mesh, layout, merge_distance, max_memory : as `plan_tet` takes them.
 
     Raises
     ------
-    MeshError : the mesh has no usable cells: see voxtool.tets.mesh.tetrahedra and hexahedra; or
-        its scalars or positions are further apart than float64 can tell.
-    VoxtoolError : no such layout, or one that does not hold such scalars.
-    MemoryLimitError : more than max_memory, or too many points are within the merge distance.
+    MeshError, VoxtoolError : as plan_tet; or the mesh has no usable cells, or its scalars or
+        positions are further apart than float64 can hold.
+    MemoryLimitError : the work would take more than max_memory, or too many points are within the
+        merge distance.
     """
-    stage = on_stage or (lambda _: None)
-    plan = plan_tet(mesh, layout, merge_distance)
-    if max_memory is not None:
-        plan.refuse_beyond(max_memory)
-    stage(plan.stages[0])
-    cells = (hexahedra if layout == "hexahedra" else tetrahedra)(mesh, merge_distance)
-    stage("order")
-    origin, scale = _frame(cells)
-    low, high = float(cells.scalars.min()), float(cells.scalars.max())
-    if not math.isfinite(high - low):
-        raise MeshError(
-            f"{mesh.name or 'mesh'}: {mesh.scalar} from {low:g} to {high:g} is a range that "
-            "float64 does not hold: scale it"
-        )
-    local = _ordered(
-        replace(
-            cells,
-            vertices=(cells.vertices - origin) / scale,
-            scalars=(cells.scalars - low) / ((high - low) or 1.0),
-        )
-    )
-    stage("planes")
-    vertices = np.zeros((len(local.vertices), 4), np.float32)
-    vertices[:, :3] = float32(local.vertices)
-    if not local.constant:
-        vertices[:, 3] = float32(local.scalars)
-    normals, plane_error = _planes(local, vertices, layout)
-    stage("gradients")
-    gradients, scalar_error = _gradients(local, vertices)
-    report = {
-        **cells.report,
-        "boundary_faces": int(np.count_nonzero(local.neighbours < 0)),
-        "plane_error": plane_error,
-        "scalar_error": scalar_error,
-    }
-    projection = layout == "projection"
-    volume = TetVolume(
-        layout,
-        vertices,
-        local.cells,
-        local.neighbours,
-        normals[:, :, :3].copy() if projection else normals,
-        gradients[:, :3].copy() if projection else gradients,
-        local.cells[:, :2].copy() if projection else None,
-        np.zeros((0, 2), np.float32),
-        triple(origin),
-        scale,
-        (low, high),
-        mesh.scalar,
-        mesh.constant,
-        units=mesh.units,
-        source_sha256=mesh.source_sha256,
-        plan=plan.scene(),
-        report=report,
-    )
-    return replace(volume, ranges=block_ranges(*volume.cell_ranges()))
+    return plan_tet(mesh, layout, merge_distance, max_memory=max_memory).run()
 
 
 def plan_tet(
-    mesh: UnstructuredMesh, layout: str = "raycast", merge_distance: float = 0.0
-) -> VolumePlan:
-    """What build_tet would do with a mesh, and what it would cost.
+    mesh: UnstructuredMesh,
+    layout: str = "raycast",
+    merge_distance: float = 0.0,
+    *,
+    max_memory: int | None = None,
+) -> VolumeJob:
+    """A job that builds the textures of a mesh's volume cells.
+
+    Parameters
+    ----------
+    layout : "raycast" (table 5 of [TetVol]) or "projection" (table 4), for which all cells become
+        tetrahedra; or "hexahedra" (table 5 with six faces), for hexahedra with planar faces and one
+        scalar a cell, which stay whole.
+    merge_distance : points this near become one, world units; 0 merges those at one place.
+    max_memory : bytes that the work may take; by default what is free.
 
     Raises
     ------
-    MeshError, VoxtoolError : as build_tet, of what shows in the cells alone.
+    MeshError : the mesh has no volume cells, or cells that cannot be split.
+    VoxtoolError : no such layout, or one that does not hold such scalars.
     """
     if layout not in LAYOUTS:
         raise VoxtoolError(f"layout {layout!r} is unknown: choose {', '.join(LAYOUTS)}")
     if layout == "projection" and mesh.constant:
         raise VoxtoolError(
-            f"{mesh.name or 'mesh'}: {mesh.scalar} is one a cell, and the text's table 4 holds "
+            f"{mesh.name or 'mesh'}: {mesh.scalar} is one a cell, and the layout projection holds "
             "scalars of vertices: use --layout raycast"
         )
-    points, blocks, _, report = volume_cells(mesh)
+    found = volume_cells(mesh)
     cells: dict[str, int] = {}
-    for kind, block in blocks:
+    for kind, block in found.blocks:
         cells[kind] = cells.get(kind, 0) + len(block)
-    return VolumePlan(layout, merge_distance, cells, report["ignored"], len(points), mesh.constant)
+    ignored, points = found.report["ignored"], len(found.points)
+    plan = VolumePlan(layout, merge_distance, cells, ignored, points, mesh.constant)
+    return VolumeJob(mesh, found, plan, max_memory)
+
+
+class VolumeJob(Job[TetVolume]):
+    """A mesh whose volume cells are found, and the plan for their textures."""
+
+    device = None
+    plan: VolumePlan
+
+    def __init__(
+        self, mesh: UnstructuredMesh, found: VolumeCells, plan: VolumePlan, max_memory: int | None
+    ) -> None:
+        self.mesh, self.found, self.plan, self.max_memory = mesh, found, plan, max_memory
+
+    def _run(self) -> TetVolume:
+        mesh, plan = self.mesh, self.plan
+        with self.stage(plan.stages[0]):
+            conforming = hexahedra if plan.layout == "hexahedra" else tetrahedra
+            cells = conforming(
+                mesh, plan.merge_distance, found=self.found, max_pairs=plan.max_pairs
+            )
+        with self.stage("order"):
+            origin, scale = _frame(cells)
+            low, high = _scalar_range(cells)
+            local = _ordered(
+                replace(
+                    cells,
+                    vertices=(cells.vertices - origin) / scale,
+                    scalars=(cells.scalars - low) / ((high - low) or 1.0),
+                )
+            )
+        with self.stage("planes"):
+            vertices = np.zeros((len(local.vertices), 4), np.float32)
+            vertices[:, :3] = float32(local.vertices)
+            if not local.constant:
+                vertices[:, 3] = float32(local.scalars)
+            normals, plane_error = _planes(local, vertices, plan.layout)
+        with self.stage("gradients"):
+            gradients, scalar_error = _gradients(local, vertices)
+        report = {
+            **cells.report,
+            "boundary_faces": int(np.count_nonzero(local.neighbours < 0)),
+            "plane_error": plane_error,
+            "scalar_error": scalar_error,
+        }
+        projection = plan.layout == "projection"
+        volume = TetVolume(
+            plan.layout,
+            vertices,
+            local.cells,
+            local.neighbours,
+            normals[:, :, :3].copy() if projection else normals,
+            gradients[:, :3].copy() if projection else gradients,
+            local.cells[:, :2].copy() if projection else None,
+            np.zeros((0, 2), np.float32),
+            triple(origin),
+            scale,
+            (low, high),
+            mesh.scalar,
+            mesh.constant,
+            units=mesh.units,
+            source_sha256=mesh.source_sha256,
+            plan=plan.scene(),
+            report=report,
+        )
+        return replace(volume, ranges=block_ranges(*volume.cell_ranges()))
+
+
+def _scalar_range(mesh: ConformingMesh) -> tuple[float, float]:
+    """The least and the largest scalar.
+
+    Raises
+    ------
+    MeshError : their difference is not finite.
+    """
+    low, high = float(mesh.scalars.min()), float(mesh.scalars.max())
+    if not math.isfinite(high - low):
+        raise MeshError(
+            f"{mesh.name or 'mesh'}: {mesh.scalar} from {low:g} to {high:g} is a range that "
+            "float64 does not hold: scale it"
+        )
+    return low, high
 
 
 def float32(values: np.ndarray) -> np.ndarray:

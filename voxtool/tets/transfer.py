@@ -255,7 +255,8 @@ class LocalTransfer:
 # --- named maps ----------------------------------------------------------------------------------
 
 DEFAULT_MAP = "viridis"
-DEPTH = 24  # of a mesh's longest side a unit distance is, by default
+DEPTH = 24  # unit distances along a mesh's longest side, by default
+OPACITY_PERCENTILES = (0.75, 0.99)  # of the scalars, at which extinction is 0 and full by default
 
 
 def named(
@@ -307,17 +308,41 @@ def default_transfer(
     volume: TetVolume,
     name: str = DEFAULT_MAP,
     *,
-    opacity_range: Sequence[float] | None = None,
+    opacity_range: Sequence[float] | str | None = None,
     unit_distance: float | None = None,
 ) -> TransferFunction:
     """A map of colours over the range of a volume's scalars, and a ramp of extinction.
 
     Parameters
     ----------
-    name, opacity_range, unit_distance : as `named` takes them; by default full extinction leaves
-        1/e of the light after a 24th of the volume's longest side.
+    name : one of MAPS.
+    opacity_range : scalars at which extinction is 0 and full, as `named` takes them; "full" for
+        the range of the scalars; by default `usual_opacity_range`, which hides the background that
+        most of a simulation's volume is.
+    unit_distance : as `named` takes it; by default a 24th of the volume's longest side.
+
+    Raises
+    ------
+    VoxtoolError : as `named`.
     """
     low, high = volume.bounds()
     if unit_distance is None:
         unit_distance = float((high - low).max()) / DEPTH or 1.0
+    if isinstance(opacity_range, str):
+        if opacity_range != "full":
+            raise VoxtoolError(f"opacity range {opacity_range!r}: give two scalars, or 'full'")
+        opacity_range = volume.scalar_range
+    elif opacity_range is None:
+        opacity_range = usual_opacity_range(volume)
     return named(name, *volume.scalar_range, unit_distance, opacity_range)
+
+
+def usual_opacity_range(volume: TetVolume) -> tuple[float, float]:
+    """The 75th and the 99th percentile of the scalars of vertices, or of cells where the scalar is
+    one a cell; the range of the scalars where these are the same."""
+    scalars = volume.gradients[:, 3] if volume.constant else volume.vertices[:, 3]
+    ordered, (low, high) = np.sort(scalars), volume.scalar_range
+    clear, full = (float(ordered[int(p * (len(ordered) - 1))]) for p in OPACITY_PERCENTILES)
+    if not clear < full:
+        return low, high
+    return low + (high - low) * clear, low + (high - low) * full
