@@ -34,7 +34,7 @@ SIGN_NAMES = {"pseudonormal": "pseudo-normals", "winding": "winding numbers"}
 
 @dataclass(frozen=True)
 class DistancePlan:
-    """How points are measured.
+    """The plan of measuring points.
 
     triangles : of the mesh.
     sign : how the sign is found, one of SIGNS.
@@ -57,7 +57,7 @@ class DistancePlan:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not computed, and why."""
+        """Results and stages that are not computed, and why."""
         reason = "no distance is negative" if self.sign == "none" else f"the sign is {self.sign}"
         out = {what: reason for sign, what in SIGN_NAMES.items() if sign != self.sign}
         if not self.located:
@@ -77,7 +77,7 @@ class DistancePlan:
                 "predicted_device_bytes": self.cost.device}  # fmt: skip
 
     def rows(self) -> list[tuple[str, str]]:
-        """What `--plan` prints of the scene."""
+        """The lines on the scene that `--plan` prints: names and texts."""
         return [("scene", f"{self.triangles:,} triangles"), ("sign", self.sign)]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
@@ -91,7 +91,7 @@ class DistancePlan:
 
 
 class DistanceJob(Job[SignedDistance]):
-    """What measures points, planned; its result is ready for any number of points."""
+    """A planned SignedDistance: the result of `run()`, for any number of points."""
 
     plan: DistancePlan
 
@@ -131,7 +131,7 @@ def plan_distance(
 
 @dataclass(frozen=True)
 class DistanceGridPlan:
-    """How the voxel centres of a grid are measured.
+    """The plan of measuring the voxel centres of a grid.
 
     shape : of the grid.
     dtype : of the result, "float64" or "float32".
@@ -151,7 +151,7 @@ class DistanceGridPlan:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not computed, and why."""
+        """Results and stages that are not computed, and why."""
         if self.voxels:
             return dict(self.voxels.left_out)
         return {"voxels": "no distance is negative"}
@@ -180,7 +180,7 @@ class DistanceGridPlan:
         }
 
     def rows(self) -> list[tuple[str, str]]:
-        """What `--plan` prints of the scene."""
+        """The lines on the scene that `--plan` prints: names and texts."""
         shape = " x ".join(map(str, self.shape))
         rows = self.voxels.rows() if self.voxels else [("grid", f"{shape} voxels")]
         return [*rows, ("distances", f"{shape} {self.dtype}")]
@@ -278,7 +278,7 @@ def distance_grid(
     grid : Grid
     fill : the fill rule of voxelize ("auto", "parity", "nonzero", "winding" or "flood"), or "none"
         for distances without a sign.
-    gap : with "flood", openings of up to so many voxels are closed.
+    gap : with "flood", openings of up to this many voxels are closed first.
     dtype : of the result: float64, or float32, to which distances are rounded.
 
     Returns

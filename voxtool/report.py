@@ -219,7 +219,7 @@ def _crowded_rows(mesh: Mesh, topology: Topology) -> list[dict[str, Any]]:
 
 
 def _listed_faces(mesh: Mesh, chosen: np.ndarray) -> dict[str, Any]:
-    """How many faces are chosen, the first of them, and the centre of the very first."""
+    """The number of chosen faces, a list of them, and the centre of the first."""
     faces = np.flatnonzero(chosen)
     first = mesh.vertices[mesh.faces[faces[:1]]].mean(axis=1).tolist()
     return {"count": len(faces), "centre": (first or [None])[0], "faces": faces[:LISTED].tolist()}
@@ -252,7 +252,7 @@ def _shell_rows(
 
 
 def _role(shell: dict[str, Any], shells: list[dict[str, Any]]) -> str:
-    """What a shell is among the others."""
+    """The role of a shell among the others."""
     volume = shell["volume"]
     if not shell["closed"]:
         return "open"
@@ -354,7 +354,7 @@ def _recommended_fill(found: dict[str, Any], counts: dict[str, int]) -> tuple[st
 
 
 def _faults(found: dict[str, Any]) -> Iterator[Fault]:
-    """What is wrong, and what helps."""
+    """Yield what is wrong, and what helps."""
     patches, roles = found["patches"], _roles(found)
     flipped = sum(patch["faces"] for patch in patches["flipped"])
     repeated, flat, intersecting = (

@@ -237,7 +237,7 @@ def test_tubes(here: Path) -> None:
 
 
 def test_tubes_of_no_loops(here: Path) -> None:
-    """A file that was there shows no leaks that are mended."""
+    """A file that was there shows no leaks that are closed."""
     write_obj(Path("mesh.obj"), *meshes.box(0, 2))
     Path("leaks.obj").write_text("v 0 0 0\n")
     result = run("diagnose mesh.obj --dim 32 --obj leaks.obj")

@@ -173,8 +173,8 @@ def _refuse_other_files(name: str, data: bytes) -> None:
 def _refuse_binary(name: str, data: bytes) -> None:
     found = _kind_of_content(data)
     if b"\0" in data[: 1 << 20] or found in ("ply", "glb"):
-        mend = "export it as text" if found == "obj" else f"it looks like .{found}, rename it"
-        raise MeshError(f"{name}: this is no text, so not an OBJ: {mend}")
+        hint = "export it as text" if found == "obj" else f"it looks like .{found}, rename it"
+        raise MeshError(f"{name}: this is no text, so not an OBJ: {hint}")
 
 
 def _kind_of_name(name: str, path: Any, file_type: str | None) -> str:

@@ -30,7 +30,7 @@ REFERENCE = re.compile(rb"^([-+]?\d{1,10})(?:/(?:[-+]?\d+)?){0,2}$")
 
 
 class _OddityError(Exception):
-    """The text is not of the kind that `_quick` reads."""
+    """Raised where `_quick` cannot read an OBJ."""
 
 
 def parse(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -75,7 +75,7 @@ def _quick(data: bytes, size: int = BLOCK_BYTES) -> tuple[np.ndarray, np.ndarray
 
 
 def _blocks(data: bytes, size: int) -> Iterator[np.ndarray]:
-    """The text in blocks of `size` bytes, filled up to whole lines; the last line ends, too."""
+    """Yield an OBJ in blocks of `size` bytes, filled up to whole lines; the last line ends, too."""
     start = 0
     while start < len(data):
         end = data.find(b"\n", start + size) + 1 or len(data)
@@ -216,7 +216,7 @@ def _vertex(words: list[bytes]) -> list[float]:
 
 
 def _index(word: bytes, known: int, total: int) -> int:
-    """A vertex of a face, counted from 0; a negative number in the text counts back from there."""
+    """A vertex of a face, counted from 0; a negative number in the file counts back from its line."""
     match = REFERENCE.match(word)
     if not match:
         raise MeshError(f"{shown(word)} is no vertex of a face: correct it to v, v/vt or v/vt/vn")

@@ -1,7 +1,7 @@
-"""What is wrong with a mesh: open edges, shells, faces that may surprise; what it encloses.
+"""The topology of a mesh: its edges, shells and fans of faces; and the volume that it encloses.
 
-By positions: vertices that are bit-equal (-0.0 is 0.0) are one; or by index, where a mesh keeps
-two sheets apart that touch.
+Vertices of bit-equal positions (-0.0 is 0.0) count as one; or they are distinguished by index,
+for meshes that keep two touching sheets apart.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from voxtool.vector import cross, dot
 
 @dataclass(frozen=True)
 class TopologyCheck:
-    """What a mesh is, by positions (vertices that are bit-equal are one) or by index.
+    """Counts of a mesh, by positions (vertices of bit-equal positions are one) or by index.
 
     Faces that name a position twice bound nothing: they count in `faces` and `degenerate_faces`
     alone. An edge is a pair of positions. By index, read "vertex" for "position".
@@ -74,7 +74,7 @@ class TopologyCheck:
 
 @dataclass(frozen=True)
 class SurfaceCheck(TopologyCheck):
-    """A diagnosis that also looks around every vertex, as a surface that was made must pass.
+    """A TopologyCheck that also looks around every vertex: the check of extracted surfaces.
 
     nonmanifold_vertices : positions whose faces are not one fan, closed or open; the ends of
         non-manifold edges among them.
@@ -107,14 +107,14 @@ class SurfaceCheck(TopologyCheck):
         return super().as_dict() | derived
 
     def summary(self) -> str:
-        """As of a diagnosis, with the vertices, and the genus where there is one."""
+        """One line: as of a TopologyCheck, with the vertices, and the genus if there is one."""
         vertices = count_of(self.nonmanifold_vertices, "vertex").replace(" ", " non-manifold ")
         genus = "" if self.genus is None else f", genus {self.genus}"
         return f"{super().summary()}, {vertices}{genus}"
 
 
 def check_topology(mesh: Mesh, *, weld: bool = True) -> TopologyCheck:
-    """Describe a mesh: open edges, shells, and what else may surprise.
+    """Return the counts of open edges, shells, and other properties of a mesh.
 
     Parameters
     ----------
@@ -248,7 +248,7 @@ class Topology:
 
 
 def topology_of(mesh: Mesh, weld: bool = True) -> Topology:
-    """What shares what, by positions; or by index, where weld is False."""
+    """Return which faces share which edges, by positions; or by index, if weld is False."""
     corners = positions(mesh)[mesh.faces] if weld else mesh.faces.astype(np.int64)
     a, b, c = corners.T
     proper = (a != b) & (b != c) & (c != a)

@@ -124,7 +124,7 @@ def first_node(level: int) -> int:
 
 
 def tree_bytes(faces: int) -> int:
-    """Bytes of the tree over so many faces on the device, names included."""
+    """Bytes of the tree over this many faces on the device, names included."""
     leaves = -(-faces // LEAF)
     return leaves * LEAF * (8 * FIELDS + 8) + (leaves * 8 // 7 + 8 * ARITY) * 24
 

@@ -45,7 +45,7 @@ class Pseudonormals:
 
 
 def normal_bytes(faces: int) -> int:
-    """Bytes of the pseudo-normals of a closed mesh of so many faces on the device."""
+    """Bytes of the pseudo-normals of a closed mesh of this many faces on the device."""
     return faces * (7 * 4 + 3 * 24)
 
 

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class DistanceResult(NamedTuple):
-    """What is known of points, by `distance` or `SignedDistance`; None where not asked for.
+    """The result of `distance` or `SignedDistance`; None where not asked for.
 
     For one point the arrays lack their first axis.
 
@@ -54,7 +54,7 @@ def default_sign(mesh: Mesh) -> str:
 
 
 def distance_bytes(faces: int, sign: str) -> int:
-    """Bytes that the distance to a mesh of so many faces takes on the device, without points."""
+    """Bytes that the distance to a mesh of this many faces takes on the device, without points."""
     more = {"pseudonormal": normal_bytes, "winding": moment_bytes}.get(sign)
     return tree_bytes(faces) + (more(faces) if more else 0)
 
@@ -172,7 +172,7 @@ class SignedDistance:
 def _measures(
     mesh: Mesh, sign: str, device: Device
 ) -> tuple[TriangleDistance, WindingNumber | None]:
-    """What a sign needs on the device; it does not refer to the mesh."""
+    """The tree and the moments that a sign needs; they do not refer to the mesh."""
     normals = None
     if sign == "pseudonormal":
         with device.stage("pseudo-normals"):

@@ -32,7 +32,7 @@ REACH = 3.0  # radii
 
 
 def moment_bytes(faces: int) -> int:
-    """Bytes of the moments of a mesh of so many faces on the device."""
+    """Bytes of the moments of a mesh of this many faces on the device."""
     return 8 * MOMENTS * (-(-faces // LEAF) * 8 // 7 + 8 * ARITY)
 
 
