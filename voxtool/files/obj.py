@@ -216,7 +216,7 @@ def _vertex(words: list[bytes]) -> list[float]:
 
 
 def _index(word: bytes, known: int, total: int) -> int:
-    """A vertex of a face, counted from 0; a negative number in the file counts back from its line."""
+    """A vertex of a face, counted from 0; negative numbers in the file count back from there."""
     match = REFERENCE.match(word)
     if not match:
         raise MeshError(f"{shown(word)} is no vertex of a face: correct it to v, v/vt or v/vt/vn")
