@@ -268,6 +268,9 @@ def measure_distances(device) -> None:
         inside = winding(points, vertices[faces]) > 0.5
         for sign in signed:
             assert np.array_equal(sign(points), np.where(inside, -distances, distances))
+    many = np.repeat(points, 8, axis=0)  # so many are sorted
+    located = signed[0](many, gradient=True, nearest=True, face=True)
+    assert np.array_equal(located.distance[::8], signed[0](points))
 
 
 def extract_surfaces(device) -> None:
