@@ -61,7 +61,7 @@ Sample sample_of(const floats *row, const floats s)
     return sample;
 }
 
-// Lines 1 to 13 of the text's listing in section 4.2: cut the segment where it crosses a control
+// Lines 1 to 13 of [TetVol]'s listing in section 4.2: cut the segment where it crosses a control
 // point first. The text looks that point and the next up in a table of (s_f, s_b); by the ranks of
 // the intervals they are the ends of the first one. Returns whether the lane's segment was cut: then
 // it goes on at `end` in the interval `next`. All of this is within the interval `own`.

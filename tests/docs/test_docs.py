@@ -159,6 +159,34 @@ def test_python_snippet_runs(folder: Path) -> None:
     assert " of volume" in run(f"{shlex.quote(sys.executable)} snippet.py", folder)
 
 
+GUIDES = [
+    path for path in DOCUMENTS if path.parent.name == "docs" and "```python" in path.read_text()
+]
+
+
+@pytest.mark.parametrize("guide", GUIDES, ids=lambda path: path.name)
+def test_python_in_guides_runs(guide: Path, here: Path) -> None:
+    for snippet in blocks(guide.read_text(encoding="utf-8"), "python"):
+        (here / "snippet.py").write_text(snippet, encoding="utf-8")
+        run(f"{shlex.quote(sys.executable)} snippet.py", here)
+
+
+# ---- sources
+
+
+def sources() -> list[Path]:
+    names = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True).stdout
+    ends = (".py", ".cl", ".h", ".md")
+    found = [ROOT / name for name in names.splitlines() if name.endswith(ends)]
+    return [path for path in found if path.exists() and path.name != "test_docs.py"]
+
+
+def test_texts_are_cited_by_key() -> None:
+    for path in sources():
+        found = re.findall(r"\b[Tt]he (?:thesis|text's)\b", path.read_text(encoding="utf-8"))
+        assert not found, f"{path.relative_to(ROOT)}: cite it by its key"
+
+
 # ---- links and docstrings
 
 
