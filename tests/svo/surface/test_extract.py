@@ -503,6 +503,8 @@ def test_relaxation_can_be_left_out(device) -> None:
     assert "relaxation" in flat.left_out
     assert len(flat.run().points) == len(job.run().points)
     assert flat.run() != job.run()
+    with pytest.raises(TypeError, match="level: plan another extraction"):
+        job.with_(level=1)
 
 
 def test_findings_say_what_is_lost_or_empty(device) -> None:

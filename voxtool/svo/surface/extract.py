@@ -16,7 +16,7 @@ import contextlib
 import math
 import operator
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Self
 
 from voxtool.choices import (
     MARCHING_CUBES,
@@ -210,6 +210,17 @@ class ExtractJob(Job[Isosurface]):
     ) -> None:
         self.octree, self._tree = octree, tree
         self.plan, self.device, self.max_memory = plan, device, max_memory
+
+    def with_(self, **decisions: Any) -> Self:
+        """The same job with decisions of its plan forced.
+
+        Raises
+        ------
+        TypeError : the plan has no such field, or it is of the request: plan another extraction.
+        """
+        if requested := {"style", "level", "isovalue", "merge"} & decisions.keys():
+            raise TypeError(f"{', '.join(sorted(requested))}: plan another extraction")
+        return super().with_(**decisions)
 
     def _run(self) -> Isosurface:
         device, plan = self.device, self.plan
