@@ -114,8 +114,6 @@ class Signature:
         """
         given = {SIZE: size, **named}
         free = [name for name in self._names if name not in given]
-        if len(args) == len(free) + 1:  # the size is given, too
-            free = [name for name in self._names if name not in named]
         if len(args) != len(free):
             raise TypeError(
                 f"kernel {self.name} takes {', '.join(free)}: {len(args)} arguments are given"

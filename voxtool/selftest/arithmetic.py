@@ -24,7 +24,7 @@ def compute(device: Device, name: str, a: np.ndarray, b: np.ndarray, c: np.ndarr
     n, real = len(a), REALS[name]
     results = device.empty(7 * n, real)
     inputs = [device.put(v.astype(real)) for v in (a, b, c)]
-    device.kernel(SOURCE, "compute", REAL=name)(n, *inputs, np.uint32(n), results)
+    device.kernel(SOURCE, "compute", REAL=name)(n, *inputs, results)
     return results.get().reshape(7, n)
 
 
@@ -110,9 +110,8 @@ def integers(device: Device, full: bool) -> int:
         x = random.uniform(-1, 1, n) * np.exp2(random.integers(0, 62, n))
         results, converted = device.empty(11 * n, np.uint64), device.empty(n, real)
         device.kernel(SOURCE, "count", REAL=name)(
-            n, device.put(a), device.put(b), device.put(x.astype(real)), np.uint32(n), results,
-            converted,
-        )  # fmt: skip
+            n, device.put(a), device.put(b), device.put(x.astype(real)), results, converted
+        )
         c, whole = a.view(np.int64), x.astype(real)
         wrong += differing(results.get().reshape(11, n), counted(a, b, whole))
         wrong += differing(converted.get(), ((c >> 32) if name == "float" else c).astype(real))
