@@ -40,7 +40,6 @@ def report(device: Device, source: str, size: int, *args) -> list[int]:
     out = device.zeros(size, np.uint64)
     device.kernel(source, "report")(1, *args, out)
     values = out.get().tolist()
-    out.release()
     return values
 
 
@@ -72,7 +71,6 @@ def test_the_node_of_the_device_is_that_of_the_host(device: Device, kernels, req
         kind, offset = NODE.fields[name][:2]
         expected += [offset, kind.itemsize, int(nodes[1][name])]
     assert report(device, source, len(expected), array) == expected
-    array.release()
 
 
 @pytest.mark.parametrize("header", headers.HOMES)
@@ -181,5 +179,4 @@ def test_options_make_programs_of_their_own(device: Device, kernels, request) ->
     for number in (3, 7, 3):
         device.kernel(source, "report", NUMBER=number)(1, out)
         assert out.get().tolist() == [number]
-    out.release()
     assert device.kernel(source, "report", NUMBER=3) is device.kernel(source, "report", NUMBER=3)

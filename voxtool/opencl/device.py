@@ -70,19 +70,9 @@ class Array:
         self.buffer.release()
         return values
 
-    def release(self) -> None:
-        """Give the memory back; the array must not be used again."""
-        self.buffer.release()
-        self._retire()
-
-    def _retire(self) -> None:
-        """Shared memory must outlive the work that is still enqueued on it."""
-        if self.host is not None:
-            self.device.retire(self.host)
-            self.host = None
-
     def __del__(self) -> None:
-        self._retire()
+        if self.host is not None:  # shared memory outlives the work that is enqueued on it
+            self.device.retire(self.host)
 
 
 class _Thread(threading.local):

@@ -537,9 +537,3 @@ def test_styles_of_older_versions_are_aliases(device) -> None:
     octree = octree_from_dense(ball((16, 16, 16)))
     for old, style in choices.STYLE_ALIASES.items():
         assert extract(octree, style=old, device=device).style == style
-
-
-def test_public_names() -> None:
-    assert voxtool.extract is extract
-    assert voxtool.plan_extract is plan_extract
-    assert voxtool.Isosurface is Isosurface
