@@ -10,10 +10,11 @@ import contextlib
 import itertools
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voxtool.arrays import equal, read_only
 from voxtool.choices import VIEWS
 from voxtool.errors import VoxtoolError
 from voxtool.vector import cross, dot, length, triple, unit
@@ -27,7 +28,7 @@ FRAME = 1.04  # around what fills a picture
 MAX_SIDE = 32768  # pixels along a side of a picture
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Rays:
     """One ray a pixel.
 
@@ -48,6 +49,21 @@ class Rays:
     down: np.ndarray
     perspective: bool
     size: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        for name in ("origin", "direction", "right", "down"):
+            object.__setattr__(self, name, read_only(np.asarray(getattr(self, name), np.float64)))
+
+    __hash__ = object.__hash__
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all fields are equal, arrays by content."""
+        return equal(self, other)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore a pickled object; its arrays are read-only again."""
+        self.__dict__.update(state)
+        self.__post_init__()
 
     def light(self) -> np.ndarray:
         """(3,) float64: the unit vector towards the light, at the viewer's upper left."""

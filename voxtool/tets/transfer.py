@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voxtool.arrays import equal
 from voxtool.errors import VoxtoolError, printable
 from voxtool.tets.maps import MAPS
 
@@ -87,6 +88,21 @@ class TransferFunction:
                 f"transfer function, point {int(shared.argmax()) + 3}: the two before it have the "
                 "same scalar: at most two make a step"
             )
+
+    __hash__ = object.__hash__  # by identity, so that a device can keep what belongs to it
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all fields are equal, arrays by content."""
+        return equal(self, other)
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore a pickled object; its arrays are read-only again."""
+        self.__dict__.update(state)
+        self.__post_init__()
+
+    def __repr__(self) -> str:
+        low, high = self.scalars[[0, -1]].tolist()
+        return f"TransferFunction({len(self.scalars)} points from {low:g} to {high:g})"
 
     @staticmethod
     def from_json(text: str) -> TransferFunction:
