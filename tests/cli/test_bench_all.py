@@ -172,7 +172,7 @@ def test_table(ball: str) -> None:
     assert lines[2] == "voxelize, ball.obj: mesh to voxels of the surface"
     assert lines[3] == "  time, and errors: rms, hausdorff: of the model's diagonal"
     assert lines[4].split() == ["setting", "time", "±", "rms", "hausdorff"]
-    names = [line.lstrip("* ").rsplit("  ")[0] for line in lines[5:7]]
+    names = [line.lstrip("* ").partition("  ")[0] for line in lines[5:7]]
     assert names == ["surface6, dim 16", "surface6, dim 32"]
     assert len({len(line) for line in lines[4:7]}) == 1
     assert {"host", "command", "triangles", "voxels"} <= set(lines[8].split())
