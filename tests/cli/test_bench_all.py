@@ -17,6 +17,7 @@ from voxtool.bench.points import FIGURES, MEASURES
 from voxtool.bench.request import MESH_BENCHES, benches_for
 from voxtool.cli.main import cli
 
+pytestmark = pytest.mark.slow  # most run whole benches
 BENCHES = ("voxelize", "extract", "adf", "distance", "tets")
 
 
