@@ -577,13 +577,13 @@ def stdout_of(format: str, **options: Any) -> subprocess.CompletedProcess[bytes]
     return subprocess.run([sys.executable, "-c", code], cwd=ROOT, timeout=60, **options)
 
 
-def test_stdout_is_npy_unless_the_format_says_csv() -> None:
+def test_stdout_is_csv_unless_the_format_says_npy() -> None:
     expected = np.repeat(np.array([[0.0, 0], [0.1, 1], [0.2, 2]]), 2, axis=0)
-    for format in ("None", "'npy'"):
+    done = stdout_of("'npy'", capture_output=True)
+    assert done.stdout == npy(expected), done.stderr
+    for format in ("None", "'csv'"):
         done = stdout_of(format, capture_output=True)
-        assert done.stdout == npy(expected), done.stderr
-    done = stdout_of("'csv'", capture_output=True)
-    assert done.stdout == b"a,b\n0.0,0\n0.0,0\n0.1,1\n0.1,1\n0.2,2\n0.2,2\n"
+        assert done.stdout == b"a,b\n0.0,0\n0.0,0\n0.1,1\n0.1,1\n0.2,2\n0.2,2\n"
 
 
 def test_a_terminal_gets_csv() -> None:

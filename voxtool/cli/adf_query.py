@@ -1,9 +1,8 @@
-"""voxtool adf-query: what a distance field says at points, or on a plane as a picture."""
+"""voxtool adf-query: the values of a distance field at points, or a picture of a plane."""
 
 from __future__ import annotations
 
 import math
-import os
 import sys
 import time
 from dataclasses import dataclass
@@ -12,17 +11,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import SEARCHES
-from voxtool.cli import options
-from voxtool.errors import VoxtoolError, count_of
+from voxtool.choices import DEFAULT_SEARCH, SEARCHES
+from voxtool.cli import options, runner
+from voxtool.errors import count_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Iterator
 
     import numpy as np
 
     from voxtool.adf.host_query import QueryResult
     from voxtool.adf.query import FieldQuery
+    from voxtool.cli.runner import Run
     from voxtool.files.answers import Answers
 
 SLICE_SIZE = 800  # pixels
@@ -55,7 +55,7 @@ class Plane(click.ParamType):
 
 @dataclass
 class Tally:
-    """What was asked and answered, and the seconds that the queries took."""
+    """Counts of points, and the seconds that the queries took."""
 
     points: int = 0
     outside: int = 0
@@ -70,28 +70,45 @@ class Tally:
         self.nan += int(np.count_nonzero(np.isnan(points).any(axis=1)))
         self.seconds += seconds
 
+    def facts(self) -> dict[str, Any]:
+        """The tally in JSON types; `ns_a_point` is of the queries alone, whose first one compiles
+        kernels. The points of a picture are its pixels."""
+        found: dict[str, Any] = {"points": self.points, "outside": self.outside, "nan": self.nan}
+        if self.seconds:
+            found["ns_a_point"] = round(1e9 * self.seconds / self.points, 1)
+        return found
+
+    def notes(self) -> Iterator[str]:
+        """How many points have values of another kind."""
+        if self.nan:
+            yield f"{count_of(self.nan, 'point')} {is_or_are(self.nan)} NaN: so is the value"
+        if self.outside:
+            yield (
+                f"{count_of(self.outside, 'point')} {is_or_are(self.outside)} outside the cube: "
+                "the values are lower bounds"
+            )
+
+
+def is_or_are(count: int) -> str:
+    return "is" if count == 1 else "are"
+
 
 @click.command("adf-query")
 @click.argument("field")
 @click.argument("points", required=False)
-@options.output_options(
-    "FILE",
-    "Default POINTS's name with .distance.npy or --format, in this folder; stdout for stdin; with "
-    "--slice FIELD's name with .slice.png.",
-)
 @click.option(
     "--search",
     type=click.Choice(SEARCHES),
-    default="binary",
+    default=DEFAULT_SEARCH,
     show_default=True,
-    help="How leaves are found: from coarse to fine; by halving the levels; or from the level of "
-    "the point before, for points along rays or in another order of near ones.  All find the same.",
+    help="How leaves are found: linear, from coarse to fine; binary, by halving the levels; "
+    "coherent, from the level of the point before, for points along rays.  All find the same.",
 )
 @click.option("--gradient", is_flag=True, help="Write the gradient, too: gx, gy, gz.")
 @click.option(
     "--bounds",
     is_flag=True,
-    help="Write how far at most the distance is from the exact one, too: bound.",
+    help="Write a bound of the error of the distance, too: bound.",
 )
 @click.option(
     "--cell", is_flag=True, help="Write the leaf, too: its level and its key kx, ky, kz (eq. 3-1)."
@@ -101,41 +118,40 @@ class Tally:
     "plane",
     type=Plane(),
     metavar="AXIS=VALUE",
-    help="Draw the field on this plane (z=0.5) as .png, instead of answering POINTS.",
+    help="Draw the field on this plane (z=0.5) as .png, without POINTS.",
 )
 @click.option(
     "--size",
     type=click.IntRange(200, 8192),
     help=f"Pixels of the picture's width.  [default: {SLICE_SIZE}]",
 )
-@options.format_option("npy", "csv")
-@options.device_option
-@options.json_option
-@options.quiet_option
-@options.verbose_option
+@runner.run_options(
+    options.output_options(
+        "FILE",
+        "Default POINTS's name with .distance.npy or --format, in this folder; stdout, as CSV, for "
+        "stdin; with --slice FIELD's name with .slice.png.",
+    ),
+    options.format_option("npy", "csv"),
+    options.device_option,
+    options.json_option,
+    options.quiet_option,
+    options.verbose_option,
+)
 def command(
+    run: Run,
     field: str,
     points: str | None,
-    output: str | None,
-    no_clobber: bool,
     search: str,
-    gradient: bool,
-    bounds: bool,
-    cell: bool,
     plane: tuple[str, float] | None,
     size: int | None,
-    file_format: str | None,
-    device: str | None,
-    as_json: bool,
-    quiet: bool,
-    verbose: bool,
+    **asked: bool,
 ) -> None:
-    """Ask a distance FIELD how far POINTS are from its mesh; negative inside.
+    """Evaluate a distance FIELD at POINTS: their distances from its mesh, negative inside.
 
-    FIELD is a file that adf-build wrote; POINTS a .npy, .npz, .csv, .xyz or .ply file; each can be
-    - for stdin, which POINTS is by default. Points and answers are in world units. Outside of the
-    field's cube answers are lower bounds on the distance, without a sign. Columns: distance; then,
-    as asked for, gx, gy, gz; bound; level, kx, ky, kz; and with any of these outside (0 or 1).
+    FIELD is a file that adf-build wrote; POINTS is a .npy, .npz, .csv, .xyz or .ply file. Each can
+    be - for stdin, which is the default of POINTS. Points and distances are in world units. Outside
+    the field's cube, distances are lower bounds without a sign. The columns are distance; then, if
+    asked for, gx, gy, gz; bound; level, kx, ky, kz; and with any of these outside (0 or 1).
 
     \b
     Examples:
@@ -150,77 +166,57 @@ def command(
             raise click.UsageError("FIELD and POINTS cannot both be stdin: name a file for one")
         if points == "-" and sys.stdin.isatty():
             raise click.UsageError("there are no POINTS: name a file, or pipe them in")
-    elif points or gradient or bounds or cell or file_format:
+    elif points or any(asked.values()) or run.file_format:
         raise click.UsageError(
             "--slice draws distances: leave out POINTS, --gradient, --bounds, --cell and --format"
         )
-    started = time.perf_counter()
     from voxtool.adf.host_query import no_bounds
     from voxtool.adf.query import FieldQuery
-    from voxtool.files import check_target, read_adf
-    from voxtool.files.answers import open_answers
+    from voxtool.files import read_adf
+    from voxtool.files.answers import ANSWER_FORMATS, open_answers
     from voxtool.files.picture import write_picture
     from voxtool.files.points import read_points
-    from voxtool.opencl import open_device
     from voxtool.plots.slice import check_plane, draw_slice
 
-    if output is None:
-        output = default_output(field, points, file_format)
-    if output != "-":
-        check_target(output, not no_clobber)
-        if points and os.path.exists(output) and points != "-" and os.path.samefile(points, output):
-            raise click.UsageError(f"{output} is POINTS itself: name another output")
-    stages = ["read field", "query"] if plane is None else ["read field", "draw"]
-    with options.Progress(stages) as progress:
-        progress.enter("read field")
-        source = read_adf(field)
-        try:
-            if bounds and source.bounds is None:
+    if plane:
+        run.file_format = "png"
+        run.to(field, slice_name(field), ("png",))
+    else:
+        piped = run.output == "-" or (points == "-" and run.output is None)
+        run.file_format = run.file_format or ("csv" if piped else None)
+        name = f"{PurePath(points or '').stem}.distance.{run.file_format or 'npy'}"
+        run.to(points or "-", "-" if points == "-" else name, ANSWER_FORMATS)
+        run.keep_input(points or "-", "POINTS")
+    with run:
+        source = run.stage("read field", read_adf, field)
+        with run.naming(field):
+            if asked["bounds"] and source.bounds is None:
                 raise no_bounds()
-            if plane is not None:
+            if plane:
                 check_plane(source, *plane)
-        except VoxtoolError as error:
-            raise type(error)(f"{field}: {error}") from error
-        chosen = open_device(device, profile=verbose)
-        query = FieldQuery(source, chosen)
-        progress.enter(stages[-1])
-        if plane is not None:
+        query = FieldQuery(source, run.device)
+        if plane:
+            run.enter("draw")
             picture, drawn = draw_slice(query, *plane, size=size or SLICE_SIZE)
-            write_picture(picture, output, clobber=not no_clobber)
+            run.write(write_picture, picture)
             tally = Tally(points=len(drawn.distance))
         else:
-            asked = {"gradient": gradient, "bounds": bounds, "cell": cell}
-            columns = columns_of(asked)
-            with open_answers(output, columns, file_format, not no_clobber) as answers:
+            run.enter("query")
+            opened = open_answers(
+                str(run.output), columns_of(asked), run.file_format, not run.no_clobber
+            )
+            with opened as answers:
                 blocks = read_points(points or "-")
                 tally = answer_points(query, blocks, answers, search=search, **asked)
-    seconds = time.perf_counter() - started
-    if as_json:
-        if output != "-" or not quiet:
-            options.print_json(summary(output, tally, seconds), err=output == "-")
-    else:
-        source_name = f"{field} at {plane[0]}={plane[1]:g}" if plane else points
-        what = f"{tally.points:,} pixels" if plane else f"{count_of(tally.points, 'point')}"
-        options.tell(
-            f"{source_name if source_name != '-' else 'stdin'} -> "
-            f"{output if output != '-' else 'stdout'}: {what}, {seconds:.2f} s"
-        )
-    tell_unusual(tally)
-    if verbose:
-        options.tell(f"{chosen.info.name} ({chosen.info.platform})")
-        for stage, time_on_device in chosen.stage_times().items():
-            options.tell(f"  {stage:<18} {1e3 * time_on_device:9.2f} ms")
+    what = f"{tally.points:,} pixels at {plane[0]}={plane[1]:g}" if plane else ""
+    run.notes += tally.notes()
+    run.report(what or count_of(tally.points, "point"), tally.facts)
 
 
-def default_output(field: str, points: str | None, file_format: str | None) -> str:
-    """points.csv -> points.distance.npy, in the current folder; stdin -> stdout. Without points a
-    picture: bunny.adf.h5 -> bunny.slice.png."""
-    if points is None:
-        name = PurePath(field if field != "-" else "field").name
-        return f"{name.removesuffix('.h5').removesuffix('.adf')}.slice.png"
-    if points == "-":
-        return "-"
-    return f"{PurePath(points).stem}.distance.{file_format or 'npy'}"
+def slice_name(field: str) -> str:
+    """bunny.adf.h5 -> bunny.slice.png, in the current folder."""
+    name = PurePath(field if field != "-" else "field").name
+    return f"{name.removesuffix('.h5').removesuffix('.adf')}.slice.png"
 
 
 def columns_of(asked: dict[str, bool]) -> list[tuple[str, str]]:
@@ -253,33 +249,3 @@ def answer_points(
             columns.append(answer.outside)
         answers.write(columns)
     return tally
-
-
-def tell_unusual(tally: Tally) -> None:
-    """How many points have answers of another kind."""
-    if tally.nan:
-        options.tell(f"{count_of(tally.nan, 'point')} {is_or_are(tally.nan)} NaN: so is the answer")
-    if tally.outside:
-        options.tell(
-            f"{count_of(tally.outside, 'point')} {is_or_are(tally.outside)} outside of the cube: "
-            "theirs are lower bounds"
-        )
-
-
-def is_or_are(count: int) -> str:
-    return "is" if count == 1 else "are"
-
-
-def summary(output: str, tally: Tally, seconds: float) -> dict[str, Any]:
-    """What was answered, in JSON types; `ns_a_point` is of the queries, whose first one compiles
-    kernels, and `seconds` of all. A picture's points are its pixels."""
-    result: dict[str, Any] = {
-        "output": output,
-        "points": tally.points,
-        "outside": tally.outside,
-        "nan": tally.nan,
-        "seconds": round(seconds, 3),
-    }
-    if tally.seconds:
-        result["ns_a_point"] = round(1e9 * tally.seconds / tally.points, 1)
-    return result

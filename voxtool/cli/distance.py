@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
@@ -111,11 +110,9 @@ def command(
         points = points or "-"
         name = f"{PurePath(points).stem}.distance.{run.file_format or 'npy'}"
         if points == run.output == "-" or (points == "-" and run.output is None):
-            run.file_format = run.file_format or ("csv" if sys.stdout.isatty() else "npy")
+            run.file_format = run.file_format or "csv"
         run.to(points, "-" if points == "-" else name, ANSWER_FORMATS)
-        there = run.output and os.path.exists(run.output) and os.path.exists(points)
-        if there and os.path.samefile(points, str(run.output)):
-            raise click.UsageError(f"{run.output} is POINTS itself: name another output")
+        run.keep_input(points, "POINTS")
     with run:
         loaded = run.stage("read mesh", load_mesh, mesh)
         if on_grid:

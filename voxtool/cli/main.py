@@ -43,6 +43,7 @@ COMMANDS = {
     "devices": "voxtool.cli.devices",
     "selftest": "voxtool.cli.selftest",
     "bench": "voxtool.cli.bench",
+    "completion": "voxtool.cli.completion",
 }
 # What an error is called in JSON, and the exit code; the first that fits.
 ERRORS = (

@@ -30,6 +30,7 @@ named, and `finish` takes the place of `report`.
 from __future__ import annotations
 
 import functools
+import os
 import sys
 import time
 import warnings
@@ -75,7 +76,7 @@ class Run:
     progress: options.Progress = field(default_factory=options.Progress)
     started: float = field(default_factory=time.perf_counter)
     seconds: float = 0.0
-    _notes: list[str] = field(default_factory=list)  # of the job
+    notes: list[str] = field(default_factory=list)  # told after the report: no warnings
     _times: dict[str, float] = field(default_factory=dict)  # of stages on the host
     _stage: tuple[str, float] | None = None  # the stage that runs, and when it began
     _device_times: dict[str, float] | None = None  # read once: the device forgets them
@@ -111,6 +112,12 @@ class Run:
         elif self.file_format not in TEXT_FORMATS and sys.stdout.isatty():
             raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
 
+    def keep_input(self, source: str, name: str) -> None:
+        """Refuse an output that is the input itself, which is read while the output is written."""
+        there = os.path.exists(source) and os.path.exists(str(self.output))
+        if there and os.path.samefile(source, str(self.output)):
+            raise click.UsageError(f"{self.output} is {name} itself: name another output")
+
     @property
     def to_stdout(self) -> bool:
         """Whether stdout takes the result, so that reports go to stderr."""
@@ -122,10 +129,9 @@ class Run:
         return "stdout" if self.to_stdout else str(self.output)
 
     def write(self, write: Callable[..., Any], content: Any, **more: Any) -> None:
-        """Write the result: `write(content, output, clobber, format)`."""
-        self.stage(
-            WRITE, write, content, self.output, not self.no_clobber, self.file_format, **more
-        )
+        """Write the result: `write(content, output, clobber=..., format=..., **more)`."""
+        more |= {"clobber": not self.no_clobber, "format": self.file_format}
+        self.stage(WRITE, write, content, self.output, **more)
 
     # ---- the device, the stages, the job
 
@@ -209,7 +215,7 @@ class Run:
             options.warn(message)
         if job.device is not None:
             self._times[JOB] = time.perf_counter() - began
-        self._notes += job.notes(result)
+        self.notes += job.notes(result)
         return result
 
     def print_plan(self, job: Job[Any], facts: Mapping[str, Any]) -> NoReturn:
@@ -262,7 +268,7 @@ class Run:
             result = {
                 "output": self.output,
                 **facts(),
-                "notes": self._notes,
+                "notes": self.notes,
                 "warnings": self.warnings,
                 "stages": self.times() if self.as_json else {},
                 "seconds": round(self.seconds, 3),
@@ -272,7 +278,7 @@ class Run:
         if not self.as_json:
             source = self.source if self.source != "-" else "stdin"
             options.tell(f"{source} -> {self.target}: {text}, {self.seconds:.2f} s")
-            for line in (*(f"  {detail}" for detail in details), *self._notes):
+            for line in (*(f"  {detail}" for detail in details), *self.notes):
                 options.tell(line)
         self.finish()
 

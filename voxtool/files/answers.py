@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from contextlib import ExitStack, contextmanager
@@ -141,8 +140,8 @@ def open_answers(
 ) -> Iterator[Answers]:
     """Open a table of answers for writing, as .npy or .csv.
 
-    `-` writes stdout: .csv to a terminal, else .npy. The file appears when the block ends, and not
-    at all if it ends with an error.
+    `-` writes stdout, as .csv unless `format` is given. The file appears when the block ends, and
+    not at all if it ends with an error.
 
     Parameters
     ----------
@@ -155,10 +154,7 @@ def open_answers(
     FileError : the file cannot be written, or its name says no format.
     """
     if format is None:
-        if path == STREAM:
-            format = "csv" if sys.stdout.isatty() else "npy"
-        else:
-            format = format_of(path, ANSWER_FORMATS)
+        format = "csv" if path == STREAM else format_of(path, ANSWER_FORMATS)
     if format not in ANSWER_FORMATS:
         raise FileError(f"format {format!r} is unknown: choose one of {', '.join(ANSWER_FORMATS)}")
     kind = ANSWER_FORMATS[format]
