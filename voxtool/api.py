@@ -76,6 +76,7 @@ from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.svo.voxelize import VoxelizeJob
 from voxtool.tets import textures as tets
 from voxtool.tets.mesh import UnstructuredMesh
+from voxtool.tets.textures import VolumeJob
 from voxtool.tets.transfer import TransferFunction, default_transfer
 from voxtool.tets.volume import TetVolume
 
@@ -113,6 +114,7 @@ __all__ = [
     "TetVolume",
     "TransferFunction",
     "UnstructuredMesh",
+    "VolumeJob",
     "VoxelizeJob",
     "VoxtoolError",
     "VoxtoolWarning",
@@ -727,8 +729,9 @@ def build_tet(
     ----------
     [TetVol]
     """
-    found = _opened(mesh, lambda path: read_unstructured(path, scalar, component))
-    return tets.build_tet(found, layout, merge_distance, max_memory=max_memory)
+    return plan_tet(
+        mesh, layout, merge_distance, scalar=scalar, component=component, max_memory=max_memory
+    ).run()
 
 
 def plan_tet(
@@ -739,10 +742,10 @@ def plan_tet(
     scalar: str | None = None,
     component: str | int | None = None,
     max_memory: int | None = None,
-) -> Any:
+) -> VolumeJob:
     """Return the job that `build_tet` runs with the same arguments."""
     found = _opened(mesh, lambda path: read_unstructured(path, scalar, component))
-    return tets.plan_tet(found, layout, merge_distance)
+    return tets.plan_tet(found, layout, merge_distance, max_memory=max_memory)
 
 
 def plan_render(

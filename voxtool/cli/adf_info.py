@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @click.command("adf-info")
 @click.argument("file")
-@click.option("--check", is_flag=True, help="Check every invariant; exit 1 if one fails.")
+@click.option("--check", is_flag=True, help="Check every invariant.")
 @click.option("--digest", is_flag=True, help="Print the SHA-256 of the content, and that alone.")
 @options.json_option
 def command(file: str, check: bool, digest: bool, as_json: bool) -> None:

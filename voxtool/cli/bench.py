@@ -118,6 +118,7 @@ COMMANDS = {
     \b
     Examples:
       voxtool bench distance bunny.obj --points 1000 --grids 16
+      voxtool bench distance bunny.obj --quick --peers
     """,
     "tets": """Measure pictures of MODELS, which are volume meshes, against pictures in float64.
 

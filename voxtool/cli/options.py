@@ -78,37 +78,20 @@ class List(click.ParamType):
         return [self.each.convert(word.strip(), param, ctx) for word in str(value).split(",")]
 
 
-def device_option(function: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option(
-        "--device",
-        metavar="DEVICE",
-        help="Number, kind (cpu, gpu) or part of a name, as `voxtool devices` lists them.  "
-        "[default: $VOXTOOL_DEVICE, or the first that works, GPUs first]",
-    )(function)
-
-
-def json_option(function: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option("--json", "as_json", is_flag=True, help="Print JSON.")(function)
-
-
-def quiet_option(function: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option("-q", "--quiet", is_flag=True, help="Nothing on stderr but errors.")(
-        function
-    )
-
-
-def verbose_option(function: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option(
-        "-v", "--verbose", is_flag=True, help="The device, and the time of each stage, on stderr."
-    )(function)
-
-
-def strict_option(function: Callable[..., Any]) -> Callable[..., Any]:
-    return click.option(
-        "--strict",
-        is_flag=True,
-        help="Exit with 1 if there is a warning of the input or the result.",
-    )(function)
+device_option = click.option(
+    "--device",
+    metavar="DEVICE",
+    help="Number, kind (cpu, gpu) or part of a name, as `voxtool devices` lists them.  "
+    "[default: $VOXTOOL_DEVICE, or the first that works, GPUs first]",
+)
+json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+quiet_option = click.option("-q", "--quiet", is_flag=True, help="Nothing on stderr but errors.")
+verbose_option = click.option(
+    "-v", "--verbose", is_flag=True, help="The device, and the time of each stage, on stderr."
+)
+strict_option = click.option(
+    "--strict", is_flag=True, help="Exit with 1 if there is a warning of the input or the result."
+)
 
 
 def format_option(*formats: str) -> Decorator:
