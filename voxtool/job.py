@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import os
 import sys
 import warnings
 from abc import ABC, abstractmethod
@@ -146,7 +147,7 @@ class Job(ABC, Generic[Result]):
         with self.device.reporting(progress) if self.device else contextlib.nullcontext():
             result = self._run()
         for finding in self.findings(result):
-            warnings.warn(finding, MeshWarning, stacklevel=2)
+            warnings.warn(finding, MeshWarning, stacklevel=_outside())
         return result
 
     @abstractmethod
@@ -172,3 +173,11 @@ class Job(ABC, Generic[Result]):
         if self._progress:
             self._progress(name)
         yield
+
+
+def _outside() -> int:
+    """The stack level of the caller outside this package, so that a warning names its line."""
+    package, frame, level = os.path.dirname(__file__), sys._getframe(1), 1
+    while frame.f_back and frame.f_code.co_filename.startswith(package):
+        frame, level = frame.f_back, level + 1
+    return level
