@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 
@@ -52,9 +53,19 @@ def test_all_columns(here: Path) -> None:
     assert np.array_equal(table[:, 7], found.face)
 
 
-def test_points_from_stdin(here: Path) -> None:
-    text = run("distance box.obj --format csv", b"2 2 2\n6 2 2\n").stdout
+@pytest.mark.parametrize(
+    "options", ["", "-", "- -o -", "two.csv -o -", "two.csv -o - --format csv"]
+)
+def test_stdout_is_csv(here: Path, options: str) -> None:
+    points = b"2 2 2\n6 2 2\n"
+    Path("two.csv").write_bytes(points.replace(b" ", b","))
+    text = run(f"distance box.obj {options}", points).stdout
     assert text == "distance\n-2.0\n2.0\n"
+
+
+def test_stdout_is_binary_on_request(here: Path) -> None:
+    done = run("distance box.obj -o - --format npy", b"2 2 2\n6 2 2\n")
+    assert np.load(io.BytesIO(done.stdout_bytes)).tolist() == [-2.0, 2.0]
 
 
 @pytest.mark.parametrize("mesh", ["box", "open"])

@@ -173,7 +173,7 @@ def command(
     from voxtool.adf.host_query import no_bounds
     from voxtool.adf.query import FieldQuery
     from voxtool.files import read_adf
-    from voxtool.files.answers import ANSWER_FORMATS, open_answers
+    from voxtool.files.answers import open_answers
     from voxtool.files.picture import write_picture
     from voxtool.files.points import read_points
     from voxtool.plots.slice import check_plane, draw_slice
@@ -182,11 +182,7 @@ def command(
         run.file_format = "png"
         run.to(field, slice_name(field), ("png",))
     else:
-        piped = run.output == "-" or (points == "-" and run.output is None)
-        run.file_format = run.file_format or ("csv" if piped else None)
-        name = f"{PurePath(points or '').stem}.distance.{run.file_format or 'npy'}"
-        run.to(points or "-", "-" if points == "-" else name, ANSWER_FORMATS)
-        run.keep_input(points or "-", "POINTS")
+        run.to_table(points or "-")
     with run:
         source = run.stage("read field", read_adf, field)
         with run.naming(field):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -64,7 +63,7 @@ COLUMNS = {
 @runner.job_options(
     "FILE",
     "Default POINTS's name with .distance.npy, or MESH's name with .sdf.npy, in this folder; "
-    "stdout for points from stdin.",
+    "stdout, as CSV, for points from stdin.",
     "npy",
     "csv",
 )
@@ -100,19 +99,13 @@ def command(
     if placing["dim"] and placing["pitch"]:
         raise click.UsageError("--dim and --pitch both set the voxel size: drop one of them")
     from voxtool.files import read_svo
-    from voxtool.files.answers import ANSWER_FORMATS
     from voxtool.files.mesh import load_mesh
     from voxtool.grid import Grid
 
     if on_grid:
         run.to(mesh, options.output_of(mesh, "sdf.npy"), ("npy",))
     else:
-        points = points or "-"
-        name = f"{PurePath(points).stem}.distance.{run.file_format or 'npy'}"
-        if points == run.output == "-" or (points == "-" and run.output is None):
-            run.file_format = run.file_format or "csv"
-        run.to(points, "-" if points == "-" else name, ANSWER_FORMATS)
-        run.keep_input(points, "POINTS")
+        run.to_table(points or "-")
     with run:
         loaded = run.stage("read mesh", load_mesh, mesh)
         if on_grid:

@@ -37,6 +37,7 @@ import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, NoReturn, Self, TypeVar
 
 import click
@@ -111,6 +112,17 @@ class Run:
             check_target(self.output, not self.no_clobber)
         elif self.file_format not in TEXT_FORMATS and sys.stdout.isatty():
             raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
+
+    def to_table(self, points: str) -> None:
+        """Choose the output of a table of values at points: CSV on stdout, otherwise .npy, unless
+        --format or the name of the output says another."""
+        from voxtool.files.answers import ANSWER_FORMATS
+
+        piped = (self.output or points) == "-"
+        self.file_format = self.file_format or ("csv" if piped else None)
+        name = f"{PurePath(points).stem}.distance.{self.file_format or 'npy'}"
+        self.to(points, "-" if points == "-" else name, ANSWER_FORMATS)
+        self.keep_input(points, "POINTS")
 
     def keep_input(self, source: str, name: str) -> None:
         """Refuse an output that is the input itself, which is read while the output is written."""
