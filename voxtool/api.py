@@ -815,7 +815,7 @@ def render(
 
 # ---- annotations and notebooks
 
-# The modules of these functions import the types that they name for type checkers only.
+# The modules of these functions import their types for type checkers only.
 for _function in (
     camera_for, default_transfer, load_mesh, list_devices, mesh_from_arrays, open_device, read_adf,
     read_svo, read_tet, read_transfer, read_unstructured, write_adf, write_picture, write_svo,

@@ -55,7 +55,7 @@ def count_of(count: int, noun: str) -> str:
 
 
 def printable(text: Any) -> str:
-    """The text with ? for what would break a line or a terminal."""
+    """Replace characters that would break a line or a terminal by ?."""
     return "".join(c if c.isprintable() else "?" for c in str(text))
 
 

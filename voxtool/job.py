@@ -39,7 +39,7 @@ class Cost:
 
 
 class Plan(Protocol):
-    """What a job decided before it runs: a frozen dataclass of numbers, names and tuples."""
+    """The decisions of a job before it runs: a frozen dataclass of numbers, names and tuples."""
 
     @property
     def stages(self) -> Sequence[str]:
@@ -48,7 +48,7 @@ class Plan(Protocol):
 
     @property
     def left_out(self) -> Mapping[str, str]:
-        """What is not compiled, allocated or run, and why."""
+        """Reasons by the name of what is not compiled, allocated or run."""
         ...
 
     @property
@@ -61,7 +61,7 @@ class Plan(Protocol):
         ...
 
     def rows(self) -> list[tuple[str, str]]:
-        """What `--plan` prints before the stages: names and texts."""
+        """Names and texts, which `--plan` prints before the stages."""
         ...
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
@@ -92,7 +92,7 @@ class Job(ABC, Generic[Result]):
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not compiled, allocated or run, and why."""
+        """Reasons by the name of what is not compiled, allocated or run."""
         return dict(self.plan.left_out)
 
     @property
@@ -155,12 +155,12 @@ class Job(ABC, Generic[Result]):
         """Do the work as the plan says."""
 
     def findings(self, result: Result) -> Iterable[str]:
-        """What a user should know of a result: why it is empty, or what was wrong with the input;
-        one line each."""
+        """Warnings about a result, one line each: why it is empty, or what was wrong with the
+        input."""
         return ()
 
     def notes(self, result: Result) -> Iterable[str]:
-        """What a user may like to know of a result, one line each; no cause for a warning."""
+        """Remarks on a result that are no warnings, one line each."""
         return ()
 
     @contextlib.contextmanager

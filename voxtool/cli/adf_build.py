@@ -114,7 +114,7 @@ def command(
 
 
 def facts_of(field: DistanceField) -> dict[str, Any]:
-    """What was made, in JSON types."""
+    """The facts of the report, in JSON types."""
     n = len(field.voxels)
     return {
         "tolerance": field.tolerance,

@@ -56,9 +56,9 @@ def command(file: str, check: bool, digest: bool, as_json: bool) -> None:
 
 
 def summary(field: DistanceField) -> dict[str, Any]:
-    """What a field holds, in JSON types; origin and side in world units, other lengths in sides.
+    """The content of a field, in JSON types; origin and side in world units, lengths in sides.
 
-    `saved` has the two savings of the text: of section 3.1, the blocks against eight float32 a
+    `saved` has the two savings of [ADF]: of section 3.1, the blocks against eight float32 a
     leaf or, as it counts there, a cell; of section 3.2, the slots of cells that have blocks against
     slots for the leaves, too, whose identifiers are longer.
     """

@@ -79,7 +79,7 @@ class Tally:
         return found
 
     def notes(self) -> Iterator[str]:
-        """How many points have values of another kind."""
+        """Counts of points with other values than distances."""
         if self.nan:
             yield f"{count_of(self.nan, 'point')} {is_or_are(self.nan)} NaN: so is the value"
         if self.outside:

@@ -17,8 +17,8 @@ def command(shell: str) -> None:
 
     \b
     Examples:
-      voxtool completion bash > voxtool.bash
-      voxtool completion fish > voxtool.fish
+      voxtool completion bash
+      voxtool completion fish
     """
     from click.shell_completion import get_completion_class
 

@@ -161,7 +161,7 @@ def default_output(octree: str, style: str, file_format: str) -> str:
 
 
 def facts_of(octree: Octree, surface: Isosurface) -> dict[str, Any]:
-    """What was made, in JSON types."""
+    """The facts of the report, in JSON types."""
     return {
         "dim": octree.grid.dim,
         "style": surface.style,
@@ -178,7 +178,7 @@ def facts_of(octree: Octree, surface: Isosurface) -> dict[str, Any]:
 
 
 def check_mesh(octree: Octree, surface: Isosurface) -> dict[str, Any]:
-    """Whether the surface is closed, what it is, and its volume against the octree's."""
+    """The result of --check: closed or not, genus, shells, and volume beside the octree's."""
     from voxtool.mesh.topology import check_surface, closed_chain, volume
 
     mesh = surface.mesh()

@@ -120,7 +120,7 @@ class Voxtool(click.Group):
 
 
 def message_of(error: Exception) -> str:
-    """What an error says, in one line."""
+    """The message of an error, in one line."""
     if isinstance(error, click.ClickException):
         message = error.format_message()
         context = error.ctx if isinstance(error, click.UsageError) else None
@@ -156,7 +156,7 @@ def naming_closed_pipes() -> Iterator[None]:
 
 
 def reader_has_gone(error: BaseException) -> bool:
-    """Whether an error is that nobody reads stdout any more, as in `voxtool ... | head -1`."""
+    """True if nobody reads stdout any more, as in `voxtool ... | head -1`."""
     cause: BaseException | None = error
     while cause and not isinstance(cause, BrokenPipeError):
         cause = cause.__cause__

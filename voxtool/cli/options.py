@@ -11,16 +11,9 @@ from typing import TYPE_CHECKING, Any, Self
 import click
 
 from voxtool.choices import MAX_DIM, MIN_DIM
-from voxtool.errors import MemoryLimitError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    from voxtool.adf.plan import FieldPlan
-    from voxtool.opencl import Device
-    from voxtool.rendering import RenderPlan
-    from voxtool.svo.plan import VoxelizePlan
-    from voxtool.svo.surface.plan import ExtractionPlan
 
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
@@ -158,7 +151,7 @@ def issued_warnings() -> list[str]:
 
 
 def warn(message: str) -> None:
-    """A line on stderr, `voxtool: warning: ...`, the first time that it is given."""
+    """Print `voxtool: warning: ...` on stderr, each message once."""
     issued = issued_warnings()
     if message not in issued:
         issued.append(message)
@@ -166,13 +159,13 @@ def warn(message: str) -> None:
 
 
 def is_quiet() -> bool:
-    """Whether the command that runs was given -q."""
+    """True if the command that runs has -q."""
     context = click.get_current_context(silent=True)
     return bool(context and context.params.get("quiet"))
 
 
 def tell(message: str) -> None:
-    """A line on stderr; with -q only errors, which are told when the command has ended."""
+    """Print a line on stderr, unless -q is given; errors are printed at the end of the command."""
     if is_quiet():
         return
     context = click.get_current_context(silent=True)
@@ -180,18 +173,6 @@ def tell(message: str) -> None:
     if bar:
         bar.erase()
     click.echo(f"voxtool: {message}", err=True)
-
-
-def warn_if_refused(
-    plan: VoxelizePlan | ExtractionPlan | FieldPlan | RenderPlan,
-    max_memory: int | None,
-    device: Device,
-) -> None:
-    """What is planned may be more than there is memory for."""
-    try:
-        plan.refuse_beyond(max_memory or device.max_memory, device.info.max_allocation)
-    except MemoryLimitError as error:
-        tell(f"warning: this will be refused: {error}")
 
 
 class Progress:

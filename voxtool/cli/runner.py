@@ -1,4 +1,4 @@
-"""What every command does in the same way: read, plan, run, write, report.
+"""The runner of all commands: read, plan, run, write, report.
 
 A command module holds its options, its help, and what it reports. `options` at the end of its
 decorators adds the shared options and passes their values as a `Run`, the first argument:
@@ -132,7 +132,7 @@ class Run:
 
     @property
     def to_stdout(self) -> bool:
-        """Whether stdout takes the result, so that reports go to stderr."""
+        """True if stdout takes the result; reports then go to stderr."""
         return self.output == "-"
 
     @property
@@ -257,7 +257,7 @@ class Run:
 
     @property
     def warnings(self) -> list[str]:
-        """The library's warnings so far."""
+        """The warnings of the library so far."""
         return options.issued_warnings()
 
     def report(

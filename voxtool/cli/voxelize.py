@@ -130,7 +130,7 @@ def check_placing(like: str | None, fit: str, **sizes: Any) -> None:
 
 
 def facts_of(octree: Octree) -> dict[str, Any]:
-    """What was made, in JSON types."""
+    """The facts of the report, in JSON types."""
     grid = octree.grid
     return {
         "grid": {
@@ -150,7 +150,7 @@ def facts_of(octree: Octree) -> dict[str, Any]:
 
 
 def report_line(octree: Octree) -> str:
-    """What was made, in one line."""
+    """The line of the report."""
     from voxtool.errors import human
 
     filled = "" if octree.fill == "none" else f" by {octree.fill}"
