@@ -139,3 +139,13 @@ def test_convergence(tmp_path):
         assert rms < 20 / dim**2  # of the second order
         assert float(row[-2]) == pytest.approx(1, abs=1.2 / dim)  # surface26
         assert float(row[-1]) == pytest.approx(1, abs=3 / dim)  # surface6
+
+
+# ---- call_costs.py
+
+
+def test_call_costs(folder):
+    text = run(sys.executable, EXAMPLES / "call_costs.py", "ball.obj", "--repeat", 1, cwd=folder)
+    rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| ")][2:]
+    assert len(rows) == 6
+    assert all(float(cell.strip(" |")) > 0 for row in rows for cell in row[1:])
