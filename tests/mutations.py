@@ -29,7 +29,199 @@ class Mutation(NamedTuple):
     tests: str
 
 
-MUTATIONS: dict[str, Mutation] = {}
+MUTATIONS: dict[str, Mutation] = {
+    # kernels: voxels
+    "ties between axes": Mutation(
+        "kernels/svo/overlap.h",
+        "x != 0 ? x : y != 0 ? y : z;",
+        "x != 0 ? x : z != 0 ? z : y;",
+        "tests/svo/test_voxelize.py tests/svo/fill",
+    ),
+    "boxes that a triangle touches": Mutation(
+        "kernels/svo/scan.cl",
+        "k <= last && !is_positive(near)",
+        "k <= last && is_negative(near)",
+        "tests/svo/test_voxelize.py",
+    ),
+    "6-separating ties": Mutation(
+        "kernels/svo/scan.cl",
+        "wide_product(tie < 0, -1)",
+        "wide_product(tie < 0, 0)",
+        "tests/svo/test_voxelize.py",
+    ),
+    "parity, 1/256 voxel aside": Mutation(
+        "kernels/svo/fill/crossings.cl",
+        "(long)c->low.z * VOXEL + HALF - u.x,",
+        "(long)c->low.z * VOXEL + HALF - 1 - u.x,",
+        "tests/svo/fill tests/svo/test_voxelize.py",
+    ),
+    "the last of crossings at a voxel": Mutation(
+        "kernels/svo/fill/crossings.cl",
+        "nonzero ? number != 0 : number > 0",
+        "nonzero ? number > 0 : number > 0",
+        "tests/svo/fill",
+    ),
+    "winding: the row up to a voxel": Mutation(
+        "kernels/svo/fill/winding.cl",
+        "((ulong)(x + 2) << 2)",
+        "((ulong)(x + 1) << 2)",
+        "tests/svo/fill",
+    ),
+    "winding: a box that a cap may cross": Mutation(
+        "kernels/svo/fill/winding.cl",
+        "least > reach + slack || most < -reach - slack",
+        "least > slack || most < -slack",
+        "tests/svo/fill",
+    ),
+    # kernels: surfaces
+    "marching cubes: orientation of an edge": Mutation(
+        "kernels/svo/surface/crossing.h",
+        "return cell_is_inside ? LATTICE - kept : kept;",
+        "return kept;",
+        "tests/svo/surface",
+    ),
+    "marching cubes: the edge of a triangle": Mutation(
+        "kernels/svo/surface/marching_cubes.cl",
+        "vertex_of(THESE_TILES, cut_edges, first_vertex,\n",
+        "vertex_of(THESE_TILES, cut_edges, first_vertex + (i & 1),\n",
+        "tests/svo/surface",
+    ),
+    "nets: a face pinched on both sides": Mutation(
+        "kernels/svo/surface/dual.cl",
+        "PINCHED_FACE[cases[other]] == (face ^ 1)",
+        "PINCHED_FACE[cases[other]] == NO_FACE",
+        "tests/svo/surface",
+    ),
+    "nets: the shorter diagonal": Mutation(
+        "kernels/svo/surface/dual.cl",
+        "squared(point[2] - point[0]) <= squared(point[3] - point[1])",
+        "squared(point[2] - point[0]) >= squared(point[3] - point[1])",
+        "tests/svo/surface",
+    ),
+    # kernels: fields and distances
+    "field: the bound without its bend": Mutation(
+        "kernels/adf/levels/examine.cl",
+        "highest(size - d) + bend;",
+        "highest(size - d);",
+        "tests/adf/test_build.py",
+    ),
+    "field: cells beyond the band": Mutation(
+        "kernels/adf/levels/examine.cl",
+        "c.middle - c.radius > band",
+        "c.middle + c.radius > band",
+        "tests/adf/test_build.py",
+    ),
+    "query: gradients of a leaf": Mutation(
+        "kernels/adf/query.cl",
+        "to_floats((ints)2 << load(level + i))",
+        "to_floats((ints)1 << load(level + i))",
+        "tests/adf/test_query.py",
+    ),
+    "distance: rounding of boxes": Mutation(
+        "kernels/spatial/distance.cl",
+        "(BOX)1 + (sizeof",
+        "(BOX)1 - (sizeof",
+        "tests/spatial/test_distance.py",
+    ),
+    "distance: the corner of a triangle": Mutation(
+        "kernels/spatial/point_triangle.h",
+        "ac > 0.0 ? (MASKS)CA : (MASKS)A;",
+        "(MASKS)CA;",
+        "tests/spatial/test_signed_distance.py tests/spatial/test_distance.py",
+    ),
+    "self-intersections: coplanar triangles": Mutation(
+        "kernels/spatial/self_intersections.cl",
+        "apart_on(cross_of(n, unit(e[i])), t, u) || apart_on(cross_of(m, unit(f[i])), t, u)",
+        "apart_on(cross_of(n, unit(e[i])), t, u)",
+        "tests/spatial/test_self_intersections.py",
+    ),
+    # kernels: volumes and primitives
+    "segments: a rounded sum": Mutation(
+        "kernels/tets/segment.h",
+        "lost = small - (sum - big);",
+        "lost = 0.0f;",
+        "tests/tets/test_segment.py",
+    ),
+    "segments: a coefficient": Mutation(
+        "kernels/tets/segment.h",
+        "0.00416903989f",
+        "0.00417003989f",
+        "tests/tets/test_segment.py",
+    ),
+    "ray casting: oblique rays": Mutation(
+        "kernels/tets/raycast.cl",
+        "(depth - place.depth) * length;",
+        "depth - place.depth;",
+        "tests/tets/test_raycast.py",
+    ),
+    "scan: the total": Mutation(
+        "kernels/opencl/primitives.cl",
+        "i < ITEMS && start + i <= count",
+        "i < ITEMS && start + i < count",
+        "tests/opencl/test_primitives.py",
+    ),
+    "histopyramid: saturated sums": Mutation(
+        "kernels/opencl/primitives.cl",
+        "add_sat(e, five[4])",
+        "e + five[4]",
+        "tests/opencl/test_primitives.py",
+    ),
+    # host code
+    "grid: ties of rounding": Mutation(
+        "voxtool/grid.py",
+        "np.rint(scaled, out=scaled)",
+        "np.floor(scaled + 0.5, out=scaled)",
+        "tests/test_grid.py tests/svo/test_voxelize.py",
+    ),
+    "prune: active nodes stay": Mutation(
+        "voxtool/svo/prune.py",
+        "np.isin(codes, active, assume_unique=True) | ~(empty | full)",
+        "~(empty | full)",
+        "tests/svo",
+    ),
+    "atomic files: synced before the rename": Mutation(
+        "voxtool/files/atomic.py",
+        "    _sync(temporary, os.O_RDWR)\n",
+        "",
+        "tests/files/test_atomic.py",
+    ),
+    "atomic files: nothing left behind": Mutation(
+        "voxtool/files/atomic.py",
+        "                temporary.unlink(missing_ok=True)",
+        "                pass",
+        "tests/files/test_atomic.py",
+    ),
+    "HDF5: data that end beyond the file": Mutation(
+        "voxtool/files/hdf5.py",
+        " or start + needed > size",
+        "",
+        "tests/files",
+    ),
+    "octree: voxels beyond the shape": Mutation(
+        "voxtool/svo/validate.py",
+        "(octree.bricks[edge] & ~allowed) != 0",
+        "(octree.bricks[edge] & ~allowed) == ~allowed",
+        "tests/files tests/svo/test_octree.py",
+    ),
+    "jobs: a limit of memory": Mutation(
+        "voxtool/job.py",
+        "most if self.max_memory is None else self.max_memory",
+        "most",
+        "tests/adf/test_job.py tests/svo/test_voxelize.py tests/cli/test_main.py",
+    ),
+    "launches: integers that wrap around": Mutation(
+        "voxtool/opencl/launch.py",
+        'packed.dtype.kind == "f" or (packed[: self.width] == components).all()',
+        "True",
+        "tests/opencl/test_launch.py",
+    ),
+    "OBJ: indices that count back": Mutation(
+        "voxtool/files/obj.py",
+        "known + np.cumsum(is_vertex)[is_face]",
+        "known + np.full(is_face.sum(), is_vertex.sum())",
+        "tests/mesh/test_mesh.py",
+    ),
+}
 
 
 def run(name: str, mutation: Mutation) -> bool:
@@ -41,10 +233,8 @@ def run(name: str, mutation: Mutation) -> bool:
         )
         shutil.copytree(ROOT, copy, ignore=ignored, symlinks=True)
         file = copy / mutation.file
-        text = file.read_text(encoding="utf-8")
-        if text.count(mutation.old) != 1:
-            sys.exit(f"{name}: {mutation.old!r} occurs {text.count(mutation.old)} times")
-        file.write_text(text.replace(mutation.old, mutation.new), encoding="utf-8")
+        text = file.read_text(encoding="utf-8").replace(mutation.old, mutation.new)
+        file.write_text(text, encoding="utf-8")
         done = subprocess.run(
             [sys.executable, "-m", "pytest", "--quick", "-x", "-q", "-p", "no:cacheprovider",
              *mutation.tests.split()],
@@ -59,6 +249,10 @@ def run(name: str, mutation: Mutation) -> bool:
 
 
 def main() -> None:
+    for name, mutation in MUTATIONS.items():
+        count = (ROOT / mutation.file).read_text(encoding="utf-8").count(mutation.old)
+        if count != 1:
+            sys.exit(f"{name}: {mutation.old!r} occurs {count} times in {mutation.file}")
     names = sys.argv[1:] or list(MUTATIONS)
     survivors = [name for name in names if not run(name, MUTATIONS[name])]
     sys.exit(f"survive: {', '.join(survivors)}" if survivors else 0)
