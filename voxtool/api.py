@@ -419,34 +419,61 @@ def build_adf(
 ) -> DistanceField:
     """Return the adaptively sampled distance field of a mesh.
 
-    Lengths are in sides of the cube that the field fills, 8/7 of the mesh's longest side.
+    Lengths are in sides of the cube that the field fills, 8/7 of the mesh's longest side. Levels
+    are counted from the root, which has level 0; a leaf of level n has an edge of 2**-n. A cell
+    through which triangles may pass is refined at least until its edge is 64 tolerances, unless its
+    bound is within the tolerance: a wall that no sample hits causes an error of at most half the
+    edge.
 
     Parameters
     ----------
-    mesh : a Mesh, a path, a trimesh.Trimesh, or a pair of arrays, (V, 3) and (F, 3).
-    tolerance : error at which a cell is no longer refined.
-    max_level : level at which leaves are no longer refined, 1 to 21; the root has level 0.
-    band : cells further than this from the surface are not refined.
-    sign : "pseudonormal", "winding", "none", or None for what suits the mesh.
-    continuous : whether leaves of different levels agree on their common faces.
-    bounds : whether each leaf stores a bound of its error.
-    max_bytes : approximate size of the field; the largest errors are refined first.
-    measure : whether the errors of the field are measured; see DistanceField.reached.
-    device, max_memory : as voxelize.
+    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
+        The triangle mesh.
+    tolerance : float
+        Error at which a cell is no longer refined.
+    max_level : int
+        Level at which leaves are no longer refined, 1 to 21.
+    band : float
+        Cells further than this from the surface are not refined.
+    sign : str, optional
+        "pseudonormal", "winding" or "none". By default "pseudonormal" for meshes that are closed,
+        consistently wound, free of self-intersections, and without nested shells of the same
+        winding; "winding" for all others. On these, "pseudonormal" may give wrong signs, and bounds
+        are those of the unsigned distance.
+    continuous : bool
+        Whether leaves of different levels agree on their common faces.
+    bounds : bool
+        Whether each leaf stores a bound of its error.
+    max_bytes : int, optional
+        Approximate size of the field; the largest errors are refined first.
+    measure : bool
+        Whether the errors of the field are measured; see DistanceField.reached.
+    device, max_memory
+        As in voxelize.
+
+    Returns
+    -------
+    DistanceField
 
     Raises
     ------
-    MeshError : the mesh cannot be read or has no size. VoxtoolError : a number is out of range.
-    MemoryLimitError : the field would not fit.
-    DeviceError : no usable device, or one without double precision.
+    MeshError
+        If the mesh cannot be read, has no size, or has an extent beyond 2^±500.
+    VoxtoolError
+        If a number is out of range.
+    MemoryLimitError
+        If the field does not fit.
+    DeviceError
+        If there is no device, or it has no double precision.
 
     Warns
     -----
-    MeshWarning : signs are uncertain, or the field has no inside.
+    MeshWarning
+        If signs are uncertain, or the field has no inside.
 
     References
     ----------
-    [ADF], [Frisken 2000].
+    [ADF], [Frisken 2000]
     """
     return plan_adf(
         mesh, tolerance=tolerance, max_level=max_level, band=band, sign=sign,
@@ -469,14 +496,27 @@ def query_adf(
 
     Parameters
     ----------
-    field : a DistanceField or a path.
-    points : (N, 3) numbers, or (3,) for one point, world units.
-    search : how leaves are found, "linear", "binary" or "coherent"; all find the same.
-    gradient, bounds, cell : whether these are returned, too.
+    field : DistanceField or path
+        The field.
+    points : (N, 3) or (3,) array_like
+        World units; (3,) is one point.
+    search : str
+        How leaves are found: "linear", "binary" or "coherent"; the result is the same.
+    gradient, bounds, cell : bool
+        Whether these are returned as well.
+    device : Device, optional
+        Where to compute; the default device if None.
+
+    Returns
+    -------
+    QueryResult
 
     Raises
     ------
-    VoxtoolError : not points, or bounds of a field without any. DeviceError : no usable device.
+    VoxtoolError
+        If points have a wrong shape, or bounds are requested of a field without them.
+    DeviceError
+        If there is no device.
     """
     return adf_query.query_adf(
         _opened(field, read_adf), points, search=search, gradient=gradient, bounds=bounds,
@@ -487,12 +527,32 @@ def query_adf(
 class SignedDistance(signed_distance.SignedDistance):
     """The exact signed distance to a mesh, for many calls.
 
+    The tree is built once, stays on the device while the mesh is in use, and is shared by all
+    objects of the same mesh, sign and device.
+
     Parameters
     ----------
-    mesh : a Mesh, a path, a trimesh.Trimesh, or a pair of arrays, (V, 3) and (F, 3).
-    sign : "pseudonormal", "winding", "none" (no distance is negative), or None for what suits the
-        mesh.
-    device : where to compute; the default device if None.
+    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
+        The triangle mesh.
+    sign : str, optional
+        "pseudonormal", "winding" or "none" (no distance is negative). By default "pseudonormal" if
+        the mesh is watertight and every face has an area, otherwise "winding".
+    device : Device, optional
+        Where to compute; the default device if None.
+
+    Attributes
+    ----------
+    sign : str
+        How the sign is found.
+
+    Raises
+    ------
+    MeshError
+        If the mesh cannot be read, or its extent is beyond 2^±500.
+    DeviceError
+        If there is no device, or it has no double precision.
+    VoxtoolError
+        If the sign is unknown.
 
     Examples
     --------
@@ -541,22 +601,35 @@ def distance(
 ) -> np.ndarray | DistanceResult:
     """Return the exact signed distances from points to a mesh, negative inside.
 
+    The second call with the same Mesh is fast: its tree stays on the device. The error is at most
+    1e-15 of the mesh's extent, or of the distance if that is larger.
+
     Parameters
     ----------
-    mesh : a Mesh, a path, a trimesh.Trimesh, or a pair of arrays, (V, 3) and (F, 3). The second
-        call with the same Mesh is cheap.
-    points : (N, 3) numbers, or (3,) for one point, world units.
-    sign : as SignedDistance.
-    gradient, nearest, face : whether these are returned, too, in a DistanceResult.
+    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
+        The triangle mesh.
+    points : (N, 3) or (3,) array_like
+        World units; (3,) is one point.
+    sign : str, optional
+        As in SignedDistance.
+    gradient, nearest, face : bool
+        Whether these are returned as well, in a DistanceResult.
+    device : Device, optional
+        Where to compute; the default device if None.
 
     Returns
     -------
-    (N,) float64, world units; a DistanceResult if more is asked for.
+    (N,) float64 or DistanceResult
+        World units, never -0.0.
 
     Raises
     ------
-    MeshError : the mesh cannot be read. VoxtoolError : not points, or no such sign.
-    DeviceError : no usable device, or one without double precision.
+    MeshError
+        If the mesh cannot be read, or its extent is beyond 2^±500.
+    VoxtoolError
+        If points have a wrong shape, are not finite or 2^500 extents away, or the sign is unknown.
+    DeviceError
+        If there is no device, or it has no double precision.
 
     References
     ----------
@@ -580,8 +653,10 @@ def plan_distance(
 
     Parameters
     ----------
-    sign : as SignedDistance.
-    located : whether gradients, nearest points or faces will be asked for.
+    mesh, sign, device, max_memory
+        As in SignedDistance and voxelize.
+    located : bool
+        Whether gradients, nearest points or faces will be requested.
     """
     return distances.plan_distance(
         as_mesh(mesh), sign=sign, located=located, device=device, max_memory=max_memory
@@ -620,20 +695,30 @@ def distance_grid(
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> np.ndarray:
-    """Return the signed distances at the voxel centres of a grid, (nx, ny, nz), world units.
+    """Return the signed distances at the voxel centres of a grid.
 
     A distance is negative exactly where `voxelize` with the same arguments sets the voxel. The
-    magnitudes are those of the unrounded mesh.
+    magnitudes are those of the unrounded mesh. Where the centre of a set voxel lies on the mesh,
+    the distance is the negative normal number nearest to 0, -2.2e-308 (float32: -1.2e-38).
 
     Parameters
     ----------
-    mesh, grid, dim, pitch, gap, device, max_memory : as voxelize.
-    fill : as voxelize, or "none" for distances without a sign.
-    dtype : float64, or float32, to which distances are rounded.
+    mesh, grid, dim, pitch, gap, device, max_memory
+        As in voxelize.
+    fill : str
+        As in voxelize, or "none" for distances without a sign.
+    dtype : dtype
+        float64, or float32, to which distances are rounded.
+
+    Returns
+    -------
+    (nx, ny, nz) array
+        World units, [x, y, z].
 
     Raises
     ------
-    MeshError, GridError, MemoryLimitError, DeviceError : as voxelize and distance.
+    MeshError, GridError, MemoryLimitError, DeviceError
+        As in voxelize and distance.
     """
     return plan_distance_grid(
         mesh, grid, dim=dim, pitch=pitch, fill=fill, gap=gap, dtype=dtype, device=device,
@@ -656,13 +741,27 @@ def diagnose(
 
     Parameters
     ----------
-    mesh : a Mesh, a path, a trimesh.Trimesh, or a pair of arrays, (V, 3) and (F, 3).
-    grid, dim : on which the fill rules are compared; by default one of 256 voxels.
-    progress : called with the name of each stage as it begins.
+    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
+        The triangle mesh.
+    grid : Grid, optional
+        Where the fill rules are compared; by default a grid of `dim` voxels around the mesh.
+    dim : int, optional
+        Voxels along the longest side, without a grid; 256 by default.
+    device : Device, optional
+        Where to compute; the default device if None.
+    progress : callable, optional
+        Called with the name of each stage as it begins.
+
+    Returns
+    -------
+    Report
 
     Raises
     ------
-    MeshError : the mesh cannot be read. DeviceError : no usable device.
+    MeshError
+        If the mesh cannot be read, or its extent is beyond 2^±500.
+    DeviceError
+        If there is no device, or it has no double precision.
     """
     found = as_mesh(mesh)
     return report.diagnose(
@@ -677,24 +776,43 @@ def deviation(
     pitch: float | None = None,
     device: Device | None = None,
 ) -> dict[str, Any]:
-    """Return the distances between two surfaces, both ways: mean, root mean square and maximum.
+    """Return the distances between two surfaces, in both directions: mean, RMS and maximum.
+
+    Mean and RMS are over quasi-random points, uniform by area. The maximum is over these and the
+    vertices that faces use. It is a lower bound of the one-sided Hausdorff distance, because the
+    surface may be farther away between the samples.
 
     Parameters
     ----------
-    surface, reference : a Mesh, a path, a trimesh.Trimesh, a pair of arrays, or the result of
-        `extract`.
-    samples : points on each of the two, spread by area.
-    pitch : side of a voxel, to have the distances in voxels, too.
+    surface, reference : Mesh, path, trimesh.Trimesh, pair of arrays, or Isosurface
+        The two surfaces.
+    samples : int
+        Points on each of the two.
+    pitch : float, optional
+        Side of a voxel, world units, to have the distances in voxels as well.
+    device : Device, optional
+        Where to compute; the default device if None.
 
     Returns
     -------
-    JSON types: "samples"; "surface_to_reference" and "reference_to_surface", each with "mean",
-    "rms", "max" and "vertices"; "hausdorff", a lower bound. World units.
+    dict
+        JSON types, world units: "samples"; "surface_to_reference" and "reference_to_surface", each
+        with "mean", "rms", "max" and "vertices", the number of vertices that the maximum includes;
+        "hausdorff", the larger of the two maxima; "maximum_is": "lower bound". With a pitch also
+        "pitch", and "voxels", the distances in voxels.
 
     Raises
     ------
-    MeshError : a mesh cannot be read or has no area. VoxtoolError : samples or pitch is not
-        positive. DeviceError : no usable device.
+    MeshError
+        If a mesh cannot be read, has no area, or has an extent beyond 2^±500.
+    VoxtoolError
+        If samples or pitch is not positive, or the meshes are 2^500 extents apart.
+    DeviceError
+        If there is no device, or it has no double precision.
+
+    References
+    ----------
+    [Cignoni 1998], [Roberts 2018]
     """
     return deviations.deviation(as_mesh(surface), as_mesh(reference), samples, pitch, device)
 

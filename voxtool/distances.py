@@ -1,7 +1,7 @@
 """Exact distances as jobs: from any points, and at the voxel centres of a grid.
 
-The signs of a grid are voxelize's own: a distance is negative exactly where the voxel is set. Its
-magnitudes are those of the unrounded mesh.
+The signs on a grid are those of voxelize: a distance is negative exactly where the voxel is set.
+The magnitudes are those of the unrounded mesh.
 """
 
 from __future__ import annotations
@@ -26,20 +26,18 @@ if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
 
-POINT_BYTES = 48  # on the device, of a point that is measured: place, order, codes, distance
-LOCATED_BYTES = 56  # more if its nearest point is described
+POINT_BYTES = 48  # a point on the device: position, order, codes, distance
+LOCATED_BYTES = 56  # further bytes a point for its nearest point
 SIGN_STAGES = {"pseudonormal": ["pseudo-normals"], "winding": ["moments"], "none": []}
 SIGN_NAMES = {"pseudonormal": "pseudo-normals", "winding": "winding numbers"}
 
 
 @dataclass(frozen=True)
 class DistancePlan:
-    """The plan of measuring points.
+    """The plan of distances at points.
 
-    triangles : of the mesh.
-    sign : how the sign is found, one of SIGNS.
-    located : whether gradients, nearest points or faces are found.
-    block : points that are on the device at once.
+    triangles: number of triangles of the mesh; sign: how the sign is found, one of SIGNS; located:
+    whether gradients, nearest points or faces are computed; block: points on the device at once.
     """
 
     triangles: int
@@ -61,23 +59,27 @@ class DistancePlan:
         reason = "no distance is negative" if self.sign == "none" else f"the sign is {self.sign}"
         out = {what: reason for sign, what in SIGN_NAMES.items() if sign != self.sign}
         if not self.located:
-            out["gradients, nearest points and faces"] = "not asked for"
+            out["gradients, nearest points and faces"] = "not requested"
         return out
 
     @property
     def cost(self) -> Cost:
-        """Predicted bytes."""
+        """The predicted memory."""
         points = self.block * (POINT_BYTES + (LOCATED_BYTES if self.located else 0))
         size = distance_bytes(self.triangles, self.sign)
         return Cost(size + points, 2 * points, max(120 * self.triangles, 24 * self.block))
 
     def as_dict(self) -> dict[str, Any]:
         """The plan in JSON types."""
-        return {**asdict(self), "stages": self.stages, "left_out": self.left_out,
-                "predicted_device_bytes": self.cost.device}  # fmt: skip
+        return {
+            **asdict(self),
+            "stages": self.stages,
+            "left_out": self.left_out,
+            "predicted_device_bytes": self.cost.device,
+        }
 
     def rows(self) -> list[tuple[str, str]]:
-        """The lines on the scene that `--plan` prints: names and texts."""
+        """Return what `--plan` prints of the scene: names and texts."""
         return [("scene", f"{self.triangles:,} triangles"), ("sign", self.sign)]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
@@ -110,17 +112,7 @@ def plan_distance(
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> DistanceJob:
-    """Plan the measuring of points; the job's `run()` returns a SignedDistance.
-
-    Parameters
-    ----------
-    sign : "pseudonormal", "winding", "none", or None for what suits the mesh.
-    located : whether gradients, nearest points or faces will be asked for.
-
-    Raises
-    ------
-    VoxtoolError : no such sign. DeviceError : there is no device.
-    """
+    """Return the job whose result, a SignedDistance, measures points; see voxtool.plan_distance."""
     if sign is not None and sign not in SIGNS:
         raise VoxtoolError(f"sign {sign!r}: choose one of {', '.join(SIGNS)}")
     plan = DistancePlan(len(mesh.faces), sign or default_sign(mesh), located)
@@ -131,12 +123,10 @@ def plan_distance(
 
 @dataclass(frozen=True)
 class DistanceGridPlan:
-    """The plan of measuring the voxel centres of a grid.
+    """The plan of distances at the voxel centres of a grid.
 
-    shape : of the grid.
-    dtype : of the result, "float64" or "float32".
-    distance : the plan of the magnitudes.
-    voxels : the plan of the octree that has the signs; None if no distance is negative.
+    shape: of the grid; dtype: of the result, "float64" or "float32"; distance: the plan of the
+    magnitudes; voxels: the plan of the octree that gives the signs, None for unsigned distances.
     """
 
     shape: tuple[int, int, int]
@@ -158,7 +148,7 @@ class DistanceGridPlan:
 
     @property
     def cost(self) -> Cost:
-        """Predicted bytes."""
+        """The predicted memory."""
         nx, ny, nz = self.shape
         costs = [self.distance.cost, *([self.voxels.cost] if self.voxels else [])]
         return Cost(
@@ -180,7 +170,7 @@ class DistanceGridPlan:
         }
 
     def rows(self) -> list[tuple[str, str]]:
-        """The lines on the scene that `--plan` prints: names and texts."""
+        """Return what `--plan` prints of the scene: names and texts."""
         shape = " x ".join(map(str, self.shape))
         rows = self.voxels.rows() if self.voxels else [("grid", f"{shape} voxels")]
         return [*rows, ("distances", f"{shape} {self.dtype}")]
@@ -220,7 +210,7 @@ class DistanceGridJob(Job[np.ndarray]):
         return distances
 
     def _magnitudes(self) -> np.ndarray:
-        """(nx, ny, nz): the distances of the voxel centres, without signs."""
+        """Return the unsigned distances at the voxel centres, (nx, ny, nz)."""
         measure = SignedDistance(self.mesh, "none", self.device)
         distances = np.empty(self.grid.shape, self.plan.dtype)
         flat, block = distances.reshape(-1), self.plan.distance.block
@@ -241,7 +231,7 @@ def plan_distance_grid(
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> DistanceGridJob:
-    """Plan the distances at the voxel centres of a grid; see distance_grid."""
+    """Return the job of the distances at the voxel centres of a grid; see voxtool.distance_grid."""
     name = np.dtype(dtype).name
     if name not in ("float64", "float32"):
         raise VoxtoolError(f"dtype {name}: choose float64 or float32")
@@ -253,42 +243,3 @@ def plan_distance_grid(
     job.plan = DistanceGridPlan(grid.shape, name, magnitudes, voxels.plan if voxels else None)
     job.max_memory = max_memory
     return job
-
-
-def distance_grid(
-    mesh: Mesh,
-    grid: Grid,
-    *,
-    fill: str = "auto",
-    gap: int = 0,
-    dtype: Any = np.float64,
-    device: Device | None = None,
-    max_memory: int | None = None,
-) -> np.ndarray:
-    """Return the signed distances at the voxel centres of a grid.
-
-    A distance is negative exactly where `voxelize(mesh, grid, fill=fill, gap=gap)` sets the voxel,
-    so that `distance_grid(mesh, grid) < 0` equals the octree. The magnitudes are those of the
-    unrounded mesh. Where the centre of a set voxel lies on the mesh, the distance is the negative
-    normal number nearest to 0, -2.2e-308 (float32: -1.2e-38).
-
-    Parameters
-    ----------
-    mesh : Mesh
-    grid : Grid
-    fill : the fill rule of voxelize ("auto", "parity", "nonzero", "winding" or "flood"), or "none"
-        for distances without a sign.
-    gap : with "flood", openings of up to this many voxels are closed first.
-    dtype : of the result: float64, or float32, to which distances are rounded.
-
-    Returns
-    -------
-    (nx, ny, nz) array of world units, [x, y, z].
-
-    Raises
-    ------
-    GridError, MemoryLimitError, DeviceError, VoxtoolError : as voxelize and SignedDistance.
-    """
-    return plan_distance_grid(
-        mesh, grid, fill=fill, gap=gap, dtype=dtype, device=device, max_memory=max_memory
-    ).run()

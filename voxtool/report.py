@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 RULES = tuple(fill for fill in FILLS if fill != "auto")
 STAGES = ("topology", "self-intersections", "nesting", *RULES)
 
-FLAT = 1e-12  # of the cube of its longest side: a shell of less volume is flat
-FEW = 10  # times fewer voxels by winding than by flood: the faces do not define an inside
+FLAT = 1e-12  # a shell is flat if its volume is less than this times its longest side cubed
+FEW = 10  # if winding sets this many times fewer voxels than flood, faces define no inside
 LISTED = 1000  # faces, edges or rows in a list
 JSON_NAMES = {"self_intersecting_faces": "crossed_faces", "hint": "mend"}  # since version 0.1
 
@@ -57,31 +57,46 @@ class Fault(NamedTuple):
 class Report:
     """What is wrong with a mesh, where, and what to do about it.
 
-    Lengths and places are in world units; faces are counted from 0; vertices of bit-equal
+    Lengths and positions are in world units; faces are counted from 0; vertices at bit-equal
     positions are one. A list of faces, edges or rows ends after 1,000.
 
     Attributes
     ----------
-    mesh, units, source_sha256 : of the mesh.
-    diagnosis : the counts of edges, faces, vertices and shells.
-    low, high : corners of the bounding box.
-    dim, pitch : of the grid on which the fill rules are compared.
-    loops : of every boundary loop, the longest first: edges, length, centre, size of its box, and
-        whether it is closed.
-    t_junctions : whether the boundary is only that of edges that end within others.
-    crowded_edges : of edges of more than two faces: how many faces, and the two ends.
-    duplicate_faces, degenerate_faces, self_intersecting_faces : count, list of faces, and the
-        centre of the first.
-    shells : of every shell, the one of most faces first: faces, closed, consistent, volume, loops,
-        box, parent, depth, and what it is: "solid", "cavity", "open", "flat", "mixed",
-        "inside out", or "nested alike" (wound like the shell around it).
-    patches : count, one_sided, and the flipped ones.
-    leaking_rows : rows of voxels along x that leak by parity.
-    auto : the fill rule that `fill="auto"` takes.
-    fills : of each fill rule, its voxels, and those missing and extra beside the recommended one.
-    recommended : fill, sign, and why.
-    faults : what is wrong, and what helps.
-    boundary : the loops themselves; not in as_dict().
+    mesh, units, source_sha256 : str
+        Of the mesh.
+    diagnosis : SurfaceCheck
+        The counts of edges, faces, vertices and shells.
+    low, high : list of float
+        Corners of the bounding box.
+    dim, pitch : int, float
+        Of the grid on which the fill rules are compared.
+    loops : list of dict
+        Every boundary loop, the longest first: edges, length, centre, size of its box, closed.
+    t_junctions : bool
+        Whether every boundary edge is part of a T-junction, so that there are no holes.
+    crowded_edges : list of dict
+        Edges of more than two faces: the number of faces, and the two ends.
+    duplicate_faces, degenerate_faces, self_intersecting_faces : dict
+        Count, list of faces, and the centre of the first.
+    shells : list of dict
+        Every shell, the one with most faces first: faces, closed, consistent, volume, loops, box,
+        parent, depth, and its kind: "solid", "cavity", "open", "flat", "mixed", "inside out", or
+        "nested alike" (wound like the shell around it).
+    patches : dict
+        Count, one_sided, and the flipped ones.
+    leaking_rows : dict
+        Rows of voxels along x that leak by parity.
+    auto : str
+        The fill rule that `fill="auto"` takes.
+    fills : dict
+        For each fill rule its voxels, and those missing and extra compared with the recommended
+        one.
+    recommended : dict
+        Fill rule, sign, and why.
+    faults : list of Fault
+        What is wrong, and what helps.
+    boundary : Loops
+        The loops themselves; not in as_dict().
     """
 
     mesh: str
@@ -137,19 +152,7 @@ def diagnose(
     device: Device | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Report:
-    """Report what is wrong with a mesh, where, and what to do about it.
-
-    Parameters
-    ----------
-    grid : on which the fill rules are compared; by default one of 256 voxels along the mesh's
-        longest side.
-    progress : called with the name of each stage as it begins, one of STAGES.
-
-    Raises
-    ------
-    MeshError : the mesh has no faces, or an extent beyond 2^±500.
-    DeviceError : there is no device, or it has no double precision.
-    """
+    """Report what is wrong with a mesh, where, and what to do about it; see voxtool.diagnose."""
     grid = grid or Grid.fit(mesh, DEFAULT_DIM)
     device = device or default_device()
     enter = progress or (lambda _: None)
@@ -182,7 +185,7 @@ def diagnose(
     octrees = {}
     for rule in RULES:
         enter(rule)
-        with warnings.catch_warnings(action="ignore", category=MeshWarning):  # it says more itself
+        with warnings.catch_warnings(action="ignore", category=MeshWarning):  # the report says more
             octrees[rule] = voxelize(mesh, grid, fill=rule, device=device)
     found["auto"] = fill_for(counts.watertight)
     found |= _compared(octrees, found)
@@ -195,7 +198,7 @@ def diagnose(
 def _self_intersecting(
     mesh: Mesh, flat: np.ndarray, repeated: np.ndarray, device: Device
 ) -> np.ndarray:
-    """(F,) bool: faces that others pass through; copies of faces do not count."""
+    """Return which faces others intersect, (F,) bool; duplicate faces do not count."""
     intersecting = np.zeros(len(mesh.faces), bool)
     distinct = Mesh(mesh.vertices, mesh.faces[~repeated])
     tree = build_tree(device, distinct, flat[~repeated].astype(np.uint8))
@@ -219,7 +222,7 @@ def _crowded_rows(mesh: Mesh, topology: Topology) -> list[dict[str, Any]]:
 
 
 def _listed_faces(mesh: Mesh, chosen: np.ndarray) -> dict[str, Any]:
-    """The number of chosen faces, a list of them, and the centre of the first."""
+    """Return the number of chosen faces, a list of them, and the centre of the first."""
     faces = np.flatnonzero(chosen)
     first = mesh.vertices[mesh.faces[faces[:1]]].mean(axis=1).tolist()
     return {"count": len(faces), "centre": (first or [None])[0], "faces": faces[:LISTED].tolist()}
@@ -252,7 +255,7 @@ def _shell_rows(
 
 
 def _role(shell: dict[str, Any], shells: list[dict[str, Any]]) -> str:
-    """The role of a shell among the others."""
+    """Return the role of a shell among the others."""
     volume = shell["volume"]
     if not shell["closed"]:
         return "open"
@@ -295,7 +298,7 @@ def _patch_rows(mesh: Mesh, topology: Topology) -> dict[str, Any]:
 
 
 def _compared(octrees: dict[str, Octree], found: dict[str, Any]) -> dict[str, Any]:
-    """The voxels of each fill rule, the recommended one, and the rows that leak by parity."""
+    """Return the voxels of each fill rule, the recommended one, and the rows that leak."""
     counts = {rule: octree.count for rule, octree in octrees.items()}
     fill, why = _recommended_fill(found, counts)
     rules = {}
@@ -318,11 +321,7 @@ def _compared(octrees: dict[str, Octree], found: dict[str, Any]) -> dict[str, An
             "rows": rows[:LISTED].tolist(),
         },
         "fills": rules,
-        "recommended": {
-            "fill": fill,
-            "sign": "pseudonormal" if certain else "winding",
-            "why": why,
-        },
+        "recommended": {"fill": fill, "sign": "pseudonormal" if certain else "winding", "why": why},
     }
 
 
@@ -336,7 +335,7 @@ def _roles(found: dict[str, Any]) -> list[str]:
 
 
 def _recommended_fill(found: dict[str, Any], counts: dict[str, int]) -> tuple[str, str]:
-    """The fill rule that suits a mesh, and why."""
+    """Return the fill rule that suits a mesh, and why."""
     if not found["diagnosis"].watertight and FEW * counts["winding"] < counts["flood"]:
         if sum(shell["volume"] or 0 for shell in found["shells"]) < 0:
             return "flood", (

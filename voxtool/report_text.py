@@ -119,7 +119,7 @@ def _more(rows: list[Any], kind: str) -> Iterator[str]:
 
 
 def counted(count: int, noun: str) -> str:
-    """1 vertex, 2,000 vertices."""
+    """Return a count with its noun: "1 vertex", "2,000 vertices"."""
     return count_of(count, noun).replace(str(count), f"{count:,}", 1)
 
 

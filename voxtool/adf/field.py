@@ -172,11 +172,7 @@ class DistanceField:
 
     def sizes(self) -> dict[str, int]:
         """Bytes of each texture."""
-        sizes = {
-            "voxels": self.voxels.nbytes,
-            "cells": self.cells.nbytes,
-            "hash": self.hash.nbytes,
-        }
+        sizes = {"voxels": self.voxels.nbytes, "cells": self.cells.nbytes, "hash": self.hash.nbytes}
         if self.bounds is not None:
             sizes["bounds"] = self.bounds.nbytes
         return sizes

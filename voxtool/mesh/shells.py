@@ -77,9 +77,7 @@ def find_patches(mesh: Mesh, topology: Topology) -> Patches:
     # itself turned over has one side; else the least number says which way the first face was.
     turned = np.where(agree, 0, n)
     both = components(
-        np.concatenate([one, one + n]),
-        np.concatenate([other + turned, other + n - turned]),
-        2 * n,
+        np.concatenate([one, one + n]), np.concatenate([other + turned, other + n - turned]), 2 * n
     )
     as_it_is, over = both[:n], both[n:]
     areas = _areas(mesh.vertices[mesh.faces[topology.proper]])

@@ -1,7 +1,7 @@
 """The deviation between two surfaces: distances from samples of each to the other [Cignoni 1998].
 
-Samples are quasi-random, by area, and in the same places every time (sampling.py). Distances are
-exact to rounding (distance.py).
+Samples are quasi-random, uniform by area, and the same every time (sampling.py). Distances are
+exact up to rounding (distance.py).
 """
 
 from __future__ import annotations
@@ -28,36 +28,7 @@ def deviation(
     pitch: float | None = None,
     device: Device | None = None,
 ) -> dict[str, Any]:
-    """Return the deviation between two surfaces, both ways: mean, root mean square and maximum.
-
-    Mean and RMS are over `samples` quasi-random points, by area. The maximum is over these and the
-    vertices that faces use. It is a lower bound of the one-sided Hausdorff distance, because the
-    surface may be farther away between the samples; "hausdorff", the larger of the two maxima, is
-    one of the Hausdorff distance.
-
-    Parameters
-    ----------
-    surface, reference : Mesh
-    samples : on each of the two.
-    pitch : side of a voxel, world units, for distances in voxels.
-
-    Returns
-    -------
-    dict of JSON types, world units: "samples"; "surface_to_reference" and "reference_to_surface",
-    each with "mean", "rms", "max" and "vertices", the number of vertices that count for the
-    maximum; "hausdorff"; "maximum_is": "lower bound". With a pitch also "pitch", and "voxels" with
-    the distances in voxels.
-
-    Raises
-    ------
-    MeshError : a mesh without faces or of zero area, or of an extent beyond 2^±500.
-    VoxtoolError : samples or pitch is not positive, or the meshes are 2^500 extents apart.
-    DeviceError : there is no device, or it has no double precision.
-
-    References
-    ----------
-    [Cignoni 1998], [Roberts 2018].
-    """
+    """Return the deviation between two surfaces, in both directions; see voxtool.deviation."""
     if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or samples < 1:
         raise VoxtoolError(f"samples {samples}: give a whole number from 1 on")
     if pitch is not None and not 0 < pitch < math.inf:
@@ -89,7 +60,7 @@ def deviation(
 
 
 def _one_way(sampler: SurfaceSampler, to: TriangleDistance, samples: int) -> dict[str, Any]:
-    """Mean, RMS and maximum of the distances from a mesh's samples and vertices to another."""
+    """Return mean, RMS and maximum of the distances from samples and vertices to a mesh."""
     distances = np.concatenate([to(points) for points in sampler.samples(samples)])
     vertices = sampler.vertices()
     farthest = float(distances.max())

@@ -2,8 +2,8 @@
 
 The sign comes from angle-weighted pseudo-normals (pseudonormals.py), which are right for every mesh
 that is closed and consistently wound, or from the generalized winding number (winding_number.py),
-which also works where a mesh is open, intersects itself or is wound inconsistently in places. The
-sign changes no magnitude; on the surface the distance is 0.
+which also works where a mesh is open, has self-intersections or is wound inconsistently in places.
+The sign changes no magnitude. On the surface the distance is 0.
 """
 
 from __future__ import annotations
@@ -26,18 +26,22 @@ if TYPE_CHECKING:
 
 
 class DistanceResult(NamedTuple):
-    """The result of `distance` or `SignedDistance`; None where not asked for.
+    """The result of `distance` or `SignedDistance`; None where not requested.
 
     For one point the arrays lack their first axis.
 
     Attributes
     ----------
-    distance : (N,) float64, world units, negative inside.
-    gradient : (N, 3) float64 of length 1, the direction in which the distance grows fastest:
-        outside away from the nearest point, inside towards it. On the surface it is the normal of
-        the nearest face, or 0 if that has no area.
-    nearest : (N, 3) float64: the nearest point of the mesh, world units.
-    face : (N,) int64: the nearest face; of equally near ones the first in the mesh.
+    distance : (N,) float64
+        World units, negative inside.
+    gradient : (N, 3) float64
+        The direction, of length 1, in which the distance grows fastest: away from the nearest point
+        outside, towards it inside. On the surface it is the normal of the nearest face, or 0 if
+        that face has no area.
+    nearest : (N, 3) float64
+        The nearest point of the mesh, world units.
+    face : (N,) int64
+        The nearest face; the lowest index where several are equally near.
     """
 
     distance: Any
@@ -47,46 +51,28 @@ class DistanceResult(NamedTuple):
 
 
 def default_sign(mesh: Mesh) -> str:
-    """Return the sign that suits a mesh: "pseudonormal" if every edge has two faces that run along
-    it in opposite directions and no face is without area, and "winding" otherwise."""
+    """Return the sign that suits a mesh: "pseudonormal" if it is watertight and every face has an
+    area, otherwise "winding"."""
     smooth = watertight(mesh) and not collinear(mesh.vertices[mesh.faces]).any()
     return "pseudonormal" if smooth else "winding"
 
 
 def distance_bytes(faces: int, sign: str) -> int:
-    """Bytes that the distance to a mesh of this many faces takes on the device, without points."""
+    """Return the bytes on the device for the distance to a mesh, without points."""
     more = {"pseudonormal": normal_bytes, "winding": moment_bytes}.get(sign)
     return tree_bytes(faces) + (more(faces) if more else 0)
 
 
 class SignedDistance:
-    """The signed distance to a mesh, for many calls.
+    """The signed distance to a mesh, for many calls; see voxtool.SignedDistance.
 
     The tree is built once, stays on the device while the mesh is in use, and is shared by all
-    calls and objects of the same mesh, sign and device.
-
-    Parameters
-    ----------
-    mesh : Mesh
-    sign : "pseudonormal", "winding", "none" (no distance is negative), or None for what suits the
-        mesh (default_sign).
-    device : Device, by default the default one.
+    objects of the same mesh, sign and device.
 
     Attributes
     ----------
-    sign : how the sign is found, one of voxtool.choices.SIGNS.
-
-    Raises
-    ------
-    MeshError : the mesh has no faces, or an extent beyond 2^±500.
-    DeviceError : there is no device, or it has no double precision.
-    VoxtoolError : no such sign.
-
-    Examples
-    --------
-    >>> measure = voxtool.SignedDistance(voxtool.load_mesh("bunny.obj"))
-    >>> measure([[0, 0, 0], [0.1, 0, 0]])
-    >>> measure([0, 0, 0], gradient=True).gradient
+    sign : str
+        How the sign is found, one of voxtool.choices.SIGNS.
     """
 
     def __init__(self, mesh: Mesh, sign: str | None = None, device: Device | None = None) -> None:
@@ -123,16 +109,20 @@ class SignedDistance:
 
         Parameters
         ----------
-        points : (N, 3) numbers, or (3,) for one point, world units.
-        gradient, nearest, face : whether these are wanted, too (see DistanceResult).
+        points : (N, 3) or (3,) array_like
+            World units; (3,) is one point.
+        gradient, nearest, face : bool
+            Whether these are returned as well, in a DistanceResult.
 
         Returns
         -------
-        (N,) float64, world units, never -0.0; a DistanceResult if more is asked for.
+        (N,) float64 or DistanceResult
+            World units, never -0.0.
 
         Raises
         ------
-        VoxtoolError : a wrong shape, or a point that is not finite or 2^500 extents away.
+        VoxtoolError
+            If the shape is wrong, or a point is not finite or 2^500 extents away.
         """
         one = np.ndim(points) == 1
         world = checked_points([points] if one else points)
@@ -152,7 +142,7 @@ class SignedDistance:
         return result if gradient or nearest or face else result.distance
 
     def _at_block(self, block: Any, located: bool) -> tuple[Any, ...]:
-        """The columns of a DistanceResult for a block's points."""
+        """Return the columns of a DistanceResult for the points of a block."""
         distances, faces, nearest, directions = self._distance.at_block(block, located)
         if self._winding is not None:
             inside = (self._winding.at_block(block) > 0.5) & (distances > 0)
@@ -172,7 +162,7 @@ class SignedDistance:
 def _measures(
     mesh: Mesh, sign: str, device: Device
 ) -> tuple[TriangleDistance, WindingNumber | None]:
-    """The tree and the moments that a sign needs; they do not refer to the mesh."""
+    """Return the tree and the moments that a sign needs, without a reference to the mesh."""
     normals = None
     if sign == "pseudonormal":
         with device.stage("pseudo-normals"):
@@ -183,28 +173,6 @@ def _measures(
     return distance, WindingNumber(mesh, device, tree=distance.tree)
 
 
-@overload
-def distance(
-    mesh: Mesh,
-    points: Any,
-    *,
-    sign: str | None = None,
-    gradient: Literal[False] = False,
-    nearest: Literal[False] = False,
-    face: Literal[False] = False,
-    device: Device | None = None,
-) -> np.ndarray: ...
-@overload
-def distance(
-    mesh: Mesh,
-    points: Any,
-    *,
-    sign: str | None = None,
-    gradient: bool = False,
-    nearest: bool = False,
-    face: bool = False,
-    device: Device | None = None,
-) -> DistanceResult: ...
 def distance(
     mesh: Mesh,
     points: Any,
@@ -215,29 +183,6 @@ def distance(
     face: bool = False,
     device: Device | None = None,
 ) -> np.ndarray | DistanceResult:
-    """Return the exact signed distance from points to a mesh, negative inside.
-
-    The second call with the same mesh object is cheap: the tree stays on the device.
-
-    Parameters
-    ----------
-    mesh : Mesh
-    points : (N, 3) numbers, or (3,) for one point, world units.
-    sign : "pseudonormal", "winding", "none", or None for what suits the mesh.
-    gradient, nearest, face : whether these are wanted, too (see DistanceResult).
-
-    Returns
-    -------
-    (N,) float64, world units, never -0.0; a DistanceResult if more is asked for. The error is at
-    most 1e-15 of the mesh's extent, or of the distance if that is larger.
-
-    Raises
-    ------
-    MeshError, DeviceError, VoxtoolError : as SignedDistance and its call.
-
-    References
-    ----------
-    [Baerentzen 2005] for pseudo-normals, [Jacobson 2013] and [Barill 2018] for winding numbers.
-    """
+    """Return the exact signed distances from points to a mesh; see voxtool.distance."""
     measure = SignedDistance(mesh, sign, device)
     return measure(points, gradient=gradient, nearest=nearest, face=face)
