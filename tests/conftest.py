@@ -14,7 +14,7 @@ import helpers_tets
 import meshes
 import pytest
 from helpers_cli import ENVIRONMENT, MODULE, ROOT, write_obj
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 
 from voxtool.opencl import Device, list_devices, open_device
 
@@ -26,6 +26,7 @@ settings.register_profile(
     derandomize=True,  # the same run everywhere
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
+settings.register_profile("first failure", settings.get_profile("voxtool"), phases=[Phase.generate])
 settings.load_profile("voxtool")
 
 
@@ -47,12 +48,24 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out what the tier does not run: slow tests in --quick, soak tests without --soak."""
-    left_out = {"slow"} if config.getoption("quick") else set()
-    left_out |= set() if config.getoption("soak") else {"soak"}
+    left_out = set() if config.getoption("soak") else {"soak"}
+    if config.getoption("quick"):
+        left_out.add("slow")
+        for item in items:
+            if isinstance(item, pytest.Function) and uses_processes_or_models(item):
+                item.add_marker("slow")
     dropped = [item for item in items if left_out & {mark.name for mark in item.iter_markers()}]
     if dropped:
         config.hook.pytest_deselected(items=dropped)
-        items[:] = [item for item in items if item not in set(dropped)]
+        gone = set(dropped)
+        items[:] = [item for item in items if item not in gone]
+
+
+def uses_processes_or_models(item: pytest.Function) -> bool:
+    names = {*item.function.__code__.co_names, *item.fixturenames}
+    return not names.isdisjoint(
+        {"model", "on_terminal", "process", "run_python", "shell", "subprocess"}
+    )
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

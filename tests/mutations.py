@@ -237,6 +237,7 @@ def run(name: str, mutation: Mutation) -> bool:
         file.write_text(text, encoding="utf-8")
         done = subprocess.run(
             [sys.executable, "-m", "pytest", "--quick", "-x", "-q", "-p", "no:cacheprovider",
+             "--hypothesis-profile=first failure",
              *mutation.tests.split()],
             cwd=copy,
             env={**os.environ, "PYTHONPATH": str(copy)},

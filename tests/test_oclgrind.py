@@ -24,6 +24,7 @@ import pytest
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+pytestmark = pytest.mark.slow
 KERNELS = Path(__file__).parents[1] / "kernels"
 OPTIONS = ("--data-races", "--uniform-writes", "--max-errors", "1000000000")
 # Races that cannot show, by the two lines that they are between: glances that only save an atomic.

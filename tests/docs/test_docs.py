@@ -125,6 +125,7 @@ def run(command: str, cwd: Path) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_transcripts_are_what_is_printed(folder: Path) -> None:
     for block in blocks(README, "console"):
         for command, expected in re.findall(r"^\$ (.*)\n((?:(?!\$ ).*\n)*)", block, re.MULTILINE):
@@ -146,6 +147,7 @@ def lasting(text: str) -> str:
     return re.sub(pattern, "#", text.strip(), flags=re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_shell_lines_run(folder: Path) -> None:
     for block in blocks(README, "sh"):
         for line in block.splitlines():
@@ -153,6 +155,7 @@ def test_shell_lines_run(folder: Path) -> None:
                 run(line, folder)
 
 
+@pytest.mark.slow
 def test_python_snippet_runs(folder: Path) -> None:
     (snippet,) = blocks(README, "python")
     (folder / "snippet.py").write_text(snippet, encoding="utf-8")
@@ -164,6 +167,7 @@ GUIDES = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("guide", GUIDES, ids=lambda path: path.name)
 def test_python_in_guides_runs(guide: Path, here: Path) -> None:
     for snippet in blocks(guide.read_text(encoding="utf-8"), "python"):

@@ -14,6 +14,7 @@ import pytest
 
 import voxtool
 
+pytestmark = pytest.mark.slow
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
 SCRIPT = Path(__file__).parents[2] / "examples" / "make_bunny.py"
 GOLDEN = "4ed00535ee5ae830ed83661f190ad5295ec88743e14226235b5b1a763512a256"
 

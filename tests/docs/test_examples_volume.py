@@ -11,6 +11,7 @@ import pytest
 
 import voxtool
 
+pytestmark = pytest.mark.slow
 SCRIPT = Path(__file__).parents[2] / "examples" / "make_volume.py"
 GOLDEN = "43c856b8cf73067465170349de0302729a83fb844594e05024ce3e7e6e3b0f3a"
 COUNTS = {"hexahedron": 5_376, "tetra": 33_792, "wedge": 10_752}
