@@ -41,7 +41,7 @@ def digest(picture: np.ndarray) -> str:
 def surfaces(mesh: voxtool.Mesh, device: Any) -> Iterator[tuple[str, str]]:
     """Name and digest of pictures of a mesh's octree and of its field."""
     octree = voxtool.voxelize(mesh, voxtool.Grid.fit(mesh, 48), fill="parity", device=device)
-    field = voxtool.build_adf(mesh, device, tolerance=4e-3, max_level=5)
+    field = voxtool.build_adf(mesh, device=device, tolerance=4e-3, max_level=5)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     for name, (view, fov) in VIEWS.items():
         rays = Camera.fit(low, high, view, fov=fov).rays(*SIZE)

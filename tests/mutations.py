@@ -150,8 +150,8 @@ MUTATIONS: dict[str, Mutation] = {
     ),
     "ray casting: oblique rays": Mutation(
         "kernels/tets/raycast.cl",
-        "(depth - place.depth) * length;",
-        "depth - place.depth;",
+        "(depth - place->depth) * rays->length;",
+        "depth - place->depth;",
         "tests/tets/test_raycast.py",
     ),
     "scan: the total": Mutation(

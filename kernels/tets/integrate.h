@@ -10,6 +10,12 @@ typedef struct {
     float longest;
 } Integral;
 
+// A kernel's parameters for it, of voxtool/tets/integrate.py.
+#define INTEGRAL                                                                                 \
+    __global const float *points, __global const float *rows, const int count,                   \
+        __global const float *table, const float longest, const uint samples
+#define THE_INTEGRAL {{points, rows, count}, samples, table, longest}
+
 #if INTEGRATOR == PREINTEGRATED
 // Add what the table holds for segments of this length between two scalars, by linear interpolation.
 void add_preintegrated(Light *light, const Integral *integral, const floats from, const floats to,
@@ -39,11 +45,11 @@ void add_preintegrated(Light *light, const Integral *integral, const floats from
         b[lane] = sum.z;
         a[lane] = sum.w;
     }
-    light->r = light->r + light->through * load(r);
-    light->g = light->g + light->through * load(g);
-    light->b = light->b + light->through * load(b);
-    light->alpha = light->alpha + light->through * load(a);
-    light->through = light->through * (1 - load(a));
+    light->r = light->r + light->transmittance * load(r);
+    light->g = light->g + light->transmittance * load(g);
+    light->b = light->b + light->transmittance * load(b);
+    light->alpha = light->alpha + light->transmittance * load(a);
+    light->transmittance = light->transmittance * (1 - load(a));
 }
 #endif
 

@@ -17,6 +17,7 @@
 #include "tets/project.h"
 #include "tets/depth.h"
 #include "tets/integrate.h"
+#include "tets/picture.h"
 
 #pragma OPENCL FP_CONTRACT OFF
 
@@ -147,11 +148,10 @@ typedef struct {
     uint count; // of places in use, of the ray that has the most
 } Pending;
 
-// The rays of LANES pixels, and how far they have been followed.
+// Rays, and how far they have been followed.
 typedef struct {
-    floats x, y, length; // the length of depth 1
-    float middle;        // of depths
-    ints open;           // there may be more to come
+    Rays rays;
+    ints open; // there may be more to come
     Light light;
     floats depth; // where the last fragment ended
     floats begin; // where it began, and its cell
@@ -219,14 +219,14 @@ void composite_fragments(Followed *rays, __global const float *records, const In
     rays->fragments += lanes ? (ints)1 : (ints)0;
     floats on_ray[4];
     scalars_on_rays(records, lanes ? cell : (ints)0, on_ray);
-    const floats first = scalars_at(on_ray, rays->x, rays->y, depth, rays->middle);
-    const floats last = scalars_at(on_ray, rays->x, rays->y, end, rays->middle);
+    const floats first = scalars_at(on_ray, rays->rays.x, rays->rays.y, depth, rays->rays.middle);
+    const floats last = scalars_at(on_ray, rays->rays.x, rays->rays.y, end, rays->rays.middle);
     Segment segment = {first, last, interval_of(&integral->transfer, first),
                        interval_of(&integral->transfer, last)};
     while (ANY(active)) {
         floats to, share;
         ints follows;
-        const floats length = active ? (end - depth) * rays->length : (floats)0;
+        const floats length = active ? (end - depth) * rays->rays.length : (floats)0;
         active &= add_piece(&rays->light, integral, &segment, length, &to, &follows, &share);
         segment.from = to;
         segment.from_interval = follows;
@@ -247,7 +247,7 @@ void composite_before(Pending *p, Followed *rays, __global const float *records,
             break;
         const ints cell = load(p->cell + LANES * place);
         composite_fragments(rays, records, integral, go & rays->open, begin, end, cell);
-        rays->open &= rays->light.through >= LEAST_LIGHT;
+        rays->open &= rays->light.transmittance >= LEAST_TRANSMITTANCE;
         done += go ? (ints)1 : (ints)0;
     }
     int gone[LANES];
@@ -273,7 +273,7 @@ ints fragments_of(__global const float *record, const float nearest, const float
     ints outside = 0;
     for (uint face = 0; face < FACES; ++face) {
         const float4 f = vload4(face, record);
-        const floats n = (f.x * rays->x + f.y * rays->y) + f.z;
+        const floats n = (f.x * rays->rays.x + f.y * rays->rays.y) + f.z;
         const int side = as_int(f.w);
         if (side == LEAVES)
             out = n > out ? n : out;
@@ -288,104 +288,92 @@ ints fragments_of(__global const float *record, const float nearest, const float
 #endif
     if (!ANY(lanes))
         return lanes;
-    *begin = depths_of(lanes ? in : (floats)0, rays->middle);
+    *begin = depths_of(lanes ? in : (floats)0, rays->rays.middle);
 #ifdef PERSPECTIVE
     const ints leaves = out > -1;
-    *end = leaves ? depths_of(leaves ? out : (floats)0, rays->middle) : (floats)FARTHEST;
+    *end = leaves ? depths_of(leaves ? out : (floats)0, rays->rays.middle) : (floats)FARTHEST;
 #else
-    *end = depths_of(out, rays->middle);
+    *end = depths_of(out, rays->rays.middle);
 #endif
     *begin = *begin > nearest ? *begin : (floats)nearest;
     *end = *end < farthest ? *end : (floats)farthest;
     return lanes & (*begin < *end);
 }
 
-// One work-item LANES pixels of a tile, in blocks of 4 x 4. Its tally: how many fragments it has
+// Composite the first fragments of rays, as many as may wait, or all: one pass over the cells of a tile,
+// those of pairs `start` to `end`. `first` and `last` are the outermost pixels of the rays.
+void composite_pass(Pending *pending, Followed *rays, __global const float *records,
+                    const Integral *integral, __global const uint *pair_cells, const uint start,
+                    const uint end, const int2 first, const int2 last)
+{
+    pending->count = 0;
+    for (uint place = 0; place <= PENDING; ++place)
+        store((floats)FARTHEST, pending->begin + LANES * place);
+    for (uint i = start; i < end; ++i) {
+        const int cell = pair_cells[i];
+        __global const float *record = records + WORDS * (size_t)cell;
+        const float4 where = vload4(FACES + 1, record);
+        const int columns = as_int(where.z), rows = as_int(where.w);
+        if ((columns & 0xffff) > last.x || columns >> 16 < first.x
+            || (rows & 0xffff) > last.y || rows >> 16 < first.y)
+            continue;
+        floats from, to;
+        ints lanes = fragments_of(record, where.x, where.y, rays, &from, &to);
+        if (!ANY(lanes))
+            continue;
+        // behind the last that was composited, before the first that found no room
+        lanes &= BEFORE(rays->begin, rays->cell, from, (ints)cell)
+                 & BEFORE(from, (ints)cell, load(pending->begin + LANES * PENDING),
+                          load(pending->cell + LANES * PENDING));
+        if (!ANY(lanes))
+            continue;
+        if (ANY(lanes & (load(pending->begin + LANES * (PENDING - 1)) < FARTHEST))) {
+            composite_before(pending, rays, records, integral, where.x);
+            if (!ANY(rays->open))
+                break;
+        }
+        insert(pending, lanes, from, to, cell);
+    }
+    composite_before(pending, rays, records, integral, FARTHEST);
+}
+
+// One work-item LANES pixels of a tile, in squares of 4 x 4. Its tally: how many fragments it has
 // composited, in how many passes.
-__kernel void composite(__global const float *records, __global const uint *pair_cells,
-                        __global const uint *ends, __global const float *points,
-                        __global const float *rows, const int count,
-                        __global const float *table, const float longest, const uint samples,
-                        const float middle, const float right_square, const float down_square,
-                        const int width, const int height, __global float *picture,
+__kernel void composite(INTEGRAL, PICTURE, __global const float *records,
+                        __global const uint *pair_cells, __global const uint *ends,
                         __global uint *tallies)
 {
-    const Integral integral = {{points, rows, count}, samples, table, longest};
+    const Integral integral = THE_INTEGRAL;
+    const Frame frame = THE_FRAME;
     const uint item = get_global_id(0), tile = LANES * item / (TILE * TILE);
     const uint tiles_across = (width + TILE - 1) / TILE;
     const int tile_x = TILE * (tile % tiles_across), tile_y = TILE * (tile / tiles_across);
     if (tile_y >= height)
         return;
-    int2 first = (int2)(width, height), last = (int2)(-1, -1); // pixels, ends included
-    float xs[LANES], ys[LANES];
-    int pixels[LANES];
+    int2 pixels[LANES], first = (int2)(width, height), last = (int2)(-1, -1); // ends included
     for (uint lane = 0; lane < LANES; ++lane) {
-        const uint i = (LANES * item + lane) % (TILE * TILE), block = i / 16;
-        const int2 pixel = (int2)(tile_x + 4 * (block % (TILE / 4)) + i % 4,
-                                  tile_y + 4 * (block / (TILE / 4)) + i / 4 % 4);
-        first = min(first, pixel);
-        last = max(last, pixel);
-        xs[lane] = pixel.x + (0.5f - 0.5f * width);
-        ys[lane] = pixel.y + (0.5f - 0.5f * height);
-        pixels[lane] = pixel.x < width && pixel.y < height ? pixel.y * width + pixel.x : NOWHERE;
+        const uint i = (LANES * item + lane) % (TILE * TILE), square = i / 16;
+        pixels[lane] = (int2)(tile_x + 4 * (square % (TILE / 4)) + i % 4,
+                              tile_y + 4 * (square / (TILE / 4)) + i / 4 % 4);
+        first = min(first, pixels[lane]);
+        last = max(last, pixels[lane]);
     }
-    Followed rays = {.x = load(xs), .y = load(ys), .length = 1, .middle = middle};
-    rays.open = load(pixels) >= 0;
-    rays.light.through = 1;
+    Followed rays = {.rays = rays_of(pixels, &frame), .cell = NO_CELL};
+    rays.light.transmittance = 1;
     rays.depth = rays.begin = -FARTHEST;
-    rays.cell = NOWHERE;
-#ifdef PERSPECTIVE
-    rays.length = sqrt((rays.x * rays.x * right_square + rays.y * rays.y * down_square) + 1);
-#endif
     Pending pending;
-    uint passes = 0;
-    ints again = rays.open;
+    uint passes = 0, sum = 0;
+    ints again = load(rays.rays.pixel) >= 0;
     const uint start = ends[2 * tile], end = ends[2 * tile + 1];
     for (; start < end && ANY(again); ++passes) {
         rays.open = again;
-        pending.count = 0;
-        for (uint place = 0; place <= PENDING; ++place)
-            store((floats)FARTHEST, pending.begin + LANES * place);
-        for (uint i = start; i < end; ++i) {
-            const int cell = pair_cells[i];
-            __global const float *record = records + WORDS * (size_t)cell;
-            const float4 where = vload4(FACES + 1, record);
-            const int columns = as_int(where.z), rows = as_int(where.w);
-            if ((columns & 0xffff) > last.x || columns >> 16 < first.x
-                || (rows & 0xffff) > last.y || rows >> 16 < first.y)
-                continue;
-            floats from, to;
-            ints lanes = fragments_of(record, where.x, where.y, &rays, &from, &to);
-            if (!ANY(lanes))
-                continue;
-            // behind the last that was composited, before the first that found no room
-            lanes &= BEFORE(rays.begin, rays.cell, from, (ints)cell)
-                     & BEFORE(from, (ints)cell, load(pending.begin + LANES * PENDING),
-                              load(pending.cell + LANES * PENDING));
-            if (!ANY(lanes))
-                continue;
-            if (ANY(lanes & (load(pending.begin + LANES * (PENDING - 1)) < FARTHEST))) {
-                composite_before(&pending, &rays, records, &integral, where.x);
-                if (!ANY(rays.open))
-                    break;
-            }
-            insert(&pending, lanes, from, to, cell);
-        }
-        composite_before(&pending, &rays, records, &integral, FARTHEST);
+        composite_pass(&pending, &rays, records, &integral, pair_cells, start, end, first, last);
         again = rays.open & (load(pending.begin + LANES * PENDING) < FARTHEST);
     }
-    float r[LANES], g[LANES], b[LANES], a[LANES];
+    write_light(&rays.light, &rays.rays, picture);
     int fragments[LANES];
-    store(rays.light.r, r);
-    store(rays.light.g, g);
-    store(rays.light.b, b);
-    store(alpha_of(&rays.light), a);
     store(rays.fragments, fragments);
-    uint sum = 0;
-    for (uint lane = 0; lane < LANES; ++lane) {
+    for (uint lane = 0; lane < LANES; ++lane)
         sum += fragments[lane];
-        if (pixels[lane] >= 0)
-            vstore4((float4)(r[lane], g[lane], b[lane], a[lane]), pixels[lane], picture);
-    }
     vstore2((uint2)(sum, passes), item, tallies);
 }

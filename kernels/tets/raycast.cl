@@ -1,12 +1,12 @@
-// Ray casting of a volume: section 4 of the text, by cells' adjacency.
+// Ray casting of a volume from cell to cell [TetVol, section 4; Weiler 2003].
 // Host side: voxtool/tets/raycast.py.
 //
-// A work-item follows the rays of LANES pixels of a tile, side by side. A step takes each ray from its
-// depth to where it leaves its cell, or to the first control point of the transfer function before
-// that. A ray that leaves the volume goes on at its next entry.
+// A work-item follows the rays of LANES pixels of a tile of 4 x 4, side by side. A step takes each ray
+// from its depth to where it leaves its cell, or to the first control point of the transfer function
+// before that. A ray that leaves the volume continues at its next entry.
 // Options:
 //   LANES        1 or 16
-//   SLOTS        ways out in a record, as in view.cl
+//   SLOTS        exit faces in a record, as in view.cl
 //   INTEGRATOR   LINEAR, AVERAGE, SAMPLED or PREINTEGRATED
 //   CONSTANT     cells have one scalar each
 //   PERSPECTIVE
@@ -16,23 +16,32 @@
 #include "tets/raycast.h"
 #include "tets/depth.h"
 #include "tets/integrate.h"
+#include "tets/picture.h"
 
 #pragma OPENCL FP_CONTRACT OFF
 
 #define WORDS (4 * (SLOTS + 1)) // of a record
 
-// Where the rays are.
+#ifdef PERSPECTIVE
+#define EYE_DEPTH(middle) (-(middle))
+#define LEAST_NEARNESS -1 // of planes in front of the eye
+#else
+#define EYE_DEPTH(middle) -FARTHEST
+#define LEAST_NEARNESS -FARTHEST
+#endif
+
+// The state of the rays.
 typedef struct {
-    ints cell;     // or NOWHERE
+    ints cell;       // or NO_CELL
     floats depth;
-    floats scalar; // there, and its interval
-    ints interval;
-    ints fresh; // the cell is new to the ray: the scalar is yet to be found
-    ints still; // steps since the ray last moved
+    floats scalar;   // at this depth
+    ints interval;   // of the transfer function, which holds the scalar
+    ints fresh;      // the ray has just entered the cell: its scalar is not known yet
+    ints still;      // steps since the ray last moved
 } Place;
 
-// Where rays enter cells: those that hold the eye, one after the other for as long as a ray has not left
-// it, and then what is listed for its pixel.
+// Where the rays enter cells: first those that hold the eye, one after the other until the ray leaves
+// it, and then the entries that are listed for its pixel.
 typedef struct {
     __global const uint *eye_cells;
     uint eye_count;
@@ -41,7 +50,26 @@ typedef struct {
     uint next_eye_cell[LANES], next[LANES], end[LANES];
 } Entries;
 
-// The next entries of the lanes that are nowhere.
+Entries entries_of(const Rays *rays, __global const uint *ends, __global const uint *entries,
+                   __global const uint *eye_cells, const uint eye_count)
+{
+    Entries e = {.eye_cells = eye_cells, .eye_count = eye_count, .entries = entries,
+                 .at_eye = EYE_DEPTH(rays->middle) + ON_PLANE};
+    for (uint lane = 0; lane < LANES; ++lane) {
+        const int pixel = rays->pixel[lane];
+        e.next_eye_cell[lane] = pixel >= 0 ? 0 : eye_count;
+        e.next[lane] = pixel > 0 ? ends[pixel - 1] : 0;
+        e.end[lane] = pixel >= 0 ? ends[pixel] : 0;
+#ifdef PERSPECTIVE
+        while (e.next[lane] < e.end[lane] &&
+               as_float(entries[2 * e.next[lane]]) < EYE_DEPTH(rays->middle) - ON_PLANE)
+            ++e.next[lane]; // it is behind the eye
+#endif
+    }
+    return e;
+}
+
+// Move the rays that are in no cell to their next entries.
 void enter(Place *place, Entries *e)
 {
     int cells[LANES];
@@ -49,7 +77,7 @@ void enter(Place *place, Entries *e)
     store(place->cell, cells);
     store(place->depth, depths);
     for (uint lane = 0; lane < LANES; ++lane)
-        if (cells[lane] != NOWHERE)
+        if (cells[lane] != NO_CELL)
             continue;
         else if (e->next_eye_cell[lane] < e->eye_count && depths[lane] <= e->at_eye)
             cells[lane] = e->eye_cells[e->next_eye_cell[lane]++];
@@ -59,157 +87,137 @@ void enter(Place *place, Entries *e)
             cells[lane] = entry.y;
             depths[lane] = depth > depths[lane] ? depth : depths[lane];
         }
-    const ints waits = place->cell == NOWHERE;
+    const ints waits = place->cell == NO_CELL;
     place->fresh |= waits;
     place->still = waits ? (ints)0 : place->still;
     place->cell = load(cells);
     place->depth = load(depths);
 }
 
-// The cells that rays go on in that leave the volume: those across other faces that they meet there too,
-// as well as rounding can tell, or NOWHERE. Beside a notch they would be lost else: where they come in
-// again is decided by the edges, which may say that they never left. `slack` pixels are rounding.
-ints beyond_edge(const floats *record, const floats x, const floats y, const floats nearness,
-                 const floats slack)
+// The cells in which rays continue that leave the volume at an edge: those across another face that they
+// meet at the same depth, within rounding, or NO_CELL. A ray beside a notch needs this: the edge
+// functions that list entries may say that it never left. `slack` pixels are rounding.
+ints beyond_edge(const floats *record, const Rays *rays, const floats nearness, const floats slack)
 {
     floats least = nearness, best = -FARTHEST;
-    ints beyond = NOWHERE;
+    ints beyond = NO_CELL;
     for (uint pass = 0; pass < 2; ++pass)
         for (uint slot = 0; slot < SLOTS; ++slot) {
             const floats *out = record + 4 * slot;
-            const floats n = (out[0] * x + out[1] * y) + out[2];
+            const floats n = (out[0] * rays->x + out[1] * rays->y) + out[2];
             const floats doubt = slack * (fabs(out[0]) + fabs(out[1]));
             if (pass == 0) {
                 least = n >= nearness ? nearness - doubt : least;
                 continue;
             }
-            // not one along the rays
+            // faces parallel to the ray do not count
             const ints nearer = (n + doubt >= least) & (n > best) & (doubt < 1) &
-                                (as_ints(out[3]) != NOWHERE);
+                                (as_ints(out[3]) != NO_CELL);
             best = nearer ? n : best;
             beyond = nearer ? as_ints(out[3]) : beyond;
         }
     return beyond;
 }
 
-__kernel void cast(__global const float *records, __global const uint *ends,
-                   __global const uint *entries, __global const float *points,
-                   __global const float *rows, const int count, __global const float *table,
-                   const float longest, const uint samples, __global const uint *eye_cells,
-                   const uint eye_count, const float middle, const float right_square,
-                   const float down_square, const int width, const int height,
-                   __global float *picture)
+// The cells that rays enter next, or NO_CELL, and the nearness of the planes by which they leave: the
+// greatest. `edge_slack` is the rounding at the depth of the middle, in pixels.
+ints exits_of(const floats *record, const Rays *rays, const ints active, const float edge_slack,
+              floats *nearness)
 {
-    const Integral integral = {{points, rows, count}, samples, table, longest};
-    // the pixels of a work-item: part of a tile of 4 x 4
+    floats greatest = -FARTHEST;
+    ints beyond = NO_CELL;
+    for (uint slot = 0; slot < SLOTS; ++slot) {
+        const floats *out = record + 4 * slot;
+        const floats n = (out[0] * rays->x + out[1] * rays->y) + out[2];
+        const ints nearer = n > greatest;
+        greatest = nearer ? n : greatest;
+        beyond = nearer ? as_ints(out[3]) : beyond;
+    }
+    *nearness = greatest;
+    const ints out = active & (greatest > LEAST_NEARNESS) & (beyond == NO_CELL);
+    if (!ANY(out))
+        return beyond;
+#ifdef PERSPECTIVE
+    const floats slack = edge_slack * ((1 + greatest) / rays->middle);
+#else
+    const floats slack = edge_slack;
+#endif
+    return out ? beyond_edge(record, rays, greatest, slack) : beyond;
+}
+
+// Integrate to where rays leave their cells, or to the first control point before that. `beyond` and
+// `nearness` are those of exits_of.
+void step(Place *place, Light *light, const Integral *integral, const Rays *rays,
+          const floats *record, const ints active, const ints beyond, const floats nearness)
+{
+    const ints leaves = nearness > LEAST_NEARNESS;
+    floats depth = depths_of(leaves ? nearness : (floats)0, rays->middle);
+    const ints moves = leaves & (depth > place->depth);
+    depth = moves ? depth : place->depth;
+    depth = depth < DEEPEST ? depth : (floats)DEEPEST;
+    // by this cell's gradient: the cell before may be a sliver with an inexact one
+    const floats *on_ray = record + 4 * SLOTS;
+    const floats scalar = scalars_at(on_ray, rays->x, rays->y, depth, rays->middle);
+    const floats entered = scalars_at(on_ray, rays->x, rays->y, place->depth, rays->middle);
+    const ints interval = interval_of(&integral->transfer, scalar);
+    const ints began = interval_of(&integral->transfer, entered);
+    const Segment segment = {place->fresh ? entered : place->scalar, scalar,
+                             place->fresh ? began : place->interval, interval};
+    const floats distance = (depth - place->depth) * rays->length;
+    floats share;
+    const ints goes_on = add_piece(light, integral, &segment, active ? distance : (floats)0,
+                                   &place->scalar, &place->interval, &share);
+    depth = goes_on ? place->depth + (depth - place->depth) * share : depth;
+    place->still = (moves | goes_on) ? (ints)0 : place->still + 1;
+    place->fresh = !goes_on;
+    place->depth = active ? depth : place->depth;
+    place->cell = goes_on ? place->cell : beyond;
+    place->cell = (active & (place->still < MAX_STILL)) ? place->cell : (ints)NO_CELL;
+}
+
+// End the rays that are opaque: they leave their cells and have no more entries.
+void end_opaque(Place *place, Entries *e, const Light *light)
+{
+    const ints opaque = light->transmittance < LEAST_TRANSMITTANCE;
+    if (!ANY(opaque))
+        return;
+    int done[LANES];
+    store(opaque, done);
+    for (uint lane = 0; lane < LANES; ++lane)
+        e->next[lane] = done[lane] ? e->end[lane] : e->next[lane];
+    place->cell = opaque ? (ints)NO_CELL : place->cell;
+}
+
+// One work-item LANES pixels.
+__kernel void cast(INTEGRAL, PICTURE, __global const float *records, __global const uint *ends,
+                   __global const uint *entries, __global const uint *eye_cells,
+                   const uint eye_count)
+{
+    const Integral integral = THE_INTEGRAL;
+    const Frame frame = THE_FRAME;
     const uint tiles = (width + 3) / 4, first = LANES * (uint)get_global_id(0);
     const int tile_x = 4 * (first / 16 % tiles), tile_y = 4 * (first / 16 / tiles);
     if (tile_y >= height)
         return;
-    float xs[LANES], ys[LANES];
-    int inside[LANES];
-    Entries to_enter = {.eye_cells = eye_cells, .eye_count = eye_count, .entries = entries};
-    for (uint lane = 0; lane < LANES; ++lane) {
-        const int column = tile_x + (first + lane) % 4, row = tile_y + (first + lane) / 4 % 4;
-        const int pixel = row * width + column;
-        xs[lane] = column + (0.5f - 0.5f * width);
-        ys[lane] = row + (0.5f - 0.5f * height);
-        inside[lane] = column < width && row < height ? pixel : NOWHERE;
-        to_enter.next_eye_cell[lane] = inside[lane] >= 0 ? 0 : eye_count;
-        to_enter.next[lane] = inside[lane] > 0 ? ends[pixel - 1] : 0;
-        to_enter.end[lane] = inside[lane] >= 0 ? ends[pixel] : 0;
-    }
-    const floats x = load(xs), y = load(ys);
-    const float edge_slack = ON_PLANE / sqrt(right_square);
-#ifdef PERSPECTIVE
-    const float behind = -middle - ON_PLANE; // where entries are none
+    int2 pixels[LANES];
     for (uint lane = 0; lane < LANES; ++lane)
-        while (to_enter.next[lane] < to_enter.end[lane] &&
-               as_float(entries[2 * to_enter.next[lane]]) < behind)
-            ++to_enter.next[lane];
-    const floats length = sqrt((x * x * right_square + y * y * down_square) + 1); // of depth 1
-    const float start = -middle;
-#else
-    const floats length = 1;
-    const float start = -FARTHEST;
-#endif
-    to_enter.at_eye = start + ON_PLANE;
-    Place place = {NOWHERE, start, 0, 0, 0, 0};
+        pixels[lane] = (int2)(tile_x + (first + lane) % 4, tile_y + (first + lane) / 4 % 4);
+    const Rays rays = rays_of(pixels, &frame);
+    const float edge_slack = ON_PLANE / sqrt(right_square);
+    Entries to_enter = entries_of(&rays, ends, entries, eye_cells, eye_count);
+    Place place = {NO_CELL, EYE_DEPTH(middle), 0, 0, 0, 0};
     Light light = {0, 0, 0, 1};
     for (;;) {
-        if (ANY(place.cell == NOWHERE))
+        if (ANY(place.cell == NO_CELL))
             enter(&place, &to_enter);
-        const ints active = place.cell != NOWHERE;
+        const ints active = place.cell != NO_CELL;
         if (!ANY(active))
             break;
-        floats record[WORDS];
+        floats record[WORDS], nearness;
         gather(records, active ? place.cell : (ints)0, WORDS / 16, record);
-        // where the rays leave: the least depth, the greatest nearness
-        floats nearness = -FARTHEST;
-        ints beyond = NOWHERE;
-        for (uint slot = 0; slot < SLOTS; ++slot) {
-            const floats *out = record + 4 * slot;
-            const floats n = (out[0] * x + out[1] * y) + out[2];
-            const ints nearer = n > nearness;
-            nearness = nearer ? n : nearness;
-            beyond = nearer ? as_ints(out[3]) : beyond;
-        }
-#ifdef PERSPECTIVE
-        const ints leaves = nearness > -1;
-#else
-        const ints leaves = nearness > -FARTHEST;
-#endif
-        const ints out = active & leaves & (beyond == NOWHERE);
-        if (ANY(out)) {
-#ifdef PERSPECTIVE
-            const floats slack = edge_slack * ((1 + nearness) / middle);
-#else
-            const floats slack = edge_slack;
-#endif
-            beyond = out ? beyond_edge(record, x, y, nearness, slack) : beyond;
-        }
-        floats depth = depths_of(leaves ? nearness : (floats)0, middle);
-        const ints moves = leaves & (depth > place.depth);
-        depth = moves ? depth : place.depth;
-        depth = depth < DEEPEST ? depth : (floats)DEEPEST;
-        // the scalars of this cell, not of the one before: that may be a sliver, whose are rough
-        const floats *on_ray = record + 4 * SLOTS;
-        const floats scalar = scalars_at(on_ray, x, y, depth, middle);
-        const floats entered = scalars_at(on_ray, x, y, place.depth, middle);
-        const ints interval = interval_of(&integral.transfer, scalar);
-        const ints began = interval_of(&integral.transfer, entered);
-        place.scalar = place.fresh ? entered : place.scalar;
-        place.interval = place.fresh ? began : place.interval;
-        const floats distance = (depth - place.depth) * length;
-        const Segment segment = {place.scalar, scalar, place.interval, interval};
-        floats to, share;
-        ints follows;
-        const ints goes_on = add_piece(&light, &integral, &segment,
-                                       active ? distance : (floats)0, &to, &follows, &share);
-        depth = goes_on ? place.depth + (depth - place.depth) * share : depth;
-        // on
-        place.still = (moves | goes_on) ? (ints)0 : place.still + 1;
-        place.fresh = !goes_on;
-        place.scalar = to;
-        place.interval = follows;
-        place.depth = active ? depth : place.depth;
-        place.cell = goes_on ? place.cell : beyond;
-        place.cell = (active & (place.still < MAX_STILL)) ? place.cell : (ints)NOWHERE;
-        const ints opaque = light.through < LEAST_LIGHT;
-        if (ANY(opaque)) {
-            int done[LANES];
-            store(opaque, done);
-            for (uint lane = 0; lane < LANES; ++lane)
-                to_enter.next[lane] = done[lane] ? to_enter.end[lane] : to_enter.next[lane];
-            place.cell = opaque ? (ints)NOWHERE : place.cell;
-        }
+        const ints beyond = exits_of(record, &rays, active, edge_slack, &nearness);
+        step(&place, &light, &integral, &rays, record, active, beyond, nearness);
+        end_opaque(&place, &to_enter, &light);
     }
-    float r[LANES], g[LANES], b[LANES], a[LANES];
-    store(light.r, r);
-    store(light.g, g);
-    store(light.b, b);
-    store(alpha_of(&light), a);
-    for (uint lane = 0; lane < LANES; ++lane)
-        if (inside[lane] >= 0)
-            vstore4((float4)(r[lane], g[lane], b[lane], a[lane]), inside[lane], picture);
+    write_light(&light, &rays, picture);
 }

@@ -155,18 +155,18 @@ void segment_weights(floats a, floats b, floats *w_f, floats *w_b, floats *zeta)
         h = middle ? rest : h;
         p = middle ? phi_middle(z, delta) : p;
     }
-    floats front = q - h * p, back = h * (p + q), through = h * h;
+    floats front = q - h * p, back = h * (p + q), transmittance = h * h;
     const ints lengthy = m > LONG;
     if (ANY(lengthy)) {
         floats psi, rest;
         psi_long(a, b, &psi, &rest);
         front = lengthy ? 1.0f - psi : front;
         back = lengthy ? psi - rest : back;
-        through = lengthy ? rest : through;
+        transmittance = lengthy ? rest : transmittance;
     }
     *w_f = front;
     *w_b = back;
-    *zeta = through;
+    *zeta = transmittance;
 }
 
 // The weight of the one colour of a segment of constant extinction, and what it lets through, to 1e-6

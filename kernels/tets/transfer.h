@@ -18,9 +18,9 @@ typedef struct {
 
 // What is left of a ray, front to back.
 typedef struct {
-    floats r, g, b; // so far, premultiplied
-    floats through; // how much passes: 1 - alpha, but exact where it is little
-    floats alpha;   // the sum of the weights, exact where that is little
+    floats r, g, b;       // so far, premultiplied
+    floats transmittance; // 1 - alpha, and exact where it is small
+    floats alpha;         // the sum of the weights, and exact where it is small
 } Light;
 
 // A segment of which the scalar is linear: from s, in interval `interval`, to another, in another.
@@ -91,32 +91,32 @@ ints cut(const Transfer *t, const Segment *segment, floats *end, ints *own, ints
 // premultiplied colour, front to back).
 void add_segment(Light *light, const Sample *front, const Sample *back, const floats length)
 {
-    floats w_f, w_b, through;
-    segment_weights(front->tau * length, back->tau * length, &w_f, &w_b, &through);
-    w_f = w_f * light->through;
-    w_b = w_b * light->through;
+    floats w_f, w_b, transmittance;
+    segment_weights(front->tau * length, back->tau * length, &w_f, &w_b, &transmittance);
+    w_f = w_f * light->transmittance;
+    w_b = w_b * light->transmittance;
     light->r = light->r + (w_f * front->r + w_b * back->r);
     light->g = light->g + (w_f * front->g + w_b * back->g);
     light->b = light->b + (w_f * front->b + w_b * back->b);
-    light->through = light->through * through;
+    light->transmittance = light->transmittance * transmittance;
     light->alpha = light->alpha + (w_f + w_b);
 }
 
 // The same with one colour and one extinction.
 void add_homogeneous(Light *light, const Sample *s, const floats length)
 {
-    floats alpha, through;
-    homogeneous_weights(s->tau * length, &alpha, &through);
-    alpha = alpha * light->through;
+    floats alpha, transmittance;
+    homogeneous_weights(s->tau * length, &alpha, &transmittance);
+    alpha = alpha * light->transmittance;
     light->r = light->r + alpha * s->r;
     light->g = light->g + alpha * s->g;
     light->b = light->b + alpha * s->b;
-    light->through = light->through * through;
+    light->transmittance = light->transmittance * transmittance;
     light->alpha = light->alpha + alpha;
 }
 
 // The opacity so far.
 floats alpha_of(const Light *light)
 {
-    return light->through < 0.5f ? 1 - light->through : light->alpha;
+    return light->transmittance < 0.5f ? 1 - light->transmittance : light->alpha;
 }

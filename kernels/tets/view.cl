@@ -33,11 +33,11 @@ __kernel void set_up_cells(TEXTURES, __global const int *neighbours, __global co
         if (!nearness(&view, plane_of(&textures, cell, face), &abc) || slot == slots)
             continue;
         const int beyond = neighbours[FACES * (size_t)cell + face];
-        const int next = beyond >= 0 && is_kept(kept, beyond) ? beyond : NOWHERE;
+        const int next = beyond >= 0 && is_kept(kept, beyond) ? beyond : NO_CELL;
         vstore4((float4)(abc, as_float(next)), slot++, record);
     }
     for (; slot < slots; ++slot)
-        vstore4((float4)(0, 0, -FARTHEST, as_float(NOWHERE)), slot, record);
+        vstore4((float4)(0, 0, -FARTHEST, as_float(NO_CELL)), slot, record);
     vstore4(scalar_on_rays(&view, scalar_of(&textures, cell)), slots, record);
 }
 
