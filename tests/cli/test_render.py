@@ -19,7 +19,8 @@ from PIL import Image
 
 from voxtool.camera import Camera
 from voxtool.choices import METHODS, VIEWS
-from voxtool.cli.render import AXES, BELONGS, output_of
+from voxtool.cli.options import AXES
+from voxtool.cli.render import BELONGS, output_of
 from voxtool.files import read_adf, read_svo, read_tet
 from voxtool.files.picture import rounded
 from voxtool.rendering import averaged, camera_for, render

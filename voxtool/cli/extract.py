@@ -17,22 +17,6 @@ if TYPE_CHECKING:
     from voxtool.svo.surface.extract import Isosurface
 
 
-class Level(click.ParamType):
-    """A level of the octree, or voxel."""
-
-    name = "level"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> int | str:
-        if value == "voxel":
-            return value
-        try:
-            return int(value)
-        except ValueError:
-            self.fail(f"{value!r}: choose voxel, or a level, from 0 (bricks) on", param, ctx)
-
-
 @click.command("extract")
 @click.argument("octree")
 @click.option(
@@ -46,7 +30,7 @@ class Level(click.ParamType):
 )
 @click.option(
     "--level",
-    type=Level(),
+    type=options.Level(),
     metavar="N|voxel",
     help="What a sample is: a node of level N (0: a brick of 4 x 4 x 4 voxels; higher: coarser), "
     "or a voxel.  [default: 0 for marching-cubes, otherwise voxel]",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import threading
 from pathlib import PurePath
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 DIM = click.IntRange(MIN_DIM, MAX_DIM)
+AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 PROGRESS_AFTER = 1.0  # seconds
 SAMPLES = 100_000  # points on each surface that a deviation is measured at
@@ -69,6 +72,136 @@ class List(click.ParamType):
         if isinstance(value, list):
             return value
         return [self.each.convert(word.strip(), param, ctx) for word in str(value).split(",")]
+
+
+class Level(click.ParamType):
+    """A level of the octree, or voxel."""
+
+    name = "level"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> int | str:
+        if value == "voxel":
+            return value
+        try:
+            return int(value)
+        except ValueError:
+            self.fail(f"{value!r}: choose voxel, or a level, from 0 (bricks) on", param, ctx)
+
+
+class Number(click.ParamType):
+    """A finite number, or a positive one."""
+
+    name = "number"
+
+    def __init__(self, positive: bool = False) -> None:
+        self.positive = positive
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
+        numbers = numbers_of(value, 1)
+        if numbers is None or (self.positive and numbers[0] <= 0):
+            kind = "positive" if self.positive else "finite"
+            self.fail(f"{value!r} is no {kind} number", param, ctx)
+        return numbers[0]
+
+
+class Vector(click.ParamType):
+    """X,Y,Z; a direction may be an axis: z or -y."""
+
+    name = "vector"
+
+    def __init__(self, axes: bool = False) -> None:
+        self.axes = axes
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float, float]:
+        if isinstance(value, tuple):
+            return value  # pyright: ignore[reportReturnType]
+        numbers = numbers_of(value, 3)
+        if numbers is not None:
+            return numbers[0], numbers[1], numbers[2]
+        axis = AXES.get(value[-1:].lower())
+        if self.axes and axis and value[:-1] in ("", "+", "-"):
+            sign = -1.0 if value[:-1] == "-" else 1.0
+            return sign * axis[0], sign * axis[1], sign * axis[2]
+        hint = "write 0,0,1, z or -z" if self.axes else "write three numbers, as 1,2.5,-3"
+        self.fail(f"{value!r}: {hint}", param, ctx)
+
+
+class Range(click.ParamType):
+    """A,B, or the word full."""
+
+    name = "range"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float] | str:
+        if isinstance(value, tuple) or value == "full":
+            return value
+        numbers = numbers_of(value, 2)
+        if numbers is None:
+            self.fail(f"{value!r}: write two numbers, as 0.5,2, or full", param, ctx)
+        return numbers[0], numbers[1]
+
+
+class Size(click.ParamType):
+    """WIDTHxHEIGHT, or one number for both."""
+
+    name = "size"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[int, int]:
+        if isinstance(value, tuple):
+            return value
+        width, times, height = str(value).lower().partition("x")
+        sides = (width, height if times else width)
+        if not all(side.isdecimal() and 0 < len(side) < 7 and int(side) for side in sides):
+            self.fail(f"{value!r} is no size: write 800x600, or 512 for both sides", param, ctx)
+        return int(sides[0]), int(sides[1])
+
+
+class Colour(click.ParamType):
+    """Red, green and blue: #ff8000, or 1,0.5,0; white and black have names."""
+
+    name = "colour"
+
+    def __init__(self, none: bool = False) -> None:
+        self.none = none
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, ...] | str:
+        if isinstance(value, tuple) or (self.none and value == "none"):
+            return value
+        if value in COLOURS:
+            return COLOURS[value]
+        hexadecimal = value.removeprefix("#")
+        if value.startswith("#") and len(hexadecimal) == 6 and hexadecimal.isalnum():
+            try:
+                return tuple(byte / 255 for byte in bytes.fromhex(hexadecimal))
+            except ValueError:
+                pass
+        numbers = numbers_of(value, 3)
+        if numbers is None or not all(0 <= v <= 1 for v in numbers):
+            known = "white, black, none" if self.none else "white, black"
+            self.fail(
+                f"{value!r} is no colour: write #ff8000, 1,0.5,0 (from 0 to 1), {known}", param, ctx
+            )
+        return numbers
+
+
+def numbers_of(text: Any, count: int) -> tuple[float, ...] | None:
+    """So many finite numbers with commas between them, or None."""
+    try:
+        numbers = tuple(float(word) for word in str(text).split(","))
+    except ValueError:
+        return None
+    return numbers if len(numbers) == count and all(map(math.isfinite, numbers)) else None
 
 
 device_option = click.option(

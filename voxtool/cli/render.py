@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,7 @@ import click
 
 from voxtool.choices import METHODS, VIEWS
 from voxtool.cli import runner
-from voxtool.cli.extract import Level
+from voxtool.cli.options import Colour, Level, Number, Range, Size, Vector
 from voxtool.errors import printable
 from voxtool.tets.maps import MAPS
 
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
 
 SIZE = (512, 512)  # pixels
 MOST_SAMPLES = 16  # along a pixel's side
-AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 # The options that make a transfer function, by their parameters.
 MAKERS = {
     "map_name": "--map",
@@ -46,120 +43,6 @@ BELONGS = {
     "integrator": ("volume",),
     "legend": ("volume",),
 }
-
-
-class Number(click.ParamType):
-    """A finite number, or a positive one."""
-
-    name = "number"
-
-    def __init__(self, positive: bool = False) -> None:
-        self.positive = positive
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        numbers = numbers_of(value, 1)
-        if numbers is None or (self.positive and numbers[0] <= 0):
-            kind = "positive" if self.positive else "finite"
-            self.fail(f"{value!r} is no {kind} number", param, ctx)
-        return numbers[0]
-
-
-class Vector(click.ParamType):
-    """X,Y,Z; a direction may be an axis: z or -y."""
-
-    name = "vector"
-
-    def __init__(self, axes: bool = False) -> None:
-        self.axes = axes
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, float, float]:
-        if isinstance(value, tuple):
-            return value  # pyright: ignore[reportReturnType]
-        numbers = numbers_of(value, 3)
-        if numbers is not None:
-            return numbers[0], numbers[1], numbers[2]
-        axis = AXES.get(value[-1:].lower())
-        if self.axes and axis and value[:-1] in ("", "+", "-"):
-            sign = -1.0 if value[:-1] == "-" else 1.0
-            return sign * axis[0], sign * axis[1], sign * axis[2]
-        mend = "write 0,0,1, z or -z" if self.axes else "write three numbers, as 1,2.5,-3"
-        self.fail(f"{value!r}: {mend}", param, ctx)
-
-
-class Range(click.ParamType):
-    """A,B, or the word full."""
-
-    name = "range"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, float] | str:
-        if isinstance(value, tuple) or value == "full":
-            return value
-        numbers = numbers_of(value, 2)
-        if numbers is None:
-            self.fail(f"{value!r}: write two numbers, as 0.5,2, or full", param, ctx)
-        return numbers[0], numbers[1]
-
-
-class Size(click.ParamType):
-    """WIDTHxHEIGHT, or one number for both."""
-
-    name = "size"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[int, int]:
-        if isinstance(value, tuple):
-            return value
-        width, times, height = str(value).lower().partition("x")
-        sides = (width, height if times else width)
-        if not all(side.isdecimal() and 0 < len(side) < 7 and int(side) for side in sides):
-            self.fail(f"{value!r} is no size: write 800x600, or 512 for both sides", param, ctx)
-        return int(sides[0]), int(sides[1])
-
-
-class Colour(click.ParamType):
-    """Red, green and blue: #ff8000, or 1,0.5,0; white and black have names."""
-
-    name = "colour"
-
-    def __init__(self, none: bool = False) -> None:
-        self.none = none
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, ...] | str:
-        if isinstance(value, tuple) or (self.none and value == "none"):
-            return value
-        if value in COLOURS:
-            return COLOURS[value]
-        hexadecimal = value.removeprefix("#")
-        if value.startswith("#") and len(hexadecimal) == 6 and hexadecimal.isalnum():
-            try:
-                return tuple(byte / 255 for byte in bytes.fromhex(hexadecimal))
-            except ValueError:
-                pass
-        numbers = numbers_of(value, 3)
-        if numbers is None or not all(0 <= v <= 1 for v in numbers):
-            known = "white, black, none" if self.none else "white, black"
-            self.fail(
-                f"{value!r} is no colour: write #ff8000, 1,0.5,0 (from 0 to 1), {known}", param, ctx
-            )
-        return numbers
-
-
-def numbers_of(text: Any, count: int) -> tuple[float, ...] | None:
-    """So many finite numbers with commas between them, or None."""
-    try:
-        numbers = tuple(float(word) for word in str(text).split(","))
-    except ValueError:
-        return None
-    return numbers if len(numbers) == count and all(map(math.isfinite, numbers)) else None
 
 
 @click.command("render")
