@@ -72,7 +72,7 @@ def test_help(path, flag) -> None:
 
 @pytest.mark.parametrize(
     "line",
-    # test_bench_all.py runs benches, test_selftest.py the self-test; test_docs.py reads all examples
+    # test_docs.py parses all; benches and the self-test run in tests of their own
     sorted(
         {x for c in COMMANDS.values() for x in examples(c) if not re.search("bench|selftest", x)}
     ),
