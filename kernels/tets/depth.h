@@ -1,9 +1,9 @@
-// Depths and scalars on rays, by what view.h makes of a cell. Options: PERSPECTIVE, CONSTANT
+// Depths and scalars on rays, from the records of view.h. Options: PERSPECTIVE, CONSTANT
 
 #include "tets/ray.h"
 #include "tets/vector.h"
 
-// The depth of a nearness; in perspective that is more than -1, for what is in front of the eye.
+// The depth of a nearness; in perspective it must exceed -1: in front of the eye.
 floats depths_of(const floats nearness, const float middle)
 {
 #ifdef PERSPECTIVE
@@ -13,8 +13,8 @@ floats depths_of(const floats nearness, const float middle)
 #endif
 }
 
-// The scalars at depths on the rays of (x, y), in [0, 1], also where a lane has no cell and its numbers
-// are any: NaN becomes 0.
+// The scalars at depths on the rays of (x, y), clamped to [0, 1]; NaN becomes 0, so lanes without a cell
+// need no test.
 floats scalars_at(const floats *on_ray, const floats x, const floats y, const floats depth,
                   const float middle)
 {

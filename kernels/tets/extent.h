@@ -1,5 +1,5 @@
-// The pixels that something may cover, by its projected corners: (X, Y, Z, depth) with x = X / Z and
-// y = Y / Z.
+// The pixels that a cell or a face may cover, by its projected corners: (X, Y, Z, depth) with x = X / Z
+// and y = Y / Z.
 
 typedef struct {
     float least, most; // in pixels from the middle
@@ -11,8 +11,8 @@ void extend(Extent *e, const float from, const float to)
     e->most = to > e->most ? to : e->most;
 }
 
-// Between a vertex in front of the eye and one behind it, the edge goes to infinity on one side; on
-// both, where float32 cannot tell.
+// Extend by an edge from a vertex in front of the eye to one behind it: to infinity on one side, or on
+// both where float32 does not decide.
 void extend_by_edge(Extent *e, const float front, const float front_depth, const float behind,
                     const float behind_depth)
 {
@@ -21,7 +21,7 @@ void extend_by_edge(Extent *e, const float front, const float front_depth, const
     extend(e, crossing <= doubt ? -FARTHEST : FARTHEST, crossing >= -doubt ? FARTHEST : -FARTHEST);
 }
 
-// The pixels of `count` whose centres are in it, first and last; the last less where there is none.
+// The first and the last of `count` pixels whose centres are in the extent; last < first if there are none.
 int2 pixels_of(const Extent *e, const int count)
 {
     const float middle = 0.5f * count - 0.5f;
@@ -31,7 +31,7 @@ int2 pixels_of(const Extent *e, const int count)
 }
 
 // The columns and the rows of pixels that the hull of corners may cover; what is behind the eye covers
-// none.
+// no pixel.
 void cover(const float4 *corners, const uint count, const int2 size, int2 *columns, int2 *rows)
 {
     Extent across = {FARTHEST, -FARTHEST}, down = {FARTHEST, -FARTHEST};

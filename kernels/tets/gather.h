@@ -1,4 +1,4 @@
-// Each lane's own numbers from memory.
+// Loads of one record or number for each lane.
 
 #include "tets/vector.h"
 
@@ -16,7 +16,7 @@ floats lookup(__global const float *from, const ints index)
 }
 #else
 
-// Rows become columns: each step turns the eight bits of row and column round by one.
+// Transpose 16 x 16 numbers: each step rotates the eight bits of row and column by one.
 void transpose(floats *m)
 {
     floats turned[LANES];
@@ -33,7 +33,7 @@ void transpose(floats *m)
     }
 }
 
-// words[w] of each lane is word w of the record of 16 * parts floats that its index names.
+// Load a record of 16 * parts floats for each lane: words[w] of a lane is word w of its record.
 void gather(__global const float *from, const ints index, const uint parts, floats *words)
 {
     int record[LANES];

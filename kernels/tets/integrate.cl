@@ -1,5 +1,5 @@
-// The pre-integrated transfer function: what a segment sends and keeps, by its scalars at both ends
-// and its length (Roettger, Kraus and Ertl 2000). Host side: voxtool/tets/integrate.py.
+// The pre-integrated transfer function: the light and the opacity of a segment by its scalars at both
+// ends and its length [Roettger 2000]. Host side: voxtool/tets/integrate.py.
 // Option: LANES, 1
 
 #include "tets/integrators.h"

@@ -1,11 +1,11 @@
-// What a segment of a ray within a cell adds to its light, by any integrator. Options:
+// The light of a segment of a ray within a cell, by each integrator. Options:
 //   INTEGRATOR   LINEAR, AVERAGE, SAMPLED or PREINTEGRATED
 
 #include "tets/transfer.h"
 
 typedef struct {
     Transfer transfer;
-    uint samples;                // SAMPLED: points of a cell
+    uint samples;                // SAMPLED: points in a cell
     __global const float *table; // PREINTEGRATED: of segments up to `longest`
     float longest;
 } Integral;
@@ -17,7 +17,7 @@ typedef struct {
 #define THE_INTEGRAL {{points, rows, count}, samples, table, longest}
 
 #if INTEGRATOR == PREINTEGRATED
-// Add what the table holds for segments of this length between two scalars, by linear interpolation.
+// Composite a segment by linear interpolation in the pre-integrated table [Roettger 2000].
 void add_preintegrated(Light *light, const Integral *integral, const floats from, const floats to,
                        const floats length)
 {
@@ -53,9 +53,9 @@ void add_preintegrated(Light *light, const Integral *integral, const floats from
 }
 #endif
 
-// Add what the first piece of a segment of this length sends and keeps: up to the first control point
-// that it crosses, and otherwise, and with every integrator but LINEAR, all of it. Returns the lanes
-// that go on behind; there the scalar is `to`, in the interval `follows`, at `share` of the length.
+// Composite the first piece of a segment of this length. With LINEAR it ends at the first control point
+// that the segment crosses; otherwise it is the whole segment. Returns the lanes that have more pieces;
+// the next one begins at `share` of the length with the scalar `to`, in the interval `follows`.
 ints add_piece(Light *light, const Integral *integral, const Segment *segment, const floats length,
                floats *to, ints *follows, floats *share)
 {

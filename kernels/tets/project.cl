@@ -1,8 +1,8 @@
 // Cell projection of a volume. Host side: voxtool/tets/project.py, which says why the order is right.
 //
-// The cells that may be in the picture, by depth, are listed for every tile of it. A work-item goes
-// through its tile's list for LANES pixels, side by side: what a ray has in a cell, a fragment, goes to
-// its place among those that wait, and those that no later cell can come before are composited.
+// The cells that may be in the picture are listed by depth for each tile of it. A work-item processes its
+// tile's list for LANES pixels, side by side. A fragment is the segment of a ray in a cell. It is inserted
+// into a sorted buffer, and fragments that no later cell can precede are composited.
 // Options: those of textures.h, and
 //   LANES        1 or 16
 //   PENDING      fragments of a ray that may wait
@@ -21,20 +21,20 @@
 
 #pragma OPENCL FP_CONTRACT OFF
 
-// A cell's record: of each face (a, b, c, side), a x + b y + c; the scalar on the ray, as in view.cl; and
-// where it is: the nearest and the farthest of its vertices, its columns and its rows.
+// A cell's record: for each face (a, b, c, side), the function a x + b y + c; the scalar on the ray, as in
+// view.cl; and the depths of its nearest and farthest vertex, its columns and its rows.
 #define PARTS (FACES + 2)
 #define WORDS (4 * PARTS)
 
-// What a x + b y + c of a face is:
+// The meaning of a face's function a x + b y + c:
 #define LEAVES 0 // the nearness of its plane, by which rays leave
-#define ENTERS 1 // the same, by which they come in
-#define BESIDE 2 // more than 0 where rays pass outside all along
-#define BESIDE_AT_0 3 // the same, and 0 too: rays in the plane have one side of it, as in view.cl
+#define ENTERS 1 // the same, by which rays enter
+#define BESIDE 2 // > 0 where rays are outside along their whole length
+#define BESIDE_AT_0 3 // the same with >= 0: rays in the plane are on one side of it, as in view.cl
 
 // --- cells ---------------------------------------------------------------------------------------
 
-// One work-item a cell: its record, and 1 where it may be in the picture.
+// One work-item a cell: its record, and a flag of 1 if it may be in the picture.
 __kernel void project_cells(TEXTURES, __global const uchar *kept,
                             __global const int *cells_vertices, __global const float *projected,
                             __global const double *viewpoint, const int width, const int height,
@@ -77,7 +77,8 @@ __kernel void project_cells(TEXTURES, __global const uchar *kept,
             FACES + 1, record);
 }
 
-// One work-item a cell that may be in the picture: its depth as a number that sorts like it.
+// One work-item a cell: list it if it may be in the picture, with its depth as an integer that sorts like
+// the float.
 __kernel void list_cells(__global const float *records, __global const uint *starts, const uint n,
                          __global uint *depths, __global uint *listed)
 {
@@ -91,7 +92,7 @@ __kernel void list_cells(__global const float *records, __global const uint *sta
 
 // --- tiles ---------------------------------------------------------------------------------------
 
-// The tiles that the pixels of a cell are in: first and last column, first and last row.
+// The tiles that a cell covers: first and last column, first and last row.
 int4 tiles_of(__global const float *records, const uint cell)
 {
     const float4 place = vload4(PARTS * (size_t)cell + FACES + 1, records);
@@ -125,7 +126,7 @@ __kernel void list_pairs(__global const float *records, __global const uint *lis
         }
 }
 
-// One work-item a pair, sorted: where the list of each tile begins and ends.
+// One work-item a sorted pair: where the list of each tile begins and ends.
 __kernel void find_tiles(__global const uint *pair_tiles, const uint n, __global uint *ends)
 {
     const uint pair = get_global_id(0);
@@ -140,8 +141,9 @@ __kernel void find_tiles(__global const uint *pair_tiles, const uint n, __global
 
 // --- fragments -----------------------------------------------------------------------------------
 
-// Fragments of LANES rays that wait, by (begin, cell); FARTHEST where there is none. Beyond PENDING
-// places is that of the first that found no room: it and all behind it are left for the next pass.
+// The buffer of fragments of LANES rays, sorted by (begin, cell); FARTHEST marks a free place. The last
+// place, beyond PENDING, holds the first fragment that did not fit: it and all behind it are left for
+// the next pass.
 typedef struct {
     float begin[LANES * (PENDING + 1)], end[LANES * (PENDING + 1)];
     int cell[LANES * (PENDING + 1)];
@@ -151,7 +153,7 @@ typedef struct {
 // Rays, and how far they have been followed.
 typedef struct {
     Rays rays;
-    ints open; // there may be more to come
+    ints open; // whether more fragments may follow
     Light light;
     floats depth; // where the last fragment ended
     floats begin; // where it began, and its cell
@@ -163,7 +165,7 @@ typedef struct {
 #define BEFORE(begin, cell, other_begin, other_cell) \
     (((begin) < (other_begin)) | (((begin) == (other_begin)) & ((cell) < (other_cell))))
 
-// Put fragments of some lanes in their places; those behind move on by one.
+// Insert fragments of some lanes in order; those behind move by one place.
 void insert(Pending *p, const ints lanes, const floats begin, const floats end, const int cell)
 {
     ints looking = lanes;
@@ -190,7 +192,7 @@ void insert(Pending *p, const ints lanes, const floats begin, const floats end, 
     p->count = min(p->count + 1, (uint)PENDING);
 }
 
-// The scalars on the rays, each in its own cell.
+// Load the scalars on the rays, each of its own cell.
 void scalars_on_rays(__global const float *records, const ints cells, floats *on_ray)
 {
     int cell[LANES];
@@ -207,7 +209,7 @@ void scalars_on_rays(__global const float *records, const ints cells, floats *on
         on_ray[i] = load(parts[i]);
 }
 
-// Composite what rays have in their cells, from where the last fragments ended.
+// Composite fragments of some lanes, from where the last ones ended.
 void composite_fragments(Followed *rays, __global const float *records, const Integral *integral,
                          const ints lanes, const floats begin, const floats end, const ints cell)
 {
@@ -234,14 +236,14 @@ void composite_fragments(Followed *rays, __global const float *records, const In
     }
 }
 
-// Composite the fragments that wait, those that begin before `bound`; the others move up.
+// Composite the buffered fragments that begin before `bound`; the others move up.
 void composite_before(Pending *p, Followed *rays, __global const float *records,
                       const Integral *integral, const float bound)
 {
     ints done = 0;
     for (uint place = 0; place < p->count; ++place) {
         const floats begin = load(p->begin + LANES * place), end = load(p->end + LANES * place);
-        // of an opaque ray all go
+        // of an opaque ray all are removed
         const ints go = begin < (rays->open ? (floats)bound : (floats)FARTHEST);
         if (!ANY(go))
             break;
@@ -264,8 +266,8 @@ void composite_before(Pending *p, Followed *rays, __global const float *records,
         --p->count;
 }
 
-// What rays have in a cell: from where they come in to where they leave. Returns the lanes that have
-// something.
+// The fragments of rays in a cell, from where they enter to where they leave. Returns the lanes that have
+// one.
 ints fragments_of(__global const float *record, const float nearest, const float farthest,
                   const Followed *rays, floats *begin, floats *end)
 {
@@ -321,7 +323,7 @@ void composite_pass(Pending *pending, Followed *rays, __global const float *reco
         ints lanes = fragments_of(record, where.x, where.y, rays, &from, &to);
         if (!ANY(lanes))
             continue;
-        // behind the last that was composited, before the first that found no room
+        // behind the last that was composited, before the first that did not fit
         lanes &= BEFORE(rays->begin, rays->cell, from, (ints)cell)
                  & BEFORE(from, (ints)cell, load(pending->begin + LANES * PENDING),
                           load(pending->cell + LANES * PENDING));

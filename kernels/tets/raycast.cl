@@ -1,4 +1,4 @@
-// Ray casting of a volume from cell to cell [TetVol, section 4; Weiler 2003].
+// Ray casting of a volume from cell to cell [TetVol, section 4], [Weiler 2003].
 // Host side: voxtool/tets/raycast.py.
 //
 // A work-item follows the rays of LANES pixels of a tile of 4 x 4, side by side. A step takes each ray

@@ -1,9 +1,8 @@
-// The integral of a linear segment, exactly: emission c tau, colour c and extinction tau both linear in
-// distance; section 4.2 of the text, after Moreland and Angel, "A fast high accuracy volume renderer for
-// unstructured data", 2004.
+// The exact integral of a linear segment: emission c tau, with colour c and extinction tau both linear in
+// distance [TetVol, section 4.2], [Moreland 2004].
 //
-// With a = tau_f D and b = tau_b D, m = (a + b) / 2, delta = (b - a) / 2: zeta = exp(-m) is let through,
-// Psi is the integral of exp(-m s + delta s (1 - s)) over s in [0, 1], and what is added is
+// With a = tau_f D and b = tau_b D, m = (a + b) / 2, delta = (b - a) / 2: zeta = exp(-m) is the
+// transmittance, Psi is the integral of exp(-m s + delta s (1 - s)) over s in [0, 1], and the emission is
 // w_f c_f + w_b c_b with w_f = 1 - Psi and w_b = Psi - zeta.
 //
 // Psi = exp(-m / 2) Phi with Phi the integral of cosh(m u / 2) exp(delta (1 - u^2) / 4) over u in [0, 1],
@@ -14,14 +13,14 @@
 //     Psi = sqrt(pi) / (2 sqrt |delta|) (erfcx x - zeta erfcx y) where delta > 0,
 //     Psi = 1 / sqrt |delta| (Dawson x - zeta Dawson y) where delta <= 0.
 //
-// Each polynomial was fitted to the least largest relative error of what it is for (Lawson's algorithm,
-// on float64 values); the error beside it is without rounding.
+// Each polynomial is a minimax fit of the relative error of the weights (Lawson's algorithm, on float64
+// values); the error stated beside it excludes rounding.
 
 #include "tets/vector.h"
 
 #pragma OPENCL FP_CONTRACT OFF
 
-#define TINY 1e-30f // as good as 0
+#define TINY 1e-30f // less counts as 0
 #define SHORT 0.25f
 #define LONG 4.0f
 #define OPAQUE 80.0f // where exp(-m) counts as 0, above the denormals
@@ -116,7 +115,7 @@ void psi_long(floats a, floats b, floats *psi, floats *zeta)
     const ints rising = b > a;
     const floats small = rising ? a : b, big = rising ? b : a;
     const floats sum = a + b;
-    const floats lost = small - (sum - big); // by rounding the sum: Dekker
+    const floats lost = small - (sum - big); // by rounding the sum [Dekker 1971]
     floats alpha;
     attenuate(0.5f * sum, 0.5f * lost, &alpha, zeta);
     const floats square = 2.0f * (big - small); // k^2, k = 2 sqrt |delta|
@@ -133,8 +132,8 @@ void psi_long(floats a, floats b, floats *psi, floats *zeta)
     *psi = front - *zeta * back;
 }
 
-// The weights of the colours at a segment's ends and what it lets through, to 1e-6 of each, for
-// a, b >= 0; those below TINY count as 0.
+// The weights of the colours at a segment's ends and its transmittance, each with a relative error of at
+// most 1e-6, for a, b >= 0; values below TINY count as 0.
 void segment_weights(floats a, floats b, floats *w_f, floats *w_b, floats *zeta)
 {
     a = a < TINY ? 0.0f : a;
@@ -169,8 +168,8 @@ void segment_weights(floats a, floats b, floats *w_f, floats *w_b, floats *zeta)
     *zeta = transmittance;
 }
 
-// The weight of the one colour of a segment of constant extinction, and what it lets through, to 1e-6
-// of each, for m = tau D >= 0.
+// The weight of the colour of a segment of constant extinction and its transmittance, each with a relative
+// error of at most 1e-6, for m = tau D >= 0.
 void homogeneous_weights(floats m, floats *alpha, floats *zeta)
 {
     attenuate(m, 0.0f, alpha, zeta);

@@ -1,4 +1,4 @@
-// The textures of a volume: tables 5 and 4 of the text, and the cells' vertices.
+// The textures of a volume [TetVol, tables 4 and 5], and the cells' vertices.
 // Host side: voxtool/tets/volume.py. Options:
 //   FACES, CORNERS  of a cell: 4 and 4, or 6 and 8
 //   ANCHORED        table 4: offsets and scalar terms by vertices instead of stored

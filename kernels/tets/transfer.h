@@ -16,14 +16,14 @@ typedef struct {
     floats r, g, b, tau;
 } Sample;
 
-// What is left of a ray, front to back.
+// The light of a ray, composited front to back.
 typedef struct {
     floats r, g, b;       // so far, premultiplied
     floats transmittance; // 1 - alpha, and exact where it is small
     floats alpha;         // the sum of the weights, and exact where it is small
 } Light;
 
-// A segment of which the scalar is linear: from s, in interval `interval`, to another, in another.
+// A segment along which the scalar is linear: the scalars at its ends, and their intervals.
 typedef struct {
     floats from, to;
     ints from_interval, to_interval;
@@ -38,7 +38,7 @@ ints interval_of(const Transfer *t, const floats s)
     return interval;
 }
 
-// The rows of the lanes' intervals; most often they are in the same.
+// The rows of the lanes' intervals, which are usually the same one.
 void rows_of(const Transfer *t, const ints interval, floats *row)
 {
 #if LANES > 1
@@ -61,10 +61,10 @@ Sample sample_of(const floats *row, const floats s)
     return sample;
 }
 
-// Lines 1 to 13 of [TetVol]'s listing in section 4.2: cut the segment where it crosses a control
-// point first. The text looks that point and the next up in a table of (s_f, s_b); by the ranks of
-// the intervals they are the ends of the first one. Returns whether the lane's segment was cut: then
-// it goes on at `end` in the interval `next`. All of this is within the interval `own`.
+// Cut the segment at the first control point that it crosses: lines 1 to 13 of the listing in [TetVol,
+// section 4.2]. There a table of (s_f, s_b) holds this point and the next; here they are the ends of the
+// first interval, found by rank. Returns whether the lane's segment was cut: then it continues at `end`
+// in the interval `next`. The piece up to `end` is within the interval `own`.
 ints cut(const Transfer *t, const Segment *segment, floats *end, ints *own, ints *next)
 {
     *end = segment->to;
@@ -75,7 +75,7 @@ ints cut(const Transfer *t, const Segment *segment, floats *end, ints *own, ints
         return crosses;
     const ints up = *next > *own;
     floats first = lookup(t->points, crosses ? *own - (up ? (ints)0 : (ints)1) : (ints)0);
-    const ints at_once = crosses & !up & (segment->from == first); // it has been crossed already
+    const ints at_once = crosses & !up & (segment->from == first); // already crossed
     if (ANY(at_once)) {
         *own = at_once ? *own - 1 : *own;
         crosses = *own != *next;
@@ -87,8 +87,7 @@ ints cut(const Transfer *t, const Segment *segment, floats *end, ints *own, ints
     return is_cut;
 }
 
-// Add what a segment within one interval sends, and take what it keeps (lines 15 and 16, with the
-// premultiplied colour, front to back).
+// Composite a segment within one interval behind what there is (lines 15 and 16 of the listing).
 void add_segment(Light *light, const Sample *front, const Sample *back, const floats length)
 {
     floats w_f, w_b, transmittance;
@@ -102,7 +101,7 @@ void add_segment(Light *light, const Sample *front, const Sample *back, const fl
     light->alpha = light->alpha + (w_f + w_b);
 }
 
-// The same with one colour and one extinction.
+// Composite a segment of one colour and one extinction.
 void add_homogeneous(Light *light, const Sample *s, const floats length)
 {
     floats alpha, transmittance;

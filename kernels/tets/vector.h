@@ -1,4 +1,4 @@
-// Vectors of LANES, 1 or 16: what the lanes of a kernel hold is written once for both.
+// Vectors of LANES, 1 or 16, so that a kernel is written once for both.
 
 #define JOIN_(a, b) a##b
 #define JOIN(a, b) JOIN_(a, b)

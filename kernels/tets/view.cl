@@ -1,10 +1,10 @@
-// What a viewpoint needs of a volume: each cell's ways out as functions of the pixel, and where each
-// ray enters. Host side: voxtool/tets/view.py.
+// A volume from a viewpoint: each cell's exit faces as functions of the pixel, and where each ray
+// enters. Host side: voxtool/tets/view.py.
 //
-// Whether a ray enters by a face is decided by the signs of edge functions of its projected vertices
-// (Pineda 1988; Olano and Greer 1997 in perspective). The function of an edge is the exact negation of
-// that of the edge turned round, in floating point too, and a ray through an edge belongs to one side
-// by the edge's direction: so faces that share an edge share it without a gap and without an overlap.
+// The signs of the edge functions of its projected vertices decide whether a ray enters by a face
+// [Pineda 1988], in perspective [Olano 1997]. The function of an edge is the exact negation of that of the
+// reversed edge, in floating point too, and the edge's direction decides to which side a ray through the
+// edge belongs: faces that share an edge share it without a gap and without an overlap.
 // Options: those of textures.h and view.h.
 
 #include "tets/textures.h"
@@ -16,8 +16,8 @@ bool is_kept(__global const uchar *kept, const uint cell)
     return kept[cell / BLOCK];
 }
 
-// One work-item a cell. Its record: `slots` times the nearness a, b, c of a plane and the cell beyond it,
-// then the scalar on the ray, of view.h.
+// One work-item a cell. Its record has `slots` exit faces, each the nearness a, b, c of its plane and the
+// cell beyond it, and then the scalar on the ray, of view.h.
 __kernel void set_up_cells(TEXTURES, __global const int *neighbours, __global const uchar *kept,
                    __global const double *viewpoint, const uint slots, __global float *records)
 {
@@ -41,8 +41,8 @@ __kernel void set_up_cells(TEXTURES, __global const int *neighbours, __global co
     vstore4(scalar_on_rays(&view, scalar_of(&textures, cell)), slots, record);
 }
 
-// One work-item a vertex: where it is in the picture, (X, Y, Z) with x = X / Z and y = Y / Z, and its
-// depth. Orthographic, Z is 1.
+// One work-item a vertex: its position in the picture, (X, Y, Z) with x = X / Z and y = Y / Z, and its
+// depth. In an orthographic picture Z is 1.
 __kernel void project_vertices(__global const float *vertices, const uint n,
                                __global const double *viewpoint, __global float *projected)
 {
@@ -88,7 +88,7 @@ Outline outline_of(const int face, __global const int *cells_vertices,
     return o;
 }
 
-// Whether the ray of (x, y) enters by the face: it goes round all edges the same way.
+// Whether the ray of (x, y) enters by the face: it is on the same side of all edges.
 bool enters(const Outline *o, const float x, const float y)
 {
     float from_x = o->corners[SIDES - 1].x - x * o->corners[SIDES - 1].z;
@@ -106,7 +106,7 @@ bool enters(const Outline *o, const float x, const float y)
     return true;
 }
 
-// The depth at which the ray of (x, y) meets a face: on its plane, but between its corners.
+// The depth at which the ray of (x, y) meets a face: that of its plane, clamped to those of its corners.
 float depth_of(const Textures *textures, const View *view, const Outline *o, const int face,
                const float x, const float y)
 {
@@ -139,7 +139,8 @@ __kernel void count_entries(__global const int *exposed, const uint n,
                 atomic_inc(counts + row * width + column);
 }
 
-// The same again: (depth, cell) in any order, from starts[pixel] on, which becomes the pixel's end.
+// One work-item an exposed face: write the entries (depth, cell) from starts[pixel] on, in any order.
+// starts[pixel] becomes the end of the pixel's entries.
 __kernel void list_entries(TEXTURES, __global const int *exposed, const uint n,
                            __global const int *cells_vertices, __global const float *projected,
                            __constant const uchar *sides, const int width, const int height,
@@ -163,14 +164,14 @@ __kernel void list_entries(TEXTURES, __global const int *exposed, const uint n,
         }
 }
 
-// One work-item a pixel: its entries by depth, equal depths by cell, whatever the order they came in.
+// One work-item a pixel: sort its entries by depth and, where depths are equal, by cell.
 __kernel void sort_entries(__global const uint *ends, const uint n, __global uint *entries)
 {
     const uint pixel = get_global_id(0);
     if (pixel >= n)
         return;
     const uint start = pixel > 0 ? ends[pixel - 1] : 0, end = ends[pixel];
-    // Shell's sort; Knuth's increments
+    // Shell's sort with the increments of [Knuth 1998]
     uint gap = 1;
     while (gap < (end - start) / 3)
         gap = 3 * gap + 1;

@@ -4,10 +4,10 @@
 #include "tets/ray.h"
 
 #define LEAST_SCALE 1e-20 // of a plane that is not along the rays
-#define AT_ONCE 1e20      // a nearness before all others, of a ray a pixel outside
-#define ROUNDING 0x1p-4f  // pixels: more than float32 is off by in the largest picture
-#define NEAR_LINE 0x1p-10  // pixels: as near to a line it is not outside
-// A scale that is as good as 0: of a plane through the eye, or along the rays.
+#define AT_ONCE 1e20      // a nearness greater than all others, for a ray one pixel outside
+#define ROUNDING 0x1p-4f  // pixels: more than the error of float32 in the largest picture
+#define NEAR_LINE 0x1p-10  // pixels: a ray this near to a line is not outside
+// A smaller scale counts as 0: that of a plane through the eye, or parallel to the rays.
 #ifdef PERSPECTIVE
 #define NO_SCALE ON_PLANE
 #else
@@ -28,10 +28,10 @@ View view_of(__global const double *view)
     return v;
 }
 
-// A plane on the ray of (x, y), by the first three, f: f.x x + f.y y + f.z. Over the fourth, the scale,
-// it is the plane's nearness: in perspective middle / t - 1, elsewhere -t. Rays leave by the plane's
-// side where the scale is positive and come in where it is negative; the plane turned round has the
-// exact negations, so its nearness is the same number.
+// A plane as a function f of the pixel (x, y): (f.x x + f.y y + f.z) / f.w is the nearness at which the
+// ray meets it, in perspective middle / t - 1, orthographic -t. Rays leave by the plane where the scale
+// f.w is positive and enter where it is negative. The reversed plane has the exact negations, so its
+// nearness is the same number.
 double4 on_rays(const View *v, const double4 plane)
 {
     const double3 n = plane.xyz;
@@ -44,10 +44,9 @@ double4 on_rays(const View *v, const double4 plane)
 #endif
 }
 
-// The nearness of a plane on the ray of (x, y): a x + b y + c, for the plane's side that rays leave
-// by. Where a plane has no scale it is a line in the picture, and rays are on one side of it all along:
-// those outside, by more than rounding, are sent out at once, and the others never. False: no ray
-// leaves by it.
+// The nearness a x + b y + c of a plane by which rays leave; returns false if none do. A plane without a
+// scale is a line in the picture, and each ray is on one side of it: those outside by more than rounding
+// leave at once, the others never do.
 bool nearness(const View *v, const double4 plane, float3 *abc)
 {
     double4 f = on_rays(v, plane);

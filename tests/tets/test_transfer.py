@@ -281,7 +281,7 @@ def test_an_extinction_beyond_float32_is_refused(scale: float) -> None:
         function([0, 1], [1, 1e15]).local(volume(scale=scale))
 
 
-# ---- cutting: section 4.2 of the text
+# ---- cutting [TetVol, section 4.2]
 
 
 def test_figure_28() -> None:
@@ -302,7 +302,7 @@ def test_figure_28() -> None:
 
 
 def listing(local: LocalTransfer, s_f: float, s_b: float) -> list[float]:
-    """Where the pieces of a segment end, by the text's listing; all points differ."""
+    """Where the pieces of a segment end, by the listing of [TetVol]; all points differ."""
     ends, table = [], local.crossings()
     while True:
         i, j = np.searchsorted(local.points, [s_f, s_b], side="right")

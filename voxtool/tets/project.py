@@ -1,27 +1,26 @@
-"""Cell projection of tetrahedral volumes: every cell goes to the pixels that it covers.
+"""Cell projection of tetrahedral volumes: each cell is drawn to the pixels that it covers.
 
-Cells are projected as in sections 3.1 and 4.1.1 of the text, with the ray's way through all planes
-of a cell worked out for each pixel. A ray's way through a cell, from the greatest depth of the
-planes that it comes in by to the least of those that it leaves by, is a fragment.
+Cells are projected as in [TetVol, sections 3.1 and 4.1.1], but each ray is clipped by all planes of
+a cell. A fragment is the segment of a ray in a cell: from the greatest depth of the planes by which
+the ray enters to the least depth of those by which it leaves.
 
-Why the order is right. Cells cannot be sorted so that all rays meet them in that order: three long
-ones may overlap in a cycle. So the order is decided on each ray, by where its fragments begin (by
-the number of the cell, where two begin together). The cells of a tile of the picture come by the
-depth of their nearest vertex. No fragment begins before its cell's nearest vertex; so once a cell
-comes whose nearest vertex is beyond the beginning of a fragment, no cell that is yet to come can
-have anything before it, and it is composited. The others wait in a small sorted buffer. Where that
-overflows the nearest are kept, and the first that found no room is remembered: nothing from there
-on is composited in this pass, and another pass over the tile's list begins behind the last fragment
-that was. Each pass composites at least as many as the buffer holds, and all passes see the same
-numbers, so every fragment is composited once and in order, cycles or not, whatever the size of the
-buffer.
+Why the order is right: no order of cells serves all rays, because three long cells may overlap in a
+cycle. So fragments are sorted on each ray by where they begin, and by the number of the cell where
+two begin together. The cells of a tile are processed by the depth of their nearest vertex. No
+fragment begins before its cell's nearest vertex; once a cell is reached whose nearest vertex is
+behind the beginning of a fragment, no later cell can precede that fragment, and it is composited.
+The others stay in a small sorted buffer. If it overflows, the nearest are kept and the first that
+did not fit is recorded: nothing from there on is composited in this pass, and another pass over the
+tile's list begins behind the last fragment that was. Each pass composites at least as many
+fragments as the buffer holds, and all passes compute the same numbers, so every fragment is
+composited once and in order, with cycles too, whatever the size of the buffer.
 
-Depths are those of the ray caster, by the same functions and roundings, so two cells that share a
-face end and begin on it at the same depth. Where cells overlap in space, the later begins where the
-earlier ended. The two methods' pictures are the same but for the rounding of depths and scalars
-where rays come in: colours differ by at most 1e-5 where the extinction is up to 20 per half of the
-mesh's size, and in proportion beyond. Cells that overlap in space are no part of that, nor are
-constant cells on rays in the very plane of a face between them: there either cell is right.
+Depths are computed as in the ray caster, so of two cells that share a face one ends and the other
+begins at the same depth. Where cells overlap in space, the later begins where the earlier ended.
+The pictures of the two methods differ by the rounding of depths and scalars at entries: colours by
+at most 1e-5 where the extinction is up to 20 per half of the mesh's size, and in proportion beyond.
+Excluded are cells that overlap in space, and constant cells on rays in the plane of a face between
+them, where either cell is right.
 
 Kernels: kernels/tets/project.cl.
 """
@@ -46,20 +45,20 @@ if TYPE_CHECKING:
 
 SOURCE = "tets/project.cl"
 TILE = 8  # pixels along the side of a tile; a multiple of 4
-PENDING = 32  # fragments of a ray that may wait
-MAX_PAIRS = (1 << 31) - 1  # of a cell and a tile
+PENDING = 32  # fragments of a ray that the buffer holds
+MAX_PAIRS = (1 << 31) - 1  # pairs of a cell and a tile
 
 HEADERS = {"tets/project.h": program.c_constants(TILE=TILE)}
 
 
 @dataclass(frozen=True)
 class Projection:
-    """A picture, and the work that it took.
+    """A picture by cell projection, and the work that it took.
 
-    picture : (H, W, 4) float32: red, green and blue, premultiplied, and alpha.
-    cells : that may be in the picture; pairs : of one of these and a tile.
-    fragments : parts of rays within cells that were composited.
-    passes : over the list of the tile that took the most.
+    picture : (H, W, 4) float32: premultiplied red, green, blue, and opacity.
+    cells : cells that may be in the picture; pairs : pairs of such a cell and a tile.
+    fragments : fragments that were composited.
+    passes : passes over the list of cells, of the tile that took the most.
     """
 
     picture: np.ndarray
@@ -95,7 +94,7 @@ class CellProjection:
         """
         Parameters
         ----------
-        pending : fragments of a ray that may wait.
+        pending : fragments of a ray that the buffer holds.
         max_pairs : pairs of a cell and a tile, beyond which the picture is refused.
         """
         self.volume, self.shown, self.view, self.integral = volume, shown, view, integral

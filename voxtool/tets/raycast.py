@@ -1,9 +1,9 @@
-"""Ray casting of tetrahedral volumes: section 4 of the text.
+"""Ray casting of tetrahedral volumes [TetVol, section 4], [Weiler 2003].
 
-Rays go from cell to cell. A ray leaves a cell by the nearest plane among those that it goes out by,
-and the scalar is linear on the way; the transfer function's control points cut the way into pieces,
-and each is integrated in closed form (Moreland and Angel 2004). What a viewpoint makes of a cell's
-planes and gradient is worked out once a frame: then a step has no division.
+A ray goes from cell to cell. It leaves a cell by the nearest of the planes that face away from it.
+In the cell the scalar is linear; the control points of the transfer function cut the segment into
+pieces, each integrated in closed form [Moreland 2004]. The planes and the gradient of each cell are
+transformed to the viewpoint once a picture, so a step has no division.
 
 Kernels: kernels/tets/view.cl, raycast.cl.
 """
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from voxtool.tets.volume import TetVolume
 
 SOURCE = "tets/raycast.cl"
-MAX_STILL = 1 << 12  # steps that a ray takes at one place before it is given up
-SLOTS, MANY_SLOTS = 3, 7  # exit faces of a record: the eye is outside a tetrahedron, or not
+MAX_STILL = 1 << 12  # steps without progress after which a ray ends
+SLOTS, MANY_SLOTS = 3, 7  # exit faces of a record: eye outside the volume, or inside
 
 HEADERS = {"tets/raycast.h": program.c_constants(MAX_STILL=MAX_STILL)}
 
@@ -38,7 +38,7 @@ def cast(
     integral: Integral,
     max_entries: int,
 ) -> np.ndarray:
-    """(H, W, 4) float32: red, green and blue, premultiplied, and alpha.
+    """Return the picture, (H, W, 4) float32: premultiplied red, green, blue, and opacity.
 
     Raises
     ------

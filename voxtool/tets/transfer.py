@@ -1,4 +1,4 @@
-"""Transfer functions: what colour and what extinction a scalar has.
+"""Transfer functions: the colour and the extinction of each scalar.
 
 Both are linear between control points and constant beyond the first and the last; two points at one
 scalar make a step. Colours are what a screen shows, extinctions are per world unit of length.
@@ -127,7 +127,7 @@ class TransferFunction:
         return TransferFunction(scalars, colours.reshape(-1, 3), extinctions)
 
     def to_json(self) -> str:
-        """The text that from_json reads."""
+        """Return the JSON that from_json reads."""
         points = zip(
             self.scalars.tolist(), self.colours.tolist(), self.extinctions.tolist(), strict=True
         )
@@ -236,11 +236,10 @@ class LocalTransfer:
     rows: np.ndarray
 
     def crossings(self) -> np.ndarray:
-        """(K + 1, K + 1, 2) int64: the text's 2-D texture (figure 28) by the intervals of s_f and
-        s_b: the control points that a ray crosses first and next, or -1.
+        """Return the control points that a ray crosses first and next, or -1, for each pair of
+        intervals of s_f and s_b: (K + 1, K + 1, 2) int64, the texture of [TetVol, figure 28].
 
-        It is what cut() of kernels/tets/transfer.h works out: the near end of the interval, and the
-        one after it.
+        cut() of kernels/tets/transfer.h computes the same by rank.
         """
         count = len(self.points)
         front, back = np.indices((count + 1, count + 1))

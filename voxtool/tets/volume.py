@@ -1,4 +1,4 @@
-"""A tetrahedral volume: the data, as in tables 4 and 5 of the text (section 4.1).
+"""A tetrahedral volume: the textures of tables 4 and 5 of [TetVol, section 4.1].
 
 A texture has one row a cell, t, or a vertex, k. In float32 and int32, for ray casting (table 5):
 
@@ -15,8 +15,8 @@ and for cell projection (table 4):
     gradients   3 floats: s(x) = s_A + g . (x - x_A), A the first anchor
 
 with the vertices of each cell, its neighbours and the ranges of blocks of cells in both. Face i of
-a tetrahedron is opposite its vertex i. The text's extension, hexahedra with planar faces and one
-scalar a cell, is table 5 with two more planes and neighbours.
+a tetrahedron is opposite its vertex i. Hexahedra with planar faces and one scalar a cell, also in
+[TetVol], have table 5 with two more planes and neighbours.
 
 Positions are local, in [-1, 1], and world = origin + scale * local. Scalars are normalised to
 [0, 1]. Cells are in Morton order of their centroids, vertices in the order of their first use.
@@ -159,7 +159,7 @@ class TetVolume:
         return {name: array.nbytes for name, array in self.arrays().items()}
 
     def bytes_a_cell(self) -> float:
-        """Bytes that the textures of the text's table take for each cell."""
+        """Return the bytes a cell of the textures in the layout's table of [TetVol]."""
         table = ("normals", "gradients", "neighbours")
         if self.layout == "projection":
             table = ("vertices", "normals", "anchors", "gradients")
@@ -167,8 +167,10 @@ class TetVolume:
         return sum(sizes[name] for name in table) / len(self.cells)
 
     def digest(self) -> str:
-        """SHA-256 of the canonical content: all but the units, the source, the plan and the report.
-        Equal content has an equal digest on every platform."""
+        """Return the SHA-256 of the content without units, source, plan and report.
+
+        Equal content has an equal digest on every platform.
+        """
         head = {
             "layout": self.layout,
             "origin": [v.hex() for v in self.origin],
