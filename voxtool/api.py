@@ -833,19 +833,38 @@ def build_tet(
 
     Parameters
     ----------
-    mesh : an UnstructuredMesh, or the path of a file that read_unstructured reads.
-    layout : "raycast", "projection" or "hexahedra".
-    merge_distance : points this near become one, world units; 0 merges those at one place.
-    scalar, component : of a path, as read_unstructured.
-    max_memory : bytes that the work may take; by default what is free.
+    mesh : UnstructuredMesh or path
+        The mesh, or a file that read_unstructured reads.
+    layout : str
+        "raycast" ([TetVol] table 5) or "projection" (table 4) split all cells into tetrahedra;
+        "hexahedra" (table 5 with six faces) keeps hexahedra with planar faces and one scalar a
+        cell.
+    merge_distance : float
+        Points at most this far apart are merged, world units; 0 merges points at the same position.
+    scalar, component : str or int, optional
+        The array of a path, as in read_unstructured.
+    max_memory : int, optional
+        Bytes that the work may take; by default what is free.
+
+    Returns
+    -------
+    TetVolume
 
     Raises
     ------
-    FileError, MeshError : the mesh cannot be read or used. MemoryLimitError : it does not fit.
+    FileError
+        If the file cannot be read.
+    MeshError
+        If the mesh has no usable volume cells, or float64 cannot hold its range of scalars or
+        positions.
+    VoxtoolError
+        If the layout is unknown or does not hold such scalars.
+    MemoryLimitError
+        If the work needs more than max_memory, or too many points are within the merge distance.
 
     References
     ----------
-    [TetVol]
+    [TetVol], [Dompierre 1999] for the split into tetrahedra.
     """
     return plan_tet(
         mesh, layout, merge_distance, scalar=scalar, component=component, max_memory=max_memory
@@ -895,31 +914,51 @@ def render(
 ) -> np.ndarray:
     """Return a picture of an octree, a distance field or a tetrahedral volume.
 
+    The content stays on the device, so further pictures of it take less time. The result is the
+    same bit for bit on every device.
+
     Parameters
     ----------
-    content : what is drawn, or the path of its file.
-    view : a Camera; the name of a view ("front", "back", "left", "right", "top", "bottom", "iso"),
-        with everything in the picture; or Rays, one a pixel. By default "iso".
-    size : width and height, pixels; rays have their own.
-    samples : samples x samples rays a pixel; by default 2 for octrees and fields, 1 otherwise.
-    device, max_memory : as voxelize.
-    options : of an octree `level` ("voxel", or a level from 0 on) and `colour`; of a field `offset`
+    content : Octree, DistanceField, TetVolume or path
+        What is drawn.
+    view : Camera, Rays or str, optional
+        A camera; one ray for each pixel; or the name of a view ("front", "back", "left", "right",
+        "top", "bottom", "iso"), with everything in the picture. By default "iso".
+    size : (int, int)
+        Width and height in pixels; Rays have their own.
+    samples : int, optional
+        Each pixel is the mean of samples x samples rays; by default 2 for octrees and fields, which
+        have sharp edges, and 1 for volumes and for Rays.
+    device, max_memory
+        As in voxelize.
+    **options
+        Of an octree `level` ("voxel", or a level from 0 on) and `colour`; of a field `offset`
         (world units) and `colour`; of a volume `transfer` (a TransferFunction), `method`
         ("raycast" or "projection") and `integrator` ("linear", "preintegrated", "average" or
         "sampled:N").
 
     Returns
     -------
-    (height, width, 4) float32: premultiplied red, green, blue, and opacity.
+    (height, width, 4) float32
+        Premultiplied red, green, blue, and opacity, from 0 to 1; the top row comes first.
 
     Raises
     ------
-    VoxtoolError : a view, size or option that makes no picture.
-    MemoryLimitError : it does not fit. DeviceError : no device, or one without double precision.
+    VoxtoolError
+        If a view, a size or an option is not valid.
+    MemoryLimitError
+        If the picture does not fit in memory.
+    DeviceError
+        If there is no device, or it has no double precision.
 
     Warns
     -----
-    MeshWarning : nothing is in the picture.
+    MeshWarning
+        If nothing is visible; the message says why.
+
+    References
+    ----------
+    [Laine 2010] for octrees, [Hart 1996] for fields, [TetVol] and [Moreland 2004] for volumes.
 
     Examples
     --------

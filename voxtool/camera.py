@@ -30,17 +30,24 @@ MAX_SIDE = 32768  # pixels along a side of a picture
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """One ray a pixel.
+    """One ray for each pixel.
 
     Pixel (column, row), from the upper left, has x = column + 1/2 − width/2 and y = row + 1/2 −
-    height/2. Its ray is origin + t (direction + x right + y down) in perspective, t the depth along
-    `direction`; orthographic, it is (origin + x right + y down) + t direction.
+    height/2. Its ray is origin + t (direction + x right + y down) in perspective, where t is the
+    depth along `direction`, and (origin + x right + y down) + t direction orthographic.
 
     Attributes
     ----------
-    origin, direction, right, down : (3,) float64; direction of length 1; right and down are a
-        pixel's step: at depth 1 in perspective, and as it is otherwise.
-    size : width and height, pixels.
+    origin : (3,) float64
+        World units.
+    direction : (3,) float64
+        Unit vector.
+    right, down : (3,) float64
+        Steps from pixel to pixel: at depth 1 in perspective, in world units otherwise.
+    perspective : bool
+        Whether all rays begin at the origin; otherwise they are parallel.
+    size : (int, int)
+        Width and height in pixels.
     """
 
     origin: np.ndarray
@@ -66,12 +73,12 @@ class Rays:
         self.__post_init__()
 
     def light(self) -> np.ndarray:
-        """(3,) float64: the unit vector towards the light, at the viewer's upper left."""
+        """Return the unit vector towards the light, at the viewer's upper left: (3,) float64."""
         left, above = -_direction(self.right, "right"), -_direction(self.down, "down")
         return _direction(0.4 * left + 0.6 * above - self.direction, "light")
 
     def local(self, origin: Sequence[float] | np.ndarray, scale: float) -> Rays:
-        """The same rays in coordinates (world − origin) / scale; depths shrink alike.
+        """Return the same rays in coordinates (world − origin) / scale; depths scale with them.
 
         Orthographic rays begin nearest to that origin, so that depths are small numbers.
         """
@@ -82,7 +89,7 @@ class Rays:
         return replace(self, origin=start, right=self.right / scale, down=self.down / scale)
 
     def finer(self, samples: int) -> Rays:
-        """samples x samples rays for each pixel.
+        """Return samples x samples rays for each pixel.
 
         Raises
         ------
@@ -96,7 +103,7 @@ class Rays:
         return replace(self, right=right, down=down, size=(width, height))
 
     def meet_box(self, points: np.ndarray) -> bool:
-        """Whether a box around (N, 3) points, as they are seen, reaches into the picture."""
+        """Return whether the bounding rectangle of (N, 3) projected points meets the picture."""
         arms = points - self.origin
         depth = dot(arms, self.direction) if self.perspective else np.ones(len(arms))
         arms, depth = arms[depth > 0], depth[depth > 0]
@@ -113,9 +120,14 @@ class Camera:
 
     Attributes
     ----------
-    eye, target, up : (3,) world units; up is any vector that is not along the view.
-    fov : degrees that the picture's shorter side takes, or None for an orthographic camera.
-    height : of an orthographic picture's shorter side, world units.
+    eye, target : (float, float, float)
+        Position of the camera and the point that it looks at, world units.
+    up : (float, float, float)
+        Any direction that is not parallel to the view.
+    fov : float or None
+        Angle of the picture's shorter side in degrees; None for an orthographic camera.
+    height : float
+        Length of an orthographic picture's shorter side, world units.
     """
 
     eye: tuple[float, float, float]
@@ -133,10 +145,10 @@ class Camera:
         up: Sequence[float] = (0.0, 1.0, 0.0),
         fov: float | None = FOV,
     ) -> Camera:
-        """The named view of a box, its sphere in the picture.
+        """Return the named view of a box, with its bounding sphere in the picture.
 
-        Front looks along −z where `up` is not near it, and else along +y; right shows the side that
-        is at the front view's right.
+        The front view looks along −z, or along +y if `up` is near the z axis. The right view shows
+        the side that is at the right of the front view.
 
         Raises
         ------
@@ -168,7 +180,7 @@ class Camera:
         )
 
     def turned(self, degrees: float) -> Camera:
-        """This camera after a turn about `up` through the target; by 360 it is the same.
+        """Return this camera turned about `up` around the target; 360 degrees change nothing.
 
         Raises
         ------
@@ -185,11 +197,11 @@ class Camera:
         return self if degrees % 360 == 0 else replace(self, eye=triple(eye))
 
     def framed(self, points: np.ndarray, width: int, height: int) -> Camera:
-        """This camera, moved until all of (N, 3) points fill a picture of width x height pixels.
+        """Return this camera moved so that (N, 3) points fill a picture of width x height pixels.
 
         Point i is in the picture where |u_i - shift| <= half (distance + depth_i), u_i pixels
-        across at depth 1 and depth_i from the target on; parallel rays know no depth, and a height
-        instead of distances.
+        across at depth 1 and depth_i measured from the target. For parallel rays depth_i is 0, and
+        the height is found instead of the distance.
 
         Raises
         ------
@@ -214,7 +226,7 @@ class Camera:
         return replace(self, eye=triple(target + shift - distance * rays.direction), target=moved)
 
     def rays(self, width: int, height: int) -> Rays:
-        """The rays of a picture.
+        """Return the rays of a picture.
 
         Parameters
         ----------
@@ -227,7 +239,7 @@ class Camera:
         check_size(width, height)
         eye, target = np.array(self.eye, np.float64), np.array(self.target, np.float64)
         if not (np.isfinite(eye).all() and np.isfinite(target).all()):
-            raise VoxtoolError("the camera's eye and target must be finite")
+            raise VoxtoolError("the camera's eye and target must be finite numbers")
         direction = _direction(target - eye, "the way from eye to target")
         right = cross(direction, _direction(self.up, "up"))
         if _size(right) < 1e-9:
@@ -247,13 +259,13 @@ class Camera:
 
 
 def box_corners(low: np.ndarray, sides: np.ndarray | int) -> np.ndarray:
-    """(8 N, 3): the corners of N boxes, of their (N, 3) low corners and their sides."""
+    """Return the corners (8 N, 3) of N boxes with these low corners (N, 3) and sides."""
     steps = np.array(list(itertools.product((0, 1), repeat=3)))
     return (low + steps[:, None] * sides).reshape(-1, 3)
 
 
 def checked_colour(colour: Sequence[float]) -> tuple[float, float, float]:
-    """Red, green and blue as three floats.
+    """Return red, green and blue as three floats.
 
     Raises
     ------
@@ -278,7 +290,7 @@ def check_size(width: int, height: int) -> None:
 
 
 def fov_of(degrees: float) -> float:
-    """A field of view that makes a picture.
+    """Return a field of view, checked.
 
     Raises
     ------
@@ -290,17 +302,17 @@ def fov_of(degrees: float) -> float:
 
 
 def _size(v: np.ndarray) -> float:
-    """The length of a vector, also where its square would overflow."""
+    """Return the length of a vector, also if its square overflows."""
     largest = float(np.abs(v).max())
     return largest * float(length(v / largest)) if 0 < largest < math.inf else largest
 
 
 def _direction(v: Sequence[float] | np.ndarray, what: str) -> np.ndarray:
-    """The direction of a vector.
+    """Return the unit vector of a direction.
 
     Raises
     ------
-    VoxtoolError : it has none; `what` names it.
+    VoxtoolError : its length is 0 or not finite; `what` names it.
     """
     v = np.asarray(v, np.float64)
     if not 0 < _size(v) < math.inf:
@@ -309,20 +321,20 @@ def _direction(v: Sequence[float] | np.ndarray, what: str) -> np.ndarray:
 
 
 def sine(degrees: float) -> float:
-    """The sine of an angle, exact at multiples of 90 degrees."""
+    """Return the sine of an angle, exact at multiples of 90 degrees."""
     degrees %= 360
     if degrees >= 180:
         return -sine(degrees - 180)
     if degrees > 90:
         degrees = 180 - degrees
-    if degrees > 45:  # cosine of what is left
+    if degrees > 45:  # the cosine of the complement
         return _series(math.radians(90 - degrees), 1.0, 0)
     x = math.radians(degrees)
     return _series(x, x, 1)
 
 
 def _series(x: float, first: float, order: int) -> float:
-    """first − first x²/((order+1)(order+2)) + ..., from the least term up."""
+    """first − first x²/((order+1)(order+2)) + ..., summed from the smallest term."""
     terms = [first]
     for k in range(order + 1, order + 21, 2):
         terms.append(-terms[-1] * x * x / (k * (k + 1)))

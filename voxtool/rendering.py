@@ -39,7 +39,7 @@ SCENES: dict[type, Any] = {
 
 
 class Scene(Protocol):
-    """Content that rays are cast at, with the options of its picture.
+    """Content that is drawn, with the options of its picture.
 
     kind : "octree", "field" or "volume".
     samples : along a pixel's side, by default.
@@ -77,7 +77,7 @@ class Scene(Protocol):
         ...
 
     def why_empty(self) -> str:
-        """Why nothing can be seen, from wherever one looks; or ""."""
+        """The reason why no view shows anything, or ""."""
         ...
 
 
@@ -107,7 +107,7 @@ def scene_of(content: Content, **options: Any) -> OctreeScene | FieldScene | Vol
 
 @dataclass(frozen=True)
 class RenderPlan:
-    """How a picture will be made.
+    """The plan of a picture.
 
     scene : what is drawn, with its options.
     size : of the picture, width and height in pixels; samples x samples rays a pixel.
@@ -181,9 +181,9 @@ class RenderPlan:
 
 
 class RenderJob(Job[np.ndarray]):
-    """A picture that has been planned; `run` returns (H, W, 4) float32, premultiplied.
+    """A planned picture; `run` returns (H, W, 4) float32, premultiplied.
 
-    rays : of the samples.
+    rays : those of all samples.
     """
 
     plan: RenderPlan
@@ -225,9 +225,11 @@ class RenderJob(Job[np.ndarray]):
         elif most > 0:
             why = f"its opacity is at most {most:.1g}: choose a smaller unit distance"
         elif not self.rays.meet_box(points):
-            why = f"the camera looks past it, which is in {box}: the iso view shows all"
+            why = f"the camera looks past the content in {box}: the iso view shows all of it"
         else:
-            why = f"no ray meets it, which is in {box}: look from nearer, or choose more samples"
+            why = (
+                f"no ray hits the content in {box}: move the camera closer, or choose more samples"
+            )
         yield f"the picture is empty: {why}"
 
 
@@ -241,28 +243,7 @@ def plan_render(
     max_memory: int | None = None,
     **options: Any,
 ) -> RenderJob:
-    """A job that draws a picture.
-
-    Parameters
-    ----------
-    content : an octree, a distance field or a tetrahedral volume.
-    view : a camera; the name of a view ("front", "back", "left", "right", "top", "bottom", "iso"),
-        with everything in the picture; or rays, one a pixel. By default "iso".
-    size : width and height, pixels; rays have their own.
-    samples : samples x samples rays a pixel, whose mean it shows; by default 2 for octrees and
-        fields, which have sharp edges, and 1 for volumes and for rays.
-    device : by default the first that works, GPUs first.
-    max_memory : bytes that the picture may take on the device; by default what it has.
-    options : of an octree `level` ("voxel", or a level from 0 on) and `colour`; of a field `offset`
-        (world units) and `colour`; of a volume `transfer` (a TransferFunction), `method`
-        ("raycast" or "projection") and `integrator` ("linear", "preintegrated", "average" or
-        "sampled:N").
-
-    Raises
-    ------
-    VoxtoolError : a view, size or option that makes no picture.
-    DeviceError : there is no device, or it has no double precision.
-    """
+    """Return the job of a picture of content; see voxtool.render."""
     scene = scene_of(content, **options)
     if isinstance(view, Rays):
         samples = samples or 1
@@ -291,34 +272,7 @@ def render(
     max_memory: int | None = None,
     **options: Any,
 ) -> np.ndarray:
-    """A picture of an octree, a distance field or a tetrahedral volume.
-
-    The content stays on the device, so that the next picture of it is drawn sooner.
-
-    Parameters
-    ----------
-    content, view, size, samples, device, max_memory, options : as `plan_render` takes them.
-
-    Returns
-    -------
-    (H, W, 4) float32, top row first: red, green and blue, premultiplied, and opacity, from 0 to 1;
-    the same bit for bit on every device.
-
-    Raises
-    ------
-    VoxtoolError : a view, size or option that makes no picture.
-    DeviceError : there is no device, or it has no double precision.
-    MemoryLimitError : the picture would not fit; nothing was begun.
-
-    Warns
-    -----
-    MeshWarning : nothing is visible, and why.
-
-    Examples
-    --------
-    >>> picture = voxtool.render(octree, "front", size=(800, 600))
-    >>> picture = voxtool.render(volume, transfer=voxtool.default_transfer(volume, "inferno"))
-    """
+    """Return a picture of content; see voxtool.render."""
     return plan_render(
         content, view, size=size, samples=samples, device=device, max_memory=max_memory, **options
     ).run()
@@ -337,23 +291,40 @@ def camera_for(
     size: tuple[int, int] = SIZE,
     **options: Any,
 ) -> Camera:
-    """A camera that looks at content.
+    """Return a camera that looks at content.
 
     Parameters
     ----------
-    view : the name of a view, with everything in the picture.
-    eye, target : where to look from instead, and at what, by default the middle; world units.
-    up : any direction that is not along the view.
-    fov : degrees that the picture's shorter side takes, or None for an orthographic camera.
-    height : of an orthographic picture's shorter side, world units; by default it shows all.
-    turn : degrees about `up` around the target, for turntables: then everything is in the picture
-        at every turn.
-    size : of the picture, pixels.
-    options : of the scene, as `plan_render` takes them.
+    content : Octree, DistanceField or TetVolume
+        What the camera looks at.
+    view : str
+        Name of a view; everything is in the picture.
+    eye, target : three floats, optional
+        Position of the camera and the point that it looks at, world units. By default those of the
+        view; the target is the middle of the content.
+    up : three floats
+        Any direction that is not parallel to the view.
+    fov : float or None
+        Angle of the picture's shorter side in degrees; None for an orthographic camera.
+    height : float, optional
+        Length of an orthographic picture's shorter side, world units. By default everything is in
+        the picture.
+    turn : float, optional
+        Angle in degrees by which the camera turns about `up` around the target. The distance is
+        the same at every angle, and everything is in the picture.
+    size : (int, int)
+        Width and height of the picture in pixels.
+    **options
+        Options of the scene, as in `render`.
+
+    Returns
+    -------
+    Camera
 
     Raises
     ------
-    VoxtoolError : numbers that make no camera.
+    VoxtoolError
+        If the numbers do not describe a camera.
     """
     scene = scene_of(content, **options) if isinstance(content, Content) else content
     points, up = scene.points(), tuple(up)
@@ -369,7 +340,7 @@ def camera_for(
 
 
 def averaged(picture: np.ndarray, samples: int) -> np.ndarray:
-    """The picture of 1 / samples the size, each pixel the mean of samples x samples, row by row.
+    """Return the picture at 1 / samples of its size: each pixel is the mean of samples x samples.
 
     Parameters
     ----------

@@ -541,10 +541,13 @@ def test_stages_of_the_plan_are_those_that_run(file: str, here: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ("--eye 50,50,50 --target 100,100,100", "the camera looks past it, which is in ("),
-        ("--eye 50,50,50 --target 50,0,50 --up x", "the camera looks past it"),
-        ("--orthographic --eye 0,0,50 --target 0,80,0 --height 1", "the camera looks past it"),
-        ("--eye 9e5,0,0 --fov 170 --size 9", "no ray meets it"),
+        ("--eye 50,50,50 --target 100,100,100", "the camera looks past the content in ("),
+        ("--eye 50,50,50 --target 50,0,50 --up x", "the camera looks past the content"),
+        (
+            "--orthographic --eye 0,0,50 --target 0,80,0 --height 1",
+            "the camera looks past the content",
+        ),
+        ("--eye 9e5,0,0 --fov 170 --size 9", "no ray hits the content"),
     ],
 )
 @pytest.mark.parametrize("file", [OCTREE, FIELD])

@@ -36,15 +36,15 @@ def tetrahedra(
     found: VolumeCells | None = None,
     max_pairs: int = MAX_PAIRS,
 ) -> ConformingMesh:
-    """The volume cells of a mesh as tetrahedra.
+    """Return the volume cells of a mesh as tetrahedra.
 
     Points at one place (bit-equal, -0.0 is 0.0) become one, and those within `merge_distance` of
     each other, directly or through others that are: the first of the file stays, with its scalar.
-    Hexahedra, wedges and pyramids are split. Tetrahedra are dropped that name a vertex twice, that
-    are there already, those of zero volume, exactly or as 6 |V| <= 1e-14 longest edge^3, and those
-    whose longest edge is 2^-40 of the mesh's longest side or less; those of negative volume are
-    turned. A face that more than two cells have, or two on the same side, has no neighbours. The
-    report counts all of it.
+    Hexahedra, wedges and pyramids are split. Tetrahedra are dropped that repeat a vertex, that are
+    duplicates, whose volume is zero, exactly or as 6 |V| <= 1e-14 longest edge^3, or whose longest
+    edge is 2^-40 of the mesh's longest side or less. Those of negative volume are reoriented. A
+    face that more than two cells have, or two on the same side, has no neighbours. The report
+    counts all of it.
 
     Parameters
     ----------
@@ -199,8 +199,8 @@ def _exact_sign(corners: np.ndarray) -> int:
 def _bent(
     points: np.ndarray, cells: np.ndarray, volume: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Of hexahedra of these six volumes how far a vertex is off the plane of a face of its own or
-    beyond any other, and the longest edge."""
+    """Return how far a vertex of each hexahedron is from the plane of one of its faces, or outside
+    another face, and the longest edge. `volume` is six times each volume."""
     corners = points[cells]
     way = np.where(volume < 0, -1.0, 1.0)
     bent, size = np.zeros(len(cells)), np.zeros(len(cells))

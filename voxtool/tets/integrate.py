@@ -1,6 +1,6 @@
-"""The light of a ray's part in a cell, by any integrator.
+"""The light of the segment of a ray in a cell, by each integrator.
 
-Kernels: kernels/tets/integrate.cl; kernels/tets/integrate.h is for those who follow rays.
+Kernels: kernels/tets/integrate.cl; kernels/tets/integrate.h is used by ray casting and projection.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from voxtool.tets.mesh import UnstructuredMesh
 
-MAX_PAIRS = 1 << 27  # of points that are compared
-PAIRS = 1 << 22  # of these at a time
+MAX_PAIRS = 1 << 27  # pairs of points that are compared
+PAIRS = 1 << 22  # pairs that are compared at a time
 
 
 def merged_cells(
@@ -67,7 +67,7 @@ def merged_cells(
 
 
 def first_at_place(points: np.ndarray) -> np.ndarray:
-    """(P,) int64: of each point the first that is at its place, bit-equal but for -0.0."""
+    """Return the first point at the position of each, (P,) int64; -0.0 equals 0.0."""
     order = np.lexsort(points.T)  # stable, so the first of a run comes first
     new = np.ones(len(order), bool)
     new[1:] = (points[order[1:]] != points[order[:-1]]).any(axis=1)

@@ -23,14 +23,21 @@ FLAT = ("vertex", "line", "triangle", "quad", "polygon", "pixel")  # and their c
 
 @dataclass(frozen=True, eq=False)
 class UnstructuredMesh:
-    """Cells of several kinds with a scalar, as a file has them.
+    """A mesh of volume cells of several kinds, with a scalar.
 
-    points : (P, 3) float64, world units.
-    cells : of each block its kind, as meshio names it (tetra, hexahedron, wedge, pyramid, tetra10,
-        ...), and (N, k) int64, the points of each cell as VTK numbers them.
-    scalars : (P,) float64, one a point; or a list of (N,), one for each cell of each block.
-    scalar : what they are called, with the component ("momentum magnitude").
-    source_sha256, name, units : hex digest of the file, its name for messages, the world unit; "".
+    Attributes
+    ----------
+    points : (P, 3) float64
+        World units.
+    cells : list of (str, (N, k) int64)
+        Blocks of cells: the kind in meshio's names (tetra, hexahedron, wedge, pyramid, tetra10,
+        ...), and the points of each cell in VTK's order.
+    scalars : (P,) float64, or list of (N,) float64
+        One scalar for each point, or an array for each block with one for each of its cells.
+    scalar : str
+        Name of the scalar, with its component ("momentum magnitude").
+    source_sha256, name, units : str
+        Hex digest of the file, its name for messages, and the world unit; "" if unknown.
     """
 
     points: np.ndarray
@@ -43,7 +50,7 @@ class UnstructuredMesh:
 
     @property
     def constant(self) -> bool:
-        """Whether the scalar is one a cell."""
+        """Whether each cell has one scalar; otherwise each point has one."""
         return isinstance(self.scalars, list)
 
 
@@ -78,7 +85,7 @@ class VolumeCells:
 
     points : (P, 3) float64.
     blocks : of each kind in turn, (N, k) int64, corners.
-    scalars : (P,) float64; or, where the mesh is constant, one a cell of these blocks.
+    scalars : (P,) float64; or, where the mesh is constant, one for each cell of the blocks.
     report : counts of what was found and done: JSON types only.
     """
 
@@ -168,7 +175,7 @@ def _cell_scalars(
 
 
 def check_finite(where: str, values: np.ndarray, used: np.ndarray, noun: str, what: str) -> None:
-    """What volume cells use must be finite."""
+    """Raise MeshError if a value that volume cells use is not finite."""
     finite = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
     bad = used & ~finite
     if bad.any():

@@ -1,4 +1,4 @@
-"""How the textures of a mesh of volume cells will be built."""
+"""The plan of the textures of a mesh of volume cells."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ POINT_BYTES = 150  # of a point, while coincident ones are merged
 
 @dataclass(frozen=True)
 class VolumePlan:
-    """How the textures will be built.
+    """The plan of a volume.
 
     layout, merge_distance : as asked.
     cells : of the mesh, by kind; ignored : cells that are no volumes, by kind.
@@ -49,9 +49,9 @@ class VolumePlan:
         elif self.layout == "hexahedra":
             out["splitting"] = "hexahedra stay whole"
         if not self.merge_distance:
-            out["merging by distance"] = "only points at one place become one"
+            out["merging by distance"] = "only points at the same position are merged"
         if self.constant:
-            out["gradients but 0"] = "the scalar is one a cell"
+            out["non-zero gradients"] = "each cell has one scalar"
         if self.layout == "projection":
             out["offsets of planes and scalar terms"] = "anchors serve, as in table 4 of [TetVol]"
         else:
@@ -60,14 +60,14 @@ class VolumePlan:
 
     @property
     def predicted_cells(self) -> int:
-        """At most."""
+        """The largest possible number of cells."""
         if self.layout == "hexahedra":
             return sum(self.cells.values())
         return sum(PIECES[kind] * count for kind, count in self.cells.items())
 
     @property
     def volume_bytes(self) -> int:
-        """At most about."""
+        """The approximate largest size of the textures in bytes."""
         return CELL_BYTES[self.layout] * self.predicted_cells
 
     @property

@@ -1,4 +1,4 @@
-"""A tetrahedral volume as a scene: what `render` asks of it, and how its picture is made."""
+"""A tetrahedral volume as a scene: its options, sizes and drawing."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class VolumeScene:
 
     transfer : colours and extinctions of scalars; by default `default_transfer`.
     method : "raycast", or "projection".
-    integrator : "linear", exact for the transfer function; "average", of the mean of both ends of a
-        cell; "sampled:N", N points in each cell; "preintegrated", from a table.
+    integrator : "linear", exact for the transfer function; "average", the mean of both ends of a
+        segment; "sampled:N", N points in each cell; "preintegrated", from a table.
     kept : (blocks,) bool, the blocks of cells that are drawn; by default those that the transfer
         function does not leave transparent.
     lanes : rays that a work-item follows side by side, 1 or 16; by default what suits the device.
@@ -148,7 +148,7 @@ class VolumeScene:
         return Integral(self.content, self.local, volume, self.integrator, self.lanes, self.table)
 
     def why_empty(self) -> str:
-        """Why nothing can be seen, from wherever one looks; or ""."""
+        """The reason why no view shows anything, or ""."""
         if self.cells_shown:
             return ""
         low, high = self.content.scalar_range

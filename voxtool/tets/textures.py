@@ -34,19 +34,7 @@ def build_tet(
     *,
     max_memory: int | None = None,
 ) -> TetVolume:
-    """The textures of a mesh's volume cells: plan_tet(...).run().
-
-    Parameters
-    ----------
-    mesh, layout, merge_distance, max_memory : as `plan_tet` takes them.
-
-    Raises
-    ------
-    MeshError, VoxtoolError : as plan_tet; or the mesh has no usable cells, or its scalars or
-        positions are further apart than float64 can hold.
-    MemoryLimitError : the work would take more than max_memory, or too many points are within the
-        merge distance.
-    """
+    """Return the volume of a mesh; see voxtool.build_tet."""
     return plan_tet(mesh, layout, merge_distance, max_memory=max_memory).run()
 
 
@@ -57,21 +45,7 @@ def plan_tet(
     *,
     max_memory: int | None = None,
 ) -> VolumeJob:
-    """A job that builds the textures of a mesh's volume cells.
-
-    Parameters
-    ----------
-    layout : "raycast" (table 5 of [TetVol]) or "projection" (table 4), for which all cells become
-        tetrahedra; or "hexahedra" (table 5 with six faces), for hexahedra with planar faces and one
-        scalar a cell, which stay whole.
-    merge_distance : points this near become one, world units; 0 merges those at one place.
-    max_memory : bytes that the work may take; by default what is free.
-
-    Raises
-    ------
-    MeshError : the mesh has no volume cells, or cells that cannot be split.
-    VoxtoolError : no such layout, or one that does not hold such scalars.
-    """
+    """Return the job of the volume of a mesh; see voxtool.build_tet."""
     if layout not in LAYOUTS:
         raise VoxtoolError(f"layout {layout!r} is unknown: choose {', '.join(LAYOUTS)}")
     if layout == "projection" and mesh.constant:
@@ -89,7 +63,7 @@ def plan_tet(
 
 
 class VolumeJob(Job[TetVolume]):
-    """A mesh whose volume cells are found, and the plan for their textures."""
+    """A planned volume; `run` returns a TetVolume."""
 
     device = None
     plan: VolumePlan

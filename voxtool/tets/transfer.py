@@ -31,16 +31,23 @@ KEYS = ("scalar", "color", "extinction")  # of a control point in JSON
 
 @dataclass(frozen=True, eq=False)
 class TransferFunction:
-    """Control points.
+    """Control points of colour and extinction, linear between them and constant beyond.
 
-    scalars : (K,) float64, ascending; at most two are equal, and the later one holds there.
-    colours : (K, 3) float64 in [0, 1]; extinctions : (K,) float64 >= 0, per world unit.
+    The arrays are copied and read-only.
 
-    Made of anything that becomes such arrays, which cannot be written to.
+    Attributes
+    ----------
+    scalars : (K,) float64
+        Ascending, 1 to 255. At most two are equal: a step, at which the later point holds.
+    colours : (K, 3) float64
+        Red, green and blue from 0 to 1.
+    extinctions : (K,) float64
+        Extinction per world unit, 0 or more.
 
     Raises
     ------
-    VoxtoolError : what is wrong with the points, and with which.
+    VoxtoolError
+        If a point is not valid; the message says which.
     """
 
     scalars: np.ndarray
@@ -106,12 +113,13 @@ class TransferFunction:
 
     @staticmethod
     def from_json(text: str) -> TransferFunction:
-        """The transfer function that {"points": [{"scalar": 0.2, "color": [1, 0.5, 0],
-        "extinction": 3.5}, ...]} says.
+        """Return the transfer function of {"points": [{"scalar": 0.2, "color": [1, 0.5, 0],
+        "extinction": 3.5}, ...]}.
 
         Raises
         ------
-        VoxtoolError : what is wrong with it, and with which point.
+        VoxtoolError
+            If the JSON or a point is not valid; the message says which.
         """
         try:
             found = json.loads(text)
@@ -136,7 +144,7 @@ class TransferFunction:
         )
 
     def evaluate(self, scalars: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Colours (..., 3) and extinctions (...,) float64 of scalars."""
+        """Return the colours (..., 3) and extinctions (...,) of scalars, float64."""
         scalars = np.asarray(scalars, np.float64)
         interval = np.searchsorted(self.scalars, scalars, side="right")
         low = np.clip(interval - 1, 0, None)
@@ -150,7 +158,7 @@ class TransferFunction:
         return colours, self.extinctions[low] + (self.extinctions[high] - self.extinctions[low]) * w
 
     def local(self, volume: TetVolume) -> LocalTransfer:
-        """The same for the device: of normalised scalars and local lengths.
+        """Return the function of normalised scalars and local lengths, for the device.
 
         Raises
         ------
@@ -326,19 +334,30 @@ def default_transfer(
     opacity_range: Sequence[float] | str | None = None,
     unit_distance: float | None = None,
 ) -> TransferFunction:
-    """A map of colours over the range of a volume's scalars, and a ramp of extinction.
+    """Return a colour map over the range of a volume's scalars, with a ramp of extinction.
 
     Parameters
     ----------
-    name : one of MAPS.
-    opacity_range : scalars at which extinction is 0 and full, as `named` takes them; "full" for
-        the range of the scalars; by default `usual_opacity_range`, which hides the background that
-        most of a simulation's volume is.
-    unit_distance : as `named` takes it; by default a 24th of the volume's longest side.
+    volume : TetVolume
+        The volume.
+    name : str
+        "viridis", "inferno", "coolwarm", "turbo" or "gray".
+    opacity_range : (float, float) or "full", optional
+        Scalars at which the extinction is 0 and full, in either order; "full" is the range of the
+        scalars. By default the 75th and the 99th percentile of the scalars, which hides the
+        background of a simulation.
+    unit_distance : float, optional
+        Length over which full extinction leaves a transmittance of 1/e, world units; by default a
+        24th of the volume's longest side.
+
+    Returns
+    -------
+    TransferFunction
 
     Raises
     ------
-    VoxtoolError : as `named`.
+    VoxtoolError
+        If the map is unknown or a number is out of range.
     """
     low, high = volume.bounds()
     if unit_distance is None:

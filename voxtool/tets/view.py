@@ -1,7 +1,7 @@
-"""A volume on a device, and what a viewpoint needs of it: cells set up, and where rays enter.
+"""A volume on a device, the records of its cells for a viewpoint, and the entries of rays.
 
-Blocks of cells that the transfer function leaves transparent are left out: rays leave the volume
-before them and enter it again behind.
+Blocks of cells that the transfer function makes transparent are not drawn: rays leave the volume
+in front of them and enter it again behind.
 
 Kernels: kernels/tets/view.cl.
 """
@@ -76,7 +76,7 @@ class DeviceVolume:
         return device.keep(volume, "render", size, lambda: DeviceVolume(volume, device))
 
     def shown(self, volume: TetVolume, kept: np.ndarray) -> ShownCells:
-        """The cells of the blocks that are kept; those of the last calls are not found again."""
+        """The drawn cells of the blocks that are kept; the last few results are reused."""
         key = kept.tobytes()
         if key not in self._shown:
             cells = kept_cells(volume, kept)
@@ -108,10 +108,10 @@ class DeviceVolume:
 
 @dataclass(frozen=True, eq=False)
 class ShownCells:
-    """The cells that a transfer function does not leave transparent.
+    """The cells that are drawn: the transfer function does not make their block transparent.
 
     kept : (blocks,) bool, on the host; flags : the same on the device.
-    exposed : (n,) int32 on the device: their faces across which there is none of these cells, as
+    exposed : (n,) int32 on the device: the faces without a drawn neighbour, as
         cell * faces + face.
     """
 
@@ -165,7 +165,7 @@ class Viewpoint:
 
 @dataclass(frozen=True, eq=False)
 class Entries:
-    """Where rays enter: those of pixel p are at ends[p - 1] to ends[p], by their depth.
+    """The entries of rays; those of pixel p are ends[p - 1] to ends[p], sorted by depth.
 
     entries : (n, 2) uint32 on the device: the depth's float32, and the cell.
     """
@@ -194,7 +194,7 @@ def set_up_cells(volume: DeviceVolume, shown: ShownCells, view: Viewpoint, slots
 def ray_entries(
     volume: DeviceVolume, shown: ShownCells, view: Viewpoint, max_entries: int = MAX_ENTRIES
 ) -> Entries:
-    """Where the rays of a viewpoint enter the cells shown.
+    """Return where the rays of a viewpoint enter the drawn cells.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def ray_entries(
 
 
 def kept_cells(volume: TetVolume, kept: np.ndarray) -> np.ndarray:
-    """(T,) bool: the cells of these blocks."""
+    """Return which cells are in the blocks that are kept, (T,) bool."""
     return np.repeat(kept, BLOCK)[: len(volume.cells)]
 
 
@@ -243,8 +243,8 @@ def longest_edge(volume: TetVolume) -> float:
 
 
 def cells_at(volume: TetVolume, point: np.ndarray) -> np.ndarray:
-    """(n,) int64: the cells that hold a point of the local frame, up to ON_PLANE; those that it is
-    deepest in come first."""
+    """Return the cells that contain a local point within ON_PLANE, (n,) int64, the one that
+    contains it deepest first."""
     outside = np.full(len(volume.cells), -np.inf)
     for face, normals in enumerate(volume.normals):
         n = normals.astype(np.float64)

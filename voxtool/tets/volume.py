@@ -64,26 +64,40 @@ HEADERS = {"tets/volume.h": program.c_constants(BLOCK=BLOCK, PLANE_BITS=PLANE_BI
 class TetVolume:
     """A mesh of cells with a scalar field, as textures.
 
-    layout : "raycast", "projection" or "hexahedra".
-    vertices : (V, 4) float32: local position, and normalised scalar (0 where it is one a cell).
-    cells : (T, 4) int32, or (T, 8) for hexahedra: vertices, positively oriented.
-    neighbours : (T, F) int32: the cell across each of the F faces (4, or 6), -1 outside.
-    normals : (F, T, 4) float32, outward unit normal and offset; projection: (4, T, 3). For a face
-        that two cells share, one's is the exact negation of the other's.
-    gradients : (T, 4) float32, gradient of the normalised scalar in local coordinates and scalar
-        term; projection: (T, 3).
-    anchors : (T, 2) int32 for projection: vertices 0 and 1 of the cell; else None.
-    ranges : (ceil(T / 64), 2) float32: least and largest normalised scalar of each block of 64
-        consecutive cells.
-    origin, scale : world = origin + scale * local; scale is a power of two.
-    scalar_range : low and high of the scalars; normalised = (scalar - low) / (high - low), or 0
-        where these are equal.
-    scalar : the name of the array, with its component.
-    constant : whether the scalar is one a cell, rather than linear between vertices.
-    units : name of the world unit if known, or "".
-    source_sha256 : hex digest of the file that the mesh was read from, or "".
-    plan : what the plan said of the mesh: JSON types only.
-    report : what was found and done when it was built: counts, errors; JSON types only.
+    Attributes
+    ----------
+    layout : str
+        "raycast", "projection" or "hexahedra".
+    vertices : (V, 4) float32
+        Local position, and normalised scalar (0 where the scalar is constant).
+    cells : (T, 4) int32, or (T, 8) for hexahedra
+        Vertices of each cell, positively oriented.
+    neighbours : (T, F) int32
+        The cell across each of the F faces (4, or 6), -1 outside.
+    normals : (F, T, 4) float32, or (4, T, 3) for projection
+        Outward unit normal and offset. Those of the two cells at a face are exact negations.
+    gradients : (T, 4) float32, or (T, 3) for projection
+        Gradient of the normalised scalar in local coordinates, and scalar term.
+    anchors : (T, 2) int32 for projection, else None
+        Vertices 0 and 1 of the cell.
+    ranges : (ceil(T / 64), 2) float32
+        Least and largest normalised scalar of each block of 64 consecutive cells.
+    origin : (float, float, float)
+        World = origin + scale * local.
+    scale : float
+        A power of two.
+    scalar_range : (float, float)
+        Normalised = (scalar - low) / (high - low), or 0 where low and high are equal.
+    scalar : str
+        Name of the array, with its component.
+    constant : bool
+        Whether a cell has one scalar; otherwise it is linear between vertices.
+    units : str
+        Name of the world unit, or "".
+    source_sha256 : str
+        Hex digest of the mesh's file, or "".
+    plan, report : dict
+        The plan's account of the mesh, and counts and errors of the build; JSON types only.
     """
 
     layout: str
