@@ -181,7 +181,7 @@ def test_strict_tells_and_writes(here: Path) -> None:
     [
         ("", "inside is where its winding number is over 1/2"),
         ("--sign winding", "inside is where its winding number is over 1/2"),
-        ("--sign pseudonormal", "signs by pseudo-normals may be wrong: --sign winding is made for"),
+        ("--sign pseudonormal", "signs by pseudo-normals may be wrong: choose --sign winding"),
         ("--sign none", ""),
     ],
 )
@@ -204,7 +204,7 @@ def test_open_meshes_are_told(sign: str, says: str, here: Path) -> None:
     ("sign", "says"),
     [
         ("", "inside is where its winding number is over 1/2"),
-        ("--sign pseudonormal", "signs by pseudo-normals may be wrong: --sign winding is made for"),
+        ("--sign pseudonormal", "signs by pseudo-normals may be wrong: choose --sign winding"),
         ("--sign none", ""),
     ],
 )

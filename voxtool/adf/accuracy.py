@@ -20,28 +20,20 @@ if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
 
-SAMPLES = 1 << 15  # of either kind of points
-NEAR = 1 / 64  # of the side, along each axis, that points near the surface are off it at most
+SAMPLES = 1 << 15  # points in the cube, and as many near the surface
+NEAR = 1 / 64  # sides, along each axis: the largest offset of points near the surface
 
 
 def measure_errors(
     field: DistanceField, mesh: Mesh, device: Device | None = None, samples: int = SAMPLES
 ) -> dict[str, Any]:
-    """The errors of a field at points spread evenly through its cube, and near the surface.
+    """Return the errors of a field at points throughout its cube, and near the surface.
 
-    Points near the surface are distributed over it by area, and moved along each axis by up to
-    NEAR sides (spatial/sampling.py); there are none if no face has an area. Points in leaves where
-    the sign jumps, and points beyond the band, are excluded.
-
-    Returns
-    -------
-    JSON types: "in the cube" and "near the surface", each with "points", as many as count; "max",
-    "rms", "p99", the 99th percentile, in sides of the cube; "within", the share of the points whose
-    error is not over the tolerance.
-
-    Raises
-    ------
-    MeshError, DeviceError : as SignedDistance.
+    Points near the surface are uniform by area, and moved along each axis by up to NEAR sides
+    (spatial/sampling.py); there are none if no face has an area. Points in leaves with a sign
+    discontinuity, and points beyond the band, are excluded. The result has JSON types: "in the
+    cube" and "near the surface", each with "points", their number; "max", "rms" and "p99", the 99th
+    percentile, in sides of the cube; "within", the share of errors within the tolerance.
     """
     exact = SignedDistance(mesh, field.sign, device)
     spread = sample_cube(samples)

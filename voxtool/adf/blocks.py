@@ -1,4 +1,4 @@
-"""The blocks of a field under construction, on the host, and what is known of their errors."""
+"""The blocks of a field under construction, on the host, and the counts of their errors."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Blocks:
         self._count_missed(level, found.errors, tolerance)
 
     def limit(self, found: Examined, max_bytes: int) -> None:
-        """Refine only as many children as max_bytes allow, those with the largest errors."""
+        """Limit refinement to max_bytes: the children with the largest errors come first."""
         left = max_bytes // BLOCK_BYTES - sum(map(len, self.identifiers)) - len(found.voxels) // 27
         candidates = np.flatnonzero(found.refined)
         worst_first = np.argsort(-found.errors[candidates], kind="stable")
@@ -56,7 +56,7 @@ class Blocks:
             self.worst = (float(errors[worst]), level.number + 1, identifier)
 
     def field(self, work: Construction) -> DistanceField:
-        """The field of these blocks."""
+        """Return the field that consists of the blocks."""
         plan, mesh = work.plan, work.survey.mesh
         origin, side = cube_of(mesh)
         identifiers = np.concatenate(self.identifiers)

@@ -1,7 +1,7 @@
 """Bounds of the errors of leaves: a byte each, on a logarithmic scale.
 
-A code stands for no leaf, for no bound (the sign jumps within, or the error may exceed a side), or
-for 2**((code - 254) / 8) sides.
+A code means no leaf, no bound (the leaf has a sign discontinuity, or its error may exceed a side),
+or 2**((code - 254) / 8) sides.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ BOUND_STEPS = 8  # codes for a factor of two: rounding up adds at most 9.1 %
 
 @functools.cache
 def bound_values() -> np.ndarray:
-    """(256,) float64: what each code bounds the error to, in sides: 0 for NO_LEAF, infinite for
-    JUMP, and else 2**((code - 254) / 8), by square roots alone."""
+    """Return the bound of each code, (256,) float64, in sides: 0 for NO_LEAF, infinity for JUMP,
+    and otherwise 2**((code - 254) / 8), computed with square roots only."""
     eighth = math.sqrt(math.sqrt(math.sqrt(2.0)))
     steps = [1.0]
     for _ in range(BOUND_STEPS - 1):
@@ -34,10 +34,10 @@ def bound_values() -> np.ndarray:
 
 
 def bound_codes(bounds: np.ndarray) -> np.ndarray:
-    """The codes of bounds in sides: the least that is not below each; JUMP for what is over 1."""
+    """Return the code of each bound in sides: the least that is not below it; JUMP above 1."""
     return np.clip(np.searchsorted(bound_values()[:JUMP], bounds), 1, JUMP).astype(np.uint8)
 
 
 def half_diagonals(levels: np.ndarray) -> np.ndarray:
-    """(N,) float64: of cells of these levels, in sides; no distance in one is further off."""
+    """Return half of the diagonal of a cell of each level, (N,) float64, in sides."""
     return np.ldexp(math.sqrt(3) / 2, -levels)

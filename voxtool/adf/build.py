@@ -1,6 +1,6 @@
 """Building the adaptively sampled distance field of a mesh.
 
-The octree grows level by level, from the root (level 0) to the leaves. A child is refined while its
+The octree grows level by level, from the root (level 0) to the leaves. A child is refined if its
 trilinear interpolation is further from the exact distance than the tolerance [Frisken 2000]. The
 stages of a level are the modules of voxtool.adf.levels.
 """
@@ -37,27 +37,7 @@ if TYPE_CHECKING:
 
 
 def build_adf(mesh: Mesh, device: Device | None = None, **request: Any) -> DistanceField:
-    """The distance field of a mesh: `plan_adf(mesh, ...).run()`.
-
-    Parameters
-    ----------
-    mesh, device, request : as plan_adf.
-
-    Returns
-    -------
-    The field. Its `reached` has
-
-    - "leaves", their number;
-    - "missed", the number of leaves whose error exceeds the tolerance, and if there are any,
-      "worst": the largest error, its level, and where it is (world units);
-    - "jumps", the number of leaves in which the sign changes away from the surface;
-    - "balanced", whether every leaf's neighbours are at most one level coarser;
-    - "errors", as voxtool.adf.accuracy.measure_errors, unless measure is False.
-
-    Raises
-    ------
-    As plan_adf; MemoryLimitError : the field does not fit into memory.
-    """
+    """Return the distance field of a mesh: `plan_adf(...).run()`; see voxtool.build_adf."""
     return plan_adf(mesh, device=device, **request).run()
 
 
@@ -75,41 +55,7 @@ def plan_adf(
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> FieldJob:
-    """The job of building the distance field of a mesh.
-
-    Lengths are in sides of the cube that the field fills (see cube_of), levels are counted from
-    the root, which has level 0: a leaf of level n has an edge of 2**-n. (Octrees of voxels count
-    the other way, from their finest level.)
-
-    A cell through which triangles may pass is refined at least until its edge is 64 tolerances,
-    unless its bound is within the tolerance: a wall that no sample hits causes an error of at most
-    half the edge.
-
-    Parameters
-    ----------
-    tolerance : error at which a cell is no longer refined.
-    max_level : level at which leaves are no longer refined, 1 to 21.
-    band : cells further than this from the surface are not refined.
-    sign : how inside is separated from outside, one of choices.SIGNS. By default "pseudonormal" for
-        meshes that are closed, consistently wound, free of self-intersections, and without nested
-        shells of the same winding; "winding" for all others. On these, "pseudonormal" may give
-        wrong signs, and bounds are those of the unsigned distance.
-    continuous : whether leaves of different levels agree on their common faces.
-    bounds : whether each leaf stores a bound of its error.
-    max_bytes : approximate size of the field; the largest errors are refined first.
-    measure : whether the errors of the field are measured in the end.
-    device : by default that of default_device().
-    max_memory : bytes that the build may use; by default what the device has.
-
-    Raises
-    ------
-    MeshError, DeviceError : as SignedDistance.
-    VoxtoolError : a number is out of range.
-
-    References
-    ----------
-    [ADF], [Frisken 2000].
-    """
+    """Return the job of building the distance field of a mesh; see voxtool.build_adf."""
     plan = FieldPlan(
         triangles=len(mesh.faces),
         sign=sign or "",
@@ -133,7 +79,7 @@ def plan_adf(
 
 
 class FieldJob(Job["DistanceField"]):
-    """A distance field that is to be built; see plan_adf.
+    """A planned build of a distance field; see voxtool.plan_adf.
 
     `plan` and `describe()` build the upper levels to predict the others; `run()` continues there.
     """
@@ -145,7 +91,7 @@ class FieldJob(Job["DistanceField"]):
 
     @property
     def plan(self) -> FieldPlan:
-        """The decisions, and the cells of each level, counted as far as they are built."""
+        """The decisions, and the number of cells of each level that has been built."""
         if not self._plan.refined:
             self._build = _Build(self._survey, self._plan, self._memory)
             self._build.run(PILOT_LEVEL - 1)
@@ -154,16 +100,16 @@ class FieldJob(Job["DistanceField"]):
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """The stages that will run, in order; nothing is built to know them."""
+        """The stages that will run, in order; this builds nothing."""
         return tuple(self._plan.stages)
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not compiled, allocated or run, with reasons; nothing is built to know it."""
+        """The stages and data that are not needed, with reasons; this builds nothing."""
         return self._plan.left_out
 
     def with_(self, **decisions: Any) -> Self:
-        """The same job with decisions of its plan forced; see Job.with_."""
+        """Return the same job with decisions of its plan forced; see Job.with_."""
         job = copy.copy(self)
         job._plan = replace(self._plan, refined=(), items=0, **decisions)
         job._build = None
@@ -196,7 +142,7 @@ class FieldJob(Job["DistanceField"]):
         return replace(field, reached={**field.reached, "errors": errors})
 
     def findings(self, result: DistanceField) -> Iterator[str]:
-        """Warnings about a field: uncertain signs, or no inside."""
+        """Yield warnings about a field: uncertain signs, or no inside."""
         name = self._survey.mesh.name or "mesh"
         if uncertain := self.sign_finding():
             yield uncertain
@@ -207,7 +153,7 @@ class FieldJob(Job["DistanceField"]):
             )
 
     def sign_finding(self) -> str:
-        """Why signs by pseudo-normals would not be certain, and what is done; "" if they are."""
+        """Return why signs by pseudo-normals are uncertain, and what is done; "" if certain."""
         plan, mesh = self._plan, self._survey.mesh
         if plan.sign == "none" or plan.closed:
             return ""
@@ -217,7 +163,7 @@ class FieldJob(Job["DistanceField"]):
         if plan.crossed:
             wrong.append(f"intersects itself in {plan.crossed:,} faces")
         done = (
-            "signs by pseudo-normals may be wrong: --sign winding is made for it"
+            "signs by pseudo-normals may be wrong: choose --sign winding"
             if plan.sign == "pseudonormal"
             else "inside is where its winding number is over 1/2"
         )
@@ -225,7 +171,7 @@ class FieldJob(Job["DistanceField"]):
 
 
 class _Build:
-    """A field under construction, from the root to the level that is next."""
+    """A field under construction: the levels built so far, and the next one."""
 
     def __init__(self, survey: Survey, plan: FieldPlan, memory: tuple[int, int]) -> None:
         self.work = Construction(survey, plan)
@@ -237,7 +183,7 @@ class _Build:
         self.plan.refuse_beyond(*memory)
 
     def run(self, last: int | None = None) -> None:
-        """Build the levels down to that of cells of level `last`, or all."""
+        """Build the levels down to `last`, or all."""
         work, plan = self.work, self.plan
         while self.more and (last is None or self.level.number <= last):
             level = self.level

@@ -17,24 +17,19 @@ MAX_KEY = (2 << MAX_LEVEL) - 1  # along an axis
 
 
 def key_of(level: int | np.ndarray, ijk: np.ndarray) -> np.ndarray:
-    """(n, 3) cells of a level, or of (n,) levels, to (n, 3) int64 keys 2**level + ijk (eq. 3-1)."""
+    """Return the keys of (n, 3) cells of one or (n,) levels: 2**level + ijk, (n, 3) int64."""
     ijk = np.asarray(ijk, np.int64)
     return ijk + (1 << np.broadcast_to(np.asarray(level, np.int64), len(ijk)))[:, None]
 
 
 def identifier_type(level: int) -> np.dtype:
-    """The type of the identifiers of octrees whose deepest stored cells are of this level."""
+    """Return the type of the identifiers of an octree with stored cells down to a level."""
     return np.dtype(np.uint32 if level <= MAX_LEVEL_32 else np.uint64)
 
 
 def cell_identifier(level: int, ijk: np.ndarray) -> np.ndarray:
-    """(n, 3) cells of a level to (n,) identifiers (section 3.4.3): Morton codes after a leading
-    one, of 3 level + 1 bits; uint32 up to level 10, else uint64. None is 0.
-
-    Raises
-    ------
-    VoxtoolError : the level is beyond MAX_LEVEL, or has no such cell.
-    """
+    """Return the (n,) identifiers of (n, 3) cells of a level: Morton codes after a leading one, of
+    3 level + 1 bits; uint32 up to level 10, otherwise uint64. No identifier is 0."""
     ijk = np.asarray(ijk)
     if not 0 <= level <= MAX_LEVEL:
         raise VoxtoolError(f"no cell has level {level}: levels are 0 to {MAX_LEVEL}")
@@ -46,7 +41,7 @@ def cell_identifier(level: int, ijk: np.ndarray) -> np.ndarray:
 
 
 def cell_of(identifiers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) identifiers, none 0, to the (n,) int64 levels and (n, 3) int64 cells."""
+    """Return the (n,) int64 levels and (n, 3) int64 cells of (n,) identifiers other than 0."""
     codes = np.asarray(identifiers, np.uint64)
     levels = np.zeros(len(codes), np.int64)
     for level in range(1, MAX_LEVEL + 1):
@@ -56,5 +51,5 @@ def cell_of(identifiers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shown(key: np.ndarray) -> str:
-    """A key or cell for messages."""
+    """Return a key or cell as text for messages."""
     return f"({', '.join(map(str, key.tolist()))})"

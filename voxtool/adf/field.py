@@ -32,29 +32,46 @@ from voxtool.arrays import equal, read_only
 from voxtool.choices import MAX_LEVEL
 from voxtool.errors import FileError, VoxtoolError
 
-FAR = 1024.0  # sides: no distance in a cube is near it, and none overflows
+FAR = 1024.0  # sides: far beyond any distance in a cube, and safe from overflow
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DistanceField:
-    """Distances to a mesh, sampled as finely as each place needs.
+    """Distances to a mesh, sampled more finely where they vary more.
 
     Attributes
     ----------
-    voxels : (n, 3, 3, 3) float32, [block, z, y, x], in sides of the cube.
-    cells : (m, m, m, 2 or 3) uint32, [z, y, x]: low word of the identifier, high word if there is
-        one, block; all 0 where the slot is free.
-    hash : where the key of a cell is in `cells`.
-    bounds : (n, 2, 2, 2) uint8, [block, z, y, x], codes of bound_values; or None.
-    origin, side : of the cube, in world units: world = origin + side * point.
-    sign : method of the sign, one of voxtool.choices.SIGNS.
-    tolerance, max_level, band : as requested; in sides, level, and sides or infinite.
-    continuous : whether neighbours of different levels agree on their common faces.
-    lipschitz : the steepest slope in any leaf in which the sign does not jump.
-    reached : what the build achieved: errors, counts; JSON types only.
-    plan : what the plan said of the scene: JSON types only.
-    source_sha256 : hex digest of the bytes that the mesh was read from, or "".
-    units : name of the world unit if known, or "".
+    voxels : (n, 3, 3, 3) float32
+        [block, z, y, x], in sides of the cube.
+    cells : (m, m, m, 2 or 3) uint32
+        [z, y, x]: low word of the identifier, high word if there is one, block; all 0 in a free
+        slot.
+    hash : SpatialHash
+        The slot in `cells` of the key of a cell.
+    bounds : (n, 2, 2, 2) uint8, or None
+        [block, z, y, x], codes of bound_values.
+    origin, side : tuple of float, float
+        Of the cube, in world units: world = origin + side * point.
+    sign : str
+        Method of the sign, one of voxtool.choices.SIGNS.
+    tolerance, max_level, band : float, int, float
+        As requested: sides, level, and sides or infinity.
+    continuous : bool
+        Whether neighbours of different levels agree on their common faces.
+    lipschitz : float
+        The steepest slope in any leaf without a sign discontinuity.
+    reached : dict
+        JSON types: "leaves", their number; "missed", the number of leaves whose error exceeds the
+        tolerance, and if there are any, "worst": the largest error, its level, and its position
+        (world units); "jumps", the number of leaves in which the sign changes away from the
+        surface; "balanced", whether every leaf's neighbours are at most one level coarser;
+        "errors", as voxtool.adf.accuracy.measure_errors, if they were measured.
+    plan : dict
+        The part of the plan that depends on the mesh: JSON types.
+    source_sha256 : str
+        Hex digest of the bytes that the mesh was read from, or "".
+    units : str
+        Name of the world unit if known, or "".
     """
 
     voxels: np.ndarray
@@ -118,16 +135,16 @@ class DistanceField:
         return (int(self.identifiers.max()).bit_length() - 1) // 3 + 1
 
     def cells_by_level(self) -> list[int]:
-        """The number of cells with children of each level, from the root (0) to the leaves."""
+        """Return the number of cells with children of each level, from the root (level 0)."""
         return np.bincount(cell_of(self.blocks)[0], minlength=self.depth + 1).tolist()
 
     def leaves_by_level(self) -> list[int]:
-        """The number of leaves of each level, from 1, the root's children, to the deepest."""
+        """Return the number of leaves of each level, from 1, the root's children."""
         refined = self.cells_by_level()
         return [8 * above - own for above, own in zip([0, *refined], refined, strict=False)][1:]
 
     def slots(self, level: int, ijk: np.ndarray) -> np.ndarray:
-        """(N, 3) cells of a level to the (N,) numbers of their blocks, -1 where there is none."""
+        """Return the (N,) blocks of (N, 3) cells of a level, -1 for cells without one."""
         slot = self.hash.slots(key_of(level, ijk))
         words = self.cells.reshape(-1, self.cells.shape[-1])[slot]
         found = self.identifiers.ravel()[slot]
@@ -136,11 +153,11 @@ class DistanceField:
     # ---- queries
 
     def distance(self, points: Any) -> np.ndarray:
-        """(N,) float64, world units: the distance at each of (N, 3) points; see query."""
+        """Return the distance at (N, 3) points, (N,) float64, world units; see query."""
         return self.query(points).distance
 
     def gradient(self, points: Any) -> np.ndarray:
-        """(N, 3) float32: the gradient at each of (N, 3) points; see query."""
+        """Return the gradient at (N, 3) points, (N, 3) float32; see query."""
         gradient = self.query(points, gradient=True).gradient
         assert gradient is not None
         return gradient
@@ -148,9 +165,9 @@ class DistanceField:
     def query(
         self, points: Any, *, gradient: bool = False, bounds: bool = False, cell: bool = False
     ) -> QueryResult:
-        """The values of the field at points, computed on the host.
+        """Return the values of the field at points, computed on the host.
 
-        voxtool.query_adf returns the same, bit for bit, faster for many points.
+        voxtool.query_adf returns the same values, and is faster for many points.
 
         Outside the cube the distance is sqrt(g^2 + max(|d| - e, 0)^2), where g is the distance to
         the cube, d the field's value at the nearest point of the cube, and e its bound, or without
@@ -159,28 +176,35 @@ class DistanceField:
 
         Parameters
         ----------
-        points : (N, 3) numbers, world units, or a single point [x, y, z].
-        gradient, bounds, cell : whether to return them.
+        points : (N, 3) or (3,) array_like
+            World units; (3,) is one point.
+        gradient, bounds, cell : bool
+            Whether these are returned as well.
+
+        Returns
+        -------
+        QueryResult
 
         Raises
         ------
-        VoxtoolError : a wrong shape, or bounds of a field without them.
+        VoxtoolError
+            If the shape is wrong, or bounds are requested of a field without them.
         """
         return query_on_host(self, points, gradient=gradient, bounds=bounds, cell=cell)
 
     # ---- sizes, identity, soundness
 
     def sizes(self) -> dict[str, int]:
-        """Bytes of each texture."""
+        """Return the bytes of each texture."""
         sizes = {"voxels": self.voxels.nbytes, "cells": self.cells.nbytes, "hash": self.hash.nbytes}
         if self.bounds is not None:
             sizes["bounds"] = self.bounds.nbytes
         return sizes
 
     def digest(self) -> str:
-        """SHA-256 of the canonical content, without `reached`, `plan`, source and units.
+        """Return the SHA-256 of the canonical content, without `reached`, `plan`, source and units.
 
-        Equal content has an equal digest on every device and platform."""
+        It is the same on every device and platform."""
         head = {
             "origin": [v.hex() for v in self.origin],
             "side": self.side.hex(),
@@ -204,7 +228,8 @@ class DistanceField:
 
         Raises
         ------
-        FileError : names the first that fails.
+        FileError
+            If one does not hold; the message names the first.
         """
         n, m = len(self.voxels), self.hash.m
         low, high = np.array(self.origin), np.array(self.origin) + self.side
@@ -212,7 +237,7 @@ class DistanceField:
             np.isfinite(high).all() and 2.0**-900 < self.side < 2.0**900 and (low < high).all()
         ):
             raise FileError(
-                f"field: a cube of side {self.side:g} at {self.origin}: none float64 holds"
+                f"field: a cube of side {self.side:g} at {self.origin} is beyond float64"
             )
         if n == 0 or self.voxels.shape != (n, 3, 3, 3) or not (np.abs(self.voxels) <= FAR).all():
             raise FileError("field voxels: blocks of 3 x 3 x 3 finite distances are expected")
@@ -264,15 +289,8 @@ def assemble(
     identifiers: np.ndarray, voxels: np.ndarray, bounds: np.ndarray | None, hash: SpatialHash,
     **head: Any,
 ) -> DistanceField:  # fmt: skip
-    """A field of blocks and the cells that have them.
-
-    Parameters
-    ----------
-    identifiers : (n,) of the cells in rising order, of the type of identifier_type.
-    voxels, bounds : their blocks, as in DistanceField.
-    hash : of their keys.
-    head : the other fields of DistanceField.
-    """
+    """Return the field with the (n,) ascending identifiers of its cells, of the type of
+    identifier_type, the blocks and the hash of these, and the other attributes in `head`."""
     levels, ijk = cell_of(identifiers)
     wide = identifiers.dtype == np.uint64
     cells = np.zeros((hash.m**3, 3 if wide else 2), np.uint32)

@@ -1,5 +1,5 @@
 """Building a perfect spatial hash of the cells of an octree: a lookup reads a small table, then a
-dense one, whatever the key [Lefebvre 2006; ADF, sections 3.3 and 3.4].
+dense one [Lefebvre 2006; ADF, sections 3.3 and 3.4].
 
 A key p, three whole numbers, has slot
 
@@ -57,19 +57,19 @@ if TYPE_CHECKING:
 SOURCE = "adf/hashing.cl"
 SLOT_BITS = 10  # of a slot along an axis: m is at most 1024
 KEYS_AN_OFFSET = 6  # n / 2d offsets to begin with: 4 bits a key where an offset has 24
-SCATTERED_KEYS = 4  # keys an offset down to which one looks for an r that lets buckets be scattered
-CHOICE = 15  # places that the last bucket of each size must expect there
+SCATTERED_KEYS = 4  # keys an offset: the fewest for which buckets are scattered
+CHOICE = 15  # expected places of the last bucket of each size, at least, to scatter buckets
 MAX_R = 256  # r grows to this, or to 2 m
-ALIKE = 16  # tables of offsets side by side within the keys, below which buckets are alike
-SPREAD = 3  # w of alike buckets are m / 3 or more
-MOST_PARTED = 2048  # keys of a bucket that are compared in pairs to see whether w parts them
-WORDS = 4  # of 64 slots that are tested at once, a span: the kernels' vectors are of this width
-REACH = 2048  # spans that one of alike buckets searches with a w
+ALIKE = 16  # if keys extend over fewer tables of offsets, all buckets have one shape
+SPREAD = 3  # w of such buckets is at least m / 3
+MOST_PARTED = 2048  # keys of a bucket, at most, that are compared in pairs to test a w
+WORDS = 4  # words of 64 slots, tested at once (a span): the width of the kernels' vectors
+REACH = 2048  # spans that a bucket searches with one w, if all buckets have one shape
 BUDGET = 1 << 22  # spans searched in vain before r grows
 LANES = 1 << 14  # buckets that search together, at most
 CROWD = 4  # vacant slots for each pair of keys of buckets that search together, at least
 MAX_ROUNDS = (1 << 32) // LANES  # a claim has 32 bits for the round and the bucket of its window
-LOST, WON, NO_PLACE = 0, 1, 2  # what becomes of a bucket in a round
+LOST, WON, NO_PLACE = 0, 1, 2  # the outcome of a bucket in a round
 EVEN = 0xC13FA9A9, 0x91E10DA6  # 2**32 over the plastic number, and over its square
 
 HEADERS = {
@@ -92,22 +92,16 @@ def build_hash(
     side: int | None = None,
     max_r: int | None = None,
 ) -> SpatialHash:
-    """The perfect hash of a set of keys; it depends neither on their order nor on the device.
+    """Return the perfect hash of a set of keys, (n, 3) distinct integers in [1, 2**21 - 1].
 
-    r grows from KEYS_AN_OFFSET keys an offset until a table is found. The build takes about 16
-    bytes a slot and 70 bytes a key.
-
-    Parameters
-    ----------
-    keys : (n, 3) integers in [1, 2**21 - 1], distinct.
-    device : by default that of default_device().
-    side : of the table of slots; by default the smallest.
-    max_r : largest side of the table of offsets; by default 2 m, or MAX_R if that is more.
+    r grows from KEYS_AN_OFFSET keys an offset until a table is found, up to max_r, by default 2 m
+    or MAX_R, the larger. `side` is that of the table of slots, by default the smallest. The build
+    takes about 16 bytes a slot and 70 bytes a key.
 
     Raises
     ------
     VoxtoolError : a key is repeated, or out of range.
-    MemoryLimitError : the keys are more than 2**30, or there is no table of offsets within bounds.
+    MemoryLimitError : there are more than 2**30 keys, or no table of offsets up to max_r.
     """
     keys = _checked(keys)
     keys_on_device = _sort_keys(device or default_device(), keys)
@@ -127,7 +121,7 @@ def build_hash(
 
 
 def _checked(keys: np.ndarray) -> np.ndarray:
-    """The keys, if they are such, in range, and not too many."""
+    """Return the keys as an array; raise if they are no keys, out of range, or too many."""
     keys = np.asarray(keys)
     if keys.ndim != 2 or keys.shape[1] != 3 or keys.dtype.kind not in "iu":
         raise VoxtoolError(f"keys are (n, 3) integers, not {keys.shape} {keys.dtype}")
@@ -143,7 +137,7 @@ def _checked(keys: np.ndarray) -> np.ndarray:
 
 
 def _table_side(n: int) -> int:
-    """The least m whose cube holds n keys."""
+    """Return the least m with m**3 >= n."""
     m = 1
     while m**3 < n:
         m += 1
@@ -155,11 +149,8 @@ def _table_side(n: int) -> int:
 
 @dataclass(frozen=True)
 class _Keys:
-    """Keys on the device.
-
-    codes : (n,) uint64, rising: z, y, x from the highest bits on, as many bits each as `top` has;
-    top : the largest number of any key.
-    """
+    """Keys on the device. codes: (n,) uint64, ascending, z, y, x from the highest bits on, as many
+    bits each as `top` has; top: the largest coordinate of any key."""
 
     codes: Array
     top: int
@@ -172,11 +163,11 @@ class _Keys:
 
 @dataclass(frozen=True)
 class _Buckets:
-    """The keys by bucket, the largest first; those of one size in the order of their cells.
+    """The keys by bucket, by falling size, then in the order of their cells.
 
-    r : side of the table of offsets; order : (n,) uint32, the keys, bucket by bucket in the order
-    of the cells; cells : (b,) int64, where each bucket is in the table of offsets; sizes : (b,)
-    int64; firsts : (b,) int64, where each bucket's first key is in `order`.
+    r: side of the table of offsets; order: (n,) uint32, the keys, bucket by bucket in the order of
+    the cells; cells: (b,) int64, the place of each bucket in the table of offsets; sizes: (b,)
+    int64; firsts: (b,) int64, the place of each bucket's first key in `order`.
     """
 
     keys: _Keys
@@ -206,13 +197,13 @@ def _sort_keys(device: Device, keys: np.ndarray) -> _Keys:
 class _Way(Enum):
     """The ways in which buckets search for places."""
 
-    SCATTERED = auto()  # from anywhere on
-    DIFFERING = auto()  # from anywhere on, with w that differ from bucket to bucket
-    PACKED = auto()  # from m places on
+    SCATTERED = auto()  # each bucket from its own place
+    DIFFERING = auto()  # the same, with w that differs from bucket to bucket
+    PACKED = auto()  # from one of m places
 
 
 def _attempts(keys: _Keys, m: int, max_r: int) -> Iterator[tuple[int, np.ndarray, _Way]]:
-    """Each r to try, how many keys each of its offsets has, and the way to try."""
+    """Yield each r to try, the number of keys of each of its offsets, and the way to search."""
     n = keys.codes.size
     first = _table_side(-(-n // KEYS_AN_OFFSET))
     for r in range(first, min(max_r, _table_side(-(-n // SCATTERED_KEYS))) + 1):
@@ -232,7 +223,7 @@ def _attempts(keys: _Keys, m: int, max_r: int) -> Iterator[tuple[int, np.ndarray
 
 
 def _count_keys(keys: _Keys, r: int) -> np.ndarray:
-    """(r**3,) uint32: how many keys each offset has."""
+    """Return the number of keys of each offset, (r**3,) uint32."""
     device = keys.codes.device
     sizes = device.zeros(r**3, np.uint32)
     device.kernel(SOURCE, "count_keys")(keys.codes.size, **keys.arguments, r=r, sizes=sizes)
@@ -240,8 +231,8 @@ def _count_keys(keys: _Keys, r: int) -> np.ndarray:
 
 
 def _has_choice(sizes: np.ndarray, m: int) -> bool:
-    """Whether the last bucket of each size may expect CHOICE places among the m**3, were the slots
-    that are vacant by then random ones."""
+    """Whether the last bucket of each size expects CHOICE places or more among the m**3, if vacant
+    slots are random."""
     histogram = np.bincount(sizes).tolist()
     vacant = m**3
     for size in range(len(histogram) - 1, 1, -1):
@@ -253,7 +244,7 @@ def _has_choice(sizes: np.ndarray, m: int) -> bool:
 
 
 def _fill_buckets(keys: _Keys, r: int, sizes: np.ndarray) -> _Buckets:
-    """Steps 1 to 3 of the algorithm, from the number of keys of each offset."""
+    """Return the buckets from the number of keys of each offset: steps 1 to 3 of the algorithm."""
     device, n = keys.codes.device, keys.codes.size
     cells, order = device.empty(n, np.uint32), device.empty(n, np.uint32)
     device.kernel(SOURCE, "find_cells")(n, **keys.arguments, r=r, cells=cells, order=order)
@@ -268,7 +259,7 @@ def _fill_buckets(keys: _Keys, r: int, sizes: np.ndarray) -> _Buckets:
 
 
 class _Search:
-    """Steps 4 to 6 of the algorithm, after w of each bucket."""
+    """The choice of w, and steps 4 to 6 of the algorithm."""
 
     def __init__(self, buckets: _Buckets, m: int, way: _Way) -> None:
         device, b, spans = buckets.keys.codes.device, len(buckets.sizes), -(-m // (64 * WORDS))
@@ -311,8 +302,8 @@ class _Search:
         device.kernel(SOURCE, "vacate")(slots, **self.arguments)
 
     def run(self) -> np.ndarray | None:
-        """(r, r, r, 3 or 4) uint8 or uint16: the table of offsets; None where there is none for
-        some bucket."""
+        """Return the table of offsets, (r, r, r, 3 or 4) uint8 or uint16; None if a bucket has no
+        place."""
         sizes, most = self.buckets.sizes, self.m if self.way is _Way.PACKED else LANES
         shared = np.count_nonzero(sizes > 1)
         pending = np.arange(shared, dtype=np.uint32)
@@ -340,10 +331,8 @@ class _Search:
         return None
 
     def _place(self, window: np.ndarray, tries: np.ndarray) -> None:
-        """Choose w of buckets, and say where it puts their keys.
-
-        At first it is m, if that parts the keys, and any other one at later tries.
-        """
+        """Choose w of buckets and place their keys: first m, if it separates the keys, then other
+        w at later tries."""
         wide = int(np.count_nonzero(SPREAD * self.choices >= self.m))
         others = _evenly(window.astype(np.int64) * EVEN[1] + tries * EVEN[0], wide)
         first = np.where(tries, others, 0).astype(np.uint32)
@@ -355,14 +344,14 @@ class _Search:
         )
 
     def _round(self, window: np.ndarray, number: int) -> np.ndarray:
-        """(k,) uint8: what becomes of the k buckets of a window."""
+        """Search for the k buckets of a window; return the outcome of each, (k,) uint8."""
         named = {**self.arguments, "window": self.device.put(window), "round": number}
         for kernel in ("search", "settle"):
             self.device.kernel(SOURCE, kernel)(len(window), **named)
         return self.outcome.get(0, len(window))
 
     def _offsets(self) -> np.ndarray:
-        """The table of offsets, when all but the buckets of one key have their slots."""
+        """Return the table of offsets; buckets of one key take the slots that are left."""
         m, r, cells = self.m, self.buckets.r, self.buckets.cells
         bits = np.unpackbits(self.vacant.get().view(np.uint8), bitorder="little")
         vacant = np.flatnonzero(bits.reshape(m, m, -1)[..., :m])
@@ -379,19 +368,19 @@ class _Search:
 
 
 def _choices(m: int, r: int) -> np.ndarray:
-    """(c,) uint32: the w among which algorithm 3.1 looks for one that parts the keys of a bucket:
-    m, then those that are coprime to m and r, here from the largest on."""
+    """Return the w that algorithm 3.1 tries, (c,) uint32: m, then the numbers that are coprime to m
+    and r, the largest first."""
     coprime = [w for w in range(m - 1, 1, -1) if math.gcd(w, m * r) == 1]
     return np.array([m, *coprime], np.uint32)
 
 
 def _evenly(multiples: np.ndarray, end: int) -> np.ndarray:
-    """(k,) int64 below `end`, of multiples of EVEN: any run of them fills the range evenly, and of
-    both a square (Roberts's sequence R2)."""
+    """Return (k,) int64 below `end` for multiples of EVEN: any run fills the range evenly, and a
+    pair fills a square (the sequence R2 [Roberts 2018])."""
     return (multiples & 0xFFFFFFFF) * end >> 32
 
 
 def _unpacked(slots: np.ndarray) -> np.ndarray:
-    """(b,) slots of the device to (3, b) int64 x, y, z."""
+    """Return the coordinates x, y, z of the device's (b,) slots, (3, b) int64."""
     shifts = np.array([[0], [SLOT_BITS], [2 * SLOT_BITS]])
     return slots.astype(np.int64) >> shifts & (1 << SLOT_BITS) - 1

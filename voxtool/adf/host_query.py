@@ -30,18 +30,22 @@ HEADERS = {"adf/points.h": program.c_constants(POINT_BITS=POINT_BITS, WEIGHT_BIT
 
 @dataclass(frozen=True, eq=False)
 class QueryResult:
-    """The values of a field at N points; of a single point [x, y, z] without the leading axis.
+    """The values of a field at N points; for one point [x, y, z] without the leading axis.
 
     Attributes
     ----------
-    distance : (N,) float64, world units; NaN where a coordinate is NaN. Outside the cube it is a
-        lower bound of the distance, see DistanceField.query.
-    gradient : (N, 3) float32, or None.
-    bound : (N,) float64, world units, or None: the largest possible error of the distance;
-        infinite outside the cube and where the sign jumps within a leaf.
-    level, cell : (N,) uint8 and (N, 3) uint32, or None: the leaf, cell (i, j, k) of its level. The
-        root has level 0.
-    outside : (N,) bool: whether the point is outside the cube.
+    distance : (N,) float64
+        World units; NaN where a coordinate is NaN. Outside the cube it is a lower bound of the
+        distance, see DistanceField.query.
+    gradient : (N, 3) float32, or None
+        The gradient of the distance.
+    bound : (N,) float64, or None
+        The largest possible error of the distance, world units; infinity outside the cube and in
+        leaves with a sign discontinuity.
+    level, cell : (N,) uint8 and (N, 3) uint32, or None
+        The leaf: cell (i, j, k) of its level. The root has level 0.
+    outside : (N,) bool
+        Whether the point is outside the cube.
     """
 
     distance: np.ndarray
@@ -57,7 +61,7 @@ class QueryResult:
     __hash__ = object.__hash__
 
     def __getitem__(self, points: Any) -> QueryResult:
-        """The values at some of the points: views, where numpy gives views."""
+        """Return the values at some of the points: views, where numpy gives views."""
         arrays = (getattr(self, f.name) for f in fields(self))
         return QueryResult(*(None if array is None else array[points] for array in arrays))  # type: ignore[arg-type]
 
@@ -65,7 +69,7 @@ class QueryResult:
 def query_on_host(
     field: DistanceField, points: Any, *, gradient: bool, bounds: bool, cell: bool
 ) -> QueryResult:
-    """The values of a field at points; see DistanceField.query."""
+    """Return the values of a field at points; see DistanceField.query."""
     points, single = checked_points(points)
     if bounds and field.bounds is None:
         raise no_bounds()
@@ -105,10 +109,8 @@ def query_on_host(
 
 
 def to_fixed(field: DistanceField, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N, 3) world points as (N, 3) uint32 in units of 2**-32 sides, and (N,) bool: outside.
-
-    A point outside the cube becomes the nearest one inside; a coordinate that is NaN becomes 0.
-    """
+    """Return (N, 3) world points as (N, 3) uint32 in units of 2**-32 sides, moved into the cube, 0
+    for NaN; and whether each point is outside, (N,) bool."""
     with np.errstate(over="ignore", invalid="ignore"):
         u = (points - field.origin) / field.side
         outside = np.logical_not(((u >= 0) & (u <= 1)).all(axis=1))
@@ -117,10 +119,10 @@ def to_fixed(field: DistanceField, points: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 def search(field: DistanceField, fixed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) int64 levels and blocks: of each point the deepest cell that has a block.
+    """Return the level and the block of the deepest cell with a block at each point, (N,) int64.
 
-    The hash is asked for the cells of all levels. As every cell has its parent, the number of
-    those that it has is the level.
+    The cells of all levels are looked up. Every cell has a parent, so the number found minus one is
+    the level.
     """
     if len(fixed) > AT_ONCE:
         parts = [search(field, fixed[i : i + AT_ONCE]) for i in range(0, len(fixed), AT_ONCE)]
@@ -129,9 +131,9 @@ def search(field: DistanceField, fixed: np.ndarray) -> tuple[np.ndarray, np.ndar
     cells = fixed[:, None].astype(np.int64) >> (POINT_BITS - levels)[:, None]
     slots = field.hash.slots((cells + (1 << levels)[:, None]).reshape(-1, 3))
     deepest = morton_encode(cells[:, -1]) | np.uint64(1 << 3 * (field.depth - 1))
-    wanted = deepest[:, None] >> (3 * levels[::-1]).astype(np.uint64)
-    slots = slots.reshape(wanted.shape)
-    level = np.count_nonzero(field.identifiers.ravel()[slots] == wanted, axis=1) - 1
+    identifiers = deepest[:, None] >> (3 * levels[::-1]).astype(np.uint64)
+    slots = slots.reshape(identifiers.shape)
+    level = np.count_nonzero(field.identifiers.ravel()[slots] == identifiers, axis=1) - 1
     block = field.cells.reshape(-1, field.cells.shape[-1])[
         np.take_along_axis(slots, level[:, None], 1)[:, 0], -1
     ]
@@ -139,7 +141,7 @@ def search(field: DistanceField, fixed: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _corners(field: DistanceField, block: np.ndarray, octant: np.ndarray) -> np.ndarray:
-    """(N, 2, 2, 2) float32, [z, y, x]: the distances at the vertices of children of blocks."""
+    """Return the distances at the corners of children of blocks, (N, 2, 2, 2) float32."""
     first = octant[:, 0] + 3 * octant[:, 1] + 9 * octant[:, 2] + 27 * block
     return field.voxels.reshape(-1)[first[:, None] + CORNERS].reshape(-1, 2, 2, 2)
 
@@ -153,8 +155,7 @@ def extend(
     slope: np.ndarray,
     bound: np.ndarray,
 ) -> None:
-    """Write the lower bounds of points outside the cube to `world`, their gradients to
-    `slope`."""
+    """Write the lower bounds at points outside the cube to `world`, and gradients to `slope`."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         u = (points[outside] - field.origin) / field.side
         beyond = np.where(u < 0, u, np.where(u > 1, u - 1, 0.0))
@@ -171,8 +172,8 @@ def extend(
 
 
 def weights(fixed: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """(N, 3) float32 in [0, 1): where (N, 3) points in units of 2**-32 sides are in the children,
-    of cells of these levels, that hold them."""
+    """Return the position of (N, 3) points, in units of 2**-32 sides, in the child that contains
+    each, (N, 3) float32 in [0, 1); `level` is that of the child's parent."""
     fraction = (
         fixed << (level + 1)[:, None].astype(np.uint32) >> np.uint32(POINT_BITS - WEIGHT_BITS)
     )
@@ -180,8 +181,8 @@ def weights(fixed: np.ndarray, level: np.ndarray) -> np.ndarray:
 
 
 def trilinear(values: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """(N,) float32: (N, 2, 2, 2) values, [z, y, x], interpolated at (N, 3) float32 in [0, 1]; along
-    x first, a + t (b - a) each."""
+    """Return (N, 2, 2, 2) values, [z, y, x], interpolated at (N, 3) float32 in [0, 1]: along x,
+    then y, then z, each a + t (b - a); (N,) float32."""
     for axis in range(3):
         a, b = values[..., 0], values[..., 1]
         weight = t[:, axis].reshape(-1, *[1] * (a.ndim - 1))
@@ -190,8 +191,8 @@ def trilinear(values: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def trilinear_gradient(values: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """(N, 3) float32: the gradient of trilinear, by an edge's length: along each axis the
-    differences, interpolated along the other two in the order of x, y, z."""
+    """Return the gradient of trilinear times the edge, (N, 3) float32: the differences along each
+    axis, interpolated along the other two in the order x, y, z."""
     slopes = []
     for axis in range(3):
         last = 3 - axis  # of the axes [point, z, y, x]
@@ -204,12 +205,7 @@ def trilinear_gradient(values: np.ndarray, t: np.ndarray) -> np.ndarray:
 
 
 def checked_points(points: Any) -> tuple[np.ndarray, bool]:
-    """(N, 3) float64 of points in any form, and whether they were a single point [x, y, z].
-
-    Raises
-    ------
-    VoxtoolError : it is no such array.
-    """
+    """Return points as (N, 3) float64, and whether they were one point; raises VoxtoolError."""
     try:
         world = np.asarray(points, np.float64)
     except (TypeError, ValueError):
@@ -220,5 +216,5 @@ def checked_points(points: Any) -> tuple[np.ndarray, bool]:
 
 
 def no_bounds() -> VoxtoolError:
-    """The error where bounds are asked of a field without them."""
+    """Return the error for bounds of a field without them."""
     return VoxtoolError("the field has no bounds: build it without --no-bounds")

@@ -17,23 +17,23 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 BLOCK_BYTES = 27 * 4 + 8 + 8 + 1  # voxels, cell, bounds, and about as much of the hash
-NARROW_LEVEL = 11  # of leaves up to which identifiers of their parents fit 32 bits
-PILOT_LEVEL = 5  # of cells, down to which a field is built to predict the rest
-GROWTH = 4  # of refined cells from level to level, at most about: they lie along surfaces
+NARROW_LEVEL = 11  # leaves up to this level have parents with 32-bit identifiers
+PILOT_LEVEL = 5  # a field is built down to this level to predict the rest
+GROWTH = 4  # factor from level to level, at most about: refined cells lie along surfaces
 CELL_BYTES = 27 * (8 + 4 + 4 + 8) + 8 + 2 * 4 + 8 * (4 + 4 + 1 + 4)  # of a refined cell's arrays
-ITEM_BYTES = 5  # of a triangle in a list, and of what is known of it
+ITEM_BYTES = 5  # a triangle in a list, and its mask
 
 
 @dataclass(frozen=True)
 class FieldPlan:
     """The decisions of a build, and the cells counted so far.
 
-    triangles : number of triangles of the mesh; flat : of those without area; crossed : of those
-    that intersect others; closed : whether the mesh is closed, consistently wound, free of
+    triangles: number of triangles of the mesh; flat: those without area; crossed: those that
+    intersect others; closed: whether the mesh is closed, consistently wound and free of
     self-intersections, and its shells agree on what is inside.
-    sign, tolerance, max_level, band, continuous, bounds, max_bytes, measure : as requested.
-    refined : number of refined cells of each level from 0 on, as far as they have been counted.
-    items : number of triangles in the lists of the last of these levels.
+    sign, tolerance, max_level, band, continuous, bounds, max_bytes, measure: as requested.
+    refined: number of refined cells of each level from 0 on, as far as they have been counted.
+    items: number of triangles in the lists of the last level counted.
     """
 
     triangles: int
@@ -65,7 +65,7 @@ class FieldPlan:
 
     @property
     def certain(self) -> bool:
-        """Whether all signs are certain, so that none jumps."""
+        """Whether all signs are certain, so that there is no sign discontinuity."""
         return self.closed and self.sign == "pseudonormal"
 
     @property
@@ -86,7 +86,7 @@ class FieldPlan:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not compiled, allocated or run: names and reasons."""
+        """The stages and data that are not needed, with reasons."""
         out = {}
         if self.sign != "winding":
             out["winding numbers"] = (
@@ -103,17 +103,17 @@ class FieldPlan:
         if not self.continuous:
             out["neighbours and constraints"] = "cracks are allowed"
         if not self.bounds:
-            out["bounds texture"] = "no bounds are asked for"
+            out["bounds texture"] = "no bounds are requested"
         if self.max_level <= NARROW_LEVEL:
             out["64-bit identifiers"] = (
                 f"leaves end at level {self.max_level}, of {NARROW_LEVEL} that 32 bits serve"
             )
         if not self.measure:
-            out["error measurement"] = "it is not asked for"
+            out["error measurement"] = "not requested"
         return out
 
     def predicted(self) -> list[int]:
-        """Refined cells of each level: counted, then GROWTH times as many, at most about."""
+        """Return the refined cells of each level: counted, then predicted by GROWTH."""
         counts = list(self.refined)
         while counts and counts[-1] and len(counts) < self.max_level:
             counts.append(GROWTH * counts[-1])
@@ -126,7 +126,7 @@ class FieldPlan:
 
     @property
     def blocks(self) -> int:
-        """Predicted, at most about."""
+        """The predicted number of blocks, approximately an upper bound."""
         return sum(self.predicted())
 
     @property
@@ -135,23 +135,23 @@ class FieldPlan:
 
     @property
     def cost(self) -> Cost:
-        """The memory that the build takes at its peak, roughly and at most."""
+        """The peak memory of the build, approximately an upper bound."""
         counts, items = self.predicted(), max(self.items, self.triangles)
         return Cost(self._bytes(counts, items), self.field_bytes, self._largest(counts, items))
 
     def _largest(self, counts: Sequence[int], items: int) -> int:
-        """Bytes of the largest buffer."""
+        """Return the bytes of the largest buffer."""
         return max(8 * 27 * max(counts, default=0), 4 * items)
 
     def _bytes(self, counts: Sequence[int], items: int) -> int:
-        """Of so many cells, level by level, and a level's lists: twice the field, two levels in
-        work, and two levels' lists, whose number of triangles is about the same."""
+        """Return the bytes on the device: twice the field, the arrays of two levels, and the lists
+        of two levels, which have about the same length."""
         return (
             2 * BLOCK_BYTES * sum(counts) + CELL_BYTES * sum(counts[-2:]) + 2 * ITEM_BYTES * items
         )
 
     def scene(self) -> dict[str, Any]:
-        """What the plan says of the scene, to be stored with the output: JSON types only."""
+        """Return the part that depends on the mesh, to be stored with the output: JSON types."""
         return {
             "triangles": self.triangles,
             "crossed_triangles": self.crossed,
@@ -161,7 +161,7 @@ class FieldPlan:
         }
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it, the costs included: JSON types only."""
+        """Return the plan with its costs: JSON types."""
         return {
             **self.scene(),
             "refined_cells": list(self.refined),
@@ -171,7 +171,7 @@ class FieldPlan:
         }
 
     def rows(self) -> list[tuple[str, str]]:
-        """What `--plan` prints before the stages: names and texts."""
+        """Return what `--plan` prints before the stages: names and texts."""
         counted = ", ".join(f"{count:,}" for count in self.refined)
         return [
             ("field", f"tolerance {self.tolerance:.3g} sides, levels to {self.max_level}, sign "
@@ -182,16 +182,8 @@ class FieldPlan:
         ]  # fmt: skip
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Refuse what has been counted, and needs more.
-
-        Parameters
-        ----------
-        max_memory, max_allocation : bytes that the device may use in total, and in one buffer.
-
-        Raises
-        ------
-        MemoryLimitError : with the level that fits.
-        """
+        """Raise MemoryLimitError, with the level that fits, if the levels counted so far need more
+        bytes on the device in total, or in one buffer."""
         counts, level = self.refined, len(self.refined) - 1
         needed = self._bytes(counts, self.items)
         largest = self._largest(counts[-1:], self.items)

@@ -1,12 +1,11 @@
 """Queries of a distance field at points, on the device [ADF, section 3.5].
 
 Each of three searches finds the deepest cell that has a block, by looking up cells of one level
-after another in the hash; all return the same values, which are those of DistanceField.query, bit
-for bit. Levels whose cells all have blocks are skipped.
+after another in the hash. All return the values of DistanceField.query, bit for bit. Levels whose
+cells all have blocks are skipped.
 
 Points are processed in blocks: while the device searches one, the host rounds the next to the
-lattice of 2**-32 sides. A few points are looked up on the host, which takes less time than a
-launch.
+lattice of 2**-32 sides. A few points are looked up on the host, which is faster than a launch.
 
 Kernels: kernels/adf/query.cl.
 """
@@ -31,10 +30,10 @@ if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
 
 SOURCE = "adf/query.cl"
-HOST_POINTS = 128  # up to which the host is faster than a launch
+HOST_POINTS = 128  # up to this number the host is faster than a launch
 BLOCK = 1 << 18  # points that are on the device at once
-CHUNK = 1 << 12  # points that are rounded at once: what fits the host's cache
-ALIGNMENT = 128  # bytes, of memory that a CPU's driver shares
+CHUNK = 1 << 12  # points that are rounded at once: they fit the cache
+ALIGNMENT = 128  # bytes: a CPU driver shares memory aligned to this
 
 HEADERS = {
     "adf/query.h": program.c_constants(
@@ -45,7 +44,7 @@ HEADERS = {
 
 @dataclass(frozen=True)
 class Shape:
-    """How points are assigned to work-items: options of query.cl, and the size of a work-group."""
+    """The assignment of points to work-items: options of query.cl, and the size of a work-group."""
 
     lanes: int
     batch: int
@@ -53,7 +52,7 @@ class Shape:
     group: int
 
     def padded(self, n: int) -> int:
-        """The points of as many whole work-groups as n points take."""
+        """Return n rounded up to whole work-groups."""
         whole = self.batch * self.run * self.group
         return -(-n // whole) * whole
 
@@ -76,39 +75,48 @@ def query_adf(
     cell: bool = False,
     device: Device | None = None,
 ) -> QueryResult:
-    """The values of a field at points.
-
-    The field stays on the device for the next call. For many calls with the same field, FieldQuery
-    saves a little more.
-
-    Parameters
-    ----------
-    field : the field.
-    points, search, gradient, bounds, cell : as FieldQuery.__call__.
-    device : by default that of default_device().
-
-    Raises
-    ------
-    As FieldQuery.
-    """
-    wanted = _Wanted(search, gradient, bounds, cell)
+    """Return the values of a field at points; see voxtool.query_adf."""
+    request = _Request(search, gradient, bounds, cell)
     points, single = checked_points(points)
-    wanted.check(field)
+    request.check(field)
     if len(points) <= HOST_POINTS:
         result = field.query(points, gradient=gradient, bounds=bounds, cell=cell)
     else:
-        result = FieldQuery(field, device).on_device(points, wanted)
+        result = FieldQuery(field, device).on_device(points, request)
     return result[0] if single else result
 
 
 class FieldQuery:
     """A field on a device, for many queries.
 
+    Its bounds are uploaded when they are first requested. It pickles as its field, and uses the
+    default device where it is unpickled.
+
+    Parameters
+    ----------
+    field : DistanceField
+        The field, whose textures are uploaded.
+    device : Device, optional
+        Where to search; the default device if None.
+    shape : Shape, optional
+        The assignment of points to work-items; by default the one for the kind of device.
+    block : int
+        Points that are on the device at once.
+    host_points : int
+        Number of points up to which the host computes the values.
+
+    Raises
+    ------
+    DeviceError
+        If there is no device.
+    MemoryLimitError
+        If the field does not fit on it.
+
+    Examples
+    --------
     >>> query = voxtool.FieldQuery(field)
     >>> query([0.1, 0.2, 0.3]).distance
     >>> query(points, gradient=True).gradient
-
-    It pickles as its field, and uses the default device where it is unpickled.
     """
 
     def __init__(
@@ -120,21 +128,6 @@ class FieldQuery:
         block: int = BLOCK,
         host_points: int = HOST_POINTS,
     ) -> None:
-        """Upload the field's textures; its bounds are uploaded when they are first asked for.
-
-        Parameters
-        ----------
-        field : the field.
-        device : by default that of default_device().
-        shape : how points are assigned to work-items; by default as suits the device.
-        block : points that are on the device at once.
-        host_points : number of points up to which the host computes the values.
-
-        Raises
-        ------
-        DeviceError : there is no device.
-        MemoryLimitError : the field does not fit on it.
-        """
         self.field = field
         self.device = device or default_device()
         self.textures = textures_of(field, self.device)
@@ -155,45 +148,55 @@ class FieldQuery:
         bounds: bool = False,
         cell: bool = False,
     ) -> QueryResult:
-        """The values of the field at points; outside the cube see DistanceField.query.
+        """Return the values of the field at points; outside the cube see DistanceField.query.
 
         Parameters
         ----------
-        points : (N, 3) numbers, world units, in any order; or a single point [x, y, z], for which
-            the arrays of the result have no leading axis.
-        search : "linear", from the coarsest level with leaves down; "binary", between that level
-            and the deepest; or "coherent", from the level of the previous point, for points whose
-            neighbours in the order are near, as along rays.
-        gradient, bounds, cell : whether to return them beside the distance.
+        points : (N, 3) or (3,) array_like
+            World units, in any order; (3,) is one point, for which the arrays of the result have no
+            leading axis.
+        search : str
+            "linear", from the coarsest level with leaves down; "binary", between that level and the
+            deepest; or "coherent", from the level of the previous point, for points that are near
+            the previous one, as along rays.
+        gradient, bounds, cell : bool
+            Whether these are returned as well.
+
+        Returns
+        -------
+        QueryResult
 
         Raises
         ------
-        VoxtoolError : a wrong shape, an unknown search, or bounds of a field without them.
-        MemoryLimitError : the device has no memory for a block of points.
+        VoxtoolError
+            If points have a wrong shape, the search is unknown, or bounds are requested of a field
+            without them.
+        MemoryLimitError
+            If a block of points does not fit on the device.
         """
-        wanted = _Wanted(search, gradient, bounds, cell)
+        request = _Request(search, gradient, bounds, cell)
         points, single = checked_points(points)
-        wanted.check(self.field)
+        request.check(self.field)
         if len(points) <= self.host_points:
             result = self.field.query(points, gradient=gradient, bounds=bounds, cell=cell)
         else:
-            result = self.on_device(points, wanted)
+            result = self.on_device(points, request)
         return result[0] if single else result
 
-    def on_device(self, points: np.ndarray, wanted: _Wanted) -> QueryResult:
-        """The values at (N, 3) float64 points, whatever their number."""
+    def on_device(self, points: np.ndarray, request: _Request) -> QueryResult:
+        """Return the values at (N, 3) float64 points, computed on the device."""
         n, side = len(points), self.field.side
         result = QueryResult(
             np.empty(n),
-            np.empty((n, 3), np.float32) if wanted.gradient else None,
-            np.empty(n) if wanted.bounds else None,
-            np.empty(n, np.uint8) if wanted.cell else None,
-            np.empty((n, 3), np.uint32) if wanted.cell else None,
+            np.empty((n, 3), np.float32) if request.gradient else None,
+            np.empty(n) if request.bounds else None,
+            np.empty(n, np.uint8) if request.cell else None,
+            np.empty((n, 3), np.uint32) if request.cell else None,
             np.zeros(n, bool),
         )
         world_bounds = bound_values() * side
         with self.device.stage("query"):
-            for block, fixed, found in self._blocks(points, result.outside, wanted):
+            for block, fixed, found in self._blocks(points, result.outside, request):
                 part = result[block]
                 np.multiply(found["distances"], side, out=part.distance, dtype=np.float64)
                 if part.gradient is not None:
@@ -207,13 +210,13 @@ class FieldQuery:
         return result
 
     def _blocks(
-        self, points: np.ndarray, outside: np.ndarray, wanted: _Wanted
+        self, points: np.ndarray, outside: np.ndarray, request: _Request
     ) -> Iterator[tuple[slice, np.ndarray, dict[str, np.ndarray]]]:
-        """Each block of points, rounded, and the kernel's outputs there. Fills `outside`.
+        """Yield each block of points, rounded, and the kernel's outputs; fill `outside`.
 
-        While the host rounds one block and takes in the values of another, the device searches.
+        The device searches while the host rounds one block and reads the values of another.
         """
-        lattice, shape = Lattice(self.field), self._shape(wanted.search)
+        lattice, shape = Lattice(self.field), self._shape(request.search)
         memory = [_point_memory(shape.padded(min(self.block, len(points)))) for _ in range(2)]
         running: tuple[slice, np.ndarray, _Running] | None = None
         for start in range(0, len(points), self.block):
@@ -221,43 +224,43 @@ class FieldQuery:
             n, fixed = block.stop - start, memory[start // self.block % 2]
             lattice.round(points[block], fixed[:n], outside[block])
             done = running and (*running[:2], running[2].finish())
-            running = block, fixed[:n], self._start(fixed, n, wanted)
+            running = block, fixed[:n], self._start(fixed, n, request)
             if done:
                 yield done
         if running:
             yield *running[:2], running[2].finish()
 
-    def _start(self, fixed: np.ndarray, n: int, wanted: _Wanted) -> _Running:
-        """Begin the search for the first n of these points, which are padded."""
-        device, shape = self.device, self._shape(wanted.search)
+    def _start(self, fixed: np.ndarray, n: int, request: _Request) -> _Running:
+        """Start the search for the first n points; pad them."""
+        device, shape = self.device, self._shape(request.search)
         padded = shape.padded(n)
         fixed[n:padded] = 0
         points = device.view(fixed[:padded])
         outputs = {
             name: device.empty(width * padded, dtype)
-            for name, (dtype, width) in wanted.outputs().items()
+            for name, (dtype, width) in request.outputs().items()
         }
-        options = {**shape.options(), **self.textures.options, **wanted.options()}
+        options = {**shape.options(), **self.textures.options, **request.options()}
         device.kernel(SOURCE, "query", **options)(
             padded // (shape.batch * shape.run),
             points=points,
             **self.textures.arguments,
-            bounds=bounds_of(self.field, device) if wanted.bounds else None,
+            bounds=bounds_of(self.field, device) if request.bounds else None,
             **outputs,
             local=shape.group,
         )
-        device.queue.flush()  # or a driver may wait until the host does
+        device.queue.flush()  # otherwise a driver may wait for the host
         return _Running(n, points, outputs)
 
     def _extend(self, points: np.ndarray, fixed: np.ndarray, result: QueryResult) -> None:
-        """Overwrite the values of those points of a block that are outside the cube."""
+        """Overwrite the values of the points of a block that are outside the cube."""
         field, which = self.field, np.flatnonzero(result.outside)
         has_bounds = field.bounds is not None
-        wanted = _Wanted("binary", gradient=True, bounds=has_bounds, cell=not has_bounds)
+        request = _Request("binary", gradient=True, bounds=has_bounds, cell=not has_bounds)
         points, n = points[which], len(which)
         memory = _point_memory(self._shape("binary").padded(n))
         memory[:n] = fixed[which]
-        found = self._start(memory, n, wanted).finish()
+        found = self._start(memory, n, request).finish()
         bound = (
             bound_values()[found["codes"]]
             if has_bounds
@@ -286,8 +289,8 @@ class FieldQuery:
 
 
 @dataclass(frozen=True)
-class _Wanted:
-    """How to search, and what to return beside the distance."""
+class _Request:
+    """The search, and the values that are returned besides the distance."""
 
     search: str
     gradient: bool
@@ -301,11 +304,11 @@ class _Wanted:
             raise no_bounds()
 
     def options(self) -> dict[str, int | str]:
-        wanted = {"GRADIENT": self.gradient, "BOUNDS": self.bounds, "CELL": self.cell}
-        return {"SEARCH": self.search.upper(), **{name: 1 for name, on in wanted.items() if on}}
+        values = {"GRADIENT": self.gradient, "BOUNDS": self.bounds, "CELL": self.cell}
+        return {"SEARCH": self.search.upper(), **{name: 1 for name, on in values.items() if on}}
 
     def outputs(self) -> dict[str, tuple[type, int]]:
-        """The kernel's output arguments: type, and numbers a point."""
+        """Return the kernel's output arguments: type, and numbers a point."""
         outputs: dict[str, tuple[type, int]] = {"distances": (np.float32, 1)}
         if self.gradient:
             outputs["gradients"] = np.float32, 3
@@ -318,14 +321,14 @@ class _Wanted:
 
 @dataclass(frozen=True)
 class _Running:
-    """A search for n points that has begun; the points must stay in memory until it ends."""
+    """A search for n points that has started; the points must stay in memory until it ends."""
 
     n: int
     points: Array
     outputs: dict[str, Array]
 
     def finish(self) -> dict[str, np.ndarray]:
-        """Wait for the device: the outputs, (n,) or (n, 3)."""
+        """Wait for the device and return the outputs, (n,) or (n, 3)."""
         found = {}
         for name, array in self.outputs.items():
             values = array.take()
@@ -335,7 +338,7 @@ class _Running:
 
 
 class Lattice:
-    """Rounds points to 32-bit fixed point, as host_query.to_fixed."""
+    """Rounding of points to 32-bit fixed point, as by host_query.to_fixed."""
 
     def __init__(self, field: DistanceField) -> None:
         self.side = field.side
@@ -343,8 +346,8 @@ class Lattice:
         self.scratch = np.empty(3 * CHUNK)
 
     def round(self, points: np.ndarray, fixed: np.ndarray, outside: np.ndarray) -> None:
-        """Round (n, 3) float64 world points to (n, 3) uint32, in `fixed`; set `outside` where one
-        is not in the cube, and leave it elsewhere."""
+        """Round (n, 3) float64 world points to (n, 3) uint32, in `fixed`; set `outside` for points
+        outside the cube."""
         with np.errstate(over="ignore", invalid="ignore"):
             for start in range(0, len(points), CHUNK):
                 chunk = slice(start, start + CHUNK)
@@ -364,7 +367,7 @@ class Lattice:
 
 
 def _point_memory(n: int) -> np.ndarray:
-    """(n, 3) uint32, undefined, and where a CPU's driver can share it."""
+    """Return an uninitialized (n, 3) uint32 array that a CPU driver can share."""
     memory = np.empty(12 * n + ALIGNMENT, np.uint8)
     start = -memory.ctypes.data % ALIGNMENT
     return memory[start : start + 12 * n].view(np.uint32).reshape(n, 3)

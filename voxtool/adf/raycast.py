@@ -1,16 +1,16 @@
 """Ray casting of the surface of a field, or of an offset surface at a distance from it.
 
-A ray goes from leaf to leaf. In a leaf the field along the ray is a cubic, whose first root is
-found [Marmitt 2004], so that nothing between two steps is missed, however thin: the picture shows
-where the field first takes the value of the offset. From the far side of a leaf the ray leaps by
-the least distance of the surface, (distance - offset) / the Lipschitz constant: sphere tracing
-[Hart 1996]. This requires a field without cracks that is nowhere steeper. So rays do not leap into
-steeper leaves: those where the sign jumps, which the stored constant excludes, and the few steeper
-than STEEPEST, which would make all leaps short. A table stores how far these leaves are. In fields
-with cracks rays do not leap.
+A ray visits the leaves in order. In a leaf the field along the ray is a cubic, whose first root is
+computed [Marmitt 2004], so thin features are not missed: the picture shows the first point at which
+the field equals the offset. Where a ray leaves a leaf, it skips the least possible distance to the
+surface, (distance - offset) / the Lipschitz constant, as in sphere tracing [Hart 1996]. This
+requires a field without cracks that is nowhere steeper. Rays therefore do not skip into steeper
+leaves: those with a sign discontinuity, which the stored constant excludes, and the few steeper
+than STEEPEST, which would shorten all steps. A table stores the distance to these leaves. In fields
+with cracks rays skip nothing.
 
-A ray that begins inside sees the surface from inside. Nothing is shown outside the cube: surfaces
-that leave it are open there. An offset beyond the field's values shows nothing.
+A ray that starts inside shows the surface from inside. Nothing is drawn outside the cube: surfaces
+that leave it are open there. An offset beyond the field's values draws nothing.
 
 Kernels: kernels/adf/raycast.cl.
 """
@@ -38,10 +38,10 @@ if TYPE_CHECKING:
 
 SOURCE = "adf/raycast.cl"
 COLOUR = (0.86, 0.82, 0.76)  # a warm light grey
-STEEPEST = math.sqrt(3)  # that an interpolation of exact distances of one sign is
-SAFETY = 1 - 2.0**-10  # of leaps, for rounding
-ROOM_LEVEL = 5  # of the cells that tell how far steep leaves are
-TILE = 8  # pixels along a side of those that a work-group takes
+STEEPEST = math.sqrt(3)  # the largest slope of interpolated exact distances of one sign
+SAFETY = 1 - 2.0**-10  # factor of skipped lengths, for rounding
+ROOM_LEVEL = 5  # level of the cells of the table of distances to steep leaves
+TILE = 8  # a work-group draws TILE x TILE pixels
 
 HEADERS = {"adf/raycast.h": program.c_constants(ROOM_LEVEL=ROOM_LEVEL, TILE=TILE)}
 
@@ -55,27 +55,18 @@ def cast(
     leap: bool = True,
     device: Device | None = None,
 ) -> np.ndarray:
-    """The picture that rays in the world give of a field's surface.
+    """Return the picture of a field's surface along rays in the world: (height, width, 4) float32,
+    premultiplied colour, and opacity, which is 1 on the surface.
 
-    The field stays on the device for the next picture.
-
-    Parameters
-    ----------
-    offset : the distance that the surface shown has, world units; it is rounded to float32. Of an
-        unsigned field, which is nowhere negative and hardly anywhere 0, offset 0 shows the distance
-        least_shown.
-    colour : red, green and blue of the surface, from 0 to 1.
-    leap : whether rays leap as far as the distance allows; the picture is the same but for
-        rounding.
-
-    Returns
-    -------
-    (height, width, 4) float32: premultiplied colour, and opacity: 1 where the surface is.
+    offset: the distance of the surface drawn, world units, rounded to float32. For an unsigned
+    field, offset 0 draws the distance least_shown, since hardly any of its values is 0. colour:
+    red, green and blue, from 0 to 1. leap: whether rays skip empty space; the picture is the same
+    except for rounding. The field stays on the device for the next picture.
 
     Raises
     ------
     DeviceError : there is no device.
-    VoxtoolError : an offset or a colour that is none.
+    VoxtoolError : the offset is not finite, or there is no such colour.
     MemoryLimitError : the field or the picture does not fit on the device.
     """
     device = device or default_device()
@@ -107,7 +98,7 @@ def cast(
 
 
 def _leaps(field: DistanceField, device: Device) -> dict[str, Any]:
-    """What lets rays leap: arguments of the kernel, by name."""
+    """Return the kernel's arguments for skipping empty space, by name."""
     refined = refined_children(field)
     limit = min(field.lipschitz, STEEPEST)
     return {
@@ -118,26 +109,21 @@ def _leaps(field: DistanceField, device: Device) -> dict[str, Any]:
 
 
 def checked_offset(field: DistanceField, offset: float) -> float:
-    """The distance that is shown for an offset, world units.
-
-    Raises
-    ------
-    VoxtoolError : it is not finite.
-    """
+    """Return the distance drawn for an offset, world units; raise VoxtoolError if not finite."""
     if not math.isfinite(offset):
         raise VoxtoolError(f"an offset of {offset}: give a finite distance")
     return offset or (least_shown(field) if field.sign == "none" else 0.0)
 
 
 def least_shown(field: DistanceField) -> float:
-    """The distance that stands for 0 in a field without signs, world units: half of the edge of the
-    deepest leaves, which is the most that is interpolated on a flat sheet, or the tolerance if that
-    is more. Thinner, sheets would have holes."""
+    """Return the distance drawn in place of 0 in an unsigned field, world units: half of the edge
+    of the deepest leaves, the largest interpolated value on a flat sheet, or the tolerance if
+    larger. A smaller distance would leave holes."""
     return field.side * max(0.5 ** (field.depth + 1), field.tolerance)
 
 
 def refined_children(field: DistanceField) -> np.ndarray:
-    """(n,) uint8: of each block which children have blocks; child x + 2 y + 4 z is bit 2**that."""
+    """Return which children of each block have blocks, (n,) uint8; bit x + 2 y + 4 z is a child."""
     blocks = field.blocks
     one = blocks.dtype.type
     refined = np.zeros(len(blocks), np.uint8)
@@ -149,7 +135,7 @@ def refined_children(field: DistanceField) -> np.ndarray:
 def steep_leaves(
     field: DistanceField, refined: np.ndarray, limit: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The leaves in which the field may be steeper than a limit: (k,) levels and (k, 3) cells.
+    """Return the leaves in which the field may exceed a slope: (k,) levels and (k, 3) cells.
 
     A leaf's slope is at most that of the steepest of its edges along each axis.
     """
@@ -169,8 +155,8 @@ def steep_leaves(
 
 
 def room(field: DistanceField, steep: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """(n, n, n) uint8, [z, y, x], of the cells of ROOM_LEVEL: how many of their edges away from
-    them steep leaves are, at least; 0 everywhere where neighbours do not agree."""
+    """Return the least distance from each cell of ROOM_LEVEL to a steep leaf, in edges of a cell,
+    (n, n, n) uint8, [z, y, x]; 0 everywhere for fields with cracks."""
     levels, cells = steep
     near = np.zeros((1, 1, 1), bool)
     for level in range(1, ROOM_LEVEL + 1):

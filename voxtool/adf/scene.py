@@ -1,4 +1,4 @@
-"""A distance field as a scene: what `render` asks of its surface."""
+"""A distance field as a scene: the data and functions that `render` uses."""
 
 from __future__ import annotations
 
@@ -27,13 +27,9 @@ FINEST_LEVEL = 5  # of the boxes that bound the surface
 class FieldScene:
     """The surface of a distance field, or an offset surface.
 
-    offset : the distance that the surface shown has, world units; negative inside.
-    colour : red, green and blue of the surface, from 0 to 1.
-    leap : whether rays leap as far as the distance allows.
-
-    Raises
-    ------
-    VoxtoolError : the offset is not finite, or there is no such colour.
+    offset: the distance of the surface drawn, world units; negative inside. colour: red, green and
+    blue, from 0 to 1. leap: whether rays skip empty space. VoxtoolError is raised if the offset is
+    not finite, or there is no such colour.
     """
 
     kind: ClassVar[str] = "field"
@@ -55,7 +51,7 @@ class FieldScene:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not uploaded, and why."""
+        """The textures that are not uploaded, and why."""
         if self.content.bounds is None:
             return {}
         return {"the texture of bounds": "rays do not need error bounds"}
@@ -71,11 +67,8 @@ class FieldScene:
         return sum(size for name, size in self.content.sizes().items() if name != "bounds")
 
     def points(self) -> np.ndarray:
-        """(N, 3) float64, world units: points whose convex hull holds everything shown.
-
-        They are the corners of the leaves that the surface crosses, or of coarser cells that it may
-        cross.
-        """
+        """Return points whose convex hull contains the surface, (N, 3) float64, world units: the
+        corners of the leaves that it crosses, or of coarser cells that it may cross."""
         field = self.content
         offset = checked_offset(field, self.offset) / field.side
         every = field.blocks.astype(np.uint64)  # ascending
@@ -100,7 +93,7 @@ class FieldScene:
         return np.array(field.origin) + field.side * box_corners(cells * sides, sides)
 
     def draw(self, rays: Rays, device: Device) -> np.ndarray:
-        """(H, W, 4) float32, premultiplied: one value a ray."""
+        """Return one premultiplied colour a ray, (H, W, 4) float32."""
         return cast(
             self.content,
             rays,
@@ -111,7 +104,7 @@ class FieldScene:
         )
 
     def why_empty(self) -> str:
-        """Why no ray can meet anything, or ""."""
+        """Return why nothing can be in the picture, or ""."""
         field, offset = self.content, checked_offset(self.content, self.offset)
         low, high = (field.side * float(v) for v in (field.voxels.min(), field.voxels.max()))
         if low <= offset <= high:

@@ -21,10 +21,8 @@ AT_ONCE = 1 << 16  # keys whose slots are found at once, in memory that fits cac
 class SpatialHash:
     """A function from keys to slots without collisions among the keys that it was built for.
 
-    m : side of the table of slots.
-    r : side of the table of offsets.
-    offsets : (r, r, r, 3 or 4) uint8 where m < 256, else uint16; indexed [z, y, x], each x, y, z
-        and, where some bucket needs it, w: 1 to m.
+    m, r: sides of the tables of slots and of offsets; offsets: (r, r, r, 3 or 4) uint8 if m < 256,
+    otherwise uint16; indexed [z, y, x]: x, y, z and, if some bucket needs it, w from 1 to m.
     """
 
     m: int
@@ -47,24 +45,24 @@ class SpatialHash:
 
     @property
     def has_w(self) -> bool:
-        """Whether w is stored; elsewhere it is m."""
+        """Whether w is stored; otherwise it is m."""
         return self.offsets.shape[-1] == 4
 
     @property
     def nbytes(self) -> int:
-        """Bytes of the offsets."""
+        """The bytes of the offsets."""
         return self.offsets.nbytes
 
     def bits_a_key(self, n: int) -> float:
-        """Bits of the offsets for each of n keys."""
+        """Return the bits of the offsets for each of n keys."""
         return 8 * self.nbytes / max(n, 1)
 
     def load(self, n: int) -> float:
-        """Share of the slots that n keys take."""
+        """Return the share of the slots that n keys take."""
         return n / self.m**3
 
     def slots(self, keys: np.ndarray) -> np.ndarray:
-        """(n, 3) keys, none negative, to (n,) int64 slots x + m (y + m z)."""
+        """Return the slots x + m (y + m z) of (n, 3) keys >= 0, (n,) int64."""
         keys, m = np.asarray(keys, np.int64), self.m
         slots = np.empty(len(keys), np.int64)
         for begin in range(0, len(keys), AT_ONCE):
@@ -77,12 +75,7 @@ class SpatialHash:
         return slots
 
     def validate(self, keys: np.ndarray) -> None:
-        """Check that the table is sound and that each of these keys has a slot of its own.
-
-        Raises
-        ------
-        VoxtoolError : names what is wrong, or two keys of one slot.
-        """
+        """Raise VoxtoolError if the table is not valid, or two of the keys have the same slot."""
         self._check_table()
         slots = self.slots(keys)
         shared = np.flatnonzero(np.bincount(slots, minlength=self.m**3) > 1)
@@ -102,5 +95,5 @@ class SpatialHash:
 
 
 def offset_type(m: int) -> np.dtype:
-    """The type of offsets in a table of m x m x m slots."""
+    """Return the type of offsets in a table of m x m x m slots."""
     return np.dtype(np.uint8 if m < 256 else np.uint16)

@@ -1,5 +1,5 @@
-"""What the construction of a field knows of its mesh: the cube, the tree of triangles, and the data
-that separate inside from outside."""
+"""The data of a mesh that the construction of its field uses: the cube, the tree of triangles, and
+the data that separate inside from outside."""
 
 from __future__ import annotations
 
@@ -28,16 +28,12 @@ REACH = 2.0  # of winding numbers: an error of 5e-3 is enough for signs, in half
 class Survey:
     """A mesh on the device, ready for the construction of a field.
 
-    Attributes
-    ----------
-    signed : whether distances have a sign.
-    tree : the triangles, in the mesh's own frame.
-    flat : number of triangles without area; crossed : (F,) bool, faces that intersect others.
-    closed : whether the mesh is closed, consistently wound, free of self-intersections, and its
-        shells agree on what is inside.
-    extent : half of the cube's side, in the frame.
-    misplaced : how far at most a point in world coordinates is from its place in the field, in
-        sides: fixed point rounds it, and so do coordinates far from 0.
+    signed: whether distances have a sign; tree: the triangles, in the mesh's own frame; flat:
+    number of triangles without area; crossed: (F,) bool, faces that intersect others; closed:
+    whether the mesh is closed, consistently wound and free of self-intersections, and its shells
+    agree on what is inside; extent: half of the cube's side, in the frame; misplaced: the largest
+    distance, in sides, between a point in world coordinates and its place in the field, caused by
+    fixed point and by coordinates far from 0.
     """
 
     def __init__(self, mesh: Mesh, device: Device, signed: bool) -> None:
@@ -88,8 +84,8 @@ class Survey:
         }
 
     def distinct_triangles(self) -> np.ndarray:
-        """(n,) uint32 numbers of triangles in the tree. Of equal triangles only the first is
-        listed: they are equally near everywhere, so nothing would ever shorten a list of them."""
+        """Return the triangles in the tree, (n,) uint32, without duplicates: these are equally near
+        everywhere, so lists of them would never become shorter."""
         leaves = self.tree.leaves.get().reshape(-1, FIELDS, LEAF)
         records = np.ascontiguousarray(leaves.transpose(0, 2, 1).reshape(-1, FIELDS))
         kept = np.arange(self.tree.count, dtype=np.uint32)
@@ -104,13 +100,9 @@ class Survey:
 
 
 def cube_of(mesh: Mesh) -> tuple[np.ndarray, float]:
-    """The origin and the side of the cube of a mesh's field, in world units.
+    """Return the origin and the side of the cube of a mesh's field, in world units.
 
-    The mesh is in the middle of the cube, MARGIN of the side away from it along its longest side.
-
-    Raises
-    ------
-    MeshError : as Frame.of.
+    The mesh is in the middle, with a margin of MARGIN sides along its longest side.
     """
     frame = Frame.of(mesh)
     extent = _extent(mesh, frame)

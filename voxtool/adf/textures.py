@@ -14,23 +14,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Textures:
-    """The textures that find a cell and its block.
-
-    arguments : of kernels that include kernels/adf/search.h, by name; options : their -D options.
-    """
+    """Arguments, by name, and -D options of kernels that include kernels/adf/search.h."""
 
     arguments: dict[str, Any]
     options: dict[str, int | str]
 
 
 def textures_of(field: DistanceField, device: Device) -> Textures:
-    """The textures of a field on a device: uploaded by the first call, then kept."""
+    """Return the textures of a field on a device: uploaded by the first call, then kept."""
     nbytes = sum(field.sizes().values())
     return device.keep(field, "textures", nbytes, lambda: _upload_textures(field, device))
 
 
 def bounds_of(field: DistanceField, device: Device) -> Array:
-    """The bounds texture of a field on a device: uploaded by the first call, then kept."""
+    """Return the bounds texture of a field on a device: uploaded by the first call, then kept."""
     bounds = field.bounds
     assert bounds is not None
     return device.keep(field, "bounds", bounds.nbytes, lambda: _upload(bounds, device))
@@ -57,8 +54,7 @@ def _upload_textures(field: DistanceField, device: Device) -> Textures:
 
 
 def _upload(texture: np.ndarray, device: Device) -> Array:
-    """A texture on the device; on a CPU in memory of large pages, where random reads miss the page
-    table less often."""
+    """Return a texture on the device; on a CPU in large pages, which suit random reads."""
     with device.stage("upload"):
         array = device.empty(texture.size, texture.dtype)
         device.write(array, texture)
@@ -66,7 +62,7 @@ def _upload(texture: np.ndarray, device: Device) -> Array:
 
 
 def levels_to_search(field: DistanceField) -> tuple[int, int]:
-    """The level down to which all cells have blocks, and the deepest level with a block."""
+    """Return the level down to which all cells have blocks, and the deepest with a block."""
     deepest, full = field.depth - 1, 0
     identifiers = field.identifiers
     while full < deepest:
@@ -79,6 +75,6 @@ def levels_to_search(field: DistanceField) -> tuple[int, int]:
 
 
 def inverses(most: int) -> np.ndarray:
-    """(most + 1,) float32: the inverse of each number, rounded to nearest; 0 for 0."""
+    """Return the inverse of each number up to `most`, rounded to nearest; 0 for 0."""
     numbers = np.arange(1, most + 1, dtype=np.float32)
     return np.concatenate([np.zeros(1, np.float32), 1 / numbers])

@@ -1,4 +1,4 @@
-"""Triangle meshes from OBJ, STL, PLY, OFF, GLB and glTF, packed with gzip or not.
+"""Triangle meshes from OBJ, STL, PLY, OFF, GLB and glTF, compressed with gzip or not.
 
 OBJ is read by obj.py, the other formats by trimesh, from memory. Nothing is welded or moved.
 """
@@ -28,21 +28,27 @@ HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def load_mesh(path: str | os.PathLike[str] | BinaryIO, file_type: str | None = None) -> Mesh:
-    """Read a triangle mesh from OBJ, STL, PLY, OFF, GLB or glTF, packed with gzip or not.
+    """Read a triangle mesh from OBJ, STL, PLY, OFF, GLB or glTF, compressed with gzip or not.
 
-    Polygons become fans of triangles, objects and groups one mesh, and the meshes of a scene are
-    placed by its transforms. Materials, textures and files beside this one are not read.
+    Polygons become fans of triangles. Objects and groups are merged into one mesh, and the meshes
+    of a scene are placed by its transforms. Materials, textures and other files are not read.
 
     Parameters
     ----------
-    path : a file, "-" for standard input, or a binary stream.
-    file_type : "obj" or another of KINDS; by default the file name's extension, or the content
-        where there is no name.
+    path : path or binary stream
+        A file, "-" for standard input, or a stream.
+    file_type : str, optional
+        One of KINDS; by default the file name's extension, or the content if there is no name.
+
+    Returns
+    -------
+    Mesh
 
     Raises
     ------
-    MeshError : the file cannot be read or holds no usable mesh; one line that names file, place
-        (line, face or vertex) and remedy.
+    MeshError
+        If the file cannot be read or contains no usable mesh; one line that names the file, the
+        place (line, face or vertex) and a remedy.
     """
     if isinstance(path, os.PathLike):
         path = os.fsdecode(path)
@@ -70,16 +76,9 @@ def load_mesh(path: str | os.PathLike[str] | BinaryIO, file_type: str | None = N
 
 
 def as_mesh(thing: Any) -> Mesh:
-    """Return a mesh of whatever holds one.
-
-    Parameters
-    ----------
-    thing : a Mesh; the path of a mesh file; a trimesh.Trimesh, or anything else with `vertices` and
-        `faces` (as the result of `extract`); or a pair of arrays, (V, 3) and (F, 3).
-
-    Raises
-    ------
-    MeshError : it is none of these, or no usable mesh.
+    """Return the mesh of a Mesh; of the path of a mesh file; of a trimesh.Trimesh or another object
+    with `vertices` and `faces`, such as the result of `extract`; or of a pair of arrays, (V, 3) and
+    (F, 3). Raises MeshError for anything else.
     """
     if isinstance(thing, Mesh):
         return thing
@@ -118,7 +117,7 @@ def _cannot_open(name: str, error: Exception) -> str:
 
 
 def _read_all(name: str, stream: BinaryIO, first: bytes = b"") -> bytes:
-    """The rest of a stream, piece by piece: what is too long is refused before it is held."""
+    """Read the rest of a stream, piece by piece, so that long input is refused early."""
     limit = MAX_BYTES
     with contextlib.suppress(AttributeError, ValueError, OSError):  # no sysconf on Windows
         limit = min(limit, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2)
@@ -135,7 +134,7 @@ def _read_all(name: str, stream: BinaryIO, first: bytes = b"") -> bytes:
 
 
 def _unpacked(name: str, data: bytes) -> bytes:
-    """The data, out of its gzip wrapping if it has one."""
+    """Return the data, decompressed if it is gzip."""
     if not data.startswith(GZIP):
         if name.lower().endswith(".gz"):
             raise MeshError(f"{name}: not packed with gzip: drop .gz from its name")
@@ -178,7 +177,7 @@ def _refuse_binary(name: str, data: bytes) -> None:
 
 
 def _kind_of_name(name: str, path: Any, file_type: str | None) -> str:
-    """The format that the caller or the extension names; "" where the content must say."""
+    """Return the format that the caller or the extension names; "" if only the content shows it."""
     if file_type is None:
         if path == "-" or hasattr(path, "read"):
             return ""
@@ -208,7 +207,7 @@ def _kind_of_content(data: bytes) -> str:
 
 
 def _stl_size(data: bytes) -> int:
-    """Bytes of a binary STL of as many triangles as its header counts."""
+    """Return the size of a binary STL with the number of triangles in its header, bytes."""
     return 84 + 50 * int.from_bytes(data[80:84], "little")
 
 
@@ -216,7 +215,7 @@ def _stl_size(data: bytes) -> int:
 
 
 def _through_trimesh(name: str, kind: str, data: bytes, digest: str) -> Mesh:
-    """A mesh as trimesh reads it from memory: no other file, no texture, nothing moved."""
+    """Read a mesh by trimesh from memory: no other file, no texture, nothing moved."""
     import logging
     import warnings
 
@@ -255,9 +254,9 @@ def _through_trimesh(name: str, kind: str, data: bytes, digest: str) -> Mesh:
 
 
 def _merged(name: str, scene: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices and faces of all meshes of a scene, placed by its transforms.
+    """Return the vertices and faces of all meshes of a scene, placed by its transforms.
 
-    Products are spelled out: what BLAS returns differs from machine to machine.
+    Products are written out, because results of BLAS differ between machines.
     """
     parents = {b: (a, attributes) for a, b, attributes in scene.graph.to_edgelist()}
     all_points, all_corners, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
@@ -283,7 +282,7 @@ def _merged(name: str, scene: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _placement(node: Any, parents: dict[Any, Any]) -> np.ndarray:
-    """(4, 4) float64: from the node's coordinates to the scene's."""
+    """Return the transform from the node's coordinates to the scene's, (4, 4) float64."""
     matrix = np.eye(4)
     for _ in parents:  # no path is longer
         if node not in parents:
@@ -297,7 +296,7 @@ def _placement(node: Any, parents: dict[Any, Any]) -> np.ndarray:
 
 
 def _promised(name: str, kind: str, data: bytes) -> tuple[int, int]:
-    """Vertices and faces that the header counts, 0 where it does not; refused if impossible."""
+    """Return the vertex and face counts of the header, 0 if absent; refuse impossible ones."""
     vertices = faces = 0
     if kind == "ply":
         header = data[: data.find(b"end_header")]

@@ -1,7 +1,7 @@
 """Triangle meshes as OBJ, PLY, STL, GLB and OFF, through trimesh.
 
-Nothing is welded, dropped or moved. The bytes depend on the mesh and the version of trimesh alone:
-what trimesh would derive through BLAS (face normals, unit vectors) it is given, or spared.
+Nothing is welded, dropped or moved. The bytes depend only on the mesh and the version of trimesh:
+face normals and unit vectors, which trimesh computes through BLAS, are computed here or left out.
 """
 
 from __future__ import annotations
@@ -23,20 +23,15 @@ if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
 
 HEADER = f"voxtool {__version__}"
-TEXT_MEMORY = 250  # bytes of memory a face, and a vertex, while trimesh formats them: measured
+TEXT_MEMORY = 250  # bytes of memory a face or vertex while trimesh formats it, as measured
 GLB_BYTES = (1 << 32) - (1 << 16)  # a GLB counts its bytes in 32 bits
-LEAST_CELLS = 1000  # along the longest side, that rounding to float32 must tell apart
+LEAST_CELLS = 1000  # float32 must resolve the longest side divided by this
 
 
 def write_obj(mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None) -> None:
-    """Write OBJ text, of fixed decimals that suit the mesh.
-
-    Raises
-    ------
-    MeshError, MemoryLimitError : as in write_mesh. OSError : the file cannot be written.
-    """
+    """Write OBJ text, with as many decimals as the mesh needs; raises as write_mesh."""
     given = _given(mesh, normals)
-    if not len(mesh.faces):  # for a mesh of none, trimesh writes a bare "f"
+    if not len(mesh.faces):  # for a mesh without faces, trimesh writes an empty "f"
         given = cast("Any", trimesh.PointCloud(mesh.vertices))
     if not len(mesh.vertices):
         file.write(f"# {HEADER}\n".encode())
@@ -54,56 +49,35 @@ def write_obj(mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None) -> 
 
 
 def write_off(mesh: Mesh, file: BinaryIO, normals: None = None) -> None:
-    """Write OFF text, of fixed decimals that suit the mesh.
-
-    Raises
-    ------
-    MeshError, MemoryLimitError : as in write_mesh. OSError : the file cannot be written.
-    """
+    """Write OFF text, with as many decimals as the mesh needs; raises as write_mesh."""
     given = _given(mesh, normals)
     _check_text(mesh)
     file.write(given.export(file_type="off", digits=_decimals(mesh)).encode())
 
 
 def write_ply(mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None) -> None:
-    """Write binary PLY: float32 coordinates and normals, int32 indices.
-
-    Raises
-    ------
-    FileError, MeshError : as in write_mesh. OSError : the file cannot be written.
-    """
+    """Write binary PLY: float32 coordinates and normals, int32 indices; raises as write_mesh."""
     given = _given(mesh, normals)
     _check_float32(mesh, "PLY")
-    with_normals = normals is not None and len(mesh.vertices) > 0  # of none it would derive them
+    with_normals = (
+        normals is not None and len(mesh.vertices) > 0
+    )  # without vertices trimesh computes them
     file.write(given.export(file_type="ply", vertex_normal=with_normals))
 
 
 def write_stl(mesh: Mesh, file: BinaryIO, normals: None = None) -> None:
-    """Write binary STL: three float32 corners and the unit normal of each face.
-
-    Raises
-    ------
-    FileError, MeshError : as in write_mesh. OSError : the file cannot be written.
-    """
+    """Write binary STL: float32 corners and unit normal of each face; raises as write_mesh."""
     _check_finite(mesh)
     _check_float32(mesh, "STL")
     triangles = mesh.vertices[mesh.faces]
-    file.write(
-        export_stl(
-            SimpleNamespace(
-                faces=mesh.faces, triangles=triangles, face_normals=_face_normals(triangles)
-            )
-        )
-    )
+    normal = _face_normals(triangles)
+    content = SimpleNamespace(faces=mesh.faces, triangles=triangles, face_normals=normal)
+    file.write(export_stl(content))
 
 
 def write_glb(mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None) -> None:
-    """Write binary glTF 2.0: float32 coordinates and normals, uint32 indices.
-
-    Raises
-    ------
-    FileError, MeshError : as in write_mesh. OSError : the file cannot be written.
-    """
+    """Write binary glTF 2.0: float32 coordinates and normals, uint32 indices; raises as
+    write_mesh."""
     given = _given(mesh, normals)
     _check_float32(mesh, "GLB")
     vertex_bytes = 12 if normals is None else 24
@@ -114,11 +88,11 @@ def write_glb(mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None) -> 
     )
 
 
-# What trimesh is given
+# ---- input of trimesh
 
 
 def _given(mesh: Mesh, normals: np.ndarray | None) -> Any:
-    """The mesh as one of trimesh's, with its normals."""
+    """Return a trimesh.Trimesh of the mesh, with its normals."""
     _check_finite(mesh)
     where = mesh.name or "mesh"
     if normals is not None:
@@ -131,13 +105,13 @@ def _given(mesh: Mesh, normals: np.ndarray | None) -> Any:
         if not np.isfinite(normals).all():
             vertex = int(np.argmin(np.isfinite(normals).all(axis=1)))
             raise MeshError(f"{where}: the normal of vertex {vertex} is not finite: give it one")
-        normals = normals if len(normals) else None  # trimesh takes the extent of none
+        normals = normals if len(normals) else None  # trimesh fails on an empty array
     return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals, process=False)
 
 
 def _decimals(mesh: Mesh) -> int:
-    """Decimals that give a tenth of the largest coordinate 17 significant digits, which is what
-    float64 tells apart, and show 1e-9 of the longest side."""
+    """Return the decimals that give a tenth of the largest coordinate 17 significant digits, the
+    precision of float64, and resolve 1e-9 of the longest side."""
     used = mesh.vertices[mesh.faces].reshape(-1, 3) if len(mesh.faces) else mesh.vertices
     largest = np.abs(mesh.vertices).max(initial=0)
     with np.errstate(over="ignore"):
@@ -148,7 +122,7 @@ def _decimals(mesh: Mesh) -> int:
 
 
 def _face_normals(triangles: np.ndarray) -> np.ndarray:
-    """(F, 3) float64 unit normals of (F, 3, 3) triangles; zero for those of zero area."""
+    """Return the unit normals of (F, 3, 3) triangles, (F, 3) float64; 0 for those of zero area."""
     with np.errstate(all="ignore"):
         p, q = (triangles[:, i] - triangles[:, 0] for i in (1, 2))
         normal = cross(p, q)
@@ -156,7 +130,7 @@ def _face_normals(triangles: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(normal), normal, 0.0)
 
 
-# What a format cannot hold
+# ---- limits of the formats
 
 
 def _check_finite(mesh: Mesh) -> None:
@@ -168,7 +142,7 @@ def _check_finite(mesh: Mesh) -> None:
 
 
 def _check_float32(mesh: Mesh, kind: str) -> None:
-    """Refuse a mesh that rounding to float32 would visibly bend or flatten."""
+    """Refuse a mesh that rounding to float32 would visibly deform."""
     if not len(mesh.faces):
         return
     low, high = mesh.bounds

@@ -1,9 +1,8 @@
 """Wavefront OBJ text to arrays.
 
-Two readers give the same mesh. `_quick` parses whole blocks of lines with numpy, which takes a
-tenth of a second for a million numbers, and gives up at the first oddity: continued lines, comments
-behind a statement, indented statements, or anything that is wrong. `_by_line` reads any OBJ, a
-statement at a time, and its errors name the line.
+Two readers return the same mesh. `_quick` parses whole blocks of lines with numpy, a million
+numbers in a tenth of a second, but no continued lines, comments after a statement, indented
+statements or errors. `_by_line` reads any OBJ, a statement at a time, and its errors name the line.
 """
 
 from __future__ import annotations
@@ -34,18 +33,10 @@ class _OddityError(Exception):
 
 
 def parse(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices and faces of an OBJ.
+    """Return the vertices, (V, 3) float64, and faces, (F, 3) int64, of an OBJ in the file's order.
 
     Polygons become fans of triangles; negative indices count back from their line. Groups,
-    materials, texture coordinates and normals are passed over.
-
-    Returns
-    -------
-    (V, 3) float64 and (F, 3) int64, in the file's order.
-
-    Raises
-    ------
-    MeshError : a line cannot be understood; the message names it.
+    materials, texture coordinates and normals are ignored. Raises MeshError, which names the line.
     """
     data = data.removeprefix(b"\xef\xbb\xbf")
     try:
@@ -58,7 +49,7 @@ def parse(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _quick(data: bytes, size: int = BLOCK_BYTES) -> tuple[np.ndarray, np.ndarray]:
-    """The mesh of a text of plain lines; raises _OddityError for others."""
+    """Return the mesh of a text of plain lines; raise _OddityError for others."""
     lone_return = b"\r" in data and data.count(b"\r") != data.count(b"\r\n")
     if lone_return or (b"\\" in data and re.search(rb"\\\r?(?:\n|$)", data)):
         raise _OddityError
@@ -75,7 +66,7 @@ def _quick(data: bytes, size: int = BLOCK_BYTES) -> tuple[np.ndarray, np.ndarray
 
 
 def _blocks(data: bytes, size: int) -> Iterator[np.ndarray]:
-    """Yield an OBJ in blocks of `size` bytes, filled up to whole lines; the last line ends, too."""
+    """Yield an OBJ in blocks of whole lines, of about `size` bytes; the last line ends, too."""
     start = 0
     while start < len(data):
         end = data.find(b"\n", start + size) + 1 or len(data)
@@ -90,7 +81,7 @@ def _blocks(data: bytes, size: int) -> Iterator[np.ndarray]:
 
 
 def _parse_block(text: np.ndarray, known: int) -> tuple[np.ndarray, np.ndarray]:
-    """(V, 3) vertices and (F, 3) faces of a block, which `known` vertices precede."""
+    """Return the (V, 3) vertices and (F, 3) faces of a block after `known` vertices."""
     ends = np.flatnonzero(text == NEWLINE) + 1
     starts = np.concatenate([[0], ends[:-1]])
     first, second = text[starts], text[np.minimum(starts + 1, len(text) - 1)]
@@ -116,7 +107,7 @@ def _parse_block(text: np.ndarray, known: int) -> tuple[np.ndarray, np.ndarray]:
 def _numbers(
     text: np.ndarray, starts: np.ndarray, ends: np.ndarray, chosen: np.ndarray, dtype: type
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The numbers of the chosen lines; for each line where its own begin, and how many it has."""
+    """Return the numbers of the chosen lines, and for each line its first and its count."""
     lengths = ends - starts
     words = text[np.repeat(chosen, lengths)]
     last = np.cumsum(lengths[chosen])
@@ -143,7 +134,7 @@ def _numbers(
 
 
 def _drop_references(words: np.ndarray) -> None:
-    """Blank out /vt/vn behind the corners of faces; raises _OddityError where it is not that."""
+    """Blank out /vt/vn after the corners of faces; raise _OddityError for other text."""
     places = np.arange(len(words), dtype=np.int32)
     slash, blank = words == SLASH, words <= SPACE
     after_slash = np.maximum.accumulate(np.where(slash, places, -1))
@@ -164,7 +155,7 @@ def _drop_references(words: np.ndarray) -> None:
 
 
 def _by_line(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """The mesh of any OBJ; raises MeshError."""
+    """Return the mesh of any OBJ; raise MeshError."""
     total = len(re.findall(rb"^[ \t]*v[ \t]", data, re.M))
     points: list[list[float]] = []
     faces: list[list[int]] = []
@@ -187,7 +178,7 @@ def _by_line(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _statements(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
-    """Line number and words of each statement; a backslash continues a line."""
+    """Yield line number and words of each statement; a backslash continues a line."""
     begun, first = b"", 0
     for number, line in enumerate(data.splitlines(), 1):
         line = begun + line.partition(b"#")[0]
@@ -216,7 +207,7 @@ def _vertex(words: list[bytes]) -> list[float]:
 
 
 def _index(word: bytes, known: int, total: int) -> int:
-    """A vertex of a face, counted from 0; negative numbers in the file count back from there."""
+    """Return a vertex of a face, counted from 0; negative numbers in the file count back."""
     match = REFERENCE.match(word)
     if not match:
         raise MeshError(f"{shown(word)} is no vertex of a face: correct it to v, v/vt or v/vt/vn")

@@ -1,10 +1,10 @@
-"""The boundary of a mesh as loops: where its holes are, how long they are, and tubes to see them.
+"""The boundary loops of a mesh: their positions and lengths, and tubes that show them.
 
-The boundary are the edges of exactly one face, by positions. Where a vertex has more than two of
-them, as at the middle of a bow tie, a loop goes on along the same fan of faces, so loops that touch
-stay apart, and no loop depends on the order of the faces. Only where a fan ends at an edge of more
-than two faces is there no such way on: what ends there is joined in pairs, as it comes, and what is
-left over makes a chain that does not close.
+The boundary consists of the edges of exactly one face, by positions. A vertex may have more than
+two of them, as the middle of a bow tie. There a loop continues along the same fan of faces, so
+loops that touch remain separate and do not depend on the order of the faces. A fan that ends at
+an edge of more than two faces has no such continuation: the ends there are joined in pairs in the
+order of the edges, and a remaining end makes a chain that does not close.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import Topology, fans_of, next_sides
 from voxtool.vector import cross, length, unit
 
-# Corners of a unit triangle in the plane across a segment; the root of 3/4 is given.
+# corners of a unit triangle in the plane perpendicular to a segment
 ACROSS = ((1.0, 0.0), (-0.5, 0.8660254037844386), (-0.5, -0.8660254037844386))
 PRISM = np.array(
     [
@@ -34,12 +34,10 @@ PRISM = np.array(
 class Loops:
     """The loops of a boundary, the longest first.
 
-    starts : (L + 1,) int64: where the edges of each loop begin; the last is the number of edges.
-    edges : (E, 2) int64 vertices of each edge, in the order of the loop, along its face.
-    faces : (E,) int64: the face of each edge.
-    closed : (L,) bool: it ends where it begins.
-    lengths : (L,) float64, world units.
-    low, high : (L, 3) float64: boxes of the loops, world units.
+    starts: (L + 1,) int64, the first edge of each loop, and the number of edges; edges: (E, 2)
+    int64, the vertices of each edge, in the order of the loop, along its face; faces: (E,) int64,
+    the face of each edge; closed: (L,) bool, whether it ends where it starts; lengths: (L,)
+    float64, world units; low, high: (L, 3) float64, bounding boxes, world units.
     """
 
     starts: np.ndarray
@@ -57,12 +55,7 @@ class Loops:
 
 
 def find_loops(mesh: Mesh, topology: Topology) -> Loops:
-    """The boundary loops of a mesh.
-
-    Parameters
-    ----------
-    topology : of the mesh, as topology_of.
-    """
+    """Return the boundary loops of a mesh, whose topology is that of topology_of."""
     sides = np.flatnonzero(topology.count[topology.edge] == 1)
     ends = np.stack([sides, next_sides(sides)], axis=1)  # corners; end 2 e + i is of edge e
     fan = fans_of(topology)[ends].ravel()
@@ -88,8 +81,8 @@ def find_loops(mesh: Mesh, topology: Topology) -> Loops:
 
 
 def _partners(fan: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """(2E,) int64: the end that follows each end of an edge, or -1: that of the same fan; else
-    another at the same place."""
+    """Return the end that follows each end of an edge, (2E,) int64: that of the same fan, otherwise
+    another at the same position, otherwise -1."""
     partner = _paired(fan)
     left = np.flatnonzero(partner < 0)
     more = _paired(place[left])
@@ -98,7 +91,7 @@ def _partners(fan: np.ndarray, place: np.ndarray) -> np.ndarray:
 
 
 def _paired(keys: np.ndarray) -> np.ndarray:
-    """(n,) int64: another number of an equal key, two by two, or -1."""
+    """Return pairs of equal keys: for each key the index of its partner, or -1, (n,) int64."""
     order = np.argsort(keys, kind="stable")
     numbers = np.arange(len(keys))
     first = np.searchsorted(keys[order], keys[order])
@@ -110,7 +103,7 @@ def _paired(keys: np.ndarray) -> np.ndarray:
 
 
 def _traced(partner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The edges in order; where loops begin among them; and which close. Chains come first."""
+    """Return the edges in order, the first edge of each loop, and which close; chains are first."""
     following, seen = partner.tolist(), bytearray(len(partner) // 2)
     order: list[int] = []
     starts, closed = [0], []
@@ -128,16 +121,8 @@ def _traced(partner: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def tubes(points: np.ndarray, radius: float) -> Mesh:
-    """A mesh to look at: a triangular prism about each segment, closed and facing outward.
-
-    Parameters
-    ----------
-    points : (E, 2, 3) float64: the ends of each segment, which differ.
-    radius : from the segment to the corners of a prism, world units.
-
-    Returns
-    -------
-    Mesh of 6 E vertices and 8 E faces.
+    """Return a mesh that shows (E, 2, 3) segments of nonzero length: a closed triangular prism
+    around each, 6 E vertices and 8 E faces. `radius` is from the segment to the corners of a prism.
     """
     begin, end = points[:, 0], points[:, 1]
     along = unit(end - begin)

@@ -1,8 +1,7 @@
 """Triangle meshes: the data, checked.
 
-A mesh keeps vertices and faces in the file's order; nothing is welded, nothing dropped. Faces that
-name a vertex twice, or of zero area, are the segments and points that they are. Vertices of
-bit-equal positions (-0.0 is 0.0) count as one.
+A mesh keeps vertices and faces in the file's order; nothing is welded or dropped. Degenerate faces
+are valid geometry: segments and points. Vertices at bit-equal positions (-0.0 is 0.0) count as one.
 """
 
 from __future__ import annotations
@@ -23,18 +22,23 @@ MAX_COUNT = (1 << 31) - 1  # triangles, and vertices: indices are int32
 class Mesh:
     """A triangle mesh; `mesh_from_arrays` makes one of any arrays and checks it.
 
-    Its arrays cannot be written to: bounds, trees and octrees are computed from them once. For a
-    mesh of other vertices use `dataclasses.replace(mesh, vertices=...)`. Meshes are equal if all
-    their arrays and texts are; they are hashed by identity, so that what is computed from a mesh
-    can be kept with it.
+    Its arrays are read-only: bounds, trees and octrees are computed from them once. For other
+    vertices use `dataclasses.replace(mesh, vertices=...)`. Meshes are equal if all their arrays and
+    texts are equal. They are hashed by identity, so that data computed from a mesh can be kept with
+    it.
 
     Attributes
     ----------
-    vertices : (V, 3) float64, C-contiguous, world units.
-    faces : (F, 3) int32, C-contiguous: the vertices of each triangle.
-    source_sha256 : hex digest of the bytes that it was read from (for .gz: the packed ones), or "".
-    name : file name for messages, or "".
-    units : name of the world unit if the format knows it, or "".
+    vertices : (V, 3) float64
+        World units, C-contiguous.
+    faces : (F, 3) int32
+        The vertices of each triangle, C-contiguous.
+    source_sha256 : str
+        Hex digest of the bytes that it was read from (for .gz: the compressed ones), or "".
+    name : str
+        File name for messages, or "".
+    units : str
+        Name of the world unit if the format defines it, or "".
     """
 
     vertices: np.ndarray
@@ -89,14 +93,22 @@ def mesh_from_arrays(
 
     Parameters
     ----------
-    vertices : (V, 3) numbers, world units.
-    faces : (F, 3) whole numbers: the vertices of each triangle, counted from 0.
-    source_sha256, name, units : as in Mesh.
+    vertices : (V, 3) array_like
+        World units.
+    faces : (F, 3) array_like of int
+        The vertices of each triangle, counted from 0.
+    source_sha256, name, units : str
+        As in Mesh.
+
+    Returns
+    -------
+    Mesh
 
     Raises
     ------
-    MeshError : a wrong shape, no faces, an index out of range, a coordinate that is not finite,
-        or all points equal.
+    MeshError
+        If a shape is wrong, there are no faces, an index is out of range, a coordinate is not
+        finite, or all points are equal.
     """
     where = name or "mesh"
     try:

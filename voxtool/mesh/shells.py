@@ -1,8 +1,8 @@
-"""The shells of a mesh, and the patches of which they are made.
+"""The shells of a mesh, and the patches of which they consist.
 
-A shell is what edges connect. A patch is a part of one whose faces agree: neighbours run along
-their common edge in opposite directions. Of patches that disagree across edges of two faces, those
-of the less area together are flipped.
+A shell is a set of faces that edges connect. A patch is a part of a shell with consistent winding:
+neighbours traverse their common edge in opposite directions. Patches that disagree across edges of
+two faces form two groups; the group with less area is flipped.
 """
 
 from __future__ import annotations
@@ -19,12 +19,11 @@ from voxtool.vector import cross, dot, length
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """The patches of a mesh, those of the most area first.
+    """The patches of a mesh, by falling area.
 
-    of : (F,) int64: the patch of each face, -1 for those on less than three different positions.
-    areas : (P,) float64, world units squared.
-    flipped : (P,) bool: against the greater area around it.
-    one_sided : (P,) bool: of what has one side only, as a Moebius band; nothing there is flipped.
+    of: (F,) int64, the patch of each face, -1 for faces with fewer than three distinct positions;
+    areas: (P,) float64, world units squared; flipped: (P,) bool, against the larger area around it;
+    one_sided: (P,) bool, parts of a surface with one side, such as a Moebius band; never flipped.
     """
 
     of: np.ndarray
@@ -35,9 +34,9 @@ class Patches:
 
 @dataclass(frozen=True, eq=False)
 class Shells:
-    """The shells of a mesh, those of the most faces first.
+    """The shells of a mesh, by falling number of faces.
 
-    of : (F,) int64: the shell of each face, -1 for those on less than three different positions.
+    of : (F,) int64: the shell of each face, -1 for faces with fewer than three distinct positions.
     closed : (S,) bool: every edge is used an even number of times.
     consistent : (S,) bool: every edge is used in one direction as often as in the other, or once.
     volumes : (S,) float64, world units cubed, positive where faces are counter-clockwise seen from
@@ -57,24 +56,19 @@ class Shells:
 
     @property
     def faces(self) -> np.ndarray:
-        """(S,) int64: faces of each shell."""
+        """The number of faces of each shell, (S,) int64."""
         return np.bincount(self.of[self.of >= 0], minlength=len(self.closed))
 
 
 def find_patches(mesh: Mesh, topology: Topology) -> Patches:
-    """The patches of a mesh, and which are flipped.
-
-    Parameters
-    ----------
-    topology : of the mesh, as topology_of.
-    """
+    """Return the patches of a mesh, with the result of topology_of."""
     n = len(topology.corners)
     pairs = topology.pairs[:, topology.count[topology.edge[topology.pairs[0]]] == 2]
     agree = topology.forward[pairs[0]] != topology.forward[pairs[1]]
     one, other = pairs // 3
     root = components(one[agree], other[agree], n)
-    # Each face as it is, f, and turned over, f + n: what agrees is linked. A face that is linked to
-    # itself turned over has one side; else the least number says which way the first face was.
+    # Nodes f and f + n are a face and its reverse; consistent ones are linked. A face linked to its
+    # reverse is one-sided; otherwise the least node shows the direction of the first face.
     turned = np.where(agree, 0, n)
     both = components(
         np.concatenate([one, one + n]), np.concatenate([other + turned, other + n - turned]), 2 * n
@@ -95,12 +89,7 @@ def find_patches(mesh: Mesh, topology: Topology) -> Patches:
 
 
 def find_shells(mesh: Mesh, topology: Topology, loops: Loops) -> Shells:
-    """The shells of a mesh.
-
-    Parameters
-    ----------
-    topology : of the mesh, as topology_of; loops : as find_loops.
-    """
+    """Return the shells of a mesh, with the results of topology_of and find_loops."""
     n = len(topology.corners)
     one, other = topology.pairs // 3
     of, faces = _numbered(components(one, other, n), np.ones(n))
@@ -129,7 +118,9 @@ def find_shells(mesh: Mesh, topology: Topology, loops: Loops) -> Shells:
     which = np.concatenate([of, of_cap])
     centres = low + (high - low) / 2
     parts = _volumes(np.concatenate([triangles, cones]) - centres[which][:, None])
-    volumes = np.bincount(which, parts, count).astype(np.float64)  # of none it makes integers
+    volumes = np.bincount(which, parts, count).astype(
+        np.float64
+    )  # bincount of nothing returns integers
     volumes[~consistent] = np.nan
     volumes[shell_of_loop[~loops.closed]] = np.nan
     holes = np.bincount(shell_of_loop, minlength=count)
@@ -137,7 +128,7 @@ def find_shells(mesh: Mesh, topology: Topology, loops: Loops) -> Shells:
 
 
 def _numbered(roots: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers in place of roots, and the sum of the weights of each, the greatest first."""
+    """Return numbers in place of roots, by falling sum of weights, and these sums."""
     numbers = np.unique(roots, return_inverse=True)[1].reshape(-1)
     sums = np.bincount(numbers, weights).astype(np.float64)
     order = np.argsort(-sums, kind="stable")
@@ -150,5 +141,5 @@ def _areas(triangles: np.ndarray) -> np.ndarray:
 
 
 def _volumes(triangles: np.ndarray) -> np.ndarray:
-    """(n,) float64: of the tetrahedra between (n, 3, 3) triangles and the origin."""
+    """Return the volumes of the tetrahedra between (n, 3, 3) triangles and the origin, (n,)."""
     return dot(triangles[:, 0], cross(triangles[:, 1], triangles[:, 2])) / 6

@@ -1,4 +1,4 @@
-"""The topology of a mesh: its edges, shells and fans of faces; and the volume that it encloses.
+"""The topology of a mesh: its edges, shells and fans of faces; and its enclosed volume.
 
 Vertices of bit-equal positions (-0.0 is 0.0) count as one; or they are distinguished by index,
 for meshes that keep two touching sheets apart.
@@ -114,19 +114,13 @@ class SurfaceCheck(TopologyCheck):
 
 
 def check_topology(mesh: Mesh, *, weld: bool = True) -> TopologyCheck:
-    """Return the counts of open edges, shells, and other properties of a mesh.
-
-    Parameters
-    ----------
-    mesh : any mesh; faces may be degenerate.
-    weld : False tells vertices apart by index, not by position.
-    """
+    """Return the counts of edges, shells and others of a mesh; weld=False distinguishes vertices by
+    index, not by position."""
     return TopologyCheck(**_counts(mesh, topology_of(mesh, weld)))
 
 
 def watertight(mesh: Mesh) -> bool:
-    """What a diagnosis says of it, in a fifth of the time: every edge, by position, has exactly two
-    faces, which run along it in opposite directions, and there are edges."""
+    """Whether a mesh is watertight, as TopologyCheck.watertight, in a fifth of the time."""
     corners = positions(mesh)[mesh.faces]
     a, b, c = corners.T
     proper = (a != b) & (b != c) & (c != a)
@@ -142,24 +136,20 @@ def watertight(mesh: Mesh) -> bool:
 
 
 def check_surface(mesh: Mesh, *, weld: bool = True) -> SurfaceCheck:
-    """Describe a mesh as `check_topology` does, and the fans of faces around its vertices.
+    """Return the counts of check_topology, and the vertices with more than one fan of faces.
 
-    Parameters
-    ----------
-    mesh : any mesh; faces may be degenerate.
-    weld : False tells vertices apart by index, not by position: two cubes that touch in a corner
-        are a manifold where each has a vertex of its own there.
+    With weld=False, two cubes that touch in a corner are a manifold if each has its own vertex.
     """
     topology = topology_of(mesh, weld)
     return SurfaceCheck(**_counts(mesh, topology), nonmanifold_vertices=_pinched(topology))
 
 
 def volume(mesh: Mesh) -> float:
-    """Volume that a closed surface encloses, in cubic world units, positive where its faces are
-    counter-clockwise seen from outside; T-junctions do no harm.
+    """Return the volume that a closed surface encloses, in cubic world units, positive if its faces
+    are counter-clockwise seen from outside; T-junctions are allowed.
 
-    The tetrahedra between the faces and the centre of the bounding box, summed exactly: the order
-    of the faces does not show. Of an open surface it is the volume of the cones to that centre.
+    It is the exact sum of the tetrahedra between the faces and the centre of the bounding box, also
+    for open surfaces, so it does not depend on the order of the faces.
     """
     if not len(mesh.faces):
         return 0.0
@@ -170,12 +160,11 @@ def volume(mesh: Mesh) -> float:
 
 
 def closed_chain(mesh: Mesh) -> bool:
-    """Whether a surface closes though edges may end within others (T-junctions): its boundary is
-    zero as a chain, by positions.
+    """Whether a surface is closed apart from T-junctions: its boundary, as a chain, is zero.
 
-    Edges cancel where they run in opposite directions between two positions. What is left must
-    lie along the axes, as between rectangles of different size, and cancel along each line; any
-    other edge left leaves the surface open. Without faces it is closed.
+    Edges in opposite directions between two positions cancel. The remaining edges must be parallel
+    to the axes, as between rectangles of different size, and cancel along each line; otherwise the
+    surface is open. A surface without faces is closed.
     """
     topology = topology_of(mesh, weld=True)
     edge, forward = topology.edge, topology.forward
@@ -189,16 +178,16 @@ def closed_chain(mesh: Mesh) -> bool:
     along = points[0] != points[1]
     if (np.count_nonzero(along, axis=1) != 1).any():
         return False
-    # The segments on a line cancel if as many end in each position as begin there: a chain on a
-    # line that has no ends is zero. A position and an axis name the line.
+    # Segments on a line cancel if as many end at each position as start there. A position and an
+    # axis identify the line.
     place = 3 * topology.corners.ravel()[ends] + np.argmax(along, axis=1)
     _, place = np.unique(place, return_inverse=True)
     return not np.bincount(place.ravel(), weights=np.concatenate([-net, net])).any()
 
 
 def shells_of(mesh: Mesh) -> np.ndarray:
-    """(F,) int64: equal numbers for faces that edges connect; -1 for those on less than three
-    different positions."""
+    """Return equal numbers for faces that edges connect, (F,) int64; -1 for faces with fewer than
+    three distinct positions."""
     topology = topology_of(mesh, weld=True)
     one, other = topology.pairs // 3
     shells = np.full(len(mesh.faces), -1)
@@ -207,7 +196,7 @@ def shells_of(mesh: Mesh) -> np.ndarray:
 
 
 def repeated_faces(topology: Topology) -> np.ndarray:
-    """(F,) bool: faces on the same three positions as one before, in any order."""
+    """Return which faces have the same three positions as an earlier one, (F,) bool."""
     corners = np.sort(topology.corners, axis=1)
     order = np.lexsort(corners.T)  # stable: of equal ones the first comes first
     repeated = np.zeros(len(topology.proper), bool)
@@ -217,7 +206,7 @@ def repeated_faces(topology: Topology) -> np.ndarray:
 
 
 def crowded_edges(mesh: Mesh, topology: Topology) -> tuple[np.ndarray, np.ndarray]:
-    """The edges of more than two faces: (n, 2) int64 vertices, and (n,) int64 how many faces."""
+    """Return the (n, 2) vertices and (n,) face counts of edges of more than two faces."""
     crowded = topology.count > 2
     sides = np.unique(topology.edge, return_index=True)[1][crowded]
     corners = mesh.faces[topology.proper].astype(np.int64).ravel()
@@ -284,17 +273,16 @@ def _counts(mesh: Mesh, topology: Topology) -> dict[str, Any]:
 
 
 def _pinched(topology: Topology) -> int:
-    """Positions whose faces are not one fan."""
+    """Return the number of positions whose faces are not one fan."""
     fan = fans_of(topology)
     fans = np.bincount(topology.corners.ravel()[fan == np.arange(len(fan))])
     return int(np.count_nonzero(fans > 1))
 
 
 def fans_of(topology: Topology) -> np.ndarray:
-    """(3F,) int64: equal numbers for corners at a position that are of one fan of faces.
+    """Return equal numbers for corners at a position that are in one fan of faces, (3F,) int64.
 
-    Two corners are where their faces share an edge there. An edge of more than two faces joins
-    none: it ends three fans or more, and a fan has two ends.
+    Faces that share an edge of exactly two faces are in one fan at its ends.
     """
     forward = topology.forward
     s, t = topology.pairs[:, topology.count[topology.edge[topology.pairs[0]]] == 2]
@@ -305,12 +293,12 @@ def fans_of(topology: Topology) -> np.ndarray:
 
 
 def next_sides(sides: np.ndarray) -> np.ndarray:
-    """The sides that follow within their faces; as corners, the ends of the sides."""
+    """Return the next side in each face, which is also the corner at the end of each side."""
     return sides + np.where(sides % 3 == 2, -2, 1)
 
 
 def positions(mesh: Mesh) -> np.ndarray:
-    """(V,) int64: equal numbers for vertices of bit-equal positions."""
+    """Return equal numbers for vertices at bit-equal positions, (V,) int64."""
     points = mesh.vertices + 0.0  # -0.0 is 0.0
     order = np.argsort(points[:, 2])
     z = points[order, 2]
@@ -318,7 +306,7 @@ def positions(mesh: Mesh) -> np.ndarray:
     tied[1:-1] = z[1:] == z[:-1]
     tied = tied[1:] | tied[:-1]
     some = order[tied]
-    order[tied] = some[np.lexsort(points[some].T)]  # which is slow for all
+    order[tied] = some[np.lexsort(points[some].T)]  # slow, so only for ties
     new = np.ones(len(points), np.int64)
     new[1:] = (points[order[1:]] != points[order[:-1]]).any(axis=1)
     numbers = np.empty_like(new)
@@ -327,20 +315,19 @@ def positions(mesh: Mesh) -> np.ndarray:
 
 
 def edges_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(3F,) edge number and (3F,) bool direction of the sides ab, bc, ca of (F, 3) corners."""
+    """Return the edge, (3F,), and direction, (3F,) bool, of the sides ab, bc, ca of faces."""
     start, end = _sides(corners)
     key = np.minimum(start, end) << 32 | np.maximum(start, end)
     return np.unique(key, return_inverse=True)[1].reshape(-1), start < end
 
 
 def _sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(3F,) each: where the sides ab, bc, ca of (F, 3) corners begin and end."""
+    """Return the start and the end of the sides ab, bc, ca of (F, 3) corners, (3F,) each."""
     return corners.ravel(), np.roll(corners, -1, axis=1).ravel()
 
 
 def components(u: np.ndarray, v: np.ndarray, nodes: int) -> np.ndarray:
-    """(nodes,) int64: the least node of each node's component, under links from u to v; every
-    root hooks onto its least neighbour, then all paths collapse."""
+    """Return the least node of each node's component, (nodes,) int64, under links from u to v."""
     root = np.arange(nodes)
     while len(u):
         u, v = root[u], root[v]
@@ -353,8 +340,8 @@ def components(u: np.ndarray, v: np.ndarray, nodes: int) -> np.ndarray:
 
 
 def collinear(triangles: np.ndarray) -> np.ndarray:
-    """(F,) bool: triangles (F, 3, 3) of zero area, exactly: float64 with an error bound, and whole
-    numbers where that cannot tell."""
+    """Return which (F, 3, 3) triangles have zero area, (F,) bool, exactly: by float64 with an error
+    bound, and by integers if that does not decide."""
     with np.errstate(over="ignore", invalid="ignore"):
         p, q = (triangles[:, i] - triangles[:, 0] for i in (1, 2))
         sure = np.zeros(len(triangles), bool)

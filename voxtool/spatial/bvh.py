@@ -124,22 +124,16 @@ def first_node(level: int) -> int:
 
 
 def tree_bytes(faces: int) -> int:
-    """Bytes of the tree over this many faces on the device, names included."""
+    """Return the bytes on the device of the tree over a number of faces, names included."""
     leaves = -(-faces // LEAF)
     return leaves * LEAF * (8 * FIELDS + 8) + (leaves * 8 // 7 + 8 * ARITY) * 24
 
 
 def build_tree(device: Device, mesh: Mesh, flat: np.ndarray | None = None) -> TriangleTree:
-    """Build the tree over all faces of a mesh, degenerate ones included.
+    """Return the tree over all faces of a mesh, degenerate ones included.
 
-    Parameters
-    ----------
-    flat : (F,) uint8, 1 for faces without area; None gives no names.
-
-    Raises
-    ------
-    MeshError : as Frame.of.
-    DeviceError : the device has no double precision.
+    `flat` is (F,) uint8, 1 for faces without area; None gives no names. Raises MeshError as
+    Frame.of, and DeviceError if the device has no double precision.
     """
     if not device.info.fp64:
         raise DeviceError(

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 SOURCE = "spatial/distance.cl"
 POINTS_AT_ONCE = 1 << 18  # on the device
-SORTED_FROM = 1 << 9  # points: fewer are faster in the order in which they come
+SORTED_FROM = 1 << 9  # points: fewer are not sorted
 NEAR = 8.0  # extents within which single precision bounds distances to boxes; see MARGIN_BITS
 
 
@@ -79,19 +79,9 @@ class TriangleDistance:
         block: int = POINTS_AT_ONCE,
         near: float = NEAR,
     ) -> None:
-        """Build the tree.
-
-        Parameters
-        ----------
-        normals : the mesh's, for distances that are negative inside.
-        block : points that are on the device at once; changes no result.
-        near : extents within which boxes are bounded in single precision; changes no result.
-
-        Raises
-        ------
-        MeshError : the mesh has no faces, or an extent beyond 2^±500.
-        DeviceError : there is no device, or it has no double precision.
-        """
+        """Build the tree. With normals, distances are negative inside. The number of points that
+        are on the device at once, `block`, and the extents within which boxes are bounded in single
+        precision, `near`, change no result."""
         self.device = device or default_device()
         self.block, self.near = block, near
         if normals is not None and normals.flat.all():  # no face has a side
@@ -104,22 +94,10 @@ class TriangleDistance:
             self._has_flat = bool(normals.flat.any())
 
     def __call__(self, points: Any) -> np.ndarray:
-        """Return the distance from each point to the nearest triangle.
+        """Return the distance from each of (N, 3) points to the nearest triangle, (N,) float64.
 
-        Points may be in any order. Far away (from about 2**40 extents on) every triangle is a
-        candidate, and each is tested.
-
-        Parameters
-        ----------
-        points : (N, 3) numbers, world units.
-
-        Returns
-        -------
-        (N,) float64, world units.
-
-        Raises
-        ------
-        VoxtoolError : a wrong shape, or a point that is not finite or 2^500 extents away.
+        Both are in world units. Far away (from about 2**40 extents) every triangle is tested.
+        Raises VoxtoolError for a wrong shape, or a point that is not finite or 2^500 extents away.
         """
         world = checked_points(points)
         distances = np.empty(len(world))
@@ -144,7 +122,7 @@ class TriangleDistance:
                 )
             if not located:
                 return Nearest(np.ldexp(distances.take(), scale))
-            if self._has_flat:  # they have no sides, but may be nearest
+            if self._has_flat:  # flat faces have no sides, but may be nearest
                 _, slots = self._search(block, tree.face_of)
             faces = device.empty(block.n, np.uint32)
             nearest, directions = (device.empty(3 * block.n, np.float64) for _ in range(2))
@@ -174,12 +152,7 @@ class TriangleDistance:
 
 
 def checked_points(points: Any) -> np.ndarray:
-    """Return points as (N, 3) float64.
-
-    Raises
-    ------
-    VoxtoolError : they are no such array.
-    """
+    """Return points as (N, 3) float64; raise VoxtoolError if they are no such array."""
     try:
         world = np.asarray(points, np.float64)
     except (TypeError, ValueError):
@@ -196,12 +169,8 @@ def point_blocks(
     block: int = POINTS_AT_ONCE,
     near: float = NEAR,
 ) -> Iterator[PointBlock]:
-    """Yield the points on the device, in local coordinates, `block` of them at a time.
-
-    Raises
-    ------
-    VoxtoolError : a point is not finite or 2^500 extents away.
-    """
+    """Yield the points on the device, in local coordinates, `block` of them at a time; raise
+    VoxtoolError if a point is not finite or 2^500 extents away."""
     for start in range(0, len(world), block):
         local = tree.frame.local(world[start : start + block])
         reach = np.abs(local).max(axis=1)
@@ -218,7 +187,7 @@ def point_blocks(
 
 
 def _order(device: Device, points: Array, n: int) -> Array:
-    """(n,) uint32: the points along a Hilbert curve; few of them as they come."""
+    """Return the points along a Hilbert curve, (n,) uint32; few points keep their order."""
     if n < SORTED_FROM:
         return device.put(np.arange(n, dtype=np.uint32))
     codes, order = device.empty(n, np.uint32), device.empty(n, np.uint32)

@@ -33,12 +33,7 @@ class Nesting:
 
 
 def nest(mesh: Mesh, shells: Shells, device: Device) -> Nesting:
-    """Return how the shells of a mesh are nested.
-
-    Raises
-    ------
-    MeshError, DeviceError : as WindingNumber.
-    """
+    """Return the nesting of the shells of a mesh; raises as WindingNumber."""
     count = len(shells.closed)
     by_low = np.argsort(shells.low[:, 0], kind="stable")
     lows = shells.low[by_low, 0]

@@ -2,9 +2,9 @@
 
 Outside of a closed mesh, the way from the nearest point to the query has a positive product with
 the pseudo-normal of the feature that the nearest point lies on [Baerentzen 2005]. Edges and
-vertices are identified by position, as in mesh.topology: seams do no harm. Faces on the same three
-positions share their normal, so that two back to back bound nothing. All is computed on the host,
-in + - * / and square roots; cross products have twice the precision, which keeps slivers' normals.
+vertices are identified by position, as in mesh.topology, so seams have no effect. Faces on the same
+three positions share their normal, so that two back to back bound nothing. The host computes them
+with + - * / and square roots; cross products have twice the precision, for the normals of slivers.
 
 Limits, in extents: a point d away beside a blade of less than about 1e-8 / sqrt(d) radians may be
 taken for one on the other side, because float64 cannot decide which side is nearer. Where faces
@@ -27,7 +27,7 @@ from voxtool.vector import dot, length
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
 
-SPLIT = 134217729.0  # 2**27 + 1: halves the digits of a float64 (Dekker, 1971)
+SPLIT = 134217729.0  # 2**27 + 1: halves the digits of a float64 [Dekker 1971]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,12 +50,7 @@ def normal_bytes(faces: int) -> int:
 
 
 def pseudonormals(mesh: Mesh) -> Pseudonormals:
-    """Return the pseudo-normals of a mesh.
-
-    Raises
-    ------
-    MeshError : as Frame.of.
-    """
+    """Return the pseudo-normals of a mesh; raises as Frame.of."""
     triangles = np.ldexp(mesh.vertices, -Frame.of(mesh).exponent)[mesh.faces]
     flat = collinear(triangles)
     normals, angles = _normals_and_angles(triangles)
@@ -105,14 +100,14 @@ Twofold = tuple[np.ndarray, np.ndarray]  # a number as the sum of a float64 and 
 
 
 def _difference(a: np.ndarray, b: np.ndarray) -> Twofold:
-    """a - b exactly (Knuth)."""
+    """Return a - b exactly [Knuth 1998]."""
     high = a - b
     part = high - a
     return high, (a - (high - part)) - (b + part)
 
 
 def _multiplied(a: np.ndarray, b: np.ndarray) -> Twofold:
-    """a b exactly (Dekker)."""
+    """Return a b exactly [Dekker 1971]."""
     high = a * b
     a_high, b_high = SPLIT * a, SPLIT * b
     a_high, b_high = a_high - (a_high - a), b_high - (b_high - b)

@@ -26,13 +26,9 @@ SOURCE = "spatial/self_intersections.cl"
 
 
 def find_self_intersections(device: Device, mesh: Mesh, tree: TriangleTree) -> np.ndarray:
-    """(F,) bool: faces that another one meets elsewhere than in the corners and edges they share.
+    """Return the faces that another one meets outside their common corners and edges, (F,) bool.
 
-    Faces without area do not count.
-
-    Parameters
-    ----------
-    tree : the mesh's, with names.
+    Faces without area do not count. The tree is that of the mesh, with names.
     """
     vertices, faces = device.put(tree.frame.local(mesh.vertices)), device.put(mesh.faces)
     corners = device.put(positions(mesh)[mesh.faces].astype(np.int32))

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from voxtool.spatial.pseudonormals import Pseudonormals
 
 SPHERES = 512  # that enclose the boundary, at most
-ABOVE = 2.0**-10  # of its height, how far above a face the number in front of it is taken
+ABOVE = 2.0**-10  # heights of a face: the distance at which the number in front is computed
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,12 +47,7 @@ class Sides:
 def find_sides(
     mesh: Mesh, normals: Pseudonormals, winding: WindingNumber, intersecting: np.ndarray
 ) -> Sides:
-    """Return the sides of a mesh's faces.
-
-    Parameters
-    ----------
-    intersecting : (F,) bool, of find_self_intersections.
-    """
+    """Return the sides of a mesh's faces; `intersecting` is that of find_self_intersections."""
     edges, forth = edges_of(positions(mesh)[mesh.faces])
     faces_of = np.bincount(edges)
     net = np.bincount(edges, np.where(forth, 1.0, -1.0))

@@ -4,7 +4,7 @@ The winding number [Jacobson 2013] is the solid angle that the faces subtend, ov
 a closed mesh whose faces point outward, 0 outside of it, and in between where a mesh is open. After
 [Barill 2018], nodes of the tree farther away than REACH times their radius count through the Taylor
 series of their moments, here to the third order (octupoles) about the centres of their boxes;
-nearer triangles count exactly [van Oosterom 1983]. Over 8,550 points in and around the teapot,
+nearer triangles count exactly [Oosterom 1983]. Over 8,550 points in and around the teapot,
 fandisk, bunny and armadillo, two thirds of them near the surface, the error was at most 8e-4 and
 1.7e-4 RMS; with a reach of 2 radii 4.7e-3 and 1.1e-3, in about half of the time. All sums are made
 in one order, that of the tree.
@@ -32,7 +32,7 @@ REACH = 3.0  # radii
 
 
 def moment_bytes(faces: int) -> int:
-    """Bytes of the moments of a mesh of this many faces on the device."""
+    """Return the bytes on the device of the moments of a number of faces."""
     return 8 * MOMENTS * (-(-faces // LEAF) * 8 // 7 + 8 * ARITY)
 
 
@@ -50,17 +50,8 @@ class WindingNumber:
         tree: TriangleTree | None = None,
         reach: float = REACH,
     ) -> None:
-        """Compute the moments.
-
-        Parameters
-        ----------
-        tree : the mesh's on this device, if there is one.
-        reach : in radii, beyond which a node counts through its moments.
-
-        Raises
-        ------
-        MeshError, DeviceError : as TriangleDistance.
-        """
+        """Compute the moments, on a given tree of the mesh or a new one. A node farther away than
+        `reach` radii counts through its moments. Raises as TriangleDistance."""
         self.device = device or default_device()
         self.tree = tree or build_tree(self.device, mesh)
         self.reach = reach
@@ -83,19 +74,9 @@ class WindingNumber:
         return moments
 
     def __call__(self, points: Any) -> np.ndarray:
-        """Return the winding number of each point; points of more than 0.5 are inside.
+        """Return the winding number of each of (N, 3) points, (N,) float64; above 0.5 is inside.
 
-        Parameters
-        ----------
-        points : (N, 3) numbers, world units.
-
-        Returns
-        -------
-        (N,) float64; on the surface, something between the numbers of both sides.
-
-        Raises
-        ------
-        VoxtoolError : as TriangleDistance.
+        On the surface it is between the numbers of both sides. Raises as TriangleDistance.
         """
         world = checked_points(points)
         numbers = np.empty(len(world))
@@ -104,12 +85,12 @@ class WindingNumber:
         return numbers
 
     def at_block(self, block: PointBlock) -> np.ndarray:
-        """(n,) float64: the winding numbers of a block's points."""
+        """Return the winding numbers of a block's points, (n,) float64."""
         return self._wind(block.n, block.local, block.order).take()
 
     def at_local(self, points: Array, n: int) -> Array:
-        """(n,) float64 on the device: the winding numbers of n points on the device, (n, 3) float64
-        in local coordinates; fast where points near each other follow each other."""
+        """Return the winding numbers of n points on the device, (n, 3) float64, local coordinates;
+        fast if consecutive points are near each other."""
         return self._wind(n, points, self.device.put(np.arange(n, dtype=np.uint32)))
 
     def _wind(self, n: int, points: Array, order: Array) -> Array:

@@ -1,5 +1,5 @@
-"""Stage "constrain": blocks beside a coarser leaf take its interpolation on what they share, so
-that the field has no cracks."""
+"""Stage "constrain": blocks take the interpolation of adjacent coarser leaves on shared faces and
+edges, so that the field has no cracks."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SOURCE = "adf/levels/constrain.cl"
 
 
 def constrain(work: Construction, level: Level) -> None:
-    """Give vertices that lie on a coarser leaf the values that are interpolated there."""
+    """Set the values of vertices on a coarser leaf to its interpolation."""
     above = level.above
     if above is None:
         return

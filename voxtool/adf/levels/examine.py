@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from voxtool.adf.levels.level import Construction, Level
 
 SOURCE = "adf/levels/examine.cl"
-CROSSED = 64.0  # tolerances that the edge of a leaf may have where triangles pass, unless certain
+CROSSED = 64.0  # tolerances: the largest edge of a leaf where triangles pass, unless certain
 
 
 @dataclass
@@ -19,7 +19,7 @@ class Examined:
     """The children of a level's cells, on the host.
 
     voxels : (27 n,) float32, the blocks, in sides; refined : (8 n,) uint32, 1 or 0; errors : (8 n,)
-    float32, in sides, -1 where the sign jumps; codes : (8 n,) uint8, of the bounds of leaves.
+    float32, in sides, -1 at a sign discontinuity; codes : (8 n,) uint8, of the bounds of leaves.
     """
 
     voxels: np.ndarray
@@ -29,7 +29,7 @@ class Examined:
 
 
 def examine(work: Construction, level: Level) -> Examined:
-    """The errors of the children of a level's cells, and which of them are to be refined."""
+    """Return the errors of the children of a level's cells, and which of them are refined."""
     device, plan, n, side = work.device, work.plan, level.count, work.side
     voxels = device.empty(27 * n, np.float32)
     level.ranks = device.empty(8 * n + 1, np.uint32)

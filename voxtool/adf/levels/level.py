@@ -1,8 +1,7 @@
 """One level of a field under construction: its refined cells, on the device.
 
-A cell has a list of triangles, among which are the nearest ones to every point of the cell. Its
-children take what they need of the list, so lists become short as cells become small, and no tree
-is searched.
+The list of a cell contains the nearest triangle to every point of the cell. Children inherit the
+part of the list that they need, so lists shrink with the cells, and no tree is searched.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ class Parents:
     """The arrays that a level reads of the level above.
 
     values : float64, 27 a cell; states : uint8, or None; neighbours : uint32, 27 a cell, or None;
-    ranks : uint32, of each child how many before it are refined.
+    ranks : uint32, for each child the number of refined children before it.
     """
 
     values: Array | None
@@ -65,10 +64,10 @@ class Level:
     begins, items : uint32, where the list of each cell begins, and the triangles of all lists.
     values : float64, 27 a cell, the distances of its block.
     masks, needed : uint8 an item, the children that need it; uint32 a child, its number of items.
-    states : uint8, on which side of the mesh each cell is; doubts : uint32, the vertices of each
-        block whose signs are not known.
+    states : uint8, the side of the mesh of each cell; doubts : uint32, the vertices of each block
+        whose signs are unknown.
     neighbours : uint32, 27 a cell, see find_neighbours.
-    ranks : uint32, a child: whether it is refined, then how many before it are.
+    ranks : uint32, a child: whether it is refined, then the number of refined children before it.
     """
 
     number: int
@@ -102,7 +101,7 @@ class Level:
 class Construction:
     """The data that the stages of all levels share.
 
-    arguments : of kernels, by name: the triangles and what separates inside from outside.
+    arguments : of kernels, by name: the triangles and the data that separate inside from outside.
     options : -D options of the kernels.
     bound_values : float64, of each code; steepest : uint32, the bits of the steepest slope of a
         leaf; unbalanced : uint32, whether a leaf has a neighbour coarser by two levels.
@@ -141,11 +140,11 @@ class Construction:
         return 2 * self.survey.extent
 
     def kernel(self, source: str, name: str) -> Callable[..., None]:
-        """A kernel with this construction's options."""
+        """Return a kernel with the options of this construction."""
         return self.device.kernel(source, name, **self.options)
 
     def root(self) -> Level:
-        """The root, whose list holds every triangle, equal ones once."""
+        """Return the root, whose list contains every triangle without duplicates."""
         put, triangles = self.device.put, self.survey.distinct_triangles()
         level = Level(
             0, 1, put(np.ones(1, np.uint64)), put(np.zeros(1, np.uint32)),

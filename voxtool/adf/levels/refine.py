@@ -16,13 +16,13 @@ SOURCE = "adf/levels/refine.cl"
 
 
 def list_size(level: Level, refined: np.ndarray) -> int:
-    """How many triangles the lists of the refined children have; `refined` : (8 n,), not 0."""
+    """Return the total length of the lists of the refined children, those with (8 n,) not 0."""
     assert level.needed is not None
     return int(level.needed.get()[refined != 0].sum(dtype=np.int64))
 
 
 def refine(work: Construction, level: Level, size: int) -> Level:
-    """The next level: at least one child is refined, and their lists have `size` triangles."""
+    """Return the next level, whose lists have `size` triangles; it has at least one cell."""
     device, n = work.device, level.count
     assert level.ranks is not None
     with device.stage("refine"):

@@ -17,7 +17,7 @@ SOURCE = "adf/levels/sample.cl"
 
 
 def sample(work: Construction, level: Level) -> None:
-    """Compute the distances of a level's blocks, their signs, and who needs which triangle."""
+    """Compute the distances of a level's blocks, their signs, and the triangles of each child."""
     device, n = work.device, level.count
     level.values = device.empty(27 * n, np.float64)
     level.masks = device.empty(level.items.size, np.uint8)
@@ -52,7 +52,7 @@ def sign(work: Construction, level: Level, named: dict[str, Any]) -> None:
 
 
 def settle_signs(work: Construction, level: Level, asked: Array) -> None:
-    """Decide signs that are in doubt by winding numbers, at the vertices in `asked`."""
+    """Decide unknown signs by winding numbers, at the vertices in `asked`."""
     device, n = work.device, level.count
     begins = device.empty(n + 1, np.uint32)
     with device.stage("signs"):

@@ -34,13 +34,13 @@ def _table(name: str, rows: np.ndarray, kind: str = "double", width: int = POINT
 
 
 def _weights() -> np.ndarray:
-    """(8, 27): of each corner at each sample, in trilinear interpolation."""
+    """Return the weight of each corner at each sample in trilinear interpolation, (8, 27)."""
     near = np.where(OCTANTS.T[:, :, None] == 1, SAMPLES / 4, 1 - SAMPLES / 4)
     return near.prod(axis=1)
 
 
 def _corners() -> np.ndarray:
-    """(8, 8): of each child, which vertices of the block its corners are."""
+    """Return the vertices of the block at the corners of each child, (8, 8)."""
     places = OCTANTS.T[:, None] + OCTANTS.T[None]
     return places[..., 0] + 3 * places[..., 1] + 9 * places[..., 2]
 
