@@ -168,7 +168,18 @@ STEPS = st.sampled_from([1, 32, UNIT // 2, UNIT])
 
 @st.composite
 def _triangle(draw: st.DrawFn, shape: Sequence[int], reach: int) -> np.ndarray:
-    kinds = ("any", "lattice", "plane", "tiny", "point", "segment", "line", "outside", "spanning")
+    kinds = (
+        "any",
+        "lattice",
+        "plane",
+        "tiny",
+        "point",
+        "segment",
+        "line",
+        "outside",
+        "spanning",
+        "ramp",
+    )
     kind = draw(st.sampled_from(kinds))
     step = 1 if kind == "any" else draw(STEPS)
     near = _point(shape, 1, step)
@@ -176,6 +187,10 @@ def _triangle(draw: st.DrawFn, shape: Sequence[int], reach: int) -> np.ndarray:
     if kind == "plane":
         axis = draw(st.integers(0, 2))
         corners[:, axis] = draw(_coordinate(0, shape[axis] * UNIT, UNIT // 2))
+    elif kind == "ramp":  # parallel to an axis
+        axis = draw(st.integers(0, 2))
+        corners[1] = corners[0]
+        corners[1, axis] = draw(_coordinate(0, shape[axis] * UNIT, step))
     elif kind == "tiny":
         small = st.tuples(*[st.integers(-24, 24)] * 3)
         corners = corners[0] + np.array([draw(small) for _ in range(3)], np.int64)

@@ -46,6 +46,19 @@ def test_replaces_a_file(tmp_path: Path) -> None:
     assert (tmp_path / "a.h5").read_bytes() == NEW
 
 
+def test_bytes_are_on_the_disk_before_the_rename(tmp_path: Path, monkeypatch) -> None:
+    target, fsync, synced = tmp_path / "a.h5", os.fsync, []
+    target.write_bytes(OLD)
+
+    def record(handle: int) -> None:
+        synced.append((os.fstat(handle).st_ino, target.read_bytes()))
+        fsync(handle)
+
+    monkeypatch.setattr(os, "fsync", record)
+    put(target)
+    assert synced[0] == (target.stat().st_ino, OLD)
+
+
 @pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit, MemoryError])
 @pytest.mark.parametrize("exists", [True, False])
 def test_any_exception_leaves_the_old_file_and_nothing_else(tmp_path, error, exists) -> None:

@@ -159,6 +159,17 @@ def test_smooth_vertices_are_where_fractions_say(device, dense, level, isovalue)
     assert points == crossings(dense, surface)
 
 
+def test_quads_are_split_along_their_shorter_diagonal(device) -> None:
+    dense = np.random.default_rng(3).random((9, 8, 7)) < 0.5
+    surface = extract(octree_from_dense(dense), style=NETS, level="voxel", device=device)
+    first, second = surface.faces.reshape(-1, 2, 3).transpose(1, 0, 2)
+    assert np.array_equal(first[:, [0, 2]], second[:, [0, 1]])  # the diagonal that they share
+    a, b, c, d = (surface.points[v].astype(float) for v in (*first.T, second[:, 2]))
+    longer = ((c - a) ** 2).sum(axis=1) > ((d - b) ** 2).sum(axis=1)
+    flat = [(np.cross(q - p, r - p) == 0).all(axis=1) for p, q, r in ((b, c, d), (b, d, a))]
+    assert (flat[0] | flat[1])[longer].all()  # the shorter one would leave a triangle no area
+
+
 @given(patterns(), st.sampled_from([0, "voxel"]))
 @settings(max_examples=30)
 def test_nets_stay_in_the_cubes_of_their_blocks(device, dense, level) -> None:
