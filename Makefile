@@ -42,7 +42,7 @@ lint: .venv/test.done
 	.venv/bin/lint-imports
 
 docs: .venv/docs.done
-	.venv/bin/mkdocs build --clean --quiet
+	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --clean --quiet
 
 headers: .venv/all.done
 	.venv/bin/python -m voxtool.opencl.headers

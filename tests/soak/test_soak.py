@@ -24,7 +24,10 @@ from helpers_cli import ENVIRONMENT, MODULE
 import voxtool
 from voxtool.errors import VoxtoolError
 
-pytestmark = pytest.mark.soak
+pytestmark = [
+    pytest.mark.soak,
+    pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning"),
+]
 SHAPE = (24, 20, 22)
 TESTS = 5  # that share the time
 READERS = {
