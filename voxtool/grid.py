@@ -34,13 +34,17 @@ class Grid:
 
     Parameters
     ----------
-    shape : voxels along x, y and z; each at least 1, the longest from 8 to 65,536.
-    origin : world coordinates of the low corner of voxel (0, 0, 0).
-    pitch : world size of a voxel along x, y and z, positive.
+    shape : (3,) tuple of int
+        Voxels along x, y and z, each at least 1, the largest from 8 to 65,536.
+    origin : (3,) tuple of float
+        World coordinates of the low corner of voxel (0, 0, 0).
+    pitch : (3,) tuple of float
+        World size of a voxel along x, y and z, positive.
 
     Raises
     ------
-    GridError : a number is out of range or not finite.
+    GridError
+        If a number is out of range or not finite.
     """
 
     shape: tuple[int, int, int]
@@ -54,7 +58,7 @@ class Grid:
         if min(self.shape) < 1 or not MIN_DIM <= max(self.shape) <= MAX_DIM:
             raise GridError(
                 f"grid of {self.shape[0]} x {self.shape[1]} x {self.shape[2]} voxels: the longest "
-                f"side must count from {MIN_DIM} to {MAX_DIM} voxels, and no side less than 1"
+                f"side must have {MIN_DIM} to {MAX_DIM} voxels, and every side at least 1"
             )
         if not all(map(math.isfinite, self.origin)):
             raise GridError(f"grid origin {self.origin} is not finite")
@@ -72,20 +76,32 @@ class Grid:
         margin: int | None = None,
         fit: str = "uniform",
     ) -> Grid:
-        """Place a grid around a mesh, or over a box.
+        """Return a grid around a mesh, or over a box.
 
         Parameters
         ----------
-        dim : voxels along the longest side, margins included; 256 when pitch is not given either.
-        pitch : voxel size in world units instead of dim.
-        bbox : X0 Y0 Z0 X1 Y1 Z1 in world units: the grid covers this box instead of the mesh.
-        margin : empty voxels on each side; min(4, dim // 8) by default, 0 with bbox.
-        fit : "uniform" (cubic voxels) or "stretch" (each axis scaled on its own to [4, dim], as
-            [voCCeL], eq. 5.1; takes dim alone).
+        mesh : Mesh
+            The mesh that the grid covers, unless a box is given.
+        dim : int, optional
+            Voxels along the longest side, margins included; 256 without dim and pitch.
+        pitch : float, optional
+            Voxel size in world units, instead of dim.
+        bbox : (6,) sequence of float, optional
+            Box X0 Y0 Z0 X1 Y1 Z1 in world units, which the grid covers instead of the mesh.
+        margin : int, optional
+            Empty voxels on each side; by default min(4, dim // 8), or 0 with bbox.
+        fit : {"uniform", "stretch"}
+            "uniform" makes cubic voxels. "stretch" scales each axis separately to [4, dim]
+            ([voCCeL], eq. 5.1); it allows no option other than dim.
+
+        Returns
+        -------
+        Grid
 
         Raises
         ------
-        GridError : options that contradict each other, or a grid out of range.
+        GridError
+            If options contradict each other, or the grid is out of range.
         """
         if dim is not None and pitch is not None:
             raise GridError("dim and pitch both set the voxel size: give one of them")
@@ -103,7 +119,9 @@ class Grid:
         with np.errstate(over="ignore"):
             longest = float(np.max(high - low))
         if not math.isfinite(longest):
-            raise GridError("the mesh spans more than floating point holds: scale it down")
+            raise GridError(
+                "the size of the mesh exceeds the range of floating point: scale it down"
+            )
         if fit == "stretch":
             if dim is None or bbox is not None or margin is not None:
                 raise GridError("fit 'stretch' goes with dim alone: drop pitch, bbox and margin")
@@ -115,7 +133,7 @@ class Grid:
         if dim is not None:
             pitch, margin = _pitch_for(dim, margin, longest)
             shape = np.full(3, dim)
-            if bbox is not None:  # the box may be no cube
+            if bbox is not None:  # the box need not be a cube
                 count = np.minimum(_voxel_count(high - low, pitch), dim - 2 * margin)
                 shape = count + 2 * margin
         else:
@@ -127,7 +145,7 @@ class Grid:
     @classmethod
     def _stretched(cls, low: np.ndarray, high: np.ndarray, dim: int) -> Grid:
         extent = high - low
-        extent[extent == 0] = extent.max()  # a flat axis has no scale of its own
+        extent[extent == 0] = extent.max()  # a flat axis takes the scale of the longest
         pitch = extent / (dim - 4)
         return cls((dim, dim, dim), tuple(low - 4 * pitch), tuple(pitch))
 
@@ -138,7 +156,7 @@ class Grid:
 
     @property
     def side(self) -> int:
-        """Voxels along a side of the octree's cube: the least power of two >= dim."""
+        """Voxels along a side of the octree's cube: the smallest power of two >= dim."""
         return 1 << (self.dim - 1).bit_length()
 
     @property
@@ -147,24 +165,27 @@ class Grid:
         return self.pitch[0] * self.pitch[1] * self.pitch[2]
 
     def window(self, low: Sequence[int], shape: Sequence[int]) -> Grid:
-        """The grid of the voxels [low, low + shape) of this one."""
+        """Return the grid of the voxels [low, low + shape) of this grid."""
         origin = (o + p * int(n) for o, p, n in zip(self.origin, self.pitch, low, strict=True))
         return Grid(tuple(shape), tuple(origin), self.pitch)  # pyright: ignore[reportArgumentType]
 
     def to_fixed(self, points: np.ndarray) -> np.ndarray:
-        """World points rounded to the fixed-point lattice, ties to even.
+        """Return world points rounded to the fixed-point lattice, ties to even.
 
         Parameters
         ----------
-        points : (N, 3) float64, world units.
+        points : (N, 3) float64
+            Points in world units.
 
         Returns
         -------
-        (N, 3) int32, in 1/256 voxel from the grid's low corner.
+        (N, 3) int32
+            Coordinates from the grid's low corner, in 1/256 voxel.
 
         Raises
         ------
-        GridError : a coordinate lies +-2**30 units away or farther, or is not finite.
+        GridError
+            If a coordinate is not finite, or 2**30 units or more from the corner.
         """
         with np.errstate(over="ignore", invalid="ignore"):
             scaled = np.asarray(points, np.float64) - self.origin
@@ -183,7 +204,7 @@ class Grid:
         return scaled.astype(np.int32)
 
     def to_world(self, points: np.ndarray) -> np.ndarray:
-        """Points in grid units, (N, 3), to world coordinates, (N, 3) float64."""
+        """Return (N, 3) points in grid units as (N, 3) float64 world coordinates."""
         return np.asarray(points, np.float64) * self.pitch + self.origin
 
 
@@ -197,7 +218,7 @@ def _bounds(mesh: Mesh, bbox: Sequence[float] | None) -> tuple[np.ndarray, np.nd
 
 
 def _pitch_for(dim: int, margin: int | None, longest: float) -> tuple[float, int]:
-    """The voxel size at which a length spans dim voxels, margins included; and the margin."""
+    """Return the voxel size at which a length and its margins span dim voxels, and the margin."""
     if margin is None:
         margin = min(DEFAULT_MARGIN, dim // 8)
     inner = dim - 2 * margin
@@ -213,7 +234,7 @@ def _pitch_for(dim: int, margin: int | None, longest: float) -> tuple[float, int
 
 
 def _shape_for(pitch: float, margin: int | None, extent: np.ndarray) -> tuple[np.ndarray, int]:
-    """The voxels of this size that cover an extent, margins included; and the margin."""
+    """Return the numbers of voxels that cover an extent and its margins, and the margin."""
     count = _voxel_count(extent, pitch)
     longest, size = int(count.max()), float(extent.max())
     if longest > MAX_DIM:
@@ -230,7 +251,7 @@ def _shape_for(pitch: float, margin: int | None, extent: np.ndarray) -> tuple[np
 
 
 def _check_resolution(low: np.ndarray, high: np.ndarray, pitch: Sequence[float]) -> None:
-    """Refuse voxels whose corners floating point cannot tell apart, so far from the origin."""
+    """Raise GridError if rounding at these coordinates exceeds a quarter of a voxel."""
     farthest = np.maximum(np.abs(low), np.abs(high))
     if (np.asarray(pitch) < 4 * np.spacing(farthest)).any():
         raise GridError(
@@ -240,7 +261,7 @@ def _check_resolution(low: np.ndarray, high: np.ndarray, pitch: Sequence[float])
 
 
 def _voxel_count(extent: np.ndarray, pitch: float) -> np.ndarray:
-    """Voxels that cover each side, at least 1; a side that is whole to 1/512 voxel stays so."""
+    """Return the voxels that cover each side, at least 1; up to 1/512 voxel beyond is ignored."""
     with np.errstate(over="ignore"):
         count = np.ceil(extent / pitch - 1 / 512)
     return np.clip(count, 1, 1 << 40).astype(np.int64)

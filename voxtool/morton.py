@@ -1,4 +1,4 @@
-"""Morton codes ([voCCeL], eq. 2.2): the bits of a cell's coordinates in turn, x in the lowest."""
+"""Morton codes ([voCCeL], eq. 2.2): the interleaved bits of a cell's coordinates, x lowest."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 
 def spread_bits(values: np.ndarray) -> np.ndarray:
-    """(N,) uint64 of (N,) whole numbers below 2**21: bit i moved to bit 3i."""
+    """Return (N,) integers below 2**21 as uint64, with bit i moved to bit 3i."""
     v = np.asarray(values, np.uint64)
     for shift, mask in (
         (32, 0x1F00000000FFFF),
@@ -20,7 +20,7 @@ def spread_bits(values: np.ndarray) -> np.ndarray:
 
 
 def gather_bits(codes: np.ndarray) -> np.ndarray:
-    """(N,) uint64 numbers of (N,) codes: bit 3i moved to bit i, the inverse of spread_bits."""
+    """Return the inverse of spread_bits: (N,) uint64, with bit 3i moved to bit i."""
     v = np.asarray(codes, np.uint64) & np.uint64(0x1249249249249249)
     for shift, mask in (
         (2, 0x10C30C30C30C30C3),
@@ -34,12 +34,12 @@ def gather_bits(codes: np.ndarray) -> np.ndarray:
 
 
 def morton_encode(points: np.ndarray) -> np.ndarray:
-    """(N,) uint64 Morton codes of (N, 3) cells, x in the lowest bit."""
+    """Return the (N,) uint64 Morton codes of (N, 3) cells."""
     x, y, z = (spread_bits(points[:, a]) << np.uint64(a) for a in range(3))
     return x | y | z
 
 
 def morton_decode(codes: np.ndarray) -> np.ndarray:
-    """(N, 3) int64 cells of (N,) Morton codes."""
+    """Return the (N, 3) int64 cells of (N,) Morton codes."""
     codes = np.asarray(codes, np.uint64)
     return np.stack([gather_bits(codes >> np.uint64(a)) for a in range(3)], axis=1).astype(np.int64)

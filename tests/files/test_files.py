@@ -148,8 +148,8 @@ def corrupt(name: str, index: Any, value: Any) -> Callable[[Octree], Octree]:
 # golden_octree: offsets 0 1 9 25 121; the root and its first two children are refined
 CORRUPTIONS = {
     "levels where a grid": lambda o: replace(o, offsets=o.offsets[:-1]),
-    "do not rise": corrupt("offsets", 0, 1),
-    "no multiple of 8": corrupt("offsets", 2, 10),
+    "and ascend": corrupt("offsets", 0, 1),
+    "not a multiple of 8": corrupt("offsets", 2, 10),
     "more nodes than the one above": corrupt("offsets", 2, 17),
     "they end at": lambda o: replace(o, nodes=o.nodes[:-8]),
     "octree bricks: 95 for 96": lambda o: replace(o, bricks=o.bricks[:-1]),
@@ -521,7 +521,7 @@ def huge(h5: h5py.File, data: np.ndarray) -> None:
         ),
         (
             stored("offsets", lambda d: d * 0),
-            "do not rise",
+            "and ascend",
         ),
         (
             stored("offsets", lambda d: d[1:]),
@@ -579,7 +579,7 @@ FIRST_NODE = '<node parent="0" child="1073741824"/>'
         ('<subgrid size="192">', "<subgrid>", "not by octree.dtd: .*size"),
         ('<subgrid size="192">', '<subgrid size="9">', "size '9' where the offsets say 192"),
         ('  size="121"', '  size="1000"', "size '1000' where the offsets say 121"),
-        ("0 1 9 25 121<", "0 1 9 25<", "levels where a grid of dim 19 has 4"),
+        ("0 1 9 25 121<", "0 1 9 25<", "levels, but a grid of dim 19 has 4"),
         ("0 1 9 25 121<", "0 1 9 25 28<", "no multiple of 8"),
         ("0 1 9 25 121<", "0 1 9 73 585<", "declared, which the file cannot hold|size '121'"),
         ("<levels>", "<other/><levels>", "element other inside octree"),

@@ -351,7 +351,7 @@ def test_rows_that_leak_may_not_outgrow_memory_or_links(device: Device) -> None:
         run(device, mesh, (1024,) * 3, "solid", max_memory=4 * leaking.nbytes)
     tree = DeviceOctree(np.array([0, 1, 9]), device.zeros(9, NODE), [])
     refuse_beyond(tree, 1 << 26, 0, 1 << 40)
-    with pytest.raises(MemoryLimitError, match="rows that leak through this open mesh"):
+    with pytest.raises(MemoryLimitError, match="the fill leaks from this open mesh"):
         refuse_beyond(tree, 1 << 27, 0, 1 << 40)
 
 

@@ -1,9 +1,9 @@
 """The active level-1 nodes ([voCCeL], section 3.2, listings A.4 and A.5).
 
 A node of 8 x 8 x 8 voxels is active if a triangle touches it. The set is a bit array in Morton
-order with the number of set bits before each word, so that the rank of a node is found at once. In
-large grids the bits exist for blocks of 8 x 8 x 8 nodes that are found first. Kernels:
-kernels/svo/active.cl.
+order with the number of set bits before each word, which gives the rank of a node in constant time.
+In large grids, the active blocks of 8 x 8 x 8 nodes are found first, and only they have bits.
+Kernels: kernels/svo/active.cl.
 """
 
 from __future__ import annotations
@@ -27,54 +27,31 @@ BLOCK_WORDS = (NODE_BLOCK // CELL) ** 3 // 32
 
 @dataclass(frozen=True)
 class BitSet:
-    """A set of cells in Morton order: words of 32 bits, the set bits before each word, the Morton
-    codes of the n cells in the set."""
+    """A set of cells."""
 
-    words: Array
-    ranks: Array
-    codes: Array
+    words: Array  # bits of the cells in Morton order, 32 a word
+    ranks: Array  # set bits before each word
+    codes: Array  # ascending Morton codes of the n cells in the set
     n: int
 
 
 @dataclass(frozen=True)
 class ActiveNodes:
-    """The active level-1 nodes.
-
-    Attributes
-    ----------
-    nodes : the set; blocks : the blocks that hold its words, or None if it is dense.
-    touched : rising Morton codes of the nodes that the mesh touches, where caps or holes activate
-        others, or None.
-    """
+    """The active level-1 nodes."""
 
     nodes: BitSet
-    blocks: BitSet | None
-    touched: np.ndarray | None
-
-    @property
-    def codes(self) -> Array:
-        """(n,) rising Morton codes."""
-        return self.nodes.codes
-
-    @property
-    def n(self) -> int:
-        """The number of active nodes."""
-        return self.nodes.n
+    blocks: BitSet | None  # the blocks that have words, or None if all have
+    touched: np.ndarray | None  # codes of the nodes that the mesh touches; None if it touches all
 
     @property
     def lookup(self) -> dict[str, Array]:
-        """The arguments by which kernels find a node's rank."""
+        """Arguments by which kernels find the rank of a node."""
         return _lookup(self.blocks, self.nodes.words, self.nodes.ranks)
 
 
 def find_active_nodes(scan: Scan, near_holes: np.ndarray | None) -> ActiveNodes:
-    """The level-1 nodes that triangles touch.
-
-    Parameters
-    ----------
-    near_holes : (n,) uint64 Morton codes of nodes that are active, too, as are those that caps
-        touch; None if the mesh has no caps.
-    """
+    """Return the level-1 nodes that triangles touch; if the mesh has caps, also those that caps
+    touch, and those whose Morton codes are `near_holes`."""
     blocks = None
     if scan.plan.blocked:
         words = scan.device.zeros(max((scan.plan.side // NODE_BLOCK) ** 3 // 32, 1), np.uint32)
@@ -103,8 +80,8 @@ def _activate(
     blocks: BitSet | None,
     near_holes: np.ndarray | None,
 ) -> tuple[BitSet, np.ndarray | None]:
-    """The boxes of 2**level voxels that are active; and the codes of those that the mesh itself
-    touches, where it has caps."""
+    """Return the active boxes of 2**level voxels and, if the mesh has caps, the codes of those that
+    the mesh itself touches."""
     scan.activate(level, lookup, words, with_caps=False)
     found = _collect(scan, words, blocks)
     if near_holes is None:
@@ -117,7 +94,7 @@ def _activate(
 
 
 def _collect(scan: Scan, words: Array, blocks: BitSet | None) -> BitSet:
-    """The set whose bits are given."""
+    """Return the set with the given bits."""
     n = words.size
     ranks = scan.device.empty(n + 1, np.uint32)
     scan.kernel(SOURCE, "count_bits")(n, words, ranks)

@@ -1,7 +1,7 @@
 """The octree on the device, from the Morton codes of its refined nodes.
 
-The build goes bottom-up ([voCCeL], section 3.2, listing A.2): the parents of a level's refined
-nodes are found by shortening their codes; flags, a scan and a compaction keep each of them once.
+The octree is built bottom-up ([voCCeL], section 3.2, listing A.2): shortening the codes of the
+refined nodes of a level gives the codes of their parents; a scan and a compaction keep each once.
 Kernels: kernels/svo/build.cl.
 """
 
@@ -22,27 +22,20 @@ SOURCE = "svo/build.cl"
 
 @dataclass(frozen=True)
 class RefinedNodes:
-    """The refined nodes of a level.
+    """The refined nodes of a level."""
 
-    codes : (n,) Morton codes, rising; parent_index : (n,) places of the parents among the refined
-    nodes of the level above.
-    """
-
-    codes: Array
-    parent_index: Array
+    codes: Array  # (n,) ascending Morton codes
+    parent_index: Array  # (n,) index of the parent among the refined nodes of the level above
     n: int
 
 
 @dataclass(frozen=True)
 class DeviceOctree:
-    """The links of an octree on the device.
+    """The links of an octree on the device."""
 
-    offsets : (depth + 1,) uint32, as in Octree; nodes : NODE; refined : by level, from 1 up.
-    """
-
-    offsets: np.ndarray
-    nodes: Array
-    refined: list[RefinedNodes]
+    offsets: np.ndarray  # (depth + 1,) uint32, as in Octree
+    nodes: Array  # NODE
+    refined: list[RefinedNodes]  # by level, from level 1 up
 
     @property
     def top(self) -> int:
@@ -50,24 +43,19 @@ class DeviceOctree:
         return len(self.refined)
 
     def kernel(self, source: str, name: str) -> Callable[..., None]:
-        """A kernel for Morton codes of the octree's type."""
+        """Return a kernel compiled for the type of the octree's Morton codes."""
         code = code_name(self.refined[0].codes.dtype)
         return self.nodes.device.kernel(source, name, CODE=code)
 
 
 def code_name(dtype: np.dtype) -> str:
-    """The OpenCL name of the type of Morton codes, for the option CODE."""
+    """Return the OpenCL type of Morton codes, the value of the option CODE."""
     return "uint" if dtype.itemsize == 4 else "ulong"
 
 
 def build_octree(device: Device, side: int, codes: Array, n: int) -> DeviceOctree:
-    """The octree whose refined nodes are n level-1 nodes and their ancestors.
-
-    Parameters
-    ----------
-    side : voxels along a side of the root, a power of two from 8 on.
-    codes : (n,) rising Morton codes of level-1 nodes, uint32 or uint64.
-    """
+    """Return the octree of `side` voxels whose refined nodes are the n level-1 nodes with these
+    ascending Morton codes (uint32 or uint64), and their ancestors."""
     code = code_name(codes.dtype)
     tag_parents = device.kernel(SOURCE, "tag_parents", CODE=code)
     strip_mortons = device.kernel(SOURCE, "strip_mortons", CODE=code)
@@ -84,8 +72,7 @@ def build_octree(device: Device, side: int, codes: Array, n: int) -> DeviceOctre
 
 
 def build_from_lists(device: Device, lists: list[np.ndarray]) -> DeviceOctree:
-    """The octree of the given refined nodes: rising codes by level, from level 1 up; each node's
-    parent is in the list above."""
+    """Return the octree of refined nodes that are given by ascending codes, from level 1 up."""
     refined = []
     for codes, parents in zip(lists, [*lists[1:], lists[-1][:0]], strict=True):
         index = _places_of_parents(codes, parents)
@@ -94,7 +81,7 @@ def build_from_lists(device: Device, lists: list[np.ndarray]) -> DeviceOctree:
 
 
 def _places_of_parents(codes: np.ndarray, parents: np.ndarray) -> np.ndarray:
-    """(n,) uint32: where the parent of each code is among `parents`; both rise."""
+    """Return the index of each code's parent among `parents`, (n,) uint32; both ascend."""
     shortened = codes >> codes.dtype.type(3)
     first = np.flatnonzero(np.diff(shortened, prepend=~shortened[:1]))
     places = np.searchsorted(parents, shortened[first]).astype(np.uint32)

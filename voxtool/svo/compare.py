@@ -1,4 +1,4 @@
-"""Differences between two octrees of one grid, and rows of voxels that leak."""
+"""Differences between two octrees of one grid, and rows of voxels filled beyond the mesh."""
 
 from __future__ import annotations
 
@@ -12,17 +12,13 @@ EMPTY, FULL = -1, -2  # in place of a node: a uniform block of voxels
 
 
 def count_differences(one: Octree, other: Octree) -> tuple[int, int]:
-    """The number of voxels that are set in the first octree only, and in the second only.
+    """Return how many voxels are set only in the first octree, and only in the second.
 
-    Both are walked from the root down, in pairs of nodes; a leaf of one is paired with all
-    descendants of the other's node.
-
-    Raises
-    ------
-    GridError : the octrees are of different grids.
+    The octrees are traversed together, root first; a leaf of one octree is paired with all
+    descendants of the other octree's node.
     """
     if one.grid != other.grid:
-        raise GridError("octrees of different grids have no voxels in common: use --like")
+        raise GridError("the octrees have different grids: voxelize both on one grid, with --like")
     first = second = 0
     nodes = np.zeros(1, np.int64), np.zeros(1, np.int64)
     for d in range(one.depth - 1):
@@ -44,7 +40,7 @@ def count_differences(one: Octree, other: Octree) -> tuple[int, int]:
 
 
 def _children(octree: Octree, d: int, nodes: np.ndarray) -> np.ndarray:
-    """The first child of each node of a level, or what the node is filled with."""
+    """Return the first child of each node of a level, or EMPTY or FULL for a leaf."""
     level = octree.nodes["child"][octree.offsets[d] : octree.offsets[d + 1]]
     child = np.append(level, [INSIDE, np.uint32(0)])[nodes]  # FULL and EMPTY count from the end
     leaf = np.where(child & INSIDE, FULL, EMPTY)
@@ -56,14 +52,10 @@ def _masks(octree: Octree, nodes: np.ndarray) -> np.ndarray:
 
 
 def leaking_rows(octree: Octree) -> np.ndarray:
-    """The rows along x whose last voxel is set.
+    """Return the rows along x whose last voxel is set, (n, 2) int64 y, z in ascending order.
 
-    If the mesh ends before that voxel, these are the rows that parity fills beyond the mesh,
-    because they cross it an odd number of times.
-
-    Returns
-    -------
-    (n, 2) int64 y, z, in rising order.
+    If the mesh ends before that voxel, the rows cross it an odd number of times, and the parity
+    rule fills them beyond the mesh.
     """
     last = octree.grid.shape[0] - 1
     rows = [np.empty((0, 2), np.int64)]

@@ -28,27 +28,18 @@ SURVEY_ITEMS = 256  # work-items; each sums its share of the triangles
 
 @dataclass(frozen=True, eq=False)
 class LatticeMesh:
-    """A mesh in grid units.
-
-    Attributes
-    ----------
-    grid : where the voxels lie.
-    fixed : (V, 3) int32 vertices, in 1/256 voxel.
-    vertices, faces : the same on the device; the faces of the caps follow those of the mesh.
-    triangles : faces of the mesh alone.
-    caps : what closes the holes of the mesh, or None where no rule asks for them.
-    """
+    """A mesh on the fixed-point lattice of a grid, on the device."""
 
     device: Device
     grid: Grid
-    fixed: np.ndarray
-    vertices: Array
-    faces: Array
-    triangles: int
-    caps: Caps | None
+    fixed: np.ndarray  # (V, 3) int32 vertices, in 1/256 voxel
+    vertices: Array  # the same on the device
+    faces: Array  # of the mesh, then of the caps
+    triangles: int  # faces of the mesh, without caps
+    caps: Caps | None  # None if the fill rule does not need them
 
     def survey(self) -> Survey:
-        """The numbers that a plan is made from."""
+        """Return the numbers from which a plan is made."""
         n = self.faces.size // 3
         partial = self.device.empty(6 * SURVEY_ITEMS, np.uint64)
         survey = self.device.kernel(SOURCE, "survey")
@@ -73,12 +64,8 @@ def place_mesh(
     with_caps: bool,
     device: Device,
 ) -> LatticeMesh:
-    """The mesh on the lattice of a grid, or of a window of the grid.
-
-    Raises
-    ------
-    GridError : a vertex lies too far from the grid's corner, or the window is not in the grid.
-    """
+    """Return the mesh on the lattice of a grid, or of a window; raise GridError if a vertex lies
+    too far from the grid's corner or the window is not in the grid."""
     try:
         fixed = grid.to_fixed(mesh.vertices)
     except GridError:  # vertices that no face uses may lie anywhere
@@ -98,7 +85,7 @@ def place_mesh(
 
 
 def _used_vertices(mesh: Mesh) -> np.ndarray:
-    """The vertices; those that no face uses are moved onto one that a face uses."""
+    """Return the vertices, with those that no face uses moved to one that a face uses."""
     used = np.zeros(len(mesh.vertices), bool)
     used[mesh.faces] = True
     return np.where(used[:, None], mesh.vertices, mesh.vertices[mesh.faces[0, 0]])

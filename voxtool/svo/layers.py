@@ -19,34 +19,23 @@ OUTSIDE, SET = 0, 1  # a voxel is unset, or SET + the level that holds it
 
 @dataclass(frozen=True)
 class Leaves:
-    """The nodes of one level that have no children, their first axis in order.
+    """The nodes of one level that have no children, sorted along their first axis."""
 
-    number : the level; side : voxels along a side of a node.
-    corners : (N, 3) int32 low corners in voxels, columns in the order asked for.
-    inside : (N,) bool: completely inside; False at level 0.
-    bricks : (N,) uint64 at level 0, else empty.
-    """
-
-    number: int
-    side: int
-    corners: np.ndarray
-    inside: np.ndarray
-    bricks: np.ndarray
+    number: int  # the level
+    side: int  # voxels along a side of a node
+    corners: np.ndarray  # (N, 3) int32 low corners in voxels, in the order of axes asked for
+    inside: np.ndarray  # (N,) bool, False at level 0
+    bricks: np.ndarray  # (N,) uint64 at level 0, otherwise empty
 
     def touching(self, first: int) -> slice:
-        """The leaves whose first axis spans voxel `first`."""
+        """Return the leaves that contain voxel `first` of the first axis."""
         corner = first - first % self.side
         column = self.corners[:, 0]
         return slice(*np.searchsorted(column, [corner, corner + 1]).tolist())
 
 
 def sorted_leaves(octree: Octree, order: tuple[int, int, int]) -> list[Leaves]:
-    """The leaves of each level, root first, sorted along axis order[0].
-
-    Raises
-    ------
-    MemoryLimitError : they do not fit in memory.
-    """
+    """Return the leaves of each level, root first, sorted along axis order[0]."""
     check_memory(64 * len(octree.nodes), "the leaves of the octree")
     found = []
     for level in octree.levels():
@@ -62,8 +51,8 @@ def sorted_leaves(octree: Octree, order: tuple[int, int, int]) -> list[Leaves]:
 def paint(
     leaves: list[Leaves], first: int, order: tuple[int, int, int], shape: Sequence[int]
 ) -> np.ndarray:
-    """Four voxel layers, (4, a, b) uint8 of OUTSIDE or SET + level, from voxel `first` (a multiple
-    of 4) along axis order[0]; a and b are the grid's `shape` along the others, rounded up to 4."""
+    """Return four layers of voxels, (4, a, b) uint8 of OUTSIDE or SET + level, from voxel `first`
+    (a multiple of 4) of axis order[0] on; a and b are the other sides of the shape, rounded up."""
     a, b = (-(-shape[axis] // BRICK_SIDE) * BRICK_SIDE for axis in order[1:])
     slab = np.zeros((BRICK_SIDE, a, b), np.uint8)
     for level in leaves:
@@ -84,16 +73,7 @@ def paint(
 
 
 def layers(octree: Octree, order: tuple[int, int, int] = (0, 1, 2)) -> Iterator[np.ndarray]:
-    """The dense array in pieces of at most four layers, low to high.
-
-    Parameters
-    ----------
-    order : axes of the pieces; the first is the one that they cut.
-
-    Yields
-    ------
-    (n, a, b) bool, n at most 4 and a, b the grid's shape along order[1], order[2].
-    """
+    """Yield the dense array, transposed to the axes `order`, in pieces of at most four layers."""
     shape = [octree.grid.shape[axis] for axis in order]
     check_memory(2 * BRICK_SIDE * (shape[1] + 3) * (shape[2] + 3), "four layers of voxels")
     leaves = sorted_leaves(octree, order)
@@ -103,12 +83,7 @@ def layers(octree: Octree, order: tuple[int, int, int] = (0, 1, 2)) -> Iterator[
 
 
 def coordinates(octree: Octree) -> Iterator[np.ndarray]:
-    """The set voxels in lexicographic order, a layer of bricks at a time.
-
-    Yields
-    ------
-    (N, 3) int32 voxels.
-    """
+    """Yield the set voxels, (N, 3) int32, in lexicographic order, one layer of bricks at a time."""
     leaves = sorted_leaves(octree, (0, 1, 2))
     for first in range(0, octree.grid.shape[0], BRICK_SIDE):
         keys = np.sort(np.concatenate([_keys(level, first) for level in leaves]))
@@ -117,7 +92,7 @@ def coordinates(octree: Octree) -> Iterator[np.ndarray]:
 
 
 def _keys(level: Leaves, first: int) -> np.ndarray:
-    """Set voxels of one level in the four layers from `first`, as int64: x, y, z of 21 bits."""
+    """Return the set voxels of a level in four layers as int64 keys of 21 bits for x, y and z."""
     here = level.touching(first)
     corners = level.corners[here].astype(np.int64)
     if level.number == 0:

@@ -3,7 +3,7 @@
 A node is two 32-bit words, `parent` and `child`. The device's header is generated from the
 constants of this module.
 
-    bit 31      INSIDE, in `child` only: a leaf above level 0 that lies wholly inside a solid
+    bit 31      INSIDE, in `child` only: a leaf above level 0 that lies completely inside a solid
     bit 30      VALID: the word holds a link (the root has no parent, a coarse leaf no child)
     bits 0..29  LINK: index of the parent, of the first child, or at level 0 of the node's brick
 
@@ -42,7 +42,7 @@ BRICK_VOXELS = morton_decode(np.arange(BRICK_SIDE**3))  # (64, 3): the voxel of 
 
 
 def unpack_bricks(bricks: np.ndarray) -> np.ndarray:
-    """(M, 4, 4, 4) bool voxels of (M,) uint64 masks, indexed [brick, x, y, z]."""
+    """Return the (M, 4, 4, 4) bool voxels of (M,) masks, indexed [brick, x, y, z]."""
     bits = np.unpackbits(
         np.ascontiguousarray(bricks, BRICK).view(np.uint8), bitorder="little"
     ).reshape(-1, 64)
@@ -53,16 +53,8 @@ def unpack_bricks(bricks: np.ndarray) -> np.ndarray:
 
 
 def pack_array(dense: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The bricks of a dense array that hold a voxel.
-
-    Parameters
-    ----------
-    dense : (nx, ny, nz) bool, indexed [x, y, z].
-
-    Returns
-    -------
-    (M,) uint64 rising Morton codes of the bricks, and (M,) uint64 masks.
-    """
+    """Return the occupied bricks of an (nx, ny, nz) bool array: (M,) uint64 Morton codes in
+    ascending order, and (M,) uint64 masks."""
     padded = np.pad(dense, [(0, -n % BRICK_SIDE) for n in dense.shape])
     a, b, c = (n // BRICK_SIDE for n in padded.shape)
     blocks = padded.reshape(a, BRICK_SIDE, b, BRICK_SIDE, c, BRICK_SIDE)
@@ -76,16 +68,7 @@ def pack_array(dense: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def pack_voxels(voxels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The bricks of a list of voxels.
-
-    Parameters
-    ----------
-    voxels : (N, 3) whole numbers from 0 to 2**21 - 1, in any order, repeated or not.
-
-    Returns
-    -------
-    (M,) uint64 rising Morton codes of the bricks, and (M,) uint64 masks.
-    """
+    """Return the same for (N, 3) voxels from 0 to 2**21 - 1, in any order, with repetitions."""
     codes = np.sort(morton_encode(voxels))
     bits = np.uint64(1) << (codes & np.uint64(63))
     codes >>= np.uint64(6)
@@ -95,7 +78,7 @@ def pack_voxels(voxels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def voxels_within(bricks: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:
-    """(N,) uint64 masks of the voxels that lie within a grid's shape, of (N, 3) brick cells."""
+    """Return (N,) uint64 masks of the voxels of (N, 3) brick cells that lie in a grid's shape."""
     bits = np.uint64(1) << np.arange(BRICK_SIDE**3, dtype=np.uint64)
     within = np.full(len(bricks), ~np.uint64(0))
     for a in range(3):

@@ -1,10 +1,10 @@
 """The sparse voxel octree: the data.
 
 Level 0 nodes are bricks of 4 x 4 x 4 voxels; a node of level L spans 4 * 2**L voxels a side, and
-the root spans the grid's cube. A node has no child or eight. The nodes of a level are contiguous
-and in Morton order (x in the lowest bit), so a child index is a multiple of 8. Levels are stored
-from the root down in one flat array, and links count from the start of their level; level 0 node i
-owns brick i. layout.py gives the bits of nodes and bricks.
+the root spans the grid's cube. A node has no child or eight children. The nodes of a level are
+contiguous and in Morton order (x in the lowest bit), so a child index is a multiple of 8. Levels
+are stored from the root down in one flat array, and links count from the start of their level;
+level 0 node i owns brick i. layout.py gives the bits of nodes and bricks.
 
 The structure is that of [voCCeL], figures 3.5 and 5.1.
 """
@@ -45,29 +45,21 @@ OCTREE_MODES = (*MODES, "solid+surface26")
 
 @dataclass(frozen=True)
 class Level:
-    """The nodes of one level, in Morton order.
+    """The nodes of one level, in Morton order."""
 
-    Attributes
-    ----------
-    number : the level; 0 holds the bricks.
-    side : voxels along a side of a node.
-    nodes : (N,) view of the octree's nodes, dtype NODE.
-    codes : (N,) uint64 Morton codes of the nodes' cells.
-    """
-
-    number: int
-    side: int
-    nodes: np.ndarray
-    codes: np.ndarray
+    number: int  # 0 for the bricks
+    side: int  # voxels along a side of a node
+    nodes: np.ndarray  # (N,) NODE, a view of the octree's nodes
+    codes: np.ndarray  # (N,) uint64 Morton codes of the nodes' cells
 
     @property
     def refined(self) -> np.ndarray:
-        """(N,) bool: nodes that have children (at level 0: a brick)."""
+        """(N,) bool: True for nodes that have children (at level 0, a brick)."""
         return (self.nodes["child"] & VALID) != 0
 
     @property
     def inside(self) -> np.ndarray:
-        """(N,) bool: leaves wholly inside the solid."""
+        """(N,) bool: True for leaves that lie completely inside the solid."""
         return (self.nodes["child"] & INSIDE) != 0
 
     @property
@@ -80,26 +72,37 @@ class Level:
 class Octree:
     """A set of voxels of a grid.
 
-    Octrees are equal where their digests are: same grid, mode, fill and nodes, whatever their plan
-    and source. They are hashed by identity, so that the device can keep data for one of them.
+    Two octrees are equal if their digests are equal; plan, source and units do not count. Octrees
+    are hashed by identity, so that the device can keep data for one of them.
 
     Parameters
     ----------
-    grid : where the voxels lie.
-    mode : "surface26", "surface6", "solid" or "solid+surface26".
-    fill : rule that decided what is inside: "parity", "nonzero", "winding", "flood", "flood+gapN";
-        "none" for surfaces and for voxels that were given.
-    offsets : (depth + 1,) uint32: where each level begins, root first; the last is the node count.
-    nodes : (N,) NODE.
-    bricks : (M,) uint64, one for each level 0 node.
-    plan : what the plan said of the scene: JSON types only.
-    source_sha256 : hex digest of the bytes that the mesh was read from, or "".
-    units : name of the world unit if known, or "".
+    grid : Grid
+        The grid of the voxels.
+    mode : {"surface26", "surface6", "solid", "solid+surface26"}
+        The kind of voxel set.
+    fill : str
+        Rule that decided what is inside: "parity", "nonzero", "winding", "flood" or "flood+gapN";
+        "none" for surfaces and for octrees made from arrays.
+    offsets : (depth + 1,) uint32
+        Index of the first node of each level, root first, and the number of nodes.
+    nodes : (N,) NODE
+        Links and flags of the nodes.
+    bricks : (M,) uint64
+        Voxels of the level 0 nodes, as bit masks.
+    plan : dict, optional
+        The plan of the voxelization, in JSON types.
+    source_sha256 : str, optional
+        Hex digest of the bytes that the mesh was read from.
+    units : str, optional
+        Name of the world unit.
 
     Raises
     ------
-    VoxtoolError : the mode is unknown, or an array is of another type.
-    FileError : the sizes of the arrays do not fit the grid or each other.
+    VoxtoolError
+        If the mode is unknown or an array has the wrong type.
+    FileError
+        If the sizes of the arrays do not fit the grid or each other.
     """
 
     grid: Grid
@@ -134,20 +137,30 @@ class Octree:
         mode: str = "solid",
         units: str = "",
     ) -> Octree:
-        """The octree of a dense array, with fill "none".
+        """Return the octree of a dense array, with fill "none".
 
         Parameters
         ----------
-        array : (nx, ny, nz), indexed [x, y, z]; voxels that are not zero are set.
-        origin : world coordinates of the low corner of voxel (0, 0, 0).
-        pitch : world size of a voxel, or one for each axis.
-        mode : "solid": nodes whose voxels are all alike are leaves. "surface26" or "surface6":
-            all nodes that hold a voxel are refined, as for a surface.
-        units : name of the world unit.
+        array : (nx, ny, nz) array_like
+            Voxels, indexed [x, y, z]; the nonzero ones are set.
+        origin : (3,) sequence of float
+            World coordinates of the low corner of voxel (0, 0, 0).
+        pitch : float or (3,) sequence of float
+            World size of a voxel.
+        mode : str
+            "solid" makes leaves of nodes whose voxels are all set; "surface26" and "surface6"
+            refine every node that holds a voxel.
+        units : str
+            Name of the world unit.
+
+        Returns
+        -------
+        Octree
 
         Raises
         ------
-        GridError : the array has not three axes, or a number is out of a grid's range.
+        GridError
+            If the array does not have three axes, or a number is out of a grid's range.
         """
         dense = np.asarray(array)
         if dense.ndim != 3:
@@ -160,16 +173,25 @@ class Octree:
     def from_voxels(
         cls, indices: Any, grid: Grid, *, mode: str = "solid", units: str = ""
     ) -> Octree:
-        """The octree of a list of voxels, with fill "none"; no dense array is made.
+        """Return the octree of a list of voxels, with fill "none"; needs no dense array.
 
         Parameters
         ----------
-        indices : (N, 3) whole numbers x, y, z, in any order; repeated ones count once.
-        mode, units : as in from_dense.
+        indices : (N, 3) array_like of int
+            Voxels x, y, z in any order; repeated ones count once.
+        grid : Grid
+            The grid of the voxels.
+        mode, units : str
+            As in `from_dense`.
+
+        Returns
+        -------
+        Octree
 
         Raises
         ------
-        GridError : an index is not in the grid, or no whole number.
+        GridError
+            If an index is not an integer or not in the grid.
         """
         voxels = np.asarray(indices)
         if voxels.size == 0:
@@ -202,16 +224,16 @@ class Octree:
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         if copy is False:
-            raise ValueError("an octree is no array: a dense copy is needed")
+            raise ValueError("an octree cannot become an array without a copy: drop copy=False")
         return self.to_dense().astype(dtype or bool, copy=False)
 
     @property
     def depth(self) -> int:
-        """Number of levels, the root's and the bricks' included."""
+        """Number of levels, including the root and the bricks."""
         return len(self.offsets) - 1
 
     def levels(self) -> list[Level]:
-        """All levels, root first."""
+        """Return all levels, root first."""
         found: list[Level] = []
         codes = np.zeros(1, np.uint64)
         for d in range(self.depth):
@@ -230,7 +252,7 @@ class Octree:
         return sum(self.count_by_level().values())
 
     def count_by_level(self) -> dict[int, int]:
-        """Set voxels that each level holds: bricks at 0, whole inside leaves above."""
+        """Return the set voxels by level: in bricks at level 0, in inside leaves above."""
         counts = {0: int(np.bitwise_count(self.bricks).sum(dtype=np.int64))}
         for d in range(self.depth - 1):
             number = self.depth - 1 - d
@@ -245,10 +267,10 @@ class Octree:
         return self.nodes.nbytes + self.bricks.nbytes
 
     def summary(self) -> dict[str, Any]:
-        """Counts and sizes in JSON types; lengths in world units, volumes in their cubes.
+        """Return counts and sizes in JSON types, in world units.
 
-        A level's `voxels` are those that its inside leaves or bricks hold; its `coverage` is the
-        share of the volume of its nodes that is set.
+        The `voxels` of a level are those in its inside leaves or bricks; its `coverage` is the
+        fraction of the volume of its nodes that is set.
         """
         counts = self.count_by_level()
         levels = []
@@ -291,15 +313,17 @@ class Octree:
         }
 
     def to_dense(self) -> np.ndarray:
-        """The voxels as a dense array; `np.asarray(octree)` is the same.
+        """Return the voxels as a dense array, as `np.asarray(octree)` does.
 
         Returns
         -------
-        (nx, ny, nz) bool, indexed [x, y, z].
+        (nx, ny, nz) bool
+            Voxels, indexed [x, y, z].
 
         Raises
         ------
-        MemoryLimitError : the array does not fit in memory.
+        MemoryLimitError
+            If the array does not fit in memory.
         """
         nx, ny, nz = self.grid.shape
         check_memory(nx * ny * nz, f"the {nx} x {ny} x {nz} bytes of a dense array")
@@ -320,7 +344,7 @@ class Octree:
         return dense[:nx, :ny, :nz]
 
     def occupied(self) -> np.ndarray:
-        """The set voxels as an (N, 3) int64 array, in lexicographic order."""
+        """Return the set voxels as an (N, 3) int64 array, in lexicographic order."""
         parts = []
         for level in self.levels():
             if level.number:
@@ -336,8 +360,8 @@ class Octree:
         return voxels[np.lexsort(voxels.T[::-1])]
 
     def digest(self) -> str:
-        """SHA-256 of the canonical content: shape, mode, fill, origin, pitch, offsets, nodes and
-        bricks, little-endian. Equal content has an equal digest on every device and platform."""
+        """Return the SHA-256 of shape, mode, fill, origin, pitch, offsets, nodes and bricks, in
+        little-endian order. Equal content has an equal digest on every device and platform."""
         head = {
             "shape": list(self.grid.shape),
             "mode": self.mode,
@@ -355,6 +379,7 @@ class Octree:
 
         Raises
         ------
-        FileError : names the first invariant that does not hold, with its level and node.
+        FileError
+            If an invariant does not hold; the message names the first one, its level and node.
         """
         check_structure(self)

@@ -1,8 +1,9 @@
-"""Plans of voxelization: arithmetic on the numbers of a survey, before anything runs."""
+"""Plans of voxelization, computed from the numbers of a survey before anything runs."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Any
 
 from voxtool.errors import MemoryLimitError, count_of, human
@@ -19,57 +20,37 @@ COLUMN_TILE = 64  # columns along a side of a work-item's share of a triangle
 
 @dataclass(frozen=True)
 class Survey:
-    """The numbers of a scene that a plan is made from.
+    """The numbers of a mesh on a grid from which a plan is made."""
 
-    triangles, vertices : how many there are, caps of holes among them.
-    outside : triangles that cannot touch the grid nor cross its rows.
-    extent : longest side of a bounding box of a triangle, in voxels.
-    areas : areas projected along x, y, z, summed over the triangles, in voxel^2.
-    before : whether a triangle reaches beyond the low-x side.
-    """
-
-    triangles: int
+    triangles: int  # caps of holes included
     vertices: int
-    outside: int
-    extent: float
-    areas: tuple[float, float, float]
-    before: bool
+    outside: int  # triangles that neither touch the grid nor cross its rows
+    extent: float  # longest side of the bounding box of any triangle, in voxels
+    areas: tuple[float, float, float]  # sums of areas projected along x, y, z, in voxel^2
+    before: bool  # True if a triangle reaches beyond the low-x side of the grid
 
 
 @dataclass(frozen=True)
 class VoxelizePlan:
-    """The decisions on how a mesh is voxelized.
-
-    mode : of the octree; side : voxels along a side of its cube; levels : its levels, bricks
-    included.
-    fill : rule that decides what is inside, or "none" for a surface; gap : voxels of openings
-    that a flood does not pass.
-    surface : "" or the separability of the surface that is voxelized, "26" or "6".
-    holes, caps : of the mesh where they matter, and the triangles that close them.
-    wide : predicates in 128 bits; code_bits : of the Morton codes; blocked : the level-1 volume is
-    stored by blocks; entry : rows have a state where they enter; tiled, tiled_nodes : triangles
-    are shared among work-items, for voxels and for level-1 nodes; column_tile : columns along a
-    side of a share.
-    active : predicted refined nodes by level, from level 1 up.
-    """
+    """The decisions on how a mesh is voxelized."""
 
     survey: Survey
     shape: tuple[int, int, int]
-    side: int
+    side: int  # voxels along a side of the octree's cube
     mode: str
-    fill: str
-    gap: int
-    surface: str
-    holes: int
-    caps: int
-    wide: bool
-    code_bits: int
-    blocked: bool
-    entry: bool
-    tiled: bool
-    tiled_nodes: bool
-    active: tuple[int, ...]
-    column_tile: int = COLUMN_TILE
+    fill: str  # rule that decides what is inside; "none" for a surface
+    gap: int  # a flood closes openings of up to this many voxels
+    surface: str  # separability of the surface that is voxelized: "26", "6", or "" for no surface
+    holes: int  # counted for fill "winding" only
+    caps: int  # triangles that close the holes
+    wide: bool  # predicates use 128 bits
+    code_bits: int  # of a Morton code
+    blocked: bool  # the level-1 volume is stored in blocks
+    entry: bool  # rows have a state where they enter the grid
+    tiled: bool  # a triangle's voxels are divided among work-items
+    tiled_nodes: bool  # a triangle's level-1 nodes are divided among work-items
+    active: tuple[int, ...]  # predicted refined nodes by level, from level 1 up
+    column_tile: int = COLUMN_TILE  # columns along a side of a work-item's share of a triangle
 
     @property
     def solid(self) -> bool:
@@ -77,17 +58,13 @@ class VoxelizePlan:
 
     @property
     def rule(self) -> str:
-        """The rule with its gap, as it is stored with the output."""
+        """The fill rule with its gap, as stored in the octree."""
         return f"{self.fill}+gap{self.gap}" if self.gap else self.fill
 
     @property
     def listed(self) -> bool:
-        """Whether crossings are listed with their directions."""
+        """True if crossings are listed with their directions."""
         return self.fill in ("nonzero", "winding")
-
-    @property
-    def levels(self) -> int:
-        return (self.side // 4).bit_length()
 
     @property
     def stages(self) -> list[str]:
@@ -120,7 +97,27 @@ class VoxelizePlan:
     @property
     def device_bytes(self) -> int:
         """Predicted peak of memory on the device."""
-        return _device_bytes(self)
+        survey, finest = self.survey, self.active[0]
+        mesh = 12 * (survey.vertices + survey.triangles)
+        shares = 4 * survey.triangles * (self.tiled or self.tiled_nodes)
+        lists = sum(self.active) * (self.code_bits // 8 + 4)
+        rows = 8 * finest + 4 * (self.nodes - self.bricks) if self.solid else 0
+        if self.entry:
+            rows += 8 * -(-self.shape[1] // CELL) * -(-self.shape[2] // CELL)
+        added = (BRICK_BYTES * self.bricks + 4 * finest) * (self.solid and bool(self.surface))
+        crossings = 0
+        if self.listed:  # sorting copies them from one array to another
+            crossings = 2 * 8 * round(survey.areas[0]) + 4 * survey.triangles
+        parts = mesh, shares, self._volume_bytes, lists, rows, crossings, added, self.octree_bytes
+        return sum(parts)
+
+    @property
+    def _volume_bytes(self) -> int:
+        """Bytes of the level-1 volume: its words, and as many ranks."""
+        if not self.blocked:
+            return _dense_bytes(self.side)
+        blocks = self.active[3] if len(self.active) > 3 else 1
+        return 2 * 4 * max((self.side // NODE_BLOCK) ** 3 // 32, 1) + blocks * (16 * 4 * 2 + 8)
 
     @property
     def cost(self) -> Cost:
@@ -129,24 +126,24 @@ class VoxelizePlan:
 
     @property
     def work(self) -> int:
-        """Predicted voxels and crossings that are visited: bounds the time."""
+        """Predicted number of voxels and crossings visited; it bounds the time."""
         ax, ay, az = self.survey.areas
         voxels = {"": 0.0, "6": max(ax, ay, az), "26": ax + ay + az}[self.surface]
         return round(voxels + (ax if self.solid else 0)) + self.survey.triangles
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not compiled, allocated or run, and why."""
+        """The parts that are not compiled, allocated or run, each with the reason."""
         extent = f"the largest triangle spans {self.survey.extent:.1f} voxels"
         out = {}
         if not self.wide:
-            out["128-bit predicates"] = f"{extent}, of {NARROW_EXTENT} that 64 bits serve"
+            out["128-bit predicates"] = f"{extent}; 64 bits suffice up to {NARROW_EXTENT}"
         if self.code_bits == 32:
             out["64-bit Morton codes"] = (
-                f"the octree's side is {self.side}, of {CODE_32_SIDE} that 32 bits serve"
+                f"the octree's side is {self.side}; 32 bits suffice up to {CODE_32_SIDE}"
             )
         if not self.blocked:
-            out["blocked level-1 volume"] = f"dense, it takes {_dense_bytes(self.side):,} bytes"
+            out["blocked level-1 volume"] = f"a dense one takes {_dense_bytes(self.side):,} bytes"
         if not self.tiled:
             out["sharing of triangles among work-items"] = extent
         if not self.solid:
@@ -159,16 +156,16 @@ class VoxelizePlan:
             out["surface voxels"] = "the mode is solid, without its surface"
         if self.listed and not self.caps:
             out["winding numbers near holes"] = (
-                "no edge bounds a hole: whole numbers tell all"
+                "no edge bounds a hole: integers decide every voxel"
                 if self.fill == "winding"
-                else "crossings are counted, holes or not"
+                else "the rule counts crossings, also near holes"
             )
         if self.fill == "parity":
             out["directions of crossings"] = "parity does not need them"
         return out
 
     def scene(self) -> dict[str, Any]:
-        """What the plan says of the scene, to be stored with the output: JSON types only."""
+        """The part of the plan that is stored in the octree, in JSON types."""
         return {
             "fill": self.rule,
             **({"holes": self.holes, "cap_triangles": self.caps} if self.fill == "winding" else {}),
@@ -182,7 +179,7 @@ class VoxelizePlan:
         }
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it, the costs included: JSON types only."""
+        """The whole plan with its costs, in JSON types."""
         return {
             "shape": list(self.shape),
             **self.scene(),
@@ -192,11 +189,11 @@ class VoxelizePlan:
         }
 
     def rows(self) -> list[tuple[str, str]]:
-        """What `--plan` prints of the scene."""
+        """Names and texts that `--plan` prints before the stages."""
         spans = f"the largest spans {self.survey.extent:.1f} voxels"
         shape = " x ".join(map(str, self.shape))
         rows = [
-            ("grid", f"{shape} voxels, octree of {self.levels} levels"),
+            ("grid", f"{shape} voxels, octree of {(self.side // BRICK_SIDE).bit_length()} levels"),
             ("scene", f"{self.survey.triangles - self.caps:,} triangles, {self.survey.outside:,} "
              f"outside; {spans}"),
         ]  # fmt: skip
@@ -215,10 +212,10 @@ class VoxelizePlan:
         """Predicted bytes of the largest single allocation on the device."""
         mesh = 12 * max(self.survey.vertices, self.survey.triangles)
         octree = max(NODE_BYTES * self.nodes, BRICK_BYTES * self.bricks)
-        return max(mesh, octree, _volume_bytes(self) // 2)
+        return max(mesh, octree, self._volume_bytes // 2)
 
     def fits(self, max_memory: int, max_allocation: int) -> bool:
-        """Whether memory and links suffice."""
+        """True if the work fits in memory and the nodes fit 30-bit links."""
         return (
             self.device_bytes <= max_memory
             and self.largest_buffer <= max_allocation
@@ -226,21 +223,12 @@ class VoxelizePlan:
         )
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the work needs more memory.
-
-        Parameters
-        ----------
-        max_memory, max_allocation : bytes that may be allocated on the device, in total and in
-            one buffer.
-
-        Raises
-        ------
-        MemoryLimitError : with the largest dim that fits.
-        """
+        """Raise MemoryLimitError, which names the largest dim that fits, if the work needs more
+        than max_memory bytes on the device, or max_allocation bytes in one buffer."""
         if self.fits(max_memory, max_allocation):
             return
         dim = max(self.shape)
-        low, high = CELL - 1, dim  # low fits, or is none
+        low, high = CELL - 1, dim  # low fits, or is below the least dim
         while high - low > 1:
             middle = (low + high) // 2
             if _rescale(self, middle / dim).fits(max_memory, max_allocation):
@@ -256,21 +244,10 @@ class VoxelizePlan:
 
 
 def plan_of(
-    survey: Survey,
-    shape: tuple[int, int, int],
-    *,
-    mode: str,
-    fill: str,
-    gap: int = 0,
-    holes: int = 0,
-    caps: int = 0,
-) -> VoxelizePlan:
-    """The plan for a mesh that was surveyed against a grid of the given shape.
-
-    Parameters
-    ----------
-    mode, fill, gap, holes, caps : as in VoxelizePlan.
-    """
+    survey: Survey, shape: tuple[int, int, int], *, mode: str, fill: str, gap: int, holes: int,
+    caps: int,
+) -> VoxelizePlan:  # fmt: skip
+    """Return the plan for a surveyed mesh on a grid of the given shape."""
     solid = fill != "none"
     side = 1 << (max(shape) - 1).bit_length()
     return VoxelizePlan(
@@ -296,8 +273,8 @@ def plan_of(
 def _predict_active(
     survey: Survey, shape: tuple[int, int, int], side: int, solid: bool
 ) -> tuple[int, ...]:
-    """Refined nodes by level: a plane patch of area A and normal n meets A (|nx| w + |ny| h +
-    |nz| d) / c^3 of the boxes of w x h x d that stand on a lattice of spacing c."""
+    """Predict the refined nodes of each level: on a lattice of spacing c, a plane patch of area A
+    and normal n meets A (|nx| w + |ny| h + |nz| d) / c^3 boxes of size w x h x d."""
     if survey.triangles == survey.outside:
         return (0,) * ((side // CELL).bit_length())
     ax, ay, az = survey.areas
@@ -306,9 +283,7 @@ def _predict_active(
     while cell <= side:
         widened = cell + 1 if solid else cell
         expected = (ax * widened + ay * cell + az * cell) / cell**3
-        most = 1
-        for n in shape:
-            most *= -(-n // cell)
+        most = math.prod(-(-n // cell) for n in shape)
         counts.append(int(min(max(round(expected), 1), most)))
         cell *= 2
     return tuple(counts)
@@ -318,42 +293,13 @@ def _dense_bytes(side: int) -> int:
     return 2 * 4 * max((side // CELL) ** 3 // 32, 1)
 
 
-def _volume_bytes(plan: VoxelizePlan) -> int:
-    """The level-1 volume: its words and, as many, their ranks."""
-    if not plan.blocked:
-        return _dense_bytes(plan.side)
-    blocks = plan.active[3] if len(plan.active) > 3 else 1
-    return 2 * 4 * max((plan.side // NODE_BLOCK) ** 3 // 32, 1) + blocks * (16 * 4 * 2 + 8)
-
-
-def _device_bytes(plan: VoxelizePlan) -> int:
-    survey, active, finest = plan.survey, plan.active, plan.active[0]
-    mesh = 12 * (survey.vertices + survey.triangles)
-    shares = 4 * survey.triangles * (plan.tiled or plan.tiled_nodes)
-    volume = _volume_bytes(plan)
-    lists = sum(active) * (plan.code_bits // 8 + 4)
-    rows = 8 * finest + 4 * (plan.nodes - plan.bricks) if plan.solid else 0
-    if plan.entry:
-        rows += 8 * -(-plan.shape[1] // CELL) * -(-plan.shape[2] // CELL)
-    added = (BRICK_BYTES * plan.bricks + 4 * finest) * (plan.solid and bool(plan.surface))
-    crossings = 0
-    if plan.listed:  # sorted from one array to another
-        crossings = 2 * 8 * round(survey.areas[0]) + 4 * survey.triangles
-    return mesh + shares + volume + lists + rows + crossings + added + plan.octree_bytes
-
-
 def _rescale(plan: VoxelizePlan, factor: float) -> VoxelizePlan:
     """The plan of the same scene at another dim."""
     s = plan.survey
     ax, ay, az = (a * factor**2 for a in s.areas)
-    survey = Survey(s.triangles, s.vertices, s.outside, s.extent * factor, (ax, ay, az), s.before)
+    survey = replace(s, extent=s.extent * factor, areas=(ax, ay, az))
     nx, ny, nz = (max(round(n * factor), 1) for n in plan.shape)
     return plan_of(
-        survey,
-        (nx, ny, nz),
-        mode=plan.mode,
-        fill=plan.fill,
-        gap=plan.gap,
-        holes=plan.holes,
+        survey, (nx, ny, nz), mode=plan.mode, fill=plan.fill, gap=plan.gap, holes=plan.holes,
         caps=plan.caps,
-    )
+    )  # fmt: skip

@@ -1,8 +1,8 @@
 """Octrees in canonical form, from the states of their nodes.
 
-A node is refined if a triangle makes it active, or if its voxels are not all alike. A fill rule may
-refine more on its way; `prune` takes that back, so that the octree depends on the mesh and on the
-set of voxels alone.
+A node is refined if a triangle makes it active, or if only some of its voxels are set. A fill rule
+may refine further nodes; `prune` removes their children, so that the octree depends only on the
+mesh and on the set of voxels.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ ALL_VOXELS = ~np.uint64(0)
 
 
 def states_of(offsets: np.ndarray, nodes: np.ndarray) -> list[np.ndarray]:
-    """The states of the nodes of an octree, as in Octree, by level from level 1 up."""
+    """Return the states of the nodes of an octree, by level from level 1 up."""
     child = nodes["child"][: offsets[-2]]
     states = np.where(child & INSIDE, FULL, EMPTY).astype(np.uint8)
     states[(child & VALID) != 0] = REFINED
@@ -28,16 +28,10 @@ def prune(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Make leaves of the refined nodes that are neither active nor mixed.
 
-    Parameters
-    ----------
-    lists : rising Morton codes of the refined nodes of each level, from level 1 up.
-    states : (n,) uint8 states of all nodes of these levels.
-    bricks : (8 n,) uint64 masks of the n refined nodes of level 1.
-    active : rising Morton codes of the level-1 nodes that stay refined.
-
-    Returns
-    -------
-    offsets, nodes, bricks : as in Octree.
+    `lists` holds the ascending Morton codes of the refined nodes by level, from level 1 up,
+    `states` the (n,) uint8 states of all nodes of each level, and `bricks` the masks of the
+    children of the refined level-1 nodes. The level-1 nodes with codes `active` stay refined.
+    Returns the offsets, nodes and bricks of an Octree.
     """
     parts, below = [], np.empty(0, np.uint8)
     for level, (codes, state) in enumerate(zip(lists, states, strict=True), 1):
@@ -62,18 +56,8 @@ def prune(
 def octree_of_bricks(
     side: int, codes: np.ndarray, masks: np.ndarray, *, collapse: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The canonical octree of a set of voxels.
-
-    Parameters
-    ----------
-    side : voxels along a side of the root.
-    codes : (n,) uint64 rising Morton codes of the bricks that hold a voxel; masks : (n,) of these.
-    collapse : nodes whose voxels are all set become leaves.
-
-    Returns
-    -------
-    offsets, nodes, bricks : as in Octree.
-    """
+    """Return offsets, nodes and bricks of the canonical octree of occupied bricks, given by their
+    ascending codes and masks. With `collapse`, nodes whose voxels are all set become leaves."""
     lists, children = [], codes
     while side > BRICK_SIDE:
         lists.append(np.unique(children >> np.uint64(3)))
@@ -90,7 +74,7 @@ def octree_of_bricks(
 
 
 def _places(codes: np.ndarray, parents: np.ndarray) -> np.ndarray:
-    """Where nodes lie among the children of their parents; both are rising Morton codes."""
+    """Return the index of each node among the children of the parents; all codes ascend."""
     rank = np.searchsorted(parents, codes >> np.uint64(3))
     return 8 * rank + (codes & np.uint64(7)).astype(np.int64)
 
@@ -98,7 +82,7 @@ def _places(codes: np.ndarray, parents: np.ndarray) -> np.ndarray:
 def _linked(
     levels: list[np.ndarray], bricks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The linked nodes of the levels above the bricks, from their states, root first."""
+    """Return the linked nodes of levels that are given by their nodes' states, root first."""
     sizes = [len(states) for states in levels] + [len(bricks)]
     offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.uint32)
     nodes = np.zeros(int(offsets[-1]), NODE)

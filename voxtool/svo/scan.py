@@ -1,13 +1,12 @@
 """Scan conversion: the voxels and level-1 nodes that triangles touch ([voCCeL], section 3.2).
 
-A work-item takes a triangle; where triangles are large, a tile of a triangle's columns. Kernels:
-kernels/svo/scan.cl.
+A work-item processes one triangle or, if triangles are large, one tile of a triangle's columns.
+Kernels: kernels/svo/scan.cl.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,29 +38,15 @@ HEADERS = {
 }
 
 
-@dataclass(frozen=True)
-class Shares:
-    """The work-items' shares of triangles: their number, and the kernel's arguments by name."""
-
-    n: int
-    arguments: dict[str, Any]
-
-
 class Scan:
-    """Launches kernels over the triangles of a mesh, as a plan says.
-
-    Parameters
-    ----------
-    mesh : on the device.
-    plan : with the decisions that choose the kernels' variants.
-    """
+    """Launches kernels over the triangles of a mesh, in the variants that the plan selects."""
 
     def __init__(self, mesh: LatticeMesh, plan: VoxelizePlan) -> None:
         self.mesh, self.plan, self.device = mesh, plan, mesh.device
         self._kind = TOUCHED if plan.surface == "26" else SEPARATING
         self.code = np.dtype(np.uint32 if plan.code_bits == 32 else np.uint64)
-        # a solid's level-1 nodes are widened along x, so that the first voxel at or beyond every
-        # crossing lies in one ([voCCeL], eq. 3.6)
+        # for a solid, level-1 nodes are widened along x, so that the first voxel at or beyond every
+        # crossing lies in an active node ([voCCeL], eq. 3.6)
         self.pad = HALF_VOXEL if plan.solid else 0
         self._options: dict[str, int | str] = {
             "CODE": code_name(self.code),
@@ -71,16 +56,19 @@ class Scan:
         }
 
     def kernel(self, source: str, name: str) -> Callable[..., None]:
-        """A kernel with the plan's options."""
+        """Return a kernel compiled with the plan's options."""
         kind = {"KIND": self._kind} if source == SOURCE and self.plan.surface else {}
         return self.device.kernel(source, name, **self._options, **kind)
 
     def shape(self, level: int = 0) -> tuple[int, ...]:
-        """The grid's shape in boxes of 2**level voxels."""
+        """Return the grid's shape in boxes of 2**level voxels."""
         return tuple(-(-n >> level) for n in self.plan.shape)
 
-    def shares(self, kind: int, level: int = 0, *, with_caps: bool = False) -> Shares:
-        """The shares of the mesh's triangles, and of its caps, in boxes of 2**level voxels."""
+    def shares(
+        self, kind: int, level: int = 0, *, with_caps: bool = False
+    ) -> tuple[int, dict[str, Any]]:
+        """Return the number of work-items for triangles in boxes of 2**level voxels, and the
+        kernels' arguments by name."""
         n = self.mesh.triangles + (self.plan.caps if with_caps else 0)
         arguments: dict[str, Any] = {
             "vertices": self.mesh.vertices,
@@ -89,7 +77,7 @@ class Scan:
             "tile_offsets": None,
         }
         if not (self.plan.tiled_nodes if level else self.plan.tiled):
-            return Shares(n, arguments)
+            return n, arguments
         tiles = self.device.empty(n + 1, np.uint32)
         self.kernel(SOURCE, "count_tiles")(
             n, self.mesh.vertices, self.mesh.faces, kind, level, self.shape(level),
@@ -102,23 +90,23 @@ class Scan:
                     f"{total:,} shares of large triangles exceed 32-bit indices: choose a smaller "
                     "dim, or voxelize windows of the grid"
                 )
-        return Shares(exclusive_scan(tiles, n), {**arguments, "tile_offsets": tiles})
+        return exclusive_scan(tiles, n), {**arguments, "tile_offsets": tiles}
 
     def activate(
         self, level: int, lookup: dict[str, Array], target: Array, *, with_caps: bool
     ) -> None:
         """Set the bits of the boxes of 2**level voxels that triangles touch."""
-        shares = self.shares(TOUCHED, level, with_caps=with_caps)
+        n, triangles = self.shares(TOUCHED, level, with_caps=with_caps)
         self.kernel(SOURCE, "activate")(
-            shares.n, **shares.arguments, level=level, shape=self.shape(level), pad=self.pad,
+            n, **triangles, level=level, shape=self.shape(level), pad=self.pad,
             **lookup, target=target,
         )  # fmt: skip
 
     def surface(self, active: ActiveNodes) -> Array:
-        """The bricks of the active nodes, with the voxels of the surface set."""
-        bricks = self.device.zeros(8 * active.n, BRICK)
-        shares = self.shares(self._kind)
+        """Return the bricks of the active nodes, with the voxels of the surface set."""
+        bricks = self.device.zeros(8 * active.nodes.n, BRICK)
+        n, triangles = self.shares(self._kind)
         self.kernel(SOURCE, "set_surface")(
-            shares.n, **shares.arguments, shape=self.shape(), **active.lookup, bricks=bricks
+            n, **triangles, shape=self.shape(), **active.lookup, bricks=bricks
         )
         return bricks

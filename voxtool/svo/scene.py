@@ -1,4 +1,4 @@
-"""An octree as a scene: what `render` asks of the voxels, or of the nodes of a level."""
+"""An octree as a scene for `render`: its voxels, or the nodes of a level."""
 
 from __future__ import annotations
 
@@ -18,27 +18,19 @@ if TYPE_CHECKING:
     from voxtool.camera import Rays
     from voxtool.opencl import Device
 
-COARSE_LEVELS = 5  # levels below the root, of the boxes that bound what is shown
+COARSE_LEVELS = 5  # levels below the root down to which nodes bound what is shown
 
 
 @dataclass(frozen=True, eq=False)
 class OctreeScene:
-    """The voxels of an octree, or the nodes of a level as cubes.
-
-    level : "voxel", or a level from 0 (bricks) on.
-    colour : red, green and blue of what faces the light, from 0 to 1.
-
-    Raises
-    ------
-    VoxtoolError : there is no such level or colour.
-    """
+    """The voxels of an octree, or the nodes of a level as cubes."""
 
     kind: ClassVar[str] = "octree"
     samples: ClassVar[int] = 2
 
     content: Octree
-    level: int | str = "voxel"
-    colour: Sequence[float] = COLOUR
+    level: int | str = "voxel"  # or a level, from 0 for bricks
+    colour: Sequence[float] = COLOUR  # red, green and blue of a face towards the light, 0 to 1
 
     def __post_init__(self) -> None:
         checked_level(self.content, self.level)
@@ -51,7 +43,7 @@ class OctreeScene:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not drawn, and why."""
+        """The parts that are not drawn, each with the reason."""
         if self.level == "voxel":
             return {}
         return {f"voxels finer than level {self.level}": "nodes of that level are drawn as cubes"}
@@ -67,10 +59,8 @@ class OctreeScene:
         return self.content.nbytes
 
     def points(self) -> np.ndarray:
-        """(N, 3) float64, world units: points whose convex hull holds everything shown.
-
-        They are the corners of coarse nodes, cut to the bounding box of the voxels or cubes.
-        """
+        """Return (N, 3) float64 points in world units whose convex hull holds everything shown: the
+        corners of coarse nodes, clipped to the bounding box of the voxels or cubes."""
         octree, grid = self.content, self.content.grid
         origin, pitch = np.array(grid.origin), np.array(grid.pitch)
         finest = 1 << checked_level(octree, self.level) if self.level != "voxel" else BRICK_SIDE
@@ -91,9 +81,9 @@ class OctreeScene:
         return origin + pitch * np.clip(np.concatenate(boxes), low, high)
 
     def draw(self, rays: Rays, device: Device) -> np.ndarray:
-        """(H, W, 4) float32, premultiplied: one value a ray."""
+        """Return the premultiplied colour of every ray, (H, W, 4) float32."""
         return cast(self.content, rays, level=self.level, colour=self.colour, device=device)
 
     def why_empty(self) -> str:
-        """Why no ray can meet anything, or ""."""
+        """Return why the scene is empty, or ""."""
         return "" if self.content.count else "no voxel of the octree is set"

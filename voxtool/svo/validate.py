@@ -16,43 +16,30 @@ if TYPE_CHECKING:
 
 
 def check_offsets(grid: Grid, offsets: np.ndarray) -> None:
-    """Check the sizes of an octree's levels, before memory is allocated for its nodes.
-
-    Parameters
-    ----------
-    offsets : (depth + 1,) whole numbers, as in Octree.
-
-    Raises
-    ------
-    FileError : the grid does not have these levels, or their sizes are impossible.
-    """
+    """Raise FileError if the sizes of an octree's levels do not fit the grid or each other; called
+    before memory is allocated for the nodes."""
     offsets = offsets.astype(np.int64)
     depth = (grid.side // BRICK_SIDE).bit_length()
     if len(offsets) != depth + 1:
         raise FileError(
-            f"octree offsets: {len(offsets) - 1} levels where a grid of dim {grid.dim} has {depth}"
+            f"octree offsets: {len(offsets) - 1} levels, but a grid of dim {grid.dim} has {depth}"
         )
     sizes = np.diff(offsets)
     if offsets[0] != 0 or offsets[1] != 1 or (sizes < 0).any():
-        raise FileError("octree offsets: they do not rise from 0 and 1 (the root)")
+        raise FileError("octree offsets: they do not begin with 0 and 1 (the root) and ascend")
     if (sizes[1:] % 8).any():
-        raise FileError("octree offsets: a level below the root is no multiple of 8 nodes")
+        raise FileError("octree offsets: the size of a level below the root is not a multiple of 8")
     if (sizes[1:] > 8 * sizes[:-1]).any() or sizes.max() > int(LINK) + 1:
-        raise FileError("octree offsets: a level has more nodes than the one above allows")
+        raise FileError("octree offsets: a level has more nodes than the level above allows")
 
 
 def check_sizes(octree: Octree) -> None:
-    """Check that offsets, nodes and bricks have sizes that fit the grid and each other.
-
-    Raises
-    ------
-    FileError : names what does not fit.
-    """
+    """Raise FileError if the sizes of the arrays do not fit the grid or each other."""
     check_offsets(octree.grid, octree.offsets)
     offsets = octree.offsets.astype(np.int64)
     if offsets[-1] != len(octree.nodes):
         raise FileError(
-            f"octree offsets: they end at {offsets[-1]} where there are {len(octree.nodes)} nodes"
+            f"octree offsets: they end at {offsets[-1]}, but there are {len(octree.nodes)} nodes"
         )
     if len(octree.bricks) != offsets[-1] - offsets[-2]:
         raise FileError(
@@ -61,12 +48,7 @@ def check_sizes(octree: Octree) -> None:
 
 
 def check_structure(octree: Octree) -> None:
-    """Check every invariant of nodes and bricks.
-
-    Raises
-    ------
-    FileError : names the first invariant that does not hold, with its level and node.
-    """
+    """Raise FileError for the first invariant of nodes and bricks that does not hold."""
     check_sizes(octree)
     _check_children(octree)
     levels = octree.levels()
@@ -76,7 +58,7 @@ def check_structure(octree: Octree) -> None:
 
 
 def _check_children(octree: Octree) -> None:
-    """Every refined node has eight nodes on the level below."""
+    """Check that every refined node has eight nodes on the level below."""
     offsets, depth = octree.offsets.astype(np.int64), octree.depth
     for d in range(depth - 1):
         refined = np.count_nonzero(octree.nodes["child"][offsets[d] : offsets[d + 1]] & VALID)
@@ -88,7 +70,7 @@ def _check_children(octree: Octree) -> None:
 
 
 def _check_level(octree: Octree, level: Level) -> None:
-    """The links and flags of a level's nodes."""
+    """Check the links and flags of a level's nodes."""
 
     def refuse(what: str, bad: np.ndarray) -> None:
         if bad.any():
@@ -129,7 +111,7 @@ def _check_level(octree: Octree, level: Level) -> None:
 
 
 def _check_padding(octree: Octree, levels: list[Level]) -> None:
-    """No voxel is set between the grid's shape and the octree's cube."""
+    """Check that no voxel is set between the grid's shape and the octree's cube."""
     if octree.grid.shape == (octree.grid.side,) * 3:
         return
     for level in levels:
@@ -149,11 +131,11 @@ def _check_padding(octree: Octree, levels: list[Level]) -> None:
 
 
 def _beyond(level: Level, shape: tuple[int, int, int]) -> np.ndarray:
-    """(N,) bool: whether nodes reach beyond the shape. Along one axis, the bits of two Morton codes
-    compare as the cells do."""
+    """Return (N,) bool, True for nodes that reach beyond the shape. Along one axis, the bits of two
+    Morton codes compare as the cells do."""
     axis = spread_bits(np.array([(1 << 21) - 1]))[0]  # the bits of x in a code
     beyond = np.zeros(len(level.codes), bool)
     for a in range(3):
-        first = spread_bits(np.array([shape[a] // level.side]))[0]  # that is not wholly within
+        first = spread_bits(np.array([shape[a] // level.side]))[0]  # not completely within
         beyond |= (level.codes & (axis << np.uint64(a))) >= (first << np.uint64(a))
     return beyond

@@ -2,17 +2,16 @@
 
 The stages, on the device:
 
-1. survey: the mesh on the grid's lattice, uploaded and summed up for the plan (lattice.py).
-2. active nodes: the level-1 nodes (8 x 8 x 8 voxels) that a triangle touches (active.py).
-3. octree: the levels above, bottom-up from shortened Morton codes (build.py).
-4. voxels. A surface is scan-converted into the bricks of the active nodes (scan.py). For a solid,
-   voxels are flipped at which rows along x change between inside and outside (fill/crossings.py),
-   and the rows between them are filled (fill/parity.py); or what the outside does not reach is
-   filled (fill/flood.py). Near holes, voxels are decided one by one by their winding numbers
-   (fill/winding.py).
+1. Survey: the mesh is rounded to the grid's lattice and summed up for the plan (lattice.py).
+2. Active nodes: the level-1 nodes (8 x 8 x 8 voxels) that a triangle touches (active.py).
+3. Octree: the levels above, bottom-up from shortened Morton codes (build.py).
+4. Voxels. A surface is scan-converted into the bricks of the active nodes (scan.py). For a solid,
+   flips mark where rows along x change between inside and outside (fill/crossings.py), and the
+   voxels between flips are filled (fill/parity.py); or everything that the outside cannot reach is
+   filled (fill/flood.py). Near holes, the winding number decides each voxel (fill/winding.py).
 
-[voCCeL] descends the octree to find the brick of a voxel; here the rank of its level-1 node among
-the active ones gives it at once. [voCCeL] links x-neighbours; here rows walk the octree.
+[voCCeL] descends the octree to find the brick of a voxel; here, the rank of its level-1 node among
+the active nodes gives the brick directly. [voCCeL] links x-neighbours; here, rows walk the octree.
 """
 
 from __future__ import annotations
@@ -49,67 +48,9 @@ if TYPE_CHECKING:
     Window = tuple[Sequence[int], Sequence[int]]
 
 
-def voxelize(
-    mesh: Mesh,
-    grid: Grid,
-    mode: str = "solid",
-    *,
-    fill: str = "auto",
-    gap: int = 0,
-    with_surface: bool = False,
-    window: Window | None = None,
-    device: Device | None = None,
-    max_memory: int | None = None,
-) -> Octree:
-    """The voxels of a triangle mesh, exactly, as a sparse voxel octree.
-
-    Vertices are rounded once to 1/256 voxel; everything after that is integer arithmetic. Ties are
-    decided as if voxel centres moved by (ex, ey, ez) with ex >> ey >> ez > 0, infinitely small.
-
-    Parameters
-    ----------
-    mesh : closed or open; degenerate triangles count as the segments and points that they are.
-    grid : where the voxels lie.
-    mode : "surface26" (voxels whose closed cube touches a triangle), "surface6" (the thinner,
-        6-separating set of [voCCeL], section 3.2) or "solid" (voxels whose centre is inside).
-    fill : rule that decides what is inside, for "solid". "parity": an odd number of crossings
-        along x. "nonzero": crossings that enter and that leave do not cancel. "winding": the
-        generalized winding number [Jacobson 2013] is 1/2 or more. "flood": the outside does not
-        reach it through the voxels of "surface26", which are inside, too. "auto": "parity" if the
-        mesh is closed and consistently wound, "winding" otherwise.
-    gap : for "flood": openings of up to this many voxels are closed.
-    with_surface : for "solid": set the voxels of "surface26", too.
-    window : (low, shape) in voxels: voxelize this part of the grid only. The octree's grid is the
-        window; the voxels are those of the whole grid.
-    device : where to compute; by default the preferred device, opened once a process.
-    max_memory : bytes that may be allocated on the device; by default what device and machine
-        have.
-
-    Returns
-    -------
-    Octree, bit for bit the same on every device.
-
-    Raises
-    ------
-    GridError : a vertex lies more than 2**22 voxels from the grid's corner.
-    MemoryLimitError : the octree would not fit; the message names the largest dim that does.
-    DeviceError : there is no usable device.
-
-    Warns
-    -----
-    MeshWarning : the octree is empty, or rows leak through gaps of the mesh.
-    """
-    return plan_voxelize(
-        mesh,
-        grid,
-        mode,
-        fill=fill,
-        gap=gap,
-        with_surface=with_surface,
-        window=window,
-        device=device,
-        max_memory=max_memory,
-    ).run()
+def voxelize(mesh: Mesh, grid: Grid, mode: str = "solid", **options: Any) -> Octree:
+    """Return the octree of a mesh; see `voxtool.voxelize`."""
+    return plan_voxelize(mesh, grid, mode, **options).run()
 
 
 def plan_voxelize(
@@ -124,10 +65,7 @@ def plan_voxelize(
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> VoxelizeJob:
-    """The job that `voxelize` runs with the same arguments; they are documented there.
-
-    The mesh is uploaded and surveyed, and the fill rule is chosen, once for all runs.
-    """
+    """Return the surveyed and planned job of `voxelize`; see `voxtool.voxelize`."""
     if mode not in MODES:
         raise VoxtoolError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
     if fill not in FILLS:
@@ -158,7 +96,7 @@ _found: dict[tuple[int, str], Any] = {}
 
 
 def _once(check: Callable[[Mesh], Found], mesh: Mesh) -> Found:
-    """What a check found of a mesh, kept as long as the mesh, which cannot be changed."""
+    """Return check(mesh), computed once and kept as long as the mesh."""
     key = id(mesh), check.__name__
     if key not in _found:
         _found[key] = check(mesh)
@@ -167,14 +105,20 @@ def _once(check: Callable[[Mesh], Found], mesh: Mesh) -> Found:
 
 
 class VoxelizeJob(Job[Octree]):
-    """A mesh on a grid, surveyed and planned.
+    """The voxelization of a mesh, surveyed and planned.
 
     Attributes
     ----------
-    mesh : as it was given.
-    grid : of the octree: the window, if one was asked for.
-    lattice : the mesh on the device.
-    chosen : whether the fill rule was chosen for the mesh.
+    mesh : Mesh
+        The mesh that is voxelized.
+    grid : Grid
+        The grid of the octree: the window, if there is one.
+    lattice : LatticeMesh
+        The mesh on the device.
+    plan : VoxelizePlan
+        The decisions.
+    chosen : bool
+        True if fill "auto" chose the fill rule.
     """
 
     device: Device
@@ -182,12 +126,7 @@ class VoxelizeJob(Job[Octree]):
     chosen: bool = False
 
     def __init__(
-        self,
-        mesh: Mesh,
-        grid: Grid,
-        window: Window | None,
-        device: Device,
-        max_memory: int | None,
+        self, mesh: Mesh, grid: Grid, window: Window | None, device: Device, max_memory: int | None
     ) -> None:
         self.mesh, self.device, self.max_memory = mesh, device, max_memory
         self._whole, self._window = grid, window
@@ -195,39 +134,38 @@ class VoxelizeJob(Job[Octree]):
 
     @property
     def watertight(self) -> bool:
-        """Whether every edge of the mesh has exactly two faces, which run along it in opposite
-        directions; computed once a mesh."""
+        """True if every edge has exactly two faces, which traverse it in opposite directions."""
         return _once(watertight, self.mesh)
 
     def place(self, mode: str, fill: str, gap: int) -> None:
-        """Upload and survey the mesh, and plan."""
+        """Upload the mesh, survey it and make the plan."""
         with self.device.stage("survey"):
             self.lattice = place_mesh(
                 self.mesh, self._whole, self._window, fill == "winding", self.device
             )
             survey, caps = self.lattice.survey(), self.lattice.caps
         self.grid = self.lattice.grid
+        holes, faces = (caps.holes, len(caps.faces)) if caps else (0, 0)
         self.plan = plan_of(
-            survey,
-            self.grid.shape,
-            mode=mode,
-            fill=fill,
-            gap=gap,
-            holes=caps.holes if caps else 0,
-            caps=len(caps.faces) if caps else 0,
+            survey, self.grid.shape, mode=mode, fill=fill, gap=gap, holes=holes, caps=faces
         )
 
     def with_(self, **decisions: Any) -> VoxelizeJob:
-        """The same job with decisions of its plan forced, for ablation and tests; another `fill`
-        is planned anew.
+        """Return a copy of the job with fields of its plan replaced, for ablation and tests.
 
         Parameters
         ----------
-        decisions : fields of the plan, and their values.
+        **decisions : Any
+            Fields of the plan and their values. Another `fill` makes a new plan.
+
+        Returns
+        -------
+        VoxelizeJob
 
         Raises
         ------
-        TypeError : the plan has no such field.
+        TypeError
+            If the plan has no such field.
         """
         forced = {**self._forced, **decisions}
         job = super().with_(**forced)
@@ -247,7 +185,7 @@ class VoxelizeJob(Job[Octree]):
         with self.stage("active nodes"):
             active = find_active_nodes(scan, holes.nodes if holes else None)
         with self.stage("octree"):
-            tree = build_octree(self.device, plan.side, active.codes, active.n)
+            tree = build_octree(self.device, plan.side, active.nodes.codes, active.nodes.n)
         if plan.fill in ("none", "flood"):
             with self.stage(f"surface{plan.surface}"):
                 filled = Filled(tree, scan.surface(active), None)
@@ -258,7 +196,7 @@ class VoxelizeJob(Job[Octree]):
                 flip_changes(scan, active, crossings) if crossings else flip_crossings(scan, active)
             )
         filled = fill_rows(tree, flips, limit)
-        del tree, flips  # an open mesh makes others
+        del tree, flips  # frees memory if the mesh is open: `filled` then has its own
         if holes and crossings:
             with self.stage("near holes"):
                 holes.fill(filled.tree, filled.bricks, crossings)
@@ -268,7 +206,7 @@ class VoxelizeJob(Job[Octree]):
         return self._read(filled, active.touched)
 
     def _flood(self, surface: Filled) -> Octree:
-        """The octree of what the outside cannot reach through the surface."""
+        """Return the octree of everything that the outside cannot reach through the surface."""
         with self.stage("flood"):
             level1 = surface.tree.refined[0]
             nodes, masks = level1.codes.get(0, level1.n), surface.bricks.take()
@@ -276,8 +214,7 @@ class VoxelizeJob(Job[Octree]):
             return self._octree(*prune(*found, nodes))
 
     def _read(self, filled: Filled, touched: np.ndarray | None) -> Octree:
-        """The octree on the host; if the mesh touches only some of the active nodes, the others
-        are pruned."""
+        """Return the octree on the host; prune active nodes that the mesh does not touch."""
         with self.stage("read back"):
             tree = filled.tree
             lists = [level.codes.get(0, level.n) for level in tree.refined]
@@ -287,20 +224,14 @@ class VoxelizeJob(Job[Octree]):
         return self._octree(*prune(lists, states_of(offsets, nodes), masks, touched))
 
     def _octree(self, offsets: np.ndarray, nodes: np.ndarray, bricks: np.ndarray) -> Octree:
+        mesh, plan = self.mesh, self.plan
         return Octree(
-            grid=self.grid,
-            mode=self.plan.mode,
-            fill=self.plan.rule,
-            offsets=offsets,
-            nodes=nodes,
-            bricks=bricks,
-            plan=self.plan.scene(),
-            source_sha256=self.mesh.source_sha256,
-            units=self.mesh.units,
-        )
+            self.grid, plan.mode, plan.rule, offsets, nodes, bricks, plan.scene(),
+            mesh.source_sha256, mesh.units,
+        )  # fmt: skip
 
     def notes(self, octree: Octree) -> list[str]:
-        """Lines on the rule that was chosen for an open mesh; they are no warnings."""
+        """Return lines about the fill rule chosen for an open mesh; they are not warnings."""
         if not (self.chosen and octree.fill == "winding") or self.watertight:
             return []
         holes = f"{count_of(self.plan.holes, 'hole')}, " if self.plan.holes else ""
@@ -308,7 +239,7 @@ class VoxelizeJob(Job[Octree]):
         return [f"{self._name} is {_once(check_topology, self.mesh).summary()}; {holes}{rule}"]
 
     def findings(self, octree: Octree) -> Iterator[str]:
-        """Why the octree is empty, or where its mesh leaks."""
+        """Yield warnings: the fill may leak, or the octree is empty."""
         leak = {
             "parity": "filled by parity, rows of voxels along x leak where they pass a gap",
             "nonzero": "filled where crossings do not cancel, rows of voxels along x leak where "

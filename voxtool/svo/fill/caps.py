@@ -1,9 +1,9 @@
 """Caps: triangles that close the holes of a mesh.
 
-The boundary of a mesh, as a chain, is its edges with the number of faces that run along each one
-way, less those that run along it the other way; where every edge has two faces that agree there is
-none. As much of it begins in every vertex as ends there: it is made of loops, and a cone from any
-point closes each.
+The boundary of a mesh counts, for every edge, the faces that traverse it in one direction minus the
+faces that traverse it in the other. The count is 0 for an edge of two consistently wound faces. The
+edges that remain form closed loops, because at every vertex as many begin as end; a fan of
+triangles closes each loop.
 """
 
 from __future__ import annotations
@@ -19,19 +19,13 @@ from voxtool.mesh.topology import edges_of, positions
 
 @dataclass(frozen=True)
 class Caps:
-    """The boundary of a mesh, hole by hole, and what closes it.
+    """The holes of a mesh and their caps: a hole is a simple loop of boundary edges, and its cap a
+    fan of triangles from one of its vertices."""
 
-    A hole is a simple loop, and its cap a fan from one of its vertices.
-
-    loops : (E,) int32 vertices, loop after loop; first : (H + 1,) where each loop begins.
-    faces : (C, 3) int32 triangles of the caps, two less than vertices of each loop.
-    most : how often the edge counts that counts most; 1 if there is none.
-    """
-
-    loops: np.ndarray
-    first: np.ndarray
-    faces: np.ndarray
-    most: int
+    loops: np.ndarray  # (E,) int32 vertices, loop after loop
+    first: np.ndarray  # (H + 1,) where each loop begins
+    faces: np.ndarray  # (C, 3) int32 triangles; a loop of n vertices has n - 2
+    most: int  # the largest multiplicity of a boundary edge, at least 1
 
     @property
     def holes(self) -> int:
@@ -40,22 +34,17 @@ class Caps:
 
     @property
     def edges(self) -> np.ndarray:
-        """(E, 2) int32 vertices of the boundary's edges, loop after loop."""
+        """(E, 2) int32 vertices of the boundary edges, loop after loop."""
         ends = np.arange(1, len(self.loops) + 1)
         ends[self.first[1:] - 1] = self.first[:-1]
         return np.stack([self.loops, self.loops[ends]], axis=1)
 
 
 def find_caps(vertices: np.ndarray, faces: np.ndarray) -> Caps:
-    """The boundary of a mesh on a lattice, and its caps.
-
-    Parameters
-    ----------
-    vertices : (V, 3) int32; those at equal places are one.
-    faces : (F, 3) int32; degenerate ones too.
-    """
+    """Return the holes of a mesh on a lattice and their caps; vertices at one position are merged,
+    and faces may be degenerate."""
     places = positions(Mesh(vertices.astype(np.float64), faces))
-    vertex = np.empty(int(places.max(initial=-1)) + 1, np.int32)  # one of each place
+    vertex = np.empty(int(places.max(initial=-1)) + 1, np.int32)  # a vertex at each position
     vertex[places] = np.arange(len(places))
     corners = places[faces]
     edge, forward = edges_of(corners)
@@ -80,8 +69,9 @@ def find_caps(vertices: np.ndarray, faces: np.ndarray) -> Caps:
 
 
 def _loops(start: np.ndarray, end: np.ndarray, points: np.ndarray) -> list[list[int]]:
-    """Simple loops of edges, of which as many begin in every vertex as end there. Where loops meet,
-    a walk goes on to the vertex nearest to the one it comes from, so that they are small."""
+    """Return the simple loops of directed edges; at every vertex as many edges begin as end.
+    Where loops meet, the walk continues to the vertex nearest to the previous one, which keeps
+    loops small."""
     ahead: dict[int, list[int]] = {}
     for u, v in zip(start.tolist(), end.tolist(), strict=True):
         ahead.setdefault(u, []).append(v)

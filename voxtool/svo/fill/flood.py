@@ -1,14 +1,14 @@
-"""Fill by flooding: inside is everything that the outside cannot reach.
+"""The flood rule: a voxel is inside if the outside cannot reach it.
 
 The surface is "surface26": no path through voxels that share a face, an edge or a corner passes it.
-The outside is what such paths reach from far away; beyond the grid there is no surface. The flood
-runs in the octree: a leaf without surface is reached completely or not at all, the free voxels of a
-brick by connected components. Components and leaves that touch are linked, and what is linked to a
-far corner is outside.
+The outside consists of the voxels that such paths reach from beyond the grid. The flood works on
+the octree: a leaf without surface voxels is one node of a graph, and so is every connected
+component of the free voxels of a brick. Nodes that touch are linked; the component of a far corner
+is outside.
 
 With a gap of N voxels, the outside first stays ceil(N / 2) voxels away from the surface, so that it
-does not pass openings of up to N voxels. Then it grows by as many steps, so that closing gaps does
-not thicken the solid.
+does not pass openings of up to N voxels. Then it grows by the same number of steps, so that closing
+gaps does not thicken the solid.
 """
 
 from __future__ import annotations
@@ -31,26 +31,19 @@ LOW = [np.uint64(m) for m in (0x0055005500550055, 0x0000333300003333, 0x00000000
 def flood(
     nodes: np.ndarray, surface: np.ndarray, side: int, shape: tuple[int, int, int], gap: int
 ) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
-    """The octree of what the outside cannot reach, the surface included.
+    """Return the octree of the voxels that the outside cannot reach, including the surface: the
+    codes of the refined nodes by level, from level 1 up, the states of all nodes of these levels,
+    and the masks of the bricks.
 
-    Parameters
-    ----------
-    nodes : rising Morton codes of level-1 nodes; surface : (8 n,) uint64 masks of their bricks.
-        All other nodes are free of surface.
-    side : voxels along a side of the octree; shape : voxels of the grid.
-    gap : width in voxels of openings that the outside does not pass.
-
-    Returns
-    -------
-    Codes of the refined nodes of each level, from level 1 up; the states of all nodes of these
-    levels; and the (8 m,) masks of the bricks.
+    `nodes` holds the ascending Morton codes of the level-1 nodes with surface voxels, and `surface`
+    the (8 n,) masks of their bricks. The outside does not pass openings of up to `gap` voxels.
     """
     steps = -(-gap // 2)
     top = (side // 8).bit_length()  # the root's level
     if not len(nodes):
         root = np.full(1, EMPTY, np.uint8)
         return [nodes] * top, [root[:0]] * (top - 1) + [root], surface
-    around = np.uint64(7 << 3 * (top - 1))  # the cube becomes the one at (1, 1, 1) of 4 x 4 x 4
+    around = np.uint64(7 << 3 * (top - 1))  # the grid becomes cube (1, 1, 1) of 4 x 4 x 4
     nodes, barrier = _dilate(nodes.astype(np.uint64) | around, surface, steps)
     octree = _Octree(nodes, top + 2)
     reached, outside = _reach(octree, ~barrier)
@@ -73,10 +66,10 @@ def flood(
 
 
 class _Octree:
-    """The octree of given level-1 nodes, and which of its bricks and leaves touch.
+    """The octree of given level-1 nodes, with the neighbours of its bricks.
 
-    lists : codes of the refined nodes by level, from level 1 up; refined : where they are among all
-    nodes of their level; first, total : where the numbers of a level's nodes begin, and end.
+    `lists` holds the codes of the refined nodes by level, from level 1 up, and `refined` their
+    positions among all nodes of their level. Nodes are numbered from `first` of their level on.
     """
 
     def __init__(self, nodes: np.ndarray, top: int) -> None:
@@ -94,8 +87,8 @@ class _Octree:
         self.beside = {d: self._node_at(cells + d) for d in AROUND}
 
     def _node_at(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The ranks of the level-1 nodes at cells, or -1; where there is none, the numbers of the
-        leaves, or -1 beyond the octree."""
+        """Return the ranks of the level-1 nodes at cells (-1 if there is none), and the numbers of
+        the leaves there (-1 if there is none, or beyond the octree)."""
         rank, leaf = np.full(len(cells), -1), np.full(len(cells), -1)
         some = np.flatnonzero(self.holds(cells, 1))
         level, number = self.find(morton_encode(cells[some]), 1)
@@ -104,8 +97,8 @@ class _Octree:
         return rank, leaf
 
     def find(self, codes: np.ndarray, least: int) -> tuple[np.ndarray, np.ndarray]:
-        """The level and the number of the leaf that holds each cell of level `least`; or 0 and the
-        rank among the refined cells, where the cell is refined itself."""
+        """Return the level and the number of the leaf that holds each cell of level `least`; for a
+        refined cell, 0 and its rank among the refined cells."""
         levels, numbers = np.zeros(len(codes), np.int64), np.zeros(len(codes), np.int64)
         left, parent = np.arange(len(codes)), np.zeros(len(codes), np.int64)
         for level in range(len(self.lists), least - 1, -1):
@@ -124,22 +117,21 @@ class _Octree:
         return levels, numbers
 
     def nodes(self, level: int) -> tuple[np.ndarray, np.ndarray]:
-        """The numbers and the codes of all nodes of a level."""
+        """Return the numbers and the codes of all nodes of a level."""
         is_root = level == len(self.lists)
         codes = np.zeros(1, np.uint64) if is_root else _children(self.lists[level])
         return self.first[level - 1] + np.arange(len(codes)), codes
 
     def holds(self, cells: np.ndarray, level: int) -> np.ndarray:
-        """(n,) bool: whether cells of a level lie in the octree."""
+        """Return (n,) bool, True for cells of a level that lie in the octree."""
         within = (cells >= 0) & (cells < 1 << (len(self.lists) - level))
         return np.all(within, axis=1)
 
     def neighbours(self, d: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """The brick next to each brick in direction d, or -1; and where there is none the leaf, or
-        -1."""
+        """Return the brick next to each brick in direction d, or -1, and the leaf there, or -1."""
         octant = np.arange(8)
         place = np.stack([octant & 1, octant >> 1 & 1, octant >> 2], axis=1) + d
-        step = place >> 1  # to the node
+        step = place >> 1  # to the neighbouring node
         other = (place & 1) @ np.array([1, 2, 4])
         ranks, leaves = (np.empty((len(self.lists[0]), 8), np.int64) for _ in range(2))
         for o in range(8):
@@ -151,7 +143,7 @@ class _Octree:
         return ranks.ravel(), leaves.ravel()
 
     def spread(self, masks: np.ndarray, reached: np.ndarray) -> np.ndarray:
-        """The voxels of bricks that touch those of masks, or of leaves that are reached."""
+        """Return the voxels of bricks that touch voxels of masks or reached leaves."""
         found = _touching(masks)
         for d in AROUND:
             rank, leaf = self.neighbours(d)
@@ -162,33 +154,29 @@ class _Octree:
 
 
 def _reach(octree: _Octree, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(nodes,) bool: the leaves that the outside reaches; and (bricks,) masks of the free voxels
-    that it reaches."""
+    """Return what the outside reaches: (nodes,) bool for leaves, and the (bricks,) masks of free
+    voxels."""
     brick, part = _parts(free)
     first = np.searchsorted(brick, np.arange(len(free) + 1))
     count = np.diff(first)
     base = octree.total  # leaves are numbered before parts
     links = []
-
-    def link(u: np.ndarray, v: np.ndarray) -> None:
-        links.append((u, v))
-
     for d in AROUND:
         rank, leaf = octree.neighbours(d)
         spilled = _spilled(part, d)
         touches = spilled != 0
         beside = leaf[brick]
         at = np.flatnonzero(touches & (beside >= 0))
-        link(base + at, beside[at])
+        links.append((base + at, beside[at]))
         if d < (0, 0, 0):
-            continue  # seen from the other side
+            continue  # found from the other side
         other = rank[brick]
         at = np.flatnonzero(touches & (other >= 0))
         for i in range(int(count.max(initial=0))):
             at = at[count[other[at]] > i]
             match = first[other[at]] + i
             met = (spilled[at] & part[match]) != 0
-            link(base + at[met], base + match[met])
+            links.append((base + at[met], base + match[met]))
     for level in range(1, len(octree.lists) + 1):
         own, codes = octree.nodes(level)
         own, cells = (np.delete(each, octree.refined[level - 1], axis=0)
@@ -197,8 +185,8 @@ def _reach(octree: _Octree, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             beside = cells + d
             at = np.flatnonzero(octree.holds(beside, level))
             found, number = octree.find(morton_encode(beside[at]), level)
-            leaf = found > 0  # a refined node's leaves see this one
-            link(own[at[leaf]], number[leaf])
+            leaf = found > 0  # the leaves in a refined node find this one
+            links.append((own[at[leaf]], number[leaf]))
     u, v = (np.concatenate(ends) for ends in zip(*links, strict=True))
     root = components(u, v, base + len(part))
     far = np.full(1, 8 ** (len(octree.lists) - 1) - 1, np.uint64)  # the last cell
@@ -217,7 +205,7 @@ def _children(codes: np.ndarray) -> np.ndarray:
 
 
 def _up(mask: np.ndarray, axis: int) -> np.ndarray:
-    """Voxels moved up by one along an axis; those that leave their brick are lost."""
+    """Return voxels moved up by one along an axis; those that leave their brick are dropped."""
     low, one, two = LOW[axis], np.uint64(1 << axis), np.uint64(8 << axis)
     return (mask & (low | low << two)) << one | (mask & low << one) << (two - one)
 
@@ -228,7 +216,7 @@ def _down(mask: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _spilled(mask: np.ndarray, d: tuple[int, int, int]) -> np.ndarray:
-    """The voxels of the brick in direction d that touch those of a mask."""
+    """Return the voxels of the brick in direction d that touch voxels of a mask."""
     for axis, step in enumerate(d):
         low, three = LOW[axis], np.uint64(9 << axis)
         if step > 0:
@@ -245,7 +233,7 @@ def _touching(mask: np.ndarray) -> np.ndarray:
 
 
 def _parts(free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The components of the voxels of bricks: (n,) brick of each, rising, and (n,) their masks."""
+    """Return the connected components of bricks: (n,) ascending bricks, and (n,) masks."""
     bricks, parts = [], []
     brick = np.flatnonzero(free)
     left = free[brick]
@@ -269,8 +257,8 @@ def _parts(free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _dilate(nodes: np.ndarray, surface: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """The voxels up to a number of steps from a surface: the level-1 nodes that hold them or were
-    given, and the masks of their bricks."""
+    """Return the voxels up to a number of steps from a surface: the given level-1 nodes and those
+    that hold the voxels, and the masks of their bricks."""
     codes, masks = _children(nodes)[surface != 0], surface[surface != 0]
     for _ in range(steps):
         for axis in range(3):
@@ -294,7 +282,7 @@ def _dilate(nodes: np.ndarray, surface: np.ndarray, steps: int) -> tuple[np.ndar
 
 
 def _united(codes: np.ndarray, masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The masks of each brick united into one."""
+    """Return the codes without duplicates, with the masks of each brick united."""
     order = np.argsort(codes, kind="stable")
     codes, masks = codes[order], masks[order]
     first = np.flatnonzero(np.diff(codes, prepend=~codes[:1]))

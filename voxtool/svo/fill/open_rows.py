@@ -1,8 +1,8 @@
-"""Leaves that the rows of an open mesh disagree in.
+"""Refinement of leaves in which some rows are inside and some outside.
 
-Where bundles of rows disagree in a leaf, or the grid ends in it, the inside does not follow the
-nodes that triangles touch: the mesh is open, or is cut off. The leaf is refined until each of its
-leaves is of one kind, so that the octree holds exactly the set that the rule defines.
+No triangle touches such a leaf. It exists if the mesh is open, or if the grid ends in the leaf. It
+is refined until all voxels of every leaf are equal, so that the octree holds exactly the set that
+the fill rule defines.
 """
 
 from __future__ import annotations
@@ -22,22 +22,9 @@ ALL_ROWS = np.uint64(0xFFFFFFFFFFFFFFFF)
 def refine_open_rows(
     tree: DeviceOctree, flips: Flips, max_memory: int
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """The refined nodes, with those added whose voxels are not all alike.
-
-    Parameters
-    ----------
-    tree : whose leaves are MIXED where rows disagree.
-    max_memory : bytes that the octree may take.
-
-    Returns
-    -------
-    Rising Morton codes of the refined nodes of each level, from level 1 up; and (n,) uint32 where
-    the level-1 nodes of the tree are among them.
-
-    Raises
-    ------
-    MemoryLimitError : the octree would not fit. No plan of the mesh can predict that.
-    """
+    """Refine the MIXED leaves of a tree; raise MemoryLimitError if this takes more than max_memory
+    bytes. Return the ascending Morton codes of the refined nodes by level, from level 1 up, and the
+    (n,) uint32 positions of the tree's level-1 nodes among them."""
     nodes = tree.nodes.get(0, int(tree.offsets[-2]))
     leaves = np.flatnonzero((nodes["child"] & (VALID | MIXED)) == MIXED)
     level, cells = _locate(tree, nodes["parent"], leaves)
@@ -65,7 +52,7 @@ def refine_open_rows(
 def _merge(
     tree: DeviceOctree, bars: list[tuple[int, np.ndarray, np.ndarray]]
 ) -> tuple[list[np.ndarray], np.ndarray]:
-    """The refined nodes of a tree and those of bars, as refine_open_rows returns them."""
+    """Return the refined nodes of a tree and of bars, as refine_open_rows does."""
     lists = [refined.codes.get(0, refined.n) for refined in tree.refined]
     added: list[list[np.ndarray]] = [[] for _ in lists]
     for number, first, lengths in bars:
@@ -80,7 +67,7 @@ def _merge(
 
 
 def _bundles_of(cells: np.ndarray, level: np.ndarray, flips: Flips) -> np.ndarray:
-    """The bundles whose rows pass through leaves, each once."""
+    """Return the bundles whose rows pass through leaves, without duplicates."""
     passed = np.zeros((flips.bundles // flips.bundles_y, flips.bundles_y), bool)
     for number in np.unique(level):
         across = np.arange(1 << (int(number) - 1))
@@ -94,13 +81,13 @@ def _bundles_of(cells: np.ndarray, level: np.ndarray, flips: Flips) -> np.ndarra
 def _locate(
     tree: DeviceOctree, parents: np.ndarray, leaves: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The levels of nodes, and their low corners in level-1 cells ((n, 3) int64)."""
+    """Return the levels of nodes and their low corners in level-1 cells, (n, 3) int64."""
     depth = np.searchsorted(tree.offsets, leaves, side="right") - 1
     level = tree.top - depth
     codes = np.zeros(len(leaves), np.uint64)
     node = leaves - tree.offsets[depth]
     for step in range(int(depth.max())):
-        below = depth > 0  # those that have not reached the root
+        below = depth > 0  # not at the root yet
         octant = (node & 7).astype(np.uint64) << np.uint64(3 * step)
         codes[below] |= octant[below]
         parent = parents[tree.offsets[depth] + node] & LINK
@@ -110,12 +97,12 @@ def _locate(
 
 
 def refuse_beyond(tree: DeviceOctree, added: int, slots: int, max_memory: int) -> None:
-    """Raise MemoryLimitError if a tree with added refined nodes, and slots, does not fit."""
+    """Raise MemoryLimitError if a tree with added refined nodes and slots does not fit."""
     nodes = int(tree.offsets[-1]) + 8 * added
-    needed = nodes * (NODE_BYTES + 2 * BRICK_BYTES) + 8 * slots  # the bricks are moved
+    needed = nodes * (NODE_BYTES + 2 * BRICK_BYTES) + 8 * slots  # moving copies the bricks
     if max(nodes, slots) >= MAX_LINK or needed > max_memory:
         raise MemoryLimitError(
-            f"rows that leak through this open mesh refine the octree to {nodes:,} nodes, "
+            f"the fill leaks from this open mesh and refines the octree to {nodes:,} nodes, "
             f"{human(needed)}, more than fits: close the mesh, or choose a smaller dim or a "
             "surface mode"
         )
@@ -124,30 +111,25 @@ def refuse_beyond(tree: DeviceOctree, added: int, slots: int, max_memory: int) -
 def _differing_bars(
     layers: np.ndarray, corners: np.ndarray, level: int, nx: int
 ) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """The nodes, in leaves of one level, whose voxels are not all alike, as bars along x.
+    """Return the nodes in leaves of one level whose voxels differ, as bars along x: for each level
+    up to that of the leaves, its number, the (m, 3) first nodes of bars, and their (m,) lengths.
 
-    Along x a leaf changes only where the grid ends, at voxel nx.
-
-    Parameters
-    ----------
-    layers : (n, side, side) uint64 states of a leaf's bundles, [z, y]; corners : (n, 3) of the
-        leaves, in level-1 cells.
-
-    Returns
-    -------
-    For each level below and this one: its number, the (m, 3) first nodes of the bars, counted in
-    nodes, and their (m,) lengths.
+    `layers` holds the states of the leaves' bundles, (n, side, side) uint64 [leaf, z, y], and
+    `corners` their (n, 3) low corners in level-1 cells. Along x, a leaf changes only where the grid
+    ends, at voxel nx.
     """
     bars = []
     every, some = layers, layers
     for number in range(1, level + 1):
         size = 1 << (number - 1)  # of a node, in cells
-        places = 1 << (level - number)  # along x in a leaf
+        places = 1 << (level - number)  # nodes along x in a leaf
         if number > 1:
             every = _halve(every, np.bitwise_and)
             some = _halve(some, np.bitwise_or)
-        whole = np.clip((nx // 8 - corners[:, 0]) // size, 0, places)  # nodes before the end
-        cut = (whole < places) & (8 * (corners[:, 0] + size * whole) < nx)  # one holds the end
+        whole = np.clip(
+            (nx // 8 - corners[:, 0]) // size, 0, places
+        )  # nodes before the end of the grid
+        cut = (whole < places) & (8 * (corners[:, 0] + size * whole) < nx)  # the end lies in a node
 
         leaf, k, j = np.nonzero((some != 0) & (every != ALL_ROWS))
         first = corners[leaf] // size + np.stack([np.zeros_like(j), j, k], axis=1)
@@ -160,7 +142,7 @@ def _differing_bars(
 
 
 def _codes_of_bars(first: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """The Morton codes of the nodes of bars along x."""
+    """Return the Morton codes of the nodes of bars along x."""
     nodes = np.repeat(first, lengths, axis=0)
     nodes[:, 0] += np.arange(len(nodes)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
     return morton_encode(nodes)

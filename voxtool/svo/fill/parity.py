@@ -1,7 +1,7 @@
-"""Fill by flips: from the voxels at which rows change to the inside ([voCCeL], section 3.2).
+"""Filling between flips ([voCCeL], section 3.2).
 
-A voxel is inside where the number of flips up to it along x is odd. With a flip for every crossing
-of the mesh that is the parity rule. Kernels: kernels/svo/fill/rows.cl.
+A voxel is inside if the number of flips up to it along x is odd. If every crossing of the mesh
+makes a flip, this is the parity rule. Kernels: kernels/svo/fill/rows.cl.
 """
 
 from __future__ import annotations
@@ -21,33 +21,18 @@ from voxtool.svo.layout import BRICK
 
 @dataclass(frozen=True)
 class Filled:
-    """An octree on the device with its inside voxels and leaves.
-
-    Attributes
-    ----------
-    tree : the nodes; bricks : (8 n,) uint64 masks.
-    positions : (m,) uint32 where the active nodes are among the refined level-1 nodes, or None if
-        they are all of them.
-    """
+    """An octree on the device with its inside voxels and leaves."""
 
     tree: DeviceOctree
-    bricks: Array
+    bricks: Array  # (8 n,) uint64 masks
+    # (m,) uint32 index of each active node among the refined level-1 nodes; None if they are equal
     positions: np.ndarray | None
 
 
 def fill_rows(tree: DeviceOctree, flips: Flips, max_memory: int) -> Filled:
-    """The octree with what is inside between flips.
-
-    Parameters
-    ----------
-    tree : of the active nodes; its nodes are changed.
-    flips : of the active nodes; their bricks are changed.
-    max_memory : bytes that the octree of an open mesh may take, which no plan can predict.
-
-    Raises
-    ------
-    MemoryLimitError : it would take more.
-    """
+    """Return the octree of the active nodes, filled between flips; changes the tree's nodes and the
+    flips' bricks. Raises MemoryLimitError if an open mesh needs an octree of more than max_memory
+    bytes, which a plan cannot predict."""
     device, positions = tree.nodes.device, None
     with device.stage("rows"):
         entries, unresolved = walk_rows(tree, flips)
@@ -69,7 +54,7 @@ def fill_rows(tree: DeviceOctree, flips: Flips, max_memory: int) -> Filled:
 
 
 def _move(bricks: Array, positions: np.ndarray, n: int) -> Array:
-    """The bricks at their nodes' new places among n, zero elsewhere."""
+    """Return the bricks moved to the new positions of their nodes, with zeros between them."""
     device = bricks.device
     moved = device.zeros(8 * n, BRICK)
     move_bricks = device.kernel(SOURCE, "move_bricks", CODE="uint")
@@ -78,7 +63,7 @@ def _move(bricks: Array, positions: np.ndarray, n: int) -> Array:
 
 
 def unite(device: Device, filled: Filled, added: Array) -> None:
-    """Set the voxels of the active nodes' bricks `added`, too."""
+    """Add the voxels of the active nodes' bricks `added`."""
     positions = filled.positions
     if positions is None:
         positions = np.arange(added.size // 8, dtype=np.uint32)

@@ -1,8 +1,8 @@
-"""Walking the rows of voxel centres along x through the octree ([voCCeL], section 3.2, fig. 3.6).
+"""Traversal of the octree along rows of voxel centres in x ([voCCeL], section 3.2, fig. 3.6).
 
-Rows go in bundles of 8 x 8. A bundle walks the octree from low x to high: at a level-1 node its
-flips turn the state of the bundle's rows, and a leaf above is inside where every bundle through it
-says so. Kernels: kernels/svo/fill/rows.cl.
+A work-item traverses the octree along a bundle of 8 x 8 rows, from low x to high. The flips of a
+level-1 node change the states of the rows. A leaf above level 0 is inside if all rows through it
+are inside. Kernels: kernels/svo/fill/rows.cl.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ HEADERS = {"svo/fill/rows.h": program.c_constants(MIXED=MIXED)}
 
 
 def walk_rows(tree: DeviceOctree, flips: Flips) -> tuple[Array, int]:
-    """The states of rows where they enter each level-1 node, (n,) uint64; and the number of leaves
-    that are neither inside nor outside, and are now MIXED. Inside leaves are marked in the tree."""
+    """Mark leaves of the tree as INSIDE, or as MIXED if only some of their rows are inside. Return
+    the states of rows where they enter the level-1 nodes, (n,) uint64, and the number of MIXED
+    leaves."""
     device, coarse = tree.nodes.device, int(tree.offsets[-2])
     entries = device.empty(tree.refined[0].n, np.uint64)
     fills = device.zeros(coarse, np.uint32)
@@ -40,19 +41,13 @@ def sweep_rows(
     states: Array | None = None,
     chosen: np.ndarray | None = None,
 ) -> None:
-    """Walk all rows, and record the `entries` of level-1 nodes and what `fills` each leaf; or walk
-    the chosen bundles, and record their `states` in the leaves to refine."""
+    """Traverse all rows and record the states where they enter level-1 nodes in `entries`, and how
+    leaves are filled in `fills`; or traverse the chosen bundles and record their `states` in the
+    leaves that are to be refined."""
     device = tree.nodes.device
     tree.kernel(SOURCE, "sweep_rows")(
-        flips.bundles if chosen is None else len(chosen),
-        nodes=tree.nodes,
-        offsets=device.put(tree.offsets),
-        top=tree.top,
-        shape=flips.shape,
-        chosen=None if chosen is None else device.put(chosen),
-        entry=flips.entry,
-        bricks=flips.bricks,
-        entries=entries,
-        fills=fills,
-        states=states,
-    )
+        flips.bundles if chosen is None else len(chosen), nodes=tree.nodes,
+        offsets=device.put(tree.offsets), top=tree.top, shape=flips.shape,
+        chosen=None if chosen is None else device.put(chosen), entry=flips.entry,
+        bricks=flips.bricks, entries=entries, fills=fills, states=states,
+    )  # fmt: skip

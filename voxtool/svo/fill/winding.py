@@ -1,27 +1,26 @@
-"""The winding number of a mesh on a grid, by whole numbers wherever holes are far.
+"""The winding rule, with integer winding numbers everywhere except near holes [Jacobson 2013].
 
-Caps C close a mesh M (caps.py). By linearity w(M) = w(M + C) - w(C), and M + C is closed: about a
-voxel's shifted centre its number N is the crossings of the row before it, those that enter minus
-those that leave, in exact integers (docs/voxels.md). So a voxel is inside where N >= w(C) + 1/2.
-Away from the caps w(C) is smooth and small, between -1/2 and 1/2 except near the holes, and there
-inside is where N >= 1. The rest is found block by block, from the octree's root down: w(C) in the
-middle of a block, and a bound on how far it can be from that in the block, by the law of Biot and
-Savart (its gradient is at most the sum of dl / (4 pi r^2) over the boundary), leave one threshold
-k, inside is where N >= k; or else the block is split. Voxels of bricks that are left are decided
-one by one.
+Caps C close a mesh M (caps.py). The winding number w is additive: w(M) = w(M + C) - w(C). M + C is
+closed, so its winding number N about a voxel's shifted centre is an integer: the crossings of the
+row before the centre, counted +1 where the row enters and -1 where it leaves (docs/voxels.md). A
+voxel is inside if N >= w(C) + 1/2.
 
-At a voxel, triangles of caps that are near count by one crossing of the row, which integers decide
-with the rule for ties, and the angles of three strips that the triangle's edges sweep towards +x,
-(a, b and |a|, |b| from the centre; the other two coordinates as complex numbers u, v)
+Away from holes, w(C) lies between -1/2 and 1/2, and the condition is N >= 1. Blocks of voxels are
+examined from the octree's root down. For a block, the law of Biot and Savart bounds how much w(C)
+can differ from its value in the middle: its gradient is at most the sum of dl / (4 pi r^2) over the
+boundary. If the condition is N >= k, with one integer k, in the whole block, k is kept; otherwise
+the block is split. In the bricks that remain, each voxel is decided separately.
 
-    w = crossing + sum of arg(conj(u) v + (|a| + ax) (|b| + bx)) / 2 pi,
+At a voxel, a triangle of a near cap counts by one crossing of the row, decided by integers with the
+tie rule, and the angles of the strips that its three edges sweep towards +x. With vectors a and b
+from the centre to an edge's ends, and their y and z as complex numbers u and v,
 
-whose jumps are those of the crossing. So a centre on a cap, or behind an edge, is no special case.
+    w = crossing + sum of arg(conj(u) v + (|a| + ax) (|b| + bx)) / 2 pi.
 
-Other triangles count through their moments (spatial/winding_number.py), from such a distance
-on that a number near 1/2 is within 5e-7 of the sum over all triangles. Inside is where it
-is HALF or more: 1/2, up to 1e-6. The rule is that of [Jacobson 2013]. Kernels:
-kernels/svo/fill/winding.cl.
+The discontinuities of the sum and of the crossing cancel, so a centre on a cap or behind an edge is
+no special case. Triangles farther away count through their moments (spatial/winding_number.py), at
+a distance at which a number near 1/2 differs by less than 5e-7 from the sum over all triangles. A
+voxel is inside if its number is at least HALF. Kernels: kernels/svo/fill/winding.cl.
 """
 
 from __future__ import annotations
@@ -50,30 +49,24 @@ if TYPE_CHECKING:
     from voxtool.svo.plan import VoxelizePlan
 
 SOURCE = "svo/fill/winding.cl"
-# Radii from which on caps count through their moments, and how near to 1/2 a number that is found
-# so must be computed again: the errors are about 5e-3, 3e-4, 8e-6 and 2e-7. They fall with the
-# fourth power; where caps lie one upon another, that makes up for their number.
+# Distances, in radii, beyond which caps count through their moments; and the difference to 1/2
+# below which a number is computed again at the next distance. The errors are about 5e-3, 3e-4,
+# 8e-6 and 2e-7: they fall with the fourth power of the distance. If m caps coincide, the distances
+# grow by the fourth root of m to compensate.
 REACHES = ((2.0, 2.0**-6), (4.0, 2.0**-9), (10.0, 2.0**-14), (24.0, 0.0))
 DOUBT = REACHES[0][1]
-HALF = 0.5 - 2.0**-21  # 1/2, less what rounding takes
+HALF = 0.5 - 2.0**-21  # 1/2 minus the rounding error
 BEYOND_GRID = 1 << 30  # number of a voxel beyond the grid
 BY_VOXEL = BEYOND_GRID  # in place of a brick's threshold
 BRICK_LEVEL = BRICK_SIDE.bit_length() - 1
-BATCH = 1 << 14  # bricks whose voxels are numbered at once
+BATCH = 1 << 14  # bricks whose voxels are computed in one launch
 HEADERS = {"svo/fill/winding.h": program.c_constants(BEYOND_GRID=BEYOND_GRID)}
 
 
 class CapField:
-    """The winding number of the caps of a mesh: bounds of it in blocks of voxels, and the numbers
-    of the mesh at voxels."""
+    """Winding numbers of a mesh with caps: thresholds for blocks of voxels, numbers at voxels."""
 
     def __init__(self, mesh: LatticeMesh, wide: bool) -> None:
-        """Build the trees over the caps and over the holes.
-
-        Parameters
-        ----------
-        mesh : with caps; wide : as in VoxelizePlan.
-        """
         assert mesh.caps is not None
         self.mesh, self.device, caps = mesh, mesh.device, mesh.caps
         self._options: dict[str, int | str] = {"CODE": "ulong", **({"WIDE": 1} if wide else {})}
@@ -97,11 +90,11 @@ class CapField:
         self._hole_areas = self.device.put(by_hole)
 
     def kernel(self, name: str) -> Callable[..., None]:
-        """A kernel with the plan's options."""
+        """Return a kernel compiled with the plan's options."""
         return self.device.kernel(SOURCE, name, **self._options)
 
     def thresholds(self, blocks: np.ndarray, level: int) -> np.ndarray:
-        """(n,) int64: from which N on the voxels of blocks of 2**level are inside, or BY_VOXEL."""
+        """Return (n,) int64, the least N inside of blocks of 2**level voxels, or BY_VOXEL."""
         spreads = self._spreads(blocks, level)
         near = np.flatnonzero(np.isfinite(spreads))
         middles = (morton_decode(blocks[near]) * 2 + 1) << (level - 1 + FIXED_POINT_BITS)
@@ -113,8 +106,8 @@ class CapField:
         return thresholds
 
     def _spreads(self, blocks: np.ndarray, level: int) -> np.ndarray:
-        """(n,) float64: by how much the number can differ from that of a block's middle; infinite
-        where that is 1/2 or a cap passes between the voxels."""
+        """Return (n,) float64 bounds of the difference of w(C) to its value in a block's middle;
+        infinite if the bound is 1/2 or more, or a cap passes between the voxels."""
         n, holes, caps, mesh = len(blocks), self._holes, self.tree, self.mesh
         codes, spreads = self.device.put(blocks), self.device.empty(n, np.float64)
         self.kernel("bound_spreads")(
@@ -131,8 +124,8 @@ class CapField:
     def numbers(
         self, voxels: np.ndarray, crossings: Crossings, winding: WindingNumber | None
     ) -> np.ndarray:
-        """(n,) float64 winding numbers of the mesh at voxels, given by their Morton codes; of the
-        mesh with its caps where no winding number of these is given."""
+        """Return (n,) float64 winding numbers at voxels, given by Morton codes: of the mesh, or
+        of the mesh with its caps if `winding`, the winding number of the caps, is None."""
         n, caps, mesh = len(voxels), self.tree, self.mesh
         codes, numbers = self.device.put(voxels), self.device.empty(n, np.float64)
         self.kernel("number_voxels")(
@@ -147,37 +140,20 @@ class CapField:
 
 
 class NearHoles:
-    """The bricks in which the caps of a mesh count, and what they hold.
+    """The bricks in which N >= 1 does not decide; `nodes` holds the ascending Morton codes of the
+    level-1 nodes that contain them.
 
-    Attributes
-    ----------
-    nodes : (n,) uint64 rising Morton codes of the level-1 nodes that hold them.
+    Raises MemoryLimitError if these bricks need an octree of more than max_memory bytes.
     """
 
     def __init__(self, mesh: LatticeMesh, plan: VoxelizePlan, max_memory: int) -> None:
-        """Find the bricks.
-
-        Parameters
-        ----------
-        mesh : with caps.
-        max_memory : bytes that the octree may take because of the bricks.
-
-        Raises
-        ------
-        MemoryLimitError : it would take more.
-        """
         self._field = CapField(mesh, plan.wide)
         self._max_memory = max_memory
         self._bricks, self._thresholds = self._find_bricks(plan.side, plan.shape)
         self.nodes = np.unique(self._bricks >> np.uint64(3))
 
     def _find_bricks(self, side: int, shape: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """The bricks in which N >= 1 does not decide.
-
-        Returns
-        -------
-        (n,) uint64 rising Morton codes, and (n,) int64 thresholds of N, or BY_VOXEL.
-        """
+        """Return (n,) uint64 ascending codes of bricks, and (n,) int64 least N or BY_VOXEL."""
         codes, thresholds = [], []
         blocks = np.zeros(1, np.uint64)
         for level in range(side.bit_length() - 1, BRICK_LEVEL - 1, -1):
@@ -199,17 +175,17 @@ class NearHoles:
         return found[order], threshold[order]
 
     def _refuse_beyond(self, bricks: int) -> None:
-        """Holes may need more bricks than any plan of the mesh can predict."""
-        needed = 8 * bricks * (NODE_BYTES + 2 * BRICK_BYTES)  # if each is in a node of its own
+        """Raise MemoryLimitError if so many bricks do not fit; no plan predicts them."""
+        needed = 8 * bricks * (NODE_BYTES + 2 * BRICK_BYTES)  # if every brick lies in another node
         if 8 * bricks >= MAX_LINK or needed > self._max_memory:
             raise MemoryLimitError(
-                f"near the holes of this mesh {bricks:,} bricks and more, {human(needed)}, differ "
-                "from what whole numbers decide, more than fits: close the mesh, or choose a "
-                "smaller dim or another fill"
+                f"near the holes of this mesh, winding numbers need {bricks:,} bricks or more, "
+                f"{human(needed)}, which does not fit: close the mesh, or choose a smaller dim or "
+                "another fill"
             )
 
     def fill(self, tree: DeviceOctree, bricks: Array, crossings: Crossings) -> None:
-        """Write these bricks among those of an octree in which their nodes are refined."""
+        """Write these bricks into those of an octree in which their nodes are refined."""
         level1 = tree.refined[0]
         node = np.searchsorted(level1.codes.get(0, level1.n), self._bricks >> np.uint64(3))
         places = 8 * node + (self._bricks & np.uint64(7)).astype(np.int64)
@@ -218,8 +194,8 @@ class NearHoles:
         self._field.kernel("place_bricks")(len(places), masks, at, bricks)
 
     def _masks(self, crossings: Crossings) -> np.ndarray:
-        """(n,) uint64 masks of the voxels inside. A number that is near 1/2 is computed again, with
-        caps counting through their moments from farther away only."""
+        """Return (n,) uint64 masks of the voxels inside. Numbers near 1/2 are computed again, with
+        moments used only at a larger distance."""
         masks = np.empty(len(self._bricks), BRICK)
         for start in range(0, len(masks), BATCH):
             part = slice(start, start + BATCH)
@@ -239,7 +215,7 @@ class NearHoles:
 
 
 def _boxes(points: np.ndarray, caps: Caps) -> Mesh:
-    """A face for each hole, from the low to the high corner of the hole's bounding box."""
+    """Return one face per hole, from the low to the high corner of the hole's bounding box."""
     ends = points[caps.loops]
     low, high = (f.reduceat(ends, caps.first[:-1]) for f in (np.minimum, np.maximum))
     low_corner = np.arange(caps.holes, dtype=np.int32)
@@ -253,13 +229,13 @@ def _areas(triangles: np.ndarray) -> np.ndarray:
 
 
 def _descend(codes: np.ndarray, levels: int) -> np.ndarray:
-    """The Morton codes of all cells that lie a number of levels below."""
+    """Return the Morton codes of all cells a number of levels below."""
     below = np.arange(8**levels, dtype=np.uint64)
     return ((codes << np.uint64(3 * levels))[:, None] | below).ravel()
 
 
 def _sums(tree: TriangleTree, values: np.ndarray) -> np.ndarray:
-    """The sums of the faces' values over each node and leaf of their tree."""
+    """Return the sums of the faces' values over each node and leaf of their tree."""
     assert tree.names is not None
     sums = np.zeros(tree.first_leaf + -(-tree.count // LEAF))
     below, size = values[tree.names.get(0, tree.count) // 3], LEAF
