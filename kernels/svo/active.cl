@@ -13,8 +13,8 @@ __kernel void count_bits(__global const uint *words, const uint n, __global uint
         counts[gid] = popcount(words[gid]);
 }
 
-// The Morton codes of the set bits, in order ([voCCeL] listing A.5). In a blocked set, 16 words belong
-// to each block, whose codes are given.
+// Write the Morton codes of the set bits, in order ([voCCeL], listing A.5). In a blocked set, every
+// block has 16 words, and `blocks` holds the codes of the blocks.
 __kernel void write_mortons(__global const uint *words, const uint n, __global const uint *ranks,
                             __global const CODE *blocks, __global CODE *codes)
 {
@@ -27,7 +27,7 @@ __kernel void write_mortons(__global const uint *words, const uint n, __global c
         codes[out++] = base | (CODE)popcount((word & -word) - 1u);
 }
 
-// Set the bits of level-1 nodes, or of the blocks that hold them, by their codes.
+// Set the bits of level-1 nodes, given by their codes, or of the blocks that contain them.
 __kernel void activate_nodes(__global const CODE *codes, const uint n, const int level,
                              ACTIVE_SET_PARAMETERS, volatile __global uint *target)
 {

@@ -1,7 +1,6 @@
-// The set of active level-1 nodes: bits in Morton order with the number of set bits before each
-// word, so that a node's place among the active ones is found in constant time. Where the grid is
-// large the bits of only those blocks of 8 x 8 x 8 nodes exist that a coarse set of the same form
-// names (BLOCKED).
+// The set of active level-1 nodes: bits in Morton order with the number of set bits before each word,
+// which gives the index of a node among the active nodes in constant time. In large grids (BLOCKED),
+// only active blocks of 8 x 8 x 8 nodes have bits; a set of the same form holds these blocks.
 
 uint set_index(__global const uint *words, __global const uint *ranks, CODE code)
 {
@@ -19,7 +18,7 @@ uint set_index(__global const uint *words, __global const uint *ranks, CODE code
 #define ACTIVE_SET words, ranks
 #endif
 
-// The place of an active node's code among all active ones; undefined for any other.
+// The index of an active node among the active nodes; undefined for other nodes.
 uint node_index(ACTIVE_SET_PARAMETERS, CODE code)
 {
 #ifdef BLOCKED

@@ -3,7 +3,7 @@
 
 #include "svo/octree.h"
 
-// flags[i] = 1 where refined node i is the last child of its parent among them.
+// flags[i] = 1 if refined node i is the last refined child of its parent.
 __kernel void tag_parents(__global const CODE *codes, const uint n, __global uint *flags)
 {
     const uint gid = get_global_id(0);
@@ -11,7 +11,7 @@ __kernel void tag_parents(__global const CODE *codes, const uint n, __global uin
         flags[gid] = gid == n - 1 || codes[gid] >> 3 != codes[gid + 1] >> 3;
 }
 
-// The codes of the parents, each once.
+// Write the code of each parent once.
 __kernel void strip_mortons(__global const CODE *codes, const uint n,
                             __global const uint *parent_index, __global CODE *parents)
 {
@@ -20,8 +20,8 @@ __kernel void strip_mortons(__global const CODE *codes, const uint n,
         parents[parent_index[gid]] = codes[gid] >> 3;
 }
 
-// Refined node i of a level, `own` into the level, gets its eight children, and they their parent;
-// the children of level 1 are bricks.
+// Link refined node i, which is node `own` of its level, with its eight children; the children of a
+// level-1 node are linked with their bricks.
 __kernel void link_level(__global const CODE *codes, const uint n,
                          __global const uint *parent_index, const uint is_root, const uint level,
                          const uint offset, const uint child_offset, __global svo_node *nodes)

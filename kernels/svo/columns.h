@@ -1,5 +1,5 @@
-// What scan conversion and crossings have in common: the columns of boxes that a triangle meets, the
-// work-items' shares of them, edge functions of its projections, and where voxels are stored.
+// Common parts of scan conversion and crossings: the columns of boxes that a triangle meets, the
+// tiles of columns that work-items process, edge functions of projections, and storage of voxels.
 // Options: CODE, WIDE, BLOCKED, COLUMN_TILE.
 
 #include "svo/octree.h"
@@ -8,30 +8,30 @@
 #include "svo/active.h"
 #include "svo/overlap.h"
 
-// ---- the columns of a triangle, and the share of them that a work-item takes
+// ---- columns of a triangle, and the tile of them that a work-item processes
 
 typedef struct {
-    int axis;      // columns run along this axis: 0 x, 1 y, 2 z; then the two others are p and q
+    int axis;       // direction of the columns: 0 x, 1 y, 2 z; p and q are the axes that follow it
     int3 low, high; // first and last box along p, q and the axis, clipped to the grid
-    int tiles_p, tiles; // tiles along p, and in all
+    int tiles_p, tiles; // number of tiles along p, and total number
 } columns;
 
-// To coordinates (p, q, axis): the two that follow the axis cyclically, and the axis.
+// From (x, y, z) to (p, q, axis), where p and q follow the axis cyclically; and back.
 int3 swizzle(int3 v, int axis) { return axis == 2 ? v : axis == 0 ? v.yzx : v.zxy; }
 int3 unswizzle(int3 v, int axis) { return axis == 2 ? v : axis == 0 ? v.zxy : v.yzx; }
 
-// `shape`: boxes of 2^level voxels in the grid; `pad`: by how much boxes are widened on both sides.
+// `shape` is the grid in boxes of 2^level voxels; `pad` widens every box on both sides, in units.
 columns columns_of(const triangle *t, int kind, int level, int3 shape, int3 pad)
 {
     columns c;
     const int3 low = min(min(t->v[0], t->v[1]), t->v[2]);
     const int3 high = max(max(t->v[0], t->v[1]), t->v[2]);
     const int bits = FIXED_POINT_BITS + level;
-    if (kind == CROSSED) { // rows of centres: first and last voxel whose centre is not outside
+    if (kind == CROSSED) { // rows of centres: the first and last voxel whose centre lies in the bounding box
         c.axis = 0;
         c.low = ((low - HALF - 1) >> bits) + 1;
         c.high = (high - HALF) >> bits;
-        c.high.x = ((high.x - HALF - 1) >> bits) + 1; // the first centre not before the end
+        c.high.x = ((high.x - HALF - 1) >> bits) + 1; // the first centre at or beyond the high end
         c.low.yz = max(c.low.yz, (int2)(0));
         c.high.yz = min(c.high.yz, shape.yz - 1);
         if (c.low.x >= shape.x)
@@ -54,7 +54,7 @@ columns columns_of(const triangle *t, int kind, int level, int3 shape, int3 pad)
     return c;
 }
 
-// Narrow the columns to those of a tile.
+// Reduce the columns to those of a tile.
 void take_tile(columns *c, int tile)
 {
     c->low.x += tile % c->tiles_p * COLUMN_TILE;
@@ -62,8 +62,8 @@ void take_tile(columns *c, int tile)
     c->high.xy = min(c->high.xy, c->low.xy + COLUMN_TILE - 1);
 }
 
-// Work-item `gid` takes the tile returned of triangle *index. Without offsets each triangle is one
-// share.
+// The tile of triangle *index that work-item `gid` processes. Without offsets, a work-item processes
+// a complete triangle.
 int share_of(__global const uint *tile_offsets, uint triangles, uint gid, uint *index)
 {
     *index = gid;
@@ -81,7 +81,7 @@ int share_of(__global const uint *tile_offsets, uint triangles, uint gid, uint *
     return (int)(gid - tile_offsets[low]);
 }
 
-// The triangle and the columns that this work-item takes; false if there are none.
+// The triangle and the columns that this work-item processes; false if there are none.
 bool take_share(__global const int *vertices, __global const int *faces, uint triangles,
                 __global const uint *tile_offsets, uint shares, int kind, int level, int3 shape,
                 int pad, triangle *t, columns *c)
@@ -99,15 +99,15 @@ bool take_share(__global const int *vertices, __global const int *faces, uint tr
     return true;
 }
 
-// ---- where boxes and voxels go
+// ---- storage of boxes and voxels
 
-// Bits are gathered while they fall into one word, for atomics are dear; and a node's place is
-// kept while its voxels follow each other.
+// Atomic operations are expensive: bits are collected as long as they belong to one word. The index
+// of a level-1 node is looked up once for consecutive voxels of the node.
 typedef struct {
     volatile __global uint *words;
-    uint word, bits; // those gathered
-    uint3 cell;      // the last voxel's level-1 node, and its place
-    uint node;
+    uint word, bits; // the bits collected for a word
+    uint3 cell;      // level-1 node of the last voxel
+    uint node; // index of this node among the active nodes
 } sink;
 
 #define NO_WORD 0xFFFFFFFFu
@@ -126,7 +126,7 @@ sink open_sink(volatile __global uint *words)
 void flush_or(sink *s)
 {
     if (s->word != NO_WORD && (s->words[s->word] & s->bits) != s->bits)
-        atomic_or(&s->words[s->word], s->bits); // not so if all are set already: most are
+        atomic_or(&s->words[s->word], s->bits); // most bits are set already: no atomic is needed for them
 }
 
 void flush_xor(sink *s)
@@ -155,7 +155,7 @@ void put_xor(sink *s, uint word, uint bit)
     s->bits ^= bit;
 }
 
-// The brick's half (a 32-bit word) and the bit of a voxel of an active node.
+// The 32-bit word, half a brick, of a voxel of an active node; and its bit in the word.
 uint voxel_word(sink *s, ACTIVE_SET_PARAMETERS, uint3 voxel, uint *bit)
 {
     const uint3 cell = voxel >> 3;
@@ -170,9 +170,9 @@ uint voxel_word(sink *s, ACTIVE_SET_PARAMETERS, uint3 voxel, uint *bit)
 
 // ---- projections
 
-// The edge functions at box (i, j) of a projection's lattice of boxes: none is negative where the
-// box's projection touches the triangle's (eq. 3.4), or where its centre, moved by the shift, is
-// within the 6-separating bound ([voCCeL] section 3.2) or in the triangle.
+// The edge functions at box (i, j) of a projected lattice of boxes. None is negative if the
+// projections of box and triangle touch (TOUCHED; eq. 3.4), if the shifted centre is within the
+// 6-separating bound (SEPARATING; [voCCeL], section 3.2), or if it is in the triangle (CROSSED).
 edge_functions project(int kind, int3 p, int3 q, int sign, int size, int pad_p, int pad_q,
                        bool p_first)
 {
@@ -183,7 +183,7 @@ edge_functions project(int kind, int3 p, int3 q, int sign, int size, int pad_p, 
         if (kind == SEPARATING)
             e.d += max(max(e.p, -e.p), max(e.q, -e.q)) * HALF;
         const long3 first = p_first ? e.p : e.q, second = p_first ? e.q : e.p;
-        // on the bound, and moving out with the shift: the masks are -1 where true
+        // subtract 1 if the shift moves a centre on the bound outwards: masks are -1 where true
         e.d += (first < zero) | ((first == zero) & (second < zero));
     } else {
         e.d += max(e.p * (size + 2 * pad_p), zero) + max(e.q * (size + 2 * pad_q), zero) -
@@ -194,8 +194,8 @@ edge_functions project(int kind, int3 p, int3 q, int sign, int size, int pad_p, 
     return e;
 }
 
-// The least r in [0, last] from which on *a + r up >= 0, or last + 1 if there is none; *a becomes its
-// value there. `up` is `normal` x `size`.
+// The smallest r in [0, last] with *a + r up >= 0, or last + 1 if there is none; *a is set to
+// *a + r up. `up` is `normal` x `size`.
 int first_not_before(wide *a, long normal, int size, wide up, int last)
 {
     if (!is_negative(*a))

@@ -1,17 +1,18 @@
-// A mesh on a grid's lattice, summed up in numbers for the plan. Host side: voxtool/svo/lattice.py.
+// Survey of a mesh on a grid's lattice, for the plan. Host side: voxtool/svo/lattice.py.
 
 #include "svo/octree.h"
 #include "svo/scan.h"
 #include "svo/overlap.h"
 
-// Each work-item's partial sums over its triangles: largest extent in units, doubled projected areas
-// along x, y, z in 1/256 voxel^2, whether one lies below x = 0, how many miss every box of the grid.
+// For the triangles of each work-item: the largest extent in units, twice the projected areas along x,
+// y and z in 1/256 voxel^2, 1 if a triangle reaches below x = 0, and the number of triangles that
+// touch no box of the grid.
 __kernel void survey(__global const int *vertices, __global const int *faces, const uint count,
                      const int3 shape, __global ulong *partial)
 {
     const uint gid = get_global_id(0), items = get_global_size(0);
     ulong extent = 0, x = 0, y = 0, z = 0, before = 0, outside = 0;
-    // what the widest boxes reach: blocks of level-1 nodes, and half a voxel more along x
+    // the high end of blocks of level-1 nodes, which are widened by half a voxel along x
     const int3 end = ((shape + NODE_BLOCK - 1) / NODE_BLOCK * NODE_BLOCK) * VOXEL + HALF;
     for (uint i = gid; i < count; i += items) {
         const triangle t = fetch_triangle(vertices, faces, i);

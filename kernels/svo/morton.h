@@ -1,7 +1,7 @@
 #include "morton_bits.h"
 
-// Morton codes ([voCCeL], eq. 2.2), x in the lowest bit. CODE is uint where the finest level-1
-// cells fit 10 bits an axis, ulong otherwise: the plan decides.
+// Morton codes ([voCCeL], eq. 2.2), x in the lowest bit. The plan selects CODE: uint if the level-1
+// cells fit 10 bits an axis, otherwise ulong.
 
 uint spread_10_bits(uint v)
 {
@@ -26,8 +26,7 @@ uint3 morton_decode(CODE code)
     return (uint3)(gather_bits(c), gather_bits(c >> 1), gather_bits(c >> 2));
 }
 
-// The place of a voxel in its level-1 node: the octant's brick and the bit in it, brick by brick, of
-// 64 bits each. Coordinates count modulo 8.
+// The bit of a voxel among the 8 x 64 bits of the bricks of its level-1 node.
 uint voxel_place(uint3 voxel)
 {
     const uint3 v = voxel & 7u;
@@ -35,8 +34,8 @@ uint voxel_place(uint3 voxel)
     return spread.x | spread.y << 1 | spread.z << 2;
 }
 
-// The bit of a row of voxels along x in the 64-bit state of its bundle of 8 x 8 rows. The faces
-// (voxels of x = 0) of the four bricks of a bundle interleave in it: see face_of.
+// The bit of a row along x in the 64-bit state of its bundle of 8 x 8 rows, in which the faces
+// (voxels of x = 0) of four bricks are interleaved: see face_of.
 uint row_bit(uint y, uint z)
 {
     return ((y >> 2) & 1) | (y & 1) << 1 | (z & 1) << 2 | ((z >> 2) & 1) << 3 |

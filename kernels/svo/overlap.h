@@ -1,7 +1,7 @@
-// A triangle on the fixed-point lattice and its exact integer predicates. With n the normal and
-// p - v0 up to an extent of 2^20 units (4096 voxels), n . (p - v0) fits 62 bits; where a triangle
-// is larger the plan compiles WIDE, and that one product is formed in 128 bits. Edge functions fit
-// 64 bits either way: coordinates are at most 2^30 in magnitude.
+// A triangle on the fixed-point lattice and its exact integer predicates. For triangles of up to 2^20
+// units (4096 voxels) with normal n, n . (p - v0) fits 62 bits; for larger triangles, the plan sets
+// the option WIDE, and this product is computed in 128 bits. Edge functions always fit 64 bits,
+// because coordinates are at most 2^30 in magnitude.
 
 #define VOXEL (1 << FIXED_POINT_BITS) // units of the lattice in a voxel
 #define HALF (VOXEL / 2)
@@ -16,7 +16,7 @@ triangle fetch_triangle(__global const int *vertices, __global const int *faces,
     return t;
 }
 
-// ---- n . (p - v0), in as many bits as it takes
+// ---- n . (p - v0), in 64 or 128 bits
 
 #ifdef WIDE
 typedef struct { long high; ulong low; } wide; // two's complement
@@ -42,7 +42,7 @@ wide wide_negative(wide a)
 
 bool is_negative(wide a) { return a.high < 0; }
 bool is_positive(wide a) { return a.high > 0 || (a.high == 0 && a.low != 0); }
-// From the magnitude: the two halves of a small negative number would cancel.
+// Computed from the magnitude, because the halves of a small negative number would cancel.
 float to_float(wide a)
 {
     const wide m = is_negative(a) ? wide_negative(a) : a;
@@ -64,14 +64,14 @@ wide wide_dot(long ax, long ay, long az, long bx, long by, long bz)
     return wide_sum(wide_sum(wide_product(ax, bx), wide_product(ay, by)), wide_product(az, bz));
 }
 
-// The product of two edges' components as in a cross product; it fits 63 bits, its terms wrap.
+// ax by - bx ay, a component of a cross product: the result fits 63 bits, though its terms may wrap.
 long cross_term(int ax, int by, int bx, int ay)
 {
     return (long)((ulong)((long)ax * by) - (ulong)((long)bx * ay));
 }
 
-// ---- edge functions (eq. 3.2 to 3.4) of a triangle's projection to the axes p and q: one component
-// an edge. At (p, q) they are p * i + q * j + d; a point is inside where none is negative.
+// ---- edge functions of a triangle's projection to the axes p and q ([voCCeL], eq. 3.2 to 3.4): one
+// component an edge. At (i, j) they are p * i + q * j + d; a point is inside if none is negative.
 
 typedef struct { long3 p, q, d; } edge_functions;
 
@@ -88,7 +88,7 @@ edge_functions edges_of(int3 p, int3 q, int sign)
 
 bool none_negative(long3 values) { return (values.x | values.y | values.z) >= 0; }
 
-// The sign of a . eps for eps.x >> eps.y >> eps.z > 0: the rule for every tie.
+// The sign of (x, y, z) . eps for eps.x >> eps.y >> eps.z > 0: it decides every tie.
 int shift_sign(long x, long y, long z)
 {
     const long first = x != 0 ? x : y != 0 ? y : z;

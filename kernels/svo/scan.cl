@@ -1,10 +1,10 @@
-// Scan conversion of triangles into the boxes that they touch: level-1 nodes, blocks of these, and
-// voxels ([voCCeL], sections 3.2 and A.4). Host side: voxtool/svo/scan.py. Options: those of
+// Scan conversion of triangles into the boxes that they touch: level-1 nodes, blocks of level-1 nodes,
+// and voxels ([voCCeL], sections 3.2 and A.4). Host side: voxtool/svo/scan.py. Options: those of
 // columns.h, and KIND.
 
 #include "svo/columns.h"
 
-// tiles[i] = the number of shares of triangle i.
+// tiles[i] = the number of tiles of triangle i.
 __kernel void count_tiles(__global const int *vertices, __global const int *faces, const uint n,
                           const int kind, const int level, const int3 shape, const int pad,
                           __global uint *tiles)
@@ -18,13 +18,13 @@ __kernel void count_tiles(__global const int *vertices, __global const int *face
 
 // ---- scan conversion
 
-// What does not depend on the box (the set-up stage of [voCCeL] section 3.2).
+// Values that do not depend on the box (the set-up stage of [voCCeL], section 3.2).
 typedef struct {
     int size;                // of a box, in units
     int3 first;              // low corner of box (0, 0, c.low.z) from v0, in units
     edge_functions xy, yz, zx; // in swizzled axes
-    long nx, ny, nz;         // normal, turned so that nz >= 0
-    wide near, far;          // what n . (low corner - v0) gains on a box's near and far side
+    long nx, ny, nz;         // normal, negated if needed so that nz >= 0
+    wide near, far;          // added to n . (low corner - v0) for the near and far side of a box
 } scan;
 
 scan set_up(const triangle *t, const columns *c, int kind, int level, int pad_x)
@@ -53,7 +53,7 @@ scan set_up(const triangle *t, const columns *c, int kind, int level, int pad_x)
                                        : shift_sign(s.ny, s.nz, s.nx);
         s.far = wide_sum(wide_dot(s.nx, s.ny, s.nz, HALF, HALF, VOXEL), wide_product(tie < 0, -1));
         s.near = wide_sum(wide_dot(s.nx, s.ny, 0, HALF, HALF, 0), wide_product(tie > 0, 1));
-    } else { // the plane passes between the critical points (eq. 3.1)
+    } else { // the plane passes between the critical points ([voCCeL], eq. 3.1)
         const int3 box = s.size + 2 * pad;
         s.far = wide_dot(max(s.nx, 0l), max(s.ny, 0l), s.nz, box.x, box.y, box.z);
         s.near = wide_dot(min(s.nx, 0l), min(s.ny, 0l), 0, box.x, box.y, 0);
@@ -81,10 +81,10 @@ void put_box(sink *out, int store, ACTIVE_SET_PARAMETERS, uint3 box)
     put_or(out, (uint)(code >> 5), 1u << (uint)(code & 31));
 }
 
-// Store the boxes that the triangle touches, column by column. In a column, the plane meets the
-// boxes from the first whose far side is not before it to the last whose near side is not behind it
-// (fig. 3.4); from one column to the next, where they begin moves by no more than a box or two. A
-// row of columns within a convex set is one run: the first that is left ends it.
+// Store the boxes that the triangle touches, column by column. In a column, the plane meets the boxes
+// from the first whose far side is not before it to the last whose near side is not behind it
+// ([voCCeL], fig. 3.4). From one column to the next, this range moves by one or two boxes. The columns
+// of a row that a convex triangle meets are contiguous, so the first column beyond them ends the row.
 void scan_convert(const scan *s, const columns *c, sink *out, int store, ACTIVE_SET_PARAMETERS)
 {
     const int last = c->high.z - c->low.z;
@@ -149,8 +149,8 @@ __kernel void activate(__global const int *vertices, __global const int *faces,
     scan_convert(&s, &c, &out, level == NODE_LEVEL ? STORE_NODES : STORE_BLOCKS, ACTIVE_SET);
 }
 
-// The voxels of a surface: those whose closed cube touches a triangle (TOUCHED), or the 6-separating
-// set (SEPARATING). Option: KIND.
+// Set the voxels of a surface: those whose closed cube touches a triangle (KIND is TOUCHED), or the
+// 6-separating set (KIND is SEPARATING).
 #ifdef KIND
 __kernel void set_surface(__global const int *vertices, __global const int *faces,
                        const uint triangles, __global const uint *tile_offsets, const uint n,

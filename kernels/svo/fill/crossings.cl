@@ -4,10 +4,10 @@
 #include "svo/columns.h"
 #include "svo/fill/crossings.h"
 
-// What is done with the crossings of rows of centres with a triangle.
-#define FLIP 0  // the first voxel at or beyond each is flipped
-#define COUNT 1 // they are counted
-#define LIST 2  // they are written down, by row, voxel and direction
+// Actions at the crossings of rows with a triangle.
+#define FLIP 0  // flip the first voxel at or beyond each
+#define COUNT 1 // count them
+#define LIST 2  // write row, voxel and direction of each
 
 #ifdef BLOCKED // for COUNT and LIST
 #define NO_ACTIVE_SET 0, 0, 0, 0
@@ -27,7 +27,7 @@ uint bundle_of(uint3 voxel, int3 shape)
     return (voxel.y >> 3) + (voxel.z >> 3) * (uint)((shape.y + 7) >> 3);
 }
 
-// Flip a row from voxel i on; from -1 on it is its state on entry.
+// Flip a row from voxel i on. If i is -1, flip the state of the row on entry.
 void flip_row(sink *out, volatile __global uint *entry, ACTIVE_SET_PARAMETERS, int3 shape, int i,
               int j, int k)
 {
@@ -42,9 +42,9 @@ void flip_row(sink *out, volatile __global uint *entry, ACTIVE_SET_PARAMETERS, i
     put_xor(out, word, bit);
 }
 
-// Visit the crossings of rows of centres with the triangle (eq. 3.5), each at the first voxel at or
-// beyond it. Rows whose centre, moved by the infinitesimal shift, lies in the projection are
-// crossed; a centre on the triangle is beyond the crossing. Crossings before x = 0 are at voxel -1.
+// Visit the crossings of rows with a triangle ([voCCeL], eq. 3.5), each at the first voxel at or
+// beyond it. A row crosses the triangle if its shifted centre lies in the triangle's projection. A
+// centre on the triangle is beyond the crossing. Crossings before x = 0 are visited at voxel -1.
 void visit_crossings(const triangle *t, const columns *c, int3 shape, int what, visitor *v,
                      ACTIVE_SET_PARAMETERS)
 {
@@ -66,7 +66,7 @@ void visit_crossings(const triangle *t, const columns *c, int3 shape, int what, 
             yz += e.p;
         if (j > c->high.x)
             continue;
-        // n . (centre - v0) of the first voxel that it can be; it rises along x
+        // n . (centre - v0) of the first candidate voxel; it increases along x
         wide low = wide_dot(nx, ny, nz, (long)c->low.z * VOXEL + HALF - u.x,
                             (long)j * VOXEL + HALF - u.y, (long)k * VOXEL + HALF - u.z);
         for (; j <= c->high.x && none_negative(yz); ++j, yz += e.p, low = wide_sum(low, right)) {
@@ -102,9 +102,9 @@ __kernel void flip_crossings(__global const int *vertices, __global const int *f
     flush_xor(&v.out);
 }
 
-// ---- crossings with their directions
+// ---- crossings with directions
 
-// counts[i] = the number of crossings that share i lists.
+// counts[i] = the number of crossings that work-item i lists.
 __kernel void count_crossings(__global const int *vertices, __global const int *faces,
                        const uint triangles, __global const uint *tile_offsets, const uint n,
                               const int3 shape, __global uint *counts)
@@ -120,8 +120,8 @@ __kernel void count_crossings(__global const int *vertices, __global const int *
         counts[gid] = v.count;
 }
 
-// The crossings of share i from firsts[i] on: the row, x_bits - 2 bits of the voxel, counted from -1,
-// and ENTERS where a row that runs towards high x enters a solid that faces outward.
+// Work-item i writes its crossings from firsts[i] on: the row, the voxel in x_bits - 2 bits, counted
+// from -1, and ENTERS if the row, towards high x, enters the solid.
 __kernel void list_crossings(__global const int *vertices, __global const int *faces,
                        const uint triangles, __global const uint *tile_offsets, const uint n,
                              const int3 shape, __global const uint *firsts,
@@ -138,9 +138,9 @@ __kernel void list_crossings(__global const int *vertices, __global const int *f
     visit_crossings(&t, &c, shape, LIST, &v, NO_ACTIVE_SET);
 }
 
-// Flip rows where the number of crossings before, those that enter less those that leave, comes to
-// be among those that are inside, or ceases to be: from 1 on, or with `nonzero` all but 0. The
-// first crossing of a row walks it; crossings are sorted.
+// Flip a row where the sum of its sorted crossings (+1 where it enters, -1 where it leaves) changes
+// between inside and outside. Inside is a sum of 1 or more or, with `nonzero`, any other than 0. The
+// work-item of the first crossing of a row processes the row.
 __kernel void flip_changes(__global const ulong *crossings, const uint n, const uint x_bits,
                            const uint nonzero, const int3 shape, ACTIVE_SET_PARAMETERS,
                            volatile __global uint *bricks, volatile __global uint *entry)
@@ -158,7 +158,7 @@ __kernel void flip_changes(__global const ulong *crossings, const uint n, const 
     for (uint at = gid; at < n && crossings[at] >> x_bits == row; ++at) {
         number += crossings[at] & ENTERS ? 1 : -1;
         if (at + 1 < n && crossings[at + 1] >> 2 == crossings[at] >> 2)
-            continue; // another one at the same voxel
+            continue; // the next crossing is at the same voxel
         if (inside != (nonzero ? number != 0 : number > 0)) {
             inside = !inside;
             const int i = (int)(crossings[at] >> 2 & ((1ul << (x_bits - 2)) - 1)) - 1;

@@ -1,9 +1,9 @@
 // From the flips of rows along x to inside voxels and inside leaves. Host side:
 // voxtool/svo/fill/rows.py. Options: CODE.
 //
-// A bundle is 8 x 8 rows along x, a level-1 node wide; its state is 64 bits, one a row: inside or
-// not. The bits of a brick are numbered in Morton order, so voxels of x = 0 .. 3 lie at offsets
-// 0, 1, 8 and 9 from those of X0, and the faces of a bundle's four bricks interleave in its state.
+// A bundle is 8 x 8 rows along x, as wide as a level-1 node. Its state has one bit a row: set if the
+// row is inside. The bits of a brick are in Morton order, so the voxels of x = 0, 1, 2 and 3 are at
+// offsets 0, 1, 8 and 9 from X0, and a state interleaves the faces of four bricks.
 
 #include "svo/octree.h"
 #include "svo/fill/rows.h"
@@ -16,7 +16,7 @@
 ulong face_of(ulong state, uint o) { return (state >> ((o & 1) + 8 * (o >> 1))) & X0; }
 ulong rows_of(ulong face, uint o) { return face << ((o & 1) + 8 * (o >> 1)); }
 
-// The rows that a level-1 node's flips turn: the parity along x of its eight bricks.
+// The rows that the flips of a level-1 node change: the parity along x of its eight bricks.
 ulong node_flips(__global const ulong *bricks)
 {
     ulong rows = 0;
@@ -29,7 +29,7 @@ ulong node_flips(__global const ulong *bricks)
     return rows;
 }
 
-// Prefix parity along x of a brick's flips, from the state of its rows on entry.
+// The voxels of a brick: prefix parity of its flips along x, from the state of its rows on entry.
 ulong fill_brick(ulong flips, ulong face)
 {
     ulong v = flips ^ face;
@@ -43,10 +43,10 @@ ulong exit_face(ulong brick) { return (brick >> 9) & X0; }
 
 #define MAX_LEVELS 16
 
-// Walk a bundle's rows through the octree along x. Level-1 nodes get their rows' state on entry; for a
-// leaf, `fills` counts the bundles that fill it, or is MIXED where a bundle fills it in part or it
-// reaches beyond the grid. If bundles are chosen, their states in the leaves that are to be refined
-// (child = slot + 1) are recorded instead.
+// Traverse the octree along a bundle of rows. `entries` receives the states of rows where they enter
+// level-1 nodes. `fills` counts the bundles that are completely inside at a leaf, or becomes MIXED if
+// some rows are inside or the leaf reaches beyond the grid. With `chosen`, only the chosen bundles
+// are traversed, and their states are recorded for leaves to be refined (child = slot + 1).
 __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offsets, const uint top,
                          const int3 shape, const uint n, __global const uint *chosen,
                          __global const ulong *entry, __global const ulong *bricks, __global ulong *entries,
@@ -59,11 +59,11 @@ __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offset
     const uint y = bundle % bundles_y, z = bundle / bundles_y;
     ulong state = entry ? entry[bundle] : 0;
     const uint end = (uint)(shape.x + 7) / 8;
-    uint path[MAX_LEVELS]; // the nodes that hold cell (x, y, z), from the root down
+    uint path[MAX_LEVELS]; // the nodes that contain cell (x, y, z), by level
     path[top] = 0;
     uint x = 0, level = top;
     while (x < end) {
-        // down to the leaf or level-1 node of the cell, from the last node that holds it
+        // descend to the leaf or level-1 node of the cell, from the last node that contains it
         uint child = nodes[offsets[top - level] + path[level]].child;
         while (level > 1 && (child & VALID)) {
             --level;
@@ -97,8 +97,7 @@ __kernel void sweep_rows(__global const svo_node *nodes, __constant uint *offset
     }
 }
 
-// A leaf that all its bundles fill is inside; one that only some fill must be refined: it gets MIXED,
-// and is counted.
+// Mark leaves: INSIDE if all bundles through a leaf fill it, otherwise MIXED; count the MIXED ones.
 __kernel void mark_leaves(__global svo_node *nodes, __constant uint *offsets, const uint top,
                           const uint n, __global const uint *fills,
                           volatile __global uint *unresolved)
@@ -117,7 +116,7 @@ __kernel void mark_leaves(__global svo_node *nodes, __constant uint *offsets, co
     }
 }
 
-// bricks[8 positions[i] ..] = flips[8 i ..], the eight bricks of a level-1 node.
+// bricks[8 positions[i] ..] = flips[8 i ..], for the eight bricks of level-1 node i.
 __kernel void move_bricks(__global const ulong *flips, __global const uint *positions,
                           const uint n, __global ulong *bricks)
 {
@@ -126,7 +125,7 @@ __kernel void move_bricks(__global const ulong *flips, __global const uint *posi
         bricks[8 * positions[gid / 8] + gid % 8] = flips[gid];
 }
 
-// The same, but the voxels are added to those that are set.
+// The same, but voxels that are set already stay set.
 __kernel void unite_bricks(__global const ulong *added, __global const uint *positions,
                            const uint n, __global ulong *bricks)
 {
@@ -135,7 +134,7 @@ __kernel void unite_bricks(__global const ulong *added, __global const uint *pos
         bricks[8 * positions[gid / 8] + gid % 8] |= added[gid];
 }
 
-// From flips to voxels: the prefix parity along x of each level-1 node's bricks, cut at the grid.
+// Turn the flips of each level-1 node into voxels, clipped to the grid.
 __kernel void fill_bricks(__global const CODE *codes, const uint n, const int3 shape,
                           __global const ulong *entries, __global ulong *bricks)
 {
@@ -149,7 +148,7 @@ __kernel void fill_bricks(__global const CODE *codes, const uint n, const int3 s
         const ulong low = fill_brick(pair[0], face_of(state, o));
         const ulong high = fill_brick(pair[1], exit_face(low));
         ulong kept[2] = {ALL, ALL};
-        if (x + 8 > shape.x) // the voxels beyond the high-x side are no part of the grid
+        if (x + 8 > shape.x) // clear voxels beyond the high-x side of the grid
             for (int i = 0; i < 8; ++i)
                 if (x + i >= shape.x)
                     kept[i >> 2] &= ~(X0 << ((i & 1) + 8 * ((i >> 1) & 1)));

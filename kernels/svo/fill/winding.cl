@@ -1,4 +1,4 @@
-// The winding number near holes: over blocks of voxels, and at voxels. Host side:
+// Winding numbers near holes: bounds for blocks of voxels, and numbers at voxels. Host side:
 // voxtool/svo/fill/winding.py. Options: CODE=ulong, WIDE.
 
 #pragma OPENCL FP_CONTRACT OFF
@@ -12,9 +12,9 @@
 #include "spatial/solid_angles.h"
 
 #define STACK ((ARITY - 1) * MAX_LEVELS + 1)
-#define SLACK 0x1p-30 // more than rounding takes
+#define SLACK 0x1p-30 // relative; above all rounding errors
 
-// The voxel centres of a block of 2^level voxels, a box.
+// The box of the voxel centres of a block of 2^level voxels.
 typedef struct {
     int3 low, high; // 1/256 voxel
 } centres;
@@ -26,13 +26,13 @@ centres centres_of(ulong code, uint level)
     return c;
 }
 
-// The frame of a tree: local = (units - frame.xyz) frame.w, in 1/256 voxel.
+// A point in the frame of a tree: (units - frame.xyz) frame.w, with units of 1/256 voxel.
 double3 to_local(int3 units, double4 frame)
 {
     return (convert_double3(units) - frame.xyz) * frame.w;
 }
 
-// The square of the distance between two boxes.
+// The squared distance between two boxes.
 double gap_between(double3 low, double3 high, double3 other_low, double3 other_high)
 {
     double sum = 0;
@@ -54,8 +54,9 @@ void child_box(__global const float *nodes, uint id, uint i, double3 *low, doubl
 
 // ---- over blocks
 
-// How steep the winding number can be in a box, by an edge from a to b: by the law of Biot and Savart
-// at most dl / (4 pi r^2) summed along it, and 1 / (2 pi r) however long it is.
+// A bound of the gradient of the winding number in a box, due to a boundary edge from a to b. By the
+// law of Biot and Savart it is at most the sum of dl / (4 pi r^2) along the edge, and at most
+// 1 / (2 pi r) for an edge of any length.
 double steepness_of(double3 a, double3 b, double3 low, double3 high, double radius)
 {
     const double3 e = b - a, way = 0.5 * (low + high) - a;
@@ -72,14 +73,14 @@ double steepness_of(double3 a, double3 b, double3 low, double3 high, double radi
     return (length < 2 * r ? length / r : 2) / (4 * PI * r);
 }
 
-// The same by triangles of this area in all at a distance from the box: each is a dipole.
+// The same, due to triangles of this total area at a distance from the box: each is a dipole.
 double steepness_of_area(double area, double squared_gap)
 {
     return area / (2 * PI * squared_gap * sqrt(squared_gap));
 }
 
-// Whether a triangle may meet a box: by the box's axes, the triangle's normal, and the products of
-// their edges, as far as rounding can tell.
+// False only if a triangle and a box are disjoint, by a separating axis test with tolerance SLACK:
+// the axes of the box, the normal of the triangle, and the cross products of their edges.
 bool may_meet(const triangle *t, centres c)
 {
     const int3 low = min(min(t->v[0], t->v[1]), t->v[2]), high = max(max(t->v[0], t->v[1]), t->v[2]);
@@ -121,9 +122,9 @@ bool may_meet(const triangle *t, centres c)
     return (height < 0 ? -height : height) <= reach + SLACK * (reach + slack);
 }
 
-// spreads[i] = by how much the winding number at the voxels of block i can differ from that of its
-// middle; infinite where that is as much as `limit`. A hole counts by the area of its cap or by its
-// edges, whichever bound is lower.
+// spreads[i] = a bound of the difference between the winding number of the caps at the voxels of block
+// i and in its middle; infinite if it is `limit` or more. A hole contributes the lower one of two
+// bounds: by the area of its cap, and by its edges.
 __kernel void bound_spreads(__global const ulong *blocks, const uint n, const uint level,
                             const double limit, const double4 frame,
                             __global const float *hole_nodes, __global const uint *hole_names,
@@ -178,7 +179,7 @@ __kernel void bound_spreads(__global const ulong *blocks, const uint n, const ui
     spreads[gid] = spread < limit ? spread : INFINITY;
 }
 
-// spreads[i] = infinite where a cap may pass between the voxels of block i.
+// spreads[i] = infinite if a cap may pass between the voxels of block i.
 __kernel void exclude_caps(__global const ulong *blocks, const uint n, const uint level,
                         const double4 frame, __global const float *cap_nodes,
                         __global const uint *names, const uint cap_count,
@@ -218,7 +219,7 @@ __kernel void exclude_caps(__global const ulong *blocks, const uint n, const uin
 
 // ---- at voxels
 
-// The number of crossings of a row up to a voxel: those that enter less those that leave.
+// The sum of the crossings of a row up to a voxel: +1 where the row enters, -1 where it leaves.
 int number_before(__global const ulong *crossings, uint n, uint x_bits, ulong row, int x)
 {
     uint low = 0, high = n; // the first crossing of the row
@@ -236,13 +237,13 @@ int number_before(__global const ulong *crossings, uint n, uint x_bits, ulong ro
     return number;
 }
 
-#define BARELY 0x1p-60 // an angle next to nothing
-#define ROUNDING 0x1p-44
-#define CLOSE 0x1p-30 // of what rounding takes the 2^-52th part from
+#define BARELY 0x1p-60 // a negligible angle, which carries a sign
+#define ROUNDING 0x1p-44 // relative error of the sum in strip
+#define CLOSE 0x1p-30 // relative; below it, triangle_vectors has lost digits to cancellation
 
-// From a voxel's shifted centre, the strip that an edge from a to b sweeps towards +x subtends twice
-// the angle of the vector (x, y) that this finds; to the side of the edge's projection that integers
-// tell. a and b count from the centre, and are as far away as |a| and |b| say.
+// The strip that an edge from a to b sweeps towards +x subtends, from a voxel's shifted centre, twice
+// the angle of the vector (x, y). *side is the side of the edge's projection on which the centre
+// lies, decided by integers. a and b are relative to the centre; a_length and b_length are |a|, |b|.
 void strip(int3 a, int3 b, double a_length, double b_length, double *x, double *y, int *side)
 {
     const long turn = (long)a.y * b.z - (long)a.z * b.y;
@@ -250,9 +251,9 @@ void strip(int3 a, int3 b, double a_length, double b_length, double *x, double *
     *x = 1;
     *y = *side * BARELY;
     if (*side == 0)
-        return; // it is parallel to x
+        return; // the edge is parallel to x
     const long along = (long)a.y * b.y + (long)a.z * b.z;
-    if (a.y == 0 && a.z == 0) { // the shift tells what direction a is in, unless it is ahead
+    if (a.y == 0 && a.z == 0) { // unless a is ahead, the shift gives its direction
         if (a.x <= 0) {
             *x = -(double)b.y;
             *y = b.z != 0 ? -(double)b.z : *y;
@@ -271,7 +272,7 @@ void strip(int3 a, int3 b, double a_length, double b_length, double *x, double *
         if (turn != 0) {
             *x = sum;
             *y = (double)turn;
-        } else { // behind the edge or on it, or in front
+        } else { // -1 if the centre is behind the edge or on it, 1 if in front
             *x = sum <= -ROUNDING * (double)along ? -1 : 1;
         }
     }
@@ -283,9 +284,9 @@ double length_of(int3 v)
     return sqrt(d.x * d.x + d.y * d.y + d.z * d.z);
 }
 
-// The winding number of a triangle about a voxel's shifted centre: that of the triangle and the
-// strips that its edges sweep towards +x, which is the crossing of the row before the centre, less
-// those of the strips.
+// The winding number of a triangle about a voxel's shifted centre. The triangle and the strips that
+// its edges sweep towards +x form a closed surface, whose winding number is the crossing of the row
+// before the centre; the winding numbers of the strips are subtracted from it.
 double number_of(const triangle *t, int3 centre)
 {
     const int3 a = t->v[0] - centre, b = t->v[1] - centre, c = t->v[2] - centre;
@@ -312,8 +313,8 @@ double number_of(const triangle *t, int3 centre)
     return crossing + (angle.x + angle.y + angle.z) / (2 * PI);
 }
 
-// numbers[i] = the crossings of its row before the shifted centre of voxel voxels[i], those that enter
-// minus those that leave; BEYOND_GRID beyond the grid.
+// numbers[i] = the sum of the crossings of a row before the shifted centre of voxel voxels[i];
+// BEYOND_GRID for voxels beyond the grid.
 __kernel void number_voxels(__global const ulong *voxels, const uint n, const int3 shape,
                             __global const ulong *crossings, const uint count, const uint x_bits,
                             __global double *numbers)
@@ -328,8 +329,8 @@ __kernel void number_voxels(__global const ulong *voxels, const uint n, const in
                        : number_before(crossings, count, x_bits, row, voxel.x);
 }
 
-// Subtract the winding number of the caps about the shifted centres of voxels: triangles that are near
-// count one by one, others by the moments of the tree.
+// Subtract the winding number of the caps about the shifted centres of voxels. Near triangles are
+// evaluated one by one, distant ones through the moments of the tree.
 __kernel void subtract_caps(__global const ulong *voxels, const uint n, const double4 frame,
                             __global const double *leaves, __global const uint *names,
                             const uint cap_count, const uint cap_first_leaf,
