@@ -18,7 +18,9 @@ def count_differences(one: Octree, other: Octree) -> tuple[int, int]:
     descendants of the other octree's node.
     """
     if one.grid != other.grid:
-        raise GridError("the octrees have different grids: voxelize both on one grid, with --like")
+        raise GridError(
+            "octrees of different grids cannot be compared: voxelize both on one grid, with --like"
+        )
     first = second = 0
     nodes = np.zeros(1, np.int64), np.zeros(1, np.int64)
     for d in range(one.depth - 1):
