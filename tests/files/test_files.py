@@ -147,10 +147,10 @@ def corrupt(name: str, index: Any, value: Any) -> Callable[[Octree], Octree]:
 
 # golden_octree: offsets 0 1 9 25 121; the root and its first two children are refined
 CORRUPTIONS = {
-    "levels where a grid": lambda o: replace(o, offsets=o.offsets[:-1]),
+    "levels, but a grid": lambda o: replace(o, offsets=o.offsets[:-1]),
     "and ascend": corrupt("offsets", 0, 1),
     "not a multiple of 8": corrupt("offsets", 2, 10),
-    "more nodes than the one above": corrupt("offsets", 2, 17),
+    "more nodes than the level above": corrupt("offsets", 2, 17),
     "they end at": lambda o: replace(o, nodes=o.nodes[:-8]),
     "octree bricks: 95 for 96": lambda o: replace(o, bricks=o.bricks[:-1]),
     "octree children: 1 refined nodes": corrupt("nodes", (1, "child"), 0),
@@ -424,8 +424,8 @@ def hostile(folder: Path, change: Callable[[h5py.File], None]) -> Path:
         ("depth", 3, "attribute depth is '3' where 4"),
         ("depth", 2**62, "attribute depth is"),
         ("shape", [19, 16], "attribute shape has shape"),
-        ("shape", [2**40, 16, 11], "the longest side must count"),
-        ("shape", [-1, 16, 11], "the longest side must count"),
+        ("shape", [2**40, 16, 11], "the longest side must have"),
+        ("shape", [-1, 16, 11], "the longest side must have"),
         ("mode", text("smoke"), "attribute mode is 'smoke' where surface26 or"),
         ("fill", text("../x"), "attribute fill"),
         ("origin", [np.nan, 0, 0], "origin .* is not finite"),
@@ -580,7 +580,7 @@ FIRST_NODE = '<node parent="0" child="1073741824"/>'
         ('<subgrid size="192">', '<subgrid size="9">', "size '9' where the offsets say 192"),
         ('  size="121"', '  size="1000"', "size '1000' where the offsets say 121"),
         ("0 1 9 25 121<", "0 1 9 25<", "levels, but a grid of dim 19 has 4"),
-        ("0 1 9 25 121<", "0 1 9 25 28<", "no multiple of 8"),
+        ("0 1 9 25 121<", "0 1 9 25 28<", "not a multiple of 8"),
         ("0 1 9 25 121<", "0 1 9 73 585<", "declared, which the file cannot hold|size '121'"),
         ("<levels>", "<other/><levels>", "element other inside octree"),
         ("<levels>", "<levels>" + "<level></level>" * 100, "more elements than an octree has"),
