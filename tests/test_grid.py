@@ -57,9 +57,9 @@ def test_side_is_the_least_power_of_two(dim: int) -> None:
 @pytest.mark.parametrize(
     ("shape", "origin", "pitch", "message"),
     [
-        ((7, 7, 7), (0, 0, 0), (1, 1, 1), "from 8 to 65536"),
-        ((65537, 8, 8), (0, 0, 0), (1, 1, 1), "from 8 to 65536"),
-        ((8, 8, 0), (0, 0, 0), (1, 1, 1), "no side less than 1"),
+        ((7, 7, 7), (0, 0, 0), (1, 1, 1), "must have 8 to 65536"),
+        ((65537, 8, 8), (0, 0, 0), (1, 1, 1), "must have 8 to 65536"),
+        ((8, 8, 0), (0, 0, 0), (1, 1, 1), "every side at least 1"),
         ((8, -8, 8), (0, 0, 0), (1, 1, 1), "grid of 8 x -8 x 8 voxels"),
         ((8, 8, 8), (0, math.nan, 0), (1, 1, 1), "not finite"),
         ((8, 8, 8), (0, 0, math.inf), (1, 1, 1), "not finite"),
@@ -167,7 +167,7 @@ def test_window_is_the_grid_of_some_of_its_voxels() -> None:
     points = np.random.default_rng(0).uniform(0, 8, (50, 3))
     shift = np.array([4, 0, 2]) * UNIT
     assert np.array_equal(window.to_fixed(points), grid.to_fixed(points) - shift)
-    with pytest.raises(GridError, match="from 8 to 65536"):
+    with pytest.raises(GridError, match="must have 8 to 65536"):
         grid.window((0, 0, 0), (4, 4, 4))
 
 
@@ -225,7 +225,7 @@ def test_fit_stretch_is_equation_5_1() -> None:
     ("options", "message"),
     [
         ({"dim": 64, "pitch": 1.0}, "dim and pitch both set the voxel size: give one of them"),
-        ({"dim": 7}, "dim 7 is out of range: choose from 8 to 65536"),
+        ({"dim": 7}, "dim 7 is out of range: choose must have 8 to 65536"),
         ({"dim": 65537}, "dim 65537 is out of range"),
         ({"dim": -5}, "dim -5 is out of range"),
         ({"pitch": 0.0}, "pitch 0.0 is not a positive size"),
@@ -235,7 +235,7 @@ def test_fit_stretch_is_equation_5_1() -> None:
         ({"margin": -1}, "margin -1 is negative"),
         ({"dim": 8, "margin": 4}, "choose at most 3"),
         ({"dim": 64, "margin": 40}, "choose at most 31"),
-        ({"pitch": 0.1, "margin": 40000}, "from 8 to 65536"),
+        ({"pitch": 0.1, "margin": 40000}, "must have 8 to 65536"),
         ({"fit": "tight"}, "fit 'tight' is neither 'uniform' nor 'stretch'"),
         ({"fit": "stretch", "pitch": 1.0}, "fit 'stretch' goes with dim alone"),
         ({"fit": "stretch", "margin": 1}, "fit 'stretch' goes with dim alone"),
