@@ -186,15 +186,21 @@ def write_mesh(
 
     Parameters
     ----------
-    path : `-` writes stdout, as OBJ.
-    clobber : False refuses an existing file.
-    format : "obj", "ply", "stl", "glb" or "off", instead of what the name says.
-    normals : (V, 3) float64 unit vectors, one a vertex, for .obj, .ply and .glb.
+    path
+        `-` writes stdout, as OBJ.
+    clobber
+        False refuses an existing file.
+    format
+        "obj", "ply", "stl", "glb" or "off", instead of what the name says.
+    normals
+        (V, 3) float64 unit vectors, one a vertex, for .obj, .ply and .glb.
 
     Raises
     ------
-    FileError : the file cannot be written, or the format cannot hold the mesh or its normals.
-    MeshError : a vertex is not finite, or the normals are not one a vertex and finite.
+    FileError
+        the file cannot be written, or the format cannot hold the mesh or its normals.
+    MeshError
+        a vertex is not finite, or the normals are not one a vertex and finite.
     """
     files.write_mesh(as_mesh(mesh), path, clobber, format, normals)
 
@@ -210,15 +216,21 @@ def export(
 
     Parameters
     ----------
-    octree : an Octree or a path.
-    clobber : False refuses an existing file.
-    format : "npy", "npz", "vti" or "png", instead of what the name says.
-    options : for a png, `axis` ("x", "y" or "z") and `value` (a voxel index).
+    octree
+        an Octree or a path.
+    clobber
+        False refuses an existing file.
+    format
+        "npy", "npz", "vti" or "png", instead of what the name says.
+    options
+        for a png, `axis` ("x", "y" or "z") and `value` (a voxel index).
 
     Raises
     ------
-    FileError : the file cannot be written, is larger than its disk, or its name says no format.
-    GridError : a slice outside the grid. MemoryLimitError : it does not fit in memory.
+    FileError
+        the file cannot be written, is larger than its disk, or its name says no format.
+    GridError
+        a slice outside the grid. MemoryLimitError : it does not fit in memory.
     """
     files.export(_opened(octree, read_svo), path, clobber, format, **options)
 
@@ -277,32 +289,48 @@ def voxelize(
 
     Parameters
     ----------
-    mesh : a Mesh, a path, a trimesh.Trimesh, or a pair of arrays, (V, 3) and (F, 3).
-    grid : where the voxels lie; by default one around the mesh, of `dim` or `pitch`.
-    mode : "solid" (voxels whose centre is inside), "surface26" (voxels that touch a triangle) or
+    mesh
+        a Mesh, a path, a trimesh.Trimesh, or a pair of arrays, (V, 3) and (F, 3).
+    grid
+        where the voxels lie; by default one around the mesh, of `dim` or `pitch`.
+    mode
+        "solid" (voxels whose centre is inside), "surface26" (voxels that touch a triangle) or
         "surface6" (the thinner, 6-separating set).
-    dim : voxels along the longest side, without a grid; 256 unless pitch is given.
-    pitch : voxel size in world units, without a grid.
-    fill : what is inside, for "solid": "parity" (an odd number of crossings along x), "nonzero"
+    dim
+        voxels along the longest side, without a grid; 256 unless pitch is given.
+    pitch
+        voxel size in world units, without a grid.
+    fill
+        what is inside, for "solid": "parity" (an odd number of crossings along x), "nonzero"
         (crossings that enter and leave do not cancel), "winding" (a winding number of 1/2 or more),
         "flood" (everything that the outside cannot reach), or "auto": parity if the mesh is closed
         and consistently wound, otherwise winding.
-    gap : for "flood", openings of up to this many voxels are closed first.
-    with_surface : for "solid": add the voxels of "surface26".
-    window : (low, shape) in voxels: only this part of the grid.
-    device : where to compute; the default device if None.
-    max_memory : bytes that the device may use; by default what device and machine have.
+    gap
+        for "flood", openings of up to this many voxels are closed first.
+    with_surface
+        for "solid": add the voxels of "surface26".
+    window
+        (low, shape) in voxels: only this part of the grid.
+    device
+        where to compute; the default device if None.
+    max_memory
+        bytes that the device may use; by default what device and machine have.
 
     Raises
     ------
-    MeshError : the mesh cannot be read.
-    GridError : a vertex lies more than 2**22 voxels from the grid's corner.
-    MemoryLimitError : the octree would not fit; the message says which dim does.
-    DeviceError : no usable device.
+    MeshError
+        the mesh cannot be read.
+    GridError
+        a vertex lies more than 2**22 voxels from the grid's corner.
+    MemoryLimitError
+        the octree would not fit; the message says which dim does.
+    DeviceError
+        no usable device.
 
     Warns
     -----
-    MeshWarning : no voxel is set, or the mesh leaks.
+    MeshWarning
+        no voxel is set, or the mesh leaks.
 
     References
     ----------
@@ -350,22 +378,31 @@ def extract(
 
     Parameters
     ----------
-    octree : an Octree or a path.
-    style : "marching-cubes", "voxel-faces" (two triangles a square) or "surface-nets".
-    level : level of the nodes that are samples, from 0 (bricks), or "voxel"; by default 0 for
+    octree
+        an Octree or a path.
+    style
+        "marching-cubes", "voxel-faces" (two triangles a square) or "surface-nets".
+    level
+        level of the nodes that are samples, from 0 (bricks), or "voxel"; by default 0 for
         marching cubes, otherwise "voxel".
-    isovalue : in (0, 1): a sample is inside if at least this share of its voxels is set.
-    merge : join coplanar squares of voxel faces (greedy meshing); leaves T-junctions.
-    device, max_memory : as voxelize.
+    isovalue
+        in (0, 1): a sample is inside if at least this share of its voxels is set.
+    merge
+        join coplanar squares of voxel faces (greedy meshing); leaves T-junctions.
+    device, max_memory
+        as voxelize.
 
     Raises
     ------
-    VoxtoolError : an argument is out of range, or the octree is of a surface and has no inside.
-    MemoryLimitError : the surface would not fit. DeviceError : no usable device.
+    VoxtoolError
+        an argument is out of range, or the octree is of a surface and has no inside.
+    MemoryLimitError
+        the surface would not fit. DeviceError : no usable device.
 
     Warns
     -----
-    MeshWarning : the surface is empty, or the samples lose parts of the octree.
+    MeshWarning
+        the surface is empty, or the samples lose parts of the octree.
 
     Examples
     --------
@@ -427,7 +464,8 @@ def build_adf(
 
     Parameters
     ----------
-    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
+    mesh
+        Mesh, path, trimesh.Trimesh, or pair of arrays
         The triangle mesh.
     tolerance : float
         Error at which a cell is no longer refined.
@@ -435,7 +473,8 @@ def build_adf(
         Level at which leaves are no longer refined, 1 to 21.
     band : float
         Cells further than this from the surface are not refined.
-    sign : str, optional
+    sign
+        str, optional
         "pseudonormal", "winding" or "none". By default "pseudonormal" for meshes that are closed,
         consistently wound, free of self-intersections, and without nested shells of the same
         winding; "winding" for all others. On these, "pseudonormal" may give wrong signs, and bounds
@@ -444,7 +483,8 @@ def build_adf(
         Whether leaves of different levels agree on their common faces.
     bounds : bool
         Whether each leaf stores a bound of its error.
-    max_bytes : int, optional
+    max_bytes
+        int, optional
         Approximate size of the field; the largest errors are refined first.
     measure : bool
         Whether the errors of the field are measured; see DistanceField.reached.
@@ -496,15 +536,18 @@ def query_adf(
 
     Parameters
     ----------
-    field : DistanceField or path
+    field
+        DistanceField or path
         The field.
-    points : (N, 3) or (3,) array_like
+    points
+        (N, 3) or (3,) array_like
         World units; (3,) is one point.
     search : str
         How leaves are found: "linear", "binary" or "coherent"; the result is the same.
     gradient, bounds, cell : bool
         Whether these are returned as well.
-    device : Device, optional
+    device
+        Device, optional
         Where to compute; the default device if None.
 
     Returns
@@ -532,12 +575,15 @@ class SignedDistance(signed_distance.SignedDistance):
 
     Parameters
     ----------
-    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
+    mesh
+        Mesh, path, trimesh.Trimesh, or pair of arrays
         The triangle mesh.
-    sign : str, optional
+    sign
+        str, optional
         "pseudonormal", "winding" or "none" (no distance is negative). By default "pseudonormal" if
         the mesh is watertight and every face has an area, otherwise "winding".
-    device : Device, optional
+    device
+        Device, optional
         Where to compute; the default device if None.
 
     Attributes
@@ -606,15 +652,19 @@ def distance(
 
     Parameters
     ----------
-    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
+    mesh
+        Mesh, path, trimesh.Trimesh, or pair of arrays
         The triangle mesh.
-    points : (N, 3) or (3,) array_like
+    points
+        (N, 3) or (3,) array_like
         World units; (3,) is one point.
-    sign : str, optional
+    sign
+        str, optional
         As in SignedDistance.
     gradient, nearest, face : bool
         Whether these are returned as well, in a DistanceResult.
-    device : Device, optional
+    device
+        Device, optional
         Where to compute; the default device if None.
 
     Returns
@@ -707,7 +757,8 @@ def distance_grid(
         As in voxelize.
     fill : str
         As in voxelize, or "none" for distances without a sign.
-    dtype : dtype
+    dtype
+        dtype
         float64, or float32, to which distances are rounded.
 
     Returns
@@ -741,15 +792,20 @@ def diagnose(
 
     Parameters
     ----------
-    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
+    mesh
+        Mesh, path, trimesh.Trimesh, or pair of arrays
         The triangle mesh.
-    grid : Grid, optional
+    grid
+        Grid, optional
         Where the fill rules are compared; by default a grid of `dim` voxels around the mesh.
-    dim : int, optional
+    dim
+        int, optional
         Voxels along the longest side, without a grid; 256 by default.
-    device : Device, optional
+    device
+        Device, optional
         Where to compute; the default device if None.
-    progress : callable, optional
+    progress
+        callable, optional
         Called with the name of each stage as it begins.
 
     Returns
@@ -784,13 +840,16 @@ def deviation(
 
     Parameters
     ----------
-    surface, reference : Mesh, path, trimesh.Trimesh, pair of arrays, or Isosurface
+    surface, reference
+        Mesh, path, trimesh.Trimesh, pair of arrays, or Isosurface
         The two surfaces.
     samples : int
         Points on each of the two.
-    pitch : float, optional
+    pitch
+        float, optional
         Side of a voxel, world units, to have the distances in voxels as well.
-    device : Device, optional
+    device
+        Device, optional
         Where to compute; the default device if None.
 
     Returns
@@ -833,7 +892,8 @@ def build_tet(
 
     Parameters
     ----------
-    mesh : UnstructuredMesh or path
+    mesh
+        UnstructuredMesh or path
         The mesh, or a file that read_unstructured reads.
     layout : str
         "raycast" ([TetVol] table 5) or "projection" (table 4) split all cells into tetrahedra;
@@ -841,9 +901,11 @@ def build_tet(
         cell.
     merge_distance : float
         Points at most this far apart are merged, world units; 0 merges points at the same position.
-    scalar, component : str or int, optional
+    scalar, component
+        str or int, optional
         The array of a path, as in read_unstructured.
-    max_memory : int, optional
+    max_memory
+        int, optional
         Bytes that the work may take; by default what is free.
 
     Returns
@@ -919,14 +981,18 @@ def render(
 
     Parameters
     ----------
-    content : Octree, DistanceField, TetVolume or path
+    content
+        Octree, DistanceField, TetVolume or path
         What is drawn.
-    view : Camera, Rays or str, optional
+    view
+        Camera, Rays or str, optional
         A camera; one ray for each pixel; or the name of a view ("front", "back", "left", "right",
         "top", "bottom", "iso"), with everything in the picture. By default "iso".
-    size : (int, int)
+    size
+        (int, int)
         Width and height in pixels; Rays have their own.
-    samples : int, optional
+    samples
+        int, optional
         Each pixel is the mean of samples x samples rays; by default 2 for octrees and fields, which
         have sharp edges, and 1 for volumes and for Rays.
     device, max_memory

@@ -46,7 +46,8 @@ class Rays:
         Steps from pixel to pixel: at depth 1 in perspective, in world units otherwise.
     perspective : bool
         Whether all rays begin at the origin; otherwise they are parallel.
-    size : (int, int)
+    size
+        (int, int)
         Width and height in pixels.
     """
 
@@ -93,7 +94,8 @@ class Rays:
 
         Raises
         ------
-        VoxtoolError : more than MAX_SIDE rays along a side.
+        VoxtoolError
+            more than MAX_SIDE rays along a side.
         """
         if samples == 1:
             return self
@@ -120,9 +122,11 @@ class Camera:
 
     Attributes
     ----------
-    eye, target : (float, float, float)
+    eye, target
+        (float, float, float)
         Position of the camera and the point that it looks at, world units.
-    up : (float, float, float)
+    up
+        (float, float, float)
         Any direction that is not parallel to the view.
     fov : float or None
         Angle of the picture's shorter side in degrees; None for an orthographic camera.
@@ -152,7 +156,8 @@ class Camera:
 
         Raises
         ------
-        VoxtoolError : no such view, or numbers that are no box or no direction.
+        VoxtoolError
+            no such view, or numbers that are no box or no direction.
         """
         if view not in VIEWS:
             raise VoxtoolError(f"view {view!r} is unknown: choose {', '.join(VIEWS)}")
@@ -184,7 +189,8 @@ class Camera:
 
         Raises
         ------
-        VoxtoolError : an angle that is not finite.
+        VoxtoolError
+            an angle that is not finite.
         """
         if not math.isfinite(degrees):
             raise VoxtoolError(f"a turn of {degrees} degrees: give a finite angle")
@@ -205,7 +211,8 @@ class Camera:
 
         Raises
         ------
-        VoxtoolError : as rays.
+        VoxtoolError
+            as rays.
         """
         rays, target = self.rays(width, height), np.array(self.target)
         arms = points - target
@@ -230,11 +237,13 @@ class Camera:
 
         Parameters
         ----------
-        width, height : pixels.
+        width, height
+            pixels.
 
         Raises
         ------
-        VoxtoolError : a size, an angle or a direction that makes no picture.
+        VoxtoolError
+            a size, an angle or a direction that makes no picture.
         """
         check_size(width, height)
         eye, target = np.array(self.eye, np.float64), np.array(self.target, np.float64)

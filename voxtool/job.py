@@ -75,9 +75,12 @@ class Job(ABC, Generic[Result]):
 
     Attributes
     ----------
-    device : where it runs; None for a job of the host alone.
-    plan : what was decided.
-    max_memory : bytes that it may take, or None for what the device or the machine has.
+    device
+        where it runs; None for a job of the host alone.
+    plan
+        what was decided.
+    max_memory
+        bytes that it may take, or None for what the device or the machine has.
     """
 
     device: Device | None
@@ -109,11 +112,13 @@ class Job(ABC, Generic[Result]):
 
         Parameters
         ----------
-        decisions : fields of the plan, and their values.
+        decisions
+            fields of the plan, and their values.
 
         Raises
         ------
-        TypeError : the plan has no such field.
+        TypeError
+            the plan has no such field.
         """
         job = copy.copy(self)
         job.plan = replace(self.plan, **decisions)
@@ -132,15 +137,18 @@ class Job(ABC, Generic[Result]):
 
         Parameters
         ----------
-        progress : called with the name of each stage as it begins.
+        progress
+            called with the name of each stage as it begins.
 
         Raises
         ------
-        MemoryLimitError : it would not fit; nothing was begun.
+        MemoryLimitError
+            it would not fit; nothing was begun.
 
         Warns
         -----
-        MeshWarning : the result may surprise: each of `findings`.
+        MeshWarning
+            the result may surprise: each of `findings`.
         """
         self.refuse()
         self._progress = progress

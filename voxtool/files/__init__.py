@@ -76,7 +76,8 @@ def read_svo(path: PathLike) -> Octree:
 
     Raises
     ------
-    FileError : no such file, or one that is damaged, hostile or of another kind.
+    FileError
+        no such file, or one that is damaged, hostile or of another kind.
     """
     return _read(path, formats.OCTREE)
 
@@ -88,12 +89,15 @@ def write_svo(
 
     Parameters
     ----------
-    clobber : False refuses an existing file.
-    format : "svo.h5", "svo.xml" or "svo.xml.gz" instead of what the name says.
+    clobber
+        False refuses an existing file.
+    format
+        "svo.h5", "svo.xml" or "svo.xml.gz" instead of what the name says.
 
     Raises
     ------
-    FileError : the file cannot be written, or its name says no format.
+    FileError
+        the file cannot be written, or its name says no format.
     """
     _write(octree, path, clobber, format or format_of(path, SVO_FORMATS), SVO_FORMATS)
 
@@ -103,7 +107,8 @@ def read_adf(path: PathLike) -> DistanceField:
 
     Raises
     ------
-    FileError : no such file, or one that is damaged, hostile or of another kind.
+    FileError
+        no such file, or one that is damaged, hostile or of another kind.
     """
     return _read(path, formats.FIELD)
 
@@ -115,12 +120,15 @@ def write_adf(
 
     Parameters
     ----------
-    clobber : False refuses an existing file.
-    format : "adf.h5" instead of what the name says.
+    clobber
+        False refuses an existing file.
+    format
+        "adf.h5" instead of what the name says.
 
     Raises
     ------
-    FileError : the file cannot be written, its name says no format, or an attribute of the field
+    FileError
+        the file cannot be written, its name says no format, or an attribute of the field
         is out of range or does not fit.
     """
     _write(field, path, clobber, format or format_of(path, ADF_FORMATS), ADF_FORMATS)
@@ -131,7 +139,8 @@ def read_tet(path: PathLike) -> TetVolume:
 
     Raises
     ------
-    FileError : no such file, or one that is damaged, hostile or of another kind.
+    FileError
+        no such file, or one that is damaged, hostile or of another kind.
     """
     return _read(path, formats.VOLUME)
 
@@ -143,12 +152,15 @@ def write_tet(
 
     Parameters
     ----------
-    clobber : False refuses an existing file.
-    format : "tet.h5" instead of what the name says.
+    clobber
+        False refuses an existing file.
+    format
+        "tet.h5" instead of what the name says.
 
     Raises
     ------
-    FileError : the file cannot be written, its name says no format, or an attribute of the volume
+    FileError
+        the file cannot be written, its name says no format, or an attribute of the volume
         is out of range or does not fit.
     """
     _write(volume, path, clobber, format or format_of(path, TET_FORMATS), TET_FORMATS)
@@ -161,14 +173,18 @@ def read_unstructured(
 
     Parameters
     ----------
-    path : a .vtu, .vtk, .msh (Gmsh), .mesh (Medit), .inp (Abaqus, AVS UCD) or .ex2, .exo, .e
+    path
+        a .vtu, .vtk, .msh (Gmsh), .mesh (Medit), .inp (Abaqus, AVS UCD) or .ex2, .exo, .e
         (Exodus II) file.
-    scalar : the name of an array at points, or else at cells; None takes the only one there is.
-    component : of an array of vectors: "x", "y", "z", a number from 0, or "magnitude".
+    scalar
+        the name of an array at points, or else at cells; None takes the only one there is.
+    component
+        of an array of vectors: "x", "y", "z", a number from 0, or "magnitude".
 
     Raises
     ------
-    FileError : the file cannot be read, meshio is not installed, or there is no such array or
+    FileError
+        the file cannot be read, meshio is not installed, or there is no such array or
         component.
     """
     from voxtool.files.unstructured import read

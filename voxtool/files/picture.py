@@ -42,16 +42,22 @@ def write_picture(
 
     Parameters
     ----------
-    picture : (H, W, 4) float32, premultiplied.
-    bits, background : of a png: 8 or 16 a value, and red, green and blue from 0 to 1, or None for
+    picture
+        (H, W, 4) float32, premultiplied.
+    bits, background
+        of a png: 8 or 16 a value, and red, green and blue from 0 to 1, or None for
         a transparent picture.
-    clobber : False refuses an existing file.
-    format : "png", or "npy" for the array.
+    clobber
+        False refuses an existing file.
+    format
+        "png", or "npy" for the array.
 
     Raises
     ------
-    FileError : Pillow or pypng is missing, or the file cannot be written.
-    VoxtoolError : it is no picture.
+    FileError
+        Pillow or pypng is missing, or the file cannot be written.
+    VoxtoolError
+        it is no picture.
     """
     check_picture(picture)
     if format == "png":

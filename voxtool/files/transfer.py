@@ -14,7 +14,8 @@ def read_transfer(path: PathLike) -> TransferFunction:
 
     Raises
     ------
-    FileError : no such file, or one that is too large or holds none.
+    FileError
+        no such file, or one that is too large or holds none.
     """
     name = input_name(path)
     try:

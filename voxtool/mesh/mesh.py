@@ -70,7 +70,8 @@ class Mesh:
 
         Raises
         ------
-        MeshError : there are no faces.
+        MeshError
+            there are no faces.
         """
         if not len(self.faces):
             raise MeshError(f"{self.name or 'mesh'}: no faces: it has no bounds")
@@ -93,9 +94,11 @@ def mesh_from_arrays(
 
     Parameters
     ----------
-    vertices : (V, 3) array_like
+    vertices
+        (V, 3) array_like
         World units.
-    faces : (F, 3) array_like of int
+    faces
+        (F, 3) array_like of int
         The vertices of each triangle, counted from 0.
     source_sha256, name, units : str
         As in Mesh.

@@ -210,8 +210,10 @@ class Device:
 
         Parameters
         ----------
-        owner : any object that can be weakly referenced; what is made must not refer to it.
-        nbytes : size on the device.
+        owner
+            any object that can be weakly referenced; what is made must not refer to it.
+        nbytes
+            size on the device.
         """
         key = id(owner), kind
         with self._lock:

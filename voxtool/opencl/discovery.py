@@ -62,17 +62,21 @@ def open_device(choice: str | None = None, *, profile: bool = False) -> Device:
 
     Parameters
     ----------
-    choice : an index of `voxtool devices`, "cpu", "gpu", or a part of the platform's or the
+    choice
+        an index of `voxtool devices`, "cpu", "gpu", or a part of the platform's or the
         device's name; by default $VOXTOOL_DEVICE, or the first device that works, GPUs first.
-    profile : time each stage by events of the device.
+    profile
+        time each stage by events of the device.
 
     Raises
     ------
-    DeviceError : no device, none that matches, or none that passes the probe.
+    DeviceError
+        no device, none that matches, or none that passes the probe.
 
     Warns
     -----
-    DeviceWarning : a device that would be preferred fails the probe.
+    DeviceWarning
+        a device that would be preferred fails the probe.
     """
     choice = choice or os.environ.get("VOXTOOL_DEVICE") or None
     devices = _cl_devices()

@@ -194,7 +194,8 @@ class ExtractJob(Job[Isosurface]):
 
     Attributes
     ----------
-    plan : ExtractionPlan; `with_(relaxations=0)` forces one of its decisions.
+    plan
+        ExtractionPlan; `with_(relaxations=0)` forces one of its decisions.
     """
 
     plan: ExtractionPlan
@@ -216,7 +217,8 @@ class ExtractJob(Job[Isosurface]):
 
         Raises
         ------
-        TypeError : the plan has no such field, or it is of the request: plan another extraction.
+        TypeError
+            the plan has no such field, or it is of the request: plan another extraction.
         """
         if requested := {"style", "level", "isovalue", "merge"} & decisions.keys():
             raise TypeError(f"{', '.join(sorted(requested))}: plan another extraction")

@@ -48,17 +48,28 @@ class Isosurface:
 
     Attributes
     ----------
-    grid : Grid of the octree.
-    units : name of the world unit if known, or "".
-    style : a name in `choices.STYLES`.
-    level : level of the octree's nodes that are samples, or "voxel".
-    side : voxels along a sample's side.
-    isovalue : least share of set voxels of a sample that is inside.
-    points : (V, 3) int32, vertices in 2**-14 of a sample's side from the grid's corner.
-    faces : (F, 3) int32, triangles, counter-clockwise seen from outside.
-    tiles, cubes : tiles of 4 x 4 x 4 cubes that were examined, and cubes that are cut.
-    lost : set voxels that the samples do not show.
-    merged : coplanar squares are joined (greedy meshing), which leaves T-junctions.
+    grid
+        Grid of the octree.
+    units
+        name of the world unit if known, or "".
+    style
+        a name in `choices.STYLES`.
+    level
+        level of the octree's nodes that are samples, or "voxel".
+    side
+        voxels along a sample's side.
+    isovalue
+        least share of set voxels of a sample that is inside.
+    points
+        (V, 3) int32, vertices in 2**-14 of a sample's side from the grid's corner.
+    faces
+        (F, 3) int32, triangles, counter-clockwise seen from outside.
+    tiles, cubes
+        tiles of 4 x 4 x 4 cubes that were examined, and cubes that are cut.
+    lost
+        set voxels that the samples do not show.
+    merged
+        coplanar squares are joined (greedy meshing), which leaves T-junctions.
     """
 
     grid: Grid
