@@ -464,8 +464,7 @@ def build_adf(
 
     Parameters
     ----------
-    mesh
-        Mesh, path, trimesh.Trimesh, or pair of arrays
+    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
         The triangle mesh.
     tolerance : float
         Error at which a cell is no longer refined.
@@ -473,8 +472,7 @@ def build_adf(
         Level at which leaves are no longer refined, 1 to 21.
     band : float
         Cells further than this from the surface are not refined.
-    sign
-        str, optional
+    sign : str, optional
         "pseudonormal", "winding" or "none". By default "pseudonormal" for meshes that are closed,
         consistently wound, free of self-intersections, and without nested shells of the same
         winding; "winding" for all others. On these, "pseudonormal" may give wrong signs, and bounds
@@ -483,8 +481,7 @@ def build_adf(
         Whether leaves of different levels agree on their common faces.
     bounds : bool
         Whether each leaf stores a bound of its error.
-    max_bytes
-        int, optional
+    max_bytes : int, optional
         Approximate size of the field; the largest errors are refined first.
     measure : bool
         Whether the errors of the field are measured; see DistanceField.reached.
@@ -536,18 +533,15 @@ def query_adf(
 
     Parameters
     ----------
-    field
-        DistanceField or path
+    field : DistanceField or path
         The field.
-    points
-        (N, 3) or (3,) array_like
+    points : (N, 3) or (3,) array_like
         World units; (3,) is one point.
     search : str
         How leaves are found: "linear", "binary" or "coherent"; the result is the same.
     gradient, bounds, cell : bool
         Whether these are returned as well.
-    device
-        Device, optional
+    device : Device, optional
         Where to compute; the default device if None.
 
     Returns
@@ -575,15 +569,12 @@ class SignedDistance(signed_distance.SignedDistance):
 
     Parameters
     ----------
-    mesh
-        Mesh, path, trimesh.Trimesh, or pair of arrays
+    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
         The triangle mesh.
-    sign
-        str, optional
+    sign : str, optional
         "pseudonormal", "winding" or "none" (no distance is negative). By default "pseudonormal" if
         the mesh is watertight and every face has an area, otherwise "winding".
-    device
-        Device, optional
+    device : Device, optional
         Where to compute; the default device if None.
 
     Attributes
@@ -652,19 +643,15 @@ def distance(
 
     Parameters
     ----------
-    mesh
-        Mesh, path, trimesh.Trimesh, or pair of arrays
+    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
         The triangle mesh.
-    points
-        (N, 3) or (3,) array_like
+    points : (N, 3) or (3,) array_like
         World units; (3,) is one point.
-    sign
-        str, optional
+    sign : str, optional
         As in SignedDistance.
     gradient, nearest, face : bool
         Whether these are returned as well, in a DistanceResult.
-    device
-        Device, optional
+    device : Device, optional
         Where to compute; the default device if None.
 
     Returns
@@ -757,8 +744,7 @@ def distance_grid(
         As in voxelize.
     fill : str
         As in voxelize, or "none" for distances without a sign.
-    dtype
-        dtype
+    dtype : dtype
         float64, or float32, to which distances are rounded.
 
     Returns
@@ -792,20 +778,15 @@ def diagnose(
 
     Parameters
     ----------
-    mesh
-        Mesh, path, trimesh.Trimesh, or pair of arrays
+    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
         The triangle mesh.
-    grid
-        Grid, optional
+    grid : Grid, optional
         Where the fill rules are compared; by default a grid of `dim` voxels around the mesh.
-    dim
-        int, optional
+    dim : int, optional
         Voxels along the longest side, without a grid; 256 by default.
-    device
-        Device, optional
+    device : Device, optional
         Where to compute; the default device if None.
-    progress
-        callable, optional
+    progress : callable, optional
         Called with the name of each stage as it begins.
 
     Returns
@@ -840,16 +821,13 @@ def deviation(
 
     Parameters
     ----------
-    surface, reference
-        Mesh, path, trimesh.Trimesh, pair of arrays, or Isosurface
+    surface, reference : Mesh, path, trimesh.Trimesh, pair of arrays, or Isosurface
         The two surfaces.
     samples : int
         Points on each of the two.
-    pitch
-        float, optional
+    pitch : float, optional
         Side of a voxel, world units, to have the distances in voxels as well.
-    device
-        Device, optional
+    device : Device, optional
         Where to compute; the default device if None.
 
     Returns
@@ -892,8 +870,7 @@ def build_tet(
 
     Parameters
     ----------
-    mesh
-        UnstructuredMesh or path
+    mesh : UnstructuredMesh or path
         The mesh, or a file that read_unstructured reads.
     layout : str
         "raycast" ([TetVol] table 5) or "projection" (table 4) split all cells into tetrahedra;
@@ -901,11 +878,9 @@ def build_tet(
         cell.
     merge_distance : float
         Points at most this far apart are merged, world units; 0 merges points at the same position.
-    scalar, component
-        str or int, optional
+    scalar, component : str or int, optional
         The array of a path, as in read_unstructured.
-    max_memory
-        int, optional
+    max_memory : int, optional
         Bytes that the work may take; by default what is free.
 
     Returns
@@ -981,18 +956,14 @@ def render(
 
     Parameters
     ----------
-    content
-        Octree, DistanceField, TetVolume or path
+    content : Octree, DistanceField, TetVolume or path
         What is drawn.
-    view
-        Camera, Rays or str, optional
+    view : Camera, Rays or str, optional
         A camera; one ray for each pixel; or the name of a view ("front", "back", "left", "right",
         "top", "bottom", "iso"), with everything in the picture. By default "iso".
-    size
-        (int, int)
+    size : (int, int)
         Width and height in pixels; Rays have their own.
-    samples
-        int, optional
+    samples : int, optional
         Each pixel is the mean of samples x samples rays; by default 2 for octrees and fields, which
         have sharp edges, and 1 for volumes and for Rays.
     device, max_memory

@@ -46,8 +46,7 @@ class Rays:
         Steps from pixel to pixel: at depth 1 in perspective, in world units otherwise.
     perspective : bool
         Whether all rays begin at the origin; otherwise they are parallel.
-    size
-        (int, int)
+    size : (int, int)
         Width and height in pixels.
     """
 
@@ -122,11 +121,9 @@ class Camera:
 
     Attributes
     ----------
-    eye, target
-        (float, float, float)
+    eye, target : (float, float, float)
         Position of the camera and the point that it looks at, world units.
-    up
-        (float, float, float)
+    up : (float, float, float)
         Any direction that is not parallel to the view.
     fov : float or None
         Angle of the picture's shorter side in degrees; None for an orthographic camera.

@@ -34,14 +34,11 @@ class Grid:
 
     Parameters
     ----------
-    shape
-        (3,) tuple of int
+    shape : (3,) tuple of int
         Voxels along x, y and z, each at least 1, the largest from 8 to 65,536.
-    origin
-        (3,) tuple of float
+    origin : (3,) tuple of float
         World coordinates of the low corner of voxel (0, 0, 0).
-    pitch
-        (3,) tuple of float
+    pitch : (3,) tuple of float
         World size of a voxel along x, y and z, positive.
 
     Raises
@@ -85,20 +82,15 @@ class Grid:
         ----------
         mesh : Mesh
             The mesh that the grid covers, unless a box is given.
-        dim
-            int, optional
+        dim : int, optional
             Voxels along the longest side, margins included; 256 without dim and pitch.
-        pitch
-            float, optional
+        pitch : float, optional
             Voxel size in world units, instead of dim.
-        bbox
-            (6,) sequence of float, optional
+        bbox : (6,) sequence of float, optional
             Box X0 Y0 Z0 X1 Y1 Z1 in world units, which the grid covers instead of the mesh.
-        margin
-            int, optional
+        margin : int, optional
             Empty voxels on each side; by default min(4, dim // 8), or 0 with bbox.
-        fit
-            {"uniform", "stretch"}
+        fit : {"uniform", "stretch"}
             "uniform" makes cubic voxels. "stretch" scales each axis separately to [4, dim]
             ([voCCeL], eq. 5.1); it allows no option other than dim.
 

@@ -296,30 +296,24 @@ def camera_for(
 
     Parameters
     ----------
-    content
-        Octree, DistanceField or TetVolume
+    content : Octree, DistanceField or TetVolume
         What the camera looks at.
     view : str
         Name of a view; everything is in the picture.
-    eye, target
-        three floats, optional
+    eye, target : three floats, optional
         Position of the camera and the point that it looks at, world units. By default those of the
         view; the target is the middle of the content.
-    up
-        three floats
+    up : three floats
         Any direction that is not parallel to the view.
     fov : float or None
         Angle of the picture's shorter side in degrees; None for an orthographic camera.
-    height
-        float, optional
+    height : float, optional
         Length of an orthographic picture's shorter side, world units. By default everything is in
         the picture.
-    turn
-        float, optional
+    turn : float, optional
         Angle in degrees by which the camera turns about `up` around the target. The distance is
         the same at every angle, and everything is in the picture.
-    size
-        (int, int)
+    size : (int, int)
         Width and height of the picture in pixels.
     **options
         Options of the scene, as in `render`.

@@ -64,27 +64,21 @@ class Report:
     ----------
     mesh, units, source_sha256 : str
         Of the mesh.
-    diagnosis
-        SurfaceCheck
+    diagnosis : SurfaceCheck
         The counts of edges, faces, vertices and shells.
-    low, high
-        list of float
+    low, high : list of float
         Corners of the bounding box.
-    dim, pitch
-        int, float
+    dim, pitch : int, float
         Of the grid on which the fill rules are compared.
-    loops
-        list of dict
+    loops : list of dict
         Every boundary loop, the longest first: edges, length, centre, size of its box, closed.
     t_junctions : bool
         Whether every boundary edge is part of a T-junction, so that there are no holes.
-    crowded_edges
-        list of dict
+    crowded_edges : list of dict
         Edges of more than two faces: the number of faces, and the two ends.
     duplicate_faces, degenerate_faces, self_intersecting_faces : dict
         Count, list of faces, and the centre of the first.
-    shells
-        list of dict
+    shells : list of dict
         Every shell, the one with most faces first: faces, closed, consistent, volume, loops, box,
         parent, depth, and its kind: "solid", "cavity", "open", "flat", "mixed", "inside out", or
         "nested alike" (wound like the shell around it).
@@ -99,11 +93,9 @@ class Report:
         one.
     recommended : dict
         Fill rule, sign, and why.
-    faults
-        list of Fault
+    faults : list of Fault
         What is wrong, and what helps.
-    boundary
-        Loops
+    boundary : Loops
         The loops themselves; not in as_dict().
     """
 

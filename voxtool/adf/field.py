@@ -41,26 +41,20 @@ class DistanceField:
 
     Attributes
     ----------
-    voxels
-        (n, 3, 3, 3) float32
+    voxels : (n, 3, 3, 3) float32
         [block, z, y, x], in sides of the cube.
-    cells
-        (m, m, m, 2 or 3) uint32
+    cells : (m, m, m, 2 or 3) uint32
         [z, y, x]: low word of the identifier, high word if there is one, block; all 0 in a free
         slot.
-    hash
-        SpatialHash
+    hash : SpatialHash
         The slot in `cells` of the key of a cell.
-    bounds
-        (n, 2, 2, 2) uint8, or None
+    bounds : (n, 2, 2, 2) uint8, or None
         [block, z, y, x], codes of bound_values.
-    origin, side
-        tuple of float, float
+    origin, side : tuple of float, float
         Of the cube, in world units: world = origin + side * point.
     sign : str
         Method of the sign, one of voxtool.choices.SIGNS.
-    tolerance, max_level, band
-        float, int, float
+    tolerance, max_level, band : float, int, float
         As requested: sides, level, and sides or infinity.
     continuous : bool
         Whether neighbours of different levels agree on their common faces.
@@ -182,8 +176,7 @@ class DistanceField:
 
         Parameters
         ----------
-        points
-            (N, 3) or (3,) array_like
+        points : (N, 3) or (3,) array_like
             World units; (3,) is one point.
         gradient, bounds, cell : bool
             Whether these are returned as well.

@@ -37,15 +37,12 @@ class QueryResult:
     distance : (N,) float64
         World units; NaN where a coordinate is NaN. Outside the cube it is a lower bound of the
         distance, see DistanceField.query.
-    gradient
-        (N, 3) float32, or None
+    gradient : (N, 3) float32, or None
         The gradient of the distance.
-    bound
-        (N,) float64, or None
+    bound : (N,) float64, or None
         The largest possible error of the distance, world units; infinity outside the cube and in
         leaves with a sign discontinuity.
-    level, cell
-        (N,) uint8 and (N, 3) uint32, or None
+    level, cell : (N,) uint8 and (N, 3) uint32, or None
         The leaf: cell (i, j, k) of its level. The root has level 0.
     outside : (N,) bool
         Whether the point is outside the cube.

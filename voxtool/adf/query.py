@@ -96,11 +96,9 @@ class FieldQuery:
     ----------
     field : DistanceField
         The field, whose textures are uploaded.
-    device
-        Device, optional
+    device : Device, optional
         Where to search; the default device if None.
-    shape
-        Shape, optional
+    shape : Shape, optional
         The assignment of points to work-items; by default the one for the kind of device.
     block : int
         Points that are on the device at once.
@@ -154,8 +152,7 @@ class FieldQuery:
 
         Parameters
         ----------
-        points
-            (N, 3) or (3,) array_like
+        points : (N, 3) or (3,) array_like
             World units, in any order; (3,) is one point, for which the arrays of the result have no
             leading axis.
         search : str

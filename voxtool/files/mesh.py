@@ -35,11 +35,9 @@ def load_mesh(path: str | os.PathLike[str] | BinaryIO, file_type: str | None = N
 
     Parameters
     ----------
-    path
-        path or binary stream
+    path : path or binary stream
         A file, "-" for standard input, or a stream.
-    file_type
-        str, optional
+    file_type : str, optional
         One of KINDS; by default the file name's extension, or the content if there is no name.
 
     Returns

@@ -94,11 +94,9 @@ def mesh_from_arrays(
 
     Parameters
     ----------
-    vertices
-        (V, 3) array_like
+    vertices : (V, 3) array_like
         World units.
-    faces
-        (F, 3) array_like of int
+    faces : (F, 3) array_like of int
         The vertices of each triangle, counted from 0.
     source_sha256, name, units : str
         As in Mesh.

@@ -40,8 +40,7 @@ class DistanceResult(NamedTuple):
         that face has no area.
     nearest : (N, 3) float64
         The nearest point of the mesh, world units.
-    face
-        (N,) int64
+    face : (N,) int64
         The nearest face; the lowest index where several are equally near.
     """
 
@@ -110,8 +109,7 @@ class SignedDistance:
 
         Parameters
         ----------
-        points
-            (N, 3) or (3,) array_like
+        points : (N, 3) or (3,) array_like
             World units; (3,) is one point.
         gradient, nearest, face : bool
             Whether these are returned as well, in a DistanceResult.

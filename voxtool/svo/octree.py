@@ -79,29 +79,22 @@ class Octree:
     ----------
     grid : Grid
         The grid of the voxels.
-    mode
-        {"surface26", "surface6", "solid", "solid+surface26"}
+    mode : {"surface26", "surface6", "solid", "solid+surface26"}
         The kind of voxel set.
     fill : str
         Rule that decided what is inside: "parity", "nonzero", "winding", "flood" or "flood+gapN";
         "none" for surfaces and for octrees made from arrays.
-    offsets
-        (depth + 1,) uint32
+    offsets : (depth + 1,) uint32
         Index of the first node of each level, root first, and the number of nodes.
-    nodes
-        (N,) NODE
+    nodes : (N,) NODE
         Links and flags of the nodes.
-    bricks
-        (M,) uint64
+    bricks : (M,) uint64
         Voxels of the level 0 nodes, as bit masks.
-    plan
-        dict, optional
+    plan : dict, optional
         The plan of the voxelization, in JSON types.
-    source_sha256
-        str, optional
+    source_sha256 : str, optional
         Hex digest of the bytes that the mesh was read from.
-    units
-        str, optional
+    units : str, optional
         Name of the world unit.
 
     Raises
@@ -148,14 +141,11 @@ class Octree:
 
         Parameters
         ----------
-        array
-            (nx, ny, nz) array_like
+        array : (nx, ny, nz) array_like
             Voxels, indexed [x, y, z]; the nonzero ones are set.
-        origin
-            (3,) sequence of float
+        origin : (3,) sequence of float
             World coordinates of the low corner of voxel (0, 0, 0).
-        pitch
-            float or (3,) sequence of float
+        pitch : float or (3,) sequence of float
             World size of a voxel.
         mode : str
             "solid" makes leaves of nodes whose voxels are all set; "surface26" and "surface6"
@@ -187,8 +177,7 @@ class Octree:
 
         Parameters
         ----------
-        indices
-            (N, 3) array_like of int
+        indices : (N, 3) array_like of int
             Voxels x, y, z in any order; repeated ones count once.
         grid : Grid
             The grid of the voxels.

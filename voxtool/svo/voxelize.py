@@ -113,11 +113,9 @@ class VoxelizeJob(Job[Octree]):
         The mesh that is voxelized.
     grid : Grid
         The grid of the octree: the window, if there is one.
-    lattice
-        LatticeMesh
+    lattice : LatticeMesh
         The mesh on the device.
-    plan
-        VoxelizePlan
+    plan : VoxelizePlan
         The decisions.
     chosen : bool
         True if fill "auto" chose the fill rule.
@@ -157,8 +155,7 @@ class VoxelizeJob(Job[Octree]):
 
         Parameters
         ----------
-        **decisions
-            Any
+        **decisions : Any
             Fields of the plan and their values. Another `fill` makes a new plan.
 
         Returns

@@ -29,12 +29,10 @@ class UnstructuredMesh:
     ----------
     points : (P, 3) float64
         World units.
-    cells
-        list of (str, (N, k) int64)
+    cells : list of (str, (N, k) int64)
         Blocks of cells: the kind in meshio's names (tetra, hexahedron, wedge, pyramid, tetra10,
         ...), and the points of each cell in VTK's order.
-    scalars
-        (P,) float64, or list of (N,) float64
+    scalars : (P,) float64, or list of (N,) float64
         One scalar for each point, or an array for each block with one for each of its cells.
     scalar : str
         Name of the scalar, with its component ("momentum magnitude").

@@ -343,13 +343,11 @@ def default_transfer(
         The volume.
     name : str
         "viridis", "inferno", "coolwarm", "turbo" or "gray".
-    opacity_range
-        (float, float) or "full", optional
+    opacity_range : (float, float) or "full", optional
         Scalars at which the extinction is 0 and full, in either order; "full" is the range of the
         scalars. By default the 75th and the 99th percentile of the scalars, which hides the
         background of a simulation.
-    unit_distance
-        float, optional
+    unit_distance : float, optional
         Length over which full extinction leaves a transmittance of 1/e, world units; by default a
         24th of the volume's longest side.
 

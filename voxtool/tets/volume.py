@@ -70,30 +70,23 @@ class TetVolume:
         "raycast", "projection" or "hexahedra".
     vertices : (V, 4) float32
         Local position, and normalised scalar (0 where the scalar is constant).
-    cells
-        (T, 4) int32, or (T, 8) for hexahedra
+    cells : (T, 4) int32, or (T, 8) for hexahedra
         Vertices of each cell, positively oriented.
     neighbours : (T, F) int32
         The cell across each of the F faces (4, or 6), -1 outside.
-    normals
-        (F, T, 4) float32, or (4, T, 3) for projection
+    normals : (F, T, 4) float32, or (4, T, 3) for projection
         Outward unit normal and offset. Those of the two cells at a face are exact negations.
-    gradients
-        (T, 4) float32, or (T, 3) for projection
+    gradients : (T, 4) float32, or (T, 3) for projection
         Gradient of the normalised scalar in local coordinates, and scalar term.
-    anchors
-        (T, 2) int32 for projection, else None
+    anchors : (T, 2) int32 for projection, else None
         Vertices 0 and 1 of the cell.
-    ranges
-        (ceil(T / 64), 2) float32
+    ranges : (ceil(T / 64), 2) float32
         Least and largest normalised scalar of each block of 64 consecutive cells.
-    origin
-        (float, float, float)
+    origin : (float, float, float)
         World = origin + scale * local.
     scale : float
         A power of two.
-    scalar_range
-        (float, float)
+    scalar_range : (float, float)
         Normalised = (scalar - low) / (high - low), or 0 where low and high are equal.
     scalar : str
         Name of the array, with its component.
