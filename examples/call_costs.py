@@ -28,7 +28,7 @@ def median_ms(calls, repeat):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(description="Measure what small calls cost.")
     parser.add_argument("mesh")
     parser.add_argument("--repeat", type=int, default=31)
     asked = parser.parse_args()
@@ -36,7 +36,8 @@ def main():
     mesh, device = voxtool.load_mesh(asked.mesh), voxtool.open_device()
     grid = voxtool.Grid.fit(mesh, 64)
     field = voxtool.build_adf(mesh, max_level=7)
-    points = np.random.default_rng(1).uniform(*mesh.bounds, (1000, 3))
+    low, high = mesh.bounds
+    points = np.random.default_rng(1).uniform(low, high, (1000, 3))
     works = {
         "voxelize, dim 64": lambda **on: voxtool.voxelize(mesh, grid, **on),
         "voxelize, dim 64, parity": lambda **on: voxtool.voxelize(mesh, grid, fill="parity", **on),

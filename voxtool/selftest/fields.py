@@ -22,7 +22,7 @@ from voxtool.selftest.case import case
 from voxtool.selftest.voxels import SCALES
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.sampling import sample_cube
-from voxtool.spatial.signed_distance import distance
+from voxtool.spatial.signed_distance import SignedDistance
 from voxtool.spatial.winding_number import WindingNumber
 
 if TYPE_CHECKING:
@@ -91,9 +91,7 @@ def nearest(device: Device, full: bool) -> float:
         corners[:, 2] = corners[:, 0] + 10.0 ** -random.uniform(1, 9, (8, 1)) * corners[:, 2]
         mesh = mesh_from_arrays(corners.reshape(-1, 3), np.arange(24).reshape(-1, 3))
         points = random.uniform(-1.5, 1.5, (40, 3))
-        found = distance(
-            mesh, points, sign="none", gradient=True, nearest=True, face=True, device=device
-        )
+        found = SignedDistance(mesh, "none", device)(points, gradient=True, nearest=True, face=True)
         exact = oracles.distances(points, corners)
         reached = found.nearest + exact[:, None] * found.gradient
         off = [
