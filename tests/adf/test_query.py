@@ -133,6 +133,7 @@ def test_a_hash_with_w(device, balls, search, deep) -> None:
 
 @pytest.mark.parametrize("search", SEARCHES)
 @pytest.mark.parametrize("w", [False, True])
+@pytest.mark.slow
 def test_offsets_of_16_bits(device, search, w) -> None:
     field = with_w(plain_field(sphere, 1e-2, 5), m=300 if w else 299, w=w)
     assert field.hash.offsets.dtype == np.uint16

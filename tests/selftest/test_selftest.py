@@ -19,6 +19,7 @@ BY_NAME = {case.name: case for case in CASES}
 
 
 @pytest.mark.parametrize("name", BY_NAME)
+@pytest.mark.slow
 def test_cases_hold(device: Device, name: str) -> None:
     outcome = BY_NAME[name].run(device)
     assert outcome.passed, outcome.as_dict()

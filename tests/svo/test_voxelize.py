@@ -123,6 +123,7 @@ def test_huge_triangles_take_the_wide_path(device: Device, data, shape) -> None:
 
 
 @pytest.mark.parametrize("mode", MODES)
+@pytest.mark.slow
 def test_triangles_larger_than_a_share(device: Device, mode: str) -> None:
     """Triangles of more than 64 columns are shared among work-items."""
     rng = np.random.default_rng(7)

@@ -151,6 +151,7 @@ def test_a_box_without_a_side(device: Device, missing: int, place: int) -> None:
     assert_contract(octree, mesh[0][mesh[1]], True)
 
 
+@pytest.mark.slow
 def test_soups_by_winding(device: Device) -> None:
     """Spheres of triangles that share nothing: some missing, some twice, some turned."""
     rng = np.random.default_rng(2)
