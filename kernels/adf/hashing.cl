@@ -1,15 +1,16 @@
-// The perfect spatial hash. Host side: voxtool/adf/hashing.py.
+// Perfect spatial hash [Lefebvre 2006], [ADF]. Host side: voxtool/adf/hashing.py.
 //
-// A key is a code: three numbers of as many bits as `top`, the largest number of any key, has; z is
-// in the highest. A slot is a uint: three numbers of SLOT_BITS bits. All slots here are the table's
-// divided by r mod m.
+// A key is stored as a code: three numbers, z in the highest bits, each with as many bits as `top`,
+// the largest number of any key. A slot is a uint of three numbers of SLOT_BITS bits. Slots in this
+// file are table slots divided by r modulo m.
 
 #include "adf/hashing.h"
 
 #define WORD 64 // bits of a ulong
 
-// Groups of parameters. KEYS: their codes; BUCKETS: those of a window, which search together, where
-// the keys of each begin and how many they are, and how much farther each key is than the first.
+// Parameter groups. KEYS: the codes of the keys. BUCKETS: the buckets of a window, which are
+// searched in parallel: start and number of each bucket's keys, and the offset of each key from the
+// bucket's first.
 #define KEYS __global const ulong *codes, const uint top
 #define BUCKETS                                                                                        \
     __global const uint *window, __global const uint *firsts, __global const uint *sizes,              \
@@ -37,7 +38,7 @@ uint3 unpacked(uint p)
     return (uint3)(p & mask, p >> SLOT_BITS & mask, p >> 2 * SLOT_BITS);
 }
 
-// The place of a point in the array of a cube, x fastest.
+// The linear index of a point in a cubic array, x fastest.
 uint flat(uint3 p, uint side)
 {
     return p.x + side * (p.y + side * p.z);
@@ -59,7 +60,7 @@ __kernel void encode_keys(const uint n, __global const uint *keys, const uint to
     codes[gid] = (ulong)key.x | (ulong)key.y << bits_of(top) | (ulong)key.z << 2 * bits_of(top);
 }
 
-// repeated = the first of the sorted codes that equals the next one.
+// repeated = the first sorted code that equals its successor.
 __kernel void find_repeated(const uint n, __global const ulong *codes, __global uint *repeated)
 {
     const uint gid = get_global_id(0);
@@ -69,7 +70,7 @@ __kernel void find_repeated(const uint n, __global const ulong *codes, __global 
 
 // ---- buckets
 
-// sizes[cell] = how many keys are equal to it mod r.
+// sizes[cell] = number of keys that are congruent to it mod r.
 __kernel void count_keys(const uint n, KEYS, const uint r, __global uint *sizes)
 {
     const uint gid = get_global_id(0);
@@ -88,8 +89,9 @@ __kernel void find_cells(const uint n, KEYS, const uint r, __global uint *cells,
     order[gid] = gid;
 }
 
-// Whether no two keys of a bucket are equal mod w. Keys equal mod w and r differ by r w, or more. If
-// some may, and there are more than MOST_PARTED, the pairs are too many to compare.
+// Whether all keys of a bucket differ mod w. Keys that are equal mod w and mod r differ by at least
+// r w. Returns false for more than MOST_PARTED keys that may be equal: their pairwise comparison
+// costs too much.
 bool parts(uint w, __global const ulong *codes, __global const uint *keys, uint size, uint top,
            uint r)
 {
@@ -104,9 +106,9 @@ bool parts(uint w, __global const ulong *codes, __global const uint *keys, uint 
     return true;
 }
 
-// Algorithm 3.1: w of the buckets of a window, the first of the `choices` from first_choice[gid] on,
-// and over, that parts a bucket's keys; 0 if none does. Then where, with an offset of 0, each
-// bucket's first key is, and how much farther its other ones are.
+// Algorithm 3.1 of [ADF]: w for each bucket of a window. w is the first of the `choices`, starting
+// at first_choice[gid], that separates the bucket's keys; 0 if none does. The kernel then computes
+// the slot of each bucket's first key at offset 0, and the offsets of its other keys.
 __kernel void place_keys(const uint n, BUCKETS, KEYS, __global const uint *order,
                          __global const uint *first_choice, __global const uint *choices,
                          const uint choice_count, const uint m, const uint r, const uint inverse,
@@ -136,9 +138,9 @@ __kernel void place_keys(const uint n, BUCKETS, KEYS, __global const uint *order
 
 // ---- search
 
-// The table of bits, 1 where a slot is vacant. A row along x holds its slots twice, one after the
-// other, so that a slot and what is farther need no mod; then zeros. It is searched span by span, of
-// WORDS words each, and has twice as many words as its `spans`.
+// The bit table: 1 where a slot is vacant. A row along x holds its slots twice, so that an offset
+// slot needs no mod, followed by zeros. The search advances in spans of WORDS words; a row has
+// twice as many words as `spans`.
 __kernel void vacate(const uint n, const uint m, const uint spans, __global ulong *vacant)
 {
     const uint gid = get_global_id(0);
@@ -156,16 +158,16 @@ uint lowest(ulong4 bits)
     return WORD * begin + WORD - 1 - (uint)clz(word & -word);
 }
 
-// What bucket gid of a window writes to the slots that it wants: the least number stays. Those of
-// later rounds are less; in a round, the first bucket's is the least.
+// The claim that bucket gid of a window writes to its slots; the smallest claim is kept. Later
+// rounds have smaller claims; within a round the first bucket has the smallest.
 uint claim_of(uint gid, uint round)
 {
     return ~(round * LANES) - (LANES - 1 - gid);
 }
 
-// For each bucket of a window, the next vacant slot for its first key at which its other keys find
-// vacant slots too; and its claim to all of them. steps[bucket] spans have been searched in vain;
-// the bucket is LOST until it has its slots, NO_PLACE after `reach` spans.
+// For each bucket of a window: finds the next vacant slot for its first key for which the slots of
+// its other keys are vacant too, and claims these slots. steps[bucket] spans have already failed.
+// The bucket is LOST until its slots are assigned, and NO_PLACE after `reach` spans.
 __kernel void search(const uint n, BUCKETS, __global const ulong *vacant, const uint m,
                      const uint spans, __global const uint *starts, const uint reach,
                      __global uint *steps, const uint round, __global uint *claims,
@@ -181,7 +183,7 @@ __kernel void search(const uint n, BUCKETS, __global const ulong *vacant, const 
     ulong4 fits = 0;
     for (; step < reach; ++step) {
         fits = vload4((z * m + y) * 2 * spans + span, vacant);
-        // the farthest first: nearer ones often fit together
+        // farthest first: nearer keys often fit together
         for (uint i = size - 1; i > 0 && any(fits != 0); --i) {
             const uint3 d = unpacked(apart[first + i]);
             const uint3 row = wrapped((uint3)(0, y + d.y, z + d.z), m);
@@ -211,7 +213,7 @@ __kernel void search(const uint n, BUCKETS, __global const ulong *vacant, const 
         atomic_min(&claims[flat(wrapped(target + unpacked(apart[i]), m), m)], claim_of(gid, round));
 }
 
-// Take the slots of the buckets that have all that they claim.
+// Assigns slots to the buckets whose claims all succeeded.
 __kernel void settle(const uint n, BUCKETS, __global uint *vacant, const uint m, const uint spans,
                      const uint round, __global const uint *claims, __global const uint *targets,
                      __global uchar *outcome)

@@ -1,11 +1,8 @@
-// The values of a field at points [ADF, section 3.5]. Host side: voxtool/adf/query.py.
+// Evaluates a field at points [ADF, section 3.5]. Host side: voxtool/adf/query.py.
 //
-// A work-item looks for the cells of BATCH points at a time. Each lane goes through a run of RUN
-// consecutive points, on to the next as soon as its own search has ended. Points are padded to whole
-// work-groups. Options, beside those of search.h:
-//   SEARCH                   LINEAR, BINARY or COHERENT
-//   RUN                      any
-//   GRADIENT, BOUNDS, CELL   what is asked for beside the distance
+// A work-item searches for the cells of BATCH points at a time. Each lane processes a run of RUN
+// consecutive points and advances as soon as its own search ends. Points are padded to whole
+// work-groups. Options, in addition to those of search.h:
 
 #pragma OPENCL FP_CONTRACT OFF
 
@@ -19,21 +16,21 @@ void read_point(__global const uint *point, uint *x, uint *y, uint *z)
     *z = point[2];
 }
 
-// Of each of BATCH runs of points the deepest cells that have blocks, their slots and levels; all
-// cells down to the level `full` have blocks, and none below `deepest`.
+// For each of BATCH runs of points: the deepest cells that have blocks, their slots and levels. All
+// cells down to level `full` have blocks; no cell below `deepest` has one.
 void find_deepest(const Hash *hash, __global const uint *points, const int full, const int deepest,
                   uint *slots, int *levels)
 {
-    // coherent: the first point of a run begins in the middle
+    // coherent: the first point of a run starts at the middle level
     const int start = SEARCH == LINEAR ? min(full + 1, deepest) : (full + deepest) >> 1;
     Wanted wanted;
-    uint left[BATCH], at[BATCH]; // of its run: the number of points, and the one that is looked for
-    uint slot[BATCH];            // the deepest so far
+    uint left[BATCH], at[BATCH]; // per run: points left, and the current point
+    uint slot[BATCH];            // the deepest cell so far
     int level[BATCH];
 #if SEARCH == BINARY
-    int least[BATCH], most[BATCH]; // levels between which the deepest one is
+    int least[BATCH], most[BATCH]; // bounds on the level of the deepest cell
 #else
-    int way[BATCH]; // 1 down, -1 up, 0 at the start
+    int way[BATCH]; // search direction: 1 down, -1 up, 0 at the start
 #endif
     EACH_POINT(i)
     {
@@ -77,7 +74,7 @@ void find_deepest(const Hash *hash, __global const uint *points, const int full,
             store(end, ended + i);
         }
         searching = 0;
-        EACH_POINT(i) // one whose run is at its end goes on with the last point, for nothing
+        EACH_POINT(i) // a finished run repeats its last point; the result is unused
         {
             if (left[i] > 0) {
                 slots[at[i]] = slot[i];
@@ -90,7 +87,8 @@ void find_deepest(const Hash *hash, __global const uint *points, const int full,
     }
 }
 
-// Where in leaves, which are children of cells of these levels, points are along an axis: in [0, 1).
+// The positions of points along an axis in their leaves, in [0, 1). The leaves are children of
+// cells of these levels.
 floats weights(uints x, ints level)
 {
     const uints fraction = x << to_uints(level + 1) >> (POINT_BITS - WEIGHT_BITS);
@@ -112,12 +110,13 @@ floats bilerp(floats a, floats b, floats c, floats d, floats s, floats t)
     return lerp(lerp(a, b, s), lerp(c, d, s), t);
 }
 
-// BATCH leaves: the distances at their corners, by x, then y, then z.
+// The corner distances of BATCH leaves: by x, then y, then z.
 typedef struct {
     float v[8][BATCH];
 } leaf_corners;
 
-// The corners of leaves, which are children of blocks: the first vertex of each among its block's.
+// The corners of leaves, which are children of blocks: the index of each leaf's first vertex in its
+// block.
 void read_corners(__global const float *voxels, const uint *block, const uint *first,
                   leaf_corners *leaves)
 {
@@ -135,8 +134,8 @@ void read_corners(__global const float *voxels, const uint *block, const uint *f
     }
 }
 
-// The values of BATCH points in their leaves, children of cells of these levels: distances, in sides,
-// and gradients if there is room for them.
+// The values of BATCH points in their leaves, which are children of cells of these levels:
+// distances in cube edges, and gradients with GRADIENT.
 void interpolate(const leaf_corners *leaves, const uint *x, const uint *y, const uint *z,
                  const int *level, __global float *distances, float *dx, float *dy, float *dz)
 {
@@ -159,8 +158,8 @@ void interpolate(const leaf_corners *leaves, const uint *x, const uint *y, const
     }
 }
 
-// The values of the field at points: distances, in sides; and if asked for, gradients, the codes of
-// the leaves' bounds, and the leaves' levels and cells.
+// The values of the field at points: distances in cube edges; optionally gradients, codes of the
+// leaves' error bounds, and the leaves' levels and cells.
 __kernel void query(__global const uint *points, TEXTURES, __global float *distances
 #ifdef GRADIENT
                     , __global float *gradients

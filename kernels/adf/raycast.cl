@@ -1,12 +1,12 @@
-// Ray casting of a distance field: the leaves along each ray, by the coherent search of [ADF, section
-// 3.5]. Host side: voxtool/adf/raycast.py.
+// Ray casting of a distance field. Leaves along a ray are found by the coherent search of [ADF,
+// section 3.5]. Host side: voxtool/adf/raycast.py.
 //
-// In a leaf the field along a ray is a cubic, and the ray meets the surface at its first root
-// [Marmitt 2004]. From the far side of a leaf a ray leaps by the least distance of the surface
-// [Hart 1996].
+// In a leaf, the field along a ray is a cubic polynomial; the ray meets the surface at its first
+// root [Marmitt 2004]. At the exit of a leaf, the ray advances by a lower bound on the distance to
+// the surface [Hart 1996].
 //
-// Lengths along a ray are float64. Which leaf is next is decided by whole numbers that never go back,
-// so every ray ends. Options: OFFSET, W and WIDE of search.h.
+// Lengths along a ray are float64. Integers that never decrease select the next leaf, so every ray
+// terminates. Options: OFFSET, W and WIDE of search.h.
 
 #pragma OPENCL FP_CONTRACT OFF
 
@@ -16,8 +16,8 @@
 #include "adf/search.h"
 #include "shading.h"
 
-#define PARALLEL 0x1p-40 // to a face, almost: a ray gets no nearer to it within the cube
-#define HALVINGS 20      // of a ray's part in a leaf, which is up to sqrt(3) of its edges
+#define PARALLEL 0x1p-40 // nearly parallel to a face: the ray gets no nearer to it within the cube
+#define HALVINGS 20      // of a ray's segment in a leaf, at most sqrt(3) of its edges long
 
 double least_of(const double3 a)
 {
@@ -27,14 +27,15 @@ double least_of(const double3 a)
 
 // ---- rays
 
-// A ray in units of the cube's side: origin + t way, way of length 1. For each axis: moves and rises
-// are -1 if it does so along it, and else 0; inverse is 1 / way where it moves.
+// A ray in units of the cube's edge: origin + t way, with |way| = 1. For each axis, moves is -1 if
+// the ray moves along it, and rises is -1 if it moves upward; both are 0 otherwise. inverse is 1 /
+// way where it moves.
 typedef struct {
     double3 origin, way, inverse;
     long3 moves, rises;
 } Ray;
 
-// The ray through a pixel that is x right of the picture's middle and y below.
+// The ray through a pixel at x to the right of the image centre and y below it.
 Ray ray_through(__global const double *camera, const uint perspective, const double x,
                 const double y)
 {
@@ -50,8 +51,8 @@ Ray ray_through(__global const double *camera, const uint perspective, const dou
     return ray;
 }
 
-// Moves a ray's origin to where it enters the cube, but not back beyond `earliest`. How far it goes
-// from there: 0 or less, or no number, if it misses the cube.
+// Moves a ray's origin to its entry into the cube, but not back beyond `earliest`. Returns the
+// length of the ray from there; 0, negative or NaN if the ray misses the cube.
 double enter_cube(Ray *ray, const double earliest)
 {
     const double3 to_0 = -ray->origin * ray->inverse, to_1 = (1 - ray->origin) * ray->inverse;
@@ -65,24 +66,24 @@ double enter_cube(Ray *ray, const double earliest)
     return least_of(far) - begin;
 }
 
-// ---- cells; points in units of 2^-32 sides
+// ---- cells; points in units of 2^-32 cube edges
 
 uint3 fixed(const double3 p)
 {
     const double3 below_1 = p < 1 ? p : (double3)(1 - 0x1p-32);
     const double3 units = (p > 0 ? below_1 : (double3)0) * 0x1p32;
-    return (uint3)((uint)units.x, (uint)units.y, (uint)units.z); // some drivers' convert_ is slow
+    return (uint3)((uint)units.x, (uint)units.y, (uint)units.z); // convert_uint3 is slow in some drivers
 }
 
-// Which child of a cell of this level holds a point: x + 2 y + 4 z.
+// The child, x + 2 y + 4 z, of a cell of this level that contains a point.
 uint octant_of(const uint3 at, const int level)
 {
     const uint3 child = at >> (uint)(POINT_BITS - 1 - level) & 1;
     return child.x + 2 * child.y + 4 * child.z;
 }
 
-// The block of the deepest cell that holds a point and has one. The search begins at *level, which
-// becomes that cell's; `refined` tells whether it goes on below a cell.
+// The block of the deepest cell with a block that contains a point. The search starts at *level and
+// sets it to that cell's level; `refined` marks the children that have blocks.
 uint find_block(const Hash *hash, __global const uchar *refined, const uint3 at, const int full,
                 int *level)
 {
@@ -104,19 +105,19 @@ uint find_block(const Hash *hash, __global const uchar *refined, const uint3 at,
     return block;
 }
 
-// ---- a leaf; v: the field at its corners, less the offset, by x, then y, then z
+// ---- leaf; v: the field at its corners minus the offset, by x, then y, then z
 
-// Between two polynomials of t (1, t, t^2, t^3), linearly by start + step t.
+// Linear interpolation, by start + step t, between two polynomials in t (1, t, t^2, t^3).
 float4 lerp_along(const float4 p, const float4 q, const float start, const float step)
 {
     const float4 d = q - p;
     return p + d * start + (float4)(0, d.xyz) * step;
 }
 
-// The field at start + t step, in edges of the leaf: a polynomial of t.
+// The field at start + t step, in leaf edges: a polynomial in t.
 float4 field_along(const float8 v, const float3 start, const float3 step)
 {
-    // along x the four edges are lines: a + b t
+    // the four edges along x are linear: a + b t
     const float4 d = v.odd - v.even, a = v.even + d * start.x, b = d * step.x;
     const float4 p = lerp_along((float4)(a.x, b.x, 0, 0), (float4)(a.y, b.y, 0, 0), start.y, step.y);
     const float4 q = lerp_along((float4)(a.z, b.z, 0, 0), (float4)(a.w, b.w, 0, 0), start.y, step.y);
@@ -133,23 +134,23 @@ float within_0_1(const double t)
     return t > 0 ? t < 1 ? (float)t : 1 : 0;
 }
 
-// Where a cubic is 0 or less first in [0, 1]; false if nowhere.
+// The first t in [0, 1] where a cubic is 0 or negative; false if there is none.
 bool first_root(const float4 c, float *root)
 {
     *root = 0;
     if (c.x <= 0)
         return true;
     const float third = 0x1.555556p-2f, b1 = c.x + c.y * third, b2 = b1 + (c.y + c.z) * third;
-    if (b1 > 0 && b2 > 0 && cubic(c, 1) > 0) // all of its Bezier points
+    if (b1 > 0 && b2 > 0 && cubic(c, 1) > 0) // all Bezier control points
         return false;
-    // it rises or falls throughout between these
+    // the cubic is monotonic between these
     float stops[3] = {0, 0, 1};
     const double slope = c.y, half_curve = c.z, cube = 3 * (double)c.w;
     const double discriminant = half_curve * half_curve - slope * cube;
     if (discriminant > 0) {
         const double size = sqrt(discriminant);
         const double q = half_curve < 0 ? size - half_curve : -size - half_curve;
-        const double r = q / cube, s = slope / q; // infinite, or no number, where there is none
+        const double r = q / cube, s = slope / q; // infinite or NaN where there is none
         stops[0] = within_0_1(r < s ? r : s);
         stops[1] = within_0_1(r < s ? s : r);
     }
@@ -181,7 +182,7 @@ float bilerp(const float a, const float b, const float c, const float d, const f
     return lerp(lerp(a, b, s), lerp(c, d, s), t);
 }
 
-// How bright the surface is at a point, in edges of the leaf, for a ray that goes this way.
+// The brightness of the surface at a point, in leaf edges, for a ray in direction `way`.
 float shade(const float8 v, const float3 at, const double3 way, const float3 light)
 {
     const float3 gradient = {
@@ -192,15 +193,15 @@ float shade(const float8 v, const float3 at, const double3 way, const float3 lig
     const double3 g = convert_double3(gradient), along = g * way;
     const double size = sqrt(g.x * g.x + g.y * g.y + g.z * g.z);
     const double towards = along.x + along.y + along.z > 0 ? -1 : 1;
-    const double3 normal = size > 0 ? g * (towards / size) : -way; // a leaf may be 0 throughout
+    const double3 normal = size > 0 ? g * (towards / size) : -way; // a leaf may be 0 everywhere
     const float3 n = convert_float3(normal);
     return brightness(n.x, n.y, n.z, light.x, light.y, light.z);
 }
 
-// One ray a pixel; a work-group takes TILE x TILE of them. Arguments, beside those of query.cl:
-// refined: a bit for each child of a block, whether it has a block; room: for each cell of ROOM_LEVEL
-// how many of its edges a ray may leap, at most; leap: how far it may for each unit of distance;
-// camera: origin, direction, right and down; pixels: premultiplied colour, and opacity.
+// One ray per pixel; a work-group takes TILE x TILE pixels. Arguments in addition to those of
+// query.cl: refined: a bit per child of a block, set if the child has a block; room: for each cell
+// of ROOM_LEVEL, the largest leap of a ray in cell edges; leap: the largest leap per unit of
+// distance; camera: origin, direction, right and down; pixels: premultiplied colour and opacity.
 __kernel void raycast(TEXTURES, __global const uchar *refined, __global const uchar *room,
                       const float leap, __global const double *camera, const uint perspective, const uint width,
                       const uint height, const float offset, const float3 light,
@@ -220,8 +221,8 @@ __kernel void raycast(TEXTURES, __global const uchar *refined, __global const uc
     const double end = enter_cube(&ray, perspective ? 0 : -INFINITY);
     const int3 moves = convert_int3(ray.moves), rises = convert_int3(ray.rises);
     uint3 at = fixed(ray.origin);
-    int level = (full + deepest) >> 1; // of the leaf's parent, at which the next search begins
-    float side = 0; // of the surface, on which the ray begins: 1, or -1 inside
+    int level = (full + deepest) >> 1; // the level of the leaf's parent, where the next search starts
+    float side = 0; // side of the surface where the ray starts: 1 outside, -1 inside
     for (double t = 0; t < end;) {
         const uint block = find_block(&hash, refined, at, full, &level);
         const uint above = POINT_BITS - 1 - level;
@@ -251,7 +252,7 @@ __kernel void raycast(TEXTURES, __global const uchar *refined, __global const uc
             return;
         }
 
-        // into the next leaf, and on, past all in which the surface cannot be
+        // into the next leaf, and past all leaves that cannot contain the surface
         const int3 passed = convert_int3(to_faces == to_face);
         const uint3 last = rises ? (uint3)((2u << level) - 1) : (uint3)0;
         if (any(passed & (leaf == last)))

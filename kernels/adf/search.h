@@ -1,7 +1,7 @@
-// Looking up cells: [ADF, section 3.4]. Shared by query.cl and raycast.cl.
+// Cell lookup [ADF, section 3.4], shared by query.cl and raycast.cl.
 //
-// BATCH cells are looked up at a time, so that their reads of the textures wait for memory together;
-// LANES of them make a vector. Options:
+// BATCH cells are looked up at a time, so that their texture reads overlap. A vector has LANES of
+// them. Options:
 //   LANES, BATCH   1 or 16; a multiple of LANES
 //   OFFSET         the type of the hash's offsets, uchar or ushort
 //   W              the hash has a fourth channel
@@ -32,8 +32,8 @@
 #ifdef WIDE
 #define identifiers VECTOR(ulong)
 #define to_identifiers VECTOR(convert_ulong)
-#define WORDS 3       // of a cell: its identifier and its block
-#define CODE_LEVEL 20 // of the cells whose identifiers have all the bits
+#define WORDS 3       // per cell: its identifier and its block
+#define CODE_LEVEL 20 // identifiers of cells at this level use all bits
 #else
 #define identifiers uints
 #define to_identifiers to_uints
@@ -46,36 +46,36 @@
 #define CHANNELS 3
 #endif
 
-// A group of parameters: the textures of a field; the levels down to which all cells have blocks, and
-// any cell has.
+// Parameter group: the textures of a field, the level down to which all cells have blocks, and the
+// deepest level that has any.
 #define TEXTURES                                                                                       \
     __global const float *voxels, __global const uint *cells, __global const OFFSET *offsets,          \
         __global const float *inverses, const uint m, const uint r, const int full, const int deepest
 
-// The textures that find a cell, and the sizes of their sides.
+// The textures used to find a cell, and their sizes along each axis.
 typedef struct {
     __global const uint *cells;
     __global const OFFSET *offsets;
-    __global const float *inverses; // of the numbers up to m, or r if that is more
+    __global const float *inverses; // of the numbers up to max(m, r)
     uint m, r;
 } Hash;
 
-// Points, in units of 2^-32 sides, and the levels of cells that hold them.
+// Points, in units of 2^-32 cube edges, and the levels of the cells that contain them.
 typedef struct {
     uint x[BATCH], y[BATCH], z[BATCH];
     int level[BATCH];
 } Wanted;
 
-// A coordinate of the keys of the cells: 2^level + the leading bits of the points (eq. 3-1).
+// A coordinate of the keys of the cells: 2^level + the leading bits of the points ([ADF] eq. 3-1).
 floats keys_of(uints x, ints level)
 {
     const uints led = x >> 1 | 1u << (POINT_BITS - 1);
     return to_floats(to_ints(led >> to_uints(POINT_BITS - 1 - level)));
 }
 
-// keys mod n, exactly, for keys < 2^21 and n < 2^21 whose inverse is rounded to nearest. The product
-// is off by less than 1.01 * 2^-23 of itself, which is less than the 1 / 2n by which it is away from
-// any whole number; all else is exact.
+// keys mod n, exact for keys < 2^21 and n < 2^21 with an inverse rounded to nearest. The relative
+// error of the product is less than 1.01 * 2^-23. The product is at least 1 / 2n away from any
+// integer, which exceeds this error. All other operations are exact.
 floats remainders(floats keys, floats n, floats inverse)
 {
     return keys - to_floats(to_ints((keys + 0.5f) * inverse)) * n;
@@ -88,7 +88,7 @@ ints slots_along(floats keys, floats w, floats inverse, ints offsets, int m)
     return sum >= m ? sum - m : sum;
 }
 
-// Bits moved apart, bit i to bit 3 i: the CODE_LEVEL leading ones of coordinates.
+// Spreads the CODE_LEVEL leading bits of coordinates: bit i moves to bit 3 i.
 identifiers spread(uints x)
 {
     identifiers v = to_identifiers(x >> (POINT_BITS - CODE_LEVEL));
@@ -107,15 +107,15 @@ identifiers spread(uints x)
     return v;
 }
 
-// The identifiers of the cells of these levels: Morton codes after a leading one (section 3.4.3).
+// The identifiers of the cells of these levels: Morton codes preceded by a 1 bit ([ADF], section
+// 3.4.3).
 identifiers identifiers_of(uints x, uints y, uints z, ints level)
 {
     const identifiers code = spread(x) | spread(y) << 1 | spread(z) << 2;
     return (code | (identifiers)1 << 3 * CODE_LEVEL) >> to_identifiers(3 * (CODE_LEVEL - level));
 }
 
-// H(k) of section 3.4.1 for BATCH cells: the slots where the hash puts them, and whether they are
-// there.
+// H(k) of [ADF], section 3.4.1, for BATCH cells: their slots, and whether each cell is present.
 void find_cells(const Hash *hash, const Wanted *wanted, uint *slots, int *exist)
 {
     const uint r = hash->r, m = hash->m;

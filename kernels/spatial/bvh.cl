@@ -1,4 +1,4 @@
-// A tree of bounding boxes over the triangles of a mesh. Host side: voxtool/spatial/bvh.py.
+// Bounding volume hierarchy of a mesh's triangles. Host side: voxtool/spatial/bvh.py.
 
 #include "spatial/bvh.h"
 #include "spatial/hilbert.h"
@@ -21,7 +21,7 @@ double3 corner(__global const double *vertices, __global const int *faces, uint 
     return vload3(faces[3 * (size_t)face + i], vertices);
 }
 
-// Widen the box to hold a face.
+// Enlarges the box to contain a face.
 void enclose(__global const double *vertices, __global const int *faces, uint face, double3 *low,
              double3 *high)
 {
@@ -48,7 +48,7 @@ __kernel void face_codes(__global const double *vertices, __global const int *fa
     order[gid] = gid;
 }
 
-// Which corner of a face its longest edge begins at.
+// The corner of a face at which its longest edge starts.
 uint longest_edge(double3 a, double3 b, double3 c)
 {
     const double ab = square(b - a), bc = square(c - b), ca = square(a - c);
@@ -57,11 +57,12 @@ uint longest_edge(double3 a, double3 b, double3 c)
 
 #define TINY 0x1p-900
 
-// Leaf i holds faces LEAF i, LEAF i + 1, ... of the order; the last face fills up the last leaf.
+// Leaf i holds faces LEAF i, LEAF i + 1, ... of the order; the last face pads the last leaf.
 //
-// A triangle is stored as its corner a, its longest edge e from there, the height g that stands on
-// e, and the foot of the height along e, so that c = a + foot e + g (see point_triangle.h). A squared
-// length whose inverse may overflow is stored as 1. face_of[slot] = the face.
+// A triangle is stored as its corner a, its longest edge e from a, its height vector g
+// perpendicular to e, and the foot of the height along e, so that c = a + foot e + g (see
+// point_triangle.h). A squared length whose inverse may overflow is stored as 1. face_of[slot] =
+// the face.
 __kernel void frame_triangles(__global const double *vertices, __global const int *faces,
                               const uint count, __global const uint *order,
                               __global double *leaves, __global uint *face_of)
@@ -85,7 +86,7 @@ __kernel void frame_triangles(__global const double *vertices, __global const in
     const double ee = square(e);
     double foot = 0;
     double3 g = f;
-    for (uint i = 0; i < 2 && ee > 0; ++i) { // the second pass removes what rounding left of e in g
+    for (uint i = 0; i < 2 && ee > 0; ++i) { // the second pass removes the rounding error of the first
         const double more = product(g, e) / ee;
         foot += more;
         g -= more * e;
@@ -123,7 +124,7 @@ __global float *child_box(__global float *nodes, uint node, uint i)
     return nodes + (size_t)node * (6 * ARITY) + i;
 }
 
-// The box of a child that does not exist: infinitely far from everything.
+// The box of a missing child: infinitely far from everything.
 void set_empty(__global float *box)
 {
     for (uint side = 0; side < 6; ++side)
@@ -156,7 +157,8 @@ __kernel void bound_leaves(__global const double *vertices, __global const int *
     box[5 * ARITY] = (float)high.z + margin;
 }
 
-// The boxes of the `count` nodes from `child` on, in the nodes from `first` on, a level above.
+// The boxes of the `count` nodes from `child` on, stored in the nodes from `first` on, one level
+// above.
 __kernel void bound_nodes(const uint child, const uint count, const uint first, __global float *nodes)
 {
     const uint gid = get_global_id(0);

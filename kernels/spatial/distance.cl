@@ -1,7 +1,7 @@
 // The nearest triangle of a mesh to each point. Host side: voxtool/spatial/distance.py.
 //
-// Options: BOX, the precision in which distances to boxes are bounded: float near the mesh, double
-// far away; RANKED: the nearest triangle is found, too, not only its distance.
+// Options: BOX: the precision of distance bounds to boxes, float near the mesh and double far away.
+// RANKED: the nearest triangle is returned in addition to its distance.
 
 #include "spatial/bvh.h"
 #include "spatial/hilbert.h"
@@ -9,17 +9,17 @@
 
 #pragma OPENCL FP_CONTRACT OFF
 
-#define LANES double4 // one lane a triangle of a leaf: LEAF
+#define LANES double4 // one lane per triangle of a leaf: LEAF
 #define MASKS long4
 #include "spatial/point_triangle.h"
 
 #define JOIN_(a, b) a##b
 #define JOIN(a, b) JOIN_(a, b)
-#define BOXES JOIN(BOX, 8) // one lane a child: ARITY
+#define BOXES JOIN(BOX, 8) // one lane per child: ARITY
 #define to_boxes JOIN(convert_, BOXES)
-#define SLACK ((BOX)1 + (sizeof(BOX) == 4 ? (BOX)0x1p-18 : (BOX)0x1p-40)) // exceeds its rounding
+#define SLACK ((BOX)1 + (sizeof(BOX) == 4 ? (BOX)0x1p-18 : (BOX)0x1p-40)) // exceeds the rounding error
 #define STACK ((ARITY - 1) * MAX_LEVELS + 1)
-#define TINY 0x1p-900 // squares up to this count as 0
+#define TINY 0x1p-900 // smaller squares count as 0
 
 // codes[i] = the Hilbert index of point i; order[i] = i.
 __kernel void point_codes(__global const double *points, const uint n, __global uint *codes,
@@ -35,7 +35,7 @@ __kernel void point_codes(__global const double *points, const uint n, __global 
     order[gid] = gid;
 }
 
-// The triangles of a leaf, one a lane.
+// The triangles of a leaf, one per lane.
 triangle leaf_triangles(__global const double *leaf)
 {
     const triangle t = {vload4(0, leaf),  vload4(1, leaf),  vload4(2, leaf),  vload4(3, leaf),
@@ -51,8 +51,8 @@ double lesser(double4 x)
     return least.x < least.y ? least.x : least.y;
 }
 
-// Update the nearest triangle, its squared distance `least` and its rank, by the triangles of a leaf
-// that have a rank; of equally near ones the lowest rank counts. Returns whether it changed.
+// Updates the nearest triangle, its squared distance `least` and its rank with the ranked triangles
+// of a leaf. The lowest rank breaks ties. Returns whether the result changed.
 bool nearest_ranked(double4 dd, uint4 ranks, double *least, uint *rank)
 {
     const double4 ranked = convert_long4(ranks) == NAMELESS ? INFINITY : dd;
@@ -68,7 +68,7 @@ bool nearest_ranked(double4 dd, uint4 ranks, double *least, uint *rank)
     return better;
 }
 
-// How far x lies outside of each [low, high].
+// The distance of x to each interval [low, high].
 BOXES gap(float8 low, float8 high, BOX x)
 {
     const BOXES below = to_boxes(low) - x, above = x - to_boxes(high);
@@ -76,12 +76,12 @@ BOXES gap(float8 low, float8 high, BOX x)
     return outside > (BOX)0 ? outside : (BOX)0;
 }
 
-// distances[i] = the distance of point i to the nearest triangle. If RANKED, slots[i] = the place, in
-// the order of the leaves, of the nearest triangle that has a rank, and of equally near ones that of
-// the lowest rank; NAMELESS where no triangle has one.
+// distances[i] = the distance of point i to the nearest triangle. If RANKED, slots[i] = the index,
+// in leaf order, of the nearest triangle that has a rank; the lowest rank breaks ties; NAMELESS if
+// no triangle has a rank.
 //
-// Nearest boxes come first. A box is passed over only where none of its triangles can change the
-// result, which therefore depends neither on the tree nor on the order of the visit.
+// Nearest boxes are visited first. A box is skipped only if none of its triangles can change the
+// result. So the result depends neither on the tree nor on the traversal order.
 __kernel void nearest_triangles(__global const double *points, __global const uint *order,
                                 const uint n, __global const float *nodes,
                                 __global const double *leaves, const uint first_leaf,
@@ -127,7 +127,7 @@ __kernel void nearest_triangles(__global const double *points, __global const ui
                 reach = (BOX)least_ranked * SLACK + (BOX)0x1p-100;
 #else
             if (nearer)
-                reach = (BOX)least * SLACK + (BOX)0x1p-100; // positive, however small it is
+                reach = (BOX)least * SLACK + (BOX)0x1p-100; // positive even if the distance is 0
 #endif
             continue;
         }
@@ -159,8 +159,8 @@ __kernel void nearest_triangles(__global const double *points, __global const ui
 #endif
 }
 
-// The triangle of a slot, seen from p: the way from its nearest point to p, and on what feature of
-// the triangle that point is.
+// The vector from the nearest point of a slot's triangle to p, and the feature of the triangle that
+// contains this point.
 double3 way_from(__global const double *leaves, uint slot, double3 p, triangle *t, uint *feature)
 {
     ways way;
@@ -171,8 +171,8 @@ double3 way_from(__global const double *leaves, uint slot, double3 p, triangle *
     return (double3)(way.x.x, way.y.x, way.z.x);
 }
 
-// Negate the distances of points inside: those where the way from the nearest triangle runs against
-// the pseudo-normal of the feature that it leaves from.
+// Negates the distances of points inside: the vector from the nearest triangle has a negative dot
+// product with the pseudo-normal of the nearest feature [Baerentzen 2005].
 __kernel void sign_distances(__global const double *points, const uint n,
                              __global const double *leaves, __global const uint *slots,
                              __global const uint *names, __global const uint *features,
@@ -189,8 +189,9 @@ __kernel void sign_distances(__global const double *points, const uint n,
         distances[gid] = -distances[gid];
 }
 
-// The nearest face of each point, its point that is nearest, and the direction from there to the
-// point, of length 1: on the surface the face's normal, 0 where it has no area.
+// The nearest face of each point, the nearest point on it, and the unit direction from there to the
+// point. For a point on the surface, the direction is the face's normal, or 0 if the face has zero
+// area.
 __kernel void describe_nearest(__global const double *points, const uint n,
                                __global const double *leaves, __global const uint *slots,
                                __global const uint *face_of, __global uint *faces,

@@ -1,4 +1,4 @@
-// The index of a cell along the Hilbert curve of 2^bits cells an axis [Skilling 2004]: consecutive
+// The index of a cell along the Hilbert curve of 2^bits cells per axis [Skilling 2004]. Consecutive
 // cells are neighbours.
 ulong hilbert_index(uint3 cell, uint bits)
 {
@@ -21,7 +21,7 @@ ulong hilbert_index(uint3 cell, uint bits)
     return index;
 }
 
-// The cell of a coordinate in [-1, 1], one of 2^bits; the nearest cell for others.
+// The cell, of 2^bits, of a coordinate in [-1, 1]; other coordinates are clamped.
 uint cell_of(double x, uint bits)
 {
     const double inside = x < -1.0 ? -1.0 : x > 1.0 ? 1.0 : x;

@@ -1,11 +1,11 @@
-// The way from triangles to points, many at once. The includer defines LANES, double4 or double8,
-// and MASKS, long4 or long8: a lane holds a triangle, a point, or both.
+// Vectors from triangles to points, one pair per lane. The includer defines LANES (double4 or
+// double8) and MASKS (long4 or long8).
 
-// The feature of a triangle that a point is nearest to; ab is its longest edge.
+// The feature of a triangle nearest to a point; ab is the longest edge.
 enum { FACE, AB, BC, CA, A, B, C };
 
-// As frame_triangles stores it: corner a, edge e, height g, the foot of the height along e; e.e, and
-// 1 / e.e, 1 / g.g, and the inverse squared lengths of ac and bc.
+// The layout of frame_triangles: corner a, edge e, height g, foot of the height along e; e.e; and 1
+// / e.e, 1 / g.g, and the inverse squared lengths of ac and bc.
 typedef struct {
     LANES ax, ay, az, ex, ey, ez, gx, gy, gz, foot, ee, per_ee, per_gg, per_ac, per_bc;
 } triangle;
@@ -14,7 +14,7 @@ typedef struct {
     LANES x, y, z;
 } ways;
 
-// Triangle i of a leaf, in every lane.
+// Triangle i of a leaf, in all lanes.
 triangle one_triangle(__global const double *leaf, uint i)
 {
     triangle t;
@@ -34,14 +34,14 @@ LANES clamped(LANES t)
     return t < 1.0 ? t : 1.0;
 }
 
-// The ways from the nearest points of triangles to points, and the features that these lie on;
-// returns the squares of their lengths.
+// The vectors from the nearest points of triangles to points, and the features that contain these
+// nearest points; returns the squared lengths.
 //
-// In the triangle's plane, with e and g as axes, a is (0, 0), b is (1, 0) and c is (foot, 1). As e
-// is the longest edge, the angles at a and b are acute. So a point below ab is nearest to ab; one
-// beyond ac to ac, or past c to bc; one beyond bc to bc. Slivers are safe: what is measured is
-// always the way to a point of the triangle, and an error of the foot point across a thin triangle
-// is less than its height.
+// In the triangle's plane, with axes e and g, a is (0, 0), b is (1, 0) and c is (foot, 1). e is the
+// longest edge, so the angles at a and b are acute. A point below ab is nearest to ab; a point
+// beyond ac to ac, or past c to bc; a point beyond bc to bc. Slivers are safe: the vector always
+// starts at a point of the triangle, and the error of the foot point across a thin triangle is less
+// than its height.
 LANES triangle_ways(const triangle *t, LANES x, LANES y, LANES z, ways *way, MASKS *feature)
 {
     const LANES px = x - t->ax, py = y - t->ay, pz = z - t->az;
@@ -70,7 +70,7 @@ LANES triangle_ways(const triangle *t, LANES x, LANES y, LANES z, ways *way, MAS
     return way->x * way->x + way->y * way->y + way->z * way->z;
 }
 
-// The pseudo-normal of a feature of the triangle of this name.
+// The pseudo-normal of a feature of the named triangle.
 double3 normal_of(uint name, uint feature, __global const uint *features,
                   __global const double *normals)
 {

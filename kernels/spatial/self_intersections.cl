@@ -6,7 +6,7 @@
 #pragma OPENCL FP_CONTRACT OFF
 
 #define STACK ((ARITY - 1) * MAX_LEVELS + 1)
-#define GAP 0x1p-46 // exceeds the rounding of a product with a unit vector
+#define GAP 0x1p-46 // exceeds the rounding error of a product with a unit vector
 
 double product(double3 a, double3 b)
 {
@@ -24,7 +24,7 @@ double3 unit(double3 a)
     return aa > 0x1p-900 ? a / sqrt(aa) : (double3)0;
 }
 
-// Whether the projections of two triangles on an axis are apart.
+// Whether the projections of two triangles on an axis are disjoint.
 bool apart_on(double3 axis, const double3 *t, const double3 *u)
 {
     const double3 a = unit(axis);
@@ -39,7 +39,8 @@ bool apart_on(double3 axis, const double3 *t, const double3 *u)
     return low[1] - high[0] > GAP || low[0] - high[1] > GAP;
 }
 
-// Whether two triangles are apart, by the axes of the general and of the coplanar case.
+// Whether two triangles are disjoint, by the separating axes of the general and coplanar cases
+// [Gottschalk 1996].
 bool triangles_apart(const double3 *t, const double3 *u)
 {
     double3 e[3], f[3];
@@ -60,8 +61,8 @@ bool triangles_apart(const double3 *t, const double3 *u)
     return false;
 }
 
-// Whether a plane of this normal, through a corner that two triangles share, separates them; their
-// edges from there are t and u. Edges in the bit set `on` may lie in the plane.
+// Whether a plane with this normal, through a corner shared by two triangles, separates them. t and
+// u are their edges from the corner; edges in the bit set `on` may lie in the plane.
 bool parts(double3 normal, const double3 *t, const double3 *u, uint on)
 {
     const double3 a = unit(normal);
@@ -77,7 +78,7 @@ bool parts(double3 normal, const double3 *t, const double3 *u, uint on)
     return false;
 }
 
-// Whether two triangles that share a corner are apart elsewhere.
+// Whether two triangles that share a corner are disjoint elsewhere.
 bool fans_apart(double3 t1, double3 t2, double3 u1, double3 u2)
 {
     const double3 t[2] = {unit(t1), unit(t2)}, u[2] = {unit(u1), unit(u2)};
@@ -99,7 +100,7 @@ double3 corner(__global const double *vertices, __global const int *faces, uint 
     return vload3(faces[3 * (size_t)face + i], vertices);
 }
 
-// Whether two faces meet elsewhere than in the corners and edges that they share.
+// Whether two faces intersect outside their shared corners and edges.
 bool meet(__global const double *vertices, __global const int *faces, __global const int *corners,
           uint f, uint g)
 {
@@ -121,7 +122,7 @@ bool meet(__global const double *vertices, __global const int *faces, __global c
         return !triangles_apart(t, u);
     if (shared == 3)
         return true;
-    if (shared == 2) { // they fold back if they leave their common edge in the same direction
+    if (shared == 2) { // faces that leave their common edge in the same direction overlap
         double3 across[2];
         for (uint k = 0; k < 2; ++k) {
             const double3 *own = k == 0 ? t : u;
@@ -138,8 +139,8 @@ bool meet(__global const double *vertices, __global const int *faces, __global c
                        u[(at_g + 2) % 3] - o);
 }
 
-// found[f] = 1 if another face meets face f. corners[3 f + i] numbers positions; faces without a
-// name have no area.
+// found[f] = 1 if another face intersects face f. corners[3 f + i] are position indices; faces
+// without a name have zero area.
 __kernel void find_self_intersections(const uint n, __global const uint *names, __global const double *vertices,
                              __global const int *faces, __global const int *corners,
                              __global const float *nodes, const uint first_leaf,

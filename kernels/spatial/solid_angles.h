@@ -3,8 +3,8 @@
 #include "spatial/bvh.h"
 #include "spatial/winding_number.h"
 
-// The solid angles of a node's children seen from p, by their moments; 0 for children that are too
-// near for that. *far says which count.
+// The solid angles of a node's children seen from p, by their moments; 0 for children too near for
+// the expansion. *far marks the children that are far enough.
 double8 distant_angles(__global const double *m, double3 p, long8 *far)
 {
     const double8 x = vload8(0, m) - p.x, y = vload8(1, m) - p.y, z = vload8(2, m) - p.z;
@@ -23,8 +23,8 @@ double8 distant_angles(__global const double *m, double3 p, long8 *far)
     return *far ? value : 0.0;
 }
 
-// Each triangle of a leaf subtends twice the angle of a vector (x, y) at p [van Oosterom 1983]. `size`
-// is the product of the distances to its corners: the scale of rounding errors in x and y.
+// Each triangle of a leaf subtends twice the angle of a vector (x, y) at p [Oosterom 1983]. `size`,
+// the product of the distances to its corners, is the scale of rounding errors in x and y.
 void triangle_vectors(__global const double *leaf, double3 p, double4 *x, double4 *y, double4 *size)
 {
     const double4 ax = vload4(0, leaf) - p.x, ay = vload4(1, leaf) - p.y, az = vload4(2, leaf) - p.z;

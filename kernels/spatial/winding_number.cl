@@ -1,9 +1,10 @@
-// The winding number of a mesh. Host side: voxtool/spatial/winding_number.py.
+// The winding number of a mesh [Barill 2018]. Host side: voxtool/spatial/winding_number.py.
 //
-// Moments about a centre are polynomials of a way d: the sums over a node's triangles, of area vector
-// N and points y from the centre, of N.d, the integral of (y.d)(N.d), and that of (y.d)^2 (N.d). Their
-// coefficients are those of x, y, z; xx, yy, zz, yz, xz, xy; xxx, yyy, zzz, xxy, xxz, yyx, yyz, zzx,
-// zzy, xyz. Only their harmonic parts matter, and only these are kept.
+// Moments about a centre are polynomials of a vector d. They are sums, over a node's triangles with
+// area vector N and points y relative to the centre, of N.d, of the integral of (y.d)(N.d), and of
+// the integral of (y.d)^2 (N.d). Coefficient order: x, y, z; xx, yy, zz, yz, xz, xy; xxx, yyy, zzz,
+// xxy, xxz, yyx, yyz, zzx, zzy, xyz. Only the harmonic parts affect the result, so only these are
+// kept.
 
 #pragma OPENCL FP_CONTRACT OFF
 
@@ -42,7 +43,7 @@ void add_three(double *three, double f, const double *s, const double *q)
     three[9] += f * (s[0] * q[3] + s[1] * q[4] + s[2] * q[5]);
 }
 
-// Take away d.d times what makes the Laplacian.
+// Subtracts the multiple of d.d that makes the polynomial harmonic.
 void make_harmonic(moments *m)
 {
     const double trace = (m->two[0] + m->two[1] + m->two[2]) / 3;
@@ -62,7 +63,7 @@ double length_of(const double *v)
     return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
 }
 
-// The middle of a child's box; returns half of the diagonal.
+// The centre of a child's box; returns half of the diagonal.
 double box_middle(__global const float *nodes, uint node, uint child, double *middle)
 {
     __global const float *box = nodes + (size_t)node * (6 * ARITY) + child;
@@ -94,7 +95,7 @@ void store_moments(__global double *to, const double *centre, double reach, cons
         to[(13 + i) * ARITY] = m->three[i];
 }
 
-// Where there is no child: nothing, which is far from everywhere.
+// A missing child: zero moments, far from every point.
 void store_nothing(__global double *to)
 {
     for (uint i = 0; i < MOMENTS; ++i)
@@ -111,7 +112,7 @@ void clear(moments *m)
         m->three[i] = 0;
 }
 
-// The moments of the leaves over `count` triangles, in the nodes from `first` on.
+// The moments of the leaves over `count` triangles, stored in the nodes from `first` on.
 __kernel void leaf_moments(__global const double *leaves, const uint count, __global const float *nodes,
                            const uint first, const double far, __global double *all)
 {
@@ -154,7 +155,8 @@ __kernel void leaf_moments(__global const double *leaves, const uint count, __gl
     store_moments(child_moments(all, node, child), centre, far * far * radius * radius, &m);
 }
 
-// The moments of the `count` nodes from `below` on, in the nodes from `first` on, a level above.
+// The moments of the `count` nodes from `below` on, stored in the nodes from `first` on, one level
+// above.
 __kernel void node_moments(const uint below, const uint count, __global const float *nodes,
                            const uint first, const double far, __global double *all)
 {
@@ -195,7 +197,7 @@ __kernel void node_moments(const uint below, const uint count, __global const fl
     store_moments(child_moments(all, node, child), centre, far * far * radius * radius, &m);
 }
 
-// Twice the sum of angle_of over a leaf's triangles is the solid angle that they subtend.
+// The solid angle of a leaf's triangles is twice the sum of angle_of over them.
 double leaf_angle(__global const double *leaf, uint n, double3 p)
 {
     double4 x, y, size;
@@ -207,8 +209,8 @@ double leaf_angle(__global const double *leaf, uint n, double3 p)
     return sum + (n > 3 ? angle.w : 0);
 }
 
-// numbers[i] = the winding number of point i. Children in their order, so that the sum is the same
-// everywhere.
+// numbers[i] = the winding number of point i. Children are added in a fixed order, so that the sum
+// is the same on every device.
 __kernel void wind(__global const double *points, __global const uint *order, const uint n,
                    __global const double *leaves, const uint triangles, const uint first_leaf,
                    __global const double *all, __global double *numbers)

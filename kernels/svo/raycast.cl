@@ -1,16 +1,16 @@
 // Ray casting of an octree. Host side: voxtool/svo/raycast.py.
 //
-// A node has side 2^k voxels: k = 0 voxels, 2 bricks, 3 nodes of level 1, and so on. Its word
-// is 0 where nothing is set in it, and INSIDE where all is because a leaf says so; otherwise a
-// brick's is its mask, which serves its octants of 2 x 2 x 2 voxels (a byte) and its voxels (a
-// bit), too, and a coarser node's the index of its first child. Nodes are counted from the root
-// on; the bricks from first_brick on.
+// A node has size 2^k voxels: k = 0 voxels, 2 bricks, 3 nodes of level 1, and so on. The word of a
+// node is 0 if it is empty, and INSIDE if it is an inside leaf. Otherwise a brick's word is its
+// mask, which also serves its octants of 2 x 2 x 2 voxels (a byte) and its voxels (a bit), and a
+// coarser node's word is the index of its first child. Nodes are numbered from the root; bricks
+// start at first_brick.
 //
-// Octants are mirrored so that every ray goes up along each axis. A ray is at plane i of an axis
-// when t = (i - origin) inverse, which never falls as i grows, however it is rounded; and at t it
-// is in the cell between planes i and j where t(i) <= t < t(j). So all levels agree on where a
-// ray is, it goes from a cell to its neighbour without a gap, and each step moves it up by a
-// whole cell, so it ends.
+// Octants are mirrored so that every ray increases along each axis. A ray is at plane i of an axis
+// at t = (i - origin) inverse, which is monotonic in i under rounding. At t it is in the cell
+// between planes i and j where t(i) <= t < t(j). So all levels agree on the position of a ray, the
+// ray passes from a cell to its neighbour without a gap, and each step advances it by a whole cell,
+// so it terminates.
 
 #include "shading.h"
 #include "svo/octree.h"
@@ -20,10 +20,10 @@
 
 #define BRICK 2        // k of a brick
 #define LEVELS 17      // k of a root is 16 at most
-#define STILL 1e-30    // speed along an axis, below which a ray stays in its layer of voxels
-#define AHEAD 0.5      // cells before what is met, that the coverage is looked at
+#define STILL 1e-30    // speed along an axis below which a ray stays in its layer of voxels
+#define AHEAD 0.5      // distance before the hit, in cells, where the coverage is sampled
 #define ALL 0xFFFFFFFFFFFFFFFFul
-#define VANISHES 1e-12 // gradient, below which it is rounding
+#define VANISHES 1e-12 // smaller gradients are rounding errors
 
 #define OCTREE                                                                                     \
     __global const uint *words, __global const float *shares, __global const ulong *bricks,        \
@@ -40,7 +40,7 @@ ulong child_of(OCTREE, const ulong word, const int k, const uint octant)
     return k == 1 ? word >> (8 * octant) & 0xFF : word >> octant & 1;
 }
 
-// The share of a node's voxels that are set.
+// The fraction of a node's voxels that are occupied.
 float coverage(__global const float *shares, const ulong word, const int k)
 {
     if (k <= BRICK)
@@ -50,7 +50,7 @@ float coverage(__global const float *shares, const ulong word, const int k)
     return shares[((uint)word - 1) >> 3];
 }
 
-// The share of its child of side 2^k; also of a leaf that is inside.
+// The fraction of a node's child of size 2^k; also for an inside leaf.
 float share_of_child(OCTREE, const ulong word, const int k, const uint octant)
 {
     if (k >= BRICK && word == INSIDE)
@@ -58,8 +58,8 @@ float share_of_child(OCTREE, const ulong word, const int k, const uint octant)
     return coverage(shares, child_of(THIS_OCTREE, word, k, octant), k);
 }
 
-// The words of a level's nodes, which are those from `first` on, and the shares of the refined
-// ones, from those of the level below, of side 2^k. A refined node that holds nothing gets word 0.
+// The words of a level's nodes, at `first` and following, and the fractions of its refined nodes,
+// from the level below, of size 2^k. An empty refined node has word 0.
 __kernel void cover_level(__global const uint *children, const uint first, const uint n,
                           const int k, __global uint *words, __global float *shares,
                           __global const ulong *bricks, const uint first_brick)
@@ -80,14 +80,14 @@ __kernel void cover_level(__global const uint *children, const uint first, const
     words[first + gid] = word;
 }
 
-// A ray, and what it meets: the node at `low` of side 2^k; `above` are the words of the nodes around
-// it, its own included. All but `direction` is mirrored.
+// A ray and its hit: the node at `low` of size 2^k. `above` holds the words of the enclosing nodes
+// and the node itself. All fields except `direction` are mirrored.
 typedef struct {
     double3 origin, direction, speed, inverse;
     double t;
     int3 low;
     int k;
-    uint mirror; // a bit each axis
+    uint mirror; // one bit per axis
     ulong above[LEVELS];
 } ray_state;
 
@@ -118,14 +118,14 @@ double product(const double3 a, const double3 b)
     return a.x * b.x + a.y * b.y + a.z * b.z;
 }
 
-// The octant whose bits are those of a place along each axis.
+// The octant given by one bit of a position along each axis.
 uint octant_at(const int3 place, const int k)
 {
     const int3 bit = place >> k & 1;
     return (uint)(bit.x | bit.y << 1 | bit.z << 2);
 }
 
-// The number of low bits in which two places differ.
+// The number of low bits in which two positions differ.
 int differing_bits(const int3 a, const int3 b)
 {
     const int3 changed = a ^ b;
@@ -152,8 +152,8 @@ void set_out(ray_state *ray, __global const double *frame, const int perspective
     ray->mirror = octant_at(convert_int3(down), 0);
 }
 
-// Find the first node of side 2^finest that holds something, or leaf that is inside, on a ray;
-// returns whether there is one. Perspective rays begin at 0.
+// Finds the first node of size 2^finest that is not empty, or inside leaf, on a ray; returns
+// whether there is one. Perspective rays start at 0.
 int meet(ray_state *ray, OCTREE, const int root, const int finest, const int perspective)
 {
     const int side = 1 << root;
@@ -188,7 +188,8 @@ int meet(ray_state *ray, OCTREE, const int root, const int finest, const int per
     }
 }
 
-// The word of the node of side 2^k at a place in such nodes, or the word it has inside a larger leaf.
+// The word of the node of size 2^k at a position in units of such nodes, or its word within a
+// larger leaf.
 ulong word_at(const ray_state *ray, OCTREE, const int root, const int k, const int3 node)
 {
     if (any(node < 0) || any(node >= 1 << (root - k)))
@@ -202,8 +203,8 @@ ulong word_at(const ray_state *ray, OCTREE, const int root, const int k, const i
     return at > k && word && k == BRICK ? ALL : word;
 }
 
-// Along each axis the weights of four cells, and their slopes, at f in [0, 1] between the
-// centres of the two in the middle: those of the quadratic B-spline of the means of two.
+// The weights of four cells along each axis, and their derivatives, at f in [0, 1] between the
+// centres of the two middle cells: a quadratic B-spline of the means of adjacent cells.
 void spline(const double3 f, double3 *weight, double3 *slope)
 {
     const double3 first = 0.5 * (1.0 - f) * (1.0 - f), last = 0.5 * f * f;
@@ -217,7 +218,7 @@ void spline(const double3 f, double3 *weight, double3 *slope)
     slope[3] = 0.5 * f;
 }
 
-// The gradient of the coverage of cells of side 2^k at a place: smooth, and nearly constant on
+// The gradient of the coverage of cells of size 2^k at a position: smooth, and nearly constant on
 // planes.
 double3 coverage_gradient(const ray_state *ray, OCTREE, const int root, const int k,
                           const double3 place)
@@ -233,7 +234,7 @@ double3 coverage_gradient(const ray_state *ray, OCTREE, const int root, const in
                 const ulong word = word_at(ray, THIS_OCTREE, root, k + 1, node);
                 if (word == 0)
                     continue;
-                // its cells among the four along each axis
+                // the node's cells among the four along each axis
                 const int3 begin = 2 * node - first;
                 const int3 from = max(begin, (int3)0), to = min(begin + 1, (int3)3);
                 int3 i;
@@ -254,15 +255,15 @@ double3 coverage_gradient(const ray_state *ray, OCTREE, const int root, const in
     return gradient;
 }
 
-// v before octants were mirrored.
+// v in the original, unmirrored axes.
 double3 unmirrored(const double3 v, const uint mirror)
 {
     return (double3)(mirror & 1 ? -v.x : v.x, mirror & 2 ? -v.y : v.y, mirror & 4 ? -v.z : v.z);
 }
 
-// The unit normal in the world of what the ray met, towards the viewer: opposite to the gradient of
-// the coverage; if it would point away from the viewer, it is turned until it is perpendicular to the
-// view. Where the gradient vanishes, it is the normal of the face.
+// The unit normal at the hit in world space, towards the viewer: opposite to the gradient of the
+// coverage. A normal that points away from the viewer is rotated until it is perpendicular to the
+// view direction. Where the gradient vanishes, the face's normal is used.
 double3 normal_at(const ray_state *ray, OCTREE, const int root, const int k, const double3 pitch)
 {
     const double3 view = ray->direction * pitch;
@@ -287,7 +288,7 @@ double3 normal_at(const ray_state *ray, OCTREE, const int root, const int k, con
     return into / -sqrt(square);
 }
 
-// The pixel of a work-item, groups being tiles of pixels; whether there is one.
+// The pixel of a work-item, with work-groups as pixel tiles; returns whether it exists.
 int pixel_of(const uint width, const uint height, uint *column, uint *row)
 {
     const uint tiles = (width + TILE - 1) / TILE, tile = get_group_id(0), place = get_local_id(0);
@@ -300,7 +301,7 @@ int pixel_of(const uint width, const uint height, uint *column, uint *row)
     __global const double *frame, const int perspective, const uint width, const uint height,      \
         const int root, const int finest
 
-// The depth at which each pixel's ray meets something, in the frame's unit; infinite if it does not.
+// The depth of each pixel's hit, in the frame's unit; infinite without a hit.
 __kernel void find_depths(OCTREE, PICTURE, __global double *depths)
 {
     uint column, row;
@@ -313,8 +314,8 @@ __kernel void find_depths(OCTREE, PICTURE, __global double *depths)
     depths[(size_t)row * width + column] = met ? ray.t : INFINITY;
 }
 
-// The colour of each pixel, premultiplied. `frame` goes on with the pitch, in its unit; `paint`
-// is the way to the light, and the colour.
+// The premultiplied colour of each pixel. `frame` also holds the pitch, in its unit; `paint` holds
+// the light direction and the colour.
 __kernel void paint_picture(OCTREE, PICTURE, __global const float *paint, __global float *picture)
 {
     uint column, row;

@@ -1,5 +1,5 @@
-// Continuity across levels: blocks take the values of coarser leaves on what they share. Host side:
-// voxtool/adf/levels/constrain.py.
+// Continuity across levels: blocks take the values of coarser leaves on shared faces and edges.
+// Host side: voxtool/adf/levels/constrain.py.
 
 #pragma OPENCL FP_CONTRACT OFF
 
@@ -10,9 +10,9 @@ uint3 octant(uint child)
     return (uint3)(child & 1, child >> 1 & 1, child >> 2);
 }
 
-// neighbours[27 b + i] = which of the blocks of this level is that of the cell beside cell b, or
-// COARSE where that cell is a leaf or within one, OUT_OF_CUBE where it is out of the cube. Cell b is
-// child sources[b] of the level above, whose refined children are numbered by `ranks`.
+// neighbours[27 b + i] = the block, on this level, of neighbour i of cell b; COARSE where the
+// neighbour is a leaf or inside one, OUT_OF_CUBE where it is outside the cube. Cell b is child
+// sources[b] of the level above; `ranks` numbers that level's refined children.
 __kernel void find_neighbours(const uint n, __global const uint *sources, __global const uint *ranks,
                               __global const uint *above, __global uint *neighbours,
                               __global uint *unbalanced)
@@ -37,9 +37,9 @@ __kernel void find_neighbours(const uint n, __global const uint *sources, __glob
     }
 }
 
-// Vertices of a block that lie on a coarser leaf get what is interpolated there, which is the mean
-// of the ends of the edge, or the corners of the face, that they are the middle of: these are on
-// the same leaf, and have been constrained before. Corners are those of the parent's block.
+// Sets the vertices of a block that lie on a coarser leaf to the leaf's interpolated value: the
+// mean of the ends of the edge, or of the corners of the face, whose midpoint is the vertex. These
+// corners lie on the same leaf and are already constrained. They belong to the parent's block.
 __kernel void constrain_blocks(const uint n, __global const uint *sources,
                                __global const uint *neighbours, __global const double *above,
                                __global double *values)
@@ -59,7 +59,7 @@ __kernel void constrain_blocks(const uint n, __global const uint *sources,
         const int middles = (side.x == 0) + (side.y == 0) + (side.z == 0);
         if (middles == 0 || middles == 3)
             continue;
-        bool hangs = false; // one of the cells that share the edge or face
+        bool hangs = false; // a hanging vertex: a cell that shares the edge or face is coarser
         for (int j = 1; j < 8; ++j) {
             const int3 beside = side * (int3)(j & 1, j >> 1 & 1, j >> 2);
             const int cell = 13 + beside.x + 3 * beside.y + 9 * beside.z;

@@ -1,9 +1,9 @@
-// The errors of a level's children, and which of them are refined. Host side:
+// Computes the errors of a level's children and marks the children to refine. Host side:
 // voxtool/adf/levels/examine.py.
 
 #include "adf/levels/lists.h"
 
-// voxels = values, in sides of the cube.
+// voxels = values, in units of the cube's edge.
 __kernel void store_voxels(const uint n, __global const double *values, const double extent,
                            __global float *voxels)
 {
@@ -12,12 +12,12 @@ __kernel void store_voxels(const uint n, __global const double *values, const do
         voxels[gid] = (float)(values[gid] / (2 * extent));
 }
 
-// ---- the children: leaves, or not
+// ---- children
 
-// The code of a bound in sides: the least whose value is not below it.
+// The code of a bound, in cube edges: the smallest code whose value is at least the bound.
 uchar code_of(double bound, __global const double *bounds)
 {
-    uint low = 1, high = JUMP; // which is that of a bound over 1, too
+    uint low = 1, high = JUMP; // JUMP also encodes bounds over 1
     while (low < high) {
         const uint middle = (low + high) / 2;
         if (bounds[middle] >= bound)
@@ -28,9 +28,9 @@ uchar code_of(double bound, __global const double *bounds)
     return (uchar)low;
 }
 
-// Whether distances at the corners of a cell differ by more than they can where the sign does not
-// jump; those that hang on a leaf where it does, by more than interpolation of others can. Where
-// triangles do not pass, no sign changes.
+// Whether the corner distances of a cell differ by more than is possible without a sign
+// discontinuity. Hanging corners, on a leaf with a discontinuity, may differ by more than the
+// interpolation of other corners does. Cells without triangles have no sign change.
 bool jumps(const double *corners, double edge, bool passed)
 {
     for (uint i = 0; i < 8; ++i)
@@ -45,14 +45,15 @@ bool jumps(const double *corners, double edge, bool passed)
     return false;
 }
 
-// The triangles that a child of a block needs: those of the block's list that have its bit.
+// The triangles needed by a child of a block: the entries of the block's list that have the child's
+// bit.
 typedef struct {
     scene_of_lists scene;
     __global const uchar *masks;
     uint begin, end, child;
 } child_list;
 
-// The place of the first one from a place on; `end` if there is none.
+// The index of the first such entry at or after a given index; `end` if there is none.
 uint from(const child_list *list, uint place)
 {
     while (place < list->end && !(list->masks[place] >> list->child & 1))
@@ -60,22 +61,22 @@ uint from(const child_list *list, uint place)
     return place;
 }
 
-// How far the interpolation of distances of a certain size at the corners of a cell is from the
-// distance to the mesh, at most, whatever its sign: above it and below it; and the distances at the
-// corners to the triangle that bounds it best from above.
+// Upper bounds on the error of the interpolated unsigned corner distances in a cell, above and
+// below the distance to the mesh; and the corner distances to the triangle with the best bound from
+// above.
 //
-// The distance is the least of convex d_t. So it is nowhere above the interpolation of any d_t, or
-// of the mean of two. And interpolation is a mean over corners v: with q nearest to p, n the way
-// from q, and u, w the parts of v - p along and across n, d_t(v) <= |v - q| <= d_t(p) + u + w^2 /
-// (2 (d_t(p) + u)), where the mean of u is 0 and that of w^2 is at most edge^2 / 2; edge^2 / 4
-// beside an edge, along which q may slide, and 0 on one side of a face. The mean of |v - q| is no
-// more than the root of that of its square, either.
+// The distance is the minimum of convex functions d_t. So it never exceeds the interpolation of any
+// d_t, or of the mean of two. Interpolation is a weighted mean over corners v. With q the nearest
+// point to p, n the direction from q to p, and u, w the components of v - p along and across n:
+// d_t(v) <= |v - q| <= d_t(p) + u + w^2 / (2 (d_t(p) + u)). The mean of u is 0. The mean of w^2 is
+// at most edge^2 / 2; it is at most edge^2 / 4 beside an edge, along which q may slide, and 0 on
+// one side of a face. The mean of |v - q| is also at most the root of its mean square.
 typedef struct {
     double above, below;
     double8 best;
 } bounds_apart;
 
-// Take a triangle into account, by what it is at the corners.
+// Updates the bounds with a triangle, from its corner distances.
 void bound_by(bounds_apart *bounds, double8 d, const ways *way, MASKS feature, double8 size,
               double edge)
 {
@@ -89,7 +90,7 @@ void bound_by(bounds_apart *bounds, double8 d, const ways *way, MASKS feature, d
         const double squares = edge * edge, low = lowest(d) - edge * HALF_DIAGONAL;
         const double near = low > 0 ? low : 0, across = edge_alone ? 0.25 : 0.5;
         bend = sqrt(near * near + (across + 0.25) * squares) - near;
-        const double ahead = low - 2 * edge * HALF_DIAGONAL; // d_t(p) + u is no less
+        const double ahead = low - 2 * edge * HALF_DIAGONAL; // lower bound of d_t(p) + u
         const double curved = across * squares / (2 * ahead);
         bend = ahead > 0 && curved < bend ? curved : bend;
     }
@@ -119,10 +120,10 @@ double bound_apart(const child_list *list, const ways *at, double8 size, double 
 }
 
 #ifdef CLOSED
-// The same where triangles pass, with the signs of a closed mesh, and distances of `farthest` at
-// most. If all normals are within an angle of the first, so is the way to the nearest point, and
-// every distance is that to the plane of a triangle, divided by a cosine of at least that of twice
-// the angle.
+// The same bounds in cells with triangles, for signed distances of a closed mesh, of magnitude at
+// most `farthest`. If all normals are within an angle of the first, so is the direction to the
+// nearest point. Each distance is then the distance to a triangle's plane, divided by a cosine of
+// at least that of twice the angle.
 double bound_passed(const child_list *list, const ways *at, double8 field, double farthest)
 {
     double3 axis = 0;
@@ -149,9 +150,10 @@ double bound_passed(const child_list *list, const ways *at, double8 field, doubl
 }
 #endif
 
-// How far the interpolation is from the distance at eight of a cell's samples, at most, by the
-// triangles of a child's list; and how far the first of them is from these. In doubt, or if that is
-// so far that the whole cell is on one side, the sign is that of the interpolation.
+// The largest interpolation error at eight of a cell's samples, computed from the triangles of a
+// child's list; and the distances of the first triangle to the samples. The interpolation supplies
+// the sign where it is uncertain, or where the distance is so large that the whole cell is on one
+// side.
 double sample_error(const child_list *list, const ways *points, uint k, const double *corners,
                     bool in_doubt, double radius, double *first)
 {
@@ -184,23 +186,23 @@ double sample_error(const child_list *list, const ways *points, uint k, const do
     return highest(absolute(interpolated - (outward < 0.0 ? -distance : distance)));
 }
 
-// What decides whether a child is refined, in the frame: tolerance, how far points are misplaced by
-// rounding, and how far from the surface cells are refined; whether children can be refined, must be
+// The refinement parameters, in the frame: tolerance, displacement of points by rounding, and width
+// of the refined band around the surface; whether children can be refined, whether they must be
 // where triangles pass, and whether all samples are taken.
 #define LIMITS                                                                                         \
     const double tolerance, const double misplaced, const double band, const uint can_refine,          \
         const uint refine_coarse, const uint thorough
 
-// A child of a block, and what is known of it. corners: its distances; radius: half of its diagonal;
-// middle: the distance of its middle; passed: triangles may pass through it; in_doubt: the sign of a
-// corner is not known. error: at most or at the samples so far; bound: of the error.
+// A child of a block and its state. corners: its distances; radius: half of its diagonal; middle:
+// the distance at its centre; passed: triangles may pass through it; in_doubt: the sign of a corner
+// is unknown. error: an upper bound, or the largest sampled error so far; bound: the error bound.
 typedef struct {
     uint3 cell;
     double corners[8], edge, slope, radius, middle, error, bound;
     bool in_doubt, passed;
 } child_cell;
 
-// The steepest that the interpolation in a cell is.
+// The largest gradient of the interpolation in a cell.
 double slope_of(double8 field, double edge)
 {
     const double dx = highest(absolute(field.s11335577 - field.s00224466));
@@ -209,7 +211,7 @@ double slope_of(double8 field, double edge)
     return sqrt(dx * dx + dy * dy + dz * dz) / edge;
 }
 
-// The error at the first eight samples, which suffice to refine most children that are.
+// The error at the first eight samples, enough to refine most children that need it.
 void sample_middle(const child_list *list, child_cell *c, uint level, double extent)
 {
     const ways central = lattice_points(4 * c->cell, SAMPLES, 0, level + 3, extent);
@@ -217,8 +219,9 @@ void sample_middle(const child_list *list, child_cell *c, uint level, double ext
     c->passed = c->middle <= c->radius;
 }
 
-// The bound without samples; then, if this is over the tolerance, the errors at the other samples,
-// until the child is `refined` unless this is thorough; and the bound between samples.
+// Computes the bound without samples. If it exceeds the tolerance, computes the errors at the
+// remaining samples, until the child is `refined` or, if thorough, at all of them; then the bound
+// between samples.
 bool sample_all(const child_list *list, child_cell *c, uint level, double extent, bool refined,
                 bool can_refine, double tolerance, double misplaced,
                 uint refine_coarse, uint thorough)
@@ -253,10 +256,10 @@ bool sample_all(const child_list *list, child_cell *c, uint level, double extent
     return refined || (can_refine && c->passed && refine_coarse);
 }
 
-// For each child c of block c / 8: flags[c] = 1 if it is to be refined. errors[c] = how far its
-// interpolation is from the distance, in sides: at most, if that is within the tolerance, and else
-// at its samples, the first ones of which that are over it suffice to refine, unless this is to be
-// `thorough`; 0 beyond the band, and -1 where the sign jumps. codes[c] = the code of its bound.
+// For each child c of block c / 8: flags[c] = 1 if it is to be refined. errors[c] = its
+// interpolation error in cube edges: an upper bound if that is within the tolerance, otherwise the
+// sampled error. Unless `thorough`, sampling stops once the error exceeds the tolerance. errors[c]
+// = 0 beyond the band and -1 at a sign discontinuity. codes[c] = the code of its bound.
 __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
 #ifdef WINDING
                                __global const uint *doubts,

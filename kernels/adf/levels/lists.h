@@ -1,10 +1,10 @@
-// Cells and their lists of triangles: what the stages of a level share. Options: SIGNED, distances are
-// negative inside; WINDING, inside is decided by the winding number (voxtool/spatial/sides.py), and
-// otherwise by pseudo-normals; CLOSED, the mesh is closed, and otherwise JUMPS, the sign may change away
-// from the surface; FLAT, some triangles have no area.
+// Cells and their triangle lists, shared by the stages of a level. Options: SIGNED: distances are
+// negative inside. WINDING: the winding number decides the sign (voxtool/spatial/sides.py);
+// otherwise pseudo-normals do. CLOSED: the mesh is closed; otherwise JUMPS: the sign may change
+// away from the surface. FLAT: some triangles have zero area.
 //
-// Lengths are in the mesh's own frame (voxtool/spatial/bvh.py), in which the cube is [-extent,
-// extent]^3. A cell has a list of triangles, among which are the nearest ones to every point of it.
+// Lengths are in the mesh's frame (voxtool/spatial/bvh.py), in which the cube is [-extent,
+// extent]^3. The list of a cell includes the nearest triangles of each of its points.
 
 #include "adf/levels/level.h"
 #include "adf/levels/sample_points.h"
@@ -15,13 +15,13 @@
 
 #pragma OPENCL FP_CONTRACT OFF
 
-#define LANES double8 // one lane a point
+#define LANES double8 // one point per lane
 #define MASKS long8
 #include "spatial/point_triangle.h"
 
-#define SLACK 0x1p-44 // of a length in the frame: more than rounding takes from it
+#define SLACK 0x1p-44 // relative to a length in the frame; exceeds the rounding error
 
-// The cell of an identifier: a Morton code after a leading one.
+// The cell of an identifier: a Morton code preceded by a 1 bit.
 uint3 cell_of(ulong identifier, uint level)
 {
     const ulong code = identifier ^ 1ul << 3 * level;
@@ -33,13 +33,13 @@ uint3 octant(uint child)
     return (uint3)(child & 1, child >> 1 & 1, child >> 2);
 }
 
-// A coordinate of the lattice of 2^level edges a side.
+// A coordinate of the lattice with 2^level edges per axis.
 double8 lattice(double8 vertex, uint level, double extent)
 {
     return extent * (vertex * (2.0 / (1ul << level)) - 1.0);
 }
 
-// Eight points of a lattice: POINTS from i on of a table of offsets from a vertex.
+// Eight lattice points: POINTS starting at entry i of a table of offsets from a vertex.
 ways lattice_points(uint3 vertex, __constant const double *offsets, uint i, uint level, double extent)
 {
     ways at;
@@ -66,9 +66,8 @@ double8 absolute(double8 a)
     return a < 0.0 ? -a : a;
 }
 
-// Groups of parameters. LISTS: the cells of a level and their lists of triangles; SIDES: what tells
-// the sides of triangles, where signs are computed; BOUNDARY: spheres about the mesh's boundary, and
-// the length of boundary in each.
+// Parameter groups. LISTS: the cells of a level and their triangle lists. SIDES: the data for sign
+// computation. BOUNDARY: bounding spheres of the mesh's boundary, and the boundary length in each.
 #define LISTS                                                                                          \
     __global const ulong *identifiers, const uint level, const double extent,                          \
         __global const uint *begins, __global const double *leaves, __global const uint *items
@@ -107,15 +106,15 @@ typedef struct {
 #endif
 } scene_of_lists;
 
-// The triangle at a place of the lists.
+// The triangle at an index of the lists.
 triangle triangle_at(const scene_of_lists *scene, uint place)
 {
     const uint item = scene->items[place];
     return one_triangle(scene->leaves + (size_t)(item / LEAF) * (FIELDS * LEAF), item % LEAF);
 }
 
-// Of eight points: the squared distance to the nearest triangle, and where in the lists it stands;
-// of those that have a side, if some are FLAT.
+// For eight points: the squared distance to the nearest triangle and its index in the lists; with
+// FLAT, triangles without a side do not count for the index.
 typedef struct {
     double8 square, sided;
     long8 which;
@@ -127,7 +126,8 @@ nearest nothing_found(void)
     return found;
 }
 
-// Take the triangle at a place of the lists into account, whose squared distances these are.
+// Updates the nearest triangle with the triangle at an index of the lists, at these squared
+// distances.
 void look_at(const scene_of_lists *scene, uint place, double8 square, nearest *found)
 {
 #ifdef FLAT
@@ -156,8 +156,8 @@ double8 squares_to(const triangle *t, const ways *points)
 }
 
 #ifdef SIGNED
-// The winding number on the side of a face on which a point is, at the middle of the face; NAN
-// where it is not known. The face is that of the triangle at a place of the lists.
+// The winding number at the middle of a face, on the side of the face on which a point lies; NAN
+// where it is unknown. The face is that of the triangle at an index of the lists.
 double number_beside(const scene_of_lists *scene, long place, double x, double y, double z)
 {
     if (place == NO_TRIANGLE)

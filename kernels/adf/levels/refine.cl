@@ -1,7 +1,6 @@
-// The refined children as the cells of the next level. Host side: voxtool/adf/levels/refine.py.
+// Turns refined children into the cells of the next level. Host side: voxtool/adf/levels/refine.py.
 
-// Of the refined children, which `ranks` numbers: their identifiers, where they come from, and how
-// many triangles they need.
+// For the refined children, numbered by `ranks`: identifiers, source indices and triangle counts.
 __kernel void list_refined(const uint n, __global const uint *ranks, __global const ulong *above,
                            __global const uint *needed, __global ulong *identifiers,
                            __global uint *sources, __global uint *counts)
@@ -15,7 +14,7 @@ __kernel void list_refined(const uint n, __global const uint *ranks, __global co
     counts[rank] = needed[gid];
 }
 
-// The triangles that refined cells need, from the lists of their parents.
+// Copies the triangles of refined cells from the lists of their parents.
 __kernel void pass_lists_on(const uint n, __global const uint *sources, __global const uint *above,
                         __global const uint *parent_items, __global const uchar *masks,
                         __global const uint *begins, __global uint *items)

@@ -1,18 +1,18 @@
-// The exact distances at the vertices of a level's blocks, and their signs. Host side:
+// Computes exact signed distances at the vertices of a level's blocks. Host side:
 // voxtool/adf/levels/sample.py.
 
 #include "adf/levels/lists.h"
 
 // ---- distances
 
-// The squared distances at the corners of the eight children to up to eight triangles: `corners`
-// has a lane a child; `least` is the smallest so far at each corner.
+// The squared distances from the corners of the eight children to up to eight triangles. `corners`
+// has one child per lane; `least` is the smallest distance so far at each corner.
 typedef struct {
     double8 corners[8][8], least[8];
     uint count;
 } rival_distances;
 
-// Of each child's middle the nearest triangle of a list.
+// The nearest triangle of a list to the centre of each child.
 nearest nearest_to_middles(const scene_of_lists *scene, uint begin, uint end, const ways *middles)
 {
     nearest found = nothing_found();
@@ -23,7 +23,7 @@ nearest nearest_to_middles(const scene_of_lists *scene, uint begin, uint end, co
     return found;
 }
 
-// Take the triangles nearest to the middles into account at the vertices of a block, each once.
+// Updates the vertices of a block with the triangles nearest to the centres, each triangle once.
 void look_at_rivals(const scene_of_lists *scene, long8 which, const ways *points, nearest *found,
                     rival_distances *rivals)
 {
@@ -58,8 +58,8 @@ void look_at_rivals(const scene_of_lists *scene, long8 which, const ways *points
     }
 }
 
-// Which children need a triangle (all bits of a lane), and in which of these it may be the nearest
-// at a corner: by its tangents from the middles.
+// The children that need a triangle (all bits of a lane set), by its tangents at their centres, and
+// in *nearer those of them where it may be nearest at a corner.
 long8 children_that_need(const triangle *t, const ways *middles, double edge,
                          const rival_distances *rivals, long8 *nearer)
 {
@@ -68,7 +68,7 @@ long8 children_that_need(const triangle *t, const ways *middles, double edge,
     const double8 dd = triangle_ways(t, middles->x, middles->y, middles->z, &way, &feature);
     const double8 x = 0.25 * edge * way.x, y = 0.25 * edge * way.y, z = 0.25 * edge * way.z;
     const double8 base = dd - SLACK * (edge + sqrt(dd));
-    double8 least[8]; // tangents, times the distance of the middle, squared; 0 where negative
+    double8 least[8]; // (tangent times distance at the centre) squared; 0 where negative
     long8 near = 0;
     for (uint i = 0; i < 8; ++i) {
         const double8 tangent = base + (i & 1 ? x : -x) + (i & 2 ? y : -y) + (i & 4 ? z : -z);
@@ -86,14 +86,15 @@ long8 children_that_need(const triangle *t, const ways *middles, double edge,
     return needs;
 }
 
-// values[27 b + i] = the distance at vertex i of block b, of the cell identifiers[b]; places[27 b + i]
-// = where in the lists the nearest triangle with a side stands. masks[j] says for item j of its list
-// which of the cell's children need it: bit k is child k. counts[8 b + k] = how many child k needs.
+// values[27 b + i] = distance at vertex i of block b, of cell identifiers[b]; places[27 b + i] =
+// index in the lists of the nearest triangle with a side. Bit k of masks[j] is set if child k needs
+// item j of the list. counts[8 b + k] = number of triangles that child k needs.
 //
-// The distance to a triangle is convex, and so is nowhere below its tangent. Inside a cell it is
-// nowhere above the trilinear interpolation of its values at the corners. So a triangle is nowhere
-// nearest in a child where its tangent from the child's middle is, at all corners, above the
-// distance to some other one: here, to the nearest of the middle of any child.
+// The distance to a triangle is convex, so its tangent bounds it from below. Inside a cell, the
+// trilinear interpolation of its corner values bounds it from above. So a triangle is nowhere
+// nearest in a child if its tangent at the child's centre exceeds, at all corners, the distance to
+// some other triangle. The candidates for that are the triangles nearest to the centres of the
+// children.
 __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
                             __global uint *places, __global uchar *masks, __global uint *counts)
 {
@@ -140,7 +141,7 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
     vstore8(needed, 0, counted);
     for (uint child = 0; child < 8; ++child) {
         counts[8 * (size_t)gid + child] = (uint)counted[child];
-        // a vertex is a corner of one child, or has the same in each
+        // a shared vertex has the same value in each child
         double corners[8];
         long own[8];
         vstore8(sqrt(found[child].square), 0, corners);
@@ -158,11 +159,11 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
 // ---- signs
 
 #ifdef WINDING
-// How far the winding number may change on the way from a point to the middle of a face `reach`
-// away at most; see voxtool/spatial/sides.py.
+// An upper bound on the change of the winding number between a point and the middle of a face at
+// most `reach` away; see voxtool/spatial/sides.py.
 double sway(double x, double y, double z, double reach, __global const double *spheres, uint count)
 {
-    double sum = 0x1p-6; // two winding numbers are wrong by less
+    double sum = 0x1p-6; // exceeds the error of two winding numbers
     for (uint i = 0; i < count; ++i) {
         __global const double *sphere = spheres + 5 * i;
         const double dx = x - sphere[0], dy = y - sphere[1], dz = z - sphere[2];
@@ -190,7 +191,7 @@ double with_sign(double value, bool inside)
     return inside && distance > 0 ? -distance : distance;
 }
 
-// The length of the longest edge of the triangles of a list.
+// The longest edge of the triangles of a list.
 double longest_edge(const scene_of_lists *scene, uint begin, uint end)
 {
     double longest = 0;
@@ -201,10 +202,10 @@ double longest_edge(const scene_of_lists *scene, uint begin, uint end)
     return sqrt(longest);
 }
 
-// Gives distances their signs. states[b] says on which side of the mesh the whole block is, if it is
-// known: where its parent's is known, and where no triangles pass. Bit i of doubts[b] says that the
-// sign of vertex i is not known, and that of asked[b] that its winding number is to be computed: at
-// first, where no triangles pass, the middle's.
+// Assigns signs to distances. states[b] is the side of the mesh of the whole block, if known: from
+// its parent, or where no triangles pass. Bit i of doubts[b] marks an unknown sign at vertex i. Bit
+// i of asked[b] requests its winding number; where no triangles pass, only the block's centre is
+// requested at first.
 __kernel void sign_blocks(const uint n, LISTS SIDES BOUNDARY, __global const uint *sources,
                           __global const uchar *above, __global const uint *places,
                           __global uchar *states,
@@ -257,7 +258,7 @@ __kernel void sign_blocks(const uint n, LISTS SIDES BOUNDARY, __global const uin
 #endif
 
 #ifdef WINDING
-// counts[b] = of how many vertices of block b the number is asked.
+// counts[b] = number of vertices of block b whose winding number is requested.
 __kernel void count_asked(const uint n, __global const uint *asked, __global uint *counts)
 {
     const uint gid = get_global_id(0);
@@ -265,7 +266,7 @@ __kernel void count_asked(const uint n, __global const uint *asked, __global uin
         counts[gid] = popcount(asked[gid]);
 }
 
-// Their points.
+// The points of these vertices.
 __kernel void list_asked(const uint n, __global const ulong *identifiers, const uint level,
                          const double extent, __global const uint *asked,
                          __global const uint *begins, __global double *points)
@@ -279,8 +280,9 @@ __kernel void list_asked(const uint n, __global const ulong *identifiers, const 
             vstore3(vertex_point(identifiers[gid], level, extent, i), at++, points);
 }
 
-// Their signs, from the numbers there. The number of the middle of a block that no triangle passes
-// tells the side of all of it, if it can change no more than that; or else all vertices are asked.
+// Sets the signs from these winding numbers. If no triangle passes a block, the number at its
+// centre decides the side of the whole block, provided that it changes little enough across the
+// block; otherwise all vertices are requested.
 __kernel void settle_signs(const uint n, __global const ulong *identifiers, const uint level,
                            const double extent, __global const double *spheres,
                            const uint sphere_count, __global const uint *begins,

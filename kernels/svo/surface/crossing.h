@@ -2,12 +2,12 @@
 #include "svo/surface/cut_cells.h"
 #include "svo/surface/samples.h"
 
-// A place on an edge, kept off both ends.
+// Clamps a position on an edge away from both ends.
 int within(int t) { return clamp(t, (int)NEAREST, (int)(LATTICE - NEAREST)); }
 
-// The place, in LATTICE of its length, where the edge from a cell along an axis crosses the surface:
-// t = (iso - a) / (b - a) from the sample that is outside, rounded once, and kept off both ends. The
-// cell's tile has a slot.
+// The position, in LATTICE units per edge, where the edge from a cell along an axis crosses the
+// surface: t = (iso - a) / (b - a) from the outside sample, rounded once and clamped away from both
+// ends. The cell's tile has a slot.
 int crossing(TILES, SAMPLES, ulong cell, uint slot, uint axis, bool cell_is_inside)
 {
 #ifdef VOXELS

@@ -1,15 +1,15 @@
-// From an octree to the tiles of samples that the surface may cross, and the cubes that it cuts.
-// Host side: voxtool/svo/surface/cut_cells.py. Options: VOXELS if samples are voxels, and tiles
-// bricks; otherwise SAMPLE, the type of coverages.
+// Finds the tiles of samples that the surface may cross, and the cut cells, from an octree. Host
+// side: voxtool/svo/surface/cut_cells.py. Options: VOXELS: samples are voxels and tiles are bricks;
+// otherwise SAMPLE: the type of coverages.
 
 #include "svo/octree.h"
 #include "svo/surface/cut_cells.h"
 #include "svo/surface/samples.h"
 
-// The nodes of a level have their `child` words from children[first] on.
+// The `child` words of a level's nodes start at children[first].
 
-// coverage[i] = the set voxels of node i of a level, `full` where it lies inside; `below` are those
-// of the level below it, or `bricks` where that has level 0.
+// coverage[i] = number of occupied voxels in node i of a level, `full` if the node is inside.
+// `below` holds the coverages of the next finer level, or `bricks` its bricks if that is level 0.
 __kernel void cover_level(__global const uint *children, const uint first, const uint n,
                           const uint full, __global const ulong *bricks,
                           __global const uint *below, const uint below_bricks,
@@ -26,8 +26,8 @@ __kernel void cover_level(__global const uint *children, const uint first, const
     coverage[gid] = sum;
 }
 
-// The codes of a level's refined nodes, from those of the level above; and the tiles in its inside
-// leaves, which are 2^shift each and contiguous in Morton order.
+// The codes of a level's refined nodes, from those of the level above; and the tiles in the level's
+// inside leaves: 2^shift per leaf, contiguous in Morton order.
 __kernel void place_nodes(__global const uint *children, const uint first, const uint n,
                           __global const uint *above_codes, const uint is_root, const uint shift,
                           __global uint *codes, volatile __global uint *inside)
@@ -49,7 +49,7 @@ __kernel void place_nodes(__global const uint *children, const uint first, const
             inside[word] = 0xFFFFFFFFu;
 }
 
-// The tiles of the octree's refined nodes; those of a node whose children are bricks are eight.
+// Marks the tiles of the octree's refined nodes; a node whose children are bricks has eight tiles.
 __kernel void mark_tiles(__global const uint *codes, const uint n, volatile __global uint *active)
 {
     const uint gid = get_global_id(0);
@@ -62,7 +62,7 @@ __kernel void mark_tiles(__global const uint *codes, const uint n, volatile __gl
 #endif
 }
 
-// The words of tiles at the corners of word `code`; 0 beyond the root.
+// The words of tiles at the corners of word `code`; 0 outside the root.
 void corner_words(__global const ulong *words, uint n, uint code, ulong *corner)
 {
     for (uint j = 0; j < 8; ++j) {
@@ -71,9 +71,9 @@ void corner_words(__global const ulong *words, uint n, uint code, ulong *corner)
     }
 }
 
-// The tiles that hold a cube that may be cut: one of its eight corners lies in an active tile, or
-// they lie in tiles that are inside and others that are empty. Those that are not active hold the
-// NullCubes of [voCCeL, section 4.1]. A word is 4 x 4 x 4 tiles.
+// Finds the tiles with a cube that may be cut: one of the cube's corners lies in an active tile, or
+// its corners lie in both inside and empty tiles. Tiles that are not active correspond to the
+// NullCubes of [voCCeL], section 4.1. A word is 4 x 4 x 4 tiles.
 __kernel void find_tiles(__global const ulong *active, __global const ulong *inside, const uint n,
                          __global ulong *present, __global uint *counts)
 {
@@ -94,7 +94,7 @@ __kernel void find_tiles(__global const ulong *active, __global const ulong *ins
     counts[gid] = (uint)popcount(any);
 }
 
-// The codes of present tiles; until they are sampled, each is completely inside or empty.
+// The codes of present tiles. Until it is sampled, each tile counts as completely inside or empty.
 __kernel void list_tiles(__global const ulong *present, __global const uint *ranks,
                          __global const ulong *inside, const uint n, __global uint *codes,
                          __global ulong *masks, __global uint *source)
@@ -129,8 +129,8 @@ __kernel void sample_tiles(__global const uint *parent_codes, const uint n,
 
 #else
 
-// The coverages of the 64 samples of each active tile; which of them are inside, and which are not
-// though they have set voxels.
+// The coverages of the 64 samples of each active tile; the masks of samples inside, and of samples
+// outside that contain occupied voxels.
 __kernel void sample_tiles(__global const uint *codes, const uint n,
                            __global const uint *children, const uint first, const uint full,
                            const uint threshold, __global const ulong *bricks,
@@ -167,8 +167,8 @@ __kernel void sample_tiles(__global const uint *codes, const uint n,
 
 #endif
 
-// The cubes of each present tile that are cut, and the cut edges that begin in it along x, y and z;
-// and how many they are.
+// For each present tile: the cut cells, the cut edges that start in it along x, y and z, and the
+// number of each.
 __kernel void classify_cubes(__global const uint *codes, const uint n, TILES, __global ulong *cut,
                              __global ulong *cut_edges, __global uint *cubes, __global uint *edges)
 {
@@ -186,7 +186,7 @@ __kernel void classify_cubes(__global const uint *codes, const uint n, TILES, __
     }
 }
 
-// Each cut cube's tile (its slot) and place in it, and its case.
+// The tile (its slot), position in the tile, and case of each cut cell.
 __kernel void list_cubes(__global const uint *codes, const uint n, TILES,
                          __global const uint *first_cube, __global uint *places,
                          __global uchar *cases)
@@ -206,7 +206,7 @@ __kernel void list_cubes(__global const uint *codes, const uint n, TILES,
 
 #ifndef VOXELS
 
-// The samples of a tile that are in a mask, or that share a face, an edge or a corner with one.
+// The samples of a tile in a mask, and their neighbours by face, edge or corner.
 ulong dilate(ulong mask)
 {
     for (uint axis = 0; axis < 3; ++axis) {
@@ -218,8 +218,8 @@ ulong dilate(ulong mask)
     return mask;
 }
 
-// lost[2 i], lost[2 i + 1]: the set voxels in samples that are not inside, and, of them, those in
-// samples around which no cube is cut. Work-item i of n adds up every n-th of `count` tiles.
+// lost[2 i]: number of occupied voxels in samples outside. lost[2 i + 1]: those of them in samples
+// with no cut cell around. Work-item i of n sums every n-th of `count` tiles.
 __kernel void count_lost(__global const uint *codes, const uint count, TILES, SAMPLES,
                          __global const ulong *below, __global const ulong *cut, const uint n,
                          __global ulong *lost)
@@ -231,7 +231,7 @@ __kernel void count_lost(__global const uint *codes, const uint count, TILES, SA
     for (uint slot = gid; slot < count; slot += n) {
         if (source[slot] == NOWHERE)
             continue;
-        const ulong near = dilate(masks[slot]); // those in a cut cube of the tile
+        const ulong near = dilate(masks[slot]); // samples in a cut cell of the tile
         for (ulong left = below[source[slot]]; left; left &= left - 1) {
             const uint bit = lowest_bit(left);
             const uint covered = samples[64 * (size_t)source[slot] + bit];
@@ -240,7 +240,7 @@ __kernel void count_lost(__global const uint *codes, const uint count, TILES, SA
             bool seen = near >> bit & 1;
             for (uint j = 0; j < 8 && !seen; ++j) {
                 ulong cube = cell;
-                bool exists = true; // no cube begins below the root: it is empty there
+                bool exists = true; // no cube starts below the root, where the grid is empty
                 for (uint axis = 0; axis < 3; ++axis)
                     if (j >> axis & 1) {
                         exists &= (cube & AXIS << axis) != 0;

@@ -1,6 +1,7 @@
-// Tiles: 4 x 4 x 4 samples, whose bits (is the sample inside?) are a mask in the order of a brick.
-// Present tiles have a slot; any other is completely inside or empty. A cell is the Morton code of a
-// sample, and of the cube of eight samples of which it is the lowest: that of its tile, then 6 bits.
+// Tiles: 4 x 4 x 4 samples with a mask (bit set: sample inside) in the bit order of a brick.
+// Present tiles have a slot; any other is completely inside or empty. A cell is the Morton code of
+// a sample, and of the cube of eight samples with this lowest sample: the code of its tile, then 6
+// bits.
 
 #include "morton_bits.h"
 
@@ -8,21 +9,22 @@
 #define AXIS 0x1249249249249249ul // the bits of x in a Morton code
 #define NOWHERE 0xFFFFFFFFu
 
-// The code of the next cell, or tile, along an axis; beyond the root it has more bits than the root's.
+// The code of the next cell, or tile, along an axis; outside the root it has more bits than the
+// root's codes.
 ulong step_up(ulong code, uint axis)
 {
     const ulong m = AXIS << axis;
     return (((code | ~m) + 1) & m) | (code & ~m);
 }
 
-// The code of the cell before, which exists.
+// The code of the previous cell, which must exist.
 ulong step_down(ulong code, uint axis)
 {
     const ulong m = AXIS << axis;
     return (((code & m) - 1) & m) | (code & ~m);
 }
 
-// The cell, or tile, at corner j of a cube: a step up, or none, along each axis.
+// The cell, or tile, at corner j of a cube: zero or one step up along each axis.
 ulong corner_cell(ulong code, uint j)
 {
     const ulong x = AXIS, y = AXIS << 1, z = AXIS << 2;
@@ -35,20 +37,20 @@ int3 cell_coordinates(ulong cell)
     return (int3)((int)gather_bits(cell), (int)gather_bits(cell >> 1), (int)gather_bits(cell >> 2));
 }
 
-// The coordinates in a tile of its sample `bit`.
+// The coordinates of sample `bit` in its tile.
 int3 place_in_tile(uint bit)
 {
     return (int3)((int)((bit & 1) | (bit >> 2 & 2)), (int)((bit >> 1 & 1) | (bit >> 3 & 2)),
                   (int)((bit >> 2 & 1) | (bit >> 4 & 2)));
 }
 
-// The samples of coordinate 0 along an axis; the others lie 1, 8 and 9 << axis bits above.
+// The samples with coordinate 0 along an axis; the other layers are 1, 8 and 9 << axis bits above.
 #define LAYER(axis)                                                                                \
     ((axis) == 0   ? 0x0055005500550055ul                                                          \
      : (axis) == 1 ? 0x0000333300003333ul                                                          \
                    : 0x000000000F0F0F0Ful)
 
-// A mask moved down by one sample along an axis; `next` is the mask beyond it.
+// Shifts a mask down by one sample along an axis; `next` is the mask of the next tile.
 ulong shift_mask(ulong mask, ulong next, uint axis)
 {
     const ulong low = LAYER(axis);
@@ -57,8 +59,8 @@ ulong shift_mask(ulong mask, ulong next, uint axis)
            (next << (two + one) & low << (two + one));
 }
 
-// From the masks of a tile and of the seven above it to those of the corners: bit b of corner[j] is
-// that of corner j of cube b.
+// Converts the masks of a tile and its seven upper neighbours to corner masks: bit b of corner[j]
+// is corner j of cube b.
 void shift_to_corners(ulong *corner)
 {
     for (uint axis = 0; axis < 3; ++axis)
@@ -67,7 +69,7 @@ void shift_to_corners(ulong *corner)
                 corner[j] = shift_mask(corner[j ^ 1u << axis], corner[j], axis);
 }
 
-// The arguments that find a present tile, and the mask of any tile: of the host's Tiles.arguments.
+// The arguments that locate a present tile and its mask: the host's Tiles.arguments.
 #define TILES                                                                                      \
     __global const ulong *present, __global const uint *ranks, __global const ulong *inside,       \
         const uint words, __global const ulong *masks
@@ -79,7 +81,7 @@ uint slot_of(__global const ulong *present, __global const uint *ranks, ulong ti
     return word & bit ? ranks[tile >> 6] + (uint)popcount(word & (bit - 1)) : NOWHERE;
 }
 
-// The mask of a tile; beyond the root it is empty.
+// The mask of a tile; empty outside the root.
 ulong mask_of(TILES, ulong tile)
 {
     if (tile >> 6 >= words)
@@ -96,7 +98,7 @@ void corner_masks(TILES, uint tile, ulong *corner)
     shift_to_corners(corner);
 }
 
-// The cubes whose corners are not all alike.
+// The cut cells: cubes with corners both inside and outside.
 ulong cut_cubes(const ulong *corner)
 {
     ulong any = 0, all = ALL;

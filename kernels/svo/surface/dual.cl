@@ -1,11 +1,11 @@
-// Dual surfaces over the cut cubes: a vertex for each loop, a quad for each cut edge. Host side:
+// Dual surfaces over the cut cells: a vertex for each loop, a quad for each cut edge. Host side:
 // voxtool/svo/surface/dual.py. Options: VOXELS, or SAMPLE, the type of coverages.
 
 #include "svo/surface/dual_case_tables.h"
 #include "svo/surface/crossing.h"
 #include "opencl/histopyramid.h"
 
-// The arguments that find a cut cube: of the host's CutCubes.arguments.
+// The arguments that locate a cut cell: the host's CutCubes.arguments.
 #define CUBES __global const ulong *cut, __global const uint *first_cube
 #define THESE_CUBES cut, first_cube
 
@@ -25,8 +25,9 @@ ulong cell_beyond(ulong cell, uint face)
     return face & 1 ? step_up(cell, face >> 1) : step_down(cell, face >> 1);
 }
 
-// The case of each cube, the alternative one where its pinched face is also that of the cube beyond;
-// and how many loops, quads (the cut edges that begin in its low corner) and cut edges it has.
+// The case of each cube, or its alternative if its pinched face is also the pinched face of the
+// adjacent cube; and its numbers of loops, quads (cut edges that start in its low
+// corner) and cut edges.
 __kernel void resolve_cases(__global const uint *codes, TILES, CUBES, __global const uint *places,
                             __global const uchar *cases, const uint n, __global ushort *resolved,
                             __global uint *first_vertex, __global uint *quad_counts,
@@ -36,7 +37,7 @@ __kernel void resolve_cases(__global const uint *codes, TILES, CUBES, __global c
     if (gid >= n)
         return;
     uint found = cases[gid];
-    const uint low_edges = found ^ (found & 1 ? 0xFF : 0); // corners unlike the lowest
+    const uint low_edges = found ^ (found & 1 ? 0xFF : 0); // corners that differ from the lowest
     quad_counts[gid] = (low_edges >> 1 & 1) + (low_edges >> 2 & 1) + (low_edges >> 4 & 1);
     const uint face = PINCHED_FACE[found];
     if (face != NO_FACE) {
@@ -53,7 +54,7 @@ __kernel void resolve_cases(__global const uint *codes, TILES, CUBES, __global c
     first_link[gid] = edges;
 }
 
-// Voxel faces: the vertex of every loop is the corner that eight samples share.
+// Voxel faces: the vertex of each loop is the corner shared by eight samples.
 __kernel void place_corners(__global const uint *codes, __global const uint *places, const uint n,
                             __global const uint *first_vertex, const int shift,
                             __global int *points)
@@ -69,7 +70,7 @@ __kernel void place_corners(__global const uint *codes, __global const uint *pla
     }
 }
 
-// Nets: a loop's vertex begins in the mean of its crossings (Gibson 1998).
+// Surface nets [Gibson 1998]: the vertex of a loop starts at the mean of its crossings.
 __kernel void place_means(__global const uint *codes, TILES, SAMPLES, __global const uint *places,
                           __global const ushort *resolved, const uint n,
                           __global const uint *first_vertex, const int shift, __global int *points)
@@ -102,7 +103,7 @@ __kernel void place_means(__global const uint *codes, TILES, SAMPLES, __global c
     }
 }
 
-// The neighbours of each vertex: where its loop goes on into the next cube.
+// The neighbours of each vertex: the vertices of the adjacent cubes into which its loop continues.
 __kernel void link_vertices(__global const uint *codes, TILES, CUBES, __global const uint *places,
                             __global const ushort *resolved, const uint n,
                             __global const uint *first_vertex, __global const uint *first_link,
@@ -129,7 +130,8 @@ __kernel void link_vertices(__global const uint *codes, TILES, CUBES, __global c
         link_start[first_vertex[n]] = link;
 }
 
-// Each coordinate half of the way to the mean of the neighbours', kept off the sides of its cell.
+// Moves each coordinate halfway to the mean of the neighbours, clamped away from the faces of its
+// cell.
 __kernel void relax(__global const int *points, __global const uint *link_start,
                     __global const uint *links, const uint n, __global int *relaxed)
 {
@@ -148,7 +150,7 @@ __kernel void relax(__global const int *points, __global const uint *link_start,
     }
 }
 
-// Output quad k is the r-th of cube i: the four cubes around a cut edge, counter-clockwise seen from
+// Output quad k is quad r of cube i: the four cubes around a cut edge, counter-clockwise seen from
 // outside, the lowest first.
 __kernel void list_quads(HISTOPYRAMID, const uint n, __global const uint *codes, TILES, CUBES,
                          __global const uint *places, __global const ushort *resolved,
@@ -161,7 +163,7 @@ __kernel void list_quads(HISTOPYRAMID, const uint n, __global const uint *codes,
     if (k >= n)
         return;
     const ulong cell = cell_of(codes, places[i]);
-    const bool outward = resolved[i] & 1; // along the axis
+    const bool outward = resolved[i] & 1; // whether the surface faces along the axis
     uint axis = 0;
     for (;; ++axis) {
         const bool cut_here = (resolved[i] >> (1u << axis) & 1) != outward;
@@ -197,8 +199,9 @@ bool is_flat(long3 a, long3 b, long3 c)
 
 long squared(long3 v) { return v.x * v.x + v.y * v.y + v.z * v.z; }
 
-// Two triangles a quad, along its shorter diagonal unless one of them were of zero area: as its
-// corners lie in four cells around an edge, they are never all on a line.
+// Splits a quad into two triangles along its shorter diagonal, or along the other if a triangle
+// would have zero area. The corners lie in four cells around an edge, so they are never all
+// collinear.
 __kernel void split_quads(__global const uint *quads, const uint n, __global const int *points,
                           __global uint *triangles)
 {
@@ -212,7 +215,7 @@ __kernel void split_quads(__global const uint *quads, const uint n, __global con
         point[i] = to_long(points, vertex[i]);
     }
     const bool even = squared(point[2] - point[0]) <= squared(point[3] - point[1]);
-    uint first = even ? 0 : 1; // the diagonal is from here to the corner opposite
+    uint first = even ? 0 : 1; // one end of the diagonal; the other is the opposite corner
     if (is_flat(point[first], point[first + 1], point[first + 2]) ||
         is_flat(point[first], point[first + 2], point[(first + 3) % 4]))
         first = 1 - first;

@@ -1,21 +1,22 @@
-// Coplanar unit squares joined to rectangles. Host side: voxtool/svo/surface/greedy_meshing.py.
+// Greedy meshing: merges coplanar unit squares into rectangles. Host side:
+// voxtool/svo/surface/greedy_meshing.py.
 
 #include "svo/surface/lattice.h"
 #include "svo/surface/greedy_meshing.h"
 
-// A key is, from the highest bits on: the normal's axis a and sign (3 bits), the plane, then
-// two coordinates of its low corner, along b = a + 1 and c = a + 2 (modulo 3); between them, where
-// rows are joined, the row's length; COORDINATE_BITS each.
+// A key holds, from the highest bits: the normal's axis a and sign (3 bits), the plane, then two
+// coordinates of its low corner, along b = a + 1 and c = a + 2 (modulo 3). The key of a row has the
+// row's length between these coordinates. Each field has COORDINATE_BITS.
 #define COORDINATE_MASK ((1ul << COORDINATE_BITS) - 1)
 
-// Quads in rows along b: the keys' order is that of normal, plane, c, b.
+// Keys of squares, for rows along b: sorted by normal, plane, c, b.
 __kernel void key_squares(__global const uint *quads, const uint n, __global const int *points,
                         __global ulong *keys, __global uint *order)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    int corner[3][3]; // the lowest corner and those beside it
+    int corner[3][3]; // the lowest corner and the two adjacent to it
     for (uint i = 0; i < 3; ++i) {
         const size_t vertex = quads[4 * (size_t)gid + (i == 2 ? 3 : i)];
         for (uint axis = 0; axis < 3; ++axis)
@@ -25,14 +26,14 @@ __kernel void key_squares(__global const uint *quads, const uint n, __global con
     while (corner[1][a] != corner[0][a] || corner[2][a] != corner[0][a])
         ++a;
     const uint b = (a + 1) % 3, c = (a + 2) % 3;
-    const bool outward = corner[1][b] != corner[0][b]; // first along b: counter-clockwise from +a
+    const bool outward = corner[1][b] != corner[0][b]; // first edge along b: counter-clockwise from +a
     const ulong facing = 2 * a + outward;
     keys[gid] = ((facing << COORDINATE_BITS | (ulong)corner[0][a]) << COORDINATE_BITS | (ulong)corner[0][c]) << COORDINATE_BITS |
                 (ulong)corner[0][b];
     order[gid] = gid;
 }
 
-// Where a row of keys that rise by one begins; and all places, to be compacted.
+// flags = 1 where a run of consecutive keys starts; places = the indices, for compaction.
 __kernel void flag_runs(__global const ulong *keys, const uint n, __global uint *flags,
                         __global uint *places)
 {
@@ -43,7 +44,8 @@ __kernel void flag_runs(__global const ulong *keys, const uint n, __global uint 
     places[gid] = gid;
 }
 
-// Rows of equal beginning and length in columns: the keys' order is normal, plane, b, length, c.
+// Keys of rows, for columns of rows with equal start and length: sorted by normal, plane, b,
+// length, c.
 __kernel void key_rows(__global const ulong *square_keys, const uint count,
                        __global const uint *row_start, const uint n, __global ulong *keys,
                        __global uint *order)
@@ -58,8 +60,8 @@ __kernel void key_rows(__global const ulong *square_keys, const uint count,
     order[gid] = gid;
 }
 
-// The rectangle of rows column_start[i] .. : its corners are those of its corner quads. Marks the
-// vertices that serve.
+// The rectangle of rows column_start[i] and following, with the corners of its corner quads. Marks
+// the vertices in use.
 __kernel void join_rows(__global const uint *column_start, const uint n,
                         __global const ulong *row_keys, __global const uint *row_order,
                         const uint rows, __global const uint *row_start,
@@ -73,7 +75,7 @@ __kernel void join_rows(__global const uint *column_start, const uint n,
     const uint length = (uint)(row_keys[first] >> COORDINATE_BITS & COORDINATE_MASK);
     const uint outward = (uint)(row_keys[first] >> 4 * COORDINATE_BITS & 1);
     const uint low = row_start[row_order[first]], high = row_start[row_order[last]];
-    for (uint corner = 0; corner < 4; ++corner) { // low, along b and, where outward, on along c
+    for (uint corner = 0; corner < 4; ++corner) { // from low: b then c if outward, else c then b
         const bool far_b = corner == 2 || corner == (outward ? 1 : 3);
         const bool far_c = corner == 2 || corner == (outward ? 3 : 1);
         const uint quad = square_order[(far_c ? high : low) + (far_b ? length - 1 : 0)];
@@ -83,7 +85,7 @@ __kernel void join_rows(__global const uint *column_start, const uint n,
     }
 }
 
-// The vertices that serve, at their new numbers.
+// The vertices in use, at their new indices.
 __kernel void keep_points(__global const int *points, __global const uint *numbers, const uint n,
                           __global int *kept)
 {

@@ -1,12 +1,14 @@
-// Marching cubes over the cut cubes: a vertex for each cut edge, a work-item for each triangle. Host
-// side: voxtool/svo/surface/marching_cubes.py. Options: VOXELS, or SAMPLE, the type of coverages.
+// Marching cubes [Lorensen 1987] over the cut cells: a vertex for each cut edge, a work-item for
+// each triangle. Host side: voxtool/svo/surface/marching_cubes.py. Options: VOXELS, or SAMPLE, the
+// type of coverages.
 
 #include "svo/surface/case_tables.h"
 #include "svo/surface/crossing.h"
 #include "opencl/histopyramid.h"
 
-// The vertices of the edges that begin in a tile: along x, then y, then z, in Morton order. Points
-// count LATTICE a sample from the low corner of the grid, `shift` samples into the root.
+// The vertices of the edges that start in a tile: along x, then y, then z, in Morton order. Points
+// are in units of 1 / LATTICE of a sample from the low corner of the grid, `shift` samples into the
+// root.
 __kernel void place_vertices(__global const uint *codes, const uint n, TILES, SAMPLES,
                              __global const ulong *cut_edges, __global const uint *first_vertex,
                              const int shift, __global int *points)
@@ -30,7 +32,7 @@ __kernel void place_vertices(__global const uint *codes, const uint n, TILES, SA
         }
 }
 
-// The vertex of the edge that begins at a cell.
+// The vertex of the edge that starts at a cell.
 uint vertex_of(TILES, __global const ulong *cut_edges, __global const uint *first_vertex,
                ulong cell, uint axis)
 {
@@ -38,7 +40,7 @@ uint vertex_of(TILES, __global const ulong *cut_edges, __global const uint *firs
     return first_vertex[edges] + (uint)popcount(cut_edges[edges] & ((1ul << (cell & 63)) - 1));
 }
 
-// The number of triangles of each cut cube.
+// The number of triangles of each cut cell.
 __kernel void count_triangles(__global const uchar *cases, const uint n, __global uint *counts)
 {
     const uint gid = get_global_id(0);
@@ -46,7 +48,7 @@ __kernel void count_triangles(__global const uchar *cases, const uint n, __globa
         counts[gid] = TRIANGLE_COUNT[cases[gid]];
 }
 
-// Output triangle k is the r-th of cube i, by the histopyramid.
+// Output triangle k is triangle r of cube i, located by the histopyramid [Dyken 2008].
 __kernel void polygonise(HISTOPYRAMID, const uint n, __global const uint *codes, TILES,
                          __global const uint *places, __global const uchar *cases,
                          __global const ulong *cut_edges, __global const uint *first_vertex,

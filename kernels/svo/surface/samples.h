@@ -1,4 +1,4 @@
-// The arguments that give the coverage of a sample, of the host's Tiles.arguments. `isovalue` counts
+// The arguments for the coverage of a sample: the host's Tiles.arguments. The unit of `isovalue` is
 // 2^-16 of a voxel's coverage.
 #ifdef VOXELS
 #define SAMPLES const ulong isovalue
@@ -9,7 +9,7 @@
         const ulong isovalue
 #define THESE_SAMPLES source, samples, full, isovalue
 
-// The set voxels of a sample; `slot` is its tile's, or NOWHERE.
+// The number of occupied voxels in a sample; `slot` is its tile's slot, or NOWHERE.
 uint coverage_of(TILES, SAMPLES, ulong cell, uint slot)
 {
     const ulong tile = cell >> 6;
