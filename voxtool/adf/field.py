@@ -18,13 +18,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from voxtool.adf.bounds import NO_LEAF
+from voxtool.adf.bounds import JUMP, NO_LEAF
 from voxtool.adf.cells import cell_identifier, cell_of, identifier_type, key_of
 from voxtool.adf.host_query import QueryResult, query_on_host
 from voxtool.adf.spatial_hash import SpatialHash
@@ -222,6 +223,60 @@ class DistanceField:
         for array in arrays if self.bounds is None else [*arrays, self.bounds]:
             sha.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).data)
         return sha.hexdigest()
+
+    def summary(self) -> dict[str, Any]:
+        """Counts and sizes in JSON types; origin and side in world units, lengths in sides.
+
+        `saved` has the two savings of [ADF]: of section 3.1, the blocks against eight float32 a
+        leaf or, as it counts there, a cell; of section 3.2, the slots of cells that have blocks
+        against slots for the leaves, too, whose identifiers are longer.
+        """
+        n, depth = len(self.voxels), self.depth
+        cells, leaves = self.cells_by_level(), self.leaves_by_level()
+        sizes, eight = self.sizes(), 8 * self.voxels.itemsize
+        identifier = self.identifiers.itemsize
+        with_leaves = identifier_type(depth).itemsize + self.cells.itemsize
+        jumps = self.reached.get("jumps")
+        if self.bounds is not None:
+            jumps = int(np.count_nonzero(self.bounds == JUMP))
+        return {
+            "origin": list(self.origin),
+            "side": self.side,
+            "units": self.units,
+            "sign": self.sign,
+            "tolerance": self.tolerance,
+            "max_level": self.max_level,
+            "band": self.band if math.isfinite(self.band) else None,
+            "continuous": self.continuous,
+            "lipschitz": self.lipschitz,
+            "source_sha256": self.source_sha256,
+            "depth": depth,
+            "blocks": n,
+            "leaves": sum(leaves),
+            "levels": [
+                {"level": level, "cells": own, "leaves": left}
+                for level, own, left in zip(range(depth + 1), cells, [0, *leaves], strict=True)
+            ],
+            "bytes": sum(sizes.values()),
+            "bytes_a_leaf": sum(sizes.values()) / sum(leaves),
+            "textures": sizes,
+            "saved": {
+                "voxels_of_leaves": 1 - sizes["voxels"] / (eight * sum(leaves)),
+                "voxels_of_cells": 1 - sizes["voxels"] / (eight * 8 * n),
+                "cells": 1 - (identifier + self.cells.itemsize) * n / (with_leaves * (8 * n + 1)),
+            },
+            "hash": {
+                "m": self.hash.m,
+                "r": self.hash.r,
+                "w": self.hash.has_w,
+                "load": self.hash.load(n),
+                "bits_a_key": self.hash.bits_a_key(n),
+                "identifier_bits": 8 * identifier,
+            },
+            "jumps": jumps,
+            "reached": self.reached,
+            "plan": self.plan,
+        }
 
     def validate(self) -> None:
         """Check every invariant of the structure.

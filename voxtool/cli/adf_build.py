@@ -9,62 +9,43 @@ import click
 
 from voxtool.choices import DEFAULT_MAX_LEVEL, DEFAULT_TOLERANCE, MAX_LEVEL, SIGNS
 from voxtool.cli import options, runner
+from voxtool.cli.options import BYTES, option, together
 from voxtool.errors import CheckError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from voxtool.adf.field import DistanceField
-    from voxtool.cli.runner import Run
 
 
 @click.command("adf-build")
 @click.argument("mesh")
-@click.option(
-    "--tolerance",
-    type=float,
-    help=f"Error that leaves may have, in sides of the cube.  [default: {DEFAULT_TOLERANCE}]",
-)
-@click.option("--tolerance-world", type=float, help="The same in the mesh's own units.")
-@click.option(
-    "--max-level",
-    type=click.IntRange(1, MAX_LEVEL),
-    default=DEFAULT_MAX_LEVEL,
-    show_default=True,
-    help="Level at which leaves are no longer refined.  The root has level 0.",
-)
-@click.option(
-    "--band",
-    type=float,
-    default=math.inf,
-    metavar="WIDTH",
-    help="Refine only within WIDTH of the surface, in sides of the cube.  [default: everywhere]",
-)
-@click.option(
-    "--max-bytes",
-    type=options.Bytes(),
-    metavar="BYTES",
-    help="Approximate size of the field (60M).  The largest errors are refined first.",
-)
-@click.option(
-    "--sign",
-    type=click.Choice(SIGNS),
-    help="How inside is separated from outside.  [default: pseudonormal if the mesh is closed and "
-    "has no self-intersections, otherwise winding]",
-)
-@click.option(
-    "--continuous/--cracks",
-    default=True,
-    show_default=True,
-    help="Leaves of different levels agree on their common faces, or are exact at all corners.",
-)
-@click.option(
-    "--bounds/--no-bounds", default=True, help="Store a bound of each leaf's error, or not."
-)
+@together(
+    option("--tolerance", float,
+        f"Error that leaves may have, in sides of the cube.  [default: {DEFAULT_TOLERANCE}]"),
+    option("--tolerance-world", float, "The same in the mesh's own units."),
+    option("--max-level", click.IntRange(1, MAX_LEVEL),
+        "Level at which leaves are no longer refined.  The root has level 0.", DEFAULT_MAX_LEVEL),
+    option("--band", float,
+        "Refine only within WIDTH of the surface, in sides of the cube.  [default: everywhere]",
+        math.inf, metavar="WIDTH"),
+    option("--max-bytes", BYTES,
+        "Approximate size of the field (60M).  The largest errors are refined first.",
+        metavar="BYTES"),
+    option("--sign", SIGNS,
+        "How inside is separated from outside.  [default: pseudonormal if the mesh is closed and "
+        "has no self-intersections, otherwise winding]"),
+    option("--continuous/--cracks", bool,
+        "Leaves of different levels agree on their common faces, or are exact at all corners.",
+        True),
+    option("--bounds/--no-bounds", bool, "Store a bound of each leaf's error, or not.", True,
+        show_default=False),
+)  # fmt: skip
 @runner.job_options("FILE", "Default MESH's name with .adf.h5, in this folder.", "adf.h5")
 def command(
-    run: Run, mesh: str, tolerance: float | None, tolerance_world: float | None, **request: Any
-) -> None:
+    run: runner.Run, mesh: str, tolerance: float | None, tolerance_world: float | None,
+    **request: Any,
+) -> None:  # fmt: skip
     """Build the adaptively sampled distance field of a triangle MESH.
 
     MESH is an OBJ, STL, PLY, OFF or GLB file, .gz too, or - for stdin. The field fills a cube whose

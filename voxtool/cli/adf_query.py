@@ -13,6 +13,7 @@ import click
 
 from voxtool.choices import DEFAULT_SEARCH, SEARCHES
 from voxtool.cli import options, runner
+from voxtool.cli.options import Parsed, flag, option, plane_of, together
 from voxtool.errors import count_of
 
 if TYPE_CHECKING:
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
     from voxtool.adf.host_query import QueryResult
     from voxtool.adf.query import FieldQuery
-    from voxtool.cli.runner import Run
     from voxtool.files.answers import Answers
 
 SLICE_SIZE = 800  # pixels
@@ -35,22 +35,15 @@ ANSWER_COLUMNS = {
 }
 
 
-class Plane(click.ParamType):
-    """An axis and where a plane crosses it: z=0.5."""
+PLANE = Parsed(
+    "plane", lambda text: plane_of(text, finite), " is no plane: write x=1.5, y=0 or z=-2"
+)
 
-    name = "plane"
 
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, float]:
-        axis, equals, text = str(value).partition("=")
-        try:
-            place = float(text)
-        except ValueError:
-            place = math.nan
-        if axis not in ("x", "y", "z") or not equals or not math.isfinite(place):
-            self.fail(f"{value!r} is no plane: write x=1.5, y=0 or z=-2", param, ctx)
-        return axis, place
+def finite(text: str) -> float:
+    if not math.isfinite(place := float(text)):
+        raise ValueError
+    return place
 
 
 @dataclass
@@ -96,56 +89,32 @@ def is_or_are(count: int) -> str:
 @click.command("adf-query")
 @click.argument("field")
 @click.argument("points", required=False)
-@click.option(
-    "--search",
-    type=click.Choice(SEARCHES),
-    default=DEFAULT_SEARCH,
-    show_default=True,
-    help="How leaves are found: linear, from coarse to fine; binary, by halving the levels; "
-    "coherent, from the level of the point before, for points along rays.  All find the same.",
-)
-@click.option("--gradient", is_flag=True, help="Write the gradient, too: gx, gy, gz.")
-@click.option(
-    "--bounds",
-    is_flag=True,
-    help="Write a bound of the error of the distance, too: bound.",
-)
-@click.option(
-    "--cell", is_flag=True, help="Write the leaf, too: its level and its key kx, ky, kz (eq. 3-1)."
-)
-@click.option(
-    "--slice",
-    "plane",
-    type=Plane(),
-    metavar="AXIS=VALUE",
-    help="Draw the field on this plane (z=0.5) as .png, without POINTS.",
-)
-@click.option(
-    "--size",
-    type=click.IntRange(200, 8192),
-    help=f"Pixels of the picture's width.  [default: {SLICE_SIZE}]",
-)
+@together(
+    option("--search", SEARCHES,
+        "How leaves are found: linear, from coarse to fine; binary, by halving the levels; "
+        "coherent, from the level of the point before, for points along rays.  All find the same.",
+        DEFAULT_SEARCH),
+    flag("--gradient", "Write the gradient, too: gx, gy, gz."),
+    flag("--bounds", "Write a bound of the error of the distance, too: bound."),
+    flag("--cell", "Write the leaf, too: its level and its key kx, ky, kz (eq. 3-1)."),
+    option("--slice plane", PLANE, "Draw the field on this plane (z=0.5) as .png, without POINTS.",
+        metavar="AXIS=VALUE"),
+    option("--size", click.IntRange(200, 8192),
+        f"Pixels of the picture's width.  [default: {SLICE_SIZE}]"),
+)  # fmt: skip
 @runner.run_options(
     options.output_options(
-        "FILE",
-        "Default POINTS's name with .distance.npy or --format, in this folder; stdout, as CSV, for "
-        "stdin; with --slice FIELD's name with .slice.png.",
+        "FILE", "Default POINTS's name with .distance.npy or --format, in this folder; stdout, as "
+        "CSV, for stdin; with --slice FIELD's name with .slice.png.",
     ),
     options.format_option("npy", "csv"),
     options.device_option,
-    options.json_option,
-    options.quiet_option,
-    options.verbose_option,
-)
+    options.report_options,
+)  # fmt: skip
 def command(
-    run: Run,
-    field: str,
-    points: str | None,
-    search: str,
-    plane: tuple[str, float] | None,
-    size: int | None,
-    **asked: bool,
-) -> None:
+    run: runner.Run, field: str, points: str | None, search: str,
+    plane: tuple[str, float] | None, size: int | None, **asked: bool,
+) -> None:  # fmt: skip
     """Evaluate a distance FIELD at POINTS: their distances from its mesh, negative inside.
 
     FIELD is a file that adf-build wrote; POINTS is a .npy, .npz, .csv, .xyz or .ply file. Each can
@@ -163,7 +132,7 @@ def command(
             raise click.UsageError("--size goes with --slice: there is no picture")
         points = points or "-"
         if field == points == "-":
-            raise click.UsageError("FIELD and POINTS cannot both be stdin: name a file for one")
+            raise options.input_twice("FIELD", "POINTS")
         if points == "-" and sys.stdin.isatty():
             raise click.UsageError("there are no POINTS: name a file, or pipe them in")
     elif points or any(asked.values()) or run.file_format:

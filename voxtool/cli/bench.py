@@ -16,9 +16,7 @@ from voxtool.bench.request import KINDS, QUICK, SETTINGS, TRANSFERS, Request
 from voxtool.choices import (
     FILLS,
     FITS,
-    MAX_DIM,
     METHODS,
-    MIN_DIM,
     MODES,
     SEARCHES,
     SIGNS,
@@ -27,6 +25,7 @@ from voxtool.choices import (
     VIEWS,
 )
 from voxtool.cli import bench_compare, options, reports
+from voxtool.cli.options import DIM, flag, option
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -42,7 +41,7 @@ def _numbers(each: click.ParamType, metavar: str) -> dict[str, Any]:
     return {"type": options.List(each), "metavar": metavar}
 
 
-DIM, COUNT = click.IntRange(MIN_DIM, MAX_DIM), click.IntRange(1, 100_000_000)
+COUNT = click.IntRange(1, 100_000_000)
 OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {  # by fields of a Request
     "dims": ("Voxels along the longest side.", _numbers(DIM, "DIM,...")),
     "modes": ("Modes, as of `voxtool voxelize`.", _choices(MODES)),
@@ -165,44 +164,35 @@ def _bench(bench: str, selection: tuple[str, ...] | None) -> click.Command:
     names = tuple(dict.fromkeys(n for one in selection or SETTINGS for n in SETTINGS[one]))
 
     def measure(
-        models: tuple[str, ...],
-        quick: bool,
-        repeat: int | None,
-        peers: bool,
-        device: str | None,
-        **given: Any,
-    ) -> None:
-        chosen = {name: given.pop(name) for name in names}
+        models: tuple[str, ...], quick: bool, repeat: int | None, peers: bool,
+        device_name: str | None, quiet: bool, **given: Any,
+    ) -> None:  # fmt: skip
         chosen = {
             name: tuple(value) if isinstance(value, list) else value
-            for name, value in chosen.items()
-            if value is not None
+            for name in names
+            if (value := given.pop(name)) is not None
         }
-        request = replace(QUICK if quick else FULL, **chosen, peers=peers, device=device)
+        request = replace(QUICK if quick else FULL, **chosen, peers=peers, device=device_name)
         if repeat:
             request = replace(request, repeat=repeat, seconds=0.0)
-        given.pop("quiet")
         reports.measure_and_report(models, request, selection, words=sys.argv[1:], **given)
 
     head, examples = COMMANDS[bench].split("\n\n    \b", 1)
     measure.__doc__ = f"{head}\n{UNITS}\n    \b{examples}"
-    for decorate in (
-        options.json_option,
-        options.quiet_option,
-        options.device_option,
-        reports.report_options,
-        *map(_option, reversed(names)),
-        click.option("--peers", is_flag=True,
-                     help="Other tools on the same work, those that are installed: VTK, Open3D, "
-                     "libigl, scikit-image, trimesh."),
-        click.option("--repeat", type=click.IntRange(1), metavar="N",
-                     help="Runs after a warm-up.  [default: 3, and up to 9 of short work; 2 with "
-                     "--quick]"),
-        click.option("--quick", is_flag=True, help="Few and small settings: seconds, not minutes."),
+    decorate = options.together(
         click.argument("models", nargs=-1, required=True),
-    ):  # fmt: skip
-        measure = decorate(measure)
-    return click.command(bench)(measure)
+        flag("--quick", "Few and small settings: seconds, not minutes."),
+        option("--repeat", click.IntRange(1), "Runs after a warm-up.  [default: 3, and up to 9 of "
+               "short work; 2 with --quick]", metavar="N"),
+        flag("--peers", "Other tools on the same work, those that are installed: VTK, Open3D, "
+             "libigl, scikit-image, trimesh."),
+        *map(_option, names),
+        reports.report_options,
+        options.device_option,
+        options.quiet_option,
+        options.json_option,
+    )  # fmt: skip
+    return click.command(bench)(decorate(measure))
 
 
 for _name in COMMANDS:

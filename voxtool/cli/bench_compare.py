@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from voxtool.cli import options
+from voxtool.cli.options import flag, option, together
 from voxtool.errors import CheckError, VoxtoolError, count_of, printable
 
 if TYPE_CHECKING:
@@ -16,11 +17,12 @@ if TYPE_CHECKING:
 @click.command("compare")
 @click.argument("old")
 @click.argument("new")
-@click.option(
-    "--fail-over", type=click.FloatRange(min=0), metavar="PERCENT",
-    help="Fail if something became slower by more, beyond the noise, or less accurate.",
+@together(
+    option("--fail-over", click.FloatRange(min=0),
+        "Fail if something became slower by more, beyond the noise, or less accurate.",
+        metavar="PERCENT"),
+    flag("--all show_all", "Print also what has not changed."),
 )  # fmt: skip
-@click.option("--all", "show_all", is_flag=True, help="Print also what has not changed.")
 @options.json_option
 def command(old: str, new: str, fail_over: float | None, show_all: bool, as_json: bool) -> None:
     """Compare two reports of `voxtool bench`, row by row.

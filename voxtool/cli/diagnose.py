@@ -3,40 +3,29 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
 
 import click
 
 from voxtool.choices import DEFAULT_DIM
 from voxtool.cli import options, runner
+from voxtool.cli.options import DIM, flag, option, together
 from voxtool.errors import CheckError, count_of
-
-if TYPE_CHECKING:
-    from voxtool.cli.runner import Run
 
 TUBE = 2e-3  # radius of a tube about a loop, of the mesh's longest side
 
 
 @click.command("diagnose")
 @click.argument("mesh")
-@click.option(
-    "--dim",
-    type=options.DIM,
-    default=DEFAULT_DIM,
-    show_default=True,
-    help="Voxels along the longest side, for the rows that leak and the fill rules.",
-)
-@click.option(
-    "--obj",
-    metavar="FILE.obj",
-    help="Write the boundary loops as thin tubes, a mesh that any viewer shows.",
-)
-@click.option("--no-clobber", is_flag=True, help="Refuse to replace an existing file.")
-@click.option("--strict", "faults_fail", is_flag=True, help="Exit 1 if something is wrong.")
-@runner.run_options(
-    options.device_option, options.json_option, options.quiet_option, options.verbose_option
-)
-def command(run: Run, mesh: str, dim: int, obj: str | None, faults_fail: bool) -> None:
+@together(
+    option("--dim", DIM,
+        "Voxels along the longest side, for the rows that leak and the fill rules.", DEFAULT_DIM),
+    option("--obj", str, "Write the boundary loops as thin tubes, a mesh that any viewer shows.",
+        metavar="FILE.obj"),
+    options.clobber_option,
+    flag("--strict faults_fail", "Exit 1 if something is wrong."),
+)  # fmt: skip
+@runner.run_options(options.device_option, options.report_options)  # fmt: skip
+def command(run: runner.Run, mesh: str, dim: int, obj: str | None, faults_fail: bool) -> None:
     """Report what is wrong with a triangle MESH, where, and what to do about it.
 
     MESH is an OBJ, STL, PLY, OFF or GLB file, .gz too, or - for stdin. Lengths and places are in

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import FILLS, MAX_DIM, MIN_DIM, SIGNS
+from voxtool.choices import FILLS, SIGNS
 from voxtool.cli import options, runner
+from voxtool.cli.options import DIM, bbox_option, flag, option, together
 from voxtool.errors import VoxtoolError, count_of
 
 if TYPE_CHECKING:
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
 
     import numpy as np
 
-    from voxtool.cli.runner import Run
     from voxtool.files.answers import Answers
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
@@ -32,54 +32,30 @@ COLUMNS = {
 @click.command("distance")
 @click.argument("mesh")
 @click.argument("points", required=False)
-@click.option("--gradient", is_flag=True, help="Write the gradient, too: gx, gy, gz.")
-@click.option("--nearest", is_flag=True, help="Write the nearest point: nearest_x, _y, _z.")
-@click.option("--face", is_flag=True, help="Write the number of the nearest face, from 0.")
-@click.option(
-    "--sign",
-    type=click.Choice(SIGNS),
-    help="How the sign of points is found.  [default: pseudonormal if the mesh is closed and "
-    "consistently wound, otherwise winding]",
-)
-@click.option(
-    "--fill",
-    type=click.Choice(FILLS),
-    default=FILLS[0],
-    show_default=True,
-    help="What counts as inside on a grid, as for voxelize.",
-)
-@click.option("--dim", type=click.IntRange(MIN_DIM, MAX_DIM), help="Measure a grid of this size.")
-@click.option("--pitch", type=float, help="Measure a grid of voxels of this size.")
-@click.option(
-    "--bbox",
-    type=float,
-    nargs=6,
-    metavar="X0 Y0 Z0 X1 Y1 Z1",
-    help="Box that the grid covers, in world units, instead of the mesh's.",
-)
-@click.option("--margin", type=click.IntRange(0), help="Empty voxels on each side of the grid.")
-@click.option("--like", metavar="FILE.svo.h5", help="Measure the grid of an octree.")
-@click.option("--float32", is_flag=True, help="Write a grid as float32 rather than float64.")
+@together(
+    flag("--gradient", "Write the gradient, too: gx, gy, gz."),
+    flag("--nearest", "Write the nearest point: nearest_x, _y, _z."),
+    flag("--face", "Write the number of the nearest face, from 0."),
+    option("--sign", SIGNS,
+        "How the sign of points is found.  [default: pseudonormal if the mesh is closed and "
+        "consistently wound, otherwise winding]"),
+    option("--fill", FILLS, "What counts as inside on a grid, as for voxelize.", FILLS[0]),
+    option("--dim", DIM, "Measure a grid of this size."),
+    option("--pitch", float, "Measure a grid of voxels of this size."),
+    bbox_option,
+    option("--margin", click.IntRange(0), "Empty voxels on each side of the grid."),
+    option("--like", str, "Measure the grid of an octree.", metavar="FILE.svo.h5"),
+    flag("--float32", "Write a grid as float32 rather than float64."),
+)  # fmt: skip
 @runner.job_options(
-    "FILE",
-    "Default POINTS's name with .distance.npy, or MESH's name with .sdf.npy, in this folder; "
-    "stdout, as CSV, for points from stdin.",
-    "npy",
-    "csv",
-)
+    "FILE", "Default POINTS's name with .distance.npy, or MESH's name with .sdf.npy, in this "
+    "folder; stdout, as CSV, for points from stdin.",
+    "npy", "csv",
+)  # fmt: skip
 def command(
-    run: Run,
-    mesh: str,
-    points: str | None,
-    sign: str | None,
-    fill: str,
-    like: str | None,
-    float32: bool,
-    gradient: bool,
-    nearest: bool,
-    face: bool,
-    **placing: Any,
-) -> None:
+    run: runner.Run, mesh: str, points: str | None, sign: str | None, fill: str,
+    like: str | None, float32: bool, gradient: bool, nearest: bool, face: bool, **placing: Any,
+) -> None:  # fmt: skip
     """Measure exact signed distances from POINTS, or from the voxel centres of a grid, to a MESH.
 
     Distances are negative inside, in the mesh's own units. POINTS is a .npy, .npz, .csv, .xyz or
@@ -133,12 +109,12 @@ def check_usage(
     if fill != FILLS[0] or float32:
         raise click.UsageError("--fill and --float32 go with a grid: give --dim")
     if mesh == (points or "-") == "-":
-        raise click.UsageError("MESH and POINTS cannot both be stdin: name a file for one")
+        raise options.input_twice("MESH", "POINTS")
     if points is None and sys.stdin.isatty():
         raise click.UsageError("there are no POINTS: name a file, pipe them in, or give --dim")
 
 
-def measure_grid(run: Run, mesh: Mesh, grid: Grid, fill: str, dtype: str) -> dict[str, Any]:
+def measure_grid(run: runner.Run, mesh: Mesh, grid: Grid, fill: str, dtype: str) -> dict[str, Any]:
     """Write the distances of a grid; return what the report says."""
     import numpy as np
 
@@ -157,7 +133,7 @@ def measure_grid(run: Run, mesh: Mesh, grid: Grid, fill: str, dtype: str) -> dic
 
 
 def measure_points(
-    run: Run, mesh: Mesh, points: str, sign: str | None, asked: dict[str, bool]
+    run: runner.Run, mesh: Mesh, points: str, sign: str | None, asked: dict[str, bool]
 ) -> dict[str, Any]:
     """Write the distances of points, block by block; return what the report says."""
     from voxtool.distances import plan_distance

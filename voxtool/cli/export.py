@@ -4,48 +4,32 @@ from __future__ import annotations
 
 import click
 
-from voxtool.cli import options
+from voxtool.cli.options import Parsed, format_option, option, output_options, plane_of, together
+
+SLICE = Parsed(
+    "slice", lambda text: plane_of(text, number_of), " is no plane of voxels: write z=128"
+)
 
 
-class Slice(click.ParamType):
-    """AXIS=VALUE: a plane of voxels."""
-
-    name = "slice"
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, int]:
-        if isinstance(value, tuple):
-            return value
-        axis, _, index = str(value).partition("=")
-        if axis not in ("x", "y", "z") or not index.isdecimal():
-            self.fail(f"{value!r} is no plane of voxels: write z=128", param, ctx)
-        return axis, int(index)
+def number_of(text: str) -> int:
+    if not text.isdecimal():
+        raise ValueError
+    return int(text)
 
 
 @click.command("export")
 @click.argument("file")
-@options.output_options("OUT", "Its ending says the format: .npy, .npz, .vti or .png.")
-@click.option(
-    "--slice",
-    "plane",
-    type=Slice(),
-    metavar="AXIS=VALUE",
-    help="For .png: the plane of voxels to draw.  [default: the middle along z]",
-)
-@click.option(
-    "--format",
-    "file_format",
-    type=click.Choice(["npy", "npz", "vti", "png"]),
-    help="File format, instead of what the name says.",
-)
+@together(
+    output_options("OUT", "Its ending says the format: .npy, .npz, .vti or .png."),
+    option("--slice plane", SLICE,
+        "For .png: the plane of voxels to draw.  [default: the middle along z]",
+        metavar="AXIS=VALUE"),
+    format_option("npy", "npz", "vti", "png"),
+)  # fmt: skip
 def command(
-    file: str,
-    output: str | None,
-    no_clobber: bool,
-    plane: tuple[str, int] | None,
+    file: str, output: str | None, no_clobber: bool, plane: tuple[str, int] | None,
     file_format: str | None,
-) -> None:
+) -> None:  # fmt: skip
     """Export the set voxels of an octree FILE.
 
     .npy is the dense bool array [x, y, z]; .npz the coordinates of the set voxels, in voxels, with

@@ -9,76 +9,45 @@ import click
 
 from voxtool.choices import MARCHING_CUBES, STYLE_ALIASES, STYLES, VOXEL_FACES
 from voxtool.cli import options, runner
+from voxtool.cli.options import SAMPLES, flag, option, together
 from voxtool.errors import CheckError
 
 if TYPE_CHECKING:
-    from voxtool.cli.runner import Run
     from voxtool.svo.octree import Octree
     from voxtool.svo.surface.extract import Isosurface
 
 
 @click.command("extract")
 @click.argument("octree")
-@click.option(
-    "--style",
-    type=options.Alias(STYLES, STYLE_ALIASES),
-    default=MARCHING_CUBES,
-    show_default=True,
-    help="marching-cubes: smooth, from the shares of set voxels of bricks; voxel-faces: the exact "
-    "boundary of the voxels; surface-nets: smooth at full resolution, with every vertex inside its "
-    "cell.  Coarser samples round off more.",
-)
-@click.option(
-    "--level",
-    type=options.Level(),
-    metavar="N|voxel",
-    help="What a sample is: a node of level N (0: a brick of 4 x 4 x 4 voxels; higher: coarser), "
-    "or a voxel.  [default: 0 for marching-cubes, otherwise voxel]",
-)
-@click.option(
-    "--isovalue",
-    type=float,
-    default=0.5,
-    show_default=True,
-    help="A sample is inside if at least this share of its voxels is set, between 0 and 1.",
-)
-@click.option(
-    "--merge",
-    is_flag=True,
-    help="voxel-faces: join coplanar squares (greedy meshing); leaves T-junctions.",
-)
-@click.option("--normals", is_flag=True, help="Write vertex normals, too (.obj, .ply, .glb).")
-@click.option(
-    "--check",
-    is_flag=True,
-    help="Print as JSON whether the mesh is closed and manifold, its genus, shells and volume; "
-    "exit with 1 if it is not closed.",
-)
-@click.option(
-    "--against",
-    metavar="MESH",
-    help="Print as JSON the distances between the surface and this mesh, both ways.  Their memory "
-    "does not count for --max-memory.",
-)
-@click.option(
-    "--samples",
-    type=click.IntRange(1, 100_000_000),
-    help=f"With --against: points on each surface.  [default: {options.SAMPLES}]",
-)
+@together(
+    option("--style", options.Alias(STYLES, STYLE_ALIASES),
+        "marching-cubes: smooth, from the shares of set voxels of bricks; voxel-faces: the exact "
+        "boundary of the voxels; surface-nets: smooth at full resolution, with every vertex inside "
+        "its cell.  Coarser samples round off more.", MARCHING_CUBES),
+    option("--level", options.Level(),
+        "What a sample is: a node of level N (0: a brick of 4 x 4 x 4 voxels; higher: coarser), "
+        "or a voxel.  [default: 0 for marching-cubes, otherwise voxel]", metavar="N|voxel"),
+    option("--isovalue", float,
+        "A sample is inside if at least this share of its voxels is set, between 0 and 1.", 0.5),
+    flag("--merge", "voxel-faces: join coplanar squares (greedy meshing); leaves T-junctions."),
+    flag("--normals", "Write vertex normals, too (.obj, .ply, .glb)."),
+    flag("--check",
+        "Print as JSON whether the mesh is closed and manifold, its genus, shells and volume; "
+        "exit with 1 if it is not closed."),
+    option("--against", str,
+        "Print as JSON the distances between the surface and this mesh, both ways.  Their memory "
+        "does not count for --max-memory.", metavar="MESH"),
+    option("--samples", click.IntRange(1, 100_000_000),
+        f"With --against: points on each surface.  [default: {SAMPLES}]"),
+)  # fmt: skip
 @runner.job_options(
-    "FILE",
-    "Default OCTREE's name with the style, and .obj or --format, in this folder.",
+    "FILE", "Default OCTREE's name with the style, and .obj or --format, in this folder.",
     "obj", "ply", "stl", "glb", "off",
 )  # fmt: skip
 def command(
-    run: Run,
-    octree: str,
-    normals: bool,
-    check: bool,
-    against: str | None,
-    samples: int | None,
-    **request: Any,
-) -> None:
+    run: runner.Run, octree: str, normals: bool, check: bool, against: str | None,
+    samples: int | None, **request: Any,
+) -> None:  # fmt: skip
     """Extract a closed triangle mesh from an OCTREE, visiting only the cubes that matter.
 
     OCTREE is a file that voxelize wrote, or - for stdin. The mesh is in world units, where the
@@ -96,7 +65,7 @@ def command(
     if samples is not None and against is None:
         raise click.UsageError("--samples goes with --against MESH: there is nothing to measure")
     if octree == against == "-":
-        raise click.UsageError("OCTREE and --against cannot both be stdin: name a file for one")
+        raise options.input_twice("OCTREE", "--against")
     from voxtool.files import MESH_FORMATS, NORMAL_FORMATS, read_svo, write_mesh
     from voxtool.files.mesh import load_mesh
     from voxtool.svo.surface.extract import plan_extract
@@ -119,7 +88,7 @@ def command(
             from voxtool.spatial.deviation import deviation
 
             more["against"] = run.stage(
-                "measure", deviation, surface.mesh(), reference, samples or options.SAMPLES,
+                "measure", deviation, surface.mesh(), reference, samples or SAMPLES,
                 pitch=max(surface.grid.pitch), device=run.device,
             )  # fmt: skip
         run.write(write_mesh, surface.mesh(), normals=surface.normals if normals else None)

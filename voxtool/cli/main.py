@@ -29,22 +29,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 COMMANDS = {
-    "voxelize": "voxtool.cli.voxelize",
-    "diagnose": "voxtool.cli.diagnose",
-    "svo-info": "voxtool.cli.svo_info",
-    "extract": "voxtool.cli.extract",
-    "distance": "voxtool.cli.distance",
-    "adf-build": "voxtool.cli.adf_build",
-    "adf-query": "voxtool.cli.adf_query",
-    "adf-info": "voxtool.cli.adf_info",
-    "tet-build": "voxtool.cli.tet_build",
-    "render": "voxtool.cli.render",
-    "export": "voxtool.cli.export",
-    "devices": "voxtool.cli.devices",
-    "selftest": "voxtool.cli.selftest",
-    "bench": "voxtool.cli.bench",
-    "completion": "voxtool.cli.completion",
-}
+    name: f"voxtool.cli.{name.replace('-', '_')}"
+    for name in (
+        "voxelize", "diagnose", "svo-info", "extract", "distance", "adf-build", "adf-query",
+        "adf-info", "tet-build", "render", "export", "devices", "selftest", "bench", "completion",
+    )
+}  # fmt: skip
 # What an error is called in JSON, and the exit code; the first that fits.
 ERRORS = (
     (CheckError, "check", 1),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import sys
@@ -31,21 +32,40 @@ BAR, WARNINGS, TO_STDOUT, PRINTED = (
 )
 
 
-class Bytes(click.ParamType):
-    """A number of bytes: 800000000, 800M or 8G."""
+class Parsed(click.ParamType):
+    """What a function makes of a text; where it raises ValueError, the error is text and hint."""
 
-    name = "bytes"
+    def __init__(self, name: str, parse: Callable[[str], Any], hint: str) -> None:
+        self.name, self.parse, self.hint = name, parse, hint
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
-        text = str(value).upper().removesuffix("B").removesuffix("I")
-        unit = text[-1:] if text[-1:] in UNITS else ""
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        if not isinstance(value, str):  # a default
+            return value
         try:
-            number = float(text.removesuffix(unit)) * UNITS[unit]
+            return self.parse(value)
         except ValueError:
-            number = -1
-        if not 1 <= number < float(1 << 62):
-            self.fail(f"{value!r} is no number of bytes: write 800M or 8G", param, ctx)
-        return int(number)
+            self.fail(f"{value!r}{self.hint}", param, ctx)
+
+
+def bytes_of(text: str) -> int:
+    """The number of bytes in 800000000, 800M or 8G."""
+    text = text.upper().removesuffix("B").removesuffix("I")
+    unit = text[-1:] if text[-1:] in UNITS else ""
+    number = float(text.removesuffix(unit)) * UNITS[unit]
+    if not 1 <= number < float(1 << 62):
+        raise ValueError
+    return int(number)
+
+
+BYTES = Parsed("bytes", bytes_of, " is no number of bytes: write 800M or 8G")
+
+
+def plane_of(text: str, number: Callable[[str], Any]) -> tuple[str, Any]:
+    """An axis and where a plane crosses it: z=0.5."""
+    axis, _, place = text.partition("=")
+    if axis not in ("x", "y", "z"):
+        raise ValueError
+    return axis, number(place)
 
 
 class Alias(click.Choice[str]):
@@ -204,60 +224,62 @@ def numbers_of(text: Any, count: int) -> tuple[float, ...] | None:
     return numbers if len(numbers) == count and all(map(math.isfinite, numbers)) else None
 
 
-device_option = click.option(
-    "--device",
-    metavar="DEVICE",
-    help="Number, kind (cpu, gpu) or part of a name, as `voxtool devices` lists them.  "
+def option(names: str, kind: Any, about: str, default: Any = None, **more: Any) -> Decorator:
+    """An option. A tuple as its kind is a choice; a default is shown unless the help has one."""
+    if isinstance(kind, tuple):
+        kind = click.Choice(kind)
+    if default is not None:
+        more = {"show_default": "[default:" not in about, **more, "default": default}
+    return click.option(*names.split(), type=kind, help=about, **more)
+
+
+def flag(names: str, about: str) -> Decorator:
+    """An option without a value."""
+    return click.option(*names.split(), is_flag=True, help=about)
+
+
+def together(*decorators: Decorator) -> Decorator:
+    """Several decorators as one, in the order of the help."""
+    return lambda function: functools.reduce(lambda f, one: one(f), decorators[::-1], function)
+
+
+device_option = option(
+    "--device device_name", str,
+    "Number, kind (cpu, gpu) or part of a name, as `voxtool devices` lists them.  "
     "[default: $VOXTOOL_DEVICE, or the first that works, GPUs first]",
-)
-json_option = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-quiet_option = click.option("-q", "--quiet", is_flag=True, help="Nothing on stderr but errors.")
-verbose_option = click.option(
-    "-v", "--verbose", is_flag=True, help="The device, and the time of each stage, on stderr."
-)
-strict_option = click.option(
-    "--strict", is_flag=True, help="Exit with 1 if there is a warning of the input or the result."
-)
+    metavar="DEVICE",
+)  # fmt: skip
+bbox_option = option(
+    "--bbox", float, "Box that the grid covers, in world units, instead of the mesh's.", nargs=6,
+    metavar="X0 Y0 Z0 X1 Y1 Z1",
+)  # fmt: skip
+clobber_option = flag("--no-clobber", "Refuse to replace an existing file.")
+strict_option = flag("--strict", "Exit with 1 if there is a warning of the input or the result.")
+json_option = flag("--json as_json", "Print JSON.")
+quiet_option = flag("-q --quiet", "Nothing on stderr but errors.")
+verbose_option = flag("-v --verbose", "The device, and the time of each stage, on stderr.")
+report_options = together(json_option, quiet_option, verbose_option)
+plan_options = together(
+    flag("--plan only_plan", "Print what would be done, left out and needed, and stop."),
+    option("--max-memory", BYTES,
+        "Refuse to use more on the device (800M, 8G).  [default: what it has]", metavar="BYTES"),
+)  # fmt: skip
 
 
 def format_option(*formats: str) -> Decorator:
     """--format, as file_format."""
-    return click.option(
-        "--format",
-        "file_format",
-        type=click.Choice(formats),
-        help="File format, instead of what the name says.",
-    )
-
-
-def plan_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """--plan, as only_plan, and --max-memory."""
-    function = click.option(
-        "--max-memory",
-        type=Bytes(),
-        metavar="BYTES",
-        help="Refuse to use more on the device (800M, 8G).  [default: what it has]",
-    )(function)
-    return click.option(
-        "--plan",
-        "only_plan",
-        is_flag=True,
-        help="Print what would be done, left out and needed, and stop.",
-    )(function)
+    return option("--format file_format", formats, "File format, instead of what the name says.")
 
 
 def output_options(metavar: str, default: str) -> Decorator:
     """-o and --no-clobber."""
+    about = f"Where to write; - is stdout. {default}"
+    return together(option("-o --output", str, about, metavar=metavar), clobber_option)
 
-    def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
-        function = click.option(
-            "--no-clobber", is_flag=True, help="Refuse to replace an existing file."
-        )(function)
-        return click.option(
-            "-o", "--output", metavar=metavar, help=f"Where to write; - is stdout. {default}"
-        )(function)
 
-    return decorate
+def input_twice(one: str, other: str) -> click.UsageError:
+    """The error of two inputs that are both stdin."""
+    return click.UsageError(f"{one} and {other} cannot both be stdin: name a file for one")
 
 
 def output_of(mesh: str, extension: str) -> str:

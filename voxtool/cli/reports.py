@@ -4,81 +4,49 @@ from __future__ import annotations
 
 import shlex
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 from voxtool.cli import options
+from voxtool.cli.options import option, together
 from voxtool.errors import CheckError, printable
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from voxtool.bench.points import Budget, Point
     from voxtool.bench.report import Report
     from voxtool.bench.request import Request
 
 
-class Error(click.ParamType):
+def error_of(text: str) -> tuple[float, str | None]:
     """A number, and its measure after a colon: 1e-3 or 1e-3:hausdorff."""
-
-    name = "error"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, str | None]:
-        if isinstance(value, tuple):
-            return value
-        number, _, measure = str(value).partition(":")
-        try:
-            most = float(number)
-        except ValueError:
-            most = -1.0
-        if not 0 <= most < float("inf"):
-            self.fail(f"{value!r} is no error: write 1e-3, or 1e-3:hausdorff", param, ctx)
-        return most, measure.strip() or None
+    number, _, measure = text.partition(":")
+    if not 0 <= float(number) < float("inf"):
+        raise ValueError
+    return float(number), measure.strip() or None
 
 
-def report_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """-o, --no-clobber, --budget-time, --budget-error and --date."""
-    for option in reversed(
-        (
-            click.option(
-                "-o", "--output", metavar="FOLDER",
-                help="Write a report: report.html, .json and .csv, and a PNG of each chart.",
-            ),
-            click.option(
-                "--no-clobber", is_flag=True, help="Refuse to replace an existing file."
-            ),
-            click.option(
-                "--budget-time", type=click.FloatRange(min=0, min_open=True), metavar="SECONDS",
-                help="Print only the most accurate setting within this time.",
-            ),
-            click.option(
-                "--budget-error", type=Error(), metavar="ERROR[:MEASURE]",
-                help="Print only the cheapest setting with at most this error.",
-            ),
-            click.option("--date", metavar="TEXT", help="Written in the report."),
-        )
-    ):  # fmt: skip
-        function = option(function)
-    return function
+ERROR = options.Parsed("error", error_of, " is no error: write 1e-3, or 1e-3:hausdorff")
+report_options = together(
+    option("-o --output", str,
+        "Write a report: report.html, .json and .csv, and a PNG of each chart.", metavar="FOLDER"),
+    options.clobber_option,
+    option("--budget-time", click.FloatRange(min=0, min_open=True),
+        "Print only the most accurate setting within this time.", metavar="SECONDS"),
+    option("--budget-error", ERROR, "Print only the cheapest setting with at most this error.",
+        metavar="ERROR[:MEASURE]"),
+    option("--date", str, "Written in the report.", metavar="TEXT"),
+)  # fmt: skip
 
 
 def measure_and_report(
-    models: Sequence[str],
-    request: Request,
-    benches: tuple[str, ...] | None,
-    *,
-    words: Sequence[str],
-    output: str | None,
-    no_clobber: bool,
-    budget_time: float | None,
-    budget_error: tuple[float, str | None] | None,
-    date: str | None,
-    as_json: bool,
-) -> None:
+    models: Sequence[str], request: Request, benches: tuple[str, ...] | None, *,
+    words: Sequence[str], output: str | None, no_clobber: bool, budget_time: float | None,
+    budget_error: tuple[float, str | None] | None, date: str | None, as_json: bool,
+) -> None:  # fmt: skip
     """Measure, print the points and what to choose, and write the report.
 
     Raises

@@ -35,7 +35,7 @@ import sys
 import time
 import warnings
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, NoReturn, Self, TypeVar
@@ -325,18 +325,7 @@ class Run:
 
 # ---- options
 
-SHARED = {
-    "output": "output",
-    "no_clobber": "no_clobber",
-    "file_format": "file_format",
-    "only_plan": "only_plan",
-    "max_memory": "max_memory",
-    "device": "device_name",
-    "as_json": "as_json",
-    "quiet": "quiet",
-    "verbose": "verbose",
-    "strict": "strict",
-}
+SHARED = {field.name for field in fields(Run) if field.init} - {"source", "progress", "notes"}
 
 
 def run_options(*decorators: options.Decorator) -> options.Decorator:
@@ -345,13 +334,10 @@ def run_options(*decorators: options.Decorator) -> options.Decorator:
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(function)
         def call(**values: Any) -> Any:
-            shared = {SHARED[name]: values.pop(name) for name in SHARED if name in values}
+            shared = {name: values.pop(name) for name in SHARED & values.keys()}
             return function(Run(**shared, on_device="device_name" in shared), **values)
 
-        command: Callable[..., Any] = call
-        for option in reversed(decorators):
-            command = option(command)
-        return command
+        return options.together(*decorators)(call)
 
     return decorate
 
@@ -374,7 +360,5 @@ def job_options(
         options.plan_options,
         *([options.device_option] if on_device else []),
         options.strict_option,
-        options.json_option,
-        options.quiet_option,
-        options.verbose_option,
+        options.report_options,
     )

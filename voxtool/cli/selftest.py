@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from voxtool.cli import options
+from voxtool.cli.options import device_option, flag, json_option, print_json, together
 from voxtool.errors import CheckError
 from voxtool.version import __version__
 
@@ -19,11 +19,13 @@ HEADER = f"{'case':<38}{'error':>9}{'bound':>9}  {'unit':<14}{'verdict':<9}{'s':
 
 
 @click.command("selftest")
-@options.device_option
-@click.option("--full", is_flag=True, help="More and larger inputs, for some minutes.")
-@options.json_option
-@click.option("-q", "--quiet", is_flag=True, help="Print only cases that fail, and the verdict.")
-def command(device: str | None, full: bool, as_json: bool, quiet: bool) -> None:
+@together(
+    device_option,
+    flag("--full", "More and larger inputs, for some minutes."),
+    json_option,
+    flag("-q --quiet", "Print only cases that fail, and the verdict."),
+)  # fmt: skip
+def command(device_name: str | None, full: bool, as_json: bool, quiet: bool) -> None:
     """Check in a minute whether a device computes correctly.
 
     Each case is stiff or extreme, and compared with an oracle: rational arithmetic, quadrature, a
@@ -39,7 +41,7 @@ def command(device: str | None, full: bool, as_json: bool, quiet: bool) -> None:
     from voxtool.opencl import open_device
     from voxtool.selftest import CASES
 
-    report(open_device(device), CASES, full, as_json, quiet)
+    report(open_device(device_name), CASES, full, as_json, quiet)
 
 
 def report(device: Device, cases: tuple[Case, ...], full: bool, as_json: bool, quiet: bool) -> None:
@@ -61,7 +63,7 @@ def report(device: Device, cases: tuple[Case, ...], full: bool, as_json: bool, q
             click.echo(line(outcome))
     failed = [o.case.name for o in outcomes if not o.passed]
     if as_json:
-        options.print_json(
+        print_json(
             {
                 "voxtool": __version__,
                 "device": info.as_dict(),

@@ -8,9 +8,9 @@ import click
 
 from voxtool.choices import LAYOUTS
 from voxtool.cli import options, runner
+from voxtool.cli.options import option, together
 
 if TYPE_CHECKING:
-    from voxtool.cli.runner import Run
     from voxtool.tets.volume import TetVolume
 
 # Bytes a tetrahedron of other layouts, as [TetVol, section 4.1] gives them.
@@ -23,40 +23,25 @@ COMPARED = {
 
 @click.command("tet-build")
 @click.argument("file")
-@click.option(
-    "--scalar",
-    metavar="NAME",
-    help="Array at points, or else at cells.  [default: the only one there is]",
-)
-@click.option(
-    "--component", metavar="C", help="Of an array of vectors: x, y, z, 0, 1, ... or magnitude."
-)
-@click.option(
-    "--layout",
-    type=click.Choice(LAYOUTS),
-    default="raycast",
-    show_default=True,
-    help="Textures for ray casting, for cell projection, or for hexahedra that stay whole.",
-)
-@click.option(
-    "--merge-distance",
-    type=float,
-    metavar="D",
-    default=0.0,
-    help="Points within D of each other become one, in the mesh's own units.  [default: only "
-    "points at one place]",
-)
+@together(
+    option("--scalar", str, "Array at points, or else at cells.  [default: the only one there is]",
+        metavar="NAME"),
+    option("--component", str, "Of an array of vectors: x, y, z, 0, 1, ... or magnitude.",
+        metavar="C"),
+    option("--layout", LAYOUTS,
+        "Textures for ray casting, for cell projection, or for hexahedra that stay whole.",
+        "raycast"),
+    option("--merge-distance", float,
+        "Points within D of each other become one, in the mesh's own units.  [default: only "
+        "points at one place]", 0.0, metavar="D"),
+)  # fmt: skip
 @runner.job_options(
     "OUT", "Default FILE's name with .tet.h5, in this folder.", "tet.h5", on_device=False
-)
+)  # fmt: skip
 def command(
-    run: Run,
-    file: str,
-    scalar: str | None,
-    component: str | None,
-    layout: str,
+    run: runner.Run, file: str, scalar: str | None, component: str | None, layout: str,
     merge_distance: float,
-) -> None:
+) -> None:  # fmt: skip
     """Build the textures of a tetrahedral volume from a mesh of volume cells.
 
     FILE is .vtu, .vtk, .msh (Gmsh), .mesh (Medit), .inp (Abaqus, AVS UCD) or .ex2 (Exodus II).

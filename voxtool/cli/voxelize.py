@@ -8,81 +8,45 @@ import click
 
 from voxtool.choices import DEFAULT_DIM, DEFAULT_MODE, FILLS, FITS, MODES
 from voxtool.cli import options, runner
+from voxtool.cli.options import DIM, bbox_option, flag, option, together
 
 if TYPE_CHECKING:
-    from voxtool.cli.runner import Run
     from voxtool.grid import Grid
     from voxtool.svo.octree import Octree
 
 
 @click.command("voxelize")
 @click.argument("mesh")
-@click.option(
-    "--mode",
-    type=click.Choice(MODES),
-    default=DEFAULT_MODE,
-    show_default=True,
-    help="surface26: every voxel that touches a triangle; surface6: the thinner 6-separating set; "
-    "solid: every voxel whose centre is inside.",
-)
-@click.option(
-    "--fill",
-    type=click.Choice(FILLS),
-    default=FILLS[0],
-    show_default=True,
-    help="What is inside, for solid. parity: an odd number of crossings along x; nonzero: "
-    "crossings that enter and leave do not cancel; winding: a winding number of 1/2 or more; "
-    "flood: everything that the outside cannot reach; auto: parity if the mesh is closed and "
-    "consistently wound, otherwise winding.",
-)
-@click.option(
-    "--gap",
-    type=click.IntRange(0),
-    default=0,
-    metavar="VOXELS",
-    help="With --fill flood: close openings of up to this many voxels first.",
-)
-@click.option(
-    "--with-surface", is_flag=True, help="Add surface26 to solid, so that thin walls survive."
-)
-@click.option(
-    "--dim", type=options.DIM, help=f"Voxels along the longest side.  [default: {DEFAULT_DIM}]"
-)
-@click.option("--pitch", type=float, help="Voxel size in world units, instead of --dim.")
-@click.option(
-    "--bbox",
-    type=float,
-    nargs=6,
-    metavar="X0 Y0 Z0 X1 Y1 Z1",
-    help="Box that the grid covers, in world units, instead of the mesh's.",
-)
-@click.option("--like", metavar="FILE.svo.h5", help="Use the grid of another octree.")
-@click.option(
-    "--margin",
-    type=click.IntRange(0),
-    help="Empty voxels on each side.  [default: min(4, dim // 8), 0 with --bbox]",
-)
-@click.option(
-    "--fit",
-    type=click.Choice(FITS),
-    default=FITS[0],
-    show_default=True,
-    help="uniform: one pitch for all axes; stretch: each axis scaled apart, as eq. (5.1) of "
-    "[voCCeL].",
-)
+@together(
+    option("--mode", MODES,
+        "surface26: every voxel that touches a triangle; surface6: the thinner 6-separating set; "
+        "solid: every voxel whose centre is inside.", DEFAULT_MODE),
+    option("--fill", FILLS,
+        "What is inside, for solid. parity: an odd number of crossings along x; nonzero: "
+        "crossings that enter and leave do not cancel; winding: a winding number of 1/2 or more; "
+        "flood: everything that the outside cannot reach; auto: parity if the mesh is closed and "
+        "consistently wound, otherwise winding.", FILLS[0]),
+    option("--gap", click.IntRange(0),
+        "With --fill flood: close openings of up to this many voxels first.", 0, metavar="VOXELS",
+        show_default=False),
+    flag("--with-surface", "Add surface26 to solid, so that thin walls survive."),
+    option("--dim", DIM, f"Voxels along the longest side.  [default: {DEFAULT_DIM}]"),
+    option("--pitch", float, "Voxel size in world units, instead of --dim."),
+    bbox_option,
+    option("--like", str, "Use the grid of another octree.", metavar="FILE.svo.h5"),
+    option("--margin", click.IntRange(0),
+        "Empty voxels on each side.  [default: min(4, dim // 8), 0 with --bbox]"),
+    option("--fit", FITS,
+        "uniform: one pitch for all axes; stretch: each axis scaled apart, as eq. (5.1) of "
+        "[voCCeL].", FITS[0]),
+)  # fmt: skip
 @runner.job_options(
     "FILE", "Default MESH's name with .svo.h5, in this folder.", "svo.h5", "svo.xml", "svo.xml.gz"
-)
+)  # fmt: skip
 def command(
-    run: Run,
-    mesh: str,
-    mode: str,
-    fill: str,
-    gap: int,
-    with_surface: bool,
-    like: str | None,
-    **placing: Any,
-) -> None:
+    run: runner.Run, mesh: str, mode: str, fill: str, gap: int, with_surface: bool,
+    like: str | None, **placing: Any,
+) -> None:  # fmt: skip
     """Voxelize a triangle MESH directly into a sparse voxel octree.
 
     MESH is an OBJ, STL, PLY, OFF or GLB file, .gz too, or - for stdin. Sizes are in the mesh's own
@@ -133,11 +97,7 @@ def facts_of(octree: Octree) -> dict[str, Any]:
     """The facts of the report, in JSON types."""
     grid = octree.grid
     return {
-        "grid": {
-            "shape": list(grid.shape),
-            "origin": list(grid.origin),
-            "pitch": list(grid.pitch),
-        },
+        "grid": {name: list(getattr(grid, name)) for name in ("shape", "origin", "pitch")},
         "dim": grid.dim,
         "mode": octree.mode,
         "fill": octree.fill,

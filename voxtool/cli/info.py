@@ -1,0 +1,98 @@
+"""What svo-info and adf-info share: their options, and how a summary is printed."""
+
+from __future__ import annotations
+
+import json
+import os
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from voxtool.cli.options import flag, json_option, print_json
+from voxtool.errors import printable
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+
+    from voxtool.adf.field import DistanceField
+    from voxtool.svo.octree import Octree
+
+
+def info_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """--check, --digest and --json, as `describe` takes them."""
+    function = flag("--digest", "Print the SHA-256 of the content, and that alone.")(
+        json_option(function)
+    )
+    return flag("--check", "Check every invariant.")(function)
+
+
+def describe(
+    file: str, content: Octree | DistanceField, text: Callable[[dict[str, Any]], Iterable[str]],
+    *, check: bool, digest: bool, as_json: bool,
+) -> None:  # fmt: skip
+    """Print the summary of what a file holds, as the lines of `text` or as JSON."""
+    if check:
+        content.validate()
+    if digest and not as_json:
+        click.echo(content.digest())
+        return
+    info = content.summary()
+    if os.path.isfile(file):  # neither stdin nor a pipe
+        info["file_bytes"] = os.path.getsize(file)
+    if check:
+        info["check"] = "ok"
+    if digest:
+        info["digest"] = content.digest()
+    if as_json:
+        print_json(info)
+        return
+    for line in (*text(info), *section("left out", info["plan"].get("left_out"))):
+        click.echo(line)
+    if check:
+        click.echo("\ncheck: ok")
+
+
+def table(rows: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """Names and values, a line each."""
+    return (f"{name:<12} {value}" for name, value in rows)
+
+
+def on_disk(info: dict[str, Any]) -> str:
+    return f", {info['file_bytes']:,} on disk" if "file_bytes" in info else ""
+
+
+def place(numbers: Iterable[float]) -> str:
+    """Coordinates or lengths along the axes."""
+    return " ".join(f"{number:.9g}" for number in numbers)
+
+
+def section(title: str, pairs: Any) -> Iterator[str]:
+    """The lines of a dict of names and values, if there are any."""
+    if pairs and isinstance(pairs, dict):
+        yield f"\n{title}"
+        for name, value in _flattened(pairs):
+            yield f"  {printable(name)}: {printable(value)}"
+
+
+def _flattened(pairs: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Names and values; of a dict of dicts, one of each inner one."""
+    for name, value in pairs.items():
+        if not isinstance(value, dict):
+            yield name, _shown(value)
+        elif any(isinstance(inner, dict) for inner in value.values()):
+            yield from ((f"{name} {inner}", text) for inner, text in _flattened(value))
+        else:
+            yield name, ", ".join(f"{inner} {_shown(v)}" for inner, v in value.items())
+
+
+def _shown(value: Any) -> str:
+    """A value as people read it."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if type(value) is int:
+        return f"{value:,}"
+    if isinstance(value, list):
+        return f"({', '.join(map(_shown, value))})"
+    return json.dumps(value, ensure_ascii=False)
