@@ -462,13 +462,13 @@ def test_plan_warns_of_a_refusal(here: Path) -> None:
     ],
 )
 def test_bytes(text: str, number: int) -> None:
-    assert options.Bytes().convert(text, None, None) == number
+    assert options.BYTES.convert(text, None, None) == number
 
 
 @pytest.mark.parametrize("text", ["", "M", "-1", "0.5", "nan", "inf", "1e30", "8X", "8 lots"])
 def test_no_bytes(text: str) -> None:
     with pytest.raises(click.BadParameter, match="write 800M or 8G"):
-        options.Bytes().convert(text, None, None)
+        options.BYTES.convert(text, None, None)
 
 
 # ---- svo-info
