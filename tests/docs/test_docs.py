@@ -18,11 +18,22 @@ import voxtool
 from voxtool.cli.main import cli
 
 ROOT = Path(__file__).parents[2]
-PICTURES = {  # in docs/: what the README's commands drew, from left to right, and how wide
+PICTURES = {  # in docs/: what these commands draw, from left to right, and how wide
     "slice.png": [("slice.png", 746)],
     "render.png": [("octree.png", 320), ("nodes.png", 320), ("surface.png", 320)],
     "volume.png": [("volume.png", 512)],  # and a legend, which varies with matplotlib
 }
+DRAWN_BY = (
+    "voxtool voxelize bunny.obj --dim 512 -q",
+    "voxtool voxelize bunny.obj --pitch 0.0125 -o small.svo.h5 -q",
+    "voxtool export small.svo.h5 -o slice.png --slice z=60",
+    "voxtool adf-build bunny.obj --max-level 8 -q",
+    "voxtool render bunny.svo.h5 --size 320 -o octree.png -q",
+    "voxtool render bunny.svo.h5 --size 320 --level 1 -o nodes.png -q",
+    "voxtool render bunny.adf.h5 --size 320 --colour '#d0a070' -o surface.png -q",
+    "voxtool tet-build volume.vtu --scalar density -q",
+    "voxtool render volume.tet.h5 --opacity-range 0.1,0.5 --legend -q",
+)
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 DOCUMENTS = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
 
@@ -130,6 +141,11 @@ def test_transcripts_are_what_is_printed(folder: Path) -> None:
     for block in blocks(README, "console"):
         for command, expected in re.findall(r"^\$ (.*)\n((?:(?!\$ ).*\n)*)", block, re.MULTILINE):
             assert lasting(run(command, folder)) == lasting(expected), command
+
+
+def test_pictures_are_what_is_drawn(folder: Path) -> None:
+    for command in DRAWN_BY:
+        run(command, folder)
     for picture, parts in PICTURES.items():
         shown, left = Image.open(ROOT / "docs" / picture).convert("RGB"), 0
         for name, width in parts:
