@@ -225,7 +225,7 @@ def test_fit_stretch_is_equation_5_1() -> None:
     ("options", "message"),
     [
         ({"dim": 64, "pitch": 1.0}, "dim and pitch both set the voxel size: give one of them"),
-        ({"dim": 7}, "dim 7 is out of range: choose must have 8 to 65536"),
+        ({"dim": 7}, "dim 7 is out of range: choose from 8 to 65536"),
         ({"dim": 65537}, "dim 65537 is out of range"),
         ({"dim": -5}, "dim -5 is out of range"),
         ({"pitch": 0.0}, "pitch 0.0 is not a positive size"),

@@ -22,26 +22,25 @@ typedef struct {
     int pixel[LANES]; // number in the picture, or NO_PIXEL
 } Rays;
 
-// The rays of pixels, given by column and row.
-Rays rays_of(const int2 *pixels, const Frame *f)
+// Find the rays of pixels, given by column and row. (Structs are returned by pointer: Oclgrind 21.10
+// does not know what a later compiler makes of returned ones.)
+void rays_of(const int2 *pixels, const Frame *f, Rays *rays)
 {
-    Rays rays;
     float xs[LANES], ys[LANES];
     for (uint lane = 0; lane < LANES; ++lane) {
         const int column = pixels[lane].x, row = pixels[lane].y;
         xs[lane] = column + (0.5f - 0.5f * f->width);
         ys[lane] = row + (0.5f - 0.5f * f->height);
-        rays.pixel[lane] = column < f->width && row < f->height ? row * f->width + column : NO_PIXEL;
+        rays->pixel[lane] = column < f->width && row < f->height ? row * f->width + column : NO_PIXEL;
     }
-    rays.x = load(xs);
-    rays.y = load(ys);
-    rays.middle = f->middle;
+    rays->x = load(xs);
+    rays->y = load(ys);
+    rays->middle = f->middle;
 #ifdef PERSPECTIVE
-    rays.length = sqrt((rays.x * rays.x * f->right_square + rays.y * rays.y * f->down_square) + 1);
+    rays->length = sqrt((rays->x * rays->x * f->right_square + rays->y * rays->y * f->down_square) + 1);
 #else
-    rays.length = 1;
+    rays->length = 1;
 #endif
-    return rays;
 }
 
 // Write the colours of the rays, premultiplied, and their opacity.

@@ -360,7 +360,8 @@ __kernel void composite(INTEGRAL, PICTURE, __global const float *records,
         first = min(first, pixels[lane]);
         last = max(last, pixels[lane]);
     }
-    Followed rays = {.rays = rays_of(pixels, &frame), .cell = NO_CELL};
+    Followed rays = {.cell = NO_CELL};
+    rays_of(pixels, &frame, &rays.rays);
     rays.light.transmittance = 1;
     rays.depth = rays.begin = -FARTHEST;
     Pending pending;

@@ -50,23 +50,24 @@ typedef struct {
     uint next_eye_cell[LANES], next[LANES], end[LANES];
 } Entries;
 
-Entries entries_of(const Rays *rays, __global const uint *ends, __global const uint *entries,
-                   __global const uint *eye_cells, const uint eye_count)
+void entries_of(const Rays *rays, __global const uint *ends, __global const uint *entries,
+                __global const uint *eye_cells, const uint eye_count, Entries *e)
 {
-    Entries e = {.eye_cells = eye_cells, .eye_count = eye_count, .entries = entries,
-                 .at_eye = EYE_DEPTH(rays->middle) + ON_PLANE};
+    e->eye_cells = eye_cells;
+    e->eye_count = eye_count;
+    e->entries = entries;
+    e->at_eye = EYE_DEPTH(rays->middle) + ON_PLANE;
     for (uint lane = 0; lane < LANES; ++lane) {
         const int pixel = rays->pixel[lane];
-        e.next_eye_cell[lane] = pixel >= 0 ? 0 : eye_count;
-        e.next[lane] = pixel > 0 ? ends[pixel - 1] : 0;
-        e.end[lane] = pixel >= 0 ? ends[pixel] : 0;
+        e->next_eye_cell[lane] = pixel >= 0 ? 0 : eye_count;
+        e->next[lane] = pixel > 0 ? ends[pixel - 1] : 0;
+        e->end[lane] = pixel >= 0 ? ends[pixel] : 0;
 #ifdef PERSPECTIVE
-        while (e.next[lane] < e.end[lane] &&
-               as_float(entries[2 * e.next[lane]]) < EYE_DEPTH(rays->middle) - ON_PLANE)
-            ++e.next[lane]; // it is behind the eye
+        while (e->next[lane] < e->end[lane] &&
+               as_float(entries[2 * e->next[lane]]) < EYE_DEPTH(rays->middle) - ON_PLANE)
+            ++e->next[lane]; // it is behind the eye
 #endif
     }
-    return e;
 }
 
 // Move the rays that are in no cell to their next entries.
@@ -202,9 +203,11 @@ __kernel void cast(INTEGRAL, PICTURE, __global const float *records, __global co
     int2 pixels[LANES];
     for (uint lane = 0; lane < LANES; ++lane)
         pixels[lane] = (int2)(tile_x + (first + lane) % 4, tile_y + (first + lane) / 4 % 4);
-    const Rays rays = rays_of(pixels, &frame);
+    Rays rays;
+    rays_of(pixels, &frame, &rays);
     const float edge_slack = ON_PLANE / sqrt(right_square);
-    Entries to_enter = entries_of(&rays, ends, entries, eye_cells, eye_count);
+    Entries to_enter;
+    entries_of(&rays, ends, entries, eye_cells, eye_count, &to_enter);
     Place place = {NO_CELL, EYE_DEPTH(middle), 0, 0, 0, 0};
     Light light = {0, 0, 0, 1};
     for (;;) {

@@ -64,7 +64,7 @@ def test_pipeline(folder):
 
 
 def test_pipeline_stops_at_a_missing_mesh(folder):
-    run("bash", EXAMPLES / "pipeline.sh", "none.obj", 40, cwd=folder, status=1)
+    run("bash", EXAMPLES / "pipeline.sh", "none.obj", 40, cwd=folder, status=3)
 
 
 # ---- regression.py
