@@ -61,7 +61,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [item for item in items if item not in gone]
 
 
+SLOW_FOLDERS = {"bench", "selftest"}  # reports, and every case of the self-test
+
+
 def uses_processes_or_models(item: pytest.Function) -> bool:
+    if item.path.parent.name in SLOW_FOLDERS:
+        return True
     names = {*item.function.__code__.co_names, *item.fixturenames}
     return not names.isdisjoint(
         {"model", "on_terminal", "process", "run_python", "shell", "subprocess"}

@@ -61,6 +61,7 @@ def test_distances_to_own_meshes(device, name: str) -> None:
     assert dict(golden_distance.digests(golden_svo.own_mesh(name), device)) == DISTANCES[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", golden_adf.OWN)
 def test_fields_of_own_meshes(device, name: str) -> None:
     mesh = golden_svo.own_mesh(name)
@@ -74,12 +75,14 @@ def test_fields_of_real_models(device, name: str) -> None:
     assert found == FIELDS[f"{name}.obj"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", golden_picture.OWN)
 def test_pictures_of_surfaces(device, name: str) -> None:
     mesh = golden_svo.own_mesh(name)
     assert dict(golden_picture.surfaces(mesh, device)) == PICTURES[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", golden_picture.VOLUMES)
 def test_pictures_of_volumes(device, name: str) -> None:
     volume = golden_picture.own_volume(name)
