@@ -128,6 +128,7 @@ def test_flipped_faces(here: Path) -> None:
     assert found["shells"][0]["volume"] is None
 
 
+@pytest.mark.slow
 def test_shells_in_shells(here: Path) -> None:
     hollow = meshes.join(meshes.box(0, 9), turned(meshes.box(1, 8)), meshes.box(3, 5))
     found = report(hollow)

@@ -68,6 +68,7 @@ def test_stdout_is_binary_on_request(here: Path) -> None:
     assert np.load(io.BytesIO(done.stdout_bytes)).tolist() == [-2.0, 2.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mesh", ["box", "open"])
 def test_a_grid(here: Path, mesh: str) -> None:
     """Where the open box leaks by parity, so does its grid."""

@@ -484,6 +484,7 @@ def test_datasets(tmp_path: Path, change: Callable, message: str) -> None:
         refusal(path, message)
 
 
+@pytest.mark.slow
 def test_damage_of_any_kind() -> None:
     def read(data: bytes) -> DistanceField:
         found = from_bytes(data)

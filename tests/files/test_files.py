@@ -669,6 +669,7 @@ def test_declared_nodes_that_the_file_cannot_hold(tmp_path: Path, extension: str
 # Damage of any kind
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extension", EXTENSIONS)
 def test_damage_of_any_kind(octree: Octree, extension: str) -> None:
     def read(data: bytes) -> Octree:

@@ -496,6 +496,7 @@ def test_csv_of_a_large_block(tmp_path: Path) -> None:
     assert (tmp_path / "a.csv").read_text().split() == ["a", *map(str, range(150_000))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extension", ["npy", "csv"])
 def test_memory_does_not_grow_with_the_answers(extension: str, tmp_path: Path) -> None:
     def write(n: int) -> None:

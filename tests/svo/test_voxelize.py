@@ -260,6 +260,7 @@ def test_a_closed_mesh_has_no_odd_column(device: Device, data) -> None:
     assert not octree.to_dense()[13:].any()
 
 
+@pytest.mark.slow
 @given(data=st.data())
 @settings(max_examples=100)
 def test_windows_make_up_the_whole(device: Device, data) -> None:
@@ -356,7 +357,10 @@ def test_rows_that_leak_may_not_outgrow_memory_or_links(device: Device) -> None:
         refuse_beyond(tree, 1 << 27, 0, 1 << 40)
 
 
-@pytest.mark.parametrize("shape", [(600, 600, 13), (64, 64, 13), (2100, 2100, 13)])
+LARGE = pytest.param((2100, 2100, 13), marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("shape", [(600, 600, 13), (64, 64, 13), LARGE])
 def test_triangles_beyond_the_grid_but_within_its_nodes(device: Device, shape) -> None:
     """Nodes reach beyond a grid whose sides are no multiples of theirs; large triangles there call
     for shares and wide predicates like any other."""
