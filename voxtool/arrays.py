@@ -1,26 +1,46 @@
-"""Arrays of data classes: read-only, and equal by content."""
+"""The base of the data classes: read-only arrays, equality by content, hashing by identity."""
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 
 def read_only(array: np.ndarray) -> np.ndarray:
-    """A view of an array that cannot be written to; the array itself stays as it is."""
+    """Return a view of an array that cannot be written to; the array itself stays as it is."""
     view = array.view()
     view.flags.writeable = False
     return view
 
 
-def equal(a: Any, b: Any) -> bool:
-    """Whether two dataclass instances are of one class and all their fields are equal; arrays by
-    shape, dtype and content."""
-    if type(a) is not type(b):
-        return False
-    return all(_same(getattr(a, f.name), getattr(b, f.name)) for f in fields(a) if f.compare)
+@dataclass(frozen=True, eq=False, repr=False)
+class Data:
+    """The base of frozen dataclasses whose fields include arrays.
+
+    The arrays are read-only, also in a copy and in an unpickled object. Two objects are equal if
+    they are of one class and their compared fields are equal, arrays by shape, dtype and content.
+    The hash is of the identity, so that a device can keep what was computed for an object.
+    """
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, np.ndarray):
+                object.__setattr__(self, field.name, read_only(value))
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other) and all(
+            _same(getattr(self, field.name), getattr(other, field.name))
+            for field in fields(self)
+            if field.compare
+        )
+
+    __hash__ = object.__hash__
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), tuple(getattr(self, field.name) for field in fields(self))
 
 
 def _same(a: Any, b: Any) -> bool:

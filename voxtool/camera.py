@@ -10,11 +10,11 @@ import contextlib
 import itertools
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.arrays import equal, read_only
+from voxtool.arrays import Data
 from voxtool.choices import VIEWS
 from voxtool.errors import VoxtoolError
 from voxtool.vector import cross, dot, length, triple, unit
@@ -29,7 +29,7 @@ MAX_SIDE = 32768  # pixels along a side of a picture
 
 
 @dataclass(frozen=True, eq=False)
-class Rays:
+class Rays(Data):
     """One ray for each pixel.
 
     Pixel (column, row), from the upper left, has x = column + 1/2 − width/2 and y = row + 1/2 −
@@ -59,18 +59,8 @@ class Rays:
 
     def __post_init__(self) -> None:
         for name in ("origin", "direction", "right", "down"):
-            object.__setattr__(self, name, read_only(np.asarray(getattr(self, name), np.float64)))
-
-    __hash__ = object.__hash__
-
-    def __eq__(self, other: object) -> bool:
-        """Whether all fields are equal, arrays by content."""
-        return equal(self, other)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore a pickled object; its arrays are read-only again."""
-        self.__dict__.update(state)
-        self.__post_init__()
+            object.__setattr__(self, name, np.asarray(getattr(self, name), np.float64))
+        super().__post_init__()
 
     def light(self) -> np.ndarray:
         """Return the unit vector towards the light, at the viewer's upper left: (3,) float64."""

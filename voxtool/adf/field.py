@@ -19,7 +19,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -29,7 +29,7 @@ from voxtool.adf.bounds import JUMP, NO_LEAF
 from voxtool.adf.cells import cell_identifier, cell_of, identifier_type, key_of
 from voxtool.adf.host_query import QueryResult, query_on_host
 from voxtool.adf.spatial_hash import SpatialHash
-from voxtool.arrays import equal, read_only
+from voxtool.arrays import Data
 from voxtool.choices import MAX_LEVEL
 from voxtool.errors import FileError, VoxtoolError
 
@@ -37,7 +37,7 @@ FAR = 1024.0  # sides: far beyond any distance in a cube, and safe from overflow
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DistanceField:
+class DistanceField(Data):
     """Distances to a mesh, sampled more finely where they vary more.
 
     Attributes
@@ -91,19 +91,6 @@ class DistanceField:
     plan: dict[str, Any] = field(default_factory=dict, compare=False)
     source_sha256: str = field(default="", compare=False)
     units: str = ""
-
-    def __post_init__(self) -> None:
-        for name in ("voxels", "cells", "bounds"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, read_only(getattr(self, name)))
-
-    def __eq__(self, other: object) -> bool:
-        return equal(self, other)
-
-    __hash__ = object.__hash__  # by identity, for weak references and Device.keep
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), tuple(getattr(self, f.name) for f in fields(self))
 
     def __repr__(self) -> str:
         return (

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.adf.bounds import bound_values, half_diagonals
-from voxtool.arrays import equal
+from voxtool.arrays import Data
 from voxtool.errors import VoxtoolError
 from voxtool.morton import morton_encode
 from voxtool.opencl import program
@@ -29,7 +29,7 @@ HEADERS = {"adf/points.h": program.c_constants(POINT_BITS=POINT_BITS, WEIGHT_BIT
 
 
 @dataclass(frozen=True, eq=False)
-class QueryResult:
+class QueryResult(Data):
     """The values of a field at N points; for one point [x, y, z] without the leading axis.
 
     Attributes
@@ -55,10 +55,8 @@ class QueryResult:
     cell: np.ndarray | None
     outside: np.ndarray
 
-    def __eq__(self, other: object) -> bool:
-        return equal(self, other)
-
-    __hash__ = object.__hash__
+    def __post_init__(self) -> None:
+        """Leave the arrays writable: they are the caller's own."""
 
     def __getitem__(self, points: Any) -> QueryResult:
         """Return the values at some of the points: views, where numpy gives views."""

@@ -6,19 +6,18 @@ hashing.py builds it, and explains it.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from voxtool.adf.cells import shown
-from voxtool.arrays import equal, read_only
+from voxtool.arrays import Data
 from voxtool.errors import VoxtoolError
 
 AT_ONCE = 1 << 16  # keys whose slots are found at once, in memory that fits caches
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SpatialHash:
+class SpatialHash(Data):
     """A function from keys to slots without collisions among the keys that it was built for.
 
     m, r: sides of the tables of slots and of offsets; offsets: (r, r, r, 3 or 4) uint8 if m < 256,
@@ -28,17 +27,6 @@ class SpatialHash:
     m: int
     r: int
     offsets: np.ndarray
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "offsets", read_only(self.offsets))
-
-    def __eq__(self, other: object) -> bool:
-        return equal(self, other)
-
-    __hash__ = object.__hash__  # by identity
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.m, self.r, self.offsets)
 
     def __repr__(self) -> str:
         return f"SpatialHash(m={self.m}, r={self.r}{', with w' if self.has_w else ''})"

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from voxtool.arrays import equal, read_only
+from voxtool.arrays import Data, read_only
 from voxtool.errors import MeshError, count_of, one_line
 
 MAX_COUNT = (1 << 31) - 1  # triangles, and vertices: indices are int32
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Mesh:
+class Mesh(Data):
     """A triangle mesh; `mesh_from_arrays` makes one of any arrays and checks it.
 
     Its arrays are read-only: bounds, trees and octrees are computed from them once. For other
@@ -46,18 +46,6 @@ class Mesh:
     source_sha256: str = ""
     name: str = ""
     units: str = ""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "vertices", read_only(self.vertices))
-        object.__setattr__(self, "faces", read_only(self.faces))
-
-    def __eq__(self, other: object) -> bool:
-        return equal(self, other)
-
-    __hash__ = object.__hash__
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Mesh, (self.vertices, self.faces, self.source_sha256, self.name, self.units)
 
     def __repr__(self) -> str:
         name = f"{self.name!r}, " if self.name else ""

@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.arrays import equal, read_only
+from voxtool.arrays import Data
 from voxtool.choices import MODES
 from voxtool.errors import GridError, VoxtoolError, human
 from voxtool.grid import Grid
@@ -69,7 +69,7 @@ class Level:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Octree:
+class Octree(Data):
     """A set of voxels of a grid.
 
     Two octrees are equal if their digests are equal; plan, source and units do not count. Octrees
@@ -124,7 +124,7 @@ class Octree:
             array = getattr(self, name)
             if not isinstance(array, np.ndarray) or array.dtype != dtype or array.ndim != 1:
                 raise VoxtoolError(f"octree {name}: give a one-dimensional array of {dtype}")
-            object.__setattr__(self, name, read_only(array))
+        super().__post_init__()
         check_sizes(self)
 
     @classmethod
@@ -209,18 +209,10 @@ class Octree:
         arrays = octree_of_bricks(grid.side, *pack_voxels(voxels), collapse="solid" in mode)
         return cls(grid, mode, "none", *arrays, units=units)
 
-    def __eq__(self, other: object) -> bool:
-        return equal(self, other)
-
-    __hash__ = object.__hash__
-
     def __repr__(self) -> str:
         shape = " x ".join(map(str, self.grid.shape))
         rule = "" if self.fill == "none" else f" by {self.fill}"
         return f"<Octree {shape}, {self.mode}{rule}, {self.count:,} voxels, {human(self.nbytes)}>"
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Octree, tuple(getattr(self, f.name) for f in fields(self))
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         if copy is False:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.arrays import equal
+from voxtool.arrays import Data
 from voxtool.errors import VoxtoolError, printable
 from voxtool.tets.maps import MAPS
 
@@ -30,7 +30,7 @@ KEYS = ("scalar", "color", "extinction")  # of a control point in JSON
 
 
 @dataclass(frozen=True, eq=False)
-class TransferFunction:
+class TransferFunction(Data):
     """Control points of colour and extinction, linear between them and constant beyond.
 
     The arrays are copied and read-only.
@@ -62,8 +62,8 @@ class TransferFunction:
                 raise VoxtoolError(
                     f"transfer function: {name} are not numbers of float64"
                 ) from None
-            values.setflags(write=False)
             object.__setattr__(self, name, values)
+        super().__post_init__()
         count = self.scalars.size
         if not 1 <= count <= MOST_POINTS:
             raise VoxtoolError(f"transfer function of {count} points: give 1 to {MOST_POINTS}")
@@ -95,17 +95,6 @@ class TransferFunction:
                 f"transfer function, point {int(shared.argmax()) + 3}: the two before it have the "
                 "same scalar: at most two make a step"
             )
-
-    __hash__ = object.__hash__  # by identity, so that a device can keep what belongs to it
-
-    def __eq__(self, other: object) -> bool:
-        """Whether all fields are equal, arrays by content."""
-        return equal(self, other)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore a pickled object; its arrays are read-only again."""
-        self.__dict__.update(state)
-        self.__post_init__()
 
     def __repr__(self) -> str:
         low, high = self.scalars[[0, -1]].tolist()

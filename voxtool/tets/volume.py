@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from voxtool.arrays import equal, read_only
+from voxtool.arrays import Data
 from voxtool.choices import LAYOUTS
 from voxtool.errors import FileError
 from voxtool.opencl import program
@@ -61,7 +61,7 @@ HEADERS = {"tets/volume.h": program.c_constants(BLOCK=BLOCK, PLANE_BITS=PLANE_BI
 
 
 @dataclass(frozen=True, eq=False)
-class TetVolume:
+class TetVolume(Data):
     """A mesh of cells with a scalar field, as textures.
 
     Attributes
@@ -117,21 +117,6 @@ class TetVolume:
     source_sha256: str = ""
     plan: dict[str, Any] = field(default_factory=dict)
     report: dict[str, Any] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        for name, array in self.arrays().items():
-            object.__setattr__(self, name, read_only(array))
-
-    __hash__ = object.__hash__  # by identity, so that a device can keep what belongs to it
-
-    def __eq__(self, other: object) -> bool:
-        """Whether all fields are equal, arrays by content."""
-        return equal(self, other)
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore a pickled object; its arrays are read-only again."""
-        self.__dict__.update(state)
-        self.__post_init__()
 
     def __repr__(self) -> str:
         return (

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.arrays import equal, read_only
+from voxtool.arrays import Data, read_only
 from voxtool.choices import STYLE_ALIASES
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
@@ -43,7 +43,7 @@ class Lost:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Isosurface:
+class Isosurface(Data):
     """A closed, manifold triangle surface around the inside of an octree.
 
     Attributes
@@ -84,18 +84,6 @@ class Isosurface:
     cubes: int
     lost: Lost
     merged: bool = False
-
-    def __post_init__(self) -> None:
-        for name in ("points", "faces"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-
-    def __eq__(self, other: object) -> bool:
-        return equal(self, other)
-
-    __hash__ = object.__hash__  # by identity, for weak references
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), tuple(getattr(self, field.name) for field in fields(self))
 
     def __repr__(self) -> str:
         return (
