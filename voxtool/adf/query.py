@@ -280,7 +280,7 @@ class FieldQuery:
     def _shape(self, search: str) -> Shape:
         if self.shape:
             return self.shape
-        if self.device.info.kind == "CPU":
+        if self.device.lanes > 1:
             return CPU
         return GPU_COHERENT if search == "coherent" else GPU
 

@@ -26,6 +26,7 @@ OUT_OF_MEMORY = (-4, -5, -6)  # CL_MEM_OBJECT_ALLOCATION_FAILURE, _OUT_OF_RESOUR
 PAGE = 4096  # alignment at which a CPU's driver uses the host's memory as it is
 ALIGNMENT = 128  # bytes, of buffers that CPU drivers do not copy (CL_DEVICE_MEM_BASE_ADDR_ALIGN)
 SHARED_FROM = 1 << 16  # bytes; smaller arrays are the driver's own
+VECTOR = 16  # items that a work-item of a CPU processes side by side: a vector of float32
 WORK_GROUP = 64  # work-items; a few wavefronts, and enough for a CPU's core
 
 
@@ -104,6 +105,11 @@ class Device:
         self._lock = threading.RLock()  # a kernel's arguments and its launch belong together
         self._events: list[tuple[str, Any]] = []
         self._kernels: dict[Any, Callable[..., None]] = {}
+
+    @property
+    def lanes(self) -> int:
+        """The number of points or rays that a work-item should process side by side."""
+        return VECTOR if self.info.kind == "CPU" else 1
 
     # ---- memory
 

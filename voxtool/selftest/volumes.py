@@ -16,7 +16,6 @@ from voxtool.opencl import Device
 from voxtool.rendering import render
 from voxtool.selftest import reference, shapes
 from voxtool.selftest.case import case
-from voxtool.tets.integrate import LANES
 from voxtool.tets.mesh import UnstructuredMesh
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
@@ -33,7 +32,7 @@ GREY = TransferFunction([0.0], [[0.5, 0.5, 0.5]], [0.7])  # pyright: ignore[repo
 
 def weights(device: Device, a: np.ndarray, b: np.ndarray, lanes: int | None = None) -> np.ndarray:
     """(3, N) float64 of float32: w_f, w_b and zeta of segments, as rays of this device have."""
-    lanes = lanes or (LANES if device.info.kind == "CPU" else 1)
+    lanes = lanes or device.lanes
     count = len(a)
     padded = -(-count // (GROUP * lanes)) * GROUP * lanes
     ends = [device.put(np.resize(v, padded)) for v in (a, b)]

@@ -23,7 +23,6 @@ SOURCE = "tets/integrate.cl"
 INTEGRATORS = ("linear", "preintegrated", "average", "sampled")
 MOST_SAMPLES = 1 << 12  # points in a cell
 TABLE = 128, 32  # scalars and lengths along the sides of the pre-integrated table
-LANES = 16  # rays that a work-item follows side by side on a CPU
 
 HEADERS = {
     "tets/integrators.h": program.c_constants(
@@ -61,7 +60,7 @@ class Integral:
         """
         name, samples = integrator_of(integrator)
         device = on_device.device
-        self.lanes = lanes or (LANES if device.info.kind == "CPU" else 1)
+        self.lanes = lanes or device.lanes
         self.arguments: dict[str, Any] = {
             "points": device.put(transfer.points),
             "rows": device.put(transfer.rows),
