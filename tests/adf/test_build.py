@@ -19,9 +19,9 @@ from hypothesis import strategies as st
 
 from voxtool.adf.bounds import JUMP, bound_values
 from voxtool.adf.build import build_adf
-from voxtool.adf.levels.examine import CROSSED
-from voxtool.adf.levels.sample_points import SAMPLES
+from voxtool.adf.levels import CROSSED
 from voxtool.adf.plan import BLOCK_BYTES
+from voxtool.adf.sample_points import SAMPLES
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.morton import morton_encode

@@ -9,7 +9,7 @@ import meshes
 import numpy as np
 import pytest
 
-from voxtool.adf.build import build_adf, plan_adf
+from voxtool.adf.build import plan_adf
 from voxtool.adf.plan import PILOT_LEVEL
 from voxtool.errors import MemoryLimitError, MeshWarning
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
@@ -75,9 +75,24 @@ def test_memory_is_refused_level_by_level(device: Device) -> None:
         job.run()
 
 
-def test_warnings(device: Device) -> None:
-    with pytest.warns(MeshWarning, match="is not closed"):
-        plan(box_without_lid(), device=device).run()
-    sheet = mesh_from_arrays(np.eye(3), [(0, 1, 2)])
-    with pytest.warns(MeshWarning, match="the field has no inside"):
-        build_adf(sheet, device, max_level=3, measure=False)
+def nested_balls() -> Mesh:
+    inner, outer = meshes.icosphere(1), meshes.icosphere(1, radius=2)
+    return mesh_from_arrays(*meshes.join(inner, outer))
+
+
+@pytest.mark.parametrize(
+    ("mesh", "forced", "message"),
+    [
+        (box_without_lid, {}, "mesh is not closed: .*; inside is where its winding number"),
+        (nested_balls, {}, "mesh has nested shells with the same winding; inside is where"),
+        (
+            ball,
+            {"closed": False},
+            "mesh is treated as open; signs by pseudo-normals may be wrong: choose --sign winding",
+        ),
+        (lambda: mesh_from_arrays(np.eye(3), [(0, 1, 2)]), {}, "the field has no inside"),
+    ],
+)
+def test_warnings(device: Device, mesh, forced: dict, message: str) -> None:
+    with pytest.warns(MeshWarning, match=message):
+        plan(mesh(), max_level=3, device=device).with_(**forced).run()

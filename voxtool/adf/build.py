@@ -2,7 +2,7 @@
 
 The octree grows level by level, from the root (level 0) to the leaves. A child is refined if its
 trilinear interpolation is further from the exact distance than the tolerance [Frisken 2000]. The
-stages of a level are the modules of voxtool.adf.levels.
+stages of a level are in levels.py.
 """
 
 from __future__ import annotations
@@ -15,14 +15,13 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from voxtool.adf.accuracy import measure_errors
-from voxtool.adf.blocks import Blocks
-from voxtool.adf.levels.constrain import constrain
-from voxtool.adf.levels.examine import examine
-from voxtool.adf.levels.level import Construction
-from voxtool.adf.levels.refine import list_size, refine
-from voxtool.adf.levels.sample import sample
-from voxtool.adf.plan import PILOT_LEVEL, FieldPlan
-from voxtool.adf.survey import Survey
+from voxtool.adf.bounds import NO_LEAF
+from voxtool.adf.cells import cell_of, identifier_type, key_of
+from voxtool.adf.field import assemble
+from voxtool.adf.hashing import build_hash
+from voxtool.adf.levels import Construction, constrain, examine, refine, sample
+from voxtool.adf.plan import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
+from voxtool.adf.survey import Survey, cube_of
 from voxtool.choices import DEFAULT_MAX_LEVEL, DEFAULT_TOLERANCE
 from voxtool.job import Job
 from voxtool.mesh.topology import check_topology
@@ -33,6 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from voxtool.adf.field import DistanceField
+    from voxtool.adf.levels import Examined
     from voxtool.mesh.mesh import Mesh
 
 
@@ -56,7 +56,7 @@ def plan_adf(
     max_memory: int | None = None,
 ) -> FieldJob:
     """Return the job of building the distance field of a mesh; see voxtool.build_adf."""
-    plan = FieldPlan(
+    request = FieldPlan(
         triangles=len(mesh.faces),
         sign=sign or "",
         tolerance=tolerance,
@@ -69,7 +69,7 @@ def plan_adf(
     )
     survey = Survey(mesh, device or default_device(), signed=sign != "none")
     plan = replace(
-        plan,
+        request,
         flat=survey.flat,
         crossed=int(np.count_nonzero(survey.crossed)),
         closed=survey.closed,
@@ -134,7 +134,7 @@ class FieldJob(Job["DistanceField"]):
         self._build = None
         build.run()
         self._plan = build.plan
-        field = build.blocks.field(build.work)
+        field = build.field()
         if not self._plan.measure:
             return field
         with self.stage("errors"):
@@ -162,6 +162,9 @@ class FieldJob(Job["DistanceField"]):
             wrong.append(f"is {check_topology(mesh).summary()}")
         if plan.crossed:
             wrong.append(f"intersects itself in {plan.crossed:,} faces")
+        if not wrong:
+            shells = "has nested shells with the same winding"
+            wrong.append("is treated as open" if self._survey.closed else shells)
         done = (
             "signs by pseudo-normals may be wrong: choose --sign winding"
             if plan.sign == "pseudonormal"
@@ -171,35 +174,99 @@ class FieldJob(Job["DistanceField"]):
 
 
 class _Build:
-    """A field under construction: the levels built so far, and the next one."""
+    """A field under construction: the blocks of the levels built so far, and the next level."""
 
     def __init__(self, survey: Survey, plan: FieldPlan, memory: tuple[int, int]) -> None:
-        self.work = Construction(survey, plan)
-        self.memory = memory
-        self.blocks = Blocks()
+        self.work, self.memory = Construction(survey, plan), memory
         self.level = self.work.root()
         self.more = True
-        self.plan = replace(plan, refined=(1,), items=self.level.items.size)
+        self.plan = replace(plan, refined=(1,), items=self.level.arrays["items"].size)
         self.plan.refuse_beyond(*memory)
+        self.identifiers: list[np.ndarray] = []
+        self.voxels: list[np.ndarray] = []
+        self.codes: list[np.ndarray] = []
+        self.missed = self.jumps = 0
+        self.worst: tuple[float, int, int] | None = None  # error, level, identifier
 
     def run(self, last: int | None = None) -> None:
         """Build the levels down to `last`, or all."""
-        work, plan = self.work, self.plan
         while self.more and (last is None or self.level.number <= last):
-            level = self.level
+            work, level = self.work, self.level
             sample(work, level)
-            if plan.continuous:
+            if self.plan.continuous:
                 constrain(work, level)
             found = examine(work, level)
-            if plan.max_bytes is not None:
-                self.blocks.limit(found, plan.max_bytes)
-                assert level.ranks is not None
-                work.device.write(level.ranks, found.refined)
-            self.blocks.add(level, found, plan.tolerance)
-            self.more = bool(found.refined.any())
+            if self.plan.max_bytes is not None:
+                self._limit(found, self.plan.max_bytes)
+                work.device.write(level.arrays["ranks"], found.refined)
+            self._add_blocks(found)
+            refined = found.refined != 0
+            self.more = bool(refined.any())
             if self.more:
-                size = list_size(level, found.refined)
-                count = int(np.count_nonzero(found.refined))
-                self.plan = replace(self.plan, refined=(*self.plan.refined, count), items=size)
+                counts = *self.plan.refined, int(np.count_nonzero(refined))
+                items = int(level.arrays["needed"].get()[refined].sum(dtype=np.int64))
+                self.plan = replace(self.plan, refined=counts, items=items)
                 self.plan.refuse_beyond(*self.memory)
-                self.level = refine(work, level, size)
+                self.level = refine(work, level, items)
+
+    def _limit(self, found: Examined, max_bytes: int) -> None:
+        """Limit refinement to max_bytes: the children with the largest errors come first."""
+        left = max_bytes // BLOCK_BYTES - sum(map(len, self.identifiers)) - len(found.voxels) // 27
+        candidates = np.flatnonzero(found.refined)
+        worst_first = np.argsort(-found.errors[candidates], kind="stable")
+        found.refined[candidates[worst_first[max(left, 0) :]]] = 0
+
+    def _add_blocks(self, found: Examined) -> None:
+        """Add the blocks of the level, and count its leaves that miss the tolerance."""
+        identifiers, errors = self.level.arrays["identifiers"].get(), found.errors
+        self.identifiers.append(identifiers)
+        self.voxels.append(found.voxels)
+        leaves = found.refined == 0
+        self.codes.append(np.where(leaves, found.codes, np.uint8(NO_LEAF)))
+        self.jumps += int(np.count_nonzero((errors < 0) & leaves))
+        over = np.flatnonzero((errors > np.float32(self.plan.tolerance)) & leaves)
+        self.missed += len(over)
+        if len(over):
+            worst = over[np.argmax(errors[over])]
+            if self.worst is None or errors[worst] > self.worst[0]:
+                identifier = int(identifiers[worst // 8]) << 3 | int(worst % 8)
+                self.worst = (float(errors[worst]), self.level.number + 1, identifier)
+
+    def field(self) -> DistanceField:
+        """Return the field that consists of the blocks."""
+        work, plan, mesh = self.work, self.plan, self.work.survey.mesh
+        origin, side = cube_of(mesh)
+        identifiers = np.concatenate(self.identifiers)
+        levels, ijk = cell_of(identifiers)
+        with work.device.stage("hash"):
+            table = build_hash(key_of(levels, ijk), work.device)
+        reached: dict[str, Any] = {
+            "leaves": 7 * len(identifiers) + 1,
+            "missed": self.missed,
+            "jumps": self.jumps,
+        }
+        if self.worst:
+            error, level, identifier = self.worst
+            cell = cell_of(np.array([identifier], np.uint64))[1][0]
+            where = origin + side * np.ldexp(cell + 0.5, -level)
+            reached["worst"] = {"error": error, "level": level, "where": where.tolist()}
+        if plan.continuous:
+            reached["balanced"] = not work.unbalanced.get()[0]
+        return assemble(
+            identifiers.astype(identifier_type(int(levels[-1]))),
+            np.concatenate(self.voxels).reshape(-1, 3, 3, 3),
+            np.concatenate(self.codes).reshape(-1, 2, 2, 2) if plan.bounds else None,
+            table,
+            origin=tuple(origin.tolist()),
+            side=side,
+            sign=plan.sign,
+            tolerance=plan.tolerance,
+            max_level=plan.max_level,
+            band=plan.band,
+            continuous=plan.continuous,
+            lipschitz=float(work.steepest.get().view(np.float32)[0]),
+            reached=reached,
+            plan=plan.scene(),
+            source_sha256=mesh.source_sha256,
+            units=mesh.units,
+        )

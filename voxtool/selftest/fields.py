@@ -10,7 +10,7 @@ import numpy as np
 from voxtool.adf.build import build_adf
 from voxtool.adf.cells import MAX_KEY, cell_of
 from voxtool.adf.hashing import build_hash
-from voxtool.adf.levels.examine import CROSSED
+from voxtool.adf.levels import CROSSED
 from voxtool.adf.query import query_adf
 from voxtool.adf.raycast import cast
 from voxtool.adf.spatial_hash import SpatialHash

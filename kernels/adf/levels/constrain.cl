@@ -1,5 +1,5 @@
 // Continuity across levels: blocks take the values of coarser leaves on shared faces and edges.
-// Host side: voxtool/adf/levels/constrain.py.
+// Host side: voxtool/adf/levels.py.
 
 #pragma OPENCL FP_CONTRACT OFF
 
@@ -12,9 +12,10 @@ uint3 octant(uint child)
 
 // neighbours[27 b + i] = the block, on this level, of neighbour i of cell b; COARSE where the
 // neighbour is a leaf or inside one, OUT_OF_CUBE where it is outside the cube. Cell b is child
-// sources[b] of the level above; `ranks` numbers that level's refined children.
-__kernel void find_neighbours(const uint n, __global const uint *sources, __global const uint *ranks,
-                              __global const uint *above, __global uint *neighbours,
+// sources[b] of the level above; parent_ranks numbers that level's refined children.
+__kernel void find_neighbours(const uint n, __global const uint *sources,
+                              __global const uint *parent_ranks,
+                              __global const uint *parent_neighbours, __global uint *neighbours,
                               __global uint *unbalanced)
 {
     const uint gid = get_global_id(0);
@@ -25,11 +26,13 @@ __kernel void find_neighbours(const uint n, __global const uint *sources, __glob
     for (int i = 0; i < 27; ++i) {
         const int3 at = own + (int3)(i % 3 - 1, i / 3 % 3 - 1, i / 9 - 1);
         const int3 up = at >> 1, bits = at & 1;
-        const uint of = above[27 * (size_t)parent + (up.x + 1) + 3 * (up.y + 1) + 9 * (up.z + 1)];
+        const uint beside = (up.x + 1) + 3 * (up.y + 1) + 9 * (up.z + 1);
+        const uint of = parent_neighbours[27 * (size_t)parent + beside];
         uint found = of;
         if (of < COARSE) {
             const size_t child = 8 * (size_t)of + bits.x + 2 * bits.y + 4 * bits.z;
-            found = ranks[child] < ranks[child + 1] ? ranks[child] : COARSE;
+            const uint rank = parent_ranks[child];
+            found = rank < parent_ranks[child + 1] ? rank : COARSE;
         } else if (of == COARSE) {
             *unbalanced = 1;
         }
@@ -41,14 +44,14 @@ __kernel void find_neighbours(const uint n, __global const uint *sources, __glob
 // mean of the ends of the edge, or of the corners of the face, whose midpoint is the vertex. These
 // corners lie on the same leaf and are already constrained. They belong to the parent's block.
 __kernel void constrain_blocks(const uint n, __global const uint *sources,
-                               __global const uint *neighbours, __global const double *above,
-                               __global double *values)
+                               __global const uint *neighbours,
+                               __global const double *parent_values, __global double *values)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     __global double *own = values + 27 * (size_t)gid;
-    __global const double *parent = above + 27 * (size_t)(sources[gid] / 8);
+    __global const double *parent = parent_values + 27 * (size_t)(sources[gid] / 8);
     const uint3 low = octant(sources[gid] % 8);
     for (uint corner = 0; corner < 8; ++corner) {
         const uint3 o = octant(corner), at = low + o;

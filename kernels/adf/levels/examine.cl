@@ -1,5 +1,5 @@
 // Computes the errors of a level's children and marks the children to refine. Host side:
-// voxtool/adf/levels/examine.py.
+// voxtool/adf/levels.py.
 
 #include "adf/levels/lists.h"
 

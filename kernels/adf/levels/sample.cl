@@ -1,5 +1,5 @@
 // Computes exact signed distances at the vertices of a level's blocks. Host side:
-// voxtool/adf/levels/sample.py.
+// voxtool/adf/levels.py.
 
 #include "adf/levels/lists.h"
 
@@ -88,7 +88,7 @@ long8 children_that_need(const triangle *t, const ways *middles, double edge,
 
 // values[27 b + i] = distance at vertex i of block b, of cell identifiers[b]; places[27 b + i] =
 // index in the lists of the nearest triangle with a side. Bit k of masks[j] is set if child k needs
-// item j of the list. counts[8 b + k] = number of triangles that child k needs.
+// item j of the list. needed[8 b + k] = number of triangles that child k needs.
 //
 // The distance to a triangle is convex, so its tangent bounds it from below. Inside a cell, the
 // trilinear interpolation of its corner values bounds it from above. So a triangle is nowhere
@@ -96,7 +96,7 @@ long8 children_that_need(const triangle *t, const ways *middles, double edge,
 // some other triangle. The candidates for that are the triangles nearest to the centres of the
 // children.
 __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
-                            __global uint *places, __global uchar *masks, __global uint *counts)
+                            __global uint *places, __global uchar *masks, __global uint *needed)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -115,12 +115,12 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
                    &rivals);
 
     const long8 bits = (long8)(1, 2, 4, 8, 16, 32, 64, 128);
-    long8 needed = 0;
+    long8 total = 0;
     for (uint j = begin; j < end; ++j) {
         const triangle t = triangle_at(&scene, j);
         long8 nearer;
         const long8 needs = children_that_need(&t, &middles, edge, &rivals, &nearer);
-        needed -= needs;
+        total -= needs;
         masks[j] = (uchar)gathered(needs & bits);
         for (uint left = gathered(nearer & bits), child = 0; left > 0; left >>= 1, ++child) {
             if (!(left & 1))
@@ -138,9 +138,9 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
         }
     }
     long counted[8];
-    vstore8(needed, 0, counted);
+    vstore8(total, 0, counted);
     for (uint child = 0; child < 8; ++child) {
-        counts[8 * (size_t)gid + child] = (uint)counted[child];
+        needed[8 * (size_t)gid + child] = (uint)counted[child];
         // a shared vertex has the same value in each child
         double corners[8];
         long own[8];
@@ -207,7 +207,7 @@ double longest_edge(const scene_of_lists *scene, uint begin, uint end)
 // i of asked[b] requests its winding number; where no triangles pass, only the block's centre is
 // requested at first.
 __kernel void sign_blocks(const uint n, LISTS SIDES BOUNDARY, __global const uint *sources,
-                          __global const uchar *above, __global const uint *places,
+                          __global const uchar *parent_states, __global const uint *places,
                           __global uchar *states,
 #ifdef WINDING
                           __global uint *doubts, __global uint *asked,
@@ -222,7 +222,7 @@ __kernel void sign_blocks(const uint n, LISTS SIDES BOUNDARY, __global const uin
     __global const uint *nearest_of = places + 27 * (size_t)gid;
     const double radius = extent / (1ul << level) * 2 * HALF_DIAGONAL + SLACK;
     const bool apart = own[MIDDLE] > radius;
-    uchar state = above[sources[gid] / 8];
+    uchar state = parent_states[sources[gid] / 8];
     double leeway = 0;
 #ifdef WINDING
     if (state == UNKNOWN) {

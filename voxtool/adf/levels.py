@@ -1,0 +1,222 @@
+"""The stages of each level of a field under construction: sample, constrain, examine, refine.
+
+The list of a cell contains the nearest triangle to every point of the cell. Children inherit the
+part of the list that they need, so lists shrink with the cells, and no tree is searched.
+
+Kernels: kernels/adf/levels/, a source for each stage.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voxtool.adf.bounds import JUMP, bound_values
+from voxtool.opencl import program
+from voxtool.opencl.primitives import exclusive_scan
+
+if TYPE_CHECKING:
+    from voxtool.adf.plan import FieldPlan
+    from voxtool.adf.survey import Survey
+    from voxtool.opencl import Array
+
+CROSSED = 64.0  # tolerances: the largest edge of a leaf where triangles pass, unless certain
+KEPT = 32  # triangles of a cell that are combined in pairs, at most
+NO_TRIANGLE = OUT_OF_CUBE = 0xFFFFFFFF
+COARSE = OUT_OF_CUBE - 1  # a neighbour that is a leaf, or lies within one
+UNKNOWN, OUTSIDE, INSIDE = 0, 1, 2  # sides of the mesh
+OF_PARENTS = ["parent_values", "parent_states", "parent_neighbours", "parent_ranks"]
+
+HEADERS = {
+    "adf/levels/level.h": program.c_constants(
+        JUMP=JUMP,
+        KEPT=KEPT,
+        NO_TRIANGLE=NO_TRIANGLE,
+        OUT_OF_CUBE=OUT_OF_CUBE,
+        COARSE=COARSE,
+        UNKNOWN=UNKNOWN,
+        OUTSIDE=OUTSIDE,
+        INSIDE=INSIDE,
+    )
+}
+
+
+@dataclass
+class Level:
+    """The refined cells of a level, on the device; the root has level 0.
+
+    arrays : by the names of the kernels' parameters, as far as the stages have computed them:
+        identifiers : uint64, rising; sources : uint32, which child of the level above each cell is.
+        begins, items : uint32, where the list of each cell begins, and the triangles of all lists.
+        masks, needed : uint8 an item, the children that need it; uint32 a child, its number of
+            items.
+        values : float64, 27 a cell, the distances of its block, in the frame.
+        states, doubts, asked : uint8, the side of the mesh of each cell; uint32, the vertices of
+            its block whose signs are unknown, and those whose winding numbers are computed.
+        neighbours : uint32, 27 a cell, see find_neighbours.
+        ranks : uint32, a child: whether it is refined, then the number of refined children before
+            it.
+        OF_PARENTS : arrays of the level above.
+    """
+
+    number: int
+    count: int
+    arrays: dict[str, Array]
+
+    def allocate(self, **arrays: tuple[int, type]) -> None:
+        """Add arrays of undefined content, given the numbers a cell and their type."""
+        device = self.arrays["items"].device
+        for name, (width, dtype) in arrays.items():
+            self.arrays[name] = device.empty(width * self.count, dtype)
+
+
+class Construction:
+    """The data that the stages of all levels share.
+
+    arguments : of kernels, by name; options : of kernels; steepest : uint32, the bits of the
+    steepest slope of a leaf; unbalanced : uint32, whether a leaf has a neighbour that is coarser by
+    two levels.
+    """
+
+    def __init__(self, survey: Survey, plan: FieldPlan) -> None:
+        self.survey, self.plan, self.device = survey, plan, survey.device
+        self.steepest = self.device.zeros(1, np.uint32)
+        self.unbalanced = self.device.zeros(1, np.uint32)
+        side = 2 * survey.extent
+        self.arguments: dict[str, Any] = {
+            **survey.arguments,
+            **(survey.winding_arguments if plan.sign == "winding" else {}),
+            "tolerance": plan.tolerance * side,
+            "misplaced": survey.misplaced * side,
+            "band": plan.band * side,
+            "thorough": plan.max_bytes is not None,
+            "bounds": self.device.put(bound_values()),
+            "steepest": self.steepest,
+            "unbalanced": self.unbalanced,
+        }
+        signed = plan.sign != "none"
+        options = {
+            "SIGNED": signed,
+            "WINDING": plan.sign == "winding",
+            "CLOSED": plan.certain,
+            "JUMPS": signed and not plan.certain,
+            "FLAT": signed and plan.flat > 0,
+        }
+        self.options = {name: 1 for name, on in options.items() if on}
+
+    def run(self, stage: str, kernel: str, level: Level, size: int = 0, **more: Any) -> None:
+        """Run a kernel of kernels/adf/levels/ for each cell of a level, or with `size` work-items;
+        `more` replaces arguments of the construction and the level."""
+        launch = self.device.kernel(f"adf/levels/{stage}.cl", kernel, **self.options)
+        arguments = {**self.arguments, **level.arrays, "level": level.number, **more}
+        launch(size or level.count, **arguments)
+
+    def root(self) -> Level:
+        """Return the root, whose list contains every triangle without duplicates."""
+        triangles = self.survey.distinct_triangles()
+        arrays = {
+            "identifiers": np.ones(1, np.uint64),
+            "sources": np.zeros(1, np.uint32),
+            "begins": np.array([0, len(triangles)], np.uint32),
+            "items": triangles,
+            "neighbours": np.array([*[OUT_OF_CUBE] * 13, 0, *[OUT_OF_CUBE] * 13], np.uint32),
+            "parent_states": np.array([UNKNOWN], np.uint8),
+        }
+        return Level(0, 1, {name: self.device.put(values) for name, values in arrays.items()})
+
+
+def sample(work: Construction, level: Level) -> None:
+    """Compute the distances of a level's blocks, their signs, and the triangles of each child."""
+    device, winding = work.device, "WINDING" in work.options
+    level.allocate(values=(27, np.float64), needed=(8, np.uint32))
+    level.arrays["masks"] = device.empty(level.arrays["items"].size, np.uint8)
+    signed = "SIGNED" in work.options
+    places = device.empty(27 * level.count, np.uint32) if signed else None
+    with device.stage("sample"):
+        work.run("sample", "sample_blocks", level, places=places)
+        if signed:
+            level.allocate(states=(1, np.uint8), doubts=(1, np.uint32), asked=(1, np.uint32))
+            work.run("sample", "sign_blocks", level, places=places)
+        for _ in ("middles of blocks", "vertices") if winding else ():
+            settle_signs(work, level)
+
+
+def settle_signs(work: Construction, level: Level) -> None:
+    """Decide unknown signs by winding numbers, at the vertices that are asked for."""
+    begins = work.device.empty(level.count + 1, np.uint32)
+    with work.device.stage("signs"):
+        work.run("sample", "count_asked", level, counts=begins)
+        total = exclusive_scan(begins, level.count)
+        if total == 0:
+            return
+        points = work.device.empty(3 * total, np.float64)
+        work.run("sample", "list_asked", level, begins=begins, points=points)
+        numbers = work.survey.winding.at_local(points, total)
+        work.run("sample", "settle_signs", level, begins=begins, numbers=numbers)
+
+
+def constrain(work: Construction, level: Level) -> None:
+    """Set the values of vertices on a coarser leaf's faces and edges to its interpolation, so that
+    the field has no cracks."""
+    if level.number == 0:
+        return
+    level.allocate(neighbours=(27, np.uint32))
+    with work.device.stage("constrain"):
+        work.run("constrain", "find_neighbours", level)
+        work.run("constrain", "constrain_blocks", level)
+
+
+@dataclass
+class Examined:
+    """The children of a level's cells, on the host.
+
+    voxels : (27 n,) float32, the blocks, in sides; refined : (8 n,) uint32, 1 or 0; errors : (8 n,)
+    float32, in sides, -1 at a sign discontinuity; codes : (8 n,) uint8, of the bounds of leaves.
+    """
+
+    voxels: np.ndarray
+    refined: np.ndarray
+    errors: np.ndarray
+    codes: np.ndarray
+
+
+def examine(work: Construction, level: Level) -> Examined:
+    """Return the errors of the children of a level's cells, and which of them are refined."""
+    device, plan, n = work.device, work.plan, level.count
+    voxels = device.empty(27 * n, np.float32)
+    ranks = level.arrays["ranks"] = device.empty(8 * n + 1, np.uint32)
+    errors, codes = device.empty(8 * n, np.float32), device.empty(8 * n, np.uint8)
+    with device.stage("examine"):
+        work.run("examine", "store_voxels", level, 27 * n, voxels=voxels)
+        work.run(
+            "examine",
+            "examine_children",
+            level,
+            voxels=voxels,
+            can_refine=level.number + 1 < plan.max_level,
+            refine_coarse=0.5 ** (level.number + 1) > CROSSED * plan.tolerance,
+            flags=ranks,
+            errors=errors,
+            codes=codes,
+        )
+    return Examined(voxels.take(), ranks.get(0, 8 * n), errors.take(), codes.take())
+
+
+def refine(work: Construction, level: Level, size: int) -> Level:
+    """Return the next level, of the refined children, at least one; its lists have `size`
+    triangles."""
+    device, n = work.device, level.count
+    parents = {f"parent_{name}": array for name, array in level.arrays.items()}
+    with device.stage("refine"):
+        count = exclusive_scan(level.arrays["ranks"], 8 * n)
+        finer = Level(level.number + 1, count, {**parents, "items": device.empty(size, np.uint32)})
+        finer.allocate(identifiers=(1, np.uint64), sources=(1, np.uint32))
+        finer.arrays["begins"] = device.empty(count + 1, np.uint32)
+        work.run("refine", "list_refined", finer, 8 * n, counts=finer.arrays["begins"])
+        exclusive_scan(finer.arrays["begins"], count)
+        work.run("refine", "pass_lists_on", finer)
+    for name in parents.keys() - OF_PARENTS:
+        del finer.arrays[name]
+    return finer
