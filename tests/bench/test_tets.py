@@ -21,7 +21,7 @@ from voxtool.opencl import open_device
 from voxtool.rendering import plan_render
 from voxtool.selftest.reference import reference
 from voxtool.tets.conforming import tetrahedra
-from voxtool.tets.mesh import UnstructuredMesh
+from voxtool.tets.mesh import UnstructuredMesh, volume_cells
 from voxtool.tets.textures import build_tet
 
 REQUEST = Request(sizes=(6, 12), pixels=6, transfers=("x10",), scalar="heat", repeat=1, seconds=0,
@@ -58,9 +58,7 @@ def cube(tmp_path: Path) -> str:
 def test_points(cube: str) -> None:
     index = usable_devices()[0][0]
     profiled = open_device(str(index), profile=True)
-    *ours, shown, rays = tets.measure(
-        Bench(REQUEST, opened(index), profiled, "tets", cube, GreyTool)
-    )
+    *ours, shown, rays = tets.measure(cube, Bench(REQUEST, opened(index), profiled, GreyTool))
     drawn = [(p.setting["sizes"], p.setting["methods"], p.setting["integrators"]) for p in ours]
     assert drawn == [
         *((6, method, "linear") for method in METHODS),
@@ -90,7 +88,8 @@ def test_transparent_cells_are_forced_in(device, method: str) -> None:
     job = plan_render(build_tet(mesh, method), look(12, 12), transfer=transfer, method=method,
                       device=device)  # fmt: skip
     bench = Bench(Request(repeat=1, seconds=0), device, device)
-    (one,) = ablation.of_picture(job, bench, "frames")
+    about = {"bench": "tets", "model": "cube", "work": "frames"}
+    (one,) = ablation.of_picture(job, bench, about)
     assert one.same
     assert "transparent" in one.what
 
@@ -108,21 +107,19 @@ def test_constant_cells(cube: str) -> None:
 def test_errors_are_of_pixels_with_something_in_them() -> None:
     expected = np.array([(0, 0, 0, 0), (0.5, 0, 0, 0.5), (0, 0, 0, 0)])
     view = ReferencePicture(look(3, 1), np.array([(0, 0), (1, 0), (2, 0)]), expected)
-    assert view.compared(expected)["errors"] == {"rms": 0, "max": 0}
+    assert view.errors(expected) == {"rms": 0, "max": 0}
     found = expected + np.array([(0, 0, 0, 0), (0, 0, 0, 0.25), (0, 0, 0, 0)])
-    assert view.compared(found)["errors"] == {"rms": 0.125, "max": 0.25}
+    assert view.errors(found) == {"rms": 0.125, "max": 0.25}
     found[2, 3] = 0.5  # that should be empty
-    assert view.compared(found) == {
-        "errors": {"rms": np.sqrt((0.25**2 + 0.5**2) / 8), "max": 0.5},
-        "figures": {"pixels compared": 1, "largest alpha": 0.5},
-    }
+    assert view.errors(found) == {"rms": np.sqrt((0.25**2 + 0.5**2) / 8), "max": 0.5}
     picture = np.arange(3)[None, :, None] * np.ones(4)
     assert view.of(picture)[:, 0].tolist() == [0, 1, 2]
 
 
 def test_transfer_functions() -> None:
     vertices, cells = kuhn()
-    mesh = tetrahedra(UnstructuredMesh(vertices, [("tetra", cells)], 3 + vertices[:, 0], "s"))
+    mesh = UnstructuredMesh(vertices, [("tetra", cells)], 3 + vertices[:, 0], "s")
+    mesh = tetrahedra(volume_cells(mesh))
     opaque = {name: tets.transfer_of(name, mesh) for name in TRANSFERS}
     most = tets.DEPTH / np.sqrt(3)
     for name, factor in (("x1", 1), ("x10", 10), ("x100", 100)):
