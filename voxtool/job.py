@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import functools
+import inspect
 import os
 import sys
 import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Generic, Protocol, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, Self, TypeVar
 
 from voxtool.errors import MeshWarning
 from voxtool.memory import available_memory
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 
     from voxtool.opencl import Device
 
+Options = ParamSpec("Options")
 Result = TypeVar("Result")
 
 
@@ -181,6 +184,25 @@ class Job(ABC, Generic[Result]):
         if self._progress:
             self._progress(name)
         yield
+
+
+def one_call(
+    plan: Callable[Options, Job[Result]], name: str, result: type[Result]
+) -> Callable[Options, Result]:
+    """Return a function that plans a job and runs it: `voxelize`, from `plan_voxelize`.
+
+    It has the parameters and the documentation of `plan`, and returns a `result`.
+    """
+
+    @functools.wraps(plan)
+    def call(*arguments: Options.args, **options: Options.kwargs) -> Result:
+        return plan(*arguments, **options).run()
+
+    call.__name__ = call.__qualname__ = name
+    call.__annotations__["return"] = result
+    signature = inspect.signature(plan).replace(return_annotation=result)
+    call.__signature__ = signature  # pyright: ignore[reportAttributeAccessIssue]
+    return call
 
 
 def _outside() -> int:

@@ -6,8 +6,9 @@ visible. A scene is a frozen dataclass of the options that its picture has.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
@@ -15,16 +16,13 @@ from voxtool.adf.field import DistanceField
 from voxtool.adf.scene import FieldScene
 from voxtool.camera import FOV, MAX_SIDE, Camera, Rays
 from voxtool.errors import DeviceError, MemoryLimitError, VoxtoolError, count_of, human
-from voxtool.job import Cost, Job
+from voxtool.job import Cost, Job, one_call
 from voxtool.memory import check_memory
 from voxtool.opencl import Device, default_device
 from voxtool.svo.octree import Octree
 from voxtool.svo.scene import OctreeScene
 from voxtool.tets.scene import VolumeScene
 from voxtool.tets.volume import TetVolume
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 Content = Octree | DistanceField | TetVolume
 
@@ -263,20 +261,7 @@ def plan_render(
     return RenderJob(RenderPlan(scene, size, samples), rays, device, max_memory)
 
 
-def render(
-    content: Content,
-    view: Camera | Rays | str | None = None,
-    *,
-    size: tuple[int, int] = SIZE,
-    samples: int | None = None,
-    device: Device | None = None,
-    max_memory: int | None = None,
-    **options: Any,
-) -> np.ndarray:
-    """Return a picture of content; see voxtool.render."""
-    return plan_render(
-        content, view, size=size, samples=samples, device=device, max_memory=max_memory, **options
-    ).run()
+render = one_call(plan_render, "render", np.ndarray)
 
 
 def camera_for(

@@ -14,7 +14,7 @@ from helpers_cli import write_obj
 from voxtool.adf.survey import cube_of
 from voxtool.bench import adf, peers
 from voxtool.bench.points import FIGURES, Point
-from voxtool.bench.references import distance_errors, sign_figures
+from voxtool.bench.references import distances_compared
 from voxtool.bench.request import KINDS, Request
 from voxtool.bench.timing import Bench
 from voxtool.choices import SEARCHES
@@ -44,7 +44,7 @@ def points(tmp_path_factory) -> list[Point]:
     index = usable_devices()[0][0]
     profiled = open_device(str(index), profile=True)
     tools = SimpleNamespace(of_distance=wrong_tools)
-    found = list(adf.measure(str(path), Bench(REQUEST, opened(index), profiled, tools)))
+    found = list(adf.measure(Bench(REQUEST, opened(index), profiled, "adf", str(path), tools)))
     assert all(isinstance(point, Point) for point in found)
     return found  # type: ignore[return-value]
 
@@ -148,8 +148,9 @@ def test_keys_of_a_sphere() -> None:
 
 def test_errors() -> None:
     found, exact = np.array([-2.0, 1.5, 1.0, 4.0]), np.array([-2.0, -1.0, 1.0, 4.0])
-    assert distance_errors(found, exact, 2.0) == {"rms": 0.625, "p99": 1.25, "max": 1.25}
-    assert sign_figures(found, exact, 2.0) == {"max unsigned": 0.25, "other sign": 1}
+    errors, signs = distances_compared(found, exact, 2.0)
+    assert errors == {"rms": 0.625, "p99": 1.25, "max": 1.25}
+    assert signs == {"max unsigned": 0.25, "other sign": 1}
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,9 @@ def cube(tmp_path: Path) -> str:
 def test_points(cube: str) -> None:
     index = usable_devices()[0][0]
     profiled = open_device(str(index), profile=True)
-    *ours, shown, rays = tets.measure(cube, Bench(REQUEST, opened(index), profiled, GreyTool))
+    *ours, shown, rays = tets.measure(
+        Bench(REQUEST, opened(index), profiled, "tets", cube, GreyTool)
+    )
     drawn = [(p.setting["sizes"], p.setting["methods"], p.setting["integrators"]) for p in ours]
     assert drawn == [
         *((6, method, "linear") for method in METHODS),
@@ -88,8 +90,7 @@ def test_transparent_cells_are_forced_in(device, method: str) -> None:
     job = plan_render(build_tet(mesh, method), look(12, 12), transfer=transfer, method=method,
                       device=device)  # fmt: skip
     bench = Bench(Request(repeat=1, seconds=0), device, device)
-    about = {"bench": "tets", "model": "cube", "work": "frames"}
-    (one,) = ablation.of_picture(job, bench, about)
+    (one,) = ablation.of_picture(job, bench, "frames")
     assert one.same
     assert "transparent" in one.what
 
@@ -107,11 +108,14 @@ def test_constant_cells(cube: str) -> None:
 def test_errors_are_of_pixels_with_something_in_them() -> None:
     expected = np.array([(0, 0, 0, 0), (0.5, 0, 0, 0.5), (0, 0, 0, 0)])
     view = ReferencePicture(look(3, 1), np.array([(0, 0), (1, 0), (2, 0)]), expected)
-    assert view.errors(expected) == {"rms": 0, "max": 0}
+    assert view.compared(expected)["errors"] == {"rms": 0, "max": 0}
     found = expected + np.array([(0, 0, 0, 0), (0, 0, 0, 0.25), (0, 0, 0, 0)])
-    assert view.errors(found) == {"rms": 0.125, "max": 0.25}
+    assert view.compared(found)["errors"] == {"rms": 0.125, "max": 0.25}
     found[2, 3] = 0.5  # that should be empty
-    assert view.errors(found) == {"rms": np.sqrt((0.25**2 + 0.5**2) / 8), "max": 0.5}
+    assert view.compared(found) == {
+        "errors": {"rms": np.sqrt((0.25**2 + 0.5**2) / 8), "max": 0.5},
+        "figures": {"pixels compared": 1, "largest alpha": 0.5},
+    }
     picture = np.arange(3)[None, :, None] * np.ones(4)
     assert view.of(picture)[:, 0].tolist() == [0, 1, 2]
 

@@ -1,7 +1,7 @@
-"""Distance fields: their error against the time of building them and of asking them, beside exact
+"""Distance fields: their error against the time of building and querying them, beside exact
 distances at the same points.
 
-A field costs its build and saves time at each point: the figure "break-even" is the number of
+A field takes time to build and saves time at each point: the figure "break-even" is the number of
 points from which the field, its build and its upload take less time than exact distances.
 """
 
@@ -9,12 +9,10 @@ from __future__ import annotations
 
 import math
 import statistics
-import time
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,8 +23,9 @@ from voxtool.adf.hashing import build_hash
 from voxtool.adf.query import FieldQuery
 from voxtool.adf.survey import cube_of
 from voxtool.bench import ablation, timing
-from voxtool.bench.points import MEASURES, Point
-from voxtool.bench.references import distance_errors, sign_figures
+from voxtool.bench.distance import build_seconds
+from voxtool.bench.points import MEASURES
+from voxtool.bench.references import distances_compared
 from voxtool.files.mesh import load_mesh
 from voxtool.spatial.sampling import sample_cube
 from voxtool.spatial.signed_distance import SignedDistance
@@ -35,14 +34,15 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from voxtool.adf.field import DistanceField
-    from voxtool.bench.points import Ablation
+    from voxtool.bench.points import Ablation, Point
     from voxtool.bench.request import Request
     from voxtool.bench.timing import Bench
+    from voxtool.job import Job
     from voxtool.mesh.mesh import Mesh
+    from voxtool.opencl import Device
 
 DIRECTION = np.array([2.0, 3.0, 6.0]) / 7  # of rays: a unit vector along no plane of the lattice
 SPHERE_RADIUS = 0.195  # a million cells of levels 0 to 10 meet its surface
-NO_ERROR = "a hash has no error"
 HASH = "keys of cells to perfect hash"
 WORK = {  # by kind of points
     "random": "distances at {:,} random points",
@@ -50,57 +50,53 @@ WORK = {  # by kind of points
 }
 
 
-def measure(model: str, bench: Bench) -> Iterator[Point | Ablation]:
+def measure(bench: Bench) -> Iterator[Point | Ablation]:
     """The points and ablations of a model."""
-    asked, mesh = bench.request, load_mesh(model)
-    distances = list(_exact_distances(mesh, model, bench))
-    built: list[tuple[Point, DistanceField]] = []
+    asked, mesh = bench.request, load_mesh(bench.model)
+    distances = list(_exact_distances(mesh, bench))
+    fields: list[DistanceField] = []
     for level, tolerance in product(asked.levels, asked.tolerances):
-        point, field = _build(mesh, model, level, tolerance, bench)
-        built.append((point, field))
+        point, field = _build(mesh, level, tolerance, bench)
+        fields.append(field)
         yield point
-        keys = key_of(*cell_of(field.blocks))
-        yield _hash(f"field, {point.method}", point.label, keys, model, bench)
+        yield _hash(f"field, {point.method}", point.label, key_of(*cell_of(field.blocks)), bench)
         for exact in distances:
             yield from _queries(point, field, exact, bench)
     for exact in distances:
         yield from exact.points
-    sphere = sphere_keys(asked.sphere_level)
-    yield _hash("sphere", f"levels to {asked.sphere_level}", sphere, model, bench)
+    last = asked.sphere_level
+    yield _hash("sphere", f"levels to {last}", sphere_keys(last), bench)
     if asked.ablations:
         level, tolerance = asked.levels[0], asked.tolerances[-1]
-        about = {"bench": "adf", "model": Path(model).name,
-                 "work": f"mesh to field, levels to {level}, tolerance {tolerance:g}"}  # fmt: skip
-        job = plan_adf(
-            mesh, tolerance=tolerance, max_level=level, band=asked.band, sign=asked.sign,
-            measure=False, device=bench.timed,
-        )  # fmt: skip
-        yield from ablation.of_field(job, bench, about)
-        finest = max((field for _, field in built), key=lambda field: field.reached["leaves"])
-        about["work"] = (
-            f"{distances[0].work}, levels to {finest.max_level}, tolerance {finest.tolerance:g}"
-        )
-        yield from ablation.of_queries(finest, distances[0].places, bench, about)
+        work = f"mesh to field, levels to {level}, tolerance {tolerance:g}"
+        job = _plan(mesh, bench.timed, asked, level, tolerance)
+        yield from ablation.of_field(job, bench, work)
+        finest, exact = max(fields, key=lambda field: field.reached["leaves"]), distances[0]
+        limits = f"levels to {finest.max_level}, tolerance {finest.tolerance:g}"
+        work = f"{exact.points[0].work}, {limits}"
+        yield from ablation.of_queries(finest, exact.places, bench, work)
 
 
 # --- build and hash ------------------------------------------------------------------------------
 
 
-def _build(
-    mesh: Mesh, model: str, level: int, tolerance: float, bench: Bench
-) -> tuple[Point, DistanceField]:
-    """A field, and the point of its build."""
-    asked = bench.request
-    plan = partial(
-        plan_adf, tolerance=tolerance, max_level=level, band=asked.band, sign=asked.sign,
-        measure=False,
+def _plan(
+    mesh: Mesh, device: Device, asked: Request, level: int, tolerance: float
+) -> Job[DistanceField]:
+    return plan_adf(
+        mesh, tolerance=tolerance, max_level=level, band=asked.band, sign=asked.sign,
+        measure=False, device=device,
     )  # fmt: skip
-    job = plan(mesh, device=bench.timed)
+
+
+def _build(mesh: Mesh, level: int, tolerance: float, bench: Bench) -> tuple[Point, DistanceField]:
+    """A field, and the point of its build."""
+    asked, timed = bench.request, bench.timed
+    job = _plan(mesh, timed, asked, level, tolerance)
     field = job.run()
-    reached, errors = field.reached, measure_errors(field, mesh, bench.timed)
-    upload = timing.times(lambda: FieldQuery(replace(field), bench.timed), asked.repeat)
-    # of copies, of which nothing is on the device
-    measured = bench.measured(lambda device: plan(replace(mesh), device=device).run())
+    reached, errors = field.reached, measure_errors(field, mesh, timed)
+    # of copies, which the device does not have
+    upload = timing.times(lambda: FieldQuery(replace(field), timed), asked.repeat)
     figures: dict[str, float | None] = {
         "triangles": len(mesh.faces), "depth": field.depth, "blocks": len(field.voxels),
         "over tolerance": reached["missed"], "lipschitz": field.lipschitz,
@@ -111,31 +107,25 @@ def _build(
         if errors.get(place, {}).get("points"):
             found |= {f"{name}{where}": errors[place][name] for name in ("rms", "p99", "max")}
             figures[f"within{where}"] = errors[place]["within"]
-    setting = {"tolerances": tolerance, "levels": level}
-    point = Point(
-        "adf", Path(model).name, "mesh to field", f"levels to {level}", f"tolerance {tolerance:g}",
-        setting={**setting, "sign": field.sign,
-                 "band": None if math.isinf(asked.band) else asked.band},
-        command=asked.command("adf", model, **setting),
-        size=reached["leaves"], size_of="leaves",
-        errors=found, left_out=job.with_(measure=True).left_out, bytes=sum(field.sizes().values()),
-        **measured,
-    )  # fmt: skip
-    absent = {} if "rms" in found else {"rms": "no point of the cube lies within the band"}
-    return replace(point, figures={**figures, **point.figures}, absent=absent), field
+    band = None if math.isinf(asked.band) else asked.band
+    return bench.point(
+        "mesh to field", f"levels to {level}", f"tolerance {tolerance:g}",
+        run=lambda device: _plan(replace(mesh), device, asked, level, tolerance).run(),
+        asked={"tolerances": tolerance, "levels": level},
+        setting={"sign": field.sign, "band": band}, figures=figures,
+        size=reached["leaves"], size_of="leaves", errors=found,
+        absent={} if "rms" in found else {"rms": "no point of the cube lies within the band"},
+        left_out=job.with_(measure=True).left_out, bytes=sum(field.sizes().values()),
+    ), field  # fmt: skip
 
 
-def _hash(method: str, label: str, keys: np.ndarray, model: str, bench: Bench) -> Point:
+def _hash(method: str, label: str, keys: np.ndarray, bench: Bench) -> Point:
     """The point of a perfect hash of (n, 3) keys."""
-    n = len(keys)
-    table = build_hash(keys, bench.timed)
-    return Point(
-        "adf", Path(model).name, HASH, method, label,
-        setting={"keys": n},
-        runs=bench.request.runs.times(partial(build_hash, keys, bench.timed)),
-        command=bench.request.command("adf", model),
-        size=n, size_of="keys",
-        absent=dict.fromkeys(MEASURES["adf"], NO_ERROR),
+    n, build = len(keys), partial(build_hash, keys, bench.timed)
+    table = build()
+    return bench.point(
+        HASH, method, label, setting={"keys": n}, runs=bench.request.runs.times(build),
+        size=n, size_of="keys", absent=dict.fromkeys(MEASURES["adf"], "a hash has no error"),
         figures={"load": table.load(n), "bits a key": table.bits_a_key(n),
                  "side of slots": table.m, "side of offsets": table.r, "w": int(table.has_w)},
     )  # fmt: skip
@@ -166,105 +156,79 @@ def sphere_keys(last: int) -> np.ndarray:
 class _Exact:
     """Exact distances at points of one kind.
 
-    work : what is timed; places : (n, 3) float64, world points; distances : (n,) float64; side : of
-    the cube. build, seconds : of the tree, and of asking at all points. points : what was measured
-    without a field.
+    places : (n, 3) float64, world points; distances : (n,) float64; side : of the cube.
+    points : the measurements of exact distances and of other tools, in this order.
     """
 
-    work: str
     places: np.ndarray
     distances: np.ndarray
     side: float
-    build: float
-    seconds: float
     points: list[Point]
 
+    def compared(self, found: np.ndarray) -> tuple[dict[str, float], dict[str, Any]]:
+        """The errors of distances at the points, and the figures of their signs."""
+        return distances_compared(found, self.distances, self.side)
 
-def _exact_distances(mesh: Mesh, model: str, bench: Bench) -> Iterator[_Exact]:
+
+def _exact_distances(mesh: Mesh, bench: Bench) -> Iterator[_Exact]:
     """The exact distances, and other tools, at the points of each kind."""
-    asked = bench.request
-    exact, side = SignedDistance(mesh, asked.sign, bench.timed), cube_of(mesh)[1]
-
-    def make() -> SignedDistance:
-        """Build the tree of a copy of the mesh, of which nothing is on the device."""
-        return SignedDistance(replace(mesh), asked.sign, bench.timed)
-
-    build = statistics.median(timing.times(make, asked.repeat))
-    others = timing.Peers(asked.repeat)
+    asked, others = replace(bench.request, peers=True), timing.Peers(bench.request.repeat)
+    exact = SignedDistance(mesh, asked.sign, bench.timed)
+    build = build_seconds(mesh, asked.sign, bench)
     for kind, places in points_of(mesh, asked).items():
-        distances, work = exact(places), WORK[kind].format(len(places))
-        runs = asked.runs.times(partial(exact, places))
         row = partial(
-            Point, "adf", Path(model).name, work, label="", setting={"points": len(places)},
-            command=replace(asked, peers=True).command("adf", model, kinds=kind),
+            replace(bench, request=asked).point, WORK[kind].format(len(places)),
+            asked={"kinds": kind}, setting={"points": len(places)}, places=len(places),
         )  # fmt: skip
-        points = [
+        measured = _Exact(places, exact(places), cube_of(mesh)[1], [])
+        measured.points.append(
             row(
-                method="exact distances", runs=runs,
+                "exact distances", runs=asked.runs.times(partial(exact, places)),
                 absent=dict.fromkeys(MEASURES["adf"], "errors are measured against it"),
-                figures={"build": build, **_a_point(runs, places)},
+                figures={"build": build},
             )
-        ]  # fmt: skip
-        for peer in bench.tools.of_distance(mesh) if asked.peers else ():
-            start = time.perf_counter()
-            distance = peer.build()
-            ready = time.perf_counter() - start
+        )  # fmt: skip
+        for peer in bench.tools.of_distance(mesh) if bench.request.peers else ():
+            ready, distance = timing.timed(peer.build)
             runs, found = others.times(peer.name, partial(distance, places))
-            if not runs:
-                continue
-            name = f"{peer.name}, building its trees" if peer.builds_each_time else peer.name
-            points.append(
-                row(
-                    method=name, runs=runs, peer=True,
-                    errors=distance_errors(found, distances, side),
-                    figures={"build": ready, **_a_point(runs, places),
-                             **sign_figures(found, distances, side)},
-                )
-            )  # fmt: skip
-        seconds = points[0].seconds
-        yield _Exact(work, places, distances, side, build, seconds, points)
+            if runs:
+                name = f"{peer.name}, building its trees" if peer.builds_each_time else peer.name
+                errors, signs = measured.compared(found)
+                figures = {"build": ready, **signs}
+                point = row(name, runs=runs, peer=True, errors=errors, figures=figures)
+                measured.points.append(point)
+        yield measured
 
 
 def _queries(built: Point, field: DistanceField, exact: _Exact, bench: Bench) -> Iterator[Point]:
     """A point for each search of a field."""
-    places = exact.places
-    upload, ready = built.figures["upload"] or 0.0, FieldQuery(field, bench.timed)
-    asks = {bench.timed: ready, bench.profiled: FieldQuery(field, bench.profiled)}
+    places, alone = exact.places, exact.points[0]
+    asks = {device: FieldQuery(field, device) for device in (bench.timed, bench.profiled)}
+    spent = built.seconds + (built.figures["upload"] or 0) - (alone.figures["build"] or 0)
     for search in bench.request.searches:
-        found = ready(places, search=search).distance
-        measured = bench.measured(lambda device, search=search: asks[device](places, search=search))
-        point = replace(
-            built,
-            work=exact.work,
-            method=f"field, {built.method}, {search} search",
+        errors, figures = exact.compared(asks[bench.timed](places, search=search).distance)
+        point = bench.point(
+            alone.work, f"field, {built.method}, {search} search", built.label,
+            run=lambda device, search=search: asks[device](places, search=search),
             setting={**built.setting, "points": len(places), "search": search},
-            errors=distance_errors(found, exact.distances, exact.side),
-            absent={},
-            left_out={},
-            **measured,
-        )
-        even = break_even(built.seconds + upload - exact.build, exact.seconds - point.seconds)
-        figures = {
-            **_a_point(point.runs, places),
-            **sign_figures(found, exact.distances, exact.side),
-            "break-even": None if even is None else math.ceil(even * len(places)),
-        }
-        yield replace(point, figures={**figures, **point.figures})
+            errors=errors, figures=figures, places=len(places),
+            size=built.size, size_of=built.size_of, bytes=built.bytes,
+        )  # fmt: skip
+        even = break_even(spent, alone.seconds - point.seconds)
+        count = None if even is None else math.ceil(even * len(places))
+        figures = {**point.figures, "break-even": count}
+        yield replace(point, figures=figures, command=built.command)
 
 
 def break_even(spent: float, saved: float) -> float | None:
     """The number of runs after which the seconds saved in each make up for the seconds spent; None
-    if nothing is saved."""
+    if no time is saved."""
     return None if saved <= 0 else max(0.0, spent / saved)
-
-
-def _a_point(runs: list[float], places: np.ndarray) -> dict[str, float]:
-    return {"ns a point": 1e9 * statistics.median(runs) / len(places)}
 
 
 def points_of(mesh: Mesh, request: Request) -> dict[str, np.ndarray]:
     """(n, 3) float64 world points in the cube of a mesh, by kind: "random" are quasi-random, as
-    many as the request asks for; "rays" follow each other along rays, up to a whole ray more."""
+    many as the request asks for; "rays" lie along rays, in order, and fill the last ray."""
     origin, side = cube_of(mesh)
     step = 0.5 ** (max(request.levels) + 1)
     makers = {

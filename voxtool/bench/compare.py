@@ -8,15 +8,12 @@ same output; differences below ERROR_NOISE are allowed for other tools.
 from __future__ import annotations
 
 import json
-import math
+import sys
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 from voxtool.errors import FileError, one_line
 from voxtool.files.streams import PathLike, input_name, open_whole, read_error
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 FORMAT, MAJOR = "voxtool-bench", "1"
 MOST_BYTES = 64 << 20  # of a report
@@ -27,8 +24,7 @@ KEY = ("bench", "model", "work", "method", "label")
 
 @dataclass(frozen=True)
 class Row:
-    """One setting of a report: the median, least and most seconds of its runs, and its errors by
-    measure."""
+    """The seconds of the runs of a point: median, least and most; and its errors by measure."""
 
     seconds: float
     least: float
@@ -38,7 +34,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Summary:
-    """A report: its rows by bench, model, work, method and label; where : the device, in words."""
+    """The rows of a report by the fields of KEY; where : the name and driver of the device."""
 
     rows: dict[tuple[str, ...], Row]
     where: str
@@ -46,14 +42,8 @@ class Summary:
 
 @dataclass(frozen=True)
 class Change:
-    """A row that two reports have.
-
-    Attributes
-    ----------
-    faster, slower : whether the time has changed beyond the noise.
-    percent : by which the new median is over the old one.
-    worse, better : errors that became larger or smaller, by measure, with both values.
-    """
+    """A row of two reports; worse, better : the errors that became larger or smaller, by measure,
+    each with its old and new value."""
 
     key: tuple[str, ...]
     old: Row
@@ -63,10 +53,12 @@ class Change:
 
     @property
     def percent(self) -> float:
+        """The percentage by which the new median is larger than the old one."""
         return 100 * (self.new.seconds / self.old.seconds - 1)
 
     @property
     def slower(self) -> bool:
+        """True if every new run is slower than every old one."""
         return self.new.least > self.old.most
 
     @property
@@ -74,7 +66,7 @@ class Change:
         return self.new.most < self.old.least
 
     def fails(self, over: float) -> bool:
-        """Whether the row is slower by more than `over` percent, or less accurate."""
+        """True if the row is slower by more than `over` percent, or less accurate."""
         return bool(self.worse) or (self.slower and self.percent > over)
 
     def as_dict(self) -> dict[str, Any]:
@@ -114,7 +106,7 @@ def read_report(path: PathLike) -> Summary:
 
     Raises
     ------
-    FileError : there is none, or it is damaged, hostile or of another kind.
+    FileError : the file is missing, damaged, hostile or of another kind.
     """
     name = input_name(path)
     try:
@@ -136,75 +128,61 @@ def read_report(path: PathLike) -> Summary:
             f"{name}: schema version {one_line(ValueError(version))[:20]}, and {MAJOR} can be read:"
             " measure it again with this voxtool"
         )
-    return _Checked(name).summary(value)
+    try:
+        return _summary(value)
+    except ValueError as error:
+        raise FileError(f"{name}: damaged: {error}") from None
 
 
 def _refuse(constant: str) -> NoReturn:
     raise ValueError(f"{constant} is no JSON number")
 
 
-@dataclass(frozen=True)
-class _Checked:
-    """Checked access to the JSON of a report; every method raises FileError."""
+def _summary(report: dict[str, Any]) -> Summary:
+    """The Summary of a report. This and all below raise ValueError where it is damaged."""
+    rows: dict[tuple[str, ...], Row] = {}
+    for number, point in enumerate(_typed(list, report.get("points"), "points")):
+        where = f"point {number}"
+        _typed(dict, point, where)
+        key = tuple(_text(point.get(word), f"{where}, {word},") for word in KEY)
+        if key in rows:
+            raise ValueError(f"{where} is there twice")
+        rows[key] = _row(point, where)
+    device = _typed(dict, report.get("device"), "device")
+    words = [_text(device.get(word), f"device, {word},") for word in ("name", "driver")]
+    return Summary(rows, ", ".join(words))
 
-    name: str
 
-    def fail(self, where: str, what: str) -> NoReturn:
-        raise FileError(f"{self.name}: damaged: {where} {what}")
+def _row(point: dict[str, Any], where: str) -> Row:
+    seconds = _typed(dict, point.get("seconds"), f"{where}, seconds,")
+    errors = _typed(dict, point.get("errors"), f"{where}, errors,")
+    median, least, most = (
+        _number(seconds.get(word), f"{where}, {word},") for word in ("median", "least", "most")
+    )
+    if not 0 < least <= median <= most:
+        raise ValueError(f"{where}, seconds, are not positive and in order")
+    found = {
+        _text(word, f"{where}, errors,"): _number(value, f"{where}, an error,")
+        for word, value in errors.items()
+    }
+    return Row(median, least, most, found)
 
-    def summary(self, value: Mapping[str, Any]) -> Summary:
-        points = value.get("points")
-        if not isinstance(points, list):
-            self.fail("points", "is no list")
-        rows: dict[tuple[str, ...], Row] = {}
-        for number, point in enumerate(points):
-            where = f"point {number}"
-            if not isinstance(point, dict):
-                self.fail(where, "is no object")
-            key = tuple(self.text(point.get(word), f"{where}, {word},") for word in KEY)
-            if key in rows:
-                self.fail(where, "is there twice")
-            rows[key] = self.row(point, where)
-        device = value.get("device")
-        if not isinstance(device, dict):
-            self.fail("device", "is no object")
-        words = [self.text(device.get(word), f"device, {word},") for word in ("name", "driver")]
-        return Summary(rows, ", ".join(words))
 
-    def row(self, point: Mapping[str, Any], where: str) -> Row:
-        seconds, errors = point.get("seconds"), point.get("errors")
-        if not isinstance(seconds, dict):
-            self.fail(f"{where}, seconds,", "is no object")
-        if not isinstance(errors, dict):
-            self.fail(f"{where}, errors,", "is no object")
-        names = ("median", "least", "most")
-        median, least, most = (
-            self.number(seconds.get(word), f"{where}, {word},", positive=True) for word in names
-        )
-        if not least <= median <= most:
-            self.fail(f"{where}, seconds,", "are not in order")
-        return Row(
-            median,
-            least,
-            most,
-            {
-                self.text(word, f"{where}, errors,"): self.number(found, f"{where}, an error,")
-                for word, found in errors.items()
-            },
-        )
+def _typed(kind: type, value: Any, where: str) -> Any:
+    if not isinstance(value, kind):
+        raise ValueError(f"{where} is no {'list' if kind is list else 'object'}")
+    return value
 
-    def text(self, value: Any, where: str) -> str:
-        if not isinstance(value, str) or len(value) > MOST_TEXT:
-            self.fail(where, f"is no text of up to {MOST_TEXT} characters")
-        return value
 
-    def number(self, value: Any, where: str, positive: bool = False) -> float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            self.fail(where, "is no number")
-        try:
-            found = float(value)
-        except OverflowError:
-            found = math.inf
-        if not (found > 0 if positive else found >= 0) or found == math.inf:
-            self.fail(where, "is out of range")
-        return found
+def _text(value: Any, where: str) -> str:
+    if not isinstance(value, str) or len(value) > MOST_TEXT:
+        raise ValueError(f"{where} is no text of up to {MOST_TEXT} characters")
+    return value
+
+
+def _number(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError(f"{where} is no number")
+    if not 0 <= value <= sys.float_info.max:
+        raise ValueError(f"{where} is out of range")
+    return float(value)

@@ -9,14 +9,12 @@ import statistics
 from dataclasses import replace
 from functools import partial
 from itertools import product
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voxtool.adf.survey import cube_of
 from voxtool.bench import timing
-from voxtool.bench.points import Point
 from voxtool.bench.references import distance_errors
 from voxtool.distances import plan_distance_grid
 from voxtool.files.mesh import load_mesh
@@ -28,54 +26,50 @@ from voxtool.spatial.signed_distance import SignedDistance, default_sign
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from voxtool.bench.points import Point
     from voxtool.bench.timing import Bench
     from voxtool.mesh.mesh import Mesh
-    from voxtool.opencl import Device
 
 CHECKED = 32  # points at which errors are measured
-ROUNDING = 1e-9  # by which the filter of triangles may err
+ROUNDING = 1e-9  # relative error that the filter of triangles allows for
 LOCATED = {"gradient": True, "nearest": True, "face": True}
 
 
-def measure(model: str, bench: Bench) -> Iterator[Point]:
+def measure(bench: Bench) -> Iterator[Point]:
     """The points of a model."""
-    mesh = load_mesh(model)
-    yield from _at_points(mesh, model, bench)
-    yield from _grids(mesh, model, bench)
+    mesh = load_mesh(bench.model)
+    yield from _at_points(mesh, bench)
+    yield from _grids(mesh, bench)
 
 
-def _at_points(mesh: Mesh, model: str, bench: Bench) -> Iterator[Point]:
+def build_seconds(mesh: Mesh, sign: str | None, bench: Bench) -> float:
+    """Median seconds to prepare exact distances to a mesh that the device does not have."""
+    return statistics.median(
+        timing.times(lambda: SignedDistance(replace(mesh), sign, bench.timed), bench.request.repeat)
+    )
+
+
+def _at_points(mesh: Mesh, bench: Bench) -> Iterator[Point]:
     """Distances at one point, a thousand, and many; with and without nearest points."""
     asked, (origin, side) = bench.request, cube_of(mesh)
     sign = asked.sign or default_sign(mesh)
     places = origin + side * sample_cube(asked.points)
     exact = exact_distances(mesh, places[:CHECKED])
-    build = statistics.median(timing.times(partial(_fresh, mesh, sign, bench.timed), asked.repeat))
+    figures = {"triangles": len(mesh.faces), "build": build_seconds(mesh, sign, bench)}
     every = {device: SignedDistance(mesh, sign, device) for device in (bench.timed, bench.profiled)}
     methods = {f"sign {sign}": {}, f"sign {sign}, gradient, nearest point, face": LOCATED}
     for count, (method, located) in product(sorted({1, 1000, asked.points}), methods.items()):
         some = places[:count]
         found = np.abs(every[bench.timed](some[:CHECKED]))
-        work = f"exact distances at {count:,} random point{'s' * (count > 1)}"
-        point = Point(
-            "distance", Path(model).name, work, method, "",
-            setting={"points": count, "sign": sign},
-            command=asked.command("distance", model, points=count, sign=sign),
+        yield bench.point(
+            f"exact distances at {count:,} random point{'s' * (count > 1)}", method,
+            run=lambda device, some=some, located=located: every[device](some, **located),
+            asked={"points": count, "sign": sign}, figures=figures, places=count,
             errors=distance_errors(found, exact[:count], side),
-            **bench.measured(
-                lambda device, some=some, located=located: every[device](some, **located)
-            ),
         )  # fmt: skip
-        figures = {"build": build, "ns a point": 1e9 * point.seconds / count, **point.figures}
-        yield replace(point, figures={"triangles": len(mesh.faces), **figures})
 
 
-def _fresh(mesh: Mesh, sign: str, device: Device) -> SignedDistance:
-    """The distance to a copy of a mesh, of which nothing is on the device."""
-    return SignedDistance(replace(mesh), sign, device)
-
-
-def _grids(mesh: Mesh, model: str, bench: Bench) -> Iterator[Point]:
+def _grids(mesh: Mesh, bench: Bench) -> Iterator[Point]:
     """Distances at all voxel centres, with the signs of each fill rule."""
     asked, chosen = bench.request, {}
     for dim, fill in product(asked.grids, sorted(asked.fills, key="auto".__ne__)):
@@ -90,24 +84,20 @@ def _grids(mesh: Mesh, model: str, bench: Bench) -> Iterator[Point]:
         made, count = job.run(), int(np.prod(grid.shape))
         cells = np.unravel_index(np.arange(CHECKED) * count // CHECKED, grid.shape)
         exact = exact_distances(mesh, grid.to_world(np.stack(cells, axis=1) + 0.5))
-        point = Point(
-            "distance", Path(model).name, "mesh to dense grid of distances",
+        yield bench.point(
+            "mesh to dense grid of distances",
             f"fill {fill}" + (f" ({rule})" if fill == "auto" else ""), f"dim {dim}",
-            setting={"grids": dim, "fills": fill},
-            command=asked.command("distance", model, grids=dim, fills=fill),
-            size=count, size_of="voxels",
+            run=lambda device, plan=plan: plan(replace(mesh), device=device).run(),
+            asked={"grids": dim, "fills": fill}, places=count, size=count, size_of="voxels",
             errors=distance_errors(np.abs(made[cells]), exact, cube_of(mesh)[1]),
             left_out=job.left_out, bytes=made.nbytes,
-            **bench.measured(lambda device, plan=plan: plan(replace(mesh), device=device).run()),
         )  # fmt: skip
-        figures = {"ns a point": 1e9 * point.seconds / count, **point.figures}
-        yield replace(point, figures=figures)
 
 
 def exact_distances(mesh: Mesh, points: np.ndarray) -> np.ndarray:
     """(N,) float64: distances in rational arithmetic, rounded once.
 
-    Triangles whose box is farther from a point than some vertex are not computed.
+    Triangles whose box is farther from a point than some vertex are left out.
     """
     triangles = mesh.vertices[mesh.faces]
     low, high = triangles.min(axis=1), triangles.max(axis=1)

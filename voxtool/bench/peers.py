@@ -7,7 +7,6 @@ import importlib
 import importlib.metadata
 import os
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,20 +16,21 @@ from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import Octree
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from voxtool.camera import Rays
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
     from voxtool.tets.transfer import TransferFunction
 
+    Distance = Callable[[np.ndarray], np.ndarray]
 
-PACKAGES = {  # imported name, package name, and the benches that use it
-    "vtk": ("vtk", {"voxelize", "extract", "tets"}),
-    "open3d": ("open3d", {"voxelize", "adf"}),
-    "igl": ("libigl", {"adf"}),
-    "skimage": ("scikit-image", {"extract"}),
-    "scipy": ("scipy", {"voxelize"}),  # needed by trimesh
+TOOLS = {  # imported name, name on the package index, and the benches that use it
+    "VTK": ("vtk", "vtk", {"voxelize", "extract", "tets"}),
+    "Open3D": ("open3d", "open3d", {"voxelize", "adf"}),
+    "libigl": ("igl", "libigl", {"adf"}),
+    "scikit-image": ("skimage", "scikit-image", {"extract"}),
+    "trimesh": ("scipy", "scipy", {"voxelize"}),  # trimesh is always there, and needs SciPy here
 }
 
 
@@ -38,41 +38,61 @@ def missing(benches: set[str]) -> list[str]:
     """The packages that these benches could use and that are not installed."""
     return [
         package
-        for name, (package, used) in PACKAGES.items()
+        for name, package, used in TOOLS.values()
         if used & benches and _module(name) is None
     ]
-
-
-def of(mesh: Mesh, grid: Grid, mode: str) -> dict[str, Callable[[], object]]:
-    """The tools that voxelize in this mode, by name and version; their inputs are made before."""
-    makers = {
-        "solid": (_vtk_stencil, _trimesh_filled),
-        "surface26": (_open3d_voxel_grid, _trimesh_subdivide),
-    }
-    return dict(made for maker in makers.get(mode, ()) if (made := maker(mesh, grid)))
 
 
 def _module(name: str) -> Any:
     try:
         return importlib.import_module(name)
-    except (ImportError, OSError):  # not there, or a library that it needs is not
+    except (ImportError, OSError):  # not installed, or a library that it needs is not
         return None
 
 
-def _vtk_stencil(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object]] | None:
-    """vtkPolyDataToImageStencil, and the image of bytes that it is for."""
-    vtk, support = _module("vtk"), _module("vtk.util.numpy_support")
-    if vtk is None:
-        return None
-    points, cells, surface = vtk.vtkPoints(), vtk.vtkCellArray(), vtk.vtkPolyData()
-    points.SetData(support.numpy_to_vtk(mesh.vertices, deep=True))
-    faces = mesh.faces.astype(np.int64)
-    cells.SetData(
-        support.numpy_to_vtk(3 * np.arange(len(faces) + 1, dtype=np.int64), deep=True),
-        support.numpy_to_vtk(faces.ravel(), deep=True),
+def _made(makers: dict[str, Callable[..., Any]], *args: Any) -> Iterator[tuple[str, Any]]:
+    """The name and version of each tool that is installed, and what its maker returns."""
+    for tool, maker in makers.items():
+        if _module(TOOLS[tool][0]) is not None:
+            yield f"{tool} {importlib.metadata.version(tool)}", maker(*args)
+
+
+def _vtk() -> tuple[Any, Any]:
+    return _module("vtk"), _module("vtk.util.numpy_support")
+
+
+def _vtk_mesh(vertices: np.ndarray, cells: np.ndarray) -> tuple[Any, Any]:
+    """The vtkPoints of (V, 3) vertices and the vtkCellArray of (N, k) cells."""
+    vtk, support = _vtk()
+    points, array = vtk.vtkPoints(), vtk.vtkCellArray()
+    points.SetData(support.numpy_to_vtk(np.asarray(vertices, np.float64), deep=True))
+    starts = np.arange(0, cells.size + 1, cells.shape[1], dtype=np.int64)
+    array.SetData(
+        support.numpy_to_vtk(starts, deep=True),
+        support.numpy_to_vtk(cells.astype(np.int64).ravel(), deep=True),
     )
+    return points, array
+
+
+# --- voxels and surfaces -------------------------------------------------------------------------
+
+
+def of(mesh: Mesh, grid: Grid, mode: str) -> dict[str, Callable[[], object]]:
+    """The tools that voxelize in this mode, by name and version; their inputs are made before."""
+    makers = {
+        "solid": {"VTK": _vtk_stencil, "trimesh": _trimesh_filled},
+        "surface26": {"Open3D": _open3d_voxel_grid, "trimesh": _trimesh_subdivide},
+    }
+    return dict(_made(makers.get(mode, {}), mesh, grid))
+
+
+def _vtk_stencil(mesh: Mesh, grid: Grid) -> Callable[[], object]:
+    """vtkPolyDataToImageStencil, and the image of bytes that it is for."""
+    vtk, _ = _vtk()
+    surface = vtk.vtkPolyData()
+    points, faces = _vtk_mesh(mesh.vertices, mesh.faces)
     surface.SetPoints(points)
-    surface.SetPolys(cells)
+    surface.SetPolys(faces)
 
     def run() -> object:
         stencil = vtk.vtkPolyDataToImageStencil()
@@ -87,53 +107,39 @@ def _vtk_stencil(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object]] | N
         image.Update()
         return image.GetOutput()
 
-    return f"VTK {vtk.vtkVersion().GetVTKVersion()}", run
+    return run
 
 
-def _open3d_voxel_grid(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object]] | None:
+def _open3d_voxel_grid(mesh: Mesh, grid: Grid) -> Callable[[], object]:
     """VoxelGrid.create_from_triangle_mesh."""
     open3d = _module("open3d")
-    if open3d is None:
-        return None
     geometry = open3d.geometry.TriangleMesh(
         open3d.utility.Vector3dVector(mesh.vertices), open3d.utility.Vector3iVector(mesh.faces)
     )
-
-    def run() -> object:
-        return open3d.geometry.VoxelGrid.create_from_triangle_mesh(geometry, grid.pitch[0])
-
-    return f"Open3D {open3d.__version__}", run
+    return lambda: open3d.geometry.VoxelGrid.create_from_triangle_mesh(geometry, grid.pitch[0])
 
 
-def _trimesh_subdivide(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object]] | None:
-    """trimesh.voxel.creation.voxelize: the voxels of the subdivided mesh's vertices. It needs
-    SciPy."""
-    if _module("scipy") is None:
-        return None
-    return f"trimesh {_module('trimesh').__version__}", partial(_trimesh_voxels, mesh, grid)
+def _trimesh_subdivide(mesh: Mesh, grid: Grid) -> Callable[[], Any]:
+    """trimesh.voxel.creation.voxelize: the voxels of the subdivided mesh's vertices."""
+
+    def run() -> Any:
+        surface = _module("trimesh").Trimesh(mesh.vertices, mesh.faces, process=False)
+        return _module("trimesh.voxel.creation").voxelize(surface, grid.pitch[0])
+
+    return run
 
 
-def _trimesh_filled(mesh: Mesh, grid: Grid) -> tuple[str, Callable[[], object]] | None:
+def _trimesh_filled(mesh: Mesh, grid: Grid) -> Callable[[], object]:
     """The voxels of _trimesh_subdivide with its holes filled."""
-    if _module("scipy") is None:
-        return None
-
-    def run() -> object:
-        return _trimesh_voxels(mesh, grid).fill()
-
-    return f"trimesh {_module('trimesh').__version__}", run
-
-
-def _trimesh_voxels(mesh: Mesh, grid: Grid) -> Any:
-    surface = _module("trimesh").Trimesh(mesh.vertices, mesh.faces, process=False)
-    return _module("trimesh.voxel.creation").voxelize(surface, grid.pitch[0])
+    voxels = _trimesh_subdivide(mesh, grid)
+    return lambda: voxels().fill()
 
 
 def of_octree(octree: Octree, isovalue: float) -> dict[str, Callable[[], object]]:
     """The tools that extract a smooth surface, by name and version. Their time includes the dense
     grid of coverages that they need."""
-    makers = (_vtk_flying_edges, _skimage_marching_cubes)
-    return dict(made for maker in makers if (made := maker(octree, isovalue)))
+    makers = {"VTK": _vtk_flying_edges, "scikit-image": _skimage_marching_cubes}
+    return dict(_made(makers, octree, isovalue))
 
 
 def coverage_grid(octree: Octree) -> np.ndarray:
@@ -152,11 +158,9 @@ def coverage_grid(octree: Octree) -> np.ndarray:
     return grid
 
 
-def _vtk_flying_edges(octree: Octree, isovalue: float) -> tuple[str, Callable[[], object]] | None:
+def _vtk_flying_edges(octree: Octree, isovalue: float) -> Callable[[], object]:
     """vtkFlyingEdges3D on all cores, without normals."""
-    vtk, support = _module("vtk"), _module("vtk.util.numpy_support")
-    if vtk is None:
-        return None
+    vtk, support = _vtk()
 
     def run() -> object:
         vtk.vtkSMPTools.SetBackend("STDThread")
@@ -173,22 +177,16 @@ def _vtk_flying_edges(octree: Octree, isovalue: float) -> tuple[str, Callable[[]
         edges.Update()
         return edges.GetOutput()
 
-    return f"VTK {vtk.vtkVersion().GetVTKVersion()}", run
+    return run
 
 
-def _skimage_marching_cubes(
-    octree: Octree, isovalue: float
-) -> tuple[str, Callable[[], object]] | None:
+def _skimage_marching_cubes(octree: Octree, isovalue: float) -> Callable[[], object]:
     """skimage.measure.marching_cubes, of Lewiner."""
-    skimage, measure = _module("skimage"), _module("skimage.measure")
-    if measure is None:
-        return None
+    measure = _module("skimage.measure")
+    return lambda: measure.marching_cubes(coverage_grid(octree), BRICK_SIDE**3 * isovalue)
 
-    def run() -> object:
-        coverage = coverage_grid(octree)
-        return measure.marching_cubes(coverage, BRICK_SIDE**3 * isovalue)
 
-    return f"scikit-image {skimage.__version__}", run
+# --- distances -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -198,28 +196,27 @@ class DistancePeer:
     Attributes
     ----------
     build : prepares the mesh and returns a function from (N, 3) float64 points to (N,) distances.
-    builds_each_time : whether that function prepares the mesh again in every call.
+    builds_each_time : True if that function prepares the mesh again in every call.
     """
 
     name: str
-    build: Callable[[], Callable[[np.ndarray], np.ndarray]]
+    build: Callable[[], Distance]
     builds_each_time: bool = False
 
 
 def of_distance(mesh: Mesh) -> list[DistancePeer]:
     """The tools that compute signed distances, each with its own choice of threads."""
-    return [peer for maker in (_open3d_scene, _igl_signed_distance) if (peer := maker(mesh))]
+    makers = {"Open3D": _open3d_scene, "libigl": _igl_signed_distance}
+    return [DistancePeer(name, build, "libigl" in name) for name, build in _made(makers, mesh)]
 
 
-def _open3d_scene(mesh: Mesh) -> DistancePeer | None:
+def _open3d_scene(mesh: Mesh) -> Callable[[], Distance]:
     """RaycastingScene.compute_signed_distance, which is in float32; its sign is by parity."""
     open3d = _module("open3d")
-    if open3d is None:
-        return None
     as_tensor = open3d.core.Tensor
     vertices, faces = mesh.vertices.astype(np.float32), mesh.faces.astype(np.uint32)
 
-    def build() -> Callable[[np.ndarray], np.ndarray]:
+    def build() -> Distance:
         scene = open3d.t.geometry.RaycastingScene()
         scene.add_triangles(as_tensor(vertices), as_tensor(faces))
 
@@ -229,26 +226,27 @@ def _open3d_scene(mesh: Mesh) -> DistancePeer | None:
         distance(mesh.vertices[:1])  # the first query builds the tree
         return distance
 
-    return DistancePeer(f"Open3D {open3d.__version__}", build)
+    return build
 
 
-def _igl_signed_distance(mesh: Mesh) -> DistancePeer | None:
+def _igl_signed_distance(mesh: Mesh) -> Callable[[], Distance]:
     """signed_distance with fast winding numbers w. It builds its trees in every call, and returns
     (1 - 2 |w|) times the distance, which is exact if w is 0 or 1."""
     igl = _module("igl")
-    if igl is None:
-        return None
     vertices, faces = mesh.vertices, mesh.faces.astype(np.int64)
     sign = igl.SignedDistanceType.SIGNED_DISTANCE_TYPE_FAST_WINDING_NUMBER
 
     def distance(points: np.ndarray) -> np.ndarray:
         return igl.signed_distance(points, vertices, faces, sign)[0]
 
-    def build() -> Callable[[np.ndarray], np.ndarray]:
+    def build() -> Distance:
         distance(vertices[:1])
         return distance
 
-    return DistancePeer(f"libigl {importlib.metadata.version('libigl')}", build, True)
+    return build
+
+
+# --- pictures ------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -279,9 +277,9 @@ def of_volume(
 ) -> list[PicturePeer]:
     """The tools that draw what voxtool.selftest.reference draws, with their own choice of threads.
     There is none in perspective, in which VTK's scalars are wrong."""
-    if rays.perspective or _module("vtk") is None:
-        return []
-    return [_vtk_ray_cast(vertices, cells, scalars, transfer, rays, constant)]
+    volume = (vertices, cells, scalars, transfer, rays, constant)
+    makers = {} if rays.perspective else {"VTK": _vtk_ray_cast}
+    return [PicturePeer(name, *made) for name, made in _made(makers, *volume)]
 
 
 def _vtk_ray_cast(
@@ -291,34 +289,64 @@ def _vtk_ray_cast(
     transfer: TransferFunction,
     rays: Rays,
     constant: bool,
-) -> PicturePeer:
+) -> tuple[Callable[[], None], Callable[[], np.ndarray], Callable[[np.ndarray], np.ndarray]]:
     """vtkUnstructuredGridVolumeRayCastMapper with its linear integrator. (Partial pre-integration
     crashes.)
 
     Its picture has 8 bits, truncated, and is shown as a texture that is one pixel too large; its
     rays alone have float32.
     """
-    vtk, support = _module("vtk"), _module("vtk.util.numpy_support")
-    points, array, grid = vtk.vtkPoints(), vtk.vtkCellArray(), vtk.vtkUnstructuredGrid()
-    points.SetData(support.numpy_to_vtk(np.asarray(vertices, np.float64), deep=True))
-    array.SetData(
-        support.numpy_to_vtk(4 * np.arange(len(cells) + 1, dtype=np.int64), deep=True),
-        support.numpy_to_vtk(cells.astype(np.int64).ravel(), deep=True),
-    )
-    values = support.numpy_to_vtk(np.asarray(scalars, np.float64), deep=True)
+    vtk, support = _vtk()
+    grid, values = vtk.vtkUnstructuredGrid(), support.numpy_to_vtk(scalars.astype(float), deep=True)
+    points, array = _vtk_mesh(vertices, cells)
     grid.SetPoints(points)
     grid.SetCells(vtk.VTK_TETRA, array)
     (grid.GetCellData() if constant else grid.GetPointData()).SetScalars(values)
-
     integrator = vtk.vtkUnstructuredGridLinearRayIntegrator()
     mapper = vtk.vtkUnstructuredGridVolumeRayCastMapper()
     mapper.SetInputData(grid)
     mapper.SetRayIntegrator(integrator)
     mapper.AutoAdjustSampleDistancesOff()
     mapper.SetImageSampleDistance(1)
+    window = _vtk_window(_vtk_volume(mapper, transfer), rays)
+    width, height = rays.size
+
+    def picture() -> np.ndarray:
+        shown = vtk.vtkUnsignedCharArray()
+        window.GetRGBACharPixelData(0, 0, width - 1, height - 1, False, shown)
+        return support.vtk_to_numpy(shown).reshape(height, width, 4)[::-1] / 255
+
+    def at(pixels: np.ndarray) -> np.ndarray:
+        ray = mapper.GetRayCastFunction().NewIterator()
+        ray.SetBounds((0, 1))
+        passed, lengths = vtk.vtkIdList(), vtk.vtkDoubleArray()
+        near, far = vtk.vtkDoubleArray(), vtk.vtkDoubleArray()
+        found = np.zeros((len(pixels), 4))
+        for rgba, (column, row) in zip(found, pixels.tolist(), strict=True):
+            total = [0.0] * 4
+            ray.Initialize(column, height - 1 - row)
+            while ray.GetNextIntersections(
+                passed, lengths, None if constant else values, near, far
+            ):
+                if constant:
+                    near.SetNumberOfTuples(passed.GetNumberOfIds())
+                    values.GetTuples(passed, near)
+                integrator.Integrate(lengths, near, near if constant else far, total)
+            rgba[:] = total
+        return found
+
+    return window.Render, picture, at
+
+
+def _vtk_volume(mapper: Any, transfer: TransferFunction) -> Any:
+    """A vtkVolume with a transfer function. VTK takes no steps, so the first of two equal control
+    points is moved."""
+    vtk, _ = _vtk()
+    scalars = transfer.scalars.astype(np.float64)
+    scalars[:-1][np.diff(transfer.scalars) == 0] -= 1e-9 * np.ptp(transfer.scalars)
     colour, opacity = vtk.vtkColorTransferFunction(), vtk.vtkPiecewiseFunction()
     for scalar, rgb, extinction in zip(
-        _apart(transfer.scalars), transfer.colours, transfer.extinctions, strict=True
+        scalars, transfer.colours, transfer.extinctions, strict=True
     ):
         colour.AddRGBPoint(scalar, *rgb)
         opacity.AddPoint(scalar, extinction)
@@ -328,7 +356,12 @@ def _vtk_ray_cast(
     volume.GetProperty().SetScalarOpacity(opacity)
     volume.GetProperty().SetScalarOpacityUnitDistance(1)
     volume.GetProperty().SetInterpolationTypeToLinear()
+    return volume
 
+
+def _vtk_window(volume: Any, rays: Rays) -> Any:
+    """An off-screen window that shows a vtkVolume along orthographic rays."""
+    vtk, _ = _vtk()
     width, height = rays.size
     renderer, camera = vtk.vtkRenderer(), vtk.vtkCamera()
     renderer.AddVolume(volume)
@@ -341,42 +374,11 @@ def _vtk_ray_cast(
     camera.SetParallelScale(height / 2 * np.sqrt((rays.down**2).sum()))
     renderer.SetActiveCamera(camera)
     renderer.ResetCameraClippingRange()
-    # with EGL, where there is such a window, it needs no display
+    # a window of EGL, if VTK has it, needs no display
     window = getattr(vtk, "vtkEGLRenderWindow", vtk.vtkRenderWindow)()
     window.SetOffScreenRendering(True)
     window.SetAlphaBitPlanes(True)
     window.SetMultiSamples(0)
     window.SetSize(width, height)
     window.AddRenderer(renderer)
-
-    def picture() -> np.ndarray:
-        shown = vtk.vtkUnsignedCharArray()
-        window.GetRGBACharPixelData(0, 0, width - 1, height - 1, False, shown)
-        return support.vtk_to_numpy(shown).reshape(height, width, 4)[::-1] / 255
-
-    def at(pixels: np.ndarray) -> np.ndarray:
-        ray = mapper.GetRayCastFunction().NewIterator()
-        ray.SetBounds((0, 1))
-        passed, lengths = vtk.vtkIdList(), vtk.vtkDoubleArray()
-        near, far = vtk.vtkDoubleArray(), vtk.vtkDoubleArray()
-        scalars_at = None if constant else values
-        found = np.zeros((len(pixels), 4))
-        for rgba, (column, row) in zip(found, pixels.tolist(), strict=True):
-            sum_ = [0.0] * 4
-            ray.Initialize(column, height - 1 - row)
-            while ray.GetNextIntersections(passed, lengths, scalars_at, near, far):
-                if constant:
-                    near.SetNumberOfTuples(passed.GetNumberOfIds())
-                    values.GetTuples(passed, near)
-                integrator.Integrate(lengths, near, near if constant else far, sum_)
-            rgba[:] = sum_
-        return found
-
-    return PicturePeer(f"VTK {vtk.vtkVersion().GetVTKVersion()}", window.Render, picture, at)
-
-
-def _apart(scalars: np.ndarray) -> np.ndarray:
-    """The scalars of control points, with the first of two equal ones moved: VTK takes no steps."""
-    apart = scalars.astype(np.float64)
-    apart[:-1][scalars[:-1] == scalars[1:]] -= 1e-9 * (scalars[-1] - scalars[0])
-    return apart
+    return window

@@ -1,5 +1,5 @@
-"""Points: the error of one setting beside its time; and what follows from points: Pareto fronts,
-exponents, and the cheapest setting that meets a budget."""
+"""Points: the error of one setting beside its time. Pareto fronts, exponents, and the cheapest
+setting that meets a budget are computed from points."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ import math
 import statistics
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from voxtool.errors import VoxtoolError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Hashable, Iterable, Sequence
+
+    T = TypeVar("T")
+    K = TypeVar("K", bound=Hashable)
 
 SURFACE = {
     "rms": "of the model's diagonal",
@@ -46,19 +49,19 @@ class Point:
 
     Attributes
     ----------
-    work : what is timed; the same for all points of a chart.
-    method, label : a line of a chart, and the setting in words.
-    setting : all of the setting.
+    work : name of the work that is timed; the same for all points of a chart.
+    method, label : name of a line of a chart, and the setting in words.
     runs : seconds of each repeat, after a warm-up.
-    first : seconds of the first run, where later runs reuse what it made, as frames do.
-    size, size_of : the number that the cost is drawn against, and what it counts.
-    errors : by name, as MEASURES; absent : why a measure is missing.
-    figures : further measures by name, as FIGURES; None for a break-even that is never reached.
-    stages : seconds of each stage on the device, by its events.
-    left_out : what the plan left out, and why.
-    bytes : of the result; peak : of resident memory, of the whole command in its own process.
     command : measures the point again.
-    peer : whether this is another tool; its errors are by the same measure.
+    first : seconds of the first run, if later runs reuse data that it made, as frames do.
+    size, size_of : the number that the cost is drawn against, and the name of that number.
+    errors, figures : numbers by the names in MEASURES and FIGURES; a break-even of None is never
+        reached.
+    absent : why a measure is missing, by its name.
+    stages : seconds of each stage on the device, by its events.
+    left_out : the parts that the plan left out, and why.
+    bytes : of the result; peak : of resident memory, of the whole command in its own process.
+    peer : True for another tool; its errors are by the same measure.
     """
 
     bench: str
@@ -97,13 +100,8 @@ class Point:
 
     @property
     def chart(self) -> tuple[str, str, str]:
-        """Points of one chart have this in common."""
+        """The names that the points of one chart have in common."""
         return self.bench, self.model, self.work
-
-    @property
-    def key(self) -> tuple[str, str, str, str, str]:
-        """The names that identify the same point in two reports."""
-        return *self.chart, self.method, self.label
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types."""
@@ -113,13 +111,13 @@ class Point:
 
 @dataclass(frozen=True)
 class Ablation:
-    """One decision of a plan replaced: the same work with what the plan left out, and without.
+    """Work with one decision of its plan forced, compared with the same work as planned.
 
     Attributes
     ----------
-    what, why : what the plan left out, and its reason.
+    what, why : the part that the plan left out, and its reason.
     runs, forced : seconds of each repeat as planned, and with the decision forced, in turns.
-    same : whether the results are the same, bit for bit.
+    same : True if the results are the same, bit for bit.
     """
 
     bench: str
@@ -138,8 +136,15 @@ class Ablation:
 
     @property
     def beyond_noise(self) -> bool:
-        """Whether the slowest run of one kind is faster than the fastest of the other."""
+        """True if the slowest run of one kind is faster than the fastest of the other."""
         return max(self.runs) < min(self.forced) or max(self.forced) < min(self.runs)
+
+    @property
+    def verdict(self) -> str:
+        """The time that was saved or lost, in words."""
+        if not self.beyond_noise:
+            return "within the noise"
+        return f"{duration(abs(self.saved))} {'saved' if self.saved > 0 else 'lost'}"
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types."""
@@ -151,32 +156,31 @@ def charted(bench: str) -> str:
     return next(iter(MEASURES[bench]))
 
 
+def grouped(points: Iterable[T], key: Callable[[T], K]) -> dict[K, list[T]]:
+    """The points by key, in their order."""
+    found: dict[K, list[T]] = {}
+    for point in points:
+        found.setdefault(key(point), []).append(point)
+    return found
+
+
 def charts_of(points: Iterable[Point]) -> dict[tuple[str, str, str], list[Point]]:
     """The points of each chart, in their order."""
-    found: dict[tuple[str, str, str], list[Point]] = {}
-    for point in points:
-        found.setdefault(point.chart, []).append(point)
-    return found
+    return grouped(points, lambda point: point.chart)
 
 
 def methods_of(points: Iterable[Point]) -> dict[str, list[Point]]:
     """The points of each method, in their order."""
-    found: dict[str, list[Point]] = {}
-    for point in points:
-        found.setdefault(point.method, []).append(point)
-    return found
+    return grouped(points, lambda point: point.method)
 
 
 def pareto(points: Iterable[Point]) -> list[Point]:
-    """The points that no other point dominates, the fastest first. Points without an error are
-    not among them."""
+    """The points with an error that no other point dominates, the fastest first."""
     front: list[Point] = []
     known = [(point.seconds, point.error, point) for point in points if point.error is not None]
-    least = math.inf
     for _, error, point in sorted(known, key=lambda found: found[:2]):
-        if error < least:
+        if not front or error < (front[-1].error or 0):
             front.append(point)
-            least = error
     return front
 
 
@@ -186,10 +190,7 @@ def exponent(points: Sequence[tuple[float, float]]) -> float | None:
     if len({x for x, _ in points}) < 2 or any(v <= 0 for point in points for v in point):
         return None
     xs, ys = ([math.log(point[i]) for point in points] for i in range(2))
-    x, y = statistics.mean(xs), statistics.mean(ys)
-    return sum((a - x) * (b - y) for a, b in zip(xs, ys, strict=True)) / sum(
-        (a - x) ** 2 for a in xs
-    )
+    return statistics.linear_regression(xs, ys).slope
 
 
 def cost_lines(points: Sequence[Point]) -> dict[str, list[tuple[float, float]]]:
@@ -222,7 +223,7 @@ class Budget:
     measure: str | None = None  # the charted one by default
 
     def met(self, point: Point) -> bool:
-        """Whether a point keeps both limits."""
+        """True if a point keeps both limits."""
         error = point.errors.get(self.measure or charted(point.bench))
         return (self.time is None or point.seconds <= self.time) and (
             self.error is None or (error is not None and error <= self.error)
@@ -254,8 +255,8 @@ class Budget:
 
 
 def answers(points: Iterable[Point], budget: Budget) -> list[tuple[str, Point | None]]:
-    """The title of each chart in which an error was measured, and the point to choose in it, if any
-    meets the budget."""
+    """The title of each chart in which an error was measured, and the point to choose in it, or
+    None if no point meets the budget."""
     return [
         (title(chart), budget.choose(found))
         for chart, found in charts_of(points).items()
@@ -272,12 +273,8 @@ def verdicts(points: Sequence[Point]) -> list[str]:
     said = []
     measure = charted(front[0].bench)
     unit = f"{measure} {MEASURES[front[0].bench][measure]}"
-    positive = [point.error for point in front if point.error]
-    powers = range(
-        math.ceil(math.log10(max(positive, default=1))),
-        math.floor(math.log10(min(positive, default=1))) - 1,
-        -1,
-    )
+    logs = [math.log10(point.error) for point in front if point.error] or [0]
+    powers = range(math.ceil(max(logs)), math.floor(min(logs)) - 1, -1)
     chosen = [(power, Budget(error=10.0**power).choose(points)) for power in powers]
     for (power, point), (_, after) in pairwise([*chosen, (0, None)]):
         if point is not None and point is not after:
@@ -290,10 +287,9 @@ def verdicts(points: Sequence[Point]) -> list[str]:
         f"most accurate: {named(best)}, {duration(best.seconds)} (error {best.error:.2g}, {unit})"
     )
     on_front = {point.method for point in front}
-    beaten = [method for method in methods_of(points) if method not in on_front]
-    known = {point.method for point in points if point.error is not None}
-    if always := [method for method in beaten if method in known]:
-        said.append(f"never the fastest for its error: {'; '.join(always)}")
+    known = dict.fromkeys(point.method for point in points if point.error is not None)
+    if beaten := [method for method in known if method not in on_front]:
+        said.append(f"never the fastest for its error: {'; '.join(beaten)}")
     return said
 
 
@@ -310,18 +306,18 @@ def costs(points: Sequence[Point]) -> list[str]:
 
 
 def title(chart: tuple[str, str, str]) -> str:
-    """voxelize, bunny.obj: mesh to solid voxels."""
+    """The title of a chart: "voxelize, bunny.obj: mesh to solid voxels"."""
     bench, model, work = chart
     return f"{bench}, {model}: {work}"
 
 
 def named(point: Point) -> str:
-    """solid, parity, dim 64."""
+    """Method and label: "solid, parity, dim 64"."""
     return f"{point.method}, {point.label}" if point.label else point.method
 
 
 def duration(seconds: float) -> str:
-    """12.3 ms."""
+    """A time as text: "12.3 ms"."""
     if seconds >= 1:
         return f"{seconds:.3g} s"
     return f"{1e3 * seconds:.3g} ms" if seconds >= 1e-3 else f"{1e6 * seconds:.3g} µs"

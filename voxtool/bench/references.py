@@ -1,8 +1,4 @@
-"""References that results are compared with (models, exact pictures), and measures of errors.
-
-Voxels are compared by the boundary of their set, so voxtool's results and those of other tools are
-measured in the same way.
-"""
+"""Models and exact pictures that results are compared with, and measures of errors."""
 
 from __future__ import annotations
 
@@ -21,12 +17,12 @@ from voxtool.mesh.topology import volume
 from voxtool.spatial.deviation import deviation
 from voxtool.svo.fill.caps import find_caps
 from voxtool.svo.layout import BRICK_SIDE
+from voxtool.svo.octree import Octree
 from voxtool.vector import cross, length
 
 if TYPE_CHECKING:
     from voxtool.camera import Rays
     from voxtool.opencl import Device
-    from voxtool.svo.octree import Octree
 
 CAPPED_DIM = 4096  # of the lattice on which the boundary loops of a model are found
 NO_AREA = {"area": "faces of voxels do not tend to the area"}
@@ -49,8 +45,8 @@ class Reference:
 
     Attributes
     ----------
-    words : what it is; diagonal : of its bounding box, world units.
-    absent : the measures that make no sense, and why.
+    words : names it; diagonal : of its bounding box, world units.
+    absent : reasons by the measures that make no sense.
     """
 
     def __init__(
@@ -61,11 +57,9 @@ class Reference:
         device: Device,
         absent: dict[str, str] | None = None,
     ) -> None:
-        self.mesh, self.samples, self.device = mesh, samples, device
+        self.mesh, self.samples, self.device, self.absent = mesh, samples, device, absent or {}
         self.words = f"the model, {count_of(holes, 'hole')} capped" if holes else "the model"
-        self.absent = absent or {}
-        low, high = mesh.bounds
-        self.diagonal = math.sqrt(float(((high - low) ** 2).sum()))
+        self.diagonal = float(length(np.diff(mesh.bounds, axis=0))[0])
         self.volume, self.area = abs(volume(mesh)), area(mesh)
 
     def errors_of(self, surface: Mesh) -> Any:
@@ -92,90 +86,64 @@ def area(mesh: Mesh) -> float:
     return math.fsum(length(cross(b - a, c - a)).tolist()) / 2
 
 
-def boundary(voxels: np.ndarray, origin: np.ndarray, pitch: np.ndarray) -> Mesh:
-    """The faces between occupied and empty voxels, two triangles each, counter-clockwise from
-    outside.
-
-    Parameters
-    ----------
-    voxels : (nx, ny, nz) bool.
-    origin, pitch : (3,) float64: the low corner of the first voxel, and the side lengths.
-    """
-    padded = np.pad(voxels, 1)
-    shape = np.array(padded.shape)
-    quads = []
-    for axis in range(3):
-        other, third = (axis + 1) % 3, (axis + 2) % 3
-        step = np.diff(padded.view(np.int8), axis=axis)
-        for sign in (1, -1):  # into the set, out of it
-            low = np.argwhere(step == sign)
-            low[:, axis] += 1  # the plane between the two
-            corners = np.repeat(low[:, None], 4, axis=1)
-            corners[:, 1:3, other] += 1
-            corners[:, 2:4, third] += 1
-            quads.append(corners[:, ::-1] if sign > 0 else corners)
-    corners = np.concatenate(quads).reshape(-1, 3)
-    at = np.ravel_multi_index(tuple(corners.T), tuple(shape + 1))
-    places, index = np.unique(at, return_inverse=True)
-    vertices = np.stack(np.unravel_index(places, tuple(shape + 1)), axis=1) - 1.0
-    index = index.reshape(-1, 4)
-    faces = np.concatenate([index[:, [0, 1, 2]], index[:, [0, 2, 3]]]).astype(np.int32)
-    return Mesh(origin + pitch * vertices, faces, name="voxels")
-
-
-def voxels_of_peer(made: Any, grid: Grid) -> Mesh:
-    """The boundary of the voxels of another tool: a vtkImageData, or a VoxelGrid of Open3D or
-    trimesh."""
+def voxels_of_peer(made: Any, grid: Grid) -> Octree:
+    """The voxels of another tool: a vtkImageData, or a VoxelGrid of Open3D or trimesh."""
     if hasattr(made, "matrix"):
         pitch = np.asarray(made.pitch, np.float64)
-        return boundary(made.matrix, made.translation - pitch / 2, pitch)
+        low = made.translation - pitch / 2
+        return Octree.from_dense(made.matrix, low.tolist(), pitch.tolist())
     if hasattr(made, "get_voxels"):
         cells = np.array([voxel.grid_index for voxel in made.get_voxels()]).reshape(-1, 3)
-        voxels = np.zeros(cells.max(axis=0, initial=0) + 1, bool)
-        voxels[tuple(cells.T)] = True
-        return boundary(voxels, np.asarray(made.origin), np.full(3, made.voxel_size))
-    support = importlib.import_module("vtk.util.numpy_support")
-    values = support.vtk_to_numpy(made.GetPointData().GetScalars()).reshape(grid.shape[::-1])
-    return boundary(values.T != 0, np.array(grid.origin), np.array(grid.pitch))
+        x, y, z = (cells.max(axis=0, initial=0) + 1).tolist()
+        own = Grid((x, y, z), tuple(made.origin), (made.voxel_size,) * 3)
+        return Octree.from_voxels(cells, own)
+    values = _from_vtk(made.GetPointData().GetScalars()).reshape(grid.shape[::-1])
+    return Octree.from_dense(values.T, grid.origin, grid.pitch)
 
 
 def surface_of_peer(made: Any, octree: Octree) -> Mesh:
-    """The surface of another tool, a vtkPolyData or what scikit-image returns, on the lattice of
+    """The surface of another tool, a vtkPolyData or the arrays of scikit-image, on the lattice of
     the centres of the octree's bricks."""
     if isinstance(made, tuple):
         points, faces = made[0][:, ::-1], made[1]
     else:
-        support = importlib.import_module("vtk.util.numpy_support")
-        points = support.vtk_to_numpy(made.GetPoints().GetData())
-        faces = support.vtk_to_numpy(made.GetPolys().GetConnectivityArray()).reshape(-1, 3)
+        points = _from_vtk(made.GetPoints().GetData())
+        faces = _from_vtk(made.GetPolys().GetConnectivityArray()).reshape(-1, 3)
     side = BRICK_SIDE * np.array(octree.grid.pitch)
     places = (points.astype(np.float64) + 0.5) * side + np.array(octree.grid.origin)
     return Mesh(places, faces.astype(np.int32), name="surface")
+
+
+def _from_vtk(array: Any) -> np.ndarray:
+    return importlib.import_module("vtk.util.numpy_support").vtk_to_numpy(array)
 
 
 # --- distances -----------------------------------------------------------------------------------
 
 
 def distance_errors(found: np.ndarray, exact: np.ndarray, side: float) -> dict[str, float]:
-    """The errors of distances, in sides of the cube: "rms", "p99", the 99th percentile, and
-    "max"."""
+    """The errors of distances, in sides of the cube; "p99" is the 99th percentile."""
     errors = np.abs(found - exact) / side
-    return {
-        # math.fsum rounds once, in whatever order it adds
-        "rms": math.sqrt(math.fsum(errors * errors) / len(errors)),
-        "p99": float(np.quantile(errors, 0.99, method="inverted_cdf")),
-        "max": float(errors.max()),
-    }
+    p99 = float(np.quantile(errors, 0.99, method="inverted_cdf"))
+    return {"rms": _rms(errors), "p99": p99, "max": float(errors.max())}
 
 
-def sign_figures(found: np.ndarray, exact: np.ndarray, side: float) -> dict[str, float]:
-    """The largest error of distances without their sign, in sides, and the number of points whose
-    sign differs."""
+def distances_compared(
+    found: np.ndarray, exact: np.ndarray, side: float
+) -> tuple[dict[str, float], dict[str, float]]:
+    """The errors of distances, and two figures of their signs: the largest error without the sign,
+    in sides of the cube, and the number of points whose sign differs."""
     unsigned = np.abs(np.abs(found) - np.abs(exact)) / side
-    return {
+    signs = {
         "max unsigned": float(unsigned.max()),
         "other sign": int(np.count_nonzero((found < 0) != (exact < 0))),
     }
+    return distance_errors(found, exact, side), signs
+
+
+def _rms(errors: np.ndarray) -> float:
+    """The root of the mean square; math.fsum rounds once, in whatever order it adds."""
+    return math.sqrt(math.fsum(errors * errors) / max(len(errors), 1))
 
 
 # --- pictures ------------------------------------------------------------------------------------
@@ -195,14 +163,19 @@ class ReferencePicture:
     pixels: np.ndarray
     expected: np.ndarray
 
-    def errors(self, found: np.ndarray) -> dict[str, float]:
-        """RMS and maximum of the errors of (N, 4) colours, over the pixels that are not empty in
-        both."""
-        seen = (self.expected[:, 3] > 0) | (found[:, 3] > 0)
+    def compared(self, found: np.ndarray) -> dict[str, Any]:
+        """The `errors` and `figures` of a Point for (N, 4) colours: the errors are those of the
+        pixels that are not empty in both."""
+        alpha = self.expected[:, 3]
+        seen = (alpha > 0) | (found[:, 3] > 0)
         off = np.abs(found[seen].astype(np.float64) - self.expected[seen]).ravel()
-        # math.fsum rounds once, in whatever order it adds
-        rms = math.sqrt(math.fsum(off * off) / max(len(off), 1))
-        return {"rms": rms, "max": float(off.max(initial=0))}
+        return {
+            "errors": {"rms": _rms(off), "max": float(off.max(initial=0))},
+            "figures": {
+                "pixels compared": int(np.count_nonzero(alpha)),
+                "largest alpha": float(alpha.max()),
+            },
+        }
 
     def of(self, picture: np.ndarray) -> np.ndarray:
         """The colours of the pixels in a picture."""

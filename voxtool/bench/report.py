@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import io
 import json
 import os
@@ -14,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.bench.chart import Chart, ablation_charts, charts, check_matplotlib, slug
+from voxtool.bench.chart import Chart, ablation_charts, charts, slug
 from voxtool.bench.compare import FORMAT, MAJOR
 from voxtool.bench.points import (
     FIGURES,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
 
 SCHEMA_VERSION = f"{MAJOR}.1"
 FILES = ("report.json", "report.csv", "report.html")
+NEEDS = {"matplotlib": "charts need matplotlib", "jinja2": "pages need Jinja2"}
 TEMPLATE = Path(__file__).with_name("report.html")
 
 
@@ -82,8 +84,11 @@ def machine() -> dict[str, Any]:
 
 def check_folder(folder: str, clobber: bool = True) -> None:
     """Raise FileError if a report could not be written into this folder."""
-    check_matplotlib()
-    _jinja2()
+    for module, need in NEEDS.items():
+        try:
+            importlib.import_module(module)
+        except ImportError:
+            raise FileError(f"{need}: pip install 'voxtool[pictures]'") from None
     path = Path(folder)
     if path.exists() and not path.is_dir():
         raise FileError(f"cannot write {folder}: it is a file: name a folder")
@@ -94,8 +99,8 @@ def check_folder(folder: str, clobber: bool = True) -> None:
 
 
 def write_report(report: Report, folder: str, clobber: bool = True) -> list[Path]:
-    """Write report.json, report.csv, report.html and a PNG of each chart into a folder, which is
-    made if it does not exist. Each file appears whole or not at all, the page last.
+    """Write report.json, report.csv, report.html and a PNG of each chart into a folder, which may
+    not exist yet; returns the paths. Each file appears whole or not at all, the page last.
 
     Raises
     ------
@@ -131,24 +136,22 @@ def as_csv(points: Sequence[Point]) -> str:
     measures = list(dict.fromkeys(name for found in MEASURES.values() for name in found))
     file = io.StringIO()
     rows = csv.writer(file)
-    rows.writerow(
-        ["bench", "model", "work", "method", "setting", "peer", "seconds", "least", "most",
-         "first", "size", "size of", *(f"{name} error" for name in measures), "bytes",
-         "peak bytes", *FIGURES, "command"]
-    )  # fmt: skip
-    for point in points:
-        words = (point.bench, point.model, point.work, point.method, point.label)
-        rows.writerow(
-            [*map(_cell, words), int(point.peer), point.seconds, min(point.runs), max(point.runs),
-             point.first, point.size, point.size_of, *(point.errors.get(name) for name in measures),
-             point.bytes, point.peak, *(point.figures.get(name) for name in FIGURES),
-             _cell(point.command)]
-        )  # fmt: skip
+    head = ["bench", "model", "work", "method", "setting", "peer", "seconds", "least", "most",
+            "first", "size", "size of", *(f"{name} error" for name in measures), "bytes",
+            "peak bytes", *FIGURES, "command"]  # fmt: skip
+    rows.writerow(head)
+    for p in points:
+        words = (p.bench, p.model, p.work, p.method, p.label)
+        rows.writerow([
+            *map(_cell, words), int(p.peer), p.seconds, min(p.runs), max(p.runs), p.first, p.size,
+            p.size_of, *map(p.errors.get, measures), p.bytes, p.peak, *map(p.figures.get, FIGURES),
+            _cell(p.command),
+        ])  # fmt: skip
     return file.getvalue()
 
 
 def _cell(text: str) -> str:
-    """The text, quoted if a spreadsheet would take it for a formula."""
+    """The text; quoted if a spreadsheet would take it for a formula."""
     return f"'{text}" if text[:1] in ("=", "+", "-", "@", "\t", "\r") else text
 
 
@@ -162,7 +165,8 @@ def as_html(
 ) -> str:
     """The page, from report.html beside this module: what to choose first, then charts, what was
     left out, and all figures."""
-    jinja2 = _jinja2()
+    import jinja2
+
     environment = jinja2.Environment(
         autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined,
         finalize=lambda value: printable(value) if type(value) is str else value,
@@ -191,20 +195,10 @@ def as_html(
     )  # fmt: skip
 
 
-def _jinja2() -> Any:
-    try:
-        import jinja2
-    except ImportError:
-        raise FileError("pages need Jinja2: pip install 'voxtool[pictures]'") from None
-    return jinja2
-
-
 def _ablation_row(one: Ablation) -> tuple[str, ...]:
-    verdict = f"{duration(abs(one.saved))} {'saved' if one.saved > 0 else 'lost'}"
     times = (duration(statistics.median(runs)) for runs in (one.runs, one.forced))
-    return (one.bench, one.model, one.work, one.what, one.why, *times,
-            verdict if one.beyond_noise else "within the noise",
-            "the same" if one.same else "differs")  # fmt: skip
+    result = "the same" if one.same else "differs"
+    return (one.bench, one.model, one.work, one.what, one.why, *times, one.verdict, result)
 
 
 def _machine(report: Report) -> dict[str, str]:

@@ -7,9 +7,10 @@ the same work in the same run, and their errors are measured in the same way.
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from voxtool.bench import adf, distance, extract, tets, voxelize
+from voxtool.bench import adf, distance, tets, voxels
 from voxtool.bench.request import benches_for
 from voxtool.bench.timing import Bench
 from voxtool.errors import MeshWarning
@@ -24,8 +25,8 @@ if TYPE_CHECKING:
     from voxtool.bench.request import Request
 
 BENCHES = {
-    "voxelize": voxelize.measure,
-    "extract": extract.measure,
+    "voxelize": voxels.measure_voxelize,
+    "extract": voxels.measure_extract,
     "adf": adf.measure,
     "distance": distance.measure,
     "tets": tets.measure,
@@ -38,7 +39,7 @@ def sweep(
     benches: tuple[str, ...] | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Iterator[Point | Ablation]:
-    """Measure every model, in the named benches or in all benches of its kind.
+    """Measure each model in the named benches, by default in every bench for its kind of file.
 
     Parameters
     ----------
@@ -46,10 +47,10 @@ def sweep(
 
     Raises
     ------
-    VoxtoolError : a model cannot be read, or something of it cannot be computed.
+    VoxtoolError : a model cannot be read, or a result cannot be computed.
     """
     bench = Bench(request, open_device(request.device), open_device(request.device, profile=True))
-    for model in models:  # a wrong one is refused before anything is measured
+    for model in models:  # read all before anything is measured
         if (benches or benches_for(model)) == ("tets",):
             read_unstructured(model, request.scalar, request.component)
         else:
@@ -59,5 +60,5 @@ def sweep(
             progress(f"{name}, {model}")
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", MeshWarning)  # every run would repeat it
-                found = list(BENCHES[name](model, bench))
+                found = list(BENCHES[name](replace(bench, name=name, model=model)))
             yield from found

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from voxtool.bench.points import FIGURES, MEASURES, duration, named, pareto
 from voxtool.errors import human
@@ -16,16 +16,17 @@ if TYPE_CHECKING:
 
     from voxtool.bench.points import Point
 
-NONE = "-"  # where a point has nothing in a column
+    Columns = dict[str, Callable[[Point], str]]
+    T = TypeVar("T")
+
+NONE = "-"  # a point without a value in a column
 
 
 @dataclass(frozen=True)
 class Table:
     """Texts in columns, of which the first names the rows.
 
-    Attributes
-    ----------
-    note : what the columns are in; front : numbers of the rows on the Pareto front.
+    note : the units of the columns; front : numbers of the rows on the Pareto front.
     """
 
     head: list[str]
@@ -49,23 +50,27 @@ def tables_of(points: Sequence[Point]) -> list[Table]:
     """The tables of the points of one chart."""
     front = {id(point) for point in pareto(points)}
     marked = frozenset(i for i, point in enumerate(points) if id(point) in front)
-    measures = MEASURES[points[0].bench]
     stages = dict.fromkeys(stage for point in points for stage in point.stages)
-    errors = {
+    errors: Columns = {
         "time": lambda p: duration(p.seconds),
         "±": lambda p: f"{100 * p.spread:.0f} %",
-        "first": lambda p: NONE if p.first is None else duration(p.first),
-        **{name: partial(_error, name) for name in measures},
+        "first": lambda p: _text(p.first, duration),
+        **{name: partial(_error, name) for name in MEASURES[points[0].bench]},
         "beside": partial(_ratio, points),
     }
-    figures = {
-        "size": _size,
-        "result": lambda p: NONE if p.bytes is None else human(p.bytes),
-        "peak memory": lambda p: NONE if p.peak is None else human(p.peak),
+    figures: Columns = {
+        # if the label does not have it
+        "size": lambda p: (
+            NONE
+            if p.size_of in ("dim", "pixels")
+            else _text(p.size, lambda size: f"{size:,.0f} {p.size_of}")
+        ),
+        "result": lambda p: _text(p.bytes, human),
+        "peak memory": lambda p: _text(p.peak, human),
         **{name: partial(_figure, name) for name in FIGURES},
     }
-    times = {
-        "all": lambda p: f"{1e3 * sum(p.stages.values()):.2f}" if p.stages else NONE,
+    times: Columns = {
+        "all": lambda p: _text(sum(p.stages.values()) or None, _milliseconds),
         **{name: partial(_stage, name) for name in stages},
     }
     found = [
@@ -90,12 +95,7 @@ def absent_of(points: Sequence[Point]) -> list[str]:
     return lines
 
 
-def _table(
-    points: Sequence[Point],
-    note: str,
-    front: frozenset[int],
-    columns: dict[str, Callable[[Point], str]],
-) -> Table:
+def _table(points: Sequence[Point], note: str, front: frozenset[int], columns: Columns) -> Table:
     """A table of the columns that some point has, and of the points that have something in it."""
     texts = {name: [text(point) for point in points] for name, text in columns.items()}
     kept = {name: column for name, column in texts.items() if set(column) != {NONE}}
@@ -131,41 +131,39 @@ def _figures_note(points: Sequence[Point]) -> str:
     return "; ".join(["figures", *(f"{n}: {what}" for n, what in words.items() if n in names)])
 
 
-def _size(point: Point) -> str:
-    """The size that the label does not have."""
-    if point.size is None or point.size_of in ("dim", "pixels"):
-        return NONE
-    return f"{point.size:,.0f} {point.size_of}"
+def _text(value: T | None, form: Callable[[T], str]) -> str:
+    return NONE if value is None else form(value)
+
+
+def _milliseconds(seconds: float) -> str:
+    return f"{1e3 * seconds:.2f}"
 
 
 def _error(name: str, point: Point) -> str:
-    return _number(point.errors.get(name))
+    return _text(point.errors.get(name), "{:.3g}".format)
 
 
 def _stage(name: str, point: Point) -> str:
-    return f"{1e3 * point.stages[name]:.2f}" if name in point.stages else NONE
+    return _text(point.stages.get(name), _milliseconds)
+
+
+FORMS: dict[str, Callable[[float], str]] = {  # of figures, by their units
+    "s": duration,
+    "ns": "{:,.1f}".format,
+    "share": lambda value: f"{100 * value:.2f} %",
+    "count": "{:,.0f}".format,
+    "number": "{:.3g}".format,
+}
 
 
 def _figure(name: str, point: Point) -> str:
     if name not in point.figures:
         return NONE
-    value, unit = point.figures[name], FIGURES[name]
-    if value is None:
-        return "never"
-    if unit == "s":
-        return duration(value)
-    if unit == "ns":
-        return f"{value:,.1f}"
-    if unit == "share":
-        return f"{100 * value:.2f} %"
-    return f"{value:,.0f}" if unit == "count" else _number(value)
-
-
-def _number(value: float | None) -> str:
-    return NONE if value is None else f"{value:.3g}"
+    value = point.figures[name]
+    return "never" if value is None else FORMS[FIGURES[name]](value)
 
 
 def _ratio(points: Sequence[Point], point: Point) -> str:
-    """The time of another tool beside voxtool's of the same setting."""
+    """The time of another tool over voxtool's at the same setting."""
     ours = next((p for p in points if not p.peer and p.label == point.label), None)
     return f"{point.seconds / ours.seconds:.2g} times" if point.peer and ours else NONE

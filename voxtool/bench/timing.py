@@ -5,46 +5,51 @@ from __future__ import annotations
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import dataclass, field
 from functools import partial
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
 
+from voxtool.bench.points import Point
 from voxtool.errors import VoxtoolError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from voxtool.bench.request import Request
     from voxtool.opencl import Device
 
-
+T = TypeVar("T")
 MOST_RUNS = 9
 PEER_RUNS = 3
 PATIENCE = 5.0  # seconds of a peer
 
 
+def timed(work: Callable[[], T]) -> tuple[float, T]:
+    """Seconds of a run, and its result."""
+    start = time.perf_counter()
+    made = work()
+    return time.perf_counter() - start, made
+
+
 def times(work: Callable[[], object], repeat: int) -> list[float]:
     """Seconds of each of `repeat` runs."""
-    found = []
-    for _ in range(repeat):
-        start = time.perf_counter()
-        work()
-        found.append(time.perf_counter() - start)
-    return found
+    return [timed(work)[0] for _ in range(repeat)]
 
 
 @dataclass(frozen=True)
 class Runs:
-    """How often work is timed: `repeat` times; short work more often, up to MOST_RUNS, until it
-    took `seconds` in total."""
+    """The number of timed runs: `repeat`; for short work more, up to MOST_RUNS, until all took
+    `seconds` in total."""
 
     repeat: int
     seconds: float = 0.0
 
     def enough(self, found: list[float]) -> bool:
-        """Whether these runs are enough."""
+        """True if no further run is needed."""
         many = len(found) >= MOST_RUNS or sum(found) >= self.seconds
         return len(found) >= self.repeat and many
 
@@ -56,40 +61,81 @@ class Runs:
         return found
 
     def by_turns(
-        self, one: Callable[[], float], other: Callable[[], float]
+        self, one: Callable[[], object], other: Callable[[], object]
     ) -> tuple[list[float], list[float]]:
-        """The seconds that two works return, in turns, so that other load of the machine slows
-        both."""
+        """Seconds of each run of two works, in turns, so that other load slows both."""
         found: list[float] = []
         others: list[float] = []
         while not self.enough(found):
-            found.append(one())
-            others.append(other())
+            found += times(one, 1)
+            others += times(other, 1)
         return found, others
 
 
 @dataclass(frozen=True)
 class Bench:
-    """A request and the devices that it is measured on.
+    """The settings to measure, the devices to measure on, and the current bench and model.
 
     Attributes
     ----------
-    request : what is measured.
     timed, profiled : the same device twice, without and with events.
+    name, model : the bench, and the path of its model.
     tools : the functions of voxtool.bench.peers.
     """
 
     request: Request
     timed: Device
     profiled: Device
+    name: str = ""
+    model: str = ""
     tools: Any = field(default_factory=partial(import_module, "voxtool.bench.peers"))
+
+    @property
+    def names(self) -> tuple[str, str]:
+        """The names of bench and model: the first fields of every Point and Ablation."""
+        return self.name, Path(self.model).name
+
+    def point(
+        self,
+        work: str,
+        method: str,
+        label: str = "",
+        *,
+        run: Callable[[Device], object] | None = None,
+        asked: dict[str, Any] | None = None,
+        setting: dict[str, Any] | None = None,
+        figures: Mapping[str, float | None] | None = None,
+        places: int | None = None,
+        **fields: Any,
+    ) -> Point:
+        """A point of this bench and model.
+
+        Parameters
+        ----------
+        run : work that is timed here; without it `runs` is among `fields`.
+        asked : the fields of the request that measure the point again.
+        setting : the setting beside these.
+        places : number of points in space that the work handles, for the figure "ns a point".
+        fields : the other fields of the Point.
+        """
+        again, found = asked or {}, dict(figures or {})
+        if run:
+            measured = self.measured(run)
+            found |= measured.pop("figures")
+            fields |= measured
+        if places:
+            found["ns a point"] = 1e9 * statistics.median(fields["runs"]) / places
+        return Point(
+            *self.names, work, method, label, setting={**again, **(setting or {})},
+            command=self.request.command(self.name, self.model, **again), figures=found, **fields,
+        )  # fmt: skip
 
     def measured(self, work: Callable[[Device], object]) -> dict[str, Any]:
         """The runs, the stages and the figure "host" of a Point, for work that takes a device.
 
-        "host" is what Python adds to the stages, in the runs that give them.
+        "host" is the time that Python adds to the stages, in the runs that give them.
         """
-        work(self.timed)  # kernels are compiled
+        work(self.timed)  # compile the kernels
         stages, whole = self.stages(work)
         return {
             "runs": self.request.runs.times(partial(work, self.timed)),
@@ -113,40 +159,30 @@ class Bench:
 class Peers:
     """Timing of other tools, which may take very long.
 
-    Each has at most PEER_RUNS runs after a warm-up, and no further run once they took `patience`
+    A tool has at most PEER_RUNS runs after a warm-up, and no further run once they took `patience`
     seconds in total. A tool whose first run takes longer is run once, and skipped afterwards.
-
-    Attributes
-    ----------
-    slow : names of the tools that are skipped.
     """
 
     def __init__(self, repeat: int, patience: float = PATIENCE) -> None:
         self.repeat, self.patience = min(repeat, PEER_RUNS), patience
-        self.slow: set[str] = set()
+        self.slow: set[str] = set()  # names of the tools that are skipped
 
     def times(self, name: str, work: Callable[[], Any]) -> tuple[list[float], Any]:
         """Seconds of each run, and the last result; no runs if the tool is skipped."""
         if name in self.slow:
             return [], None
-        made: Any = None
-
-        def run() -> None:
-            nonlocal made
-            made = work()
-
-        found = times(run, 1)
-        if found[0] > self.patience:
+        warm, made = timed(work)
+        if warm > self.patience:
             self.slow.add(name)
-            return found, made
-        warm, found = found[0], []
+            return [warm], made
+        found: list[float] = []
         while not found or (len(found) < self.repeat and warm + sum(found) < self.patience):
-            found += times(run, 1)
+            seconds, made = timed(work)
+            found.append(seconds)
         return found, made
 
 
-# The peak memory of a process includes that of the process that started it: a small one stands
-# between.
+# The peak memory of a process includes that of its parent, so a small one starts the command.
 _LAUNCHER = """
 import os, resource, subprocess, sys, time
 start = time.perf_counter()
@@ -156,18 +192,23 @@ print(code, seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)
 """
 
 
-def command(*words: str) -> tuple[float, int]:
+def command(*words: str, output: str, device: Device) -> tuple[float, int]:
     """Seconds and peak resident bytes of `voxtool` with these words, in its own process.
+
+    Parameters
+    ----------
+    output : name of the file that the command writes, and that is removed.
 
     Raises
     ------
     VoxtoolError : the command fails.
     """
-    launched = subprocess.run(
-        [sys.executable, "-S", "-c", _LAUNCHER, sys.executable, "-m", "voxtool.cli.main", *words],
-        stdout=subprocess.PIPE,
-        check=True,
-    )
+    with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
+        more = ("-q", "--device", str(device.info.index), "-o", str(Path(folder, output)))
+        program = (sys.executable, "-m", "voxtool.cli.main", *words, *more)
+        launched = subprocess.run(
+            [sys.executable, "-S", "-c", _LAUNCHER, *program], stdout=subprocess.PIPE, check=True
+        )
     code, seconds, peak = launched.stdout.split()
     if int(code):
         raise VoxtoolError(f"bench: voxtool {' '.join(words)} failed with {int(code)}")

@@ -95,7 +95,7 @@ def measure_and_report(
 
 def print_points(report: Report) -> None:
     """The tables of each chart and what to choose from it; then the ablations."""
-    from voxtool.bench.points import charts_of, costs, duration, title, verdicts
+    from voxtool.bench.points import charts_of, costs, title, verdicts
     from voxtool.bench.tables import absent_of, tables_of
 
     for chart, points in charts_of(report.points).items():
@@ -107,11 +107,8 @@ def print_points(report: Report) -> None:
         for line in (*absent_of(points), *verdicts(points), *costs(points)):
             click.echo(f"  {printable(line)}")
     for one in report.ablations:
-        kind = "within the noise"
-        if one.beyond_noise:
-            kind = f"{duration(abs(one.saved))} {'saved' if one.saved > 0 else 'lost'}"
         result = "" if one.same else "; the result differs"
-        words = f"{one.bench}, {one.model}: {one.work}: without {one.what}: {kind}{result}"
+        words = f"{one.bench}, {one.model}: {one.work}: without {one.what}: {one.verdict}{result}"
         click.echo(f"{chr(10) * (one is report.ablations[0])}{printable(words)}")
 
 

@@ -10,9 +10,10 @@ Pillow writes 8 bits a channel only; pypng writes 16.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import ExitStack
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -20,9 +21,6 @@ from voxtool.choices import WHITE
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.files.atomic import atomic_path
 from voxtool.files.streams import STREAM, PathLike, standard_output
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 FORMATS = ("png", "npy")
 BITS = {8: np.uint8, 16: np.uint16}

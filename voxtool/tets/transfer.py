@@ -7,19 +7,16 @@ scalar make a step. Colours are what a screen shows, extinctions are per world u
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from voxtool.arrays import Data
 from voxtool.errors import VoxtoolError, printable
 from voxtool.tets.maps import MAPS
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from voxtool.tets.volume import TetVolume
+from voxtool.tets.volume import TetVolume
 
 MOST_POINTS = 255
 ROW = 16  # floats of an interval

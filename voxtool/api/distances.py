@@ -1,0 +1,336 @@
+"""Exact distances, and adaptively sampled distance fields."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal, overload
+
+import numpy as np
+
+from voxtool import distances
+from voxtool.adf import build as adf
+from voxtool.adf import query as adf_query
+from voxtool.adf.build import FieldJob
+from voxtool.adf.field import DistanceField
+from voxtool.adf.host_query import QueryResult
+from voxtool.api.octrees import MeshLike, Path, grid_of, opened
+from voxtool.choices import DEFAULT_MAX_LEVEL, DEFAULT_SEARCH, DEFAULT_TOLERANCE, FILLS
+from voxtool.distances import DistanceGridJob, DistanceJob
+from voxtool.files import read_adf
+from voxtool.files.mesh import as_mesh
+from voxtool.grid import Grid
+from voxtool.job import one_call
+from voxtool.opencl import Device
+from voxtool.spatial import signed_distance
+from voxtool.spatial.signed_distance import DistanceResult
+
+
+def plan_adf(
+    mesh: MeshLike,
+    *,
+    tolerance: float = DEFAULT_TOLERANCE,
+    max_level: int = DEFAULT_MAX_LEVEL,
+    band: float = math.inf,
+    sign: str | None = None,
+    continuous: bool = True,
+    bounds: bool = True,
+    max_bytes: int | None = None,
+    measure: bool = True,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> FieldJob:
+    """Build the adaptively sampled distance field of a mesh.
+
+    Lengths are in sides of the cube that the field fills, 8/7 of the mesh's longest side. Levels
+    are counted from the root, which has level 0; a leaf of level n has an edge of 2**-n. A cell
+    through which triangles may pass is refined at least until its edge is 64 tolerances, unless its
+    bound is within the tolerance: a wall that no sample hits causes an error of at most half the
+    edge.
+
+    Parameters
+    ----------
+    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
+        The triangle mesh.
+    tolerance : float
+        Error at which a cell is no longer refined.
+    max_level : int
+        Level at which leaves are no longer refined, 1 to 21.
+    band : float
+        Cells further than this from the surface are not refined.
+    sign : str, optional
+        "pseudonormal", "winding" or "none". By default "pseudonormal" for meshes that are closed,
+        consistently wound, free of self-intersections, and without nested shells of the same
+        winding; "winding" for all others. On these, "pseudonormal" may give wrong signs, and bounds
+        are those of the unsigned distance.
+    continuous : bool
+        Whether leaves of different levels agree on their common faces.
+    bounds : bool
+        Whether each leaf stores a bound of its error.
+    max_bytes : int, optional
+        Approximate size of the field; the largest errors are refined first.
+    measure : bool
+        Whether the errors of the field are measured; see DistanceField.reached.
+    device, max_memory
+        As in voxelize.
+
+    Returns
+    -------
+    DistanceField
+        plan_adf returns the job, whose `run` returns the field.
+
+    Raises
+    ------
+    MeshError
+        If the mesh cannot be read, has no size, or has an extent beyond 2^±500.
+    VoxtoolError
+        If a number is out of range.
+    MemoryLimitError
+        If the field does not fit.
+    DeviceError
+        If there is no device, or it has no double precision.
+
+    Warns
+    -----
+    MeshWarning
+        If signs are uncertain, or the field has no inside.
+
+    References
+    ----------
+    [ADF], [Frisken 2000]
+    """
+    return adf.plan_adf(
+        as_mesh(mesh), tolerance=tolerance, max_level=max_level, band=band, sign=sign,
+        continuous=continuous, bounds=bounds, max_bytes=max_bytes, measure=measure, device=device,
+        max_memory=max_memory,
+    )  # fmt: skip
+
+
+build_adf = one_call(plan_adf, "build_adf", DistanceField)
+
+
+def query_adf(
+    field: DistanceField | Path,
+    points: Any,
+    *,
+    search: str = DEFAULT_SEARCH,
+    gradient: bool = False,
+    bounds: bool = False,
+    cell: bool = False,
+    device: Device | None = None,
+) -> QueryResult:
+    """Return the values of a field at points; the field stays on the device for the next call.
+
+    Parameters
+    ----------
+    field : DistanceField or path
+        The field.
+    points : (N, 3) or (3,) array_like
+        World units; (3,) is one point.
+    search : str
+        How leaves are found: "linear", "binary" or "coherent"; the result is the same.
+    gradient, bounds, cell : bool
+        Whether these are returned as well.
+    device : Device, optional
+        Where to compute; the default device if None.
+
+    Returns
+    -------
+    QueryResult
+
+    Raises
+    ------
+    VoxtoolError
+        If points have a wrong shape, or bounds are requested of a field without them.
+    DeviceError
+        If there is no device.
+    """
+    return adf_query.query_adf(
+        opened(field, read_adf), points, search=search, gradient=gradient, bounds=bounds,
+        cell=cell, device=device,
+    )  # fmt: skip
+
+
+class SignedDistance(signed_distance.SignedDistance):
+    """The exact signed distance to a mesh, for many calls.
+
+    The tree is built once, stays on the device while the mesh is in use, and is shared by all
+    objects of the same mesh, sign and device.
+
+    Parameters
+    ----------
+    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
+        The triangle mesh.
+    sign : str, optional
+        "pseudonormal", "winding" or "none" (no distance is negative). By default "pseudonormal" if
+        the mesh is watertight and every face has an area, otherwise "winding".
+    device : Device, optional
+        Where to compute; the default device if None.
+
+    Attributes
+    ----------
+    sign : str
+        How the sign is found.
+
+    Raises
+    ------
+    MeshError
+        If the mesh cannot be read, or its extent is beyond 2^±500.
+    DeviceError
+        If there is no device, or it has no double precision.
+    VoxtoolError
+        If the sign is unknown.
+
+    Examples
+    --------
+    >>> measure = voxtool.SignedDistance("bunny.obj")
+    >>> measure([[0, 0, 0], [0.1, 0, 0]])
+    >>> measure([0, 0, 0], gradient=True).gradient
+    """
+
+    def __init__(
+        self, mesh: MeshLike, sign: str | None = None, device: Device | None = None
+    ) -> None:
+        super().__init__(as_mesh(mesh), sign, device)
+
+
+@overload
+def distance(
+    mesh: MeshLike,
+    points: Any,
+    *,
+    sign: str | None = None,
+    gradient: Literal[False] = False,
+    nearest: Literal[False] = False,
+    face: Literal[False] = False,
+    device: Device | None = None,
+) -> np.ndarray: ...
+@overload
+def distance(
+    mesh: MeshLike,
+    points: Any,
+    *,
+    sign: str | None = None,
+    gradient: bool = False,
+    nearest: bool = False,
+    face: bool = False,
+    device: Device | None = None,
+) -> DistanceResult: ...
+def distance(
+    mesh: MeshLike,
+    points: Any,
+    *,
+    sign: str | None = None,
+    gradient: bool = False,
+    nearest: bool = False,
+    face: bool = False,
+    device: Device | None = None,
+) -> np.ndarray | DistanceResult:
+    """Return the exact signed distances from points to a mesh, negative inside.
+
+    The second call with the same Mesh is fast: its tree stays on the device. The error is at most
+    1e-15 of the mesh's extent, or of the distance if that is larger.
+
+    Parameters
+    ----------
+    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
+        The triangle mesh.
+    points : (N, 3) or (3,) array_like
+        World units; (3,) is one point.
+    sign : str, optional
+        As in SignedDistance.
+    gradient, nearest, face : bool
+        Whether these are returned as well, in a DistanceResult.
+    device : Device, optional
+        Where to compute; the default device if None.
+
+    Returns
+    -------
+    (N,) float64 or DistanceResult
+        World units, never -0.0.
+
+    Raises
+    ------
+    MeshError
+        If the mesh cannot be read, or its extent is beyond 2^±500.
+    VoxtoolError
+        If points have a wrong shape, are not finite or 2^500 extents away, or the sign is unknown.
+    DeviceError
+        If there is no device, or it has no double precision.
+
+    References
+    ----------
+    [Baerentzen 2005] for pseudo-normals, [Jacobson 2013] and [Barill 2018] for winding numbers.
+    """
+    return signed_distance.distance(
+        as_mesh(mesh), points, sign=sign, gradient=gradient, nearest=nearest, face=face,
+        device=device,
+    )  # fmt: skip
+
+
+def plan_distance(
+    mesh: MeshLike,
+    *,
+    sign: str | None = None,
+    located: bool = False,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> DistanceJob:
+    """Return the job whose result, a SignedDistance, measures points.
+
+    Parameters
+    ----------
+    mesh, sign, device, max_memory
+        As in SignedDistance and voxelize.
+    located : bool
+        Whether gradients, nearest points or faces will be requested.
+    """
+    return distances.plan_distance(
+        as_mesh(mesh), sign=sign, located=located, device=device, max_memory=max_memory
+    )
+
+
+def plan_distance_grid(
+    mesh: MeshLike,
+    grid: Grid | None = None,
+    *,
+    dim: int | None = None,
+    pitch: float | None = None,
+    fill: str = FILLS[0],
+    gap: int = 0,
+    dtype: Any = np.float64,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> DistanceGridJob:
+    """Measure the signed distances at the voxel centres of a grid.
+
+    A distance is negative exactly where `voxelize` with the same arguments sets the voxel. The
+    magnitudes are those of the unrounded mesh. Where the centre of a set voxel lies on the mesh,
+    the distance is the negative normal number nearest to 0, -2.2e-308 (float32: -1.2e-38).
+
+    Parameters
+    ----------
+    mesh, grid, dim, pitch, gap, device, max_memory
+        As in voxelize.
+    fill : str
+        As in voxelize, or "none" for distances without a sign.
+    dtype : dtype
+        float64, or float32, to which distances are rounded.
+
+    Returns
+    -------
+    (nx, ny, nz) array
+        World units, [x, y, z]. plan_distance_grid returns the job, whose `run` returns the array.
+
+    Raises
+    ------
+    MeshError, GridError, MemoryLimitError, DeviceError
+        As in voxelize and distance.
+    """
+    found = as_mesh(mesh)
+    return distances.plan_distance_grid(
+        found, grid_of(found, grid, dim, pitch), fill=fill, gap=gap, dtype=dtype, device=device,
+        max_memory=max_memory,
+    )  # fmt: skip
+
+
+distance_grid = one_call(plan_distance_grid, "distance_grid", np.ndarray)

@@ -1,0 +1,343 @@
+"""Meshes, octrees and surfaces, and what all public functions take besides the data classes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+
+from voxtool import files, report
+from voxtool.choices import DEFAULT_MODE, FILLS, STYLES
+from voxtool.errors import GridError
+from voxtool.files import read_svo
+from voxtool.files.mesh import as_mesh
+from voxtool.grid import Grid
+from voxtool.job import one_call
+from voxtool.mesh.mesh import Mesh
+from voxtool.opencl import Device
+from voxtool.report import Report
+from voxtool.spatial import deviation as deviations
+from voxtool.svo import voxelize as svo
+from voxtool.svo.octree import Octree
+from voxtool.svo.surface import extract as surfaces
+from voxtool.svo.surface.extract import ExtractJob
+from voxtool.svo.surface.isosurface import Isosurface
+from voxtool.svo.voxelize import VoxelizeJob
+
+Path: TypeAlias = str | os.PathLike[str]
+# A mesh: a Mesh, the path of a mesh file, a trimesh.Trimesh or whatever else has vertices and
+# faces, or a pair of arrays, (V, 3) vertices and (F, 3) faces.
+MeshLike: TypeAlias = Any
+Window: TypeAlias = tuple[Sequence[int], Sequence[int]]
+Content = TypeVar("Content")
+
+
+def opened(content: Content | Path, read: Callable[[Path], Content]) -> Content:
+    """Return the content, read if it is a path."""
+    if isinstance(content, str | os.PathLike):
+        return read(content)
+    return content
+
+
+def grid_of(mesh: Mesh, grid: Grid | None, dim: int | None, pitch: float | None) -> Grid:
+    """Return the grid, or one around the mesh of this dim or pitch."""
+    if grid is None:
+        return Grid.fit(mesh, dim, pitch=pitch)
+    if dim is not None or pitch is not None:
+        raise GridError("a grid has its own dim and pitch: drop dim= and pitch=, or the grid")
+    return grid
+
+
+def write_mesh(
+    mesh: MeshLike,
+    path: Path,
+    clobber: bool = True,
+    format: str | None = None,
+    normals: np.ndarray | None = None,
+) -> None:
+    """Write a triangle mesh, or the result of `extract`, as .obj, .ply, .stl, .glb or .off.
+
+    Parameters
+    ----------
+    path
+        `-` writes stdout, as OBJ.
+    clobber
+        False refuses an existing file.
+    format
+        "obj", "ply", "stl", "glb" or "off", instead of what the name says.
+    normals
+        (V, 3) float64 unit vectors, one a vertex, for .obj, .ply and .glb.
+
+    Raises
+    ------
+    FileError
+        the file cannot be written, or the format cannot hold the mesh or its normals.
+    MeshError
+        a vertex is not finite, or the normals are not one a vertex and finite.
+    """
+    files.write_mesh(as_mesh(mesh), path, clobber, format, normals)
+
+
+def export(
+    octree: Octree | Path,
+    path: Path,
+    clobber: bool = True,
+    format: str | None = None,
+    **options: Any,
+) -> None:
+    """Export the set voxels as .npy (dense), .npz (coordinates), .vti (ParaView) or .png (slice).
+
+    Parameters
+    ----------
+    octree
+        an Octree or a path.
+    clobber
+        False refuses an existing file.
+    format
+        "npy", "npz", "vti" or "png", instead of what the name says.
+    options
+        for a png, `axis` ("x", "y" or "z") and `value` (a voxel index).
+
+    Raises
+    ------
+    FileError
+        the file cannot be written, is larger than its disk, or its name says no format.
+    GridError
+        a slice outside the grid. MemoryLimitError : it does not fit in memory.
+    """
+    files.export(opened(octree, read_svo), path, clobber, format, **options)
+
+
+def plan_voxelize(
+    mesh: MeshLike,
+    grid: Grid | None = None,
+    mode: str = DEFAULT_MODE,
+    *,
+    dim: int | None = None,
+    pitch: float | None = None,
+    fill: str = FILLS[0],
+    gap: int = 0,
+    with_surface: bool = False,
+    window: Window | None = None,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> VoxelizeJob:
+    """Voxelize a triangle mesh exactly: the result is a sparse voxel octree.
+
+    Vertices are rounded once to 1/256 voxel; all that follows is integer arithmetic, so the result
+    is the same bit for bit on every device.
+
+    Parameters
+    ----------
+    mesh
+        a Mesh, a path, a trimesh.Trimesh, or a pair of arrays, (V, 3) and (F, 3).
+    grid
+        where the voxels lie; by default one around the mesh, of `dim` or `pitch`.
+    mode
+        "solid" (voxels whose centre is inside), "surface26" (voxels that touch a triangle) or
+        "surface6" (the thinner, 6-separating set).
+    dim
+        voxels along the longest side, without a grid; 256 unless pitch is given.
+    pitch
+        voxel size in world units, without a grid.
+    fill
+        what is inside, for "solid": "parity" (an odd number of crossings along x), "nonzero"
+        (crossings that enter and leave do not cancel), "winding" (a winding number of 1/2 or more),
+        "flood" (everything that the outside cannot reach), or "auto": parity if the mesh is closed
+        and consistently wound, otherwise winding.
+    gap
+        for "flood", openings of up to this many voxels are closed first.
+    with_surface
+        for "solid": add the voxels of "surface26".
+    window
+        (low, shape) in voxels: only this part of the grid.
+    device
+        where to compute; the default device if None.
+    max_memory
+        bytes that the device may use; by default what device and machine have.
+
+    Returns
+    -------
+    Octree
+        plan_voxelize returns the job, whose `run` returns the octree.
+
+    Raises
+    ------
+    MeshError
+        the mesh cannot be read.
+    GridError
+        a vertex lies more than 2**22 voxels from the grid's corner.
+    MemoryLimitError
+        the octree would not fit; the message says which dim does.
+    DeviceError
+        no usable device.
+
+    Warns
+    -----
+    MeshWarning
+        no voxel is set, or the mesh leaks.
+
+    References
+    ----------
+    [voCCeL]
+
+    Examples
+    --------
+    >>> octree = voxtool.voxelize("bunny.obj", dim=128)
+    >>> octree.count, octree.digest()
+    """
+    found = as_mesh(mesh)
+    return svo.plan_voxelize(
+        found, grid_of(found, grid, dim, pitch), mode, fill=fill, gap=gap,
+        with_surface=with_surface, window=window, device=device, max_memory=max_memory,
+    )  # fmt: skip
+
+
+voxelize = one_call(plan_voxelize, "voxelize", Octree)
+
+
+def plan_extract(
+    octree: Octree | Path,
+    *,
+    style: str = STYLES[0],
+    level: int | str | None = None,
+    isovalue: float = 0.5,
+    merge: bool = False,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> ExtractJob:
+    """Extract the surface between the inside and the outside of an octree, closed at the border.
+
+    Parameters
+    ----------
+    octree
+        an Octree or a path.
+    style
+        "marching-cubes", "voxel-faces" (two triangles a square) or "surface-nets".
+    level
+        level of the nodes that are samples, from 0 (bricks), or "voxel"; by default 0 for
+        marching cubes, otherwise "voxel".
+    isovalue
+        in (0, 1): a sample is inside if at least this share of its voxels is set.
+    merge
+        join coplanar squares of voxel faces (greedy meshing); leaves T-junctions.
+    device, max_memory
+        as voxelize.
+
+    Returns
+    -------
+    Isosurface
+        plan_extract returns the job, whose `run` returns the surface.
+
+    Raises
+    ------
+    VoxtoolError
+        an argument is out of range, or the octree is of a surface and has no inside.
+    MemoryLimitError
+        the surface would not fit. DeviceError : no usable device.
+
+    Warns
+    -----
+    MeshWarning
+        the surface is empty, or the samples lose parts of the octree.
+
+    Examples
+    --------
+    >>> surface = voxtool.extract(octree, style="surface-nets")
+    >>> voxtool.write_mesh(surface, "bunny.ply")
+    """
+    return surfaces.plan_extract(
+        opened(octree, read_svo), style=style, level=level, isovalue=isovalue, merge=merge,
+        device=device, max_memory=max_memory,
+    )  # fmt: skip
+
+
+extract = one_call(plan_extract, "extract", Isosurface)
+
+
+def diagnose(
+    mesh: MeshLike,
+    grid: Grid | None = None,
+    *,
+    dim: int | None = None,
+    device: Device | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Report:
+    """Report what is wrong with a mesh, where, and what to do about it.
+
+    Parameters
+    ----------
+    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
+        The triangle mesh.
+    grid : Grid, optional
+        Where the fill rules are compared; by default a grid of `dim` voxels around the mesh.
+    dim : int, optional
+        Voxels along the longest side, without a grid; 256 by default.
+    device : Device, optional
+        Where to compute; the default device if None.
+    progress : callable, optional
+        Called with the name of each stage as it begins.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    MeshError
+        If the mesh cannot be read, or its extent is beyond 2^±500.
+    DeviceError
+        If there is no device, or it has no double precision.
+    """
+    found = as_mesh(mesh)
+    return report.diagnose(found, grid_of(found, grid, dim, None), device=device, progress=progress)
+
+
+def deviation(
+    surface: MeshLike,
+    reference: MeshLike,
+    samples: int = 100_000,
+    pitch: float | None = None,
+    device: Device | None = None,
+) -> dict[str, Any]:
+    """Return the distances between two surfaces, in both directions: mean, RMS and maximum.
+
+    Mean and RMS are over quasi-random points, uniform by area. The maximum is over these and the
+    vertices that faces use. It is a lower bound of the one-sided Hausdorff distance, because the
+    surface may be farther away between the samples.
+
+    Parameters
+    ----------
+    surface, reference : Mesh, path, trimesh.Trimesh, pair of arrays, or Isosurface
+        The two surfaces.
+    samples : int
+        Points on each of the two.
+    pitch : float, optional
+        Side of a voxel, world units, to have the distances in voxels as well.
+    device : Device, optional
+        Where to compute; the default device if None.
+
+    Returns
+    -------
+    dict
+        JSON types, world units: "samples"; "surface_to_reference" and "reference_to_surface", each
+        with "mean", "rms", "max" and "vertices", the number of vertices that the maximum includes;
+        "hausdorff", the larger of the two maxima; "maximum_is": "lower bound". With a pitch also
+        "pitch", and "voxels", the distances in voxels.
+
+    Raises
+    ------
+    MeshError
+        If a mesh cannot be read, has no area, or has an extent beyond 2^±500.
+    VoxtoolError
+        If samples or pitch is not positive, or the meshes are 2^500 extents apart.
+    DeviceError
+        If there is no device, or it has no double precision.
+
+    References
+    ----------
+    [Cignoni 1998], [Roberts 2018]
+    """
+    return deviations.deviation(as_mesh(surface), as_mesh(reference), samples, pitch, device)

@@ -1,0 +1,203 @@
+"""Errors against time of voxelization, and of surfaces of solid octrees.
+
+Voxels are compared with the model by their boundary. The figures "nodes", "looked at" and "cut" of
+a surface are shares of the grid's samples: the cubes that the algorithm of [voCCeL] visits, those
+that are examined 64 at once here, and those that the surface cuts.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.bench import ablation, timing
+from voxtool.bench.references import (
+    NO_AREA,
+    NO_SOLID,
+    Reference,
+    capped,
+    surface_of_peer,
+    voxels_of_peer,
+)
+from voxtool.choices import MARCHING_CUBES, VOXEL_FACES
+from voxtool.files import write_svo
+from voxtool.files.mesh import load_mesh
+from voxtool.grid import Grid
+from voxtool.morton import morton_encode
+from voxtool.svo.layout import BRICK_SIDE
+from voxtool.svo.surface.extract import extract, plan_extract
+from voxtool.svo.voxelize import plan_voxelize, voxelize
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from voxtool.bench.points import Ablation, Point
+    from voxtool.bench.timing import Bench
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.opencl import Device
+    from voxtool.svo.octree import Octree
+    from voxtool.svo.surface.isosurface import Isosurface
+
+SOLID, SURFACE = "mesh to solid voxels", "mesh to voxels of the surface"
+
+
+# --- voxelization --------------------------------------------------------------------------------
+
+
+def measure_voxelize(bench: Bench) -> Iterator[Point | Ablation]:
+    """The points and ablations of voxelizing a model."""
+    asked, mesh, others = bench.request, load_mesh(bench.model), timing.Peers(bench.request.repeat)
+    solid = Reference(*capped(mesh), asked.samples, bench.timed, NO_AREA)
+    surface = Reference(mesh, 0, asked.samples, bench.timed, NO_AREA | NO_SOLID)
+    for dim, mode in product(asked.dims, asked.modes):
+        grid = Grid.fit(mesh, dim, fit=asked.fit)
+        work, against = (SOLID, solid) if mode == "solid" else (SURFACE, surface)
+        row = partial(bench.point, work, label=f"dim {dim}", size=dim, size_of="dim")
+        settings = {"dims": dim, "modes": mode, "fit": asked.fit, "samples": asked.samples}
+        yield from _fills(mesh, grid, row, against, bench, settings)
+        for peer, run in bench.tools.of(mesh, grid, mode).items() if asked.peers else ():
+            method = f"{peer}, {mode}"
+            runs, made = others.times(method, run)
+            if runs:
+                yield row(
+                    method=method, runs=runs, peer=True, asked=settings,
+                    setting={"against": against.words},
+                    **against.errors_of(boundary(voxels_of_peer(made, grid), bench.timed)),
+                )  # fmt: skip
+    for mode in asked.modes if asked.ablations else ():
+        dim = max(asked.dims)
+        grid = Grid.fit(mesh, dim, fit=asked.fit)
+        job = plan_voxelize(mesh, grid, mode, device=bench.timed)
+        yield from ablation.of_voxelize(job, bench, f"{mode}, dim {dim}")
+
+
+def _fills(
+    mesh: Mesh, grid: Grid, row: partial[Point], against: Reference, bench: Bench, settings: dict
+) -> Iterator[Point]:
+    """A point for each fill rule; the rule that "auto" chose is measured once."""
+    asked, mode, chosen = bench.request, settings["modes"], None
+    solid = mode == "solid"
+    for fill in sorted(asked.fills, key="auto".__ne__) if solid else ["auto"]:
+        if fill == chosen:
+            continue
+        plan = partial(plan_voxelize, mesh, grid, mode, fill=fill)
+        job = plan(device=bench.timed)
+        octree = job.run()
+        method, rule = mode, {}
+        if solid:
+            method = f"solid, {fill}" + (f" ({octree.fill})" if fill == "auto" else "")
+            rule, chosen = {"fills": fill}, octree.fill
+        point = row(
+            method=method,
+            run=lambda device, plan=plan: plan(device=device).run(),
+            asked={**settings, **rule},
+            setting={"against": against.words, "rule": octree.fill},
+            figures={"triangles": len(mesh.faces), "voxels": octree.count},
+            left_out=job.left_out,
+            bytes=octree.nbytes,
+            **against.errors_of(boundary(octree, bench.timed)),
+        )
+        options = {"--dim": settings["dims"], "--mode": mode, "--fit": asked.fit, "--fill": fill}
+        words = [str(word) for option in options.items() for word in option]
+        yield _with_command(point, bench, "voxelize", bench.model, *words, output="out.svo.h5")
+
+
+def boundary(octree: Octree, device: Device) -> Mesh:
+    """The faces between set and empty voxels."""
+    return extract(octree, style=VOXEL_FACES, device=device).mesh()
+
+
+def _with_command(point: Point, bench: Bench, *words: str, output: str) -> Point:
+    """The point with the time and the peak memory of a whole command, if these are asked for."""
+    if not bench.request.commands:
+        return point
+    seconds, peak = timing.command(*words, output=output, device=bench.timed)
+    return replace(point, figures={**point.figures, "command": seconds}, peak=peak)
+
+
+# --- surfaces ------------------------------------------------------------------------------------
+
+
+def measure_extract(bench: Bench) -> Iterator[Point]:
+    """The points of extracting surfaces from solid octrees of a model."""
+    asked, mesh, others = bench.request, load_mesh(bench.model), timing.Peers(bench.request.repeat)
+    against = Reference(*capped(mesh), asked.samples, bench.timed)
+    for dim, style in product(asked.dims, asked.styles):
+        grid, fill = Grid.fit(mesh, dim), asked.fills[0]
+        octree = voxelize(mesh, grid, "solid", fill=fill, device=bench.timed)
+        plan = partial(plan_extract, octree, style=style, isovalue=asked.isovalue)
+        job = plan(device=bench.timed)
+        made = job.run()
+        found = against.errors_of(made.mesh())
+        settings = {"dims": dim, "fills": fill, "styles": style, "isovalue": asked.isovalue,
+                    "samples": asked.samples}  # fmt: skip
+        rule = {"rule": octree.fill, "level": made.level, "against": against.words}
+        row = partial(
+            bench.point, "solid voxels to surface", label=f"dim {dim}", size=dim, size_of="dim",
+            asked=settings, setting=rule,
+        )  # fmt: skip
+        point = row(
+            method=style,
+            run=lambda device, plan=plan: plan(device=device).run(),
+            figures={**_cubes(octree, made), **_in_voxels(found, against, octree)},
+            left_out=job.left_out,
+            bytes=made.points.nbytes + made.faces.nbytes,
+            **found,
+        )
+        with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
+            source = str(Path(folder, "in.svo.h5"))
+            write_svo(octree, source)
+            options = ("--style", style, "--isovalue", str(asked.isovalue))
+            yield _with_command(point, bench, "extract", source, *options, output="out.ply")
+        if not asked.peers or style != MARCHING_CUBES:
+            continue
+        for peer, run in bench.tools.of_octree(octree, asked.isovalue).items():
+            runs, result = others.times(peer, run)
+            if runs:
+                found = against.errors_of(surface_of_peer(result, octree))
+                figures = _in_voxels(found, against, octree)
+                yield row(method=peer, runs=runs, peer=True, figures=figures, **found)
+
+
+def _cubes(octree: Octree, surface: Isosurface) -> dict[str, float]:
+    """The size of a surface, and the shares of the grid's samples that were visited."""
+    samples = -(-max(octree.grid.shape) // surface.side)
+    found: dict[str, float] = {
+        "vertices": len(surface.points),
+        "triangles": len(surface.faces),
+        "samples a side": samples,
+        "looked at": BRICK_SIDE**3 * surface.tiles / samples**3,
+        "cut": surface.cubes / samples**3,
+    }
+    if surface.level == 0:
+        found["nodes"] = visited_cubes(octree) / samples**3
+    return found
+
+
+def visited_cubes(octree: Octree) -> int:
+    """The number of cubes with a corner in a level 0 node: the nodes and the NullCubes of
+    [voCCeL], section 4.1, all of which its algorithm visits."""
+    cells = octree.levels()[-1].cells // BRICK_SIDE
+    for axis in range(3):
+        below = cells[cells[:, axis] > 0]
+        below[:, axis] -= 1
+        cells = np.concatenate([cells, below])
+        cells = cells[np.unique(morton_encode(cells), return_index=True)[1]]
+    return len(cells)
+
+
+def _in_voxels(found: dict[str, dict], against: Reference, octree: Octree) -> dict[str, float]:
+    """The distances between surface and model, in voxels."""
+    unit = against.diagonal / max(octree.grid.pitch)
+    names = {"rms": "rms in voxels", "hausdorff": "max in voxels"}
+    return {
+        name: unit * found["errors"][measure]
+        for measure, name in names.items()
+        if measure in found["errors"]
+    }
