@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.bounds import bound_codes
-from voxtool.adf.cells import cell_of, identifier_type, key_of
+from voxtool.adf.cells import bound_codes, cell_of, identifier_type, key_of
 from voxtool.adf.field import DistanceField, assemble
 from voxtool.adf.hashing import build_hash
 from voxtool.morton import morton_decode, morton_encode

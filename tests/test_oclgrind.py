@@ -446,13 +446,13 @@ def render_fields(device) -> None:
     from adf.test_query import spike, with_w
     from helpers_field import plain_field, sphere
 
-    from voxtool.adf.raycast import cast
+    from voxtool.adf.scene import FieldScene
 
     deep = plain_field(lambda p: spike(p) / 32, 0.2 / 32, 13)
     for field in (plain_field(sphere, 1e-2, 4), with_w(deep, 40)):
         field = replace(field, origin=(-1.0, -1.0, -1.0), side=2.0)
         for rays in two_views((9, 7)):
-            picture = cast(field, rays, device=device)
+            picture = FieldScene(field).draw(rays, device)
             assert set(np.unique(picture[..., 3])) == {0, 1}
 
 

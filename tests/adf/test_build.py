@@ -17,11 +17,10 @@ from helpers_signs import winding
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from voxtool.adf.bounds import JUMP, bound_values
 from voxtool.adf.build import build_adf
-from voxtool.adf.levels import CROSSED
+from voxtool.adf.cells import JUMP, bound_values
+from voxtool.adf.levels import CROSSED, SAMPLES
 from voxtool.adf.plan import BLOCK_BYTES
-from voxtool.adf.sample_points import SAMPLES
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.morton import morton_encode

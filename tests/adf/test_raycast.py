@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import meshes
 import numpy as np
@@ -17,20 +18,25 @@ from voxtool.adf.field import DistanceField
 from voxtool.adf.raycast import (
     COLOUR,
     ROOM_LEVEL,
-    cast,
     least_shown,
     refined_children,
     room,
     steep_leaves,
 )
+from voxtool.adf.scene import FieldScene
 from voxtool.camera import Camera, Rays
 from voxtool.errors import VoxtoolError
 from voxtool.mesh.mesh import mesh_from_arrays
+from voxtool.opencl import Device
 
 ORIGIN, SIDE = (-3.7, 0.1, 12.0), 2.3
 AMBIENT = 0.08
 SAMPLES = 300  # of the oracle, along a ray's way through the cube
 WHITE = (1.0, 1.0, 1.0)
+
+
+def cast(field: DistanceField, rays: Rays, *, device: Device, **options: Any) -> np.ndarray:
+    return FieldScene(field, **options).draw(rays, device)
 
 
 # ---- the oracle

@@ -1,7 +1,4 @@
-"""The measured error of a field, against exact distances at quasi-random points.
-
-The points are the same every time.
-"""
+"""The measured error of a field, against exact distances at the same quasi-random points always."""
 
 from __future__ import annotations
 
@@ -36,11 +33,11 @@ def measure_errors(
     percentile, in sides of the cube; "within", the share of errors within the tolerance.
     """
     exact = SignedDistance(mesh, field.sign, device)
-    spread = sample_cube(samples)
-    errors = {"in the cube": _errors(field, np.array(field.origin) + field.side * spread, exact)}
+    unit = sample_cube(samples)
+    errors = {"in the cube": _errors(field, np.array(field.origin) + field.side * unit, exact)}
     with contextlib.suppress(MeshError):  # segments and points have no surface
         on_surface = np.concatenate(list(SurfaceSampler(mesh, "mesh").samples(samples)))
-        near = on_surface + NEAR * field.side * (2 * spread - 1)
+        near = on_surface + NEAR * field.side * (2 * unit - 1)
         errors["near the surface"] = _errors(field, near, exact)
     return errors
 

@@ -8,21 +8,18 @@ stages of a level are in levels.py.
 from __future__ import annotations
 
 import copy
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
 from voxtool.adf.accuracy import measure_errors
-from voxtool.adf.bounds import NO_LEAF
-from voxtool.adf.cells import cell_of, identifier_type, key_of
+from voxtool.adf.cells import NO_LEAF, cell_of, identifier_type, key_of
 from voxtool.adf.field import assemble
 from voxtool.adf.hashing import build_hash
 from voxtool.adf.levels import Construction, constrain, examine, refine, sample
 from voxtool.adf.plan import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
 from voxtool.adf.survey import Survey, cube_of
-from voxtool.choices import DEFAULT_MAX_LEVEL, DEFAULT_TOLERANCE
 from voxtool.job import Job
 from voxtool.mesh.topology import check_topology
 from voxtool.opencl import Device, default_device
@@ -44,32 +41,20 @@ def build_adf(mesh: Mesh, device: Device | None = None, **request: Any) -> Dista
 def plan_adf(
     mesh: Mesh,
     *,
-    tolerance: float = DEFAULT_TOLERANCE,
-    max_level: int = DEFAULT_MAX_LEVEL,
-    band: float = math.inf,
     sign: str | None = None,
-    continuous: bool = True,
-    bounds: bool = True,
-    max_bytes: int | None = None,
-    measure: bool = True,
     device: Device | None = None,
     max_memory: int | None = None,
+    **request: Any,
 ) -> FieldJob:
-    """Return the job of building the distance field of a mesh; see voxtool.build_adf."""
-    request = FieldPlan(
-        triangles=len(mesh.faces),
-        sign=sign or "",
-        tolerance=tolerance,
-        max_level=max_level,
-        band=band,
-        continuous=continuous,
-        bounds=bounds,
-        max_bytes=max_bytes,
-        measure=measure,
-    )
+    """Return the job of building the distance field of a mesh.
+
+    request: tolerance, max_level, band, continuous, bounds, max_bytes and measure, as in
+    voxtool.build_adf.
+    """
+    plan = FieldPlan(triangles=len(mesh.faces), sign=sign or "", **request)
     survey = Survey(mesh, device or default_device(), signed=sign != "none")
     plan = replace(
-        request,
+        plan,
         flat=survey.flat,
         crossed=int(np.count_nonzero(survey.crossed)),
         closed=survey.closed,
@@ -260,9 +245,9 @@ class _Build:
             origin=tuple(origin.tolist()),
             side=side,
             sign=plan.sign,
-            tolerance=plan.tolerance,
+            tolerance=float(plan.tolerance),
             max_level=plan.max_level,
-            band=plan.band,
+            band=float(plan.band),
             continuous=plan.continuous,
             lipschitz=float(work.steepest.get().view(np.float32)[0]),
             reached=reached,

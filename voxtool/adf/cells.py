@@ -1,19 +1,26 @@
-"""Cells of an octree: their keys and identifiers [ADF, sections 3.3 and 3.4].
+"""Cells of an octree: keys and identifiers [ADF, sections 3.3 and 3.4], and codes of error bounds.
 
 Levels are counted from the root, which has level 0. (Octrees of voxels count the other way, from
-their finest level.)
+their finest level.) The error bound of a leaf is a byte on a logarithmic scale: no leaf, no bound
+(the leaf has a sign discontinuity, or its error may exceed a side), or 2**((code - 254) / 8) sides.
 """
 
 from __future__ import annotations
 
+import functools
+import math
+
 import numpy as np
 
+from voxtool.arrays import read_only
 from voxtool.errors import VoxtoolError
 from voxtool.morton import morton_decode, morton_encode
 
 MAX_LEVEL = 20  # of a cell with children: the three coordinates of its key fit 63 bits
 MAX_LEVEL_32 = 10  # of cells whose identifiers fit 32 bits
 MAX_KEY = (2 << MAX_LEVEL) - 1  # along an axis
+NO_LEAF, JUMP = 0, 255
+BOUND_STEPS = 8  # codes for a factor of two: rounding up adds at most 9.1 %
 
 
 def key_of(level: int | np.ndarray, ijk: np.ndarray) -> np.ndarray:
@@ -53,3 +60,29 @@ def cell_of(identifiers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def shown(key: np.ndarray) -> str:
     """Return a key or cell as text for messages."""
     return f"({', '.join(map(str, key.tolist()))})"
+
+
+@functools.cache
+def bound_values() -> np.ndarray:
+    """Return the bound of each code, (256,) float64, in sides: 0 for NO_LEAF, infinity for JUMP,
+    and otherwise 2**((code - 254) / 8), computed with square roots only."""
+    eighth = math.sqrt(math.sqrt(math.sqrt(2.0)))
+    steps = [1.0]
+    for _ in range(BOUND_STEPS - 1):
+        steps.append(steps[-1] * eighth)
+    values = np.zeros(256)
+    for code in range(1, JUMP):
+        exponent, step = divmod(code - (JUMP - 1), BOUND_STEPS)
+        values[code] = math.ldexp(steps[step], exponent)
+    values[JUMP] = np.inf
+    return read_only(values)
+
+
+def bound_codes(bounds: np.ndarray) -> np.ndarray:
+    """Return the code of each bound in sides: the least that is not below it; JUMP above 1."""
+    return np.clip(np.searchsorted(bound_values()[:JUMP], bounds), 1, JUMP).astype(np.uint8)
+
+
+def half_diagonals(levels: np.ndarray) -> np.ndarray:
+    """Return half of the diagonal of a cell of each level, (N,) float64, in sides."""
+    return np.ldexp(math.sqrt(3) / 2, -levels)

@@ -25,14 +25,14 @@ from typing import Any
 
 import numpy as np
 
-from voxtool.adf.bounds import JUMP, NO_LEAF
-from voxtool.adf.cells import cell_identifier, cell_of, identifier_type, key_of
+from voxtool.adf.cells import JUMP, NO_LEAF, cell_identifier, cell_of, identifier_type, key_of
 from voxtool.adf.host_query import QueryResult, query_on_host
 from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.arrays import Data
 from voxtool.choices import MAX_LEVEL
 from voxtool.errors import FileError, VoxtoolError
 
+EXACT = "side", "tolerance", "band", "lipschitz"  # attributes that the digest covers in full
 FAR = 1024.0  # sides: far beyond any distance in a cube, and safe from overflow
 
 
@@ -124,7 +124,8 @@ class DistanceField(Data):
 
     def cells_by_level(self) -> list[int]:
         """Return the number of cells with children of each level, from the root (level 0)."""
-        return np.bincount(cell_of(self.blocks)[0], minlength=self.depth + 1).tolist()
+        first = np.uint64(8) ** np.arange(self.depth + 1, dtype=np.uint64)  # identifiers of levels
+        return [*np.diff(np.searchsorted(self.blocks, first)).tolist(), 0]
 
     def leaves_by_level(self) -> list[int]:
         """Return the number of leaves of each level, from 1, the root's children."""
@@ -134,9 +135,8 @@ class DistanceField(Data):
     def slots(self, level: int, ijk: np.ndarray) -> np.ndarray:
         """Return the (N,) blocks of (N, 3) cells of a level, -1 for cells without one."""
         slot = self.hash.slots(key_of(level, ijk))
-        words = self.cells.reshape(-1, self.cells.shape[-1])[slot]
-        found = self.identifiers.ravel()[slot]
-        return np.where(found == cell_identifier(level, ijk), words[:, -1].astype(np.int64), -1)
+        same = self.identifiers.ravel()[slot] == cell_identifier(level, ijk)
+        return np.where(same, self.cells[..., -1].ravel()[slot].astype(np.int64), -1)
 
     # ---- queries
 
@@ -195,13 +195,8 @@ class DistanceField(Data):
         It is the same on every device and platform."""
         head = {
             "origin": [v.hex() for v in self.origin],
-            "side": self.side.hex(),
-            "sign": self.sign,
-            "tolerance": self.tolerance.hex(),
-            "max_level": self.max_level,
-            "band": self.band.hex(),
-            "continuous": self.continuous,
-            "lipschitz": self.lipschitz.hex(),
+            **{name: float(getattr(self, name)).hex() for name in EXACT},
+            **{name: getattr(self, name) for name in ("sign", "max_level", "continuous")},
             "hash": [self.hash.m, self.hash.r, self.hash.offsets.shape[-1]],
             "bounds": self.bounds is not None,
         }
@@ -331,8 +326,8 @@ def assemble(
     identifiers: np.ndarray, voxels: np.ndarray, bounds: np.ndarray | None, hash: SpatialHash,
     **head: Any,
 ) -> DistanceField:  # fmt: skip
-    """Return the field with the (n,) ascending identifiers of its cells, of the type of
-    identifier_type, the blocks and the hash of these, and the other attributes in `head`."""
+    """Return the field of cells with the (n,) ascending identifiers, of the type of
+    identifier_type; the blocks and the hash are theirs, `head` has the other attributes."""
     levels, ijk = cell_of(identifiers)
     wide = identifiers.dtype == np.uint64
     cells = np.zeros((hash.m**3, 3 if wide else 2), np.uint32)

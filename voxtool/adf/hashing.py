@@ -14,24 +14,19 @@ Differences from [ADF]:
 
 - r is coprime to m. Otherwise many keys would be equal modulo both.
 - Slots are searched in the order of s / r mod m. The keys of a bucket differ by multiples of r, so
-  in this order they are as close to each other as in a grid r times coarser. A row of slots is a
-  row of bits, and many are tested at once.
-- Buckets search in rounds, the next of the remaining ones together. Each looks for slots that were
-  vacant when the round began and claims them. The first bucket that claims a slot gets it, and the
-  others search on. Buckets of one key take the slots that are left, in order.
+  in this order they are as close as in a grid r times coarser, and rows of bits are tested at once.
+- Buckets search in rounds, the next of the remaining ones together. Each claims slots that were
+  vacant when the round began; the first bucket gets a slot, and the others search on. Buckets of
+  one key take the slots that are left, in order.
 - Buckets are scattered if random vacant slots would offer each of them enough places: each begins
   its search at its own place. In an octree that is full down to some level all buckets have the
-  same shape and soon compete for the same places. There w differs from bucket to bucket, which
-  makes their shapes different.
+  same shape and compete for the same places; there w differs from bucket to bucket.
 - Otherwise buckets are packed, each into the first slots that it fits, from m starting places. This
-  suits planes, such as the faces of a box. w is m wherever that separates the keys.
-- A bucket that finds no place tries others of the w that separate its keys.
+  suits planes, such as the faces of a box. A bucket without a place tries other w.
 
-The table depends on the set of keys alone, not on their order or the device.
-
-The hash maps every key to some slot. To look up a cell that may be absent, identifiers are stored
-in the slots and compared (section 3.4.3): Morton codes after a leading one, which are different for
-cells of different levels.
+The table depends on the set of keys alone, not on their order or the device. It maps every key to
+some slot. To look up a cell that may be absent, identifiers are stored in the slots and compared
+(section 3.4.3): Morton codes after a leading one, which differ from level to level.
 
 Kernels: kernels/adf/hashing.cl.
 """
@@ -61,7 +56,7 @@ SCATTERED_KEYS = 4  # keys an offset: the fewest for which buckets are scattered
 CHOICE = 15  # expected places of the last bucket of each size, at least, to scatter buckets
 MAX_R = 256  # r grows to this, or to 2 m
 ALIKE = 16  # if keys extend over fewer tables of offsets, all buckets have one shape
-SPREAD = 3  # w of such buckets is at least m / 3
+LEAST_W = 3  # w of such buckets is at least m / 3
 MOST_PARTED = 2048  # keys of a bucket, at most, that are compared in pairs to test a w
 WORDS = 4  # words of 64 slots, tested at once (a span): the width of the kernels' vectors
 REACH = 2048  # spans that a bucket searches with one w, if all buckets have one shape
@@ -95,13 +90,9 @@ def build_hash(
     """Return the perfect hash of a set of keys, (n, 3) distinct integers in [1, 2**21 - 1].
 
     r grows from KEYS_AN_OFFSET keys an offset until a table is found, up to max_r, by default 2 m
-    or MAX_R, the larger. `side` is that of the table of slots, by default the smallest. The build
-    takes about 16 bytes a slot and 70 bytes a key.
-
-    Raises
-    ------
-    VoxtoolError : a key is repeated, or out of range.
-    MemoryLimitError : there are more than 2**30 keys, or no table of offsets up to max_r.
+    or MAX_R, the larger. `side` is that of the table of slots, by default the smallest. Raises
+    VoxtoolError if a key is repeated or out of range, MemoryLimitError if there are more than 2**30
+    keys, or no table is found. The build takes about 16 bytes a slot and 70 bytes a key.
     """
     keys = _checked(keys)
     keys_on_device = _sort_keys(device or default_device(), keys)
@@ -149,25 +140,25 @@ def _table_side(n: int) -> int:
 
 @dataclass(frozen=True)
 class _Keys:
-    """Keys on the device. codes: (n,) uint64, ascending, z, y, x from the highest bits on, as many
-    bits each as `top` has; top: the largest coordinate of any key."""
+    """Keys on the device: codes, (n,) uint64, ascending: z, y, x from the highest bits on, as many
+    bits each as `top`, the largest coordinate of any key, has."""
 
     codes: Array
     top: int
 
-    @property
-    def arguments(self) -> dict[str, Any]:
-        """Kernel arguments by name."""
-        return {"codes": self.codes, "top": self.top}
+    def run(self, kernel: str, **arguments: Any) -> None:
+        """Run a kernel with a work-item for each key."""
+        launch = self.codes.device.kernel(SOURCE, kernel)
+        launch(self.codes.size, codes=self.codes, top=self.top, **arguments)
 
 
 @dataclass(frozen=True)
 class _Buckets:
     """The keys by bucket, by falling size, then in the order of their cells.
 
-    r: side of the table of offsets; order: (n,) uint32, the keys, bucket by bucket in the order of
-    the cells; cells: (b,) int64, the place of each bucket in the table of offsets; sizes: (b,)
-    int64; firsts: (b,) int64, the place of each bucket's first key in `order`.
+    r: side of the table of offsets; order: (n,) uint32, the keys, bucket by bucket; cells, sizes,
+    firsts: (b,) int64, the place of each bucket in the table of offsets, its number of keys, and
+    the place of the first of these in `order`.
     """
 
     keys: _Keys
@@ -180,18 +171,19 @@ class _Buckets:
 
 def _sort_keys(device: Device, keys: np.ndarray) -> _Keys:
     n, top = len(keys), int(keys.max(initial=1))
-    points, codes = device.put(keys.astype(np.uint32)), device.empty(n, np.uint64)
-    device.kernel(SOURCE, "encode_keys")(n, keys=points, top=top, codes=codes)
-    del points
-    codes, _ = radix_sort(codes, n, 3 * top.bit_length())
+    bits = top.bit_length()
+    unsorted = _Keys(device.empty(n, np.uint64), top)
+    unsorted.run("encode_keys", keys=device.put(keys.astype(np.uint32)))
+    codes, _ = radix_sort(unsorted.codes, n, 3 * bits)
     repeated = device.put(np.array([n], np.uint32))
-    device.kernel(SOURCE, "find_repeated")(n, codes=codes, repeated=repeated)
+    found = _Keys(codes, top)
+    found.run("find_repeated", repeated=repeated)
     first = int(repeated.get()[0])
     if first < n:
-        bits, code = top.bit_length(), int(codes.get(first, first + 1)[0])
+        code = int(codes.get(first, first + 1)[0])
         key = np.array([code >> bits * axis & (1 << bits) - 1 for axis in range(3)])
         raise VoxtoolError(f"key {shown(key)} is repeated: keys are distinct")
-    return _Keys(codes, top)
+    return found
 
 
 class _Way(Enum):
@@ -224,15 +216,14 @@ def _attempts(keys: _Keys, m: int, max_r: int) -> Iterator[tuple[int, np.ndarray
 
 def _count_keys(keys: _Keys, r: int) -> np.ndarray:
     """Return the number of keys of each offset, (r**3,) uint32."""
-    device = keys.codes.device
-    sizes = device.zeros(r**3, np.uint32)
-    device.kernel(SOURCE, "count_keys")(keys.codes.size, **keys.arguments, r=r, sizes=sizes)
+    sizes = keys.codes.device.zeros(r**3, np.uint32)
+    keys.run("count_keys", r=r, sizes=sizes)
     return sizes.take()
 
 
 def _has_choice(sizes: np.ndarray, m: int) -> bool:
-    """Whether the last bucket of each size expects CHOICE places or more among the m**3, if vacant
-    slots are random."""
+    """Return True if the last bucket of each size expects CHOICE places or more among the m**3
+    slots, if vacant slots are random."""
     histogram = np.bincount(sizes).tolist()
     vacant = m**3
     for size in range(len(histogram) - 1, 1, -1):
@@ -247,7 +238,7 @@ def _fill_buckets(keys: _Keys, r: int, sizes: np.ndarray) -> _Buckets:
     """Return the buckets from the number of keys of each offset: steps 1 to 3 of the algorithm."""
     device, n = keys.codes.device, keys.codes.size
     cells, order = device.empty(n, np.uint32), device.empty(n, np.uint32)
-    device.kernel(SOURCE, "find_cells")(n, **keys.arguments, r=r, cells=cells, order=order)
+    keys.run("find_cells", r=r, cells=cells, order=order)
     _, order = radix_sort(cells, n, (r**3 - 1).bit_length(), order)
     falling = np.argsort(sizes.max() - sizes, kind="stable")[: np.count_nonzero(sizes)]
     sizes = sizes.astype(np.int64)
@@ -263,22 +254,22 @@ class _Search:
 
     def __init__(self, buckets: _Buckets, m: int, way: _Way) -> None:
         device, b, spans = buckets.keys.codes.device, len(buckets.sizes), -(-m // (64 * WORDS))
-        self.device, self.buckets, self.m, self.spans = device, buckets, m, spans
-        self.way = way
-        self.reach = min(m * m * spans, REACH) if way is _Way.DIFFERING else m * m * spans
+        self.device, self.buckets, self.m, self.way = device, buckets, m, way
+        every = m * m * spans
+        self.reach = min(every, REACH) if way is _Way.DIFFERING else every
         self.choices = _choices(m, buckets.r)
-        self.most_tries = len(self.choices) * -(-m * m * spans // self.reach)
+        self.most_tries = len(self.choices) * -(-every // self.reach)
         if way is _Way.PACKED:
             starts = np.arange(b) % m * (m * spans)  # a layer of slots each
         else:
-            starts = _evenly(np.arange(b) * EVEN[0], m * m * spans)
-        slots = 2 * WORDS * m * m * spans
+            starts = _evenly(np.arange(b) * EVEN[0], every)
         self.w, self.places = device.empty(b, np.uint32), device.empty(b, np.uint32)
         self.targets = device.empty(b, np.uint32)
         self.outcome = device.empty(LANES, np.uint8)
-        self.vacant = device.empty(slots, np.uint64)
+        self.vacant = device.empty(2 * WORDS * every, np.uint64)
         self.arguments = {
-            **buckets.keys.arguments,
+            "codes": buckets.keys.codes,
+            "top": buckets.keys.top,
             "order": buckets.order,
             "firsts": device.put(buckets.firsts.astype(np.uint32)),
             "sizes": device.put(buckets.sizes.astype(np.uint32)),
@@ -299,7 +290,10 @@ class _Search:
             "vacant": self.vacant,
             "outcome": self.outcome,
         }
-        device.kernel(SOURCE, "vacate")(slots, **self.arguments)
+        self._launch("vacate", self.vacant.size)
+
+    def _launch(self, kernel: str, size: int, **more: Any) -> None:
+        self.device.kernel(SOURCE, kernel)(size, **self.arguments, **more)
 
     def run(self) -> np.ndarray | None:
         """Return the table of offsets, (r, r, r, 3 or 4) uint8 or uint16; None if a bucket has no
@@ -333,21 +327,16 @@ class _Search:
     def _place(self, window: np.ndarray, tries: np.ndarray) -> None:
         """Choose w of buckets and place their keys: first m, if it separates the keys, then other
         w at later tries."""
-        wide = int(np.count_nonzero(SPREAD * self.choices >= self.m))
+        wide = int(np.count_nonzero(LEAST_W * self.choices >= self.m))
         others = _evenly(window.astype(np.int64) * EVEN[1] + tries * EVEN[0], wide)
-        first = np.where(tries, others, 0).astype(np.uint32)
-        self.device.kernel(SOURCE, "place_keys")(
-            len(window),
-            **self.arguments,
-            window=self.device.put(window),
-            first_choice=self.device.put(first),
-        )
+        first = self.device.put(np.where(tries, others, 0).astype(np.uint32))
+        self._launch("place_keys", len(window), window=self.device.put(window), first_choice=first)
 
     def _round(self, window: np.ndarray, number: int) -> np.ndarray:
         """Search for the k buckets of a window; return the outcome of each, (k,) uint8."""
-        named = {**self.arguments, "window": self.device.put(window), "round": number}
+        on_device = self.device.put(window)
         for kernel in ("search", "settle"):
-            self.device.kernel(SOURCE, kernel)(len(window), **named)
+            self._launch(kernel, len(window), window=on_device, round=number)
         return self.outcome.get(0, len(window))
 
     def _offsets(self) -> np.ndarray:

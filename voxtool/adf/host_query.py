@@ -6,12 +6,12 @@ the fraction within, exactly. The kernels in kernels/adf/query.cl return the sam
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.bounds import bound_values, half_diagonals
+from voxtool.adf.cells import bound_values, half_diagonals
 from voxtool.arrays import Data
 from voxtool.errors import VoxtoolError
 from voxtool.morton import morton_encode
@@ -24,6 +24,7 @@ POINT_BITS = 32  # of a coordinate in the cube
 WEIGHT_BITS = 24  # of the fraction within a cell that a weight in float32 takes
 CORNERS = np.array([0, 1, 3, 4, 9, 10, 12, 13])  # of a block's first child, among its vertices
 AT_ONCE = 1 << 14  # points that are searched for at once, in memory that fits caches
+CHUNK = 1 << 12  # points that are rounded at once, likewise
 
 HEADERS = {"adf/points.h": program.c_constants(POINT_BITS=POINT_BITS, WEIGHT_BITS=WEIGHT_BITS)}
 
@@ -60,8 +61,8 @@ class QueryResult(Data):
 
     def __getitem__(self, points: Any) -> QueryResult:
         """Return the values at some of the points: views, where numpy gives views."""
-        arrays = (getattr(self, f.name) for f in fields(self))
-        return QueryResult(*(None if array is None else array[points] for array in arrays))  # type: ignore[arg-type]
+        arrays = ((f.name, getattr(self, f.name)) for f in fields(self))
+        return replace(self, **{name: a[points] for name, a in arrays if a is not None})
 
 
 def query_on_host(
@@ -71,49 +72,60 @@ def query_on_host(
     points, single = checked_points(points)
     if bounds and field.bounds is None:
         raise no_bounds()
-    fixed, outside = to_fixed(field, points)
-    beyond = bool(outside.any())
+    fixed, outside = np.empty(points.shape, np.uint32), np.zeros(len(points), bool)
+    to_fixed(field, points, fixed, outside)
     level, block = search(field, fixed)
     child = fixed.astype(np.int64) >> (POINT_BITS - 1 - level)[:, None]
     octant = child & 1
-    values = _corners(field, block, octant)
+    corners = _corners(field, block, octant)
     t = weights(fixed, level)
-    distance = trilinear(values, t)
-    slope = bound = None
-    if gradient or beyond:
-        slope = trilinear_gradient(values, t) * np.ldexp(np.float32(1), level + 1)[:, None]
-    if field.bounds is not None and (bounds or beyond):
-        bound = bound_values()[field.bounds[block, octant[:, 2], octant[:, 1], octant[:, 0]]]
-    elif beyond:
-        bound = half_diagonals(level + 1)
-    world = distance.astype(np.float64) * field.side
-    if beyond:
-        assert slope is not None
-        assert bound is not None
-        extend(field, points, outside, distance, world, slope, bound)
-        lost = np.isnan(points).any(axis=1)
-        world[lost], slope[lost] = np.nan, np.nan
-        outside_bound, outside = outside, outside & ~lost
-        bound = np.where(outside_bound, np.inf, bound)
+    distance = trilinear(corners, t)
+
+    def gradients(some: np.ndarray | slice) -> np.ndarray:
+        per_side = np.ldexp(np.float32(1), level[some] + 1)[:, None]
+        return trilinear_gradient(corners[some], t[some]) * per_side
+
+    def bounds_of(some: np.ndarray | slice) -> np.ndarray:
+        if field.bounds is None:
+            return half_diagonals(level[some] + 1)
+        x, y, z = octant[some].T
+        return bound_values()[field.bounds[block[some], z, y, x]]
+
+    every = slice(None)
     result = QueryResult(
-        world,
-        slope if gradient else None,
-        bound * field.side if bounds and bound is not None else None,
+        distance.astype(np.float64) * field.side,
+        gradients(every) if gradient else None,
+        bounds_of(every) * field.side if bounds else None,
         (level + 1).astype(np.uint8) if cell else None,
         child.astype(np.uint32) if cell else None,
         outside,
     )
+    which = np.flatnonzero(outside)
+    if len(which):
+        extend(field, points, which, distance[which], gradients(which), bounds_of(which), result)
     return result[0] if single else result
 
 
-def to_fixed(field: DistanceField, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return (N, 3) world points as (N, 3) uint32 in units of 2**-32 sides, moved into the cube, 0
-    for NaN; and whether each point is outside, (N,) bool."""
+def to_fixed(
+    field: DistanceField, points: np.ndarray, fixed: np.ndarray, outside: np.ndarray
+) -> None:
+    """Write (N, 3) world points to `fixed`, (N, 3) uint32 in units of 2**-32 sides, moved into the
+    cube, 0 for NaN; set `outside`, (N,) bool, where a point is not in the cube."""
+    few = min(len(points), CHUNK)
+    origins, scratch = np.tile(np.array(field.origin), few), np.empty(3 * few)
     with np.errstate(over="ignore", invalid="ignore"):
-        u = (points - field.origin) / field.side
-        outside = np.logical_not(((u >= 0) & (u <= 1)).all(axis=1))
-        u = np.where(u > 0, u, 0.0) * 2.0**POINT_BITS
-    return np.minimum(u, 2.0**POINT_BITS - 1).astype(np.uint32), outside
+        for start in range(0, len(points), CHUNK):
+            chunk = slice(start, start + CHUNK)
+            flat = points[chunk].reshape(-1)
+            u = np.subtract(flat, origins[: len(flat)], out=scratch[: len(flat)])
+            np.divide(u, field.side, out=u)
+            if not (u.min() >= 0 and u.max() < 1):  # or NaN
+                inside = (u >= 0) & (u <= 1)
+                outside[chunk] = ~(inside[::3] & inside[1::3] & inside[2::3])
+                np.fmax(u, 0, out=u)  # 0 for NaN
+                np.fmin(u, 1 - 2.0**-POINT_BITS, out=u)
+            np.multiply(u, 2.0**POINT_BITS, out=u)
+            np.copyto(fixed[chunk].reshape(-1), u, casting="unsafe")
 
 
 def search(field: DistanceField, fixed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -122,20 +134,19 @@ def search(field: DistanceField, fixed: np.ndarray) -> tuple[np.ndarray, np.ndar
     The cells of all levels are looked up. Every cell has a parent, so the number found minus one is
     the level.
     """
-    if len(fixed) > AT_ONCE:
-        parts = [search(field, fixed[i : i + AT_ONCE]) for i in range(0, len(fixed), AT_ONCE)]
-        return tuple(np.concatenate(part) for part in zip(*parts, strict=True))  # type: ignore[return-value]
+    level, block = np.empty(len(fixed), np.int64), np.empty(len(fixed), np.int64)
     levels = np.arange(field.depth)
-    cells = fixed[:, None].astype(np.int64) >> (POINT_BITS - levels)[:, None]
-    slots = field.hash.slots((cells + (1 << levels)[:, None]).reshape(-1, 3))
-    deepest = morton_encode(cells[:, -1]) | np.uint64(1 << 3 * (field.depth - 1))
-    identifiers = deepest[:, None] >> (3 * levels[::-1]).astype(np.uint64)
-    slots = slots.reshape(identifiers.shape)
-    level = np.count_nonzero(field.identifiers.ravel()[slots] == identifiers, axis=1) - 1
-    block = field.cells.reshape(-1, field.cells.shape[-1])[
-        np.take_along_axis(slots, level[:, None], 1)[:, 0], -1
-    ]
-    return level, block.astype(np.int64)
+    identifiers, blocks = field.identifiers.ravel(), field.cells[..., -1].ravel()
+    for start in range(0, len(fixed), AT_ONCE):
+        some = slice(start, start + AT_ONCE)
+        cells = fixed[some, None].astype(np.int64) >> (POINT_BITS - levels)[:, None]
+        slots = field.hash.slots((cells + (1 << levels)[:, None]).reshape(-1, 3))
+        deepest = morton_encode(cells[:, -1]) | np.uint64(1 << 3 * (field.depth - 1))
+        expected = deepest[:, None] >> (3 * levels[::-1]).astype(np.uint64)
+        slots = slots.reshape(expected.shape)
+        level[some] = np.count_nonzero(identifiers[slots] == expected, axis=1) - 1
+        block[some] = blocks[np.take_along_axis(slots, level[some, None], 1)[:, 0]]
+    return level, block
 
 
 def _corners(field: DistanceField, block: np.ndarray, octant: np.ndarray) -> np.ndarray:
@@ -147,26 +158,36 @@ def _corners(field: DistanceField, block: np.ndarray, octant: np.ndarray) -> np.
 def extend(
     field: DistanceField,
     points: np.ndarray,
-    outside: np.ndarray,
+    which: np.ndarray,
     distance: np.ndarray,
-    world: np.ndarray,
     slope: np.ndarray,
     bound: np.ndarray,
+    result: QueryResult,
 ) -> None:
-    """Write the lower bounds at points outside the cube to `world`, and gradients to `slope`."""
+    """Overwrite the values of the (k,) points `which`, which are outside the cube or NaN.
+
+    distance, slope, bound : (k,), (k, 3), (k,), in sides, of the nearest points of the cube.
+    """
+    outer = points[which]
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        u = (points[outside] - field.origin) / field.side
+        u = (outer - field.origin) / field.side
         beyond = np.where(u < 0, u, np.where(u > 1, u - 1, 0.0))
-        near = np.abs(distance[outside].astype(np.float64)) - bound[outside]
+        near = np.abs(distance.astype(np.float64)) - bound
         near = np.where(near > 0, near, 0.0)
         exponent = np.frexp(np.abs(beyond).max(axis=1))[1]  # squares of large ones overflow
         x, y, z = np.ldexp(beyond.T, -exponent)
         part = np.ldexp(near, -exponent)
         total = np.ldexp(np.sqrt(x * x + y * y + z * z + part * part), exponent)
-        inward = np.where(distance[outside] < 0, -near, near)[:, None]
-        steep = np.where(beyond != 0, beyond, inward * slope[outside]) / total[:, None]
-    world[outside] = total * field.side
-    slope[outside] = steep.astype(np.float32)
+        inward = np.where(distance < 0, -near, near)[:, None]
+        steep = np.where(beyond != 0, beyond, inward * slope) / total[:, None]
+    lost = np.flatnonzero(np.isnan(outer).any(axis=1))
+    total[lost], steep[lost] = np.nan, np.nan
+    result.distance[which] = total * field.side
+    if result.gradient is not None:
+        result.gradient[which] = steep
+    if result.bound is not None:
+        result.bound[which] = np.inf
+    result.outside[which[lost]] = False
 
 
 def weights(fixed: np.ndarray, level: np.ndarray) -> np.ndarray:

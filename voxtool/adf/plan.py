@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from voxtool.choices import MAX_LEVEL, SIGNS
+from voxtool.choices import DEFAULT_MAX_LEVEL, DEFAULT_TOLERANCE, MAX_LEVEL, SIGNS
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
 from voxtool.job import Cost
 
@@ -28,22 +28,19 @@ ITEM_BYTES = 5  # a triangle in a list, and its mask
 class FieldPlan:
     """The decisions of a build, and the cells counted so far.
 
-    triangles: number of triangles of the mesh; flat: those without area; crossed: those that
-    intersect others; closed: whether the mesh is closed, consistently wound and free of
-    self-intersections, and its shells agree on what is inside.
-    sign, tolerance, max_level, band, continuous, bounds, max_bytes, measure: as requested.
-    refined: number of refined cells of each level from 0 on, as far as they have been counted.
-    items: number of triangles in the lists of the last level counted.
+    triangles, flat, crossed: number of triangles, of those without area, and of those that
+    intersect others; closed: as of Survey. sign to measure: as requested. refined: number of
+    refined cells of each level counted so far; items: triangles in the lists of the last of these.
     """
 
     triangles: int
     sign: str
-    tolerance: float
-    max_level: int
-    band: float
-    continuous: bool
-    bounds: bool
-    max_bytes: int | None
+    tolerance: float = DEFAULT_TOLERANCE
+    max_level: int = DEFAULT_MAX_LEVEL
+    band: float = math.inf
+    continuous: bool = True
+    bounds: bool = True
+    max_bytes: int | None = None
     measure: bool = True
     flat: int = 0
     crossed: int = 0
@@ -65,7 +62,7 @@ class FieldPlan:
 
     @property
     def certain(self) -> bool:
-        """Whether all signs are certain, so that there is no sign discontinuity."""
+        """True if all signs are certain, so that there is no sign discontinuity."""
         return self.closed and self.sign == "pseudonormal"
 
     @property
@@ -87,30 +84,20 @@ class FieldPlan:
     @property
     def left_out(self) -> dict[str, str]:
         """The stages and data that are not needed, with reasons."""
-        out = {}
-        if self.sign != "winding":
-            out["winding numbers"] = (
-                "distances have no sign" if self.sign == "none" else "the sign is by pseudo-normals"
-            )
-        if self.sign == "none":
-            out["pseudo-normals"] = "distances have no sign"
-        elif not self.flat:
-            out["faces without a side"] = "every face has an area"
-        if self.certain or self.sign == "none":
-            out["search for jumps of the sign"] = (
-                "the mesh is closed" if self.certain else "distances have no sign"
-            )
-        if not self.continuous:
-            out["neighbours and constraints"] = "cracks are allowed"
-        if not self.bounds:
-            out["bounds texture"] = "no bounds are requested"
-        if self.max_level <= NARROW_LEVEL:
-            out["64-bit identifiers"] = (
-                f"leaves end at level {self.max_level}, of {NARROW_LEVEL} that 32 bits serve"
-            )
-        if not self.measure:
-            out["error measurement"] = "not requested"
-        return out
+        unsigned = "distances have no sign" if self.sign == "none" else ""
+        other_sign = "the sign is by pseudo-normals" if self.sign == "pseudonormal" else ""
+        narrow = f"leaves end at level {self.max_level}, of {NARROW_LEVEL} that 32 bits serve"
+        reasons = {
+            "winding numbers": unsigned or other_sign,
+            "pseudo-normals": unsigned,
+            "faces without a side": "" if unsigned or self.flat else "every face has an area",
+            "search for jumps of the sign": "the mesh is closed" if self.certain else unsigned,
+            "neighbours and constraints": "" if self.continuous else "cracks are allowed",
+            "bounds texture": "" if self.bounds else "no bounds are requested",
+            "64-bit identifiers": narrow if self.max_level <= NARROW_LEVEL else "",
+            "error measurement": "" if self.measure else "not requested",
+        }
+        return {what: why for what, why in reasons.items() if why}
 
     def predicted(self) -> list[int]:
         """Return the refined cells of each level: counted, then predicted by GROWTH."""
@@ -130,25 +117,16 @@ class FieldPlan:
         return sum(self.predicted())
 
     @property
-    def field_bytes(self) -> int:
-        return BLOCK_BYTES * self.blocks
-
-    @property
     def cost(self) -> Cost:
         """The peak memory of the build, approximately an upper bound."""
-        counts, items = self.predicted(), max(self.items, self.triangles)
-        return Cost(self._bytes(counts, items), self.field_bytes, self._largest(counts, items))
+        return self._cost(self.predicted(), max(self.items, self.triangles))
 
-    def _largest(self, counts: Sequence[int], items: int) -> int:
-        """Return the bytes of the largest buffer."""
-        return max(8 * 27 * max(counts, default=0), 4 * items)
-
-    def _bytes(self, counts: Sequence[int], items: int) -> int:
-        """Return the bytes on the device: twice the field, the arrays of two levels, and the lists
-        of two levels, which have about the same length."""
-        return (
-            2 * BLOCK_BYTES * sum(counts) + CELL_BYTES * sum(counts[-2:]) + 2 * ITEM_BYTES * items
-        )
+    def _cost(self, counts: Sequence[int], items: int) -> Cost:
+        """Return the memory for these refined cells: twice the field, the arrays of two levels, and
+        the lists of two levels, which have about the same length."""
+        field = BLOCK_BYTES * sum(counts)
+        device = 2 * field + CELL_BYTES * sum(counts[-2:]) + 2 * ITEM_BYTES * items
+        return Cost(device, field, max(8 * 27 * max(counts, default=0), 4 * items))
 
     def scene(self) -> dict[str, Any]:
         """Return the part that depends on the mesh, to be stored with the output: JSON types."""
@@ -166,33 +144,32 @@ class FieldPlan:
             **self.scene(),
             "refined_cells": list(self.refined),
             "predicted_blocks": self.blocks,
-            "predicted_field_bytes": self.field_bytes,
+            "predicted_field_bytes": self.cost.host,
             "predicted_device_bytes": self.cost.device,
         }
 
     def rows(self) -> list[tuple[str, str]]:
         """Return what `--plan` prints before the stages: names and texts."""
         counted = ", ".join(f"{count:,}" for count in self.refined)
+        decided = f"tolerance {self.tolerance:.3g} sides, levels to {self.max_level}"
+        cells = f"{counted} cells are refined, of level 0, 1, ..."
         return [
-            ("field", f"tolerance {self.tolerance:.3g} sides, levels to {self.max_level}, sign "
-             f"{self.sign}"),
-            ("scene", f"{self.triangles:,} triangles; {counted} cells are refined, of level 0, 1, "
-             "..."),
-            ("blocks", f"at most about {self.blocks:,}, {human(self.field_bytes)}"),
-        ]  # fmt: skip
+            ("field", f"{decided}, sign {self.sign}"),
+            ("scene", f"{self.triangles:,} triangles; {cells}"),
+            ("blocks", f"at most about {self.blocks:,}, {human(self.cost.host)}"),
+        ]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError, with the level that fits, if the levels counted so far need more
         bytes on the device in total, or in one buffer."""
-        counts, level = self.refined, len(self.refined) - 1
-        needed = self._bytes(counts, self.items)
-        largest = self._largest(counts[-1:], self.items)
-        if needed <= max_memory and largest <= max_allocation and self.items < 1 << 32:
+        cost, level = self._cost(self.refined, self.items), len(self.refined) - 1
+        fitting = cost.device <= max_memory and cost.largest <= max_allocation
+        if fitting and self.items < 1 << 32:
             return
         fits = f"--max-level {level} fits, or " if level else ""
+        cells, most = count_of(self.refined[-1], "cell"), human(max_memory)
         raise MemoryLimitError(
-            f"{count_of(counts[-1], 'cell')} of level {level} would need {human(needed)} of memory "
-            f"({human(largest)} in one buffer), of {human(max_memory)} ({human(max_allocation)}) "
-            f"allowed: {fits}ask for a larger --tolerance, a --band or "
-            "--max-bytes (see --max-memory)"
+            f"{cells} of level {level} would need {human(cost.device)} of memory "
+            f"({human(cost.largest)} in one buffer), of {most} ({human(max_allocation)}) allowed: "
+            f"{fits}ask for a larger --tolerance, a --band or --max-bytes (see --max-memory)"
         )

@@ -13,27 +13,32 @@ Kernels: kernels/adf/query.cl.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from voxtool.adf.bounds import bound_values, half_diagonals
-from voxtool.adf.host_query import POINT_BITS, QueryResult, checked_points, extend, no_bounds
-from voxtool.adf.textures import bounds_of, textures_of
+from voxtool.adf.cells import bound_values, half_diagonals
+from voxtool.adf.host_query import (
+    QueryResult,
+    checked_points,
+    extend,
+    no_bounds,
+    query_on_host,
+    to_fixed,
+)
 from voxtool.choices import SEARCHES
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, default_device, program
+from voxtool.opencl.device import ALIGNMENT
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from voxtool.adf.field import DistanceField
 
 SOURCE = "adf/query.cl"
 HOST_POINTS = 128  # up to this number the host is faster than a launch
 BLOCK = 1 << 18  # points that are on the device at once
-CHUNK = 1 << 12  # points that are rounded at once: they fit the cache
-ALIGNMENT = 128  # bytes: a CPU driver shares memory aligned to this
 
 HEADERS = {
     "adf/query.h": program.c_constants(
@@ -77,13 +82,7 @@ def query_adf(
 ) -> QueryResult:
     """Return the values of a field at points; see voxtool.query_adf."""
     request = _Request(search, gradient, bounds, cell)
-    points, single = checked_points(points)
-    request.check(field)
-    if len(points) <= HOST_POINTS:
-        result = field.query(points, gradient=gradient, bounds=bounds, cell=cell)
-    else:
-        result = FieldQuery(field, device).on_device(points, request)
-    return result[0] if single else result
+    return request.run(field, points, HOST_POINTS, lambda: FieldQuery(field, device))
 
 
 class FieldQuery:
@@ -148,13 +147,13 @@ class FieldQuery:
         bounds: bool = False,
         cell: bool = False,
     ) -> QueryResult:
-        """Return the values of the field at points; outside the cube see DistanceField.query.
+        """Return the values of the field at points, as voxtool.query_adf; outside the cube see
+        DistanceField.query.
 
         Parameters
         ----------
         points : (N, 3) or (3,) array_like
-            World units, in any order; (3,) is one point, for which the arrays of the result have no
-            leading axis.
+            World units; (3,) is one point, for which the arrays of the result have no leading axis.
         search : str
             "linear", from the coarsest level with leaves down; "binary", between that level and the
             deepest; or "coherent", from the level of the previous point, for points that are near
@@ -169,19 +168,12 @@ class FieldQuery:
         Raises
         ------
         VoxtoolError
-            If points have a wrong shape, the search is unknown, or bounds are requested of a field
-            without them.
+            If points have a wrong shape, the search is unknown, or there are no bounds.
         MemoryLimitError
             If a block of points does not fit on the device.
         """
         request = _Request(search, gradient, bounds, cell)
-        points, single = checked_points(points)
-        request.check(self.field)
-        if len(points) <= self.host_points:
-            result = self.field.query(points, gradient=gradient, bounds=bounds, cell=cell)
-        else:
-            result = self.on_device(points, request)
-        return result[0] if single else result
+        return request.run(self.field, points, self.host_points, lambda: self)
 
     def on_device(self, points: np.ndarray, request: _Request) -> QueryResult:
         """Return the values at (N, 3) float64 points, computed on the device."""
@@ -216,13 +208,13 @@ class FieldQuery:
 
         The device searches while the host rounds one block and reads the values of another.
         """
-        lattice, shape = Lattice(self.field), self._shape(request.search)
+        shape = self._shape(request.search)
         memory = [_point_memory(shape.padded(min(self.block, len(points)))) for _ in range(2)]
         running: tuple[slice, np.ndarray, _Running] | None = None
         for start in range(0, len(points), self.block):
             block = slice(start, min(start + self.block, len(points)))
             n, fixed = block.stop - start, memory[start // self.block % 2]
-            lattice.round(points[block], fixed[:n], outside[block])
+            to_fixed(self.field, points[block], fixed[:n], outside[block])
             done = running and (*running[:2], running[2].finish())
             running = block, fixed[:n], self._start(fixed, n, request)
             if done:
@@ -235,13 +227,12 @@ class FieldQuery:
         device, shape = self.device, self._shape(request.search)
         padded = shape.padded(n)
         fixed[n:padded] = 0
-        points = device.view(fixed[:padded])
-        outputs = {
-            name: device.empty(width * padded, dtype)
-            for name, (dtype, width) in request.outputs().items()
-        }
-        options = {**shape.options(), **self.textures.options, **request.options()}
-        device.kernel(SOURCE, "query", **options)(
+        points, kinds = device.view(fixed[:padded]), request.outputs()
+        outputs = {name: device.empty(wide * padded, kind) for name, (kind, wide) in kinds.items()}
+        kernel = device.kernel(
+            SOURCE, "query", **shape.options(), **self.textures.options, **request.options()
+        )
+        kernel(
             padded // (shape.batch * shape.run),
             points=points,
             **self.textures.arguments,
@@ -254,10 +245,9 @@ class FieldQuery:
 
     def _extend(self, points: np.ndarray, fixed: np.ndarray, result: QueryResult) -> None:
         """Overwrite the values of the points of a block that are outside the cube."""
-        field, which = self.field, np.flatnonzero(result.outside)
-        has_bounds = field.bounds is not None
+        which, has_bounds = np.flatnonzero(result.outside), self.field.bounds is not None
         request = _Request("binary", gradient=True, bounds=has_bounds, cell=not has_bounds)
-        points, n = points[which], len(which)
+        n = len(which)
         memory = _point_memory(self._shape("binary").padded(n))
         memory[:n] = fixed[which]
         found = self._start(memory, n, request).finish()
@@ -266,16 +256,7 @@ class FieldQuery:
             if has_bounds
             else half_diagonals(found["leaf_levels"].astype(np.int64))
         )
-        world, slope = np.empty(n), found["gradients"]
-        extend(field, points, np.ones(n, bool), found["distances"], world, slope, bound)
-        lost = np.isnan(points).any(axis=1)
-        world[lost], slope[lost] = np.nan, np.nan
-        result.distance[which] = world
-        if result.gradient is not None:
-            result.gradient[which] = slope
-        if result.bound is not None:
-            result.bound[which] = np.inf
-        result.outside[which[lost]] = False
+        extend(self.field, points, which, found["distances"], found["gradients"], bound, result)
 
     def _shape(self, search: str) -> Shape:
         if self.shape:
@@ -283,6 +264,69 @@ class FieldQuery:
         if self.device.lanes > 1:
             return CPU
         return GPU_COHERENT if search == "coherent" else GPU
+
+
+# --- textures ------------------------------------------------------------------------------------
+
+
+class Textures(NamedTuple):
+    """Arguments, by name, and -D options of kernels that include kernels/adf/search.h."""
+
+    arguments: dict[str, Any]
+    options: dict[str, int | str]
+
+
+def textures_of(field: DistanceField, device: Device) -> Textures:
+    """Return the textures of a field on a device: uploaded by the first call, then kept."""
+
+    def upload() -> Textures:
+        table, (full, deepest) = field.hash, levels_to_search(field)
+        options: dict[str, int | str] = {
+            "OFFSET": {1: "uchar", 2: "ushort"}[table.offsets.dtype.itemsize],
+            **({"W": 1} if table.has_w else {}),
+            **({"WIDE": 1} if field.cells.shape[-1] == 3 else {}),
+        }
+        arguments = {
+            "voxels": _upload(field.voxels, device),
+            "cells": _upload(field.cells, device),
+            "offsets": _upload(table.offsets, device),
+            "inverses": device.put(inverses(max(table.m, table.r))),
+            "m": table.m,
+            "r": table.r,
+            "full": full,
+            "deepest": deepest,
+        }
+        return Textures(arguments, options)
+
+    return device.keep(field, "textures", sum(field.sizes().values()), upload)
+
+
+def bounds_of(field: DistanceField, device: Device) -> Array:
+    """Return the bounds texture of a field on a device: uploaded by the first call, then kept."""
+    bounds = field.bounds
+    assert bounds is not None
+    return device.keep(field, "bounds", bounds.nbytes, lambda: _upload(bounds, device))
+
+
+def _upload(texture: np.ndarray, device: Device) -> Array:
+    """Return a texture on the device; on a CPU in large pages, which suit random reads."""
+    with device.stage("upload"):
+        array = device.empty(texture.size, texture.dtype)
+        device.write(array, texture)
+    return array
+
+
+def levels_to_search(field: DistanceField) -> tuple[int, int]:
+    """Return the level down to which all cells have blocks, and the deepest with a block."""
+    counts = field.cells_by_level()
+    partial = next(level for level, count in enumerate(counts) if count < 8**level)
+    return partial - 1, field.depth - 1
+
+
+def inverses(most: int) -> np.ndarray:
+    """Return the inverse of each number up to `most`, rounded to nearest; 0 for 0."""
+    numbers = np.arange(1, most + 1, dtype=np.float32)
+    return np.concatenate([np.zeros(1, np.float32), 1 / numbers])
 
 
 # --- blocks of points ----------------------------------------------------------------------------
@@ -297,11 +341,26 @@ class _Request:
     bounds: bool
     cell: bool
 
-    def check(self, field: DistanceField) -> None:
+    def run(
+        self,
+        field: DistanceField,
+        points: Any,
+        host_points: int,
+        query: Callable[[], FieldQuery],
+    ) -> QueryResult:
+        """Return the values at points: up to `host_points` by the host, others by a query."""
         if self.search not in SEARCHES:
             raise VoxtoolError(f"search {self.search!r} is unknown: choose {', '.join(SEARCHES)}")
         if self.bounds and field.bounds is None:
             raise no_bounds()
+        points, single = checked_points(points)
+        if len(points) <= host_points:
+            result = query_on_host(
+                field, points, gradient=self.gradient, bounds=self.bounds, cell=self.cell
+            )
+        else:
+            result = query().on_device(points, self)
+        return result[0] if single else result
 
     def options(self) -> dict[str, int | str]:
         values = {"GRADIENT": self.gradient, "BOUNDS": self.bounds, "CELL": self.cell}
@@ -329,45 +388,14 @@ class _Running:
 
     def finish(self) -> dict[str, np.ndarray]:
         """Wait for the device and return the outputs, (n,) or (n, 3)."""
-        found = {}
-        for name, array in self.outputs.items():
-            values = array.take()
-            wide = name in ("gradients", "leaves")
-            found[name] = (values.reshape(-1, 3) if wide else values)[: self.n]
-        return found
-
-
-class Lattice:
-    """Rounding of points to 32-bit fixed point, as by host_query.to_fixed."""
-
-    def __init__(self, field: DistanceField) -> None:
-        self.side = field.side
-        self.origins = np.tile(np.array(field.origin), CHUNK)
-        self.scratch = np.empty(3 * CHUNK)
-
-    def round(self, points: np.ndarray, fixed: np.ndarray, outside: np.ndarray) -> None:
-        """Round (n, 3) float64 world points to (n, 3) uint32, in `fixed`; set `outside` for points
-        outside the cube."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            for start in range(0, len(points), CHUNK):
-                chunk = slice(start, start + CHUNK)
-                self._round(points[chunk].reshape(-1), fixed[chunk].reshape(-1), outside[chunk])
-
-    def _round(self, points: np.ndarray, fixed: np.ndarray, outside: np.ndarray) -> None:
-        u = self.scratch[: len(points)]
-        np.subtract(points, self.origins[: len(points)], out=u)
-        np.divide(u, self.side, out=u)
-        if not (u.min() >= 0 and u.max() < 1):  # or NaN
-            inside = (u >= 0) & (u <= 1)
-            np.logical_not(inside[::3] & inside[1::3] & inside[2::3], out=outside)
-            np.fmax(u, 0, out=u)  # 0 for NaN
-            np.fmin(u, 1 - 2.0**-POINT_BITS, out=u)
-        np.multiply(u, 2.0**POINT_BITS, out=u)
-        np.copyto(fixed, u, casting="unsafe")
+        found = {name: array.take() for name, array in self.outputs.items()}
+        for name in found.keys() & {"gradients", "leaves"}:
+            found[name] = found[name].reshape(-1, 3)
+        return {name: values[: self.n] for name, values in found.items()}
 
 
 def _point_memory(n: int) -> np.ndarray:
-    """Return an uninitialized (n, 3) uint32 array that a CPU driver can share."""
+    """Return an uninitialized (n, 3) uint32 array in memory that a CPU driver can share."""
     memory = np.empty(12 * n + ALIGNMENT, np.uint8)
     start = -memory.ctypes.data % ALIGNMENT
     return memory[start : start + 12 * n].view(np.uint32).reshape(n, 3)

@@ -24,15 +24,14 @@ import numpy as np
 
 from voxtool.adf.cells import cell_of
 from voxtool.adf.field import FAR
-from voxtool.adf.textures import textures_of
+from voxtool.adf.query import textures_of
 from voxtool.camera import checked_colour
 from voxtool.errors import VoxtoolError
-from voxtool.opencl import default_device, program
+from voxtool.opencl import program
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from voxtool.adf.field import DistanceField
+    from voxtool.adf.scene import FieldScene
     from voxtool.camera import Rays
     from voxtool.opencl import Device
 
@@ -46,51 +45,33 @@ TILE = 8  # a work-group draws TILE x TILE pixels
 HEADERS = {"adf/raycast.h": program.c_constants(ROOM_LEVEL=ROOM_LEVEL, TILE=TILE)}
 
 
-def cast(
-    field: DistanceField,
-    rays: Rays,
-    *,
-    offset: float = 0.0,
-    colour: Sequence[float] = COLOUR,
-    leap: bool = True,
-    device: Device | None = None,
-) -> np.ndarray:
-    """Return the picture of a field's surface along rays in the world: (height, width, 4) float32,
+def cast(scene: FieldScene, rays: Rays, device: Device) -> np.ndarray:
+    """Return the picture of a scene along rays in the world: (height, width, 4) float32,
     premultiplied colour, and opacity, which is 1 on the surface.
 
-    offset: the distance of the surface drawn, world units, rounded to float32. For an unsigned
-    field, offset 0 draws the distance least_shown, since hardly any of its values is 0. colour:
-    red, green and blue, from 0 to 1. leap: whether rays skip empty space; the picture is the same
-    except for rounding. The field stays on the device for the next picture.
-
-    Raises
-    ------
-    DeviceError : there is no device.
-    VoxtoolError : the offset is not finite, or there is no such colour.
-    MemoryLimitError : the field or the picture does not fit on the device.
+    Without `leap` the picture is the same except for rounding. The field stays on the device for
+    the next picture.
     """
-    device = device or default_device()
-    colour = checked_colour(colour)
-    shown = min(max(checked_offset(field, offset) / field.side, -FAR), FAR)
-    textures = textures_of(field, device)
+    field = scene.content
+    shown = min(max(checked_offset(field, scene.offset) / field.side, -FAR), FAR)
     leaps = device.keep(field, "leaps", len(field.blocks), lambda: _leaps(field, device))
     local = rays.local(field.origin, field.side)
     camera = np.concatenate([local.origin, local.direction, local.right, local.down])
     width, height = rays.size
-    pixels = device.empty(4 * width * height, np.float32)
+    textures, pixels = textures_of(field, device), device.empty(4 * width * height, np.float32)
     tiles = -(-width // TILE) * -(-height // TILE)
     with device.stage("ray casting"):
         device.kernel(SOURCE, "raycast", **textures.options)(
             tiles * TILE * TILE,
             **textures.arguments,
-            **leaps if leap else {**leaps, "leap": 0},
+            **(leaps if scene.leap else {**leaps, "leap": 0}),
             camera=device.put(camera),
             perspective=rays.perspective,
             width=width,
             height=height,
             offset=shown,
             light=rays.light(),
-            colour=colour,
+            colour=checked_colour(scene.colour),
             pixels=pixels,
             local=TILE * TILE,
         )
@@ -109,7 +90,9 @@ def _leaps(field: DistanceField, device: Device) -> dict[str, Any]:
 
 
 def checked_offset(field: DistanceField, offset: float) -> float:
-    """Return the distance drawn for an offset, world units; raise VoxtoolError if not finite."""
+    """Return the distance drawn for an offset, world units; raise VoxtoolError if not finite.
+
+    For an unsigned field, offset 0 draws least_shown, since hardly any of its values is 0."""
     if not math.isfinite(offset):
         raise VoxtoolError(f"an offset of {offset}: give a finite distance")
     return offset or (least_shown(field) if field.sign == "none" else 0.0)

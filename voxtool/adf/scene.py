@@ -1,4 +1,4 @@
-"""A distance field as a scene: the data and functions that `render` uses."""
+"""Distance fields as scenes, for `voxtool.render`."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
-from voxtool.adf.bounds import half_diagonals
-from voxtool.adf.cells import cell_of
+from voxtool.adf.cells import cell_of, half_diagonals
 from voxtool.adf.field import DistanceField
 from voxtool.adf.raycast import COLOUR, cast, checked_offset
 from voxtool.camera import box_corners, checked_colour
@@ -25,11 +24,11 @@ FINEST_LEVEL = 5  # of the boxes that bound the surface
 
 @dataclass(frozen=True, eq=False)
 class FieldScene:
-    """The surface of a distance field, or an offset surface.
+    """The surface of a distance field, or an offset surface; see voxtool.rendering.Scene.
 
-    offset: the distance of the surface drawn, world units; negative inside. colour: red, green and
-    blue, from 0 to 1. leap: whether rays skip empty space. VoxtoolError is raised if the offset is
-    not finite, or there is no such colour.
+    offset: distance of the surface drawn, world units, rounded to float32; negative inside. colour:
+    red, green and blue, from 0 to 1. leap: whether rays skip empty space. VoxtoolError is raised if
+    the offset is not finite, or there is no such colour.
     """
 
     kind: ClassVar[str] = "field"
@@ -46,24 +45,20 @@ class FieldScene:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """The stages of drawing, in order."""
         return ("upload", "ray casting")
 
     @property
     def left_out(self) -> dict[str, str]:
-        """The textures that are not uploaded, and why."""
         if self.content.bounds is None:
             return {}
         return {"the texture of bounds": "rays do not need error bounds"}
 
     @property
     def counts(self) -> dict[str, int]:
-        """The sizes of the field, by name."""
         return {"blocks": len(self.content.voxels)}
 
     @property
     def device_bytes(self) -> int:
-        """Bytes of the field on the device."""
         return sum(size for name, size in self.content.sizes().items() if name != "bounds")
 
     def points(self) -> np.ndarray:
@@ -93,18 +88,9 @@ class FieldScene:
         return np.array(field.origin) + field.side * box_corners(cells * sides, sides)
 
     def draw(self, rays: Rays, device: Device) -> np.ndarray:
-        """Return one premultiplied colour a ray, (H, W, 4) float32."""
-        return cast(
-            self.content,
-            rays,
-            offset=self.offset,
-            colour=self.colour,
-            leap=self.leap,
-            device=device,
-        )
+        return cast(self, rays, device)
 
     def why_empty(self) -> str:
-        """Return why nothing can be in the picture, or ""."""
         field, offset = self.content, checked_offset(self.content, self.offset)
         low, high = (field.side * float(v) for v in (field.voxels.min(), field.voxels.max()))
         if low <= offset <= high:

@@ -11,7 +11,7 @@ import numpy as np
 
 from voxtool.adf.host_query import POINT_BITS
 from voxtool.spatial.bvh import FIELDS, LEAF, Frame, build_tree
-from voxtool.spatial.pseudonormals import pseudonormals
+from voxtool.spatial.pseudonormals import Pseudonormals, pseudonormals
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.spatial.sides import find_sides, shells_agree
 from voxtool.spatial.signed_distance import default_sign
@@ -29,11 +29,10 @@ class Survey:
     """A mesh on the device, ready for the construction of a field.
 
     signed: whether distances have a sign; tree: the triangles, in the mesh's own frame; flat:
-    number of triangles without area; crossed: (F,) bool, faces that intersect others; closed:
-    whether the mesh is closed, consistently wound and free of self-intersections, and its shells
-    agree on what is inside; extent: half of the cube's side, in the frame; misplaced: the largest
-    distance, in sides, between a point in world coordinates and its place in the field, caused by
-    fixed point and by coordinates far from 0.
+    number of triangles without area; crossed: (F,) bool, faces that intersect others; closed: True
+    if the mesh is closed, consistently wound and free of self-intersections, and its shells agree
+    on what is inside; extent: half of the cube's side, in the frame; misplaced: upper bound of the
+    distance, in sides, by which rounding moves a point.
     """
 
     def __init__(self, mesh: Mesh, device: Device, signed: bool) -> None:
@@ -53,7 +52,7 @@ class Survey:
         self.misplaced = _misplaced(*cube_of(mesh))
 
     @cached_property
-    def _normals(self) -> Any:
+    def _normals(self) -> Pseudonormals:
         return pseudonormals(self.mesh)
 
     @cached_property

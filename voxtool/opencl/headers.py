@@ -12,7 +12,7 @@ from importlib import import_module
 # Header -> the module whose HEADERS holds its text.
 HOMES = {
     "adf/levels/level.h": "voxtool.adf.levels",
-    "adf/levels/sample_points.h": "voxtool.adf.sample_points",
+    "adf/levels/sample_points.h": "voxtool.adf.levels",
     "adf/points.h": "voxtool.adf.host_query",
     "adf/hashing.h": "voxtool.adf.hashing",
     "adf/query.h": "voxtool.adf.query",

@@ -12,7 +12,7 @@ from voxtool.adf.cells import MAX_KEY, cell_of
 from voxtool.adf.hashing import build_hash
 from voxtool.adf.levels import CROSSED
 from voxtool.adf.query import query_adf
-from voxtool.adf.raycast import cast
+from voxtool.adf.scene import FieldScene
 from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.camera import Rays
 from voxtool.mesh.mesh import mesh_from_arrays
@@ -258,7 +258,7 @@ def rays(device: Device, full: bool) -> int:
         origin = np.array(field.origin) + step * (size // 2 + 0.5)
         origin[axis] += 2 * field.side
         lines = Rays(origin, direction, right, down, False, (size, size))
-        picture = cast(field, lines, device=device)
+        picture = FieldScene(field).draw(lines, device)
         places = step * (np.arange(size) + 0.5 - size / 2)
         x, y = origin[u] + places, (origin[v] - places)[:, None]
         apart = np.maximum(np.maximum(low[u] - x, x - high[u]), np.maximum(low[v] - y, y - high[v]))
