@@ -16,7 +16,7 @@ from click.testing import CliRunner, Result
 from voxtool.cli import main
 
 ROOT = Path(__file__).parents[1]
-MODULE = (sys.executable, "-m", "voxtool.cli.main")
+MODULE = (sys.executable, "-m", "voxtool")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 
 
@@ -75,7 +75,7 @@ def on_terminal(command: str, after: float, here: Path) -> tuple[int, str, str]:
     code = (
         "from voxtool.cli import options\n"
         f"options.PROGRESS_AFTER = {after}\n"
-        "from voxtool.cli.main import main\n"
+        "from voxtool.__main__ import main\n"
         "main()\n"
     )
     words = [sys.executable, "-c", code, *shlex.split(command)]

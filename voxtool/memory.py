@@ -7,16 +7,22 @@ import shutil
 from contextlib import suppress
 from pathlib import Path
 
+from voxtool import limits
 from voxtool.errors import FileError, MemoryLimitError, human
 
 
 def available_memory() -> int:
-    """Bytes of memory that programs can still take; 2**62 where the system does not say."""
+    """Bytes of memory that this process can still take: what the machine has free, within the
+    limits of its control groups and of `ulimit -v`; at most 2**60."""
+    return min(_free_memory(), limits.group_memory(), limits.address_space())
+
+
+def _free_memory() -> int:
     with suppress(OSError, ValueError, StopIteration), open("/proc/meminfo") as lines:
         return 1024 * int(next(line.split()[1] for line in lines if "MemAvailable" in line))
     with suppress(AttributeError, OSError, ValueError):
         return os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return 1 << 62
+    return limits.UNLIMITED
 
 
 def check_memory(size: int, what: str, instead: str = "choose a smaller dim") -> None:

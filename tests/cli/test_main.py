@@ -8,7 +8,6 @@ import json
 import os
 import re
 import shlex
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -103,7 +102,7 @@ def test_version() -> None:
 @pytest.mark.parametrize("arguments", [["--version"], ["-h"], ["voxelize", "-h"], ["voxelize"]])
 def test_start_up_imports_nothing_heavy(arguments) -> None:
     code = (
-        "import sys; from voxtool.cli.main import main\n"
+        "import sys; from voxtool.__main__ import main\n"
         f"sys.argv[1:] = {arguments!r}\n"
         "try: main()\n"
         "except SystemExit: pass\n"
@@ -560,52 +559,12 @@ def test_a_reader_that_has_gone_is_a_quiet_success(command: str, here: Path) -> 
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
-def test_full_stdout_is_one_line(here: Path) -> None:
-    words = [*MODULE, "svo-info", "bunny.svo.h5"]
-    with open("/dev/full", "wb") as full:
-        done = subprocess.run(words, env=ENVIRONMENT, stdout=full, stderr=subprocess.PIPE)
-    assert done.returncode == 3
-    assert done.stderr.startswith(b"voxtool: error: No space left")
-    assert done.stderr.count(b"\n") == 1
-
-
 def test_exit_codes_of_processes(here: Path) -> None:
     assert process("svo-info bunny.svo.h5 --check").returncode == 0
     done = process("svo-info bunny.obj")
     assert (done.returncode, done.stdout, done.stderr.count(b"\n")) == (3, b"", 1)
     done = process("svo-info")
     assert (done.returncode, done.stdout, done.stderr.count(b"\n")) == (2, b"", 1)
-
-
-@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
-def test_a_signal_in_the_middle_leaves_nothing(name: str, code: int, here: Path) -> None:
-    number = getattr(signal, name, None)
-    if number is None:
-        pytest.skip(f"the system has no {name}")
-    script = """
-import pathlib, time
-from voxtool.cli import main
-from voxtool.files import atomic, svo_hdf5
-def write(octree, file):
-    file.write(b"half")
-    print([p.name for p in pathlib.Path().glob(".*.tmp")], flush=True)
-    time.sleep(60)
-svo_hdf5.write = write
-main.main()
-"""
-    before = sorted(os.listdir())
-    words = [sys.executable, "-c", script, "voxelize", "bunny.obj", "--dim", "16", "-o", "a.svo.h5"]
-    with subprocess.Popen(
-        words, env=ENVIRONMENT, stdout=subprocess.PIPE, stderr=subprocess.PIPE
-    ) as child:
-        assert child.stdout
-        assert child.stderr
-        assert child.stdout.readline().startswith(b"['.a.svo.h5.")
-        child.send_signal(number)
-        said = child.stderr.read()
-    assert (child.returncode, said.strip()) == (code, b"")
-    assert sorted(os.listdir()) == before
 
 
 @pytest.mark.parametrize("shell_name", ["bash", "zsh", "fish"])

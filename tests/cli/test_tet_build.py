@@ -204,7 +204,7 @@ def test_verbose_and_the_bar(here: Path) -> None:
 
 def test_no_device_is_opened(here: Path) -> None:
     code = (
-        "import sys; from voxtool.cli.main import main\n"
+        "import sys; from voxtool.__main__ import main\n"
         "sys.argv[1:] = 'tet-build volume.vtu --scalar density -q'.split()\n"
         "try: main()\n"
         "except SystemExit as end: assert not end.code\n"

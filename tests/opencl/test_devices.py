@@ -41,7 +41,7 @@ def run_python(code: str, **environment: str) -> subprocess.CompletedProcess[str
     )
 
 
-COMMAND = "from voxtool.cli.main import main; import sys; sys.argv[1:] = {!r}; main()"
+COMMAND = "from voxtool.__main__ import main; import sys; sys.argv[1:] = {!r}; main()"
 
 
 # ---- what there is

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -46,8 +47,12 @@ ERRORS = (
     (FileError, "file", 3),
     (VoxtoolError, "value", 3),
     (OSError, "file", 3),
+    (ImportError, "memory", 4),  # of an extra that is missing, a VoxtoolError says so
 )
-SIGNALS = ("SIGTERM", "SIGHUP")  # end the command in order, as SIGINT does
+
+
+# Errors of a stream that is written; an error of a file names it.
+STREAM_ERRORS = (errno.EBADF, errno.ENOSPC, errno.EIO, errno.EFBIG, errno.EDQUOT)
 
 
 class Voxtool(click.Group):
@@ -85,12 +90,14 @@ class Voxtool(click.Group):
             sys.stdout.flush()
         except (click.Abort, KeyboardInterrupt):
             code = 128 + signal.SIGINT
-        except (click.ClickException, VoxtoolError, MemoryError, OSError) as error:
+        except (click.ClickException, VoxtoolError, MemoryError, OSError, ImportError) as error:
             if reader_has_gone(error):
                 discard_stdout()
                 code = 0
             else:
                 code = self.report(error, "--json" in words)
+                if isinstance(error, OSError) and error.errno in STREAM_ERRORS:
+                    discard_stdout()
         sys.exit(code)
 
     def report(self, error: Exception, as_json: bool) -> int:
@@ -120,7 +127,13 @@ def message_of(error: Exception) -> str:
         return f"{' '.join(message.split()).removesuffix('.')}{hint}"
     if isinstance(error, MemoryError):
         return "this machine has not enough memory: choose a smaller dim"
+    if isinstance(error, ImportError):
+        return f"a library cannot be loaded ({error}): free memory, or raise the limit of ulimit -v"
     if isinstance(error, OSError):
+        if not error.filename and error.errno in STREAM_ERRORS:
+            from voxtool.files.atomic import write_error
+
+            return str(write_error("standard output", error))
         where = f"{error.filename}: " if error.filename else ""
         return f"{where}{error.strerror or error}"
     return str(error)
@@ -159,18 +172,6 @@ def discard_stdout() -> None:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
-def end_by_signals() -> None:
-    """Let SIGTERM and SIGHUP end the program as an exception, so that temporary files go."""
-
-    def end(number: int, _: object) -> NoReturn:
-        sys.exit(128 + number)
-
-    for name in SIGNALS:
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) == signal.SIG_DFL:  # not under nohup
-            signal.signal(number, end)
-
-
 @click.group(cls=Voxtool, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, message="voxtool %(version)s")
 def cli() -> None:
@@ -186,16 +187,3 @@ def cli() -> None:
       voxtool voxelize bunny.obj -o - | voxtool svo-info -
       voxtool render bunny.svo.h5 -o bunny.png
     """
-
-
-def main() -> NoReturn:
-    """Run the command line."""
-    try:
-        end_by_signals()
-        cli.main(prog_name="voxtool")
-    except KeyboardInterrupt:  # outside of click's hands
-        sys.exit(128 + signal.SIGINT)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,20 +1,26 @@
 """A file appears whole or not at all: write beside the target, fsync, rename.
 
-A killed process leaves the old file or none, and at worst a hidden `.NAME.RANDOM.tmp`.
+A killed process leaves the old file or none, and at worst a hidden
+`.NAME.MACHINE-PROCESS-RANDOM.tmp`,
+which is removed when the same target is written again.
 """
 
 from __future__ import annotations
 
 import errno
+import functools
+import hashlib
 import os
 import secrets
 import shutil
+import socket
 import stat
 import tempfile
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from voxtool import watch
 from voxtool.errors import FileError
 
 if TYPE_CHECKING:
@@ -28,6 +34,7 @@ HINTS = {
     errno.EROFS: "the disk is read-only: choose another folder",
     errno.EACCES: "no permission: choose another folder",
     errno.EPERM: "no permission: choose another folder",
+    errno.EBADF: "it is closed",
     errno.ENAMETOOLONG: "the name is too long: shorten it",
 }
 
@@ -80,6 +87,7 @@ def atomic_path(target: str | os.PathLike[str], clobber: bool = True) -> Iterato
             real = Path(os.path.realpath(target))
             folder = real.parent
         temporary = _create_beside(folder, target.name)
+        watch.writing(temporary)
         yield temporary
         _put_in_place(temporary, real, clobber)
     except OSError as error:
@@ -90,6 +98,7 @@ def atomic_path(target: str | os.PathLike[str], clobber: bool = True) -> Iterato
         if temporary is not None:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
+            watch.written(temporary)
 
 
 def write_error(target: str | os.PathLike[str], error: OSError) -> FileError:
@@ -119,10 +128,38 @@ def _is_device(path: Path) -> bool:
 
 
 def _create_beside(folder: Path, name: str) -> Path:
+    """A new empty file, named after this machine and process; what processes that have died left
+    there for the same target is removed."""
+    stem = f".{name[:40]}.{_machine()}-"
+    _sweep(folder, stem)
     flags = os.O_CREAT | os.O_EXCL | os.O_WRONLY | getattr(os, "O_BINARY", 0)
-    path = folder / f".{name[:40]}.{secrets.token_hex(8)}.tmp"
+    path = folder / f"{stem}{os.getpid()}-{secrets.token_hex(8)}.tmp"
     os.close(os.open(path, flags, 0o666))  # the system applies the umask
     return path
+
+
+@functools.cache
+def _machine() -> str:
+    """A key of the machine, or of the container, in which numbers of processes mean something."""
+    processes = 0
+    with suppress(OSError):
+        processes = os.stat("/proc/self/ns/pid").st_ino
+    return hashlib.sha256(f"{socket.gethostname()} {processes}".encode()).hexdigest()[:8]
+
+
+def _sweep(folder: Path, stem: str) -> None:
+    if os.name == "nt":  # os.kill would end the process there
+        return
+    with suppress(OSError):
+        for name in os.listdir(folder):
+            process = name.removeprefix(stem).split("-")[0]
+            if name.startswith(stem) and name.endswith(".tmp") and process.isdecimal():
+                try:
+                    os.kill(int(process), 0)
+                except ProcessLookupError:
+                    (folder / name).unlink(missing_ok=True)
+                except (OSError, OverflowError):  # it is another user's
+                    continue
 
 
 def _put_in_place(temporary: Path, target: Path, clobber: bool) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import os
 import shutil
@@ -12,6 +11,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from voxtool.errors import FileError
+from voxtool.files.atomic import write_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -114,8 +114,7 @@ def standard_output(text: bool) -> Iterator[BinaryIO]:
         raise FileError("standard output was closed before all was written") from error
     except OSError as error:
         _discard_stdout()
-        reason = "its disk is full" if error.errno == errno.ENOSPC else error.strerror or error
-        raise FileError(f"cannot write standard output: {reason}") from error
+        raise write_error("standard output", error) from error
 
 
 def _discard_stdout() -> None:

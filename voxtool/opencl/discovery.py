@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from voxtool import watch
 from voxtool.errors import DeviceError, DeviceWarning
-from voxtool.opencl import driver
+from voxtool.opencl import driver, program
 from voxtool.opencl.device import Device
 
 PROBE = """
@@ -93,6 +94,7 @@ def open_device(choice: str | None = None, *, profile: bool = False) -> Device:
         if outcome == "ok":
             for failure in failures:
                 warnings.warn(f"passed over {failure}", DeviceWarning, stacklevel=2)
+            watch.using(f"{info.name} ({info.platform})")
             return Device(devices[info.index], info, profile)
         failures.append(f"{info.name} ({info.platform}), probe {outcome}")
     raise no_usable_device(failures)
@@ -177,10 +179,11 @@ def _probe(cl_device: Any) -> str:
     try:
         context = cl.Context([cl_device])
         queue = cl.CommandQueue(context)
-        kernel = cl.Kernel(cl.Program(context, PROBE).build(), "probe")
+        kernel = cl.Kernel(program.compiled(cl, context, PROBE), "probe")
         values = np.zeros(256, np.uint32)
         buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, values.nbytes)
-        kernel(queue, values.shape, values.shape, buffer)
+        kernel.set_args(buffer)
+        cl.enqueue_nd_range_kernel(queue, kernel, values.shape, values.shape)
         cl.enqueue_copy(queue, values, buffer)
     except (cl.Error, RuntimeError, OSError) as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]

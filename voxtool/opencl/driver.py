@@ -12,7 +12,9 @@ import warnings
 from pathlib import Path
 from typing import Any
 
+from voxtool import limits, watch
 from voxtool.errors import DeviceError
+from voxtool.opencl import cache
 
 INSTALL_HINT = (
     "install the extra 'cpu' (pip install 'voxtool[cpu]', x86-64) or a driver: see docs/devices.md"
@@ -21,6 +23,8 @@ FORK_HINT = "start processes with the method 'spawn' of multiprocessing instead 
 SYSTEM_DRIVERS = Path("/etc/OpenCL/vendors")
 # Platforms that hang in a child process if the parent loaded them: PoCL, whose threads are gone.
 LOST_IN_FORK = ("Portable Computing Language",)
+# Variables that set the number of threads of Intel's driver and of PoCL.
+THREADS = ("DPCPP_CPU_NUM_CUS", "POCL_MAX_PTHREAD_COUNT")
 
 forks = 0  # since the drivers were loaded, on the way to this process
 
@@ -40,9 +44,18 @@ def opencl() -> Any:
     embedded = Path(sys.prefix, "lib", "libintelocl.so")
     # Intel's CPU driver: our kernels branch too much for work-items to share vector registers
     os.environ.setdefault("CL_CONFIG_CPU_VECTORIZER_MODE", "1")
+    if quota := limits.processors():
+        for name in THREADS:
+            os.environ.setdefault(name, str(quota))
+    if cache.folder() is None:
+        os.environ.setdefault("PYOPENCL_NO_CACHE", "1")  # pyopencl keeps code that sets arguments
+        if "POCL_CACHE_DIR" not in os.environ:  # PoCL does not start without a folder
+            os.environ["POCL_CACHE_DIR"] = cache.temporary_folder()
     with contextlib.ExitStack() as stack:
         if embedded.exists() and "OCL_ICD_VENDORS" not in os.environ:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="voxtool-icd-")))
+            watch.writing(folder)
+            stack.callback(watch.written, folder)
             for icd in SYSTEM_DRIVERS.glob("*.icd"):
                 shutil.copy(icd, folder)
             (folder / "voxtool-cpu.icd").write_text(f"{embedded}\n")

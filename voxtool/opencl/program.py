@@ -1,15 +1,14 @@
 """Building programs: sources flattened, layouts generated, options kept few.
 
 Includes are flattened by the host, with #line markers, because drivers differ in how they search
-paths and their caches miss edited headers. Compiled programs are cached by pyopencl and by the
-drivers.
+paths and their caches miss edited headers. Compiled programs are kept by `cache`, or by the driver.
 """
 
 from __future__ import annotations
 
 import functools
 import re
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsInt
@@ -17,10 +16,10 @@ from typing import TYPE_CHECKING, Any, SupportsInt
 import numpy as np
 
 from voxtool.errors import DeviceError
-from voxtool.opencl import headers
+from voxtool.opencl import cache, headers
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable, Iterator, Sequence
 
 _INCLUDE = re.compile(r'^#include "([^"]+)"$', re.MULTILINE)
 _C_TYPES = {"<u4": "uint", "<i4": "int", "<u8": "ulong", "<i8": "long", "|u1": "uchar"}
@@ -108,9 +107,29 @@ def build(cl: Any, context: Any, platform: str, source: str, defines: dict[str, 
     if context.devices[0].single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
         options.append(ROUNDED)
     try:
-        return cl.Program(context, source_text(source)).build(options)
+        return compiled(cl, context, source_text(source), options)
     except cl.RuntimeError as error:
-        log = [line for line in str(error).splitlines() if "error" in line.lower()]
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        log = [line for line in lines[1:] if "error" in line.lower()]
         raise DeviceError(
-            f"kernels/{source} does not build on {platform}: {(log or [str(error)])[0].strip()}"
+            f"kernels/{source} does not build on {platform}: {(log or lines or [type(error)])[0]}"
         ) from error
+
+
+def compiled(cl: Any, context: Any, text: str, options: Sequence[str] = ()) -> Any:
+    """The program of a text, from the cache if it was compiled before; raises pyopencl's errors."""
+    from pyopencl.characterize import has_src_build_cache
+
+    device = context.devices[0]
+    parts = device.platform.version, device.name, device.driver_version, *options, text
+    file = cache.place(*parts)
+    if has_src_build_cache(device):  # the driver keeps compiled programs itself
+        file = None
+    if file and (binary := cache.load(file)):
+        with suppress(cl.Error):  # the driver may have changed without a new version
+            return cl.Program(context, [device], [binary]).build([*options])
+    # Program(context, text) would leave the text in the temporary folder when it does not compile.
+    program = cl.Program(cl._cl._Program(context, text)).build([*options])
+    if file:
+        cache.keep(file, program.get_info(cl.program_info.BINARIES)[0])
+    return program

@@ -1,0 +1,194 @@
+"""The program as a process: signals, crashes, closed streams, caches, limits."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from helpers_cli import ENVIRONMENT, MODULE
+
+from voxtool import open_device
+from voxtool.files.atomic import atomic_path
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="processes of POSIX")
+
+CUBE = """v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"""
+# A command that stops in the middle of writing its output, with the program's own beginning.
+HALF = """
+import os, sys, time
+from voxtool import files, watch
+from voxtool.files import svo_hdf5
+def write(octree, file):
+    file.write(b"half")
+    print("written", flush=True)
+    {then}
+svo_hdf5.write = write
+from voxtool.__main__ import main
+sys.argv = ["voxtool", "voxelize", "cube.obj", "--dim", "16", "-o", "a.svo.h5"]
+main()
+"""
+
+
+@pytest.fixture
+def cube(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    Path("cube.obj").write_text(CUBE)
+    return tmp_path
+
+
+def half_written(then: str) -> subprocess.Popen[bytes]:
+    child = subprocess.Popen(
+        [sys.executable, "-c", HALF.format(then=then)],
+        env=ENVIRONMENT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert child.stdout
+    assert child.stdout.readline() == b"written\n"
+    return child
+
+
+def shell(command: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """A shell command, in which $V is voxtool."""
+    return subprocess.run(
+        ["bash", "-c", command],
+        env={**ENVIRONMENT, "V": " ".join(MODULE), **environment},
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
+def test_a_signal_ends_the_command_with_one_line_and_no_file(name: str, code: int, cube) -> None:
+    with half_written("time.sleep(60)") as child:
+        child.send_signal(getattr(signal, name))
+        out, error = child.communicate(timeout=20)
+    assert (child.returncode, out, error) == (code, b"", f"voxtool: ended by {name}\n".encode())
+    assert os.listdir() == ["cube.obj"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_during_imports_gives_no_traceback(number: signal.Signals, cube) -> None:
+    script = "import sys; from voxtool.__main__ import main; print(1, flush=True); main()"
+    for delay in (0.0, 0.02, 0.08, 0.2):
+        child = subprocess.Popen(
+            [sys.executable, "-c", script, "voxelize", "cube.obj", "-q"],
+            env=ENVIRONMENT,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+        )
+        assert child.stdout
+        assert child.stdout.readline() == b"1\n"
+        with pytest.raises(subprocess.TimeoutExpired):
+            child.wait(0.005 + delay)
+        child.send_signal(number)
+        assert b"Traceback" not in child.communicate(timeout=20)[1]
+        assert child.returncode == 128 + number
+
+
+@pytest.mark.parametrize("then", ["os.abort()", "os.kill(os.getpid(), 9)"])
+def test_a_crash_is_one_line_that_names_the_device_and_leaves_no_file(then: str, cube) -> None:
+    with half_written(then) as child:
+        error = child.communicate(timeout=20)[1].decode()
+    assert child.returncode < 0
+    line = error.splitlines()[-1]  # a driver may print its own before
+    assert line.startswith("voxtool: error: the command ended without a result")
+    assert f"the driver of {open_device().info.name} (" in line
+    assert os.listdir() == ["cube.obj"]
+
+
+def test_leftovers_of_dead_processes_go_when_the_target_is_written_again(cube) -> None:
+    script = (
+        "import os; from voxtool.files.atomic import atomic_path as a\nwith a('a.obj') as t: {}"
+    )
+    for then in ("os._exit(1)", "print(t, flush=True), __import__('time').sleep(60)"):
+        child = subprocess.Popen(
+            [sys.executable, "-c", script.format(then)], env=ENVIRONMENT, stdout=subprocess.PIPE
+        )
+        assert child.stdout
+        left = child.stdout.readline() if "print" in then else child.wait()
+    names = {p for p in os.listdir() if p.endswith(".tmp")}
+    assert {Path(left.decode().strip()).name} == names  # the second writer removed the first's file
+    with atomic_path("a.obj") as temporary:
+        temporary.write_text("v 0 0 0\n")
+    assert names < set(os.listdir())  # its writer lives
+    child.kill()
+    child.communicate()
+    with atomic_path("a.obj"):
+        pass
+    assert sorted(os.listdir()) == ["a.obj", "cube.obj"]
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "said"),
+    [
+        ("$V svo-info a.svo.h5 >&-", 3, "standard output: it is closed"),
+        ("$V voxelize cube.obj -o - --dim 16 >&-", 3, "standard output: it is closed"),
+        ("$V svo-info --help >&-", 3, "standard output: it is closed"),
+        ("$V voxelize - --dim 16 <&-", 3, "standard input"),
+        ("$V svo-info - <&-", 3, "stdin"),
+        ("$V svo-info a.svo.h5 >/dev/full", 3, "standard output: the disk is full"),
+        ("$V svo-info a.svo.h5 2>&-", 0, ""),
+        ("$V svo-info none.svo.h5 2>&-", 3, ""),
+        ("$V voxelize cube.obj --dim 16 -o b.svo.h5 <&- >&- 2>&-", 0, ""),
+    ],
+)
+def test_closed_and_full_streams(command: str, code: int, said: str, cube) -> None:
+    assert shell("$V voxelize cube.obj --dim 16 -q -o a.svo.h5").returncode == 0
+    done = shell(command)
+    assert done.returncode == code
+    assert done.stderr.count("\n") == bool(said)
+    assert said in done.stderr
+
+
+@pytest.mark.parametrize("device", ["Intel", "Portable"])
+def test_without_a_cache_folder_there_is_one_warning(device: str, cube) -> None:
+    command = f"$V voxelize cube.obj --dim 16 --device {device} -o a.svo.h5"
+    done = shell(command, XDG_CACHE_HOME="/proc/none", HOME="/proc/none")
+    assert (done.returncode, done.stderr.count("\n")) == (0, 2), done.stderr
+    assert done.stderr.startswith("voxtool: warning: kernels are compiled anew")
+
+
+def test_a_damaged_cache_is_compiled_anew_and_locks_do_not_matter(cube) -> None:
+    command = "$V voxelize cube.obj --dim 16 -q -o a.svo.h5 --device Intel"
+    assert shell(command, XDG_CACHE_HOME=str(cube / "cache")).stderr == ""
+    kept = list((cube / "cache" / "voxtool").iterdir())
+    assert len(kept) > 3
+    for number, file in enumerate(kept):
+        content = file.read_bytes()
+        file.write_bytes(content[: len(content) // 2] if number % 2 else content[:-1] + b"\1")
+    old = (
+        cube
+        / "cache/pyopencl"
+        / f"pyopencl-compiler-cache-v2-py{'.'.join(map(str, sys.version_info))}"
+    )
+    old.mkdir(parents=True)
+    (old / "lock").touch()  # of a process that was killed
+    done = shell(command, XDG_CACHE_HOME=str(cube / "cache"))
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_cache_that_others_can_write_to_is_not_used(cube) -> None:
+    (cube / "cache/voxtool").mkdir(parents=True)
+    (cube / "cache/voxtool").chmod(0o777)
+    done = shell("$V voxelize cube.obj --dim 16 -o a.svo.h5", XDG_CACHE_HOME=str(cube / "cache"))
+    assert "compiled anew" in done.stderr
+    assert not os.listdir(cube / "cache/voxtool")
+
+
+@pytest.mark.parametrize("device", ["Intel", "Portable"])
+@pytest.mark.parametrize("limit", [200_000, 500_000, 700_000, 900_000])
+def test_too_little_address_space_is_one_line(limit: int, device: str, cube) -> None:
+    """Or a result, or nothing but the line of an allocation in a driver that ends the process."""
+    done = shell(
+        f"ulimit -v {limit}; exec $V voxelize cube.obj --dim 256 -q -o a.svo.h5 --device {device}"
+    )
+    assert "Traceback" not in done.stderr
+    if done.returncode:
+        assert "voxtool: error: " in done.stderr
+    assert [p for p in os.listdir() if p.endswith(".tmp")] == []

@@ -1,0 +1,126 @@
+"""A second process that clears up after this one, if this one crashes or is killed.
+
+It is forked before drivers are loaded, and waits at the end of a pipe. Through the pipe it learns
+which files are being written and which device is used. If the pipe closes without a farewell, it
+removes the files and prints one line. Only the program starts it; in a library, and where there is
+no fork, the functions here only keep the list of files.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from contextlib import suppress
+from typing import NoReturn
+
+SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")  # end the program, not the watcher
+FILE, WRITTEN, DEVICE, END = b"fwde"  # the first byte of a message; a zero byte ends it
+
+_files: set[str] = set()  # being written by this process
+_watcher: tuple[int, int] | None = None  # its process and the end of the pipe to write to
+
+
+def start() -> None:
+    """Start the watcher."""
+    global _watcher
+    if not hasattr(os, "fork"):
+        return
+    with suppress(OSError):  # without more processes or files, there is no watcher
+        read_end, write_end = os.pipe()
+        process = os.fork()
+        if process:
+            os.close(read_end)
+            _watcher = process, write_end
+        else:
+            os.close(write_end)
+            _wait(read_end)
+
+
+def stop() -> None:
+    """End the watcher, which then does nothing."""
+    global _watcher
+    if _watcher:
+        _tell(END)
+        (process, pipe), _watcher = _watcher, None
+        with suppress(OSError):
+            os.close(pipe)
+            os.waitpid(process, 0)
+
+
+def writing(path: str | os.PathLike[str]) -> None:
+    """Say that a temporary file or folder is being written."""
+    _files.add(os.path.abspath(path))
+    _tell(FILE, os.path.abspath(path))
+
+
+def written(path: str | os.PathLike[str]) -> None:
+    """Say that a temporary file is in its place, or removed."""
+    _files.discard(os.path.abspath(path))
+    _tell(WRITTEN, os.path.abspath(path))
+
+
+def using(device: str) -> None:
+    """Say which device computes."""
+    _tell(DEVICE, device)
+
+
+def remove_files() -> None:
+    """Remove every temporary file and folder that this process is writing."""
+    _remove(_files)
+
+
+def _remove(paths: set[str]) -> None:
+    for path in paths:
+        if os.path.isdir(path):
+            import shutil
+
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                os.unlink(path)
+
+
+def _tell(kind: int, text: str = "") -> None:
+    if _watcher:
+        with suppress(OSError):
+            os.write(_watcher[1], bytes([kind]) + os.fsencode(text) + b"\0")
+
+
+def _wait(pipe: int) -> NoReturn:
+    """The watcher's whole life."""
+    code = 1
+    try:
+        for name in SIGNALS:
+            if number := getattr(signal, name, None):
+                signal.signal(number, signal.SIG_IGN)
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        for stream in (0, 1):  # the reader of stdout must see its end
+            os.dup2(nowhere, stream)
+        received = b""
+        while part := os.read(pipe, 1 << 16):
+            received += part
+        _clear_up(received)
+        code = 0
+    finally:
+        os._exit(code)
+
+
+def _clear_up(received: bytes) -> None:
+    device = "the device"
+    files = set()
+    for message in received.split(b"\0")[:-1]:
+        kind, text = message[0], os.fsdecode(message[1:])
+        if kind == END:
+            return
+        if kind == DEVICE:
+            device = text
+        elif kind == FILE:
+            files.add(text)
+        else:
+            files.discard(text)
+    _remove(files)
+    line = (
+        f"voxtool: error: the command ended without a result: it was killed, or the driver of"
+        f" {device} crashed: free some memory, or choose another device with --device\n"
+    )
+    os.write(2, line.encode(errors="backslashreplace"))
