@@ -344,10 +344,7 @@ def test_full_stdout_is_no_traceback() -> None:
     with open("/dev/full", "wb") as full:
         done = cli("files.write_svo(golden_octree(), '-')", stdout=full)
     assert done.returncode == 1
-    assert (
-        done.stderr
-        == b"cannot write standard output: the disk is full: free some space, or write to another disk\n"
-    )
+    assert done.stderr.startswith(b"cannot write standard output: the disk is full: ")
 
 
 def test_empty_stdin() -> None:
