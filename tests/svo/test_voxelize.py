@@ -15,7 +15,7 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
 from voxtool.svo.build import DeviceOctree
-from voxtool.svo.fill.open_rows import refuse_beyond
+from voxtool.svo.fill.rows import refuse_beyond
 from voxtool.svo.layout import NODE
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize, voxelize

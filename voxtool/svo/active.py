@@ -9,17 +9,13 @@ Kernels: kernels/svo/active.cl.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from voxtool.opencl import Array
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.svo.plan import CELL, NODE_BLOCK
-from voxtool.svo.scan import BLOCK_LEVEL, NODE_LEVEL
-
-if TYPE_CHECKING:
-    from voxtool.opencl import Array
-    from voxtool.svo.scan import Scan
+from voxtool.svo.scan import BLOCK_LEVEL, NODE_LEVEL, Scan
 
 SOURCE = "svo/active.cl"
 BLOCK_WORDS = (NODE_BLOCK // CELL) ** 3 // 32
@@ -95,11 +91,10 @@ def _activate(
 
 def _collect(scan: Scan, words: Array, blocks: BitSet | None) -> BitSet:
     """Return the set with the given bits."""
-    n = words.size
+    n, above = words.size, blocks.codes if blocks else None
     ranks = scan.device.empty(n + 1, np.uint32)
     scan.kernel(SOURCE, "count_bits")(n, words, ranks)
     count = exclusive_scan(ranks, n)
     codes = scan.device.empty(count, scan.code)
-    write_mortons = scan.kernel(SOURCE, "write_mortons")
-    write_mortons(n, words, ranks, blocks.codes if blocks else None, codes)
+    scan.kernel(SOURCE, "write_mortons")(n, words, ranks, above, codes)
     return BitSet(words, ranks, codes, count)

@@ -101,9 +101,7 @@ def _link(device: Device, refined: list[RefinedNodes]) -> DeviceOctree:
     nodes = device.zeros(int(offsets[-1]), NODE)
     link_level = device.kernel(SOURCE, "link_level", CODE=code_name(refined[0].codes.dtype))
     for number, level in enumerate(refined, 1):
-        depth = top - number
-        link_level(
-            level.n, level.codes, level.parent_index, number == top, number, offsets[depth],
-            offsets[depth + 1], nodes,
-        )  # fmt: skip
+        first, below = offsets[top - number : top - number + 2].tolist()
+        codes, parents = level.codes, level.parent_index
+        link_level(level.n, codes, parents, number == top, number, first, below, nodes)
     return DeviceOctree(offsets, nodes, refined)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from voxtool.errors import GridError
-from voxtool.svo.layout import BRICK, BRICK_SIDE, INSIDE, LINK, VALID, unpack_bricks
+from voxtool.memory import check_memory
+from voxtool.svo.layers import OUTSIDE, paint, sorted_leaves
+from voxtool.svo.layout import BRICK, BRICK_SIDE, INSIDE, LINK, VALID
 from voxtool.svo.octree import Octree
 
 EMPTY, FULL = -1, -2  # in place of a node: a uniform block of voxels
@@ -43,8 +45,8 @@ def count_differences(one: Octree, other: Octree) -> tuple[int, int]:
 
 def _children(octree: Octree, d: int, nodes: np.ndarray) -> np.ndarray:
     """Return the first child of each node of a level, or EMPTY or FULL for a leaf."""
-    level = octree.nodes["child"][octree.offsets[d] : octree.offsets[d + 1]]
-    child = np.append(level, [INSIDE, np.uint32(0)])[nodes]  # FULL and EMPTY count from the end
+    words = np.append(octree.child_words(d), [INSIDE, np.uint32(0)])  # FULL is -2, EMPTY -1
+    child = words[nodes]
     leaf = np.where(child & INSIDE, FULL, EMPTY)
     return np.where(child & VALID, (child & LINK).astype(np.int64), leaf)
 
@@ -59,18 +61,8 @@ def leaking_rows(octree: Octree) -> np.ndarray:
     If the mesh ends before that voxel, the rows cross it an odd number of times, and the parity
     rule fills them beyond the mesh.
     """
-    last = octree.grid.shape[0] - 1
-    rows = [np.empty((0, 2), np.int64)]
-    for level in octree.levels():
-        cells = level.cells
-        at_end = (cells[:, 0] <= last) & (last < cells[:, 0] + level.side)
-        if level.number:
-            across = np.indices((level.side, level.side)).reshape(2, -1).T
-            low = cells[at_end & level.inside, 1:]
-            rows.append((low[:, None] + across).reshape(-1, 2))
-        else:
-            bricks = unpack_bricks(octree.bricks[at_end])[:, last % BRICK_SIDE]
-            brick, y, z = np.nonzero(bricks)
-            rows.append(cells[at_end][brick, 1:] + np.stack([y, z], axis=1))
-    found = np.concatenate(rows)
-    return found[np.lexsort(found.T[::-1])]
+    nx, ny, nz = octree.grid.shape
+    check_memory(2 * BRICK_SIDE * (ny + 3) * (nz + 3), "the last four layers of voxels")
+    first = (nx - 1) // BRICK_SIDE * BRICK_SIDE
+    slab = paint(sorted_leaves(octree, (0, 1, 2)), first, (0, 1, 2), octree.grid.shape)
+    return np.argwhere(slab[nx - 1 - first, :ny, :nz] != OUTSIDE)

@@ -6,21 +6,17 @@ kernels/svo/lattice.cl.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voxtool.errors import GridError
 from voxtool.grid import FIXED_POINT_BITS, Grid
+from voxtool.mesh.mesh import Mesh
+from voxtool.opencl import Array, Device
 from voxtool.svo.fill.caps import Caps, find_caps
 from voxtool.svo.plan import Survey
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from voxtool.mesh.mesh import Mesh
-    from voxtool.opencl import Array, Device
 
 SOURCE = "svo/lattice.cl"
 SURVEY_ITEMS = 256  # work-items; each sums its share of the triangles

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voxtool.memory import check_memory
 from voxtool.svo.layout import BRICK_SIDE, unpack_bricks
 from voxtool.svo.octree import Octree
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 OUTSIDE, SET = 0, 1  # a voxel is unset, or SET + the level that holds it
 

@@ -72,9 +72,13 @@ def pack_voxels(voxels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     codes = np.sort(morton_encode(voxels))
     bits = np.uint64(1) << (codes & np.uint64(63))
     codes >>= np.uint64(6)
+    return unite_bricks(codes, bits)
+
+
+def unite_bricks(codes: np.ndarray, masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return ascending codes without duplicates, and the united masks of each brick."""
     first = np.flatnonzero(np.diff(codes, prepend=~codes[:1]))
-    masks = np.bitwise_or.reduceat(bits, first) if len(first) else bits
-    return codes[first], masks.astype(BRICK, copy=False)
+    return codes[first], np.bitwise_or.reduceat(masks, first) if len(first) else masks
 
 
 def voxels_within(bricks: np.ndarray, shape: tuple[int, int, int]) -> np.ndarray:

@@ -11,8 +11,10 @@ The structure is that of [voCCeL], figures 3.5 and 5.1.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
+import operator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 OCTREE_MODES = (*MODES, "solid+surface26")
+VOXEL = -2  # the level of voxels: a node of level n has 2**(n + 2) voxels along a side
 
 
 @dataclass(frozen=True)
@@ -224,6 +227,10 @@ class Octree(Data):
         """Number of levels, including the root and the bricks."""
         return len(self.offsets) - 1
 
+    def child_words(self, d: int) -> np.ndarray:
+        """Return the `child` words of the nodes of a level, d levels below the root."""
+        return self.nodes["child"][self.offsets[d] : self.offsets[d + 1]]
+
     def levels(self) -> list[Level]:
         """Return all levels, root first."""
         found: list[Level] = []
@@ -248,8 +255,7 @@ class Octree(Data):
         counts = {0: int(np.bitwise_count(self.bricks).sum(dtype=np.int64))}
         for d in range(self.depth - 1):
             number = self.depth - 1 - d
-            nodes = self.nodes[self.offsets[d] : self.offsets[d + 1]]
-            leaves = int(np.count_nonzero(nodes["child"] & INSIDE))
+            leaves = int(np.count_nonzero(self.child_words(d) & INSIDE))
             counts[number] = leaves * (BRICK_SIDE << number) ** 3
         return dict(sorted(counts.items()))
 
@@ -375,3 +381,18 @@ class Octree(Data):
             If an invariant does not hold; the message names the first one, its level and node.
         """
         check_structure(self)
+
+
+def level_number(octree: Octree, level: int | str, coarsest: int) -> int:
+    """Return the number of a level up to the coarsest one, VOXEL for "voxel"; raise VoxtoolError if
+    there is no such level."""
+    if level == "voxel":
+        return VOXEL
+    with contextlib.suppress(TypeError):  # a numpy integer, too
+        number = int(operator.index(level))  # pyright: ignore[reportArgumentType]
+        if 0 <= number <= coarsest:
+            return number
+    raise VoxtoolError(
+        f"level {level!r}: choose 'voxel' or a level from 0 to {coarsest}, those that an octree of "
+        f"dim {octree.grid.dim} has"
+    )

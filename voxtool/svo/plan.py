@@ -69,16 +69,21 @@ class VoxelizePlan:
     @property
     def stages(self) -> list[str]:
         """The stages that will run, in order."""
-        return [
-            "survey",
-            *(["holes"] if self.caps else []),
-            "active nodes",
-            "octree",
-            *(["crossings", "rows", "fill"] if self.fill not in ("none", "flood") else []),
-            *(["near holes"] if self.caps else []),
-            *([f"surface{self.surface}"] if self.surface else []),
-            *(["flood"] if self.fill == "flood" else ["read back"]),
-        ]
+        by_rows = self.fill not in ("none", "flood")
+        stages = {
+            "survey": True,
+            "holes": self.caps > 0,
+            "active nodes": True,
+            "octree": True,
+            "crossings": by_rows,
+            "rows": by_rows,
+            "fill": by_rows,
+            "near holes": self.caps > 0,
+            f"surface{self.surface}": self.surface != "",
+            "flood": self.fill == "flood",
+            "read back": self.fill != "flood",
+        }
+        return [stage for stage, runs in stages.items() if runs]
 
     @property
     def nodes(self) -> int:
@@ -108,8 +113,8 @@ class VoxelizePlan:
         crossings = 0
         if self.listed:  # sorting copies them from one array to another
             crossings = 2 * 8 * round(survey.areas[0]) + 4 * survey.triangles
-        parts = mesh, shares, self._volume_bytes, lists, rows, crossings, added, self.octree_bytes
-        return sum(parts)
+        levels = shares + self._volume_bytes + lists
+        return mesh + levels + rows + crossings + added + self.octree_bytes
 
     @property
     def _volume_bytes(self) -> int:
@@ -191,12 +196,12 @@ class VoxelizePlan:
     def rows(self) -> list[tuple[str, str]]:
         """Names and texts that `--plan` prints before the stages."""
         spans = f"the largest spans {self.survey.extent:.1f} voxels"
-        shape = " x ".join(map(str, self.shape))
+        counts = f"{self.survey.triangles - self.caps:,} triangles, {self.survey.outside:,} outside"
+        levels = (self.side // BRICK_SIDE).bit_length()
         rows = [
-            ("grid", f"{shape} voxels, octree of {(self.side // BRICK_SIDE).bit_length()} levels"),
-            ("scene", f"{self.survey.triangles - self.caps:,} triangles, {self.survey.outside:,} "
-             f"outside; {spans}"),
-        ]  # fmt: skip
+            ("grid", f"{' x '.join(map(str, self.shape))} voxels, octree of {levels} levels"),
+            ("scene", f"{counts}; {spans}"),
+        ]
         if self.fill == "winding":
             caps = count_of(self.caps, "cap triangle")
             rows.append(("fill", f"winding; {count_of(self.holes, 'hole')}, {caps}"))
@@ -243,23 +248,18 @@ class VoxelizePlan:
         )
 
 
-def plan_of(
-    survey: Survey, shape: tuple[int, int, int], *, mode: str, fill: str, gap: int, holes: int,
-    caps: int,
-) -> VoxelizePlan:  # fmt: skip
-    """Return the plan for a surveyed mesh on a grid of the given shape."""
+def plan_of(survey: Survey, shape: tuple[int, int, int], **request: Any) -> VoxelizePlan:
+    """Return the plan for a surveyed mesh on a grid of the given shape; the request is its `mode`,
+    `fill`, `gap`, `holes` and `caps`."""
+    mode, fill = request["mode"], request["fill"]
     solid = fill != "none"
     side = 1 << (max(shape) - 1).bit_length()
     return VoxelizePlan(
         survey=survey,
         shape=shape,
         side=side,
-        mode=mode,
-        fill=fill,
-        gap=gap,
+        **request,
         surface="6" if mode == "surface6" else "26" * ("26" in mode or fill == "flood"),
-        holes=holes,
-        caps=caps,
         wide=survey.extent > NARROW_EXTENT,
         code_bits=32 if side <= CODE_32_SIDE else 64,
         blocked=side > DENSE_SIDE,
@@ -299,7 +299,5 @@ def _rescale(plan: VoxelizePlan, factor: float) -> VoxelizePlan:
     ax, ay, az = (a * factor**2 for a in s.areas)
     survey = replace(s, extent=s.extent * factor, areas=(ax, ay, az))
     nx, ny, nz = (max(round(n * factor), 1) for n in plan.shape)
-    return plan_of(
-        survey, (nx, ny, nz), mode=plan.mode, fill=plan.fill, gap=plan.gap, holes=plan.holes,
-        caps=plan.caps,
-    )  # fmt: skip
+    request = {name: getattr(plan, name) for name in ("mode", "fill", "gap", "holes", "caps")}
+    return plan_of(survey, (nx, ny, nz), **request)

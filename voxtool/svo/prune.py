@@ -65,15 +65,15 @@ def octree_of_bricks(
     states = []
     for refined, parents in zip(lists, [*lists[1:], None], strict=True):
         state = np.full(1 if parents is None else 8 * len(parents), EMPTY, np.uint8)
-        places = np.zeros(len(refined), int) if parents is None else _places(refined, parents)
+        places = child_places(refined, parents) if parents is not None else refined.astype(int)
         state[places] = REFINED
         states.append(state)
     bricks = np.zeros(8 * len(lists[0]), BRICK)
-    bricks[_places(codes, lists[0])] = masks
+    bricks[child_places(codes, lists[0])] = masks
     return prune(lists, states, bricks, lists[0][:0] if collapse else lists[0])
 
 
-def _places(codes: np.ndarray, parents: np.ndarray) -> np.ndarray:
+def child_places(codes: np.ndarray, parents: np.ndarray) -> np.ndarray:
     """Return the index of each node among the children of the parents; all codes ascend."""
     rank = np.searchsorted(parents, codes >> np.uint64(3))
     return 8 * rank + (codes & np.uint64(7)).astype(np.int64)

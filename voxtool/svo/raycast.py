@@ -1,7 +1,8 @@
 """Ray casting of an octree at any of its levels, as the demonstration program of [voCCeL].
 
 A ray goes from node to node and skips empty ones [Laine 2010]. Each node of the drawn level that
-holds a set voxel is a cube.
+holds a set voxel is a cube. Orthographic rays are whole lines; perspective ones begin at the eye.
+What lies in a plane between two cells and along it is in the upper one.
 
 Shading uses the smooth surface that coverages suggest: the shares of set voxels of the nodes that
 are drawn, or of 2 x 2 x 2 voxels. Normals are opposite to the gradient of a quadratic B-spline over
@@ -15,23 +16,16 @@ Kernels: kernels/svo/raycast.cl.
 
 from __future__ import annotations
 
-import contextlib
-import operator
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
 
-from voxtool.camera import checked_colour
+from voxtool.camera import Rays, checked_colour
 from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.svo.layout import INSIDE
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree import VOXEL, Octree, level_number
 from voxtool.vector import dot
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from voxtool.camera import Rays
 
 SOURCE = "svo/raycast.cl"
 COLOUR = (0.88, 0.85, 0.8)  # a warm light grey
@@ -47,29 +41,8 @@ def cast(
     colour: Sequence[float] = COLOUR,
     device: Device | None = None,
 ) -> np.ndarray:
-    """The picture that rays in the world give of an octree.
-
-    Orthographic rays are whole lines; perspective ones begin at the eye. What lies in a plane
-    between two cells and along it is in the upper one. The octree stays on the device for the next
-    picture.
-
-    Parameters
-    ----------
-    level : what is drawn as cubes: "voxel", or the nodes of a level, from 0 (bricks) on, that hold
-        a set voxel.
-    colour : red, green and blue in [0, 1] of what faces the light.
-
-    Returns
-    -------
-    (height, width, 4) float32: premultiplied red, green, blue and alpha, which is 1 where a cube is
-    met and otherwise 0; the same bit for bit on every device.
-
-    Raises
-    ------
-    DeviceError : there is no device.
-    VoxtoolError : there is no such level or colour, or the eye is too far away.
-    MemoryLimitError : the octree or the picture does not fit on the device.
-    """
+    """Return the premultiplied colour of each ray, (height, width, 4) float32; its alpha is 1 if
+    the ray meets a cube, otherwise 0."""
     device = device or default_device()
     width, height = rays.size
     paint = np.array([rays.light(), checked_colour(colour)], np.float32)
@@ -81,8 +54,8 @@ def cast(
 def depths(
     octree: Octree, rays: Rays, *, level: int | str = "voxel", device: Device | None = None
 ) -> np.ndarray:
-    """(height, width) float64: how deep along the view, from the eye, each ray meets a cube, in
-    world units; infinite where it meets none. Else as cast."""
+    """Return the depth along the view, from the eye, at which each ray meets a cube, (height,
+    width) float64 in world units; infinite where it meets none."""
     device = device or default_device()
     width, height = rays.size
     depths = device.empty(width * height, np.float64)
@@ -96,8 +69,8 @@ def depths(
 def _draw(
     kernel: str, octree: Octree, rays: Rays, level: int | str, device: Device, **named: Array
 ) -> None:
-    """Run a kernel on every pixel."""
-    frame, finest = _frame(octree, rays), checked_level(octree, level)
+    """Run a kernel on every pixel. The octree stays on the device for the next picture."""
+    frame, finest = _frame(octree, rays), size_exponent(octree, level)
     tree = device.keep(octree, "render", octree.nbytes, lambda: _cover(octree, device))
     width, height = rays.size
     with device.stage("ray casting"):
@@ -116,8 +89,8 @@ def _draw(
 
 
 def _cover(octree: Octree, device: Device) -> dict[str, Array | int]:
-    """The octree as the kernels take it: the words of the nodes above level 0, the coverages of
-    those that are refined, the bricks, and where these would begin among the nodes."""
+    """Return the octree as arguments of kernels: the words of the nodes above level 0, the
+    coverages of those that are refined, the bricks, and where these would begin among the nodes."""
     *offsets, _ = octree.offsets.tolist()
     if len(octree.nodes) > INSIDE:
         raise MemoryLimitError(
@@ -140,8 +113,8 @@ def _cover(octree: Octree, device: Device) -> dict[str, Array | int]:
 
 
 def _frame(octree: Octree, rays: Rays) -> np.ndarray:
-    """(5, 3) float64: origin, direction, right and down of the rays, in voxels, and the pitch;
-    times along rays and the pitch are in units of the longest pitch."""
+    """Return the origin, direction, right and down of the rays, in voxels, and the pitch, (5, 3)
+    float64; times along rays and the pitch are in units of the longest pitch."""
     grid = octree.grid
     scale = max(grid.pitch)
     pitch = np.array(grid.pitch) / scale
@@ -156,15 +129,7 @@ def _frame(octree: Octree, rays: Rays) -> np.ndarray:
     return np.concatenate([steps, pitch[None]])
 
 
-def checked_level(octree: Octree, level: int | str) -> int:
-    """k of a level: its nodes have sides of 2**k voxels."""
-    if level == "voxel":
-        return 0
-    with contextlib.suppress(TypeError):
-        number = operator.index(level)  # pyright: ignore[reportArgumentType]
-        if 0 <= number < octree.depth:
-            return number + 2
-    raise VoxtoolError(
-        f"level {level!r}: choose 'voxel' or a level from 0 to {octree.depth - 1}, those "
-        f"that an octree of dim {octree.grid.dim} has"
-    )
+def size_exponent(octree: Octree, level: int | str) -> int:
+    """Return k for a level whose nodes, or voxels, have 2**k voxels along a side; raise
+    VoxtoolError if the octree has no such level."""
+    return level_number(octree, level, octree.depth - 1) - VOXEL

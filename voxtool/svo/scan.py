@@ -16,12 +16,12 @@ from voxtool.grid import FIXED_POINT_BITS
 from voxtool.opencl import Array, program
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.svo.build import code_name
+from voxtool.svo.lattice import LatticeMesh
 from voxtool.svo.layout import BRICK
 from voxtool.svo.plan import CELL, NODE_BLOCK, VoxelizePlan
 
 if TYPE_CHECKING:
     from voxtool.svo.active import ActiveNodes
-    from voxtool.svo.lattice import LatticeMesh
 
 SOURCE = "svo/scan.cl"
 TOUCHED, SEPARATING, CROSSED = range(3)  # what a triangle is scan-converted into
@@ -45,9 +45,6 @@ class Scan:
         self.mesh, self.plan, self.device = mesh, plan, mesh.device
         self._kind = TOUCHED if plan.surface == "26" else SEPARATING
         self.code = np.dtype(np.uint32 if plan.code_bits == 32 else np.uint64)
-        # for a solid, level-1 nodes are widened along x, so that the first voxel at or beyond every
-        # crossing lies in an active node ([voCCeL], eq. 3.6)
-        self.pad = HALF_VOXEL if plan.solid else 0
         self._options: dict[str, int | str] = {
             "CODE": code_name(self.code),
             "COLUMN_TILE": plan.column_tile,
@@ -60,10 +57,6 @@ class Scan:
         kind = {"KIND": self._kind} if source == SOURCE and self.plan.surface else {}
         return self.device.kernel(source, name, **self._options, **kind)
 
-    def shape(self, level: int = 0) -> tuple[int, ...]:
-        """Return the grid's shape in boxes of 2**level voxels."""
-        return tuple(-(-n >> level) for n in self.plan.shape)
-
     def shares(
         self, kind: int, level: int = 0, *, with_caps: bool = False
     ) -> tuple[int, dict[str, Any]]:
@@ -75,14 +68,16 @@ class Scan:
             "faces": self.mesh.faces,
             "triangles": n,
             "tile_offsets": None,
+            "level": level,
+            "shape": tuple(-(-side >> level) for side in self.plan.shape),
+            # for a solid, level-1 nodes are widened along x, so that the first voxel at or beyond
+            # every crossing lies in an active node ([voCCeL], eq. 3.6)
+            "pad": HALF_VOXEL if self.plan.solid and level else 0,
         }
         if not (self.plan.tiled_nodes if level else self.plan.tiled):
             return n, arguments
         tiles = self.device.empty(n + 1, np.uint32)
-        self.kernel(SOURCE, "count_tiles")(
-            n, self.mesh.vertices, self.mesh.faces, kind, level, self.shape(level),
-            self.pad if level else 0, tiles,
-        )  # fmt: skip
+        self.kernel(SOURCE, "count_tiles")(n, kind, tiles, **arguments)
         if n * (max(self.plan.shape) // self.plan.column_tile + 1) ** 2 >= 1 << 32:
             total = int(tiles.get(0, n).sum(dtype=np.uint64))
             if total >= 1 << 32:
@@ -97,16 +92,11 @@ class Scan:
     ) -> None:
         """Set the bits of the boxes of 2**level voxels that triangles touch."""
         n, triangles = self.shares(TOUCHED, level, with_caps=with_caps)
-        self.kernel(SOURCE, "activate")(
-            n, **triangles, level=level, shape=self.shape(level), pad=self.pad,
-            **lookup, target=target,
-        )  # fmt: skip
+        self.kernel(SOURCE, "activate")(n, target, **triangles, **lookup)
 
     def surface(self, active: ActiveNodes) -> Array:
         """Return the bricks of the active nodes, with the voxels of the surface set."""
         bricks = self.device.zeros(8 * active.nodes.n, BRICK)
         n, triangles = self.shares(self._kind)
-        self.kernel(SOURCE, "set_surface")(
-            n, **triangles, shape=self.shape(), **active.lookup, bricks=bricks
-        )
+        self.kernel(SOURCE, "set_surface")(n, bricks, **triangles, **active.lookup)
         return bricks

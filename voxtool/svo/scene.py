@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from voxtool.camera import box_corners, checked_colour
+from voxtool.camera import Rays, box_corners, checked_colour
+from voxtool.opencl import Device
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import Octree
-from voxtool.svo.raycast import COLOUR, cast, checked_level
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from voxtool.camera import Rays
-    from voxtool.opencl import Device
+from voxtool.svo.raycast import COLOUR, cast, size_exponent
 
 COARSE_LEVELS = 5  # levels below the root down to which nodes bound what is shown
 
@@ -33,7 +29,7 @@ class OctreeScene:
     colour: Sequence[float] = COLOUR  # red, green and blue of a face towards the light, 0 to 1
 
     def __post_init__(self) -> None:
-        checked_level(self.content, self.level)
+        size_exponent(self.content, self.level)
         checked_colour(self.colour)
 
     @property
@@ -63,7 +59,7 @@ class OctreeScene:
         corners of coarse nodes, clipped to the bounding box of the voxels or cubes."""
         octree, grid = self.content, self.content.grid
         origin, pitch = np.array(grid.origin), np.array(grid.pitch)
-        finest = 1 << checked_level(octree, self.level) if self.level != "voxel" else BRICK_SIDE
+        finest = BRICK_SIDE if self.level == "voxel" else 1 << size_exponent(octree, self.level)
         if not octree.count:
             return origin + pitch * box_corners(np.zeros((1, 3), np.int64), np.array(grid.shape))
         coarse = max(octree.depth - 1 - COARSE_LEVELS, 0)

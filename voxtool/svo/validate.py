@@ -59,55 +59,43 @@ def check_structure(octree: Octree) -> None:
 
 def _check_children(octree: Octree) -> None:
     """Check that every refined node has eight nodes on the level below."""
-    offsets, depth = octree.offsets.astype(np.int64), octree.depth
+    sizes, depth = np.diff(octree.offsets.astype(np.int64)), octree.depth
     for d in range(depth - 1):
-        refined = np.count_nonzero(octree.nodes["child"][offsets[d] : offsets[d + 1]] & VALID)
-        if 8 * refined != offsets[d + 2] - offsets[d + 1]:
+        refined = np.count_nonzero(octree.child_words(d) & VALID)
+        if 8 * refined != sizes[d + 1]:
             raise FileError(
                 f"octree children: {refined} refined nodes on level {depth - 1 - d} do not "
-                f"have the {offsets[d + 2] - offsets[d + 1]} nodes of the level below"
+                f"have the {sizes[d + 1]} nodes of the level below"
             )
 
 
 def _check_level(octree: Octree, level: Level) -> None:
     """Check the links and flags of a level's nodes."""
-
-    def refuse(what: str, bad: np.ndarray) -> None:
+    parent, child, refined = level.nodes["parent"], level.nodes["child"], level.refined
+    both = "inside flag of a refined node (both coarse-inside and refined)"
+    wrong = {both: refined & level.inside}
+    if level.number == 0:
+        owned = VALID | np.arange(len(child), dtype=np.uint32)
+        wrong["brick link (one brick a node, in order)"] = child != owned
+    else:
+        links = child[refined] & LINK
+        expected = 8 * np.arange(len(links), dtype=np.uint32)
+        wrong["child link (Morton order: 8 nodes after the one before)"] = links != expected
+        linked = (child & LINK) != 0
+        wrong["leaf (link bits of a node without children are zero)"] = ~refined & linked
+        if "solid" not in octree.mode:
+            wrong["inside flag of a surface"] = level.inside
+    if level.number == octree.depth - 1:
+        wrong["parent link of the root (it has none)"] = parent != 0
+    else:
+        above = octree.child_words(octree.depth - 2 - level.number)
+        owners = VALID | np.repeat(np.flatnonzero(above & VALID).astype(np.uint32), 8)
+        wrong["parent link (the parent and its child agree)"] = parent != owners
+    for what, bad in wrong.items():
         if bad.any():
             raise FileError(
                 f"octree {what}: level {level.number}, node {int(np.argmax(bad))} is wrong"
             )
-
-    parent, child = level.nodes["parent"], level.nodes["child"]
-    refined = level.refined
-    refuse("inside flag of a refined node (both coarse-inside and refined)", refined & level.inside)
-    if level.number == 0:
-        refuse(
-            "brick link (one brick a node, in order)",
-            child != (VALID | np.arange(len(child), dtype=np.uint32)),
-        )
-    else:
-        links = child[refined] & LINK
-        refuse(
-            "child link (Morton order: 8 nodes after the one before)",
-            links != 8 * np.arange(len(links), dtype=np.uint32),
-        )
-        refuse(
-            "leaf (link bits of a node without children are zero)",
-            ~refined & ((child & LINK) != 0),
-        )
-        if "solid" not in octree.mode:
-            refuse("inside flag of a surface", level.inside)
-    if level.number == octree.depth - 1:
-        refuse("parent link of the root (it has none)", parent != 0)
-    else:
-        d = octree.depth - 1 - level.number
-        above = octree.nodes["child"][octree.offsets[d - 1] : octree.offsets[d]]
-        owners = np.flatnonzero(above & VALID).astype(np.uint32)
-        refuse(
-            "parent link (the parent and its child agree)",
-            parent != (VALID | np.repeat(owners, 8)),
-        )
 
 
 def _check_padding(octree: Octree, levels: list[Level]) -> None:
@@ -115,13 +103,12 @@ def _check_padding(octree: Octree, levels: list[Level]) -> None:
     if octree.grid.shape == (octree.grid.side,) * 3:
         return
     for level in levels:
-        beyond = _beyond(level, octree.grid.shape)
+        bad = _beyond(level, octree.grid.shape)
         if level.number:
-            bad = beyond & level.inside
+            bad &= level.inside
         else:
-            edge = np.flatnonzero(beyond)
+            edge = np.flatnonzero(bad)
             allowed = voxels_within(morton_decode(level.codes[edge]), octree.grid.shape)
-            bad = np.zeros(len(level.codes), bool)
             bad[edge] = (octree.bricks[edge] & ~allowed) != 0
         if bad.any():
             raise FileError(

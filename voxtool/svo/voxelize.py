@@ -17,21 +17,24 @@ the active nodes gives the brick directly. [voCCeL] links x-neighbours; here, ro
 from __future__ import annotations
 
 import weakref
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from voxtool.choices import FILLS, MODES
 from voxtool.errors import VoxtoolError, count_of
+from voxtool.grid import Grid
 from voxtool.job import Job
+from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_topology, volume, watertight
 from voxtool.opencl import Device, default_device
 from voxtool.svo.active import find_active_nodes
 from voxtool.svo.build import build_octree
 from voxtool.svo.fill.crossings import flip_changes, flip_crossings, list_crossings
 from voxtool.svo.fill.flood import flood
-from voxtool.svo.fill.parity import Filled, fill_rows, unite
+from voxtool.svo.fill.rows import Filled, fill_rows
 from voxtool.svo.fill.winding import NearHoles
 from voxtool.svo.lattice import place_mesh
 from voxtool.svo.octree import Octree
@@ -39,13 +42,7 @@ from voxtool.svo.plan import VoxelizePlan, plan_of
 from voxtool.svo.prune import prune, states_of
 from voxtool.svo.scan import Scan
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from voxtool.grid import Grid
-    from voxtool.mesh.mesh import Mesh
-
-    Window = tuple[Sequence[int], Sequence[int]]
+Window = tuple[Sequence[int], Sequence[int]]  # of a grid: its low corner and its shape
 
 
 def voxelize(mesh: Mesh, grid: Grid, mode: str = "solid", **options: Any) -> Octree:
@@ -151,22 +148,8 @@ class VoxelizeJob(Job[Octree]):
         )
 
     def with_(self, **decisions: Any) -> VoxelizeJob:
-        """Return a copy of the job with fields of its plan replaced, for ablation and tests.
-
-        Parameters
-        ----------
-        **decisions : Any
-            Fields of the plan and their values. Another `fill` makes a new plan.
-
-        Returns
-        -------
-        VoxelizeJob
-
-        Raises
-        ------
-        TypeError
-            If the plan has no such field.
-        """
+        """Return a copy of the job with fields of its plan replaced, for ablation and tests;
+        another `fill` makes a new plan. Raises TypeError if the plan has no such field."""
         forced = {**self._forced, **decisions}
         job = super().with_(**forced)
         job._forced = forced
@@ -191,10 +174,11 @@ class VoxelizeJob(Job[Octree]):
                 filled = Filled(tree, scan.surface(active), None)
             return self._flood(filled) if plan.fill == "flood" else self._read(filled, None)
         with self.stage("crossings"):
-            crossings = list_crossings(scan) if plan.listed else None
-            flips = (
-                flip_changes(scan, active, crossings) if crossings else flip_crossings(scan, active)
-            )
+            if plan.listed:
+                crossings = list_crossings(scan)
+                flips = flip_changes(scan, active, crossings)
+            else:
+                flips = flip_crossings(scan, active)
         filled = fill_rows(tree, flips, limit)
         del tree, flips  # frees memory if the mesh is open: `filled` then has its own
         if holes and crossings:
@@ -202,7 +186,7 @@ class VoxelizeJob(Job[Octree]):
                 holes.fill(filled.tree, filled.bricks, crossings)
         if plan.surface:
             with self.stage(f"surface{plan.surface}"):
-                unite(self.device, filled, scan.surface(active))
+                filled.unite(scan.surface(active))
         return self._read(filled, active.touched)
 
     def _flood(self, surface: Filled) -> Octree:
@@ -224,11 +208,9 @@ class VoxelizeJob(Job[Octree]):
         return self._octree(*prune(lists, states_of(offsets, nodes), masks, touched))
 
     def _octree(self, offsets: np.ndarray, nodes: np.ndarray, bricks: np.ndarray) -> Octree:
-        mesh, plan = self.mesh, self.plan
-        return Octree(
-            self.grid, plan.mode, plan.rule, offsets, nodes, bricks, plan.scene(),
-            mesh.source_sha256, mesh.units,
-        )  # fmt: skip
+        mode, rule, scene = self.plan.mode, self.plan.rule, self.plan.scene()
+        arrays, origin = (offsets, nodes, bricks), (self.mesh.source_sha256, self.mesh.units)
+        return Octree(self.grid, mode, rule, *arrays, scene, *origin)
 
     def notes(self, octree: Octree) -> list[str]:
         """Return lines about the fill rule chosen for an open mesh; they are not warnings."""

@@ -182,7 +182,7 @@ __kernel void bound_spreads(__global const ulong *blocks, const uint n, const ui
 // spreads[i] = infinite if a cap may pass between the voxels of block i.
 __kernel void exclude_caps(__global const ulong *blocks, const uint n, const uint level,
                         const double4 frame, __global const float *cap_nodes,
-                        __global const uint *names, const uint cap_count,
+                        __global const uint *cap_names, const uint cap_count,
                         const uint cap_first_leaf, __global const int *vertices,
                         __global const int *faces, const uint first_cap, __global double *spreads)
 {
@@ -207,7 +207,7 @@ __kernel void exclude_caps(__global const ulong *blocks, const uint n, const uin
             }
             const uint leaf = (child - cap_first_leaf) * LEAF;
             for (uint k = leaf; k < min(leaf + LEAF, cap_count); ++k) {
-                const triangle t = fetch_triangle(vertices, faces, first_cap + names[k] / 3);
+                const triangle t = fetch_triangle(vertices, faces, first_cap + cap_names[k] / 3);
                 if (may_meet(&t, c)) {
                     spreads[gid] = INFINITY;
                     return;
@@ -332,7 +332,7 @@ __kernel void number_voxels(__global const ulong *voxels, const uint n, const in
 // Subtract the winding number of the caps about the shifted centres of voxels. Near triangles are
 // evaluated one by one, distant ones through the moments of the tree.
 __kernel void subtract_caps(__global const ulong *voxels, const uint n, const double4 frame,
-                            __global const double *leaves, __global const uint *names,
+                            __global const double *cap_leaves, __global const uint *cap_names,
                             const uint cap_count, const uint cap_first_leaf,
                             __global const double *moments, __global const int *vertices,
                             __global const int *faces, const uint first_cap,
@@ -363,7 +363,7 @@ __kernel void subtract_caps(__global const ulong *voxels, const uint n, const do
             }
             const uint leaf = child - cap_first_leaf;
             double4 x, y, size;
-            triangle_vectors(leaves + (size_t)leaf * (FIELDS * LEAF), p, &x, &y, &size);
+            triangle_vectors(cap_leaves + (size_t)leaf * (FIELDS * LEAF), p, &x, &y, &size);
             const long4 close = x < CLOSE * size && (y < 0.0 ? -y : y) < CLOSE * size;
             double angle[LEAF];
             long is_close[LEAF];
@@ -374,7 +374,7 @@ __kernel void subtract_caps(__global const ulong *voxels, const uint n, const do
                     near += angle[k] / (2 * PI);
                     continue;
                 }
-                const uint face = first_cap + names[leaf * LEAF + k] / 3;
+                const uint face = first_cap + cap_names[leaf * LEAF + k] / 3;
                 const triangle t = fetch_triangle(vertices, faces, face);
                 near += number_of(&t, centre);
             }

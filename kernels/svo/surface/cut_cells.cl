@@ -114,7 +114,7 @@ __kernel void list_tiles(__global const ulong *present, __global const uint *ran
 #ifdef VOXELS
 
 // The masks of the active tiles are the bricks.
-__kernel void sample_tiles(__global const uint *parent_codes, const uint n,
+__kernel void sample_tiles(__global const uint *node_codes, const uint n,
                            __global const ulong *bricks, __global const ulong *present,
                            __global const uint *ranks, __global ulong *masks,
                            __global uint *source)
@@ -122,7 +122,7 @@ __kernel void sample_tiles(__global const uint *parent_codes, const uint n,
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const uint slot = slot_of(present, ranks, parent_codes[gid >> 3] << 3 | (gid & 7));
+    const uint slot = slot_of(present, ranks, node_codes[gid >> 3] << 3 | (gid & 7));
     masks[slot] = bricks[gid];
     source[slot] = gid;
 }
@@ -131,7 +131,7 @@ __kernel void sample_tiles(__global const uint *parent_codes, const uint n,
 
 // The coverages of the 64 samples of each active tile; the masks of samples inside, and of samples
 // outside that contain occupied voxels.
-__kernel void sample_tiles(__global const uint *codes, const uint n,
+__kernel void sample_tiles(__global const uint *node_codes, const uint n,
                            __global const uint *children, const uint first, const uint full,
                            const uint threshold, __global const ulong *bricks,
                            __global const uint *coverage, __global const ulong *present,
@@ -159,7 +159,7 @@ __kernel void sample_tiles(__global const uint *codes, const uint n,
             mask |= (child & INSIDE ? 0xFFul : 0ul) << (8 * octant);
         }
     }
-    const uint slot = slot_of(present, ranks, codes[gid]);
+    const uint slot = slot_of(present, ranks, node_codes[gid]);
     masks[slot] = mask;
     below[gid] = set & ~mask;
     source[slot] = gid;
@@ -170,7 +170,8 @@ __kernel void sample_tiles(__global const uint *codes, const uint n,
 // For each present tile: the cut cells, the cut edges that start in it along x, y and z, and the
 // number of each.
 __kernel void classify_cubes(__global const uint *codes, const uint n, TILES, __global ulong *cut,
-                             __global ulong *cut_edges, __global uint *cubes, __global uint *edges)
+                             __global ulong *cut_edges, __global uint *first_cube,
+                             __global uint *first_edge)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -178,11 +179,11 @@ __kernel void classify_cubes(__global const uint *codes, const uint n, TILES, __
     ulong corner[8];
     corner_masks(THESE_TILES, codes[gid], corner);
     cut[gid] = cut_cubes(corner);
-    cubes[gid] = (uint)popcount(cut[gid]);
+    first_cube[gid] = (uint)popcount(cut[gid]);
     for (uint axis = 0; axis < 3; ++axis) {
         const ulong differing = corner[0] ^ corner[1u << axis];
         cut_edges[3 * gid + axis] = differing;
-        edges[3 * gid + axis] = (uint)popcount(differing);
+        first_edge[3 * gid + axis] = (uint)popcount(differing);
     }
 }
 

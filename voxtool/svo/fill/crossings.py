@@ -8,19 +8,15 @@ answer for this count changes. Kernels: kernels/svo/fill/crossings.cl.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 
 from voxtool.opencl import Array, program
 from voxtool.opencl.primitives import exclusive_scan, radix_sort
+from voxtool.svo.active import ActiveNodes
 from voxtool.svo.layout import BRICK
-from voxtool.svo.scan import CROSSED
-
-if TYPE_CHECKING:
-    from voxtool.svo.active import ActiveNodes
-    from voxtool.svo.scan import Scan
+from voxtool.svo.scan import CROSSED, Scan
 
 SOURCE = "svo/fill/crossings.cl"
 # Bit 0 of a key is unused: Oclgrind 21.10 does not support the shift that it would need.
@@ -62,20 +58,17 @@ class Flips:
 
 def no_flips(scan: Scan, active: ActiveNodes) -> Flips:
     """Return flips of which none is set."""
-    flips = Flips(scan.device.zeros(8 * active.nodes.n, BRICK), scan.plan.shape, None)
-    if not scan.plan.entry:
-        return flips
-    return replace(flips, entry=scan.device.zeros(flips.bundles, np.uint64))
+    bricks, shape = scan.device.zeros(8 * active.nodes.n, BRICK), scan.plan.shape
+    bundles = Flips(bricks, shape, None).bundles
+    return Flips(bricks, shape, scan.device.zeros(bundles, np.uint64) if scan.plan.entry else None)
 
 
 def flip_crossings(scan: Scan, active: ActiveNodes) -> Flips:
     """Return the flips of the parity rule."""
     flips = no_flips(scan, active)
     n, triangles = scan.shares(CROSSED)
-    scan.kernel(SOURCE, "flip_crossings")(
-        n, **triangles, shape=scan.shape(), **active.lookup, bricks=flips.bricks,
-        entry=flips.entry,
-    )  # fmt: skip
+    flip = scan.kernel(SOURCE, "flip_crossings")
+    flip(n, flips.bricks, flips.entry, **triangles, **active.lookup)
     return flips
 
 
@@ -85,13 +78,10 @@ def list_crossings(scan: Scan) -> Crossings:
     x_bits = nx.bit_length() + 2
     n, triangles = scan.shares(CROSSED, with_caps=True)
     firsts = scan.device.empty(n + 1, np.uint32)
-    scan.kernel(SOURCE, "count_crossings")(n, **triangles, shape=scan.shape(), counts=firsts)
+    scan.kernel(SOURCE, "count_crossings")(n, firsts, **triangles)
     count = exclusive_scan(firsts, n)
     keys = scan.device.empty(count, np.uint64)
-    scan.kernel(SOURCE, "list_crossings")(
-        n, **triangles, shape=scan.shape(), firsts=firsts, x_bits=x_bits,
-        crossings=keys,
-    )  # fmt: skip
+    scan.kernel(SOURCE, "list_crossings")(n, firsts, x_bits, keys, **triangles)
     keys, _ = radix_sort(keys, count, (ny * nz - 1).bit_length() + x_bits)
     return Crossings(keys, count, x_bits)
 
@@ -99,9 +89,8 @@ def list_crossings(scan: Scan) -> Crossings:
 def flip_changes(scan: Scan, active: ActiveNodes, crossings: Crossings) -> Flips:
     """Return the flips of the rules that count directions: nonzero, and winding far from holes."""
     flips = no_flips(scan, active)
-    scan.kernel(SOURCE, "flip_changes")(
-        crossings.n, crossings=crossings.keys, x_bits=crossings.x_bits,
-        nonzero=scan.plan.fill == "nonzero", shape=scan.shape(), **active.lookup,
-        bricks=flips.bricks, entry=flips.entry,
-    )  # fmt: skip
+    keys, n, x_bits = crossings.keys, crossings.n, crossings.x_bits
+    nonzero, shape = scan.plan.fill == "nonzero", scan.plan.shape
+    flip = scan.kernel(SOURCE, "flip_changes")
+    flip(n, keys, x_bits, nonzero, shape, flips.bricks, flips.entry, **active.lookup)
     return flips

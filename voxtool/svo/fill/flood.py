@@ -19,10 +19,11 @@ import numpy as np
 
 from voxtool.mesh.topology import components
 from voxtool.morton import morton_decode, morton_encode
-from voxtool.svo.layout import voxels_within
-from voxtool.svo.prune import EMPTY, FULL, REFINED
+from voxtool.svo.layout import unite_bricks, voxels_within
+from voxtool.svo.prune import EMPTY, FULL, REFINED, child_places
 
 ALL = ~np.uint64(0)
+HERE = (0, 0, 0)
 AROUND = [(x, y, z) for x, y, z in itertools.product((-1, 0, 1), repeat=3) if x or y or z]
 # The voxels of coordinate 0 along an axis; those of 1, 2 and 3 lie 1, 8 and 9 << axis bits above.
 LOW = [np.uint64(m) for m in (0x0055005500550055, 0x0000333300003333, 0x000000000F0F0F0F)]
@@ -32,7 +33,7 @@ def flood(
     nodes: np.ndarray, surface: np.ndarray, side: int, shape: tuple[int, int, int], gap: int
 ) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
     """Return the octree of the voxels that the outside cannot reach, including the surface: the
-    codes of the refined nodes by level, from level 1 up, the states of all nodes of these levels,
+    codes of the refined nodes by level, from level 1 up, the states of the nodes of these levels,
     and the masks of the bricks.
 
     `nodes` holds the ascending Morton codes of the level-1 nodes with surface voxels, and `surface`
@@ -78,8 +79,7 @@ class _Octree:
             self.lists.append(np.unique(self.lists[-1] >> np.uint64(3)))
         self.refined, sizes = [], []
         for codes, above in zip(self.lists[:-1], self.lists[1:], strict=True):
-            rank = np.searchsorted(above, codes >> np.uint64(3))
-            self.refined.append(8 * rank + (codes & np.uint64(7)).astype(np.int64))
+            self.refined.append(child_places(codes, above))
             sizes.append(8 * len(above))
         self.refined.append(np.zeros(len(self.lists[-1]), np.int64))
         *self.first, self.total = np.cumsum([0, *sizes, 1]).tolist()
@@ -144,7 +144,7 @@ class _Octree:
 
     def spread(self, masks: np.ndarray, reached: np.ndarray) -> np.ndarray:
         """Return the voxels of bricks that touch voxels of masks or reached leaves."""
-        found = _touching(masks)
+        found = _spilled(masks, HERE)
         for d in AROUND:
             rank, leaf = self.neighbours(d)
             beside = np.where(rank >= 0, masks[rank], np.uint64(0))
@@ -168,7 +168,7 @@ def _reach(octree: _Octree, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         beside = leaf[brick]
         at = np.flatnonzero(touches & (beside >= 0))
         links.append((base + at, beside[at]))
-        if d < (0, 0, 0):
+        if d < HERE:
             continue  # found from the other side
         other = rank[brick]
         at = np.flatnonzero(touches & (other >= 0))
@@ -179,8 +179,8 @@ def _reach(octree: _Octree, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             links.append((base + at[met], base + match[met]))
     for level in range(1, len(octree.lists) + 1):
         own, codes = octree.nodes(level)
-        own, cells = (np.delete(each, octree.refined[level - 1], axis=0)
-                      for each in (own, morton_decode(codes)))  # fmt: skip
+        leaves = np.delete(np.arange(len(own)), octree.refined[level - 1])
+        own, cells = own[leaves], morton_decode(codes[leaves])
         for d in AROUND:
             beside = cells + d
             at = np.flatnonzero(octree.holds(beside, level))
@@ -204,32 +204,19 @@ def _children(codes: np.ndarray) -> np.ndarray:
 # ---- masks of bricks
 
 
-def _up(mask: np.ndarray, axis: int) -> np.ndarray:
-    """Return voxels moved up by one along an axis; those that leave their brick are dropped."""
-    low, one, two = LOW[axis], np.uint64(1 << axis), np.uint64(8 << axis)
-    return (mask & (low | low << two)) << one | (mask & low << one) << (two - one)
-
-
-def _down(mask: np.ndarray, axis: int) -> np.ndarray:
-    low, one, two = LOW[axis], np.uint64(1 << axis), np.uint64(8 << axis)
-    return (mask >> one) & (low | low << two) | (mask >> (two - one)) & low << one
-
-
 def _spilled(mask: np.ndarray, d: tuple[int, int, int]) -> np.ndarray:
     """Return the voxels of the brick in direction d that touch voxels of a mask."""
     for axis, step in enumerate(d):
-        low, three = LOW[axis], np.uint64(9 << axis)
+        low, one, two, three = LOW[axis], *(np.uint64(n << axis) for n in (1, 8, 9))
         if step > 0:
             mask = (mask >> three) & low
         elif step < 0:
             mask = (mask & low) << three
         else:
-            mask = mask | _up(mask, axis) | _down(mask, axis)
+            up = (mask & (low | low << two)) << one | (mask & low << one) << (two - one)
+            down = (mask >> one) & (low | low << two) | (mask >> (two - one)) & low << one
+            mask = mask | up | down
     return mask
-
-
-def _touching(mask: np.ndarray) -> np.ndarray:
-    return _spilled(mask, (0, 0, 0))
 
 
 def _parts(free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -241,7 +228,7 @@ def _parts(free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         part = left & (~left + np.uint64(1))  # the lowest voxel
         grows = np.arange(len(part))
         while len(grows):
-            grown = _touching(part[grows]) & left[grows]
+            grown = _spilled(part[grows], HERE) & left[grows]
             changed = grown != part[grows]
             part[grows] = grown
             grows = grows[changed]
@@ -261,29 +248,16 @@ def _dilate(nodes: np.ndarray, surface: np.ndarray, steps: int) -> tuple[np.ndar
     that hold the voxels, and the masks of their bricks."""
     codes, masks = _children(nodes)[surface != 0], surface[surface != 0]
     for _ in range(steps):
-        for axis in range(3):
-            cells = morton_decode(codes)
-            found: list[np.ndarray] = [codes]
-            grown: list[np.ndarray] = [masks | _up(masks, axis) | _down(masks, axis)]
-            for step in (-1, 1):
-                d = np.zeros(3, np.int64)
-                d[axis] = step
-                low, three = LOW[axis], np.uint64(9 << axis)
-                spilled = (masks >> three) & low if step > 0 else (masks & low) << three
-                some = spilled != 0
-                found.append(morton_encode(cells[some] + d))
-                grown.append(np.asarray(spilled[some], np.uint64))
-            codes, masks = _united(np.concatenate(found), np.concatenate(grown))
+        cells, found, grown = morton_decode(codes), [codes], [_spilled(masks, HERE)]
+        for d in AROUND:
+            spilled = _spilled(masks, d)
+            some = spilled != 0
+            found.append(morton_encode(cells[some] + d))
+            grown.append(spilled[some])
+        codes = np.concatenate(found)
+        order = np.argsort(codes)
+        codes, masks = unite_bricks(codes[order], np.concatenate(grown)[order])
     wider = np.union1d(nodes, codes >> np.uint64(3))
     barrier = np.zeros(8 * len(wider), np.uint64)
-    rank = np.searchsorted(wider, codes >> np.uint64(3))
-    barrier[8 * rank + (codes & np.uint64(7)).astype(np.int64)] = masks
+    barrier[child_places(codes, wider)] = masks
     return wider, barrier
-
-
-def _united(codes: np.ndarray, masks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the codes without duplicates, with the masks of each brick united."""
-    order = np.argsort(codes, kind="stable")
-    codes, masks = codes[order], masks[order]
-    first = np.flatnonzero(np.diff(codes, prepend=~codes[:1]))
-    return codes[first], np.bitwise_or.reduceat(masks, first) if len(first) else masks

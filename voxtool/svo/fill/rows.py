@@ -1,53 +1,239 @@
-"""Traversal of the octree along rows of voxel centres in x ([voCCeL], section 3.2, fig. 3.6).
+"""Filling between flips along rows of voxel centres in x ([voCCeL], section 3.2, fig. 3.6).
+
+A voxel is inside if the number of flips up to it along x is odd. If every crossing of the mesh
+makes a flip, this is the parity rule.
 
 A work-item traverses the octree along a bundle of 8 x 8 rows, from low x to high. The flips of a
 level-1 node change the states of the rows. A leaf above level 0 is inside if all rows through it
-are inside. Kernels: kernels/svo/fill/rows.cl.
+are inside.
+
+A leaf in which only some rows are inside is MIXED. No triangle touches such a leaf. It exists if
+the mesh is open, or if the grid ends in the leaf. It is refined until all voxels of every leaf are
+equal, so that the octree holds exactly the set that the fill rule defines.
+
+Kernels: kernels/svo/fill/rows.cl.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from typing import Any
+
 import numpy as np
 
+from voxtool.errors import MemoryLimitError, VoxtoolError, human
+from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Array, program
-from voxtool.svo.build import DeviceOctree
+from voxtool.svo.build import DeviceOctree, build_from_lists
 from voxtool.svo.fill.crossings import Flips
+from voxtool.svo.layout import BRICK, BRICK_BYTES, LINK, MAX_LINK, NODE_BYTES, VALID
 
 SOURCE = "svo/fill/rows.cl"
 MIXED = np.uint32(1 << 29)  # a leaf that must be refined
 HEADERS = {"svo/fill/rows.h": program.c_constants(MIXED=MIXED)}
+ALL_ROWS = ~np.uint64(0)
 
 
-def walk_rows(tree: DeviceOctree, flips: Flips) -> tuple[Array, int]:
+@dataclass(frozen=True)
+class Filled:
+    """An octree on the device with its inside voxels and leaves."""
+
+    tree: DeviceOctree
+    bricks: Array  # (8 n,) uint64 masks
+    # (m,) uint32 index of each active node among the refined level-1 nodes; None if they are equal
+    positions: np.ndarray | None
+
+    def unite(self, added: Array) -> None:
+        """Add the voxels of the active nodes' bricks `added`."""
+        positions = self.positions
+        if positions is None:
+            positions = np.arange(added.size // 8, dtype=np.uint32)
+        _store("unite_bricks", added, positions, self.bricks)
+
+
+def fill_rows(tree: DeviceOctree, flips: Flips, max_memory: int) -> Filled:
+    """Return the octree of the active nodes, filled between flips; changes the tree's nodes and the
+    flips' bricks. Raises MemoryLimitError if an open mesh needs an octree of more than max_memory
+    bytes, which a plan cannot predict."""
+    device, positions = tree.nodes.device, None
+    with device.stage("rows"):
+        entries, unresolved = _walk_rows(tree, flips)
+    if unresolved:
+        with device.stage("refine open rows"):
+            lists, positions = _refine_open_rows(tree, flips, max_memory)
+            moved = device.zeros(8 * len(lists[0]), BRICK)
+            _store("move_bricks", flips.bricks, positions, moved)
+            tree, flips = build_from_lists(device, lists), replace(flips, bricks=moved)
+            entries, unresolved = _walk_rows(tree, flips)
+            if unresolved:
+                raise VoxtoolError(
+                    f"{unresolved} leaves are neither inside nor outside: report this mesh"
+                )
+    with device.stage("fill"):
+        level1 = tree.refined[0]
+        fill_bricks = tree.kernel(SOURCE, "fill_bricks")
+        fill_bricks(level1.n, level1.codes, flips.shape, entries, flips.bricks)
+    return Filled(tree, flips.bricks, positions)
+
+
+def _store(kernel: str, source: Array, positions: np.ndarray, target: Array) -> None:
+    """Move or unite the bricks of level-1 nodes into those at their positions."""
+    device = source.device
+    device.kernel(SOURCE, kernel, CODE="uint")(source.size, source, device.put(positions), target)
+
+
+def _walk_rows(tree: DeviceOctree, flips: Flips) -> tuple[Array, int]:
     """Mark leaves of the tree as INSIDE, or as MIXED if only some of their rows are inside. Return
     the states of rows where they enter the level-1 nodes, (n,) uint64, and the number of MIXED
     leaves."""
     device, coarse = tree.nodes.device, int(tree.offsets[-2])
     entries = device.empty(tree.refined[0].n, np.uint64)
     fills = device.zeros(coarse, np.uint32)
-    sweep_rows(tree, flips, entries=entries, fills=fills)
+    _sweep_rows(tree, flips, flips.bundles, entries=entries, fills=fills)
     unresolved = device.zeros(1, np.uint32)
     offsets = device.put(tree.offsets)
     tree.kernel(SOURCE, "mark_leaves")(coarse, tree.nodes, offsets, tree.top, fills, unresolved)
     return entries, int(unresolved.take()[0])
 
 
-def sweep_rows(
-    tree: DeviceOctree,
-    flips: Flips,
-    *,
-    entries: Array | None = None,
-    fills: Array | None = None,
-    states: Array | None = None,
-    chosen: np.ndarray | None = None,
-) -> None:
+def _sweep_rows(tree: DeviceOctree, flips: Flips, bundles: int, **recorded: Array) -> None:
     """Traverse all rows and record the states where they enter level-1 nodes in `entries`, and how
-    leaves are filled in `fills`; or traverse the chosen bundles and record their `states` in the
+    leaves are filled in `fills`; or traverse the `chosen` bundles and record their `states` in the
     leaves that are to be refined."""
+    arguments: dict[str, Any] = {
+        "chosen": None,
+        "entries": None,
+        "fills": None,
+        "states": None,
+        "nodes": tree.nodes,
+        "offsets": tree.nodes.device.put(tree.offsets),
+        "top": tree.top,
+        "shape": flips.shape,
+        "entry": flips.entry,
+        "bricks": flips.bricks,
+        **recorded,
+    }
+    tree.kernel(SOURCE, "sweep_rows")(bundles, **arguments)
+
+
+def _refine_open_rows(
+    tree: DeviceOctree, flips: Flips, max_memory: int
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Refine the MIXED leaves of a tree; raise MemoryLimitError if this takes more than max_memory
+    bytes. Return the ascending Morton codes of the refined nodes by level, from level 1 up, and the
+    (n,) uint32 positions of the tree's level-1 nodes among them."""
+    nodes = tree.nodes.get(0, int(tree.offsets[-2]))
+    leaves = np.flatnonzero((nodes["child"] & (VALID | MIXED)) == MIXED)
+    level, cells = _locate(tree, nodes["parent"], leaves)
+    slots = np.concatenate([[0], np.cumsum(4 ** (level - 1))])  # bundles through each leaf
+    refuse_beyond(tree, 0, int(slots[-1]), max_memory)
+    nodes["child"][leaves] = slots[:-1] + 1
     device = tree.nodes.device
-    tree.kernel(SOURCE, "sweep_rows")(
-        flips.bundles if chosen is None else len(chosen), nodes=tree.nodes,
-        offsets=device.put(tree.offsets), top=tree.top, shape=flips.shape,
-        chosen=None if chosen is None else device.put(chosen), entry=flips.entry,
-        bricks=flips.bricks, entries=entries, fills=fills, states=states,
-    )  # fmt: skip
+    device.write(tree.nodes, nodes)
+    states = device.zeros(int(slots[-1]), np.uint64)
+    chosen = _bundles_of(cells, level, flips)
+    _sweep_rows(tree, flips, len(chosen), chosen=device.put(chosen), states=states)
+    found = states.take()
+
+    bars = []
+    for number in np.unique(level):
+        chosen = level == number
+        side = 1 << (int(number) - 1)
+        layers = found[slots[:-1][chosen][:, None] + np.arange(side * side)]
+        layers = layers.reshape(-1, side, side)
+        bars += _differing_bars(layers, cells[chosen], int(number), flips.shape[0])
+    added = sum(int(lengths.sum()) for _, _, lengths in bars)
+    refuse_beyond(tree, added, 0, max_memory)
+
+    lists = [refined.codes.get(0, refined.n) for refined in tree.refined]
+    new: list[list[np.ndarray]] = [[old[:0]] for old in lists]
+    for number, first, lengths in bars:
+        new[number - 1].append(_codes_of_bars(first, lengths).astype(lists[0].dtype))
+    merged = [np.sort(np.concatenate([old, *codes])) for old, codes in zip(lists, new, strict=True)]
+    return merged, np.searchsorted(merged[0], lists[0]).astype(np.uint32)
+
+
+def refuse_beyond(tree: DeviceOctree, added: int, slots: int, max_memory: int) -> None:
+    """Raise MemoryLimitError if a tree with added refined nodes and slots does not fit."""
+    nodes = int(tree.offsets[-1]) + 8 * added
+    needed = nodes * (NODE_BYTES + 2 * BRICK_BYTES) + 8 * slots  # moving copies the bricks
+    if max(nodes, slots) >= MAX_LINK or needed > max_memory:
+        raise MemoryLimitError(
+            f"the fill leaks from this open mesh and refines the octree to {nodes:,} nodes, "
+            f"{human(needed)}, more than fits: close the mesh, or choose a smaller dim or a "
+            "surface mode"
+        )
+
+
+def _bundles_of(cells: np.ndarray, level: np.ndarray, flips: Flips) -> np.ndarray:
+    """Return the bundles whose rows pass through leaves, without duplicates, (n,) uint32."""
+    passed = np.zeros((flips.bundles // flips.bundles_y, flips.bundles_y), bool)
+    for number in np.unique(level):
+        across = np.arange(1 << (int(number) - 1))
+        y = cells[level == number, 1, None] + across
+        z = cells[level == number, 2, None] + across
+        y, z = np.minimum(y, passed.shape[1] - 1), np.minimum(z, passed.shape[0] - 1)
+        passed[z[:, :, None], y[:, None, :]] = True
+    return np.flatnonzero(passed).astype(np.uint32)
+
+
+def _locate(
+    tree: DeviceOctree, parents: np.ndarray, leaves: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the levels of nodes and their low corners in level-1 cells, (n, 3) int64."""
+    depth = np.searchsorted(tree.offsets, leaves, side="right") - 1
+    level = tree.top - depth
+    codes = np.zeros(len(leaves), np.uint64)
+    node = leaves - tree.offsets[depth]
+    for step in range(int(depth.max())):
+        below = depth > 0  # not at the root yet
+        octant = (node & 7).astype(np.uint64) << np.uint64(3 * step)
+        codes[below] |= octant[below]
+        parent = parents[tree.offsets[depth] + node] & LINK
+        node = np.where(below, parent, node)
+        depth = np.where(below, depth - 1, depth)
+    return level, morton_decode(codes) << (level - 1)[:, None]
+
+
+def _differing_bars(
+    layers: np.ndarray, corners: np.ndarray, level: int, nx: int
+) -> list[tuple[int, np.ndarray, np.ndarray]]:
+    """Return the nodes in leaves of one level whose voxels differ, as bars along x: for each level
+    up to that of the leaves, its number, the (m, 3) first nodes of bars, and their (m,) lengths.
+
+    `layers` holds the states of the leaves' bundles, (n, side, side) uint64 [leaf, z, y], and
+    `corners` their (n, 3) low corners in level-1 cells. Along x, a leaf changes only where the grid
+    ends, at voxel nx.
+    """
+    bars = []
+    every, some = layers, layers
+    for number in range(1, level + 1):
+        size = 1 << (number - 1)  # of a node, in cells
+        places = 1 << (level - number)  # nodes along x in a leaf
+        if number > 1:
+            every, some = _halve(every, np.bitwise_and), _halve(some, np.bitwise_or)
+        whole = (nx // 8 - corners[:, 0]) // size  # nodes before the end of the grid
+        whole = np.clip(whole, 0, places)
+        cut = (whole < places) & (8 * (corners[:, 0] + size * whole) < nx)  # the end lies in a node
+
+        leaf, k, j = np.nonzero((some != 0) & (every != ALL_ROWS))
+        first = corners[leaf] // size + np.stack([np.zeros_like(j), j, k], axis=1)
+        bars.append((number, first, whole[leaf]))
+
+        leaf, k, j = np.nonzero((some != 0) & cut[:, None, None])
+        first = corners[leaf] // size + np.stack([whole[leaf], j, k], axis=1)
+        bars.append((number, first, np.ones_like(leaf)))
+    return bars
+
+
+def _codes_of_bars(first: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Return the Morton codes of the nodes of bars along x."""
+    nodes = np.repeat(first, lengths, axis=0)
+    nodes[:, 0] += np.arange(len(nodes)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    return morton_encode(nodes)
+
+
+def _halve(layers: np.ndarray, combine: np.ufunc) -> np.ndarray:
+    """Combine 2 x 2 bundles into one."""
+    rows = combine(layers[:, 0::2], layers[:, 1::2])
+    return combine(rows[:, :, 0::2], rows[:, :, 1::2])

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -38,15 +38,13 @@ from voxtool.morton import morton_decode
 from voxtool.opencl import Array, program
 from voxtool.spatial.bvh import ARITY, LEAF, TriangleTree, build_tree
 from voxtool.spatial.winding_number import WindingNumber
+from voxtool.svo.build import DeviceOctree
 from voxtool.svo.fill.caps import Caps
+from voxtool.svo.fill.crossings import Crossings
+from voxtool.svo.lattice import LatticeMesh
 from voxtool.svo.layout import BRICK, BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
+from voxtool.svo.plan import VoxelizePlan
 from voxtool.vector import cross, length
-
-if TYPE_CHECKING:
-    from voxtool.svo.build import DeviceOctree
-    from voxtool.svo.fill.crossings import Crossings
-    from voxtool.svo.lattice import LatticeMesh
-    from voxtool.svo.plan import VoxelizePlan
 
 SOURCE = "svo/fill/winding.cl"
 # Distances, in radii, beyond which caps count through their moments; and the difference to 1/2
@@ -72,22 +70,35 @@ class CapField:
         self._options: dict[str, int | str] = {"CODE": "ulong", **({"WIDE": 1} if wide else {})}
         points = mesh.fixed.astype(np.float64)
         cap_mesh = Mesh(points, caps.faces)
-        self.tree = build_tree(self.device, cap_mesh, np.zeros(len(caps.faces), np.uint8))
+        self.tree = tree = build_tree(self.device, cap_mesh, np.zeros(len(caps.faces), np.uint8))
         farther = math.sqrt(math.sqrt(caps.most))
         self.windings = [
-            WindingNumber(cap_mesh, self.device, tree=self.tree, reach=reach * farther)
+            WindingNumber(cap_mesh, self.device, tree=tree, reach=reach * farther)
             for reach, _ in REACHES
         ]
-        boxes = _boxes(points, caps)
-        self._holes = build_tree(self.device, boxes, np.zeros(caps.holes, np.uint8))
-        frame = self.tree.frame
-        self._frame = (*frame.centre, float(np.ldexp(1.0, -frame.exponent)))
-        areas = _areas(points[caps.faces] * self._frame[3])
+        holes = build_tree(self.device, _boxes(points, caps), np.zeros(caps.holes, np.uint8))
+        unit = float(np.ldexp(1.0, -tree.frame.exponent))
+        areas = _areas(points[caps.faces] * unit)
         by_hole = np.add.reduceat(areas, caps.first[:-1] - 2 * np.arange(caps.holes))
-        self._first = self.device.put(caps.first.astype(np.uint32))
-        self._loops = self.device.put(caps.loops)
-        self._areas = self.device.put(_sums(self._holes, by_hole))
-        self._hole_areas = self.device.put(by_hole)
+        self._arguments: dict[str, Any] = {  # of kernels
+            "frame": (*tree.frame.centre, unit),
+            "vertices": mesh.vertices,
+            "faces": mesh.faces,
+            "first_cap": mesh.triangles,
+            "cap_nodes": tree.nodes,
+            "cap_names": tree.names,
+            "cap_leaves": tree.leaves,
+            "cap_count": tree.count,
+            "cap_first_leaf": tree.first_leaf,
+            "hole_nodes": holes.nodes,
+            "hole_names": holes.names,
+            "hole_count": holes.count,
+            "hole_first_leaf": holes.first_leaf,
+            "first": self.device.put(caps.first.astype(np.uint32)),
+            "loops": self.device.put(caps.loops),
+            "areas": self.device.put(_sums(holes, by_hole)),
+            "hole_areas": self.device.put(by_hole),
+        }
 
     def kernel(self, name: str) -> Callable[..., None]:
         """Return a kernel compiled with the plan's options."""
@@ -108,17 +119,10 @@ class CapField:
     def _spreads(self, blocks: np.ndarray, level: int) -> np.ndarray:
         """Return (n,) float64 bounds of the difference of w(C) to its value in a block's middle;
         infinite if the bound is 1/2 or more, or a cap passes between the voxels."""
-        n, holes, caps, mesh = len(blocks), self._holes, self.tree, self.mesh
+        n = len(blocks)
         codes, spreads = self.device.put(blocks), self.device.empty(n, np.float64)
-        self.kernel("bound_spreads")(
-            n, codes, level, 0.5 - DOUBT, self._frame, holes.nodes, holes.names, self._areas,
-            self._hole_areas, holes.count, holes.first_leaf, self._first, self._loops,
-            mesh.vertices, spreads,
-        )  # fmt: skip
-        self.kernel("exclude_caps")(
-            n, codes, level, self._frame, caps.nodes, caps.names, caps.count, caps.first_leaf,
-            mesh.vertices, mesh.faces, mesh.triangles, spreads,
-        )  # fmt: skip
+        self.kernel("bound_spreads")(n, codes, level, 0.5 - DOUBT, spreads, **self._arguments)
+        self.kernel("exclude_caps")(n, codes, level, spreads, **self._arguments)
         return spreads.take()
 
     def numbers(
@@ -126,16 +130,12 @@ class CapField:
     ) -> np.ndarray:
         """Return (n,) float64 winding numbers at voxels, given by Morton codes: of the mesh, or
         of the mesh with its caps if `winding`, the winding number of the caps, is None."""
-        n, caps, mesh = len(voxels), self.tree, self.mesh
+        n, shape = len(voxels), self.mesh.grid.shape
         codes, numbers = self.device.put(voxels), self.device.empty(n, np.float64)
-        self.kernel("number_voxels")(
-            n, codes, mesh.grid.shape, crossings.keys, crossings.n, crossings.x_bits, numbers
-        )
+        number_voxels = self.kernel("number_voxels")
+        number_voxels(n, codes, shape, crossings.keys, crossings.n, crossings.x_bits, numbers)
         if winding:
-            self.kernel("subtract_caps")(
-                n, codes, self._frame, caps.leaves, caps.names, caps.count, caps.first_leaf,
-                winding.moments, mesh.vertices, mesh.faces, mesh.triangles, numbers,
-            )  # fmt: skip
+            self.kernel("subtract_caps")(n, codes, winding.moments, numbers, **self._arguments)
         return numbers.take()
 
 
@@ -175,7 +175,7 @@ class NearHoles:
         return found[order], threshold[order]
 
     def _refuse_beyond(self, bricks: int) -> None:
-        """Raise MemoryLimitError if so many bricks do not fit; no plan predicts them."""
+        """Raise MemoryLimitError if this number of bricks does not fit; no plan predicts it."""
         needed = 8 * bricks * (NODE_BYTES + 2 * BRICK_BYTES)  # if every brick lies in another node
         if 8 * bricks >= MAX_LINK or needed > self._max_memory:
             raise MemoryLimitError(

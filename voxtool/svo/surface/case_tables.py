@@ -36,19 +36,8 @@ NO_EDGE = 255
 Loop = list[int]  # the cut edges that it passes, counter-clockwise seen from outside the surface
 
 
-def _edges() -> list[tuple[int, int]]:
-    """The two corners of each edge, low one first."""
-    edges = []
-    for axis in range(3):
-        b, c = (other for other in range(3) if other != axis)
-        for k in range(4):
-            low = (k & 1) << b | (k >> 1) << c
-            edges.append((low, low | 1 << axis))
-    return edges
-
-
 def _faces() -> list[list[int]]:
-    """The four corners of each face, counter-clockwise seen from outside the cube."""
+    """Return the four corners of each face, counter-clockwise seen from outside the cube."""
     faces = []
     for axis in range(3):
         b, c = 1 << (axis + 1) % 3, 1 << (axis + 2) % 3
@@ -57,20 +46,22 @@ def _faces() -> list[list[int]]:
     return faces
 
 
-EDGES, FACES = _edges(), _faces()
+# The two corners of each edge, the low one first.
+EDGES = [(j, j | 1 << axis) for axis in range(3) for j in range(8) if not j >> axis & 1]
+FACES = _faces()
 EDGE_OF = {pair: e for e, (u, v) in enumerate(EDGES) for pair in ((u, v), (v, u))}
 FACES_OF = [{f for f in range(6) if {*EDGES[e]} <= {*FACES[f]}} for e in range(12)]
 
 
 def is_ambiguous(case: int, face: int) -> bool:
-    """Whether the inside corners of a face are diagonal."""
+    """Return True if the inside corners of a face are diagonal."""
     a, b, c, d = (case >> corner & 1 for corner in FACES[face])
     return a == c != b == d
 
 
 def segments(case: int, face: int, join: bool = False) -> list[tuple[int, int]]:
-    """The segments of a face, from cut edge to cut edge: one around each run of inside corners; or,
-    with `join`, of outside ones."""
+    """Return the segments of a face, from cut edge to cut edge: one around each run of inside
+    corners or, with `join`, of outside ones."""
     ring = FACES[face]
     inside = [case >> corner & 1 for corner in ring]
     found = []
@@ -87,7 +78,7 @@ def segments(case: int, face: int, join: bool = False) -> list[tuple[int, int]]:
 
 @cache
 def loops(case: int, joined: int = NO_FACE) -> list[Loop]:
-    """The loops of a case, whose face `joined` joins its inside corners."""
+    """Return the loops of a case, whose face `joined` joins its inside corners."""
     following = dict(s for f in range(6) for s in segments(case, f, f == joined))
     found: list[Loop] = []
     while following:
@@ -102,7 +93,7 @@ def loops(case: int, joined: int = NO_FACE) -> list[Loop]:
 
 @cache
 def _triangulations(first: int, last: int) -> list[list[tuple[int, int, int]]]:
-    """All ways to cut the polygon of places first .. last into triangles."""
+    """Return all ways to cut the polygon of places first .. last into triangles."""
     if last - first < 2:
         return [[]]
     return [
@@ -113,27 +104,23 @@ def _triangulations(first: int, last: int) -> list[list[tuple[int, int, int]]]:
     ]
 
 
+@cache
 def _diagonal_cost(first: int, second: int) -> float:
-    """The squared distance of the middles of two edges; infinite if both edges are on one face."""
+    """Return the squared distance of the middles of two edges, infinite if they share a face."""
     if FACES_OF[first] & FACES_OF[second]:
         return np.inf
-    middles = [
-        np.array([sum(j >> a & 1 for j in EDGES[e]) for a in range(3)]) for e in (first, second)
-    ]
-    return int(((middles[0] - middles[1]) ** 2).sum())
-
-
-DIAGONAL_COST = [[_diagonal_cost(first, second) for second in range(12)] for first in range(12)]
+    u, v = ([sum(j >> a & 1 for j in EDGES[e]) for a in range(3)] for e in (first, second))
+    return sum((p - q) ** 2 for p, q in zip(u, v, strict=True))
 
 
 def triangulate(loop: Loop) -> list[tuple[int, int, int]]:
-    """The triangles of a loop, without diagonals in a face, whose squared diagonals have the least
-    sum where all edges are cut in the middle."""
+    """Return the triangles of a loop, without diagonals in a face, whose squared diagonals have the
+    least sum where all edges are cut in the middle."""
     n = len(loop)
 
     def cost(triangles: list[tuple[int, int, int]]) -> float:
         sides = (pair for triangle in triangles for pair in combinations(triangle, 2))
-        return sum(DIAGONAL_COST[loop[u]][loop[v]] for u, v in sides if v - u not in (1, n - 1))
+        return sum(_diagonal_cost(loop[u], loop[v]) for u, v in sides if v - u not in (1, n - 1))
 
     best = min(_triangulations(0, n - 1), key=cost)
     assert cost(best) < np.inf
@@ -141,7 +128,7 @@ def triangulate(loop: Loop) -> list[tuple[int, int, int]]:
 
 
 def pinched_face(case: int) -> int:
-    """The ambiguous face that one loop passes twice, or NO_FACE: no case has two."""
+    """Return the ambiguous face that one loop passes twice, or NO_FACE: no case has two."""
     for face in range(6):
         edges = {edge for segment in segments(case, face) for edge in segment}
         if is_ambiguous(case, face) and any(edges <= {*loop} for loop in loops(case)):
@@ -150,7 +137,7 @@ def pinched_face(case: int) -> int:
 
 
 def triangle_table() -> np.ndarray:
-    """(256, 15) uint8: the edges of the triangles of each case, NO_EDGE where there is none."""
+    """Return the edges of the triangles of each case, (256, 15) uint8; NO_EDGE beyond the last."""
     table = np.full((CASES, 3 * MAX_TRIANGLES), NO_EDGE, np.uint8)
     for case in range(CASES):
         edges = [e for loop in loops(case) for triangle in triangulate(loop) for e in triangle]
@@ -159,17 +146,13 @@ def triangle_table() -> np.ndarray:
 
 
 def loop_tables() -> tuple[np.ndarray, np.ndarray]:
-    """(512, 12) uint8 twice: the loop that passes each edge, and the face on which it goes on from
-    there; NO_EDGE where it is not cut. Cases from ALTERNATIVE on join at their pinched face."""
+    """Return the loop that passes each edge, and the face on which it goes on from there, (512, 12)
+    uint8 each; NO_EDGE where it is not cut. Cases from ALTERNATIVE on join their pinched face."""
     loop_of = np.full((2 * CASES, 12), NO_EDGE, np.uint8)
     face_of = np.full((2 * CASES, 12), NO_EDGE, np.uint8)
     for case in range(CASES):
         for row, joined in ((case, NO_FACE), (case + ALTERNATIVE, pinched_face(case))):
-            face_from = {
-                segment: face
-                for face in range(6)
-                for segment in segments(case, face, face == joined)
-            }
+            face_from = {s: f for f in range(6) for s in segments(case, f, f == joined)}
             for number, loop in enumerate(loops(case, joined)):
                 for segment in zip(loop, loop[1:] + loop[:1], strict=True):
                     loop_of[row, segment[0]] = number
@@ -178,8 +161,8 @@ def loop_tables() -> tuple[np.ndarray, np.ndarray]:
 
 
 def edge_across() -> np.ndarray:
-    """(6, 12) uint8: the number that an edge of a face has in the cube beyond the face; NO_EDGE for
-    the edges that are not on it."""
+    """Return the number that an edge of a face has in the cube beyond the face, (6, 12) uint8;
+    NO_EDGE for the edges that are not on it."""
     table = np.full((6, 12), NO_EDGE, np.uint8)
     for face in range(6):
         for edge, (u, v) in enumerate(EDGES):
@@ -190,8 +173,8 @@ def edge_across() -> np.ndarray:
 
 
 def edge_around() -> np.ndarray:
-    """(3, 4) uint8: the number that an edge along each axis has in the four cubes around it: those
-    before it along the two next axes (modulo 3), then on counter-clockwise."""
+    """Return the number that an edge along each axis has in the four cubes around it, (3, 4) uint8,
+    from that before it along the two next axes (modulo 3) on, counter-clockwise."""
     table = np.zeros((3, 4), np.uint8)
     for axis in range(3):
         b, c = 1 << (axis + 1) % 3, 1 << (axis + 2) % 3
@@ -209,8 +192,8 @@ def _header(constants: dict[str, int], tables: dict[str, np.ndarray]) -> str:
 
 
 def primal_header() -> str:
-    """The tables of marching cubes as OpenCL constants; an edge of a triangle is there the corner
-    where it begins, and 8 times its axis."""
+    """Return the tables of marching cubes as OpenCL constants; an edge of a triangle is the corner
+    where it begins, plus 8 times its axis."""
     triangles = triangle_table()
     begin_and_axis = np.array([low | edge // 4 << 3 for edge, (low, _) in enumerate(EDGES)])
     used = triangles != NO_EDGE
@@ -222,7 +205,7 @@ def primal_header() -> str:
 
 
 def dual_header() -> str:
-    """The tables of the dual styles as OpenCL constants."""
+    """Return the tables of the dual styles as OpenCL constants."""
     loop_of, face_of = loop_tables()
     tables = {
         "PINCHED_FACE": np.array([pinched_face(case) for case in range(CASES)]),

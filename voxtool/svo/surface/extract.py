@@ -12,97 +12,33 @@ side, so the mesh is the same on every device.
 
 from __future__ import annotations
 
-import contextlib
 import math
-import operator
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
-from voxtool.choices import (
-    MARCHING_CUBES,
-    STYLE_ALIASES,
-    STYLES,
-    SURFACE_NETS,
-    VOXEL_FACES,
-)
+from voxtool.choices import MARCHING_CUBES, STYLE_ALIASES, STYLES, SURFACE_NETS, VOXEL_FACES
 from voxtool.errors import VoxtoolError
 from voxtool.job import Job
 from voxtool.opencl import Device, default_device
 from voxtool.svo.layout import BRICK_SIDE
-from voxtool.svo.surface.cut_cells import (
-    classify_cubes,
-    count_lost,
-    find_tiles,
-)
+from voxtool.svo.octree import VOXEL, Octree, level_number
+from voxtool.svo.surface.cut_cells import classify_cubes, count_lost, find_tiles
 from voxtool.svo.surface.dual import dual_surface, split_quads
 from voxtool.svo.surface.greedy_meshing import join_squares
 from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.svo.surface.marching_cubes import march_cubes
-from voxtool.svo.surface.plan import MAX_SAMPLES, ExtractionPlan
-from voxtool.svo.surface.sampling import MAX_LEVEL, Sampling, grow_tree
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from voxtool.svo.octree import Octree
-    from voxtool.svo.surface.sampling import Tree
+from voxtool.svo.surface.plan import MAX_SAMPLES, RELAXATIONS, ExtractionPlan, active_tiles
+from voxtool.svo.surface.sampling import MAX_LEVEL, Sampling, Tree, grow_tree
 
 # Shares of the set voxels from which on their loss is a warning: in samples below the isovalue,
 # and, of them, away from the surface.
 MUCH_BELOW, MUCH_VANISHED = 0.5, 0.01
 
 
-def extract(
-    octree: Octree,
-    *,
-    style: str = MARCHING_CUBES,
-    level: int | str | None = None,
-    isovalue: float = 0.5,
-    merge: bool = False,
-    device: Device | None = None,
-    max_memory: int | None = None,
-) -> Isosurface:
-    """The surface between the inside and the outside of an octree, closed at the grid's border.
-
-    `plan_extract` with the same arguments says what this would do, and refuses nothing.
-
-    Parameters
-    ----------
-    octree : Octree
-    style : "marching-cubes", "voxel-faces" (the samples' own faces, two triangles a square) or
-        "surface-nets" (every vertex kept in its cube).
-    level : level of the nodes that are samples, from 0 (bricks), or "voxel"; by default 0 for
-        marching cubes, and "voxel" for the other styles.
-    isovalue : in (0, 1): a sample is inside if at least this share of its voxels is set.
-    merge : join coplanar squares of voxel faces to rectangles (greedy meshing); leaves T-junctions.
-    device : where to compute; the default device if None.
-    max_memory : bytes that the device may use; by default what device and machine have.
-
-    Returns
-    -------
-    Isosurface, the same bit for bit on every device. Without `merge` each edge has two faces and
-    each vertex one fan of them. Inside samples that are diagonal on a face of a cube are separated,
-    except where that would pinch a dual surface (case_tables.py).
-
-    Raises
-    ------
-    VoxtoolError : an argument is out of range, or the octree is of a surface and has no inside.
-    MemoryLimitError : the surface would not fit.
-    DeviceError : no usable device.
-
-    Warns
-    -----
-    MeshWarning : the surface is empty, or the samples lose parts of the octree.
-    """
-    return plan_extract(
-        octree,
-        style=style,
-        level=level,
-        isovalue=isovalue,
-        merge=merge,
-        device=device,
-        max_memory=max_memory,
-    ).run()
+def extract(octree: Octree, **options: Any) -> Isosurface:
+    """Return the surface of an octree; see `voxtool.extract`."""
+    return plan_extract(octree, **options).run()
 
 
 def plan_extract(
@@ -115,35 +51,14 @@ def plan_extract(
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> ExtractJob:
-    """The job that `extract` with the same arguments runs.
-
-    Raises
-    ------
-    VoxtoolError, DeviceError : as `extract`.
-    """
+    """Return the planned job of `extract`; see `voxtool.extract`."""
     style = STYLE_ALIASES.get(style, style)
-    level, share = _checked(octree, style, level, isovalue, merge)
-    tree, plan = _plan(octree, style, level, share, merge)
-    return ExtractJob(octree, tree, plan, device or default_device(), max_memory)
-
-
-def _checked(
-    octree: Octree, style: str, level: int | str | None, isovalue: float, merge: bool
-) -> tuple[int | str, float]:
-    """The level and the isovalue of a request, checked."""
     if style not in STYLES:
         raise VoxtoolError(f"style {style!r} is unknown: choose one of {', '.join(STYLES)}")
     if level is None:
         level = 0 if style == MARCHING_CUBES else "voxel"
-    if not isinstance(level, str):
-        with contextlib.suppress(TypeError):  # a numpy integer, too
-            level = int(operator.index(level))
-    known = isinstance(level, int) and 0 <= level <= _coarsest(octree)
-    if level != "voxel" and not known:
-        raise VoxtoolError(
-            f"level {level!r}: choose 'voxel' or a level from 0 to {_coarsest(octree)}, those that "
-            f"an octree of dim {octree.grid.dim} has"
-        )
+    number = level_number(octree, level, _coarsest(octree))
+    level = "voxel" if number == VOXEL else number
     try:
         share = float(isovalue)
     except (TypeError, ValueError):
@@ -157,45 +72,56 @@ def _checked(
             f"an octree of mode {octree.mode} has no inside to extract a {style} surface from: "
             f"voxelize with --mode solid, or extract --style {VOXEL_FACES} --level voxel"
         )
-    return level, share
+    tree, plan = _plan(octree, style, level, share, merge)
+    return ExtractJob(octree, tree, plan, device or default_device(), max_memory)
 
 
 def _plan(
     octree: Octree, style: str, level: int | str, isovalue: float, merge: bool = False
 ) -> tuple[Tree, ExtractionPlan]:
-    """The links of the octree, and the plan of an extraction from them."""
-    solid = "solid" in octree.mode
+    """Return the links of the octree, and the plan of an extraction from them. A surface crosses
+    about every fourth sample of a tile, or eight of the 64 voxels of a brick; that of an octree
+    without an inside, twice as many."""
+    solid, voxels = "solid" in octree.mode, level == "voxel"
     tree = grow_tree(octree, Sampling.of(level, isovalue))
+    nodes = tuple(tree.nodes(number) for number in range(tree.top + 1))
+    active = active_tiles(nodes, level)
+    cubes = active * (16 if not voxels else 8 if solid else 20)
 
     def coarser() -> Iterator[ExtractionPlan]:
         first = 0 if isinstance(level, str) else level + 1
         for other in range(first, _coarsest(octree) + 1 if solid else 0):
             yield _plan(octree, style, other, isovalue, merge)[1]
 
-    return tree, ExtractionPlan.predict(
-        style,
-        level,
-        isovalue,
+    return tree, ExtractionPlan(
+        style=style,
+        level=level,
+        isovalue=isovalue,
         merge=merge,
-        solid=solid,
-        nodes=tuple(tree.nodes(number) for number in range(tree.top + 1)),
+        relaxations=RELAXATIONS if style == SURFACE_NETS and voxels else 0,
+        nodes=nodes,
         rooted=tree.shift > 0,
+        tiles=2 * active,
+        cubes=cubes,
+        edges=cubes,
         coarser=coarser,
     )
 
 
 def _coarsest(octree: Octree) -> int:
-    """The highest level whose nodes can be samples."""
+    """Return the highest level whose nodes can be samples."""
     return min(octree.depth - 1, MAX_LEVEL)
 
 
 class ExtractJob(Job[Isosurface]):
-    """The extraction of a surface, planned by `plan_extract`.
+    """The planned extraction of a surface.
 
     Attributes
     ----------
-    plan
-        ExtractionPlan; `with_(relaxations=0)` forces one of its decisions.
+    octree : Octree
+        The octree whose surface is extracted.
+    plan : ExtractionPlan
+        The decisions.
     """
 
     plan: ExtractionPlan
@@ -213,13 +139,8 @@ class ExtractJob(Job[Isosurface]):
         self.plan, self.device, self.max_memory = plan, device, max_memory
 
     def with_(self, **decisions: Any) -> Self:
-        """The same job with decisions of its plan forced.
-
-        Raises
-        ------
-        TypeError
-            the plan has no such field, or it is of the request: plan another extraction.
-        """
+        """Return a copy of the job with fields of its plan replaced, as `relaxations`; raise
+        TypeError if the plan has no such field, or it is of the request."""
         if requested := {"style", "level", "isovalue", "merge"} & decisions.keys():
             raise TypeError(f"{', '.join(sorted(requested))}: plan another extraction")
         return super().with_(**decisions)
@@ -233,17 +154,17 @@ class ExtractJob(Job[Isosurface]):
             replace(plan, **numbers).refuse_beyond(allowed, device.info.max_allocation)
 
         tiles = find_tiles(device, self.octree, self._tree, sampling, counted)
-        cubes = classify_cubes(device, tiles, counted)
-        lost = count_lost(device, tiles, cubes)
+        cubes = classify_cubes(tiles, counted)
+        lost = count_lost(tiles, cubes)
         if plan.style == MARCHING_CUBES:
-            points, triangles = march_cubes(device, tiles, cubes)
+            points, triangles = march_cubes(tiles, cubes)
         else:
-            points, quads, n = dual_surface(device, tiles, cubes, plan.style, plan.relaxations)
+            points, quads, n = dual_surface(tiles, cubes, plan.style, plan.relaxations)
             if plan.merge:
                 with device.stage("merge"):
                     points, quads, n = join_squares(device, points, quads, n)
             with device.stage("triangles"):
-                triangles = split_quads(device, tiles, points, quads, n)
+                triangles = split_quads(tiles, points, quads, n)
         with device.stage("read back"):
             return Isosurface(
                 grid=self.octree.grid,
@@ -261,7 +182,7 @@ class ExtractJob(Job[Isosurface]):
             )
 
     def findings(self, result: Isosurface) -> Iterator[str]:
-        """Why the surface is empty, or what the samples lose if that is much of the octree."""
+        """Yield why the surface is empty, or what the samples lose if that is much."""
         count, lost = self.octree.count, result.lost
         if not count:
             yield "no voxel is set, so there is no surface: voxelize a mesh with --mode solid"
@@ -271,18 +192,16 @@ class ExtractJob(Job[Isosurface]):
                 f"{result.isovalue:g}: {self._keeping()}, or choose a lower isovalue"
             )
         elif lost.below > MUCH_BELOW * count or lost.vanished > MUCH_VANISHED * count:
-            yield self.losses(result)
+            yield self._losses(result)
 
     def notes(self, result: Isosurface) -> Iterator[str]:
-        """What the samples lose, where that is little."""
+        """Yield what the samples lose if that is little."""
         if result.lost.below and not list(self.findings(result)):
-            yield self.losses(result)
+            yield self._losses(result)
 
-    def losses(self, result: Isosurface) -> str:
-        """How many voxels the samples do not show, and what keeps them; "" if they show all."""
+    def _losses(self, result: Isosurface) -> str:
+        """Return the number of voxels that the samples do not show, and what would keep them."""
         lost, count = result.lost, self.octree.count
-        if not lost.below:
-            return ""
         where = f"{lost.vanished:,} of them away from" if lost.vanished else "all of them at"
         serious = lost.vanished or lost.below > MUCH_BELOW * count
         return (
@@ -291,7 +210,8 @@ class ExtractJob(Job[Isosurface]):
         )
 
     def _keeping(self) -> str:
-        """What keeps voxels that samples lose: samples of their own size, or smaller voxels."""
+        """Return what would keep voxels that samples lose: samples of their own size, or smaller
+        voxels."""
         finer = BRICK_SIDE * self.octree.grid.dim
         hints = []
         if _plan(self.octree, SURFACE_NETS, "voxel", 0.5)[1].samples <= MAX_SAMPLES:

@@ -32,14 +32,10 @@ HEADERS = {
 
 @dataclass(frozen=True)
 class Lost:
-    """Set voxels that the samples do not show; features thinner than a sample can vanish.
+    """Numbers of set voxels that the samples do not show."""
 
-    below : set voxels in samples that are not inside.
-    vanished : those of them in samples that no cut cube touches.
-    """
-
-    below: int
-    vanished: int
+    below: int  # in samples that are not inside
+    vanished: int  # those of them in samples that no cut cube touches
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -119,11 +115,11 @@ class Isosurface(Data):
         return read_only(unit(sums))
 
     def mesh(self) -> Mesh:
-        """The surface as a triangle mesh in world units."""
+        """Return the surface as a triangle mesh in world units."""
         return Mesh(self.vertices, self.faces, name=f"{self.style} surface", units=self.units)
 
     def to_trimesh(self) -> trimesh.Trimesh:
-        """The surface as a `trimesh.Trimesh` in world units, vertices and faces in their order."""
+        """Return the surface as a `trimesh.Trimesh` in world units, in the same order."""
         import trimesh
 
         return trimesh.Trimesh(
@@ -131,8 +127,8 @@ class Isosurface(Data):
         )
 
     def digest(self) -> str:
-        """SHA-256 of the canonical content: grid, style, level, isovalue, points and faces, little-
-        endian. Equal content has an equal digest on every device and platform."""
+        """Return the SHA-256 of grid, style, level, isovalue, points and faces, in little-endian
+        order. Equal content has an equal digest on every device and platform."""
         head = {
             "shape": list(self.grid.shape),
             "origin": [v.hex() for v in self.grid.origin],

@@ -8,36 +8,29 @@ Kernels: kernels/svo/surface/marching_cubes.cl.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from voxtool.opencl import Array
 from voxtool.opencl.primitives import build_histopyramid
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from voxtool.opencl import Array, Device
-    from voxtool.svo.surface.cut_cells import CutCubes, Tiles
+from voxtool.svo.surface.cut_cells import CutCubes, Tiles
 
 SOURCE = "svo/surface/marching_cubes.cl"
 
 
-def march_cubes(device: Device, tiles: Tiles, cubes: CutCubes) -> tuple[Array, Array]:
-    """The vertices, (3 V,) int32 as `Isosurface.points`, and the triangles, (3 F,) uint32."""
-
-    def kernel(name: str) -> Callable[..., None]:
-        return device.kernel(SOURCE, name, **tiles.sampling.options)
-
-    scene = {**tiles.arguments, **cubes.arguments, "first_vertex": cubes.first_edge}
+def march_cubes(tiles: Tiles, cubes: CutCubes) -> tuple[Array, Array]:
+    """Return the vertices, (3 V,) int32 as `Isosurface.points`, and the triangles, (3 F,)
+    uint32."""
+    device = tiles.device
+    scene = {**cubes.arguments, "first_vertex": cubes.arguments["first_edge"]}
     with device.stage("vertices"):
         points = device.empty(3 * cubes.edges, np.int32)
-        kernel("place_vertices")(tiles.n, points, **scene)
+        tiles.kernel(SOURCE, "place_vertices")(tiles.n, points, **scene)
     with device.stage("histopyramid"):
         counts = device.empty(cubes.n, np.uint32)
-        kernel("count_triangles")(cubes.n, cubes.cases, counts)
+        tiles.kernel(SOURCE, "count_triangles")(cubes.n, counts, **scene)
         pyramid = build_histopyramid(counts, cubes.n)
     with device.stage("triangles"):
         triangles = device.empty(3 * pyramid.total, np.uint32)
-        kernel("polygonise")(pyramid.total, triangles, **pyramid.arguments, **scene)
+        polygonise = tiles.kernel(SOURCE, "polygonise")
+        polygonise(pyramid.total, triangles, **pyramid.arguments, **scene)
     return points, triangles

@@ -1,17 +1,15 @@
-"""The plan of an extraction: arithmetic on the numbers of nodes of an octree."""
+"""The plan of an extraction, from the numbers of nodes of an octree."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from voxtool.choices import MARCHING_CUBES, SURFACE_NETS, VOXEL_FACES
 from voxtool.errors import MemoryLimitError, human
 from voxtool.job import Cost
 from voxtool.svo.layout import BRICK_BYTES
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
 
 MAX_SAMPLES = 4096  # along a side: tiles of four have Morton codes of 30 bits
 CUBE_BYTES = 24  # on the device: of a cube that is cut,
@@ -22,75 +20,44 @@ RELAXATIONS = 16  # of surface nets of voxels, as in VTK
 
 @dataclass(frozen=True)
 class ExtractionPlan:
-    """The plan of an extraction.
-
-    style, level, isovalue, merge : as requested; solid : the octree has an inside.
-    relaxations : rounds in which vertices of nets move towards the mean of their neighbours.
-    nodes : numbers of nodes of the levels, level 0 first, with those of roots that were added.
-    rooted : roots were added, because cubes begin below the octree's low sides.
-    tiles, cubes, edges : predicted, then counted: tiles of 4 x 4 x 4 samples that are examined,
-        cubes and edges that are cut. What lies between leaves without nodes is not predicted.
-    coarser : the plans of coarser levels, the finest first, made on request.
-    """
+    """The decisions of an extraction."""
 
     style: str
     level: int | str
     isovalue: float
     merge: bool
-    solid: bool
-    relaxations: int
-    nodes: tuple[int, ...]
-    rooted: bool
+    relaxations: int  # rounds in which vertices of nets move towards the mean of their neighbours
+    nodes: tuple[int, ...]  # numbers of nodes of the levels, level 0 first, with added roots
+    rooted: bool  # roots were added, because cubes begin below the octree's low sides
+    # predicted, then counted: tiles of 4 x 4 x 4 samples that are examined, cubes and edges that
+    # are cut; what lies between leaves without nodes is not predicted
     tiles: int
     cubes: int
     edges: int
     coarser: Callable[[], Iterable[ExtractionPlan]] = field(compare=False, repr=False)
 
-    @classmethod
-    def predict(
-        cls,
-        style: str,
-        level: int | str,
-        isovalue: float,
-        *,
-        merge: bool,
-        solid: bool,
-        nodes: tuple[int, ...],
-        rooted: bool,
-        coarser: Callable[[], Iterable[ExtractionPlan]] = tuple,
-    ) -> ExtractionPlan:
-        """The plan with predicted numbers: a surface crosses about every fourth sample of a tile,
-        or eight of the 64 voxels of a brick; that of an octree without an inside, twice as many."""
-        active = _active_tiles(nodes, level)
-        cubes = active * (16 if level != "voxel" else 8 if solid else 20)
-        tiles = 2 * active
-        relaxations = RELAXATIONS if style == SURFACE_NETS and level == "voxel" else 0
-        return cls(
-            style, level, isovalue, merge, solid, relaxations, nodes, rooted, tiles, cubes, cubes,
-            coarser,
-        )  # fmt: skip
-
     @property
     def voxels(self) -> bool:
-        """Whether samples are voxels."""
+        """True if samples are voxels."""
         return self.level == "voxel"
 
     @property
     def stages(self) -> list[str]:
         """The stages that will run, in order."""
-        return [
-            "tiles",
-            "samples",
-            "classify",
-            *([] if self.voxels else ["lost voxels"]),
-            "vertices",
-            *(["relax"] if self.relaxations else []),
-            "histopyramid",
-            *([] if self.style == MARCHING_CUBES else ["quads"]),
-            *(["merge"] if self.merge else []),
-            "triangles",
-            "read back",
-        ]
+        stages = {
+            "tiles": True,
+            "samples": True,
+            "classify": True,
+            "lost voxels": not self.voxels,
+            "vertices": True,
+            "relax": self.relaxations > 0,
+            "histopyramid": True,
+            "quads": self.style != MARCHING_CUBES,
+            "merge": self.merge,
+            "triangles": True,
+            "read back": True,
+        }
+        return [stage for stage, runs in stages.items() if runs]
 
     @property
     def samples(self) -> int:
@@ -100,39 +67,29 @@ class ExtractionPlan:
 
     @property
     def cost(self) -> Cost:
-        """Bytes on the device, the surface included, by the numbers above."""
-        active = _active_tiles(self.nodes, self.level)
-        octree = BRICK_BYTES * self.nodes[0] + 4 * sum(self.nodes[1:])
+        """The predicted bytes on the device, the surface included."""
+        bricks = BRICK_BYTES * self.nodes[0]
+        octree = bricks + 4 * sum(self.nodes[1:])
         if self.level not in ("voxel", 0):
             octree += 4 * self.nodes[1]  # coverages
         sample = 0 if self.voxels else 1 if self.level == 0 else 4
-        tiles = 28 * max(self.samples**3 // 4096, 1) + 56 * self.tiles + 64 * sample * active
+        tiles = 28 * max(self.samples**3 // 4096, 1) + 56 * self.tiles
+        tiles += 64 * sample * active_tiles(self.nodes, self.level)
         edge = EDGE_BYTES[self.style] + (MERGE_BYTES if self.merge else 0)
-        bricks, words = BRICK_BYTES * self.nodes[0], self.samples**3 // 512
         return Cost(
             device=octree + tiles + CUBE_BYTES * self.cubes + edge * self.edges,
-            largest=max(bricks, words, 24 * self.tiles, 28 * self.edges),
+            largest=max(bricks, self.samples**3 // 512, 24 * self.tiles, 28 * self.edges),
         )
 
     def fits(self, max_memory: int, max_allocation: int) -> bool:
-        """Whether memory and codes suffice."""
-        return (
-            self.samples <= MAX_SAMPLES
-            and self.cost.device <= max_memory
-            and self.cost.largest <= max_allocation
-        )
+        """True if memory and Morton codes suffice."""
+        cost = self.cost
+        fits = cost.device <= max_memory and cost.largest <= max_allocation
+        return fits and self.samples <= MAX_SAMPLES
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Refuse an extraction that needs more memory, or more samples along a side than codes.
-
-        Parameters
-        ----------
-        max_memory, max_allocation : bytes that the device may use in all, and in one buffer.
-
-        Raises
-        ------
-        MemoryLimitError : with the finest level that fits, if one does.
-        """
+        """Raise MemoryLimitError, which names the finest level that fits, if the extraction needs
+        more bytes, in all or in one buffer, or more samples along a side than codes have bits."""
         if self.fits(max_memory, max_allocation):
             return
         fitting = (plan.level for plan in self.coarser() if plan.fits(max_memory, max_allocation))
@@ -152,7 +109,7 @@ class ExtractionPlan:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not compiled, allocated or run, and why."""
+        """The parts that are not compiled, allocated or run, each with the reason."""
         out = {"cubes away from nodes": "a set of tiles holds those that the surface may cross"}
         if self.voxels:
             out["coverages, and voxels lost to them"] = "samples are voxels"
@@ -166,12 +123,12 @@ class ExtractionPlan:
             out["crossings and relaxation"] = "voxel faces lie on the corners of samples"
         elif not self.relaxations:
             out["relaxation"] = "coverages are smooth as they are"
-        if self.style != VOXEL_FACES or not self.merge:
+        if not self.merge:
             out["sorting"] = "Morton-ordered bits are sorted; only --merge sorts"
         return out
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it: JSON types only."""
+        """The whole plan in JSON types."""
         return {
             "style": self.style,
             "level": self.level,
@@ -184,16 +141,15 @@ class ExtractionPlan:
         }
 
     def rows(self) -> list[tuple[str, str]]:
-        """What `--plan` prints before the stages: names and texts."""
+        """Names and texts that `--plan` prints before the stages."""
         surface = f"{self.style}, level {self.level}: {self.samples} samples along the root"
-        return [
-            ("surface", surface),
-            ("cut cubes", f"about {self.cubes:,}, in {self.tiles:,} tiles"),
-        ]
+        cubes = f"about {self.cubes:,}, in {self.tiles:,} tiles"
+        return [("surface", surface), ("cut cubes", cubes)]
 
 
-def _active_tiles(nodes: tuple[int, ...], level: int | str) -> int:
-    """Tiles that have nodes: one for 64 nodes that are samples, or for each brick."""
+def active_tiles(nodes: tuple[int, ...], level: int | str) -> int:
+    """Return the number of tiles that have nodes: one for each brick, or for 64 nodes that are
+    samples."""
     if isinstance(level, str):  # voxel
         return nodes[0]
     return nodes[level + 1] // 8 if level + 1 < len(nodes) - 1 else 1

@@ -1,4 +1,4 @@
-"""The samples of an octree: what counts as inside, and the links that lead to them.
+"""The samples of an octree, and the links that lead to them.
 
 A sample is a node of one level, its scalar the number of its voxels that are set; or a voxel.
 """
@@ -12,9 +12,8 @@ from math import ceil
 import numpy as np
 
 from voxtool.svo.layout import BRICK_SIDE, BRICK_VOXELS, INSIDE, LINK, VALID
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree import VOXEL, Octree
 
-VOXEL = -2  # the level of samples that are voxels: a node of level n spans 4 * 2**n of them
 MAX_LEVEL = 8  # up to which 32 bits count a node's voxels
 ISOVALUE_BITS = 16  # of a fraction of a voxel
 _BIT = np.uint64(1) << np.arange(BRICK_SIDE**3, dtype=np.uint64)
@@ -23,34 +22,32 @@ LOW_LAYER = [np.bitwise_or.reduce(_BIT[BRICK_VOXELS[:, a] == 0]) for a in range(
 
 @dataclass(frozen=True)
 class Sampling:
-    """A level of samples, and an isovalue.
+    """A level of samples, and an isovalue."""
 
-    level : VOXEL, or the level of the nodes that are samples.
-    full : voxels of a sample.
-    isovalue : of a sample's voxels, in 2**-16; the isovalue of the request is rounded to it once.
-    """
-
-    level: int
-    full: int
-    isovalue: int
+    level: int  # of the nodes that are samples, or VOXEL
+    isovalue: int  # of a sample's voxels, in 2**-16: that of the request, rounded once
 
     @classmethod
     def of(cls, level: int | str, isovalue: float) -> Sampling:
-        """The sampling of a level, or "voxel", and an isovalue in (0, 1)."""
-        level = VOXEL if isinstance(level, str) else level
-        full = (BRICK_SIDE << level) ** 3 if level != VOXEL else 1
-        scale = full << ISOVALUE_BITS
-        return cls(level, full, min(max(round(Fraction(isovalue) * scale), 1), scale))
+        """Return the sampling of a level, or "voxel", and an isovalue in (0, 1)."""
+        sampling = cls(VOXEL if isinstance(level, str) else level, 0)
+        scale = sampling.full << ISOVALUE_BITS
+        return replace(sampling, isovalue=min(max(round(Fraction(isovalue) * scale), 1), scale))
+
+    @property
+    def side(self) -> int:
+        """Voxels along a side of a sample."""
+        return 1 << (self.level - VOXEL)
+
+    @property
+    def full(self) -> int:
+        """Voxels of a sample."""
+        return self.side**3
 
     @property
     def threshold(self) -> int:
         """The least number of set voxels of a sample that is inside."""
         return ceil(Fraction(self.isovalue, 1 << ISOVALUE_BITS))
-
-    @property
-    def side(self) -> int:
-        """Voxels along a side of a sample."""
-        return BRICK_SIDE << self.level if self.level != VOXEL else 1
 
     @property
     def options(self) -> dict[str, int | str]:
@@ -66,17 +63,12 @@ class Tree:
 
     Roots are added above the octree's where tiles are larger than it, or where its voxels touch the
     low sides of its cube, because cubes begin one sample below them.
-
-    children : the nodes' `child` words, root first.
-    offsets : first node of each level in them, and their end.
-    bricks : number of bricks.
-    shift : voxels that the octree's corner lies from that of the root, along each axis.
     """
 
-    children: np.ndarray
-    offsets: np.ndarray
-    bricks: int
-    shift: int
+    children: np.ndarray  # the nodes' `child` words, root first
+    offsets: np.ndarray  # the first node of each level in them, and their end
+    bricks: int  # number of bricks
+    shift: int  # voxels from the root's corner to the octree's, along each axis
 
     @property
     def top(self) -> int:
@@ -84,20 +76,16 @@ class Tree:
         return len(self.offsets) - 1
 
     def first(self, level: int) -> int:
-        """The first node of a level in `children`."""
+        """Return the first node of a level in `children`."""
         return int(self.offsets[self.top - level])
 
     def nodes(self, level: int) -> int:
-        """The number of nodes of a level."""
+        """Return the number of nodes of a level."""
         return int(np.diff(self.offsets)[self.top - level]) if level else self.bricks
-
-    def tiles_along_side(self, sampling: Sampling) -> int:
-        """Tiles of 4 x 4 x 4 samples along a side of the root."""
-        return 1 << (self.top - sampling.level - 2)
 
 
 def grow_tree(octree: Octree, sampling: Sampling) -> Tree:
-    """The octree's links, with roots added above its own where they are needed."""
+    """Return the octree's links, with roots added above its own where they are needed."""
     offsets = octree.offsets[:-1].astype(np.int64)
     children = np.ascontiguousarray(octree.nodes["child"][: offsets[-1]])
     tree = Tree(children, offsets, len(octree.bricks), 0)
@@ -109,7 +97,7 @@ def grow_tree(octree: Octree, sampling: Sampling) -> Tree:
 
 
 def _with_root(tree: Tree, octant: int) -> Tree:
-    """The tree with a root above its own, which becomes a child in an octant."""
+    """Return the tree with a root above its own, which becomes the child in an octant."""
     siblings = np.zeros(8, np.uint32)
     siblings[octant] = tree.children[0]
     children = np.concatenate([np.array([VALID], np.uint32), siblings, tree.children[1:]])
@@ -117,7 +105,8 @@ def _with_root(tree: Tree, octant: int) -> Tree:
 
 
 def _touches_low_sides(tree: Tree, bricks: np.ndarray, sampling: Sampling) -> bool:
-    """Whether a voxel is set in the first samples along an axis; above level 0, may be set."""
+    """Return True if a voxel is set, or above level 0 may be set, in the first samples along an
+    axis."""
     nodes = np.zeros(1, np.uint32)
     sides = np.full(1, 7, np.uint8)  # the low sides at which a node lies: a bit for each axis
     octants = np.arange(8, dtype=np.uint32)
