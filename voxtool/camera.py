@@ -79,13 +79,7 @@ class Rays(Data):
         return replace(self, origin=start, right=self.right / scale, down=self.down / scale)
 
     def finer(self, samples: int) -> Rays:
-        """Return samples x samples rays for each pixel.
-
-        Raises
-        ------
-        VoxtoolError
-            more than MAX_SIDE rays along a side.
-        """
+        """Return samples x samples rays for each pixel; at most MAX_SIDE along a side."""
         if samples == 1:
             return self
         width, height = (samples * side for side in self.size)
@@ -155,30 +149,18 @@ class Camera:
         front = np.array([0.0, 0.0, 1.0] if abs(upward[2]) < 0.9 else [0.0, -1.0, 0.0])
         front = _direction(front - dot(front, upward) * upward, "up")
         right = cross(upward, front)
-        way = {
-            "front": front,
-            "back": -front,
-            "right": right,
-            "left": -right,
-            "top": upward,
-            "bottom": -upward,
-            "iso": _direction(front + right + upward, "view"),
-        }[view]
+        axes = {"front": front, "right": right, "top": upward}
+        opposite = {"back": -front, "left": -right, "bottom": -upward}
+        way = (axes | opposite | {"iso": _direction(front + right + upward, "view")})[view]
         if view in ("top", "bottom"):
             upward = -front if view == "top" else front
-        distance = 2 * radius if fov is None else radius / sine(fov_of(fov) / 2)
+        distance = 2 * radius if fov is None else radius / sine(_half(fov))
         return Camera(
             triple(centre + distance * way), triple(centre), triple(upward), fov, 2 * radius
         )
 
     def turned(self, degrees: float) -> Camera:
-        """Return this camera turned about `up` around the target; 360 degrees change nothing.
-
-        Raises
-        ------
-        VoxtoolError
-            an angle that is not finite.
-        """
+        """Return this camera turned about `up` around the target; 360 degrees change nothing."""
         if not math.isfinite(degrees):
             raise VoxtoolError(f"a turn of {degrees} degrees: give a finite angle")
         axis = _direction(self.up, "up")
@@ -195,11 +177,6 @@ class Camera:
         Point i is in the picture where |u_i - shift| <= half (distance + depth_i), u_i pixels
         across at depth 1 and depth_i measured from the target. For parallel rays depth_i is 0, and
         the height is found instead of the distance.
-
-        Raises
-        ------
-        VoxtoolError
-            as rays.
         """
         rays, target = self.rays(width, height), np.array(self.target)
         arms = points - target
@@ -220,17 +197,12 @@ class Camera:
         return replace(self, eye=triple(target + shift - distance * rays.direction), target=moved)
 
     def rays(self, width: int, height: int) -> Rays:
-        """Return the rays of a picture.
-
-        Parameters
-        ----------
-        width, height
-            pixels.
+        """Return the rays of a picture of width x height pixels.
 
         Raises
         ------
         VoxtoolError
-            a size, an angle or a direction that makes no picture.
+            If a size, an angle or a direction makes no picture.
         """
         check_size(width, height)
         eye, target = np.array(self.eye, np.float64), np.array(self.target, np.float64)
@@ -247,7 +219,7 @@ class Camera:
                 raise VoxtoolError(f"a picture {self.height} units high: give a positive height")
             step = self.height / min(width, height)
         else:
-            half = fov_of(self.fov) / 2
+            half = _half(self.fov)
             step = 2 * sine(half) / sine(90 - half) / min(width, height)
         return Rays(
             eye, direction, step * right, step * down, self.fov is not None, (width, height)
@@ -261,12 +233,7 @@ def box_corners(low: np.ndarray, sides: np.ndarray | int) -> np.ndarray:
 
 
 def checked_colour(colour: Sequence[float]) -> tuple[float, float, float]:
-    """Return red, green and blue as three floats.
-
-    Raises
-    ------
-    VoxtoolError : they are not three numbers from 0 to 1.
-    """
+    """Return red, green and blue as floats, or raise VoxtoolError if they are not from 0 to 1."""
     with contextlib.suppress(TypeError, ValueError):
         red, green, blue = (float(c) for c in colour)
         if all(0 <= c <= 1 for c in (red, green, blue)):
@@ -275,26 +242,16 @@ def checked_colour(colour: Sequence[float]) -> tuple[float, float, float]:
 
 
 def check_size(width: int, height: int) -> None:
-    """Refuse a picture that is too large, or empty.
-
-    Raises
-    ------
-    VoxtoolError : a side is not from 1 to MAX_SIDE.
-    """
+    """Raise VoxtoolError if a side of a picture is not from 1 to MAX_SIDE pixels."""
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
         raise VoxtoolError(f"a picture of {width} x {height} pixels: sides are 1 to {MAX_SIDE}")
 
 
-def fov_of(degrees: float) -> float:
-    """Return a field of view, checked.
-
-    Raises
-    ------
-    VoxtoolError : it is not between 0.01 and 170 degrees.
-    """
-    if not 0.01 <= degrees <= 170:
-        raise VoxtoolError(f"a field of view of {degrees} degrees: choose 0.01 to 170")
-    return degrees
+def _half(fov: float) -> float:
+    """Return half of a field of view, or raise VoxtoolError if that is not 0.01 to 170 degrees."""
+    if not 0.01 <= fov <= 170:
+        raise VoxtoolError(f"a field of view of {fov} degrees: choose 0.01 to 170")
+    return fov / 2
 
 
 def _size(v: np.ndarray) -> float:
@@ -304,12 +261,7 @@ def _size(v: np.ndarray) -> float:
 
 
 def _direction(v: Sequence[float] | np.ndarray, what: str) -> np.ndarray:
-    """Return the unit vector of a direction.
-
-    Raises
-    ------
-    VoxtoolError : its length is 0 or not finite; `what` names it.
-    """
+    """Return the unit vector of `what`, or raise VoxtoolError if its length is 0 or not finite."""
     v = np.asarray(v, np.float64)
     if not 0 < _size(v) < math.inf:
         raise VoxtoolError(f"{what} {tuple(v.tolist())} has no direction")
@@ -323,18 +275,12 @@ def sine(degrees: float) -> float:
         return -sine(degrees - 180)
     if degrees > 90:
         degrees = 180 - degrees
-    if degrees > 45:  # the cosine of the complement
-        return _series(math.radians(90 - degrees), 1.0, 0)
-    x = math.radians(degrees)
-    return _series(x, x, 1)
-
-
-def _series(x: float, first: float, order: int) -> float:
-    """first − first x²/((order+1)(order+2)) + ..., summed from the smallest term."""
-    terms = [first]
-    for k in range(order + 1, order + 21, 2):
+    cosine = degrees > 45  # of the complement
+    x = math.radians(90 - degrees if cosine else degrees)
+    terms = [1.0 if cosine else x]
+    for k in range(1 if cosine else 2, 21, 2):
         terms.append(-terms[-1] * x * x / (k * (k + 1)))
-    total = 0.0
+    total = 0.0  # from the smallest term; the built-in sum of newer Pythons rounds differently
     for term in reversed(terms):
         total += term
     return total

@@ -34,20 +34,15 @@ SIGN_NAMES = {"pseudonormal": "pseudo-normals", "winding": "winding numbers"}
 
 @dataclass(frozen=True)
 class DistancePlan:
-    """The plan of distances at points.
-
-    triangles: number of triangles of the mesh; sign: how the sign is found, one of SIGNS; located:
-    whether gradients, nearest points or faces are computed; block: points on the device at once.
-    """
+    """The plan of distances at points."""
 
     triangles: int
-    sign: str
-    located: bool
-    block: int = POINTS_AT_ONCE
+    sign: str  # one of SIGNS
+    located: bool  # whether gradients, nearest points or faces are computed
+    block: int = POINTS_AT_ONCE  # points on the device at once
 
     @property
     def stages(self) -> list[str]:
-        """The stages, in order."""
         first, last = SIGN_STAGES[self.sign], ["distance"]
         if self.sign == "winding":
             return ["tree", *first, *last, "winding number"]
@@ -55,7 +50,6 @@ class DistancePlan:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """Results and stages that are not computed, and why."""
         reason = "no distance is negative" if self.sign == "none" else f"the sign is {self.sign}"
         out = {what: reason for sign, what in SIGN_NAMES.items() if sign != self.sign}
         if not self.located:
@@ -64,13 +58,11 @@ class DistancePlan:
 
     @property
     def cost(self) -> Cost:
-        """The predicted memory."""
         points = self.block * (POINT_BYTES + (LOCATED_BYTES if self.located else 0))
         size = distance_bytes(self.triangles, self.sign)
         return Cost(size + points, 2 * points, max(120 * self.triangles, 24 * self.block))
 
     def as_dict(self) -> dict[str, Any]:
-        """The plan in JSON types."""
         return {
             **asdict(self),
             "stages": self.stages,
@@ -79,26 +71,21 @@ class DistancePlan:
         }
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return what `--plan` prints of the scene: names and texts."""
         return [("scene", f"{self.triangles:,} triangles"), ("sign", self.sign)]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the device has less memory than predicted."""
-        if self.cost.device > max_memory or self.cost.largest > max_allocation:
-            raise MemoryLimitError(
-                f"{self.triangles:,} triangles need {human(self.cost.device)}, "
-                f"{human(self.cost.largest)} of it at once; {human(max_memory)} and "
-                f"{human(max_allocation)} are free: simplify the mesh"
-            )
+        if shortage := self.cost.shortage(max_memory, max_allocation):
+            raise MemoryLimitError(f"{self.triangles:,} triangles {shortage}: simplify the mesh")
 
 
+@dataclass(eq=False)
 class DistanceJob(Job[SignedDistance]):
     """A planned SignedDistance: the result of `run()`, for any number of points."""
 
+    mesh: Mesh
     plan: DistancePlan
-
-    def __init__(self, mesh: Mesh, plan: DistancePlan, device: Device) -> None:
-        self.mesh, self.plan, self.device = mesh, plan, device
+    device: Device
+    max_memory: int | None
 
     def _run(self) -> SignedDistance:
         return SignedDistance(self.mesh, self.plan.sign, self.device)
@@ -116,39 +103,30 @@ def plan_distance(
     if sign is not None and sign not in SIGNS:
         raise VoxtoolError(f"sign {sign!r}: choose one of {', '.join(SIGNS)}")
     plan = DistancePlan(len(mesh.faces), sign or default_sign(mesh), located)
-    job = DistanceJob(mesh, plan, device or default_device())
-    job.max_memory = max_memory
-    return job
+    return DistanceJob(mesh, plan, device or default_device(), max_memory)
 
 
 @dataclass(frozen=True)
 class DistanceGridPlan:
-    """The plan of distances at the voxel centres of a grid.
-
-    shape: of the grid; dtype: of the result, "float64" or "float32"; distance: the plan of the
-    magnitudes; voxels: the plan of the octree that gives the signs, None for unsigned distances.
-    """
+    """The plan of distances at the voxel centres of a grid."""
 
     shape: tuple[int, int, int]
-    dtype: str
-    distance: DistancePlan
-    voxels: Any = None
+    dtype: str  # of the result, "float64" or "float32"
+    distance: DistancePlan  # of the magnitudes
+    voxels: Any = None  # the plan of the octree that gives the signs; None without signs
 
     @property
     def stages(self) -> list[str]:
-        """The stages, in order."""
         return [*(self.voxels.stages if self.voxels else []), *self.distance.stages]
 
     @property
     def left_out(self) -> dict[str, str]:
-        """Results and stages that are not computed, and why."""
         if self.voxels:
             return dict(self.voxels.left_out)
         return {"voxels": "no distance is negative"}
 
     @property
     def cost(self) -> Cost:
-        """The predicted memory."""
         nx, ny, nz = self.shape
         costs = [self.distance.cost, *([self.voxels.cost] if self.voxels else [])]
         return Cost(
@@ -158,7 +136,6 @@ class DistanceGridPlan:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """The plan in JSON types."""
         return {
             **(self.voxels.as_dict() if self.voxels else {"shape": list(self.shape)}),
             "dtype": self.dtype,
@@ -170,13 +147,11 @@ class DistanceGridPlan:
         }
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return what `--plan` prints of the scene: names and texts."""
         shape = " x ".join(map(str, self.shape))
         rows = self.voxels.rows() if self.voxels else [("grid", f"{shape} voxels")]
         return [*rows, ("distances", f"{shape} {self.dtype}")]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if device or machine have less memory than predicted."""
         for plan in (self.voxels, self.distance):
             if plan:
                 plan.refuse_beyond(max_memory, max_allocation)
@@ -189,13 +164,16 @@ class DistanceGridPlan:
             )
 
 
+@dataclass(eq=False)
 class DistanceGridJob(Job[np.ndarray]):
     """A dense grid of distances, planned."""
 
+    mesh: Mesh
+    grid: Grid
     plan: DistanceGridPlan
-
-    def __init__(self, mesh: Mesh, grid: Grid, voxels: VoxelizeJob | None, device: Device) -> None:
-        self.mesh, self.grid, self.voxels, self.device = mesh, grid, voxels, device
+    voxels: VoxelizeJob | None
+    device: Device
+    max_memory: int | None
 
     def _run(self) -> np.ndarray:
         octree = self.voxels.run(self._progress) if self.voxels else None
@@ -238,8 +216,6 @@ def plan_distance_grid(
     device, voxels = device or default_device(), None
     if fill != "none":
         voxels = plan_voxelize(mesh, grid, fill=fill, gap=gap, device=device, max_memory=max_memory)
-    job = DistanceGridJob(mesh, grid, voxels, device)
     magnitudes = DistancePlan(len(mesh.faces), "none", located=False)
-    job.plan = DistanceGridPlan(grid.shape, name, magnitudes, voxels.plan if voxels else None)
-    job.max_memory = max_memory
-    return job
+    plan = DistanceGridPlan(grid.shape, name, magnitudes, voxels.plan if voxels else None)
+    return DistanceGridJob(mesh, grid, plan, voxels, device, max_memory)

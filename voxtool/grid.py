@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 FIXED_POINT_BITS = 8  # a voxel is 2**8 units of the fixed-point lattice
 FIXED_POINT_LIMIT = (1 << 30) - 1  # units; differences of coordinates fit 32 bits
-
-
 DEFAULT_MARGIN = 4
 
 
@@ -117,7 +115,8 @@ class Grid:
             raise GridError(f"margin {margin} is negative: choose 0 or more voxels")
         low, high = _bounds(mesh, bbox)
         with np.errstate(over="ignore"):
-            longest = float(np.max(high - low))
+            extent = high - low
+        longest = float(extent.max())
         if not math.isfinite(longest):
             raise GridError(
                 "the size of the mesh exceeds the range of floating point: scale it down"
@@ -125,29 +124,23 @@ class Grid:
         if fit == "stretch":
             if dim is None or bbox is not None or margin is not None:
                 raise GridError("fit 'stretch' goes with dim alone: drop pitch, bbox and margin")
-            grid = cls._stretched(low, high, dim)
-            _check_resolution(low, high, grid.pitch)
-            return grid
-        if bbox is not None and margin is None:
-            margin = 0
-        if dim is not None:
-            pitch, margin = _pitch_for(dim, margin, longest)
-            shape = np.full(3, dim)
-            if bbox is not None:  # the box need not be a cube
-                count = np.minimum(_voxel_count(high - low, pitch), dim - 2 * margin)
-                shape = count + 2 * margin
+            extent[extent == 0] = longest  # a flat axis takes the scale of the longest
+            shape, margin, pitches = np.full(3, dim), 4, extent / (dim - 4)
         else:
-            assert pitch is not None
-            shape, margin = _shape_for(pitch, margin, high - low)
-        _check_resolution(low, high, (pitch, pitch, pitch))
-        return cls(tuple(shape), tuple(low - margin * pitch), (pitch, pitch, pitch))
-
-    @classmethod
-    def _stretched(cls, low: np.ndarray, high: np.ndarray, dim: int) -> Grid:
-        extent = high - low
-        extent[extent == 0] = extent.max()  # a flat axis takes the scale of the longest
-        pitch = extent / (dim - 4)
-        return cls((dim, dim, dim), tuple(low - 4 * pitch), tuple(pitch))
+            if bbox is not None and margin is None:
+                margin = 0
+            if dim is not None:
+                pitch, margin = _pitch_for(dim, margin, longest)
+                shape = np.full(3, dim)
+                if bbox is not None:  # the box need not be a cube
+                    count = np.minimum(_voxel_count(extent, pitch), dim - 2 * margin)
+                    shape = count + 2 * margin
+            else:
+                assert pitch is not None
+                shape, margin = _shape_for(pitch, margin, extent)
+            pitches = np.full(3, pitch)
+        _check_resolution(low, high, pitches)
+        return cls(tuple(shape), tuple(low - margin * pitches), tuple(pitches))
 
     @property
     def dim(self) -> int:
@@ -250,10 +243,10 @@ def _shape_for(pitch: float, margin: int | None, extent: np.ndarray) -> tuple[np
     return shape, margin
 
 
-def _check_resolution(low: np.ndarray, high: np.ndarray, pitch: Sequence[float]) -> None:
+def _check_resolution(low: np.ndarray, high: np.ndarray, pitch: np.ndarray) -> None:
     """Raise GridError if rounding at these coordinates exceeds a quarter of a voxel."""
     farthest = np.maximum(np.abs(low), np.abs(high))
-    if (np.asarray(pitch) < 4 * np.spacing(farthest)).any():
+    if (pitch < 4 * np.spacing(farthest)).any():
         raise GridError(
             f"voxels of {min(pitch):g} are too small for floating point at coordinate "
             f"{farthest.max():g}: move the mesh to the origin, or choose larger voxels"

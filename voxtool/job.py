@@ -19,7 +19,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, ParamSpec, Protocol, Self, TypeVar
 
-from voxtool.errors import MeshWarning
+from voxtool.errors import MeshWarning, human
 from voxtool.memory import available_memory
 
 if TYPE_CHECKING:
@@ -39,6 +39,16 @@ class Cost:
     device: int
     host: int = 0
     largest: int = 0
+
+    def shortage(self, max_memory: int, max_allocation: int) -> str:
+        """Return what a message says if the device has fewer bytes than these, in total or in one
+        buffer; otherwise ""."""
+        if self.device <= max_memory and self.largest <= max_allocation:
+            return ""
+        return (
+            f"would need {human(self.device)} of memory ({human(self.largest)} in one buffer), of "
+            f"{human(max_memory)} ({human(max_allocation)}) allowed"
+        )
 
 
 class Plan(Protocol):

@@ -1,11 +1,12 @@
 """Pictures of an octree, a distance field or a tetrahedral volume.
 
 Each wing has a scene, which says where its content is, how it is drawn, and why nothing may be
-visible. A scene is a frozen dataclass of the options that its picture has.
+visible. A scene is a frozen dataclass: its content, and the options of its picture.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Protocol, Self
@@ -15,7 +16,7 @@ import numpy as np
 from voxtool.adf.field import DistanceField
 from voxtool.adf.scene import FieldScene
 from voxtool.camera import FOV, MAX_SIDE, Camera, Rays
-from voxtool.errors import DeviceError, MemoryLimitError, VoxtoolError, count_of, human
+from voxtool.errors import DeviceError, MemoryLimitError, VoxtoolError, count_of
 from voxtool.job import Cost, Job, one_call
 from voxtool.memory import check_memory
 from voxtool.opencl import Device, default_device
@@ -28,23 +29,16 @@ Content = Octree | DistanceField | TetVolume
 
 SIZE = (512, 512)  # pixels
 RAY_BYTES = 16  # of a ray's colour and opacity, float32
+SMALLER = "choose a smaller --size or fewer --samples"
 VISIBLE = 0.5 / 255  # opacity from which on 8 bits show something
-SCENES: dict[type, Any] = {
-    Octree: OctreeScene,
-    DistanceField: FieldScene,
-    TetVolume: VolumeScene,
-}
+SCENES: dict[type, Any] = {Octree: OctreeScene, DistanceField: FieldScene, TetVolume: VolumeScene}
 
 
 class Scene(Protocol):
-    """Content that is drawn, with the options of its picture.
+    """Content that is drawn, with the options of its picture."""
 
-    kind : "octree", "field" or "volume".
-    samples : along a pixel's side, by default.
-    """
-
-    kind: ClassVar[str]
-    samples: ClassVar[int]
+    kind: ClassVar[str]  # "octree", "field" or "volume"
+    samples: ClassVar[int]  # along a pixel's side, by default
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -80,17 +74,7 @@ class Scene(Protocol):
 
 
 def scene_of(content: Content, **options: Any) -> OctreeScene | FieldScene | VolumeScene:
-    """The scene that shows this content.
-
-    Parameters
-    ----------
-    options : of an octree `level` and `colour`, of a field `offset` and `colour`, of a volume
-        `transfer`, `method` and `integrator`, as OctreeScene, FieldScene and VolumeScene take them.
-
-    Raises
-    ------
-    VoxtoolError : an option that the content does not have, or a value that it does not take.
-    """
+    """Return the scene of content, or raise VoxtoolError if it has no such option or value."""
     if type(content) not in SCENES:
         raise VoxtoolError(
             f"a {type(content).__name__} cannot be drawn: give an Octree, a DistanceField or a "
@@ -105,11 +89,8 @@ def scene_of(content: Content, **options: Any) -> OctreeScene | FieldScene | Vol
 
 @dataclass(frozen=True)
 class RenderPlan:
-    """The plan of a picture.
-
-    scene : what is drawn, with its options.
-    size : of the picture, width and height in pixels; samples x samples rays a pixel.
-    """
+    """The plan of a picture: the scene, width and height in pixels, and samples along a pixel's
+    side."""
 
     scene: Scene
     size: tuple[int, int]
@@ -117,12 +98,10 @@ class RenderPlan:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        """The stages that will run, in order."""
         return self.scene.stages
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not drawn or computed, and why."""
         return self.scene.left_out
 
     @property
@@ -139,7 +118,6 @@ class RenderPlan:
         return Cost(self.scene.device_bytes + rays, host=rays + 6 * pixels, largest=rays)
 
     def as_dict(self) -> dict[str, Any]:
-        """All of the plan in JSON types."""
         return {
             "kind": self.scene.kind,
             "size": list(self.size),
@@ -152,7 +130,6 @@ class RenderPlan:
         }
 
     def rows(self) -> list[tuple[str, str]]:
-        """What `--plan` prints before the stages."""
         each = f" of {self.samples} x {self.samples} rays" if self.samples > 1 else ""
         counts = self.scene.counts.items()
         return [
@@ -162,51 +139,33 @@ class RenderPlan:
         ]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the picture needs more bytes than these, in total or in one
-        buffer."""
-        cost, scene = self.cost, self.scene
-        if cost.device <= max_memory and cost.largest <= max_allocation:
+        if not (shortage := self.cost.shortage(max_memory, max_allocation)):
             return
-        hint = "choose a smaller --size or fewer --samples"
-        if scene.device_bytes > max_memory:
-            hint = f"the {scene.kind} alone is too large"
+        alone = self.scene.device_bytes > max_memory
+        hint = f"the {self.scene.kind} alone is too large" if alone else SMALLER
         raise MemoryLimitError(
             f"a picture of {self.size[0]} x {self.size[1]} pixels, "
-            f"{count_of(self.samples**2, 'ray')} each, would need {human(cost.device)} of memory "
-            f"({human(cost.largest)} in one buffer), of {human(max_memory)} "
-            f"({human(max_allocation)}) allowed: {hint} (see --max-memory)"
+            f"{count_of(self.samples**2, 'ray')} each, {shortage}: {hint} (see --max-memory)"
         )
 
 
+@dataclass(eq=False)
 class RenderJob(Job[np.ndarray]):
-    """A planned picture; `run` returns (H, W, 4) float32, premultiplied.
-
-    rays : those of all samples.
-    """
+    """A planned picture, and the rays of all samples; `run` returns (H, W, 4) float32,
+    premultiplied."""
 
     plan: RenderPlan
+    rays: Rays
     device: Device
-
-    def __init__(
-        self, plan: RenderPlan, rays: Rays, device: Device, max_memory: int | None
-    ) -> None:
-        self.plan, self.rays, self.device, self.max_memory = plan, rays, device, max_memory
+    max_memory: int | None
 
     def with_(self, **decisions: Any) -> Self:
-        """The same job with options or decisions of its scene forced, for ablation and tests.
-
-        Raises
-        ------
-        TypeError
-            the scene has no such field.
-        """
+        """Return the same job with options or decisions of its scene forced."""
         return super().with_(scene=replace(self.plan.scene, **decisions))  # pyright: ignore
 
     def refuse(self) -> None:
-        """Raise MemoryLimitError if the picture would take more memory than it may."""
         super().refuse()
-        hint = "choose a smaller --size or fewer --samples"
-        check_memory(self.cost.host, f"{self.plan.rays:,} rays", hint)
+        check_memory(self.cost.host, f"{self.plan.rays:,} rays", SMALLER)
 
     def _run(self) -> np.ndarray:
         return averaged(self.plan.scene.draw(self.rays, self.device), self.plan.samples)
@@ -219,17 +178,13 @@ class RenderJob(Job[np.ndarray]):
         points = scene.points()
         corners = points.min(axis=0), points.max(axis=0)
         box = " to ".join(f"({', '.join(f'{v:.6g}' for v in corner)})" for corner in corners)
-        if why := scene.why_empty():
-            pass
-        elif most > 0:
+        why = scene.why_empty()
+        if not why and most > 0:
             why = f"its opacity is at most {most:.1g}: choose a smaller unit distance"
-        elif not self.rays.meet_box(points):
+        elif not why and not self.rays.meet_box(points):
             why = f"the camera looks past the content in {box}: the iso view shows all of it"
-        else:
-            why = (
-                f"no ray hits the content in {box}: move the camera closer, or choose more samples"
-            )
-        yield f"the picture is empty: {why}"
+        miss = f"no ray hits the content in {box}: move the camera closer, or choose more samples"
+        yield f"the picture is empty: {why or miss}"
 
 
 def plan_render(
@@ -326,20 +281,11 @@ def camera_for(
 
 
 def averaged(picture: np.ndarray, samples: int) -> np.ndarray:
-    """Return the picture at 1 / samples of its size: each pixel is the mean of samples x samples.
-
-    Parameters
-    ----------
-    picture : (samples H, samples W, 4) float32.
-
-    Returns
-    -------
-    (H, W, 4) float32, rounded once from float64.
-    """
+    """Return the means of samples x samples pixels of an (H, W, 4) picture, rounded to float32 once
+    from float64."""
     if samples == 1:
         return picture
     total = np.zeros((picture.shape[0] // samples, picture.shape[1] // samples, 4))
-    for row in range(samples):
-        for column in range(samples):
-            total += picture[row::samples, column::samples]
+    for row, column in itertools.product(range(samples), repeat=2):
+        total += picture[row::samples, column::samples]
     return (total / samples**2).astype(np.float32)
