@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from voxtool.tets.mesh import ConformingMesh, UnstructuredMesh
+from voxtool.tets.conforming import tetrahedra
+from voxtool.tets.mesh import ConformingMesh, UnstructuredMesh, volume_cells
 from voxtool.tets.textures import build_tet
 from voxtool.tets.volume import TetVolume
 
@@ -160,6 +161,11 @@ def assert_matched(mesh: ConformingMesh | TetVolume) -> int:
             assert mesh.neighbours[sides[0]] == sides[1][0]
             assert mesh.neighbours[sides[1]] == sides[0][0]
     return single
+
+
+def split(mesh: UnstructuredMesh, *arguments: Any, **options: Any) -> ConformingMesh:
+    """The cells of a mesh as tetrahedra."""
+    return tetrahedra(volume_cells(mesh), *arguments, **options)
 
 
 def built(mesh: UnstructuredMesh, *arguments: Any, **options: Any) -> TetVolume:

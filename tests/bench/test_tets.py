@@ -21,7 +21,7 @@ from voxtool.opencl import open_device
 from voxtool.rendering import plan_render
 from voxtool.selftest.reference import reference
 from voxtool.tets.conforming import tetrahedra
-from voxtool.tets.mesh import UnstructuredMesh
+from voxtool.tets.mesh import UnstructuredMesh, volume_cells
 from voxtool.tets.textures import build_tet
 
 REQUEST = Request(sizes=(6, 12), pixels=6, transfers=("x10",), scalar="heat", repeat=1, seconds=0,
@@ -122,7 +122,8 @@ def test_errors_are_of_pixels_with_something_in_them() -> None:
 
 def test_transfer_functions() -> None:
     vertices, cells = kuhn()
-    mesh = tetrahedra(UnstructuredMesh(vertices, [("tetra", cells)], 3 + vertices[:, 0], "s"))
+    mesh = UnstructuredMesh(vertices, [("tetra", cells)], 3 + vertices[:, 0], "s")
+    mesh = tetrahedra(volume_cells(mesh))
     opaque = {name: tets.transfer_of(name, mesh) for name in TRANSFERS}
     most = tets.DEPTH / np.sqrt(3)
     for name, factor in (("x1", 1), ("x10", 10), ("x100", 100)):

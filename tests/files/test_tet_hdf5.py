@@ -40,14 +40,13 @@ from helpers_files import (
     stored,
     text,
 )
-from helpers_tets import CUBE, assembly, built, cube, lattice, linear, tet_mesh, unstructured
+from helpers_tets import CUBE, assembly, built, cube, lattice, linear, split, tet_mesh, unstructured
 
 import voxtool
 from voxtool import files, read_unstructured
 from voxtool.choices import LAYOUTS
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.files import tet_hdf5
-from voxtool.tets.conforming import tetrahedra
 from voxtool.tets.mesh import UnstructuredMesh
 from voxtool.tets.volume import TetVolume
 
@@ -467,7 +466,7 @@ def mixed() -> meshio.Mesh:
 
 
 def volume_of(mesh: UnstructuredMesh) -> float:
-    found = tetrahedra(mesh)
+    found = split(mesh)
     p = found.vertices[found.cells]
     return float(np.linalg.det(p[:, 1:] - p[:, :1]).sum() / 6)
 
@@ -511,9 +510,9 @@ def test_formats_with_scalars_at_points(name: str, options: dict, tmp_path: Path
     assert found.name == name
     assert found.source_sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
     assert volume_of(found) == pytest.approx(min(len(mesh.cells), 2))
-    assert np.array_equal(tetrahedra(found).scalars, linear(tetrahedra(found).vertices))
+    assert np.array_equal(split(found).scalars, linear(split(found).vertices))
     expected = {"hexahedron": 1} if len(mesh.cells) == 1 else {"hexahedron": 1, "wedge": 2}
-    assert tetrahedra(found).report["cells"] == expected
+    assert split(found).report["cells"] == expected
     built(found)
 
 
@@ -669,7 +668,7 @@ def test_damaged_meshes_are_one_line(name: str, tmp_path: Path, capfd) -> None:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                tetrahedra(read_unstructured(path, "medit:ref" if name == "a.mesh" else "s"))
+                split(read_unstructured(path, "medit:ref" if name == "a.mesh" else "s"))
         except VoxtoolError as error:
             messages.append(str(error))
     assert len(messages) > 5

@@ -22,6 +22,7 @@ from helpers_tets import (
     linear,
     oriented,
     six_volumes,
+    split,
     tet_mesh,
     unstructured,
 )
@@ -30,17 +31,15 @@ from hypothesis import strategies as st
 
 from voxtool import read_unstructured
 from voxtool.errors import MemoryLimitError, MeshError, VoxtoolError
-from voxtool.tets.conforming import hexahedra, scaled, signed_volumes, tetrahedra
-from voxtool.tets.faces import match_faces
+from voxtool.tets.cells import HEXAHEDRON_FACES, TETRAHEDRON_FACES, match_faces
+from voxtool.tets.conforming import hexahedra, scaled, signed_volumes
 from voxtool.tets.merge import first_at_place, first_within
+from voxtool.tets.mesh import volume_cells
 from voxtool.tets.textures import build_tet, plan_tet
 from voxtool.tets.volume import (
     BLOCK,
     FACES,
-    HEXAHEDRON_FACES,
-    TETRAHEDRON_FACES,
     TetVolume,
-    block_ranges,
 )
 
 ONE = CUBE[[0, 1, 3, 4]]
@@ -56,7 +55,7 @@ def test_every_numbering_of_a_cell_fills_it(kind: str) -> None:
         number = np.array(order)  # point i of the cell is called order[i]
         shuffled = np.empty_like(points)
         shuffled[number] = points
-        mesh = tetrahedra(unstructured(shuffled, [(kind, [number])]))
+        mesh = split(unstructured(shuffled, [(kind, [number])]))
         volumes = six_volumes(mesh.vertices, mesh.cells)
         assert (volumes > 0).all()
         assert volumes.sum() == pytest.approx(VOLUMES[kind], rel=1e-14)
@@ -70,7 +69,7 @@ def test_every_numbering_of_a_hexahedron_fills_it(order: list[int]) -> None:
     number = np.array(order)
     shuffled = np.empty_like(CUBE)
     shuffled[number] = CUBE
-    mesh = tetrahedra(unstructured(shuffled, [("hexahedron", [number])]))
+    mesh = split(unstructured(shuffled, [("hexahedron", [number])]))
     volumes = six_volumes(mesh.vertices, mesh.cells)
     assert (volumes > 0).all()
     assert volumes.sum() == pytest.approx(6, rel=1e-14)
@@ -90,7 +89,7 @@ def test_both_counts_of_tetrahedra_occur() -> None:
         number = random.permutation(8)
         shuffled = np.empty_like(CUBE)
         shuffled[number] = CUBE
-        counts.add(len(tetrahedra(unstructured(shuffled, [("hexahedron", [number])])).cells))
+        counts.add(len(split(unstructured(shuffled, [("hexahedron", [number])])).cells))
     assert counts == {5, 6}
 
 
@@ -99,7 +98,7 @@ def test_cells_of_all_kinds_are_split_alike_where_they_meet(seed: int) -> None:
     shape = (3, 4, 3)
     mesh = assembly(shape, seed)
     assert {kind for kind, _ in mesh.cells} == {"hexahedron", "wedge", "pyramid"}
-    found = tetrahedra(mesh)
+    found = split(mesh)
     volumes = six_volumes(found.vertices, found.cells)
     assert (volumes > 0).all()
     assert volumes.sum() == pytest.approx(6 * np.prod(shape), rel=1e-12)
@@ -114,7 +113,7 @@ def test_a_hexahedron_with_coincident_points_is_what_is_left() -> None:
     """A wedge that is written as a hexahedron: two edges of the top are one."""
     points = np.concatenate([CUBE[:6], [CUBE[5], CUBE[4]]])
     points[[4, 5, 6, 7], 1] = 0
-    found = tetrahedra(unstructured(points, [("hexahedron", [range(8)])]))
+    found = split(unstructured(points, [("hexahedron", [range(8)])]))
     assert found.report["collapsed"] == 1
     assert found.report["merged_points"] == 2
     assert six_volumes(found.vertices, found.cells).sum() == pytest.approx(3)
@@ -123,7 +122,7 @@ def test_a_hexahedron_with_coincident_points_is_what_is_left() -> None:
 
 def test_curved_cells_are_taken_by_their_corners() -> None:
     points = np.concatenate([ONE, (ONE[[0, 1, 2, 0, 1, 2]] + ONE[[1, 2, 0, 3, 3, 3]]) / 2])
-    found = tetrahedra(unstructured(points, [("tetra10", [range(10)]), ("triangle6", [range(6)])]))
+    found = split(unstructured(points, [("tetra10", [range(10)]), ("triangle6", [range(6)])]))
     assert len(found.cells) == 1
     assert len(found.vertices) == 4
     assert (found.report["curved"], found.report["points"]) == (1, 4)
@@ -174,15 +173,15 @@ def test_a_seam_is_open_until_its_points_are_merged() -> None:
     points, hexes = lattice((2, 1, 1))
     apart = np.concatenate([points[hexes[0]], points[hexes[1]] + (1e-9, 0, 0)])
     mesh = unstructured(apart, [("hexahedron", np.arange(16).reshape(2, 8))])
-    seam = tetrahedra(mesh)
+    seam = split(mesh)
     assert assert_matched(seam) == 24
-    whole = tetrahedra(mesh, merge_distance=2e-9)
+    whole = split(mesh, merge_distance=2e-9)
     assert assert_matched(whole) == 20
     assert whole.report["merged_points"] == 4
     assert len(whole.vertices) == 12
     touching = np.concatenate([points[hexes[0]], points[hexes[1]]])
     touching[0] = -0.0  # is 0.0
-    found = tetrahedra(unstructured(touching, mesh.cells))
+    found = split(unstructured(touching, mesh.cells))
     assert assert_matched(found) == 20
     assert found.report["merged_points"] == 4
 
@@ -190,7 +189,7 @@ def test_a_seam_is_open_until_its_points_are_merged() -> None:
 def test_the_first_point_keeps_its_scalar_and_the_others_are_counted() -> None:
     points = np.concatenate([ONE, ONE[[1, 2, 3]], [(1.0, 1.0, 1.0)]])
     scalars = np.array([0.0, 1, 2, 3, 1, 5, 3, 9])
-    found = tetrahedra(tet_mesh(points, [(0, 1, 2, 3), (4, 6, 5, 7)], scalars))
+    found = split(tet_mesh(points, [(0, 1, 2, 3), (4, 6, 5, 7)], scalars))
     assert found.report["merged_points"] == 3
     assert found.report["merged_scalars"] == 1
     assert found.scalars.tolist() == [0, 1, 2, 3, 9]
@@ -204,13 +203,13 @@ def test_too_many_pairs_are_refused() -> None:
         MemoryLimitError, match=r"a merge distance of 0\.5 compares more than 65,536"
     ):
         plan_tet(mesh, merge_distance=0.5).with_(max_pairs=1 << 16).run()
-    tetrahedra(mesh, 1e-6, max_pairs=1 << 16)
+    split(mesh, 1e-6, max_pairs=1 << 16)
 
 
 @pytest.mark.parametrize("distance", [-1.0, np.nan, np.inf])
 def test_no_merge_distance(distance: float) -> None:
     with pytest.raises(VoxtoolError, match="give a length from 0 on"):
-        tetrahedra(cube(5), distance)
+        split(cube(5), distance)
 
 
 # ---- turning and dropping
@@ -221,7 +220,7 @@ def test_inverted_cells_are_turned() -> None:
     ((_, cells),) = mesh.cells
     turned = cells.copy()
     turned[::3] = turned[::3][:, [0, 2, 1, 3]]
-    found, other = tetrahedra(mesh), tetrahedra(tet_mesh(mesh.points, turned))
+    found, other = split(mesh), split(tet_mesh(mesh.points, turned))
     assert (found.report["turned"], other.report["turned"]) == (0, 8)
     assert (six_volumes(other.vertices, other.cells) > 0).all()
     assert np.array_equal(np.sort(other.cells), np.sort(found.cells))
@@ -231,7 +230,7 @@ def test_inverted_cells_are_turned() -> None:
 def test_both_windings_of_wedges_are_in_use_and_not_counted() -> None:
     points = SOLIDS["wedge"]
     for cell in ([0, 1, 2, 3, 4, 5], [0, 2, 1, 3, 5, 4]):
-        found = tetrahedra(unstructured(points, [("wedge", [cell])]))
+        found = split(unstructured(points, [("wedge", [cell])]))
         assert found.report["turned"] == 0
         assert (six_volumes(found.vertices, found.cells) > 0).all()
 
@@ -272,7 +271,7 @@ def test_cells_of_zero_volume_are_dropped_and_counted() -> None:
     needle = ONE * (1, 1e-6, 1e-6) + (6, 0, 0)
     points = np.concatenate([ONE, flat, thin, needle, ONE[:1]])
     cells = [*np.arange(16).reshape(4, 4), (0, 1, 2, 16)]
-    found = tetrahedra(tet_mesh(points, cells))
+    found = split(tet_mesh(points, cells))
     assert found.report["zero_volume"] == 2
     assert found.report["coincident"] == 1
     assert found.report["flat"] == 1
@@ -282,7 +281,7 @@ def test_cells_of_zero_volume_are_dropped_and_counted() -> None:
 
 
 def test_a_cell_that_is_there_already_is_dropped() -> None:
-    found = tetrahedra(tet_mesh(CUBE, [(0, 1, 3, 4), (2, 1, 6, 3), (4, 3, 1, 0), (0, 3, 1, 4)]))
+    found = split(tet_mesh(CUBE, [(0, 1, 3, 4), (2, 1, 6, 3), (4, 3, 1, 0), (0, 3, 1, 4)]))
     assert found.report["duplicates"] == 2
     assert found.cells[0].tolist() == [0, 1, 3, 4]
     assert len(found.cells) == 2
@@ -290,7 +289,7 @@ def test_a_cell_that_is_there_already_is_dropped() -> None:
 
 def test_nothing_is_left() -> None:
     with pytest.raises(MeshError, match="all of its cells have zero volume"):
-        tetrahedra(tet_mesh(CUBE * (1, 1, 0), [(0, 1, 2, 7)]))
+        split(tet_mesh(CUBE * (1, 1, 0), [(0, 1, 2, 7)]))
 
 
 # ---- faces
@@ -326,7 +325,7 @@ def test_faces_are_matched_as_by_comparing_all(orders: list[list[int]]) -> None:
 def test_a_face_of_three_cells_has_no_neighbours() -> None:
     points = np.concatenate([ONE, [(1.0, 1.0, 1.0), (-1.0, -1.0, -1.0), (2.0, 2.0, 2.0)]])
     cells = oriented(points, np.array([(0, 1, 2, 3), (1, 2, 3, 4), (1, 2, 3, 6)]))
-    found = tetrahedra(tet_mesh(points, cells))
+    found = split(tet_mesh(points, cells))
     assert found.report["non_manifold_faces"] == 1
     assert (found.neighbours == -1).all()
     assert built(tet_mesh(points, cells)).report["boundary_faces"] == 12
@@ -334,7 +333,7 @@ def test_a_face_of_three_cells_has_no_neighbours() -> None:
 
 def test_cells_on_one_side_of_a_face_are_no_neighbours() -> None:
     points = np.concatenate([ONE, [(0.2, 0.2, 0.9)]])
-    found = tetrahedra(tet_mesh(points, [(0, 1, 2, 3), (0, 1, 2, 4)]))
+    found = split(tet_mesh(points, [(0, 1, 2, 3), (0, 1, 2, 4)]))
     assert found.report["folded_faces"] == 1
     assert (found.neighbours == -1).all()
 
@@ -363,7 +362,7 @@ def test_bad_meshes(cells, change, message: str) -> None:
     )
     for name, (where, value) in change.items():
         getattr(mesh, name)[where] = value
-    for build in (tetrahedra, build_tet):
+    for build in (split, build_tet):
         with pytest.raises(MeshError) as caught:
             build(mesh)
         assert message in str(caught.value)
@@ -385,7 +384,7 @@ def test_shapes_that_do_not_fit() -> None:
         (unstructured(ONE, cells, [np.array([np.nan])]), "s is not finite at 1 tetra, the first"),
     ):
         with pytest.raises(MeshError, match=message):
-            tetrahedra(mesh)
+            split(mesh)
 
 
 # ---- textures
@@ -475,7 +474,7 @@ def test_scalars_of_cells_are_constant() -> None:
     parts = []
     for (kind, block), value in zip(mesh.cells, values, strict=True):
         for cell, v in zip(block, value, strict=True):
-            one = tetrahedra(unstructured(mesh.points, [(kind, [cell])]))
+            one = split(unstructured(mesh.points, [(kind, [cell])]))
             parts.append(six_volumes(one.vertices, one.cells).sum() * v)
     assert total == pytest.approx(sum(parts), rel=1e-5)
     with pytest.raises(VoxtoolError, match="one a cell, and the layout projection holds"):
@@ -630,7 +629,9 @@ def test_flat_and_double_hexahedra_are_dropped() -> None:
     points = np.concatenate([CUBE, CUBE * (1, 1, 1e-16)])
     points[8:, 0] += 5
     cells = [range(8), range(8, 16), (4, 5, 6, 7, 0, 1, 2, 3)]
-    found = hexahedra(unstructured(points, [("hexahedron", cells)], [np.array([1.0, 2.0, 3.0])]))
+    found = hexahedra(
+        volume_cells(unstructured(points, [("hexahedron", cells)], [np.array([1.0, 2.0, 3.0])]))
+    )
     assert (found.report["duplicates"], found.report["flat"]) == (1, 1)
     assert found.scalars.tolist() == [1]
     assert len(found.vertices) == 8
@@ -650,7 +651,7 @@ def shaped(cells: int, vertices: int, layout: str) -> TetVolume:
         np.zeros((4, cells, floats), np.float32),
         np.zeros((cells, floats), np.float32),
         np.zeros((cells, 2), np.int32) if layout == "projection" else None,
-        block_ranges(np.zeros(cells, np.float32), np.zeros(cells, np.float32)),
+        np.zeros((-(-cells // BLOCK), 2), np.float32),
         (0.0, 0.0, 0.0),
         1.0,
         (0.0, 1.0),

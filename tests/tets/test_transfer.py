@@ -284,8 +284,18 @@ def test_an_extinction_beyond_float32_is_refused(scale: float) -> None:
 # ---- cutting [TetVol, section 4.2]
 
 
+def crossings(count: int) -> np.ndarray:
+    """The control points that a ray crosses first and next, or -1, for each pair of intervals of
+    s_f and s_b: (count + 1, count + 1, 2), the texture of [TetVol, figure 28]."""
+    front, back = np.indices((count + 1, count + 1))
+    up, down = back > front, back < front
+    first = np.where(up, front, np.where(down, front - 1, -1))
+    following = np.where(up, front + 1, np.where(down, front - 2, -1))
+    return np.stack([first, np.where(following >= count, -1, following).clip(-1)], -1)
+
+
 def test_figure_28() -> None:
-    table = function(FIGURE_28).local(volume()).crossings()
+    table = crossings(len(FIGURE_28))
 
     def texture(s_f: float, s_b: float) -> list[float]:
         i, j = np.searchsorted(FIGURE_28, [s_f, s_b], side="right")
@@ -303,7 +313,7 @@ def test_figure_28() -> None:
 
 def listing(local: LocalTransfer, s_f: float, s_b: float) -> list[float]:
     """Where the pieces of a segment end, by the listing of [TetVol]; all points differ."""
-    ends, table = [], local.crossings()
+    ends, table = [], crossings(len(local.points))
     while True:
         i, j = np.searchsorted(local.points, [s_f, s_b], side="right")
         s_iso, following = (float(local.points[k]) if k >= 0 else -1.0 for k in table[i, j])

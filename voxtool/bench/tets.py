@@ -20,6 +20,7 @@ from voxtool.files import read_unstructured
 from voxtool.rendering import plan_render, render
 from voxtool.selftest.reference import reference
 from voxtool.tets.conforming import tetrahedra
+from voxtool.tets.mesh import volume_cells
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 
@@ -40,7 +41,7 @@ def measure(bench: Bench) -> Iterator[Point | Ablation]:
     """The points and ablations of a volume."""
     asked = bench.request
     mesh = read_unstructured(bench.model, asked.scalar, asked.component)
-    cells = tetrahedra(mesh)
+    cells = tetrahedra(volume_cells(mesh))
     # either method draws either layout, and only "raycast" holds scalars of cells
     volumes = {
         method: build_tet(mesh, "raycast" if mesh.constant else method) for method in asked.methods

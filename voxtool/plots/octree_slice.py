@@ -29,7 +29,7 @@ BLUE_LINES = [(62, 102, 160), (82, 131, 188), (118, 163, 209), (150, 187, 224), 
 
 
 def palette() -> list[int]:
-    """Red, green and blue of each colour number: OUTSIDE, SET + level, and these + LINE."""
+    """Return red, green and blue of each colour number: OUTSIDE, SET + level, and these + LINE."""
     plain = [PAPER, *BLUES, *BLUES[-1:] * LINE][:LINE]
     crossed = [PAPER_LINE, *BLUE_LINES, *BLUE_LINES[-1:] * LINE][:LINE]
     return [component for colour in (*plain, *crossed) for component in colour]
@@ -76,7 +76,7 @@ def draw_octree_slice(octree: Octree, axis: str = "z", value: int | None = None)
 
 
 def _middle(octree: Octree, axis: int) -> int:
-    """The layer in the middle of what is set; of the grid, where nothing is."""
+    """Return the layer in the middle of the set voxels, or of the grid if there are none."""
     low, high = octree.grid.shape[axis], 0
     for level in octree.levels():
         held = level.inside if level.number else octree.bricks != 0
@@ -87,15 +87,12 @@ def _middle(octree: Octree, axis: int) -> int:
 
 
 def _outline(picture: np.ndarray, level: Leaves, chosen: slice, scale: int) -> None:
-    """A line along the low sides of each leaf; the neighbour draws the others."""
+    """Draw a line along the low sides of each leaf; the other sides are those of neighbours."""
     if level.side * scale < LEAST_CELL:
         return
     height, width = picture.shape
     side = level.side * scale
     for row, column in (level.corners[chosen, 1:] * scale).tolist():
         if row < height and column < width:
-            for edge in (
-                picture[row, column : column + side],
-                picture[row : row + side, column],
-            ):
+            for edge in (picture[row, column:][:side], picture[row:, column][:side]):
                 edge[edge < LINE] += LINE

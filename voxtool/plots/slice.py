@@ -2,7 +2,7 @@
 
 Red is inside, blue outside. Isolines are at round distances, the thick one at 0. Thin squares are
 the leaves that are large enough to be seen. The two remaining axes run right and up in the order x,
-y, z, in world units. Matplotlib draws it, so the pixels depend on that library's version.
+y, z, in world units.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.errors import FileError, VoxtoolError
+from voxtool.errors import VoxtoolError
 from voxtool.memory import check_memory
+from voxtool.plots.canvas import drawn, need_matplotlib
 
 if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 AXES = "xyz"
 LEAST_LEAF = 4  # pixels: smaller leaves get no lines
 ISOLINES = 9  # of each sign, at most
-DPI = 100  # at which text has its size
 MARGINS = (0.1, 0.02, 0.11, 0.05)  # left, right, bottom, top; of the picture's width
 BAR = (0.03, 0.025, 0.08)  # from the plot to the scale, its width, and what its numbers take
 BYTES = 400  # a pixel, at most: the answer, the isolines, the picture
@@ -39,15 +39,13 @@ def draw_slice(
 
     Parameters
     ----------
-    query : the field, on its device.
-    axis : "x", "y" or "z", the normal of the plane.
-    value : coordinate of the plane along that axis, in world units.
+    axis, value : normal of the plane, "x", "y" or "z", and its coordinate there, world units.
     size : width of the picture in pixels.
 
     Returns
     -------
-    picture : (H, size, 4) float32, premultiplied, top row first; voxtool.write_picture writes it.
-    answer : what the field says at the pixels of the plot, row by row from the lowest.
+    picture : (H, size, 4) float32, premultiplied, top row first.
+    answer : the field at the pixels of the plot, row by row from the lowest.
 
     Raises
     ------
@@ -55,29 +53,38 @@ def draw_slice(
     FileError : matplotlib is missing.
     MemoryLimitError : the picture does not fit in memory.
     """
-    try:
-        import matplotlib
-    except ImportError:
-        raise FileError("pictures need matplotlib: pip install 'voxtool[pictures]'") from None
+    need_matplotlib("pictures")
     check_plane(query.field, axis, value)
     check_memory(BYTES * size * size, f"a picture {size} pixels wide", "choose a smaller --size")
+    field, normal = query.field, AXES.index(axis)
+    across, up = (a for a in AXES if a != axis)
     left, right, bottom, top = MARGINS
-    width = 1 - left - right - sum(BAR)
-    count = round(width * size)
-    normal = AXES.index(axis)
-    answer = query(_plane_points(query.field, normal, value, count), cell=True)
-    with matplotlib.rc_context(dict(matplotlib.rcParamsDefault)):  # whatever the user prefers
-        picture = _draw(query.field, answer, normal, value, (size, width, width + bottom + top))
-    return picture, answer
+    width = 1 - left - right - sum(BAR)  # of the plot; widths of the picture are the unit
+    height = width + bottom + top
+    answer = query(_plane_points(field, normal, value, round(width * size)), cell=True)
+    unit = f" ({field.units})" if field.units else ""
+
+    def paint(figure: Any) -> None:
+        low, high = bottom / height, width / height
+        plot = figure.add_axes((left, low, width, high))
+        bar = figure.add_axes((left + width + BAR[0], low, BAR[1], high))
+        step = _draw_distances(figure, plot, bar, field, answer, normal)
+        leaves = _outline_leaves(plot, field, answer, normal)
+        plot.set_xlabel(f"{across}{unit}", fontsize=9)
+        plot.set_ylabel(f"{up}{unit}", fontsize=9)
+        plot.set_title(f"{axis} = {value:g}{unit}", fontsize=11, pad=8)
+        plot.tick_params(labelsize=8)
+        bar.tick_params(labelsize=8)
+        bar.set_title(f"distance{unit}", fontsize=8, pad=8)
+        spacing = f"{step:g} {field.units}".strip()
+        legend = f"red inside, blue outside; isolines every {spacing}, thick at 0; {leaves}"
+        figure.text(left, 0.02 / height, legend, fontsize=8, color="#404040")
+
+    return drawn(size, height * size, paint, face="white"), answer
 
 
 def check_plane(field: DistanceField, axis: str, value: float) -> None:
-    """Check that a plane crosses the field's cube.
-
-    Raises
-    ------
-    VoxtoolError : names the range of the cube.
-    """
+    """Raise VoxtoolError, which names the range of the field's cube, if a plane misses it."""
     if axis not in AXES or len(axis) != 1:
         raise VoxtoolError(f"axis {axis!r} is unknown: choose x, y or z")
     low = field.origin[AXES.index(axis)]
@@ -88,47 +95,10 @@ def check_plane(field: DistanceField, axis: str, value: float) -> None:
         )
 
 
-def _draw(
-    field: DistanceField,
-    answer: QueryResult,
-    normal: int,
-    value: float,
-    sizes: tuple[int, float, float],
-) -> np.ndarray:
-    """The figure as (H, W, 4) float32; `sizes` are its width in pixels, and the plot's width and
-    the figure's height as parts of that."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    size, width, height = sizes
-    left, bottom = MARGINS[0], MARGINS[2]
-    unit = f" ({field.units})" if field.units else ""
-    inches = ((size + 0.01) / DPI, (height * size + 0.01) / DPI)
-    figure = Figure(figsize=inches, dpi=DPI, facecolor="white")
-    canvas = FigureCanvasAgg(figure)
-    box = (left, bottom / height, width, width / height)
-    plot = figure.add_axes(box)
-    bar = figure.add_axes((left + width + BAR[0], box[1], BAR[1], box[3]))
-    step = _draw_distances(figure, plot, bar, field, answer, normal)
-    drawn = _outline_leaves(plot, field, answer, normal)
-    across, up = (axis for axis in range(3) if axis != normal)
-    plot.set_xlabel(f"{AXES[across]}{unit}", fontsize=9)
-    plot.set_ylabel(f"{AXES[up]}{unit}", fontsize=9)
-    plot.set_title(f"{AXES[normal]} = {value:g}{unit}", fontsize=11, pad=8)
-    plot.tick_params(labelsize=8)
-    bar.tick_params(labelsize=8)
-    bar.set_title(f"distance{unit}", fontsize=8, pad=8)
-    spacing = f"{step:g} {field.units}".strip()
-    legend = f"red inside, blue outside; isolines every {spacing}, thick at 0; {drawn}"
-    figure.text(left, 0.02 / height, legend, fontsize=8, color="#404040")
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba()).astype(np.float32) / 255
-
-
 def _draw_distances(
     figure: Any, plot: Any, bar: Any, field: DistanceField, answer: QueryResult, normal: int
 ) -> float:
-    """Draw the colours, the isolines and the scale; the step between isolines."""
+    """Draw the colours, the isolines and the scale; return the step between isolines."""
     from matplotlib.colors import LinearSegmentedColormap
 
     count = math.isqrt(len(answer.distance))
@@ -162,8 +132,8 @@ def _draw_distances(
 
 
 def _plane_points(field: DistanceField, normal: int, value: float, count: int) -> np.ndarray:
-    """(count**2, 3) float64: centres of count x count pixels on the plane, row by row from the
-    lowest."""
+    """Return the centres of count x count pixels on the plane, row by row from the lowest,
+    (count**2, 3) float64."""
     places = (np.arange(count) + 0.5) * (field.side / count)
     points = np.empty((count, count, 3))
     across, up = (axis for axis in range(3) if axis != normal)
@@ -174,7 +144,7 @@ def _plane_points(field: DistanceField, normal: int, value: float, count: int) -
 
 
 def _outline_leaves(plot: Any, field: DistanceField, answer: QueryResult, normal: int) -> str:
-    """Draw squares around the leaves that are large enough; a phrase that says which ones."""
+    """Draw squares around the leaves that are large enough; return a phrase that says which."""
     from matplotlib.collections import LineCollection
 
     assert answer.level is not None
@@ -203,13 +173,13 @@ def _outline_leaves(plot: Any, field: DistanceField, answer: QueryResult, normal
 
 
 def colour_stops() -> list[tuple[float, str]]:
-    """Places from 0 to 1 and their colours, with a step in the middle, at the surface."""
+    """Return places from 0 to 1 and their colours, with a step at the surface, in the middle."""
     places = np.linspace(0, 0.5, len(INSIDE)), np.linspace(0.5, 1, len(OUTSIDE))
     return [*zip(places[0].tolist(), INSIDE, strict=True),
             *zip(places[1].tolist(), OUTSIDE, strict=True)]  # fmt: skip
 
 
 def round_step(least: float) -> float:
-    """The smallest of 1, 2 and 5 times a power of ten that is at least a positive number."""
+    """Return the smallest of 1, 2 and 5 times a power of ten that is at least `least`, > 0."""
     power = 10.0 ** math.floor(math.log10(least))
     return next(float(f"{step * power:.0e}") for step in (1, 2, 5, 10) if step * power >= least)

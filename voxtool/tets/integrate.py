@@ -34,8 +34,9 @@ HEADERS = {
 class Integral:
     """A transfer function on a device, and an integrator.
 
-    lanes : rays that a work-item follows side by side.
-    arguments : of kernels, by name; options : of kernels.
+    lanes : rays that a work-item follows side by side, 1 or 16; by default what suits the device.
+    arguments, options : of kernels, by name.
+    table : scalars and lengths along the sides of the pre-integrated table.
     """
 
     def __init__(
@@ -47,17 +48,6 @@ class Integral:
         lanes: int | None = None,
         table: tuple[int, int] = TABLE,
     ) -> None:
-        """
-        Parameters
-        ----------
-        integrator : as integrator_of takes it.
-        lanes : 1 or 16; by default what suits the device.
-        table : scalars and lengths along the sides of the pre-integrated table.
-
-        Raises
-        ------
-        VoxtoolError : an unknown integrator.
-        """
         name, samples = integrator_of(integrator)
         device = on_device.device
         self.lanes = lanes or device.lanes
@@ -69,36 +59,27 @@ class Integral:
             "longest": 1,
             "samples": samples,
         }
-        self.options: dict[str, int | str] = {
-            "LANES": self.lanes,
-            "INTEGRATOR": name.upper(),
-            **({"CONSTANT": 1} if volume.constant else {}),
-        }
+        self.options: dict[str, int | str] = {"LANES": self.lanes, "INTEGRATOR": name.upper()}
+        if volume.constant:
+            self.options["CONSTANT"] = 1
         if name == "preintegrated":
             self.options |= {"SCALARS": table[0], "LENGTHS": table[1]}
             self.arguments["longest"] = on_device.longest(volume)
-            self.arguments["table"] = self._preintegrate(device, table)
+            self.arguments["table"] = self._preintegrate(device, *table)
 
-    def _preintegrate(self, device: Device, sides: tuple[int, int]) -> Array:
-        """The pre-integrated transfer function: (scalars, scalars, lengths, 4) float32."""
-        scalars, lengths = sides
+    def _preintegrate(self, device: Device, scalars: int, lengths: int) -> Array:
+        """Return the pre-integrated transfer function, (scalars, scalars, lengths, 4) float32."""
         entries = scalars * scalars * lengths
         with device.stage("preintegrate"):
             table = device.empty(4 * entries, np.float32)
-            kernel = device.kernel(
-                SOURCE, "preintegrate", LANES=1, SCALARS=scalars, LENGTHS=lengths
-            )
+            options = {"LANES": 1, "SCALARS": scalars, "LENGTHS": lengths}
+            kernel = device.kernel(SOURCE, "preintegrate", **options)
             kernel(entries, **{**self.arguments, "table": table})
         return table
 
 
 def integrator_of(text: str) -> tuple[str, int]:
-    """The name of an integrator, and its samples a cell.
-
-    Raises
-    ------
-    VoxtoolError : there is none of this name.
-    """
+    """Return the name of an integrator and its samples a cell; raise VoxtoolError if unknown."""
     found = re.fullmatch(r"([a-z]+)(?::([0-9]{1,4}))?", text)
     name, count = (found[1], found[2]) if found else ("", None)
     if name not in INTEGRATORS or (count is not None) != (name == "sampled"):

@@ -1,73 +1,67 @@
-"""Merging of points: those at one place, and those within a distance of each other."""
+"""Merging of points at one position, or within a distance of each other."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voxtool.errors import MemoryLimitError, VoxtoolError
+from voxtool.mesh.topology import components
 from voxtool.tets.mesh import VolumeCells, check_finite
 from voxtool.vector import dot
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from voxtool.tets.mesh import UnstructuredMesh
-
 MAX_PAIRS = 1 << 27  # pairs of points that are compared
 PAIRS = 1 << 22  # pairs that are compared at a time
 
 
 def merged_cells(
-    mesh: UnstructuredMesh,
-    found: VolumeCells,
-    merge_distance: float,
-    max_pairs: int = MAX_PAIRS,
+    found: VolumeCells, merge_distance: float, max_pairs: int = MAX_PAIRS
 ) -> VolumeCells:
-    """The volume cells with the points that they use, coincident points merged.
+    """Return cells with the points that they use. Points at one position (-0.0 equals 0.0), or
+    within the merge distance directly or through others, become the first of them.
 
-    Parameters
-    ----------
-    found : the mesh's volume cells.
-    merge_distance : points this near become one, world units; 0 merges those at one place.
-    max_pairs : pairs of points, beyond which the work is refused.
+    merge_distance : world units; max_pairs : pairs of points that are compared at most.
 
     Raises
     ------
-    MeshError : a point or a scalar that is not finite.
-    VoxtoolError : a distance that is none.
-    MemoryLimitError : more than max_pairs points to be compared.
+    MeshError : a point or a scalar is not finite.
+    VoxtoolError : the distance is not a length.
+    MemoryLimitError : more than max_pairs pairs would be compared.
     """
-    where = mesh.name or "mesh"
     if not 0 <= merge_distance < math.inf:
         raise VoxtoolError(f"a merge distance of {merge_distance:g}: give a length from 0 on")
-    points, blocks, scalars, report = found.points, found.blocks, found.scalars, {**found.report}
+    points, scalars = found.points, found.scalars
     used = np.zeros(len(points), bool)
-    for _, block in blocks:
+    for _, block in found.blocks:
         used[block.ravel()] = True
     number = np.cumsum(used) - 1
-    check_finite(where, points, used, "point", "the position")
-    if not mesh.constant:
-        check_finite(where, scalars, used, "point", mesh.scalar)
+    check_finite(found.name, points, used, "point", "the position")
+    if not found.constant:
+        check_finite(found.name, scalars, used, "point", found.scalar)
         scalars = scalars[used]
     points = points[used]
     first = first_at_place(points)
     if merge_distance > 0:
         first = first_within(points, first, merge_distance, max_pairs)
-    merged = first != np.arange(len(points))
-    report["points"] = len(points)
-    report["merged_points"] = int(np.count_nonzero(merged))
-    report["merged_scalars"] = 0
-    if not mesh.constant:
-        report["merged_scalars"] = int(np.count_nonzero(scalars != scalars[first]))
-    blocks = [(kind, first[number[block]]) for kind, block in blocks]
-    return VolumeCells(points, blocks, scalars, report)
+    other = 0 if found.constant else int(np.count_nonzero(scalars != scalars[first]))
+    report = {
+        **found.report,
+        "points": len(points),
+        "merged_points": int(np.count_nonzero(first != np.arange(len(points)))),
+        "merged_scalars": other,
+    }
+    blocks = [(kind, first[number[block]]) for kind, block in found.blocks]
+    return replace(found, points=points, blocks=blocks, scalars=scalars, report=report)
 
 
 def first_at_place(points: np.ndarray) -> np.ndarray:
-    """Return the first point at the position of each, (P,) int64; -0.0 equals 0.0."""
+    """Return the number of the first point at the position of each, (P,) int64; -0.0 equals 0.0."""
     order = np.lexsort(points.T)  # stable, so the first of a run comes first
     new = np.ones(len(order), bool)
     new[1:] = (points[order[1:]] != points[order[:-1]]).any(axis=1)
@@ -79,7 +73,8 @@ def first_at_place(points: np.ndarray) -> np.ndarray:
 def first_within(
     points: np.ndarray, first: np.ndarray, distance: float, max_pairs: int = MAX_PAIRS
 ) -> np.ndarray:
-    """(P,) int64: the first point of each chain of points no further than `distance` apart."""
+    """Return the number of the first point of each chain of points at most `distance` apart, (P,)
+    int64."""
     kept = np.flatnonzero(first == np.arange(len(points)))
     low = points[kept].min(axis=0)
     side = max(distance, float((points[kept].max(axis=0) - low).max()) * 2.0**-20)
@@ -104,12 +99,12 @@ def first_within(
             near = dot(d, d) <= 1
             ones.append(order[a[near]])
             others.append(order[b[near]])
-    label = _components(len(kept), np.concatenate(ones), np.concatenate(others))
+    label = components(np.concatenate(ones), np.concatenate(others), len(kept))
     number = np.cumsum(first == np.arange(len(points))) - 1
     return kept[label][number[first]]
 
 
-# Of a cell of the grid those that follow it, itself first, as differences of their keys.
+# Differences of the keys of a cell of the grid and of those that follow it; its own is first.
 _FORWARD = [0] + [
     (dx << 42) + (dy << 21) + dz
     for dx in (-1, 0, 1)
@@ -120,7 +115,7 @@ _FORWARD = [0] + [
 
 
 def _expanded(begin: np.ndarray, count: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Each i with begin[i], ..., begin[i] + count[i] - 1, a bounded number at a time."""
+    """Yield pairs of each i with begin[i], ..., begin[i] + count[i] - 1, some PAIRS at a time."""
     ends = np.cumsum(count)
     start = 0
     while start < len(count):
@@ -131,15 +126,3 @@ def _expanded(begin: np.ndarray, count: np.ndarray) -> Iterator[tuple[np.ndarray
         b = np.arange(len(a)) - np.repeat(ends[start:stop] - n - done, n) + begin[a]
         yield a, b
         start = stop
-
-
-def _components(count: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(count,) int64: the least number that each is joined to by pairs (a, b)."""
-    label = np.arange(count)
-    while True:
-        low, high = np.minimum(label[a], label[b]), np.maximum(label[a], label[b])
-        if np.array_equal(low, high):
-            return label
-        np.minimum.at(label, high, low)
-        while not np.array_equal(label[label], label):
-            label = label[label]

@@ -7,9 +7,9 @@ from typing import Any
 
 from voxtool.errors import MemoryLimitError, human
 from voxtool.job import Cost
+from voxtool.tets.cells import PIECES
 from voxtool.tets.merge import MAX_PAIRS
 
-PIECES = {"tetra": 1, "pyramid": 2, "wedge": 3, "hexahedron": 6}  # tetrahedra of a cell, at most
 CELL_BYTES = {"raycast": 116, "projection": 104, "hexahedra": 186}  # of its textures, with vertices
 WORK_BYTES = {"raycast": 560, "projection": 560, "hexahedra": 2400}  # at most about: measured
 POINT_BYTES = 150  # of a point, while coincident ones are merged
@@ -21,8 +21,7 @@ class VolumePlan:
 
     layout, merge_distance : as asked.
     cells : of the mesh, by kind; ignored : cells that are no volumes, by kind.
-    points : of the mesh.
-    constant : whether the scalar is one a cell.
+    points : of the mesh; constant : whether each cell has one scalar.
     max_pairs : pairs of points, compared for merging, beyond which the work is refused.
     """
 
@@ -42,7 +41,7 @@ class VolumePlan:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not done or stored, and why."""
+        """Reasons by the name of what is not done or stored."""
         out = {}
         if self.cells.keys() == {"tetra"}:
             out["splitting"] = "every cell is a tetrahedron"
@@ -61,9 +60,8 @@ class VolumePlan:
     @property
     def predicted_cells(self) -> int:
         """The largest possible number of cells."""
-        if self.layout == "hexahedra":
-            return sum(self.cells.values())
-        return sum(PIECES[kind] * count for kind, count in self.cells.items())
+        pieces = dict.fromkeys(PIECES, 1) if self.layout == "hexahedra" else PIECES
+        return sum(pieces[kind] * count for kind, count in self.cells.items())
 
     @property
     def volume_bytes(self) -> int:
@@ -71,38 +69,29 @@ class VolumePlan:
         return CELL_BYTES[self.layout] * self.predicted_cells
 
     @property
-    def work_bytes(self) -> int:
-        """Predicted peak of memory, at most about."""
-        return WORK_BYTES[self.layout] * self.predicted_cells + POINT_BYTES * self.points
+    def cost(self) -> Cost:
+        """The approximate peak of memory, on the host."""
+        work = WORK_BYTES[self.layout] * self.predicted_cells
+        return Cost(0, host=work + POINT_BYTES * self.points)
 
     def scene(self) -> dict[str, Any]:
-        """What the plan says of the mesh, to be stored with the output: JSON types only."""
-        return {
-            "cells": self.cells,
-            "ignored": self.ignored,
-            "points": self.points,
-            "stages": self.stages,
-            "left_out": self.left_out,
-        }
+        """Return the part of the plan that is stored with the output, in JSON types."""
+        names = ("cells", "ignored", "points", "stages", "left_out")
+        return {name: getattr(self, name) for name in names}
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it, the costs included: JSON types only."""
+        """All of the plan in JSON types."""
         return {
             "layout": self.layout,
             "merge_distance": self.merge_distance,
             **self.scene(),
             "predicted_cells": self.predicted_cells,
             "predicted_volume_bytes": self.volume_bytes,
-            "predicted_work_bytes": self.work_bytes,
+            "predicted_work_bytes": self.cost.host,
         }
 
-    @property
-    def cost(self) -> Cost:
-        """The memory that the work will take at most, about."""
-        return Cost(0, host=self.work_bytes)
-
     def rows(self) -> list[tuple[str, str]]:
-        """What `--plan` prints before the stages."""
+        """Names and texts, which `--plan` prints before the stages."""
         read = ", ".join(f"{count:,} {kind}" for kind, count in self.cells.items())
         return [
             ("volume", f"layout {self.layout}, merge distance {self.merge_distance:g}"),
@@ -111,14 +100,13 @@ class VolumePlan:
         ]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the work needs more bytes of memory; the message says what
-        would fit."""
-        del max_allocation  # it runs on the host
-        if self.work_bytes <= max_memory:
-            return
-        fits = self.predicted_cells * max_memory // self.work_bytes
-        raise MemoryLimitError(
-            f"{self.predicted_cells:,} cells would need {human(self.work_bytes)} of memory, of "
-            f"{human(max_memory)} allowed: about {fits:,} fit; cut the mesh into parts, or see "
-            "--max-memory"
-        )
+        """Raise MemoryLimitError if the work needs more bytes than max_memory; the message says
+        how many cells fit. There is no limit to an allocation on the host."""
+        needed = self.cost.host
+        if needed > max_memory:
+            fits = self.predicted_cells * max_memory // needed
+            raise MemoryLimitError(
+                f"{self.predicted_cells:,} cells would need {human(needed)} of memory, of "
+                f"{human(max_memory)} allowed: about {fits:,} fit; cut the mesh into parts, or see "
+                "--max-memory"
+            )

@@ -4,22 +4,21 @@ Cells are projected as in [TetVol, sections 3.1 and 4.1.1], but each ray is clip
 a cell. A fragment is the segment of a ray in a cell: from the greatest depth of the planes by which
 the ray enters to the least depth of those by which it leaves.
 
-Why the order is right: no order of cells serves all rays, because three long cells may overlap in a
-cycle. So fragments are sorted on each ray by where they begin, and by the number of the cell where
-two begin together. The cells of a tile are processed by the depth of their nearest vertex. No
-fragment begins before its cell's nearest vertex; once a cell is reached whose nearest vertex is
-behind the beginning of a fragment, no later cell can precede that fragment, and it is composited.
-The others stay in a small sorted buffer. If it overflows, the nearest are kept and the first that
-did not fit is recorded: nothing from there on is composited in this pass, and another pass over the
-tile's list begins behind the last fragment that was. Each pass composites at least as many
-fragments as the buffer holds, and all passes compute the same numbers, so every fragment is
-composited once and in order, with cycles too, whatever the size of the buffer.
+No order of cells is right for all rays, because three long cells may overlap in a cycle. So each
+ray sorts its fragments by where they begin, and by the number of the cell where two begin together.
+The cells of a tile are processed by the depth of their nearest vertex, and no fragment begins
+before that of its cell. So a fragment is composited once the next cell's nearest vertex is behind
+its beginning; until then it waits in a small sorted buffer. If the buffer overflows, it keeps the
+nearest fragments and records the first that did not fit. Nothing from there on is composited in
+this pass; another pass begins behind the last fragment that was. Each pass composites at least as
+many fragments as the buffer holds, and all passes compute the same numbers. So each fragment is
+composited once and in order, also in cycles, whatever the size of the buffer.
 
-Depths are computed as in the ray caster, so of two cells that share a face one ends and the other
-begins at the same depth. Where cells overlap in space, the later begins where the earlier ended.
-The pictures of the two methods differ by the rounding of depths and scalars at entries: colours by
-at most 1e-5 where the extinction is up to 20 per half of the mesh's size, and in proportion beyond.
-Excluded are cells that overlap in space, and constant cells on rays in the plane of a face between
+Depths are those of the ray caster: of two cells that share a face, one ends and the other begins at
+the same depth. Where cells overlap in space, the later one begins where the earlier one ended. The
+pictures of both methods differ by the rounding of depths and scalars at entries: colours by at most
+1e-5 where the extinction is up to 20 per half of the mesh's size, and in proportion beyond. This
+excludes cells that overlap in space, and constant cells on rays in the plane of a face between
 them, where either cell is right.
 
 Kernels: kernels/tets/project.cl.
@@ -68,18 +67,12 @@ class Projection:
     passes: int
 
 
-@dataclass(frozen=True)
-class _Tiles:
-    """The cells of each tile by depth: those of tile i are cells[ends[2 i]] to
-    cells[ends[2 i + 1]]."""
-
-    cells: Array
-    ends: Array
-    pairs: int
-
-
 class CellProjection:
-    """The projection of the cells that a transfer function shows, for one viewpoint."""
+    """The projection of the cells that a transfer function shows, for one viewpoint.
+
+    pending : fragments of a ray that the buffer holds.
+    max_pairs : pairs of a cell and a tile, beyond which the picture is refused.
+    """
 
     def __init__(
         self,
@@ -91,12 +84,6 @@ class CellProjection:
         pending: int = PENDING,
         max_pairs: int = MAX_PAIRS,
     ) -> None:
-        """
-        Parameters
-        ----------
-        pending : fragments of a ray that the buffer holds.
-        max_pairs : pairs of a cell and a tile, beyond which the picture is refused.
-        """
         self.volume, self.shown, self.view, self.integral = volume, shown, view, integral
         self.device, self.max_pairs = volume.device, max_pairs
         width, height = view.rays.size
@@ -114,15 +101,18 @@ class CellProjection:
         with self.device.stage("cell projection"):
             records, cells = self._project_cells()
         with self.device.stage("tile lists"):
-            tiles = self._list_tiles(records, cells)
+            pair_cells, ends = self._list_tiles(records, cells)
         with self.device.stage("compositing"):
-            return self._composite(records, cells, tiles)
+            picture, tallies = self._composite(records, pair_cells, ends)
+        fragments, passes = tallies.reshape(-1, 2).T
+        total = int(fragments.sum(dtype=np.uint64))
+        return Projection(picture, cells.size, pair_cells.size, total, int(passes.max()))
 
     def _kernel(self, name: str) -> Callable[..., None]:
         return self.device.kernel(SOURCE, name, **self.options)
 
     def _project_cells(self) -> tuple[Array, Array]:
-        """The cells' records, and the cells that may be in the picture, by depth."""
+        """Return the cells' records, and the cells that may be in the picture, by depth."""
         device, count = self.device, self.volume.cells
         records = device.empty(4 * (self.volume.faces + 2) * count, np.float32)
         starts = device.empty(count + 1, np.uint32)
@@ -143,8 +133,9 @@ class CellProjection:
         )
         return records, radix_sort(depths, seen, 32, listed)[1]
 
-    def _list_tiles(self, records: Array, cells: Array) -> _Tiles:
-        """The cells of each tile; sorting is stable, so they stay in order of depth."""
+    def _list_tiles(self, records: Array, cells: Array) -> tuple[Array, Array]:
+        """Return the cells of all tiles, each tile's by depth, and where tiles begin and end: tile
+        i has the cells from ends[2 i] to ends[2 i + 1]."""
         device, seen = self.device, cells.size
         starts = device.empty(seen + 1, np.uint32)
         listed = {"records": records, "listed": cells}
@@ -167,13 +158,17 @@ class CellProjection:
             pair_cells=pair_cells,
         )
         tiles = self.tiles_across * self.tiles_down
-        pair_tiles, pair_cells = radix_sort(pair_tiles, pairs, (tiles - 1).bit_length(), pair_cells)
+        bits = (tiles - 1).bit_length()
+        # sorting is stable, so the cells of a tile stay in the order of their depth
+        pair_tiles, pair_cells = radix_sort(pair_tiles, pairs, bits, pair_cells)
         ends = device.zeros(2 * tiles, np.uint32)
         self._kernel("find_tiles")(pairs, pair_tiles=pair_tiles, ends=ends)
-        return _Tiles(pair_cells, ends, pairs)
+        return pair_cells, ends
 
-    def _composite(self, records: Array, cells: Array, tiles: _Tiles) -> Projection:
-        """The picture: the fragments of each ray, in order."""
+    def _composite(
+        self, records: Array, pair_cells: Array, ends: Array
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the picture, and fragments and passes of each work-item."""
         device, lanes = self.device, self.integral.lanes
         width, height = self.view.rays.size
         items = self.tiles_across * self.tiles_down * TILE * TILE // lanes
@@ -185,14 +180,10 @@ class CellProjection:
             **self.integral.arguments,
             **self.view.arguments,
             records=records,
-            pair_cells=tiles.cells,
-            ends=tiles.ends,
+            pair_cells=pair_cells,
+            ends=ends,
             picture=picture,
             tallies=tallies,
             local=1 if lanes > 1 else TILE * TILE,
         )
-        pixels = picture.take().reshape(height, width, 4)
-        fragments, passes = tallies.get().reshape(-1, 2).T
-        return Projection(
-            pixels, cells.size, tiles.pairs, int(fragments.sum(dtype=np.uint64)), int(passes.max())
-        )
+        return picture.take().reshape(height, width, 4), tallies.get()

@@ -51,7 +51,7 @@ def cast(
     eye_cells = eye_cells[shown.kept[eye_cells // BLOCK]].astype(np.uint32)
     slots = MANY_SLOTS if inside or volume.layout == "hexahedra" else SLOTS
     records = set_up_cells(on_device, shown, view, slots)
-    entries = ray_entries(on_device, shown, view, max_entries)
+    ends, entries = ray_entries(on_device, shown, view, max_entries)
     width, height = view.rays.size
     tiles, lanes = -(-width // 4) * -(-height // 4), integral.lanes
     with device.stage("ray casting"):
@@ -62,8 +62,8 @@ def cast(
             **integral.arguments,
             **view.arguments,
             records=records,
-            ends=entries.ends,
-            entries=entries.entries,
+            ends=ends,
+            entries=entries,
             eye_cells=device.put(eye_cells),
             eye_count=len(eye_cells),
             picture=picture,

@@ -14,7 +14,7 @@ from voxtool.tets.integrate import TABLE, Integral, integrator_of
 from voxtool.tets.project import MAX_PAIRS, PENDING, CellProjection, Projection
 from voxtool.tets.raycast import cast
 from voxtool.tets.transfer import LocalTransfer, TransferFunction, default_transfer
-from voxtool.tets.view import MAX_ENTRIES, DeviceVolume, Viewpoint, kept_cells
+from voxtool.tets.view import MAX_ENTRIES, DeviceVolume, ShownCells, Viewpoint, kept_cells
 
 if TYPE_CHECKING:
     from voxtool.camera import Rays
@@ -36,9 +36,9 @@ class VolumeScene:
     kept : (blocks,) bool, the blocks of cells that are drawn; by default those that the transfer
         function does not leave transparent.
     lanes : rays that a work-item follows side by side, 1 or 16; by default what suits the device.
-    pending, max_pairs : of cell projection: fragments of a ray that may wait, and pairs of a cell
-        and a tile beyond which a picture is refused.
-    max_entries : of ray casting: entries of rays beyond which a picture is refused.
+    pending : fragments of a ray that the buffer of cell projection holds.
+    max_pairs, max_entries : pairs of a cell and a tile, in cell projection, and entries of rays, in
+        ray casting, beyond which a picture is refused.
     table : scalars and lengths along the sides of the pre-integrated table.
 
     Raises
@@ -68,7 +68,7 @@ class VolumeScene:
 
     @cached_property
     def shown_through(self) -> TransferFunction:
-        """The transfer function."""
+        """The transfer function, by default `default_transfer`."""
         return default_transfer(self.content) if self.transfer is None else self.transfer
 
     @cached_property
@@ -98,7 +98,7 @@ class VolumeScene:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not drawn or computed, and why."""
+        """Reasons by the name of what is not drawn or computed."""
         out, count = {}, len(self.content.cells)
         if self.cells_shown < count:
             hidden = count - self.cells_shown
@@ -121,34 +121,32 @@ class VolumeScene:
 
     def points(self) -> np.ndarray:
         """(V, 3) float64, world units: the vertices, whatever the transfer function shows."""
-        volume = self.content
-        return np.array(volume.origin) + volume.scale * volume.vertices[:, :3].astype(np.float64)
+        return self.content.points()
 
     def draw(self, rays: Rays, device: Device) -> np.ndarray:
-        """(H, W, 4) float32, premultiplied: one value a ray."""
+        """Return the picture, (H, W, 4) float32, premultiplied: one value a ray."""
         if self.method == "projection":
             return self.project(rays, device).picture
-        volume = DeviceVolume.of(self.content, device)
-        shown = volume.shown(self.content, self.blocks)
-        integral = self._integral(volume)
-        view = Viewpoint.of(rays, self.content, device)
-        return cast(self.content, volume, shown, view, integral, self.max_entries)
+        return cast(self.content, *self._on_device(rays, device), self.max_entries)
 
     def project(self, rays: Rays, device: Device) -> Projection:
-        """The picture by cell projection, and the work that it took."""
+        """Return the picture by cell projection, and the work that it took."""
+        cells = self._on_device(rays, device)
+        return CellProjection(*cells, pending=self.pending, max_pairs=self.max_pairs).run()
+
+    def _on_device(
+        self, rays: Rays, device: Device
+    ) -> tuple[DeviceVolume, ShownCells, Viewpoint, Integral]:
+        """Return the volume, its drawn cells, the viewpoint and the integrator on a device."""
         volume = DeviceVolume.of(self.content, device)
         shown = volume.shown(self.content, self.blocks)
-        integral = self._integral(volume)
-        view = Viewpoint.of(rays, self.content, device)
-        return CellProjection(
-            volume, shown, view, integral, pending=self.pending, max_pairs=self.max_pairs
-        ).run()
-
-    def _integral(self, volume: DeviceVolume) -> Integral:
-        return Integral(self.content, self.local, volume, self.integrator, self.lanes, self.table)
+        integral = Integral(
+            self.content, self.local, volume, self.integrator, self.lanes, self.table
+        )
+        return volume, shown, Viewpoint.of(rays, self.content, device), integral
 
     def why_empty(self) -> str:
-        """The reason why no view shows anything, or ""."""
+        """Return the reason why no view shows anything, or ""."""
         if self.cells_shown:
             return ""
         low, high = self.content.scalar_range

@@ -22,7 +22,7 @@ MOST_POINTS = 255
 ROW = 16  # floats of an interval
 FARTHEST = 1e300  # scalar: differences must not overflow
 LARGEST = 1e30  # extinction that float32 holds with room for products
-TINY = 1e-30  # what is less counts as 0 on the device: no denormals
+TINY = 1e-30  # smaller numbers count as 0 on the device: no denormals
 KEYS = ("scalar", "color", "extinction")  # of a control point in JSON
 
 
@@ -61,37 +61,30 @@ class TransferFunction(Data):
                 ) from None
             object.__setattr__(self, name, values)
         super().__post_init__()
-        count = self.scalars.size
+        s, c, e = self.scalars, self.colours, self.extinctions
+        count = s.size
         if not 1 <= count <= MOST_POINTS:
             raise VoxtoolError(f"transfer function of {count} points: give 1 to {MOST_POINTS}")
-        shapes = self.scalars.shape, self.colours.shape, self.extinctions.shape
-        if shapes != ((count,), (count, 3), (count,)):
-            raise VoxtoolError("transfer function: give each point a scalar, a colour of three "
-                               "numbers, and an extinction")  # fmt: skip
-        c, e = self.colours, self.extinctions
-        for values, right, allowed in (
-            (self.scalars, np.abs(self.scalars) < FARTHEST, "scalar {} is not a number in reach"),
-            (c, ((c >= 0) & (c <= 1)).all(axis=1), "colour {} is not from 0 to 1"),
-            (e, (e >= 0) & (e < np.inf), "extinction {} is not 0 or more"),
+        if (s.shape, c.shape, e.shape) != ((count,), (count, 3), (count,)):
+            raise VoxtoolError(
+                "transfer function: give each point a scalar, a colour of three numbers, and an "
+                "extinction"
+            )
+        with np.errstate(over="ignore", invalid="ignore"):
+            steps = np.diff(s, prepend=-FARTHEST)
+        shared = steps == 0
+        shared[1:] &= shared[:-1]
+        for bad, what in (
+            (~(np.abs(s) < FARTHEST), "scalar {s} is not a number in reach"),
+            (~((c >= 0) & (c <= 1)).all(axis=1), "colour {c} is not from 0 to 1"),
+            (~((e >= 0) & (e < np.inf)), "extinction {e} is not 0 or more"),
+            (steps < 0, "its scalar is less than the one before: put them in ascending order"),
+            (shared, "the two before it have the same scalar: at most two make a step"),
         ):
-            if not right.all():
-                at = int(right.argmin())
-                raise VoxtoolError(
-                    f"transfer function, point {at + 1}: {allowed.format(values[at].tolist())}"
-                )
-        steps = np.diff(self.scalars)
-        if (steps < 0).any():
-            at = int((steps < 0).argmax())
-            raise VoxtoolError(
-                f"transfer function, point {at + 2}: its scalar is less than the one before: "
-                "put them in ascending order"
-            )
-        shared = (steps[1:] == 0) & (steps[:-1] == 0)
-        if shared.any():
-            raise VoxtoolError(
-                f"transfer function, point {int(shared.argmax()) + 3}: the two before it have the "
-                "same scalar: at most two make a step"
-            )
+            if bad.any():
+                at = int(bad.argmax())
+                what = what.format(s=s[at], c=c[at].tolist(), e=e[at])
+                raise VoxtoolError(f"transfer function, point {at + 1}: {what}")
 
     def __repr__(self) -> str:
         low, high = self.scalars[[0, -1]].tolist()
@@ -135,22 +128,14 @@ class TransferFunction(Data):
         interval = np.searchsorted(self.scalars, scalars, side="right")
         low = np.clip(interval - 1, 0, None)
         high = np.clip(interval, None, len(self.scalars) - 1)
-        width = self.scalars[high] - self.scalars[low]
-        w = np.divide(
-            scalars - self.scalars[low], width, out=np.zeros(scalars.shape), where=width > 0
-        )
-        w = np.clip(w, 0, 1)
+        width, into = self.scalars[high] - self.scalars[low], scalars - self.scalars[low]
+        w = np.clip(np.divide(into, width, out=np.zeros(scalars.shape), where=width > 0), 0, 1)
         colours = self.colours[low] + (self.colours[high] - self.colours[low]) * w[..., None]
         return colours, self.extinctions[low] + (self.extinctions[high] - self.extinctions[low]) * w
 
     def local(self, volume: TetVolume) -> LocalTransfer:
-        """Return the function of normalised scalars and local lengths, for the device.
-
-        Raises
-        ------
-        VoxtoolError
-            an extinction that float32 does not hold.
-        """
+        """Return the function of normalised scalars and local lengths, for the device. Raise
+        VoxtoolError for an extinction that float32 does not hold."""
         with np.errstate(over="ignore"):
             local = self.extinctions * volume.scale
         if (local > LARGEST).any():
@@ -178,31 +163,27 @@ class TransferFunction(Data):
         return LocalTransfer(points, rows)
 
     def _within(self, low: float, high: float) -> TransferFunction:
-        """The same from low to high. Elsewhere it is constant: float32 would spoil a scalar between
-        points that are far apart."""
+        """Return a function that is the same from low to high and constant elsewhere: points far
+        outside would cost float32 its precision within."""
         first, last = np.searchsorted(self.scalars, [low, high], side="right")
         front = [low] if first > 0 else []
         inner = self.scalars[first:last]
         back = [high] if last < len(self.scalars) and high not in (*front, *inner) else []
-        colours, extinctions = self.evaluate(np.array([*front, *back]))
-        there = len(front)
+        before, after = self.evaluate(np.array(front)), self.evaluate(np.array(back))
         return TransferFunction(
             np.concatenate([front, inner, back]),
-            np.concatenate([colours[:there], self.colours[first:last], colours[there:]]),
-            np.concatenate(
-                [extinctions[:there], self.extinctions[first:last], extinctions[there:]]
-            ),
+            np.concatenate([before[0], self.colours[first:last], after[0]]),
+            np.concatenate([before[1], self.extinctions[first:last], after[1]]),
         )
 
 
 def _wrong_with(point: Any) -> str:
-    """What is wrong with a control point of JSON, or ""."""
+    """Return what is wrong with a control point of JSON, or ""."""
     if not isinstance(point, dict):
         return "an object is expected"
-    for key in KEYS:
+    for key in (*KEYS, *point):
         if key not in point:
             return f"it has no {key}"
-    for key in point:
         if key not in KEYS:
             return f"{printable(key)[:40]!r} is unknown: it has {', '.join(KEYS)}"
     colour = point["color"]
@@ -222,34 +203,17 @@ def _is_number(value: Any) -> bool:
 class LocalTransfer:
     """A transfer function of normalised scalars, per local length, for kernels/tets/transfer.h.
 
-    points : (K,) float32. rows : (K + 1, ROW) float32, one an interval, the first below all points:
-    the scalar at its low end, 1 / width, red, green, blue and extinction there, and by how much
-    these are more at its high end.
+    points : (K,) float32, the scalars of the control points.
+    rows : (K + 1, ROW) float32, one for each interval, the first below all points: the scalar at
+        its low end; 1 / width; red, green, blue and extinction there; how they change to its end.
     """
 
     points: np.ndarray
     rows: np.ndarray
 
-    def crossings(self) -> np.ndarray:
-        """Return the control points that a ray crosses first and next, or -1, for each pair of
-        intervals of s_f and s_b: (K + 1, K + 1, 2) int64, the texture of [TetVol, figure 28].
-
-        cut() of kernels/tets/transfer.h computes the same by rank.
-        """
-        count = len(self.points)
-        front, back = np.indices((count + 1, count + 1))
-        up, down = back > front, back < front
-        first = np.where(up, front, np.where(down, front - 1, -1))
-        following = np.where(up, front + 1, np.where(down, front - 2, -1))
-        return np.stack(
-            [first, np.where((following < 0) | (following >= count), -1, following)], -1
-        )
-
     def transparent(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """(N,) bool: whether nothing is to be seen of the scalars from low to high, ends included.
-
-        low, high : (N,) float32, normalised.
-        """
+        """Return which ranges of normalised scalars, (N,) float32 from low to high, ends included,
+        have no extinction, (N,) bool."""
         first = np.searchsorted(self.points, low, side="right")
         last = np.searchsorted(self.points, high, side="right")
         # of the interval that begins at `high`, only that scalar is in the range
@@ -276,18 +240,14 @@ def named(
     unit_distance: float,
     opacity_range: Sequence[float] | None = None,
 ) -> TransferFunction:
-    """A map of colours over a range of scalars, and a ramp of extinction.
+    """Return a map of colours from scalar `low` to `high`, and a ramp of extinction; see
+    `default_transfer`.
 
-    Parameters
-    ----------
-    name : one of MAPS; low, high : scalars at its ends.
-    unit_distance : world units of which full extinction leaves 1/e of the light.
-    opacity_range : the scalars at which extinction is 0 and full, in either order; linear between
-        them and constant beyond. If they are the same, full from there on. By default low and high.
+    opacity_range : by default low and high; a step where the two are equal.
 
     Raises
     ------
-    VoxtoolError : no such map, or numbers that make none.
+    VoxtoolError : no such map, or a number is out of range.
     """
     if name not in MAPS:
         raise VoxtoolError(f"map {printable(name)!r} is unknown: choose {', '.join(MAPS)}")
@@ -354,13 +314,13 @@ def default_transfer(
             raise VoxtoolError(f"opacity range {opacity_range!r}: give two scalars, or 'full'")
         opacity_range = volume.scalar_range
     elif opacity_range is None:
-        opacity_range = usual_opacity_range(volume)
+        opacity_range = _usual_opacity_range(volume)
     return named(name, *volume.scalar_range, unit_distance, opacity_range)
 
 
-def usual_opacity_range(volume: TetVolume) -> tuple[float, float]:
-    """The 75th and the 99th percentile of the scalars of vertices, or of cells where the scalar is
-    one a cell; the range of the scalars where these are the same."""
+def _usual_opacity_range(volume: TetVolume) -> tuple[float, float]:
+    """Return the 75th and the 99th percentile of the scalars of vertices, or of constant cells; the
+    range of the scalars where these percentiles are equal."""
     scalars = volume.gradients[:, 3] if volume.constant else volume.vertices[:, 3]
     ordered, (low, high) = np.sort(scalars), volume.scalar_range
     clear, full = (float(ordered[int(p * (len(ordered) - 1))]) for p in OPACITY_PERCENTILES)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,10 +36,8 @@ NEAREST = 0.5  # of the middle to the eye, in sizes of the local frame
 class DeviceVolume:
     """The textures of a volume on a device, uploaded once and kept there as long as the volume.
 
-    arguments : of kernels, by name.
-    options : of kernels.
+    arguments, options : of kernels, by name.
     cells, vertices : their numbers; faces : of a cell.
-    longest : the longest path through a cell, between two of its vertices, local.
     """
 
     def __init__(self, volume: TetVolume, device: Device) -> None:
@@ -57,16 +56,15 @@ class DeviceVolume:
             }
             if volume.anchors is not None:
                 self.arguments["anchors"] = device.put(volume.anchors)
-        self.options: dict[str, int | str] = {
-            "FACES": self.faces,
-            **({"ANCHORED": 1} if volume.anchors is not None else {}),
-        }
+        self.options: dict[str, int | str] = {"FACES": self.faces}
+        if volume.anchors is not None:
+            self.options["ANCHORED"] = 1
         self._shown: OrderedDict[bytes, ShownCells] = OrderedDict()
         self._longest: float | None = None
 
     @staticmethod
     def of(volume: TetVolume, device: Device) -> DeviceVolume:
-        """The volume on the device, uploaded at the first call.
+        """Return the volume on the device, uploaded at the first call.
 
         Raises
         ------
@@ -76,7 +74,7 @@ class DeviceVolume:
         return device.keep(volume, "render", size, lambda: DeviceVolume(volume, device))
 
     def shown(self, volume: TetVolume, kept: np.ndarray) -> ShownCells:
-        """The drawn cells of the blocks that are kept; the last few results are reused."""
+        """Return the drawn cells of the blocks that are kept; the last few results are reused."""
         key = kept.tobytes()
         if key not in self._shown:
             cells = kept_cells(volume, kept)
@@ -89,17 +87,22 @@ class DeviceVolume:
         return self._shown[key]
 
     def longest(self, volume: TetVolume) -> float:
-        """The longest path through a cell, between two of its vertices, local."""
+        """Return the longest path through a cell, between two of its vertices, local, float32."""
         if self._longest is None:
-            self._longest = longest_edge(volume)
+            x, y, z, _ = volume.vertices[volume.cells].T
+            square = np.float32(0)
+            for i, j in combinations(range(len(x)), 2):
+                dx, dy, dz = x[j] - x[i], y[j] - y[i], z[j] - z[i]
+                square = max(square, (dx * dx + dy * dy + dz * dz).max())
+            self._longest = float(np.sqrt(square))
         return self._longest
 
     def kernel(self, name: str, **options: int | str) -> Callable[..., None]:
-        """A kernel of view.cl for these textures."""
+        """Return a kernel of view.cl for these textures."""
         return self.device.kernel(SOURCE, name, **self.options, **options)
 
     def project_vertices(self, view: Viewpoint) -> Array:
-        """(V, 4) float32: where each vertex is in the picture, and its depth."""
+        """Return the position of each vertex in the picture, and its depth, (V, 4) float32."""
         projected = self.device.empty(4 * self.vertices, np.float32)
         project = self.kernel("project_vertices", **view.options)
         project(self.vertices, **self.arguments, **view.arguments, projected=projected)
@@ -122,20 +125,18 @@ class ShownCells:
 
 @dataclass(frozen=True, eq=False)
 class Viewpoint:
-    """Rays in a volume's frame, on a device.
+    """Rays in a volume's frame, on a device; `arguments` and `options` of kernels by name.
 
-    middle : t of rays from which depths are counted, near that of the volume's middle.
-    arguments : of kernels, by name; options : of kernels.
+    Depths are counted from the argument `middle`: t of rays near the volume's middle.
     """
 
     rays: Rays
-    middle: float
     arguments: dict[str, Any]
     options: dict[str, int | str]
 
     @staticmethod
     def of(rays: Rays, volume: TetVolume, device: Device) -> Viewpoint:
-        """The viewpoint of rays in world units.
+        """Return the viewpoint of rays in world units.
 
         Raises
         ------
@@ -160,41 +161,27 @@ class Viewpoint:
             "width": width,
             "height": height,
         }
-        return Viewpoint(local, middle, arguments, {"PERSPECTIVE": 1} if local.perspective else {})
-
-
-@dataclass(frozen=True, eq=False)
-class Entries:
-    """The entries of rays; those of pixel p are ends[p - 1] to ends[p], sorted by depth.
-
-    entries : (n, 2) uint32 on the device: the depth's float32, and the cell.
-    """
-
-    ends: Array
-    entries: Array
+        return Viewpoint(local, arguments, {"PERSPECTIVE": 1} if local.perspective else {})
 
 
 def set_up_cells(volume: DeviceVolume, shown: ShownCells, view: Viewpoint, slots: int) -> Array:
-    """The records of cells for a viewpoint, (T, 4 (slots + 1)) float32: the exit faces and the
-    scalar as functions of the pixel."""
+    """Return the records of cells for a viewpoint, (T, 4 (slots + 1)) float32: the exit faces and
+    the scalar as functions of the pixel."""
     device = volume.device
     with device.stage("cell setup"):
         records = device.empty(4 * (slots + 1) * volume.cells, np.float32)
-        volume.kernel("set_up_cells", **view.options)(
-            volume.cells,
-            **volume.arguments,
-            **view.arguments,
-            kept=shown.flags,
-            slots=slots,
-            records=records,
-        )
+        arguments = {**volume.arguments, **view.arguments, "kept": shown.flags}
+        set_up = volume.kernel("set_up_cells", **view.options)
+        set_up(volume.cells, **arguments, slots=slots, records=records)
     return records
 
 
 def ray_entries(
-    volume: DeviceVolume, shown: ShownCells, view: Viewpoint, max_entries: int = MAX_ENTRIES
-) -> Entries:
-    """Return where the rays of a viewpoint enter the drawn cells.
+    volume: DeviceVolume, shown: ShownCells, view: Viewpoint, max_entries: int
+) -> tuple[Array, Array]:
+    """Return where rays enter the drawn cells, as `ends` and `entries`: those of pixel p are
+    entries[ends[p - 1]] to entries[ends[p]], sorted by depth; entries, (n, 2) uint32, have the bits
+    of the depth in float32, and the cell.
 
     Raises
     ------
@@ -219,27 +206,15 @@ def ray_entries(
             )
         exclusive_scan(ends, pixels)
         entries = device.empty(2 * found, np.uint32)
-        volume.kernel("list_entries", **view.options)(
-            faces, **arguments, starts=ends, entries=entries
-        )
+        list_entries = volume.kernel("list_entries", **view.options)
+        list_entries(faces, **arguments, starts=ends, entries=entries)
         volume.kernel("sort_entries", **view.options)(pixels, ends=ends, entries=entries)
-    return Entries(ends, entries)
+    return ends, entries
 
 
 def kept_cells(volume: TetVolume, kept: np.ndarray) -> np.ndarray:
     """Return which cells are in the blocks that are kept, (T,) bool."""
     return np.repeat(kept, BLOCK)[: len(volume.cells)]
-
-
-def longest_edge(volume: TetVolume) -> float:
-    """The largest distance of two vertices of one cell, local, in float32."""
-    x, y, z, _ = volume.vertices[volume.cells].T
-    longest = np.float32(0)
-    for one in range(len(x)):
-        for other in range(one):
-            dx, dy, dz = x[one] - x[other], y[one] - y[other], z[one] - z[other]
-            longest = max(longest, (dx * dx + dy * dy + dz * dz).max())
-    return float(np.sqrt(longest))
 
 
 def cells_at(volume: TetVolume, point: np.ndarray) -> np.ndarray:

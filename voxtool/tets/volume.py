@@ -1,25 +1,15 @@
 """A tetrahedral volume: the textures of tables 4 and 5 of [TetVol, section 4.1].
 
-A texture has one row a cell, t, or a vertex, k. In float32 and int32, for ray casting (table 5):
+Layout "raycast" is table 5: planes n . x + o, which are 0 on a face and < 0 inside, and scalars
+s(x) = g . x + g3 of each cell. Layout "projection" is table 4: normals without offsets, and
+s(x) = s_A + g . (x - x_A), where the anchor A is vertex 0 of the cell; the plane of face 0 goes
+through the second anchor, vertex 1. Face i of a tetrahedron is opposite its vertex i. Layout
+"hexahedra" is table 5 with two more planes and neighbours, for planar faces and constant cells.
+All layouts have the vertices of each cell, its neighbours, and the ranges of blocks of cells.
 
-    normals     4 planes, of 4 floats: the outward unit normal n and the offset o of face i,
-                n . x + o = 0 on the face and < 0 inside
-    gradients   4 floats: the gradient g of the scalar and its term: s(x) = g . x + g3
-    neighbours  4 ints: the cell across face i
-
-and for cell projection (table 4):
-
-    vertices    4 floats: position and scalar
-    normals     4 normals, of 3 floats
-    anchors     2 ints: vertex 0 of the cell, which is on faces 1, 2 and 3, and vertex 1, on face 0
-    gradients   3 floats: s(x) = s_A + g . (x - x_A), A the first anchor
-
-with the vertices of each cell, its neighbours and the ranges of blocks of cells in both. Face i of
-a tetrahedron is opposite its vertex i. Hexahedra with planar faces and one scalar a cell, also in
-[TetVol], have table 5 with two more planes and neighbours.
-
-Positions are local, in [-1, 1], and world = origin + scale * local. Scalars are normalised to
-[0, 1]. Cells are in Morton order of their centroids, vertices in the order of their first use.
+Local coordinates are in [-1, 1], about the middle of the mesh, scaled by a power of two; scalars
+are in [0, 1]. Cells are in Morton order of their centroids, vertices in the order of their first
+use.
 """
 
 from __future__ import annotations
@@ -36,18 +26,19 @@ from voxtool.arrays import Data
 from voxtool.choices import LAYOUTS
 from voxtool.errors import FileError
 from voxtool.opencl import program
+from voxtool.tets.cells import HEXAHEDRON_FACES, TETRAHEDRON_FACES, repeats
 
 BLOCK = 64  # consecutive cells that share a range of scalars
-
-# The vertices of each face, so that the normal by the right-hand rule points out.
-TETRAHEDRON_FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
-HEXAHEDRON_FACES = (
-    (0, 4, 7, 3), (1, 2, 6, 5), (0, 1, 5, 4), (2, 3, 7, 6), (0, 3, 2, 1), (4, 5, 6, 7),
-)  # fmt: skip
 FACES = {
     "raycast": TETRAHEDRON_FACES,
     "projection": TETRAHEDRON_FACES,
     "hexahedra": HEXAHEDRON_FACES,
+}
+# Bytes a tetrahedron of other layouts, as [TetVol, section 4.1] gives them.
+COMPARED = {
+    "raycast": "table 5; 144 before it (Weiler et al. 2003), 119 and 912 for projection",
+    "projection": "table 4, 119 with OpenGL's vertex attributes; 912 before it, 96 for ray casting",
+    "hexahedra": "table 5 with two more faces",
 }
 
 PLANAR = 1e-5  # of a hexahedron's size: how far at most its vertices are from their plane
@@ -124,34 +115,29 @@ class TetVolume(Data):
             f"scalar_range={self.scalar_range})"
         )
 
-    # ---- structure
-
     @property
     def faces(self) -> np.ndarray:
         """(F, 3) or (F, 4) int64: which of a cell's vertices are on each face, outward wound."""
         return np.array(FACES[self.layout])
 
+    @property
+    def noun(self) -> str:
+        """ "tetrahedra" or "hexahedra"."""
+        return "tetrahedra" if self.cells.shape[1] == 4 else "hexahedra"
+
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """Low and high corner, (3,) float64 each, world units."""
-        low, high = (
-            np.array(self.origin) + self.scale * corner.astype(np.float64)
-            for corner in (self.vertices[:, :3].min(axis=0), self.vertices[:, :3].max(axis=0))
-        )
-        return low, high
+        points = self.points()
+        return points.min(axis=0), points.max(axis=0)
+
+    def points(self) -> np.ndarray:
+        """(V, 3) float64: the positions of the vertices, world units."""
+        return np.array(self.origin) + self.scale * self.vertices[:, :3].astype(np.float64)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Every texture by its name."""
-        arrays = {
-            "vertices": self.vertices,
-            "cells": self.cells,
-            "neighbours": self.neighbours,
-            "normals": self.normals,
-            "gradients": self.gradients,
-            "ranges": self.ranges,
-        }
-        return arrays if self.anchors is None else {**arrays, "anchors": self.anchors}
-
-    # ---- sizes, identity, soundness
+        names = ("vertices", "cells", "neighbours", "normals", "gradients", "ranges", "anchors")
+        return {name: array for name in names if (array := getattr(self, name)) is not None}
 
     def sizes(self) -> dict[str, int]:
         """Bytes of each texture."""
@@ -164,6 +150,24 @@ class TetVolume(Data):
             table = ("vertices", "normals", "anchors", "gradients")
         sizes = self.sizes()
         return sum(sizes[name] for name in table) / len(self.cells)
+
+    def summary(self) -> dict[str, Any]:
+        """Return the facts of the volume and the counts of its build, in JSON types."""
+        return {
+            "layout": self.layout,
+            "scalar": self.scalar,
+            "scalar_range": list(self.scalar_range),
+            "constant": self.constant,
+            "origin": list(self.origin),
+            "scale": self.scale,
+            self.noun: len(self.cells),
+            "vertices": len(self.vertices),
+            "bytes": self.sizes(),
+            "bytes_a_cell": self.bytes_a_cell(),
+            "compared": COMPARED[self.layout],
+            **self.report,
+            "digest": self.digest(),
+        }
 
     def digest(self) -> str:
         """Return the SHA-256 of the content without units, source, plan and report.
@@ -183,6 +187,17 @@ class TetVolume(Data):
         for array in self.arrays().values():
             sha.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).data)
         return sha.hexdigest()
+
+    def block_ranges(self) -> np.ndarray:
+        """Return the range of normalised scalars of each block of cells, (ceil(T / 64), 2)."""
+        scalars = self.vertices[:, 3][self.cells]
+        if self.constant:
+            scalars = self.gradients[:, 3:]
+        first = np.arange(0, len(scalars), BLOCK)
+        least, largest = scalars.min(axis=1), scalars.max(axis=1)
+        return np.stack([np.minimum.reduceat(least, first), np.maximum.reduceat(largest, first)], 1)
+
+    # ---- soundness
 
     def validate(self) -> None:
         """Check every invariant of the structure.
@@ -239,19 +254,18 @@ class TetVolume(Data):
                 )
 
     def _check_numbers(self) -> None:
-        if not ((np.abs(self.vertices[:, :3]) <= 1).all() and in_unit(self.vertices[:, 3])):
+        if not ((np.abs(self.vertices[:, :3]) <= 1).all() and _in_unit(self.vertices[:, 3])):
             raise FileError("volume vertices: positions in [-1, 1], scalars in [0, 1] are expected")
         if not (np.abs(self.normals) <= 2).all():
             raise FileError("volume normals: unit normals and offsets are expected")
         if not (np.abs(self.gradients) <= STEEPEST).all():
             raise FileError(f"volume gradients: numbers up to {STEEPEST:g} are expected")
-        if not (self.ranges[:, 0] <= self.ranges[:, 1]).all() or not in_unit(self.ranges):
+        if not (self.ranges[:, 0] <= self.ranges[:, 1]).all() or not _in_unit(self.ranges):
             raise FileError("volume ranges: pairs in [0, 1] are expected")
         vertices, cells = len(self.vertices), len(self.cells)
         if self.cells.min() < 0 or self.cells.max() >= vertices:
             raise FileError(f"volume cells: a vertex is not one of the {vertices}")
-        ordered = np.sort(self.cells, axis=1)
-        if (ordered[:, 1:] == ordered[:, :-1]).any():
+        if repeats(self.cells).any():
             raise FileError("volume cells: a cell names a vertex twice")
         if self.neighbours.min() < -1 or self.neighbours.max() >= cells:
             raise FileError(f"volume neighbours: one is not one of the {cells} cells")
@@ -259,11 +273,14 @@ class TetVolume(Data):
             raise FileError("volume anchors: they are not vertices 0 and 1 of their cells")
 
     def _check_neighbours(self) -> None:
-        """The cell across a face has that face too, and this cell across it."""
-        cell, face, other, other_face = self._shared()
-        if (self.neighbours[other, other_face] != cell).any():
+        """Check that the cell across a face has that face too, and this cell across it."""
+        cell, face = np.nonzero(self.neighbours > np.arange(len(self.cells))[:, None])
+        other = self.neighbours[cell, face]
+        back = self.neighbours[other] == cell[:, None]
+        both = 2 * len(cell) == np.count_nonzero(self.neighbours >= 0)
+        if not both or not back.any(axis=1).all():
             raise FileError("volume neighbours: a cell is not the neighbour of its neighbour")
-        faces = self.faces
+        faces, other_face = self.faces, back.argmax(axis=1)
         ours = np.sort(self.cells[cell[:, None], faces[face]], axis=1)
         theirs = np.sort(self.cells[other[:, None], faces[other_face]], axis=1)
         if not np.array_equal(ours, theirs):
@@ -271,22 +288,13 @@ class TetVolume(Data):
         if (self.normals[face, cell] != -self.normals[other_face, other]).any():
             raise FileError("volume normals: those of a shared face are not each other's negation")
 
-    def _shared(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Every face that has a neighbour, from one side: its cell and number, and the
-        neighbour's; a number of 0 where this has no such face."""
-        cell, face = np.nonzero(self.neighbours > np.arange(len(self.cells))[:, None])
-        other = self.neighbours[cell, face]
-        other_face = (self.neighbours[other] == cell[:, None]).argmax(axis=1)
-        if 2 * len(cell) != np.count_nonzero(self.neighbours >= 0):
-            raise FileError("volume neighbours: a cell is not the neighbour of its neighbour")
-        return cell, face, other, other_face
-
     def _corners(self) -> np.ndarray:
-        """(4, 4 or 8, T) float64: x, y, z and scalar of the cells' vertices."""
+        """Return x, y, z and scalar of the cells' vertices, (4, 4 or 8, T) float64."""
         return self.vertices.T[:, self.cells.T].astype(np.float64)
 
     def _check_planes(self) -> None:
-        """Normals are of length 1; a face's vertices are on its plane, no other is outside."""
+        """Check that normals have length 1, that a face's vertices are on its plane, and that no
+        other vertex is outside it."""
         # a hexahedron's edges are at most 2 sqrt(3) long, local, and its faces nearly planar
         x, y, z, _ = self._corners()
         tolerance = ROUNDED + (4 * PLANAR if self.layout == "hexahedra" else 0)
@@ -300,9 +308,9 @@ class TetVolume(Data):
                 raise FileError("volume normals: one is not that of its face")
 
     def _check_scalars(self) -> None:
-        """Ranges are those of the cells; gradients give the scalars of the vertices, as nearly as
-        float32 can."""
-        if not np.array_equal(block_ranges(*self.cell_ranges()), self.ranges):
+        """Check that ranges are those of the cells, and that gradients give the scalars of the
+        vertices to float32's precision."""
+        if not np.array_equal(self.block_ranges(), self.ranges):
             raise FileError("volume ranges: they are not those of the cells")
         if self.constant:
             if self.gradients[:, :3].any() or self.vertices[:, 3].any():
@@ -316,20 +324,7 @@ class TetVolume(Data):
         if (np.abs(value - s) > ROUNDED * (1 + steep)).any():
             raise FileError("volume gradients: they do not give the scalars of the vertices")
 
-    def cell_ranges(self) -> tuple[np.ndarray, np.ndarray]:
-        """Least and largest normalised scalar of each cell, (T,) float32 each."""
-        if self.constant:
-            return self.gradients[:, 3], self.gradients[:, 3]
-        scalars = self.vertices[:, 3][self.cells]
-        return scalars.min(axis=1), scalars.max(axis=1)
 
-
-def block_ranges(least: np.ndarray, largest: np.ndarray) -> np.ndarray:
-    """(ceil(T / BLOCK), 2) float32: the ranges of blocks of cells whose ranges these are."""
-    first = np.arange(0, len(least), BLOCK)
-    return np.stack([np.minimum.reduceat(least, first), np.maximum.reduceat(largest, first)], 1)
-
-
-def in_unit(values: np.ndarray) -> bool:
-    """Whether all are in [0, 1]; NaN is not."""
+def _in_unit(values: np.ndarray) -> bool:
+    """Return True if all values are in [0, 1]; NaN is not."""
     return bool(((values >= 0) & (values <= 1)).all())
