@@ -114,7 +114,8 @@ def _open3d_voxel_grid(mesh: Mesh, grid: Grid) -> Callable[[], object]:
     """VoxelGrid.create_from_triangle_mesh."""
     open3d = _module("open3d")
     geometry = open3d.geometry.TriangleMesh(
-        open3d.utility.Vector3dVector(mesh.vertices), open3d.utility.Vector3iVector(mesh.faces)
+        open3d.utility.Vector3dVector(mesh.vertices.copy()),  # it takes no read-only arrays
+        open3d.utility.Vector3iVector(mesh.faces.copy()),
     )
     return lambda: open3d.geometry.VoxelGrid.create_from_triangle_mesh(geometry, grid.pitch[0])
 
