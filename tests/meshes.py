@@ -12,26 +12,20 @@ from typing import TYPE_CHECKING
 import numpy as np
 from hypothesis import strategies as st
 
+from voxtool.selftest.shapes import (
+    BOX_FACES,
+    OCTAHEDRON_FACES,
+    TETRAHEDRON_FACES,
+    join,
+    subdivide,
+)
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     Mesh = tuple[np.ndarray, np.ndarray]
 
 UNIT = 256  # a voxel
-BOX_FACES = np.array(
-    [
-        (0, 1, 3), (0, 3, 2),  # -x
-        (4, 6, 7), (4, 7, 5),  # +x
-        (0, 4, 5), (0, 5, 1),  # -y
-        (2, 3, 7), (2, 7, 6),  # +y
-        (0, 2, 6), (0, 6, 4),  # -z
-        (1, 5, 7), (1, 7, 3),  # +z
-    ]
-)  # fmt: skip
-TETRAHEDRON_FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)])
-OCTAHEDRON_FACES = np.array(
-    [(0, 2, 4), (2, 1, 4), (1, 3, 4), (3, 0, 4), (2, 0, 5), (1, 2, 5), (3, 1, 5), (0, 3, 5)]
-)
 
 
 def fixed(vertices: np.ndarray) -> np.ndarray:
@@ -69,25 +63,6 @@ def octahedron(centre: Sequence | float = 0, radius: float = 1) -> Mesh:
     """8 outward triangles."""
     corners = np.concatenate([s * np.eye(3, dtype=np.int64)[a] for a in range(3) for s in (1, -1)])
     return corners.reshape(6, 3) * radius + np.asarray(centre), OCTAHEDRON_FACES.copy()
-
-
-def subdivide(mesh: Mesh) -> Mesh:
-    """Every triangle cut into four at the midpoints of its edges (rounded down if whole)."""
-    vertices, faces = mesh
-    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-    unique, middle = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
-    ends = vertices[unique].sum(axis=1)
-    halves = ends // 2 if np.issubdtype(ends.dtype, np.integer) else ends / 2
-    m = middle.reshape(-1, 3) + len(vertices)
-    corners = np.stack([faces, m, np.roll(m, 1, axis=1)], axis=2).reshape(-1, 3)
-    return np.concatenate([vertices, halves]), np.concatenate([corners, m])
-
-
-def join(*parts: Mesh) -> Mesh:
-    """Several meshes as one; nothing is welded."""
-    starts = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
-    faces = [faces + start for (_, faces), start in zip(parts, starts[:-1], strict=True)]
-    return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
 
 
 def icosphere(subdivisions: int = 2, centre: Sequence | float = 0.0, radius: float = 1.0) -> Mesh:

@@ -1,40 +1,84 @@
-"""The oracles of voxelization: those that the selftest has, too, and those of the fill rules."""
+"""The oracles of voxelization: those of the selftest, and those of octree nodes and fill rules."""
 
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
+from itertools import product
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from voxtool.selftest.oracles import (
     HALF,
     UNIT,
-    OctreeNodes,
-    active_nodes,
     crossings,
-    expected_octree_nodes,
+    polygons,
     solid,
     surface6,
     surface26,
     to_dense,
+    touched,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-__all__ = [
-    "OctreeNodes",
-    "active_nodes",
-    "boundary",
-    "expected_octree_nodes",
-    "flood",
-    "numbers",
-    "solid",
-    "surface6",
-    "surface26",
-    "to_dense",
-]
+    from voxtool.selftest.oracles import Cell
+
+__all__ = ["solid", "surface6", "surface26", "to_dense"]
+NODE = 8  # voxels along a side of a level 1 node
+
+
+class OctreeNodes(NamedTuple):
+    """Cells of octree nodes by level, counted in nodes: cell (i, j, k) of level L spans the voxels
+    [i, i+1) * 4 * 2**L along x, and so on.
+
+    refined : level -> nodes with children, from level 1 to the root's.
+    inside : level -> leaves wholly set, from level 1 to the root's.
+    """
+
+    refined: dict[int, set[Cell]]
+    inside: dict[int, set[Cell]]
+
+
+def active_nodes(triangles: Iterable, shape: Sequence[int], solid: bool) -> set[Cell]:
+    """Level 1 nodes, counted in nodes, whose closed cube of 8 voxels touches a triangle; for a
+    solid the cube is half a voxel longer at both ends along x (eq. 3.6)."""
+    slabs = []
+    for axis, n in enumerate(shape):
+        wider = HALF if solid and axis == 0 else 0
+        count = -(-n // NODE)
+        ends = [(i * NODE * UNIT, (i + 1) * NODE * UNIT) for i in range(count)]
+        slabs.append([(low - wider, high + wider) for low, high in ends])
+    return {cell for t in polygons(triangles) for cell in touched(t, slabs)}
+
+
+def expected_octree_nodes(active: set[Cell], voxels: np.ndarray) -> OctreeNodes:
+    """The nodes that the contract of the octree asks for.
+
+    active : level 1 nodes that the stages of [voCCeL] make active.
+    voxels : bool, indexed [x, y, z], of the grid's shape; beyond it nothing is set.
+    """
+    side = max(NODE, 1 << (max(voxels.shape) - 1).bit_length())
+    top = (side // NODE).bit_length()  # the root's level
+    cells = [tuple(map(int, cell)) for cell in np.argwhere(voxels)]
+    refined, full = {}, {}
+    for level in range(1, top + 1):
+        size = 4 << level
+        counts = Counter(tuple(i // size for i in cell) for cell in cells)
+        mixed = {cell for cell, count in counts.items() if count < size**3}
+        full[level] = set(counts) - mixed
+        refined[level] = mixed | {tuple(i >> (level - 1) for i in cell) for cell in active}
+    inside = {}
+    for level in range(1, top + 1):
+        nodes = {(0, 0, 0)} if level == top else _children(refined[level + 1])
+        inside[level] = (nodes & full[level]) - refined[level]
+    return OctreeNodes(refined, inside)
+
+
+def _children(nodes: set[Cell]) -> set[Cell]:
+    corners = list(product((0, 1), repeat=3))
+    return {(2 * i + a, 2 * j + b, 2 * k + c) for i, j, k in nodes for a, b, c in corners}
 
 
 def numbers(triangles: Iterable, shape: Sequence[int]) -> np.ndarray:

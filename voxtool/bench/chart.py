@@ -35,9 +35,9 @@ if TYPE_CHECKING:
 COLOURS = ("#2f7ed8", "#e07b00", "#1a9e77", "#c2417c", "#7a6ad8", "#a07a1f", "#d0453e", "#1597a8",
            "#6b8e23", "#8a5a44", "#5f7f95", "#b05fd0")  # fmt: skip
 MARKERS = "osD^vPXp"
-WIDTH, HEIGHT = 7.2, 4.9  # inches, of a chart
-BAR, REST = 0.42, 1.6  # inches, of the height of a chart of bars: each bar, and the rest
-LINE = 110  # letters in a line of the legend
+WIDTH, HEIGHT = 7.2, 4.5  # inches, of a chart without its legend
+BAR, REST = 0.42, 1.2  # inches, of the height of a chart of bars: each bar, and the rest
+LINE, ROW = 110, 0.2  # letters in a row of the legend, and inches of its height
 DPI = 144  # of PNG
 NEAR = (80, 20)  # pixels, across and up, within which two labels of points would overlap
 
@@ -276,6 +276,7 @@ def _finish(figure: Any, heading: str) -> None:
     handles, labels = plot.get_legend_handles_labels()
     keys = dict(zip(labels, handles, strict=True))
     columns = max(1, min(3, LINE // (10 + max(map(len, keys)))))
+    figure.set_size_inches(WIDTH, figure.get_figheight() + ROW * -(-len(keys) // columns))
     figure.legend(
         list(keys.values()), list(keys), loc="outside lower center", ncols=columns, handlelength=2.4
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from voxtool.opencl import Device
 from voxtool.opencl.primitives import build_histopyramid, exclusive_scan, radix_sort, unique
-from voxtool.selftest.case import case
+from voxtool.selftest.case import Case, case
 
 SOURCE = "selftest/arithmetic.cl"
 COUNT = 100_000  # values, ten times as many in full
@@ -54,24 +54,17 @@ def differing(found: np.ndarray, expected: np.ndarray) -> int:
     return int(np.count_nonzero(found.view(kind) != expected.view(kind)))
 
 
-def rounding(device: Device, full: bool, name: str, rows: slice) -> int:
-    values = operands(name, COUNT * (10 if full else 1))
-    return differing(compute(device, name, *values)[rows], computed(*values)[rows])
+def rounding(name: str, what: str, rows: slice, *reals: str) -> Case:
+    """The case of rows of `compute` for these types."""
 
+    def measure(device: Device, full: bool) -> int:
+        wrong = 0
+        for real in reals:
+            values = operands(real, COUNT * (10 if full else 1))
+            wrong += differing(compute(device, real, *values)[rows], computed(*values)[rows])
+        return wrong
 
-@case("float32 + - * / sqrt", "rounded correctly: the bits of numpy", "values wrong", 0)
-def single(device: Device, full: bool) -> int:
-    return rounding(device, full, "float", ROUNDED)
-
-
-@case("float64 + - * / sqrt", "rounded correctly: the bits of numpy", "values wrong", 0)
-def double(device: Device, full: bool) -> int:
-    return rounding(device, full, "double", ROUNDED)
-
-
-@case("contraction", "a b + c is rounded twice: the bits of numpy", "values wrong", 0)
-def contraction(device: Device, full: bool) -> int:
-    return sum(rounding(device, full, name, JOINT) for name in REALS)
+    return Case(name, f"{what}: the bits of numpy", "values wrong", 0, measure)
 
 
 @case("denormals", "IEEE 754's in numpy, or flushed to 0", "values wrong", 0)
@@ -119,37 +112,19 @@ def integers(device: Device, full: bool) -> int:
 
 
 def counted(a: np.ndarray, b: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """(11, N) uint64: the expected results of the kernel `count`."""
+    """(11, N) uint64: the expected results of the kernel `count`, by Python integers."""
     c, d = a.view(np.int64), b.view(np.int64)
     shift = b & np.uint64(63)
-    shifted = a >> shift
-    quotient = np.abs(c.astype(object)) // np.abs(d.astype(object))  # Python rounds down, C to 0
+    i, j, k, m = (values.astype(object) for values in (a, b, c, d))
+    quotient = np.abs(k) // np.abs(m)  # Python rounds down, C to 0
     quotient = np.where((c < 0) != (d < 0), -quotient, quotient)
-    return np.stack(
-        [
-            a * b,
-            upper_half(a, b),
-            a // b,
-            a % b,
-            upper_half(c, d),
-            low_bits(quotient),
-            low_bits(c.astype(object) - quotient * d.astype(object)),
-            (c >> shift.astype(np.int64)).view(np.uint64),
-            np.bitwise_count(a).astype(np.uint64),
-            np.array([64 - v.bit_length() for v in shifted.tolist()], np.uint64),
-            np.trunc(x).astype(np.int64).view(np.uint64),
-        ]
-    )
-
-
-def low_bits(numbers: np.ndarray) -> np.ndarray:
-    """Python integers modulo 2**64."""
-    return (numbers & ((1 << 64) - 1)).astype(np.uint64)
-
-
-def upper_half(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The upper halves of products of 128 bits, by Python integers."""
-    return low_bits((a.astype(object) * b.astype(object)) >> 64)
+    rows = [
+        i * j, (i * j) >> 64, i // j, i % j, (k * m) >> 64, quotient, k - quotient * m,
+        k >> shift.astype(object), np.bitwise_count(a).astype(object),
+        [64 - v.bit_length() for v in (a >> shift).tolist()],
+        np.trunc(x).astype(np.int64).astype(object),
+    ]  # fmt: skip
+    return (np.array(rows, object) & ((1 << 64) - 1)).astype(np.uint64)
 
 
 @case("scan, sort, unique, pyramid", "over arrays of many blocks: numpy", "values wrong", 0)
@@ -176,4 +151,11 @@ def primitives(device: Device, full: bool) -> int:
     return wrong
 
 
-CASES = (single, double, contraction, denormals, integers, primitives)
+CASES = (
+    rounding("float32 + - * / sqrt", "rounded correctly", ROUNDED, "float"),
+    rounding("float64 + - * / sqrt", "rounded correctly", ROUNDED, "double"),
+    rounding("contraction", "a b + c is rounded twice", JOINT, "float", "double"),
+    denormals,
+    integers,
+    primitives,
+)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,7 +29,7 @@ from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import named
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
 
     Digests = Iterator[tuple[str, str]]
 
@@ -38,9 +39,8 @@ SIZE = (48, 40)
 
 def solid() -> Mesh:
     """A ball and a box that passes through it: closed, with self-intersections."""
-    vertices, faces = shapes.ball(2)
     bar = shapes.box(np.array([-1.5, -0.25, -0.375]), np.array([1.25, 0.375, 0.125]))
-    return mesh_from_arrays(*shapes.join([(vertices, faces), bar]))
+    return mesh_from_arrays(*shapes.join(shapes.ball(2), bar))
 
 
 def hollow() -> Mesh:
@@ -50,14 +50,12 @@ def hollow() -> Mesh:
 
 
 def octrees(device: Device) -> Digests:
-    for name, mesh in (("solid", solid()), ("hollow", hollow())):
-        for dim in (8, 50, 200):
-            grid = Grid.fit(mesh, dim)
-            for mode in ("surface26", "surface6"):
-                yield f"{name} {mode} {dim}", voxelize(mesh, grid, mode, device=device).digest()
-            for fill in FILLS:
-                octree = voxelize(mesh, grid, fill=fill, device=device)
-                yield f"{name} {fill} {dim}", octree.digest()
+    modes = {"surface26": {"mode": "surface26"}, "surface6": {"mode": "surface6"}}
+    options = modes | {fill: {"fill": fill} for fill in FILLS}
+    for (name, mesh), dim in product((("solid", solid()), ("hollow", hollow())), (8, 50, 200)):
+        grid = Grid.fit(mesh, dim)
+        for kind, given in options.items():
+            yield f"{name} {kind} {dim}", voxelize(mesh, grid, device=device, **given).digest()
 
 
 def surfaces(device: Device) -> Digests:
@@ -85,22 +83,15 @@ def pictures(device: Device) -> Digests:
     transfer = named("viridis", *volume.scalar_range, 2 / 24)
     rays = Camera.fit(*volume.bounds()).rays(*SIZE)
     for method in METHODS:
-        yield (
-            f"volume {method}",
-            _digest(render(volume, rays, transfer=transfer, method=method, device=device)),
-        )
+        picture = render(volume, rays, transfer=transfer, method=method, device=device)
+        yield f"volume {method}", _digest(picture)
 
 
 def _digest(picture: np.ndarray) -> str:
     return hashlib.sha256(np.ascontiguousarray(picture, "<f4").data).hexdigest()
 
 
-KINDS: dict[str, Callable[[Device], Digests]] = {
-    "octrees": octrees,
-    "surfaces": surfaces,
-    "fields": fields,
-    "pictures": pictures,
-}
+KINDS = {make.__name__: make for make in (octrees, surfaces, fields, pictures)}
 
 
 def stored() -> dict[str, dict[str, str]]:
@@ -115,13 +106,11 @@ def differing(device: Device, kind: str, expected: dict[str, str]) -> int:
 
 
 def _case(kind: str) -> Case:
-    return Case(
-        f"digests of {kind}",
-        "the same bit for bit on every device",
-        "digests wrong",
-        0,
-        lambda device, full: differing(device, kind, stored()[kind]),
-    )
+    def measure(device: Device, full: bool) -> int:
+        return differing(device, kind, stored()[kind])
+
+    what = "the same bit for bit on every device"
+    return Case(f"digests of {kind}", what, "digests wrong", 0, measure)
 
 
 CASES = tuple(map(_case, KINDS))

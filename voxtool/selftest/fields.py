@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from voxtool.adf.levels import CROSSED
 from voxtool.adf.query import query_adf
 from voxtool.adf.scene import FieldScene
 from voxtool.adf.spatial_hash import SpatialHash
-from voxtool.camera import Rays
-from voxtool.mesh.mesh import mesh_from_arrays
+from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.opencl import Device
 from voxtool.selftest import oracles, shapes
 from voxtool.selftest.case import case
@@ -32,10 +31,10 @@ if TYPE_CHECKING:
 
     Exact = Callable[[np.ndarray], np.ndarray]
 
-EXACT = 1e-15  # of the extent: what a distance is wrong at most (voxtool/spatial/distance.py)
-WINDING = 1e-3  # and a winding number (voxtool/spatial/winding_number.py says 8e-4 of 8,550 points)
+EXACT = 1e-15  # extents: the largest error of a distance (voxtool/spatial/distance.py)
+WINDING = 1e-3  # of a winding number (voxtool/spatial/winding_number.py: 8e-4 at 8,550 points)
 POINTS = 20_000
-DEEPEST = 12  # level, from which on identifiers have 64 bits
+DEEPEST = 12  # first level whose identifiers have 64 bits
 
 
 def to_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -46,14 +45,26 @@ def to_box(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def over_bound(field: DistanceField, exact: Exact, points: np.ndarray, device: Device) -> float:
-    """The largest error of a field at points, in bounds of the leaves that they are in. One that is
-    not bounded is infinite."""
+    """The largest error of a field at points, in bounds of their leaves; infinite if a leaf has no
+    bound."""
     answer = query_adf(field, points, bounds=True, device=device)
     assert answer.bound is not None
     if not np.isfinite(answer.bound).all():
         return math.inf
     error = np.abs(answer.distance - exact(points)) - EXACT * field.side
     return float((error / answer.bound).max())
+
+
+def loose(corners: np.ndarray) -> Mesh:
+    """A mesh of (N, 3, 3) triangles that share no vertex."""
+    return mesh_from_arrays(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+
+
+def distance_error(device: Device, triangles: np.ndarray, points: np.ndarray) -> float:
+    """The largest error of distances, in the mesh's extents."""
+    found = TriangleDistance(loose(triangles), device)(points)
+    extent = float(np.ptp(triangles.reshape(-1, 3), axis=0).max())
+    return float(np.abs(found - oracles.distances(points, triangles)).max()) / extent
 
 
 @case("distances to needles", "aspect up to 1e9: rational arithmetic", "extents", EXACT)
@@ -68,7 +79,7 @@ def needles(device: Device, full: bool) -> float:
         triangles[1] = triangles[1, 0]  # a point
         points = random.uniform(-1.5, 1.5, (60, 3))
         points[::2] = triangles[np.arange(30) % 8].mean(axis=1) + 1e-6 * points[::2]
-        error = max(error, _distance_error(device, triangles, points))
+        error = max(error, distance_error(device, triangles, points))
     return error
 
 
@@ -77,7 +88,7 @@ def coordinates(device: Device, full: bool) -> float:
     vertices, faces = shapes.ball(1)
     spread = 3 * sample_cube(300 if full else 30) - 1.5
     errors = [
-        _distance_error(device, (vertices * factor + offset)[faces], spread * factor + offset)
+        distance_error(device, (vertices * factor + offset)[faces], spread * factor + offset)
         for factor, offset in SCALES
     ]
     return max(errors)
@@ -89,7 +100,7 @@ def nearest(device: Device, full: bool) -> float:
     for _ in range(12 if full else 2):
         corners = random.uniform(-1, 1, (8, 3, 3))
         corners[:, 2] = corners[:, 0] + 10.0 ** -random.uniform(1, 9, (8, 1)) * corners[:, 2]
-        mesh = mesh_from_arrays(corners.reshape(-1, 3), np.arange(24).reshape(-1, 3))
+        mesh = loose(corners)
         points = random.uniform(-1.5, 1.5, (40, 3))
         found = SignedDistance(mesh, "none", device)(points, gradient=True, nearest=True, face=True)
         exact = oracles.distances(points, corners)
@@ -104,15 +115,6 @@ def nearest(device: Device, full: bool) -> float:
     return error
 
 
-def _distance_error(device: Device, triangles: np.ndarray, points: np.ndarray) -> float:
-    """The largest error of distances, in the mesh's extents."""
-    corners = triangles.reshape(-1, 3)
-    mesh = mesh_from_arrays(corners, np.arange(len(corners)).reshape(-1, 3))
-    found = TriangleDistance(mesh, device)(points)
-    extent = float(np.ptp(corners, axis=0).max())
-    return float(np.abs(found - oracles.distances(points, triangles)).max()) / extent
-
-
 @case("winding numbers", "of a ball with a hole: solid angles one by one, numpy", "turns", WINDING)
 def winding(device: Device, full: bool) -> float:
     vertices, faces = shapes.ball(5 if full else 4)
@@ -123,13 +125,12 @@ def winding(device: Device, full: bool) -> float:
     return float(np.abs(found - expected).max())
 
 
-def box_error(
-    device: Device, low: np.ndarray, high: np.ndarray, count: int, **request: Any
-) -> float:
+def box_error(device: Device, low: np.ndarray, high: np.ndarray, level: int = 5) -> float:
     """The largest error of a box's field, over its bounds and over the promised limit for triangles
     between samples; at points everywhere, and near two of the sides."""
-    field = build_adf(mesh_from_arrays(*shapes.box(low, high)), device, **request)
-    spread = sample_cube(count)
+    mesh = mesh_from_arrays(*shapes.box(low, high))
+    field = build_adf(mesh, device, tolerance=2e-3, max_level=level)
+    spread = sample_cube(POINTS)
     around = np.minimum(2 * (high - low), field.side / 20)
     near = low - around + (high - low + 2 * around) * spread
     points = np.concatenate([np.array(field.origin) + field.side * spread, near])
@@ -144,23 +145,16 @@ def box_error(
 
 @case("walls thinner than a cell", "boxes to 1e-9 thick: their formula", "of the bound", 1)
 def walls(device: Device, full: bool) -> float:
-    error = 0.0
-    for thickness in (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-9) if full else (1e-3, 1e-9):
-        low = np.array([0.1, 0.2, 0.3])
-        high = low + np.array([1.0, 0.7, thickness])
-        error = max(error, box_error(device, low, high, POINTS, tolerance=2e-3, max_level=5))
-    return error
+    low = np.array([0.1, 0.2, 0.3])
+    thin = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-9) if full else (1e-3, 1e-9)
+    return max(box_error(device, low, low + np.array([1.0, 0.7, thickness])) for thickness in thin)
 
 
 @case("fields at 1e12, 1e-12, 1e8 off", "boxes: their formula", "of the bound", 1)
 def scales(device: Device, full: bool) -> float:
-    error, size = 0.0, np.array([1.0, 0.75, 0.5])
-    for factor, offset in SCALES:
-        ends = np.array([np.zeros(3), size]) * factor + offset
-        low, high = ends.min(axis=0), ends.max(axis=0)
-        level = 7 if full else 5
-        error = max(error, box_error(device, low, high, POINTS, tolerance=2e-3, max_level=level))
-    return error
+    ends = np.array([np.zeros(3), [1.0, 0.75, 0.5]])
+    boxes = (np.sort(ends * factor + offset, axis=0) for factor, offset in SCALES)
+    return max(box_error(device, low, high, 7 if full else 5) for low, high in boxes)
 
 
 @case("tolerance 0", "distances that a field of a ball stores: rational arithmetic", "ulp", 0.501)
@@ -183,7 +177,7 @@ def nothing_allowed(device: Device, full: bool) -> float:
 def deepest(device: Device, full: bool) -> float:
     speck = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) * 0.5**11
     faces = shapes.TETRAHEDRON_FACES
-    vertices, faces = shapes.join([(speck, faces), (np.ones(3) - speck, faces)])
+    vertices, faces = shapes.join((speck, faces), (np.ones(3) - speck, faces))
     field = build_adf(
         mesh_from_arrays(vertices, faces), device, tolerance=1e-6, max_level=DEEPEST, band=1e-3,
         sign="none",
@@ -204,24 +198,18 @@ def deepest(device: Device, full: bool) -> float:
       "keys wrong", 0)  # fmt: skip
 def hashes(device: Device, full: bool) -> int:
     random = np.random.default_rng(4)
+    lattices = [(2000, 1, 1, 50), (1, 1, 900, 1024), (90, 90, 1, 512), (20, 20, 20, 17),
+                (10, 10, 10, 1, 2 * 3 * 4 * 5 * 7)]  # fmt: skip
+    ranges = [(MAX_KEY + 1, 20_000), (100, 20_000)]
+    if full:
+        lattices += [(120, 120, 1, 512), (1, 90, 90, 333), (31, 32, 33, 1024)]
+        ranges.append((1 << 13, 500_000))
     sets = [
-        _lattice(2000, 1, 1, 50),
-        _lattice(1, 1, 900, 1024),
-        _lattice(90, 90, 1, 512),
-        _lattice(10, 10, 10, 1, 2 * 3 * 4 * 5 * 7),
-        _lattice(20, 20, 20, 17),
+        *(_lattice(*numbers) for numbers in lattices),
         np.concatenate([_lattice(n, n, n, n) for n in (1, 2, 4, 8, 16, 32)]),
         np.concatenate([_lattice(10, 10, 5)[:-1], [[41, 1, 1]]]),  # two equal modulo m and r
-        np.unique(random.integers(1, MAX_KEY + 1, (20_000, 3)), axis=0),
-        np.unique(random.integers(1, 100, (20_000, 3)), axis=0),
+        *(np.unique(random.integers(1, end, (count, 3)), axis=0) for end, count in ranges),
     ]
-    if full:
-        sets += [
-            _lattice(120, 120, 1, 512),
-            _lattice(1, 90, 90, 333),
-            _lattice(31, 32, 33, 1024),
-            np.unique(random.integers(1, 1 << 13, (500_000, 3)), axis=0),
-        ]
     return sum(len(keys) - len(set(slots(build_hash(keys, device), keys))) for keys in sets)
 
 
@@ -248,34 +236,21 @@ def rays(device: Device, full: bool) -> int:
     mesh = mesh_from_arrays(*shapes.box(low, high))
     level = 7 if full else 5
     field = build_adf(mesh, device, tolerance=2e-3, max_level=level)
-    step, wrong = field.side / (2 << level), 0
-    size = 2 << level
+    size, wrong = 2 << level, 0
+    step = field.side / size
+    # wholes and halves of the edge of the smallest leaf, from the cube's corner
+    middle = np.array(field.origin) + step * (size // 2 + 0.5)
+    places = middle[:, None] + step * (np.arange(size) + 0.5 - size / 2)
+    # (3, size): outside the box along each axis, negative inside
+    beyond = np.maximum(low[:, None] - places, places - high[:, None])
     for axis in range(3):
-        u, v = axis - 2, axis - 1
-        direction, right, down = np.zeros((3, 3))
-        direction[axis], right[u], down[v] = -1, step, -step
-        # wholes and halves of the edge of the smallest leaf, from the cube's corner
-        origin = np.array(field.origin) + step * (size // 2 + 0.5)
-        origin[axis] += 2 * field.side
-        lines = Rays(origin, direction, right, down, False, (size, size))
-        picture = FieldScene(field).draw(lines, device)
-        places = step * (np.arange(size) + 0.5 - size / 2)
-        x, y = origin[u] + places, (origin[v] - places)[:, None]
-        apart = np.maximum(np.maximum(low[u] - x, x - high[u]), np.maximum(low[v] - y, y - high[v]))
+        origin = middle + 2 * field.side * np.eye(3)[axis]
+        picture = FieldScene(field).draw(shapes.rays_along(axis, origin, step, size), device)
+        apart = np.maximum(beyond[axis - 2], beyond[axis - 1][:, None])
         clear = np.abs(apart) > 2 * step  # an edge of the smallest leaf
         wrong += int(np.count_nonzero((picture[..., 3] == 1)[clear] != (apart < 0)[clear]))
     return wrong
 
 
-CASES = (
-    needles,
-    coordinates,
-    nearest,
-    winding,
-    walls,
-    scales,
-    nothing_allowed,
-    deepest,
-    hashes,
-    rays,
-)
+CASES = (needles, coordinates, nearest, winding, walls, scales, nothing_allowed, deepest, hashes,
+         rays)  # fmt: skip

@@ -12,10 +12,9 @@ Such a number is the tuple (value, a, b, c), which stands for value + a ex + b e
 from __future__ import annotations
 
 import math
-from collections import Counter
 from fractions import Fraction
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,33 +29,20 @@ if TYPE_CHECKING:
 
 UNIT = 256  # a voxel
 HALF = UNIT // 2
-NODE = 8  # voxels along a side of a level 1 node
 ZERO = (0, 0, 0, 0)
 ONE = (1, 0, 0, 0)
-
-
-class OctreeNodes(NamedTuple):
-    """Cells of octree nodes by level, counted in nodes: cell (i, j, k) of level L spans the voxels
-    [i, i+1) * 4 * 2**L along x, and so on.
-
-    refined : level -> nodes with children, from level 1 to the root's.
-    inside : level -> leaves wholly set, from level 1 to the root's.
-    """
-
-    refined: dict[int, set[Cell]]
-    inside: dict[int, set[Cell]]
 
 
 def surface26(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
     """Voxels whose closed cube touches a closed triangle, if only in one point."""
     slabs = [[(UNIT * i, UNIT * (i + 1)) for i in range(n)] for n in shape]
-    return {cell for t in _polygons(triangles) for cell in _touched(t, slabs)}
+    return {cell for t in polygons(triangles) for cell in touched(t, slabs)}
 
 
 def surface6(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
     """The 6-separating set of [Schwarz 2010], with the centres moved by (ex, ey, ez)."""
     found = set()
-    for triangle in _polygons(triangles):
+    for triangle in polygons(triangles):
         forms = _thin_forms(*triangle)
         for cell in product(*(_overlapped(triangle, a, shape[a]) for a in range(3))):
             x, y, z = (UNIT * i + HALF for i in cell)
@@ -77,7 +63,7 @@ def solid(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
 def crossings(triangles: Iterable, shape: Sequence[int]) -> Iterator[tuple]:
     """The rows (j, k) that cross a triangle, where along x, and 1 if they enter by the triangle's
     side that is seen from -x, or -1."""
-    for triangle in _polygons(triangles):
+    for triangle in polygons(triangles):
         (x0, y0, z0), (ax, ay, az), (bx, by, bz) = _edges(*triangle)
         det = ay * bz - az * by
         if det == 0:
@@ -93,41 +79,6 @@ def crossings(triangles: Iterable, shape: Sequence[int]) -> Iterator[tuple]:
                 continue
             x = [u * ax + v * bx for u, v in zip(s, t, strict=True)]
             yield j, k, (x[0] + x0, *x[1:]), -1 if det > 0 else 1
-
-
-def active_nodes(triangles: Iterable, shape: Sequence[int], solid: bool) -> set[Cell]:
-    """Level 1 nodes, counted in nodes, whose closed cube of 8 voxels touches a triangle; for a
-    solid the cube is half a voxel longer at both ends along x (eq. 3.6)."""
-    slabs = []
-    for axis, n in enumerate(shape):
-        wider = HALF if solid and axis == 0 else 0
-        count = -(-n // NODE)
-        ends = [(i * NODE * UNIT, (i + 1) * NODE * UNIT) for i in range(count)]
-        slabs.append([(low - wider, high + wider) for low, high in ends])
-    return {cell for t in _polygons(triangles) for cell in _touched(t, slabs)}
-
-
-def expected_octree_nodes(active: set[Cell], voxels: np.ndarray) -> OctreeNodes:
-    """The nodes that the contract of the octree asks for.
-
-    active : level 1 nodes that the stages of [voCCeL] make active.
-    voxels : bool, indexed [x, y, z], of the grid's shape; beyond it nothing is set.
-    """
-    side = max(NODE, 1 << (max(voxels.shape) - 1).bit_length())
-    top = (side // NODE).bit_length()  # the root's level
-    cells = [tuple(map(int, cell)) for cell in np.argwhere(voxels)]
-    refined, full = {}, {}
-    for level in range(1, top + 1):
-        size = 4 << level
-        counts = Counter(tuple(i // size for i in cell) for cell in cells)
-        mixed = {cell for cell, count in counts.items() if count < size**3}
-        full[level] = set(counts) - mixed
-        refined[level] = mixed | {tuple(i >> (level - 1) for i in cell) for cell in active}
-    inside = {}
-    for level in range(1, top + 1):
-        nodes = {(0, 0, 0)} if level == top else _children(refined[level + 1])
-        inside[level] = (nodes & full[level]) - refined[level]
-    return OctreeNodes(refined, inside)
 
 
 def to_dense(voxels: set[Cell], shape: Sequence[int]) -> np.ndarray:
@@ -158,18 +109,13 @@ def winding_numbers(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return angles / (4 * np.pi)
 
 
-def _polygons(triangles: Iterable) -> Iterator[Polygon]:
+def polygons(triangles: Iterable) -> Iterator[Polygon]:
     """The triangles as lists of points of Python integers."""
     for triangle in triangles:
         yield [tuple(int(v) for v in point) for point in triangle]
 
 
-def _children(nodes: set[Cell]) -> set[Cell]:
-    corners = list(product((0, 1), repeat=3))
-    return {(2 * i + a, 2 * j + b, 2 * k + c) for i, j, k in nodes for a, b, c in corners}
-
-
-def _touched(polygon: Polygon, slabs: Sequence[Sequence[Slab]], axis: int = 0) -> Iterator[tuple]:
+def touched(polygon: Polygon, slabs: Sequence[Sequence[Slab]], axis: int = 0) -> Iterator[tuple]:
     """Cells of a product of closed slabs that a convex polygon touches, which may be a segment or a
     point: clip it to each slab of one axis, then what is left to those of the next."""
     low, high = min(p[axis] for p in polygon), max(p[axis] for p in polygon)
@@ -182,7 +128,7 @@ def _touched(polygon: Polygon, slabs: Sequence[Sequence[Slab]], axis: int = 0) -
         if axis == 2:
             yield (index,)
         else:
-            for rest in _touched(part, slabs, axis + 1):
+            for rest in touched(part, slabs, axis + 1):
                 yield (index, *rest)
 
 

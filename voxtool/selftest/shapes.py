@@ -1,4 +1,4 @@
-"""Test shapes: triangle meshes, vertices (V, 3) and faces (F, 3), and tetrahedral meshes.
+"""Shapes and rays for tests: triangle meshes, (V, 3) and (F, 3) arrays, and tetrahedral meshes.
 
 They are computed with + - * / and square roots alone, so they are the same on every machine.
 """
@@ -9,7 +9,10 @@ from itertools import permutations, product
 
 import numpy as np
 
+from voxtool.camera import Rays
 from voxtool.vector import length
+
+Shape = tuple[np.ndarray, np.ndarray]
 
 BOX_FACES = np.array(
     [
@@ -25,41 +28,55 @@ TETRAHEDRON_FACES = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3)])
 KUHN = np.array([np.cumsum([0, *way]) for way in permutations((1, 2, 4))])
 
 
-def box(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def box(low: np.ndarray, high: np.ndarray) -> Shape:
     """12 outward triangles."""
     corners = np.array(list(product((0, 1), repeat=3)))
     return np.where(corners == 1, high, low), BOX_FACES
 
 
-def octahedron(centre: np.ndarray, radius: int) -> tuple[np.ndarray, np.ndarray]:
+def octahedron(centre: np.ndarray, radius: int) -> Shape:
     """8 outward triangles."""
     axes = np.eye(3, dtype=np.int64)
     corners = np.stack([axes, -axes], axis=1).reshape(6, 3)
     return np.asarray(centre) + radius * corners, OCTAHEDRON_FACES
 
 
-def ball(level: int) -> tuple[np.ndarray, np.ndarray]:
+def subdivide(mesh: Shape) -> Shape:
+    """Every triangle cut into four at the midpoints of its edges (rounded down if whole)."""
+    vertices, faces = mesh
+    edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
+    ends, middle = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
+    sums = vertices[ends].sum(axis=1)
+    halves = sums // 2 if np.issubdtype(sums.dtype, np.integer) else sums / 2
+    m = middle.reshape(-1, 3) + len(vertices)
+    corners = np.stack([faces, m, np.roll(m, 1, axis=1)], axis=2).reshape(-1, 3)
+    return np.concatenate([vertices, halves]), np.concatenate([corners, m])
+
+
+def ball(level: int) -> Shape:
     """8 * 4**level outward triangles with their vertices on the unit sphere, to 2**-20."""
     vertices, faces = octahedron(np.zeros(3), 1)
     for _ in range(level):
-        edges = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
-        ends, middle = np.unique(np.sort(edges, axis=1), axis=0, return_inverse=True)
-        m = middle.reshape(-1, 3) + len(vertices)
-        corners = np.stack([faces, m, np.roll(m, 1, axis=1)], axis=2).reshape(-1, 3)
-        faces = np.concatenate([corners, m])
-        vertices = np.concatenate([vertices, vertices[ends].sum(axis=1) / 2])
+        vertices, faces = subdivide((vertices, faces))
     vertices = vertices / length(vertices)[:, None]
     return np.rint(vertices * 2**20) / 2**20, faces
 
 
-def join(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
+def join(*parts: Shape) -> Shape:
     """Several meshes as one; nothing is welded."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     faces = [faces + start for (_, faces), start in zip(parts, starts, strict=False)]
     return np.concatenate([vertices for vertices, _ in parts]), np.concatenate(faces)
 
 
-def tetrahedra(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def rays_along(axis: int, origin: np.ndarray, step: float, size: int, sign: int = -1) -> Rays:
+    """size x size parallel rays along an axis, `step` apart along the next two axes."""
+    direction, right, down = np.zeros((3, 3))
+    direction[axis], right[axis - 2], down[axis - 1] = sign, step, step
+    return Rays(origin, direction, right, down, False, (size, size))
+
+
+def tetrahedra(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> Shape:
     """Points (P, 3), cells (T, 4): the boxes between planes across each axis, cut in six each."""
     points = np.stack(np.meshgrid(x, y, z, indexing="ij"), -1).reshape(-1, 3)
     shape = len(x), len(y), len(z)

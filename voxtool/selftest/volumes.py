@@ -10,7 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from voxtool.camera import Camera, Rays
+from voxtool.camera import Camera
 from voxtool.choices import METHODS
 from voxtool.opencl import Device
 from voxtool.rendering import render
@@ -27,6 +27,7 @@ NEAR = 2e-5  # of a colour: float32 planes, depths and scalars
 ROUNDED = 2.0**-23  # of the range of scalars: two roundings of a float32 from 1/2 to 1
 SEEN = 1e-30  # light that is let through counts down to this
 SLIVER = 1e-9  # of a cube: a cell's volume
+PICTURES = "pictures: every cell clipped on every ray, float64"
 GREY = TransferFunction([0.0], [[0.5, 0.5, 0.5]], [0.7])  # pyright: ignore[reportArgumentType]
 
 
@@ -89,8 +90,8 @@ def wavy_block(seed: int, cubes: int = 4) -> UnstructuredMesh:
 def picture_error(
     device: Device, mesh: UnstructuredMesh, transfer: TransferFunction, full: bool
 ) -> float:
-    """The largest error of a colour in pictures by both methods, beyond what becomes of it when all
-    scalars move by ROUNDED of their range: where a ray runs along a step, that shows."""
+    """The largest error of a colour in pictures by both methods, beyond the change when all scalars
+    move by ROUNDED of their range, which shows if a ray runs along a step."""
     points, cells, scalars = mesh.points, mesh.cells[0][1], np.asarray(mesh.scalars)
     moved = ROUNDED * np.ptp(scalars)
     volume, error = build_tet(mesh), 0.0
@@ -112,32 +113,28 @@ def picture_error(
     return error
 
 
-@case("control points 1e-6 apart", "pictures: every cell clipped on every ray, float64",
-      "of a colour", NEAR)  # fmt: skip
+def wavy_error(device: Device, full: bool, seed: int, at: list, extinctions: list) -> float:
+    """The largest error of pictures of wavy blocks, with random colours at the control points."""
+    colours = np.random.default_rng(seed).random((len(at), 3))
+    transfer = TransferFunction(np.array(at), colours, np.array(extinctions))
+    blocks = map(wavy_block, range(5 if full else 1))
+    return max(picture_error(device, block, transfer, full) for block in blocks)
+
+
+@case("control points 1e-6 apart", PICTURES, "of a colour", NEAR)
 def control_points(device: Device, full: bool) -> float:
     near = 1e-6
     at = [-1.5, -0.3, -0.3 + near, 0.2 - near, 0.2, 0.2 + near, 1.5]
-    colours = np.random.default_rng(3).random((len(at), 3))
-    extinctions = [0.3, 0.3, 3.0, 0.5, 3.0, 0.5, 2.0]
-    transfer = TransferFunction(np.array(at), colours, np.array(extinctions))
-    return max(picture_error(device, wavy_block(seed), transfer, full) for seed in _seeds(full))
+    return wavy_error(device, full, 3, at, [0.3, 0.3, 3.0, 0.5, 3.0, 0.5, 2.0])
 
 
-@case("step functions", "pictures: every cell clipped on every ray, float64", "of a colour", NEAR)
+@case("step functions", PICTURES, "of a colour", NEAR)
 def steps(device: Device, full: bool) -> float:
     at = [-0.7, -0.7, -0.2, -0.2, 0.1, 0.1, 0.6, 0.6]
-    colours = np.random.default_rng(4).random((len(at), 3))
-    extinctions = [0.0, 0.8, 0.8, 0.0, 0.0, 5.0, 5.0, 0.2]
-    transfer = TransferFunction(np.array(at), colours, np.array(extinctions))
-    return max(picture_error(device, wavy_block(seed), transfer, full) for seed in _seeds(full))
+    return wavy_error(device, full, 4, at, [0.0, 0.8, 0.8, 0.0, 0.0, 5.0, 5.0, 0.2])
 
 
-def _seeds(full: bool) -> range:
-    return range(5 if full else 1)
-
-
-@case("slivers of 1e-9 relative volume", "pictures: every cell clipped on every ray, float64",
-      "of a colour", NEAR)  # fmt: skip
+@case("slivers of 1e-9 relative volume", PICTURES, "of a colour", NEAR)
 def slivers(device: Device, full: bool) -> float:
     error = 0.0
     for thin in (SLIVER, 1e-5, 1e-7) if full else (SLIVER,):
@@ -164,14 +161,11 @@ def edges(device: Device, full: bool) -> float:
         size = (cubes + 1) * parts
         at = (np.arange(size) + 0.5 - size / 2) * step / parts
         inside = (np.abs(at) < 1)[:, None] & (np.abs(at) < 1)
-        for axis in range(3):
-            direction, right, down = np.zeros((3, 3))
-            direction[axis], right[axis - 2], down[axis - 1] = -1, step / parts, -step / parts
-            rays = Rays(-5 * direction, direction, right, down, False, (size, size))
-            for method in METHODS:
-                picture = render(volume, rays, transfer=GREY, method=method, device=device)
-                opacity = picture[..., 3][inside]
-                error = max(error, float(np.abs(opacity - expected).max()))
+        for axis, method in product(range(3), METHODS):
+            rays = shapes.rays_along(axis, 5 * np.eye(3)[axis], step / parts, size)
+            picture = render(volume, rays, transfer=GREY, method=method, device=device)
+            opacity = picture[..., 3][inside]
+            error = max(error, float(np.abs(opacity - expected).max()))
     return error
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from fractions import Fraction
-from itertools import combinations
+from itertools import combinations, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.camera import Rays
 from voxtool.choices import MAX_DIM
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
@@ -19,7 +18,7 @@ from voxtool.svo.raycast import depths
 from voxtool.svo.voxelize import voxelize
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from voxtool.svo.octree import Octree
 
@@ -42,9 +41,8 @@ def lattice_mesh(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
     return mesh_from_arrays(np.asarray(vertices, np.float64) / UNIT, faces)
 
 
-def lattice_grid(shape: Sequence[int]) -> Grid:
+def lattice_grid(x: int, y: int, z: int) -> Grid:
     """A grid whose voxels are the world's units."""
-    x, y, z = shape
     return Grid((x, y, z), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
 
@@ -55,25 +53,33 @@ def set_voxels(device: Device, mesh: Mesh, grid: Grid, mode: str, **options: Any
     return octree
 
 
-def wrong(octree: Octree, expected: set[tuple[int, int, int]]) -> int:
+def wrong(octree: Octree, expected: Iterable[Sequence[int]]) -> int:
     """The number of voxels whose state differs from the expected one."""
-    return len(cells(octree.occupied()) ^ expected)
-
-
-def cells(voxels: np.ndarray) -> set[tuple[int, int, int]]:
-    """(N, 3) voxels as a set."""
-    return {(i, j, k) for i, j, k in voxels.tolist()}
+    return len({tuple(cell) for cell in octree.occupied().tolist()} ^ set(map(tuple, expected)))
 
 
 def wrong_by_oracles(
-    device: Device, vertices: np.ndarray, faces: np.ndarray, shape: Sequence[int] = SMALL
+    device: Device,
+    mesh: Mesh,
+    grid: Grid,
+    triangles: np.ndarray,
+    window: tuple[list[int], list[int]] | None = None,
 ) -> int:
-    """The number of voxels that differ from the oracles in any mode; vertices in 1/256 voxel."""
-    mesh, grid = lattice_mesh(vertices, faces), lattice_grid(shape)
+    """The number of voxels that differ from the oracles in any mode.
+
+    triangles : of the mesh, in 1/256 voxel from the grid's or the window's low corner.
+    """
+    shape = window[1] if window else grid.shape
     return sum(
-        wrong(set_voxels(device, mesh, grid, mode), oracle(vertices[faces], shape))
+        wrong(set_voxels(device, mesh, grid, mode, window=window), oracle(triangles, shape))
         for mode, oracle in ORACLES.items()
     )
+
+
+def wrong_on_lattice(device: Device, vertices: np.ndarray, faces: np.ndarray) -> int:
+    """The same for a mesh of vertices in 1/256 voxel, in a small grid."""
+    mesh = lattice_mesh(vertices, faces)
+    return wrong_by_oracles(device, mesh, lattice_grid(*SMALL), vertices[faces])
 
 
 @case("needles", "aspect 1e6, through and far beyond the grid: rational arithmetic",
@@ -90,7 +96,7 @@ def needles(device: Device, full: bool) -> int:
             ends = start + np.array([[0, 0, 0], [width, 0, 0], [0, width, width]])
             corners = np.concatenate([ends, [start + way]])
             parts.append((corners, shapes.TETRAHEDRON_FACES))
-        found += wrong_by_oracles(device, *shapes.join(parts))
+        found += wrong_on_lattice(device, *shapes.join(*parts))
     return found
 
 
@@ -110,51 +116,25 @@ def flat_faces(device: Device, full: bool) -> int:
         copies = [(c, b, a), (b, c, a), (a, b, c)]
         every = [np.stack(columns, axis=1) for columns in ((a, b, c), *degenerate, *copies)]
         faces = random.permutation(np.concatenate([some[::2] for some in every]))
-        found += wrong_by_oracles(device, vertices, faces)
+        found += wrong_on_lattice(device, vertices, faces)
     return found
 
 
-@case("faces on voxel faces", "boxes at wholes, halves, beside: formulas, rational arithmetic",
+@case("faces on voxel faces", "boxes at wholes, halves, beside: rational arithmetic",
       "voxels wrong", 0)  # fmt: skip
 def boundaries(device: Device, full: bool) -> int:
     random, found = np.random.default_rng(3), 0
     places = [0, 1, UNIT // 2 - 1, UNIT // 2, UNIT // 2 + 1, UNIT - 1]
-    shape = (32, 32, 32)
     for _ in range(24 if full else 3):
-        parts, solid, touched = [], np.zeros(shape, bool), np.zeros(shape, bool)
+        parts = []
         for corner in np.ndindex(2, 2, 2):  # one in each octant
             low = UNIT * (16 * np.array(corner) + random.integers(2, 5, 3))
             low = low + random.choice(places, 3)
-            high = low + UNIT * random.integers(1, 10, 3)
-            parts.append(shapes.box(low, high))
-            solid |= _product(*(_layers(n, low, high, axis)[0] for axis, n in enumerate(shape)))
-            over, within = (
-                _product(*(_layers(n, low, high, axis)[which] for axis, n in enumerate(shape)))
-                for which in (1, 2)
-            )
-            touched |= over & ~within
-        vertices, faces = shapes.join(parts)
-        mesh, grid = lattice_mesh(vertices, faces), lattice_grid(shape)
-        thin = oracles.to_dense(oracles.surface6(vertices[faces], shape), shape)
-        for mode, expected in (("solid", solid), ("surface26", touched), ("surface6", thin)):
-            octree = set_voxels(device, mesh, grid, mode)
-            found += int(np.count_nonzero(octree.to_dense() != expected))
+            parts.append(shapes.box(low, low + UNIT * random.integers(1, 10, 3)))
+        vertices, faces = shapes.join(*parts)
+        mesh = lattice_mesh(vertices, faces)
+        found += wrong_by_oracles(device, mesh, lattice_grid(32, 32, 32), vertices[faces])
     return found
-
-
-def _layers(
-    count: int, low: np.ndarray, high: np.ndarray, axis: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(count,) bool each, voxels along an axis: those whose centre, moved by an infinitesimal, is
-    between low and high; those that touch the interval; those strictly inside it."""
-    begin = UNIT * np.arange(count)
-    centre, end = begin + UNIT // 2, begin + UNIT
-    a, b = low[axis], high[axis]
-    return (centre >= a) & (centre < b), (end >= a) & (begin <= b), (begin > a) & (end < b)
-
-
-def _product(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
-    return x[:, None, None] & y[:, None] & z
 
 
 @case("coordinates of 1e12, 1e-12, 1e8 off", "a ball on the lattice: rational arithmetic",
@@ -166,9 +146,7 @@ def coordinates(device: Device, full: bool) -> int:
         mesh = mesh_from_arrays(points * factor + offset, faces)
         grid = Grid.fit(mesh, 20)
         vertices = np.array([_on_lattice(grid, vertex) for vertex in mesh.vertices.tolist()])
-        for mode, oracle in ORACLES.items():
-            octree = set_voxels(device, mesh, grid, mode)
-            found += wrong(octree, oracle(vertices[faces], grid.shape))
+        found += wrong_by_oracles(device, mesh, grid, vertices[faces])
     return found
 
 
@@ -184,7 +162,7 @@ def _on_lattice(grid: Grid, point: list[float]) -> list[int]:
       "voxels wrong", 0)  # fmt: skip
 def wide(device: Device, full: bool) -> int:
     random, found, size = np.random.default_rng(5), 0, 10
-    grid = lattice_grid((MAX_DIM, MAX_DIM, MAX_DIM))
+    grid = lattice_grid(MAX_DIM, MAX_DIM, MAX_DIM)
     side = UNIT * MAX_DIM
     corners = np.array([[77, 3, side // 3], [side - 501, side // 5, 1000], [9, side - 5, side - 2]])
     mesh = lattice_mesh(corners, np.array([[0, 1, 2]]))
@@ -195,9 +173,8 @@ def wide(device: Device, full: bool) -> int:
         low = np.rint(weight @ corners / UNIT).astype(np.int64) - random.integers(2, size - 2, 3)
         low = np.clip(low, 0, MAX_DIM - size)
         window = (low.tolist(), [size] * 3)
-        for mode, oracle in ORACLES.items():
-            octree = set_voxels(device, mesh, grid, mode, window=window)
-            found += wrong(octree, oracle([corners - UNIT * low], [size] * 3))
+        triangles = (corners - UNIT * low)[None]
+        found += wrong_by_oracles(device, mesh, grid, triangles, window)
     return found
 
 
@@ -210,8 +187,8 @@ def crowd(device: Device, full: bool) -> int:
     around = shapes.octahedron(centre + 1, 60)
     # each twice, so they cross every row an even number of times; the octahedron is there once
     soup = (corners.reshape(-1, 3), np.tile(np.arange(corners.size // 3).reshape(-1, 3), (2, 1)))
-    vertices, faces = shapes.join([soup, around])
-    mesh, grid = lattice_mesh(vertices, random.permutation(faces)), lattice_grid((256,) * 3)
+    vertices, faces = shapes.join(soup, around)
+    mesh, grid = lattice_mesh(vertices, random.permutation(faces)), lattice_grid(256, 256, 256)
     return sum(
         wrong(set_voxels(device, mesh, grid, mode), {place}) for mode in ("surface26", "solid")
     )
@@ -220,7 +197,7 @@ def crowd(device: Device, full: bool) -> int:
 @case("dims 8 to 4096", "octahedra by their formula: all voxels, or all of their number",
       "voxels wrong", 0)  # fmt: skip
 def dims(device: Device, full: bool) -> int:
-    found = 0
+    found, near = 0, 32
     more = (27, 100, 200, 777, 1025, 1500, 3000, 4095) if full else ()
     for dim in (8, 9, 16, 50, 64, 128, 300, 512, 1024, 2048, 4096, *more):
         centre, radius = _octahedron(dim)
@@ -229,12 +206,14 @@ def dims(device: Device, full: bool) -> int:
             expected = _within(dim, centre, radius)
             found += int(np.count_nonzero(octree.to_dense() != expected))
         else:
-            found += abs(octree.count - _count(dim, centre, radius))
-    near, (centre, radius) = 32, _octahedron(32)
+            x, y, z = _away(dim, centre)
+            rows = np.searchsorted(np.sort(x), (radius - y[:, None] - z).ravel())
+            found += abs(octree.count - int(rows.sum()))
+    centre, radius = _octahedron(near)
     expected = np.argwhere(_within(near, centre, radius))
     for dim in (1024, 2048, 4096):  # a small one in the far corner
         octree = _solid_octahedron(device, dim, centre + UNIT * (dim - near), radius)
-        found += wrong(octree, cells(expected + dim - near))
+        found += wrong(octree, (expected + dim - near).tolist())
     return found
 
 
@@ -246,7 +225,7 @@ def _octahedron(dim: int) -> tuple[np.ndarray, int]:
 
 def _solid_octahedron(device: Device, dim: int, centre: np.ndarray, radius: int) -> Octree:
     mesh = lattice_mesh(*shapes.octahedron(centre, radius))
-    return set_voxels(device, mesh, lattice_grid((dim,) * 3), "solid")
+    return set_voxels(device, mesh, lattice_grid(dim, dim, dim), "solid")
 
 
 def _away(dim: int, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -256,15 +235,9 @@ def _away(dim: int, centre: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def _within(dim: int, centre: np.ndarray, radius: int) -> np.ndarray:
-    """(dim, dim, dim) bool."""
+    """(dim, dim, dim) bool: the voxels whose centre is in an octahedron."""
     x, y, z = _away(dim, centre)
     return x[:, None, None] + y[:, None] + z < radius
-
-
-def _count(dim: int, centre: np.ndarray, radius: int) -> int:
-    """The number of voxels within, by rows along x."""
-    x, y, z = _away(dim, centre)
-    return int(np.searchsorted(np.sort(x), (radius - y[:, None] - z).ravel()).sum())
 
 
 @case("a box without two sides", "by winding numbers: solid angles one by one, numpy",
@@ -277,7 +250,11 @@ def open_box(device: Device, full: bool) -> int:
     for one, other in combinations(range(6), 2) if full else ((0, 2), (3, 4)):
         kept = np.delete(faces, [2 * one, 2 * one + 1, 2 * other, 2 * other + 1], axis=0)
         octree = set_voxels(
-            device, lattice_mesh(vertices, kept), lattice_grid((dim,) * 3), "solid", fill="winding"
+            device,
+            lattice_mesh(vertices, kept),
+            lattice_grid(dim, dim, dim),
+            "solid",
+            fill="winding",
         )
         number = oracles.winding_numbers(centres, vertices[kept] / UNIT)
         clear = np.abs(number - 0.5) > CLEAR
@@ -290,26 +267,20 @@ def open_box(device: Device, full: bool) -> int:
 def rays(device: Device, full: bool) -> float:
     low, high = np.array([3, 2, 4]), np.array([11, 13, 10])
     mesh = lattice_mesh(*shapes.box(UNIT * low, UNIT * high))
-    octree = set_voxels(device, mesh, lattice_grid((16, 16, 16)), "solid")
+    octree = set_voxels(device, mesh, lattice_grid(16, 16, 16), "solid")
     error, size = 0.0, 64
-    for axis in range(3):
-        for sign in (1, -1):
-            direction, right, down = np.zeros((3, 3))
-            u, v = (axis + 1) % 3, (axis + 2) % 3
-            direction[axis], right[u], down[v] = sign, 0.5, 0.5
-            origin = np.full(3, 8.25)  # so every ray is at wholes or halves of voxels
-            origin[axis] = -4 if sign > 0 else 20
-            picture = Rays(origin, direction, right, down, False, (size, size))
-            found = depths(octree, picture, device=device)
-            steps = 8.25 + 0.5 * (np.arange(size) + 0.5 - size / 2)
-            met = _product(
-                ((steps >= low[v]) & (steps < high[v])), ((steps >= low[u]) & (steps < high[u])),
-                np.ones(1, bool),
-            )[..., 0]  # fmt: skip
-            expected = np.where(met, low[axis] + 4 if sign > 0 else 20 - high[axis], np.inf)
-            if not np.array_equal(np.isfinite(found), met):
-                return np.inf
-            error = max(error, float(np.abs(found[met] - expected[met]).max()))
+    steps = 8.25 + 0.5 * (np.arange(size) + 0.5 - size / 2)  # wholes and halves of voxels
+    for axis, sign in product(range(3), (1, -1)):
+        origin = np.full(3, 8.25)
+        origin[axis] = -4 if sign > 0 else 20
+        found = depths(octree, shapes.rays_along(axis, origin, 0.5, size, sign), device=device)
+        u, v = axis - 2, axis - 1
+        across, down = ((steps >= low[a]) & (steps < high[a]) for a in (u, v))
+        met = down[:, None] & across
+        if not np.array_equal(np.isfinite(found), met):
+            return np.inf
+        depth = low[axis] + 4 if sign > 0 else 20 - high[axis]
+        error = max(error, float(np.abs(found[met] - depth).max()))
     return error
 
 
