@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -287,6 +288,17 @@ def test_opaque_in_front_hides_what_is_behind(device) -> None:
     found = picture_of(mesh, wall, rays, device)[6:10, 6:10]
     assert (found[..., 3] == 1).all()
     assert np.abs(found - reference_picture(mesh, wall, rays)[6:10, 6:10]).max() < 1e-4
+
+
+@pytest.mark.parametrize("fov", [None, 40.0])
+def test_mirrored_rays_give_the_mirrored_picture(device, fov) -> None:
+    points, cells = tet_grid((3, 3, 3), seed=3)
+    mesh = mesh_of(points, cells, wavy(points))
+    volume = Pictures(build_tet(mesh), device)
+    rays, transfer = rays_of(mesh, "iso", fov), ramp(-1.5, 1.5, 2.0)
+    upright = volume.render(rays, transfer)
+    mirrored = volume.render(replace(rays, right=-rays.right), transfer)
+    assert np.array_equal(mirrored, upright[:, ::-1])
 
 
 def test_sizes_that_are_no_multiple_of_a_tile(device) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from voxtool.errors import MemoryLimitError
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.tets.volume import BLOCK, FACES, ON_PLANE
-from voxtool.vector import dot
+from voxtool.vector import cross, dot
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -51,7 +51,6 @@ class DeviceVolume:
                 "vertices": device.put(volume.vertices),
                 "cells_vertices": device.put(volume.cells),
                 "neighbours": device.put(volume.neighbours),
-                "sides": device.put(volume.faces.astype(np.uint8)),
                 "cells": self.cells,
             }
             if volume.anchors is not None:
@@ -152,9 +151,13 @@ class Viewpoint:
         middle = 0.0
         if local.perspective:
             middle = max(-float(dot(local.origin, local.direction)), NEAREST)
+        sides = volume.faces.astype(np.uint8)
+        if dot(cross(local.right, local.down), local.direction) < 0:  # a mirrored picture
+            sides = sides[:, ::-1]
         numbers = [*local.origin, *local.direction, *local.right, *local.down, middle]
         arguments = {
             "viewpoint": device.put(np.array(numbers)),
+            "sides": device.put(sides),
             "middle": middle,
             "right_square": dot(local.right, local.right),
             "down_square": dot(local.down, local.down),
