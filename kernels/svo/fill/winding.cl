@@ -122,16 +122,22 @@ bool may_meet(const triangle *t, centres c)
     return (height < 0 ? -height : height) <= reach + SLACK * (reach + slack);
 }
 
-// spreads[i] = a bound of the difference between the winding number of the caps at the voxels of block
-// i and in its middle; infinite if it is `limit` or more. A hole contributes the lower one of two
-// bounds: by the area of its cap, and by its edges.
-__kernel void bound_spreads(__global const ulong *blocks, const uint n, const uint level,
-                            const double limit, const double4 frame,
-                            __global const float *hole_nodes, __global const uint *hole_names,
-                            __global const double *areas, __global const double *hole_areas,
-                            const uint hole_count, const uint hole_first_leaf,
-                            __global const uint *first, __global const int *loops,
-                            __global const int *vertices, __global double *spreads)
+// Parameter groups. BLOCKS: blocks of 2^level voxels, by Morton codes. HOLES: the tree over the holes;
+// the areas of its nodes and of the caps; hole h's loop, the points first[h] to first[h + 1], in the
+// frame. CAPS: the caps, and the rest of the tree over them.
+#define BLOCKS __global const ulong *blocks, const uint n, const uint level, const double4 frame
+#define HOLES                                                                                          \
+    __global const float *hole_nodes, __global const uint *hole_names, const uint hole_count,          \
+        const uint hole_first_leaf, __global const double *areas, __global const double *hole_areas,   \
+        __global const uint *first, __global const double *loops
+#define CAPS                                                                                           \
+    __global const uint *cap_names, const uint cap_count, const uint cap_first_leaf,                   \
+        __global const int *vertices, __global const int *faces, const uint first_cap
+
+// variations[i] = a bound of the difference between the winding number of the caps at the voxels of
+// block i and in its middle; infinite if it is `limit` or more. A hole contributes the lower one of
+// two bounds: by the area of its cap, and by its edges.
+__kernel void bound_variation(BLOCKS, HOLES, const double limit, __global double *variations)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -164,9 +170,9 @@ __kernel void bound_spreads(__global const ulong *blocks, const uint n, const ui
             for (uint k = leaf; k < min(leaf + LEAF, hole_count); ++k) {
                 const uint hole = hole_names[k] / 3;
                 double sum = 0;
-                double3 a = to_local(vload3(loops[first[hole + 1] - 1], vertices), frame);
+                double3 a = vload3(first[hole + 1] - 1, loops);
                 for (uint at = first[hole]; at < first[hole + 1]; ++at) {
-                    const double3 b = to_local(vload3(loops[at], vertices), frame);
+                    const double3 b = vload3(at, loops);
                     sum += steepness_of(a, b, low, high, radius);
                     a = b;
                 }
@@ -175,19 +181,16 @@ __kernel void bound_spreads(__global const ulong *blocks, const uint n, const ui
             }
         }
     }
-    const double spread = steepness * radius;
-    spreads[gid] = spread < limit ? spread : INFINITY;
+    const double variation = steepness * radius;
+    variations[gid] = variation < limit ? variation : INFINITY;
 }
 
-// spreads[i] = infinite if a cap may pass between the voxels of block i.
-__kernel void exclude_caps(__global const ulong *blocks, const uint n, const uint level,
-                        const double4 frame, __global const float *cap_nodes,
-                        __global const uint *cap_names, const uint cap_count,
-                        const uint cap_first_leaf, __global const int *vertices,
-                        __global const int *faces, const uint first_cap, __global double *spreads)
+// variations[i] = infinite if a cap may pass between the voxels of block i.
+__kernel void exclude_caps(BLOCKS, CAPS, __global const float *cap_nodes,
+                           __global double *variations)
 {
     const uint gid = get_global_id(0);
-    if (gid >= n || spreads[gid] == INFINITY)
+    if (gid >= n || variations[gid] == INFINITY)
         return;
     const centres c = centres_of(blocks[gid], level);
     const double3 low = to_local(c.low, frame), high = to_local(c.high, frame);
@@ -209,7 +212,7 @@ __kernel void exclude_caps(__global const ulong *blocks, const uint n, const uin
             for (uint k = leaf; k < min(leaf + LEAF, cap_count); ++k) {
                 const triangle t = fetch_triangle(vertices, faces, first_cap + cap_names[k] / 3);
                 if (may_meet(&t, c)) {
-                    spreads[gid] = INFINITY;
+                    variations[gid] = INFINITY;
                     return;
                 }
             }
@@ -332,11 +335,8 @@ __kernel void number_voxels(__global const ulong *voxels, const uint n, const in
 // Subtract the winding number of the caps about the shifted centres of voxels. Near triangles are
 // evaluated one by one, distant ones through the moments of the tree.
 __kernel void subtract_caps(__global const ulong *voxels, const uint n, const double4 frame,
-                            __global const double *cap_leaves, __global const uint *cap_names,
-                            const uint cap_count, const uint cap_first_leaf,
-                            __global const double *moments, __global const int *vertices,
-                            __global const int *faces, const uint first_cap,
-                            __global double *numbers)
+                            CAPS, __global const double *cap_leaves,
+                            __global const double *moments, __global double *numbers)
 {
     const uint gid = get_global_id(0);
     if (gid >= n || numbers[gid] == BEYOND_GRID)

@@ -130,13 +130,14 @@ __kernel void sample_tiles(__global const uint *node_codes, const uint n,
 #else
 
 // The coverages of the 64 samples of each active tile; the masks of samples inside, and of samples
-// outside that contain occupied voxels.
+// outside that contain occupied voxels. full_and_inside: the coverage of a full sample, and the least
+// of a sample inside.
 __kernel void sample_tiles(__global const uint *node_codes, const uint n,
-                           __global const uint *children, const uint first, const uint full,
-                           const uint threshold, __global const ulong *bricks,
-                           __global const uint *coverage, __global const ulong *present,
-                           __global const uint *ranks, __global SAMPLE *samples,
-                           __global ulong *below, __global ulong *masks, __global uint *source)
+                           __global const uint *children, const uint first,
+                           const uint2 full_and_inside, __global const COVERAGE *coverage,
+                           __global const ulong *present, __global const uint *ranks,
+                           __global SAMPLE *samples, __global ulong *below,
+                           __global ulong *masks, __global uint *source)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -147,15 +148,15 @@ __kernel void sample_tiles(__global const uint *node_codes, const uint n,
         __global SAMPLE *sample = samples + 64 * (size_t)gid + 8 * octant;
         if (child & VALID) {
             for (uint i = 0; i < 8; ++i) {
-                const uint covered = sizeof(SAMPLE) == 1 ? (uint)popcount(bricks[node + i]) // level 0
-                                                         : coverage[node + i];
+                const COVERAGE found = coverage[node + i]; // at level 0 a brick's mask
+                const uint covered = (uint)(sizeof(COVERAGE) == 8 ? popcount(found) : found);
                 sample[i] = (SAMPLE)covered;
-                mask |= (ulong)(covered >= threshold) << (8 * octant + i);
+                mask |= (ulong)(covered >= full_and_inside.y) << (8 * octant + i);
                 set |= (ulong)(covered > 0) << (8 * octant + i);
             }
         } else {
             for (uint i = 0; i < 8; ++i)
-                sample[i] = (SAMPLE)(child & INSIDE ? full : 0);
+                sample[i] = (SAMPLE)(child & INSIDE ? full_and_inside.x : 0);
             mask |= (child & INSIDE ? 0xFFul : 0ul) << (8 * octant);
         }
     }

@@ -95,7 +95,7 @@ class CapField:
             "hole_count": holes.count,
             "hole_first_leaf": holes.first_leaf,
             "first": self.device.put(caps.first.astype(np.uint32)),
-            "loops": self.device.put(caps.loops),
+            "loops": self.device.put(tree.frame.local(points[caps.loops])),
             "areas": self.device.put(_sums(holes, by_hole)),
             "hole_areas": self.device.put(by_hole),
         }
@@ -106,24 +106,24 @@ class CapField:
 
     def thresholds(self, blocks: np.ndarray, level: int) -> np.ndarray:
         """Return (n,) int64, the least N inside of blocks of 2**level voxels, or BY_VOXEL."""
-        spreads = self._spreads(blocks, level)
-        near = np.flatnonzero(np.isfinite(spreads))
+        variations = self._variations(blocks, level)
+        near = np.flatnonzero(np.isfinite(variations))
         middles = (morton_decode(blocks[near]) * 2 + 1) << (level - 1 + FIXED_POINT_BITS)
         at = self.device.put(self.tree.frame.local(middles.astype(np.float64)))
         half_more = self.windings[0].at_local(at, len(near)).take() + 0.5
-        known = np.abs(half_more - np.rint(half_more)) > spreads[near] + DOUBT
+        known = np.abs(half_more - np.rint(half_more)) > variations[near] + DOUBT
         thresholds = np.full(len(blocks), BY_VOXEL)
         thresholds[near[known]] = np.ceil(half_more[known])
         return thresholds
 
-    def _spreads(self, blocks: np.ndarray, level: int) -> np.ndarray:
+    def _variations(self, blocks: np.ndarray, level: int) -> np.ndarray:
         """Return (n,) float64 bounds of the difference of w(C) to its value in a block's middle;
         infinite if the bound is 1/2 or more, or a cap passes between the voxels."""
         n = len(blocks)
-        codes, spreads = self.device.put(blocks), self.device.empty(n, np.float64)
-        self.kernel("bound_spreads")(n, codes, level, 0.5 - DOUBT, spreads, **self._arguments)
-        self.kernel("exclude_caps")(n, codes, level, spreads, **self._arguments)
-        return spreads.take()
+        codes, variations = self.device.put(blocks), self.device.empty(n, np.float64)
+        self.kernel("bound_variation")(n, codes, level, 0.5 - DOUBT, variations, **self._arguments)
+        self.kernel("exclude_caps")(n, codes, level, variations, **self._arguments)
+        return variations.take()
 
     def numbers(
         self, voxels: np.ndarray, crossings: Crossings, winding: WindingNumber | None

@@ -167,7 +167,8 @@ def _sample_tiles(
     scene["samples"] = device.empty(64 * nodes.size, sampled)
     scene["below"] = device.empty(nodes.size, np.uint64)
     first = tree.first(sampling.level + 1)
-    kernel("sample_tiles")(nodes.size, nodes, first, sampling.threshold, coverage, **scene)
+    limits = sampling.full, sampling.threshold
+    kernel("sample_tiles")(nodes.size, nodes, first, limits, coverage, **scene)
 
 
 def classify_cubes(tiles: Tiles, counted: Callable[..., None]) -> CutCubes:

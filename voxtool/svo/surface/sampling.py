@@ -54,7 +54,9 @@ class Sampling:
         """The -D options of the kernels."""
         if self.level == VOXEL:
             return {"VOXELS": 1}
-        return {"SAMPLE": "uchar" if self.level == 0 else "uint"}
+        if self.level == 0:
+            return {"SAMPLE": "uchar", "COVERAGE": "ulong"}
+        return {"SAMPLE": "uint", "COVERAGE": "uint"}
 
 
 @dataclass(frozen=True)
