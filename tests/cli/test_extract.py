@@ -366,7 +366,7 @@ def test_against_is_the_same_every_time(here: Path) -> None:
 
 @pytest.mark.parametrize(
     ("mesh", "message"),
-    [("none.obj", "none.obj: no such file"), ("bunny.svo.h5", "not a mesh")],
+    [("none.obj", "none.obj: there is no such file"), ("bunny.svo.h5", "not a mesh")],
 )
 def test_against_what_is_no_mesh(mesh: str, message: str, here: Path) -> None:
     assert message in fail(f"extract bunny.svo.h5 --against {mesh} -o a.obj")

@@ -155,7 +155,7 @@ def test_usage_errors(command: str, message: str, here: Path) -> None:
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        ("voxelize none.obj", "none.obj: no such file"),
+        ("voxelize none.obj", "none.obj: there is no such file"),
         ("voxelize bunny.svo.h5", "not a mesh"),
         ("voxelize bunny.obj -o bunny.foo", "the name says no format: end it in one of .svo.h5"),
         ("voxelize bunny.obj -o none/bunny.svo.h5", "there is no folder"),
@@ -180,7 +180,7 @@ def test_usage_errors(command: str, message: str, here: Path) -> None:
         ("export bunny.svo.h5 -o a.foo", "end it in one of .npy, .npz, .vti, .png"),
         ("export bunny.svo.h5 -o -", "name the format, one of .npy"),
         ("export bunny.svo.h5 -o a.png --slice z=128", "lies outside the grid: choose 0 to 127"),
-        ("bench voxelize none.obj --dims 16", "none.obj: no such file"),
+        ("bench voxelize none.obj --dims 16", "none.obj: there is no such file"),
         ("bench voxelize bunny.obj --device nothing-like-it", "choose one of 0: "),
     ],
 )

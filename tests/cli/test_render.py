@@ -353,7 +353,7 @@ def test_usage_errors(options: str, message: str, here: Path) -> None:
         ("bunny.obj", "bunny.obj is a mesh: make an octree or a field of it first: voxtool voxel"),
         ("points.csv", "points.csv is no "),
         ("mesh.vtu", "voxtool tet-build mesh.vtu"),
-        ("other.h5", "an HDF5 file without an attribute format: expected one of voxtool-svo, "),
+        ("other.h5", "an HDF5 file, but no octree or distance field or tetrahedral volume: attr"),
         (f"{OCTREE} -o a.jpg", "a.jpg: the name says no format: end it in one of .png, .npy"),
         (f"{OCTREE} -o none/a.png", "there is no folder"),
         (f"{OCTREE} -o {OCTREE} --no-clobber", "the name says no format"),

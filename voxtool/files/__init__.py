@@ -31,10 +31,11 @@ from voxtool.files.streams import (
     STREAM,
     PathLike,
     input_name,
+    open_output,
     open_whole,
     read_error,
-    standard_output,
 )
+from voxtool.memory import check_disk
 
 if TYPE_CHECKING:
     import numpy as np
@@ -99,7 +100,7 @@ def write_svo(
     FileError
         the file cannot be written, or its name says no format.
     """
-    _write(octree, path, clobber, format or format_of(path, SVO_FORMATS), SVO_FORMATS)
+    _write(octree, path, clobber, format, SVO_FORMATS)
 
 
 def read_adf(path: PathLike) -> DistanceField:
@@ -131,7 +132,7 @@ def write_adf(
         the file cannot be written, its name says no format, or an attribute of the field
         is out of range or does not fit.
     """
-    _write(field, path, clobber, format or format_of(path, ADF_FORMATS), ADF_FORMATS)
+    _write(field, path, clobber, format, ADF_FORMATS)
 
 
 def read_tet(path: PathLike) -> TetVolume:
@@ -163,7 +164,7 @@ def write_tet(
         the file cannot be written, its name says no format, or an attribute of the volume
         is out of range or does not fit.
     """
-    _write(volume, path, clobber, format or format_of(path, TET_FORMATS), TET_FORMATS)
+    _write(volume, path, clobber, format, TET_FORMATS)
 
 
 def read_unstructured(
@@ -193,12 +194,7 @@ def read_unstructured(
 
 
 def read_scene(path: PathLike) -> Octree | DistanceField | TetVolume:
-    """Read an octree, a distance field or a tetrahedral volume; `-` reads stdin.
-
-    Raises
-    ------
-    FileError : no such file, or one that is damaged, hostile or of another kind.
-    """
+    """Read an octree, a distance field or a tetrahedral volume, as read_svo does."""
     return _read(path, formats.SCENE)
 
 
@@ -209,20 +205,8 @@ def export(
     format: str | None = None,
     **options: Any,
 ) -> None:
-    """Export the set voxels as .npy (dense), .npz (coordinates), .vti (ParaView) or .png (slice).
-
-    Parameters
-    ----------
-    clobber : False refuses an existing file.
-    format : "npy", "npz", "vti" or "png" instead of what the name says.
-    options : for a png, `axis` ("x", "y" or "z") and `value` (a voxel index).
-
-    Raises
-    ------
-    FileError : the file cannot be written, is larger than its disk, or its name says no format.
-    GridError : a slice outside the grid. MemoryLimitError : it does not fit in memory.
-    """
-    _write(octree, path, clobber, format or format_of(path, EXPORTS), EXPORTS, **options)
+    """Write the set voxels as .npy, .npz, .vti or .png, as voxtool.export."""
+    _write(octree, path, clobber, format, EXPORTS, **options)
 
 
 def write_mesh(
@@ -232,21 +216,9 @@ def write_mesh(
     format: str | None = None,
     normals: np.ndarray | None = None,
 ) -> None:
-    """Write a triangle mesh as .obj, .ply, .stl, .glb or .off; `-` writes stdout, as OBJ.
+    """Write a triangle mesh as .obj, .ply, .stl, .glb or .off, as voxtool.write_mesh.
 
-    Faces keep their order; vertices, too, except in STL, which repeats the corners of every
-    face. OBJ and OFF are text: a coordinate that is at least a tenth of the largest is read back
-    bit for bit, others within 1e-17 of the largest and 1e-9 of the mesh's longest side. PLY,
-    STL and GLB hold float32, 1 part in 1.6e7 of a coordinate; a mesh is refused if that moves
-    vertices by more than a thousandth of its longest side. The unit of GLB is the metre; the
-    others have none. Without faces the file is valid, but there is no mesh in it to load.
-
-    Parameters
-    ----------
-    clobber : False refuses an existing file.
-    format : "obj", "ply", "stl", "glb" or "off" instead of what the name says.
-    normals : (V, 3) float64 unit vectors, one a vertex, written as they are; OBJ holds them within
-        1e-9, PLY and GLB as float32.
+    The module mesh_writers says how exact each format is.
 
     Raises
     ------
@@ -287,23 +259,19 @@ def _write(
     content: Octree | DistanceField | TetVolume | Mesh,
     path: PathLike,
     clobber: bool,
-    format: str,
+    format: str | None,
     writers: dict[str, Writer],
     **options: Any,
 ) -> None:
+    format = format or format_of(path, writers)
     if format not in writers:
         raise FileError(f"format {format!r} is unknown: choose one of {', '.join(writers)}")
     writer = writers[format]
     module = import_module(f"voxtool.files.{writer.module}")
-    write = getattr(module, writer.function)
-    if path == STREAM:
-        with standard_output(writer.text) as file:
-            write(content, file, **options)
-        return
-    check_target(path, clobber)
-    if hasattr(module, "size"):
-        from voxtool.memory import check_disk
-
-        check_disk(path, module.size(content), "choose a smaller dim, or the sparse .npz")
-    with atomic_path(path, clobber) as temporary, open(temporary, "w+b") as file:
-        write(content, file, **options)
+    if path != STREAM:
+        check_target(path, clobber)
+        if writer.size:
+            size = getattr(module, writer.size)(content)
+            check_disk(path, size, "choose a smaller dim, or the sparse .npz")
+    with open_output(path, writer.text, clobber) as file:
+        getattr(module, writer.function)(content, file, **options)

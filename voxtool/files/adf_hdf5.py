@@ -24,6 +24,7 @@ from voxtool.files.schema import (
     Dataset,
     Rule,
     Schema,
+    Sizes,
     expect,
     without,
 )
@@ -35,6 +36,16 @@ LEVEL = Rule(
     lambda level: 1 <= level <= MAX_LEVEL, f"is {{value}}: leaves have levels 1 to {MAX_LEVEL}"
 )
 BAND = Rule(lambda x: x >= 0, "is {value}: a number from 0 is expected")
+SIGN = "rule of the sign: `pseudonormal`, `winding`, or `none` (no distance is negative)"
+WITHIN = "distance, in sides, up to which the tolerance holds; infinite: everywhere"
+CONTINUOUS = (
+    "1 if neighbours of different levels agree on shared faces and edges, to 2 ulp of the largest "
+    "corner distance of the coarser one; else 0"
+)
+
+
+def _offset_type(sizes: Sizes) -> str:
+    return "u1" if sizes["m"] < 256 else "<u2"
 
 
 def _build(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> DistanceField:
@@ -45,7 +56,6 @@ def _build(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> DistanceFie
         arrays.get("bounds"),
         **without(values, "depth", "m", "r"),
     )
-    field.validate()
     expect("depth", values["depth"], (field.depth,))
     return field
 
@@ -61,32 +71,13 @@ SCHEMA = Schema(
         Attribute("r", int, "entries along each axis of `hash`", at="hash.r"),
         Attribute("origin", float, "low corner of the cube, in world units", 3, rule=FINITE),
         Attribute("side", float, "side of the cube, in world units", rule=POSITIVE),
-        Attribute(
-            "sign",
-            str,
-            "rule of the sign: `pseudonormal`, `winding`, or `none` (no distance is negative)",
-            32,
-            choices=SIGNS,
-        ),
+        Attribute("sign", str, SIGN, 32, choices=SIGNS),
         Attribute("tolerance", float, "error asked for, in sides", rule=FROM_ZERO),
         Attribute(
-            "max_level",
-            int,
-            f"deepest level allowed for a leaf, at most {MAX_LEVEL}",
-            rule=LEVEL,
+            "max_level", int, f"deepest level allowed for a leaf, at most {MAX_LEVEL}", rule=LEVEL
         ),
-        Attribute(
-            "band",
-            float,
-            "distance, in sides, up to which the tolerance holds; infinite: everywhere",
-            rule=BAND,
-        ),
-        Attribute(
-            "continuous",
-            bool,
-            "1 if neighbours of different levels agree on shared faces and edges, to 2 ulp of the "
-            "largest corner distance of the coarser one; else 0",
-        ),
+        Attribute("band", float, WITHIN, rule=BAND),
+        Attribute("continuous", bool, CONTINUOUS),
         Attribute("lipschitz", float, "largest slope of the field", rule=FROM_ZERO),
         UNITS,
         SOURCE,
@@ -96,16 +87,10 @@ SCHEMA = Schema(
     datasets=(
         Dataset("voxels", "<f4", ("n", 3, 3, 3)),
         Dataset("cells", "<u4", ("m", "m", "m", (2, 3))),
-        Dataset(
-            "hash",
-            lambda sizes: "u1" if sizes["m"] < 256 else "<u2",
-            ("r", "r", "r", (3, 4)),
-            at="hash.offsets",
-        ),
+        Dataset("hash", _offset_type, ("r", "r", "r", (3, 4)), at="hash.offsets"),
         Dataset("bounds", "u1", ("n", 2, 2, 2), needed=lambda sizes, there: there),
     ),
     build=_build,
 )
 
 write = partial(hdf5.write, SCHEMA)
-read = partial(hdf5.read, SCHEMA)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.files.atomic import atomic_path
 from voxtool.files.formats import format_of
-from voxtool.files.streams import STREAM, PathLike, standard_output
+from voxtool.files.streams import STREAM, PathLike, open_output
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
@@ -158,12 +157,7 @@ def open_answers(
     if format not in ANSWER_FORMATS:
         raise FileError(f"format {format!r} is unknown: choose one of {', '.join(ANSWER_FORMATS)}")
     kind = ANSWER_FORMATS[format]
-    with ExitStack() as stack:
-        if path == STREAM:
-            file = stack.enter_context(standard_output(kind.text))
-        else:
-            temporary = stack.enter_context(atomic_path(path, clobber))
-            file = stack.enter_context(open(temporary, "w+b"))
+    with open_output(path, kind.text, clobber) as file:
         answers = kind(file, columns)
         yield answers
         answers.end()

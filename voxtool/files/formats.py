@@ -20,11 +20,16 @@ if TYPE_CHECKING:
 
 
 class Writer(NamedTuple):
-    """The function of a module of voxtool.files that writes a format; a terminal can show text."""
+    """The function of a module of voxtool.files that writes a format.
+
+    text : whether a terminal can show it.
+    size : the function of the module that says how many bytes a large export takes.
+    """
 
     module: str
     function: str = "write"
     text: bool = False
+    size: str = ""
 
 
 # What is written, by the extension that names it.
@@ -38,7 +43,12 @@ SVO_FORMATS = {
 }
 ADF_FORMATS = {"adf.h5": Writer("adf_hdf5"), "h5": Writer("adf_hdf5")}
 TET_FORMATS = {"tet.h5": Writer("tet_hdf5"), "h5": Writer("tet_hdf5")}
-EXPORTS = {name: Writer(name) for name in ("npy", "npz", "vti", "png")}
+EXPORTS = {
+    "npy": Writer("exports", "write_npy", size="dense_size"),
+    "npz": Writer("exports", "write_npz", size="sparse_size"),
+    "vti": Writer("exports", "write_vti", size="dense_size"),
+    "png": Writer("exports", "write_png"),
+}
 MESH_FORMATS = {
     name: Writer("mesh_writers", f"write_{name}", text=name in ("obj", "off"))
     for name in ("obj", "ply", "stl", "glb", "off")
@@ -134,13 +144,10 @@ def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
             f"{name} is a mesh of volume cells: build its textures first: voxtool tet-build {name}"
         )
     if opening.startswith(HDF5):
-        modules = [import_module(f"voxtool.files.{module}") for module in kind.hdf5]
-        if len(modules) == 1:
-            return modules[0].read
-        from voxtool.files.hdf5 import read_by_format
+        from voxtool.files import hdf5
 
-        readers = {module.SCHEMA.format: module.read for module in modules}
-        return lambda file, size: read_by_format(file, size, readers)
+        schemas = [import_module(f"voxtool.files.{module}").SCHEMA for module in kind.hdf5]
+        return lambda file, size: hdf5.read(schemas, file, size)
     if kind.xml and opening.startswith(GZIP):
         return import_module("voxtool.files.svo_xml").read_gz
     lower = name.lower()

@@ -7,27 +7,19 @@ link is followed.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
+import math
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.files.schema import FORMAT, FORMAT_VERSION, Attribute, Schema
+from voxtool.files.schema import FORMAT, FORMAT_VERSION, Attribute, Dataset, Schema
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Sequence
 
-Content = TypeVar("Content")
-
-
-def _library() -> Any:
-    """h5py, imported when it is first needed; its low-level modules have no types."""
-    import h5py
-
-    return h5py
-
-
-# Writing
+h5py: Any = import_module("h5py")  # its low-level modules have no types
 
 
 def write(schema: Schema, content: Any, file: BinaryIO) -> None:
@@ -38,11 +30,9 @@ def write(schema: Schema, content: Any, file: BinaryIO) -> None:
     FileError : an attribute is out of range, or does not fit.
     OSError : the file cannot be written.
     """
-    stored = schema.encode(content)
-    h5py = _library()
+    stored = {"format": schema.format, **schema.encode(content)}
     with h5py.File(file, "w", track_order=False) as h5:
-        _write_attribute(h5, FORMAT, schema.format)
-        for attribute in schema.attributes:
+        for attribute in (FORMAT, *schema.attributes):
             _write_attribute(h5, attribute, stored[attribute.name])
         for dataset in schema.datasets:
             array = dataset.encode(content, stored)
@@ -51,98 +41,60 @@ def write(schema: Schema, content: Any, file: BinaryIO) -> None:
 
 
 def _write_attribute(h5: Any, attribute: Attribute, value: Any) -> None:
-    h5py = _library()
+    dtype = "<i8" if attribute.stored is int else "<f8"
     if attribute.stored is str:
-        data = value.encode()
-        dtype = h5py.string_dtype("utf-8", max(1, len(data)))
-        h5.attrs.create(attribute.name, data, dtype=dtype)
-    else:
-        dtype = "<i8" if attribute.stored is int else "<f8"
-        h5.attrs.create(attribute.name, value, dtype=dtype)
+        value = value.encode()
+        dtype = h5py.string_dtype("utf-8", max(1, len(value)))
+    h5.attrs.create(attribute.name, value, dtype=dtype)
 
 
-# Reading
-
-
-def read(schema: Schema, file: BinaryIO, size: int) -> Any:
-    """Read the content of a file of `size` bytes.
+def read(schemas: Sequence[Schema], file: BinaryIO, size: int) -> Any:
+    """The content of a file of `size` bytes, whose format is one of the schemas.
 
     Raises
     ------
     FileError : the file is damaged, hostile or of another format.
     """
-    return _open(file, lambda h5: _read(schema, h5, size))
+    try:
+        with h5py.File(file, "r") as h5:
+            return _read(_schema_of(h5, schemas), h5, size)
+    except VoxtoolError:
+        raise
+    except Exception as error:  # of the library: the file is damaged
+        first = (str(error).splitlines() or [type(error).__name__])[0][:160]
+        raise FileError(f"damaged HDF5 file: {first}") from error
+
+
+def _schema_of(h5: Any, schemas: Sequence[Schema]) -> Schema:
+    what = " or ".join(schema.what for schema in schemas)
+    names = " or ".join(schema.format for schema in schemas)
+    if not h5py.h5a.exists(h5.id, b"format"):
+        raise FileError(f"an HDF5 file, but no {what}: attribute format={names} is missing")
+    format = _attribute(h5, FORMAT)
+    for schema in schemas:
+        if schema.format == format:
+            return schema
+    article = "an" if what[0] in "aeiou" else "a"
+    raise FileError(f"holds {format!r}, not {article} {what} ({names!r}): {schemas[0].hint}")
 
 
 def _read(schema: Schema, h5: Any, size: int) -> Any:
-    _check_format(schema, h5)
+    schema.check_version(_attribute(h5, FORMAT_VERSION))
     stored = {attribute.name: _attribute(h5, attribute) for attribute in schema.attributes}
     schema.check(stored)
     found, sizes = {}, dict(stored)
     for dataset in schema.datasets:
         if not dataset.needed(sizes, h5.id.links.exists(dataset.name.encode())):
             continue
-        shape = dataset.shape_for(sizes)
-        checked = _dataset(h5, dataset.name, shape, dataset.type_for(sizes), size)
+        checked = _dataset(h5, dataset, sizes, size)
         names = zip(dataset.shape, checked.shape, strict=True)
         sizes |= {side: n for side, n in names if isinstance(side, str)}
         found[dataset.name] = checked
     return schema.decode(stored, {name: _load(checked) for name, checked in found.items()})
 
 
-def read_by_format(
-    file: BinaryIO, size: int, readers: Mapping[str, Callable[[BinaryIO, int], Content]]
-) -> Content:
-    """The content of a file of `size` bytes, read by the reader of the format that it names.
-
-    Raises
-    ------
-    FileError : it names another format, or the reader refuses it.
-    """
-
-    def named(h5: Any) -> str:
-        if not _library().h5a.exists(h5.id, b"format"):
-            raise FileError(f"an HDF5 file without an attribute format: {known}")
-        return _attribute(h5, FORMAT)
-
-    known = f"expected one of {', '.join(readers)}"
-    format = _open(file, named)
-    if format not in readers:
-        raise FileError(f"holds {format!r}: {known}")
-    return readers[format](file, size)
-
-
-def _open(file: BinaryIO, read_open: Callable[[Any], Content]) -> Content:
-    """The result of `read_open`; any error of the library means a damaged file."""
-    h5py = _library()
-    try:
-        with h5py.File(file, "r") as h5:
-            return read_open(h5)
-    except VoxtoolError:
-        raise
-    except Exception as error:
-        first = (str(error).splitlines() or [type(error).__name__])[0][:160]
-        raise FileError(f"damaged HDF5 file: {first}") from error
-
-
-def _check_format(schema: Schema, h5: Any) -> None:
-    h5py = _library()
-    if not h5py.h5a.exists(h5.id, b"format"):
-        raise FileError(
-            f"an HDF5 file, but no {schema.what}: attribute format={schema.format} is missing"
-        )
-    found = _attribute(h5, FORMAT)
-    if found != schema.format:
-        article = "an" if schema.what[0] in "aeiou" else "a"
-        raise FileError(
-            f"holds {found!r}, not {article} {schema.what} ({schema.format!r}): {schema.hint}"
-        )
-    schema.check_version(_attribute(h5, FORMAT_VERSION))
-
-
 def _attribute(h5: Any, expected: Attribute) -> Any:
     """The stored value of an attribute, its type and size checked before it is read."""
-    h5py = _library()
     name, kind, limit = expected.name, expected.stored, expected.size
     if not h5py.h5a.exists(h5.id, name.encode()):
         raise FileError(f"attribute {name} is missing")
@@ -165,7 +117,6 @@ def _attribute(h5: Any, expected: Attribute) -> Any:
 
 
 def _text(attribute: Any, name: str, limit: int) -> str:
-    h5py = _library()
     stored = attribute.get_type()
     if not isinstance(stored, h5py.h5t.TypeStringID):
         raise FileError(f"attribute {name} is not text")
@@ -181,14 +132,10 @@ def _text(attribute: Any, name: str, limit: int) -> str:
         raise FileError(f"attribute {name} is not UTF-8 text") from None
 
 
-def _dataset(h5: Any, name: str, shape: tuple[Any, ...], dtype: np.dtype, size: int) -> Any:
-    """A dataset of the root group, found to be stored in this file as one plain piece.
-
-    shape : of each side the number or the numbers that are allowed, or None for any.
-    size : of the file.
-    """
-    h5py = _library()
-    key = name.encode()
+def _dataset(h5: Any, expected: Dataset, sizes: dict[str, Any], size: int) -> Any:
+    """A dataset of the root group, found to be stored in this file of `size` bytes as one piece."""
+    name, key = expected.name, expected.name.encode()
+    shape, dtype = expected.shape_for(sizes), expected.type_for(sizes)
     if not h5.id.links.exists(key):
         raise FileError(f"dataset {name} is missing")
     if h5.id.links.get_info(key).type != h5py.h5l.TYPE_HARD:
@@ -201,14 +148,18 @@ def _dataset(h5: Any, name: str, shape: tuple[Any, ...], dtype: np.dtype, size: 
         raise FileError(f"dataset {name} is not contiguous: store it unchunked and uncompressed")
     if creation.get_external_count():
         raise FileError(f"dataset {name} lies in another file: it must lie in this one")
-    stored = dataset.get_type()
-    expected = h5py.h5t.TypeFloatID if dtype.kind == "f" else h5py.h5t.TypeIntegerID
-    if not isinstance(stored, expected) or stored.dtype != dtype:
+    number = h5py.h5t.TypeFloatID if dtype.kind == "f" else h5py.h5t.TypeIntegerID
+    stored_type = dataset.get_type()
+    if not isinstance(stored_type, number) or stored_type.dtype != dtype:
         raise FileError(f"dataset {name} is not of type {dtype.name}, little-endian")
     found = dataset.shape
     if len(found) != len(shape) or not all(map(_suits, found, shape)):
         raise FileError(f"dataset {name} has shape {found} where {shape} is expected")
-    _check_storage(dataset, name, size)
+    needed = dtype.itemsize * math.prod(map(int, found))
+    stored = dataset.get_storage_size()
+    start = dataset.get_offset() if needed else 0
+    if stored != needed or start is None or start + needed > size:
+        raise FileError(f"dataset {name} needs {needed} bytes that the file does not have")
     return dataset
 
 
@@ -216,19 +167,8 @@ def _suits(found: int, expected: Any) -> bool:
     return expected is None or found in (expected if isinstance(expected, tuple) else (expected,))
 
 
-def _check_storage(dataset: Any, name: str, size: int) -> None:
-    needed = dataset.dtype.itemsize
-    for n in dataset.shape:
-        needed *= int(n)
-    stored = dataset.get_storage_size()
-    start = dataset.get_offset() if needed else 0
-    if stored != needed or start is None or start + needed > size:
-        raise FileError(f"dataset {name} needs {needed} bytes that the file does not have")
-
-
 def _load(dataset: Any) -> np.ndarray:
     """The content of a checked dataset."""
-    h5py = _library()
     array = np.empty(dataset.shape, dataset.dtype)
     if array.size:
         dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, array)

@@ -1,6 +1,6 @@
-"""Triangle meshes from OBJ, STL, PLY, OFF, GLB and glTF, compressed with gzip or not.
+"""Reading triangle meshes: OBJ by obj.py, other formats by trimesh from memory.
 
-OBJ is read by obj.py, the other formats by trimesh, from memory. Nothing is welded or moved.
+Nothing is welded or moved.
 """
 
 from __future__ import annotations
@@ -18,16 +18,19 @@ import numpy as np
 
 from voxtool.errors import MeshError, one_line, printable
 from voxtool.files import obj
+from voxtool.files.formats import GZIP, HDF5
+from voxtool.files.streams import STREAM, read_error
 from voxtool.mesh.mesh import Mesh, check_counts, check_indices, mesh_from_arrays
 
 KINDS = ("obj", "stl", "ply", "off", "glb", "gltf")  # what trimesh reads with numpy alone
-MAX_BYTES = 8 << 30  # of one file, unpacked; never more than half of the machine's memory
-
-GZIP = b"\x1f\x8b"
-HDF5 = b"\x89HDF\r\n\x1a\n"
+MAX_BYTES = 8 << 30  # of one file, unpacked
 
 
-def load_mesh(path: str | os.PathLike[str] | BinaryIO, file_type: str | None = None) -> Mesh:
+def load_mesh(
+    path: str | os.PathLike[str] | BinaryIO,
+    file_type: str | None = None,
+    max_bytes: int = MAX_BYTES,
+) -> Mesh:
     """Read a triangle mesh from OBJ, STL, PLY, OFF, GLB or glTF, compressed with gzip or not.
 
     Polygons become fans of triangles. Objects and groups are merged into one mesh, and the meshes
@@ -39,6 +42,8 @@ def load_mesh(path: str | os.PathLike[str] | BinaryIO, file_type: str | None = N
         A file, "-" for standard input, or a stream.
     file_type : str, optional
         One of KINDS; by default the file name's extension, or the content if there is no name.
+    max_bytes : int, optional
+        The largest file that is read, unpacked; never more than half of the machine's memory.
 
     Returns
     -------
@@ -53,20 +58,22 @@ def load_mesh(path: str | os.PathLike[str] | BinaryIO, file_type: str | None = N
     if isinstance(path, os.PathLike):
         path = os.fsdecode(path)
     name = printable(path if isinstance(path, str) else getattr(path, "name", "stream"))
-    if path == "-":
-        name = "standard input"
+    opened: Any = path
+    if path == STREAM:
+        name, opened = "standard input", sys.stdin.buffer
     try:
-        with _open(path) as stream:
+        given = hasattr(opened, "read")
+        with contextlib.nullcontext(opened) if given else open(opened, "rb") as stream:
             first = stream.read(1024)
             _refuse_other_files(name, first)
-            kind = _kind_of_name(name, path, file_type)
-            data = _read_all(name, stream, first)
+            kind = _kind_of_name(name, file_type, has_name=not given)
+            data = _read_all(name, stream, max_bytes, first)
     except (OSError, ValueError) as error:
-        raise MeshError(_cannot_open(name, error)) from None
+        raise MeshError(str(read_error(name, error))) from None
     if not data:
         raise MeshError(f"{name}: the file is empty: export the mesh again")
     digest = hashlib.sha256(data).hexdigest()
-    data = _unpacked(name, data)
+    data = _unpacked(name, data, max_bytes)
     kind = kind or _kind_of_content(data)
     if kind != "obj":
         return _through_trimesh(name, kind, data, digest)
@@ -76,10 +83,8 @@ def load_mesh(path: str | os.PathLike[str] | BinaryIO, file_type: str | None = N
 
 
 def as_mesh(thing: Any) -> Mesh:
-    """Return the mesh of a Mesh; of the path of a mesh file; of a trimesh.Trimesh or another object
-    with `vertices` and `faces`, such as the result of `extract`; or of a pair of arrays, (V, 3) and
-    (F, 3). Raises MeshError for anything else.
-    """
+    """Return a Mesh of a Mesh, of a path, of an object with `vertices` and `faces` such as a
+    trimesh.Trimesh, or of a pair of arrays, (V, 3) and (F, 3); MeshError for anything else."""
     if isinstance(thing, Mesh):
         return thing
     if isinstance(thing, str | os.PathLike):
@@ -98,27 +103,8 @@ def as_mesh(thing: Any) -> Mesh:
 # --- bytes ---------------------------------------------------------------------------------------
 
 
-def _open(path: Any) -> contextlib.AbstractContextManager[BinaryIO]:
-    if path == "-":
-        return contextlib.nullcontext(sys.stdin.buffer)
-    if hasattr(path, "read"):
-        return contextlib.nullcontext(path)
-    return open(path, "rb")
-
-
-def _cannot_open(name: str, error: Exception) -> str:
-    if isinstance(error, FileNotFoundError):
-        return f"{name}: no such file: check the path"
-    if isinstance(error, IsADirectoryError) or os.path.isdir(name):
-        return f"{name}: this is a folder: name a mesh file in it"
-    if isinstance(error, PermissionError):
-        return f"{name}: permission denied: make the file readable"
-    return f"{name}: {getattr(error, 'strerror', None) or one_line(error)}: check the file"
-
-
-def _read_all(name: str, stream: BinaryIO, first: bytes = b"") -> bytes:
+def _read_all(name: str, stream: BinaryIO, limit: int, first: bytes = b"") -> bytes:
     """Read the rest of a stream, piece by piece, so that long input is refused early."""
-    limit = MAX_BYTES
     with contextlib.suppress(AttributeError, ValueError, OSError):  # no sysconf on Windows
         limit = min(limit, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2)
     pieces, size = [first], len(first)
@@ -133,7 +119,7 @@ def _read_all(name: str, stream: BinaryIO, first: bytes = b"") -> bytes:
     return b"".join(pieces)
 
 
-def _unpacked(name: str, data: bytes) -> bytes:
+def _unpacked(name: str, data: bytes, limit: int) -> bytes:
     """Return the data, decompressed if it is gzip."""
     if not data.startswith(GZIP):
         if name.lower().endswith(".gz"):
@@ -143,7 +129,7 @@ def _unpacked(name: str, data: bytes) -> bytes:
     import zlib
 
     try:
-        data = _read_all(name, gzip.GzipFile(fileobj=io.BytesIO(data)))  # pyright: ignore
+        data = _read_all(name, gzip.GzipFile(fileobj=io.BytesIO(data)), limit)  # pyright: ignore
     except EOFError:
         raise MeshError(f"{name}: truncated: the gzip data ends early: copy it again") from None
     except (OSError, zlib.error) as error:
@@ -176,15 +162,12 @@ def _refuse_binary(name: str, data: bytes) -> None:
         raise MeshError(f"{name}: this is no text, so not an OBJ: {hint}")
 
 
-def _kind_of_name(name: str, path: Any, file_type: str | None) -> str:
+def _kind_of_name(name: str, file_type: str | None, has_name: bool) -> str:
     """Return the format that the caller or the extension names; "" if only the content shows it."""
-    if file_type is None:
-        if path == "-" or hasattr(path, "read"):
-            return ""
-        base = name.lower().removesuffix(".gz")
-        file_type = os.path.splitext(base)[1]
-        if not file_type:
-            return ""
+    if file_type is None and has_name:
+        file_type = os.path.splitext(name.lower().removesuffix(".gz"))[1]
+    if not file_type:
+        return ""
     kind = file_type.lower().removesuffix(".gz").lstrip(".")
     if kind not in KINDS:
         known = " ".join(f".{k}" for k in KINDS)
@@ -254,10 +237,7 @@ def _through_trimesh(name: str, kind: str, data: bytes, digest: str) -> Mesh:
 
 
 def _merged(name: str, scene: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices and faces of all meshes of a scene, placed by its transforms.
-
-    Products are written out, because results of BLAS differ between machines.
-    """
+    """Return the vertices and faces of all meshes of a scene, placed by its transforms."""
     parents = {b: (a, attributes) for a, b, attributes in scene.graph.to_edgelist()}
     all_points, all_corners, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
     for node, (_, attributes) in parents.items():
@@ -269,9 +249,7 @@ def _merged(name: str, scene: Any) -> tuple[np.ndarray, np.ndarray]:
         check_indices(name, corners, len(points))
         matrix = _placement(node, parents)
         if not (matrix == np.eye(4)).all():
-            x, y, z = points.T
-            m = matrix[:3, :, None]
-            points = (m[:, 0] * x + m[:, 1] * y + m[:, 2] * z + m[:, 3]).T
+            points = _product(matrix, [*points.T, np.ones(len(points))])[:3].T
             (a, b, c), (d, e, f), (g, h, i) = matrix[:3, :3]
             if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0:
                 corners = corners[:, ::-1]  # a mirror image keeps its outside
@@ -288,11 +266,14 @@ def _placement(node: Any, parents: dict[Any, Any]) -> np.ndarray:
         if node not in parents:
             break
         node, attributes = parents[node]
-        m = np.asarray(attributes.get("matrix", np.eye(4)))[:, :, None]
-        matrix = (
-            m[:, 0] * matrix[0] + m[:, 1] * matrix[1] + m[:, 2] * matrix[2] + m[:, 3] * matrix[3]
-        )
+        matrix = _product(np.asarray(attributes.get("matrix", np.eye(4))), matrix)
     return matrix
+
+
+def _product(matrix: np.ndarray, rows: Any) -> np.ndarray:
+    """Return matrix @ rows, written out: results of BLAS differ between machines."""
+    m = matrix[:, :, None]
+    return m[:, 0] * rows[0] + m[:, 1] * rows[1] + m[:, 2] * rows[2] + m[:, 3] * rows[3]
 
 
 def _promised(name: str, kind: str, data: bytes) -> tuple[int, int]:

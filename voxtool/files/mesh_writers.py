@@ -1,7 +1,12 @@
 """Triangle meshes as OBJ, PLY, STL, GLB and OFF, through trimesh.
 
-Nothing is welded, dropped or moved. The bytes depend only on the mesh and the version of trimesh:
-face normals and unit vectors, which trimesh computes through BLAS, are computed here or left out.
+Nothing is welded, dropped or moved. OBJ and OFF are text: a coordinate that is at least a tenth of
+the largest is read back bit for bit, others within 1e-17 of the largest and 1e-9 of the mesh's
+longest side; normals within 1e-9. PLY, STL and GLB hold float32, 1 part in 1.6e7 of a coordinate; a
+mesh is refused if that moves vertices by more than a thousandth of its longest side. STL repeats
+the corners of every face. The unit of GLB is the metre. The bytes depend
+only on the mesh and the version of trimesh: face normals and unit vectors, which trimesh computes
+through BLAS, are computed here or left out.
 """
 
 from __future__ import annotations
@@ -22,21 +27,24 @@ from voxtool.version import __version__
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
 
+BAD_VERTEX = "vertex {} is not finite: remove it or give it a position"
 HEADER = f"voxtool {__version__}"
 TEXT_MEMORY = 250  # bytes of memory a face or vertex while trimesh formats it, as measured
 GLB_BYTES = (1 << 32) - (1 << 16)  # a GLB counts its bytes in 32 bits
 LEAST_CELLS = 1000  # float32 must resolve the longest side divided by this
 
 
-def write_obj(mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None) -> None:
-    """Write OBJ text, with as many decimals as the mesh needs; raises as write_mesh."""
+def write_obj(
+    mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None, text_memory: int = TEXT_MEMORY
+) -> None:
+    """Write OBJ text, with as many decimals as the mesh needs."""
     given = _given(mesh, normals)
     if not len(mesh.faces):  # for a mesh without faces, trimesh writes an empty "f"
         given = cast("Any", trimesh.PointCloud(mesh.vertices))
     if not len(mesh.vertices):
         file.write(f"# {HEADER}\n".encode())
         return
-    _check_text(mesh, 1 if normals is None else 2)
+    _check_text(mesh, text_memory if normals is None else 2 * text_memory)
     text = given.export(
         file_type="obj",
         digits=max(_decimals(mesh), 0 if normals is None else 9),
@@ -48,26 +56,27 @@ def write_obj(mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None) -> 
     file.write(text.encode())
 
 
-def write_off(mesh: Mesh, file: BinaryIO, normals: None = None) -> None:
-    """Write OFF text, with as many decimals as the mesh needs; raises as write_mesh."""
+def write_off(
+    mesh: Mesh, file: BinaryIO, normals: None = None, text_memory: int = TEXT_MEMORY
+) -> None:
+    """Write OFF text, with as many decimals as the mesh needs."""
     given = _given(mesh, normals)
-    _check_text(mesh)
+    _check_text(mesh, text_memory)
     file.write(given.export(file_type="off", digits=_decimals(mesh)).encode())
 
 
 def write_ply(mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None) -> None:
-    """Write binary PLY: float32 coordinates and normals, int32 indices; raises as write_mesh."""
+    """Write binary PLY: float32 coordinates and normals, int32 indices."""
     given = _given(mesh, normals)
     _check_float32(mesh, "PLY")
-    with_normals = (
-        normals is not None and len(mesh.vertices) > 0
-    )  # without vertices trimesh computes them
+    # without vertices, trimesh would compute normals
+    with_normals = normals is not None and len(mesh.vertices) > 0
     file.write(given.export(file_type="ply", vertex_normal=with_normals))
 
 
 def write_stl(mesh: Mesh, file: BinaryIO, normals: None = None) -> None:
-    """Write binary STL: float32 corners and unit normal of each face; raises as write_mesh."""
-    _check_finite(mesh)
+    """Write binary STL: float32 corners and the unit normal of each face."""
+    _check_finite(mesh, mesh.vertices, BAD_VERTEX)
     _check_float32(mesh, "STL")
     triangles = mesh.vertices[mesh.faces]
     normal = _face_normals(triangles)
@@ -75,13 +84,15 @@ def write_stl(mesh: Mesh, file: BinaryIO, normals: None = None) -> None:
     file.write(export_stl(content))
 
 
-def write_glb(mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None) -> None:
-    """Write binary glTF 2.0: float32 coordinates and normals, uint32 indices; raises as
-    write_mesh."""
+def write_glb(
+    mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None, limit: int = GLB_BYTES
+) -> None:
+    """Write binary glTF 2.0: float32 coordinates and normals, uint32 indices, at most `limit`
+    bytes."""
     given = _given(mesh, normals)
     _check_float32(mesh, "GLB")
     vertex_bytes = 12 if normals is None else 24
-    if 12 * len(mesh.faces) + vertex_bytes * len(mesh.vertices) > GLB_BYTES:
+    if 12 * len(mesh.faces) + vertex_bytes * len(mesh.vertices) > limit:
         raise FileError("GLB holds 4 GiB at most and this mesh has more: write .ply")
     file.write(
         given.export(file_type="glb", include_normals=normals is not None, unitize_normals=False)
@@ -93,18 +104,15 @@ def write_glb(mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None) -> 
 
 def _given(mesh: Mesh, normals: np.ndarray | None) -> Any:
     """Return a trimesh.Trimesh of the mesh, with its normals."""
-    _check_finite(mesh)
-    where = mesh.name or "mesh"
+    _check_finite(mesh, mesh.vertices, BAD_VERTEX)
     if normals is not None:
         normals = np.array(normals, np.float64)  # a copy: trimesh makes it read-only
         if normals.shape != mesh.vertices.shape:
             raise MeshError(
-                f"{where}: normals of shape {normals.shape} for {len(mesh.vertices)} vertices: "
-                "give one a vertex"
+                f"{mesh.name or 'mesh'}: normals of shape {normals.shape} for "
+                f"{len(mesh.vertices)} vertices: give one a vertex"
             )
-        if not np.isfinite(normals).all():
-            vertex = int(np.argmin(np.isfinite(normals).all(axis=1)))
-            raise MeshError(f"{where}: the normal of vertex {vertex} is not finite: give it one")
+        _check_finite(mesh, normals, "the normal of vertex {} is not finite: give it one")
         normals = normals if len(normals) else None  # trimesh fails on an empty array
     return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_normals=normals, process=False)
 
@@ -133,12 +141,10 @@ def _face_normals(triangles: np.ndarray) -> np.ndarray:
 # ---- limits of the formats
 
 
-def _check_finite(mesh: Mesh) -> None:
-    if not np.isfinite(mesh.vertices).all():
-        vertex = int(np.argmin(np.isfinite(mesh.vertices).all(axis=1)))
-        raise MeshError(
-            f"{mesh.name or 'mesh'}: vertex {vertex} is not finite: remove it or give it a position"
-        )
+def _check_finite(mesh: Mesh, rows: np.ndarray, message: str) -> None:
+    finite = np.isfinite(rows).all(axis=1)
+    if not finite.all():
+        raise MeshError(f"{mesh.name or 'mesh'}: {message.format(np.argmin(finite))}")
 
 
 def _check_float32(mesh: Mesh, kind: str) -> None:
@@ -156,6 +162,6 @@ def _check_float32(mesh: Mesh, kind: str) -> None:
         )
 
 
-def _check_text(mesh: Mesh, parts: int = 1) -> None:
+def _check_text(mesh: Mesh, memory: int) -> None:
     count = len(mesh.faces) + len(mesh.vertices)
-    check_memory(TEXT_MEMORY * parts * count, "the lines of the mesh", "write .ply")
+    check_memory(memory * count, "the lines of the mesh", "write .ply")

@@ -11,7 +11,6 @@ Pillow writes 8 bits a channel only; pypng writes 16.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack
 from importlib import import_module
 from typing import Any, BinaryIO
 
@@ -19,8 +18,7 @@ import numpy as np
 
 from voxtool.choices import WHITE
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.files.atomic import atomic_path
-from voxtool.files.streams import STREAM, PathLike, standard_output
+from voxtool.files.streams import PathLike, open_output
 
 FORMATS = ("png", "npy")
 BITS = {8: np.uint8, 16: np.uint16}
@@ -60,12 +58,7 @@ def write_picture(
     check_picture(picture)
     if format == "png":
         check_writer(bits)
-    with ExitStack() as stack:
-        if path == STREAM:
-            file: BinaryIO = stack.enter_context(standard_output(text=False))
-        else:
-            temporary = stack.enter_context(atomic_path(path, clobber))
-            file = stack.enter_context(open(temporary, "wb"))
+    with open_output(path, clobber=clobber) as file:
         if format == "npy":
             np.lib.format.write_array(file, picture, (1, 0), allow_pickle=False)
         else:

@@ -6,29 +6,46 @@ loaded, and at most one block is in memory.
 
 from __future__ import annotations
 
+import io
+import re
 import tempfile
 import warnings
 import zipfile
 import zlib
 from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import chain, islice
 from typing import TYPE_CHECKING, BinaryIO
 
 import numpy as np
 
-from voxtool.errors import FileError, one_line, printable
+from voxtool.errors import FileError, count_of, one_line, printable
 from voxtool.files.formats import MESH_EXTENSIONS
-from voxtool.files.points_ply import read_ply
-from voxtool.files.points_text import cut_short, read_text
 from voxtool.files.streams import PathLike, input_name, open_stream, read_error
 from voxtool.memory import check_disk
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
 POINT_FORMATS = ("npy", "npz", "csv", "xyz", "ply")
 POINTS_AT_ONCE = 1 << 18
 NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", (b"PK\3\4", b"PK\5\6")
 NPY_VERSION = (1, 0)  # the only one that numbers need; its header has at most 64 KiB
+TEXT_ROWS = 1 << 16  # lines that are in memory at once,
+TEXT_LETTERS = 1 << 24  # unless they are long
+LINE_LIMIT = 1 << 16  # letters
+NUMBER = re.compile(
+    r"\s*[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf|infinity)\s*", re.ASCII | re.IGNORECASE
+)
+RECORD_BYTES = 1 << 26  # of a PLY file's vertices that are in memory at once
+
+PLY_TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
+    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
+    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+PLY_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+PLY_HEADER_LINES = 1000
 
 
 def read_points(
@@ -97,8 +114,15 @@ def _blocks(file: BinaryIO, size: int | None, format: str, block: int) -> Iterat
     if format == "npz":
         return _read_npz(file, size, block)
     if format == "ply":
-        return read_ply(file, size, block)
-    return read_text(file, format, block)
+        return _read_ply(file, size, block)
+    return _read_text(file, format, block)
+
+
+def _cut_short(declared: int, there: int) -> FileError:
+    """The error of a file that has fewer points than it declares."""
+    return FileError(
+        f"is cut short: {there} of {count_of(declared, 'point')} are there: copy it anew"
+    )
 
 
 # --- .npy and .npz -------------------------------------------------------------------------------
@@ -108,11 +132,11 @@ def _read_npy(file: BinaryIO, size: int | None, block: int) -> Iterator[np.ndarr
     count, in_columns, dtype = _npy_header(file)
     row = 3 * dtype.itemsize
     if size is not None and file.tell() + count * row > size:
-        raise cut_short(count, (size - file.tell()) // row)
+        raise _cut_short(count, (size - file.tell()) // row)
     if in_columns and count:
         with _on_disk(file, count * row) as (whole, there):
             if there < count * row:
-                raise cut_short(count, max(there // dtype.itemsize - 2 * count, 0))
+                raise _cut_short(count, max(there // dtype.itemsize - 2 * count, 0))
             points = np.memmap(whole, dtype, "r", 0, (count, 3), "F")
             for first in range(0, count, block):
                 yield np.array(points[first : first + block], np.float64, order="C")
@@ -121,7 +145,7 @@ def _read_npy(file: BinaryIO, size: int | None, block: int) -> Iterator[np.ndarr
         rows = min(block, count - first)
         data = file.read(rows * row)
         if len(data) < rows * row:
-            raise cut_short(count, first + len(data) // row)
+            raise _cut_short(count, first + len(data) // row)
         yield np.frombuffer(data, dtype).reshape(rows, 3).astype(np.float64)
 
 
@@ -186,3 +210,205 @@ def _points_member(packed: zipfile.ZipFile) -> zipfile.ZipInfo:
             "numpy.savez_compressed"
         )
     return member
+
+
+# --- text ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """The columns of a line of text that hold a point.
+
+    delimiter : between columns; None for white space.
+    places : columns of x, y and z; None where a line has these three only.
+    """
+
+    delimiter: str | None
+    places: tuple[int, ...] | None
+
+
+def _read_text(file: BinaryIO, format: str, block: int) -> Iterator[np.ndarray]:
+    """Yield the points of a text file, in blocks of (k, 3) float64."""
+    lines = _lines_of(file)
+    first = next(lines, None)
+    if first is None:
+        return
+    if format == "csv" or (format == "text" and "," in first[1]):
+        columns, is_header = _csv_columns(*first)
+    else:
+        columns, is_header = _Columns(None, (0, 1, 2)), False
+    yield from _by_line(lines if is_header else chain([first], lines), columns, block)
+
+
+def _csv_columns(number: int, line: str) -> tuple[_Columns, bool]:
+    """The columns of x, y and z, and whether the first line is a header."""
+    words = line.split(",")
+    if any(map(NUMBER.fullmatch, words)):
+        return _Columns(",", None), False
+    names = [word.strip().strip('"').lower() for word in words]
+    if all(names.count(axis) == 1 for axis in "xyz"):
+        return _Columns(",", tuple(map(names.index, "xyz"))), True
+    if len(names) == 3 and not {*names} & {*"xyz"}:
+        return _Columns(",", None), True
+    raise FileError(f"line {number}: a header of other columns than x, y and z: name each once")
+
+
+def _lines_of(file: BinaryIO, first: int = 1) -> Iterator[tuple[int, str]]:
+    """Yield numbered lines, without comments and blank lines."""
+    text = io.TextIOWrapper(file, "utf-8-sig", errors="replace")
+    number = first
+    while line := text.readline(LINE_LIMIT):
+        if len(line) == LINE_LIMIT:
+            raise FileError(f"line {number}: longer than {LINE_LIMIT} letters: no points of text")
+        line = line.partition("#")[0]
+        if line and not line.isspace():
+            yield number, line
+        number += 1
+
+
+def _by_line(
+    lines: Iterable[tuple[int, str]], columns: _Columns, block: int
+) -> Iterator[np.ndarray]:
+    """Yield the points of lines, in blocks."""
+    numbers: list[int] = []
+    texts: list[str] = []
+    letters = 0
+    for number, line in lines:
+        numbers.append(number)
+        texts.append(line)
+        letters += len(line)
+        if len(texts) == min(block, TEXT_ROWS) or letters > TEXT_LETTERS:
+            yield _points_of(numbers, texts, columns)
+            numbers, texts, letters = [], [], 0
+    if texts:
+        yield _points_of(numbers, texts, columns)
+
+
+def _points_of(numbers: list[int], lines: list[str], columns: _Columns) -> np.ndarray:
+    points = _parsed(lines, columns)
+    if points is not None:
+        return points
+    wrong = next(i for i, line in enumerate(lines) if _parsed([line], columns) is None)
+    raise FileError(f"line {numbers[wrong]}: {_fault(lines[wrong], columns)}")
+
+
+def _parsed(lines: list[str], columns: _Columns) -> np.ndarray | None:
+    """(k, 3) float64, or None where a line does not hold a point."""
+    try:
+        points = np.loadtxt(
+            lines, delimiter=columns.delimiter, usecols=columns.places, comments=None, ndmin=2
+        )
+    except ValueError:
+        return None
+    return points if points.shape[1] == 3 else None
+
+
+def _fault(line: str, columns: _Columns) -> str:
+    """The reason why a line holds no point."""
+    words = line.split(columns.delimiter)
+    if columns.places is None and len(words) != 3:
+        hint = ": name them in a header line" if len(words) > 3 else ""
+        return f"{count_of(len(words), 'column')} where x,y,z are expected{hint}"
+    places = columns.places or (0, 1, 2)
+    if len(words) <= max(places):
+        return f"{count_of(len(words), 'column')}, too few for x, y and z"
+    wrong = next((p for p in places if not NUMBER.fullmatch(words[p])), places[0])
+    word = words[wrong].strip()
+    hint = ": columns with commas between them are .csv" if "," in word else ""
+    return f"{printable(repr(word[:40]))} is no number{hint}"
+
+
+# --- .ply ----------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Element:
+    """An element of a PLY file; a property that is a list has the type None."""
+
+    name: str
+    count: int
+    properties: list[tuple[str, str | None]]
+
+    def record(self, order: str, fault: str) -> np.dtype:
+        """The structured type of one element; FileError(fault) if a property is a list."""
+        if not all(kind for _, kind in self.properties):
+            raise FileError(fault)
+        return np.dtype([(f"{i}", f"{order}{t}") for i, (_, t) in enumerate(self.properties)])
+
+
+def _read_ply(file: BinaryIO, size: int | None, block: int) -> Iterator[np.ndarray]:
+    """Yield the vertices of a PLY file, in blocks of (k, 3) float64."""
+    format, elements, lines, start = _ply_header(file)
+    at = next((i for i, element in enumerate(elements) if element.name == "vertex"), None)
+    if at is None:
+        raise FileError("has no element vertex: points are its vertices")
+    before, vertices = elements[:at], elements[at]
+    order = PLY_ORDERS.get(format, "=")
+    fault = "its vertices have a list among their properties: leave it out"
+    record = vertices.record(order, fault)
+    names = [name for name, _ in vertices.properties]
+    for axis in "xyz":
+        if names.count(axis) != 1:
+            raise FileError(f"its vertices have {names.count(axis)} properties {axis}, not one")
+    places = tuple(map(names.index, "xyz"))
+    if format == "ascii":
+        skipped = sum(element.count for element in before)
+        rows = islice(_lines_of(file, lines + 1), skipped, skipped + vertices.count)
+        blocks = _by_line(rows, _Columns(None, places), block)
+    else:
+        fault = "a list comes before its vertices: write the vertices first"
+        skipped = sum(e.count * e.record(order, fault).itemsize for e in before)
+        if size is not None and start + skipped + vertices.count * record.itemsize > size:
+            raise _cut_short(vertices.count, max(size - start - skipped, 0) // record.itemsize)
+        while skipped and (data := file.read(min(skipped, LINE_LIMIT))):
+            skipped -= len(data)
+        blocks = _by_record(file, record, places, vertices.count, block)
+    count = 0
+    for points in blocks:
+        count += len(points)
+        yield points
+    if count < vertices.count:
+        raise _cut_short(vertices.count, count)
+
+
+def _ply_header(file: BinaryIO) -> tuple[str, list[_Element], int, int]:
+    """The format, the elements, and the number of lines and bytes of the header."""
+    line = file.readline(LINE_LIMIT)
+    if line.split() != [b"ply"]:
+        raise FileError("is no PLY file: its first line is not ply")
+    format, elements, size = "", [], len(line)
+    for number in range(2, PLY_HEADER_LINES + 1):
+        line = file.readline(LINE_LIMIT)
+        size += len(line)
+        words = line.decode("ascii", "replace").split()
+        match words:
+            case ["end_header"] if format:
+                return format, elements, number, size
+            case ["comment" | "obj_info", *_]:
+                pass
+            case ["format", name, "1.0"] if name == "ascii" or name in PLY_ORDERS:
+                format = name
+            case ["element", name, count] if re.fullmatch(r"[0-9]{1,15}", count):
+                elements.append(_Element(name, int(count), []))
+            case ["property", kind, name] if kind in PLY_TYPES and elements:
+                elements[-1].properties.append((name, PLY_TYPES[kind]))
+            case ["property", "list", _, _, name] if elements:
+                elements[-1].properties.append((name, None))
+            case _:
+                shown = printable(" ".join(words))[:40]
+                raise FileError(f"line {number}: {shown!r} does not belong in a PLY header")
+    raise FileError(f"its header has no end within {PLY_HEADER_LINES} lines")
+
+
+def _by_record(
+    file: BinaryIO, record: np.dtype, places: tuple[int, ...], count: int, block: int
+) -> Iterator[np.ndarray]:
+    """Yield the points of at most `count` records, in blocks."""
+    rows = min(block, max(RECORD_BYTES // record.itemsize, 1))
+    while count:
+        data = file.read(min(rows, count) * record.itemsize)
+        records = np.frombuffer(data, record, len(data) // record.itemsize)
+        if not len(records):
+            return
+        count -= len(records)
+        yield np.stack([records[f"{place}"].astype(np.float64) for place in places], axis=1)

@@ -1,7 +1,7 @@
 """File formats as data.
 
-A `Schema` lists the attributes and the datasets of a format. What is written, what is read, what is
-checked and the tables of docs/formats.md all follow from it.
+A `Schema` lists the attributes and the datasets of a format. Writing, reading, checking and the
+tables of docs/formats.md follow from it.
 """
 
 from __future__ import annotations
@@ -26,16 +26,14 @@ MAX_DEPTH = 16  # of nested JSON
 class Rule(NamedTuple):
     """A condition on a value, and the end of the message for a value that breaks it."""
 
-    holds: Callable[[Any], bool]
+    holds: Callable[[Any], object]  # true or false
     otherwise: str  # "{value}" stands for the value
 
 
 FINITE = Rule(lambda numbers: all(map(math.isfinite, numbers)), "{value} is not finite")
 POSITIVE = Rule(lambda x: 0 < x < math.inf, "is {value}: a positive number is expected")
 FROM_ZERO = Rule(lambda x: 0 <= x < math.inf, "is {value}: a finite number from 0 is expected")
-SHA256 = Rule(
-    lambda text: re.fullmatch(r"([0-9a-f]{64})?", text) is not None, "is not 64 hexadecimal digits"
-)
+SHA256 = Rule(lambda text: re.fullmatch(r"([0-9a-f]{64})?", text), "is not 64 hexadecimal digits")
 
 
 @dataclass(frozen=True)
@@ -77,12 +75,8 @@ class Attribute:
         return _parse_json(self.name, stored) if self.kind is dict else _cast(self.kind, stored)
 
     def check(self, stored: Any) -> None:
-        """Check a stored value of the right type and count.
-
-        Raises
-        ------
-        FileError : it is out of range, too long, or cannot be printed.
-        """
+        """Raise FileError if a stored value of the right type and count is out of range, too long,
+        or cannot be printed."""
         if self.stored is str:
             self._check_text(stored)
         choices = (0, 1) if self.kind is bool else self.choices
@@ -101,14 +95,6 @@ class Attribute:
         if self.kind is not dict and not text.isprintable():
             raise FileError(f"attribute {self.name} has characters that cannot be printed")
 
-    def row(self) -> str:
-        """The attribute's row in a table of docs/formats.md."""
-        kind = {int: "integer", float: "float64", bool: "integer", str: "text", dict: "JSON"}
-        size = f" ≤ {self.size:,}" if self.stored is str else ""
-        count = f"{self.size} " if self.stored is not str and self.size > 1 else ""
-        plural = "s" if count and self.stored is int else ""
-        return f"| `{self.name}` | {count}{kind[self.kind]}{plural}{size} | {self.meaning} |"
-
 
 FORMAT = Attribute("format", str, "`{}`", 64)
 FORMAT_VERSION = Attribute("format_version", str, "`{}`", 16)
@@ -121,11 +107,6 @@ PLAN = Attribute("plan", dict, "what the plan said of the scene", JSON_LIMIT)
 
 Sizes = Mapping[str, Any]  # the stored attributes, and the sides that earlier datasets have named
 Side = int | str | tuple[int, ...] | Callable[[Sizes], int]
-
-
-def always(sizes: Sizes, there: bool) -> bool:
-    """Every file has the dataset."""
-    return True
 
 
 @dataclass(frozen=True)
@@ -149,7 +130,7 @@ class Dataset:
     shape: tuple[Side, ...]
     at: str = ""
     rows: np.dtype | None = None
-    needed: Callable[[Sizes, bool], bool] = always
+    needed: Callable[[Sizes, bool], bool] = lambda sizes, there: True
 
     def type_for(self, sizes: Sizes) -> np.dtype:
         """The type of the numbers, given the sizes."""
@@ -157,7 +138,10 @@ class Dataset:
 
     def shape_for(self, sizes: Sizes) -> tuple[Any, ...]:
         """The allowed number or numbers of each side; None where a side is free."""
-        return tuple(_side(side, sizes) for side in self.shape)
+        return tuple(
+            sizes.get(side) if isinstance(side, str) else side(sizes) if callable(side) else side
+            for side in self.shape
+        )
 
     def encode(self, content: Any, sizes: Sizes) -> np.ndarray | None:
         """The array of some content, as it is stored; None where there is none."""
@@ -174,12 +158,6 @@ class Dataset:
         return array if self.rows is None else array.view(self.rows).reshape(-1)
 
 
-def _side(side: Side, sizes: Sizes) -> Any:
-    if isinstance(side, str):
-        return sizes.get(side)
-    return side(sizes) if callable(side) else side
-
-
 @dataclass(frozen=True)
 class Schema:
     """A file format.
@@ -190,7 +168,7 @@ class Schema:
     what : the content in words; hint : how to make a file of it.
     own : its attributes, beside the format's name and version and the creator.
     datasets : its arrays, in the order in which they are stored.
-    build : the validated content, from the values of the attributes and the arrays by name.
+    build : the content, from the values of the attributes and the arrays by name.
     agree : a check that the stored attributes agree with each other.
     """
 
@@ -209,24 +187,14 @@ class Schema:
         return (FORMAT_VERSION, CREATOR, *self.own)
 
     def encode(self, content: Any) -> dict[str, Any]:
-        """The stored attributes of some content.
-
-        Raises
-        ------
-        FileError : one is out of range, or does not fit.
-        """
+        """The stored attributes of some content; FileError names one that is out of range."""
         stored = {"format_version": self.version, "creator": f"voxtool {__version__}"}
         stored |= {attribute.name: attribute.encode(content) for attribute in self.own}
         self.check(stored)
         return stored
 
     def check(self, stored: Mapping[str, Any]) -> None:
-        """Check stored attributes of the right types and counts, and their agreement.
-
-        Raises
-        ------
-        FileError : names the attribute.
-        """
+        """Check stored attributes of the right types and counts; FileError names the attribute."""
         self.check_version(stored["format_version"])
         for attribute in self.attributes:
             attribute.check(stored[attribute.name])
@@ -234,25 +202,17 @@ class Schema:
             self.agree(stored)
 
     def decode(self, stored: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Any:
-        """The validated content of checked attributes and arrays.
-
-        Raises
-        ------
-        FileError : a text is not the JSON that it should be, or an invariant does not hold.
-        """
+        """The validated content of checked attributes and arrays; FileError if it is not sound."""
         values = {
             attribute.name: attribute.decode(stored[attribute.name]) for attribute in self.own
         }
         found = {d.name: d.decode(arrays[d.name]) for d in self.datasets if d.name in arrays}
-        return self.build(values, found)
+        content = self.build(values, found)
+        content.validate()
+        return content
 
     def check_version(self, version: str) -> None:
-        """Accept our major version, with any minor one.
-
-        Raises
-        ------
-        FileError : another major version, or none.
-        """
+        """Raise FileError unless a version has our major number."""
         found = re.fullmatch(r"([0-9]{1,4})\.([0-9]{1,4})", version)
         if found is None:
             raise FileError(f"format_version {version[:16]!r} is no version such as {self.version}")
@@ -268,12 +228,6 @@ class Schema:
         """True if an accepted version has a newer minor number, so that it may hold more."""
         return int(version.split(".")[1]) > int(self.version.split(".")[1])
 
-    def table(self) -> str:
-        """The attributes as a table of docs/formats.md."""
-        rows = [attribute.row() for attribute in (FORMAT, *self.attributes)]
-        rows[0], rows[1] = rows[0].format(self.format), rows[1].format(self.version)
-        return "\n".join(["| attribute | type | meaning |", "| --- | --- | --- |", *rows])
-
 
 def without(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
     """The values of all names but these."""
@@ -281,12 +235,7 @@ def without(values: Mapping[str, Any], *names: str) -> dict[str, Any]:
 
 
 def expect(name: str, value: Any, allowed: tuple[Any, ...]) -> None:
-    """Check that an attribute is one of the values that it may have.
-
-    Raises
-    ------
-    FileError : names both.
-    """
+    """Raise FileError unless an attribute is one of the values that it may have."""
     if value not in allowed:
         known = " or ".join(map(str, allowed))
         raise FileError(f"attribute {name} is {str(value)[:40]!r} where {known} is expected")
@@ -321,16 +270,10 @@ def _parse_json(name: str, text: str) -> dict[str, Any]:
         raise FileError(f"attribute {name} is not JSON: {str(error)[:80]}") from None
     if not isinstance(value, dict):
         raise FileError(f"attribute {name} is not a JSON object")
-    if _nesting(value) > MAX_DEPTH:
+    level: list[Any] = [value]  # no recursion: the input may be hostile
+    for _ in range(MAX_DEPTH):
+        inner = [v.values() if isinstance(v, dict) else v for v in level]
+        level = [v for values in inner for v in values if isinstance(v, dict | list)]
+    if level:
         raise FileError(f"attribute {name} is nested deeper than {MAX_DEPTH}")
     return value
-
-
-def _nesting(value: Any) -> int:
-    """The nesting depth of lists and objects, without recursion: the input may be hostile."""
-    depth, inner = 0, [value]
-    while inner:
-        depth += 1
-        lists = [v.values() if isinstance(v, dict) else v for v in inner]
-        inner = [v for one in lists for v in one if isinstance(v, dict | list)]
-    return depth

@@ -7,11 +7,11 @@ import os
 import shutil
 import sys
 import tempfile
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from voxtool.errors import FileError
-from voxtool.files.atomic import write_error
+from voxtool.errors import FileError, one_line
+from voxtool.files.atomic import atomic_path, write_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,42 +26,36 @@ def input_name(path: PathLike) -> str:
     return "stdin" if path == STREAM else os.fspath(path)
 
 
-def read_error(name: str, error: OSError) -> FileError:
+def read_error(name: str, error: Exception) -> FileError:
     """The error of reading `name`, in one line."""
     if isinstance(error, FileNotFoundError):
         return FileError(f"{name}: there is no such file")
-    if isinstance(error, IsADirectoryError):
+    if isinstance(error, IsADirectoryError) or os.path.isdir(name):
         return FileError(f"{name}: is a folder: name a file in it")
     if isinstance(error, PermissionError):
         return FileError(f"{name}: no permission to read it")
-    return FileError(f"{name}: cannot be read: {error.strerror or error}")
+    reason = getattr(error, "strerror", None) or one_line(error)
+    return FileError(f"{name}: cannot be read: {reason}")
 
 
 @contextmanager
 def open_whole(path: PathLike) -> Iterator[tuple[BinaryIO, int]]:
     """Yield a seekable file and its size; stdin and pipes are read into memory first."""
-    if path == STREAM:
-        data = sys.stdin.buffer.read()
-        yield io.BytesIO(data), len(data)
-        return
-    with open(path, "rb") as file:
-        if file.seekable():
-            yield file, os.fstat(file.fileno()).st_size
-        else:
+    with open_stream(path) as (file, _, size):
+        if size is None:
             data = file.read()
             yield io.BytesIO(data), len(data)
+        else:
+            yield file, size
 
 
 @contextmanager
 def open_stream(path: PathLike) -> Iterator[tuple[BinaryIO, bytes, int | None]]:
     """Yield a file at its start, its first bytes, and its size, or None for stdin and pipes."""
-    if path == STREAM:
-        opening = sys.stdin.buffer.read(OPENING)
-        yield io.BufferedReader(_Resumed(opening, sys.stdin.buffer)), opening, None
-        return
-    with open(path, "rb") as file:
+    is_stdin = path == STREAM
+    with nullcontext(sys.stdin.buffer) if is_stdin else open(path, "rb") as file:
         opening = file.read(OPENING)
-        if file.seekable():
+        if file.seekable() and not is_stdin:
             file.seek(0)
             yield file, opening, os.fstat(file.fileno()).st_size
         else:
@@ -121,3 +115,22 @@ def _discard_stdout() -> None:
     """Send the rest of the buffer to the null device, so that the program ends quietly."""
     with open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+
+@contextmanager
+def open_output(path: PathLike, text: bool = False, clobber: bool = True) -> Iterator[BinaryIO]:
+    """Yield an empty file that can be read, written and sought; it is whole when the block ends.
+
+    It becomes the file of this name, as atomic_path does; for `-` it is copied to stdout, where
+    `text` says that a terminal can show it.
+
+    Raises
+    ------
+    FileError : the file or stdout cannot be written, or the file exists and clobber is False.
+    """
+    if path == STREAM:
+        with standard_output(text) as file:
+            yield file
+    else:
+        with atomic_path(path, clobber) as temporary, open(temporary, "w+b") as file:
+            yield file

@@ -31,19 +31,17 @@ if TYPE_CHECKING:
     import numpy as np
 
 RULE_NAME = Rule(  # any name will do: it changes nothing here
-    lambda text: re.fullmatch(r"[a-z][a-z0-9+-]*", text) is not None,
-    "is {value!r}, which names no rule",
+    lambda text: re.fullmatch(r"[a-z][a-z0-9+-]*", text), "is {value!r}, which names no rule"
+)
+MODE = "`surface26`, `surface6`, `solid` or `solid+surface26`"
+FILL = (
+    "rule that decided what is inside: `parity`, `nonzero`, `winding`, `flood`, `flood+gapN`; "
+    "`none` for a surface; matches `[a-z][a-z0-9+-]*`"
 )
 
 
 def grid_of(stored: Mapping[str, Any]) -> Grid:
-    """The grid of stored attributes.
-
-    Raises
-    ------
-    FileError : dim or depth does not fit the shape. GridError : shape, origin or pitch is out of
-        range.
-    """
+    """The grid of stored attributes; FileError or GridError if they give none."""
     grid = Grid(stored["shape"], stored["origin"], stored["pitch"])
     expect("dim", stored["dim"], (grid.dim,))
     expect("depth", stored["depth"], ((grid.side // 4).bit_length(),))
@@ -51,11 +49,8 @@ def grid_of(stored: Mapping[str, Any]) -> Grid:
 
 
 def _build(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> Octree:
-    octree = Octree(
-        grid_of(values), **arrays, **without(values, "dim", "depth", "shape", "origin", "pitch")
-    )
-    octree.validate()
-    return octree
+    others = without(values, "dim", "depth", "shape", "origin", "pitch")
+    return Octree(grid_of(values), **arrays, **others)
 
 
 SCHEMA = Schema(
@@ -67,21 +62,8 @@ SCHEMA = Schema(
         Attribute("dim", int, "voxels along the longest side", at="grid.dim"),
         Attribute("depth", int, "number of levels"),
         Attribute("shape", int, "voxels along x, y and z", 3, at="grid.shape"),
-        Attribute(
-            "mode",
-            str,
-            "`surface26`, `surface6`, `solid` or `solid+surface26`",
-            32,
-            choices=(*MODES, "solid+surface26"),
-        ),
-        Attribute(
-            "fill",
-            str,
-            "rule that decided what is inside: `parity`, `nonzero`, `winding`, `flood`, "
-            "`flood+gapN`; `none` for a surface; matches `[a-z][a-z0-9+-]*`",
-            32,
-            rule=RULE_NAME,
-        ),
+        Attribute("mode", str, MODE, 32, choices=(*MODES, "solid+surface26")),
+        Attribute("fill", str, FILL, 32, rule=RULE_NAME),
         Attribute("origin", float, "low corner of voxel (0, 0, 0); finite", 3, at="grid.origin"),
         Attribute("pitch", float, "voxel size along x, y and z; positive", 3, at="grid.pitch"),
         UNITS,
@@ -98,4 +80,3 @@ SCHEMA = Schema(
 )
 
 write = partial(hdf5.write, SCHEMA)
-read = partial(hdf5.read, SCHEMA)

@@ -3,7 +3,7 @@
 Documents are written and read as streams. A document is not trusted: an internal subset and
 entities are refused, no other file is read, its text is bounded by the sizes that it declares, and
 these by the size of the file, before memory is taken. Each element is checked as it arrives; their
-order is validated against the packaged DTD (skeleton.py).
+order is validated against the packaged DTD.
 """
 
 from __future__ import annotations
@@ -11,13 +11,15 @@ from __future__ import annotations
 import gzip
 import re
 import zlib
+from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
+from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
 from voxtool.errors import FileError
-from voxtool.files.skeleton import MAX_ELEMENTS, Skeleton
 from voxtool.files.svo_hdf5 import SCHEMA, grid_of
 from voxtool.svo.layout import BRICK, NODE
 from voxtool.svo.octree import Octree
@@ -27,6 +29,10 @@ if TYPE_CHECKING:
     from voxtool.files.schema import Attribute
     from voxtool.grid import Grid
 
+etree: Any = import_module("lxml.etree")  # it has no types
+
+DTD = Path(__file__).with_name("octree.dtd")
+MAX_ELEMENTS = 64  # without repetitions: 15 levels and a few more
 GZIP_LEVEL = 4
 GZIP_RATIO = 1032  # deflate packs no byte of text into less than 1/1032 byte
 
@@ -54,12 +60,7 @@ NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 
 
 def write(octree: Octree, file: BinaryIO) -> None:
-    """Write an octree as XML.
-
-    Raises
-    ------
-    OSError : the file cannot be written.
-    """
+    """Write an octree as XML."""
     head = SCHEMA.encode(octree)
     attributes = {"dim": head.pop("dim"), "size": len(octree.nodes), "depth": head.pop("depth")}
     attributes |= head
@@ -79,21 +80,14 @@ def write(octree: Octree, file: BinaryIO) -> None:
 
 
 def write_gz(octree: Octree, file: BinaryIO) -> None:
-    """Write an octree as gzip-compressed XML, without a name and a time.
-
-    Raises
-    ------
-    OSError : the file cannot be written.
-    """
+    """Write an octree as gzip-compressed XML, without a name and a time."""
     with gzip.GzipFile("", "wb", GZIP_LEVEL, file, mtime=0) as packed:
         write(octree, packed)  # pyright: ignore[reportArgumentType]
 
 
 def _as_text(value: Any) -> str:
-    """The text of an attribute; numbers in the shortest form that reads back the same."""
-    if isinstance(value, list | tuple):
-        return " ".join(map(repr, value))
-    return str(value)
+    """The text of an attribute; a number has the fewest digits that read back as the same."""
+    return " ".join(map(repr, value)) if isinstance(value, list | tuple) else str(value)
 
 
 def _write_rows(file: BinaryIO, row: str, words: np.ndarray, columns: int) -> None:
@@ -107,7 +101,7 @@ def _write_rows(file: BinaryIO, row: str, words: np.ndarray, columns: int) -> No
 
 
 def read(file: BinaryIO, size: int) -> Octree:
-    """Read an octree from an XML file of `size` bytes.
+    """The octree of an XML file of `size` bytes.
 
     Raises
     ------
@@ -117,12 +111,7 @@ def read(file: BinaryIO, size: int) -> Octree:
 
 
 def read_gz(file: BinaryIO, size: int) -> Octree:
-    """Read an octree from a gzip-compressed XML file of `size` bytes.
-
-    Raises
-    ------
-    FileError : the file is damaged, hostile or of another kind.
-    """
+    """The octree of a gzip-compressed XML file of `size` bytes, as `read` returns it."""
     try:
         with gzip.GzipFile(fileobj=file, mode="rb") as packed:
             return _Reader(size * GZIP_RATIO).read(packed)  # pyright: ignore[reportArgumentType]
@@ -131,12 +120,7 @@ def read_gz(file: BinaryIO, size: int) -> Octree:
 
 
 def parse_words(text: str) -> np.ndarray:
-    """The (N,) uint32 of decimal numbers separated by single spaces.
-
-    Raises
-    ------
-    FileError : one is no unsigned 32-bit number.
-    """
+    """The (N,) uint32 of decimal numbers separated by single spaces."""
     if WORDS.fullmatch(text):
         values = np.fromstring(text, np.uint64, sep=" ")
         if values.max() < 1 << 32:
@@ -146,12 +130,7 @@ def parse_words(text: str) -> np.ndarray:
 
 
 def parse_head(texts: dict[str, str]) -> dict[str, Any]:
-    """The stored attributes of `octree`; where the document leaves one out, its default.
-
-    Raises
-    ------
-    FileError : one is not the number that it should be, or dim is missing.
-    """
+    """The stored attributes of `octree`; where the document leaves one out, its default."""
     if "dim" not in texts:
         raise FileError("attribute dim is missing")
     head: dict[str, Any] = {"format_version": SCHEMA.version}
@@ -198,6 +177,7 @@ class _Words:
         self.what = what
 
     def flush(self) -> None:
+        """Parse the text that has arrived."""
         if not self.pending:
             return
         values = parse_words(" ".join(self.pending))
@@ -211,15 +191,51 @@ class _Words:
         self.pending.clear()
 
 
+class _Skeleton:
+    """A document without its text, in which a run of equal leaves is one element; the DTD validates
+    it."""
+
+    def __init__(self) -> None:
+        self.root: Any = None
+        self.open: list[Any] = []
+        self.count = 0
+
+    @property
+    def within(self) -> str:
+        """The name of the innermost open element, or ""."""
+        return self.open[-1].tag if self.open else ""
+
+    def start(self, name: str, attributes: list[str]) -> None:
+        """Open an element that has attributes of these names."""
+        self.count += 1
+        if self.count > MAX_ELEMENTS:
+            raise FileError("more elements than an octree has")
+        element = etree.Element(name, dict.fromkeys(attributes, ""))
+        if self.open:
+            self.open[-1].append(element)
+        else:
+            self.root = element
+        self.open.append(element)
+
+    def end(self) -> None:
+        """Close the element that was opened last."""
+        self.open.pop()
+
+    def validate(self) -> None:
+        """Raise FileError if the document is not valid by the packaged DTD."""
+        with DTD.open("rb") as file:
+            dtd = etree.DTD(file)
+        if self.root is None or not dtd.validate(self.root):
+            raise FileError(f"not by octree.dtd: {dtd.error_log[0].message[:160]}")
+
+
 class _Reader:
     """Receives the events of the XML parser and fills the arrays of an octree."""
 
     def __init__(self, text_limit: int) -> None:
-        from xml.parsers import expat
-
         self.text_limit = text_limit  # bytes of text that the file can hold at most
         self.allowed = HEAD_BYTES  # bytes of text that the declared sizes justify
-        self.skeleton = Skeleton()
+        self.skeleton = _Skeleton()
         self.within = ""  # innermost open element
         self.leaf = False  # it is a node or a bitmask
         self.runs: set[str] = set()  # leaves that the open element already has
@@ -228,7 +244,7 @@ class _Reader:
         self.head: dict[str, Any] = {}
         self.doctype_seen = False
         self.grid: Grid | None = None
-        self.offsets: np.ndarray | None = None
+        self.offsets = np.empty(0, "<u4")  # until its element ends
         self.nodes = _Words(0, "node words")
         self.masks = _Words(0, "bitmasks")
         self.parser = expat.ParserCreate("UTF-8")
@@ -243,8 +259,6 @@ class _Reader:
         self.parser.CharacterDataHandler = self.data
 
     def read(self, file: BinaryIO) -> Octree:
-        from xml.parsers import expat
-
         try:
             self.parse(file)
             self.skeleton.validate()
@@ -252,8 +266,6 @@ class _Reader:
             raise FileError(f"line {error.lineno}: {_syntax_message(error)}") from None
         except FileError as error:
             raise FileError(f"line {self.parser.CurrentLineNumber}: {error}") from None
-        assert self.grid is not None
-        assert self.offsets is not None
         self.check_filled()
         arrays = {"nodes": self.nodes.array, "bricks": self.masks.array.view(BRICK)}
         return SCHEMA.decode(self.head, {"offsets": self.offsets, **arrays})
@@ -274,17 +286,17 @@ class _Reader:
         self.parser.Parse(b"", True)
 
     def check_filled(self) -> None:
-        assert self.offsets is not None
         declared = np.diff(self.offsets).tolist()
         for d, (found, expected) in enumerate(zip(self.sizes, declared, strict=False)):
             if found != expected:
                 raise FileError(f"level element {d + 1} has {found} nodes, not {expected}")
-        if len(self.sizes) != len(declared):
-            raise FileError(f"{len(self.sizes)} levels where {len(declared)} are declared")
-        if self.masks.filled != len(self.masks.array):
-            raise FileError(
-                f"{self.masks.filled} bitmasks where {len(self.masks.array)} are declared"
-            )
+        masks = self.masks
+        for found, expected, what in (
+            (len(self.sizes), len(declared), "levels"),
+            (masks.filled, len(masks.array), "bitmasks"),
+        ):
+            if found != expected:
+                raise FileError(f"{found} {what} where {expected} are declared")
 
     # Refused anywhere
 
@@ -307,7 +319,7 @@ class _Reader:
             self.sizes[-1] += 1
             self.start_leaf(name, attributes)
         elif name == "bitmask" and self.within == "subgrid" and not attributes:
-            self.start_leaf(name, attributes)
+            self.start_leaf(name, [])
         elif not self.within and name != "octree":
             raise FileError(f"not an octree: its root is {name[:40]}")
         elif self.leaf or name not in CONTAINERS:
@@ -327,7 +339,7 @@ class _Reader:
         values = dict(zip(attributes[::2], attributes[1::2], strict=True))
         if name == "octree":
             values = self.start_octree(values)
-        elif name in ("levels", "level", "subgrid") and self.offsets is None:
+        elif name in ("levels", "level", "subgrid") and not len(self.offsets):
             raise FileError(f"element {name} before the offsets")
         elif name == "level":
             self.sizes.append(0)
@@ -354,7 +366,7 @@ class _Reader:
 
     def end_offset(self) -> None:
         """Check the declared sizes, then take memory for them."""
-        if self.grid is None or self.offsets is not None:
+        if self.grid is None or len(self.offsets):
             raise FileError("the offsets are not the first thing in the octree")
         words = "".join(self.text).split()[:MAX_ELEMENTS]
         offsets = parse_words(" ".join(words))
@@ -373,22 +385,17 @@ class _Reader:
             raise FileError(f"size {text[:20]!r} where the offsets say {expected}")
 
     def end(self, name: str) -> None:
-        if self.leaf:
-            self.leaf = False
-            if name == "node":
-                if self.text:
-                    raise FileError("text inside a node")
-                self.within = "level"
-                return
+        if name == "node" and self.text:
+            raise FileError("text inside a node")
+        if name == "bitmask":
             self.masks.pending.append("".join(self.text).strip())
-            self.text.clear()
-            self.within = "subgrid"
-            return
-        if name == "offset":
+        elif name == "offset":
             self.end_offset()
-            self.text.clear()
-        self.skeleton.end()
-        self.within = self.skeleton.open[-1].tag if self.skeleton.open else ""
+        self.text.clear()
+        if not self.leaf:
+            self.skeleton.end()
+        self.leaf = False
+        self.within = self.skeleton.within
 
     def data(self, text: str) -> None:
         if self.leaf or self.within == "offset":
@@ -418,13 +425,8 @@ def _node_words(attributes: list[str]) -> tuple[str, str]:
     raise FileError("a node has the two attributes parent and child")
 
 
-def _syntax_message(error: Exception) -> str:
-    from xml.parsers.expat import errors
-
-    code = getattr(error, "code", 0)
-    if code in (
-        errors.codes[errors.XML_ERROR_NO_ELEMENTS],
-        errors.codes[errors.XML_ERROR_UNCLOSED_TOKEN],
-    ):
+def _syntax_message(error: expat.ExpatError) -> str:
+    reason = expat.ErrorString(error.code)
+    if reason in (expat.errors.XML_ERROR_NO_ELEMENTS, expat.errors.XML_ERROR_UNCLOSED_TOKEN):
         return "the document is cut short"
-    return f"no well-formed XML ({errors.messages.get(code, 'unknown error')})"
+    return f"no well-formed XML ({reason})"

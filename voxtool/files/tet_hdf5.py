@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     import numpy as np
 
 
+CONSTANT = "1 if the scalar is one a cell, else 0; 0 for `projection`, 1 for `hexahedra`"
+
+
 def _corners(sizes: Sizes) -> int:
     return 8 if sizes["layout"] == "hexahedra" else 4
 
@@ -40,10 +43,12 @@ def _floats(sizes: Sizes) -> int:
     return 3 if sizes["layout"] == "projection" else 4
 
 
+def _with_anchors(sizes: Sizes, there: bool) -> bool:
+    return sizes["layout"] == "projection"
+
+
 def _build(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> TetVolume:
-    volume = TetVolume(anchors=arrays.pop("anchors", None), **arrays, **values)
-    volume.validate()
-    return volume
+    return TetVolume(anchors=arrays.pop("anchors", None), **arrays, **values)
 
 
 SCHEMA = Schema(
@@ -57,11 +62,7 @@ SCHEMA = Schema(
         Attribute("scale", float, "world units a local unit, a power of two", rule=POSITIVE),
         Attribute("scalar", str, "name of the array, with its component", 256),
         Attribute("scalar_range", float, "low ≤ high", 2, rule=FINITE),
-        Attribute(
-            "constant",
-            bool,
-            "1 if the scalar is one a cell, else 0; 0 for `projection`, 1 for `hexahedra`",
-        ),
+        Attribute("constant", bool, CONSTANT),
         UNITS,
         SOURCE,
         PLAN,
@@ -74,15 +75,9 @@ SCHEMA = Schema(
         Dataset("normals", "<f4", (_faces, "T", _floats)),
         Dataset("gradients", "<f4", ("T", _floats)),
         Dataset("ranges", "<f4", (lambda sizes: -(-sizes["T"] // BLOCK), 2)),
-        Dataset(
-            "anchors",
-            "<i4",
-            ("T", 2),
-            needed=lambda sizes, there: sizes["layout"] == "projection",
-        ),
+        Dataset("anchors", "<i4", ("T", 2), needed=_with_anchors),
     ),
     build=_build,
 )
 
 write = partial(hdf5.write, SCHEMA)
-read = partial(hdf5.read, SCHEMA)

@@ -1,0 +1,246 @@
+"""A reader in another language can be written from docs/formats.md: its recipes in plain
+Python, and its tables, which agree with the schemas."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import math
+import re
+import struct
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from helpers_files import DATA, FIELDS, ROOT, deep_field
+from helpers_tets import assembly, built, linear
+
+from voxtool import files
+from voxtool.files import adf_hdf5, svo_hdf5, tet_hdf5
+from voxtool.files.schema import CREATOR, FORMAT, FORMAT_VERSION, Attribute
+
+DOCUMENT = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+SECTIONS = {
+    "## The octree": svo_hdf5.SCHEMA,
+    "## The distance field": adf_hdf5.SCHEMA,
+    "## The tetrahedral volume": tet_hdf5.SCHEMA,
+}
+
+
+# Tables
+
+
+def section(heading: str) -> str:
+    start = DOCUMENT.index(heading)
+    return DOCUMENT[start : DOCUMENT.find("\n## ", start + 1)]
+
+
+def row(attribute: Attribute) -> str:
+    """The attribute's row in the table of its format."""
+    kinds = {int: "integer", float: "float64", bool: "integer", str: "text", dict: "JSON"}
+    size = f" ≤ {attribute.size:,}" if attribute.stored is str else ""
+    count = f"{attribute.size} " if not size and attribute.size > 1 else ""
+    plural = "s" if count and attribute.stored is int else ""
+    kind = f"{count}{kinds[attribute.kind]}{plural}{size}"
+    return f"| `{attribute.name}` | {kind} | {attribute.meaning} |"
+
+
+@pytest.mark.parametrize("heading", SECTIONS)
+def test_tables_of_the_documents(heading: str) -> None:
+    text, schema = section(heading), SECTIONS[heading]
+    rows = [row(FORMAT).format(schema.format), row(FORMAT_VERSION).format(schema.version)]
+    rows += map(row, (CREATOR, *schema.own))
+    expected = "\n".join(["| attribute | type | meaning |", "| --- | --- | --- |", *rows])
+    assert expected in text, f"put this table into docs/formats.md:\n{expected}"
+    assert f"version {schema.version}" in text.partition("\n")[0]
+    table = text.partition("| dataset |")[2].partition("\n\n")[0]
+    documented = dict(re.findall(r"^\| `(\w+)` \| (\w+)", table, re.MULTILINE))
+    sizes = {"m": 1, "r": 1, "depth": 1, "layout": "raycast"}
+    assert documented == {d.name: d.type_for(sizes).name for d in schema.datasets}
+
+
+def test_a_free_side_names_itself() -> None:
+    (voxels, cells, hashes, bounds) = adf_hdf5.SCHEMA.datasets
+    assert voxels.shape_for({}) == (None, 3, 3, 3)
+    assert bounds.shape_for({"n": 5}) == (5, 2, 2, 2)
+    assert cells.shape_for({"m": 7}) == (7, 7, 7, (2, 3))
+    assert hashes.type_for({"m": 255}) == np.uint8
+    assert hashes.type_for({"m": 256}) == np.uint16
+
+
+@pytest.mark.parametrize(
+    ("name", "line", "datasets"),
+    [
+        ("v1.0.adf.h5", "band", "voxels cells hash bounds"),
+        ("v1.0.tet.h5", "constant", "vertices cells neighbours normals gradients ranges"),
+    ],
+)
+def test_digest_of_the_documents(name: str, line: str, datasets: str) -> None:
+    (head,) = re.findall(rf"^\{{\"{line}\".*\}}$", DOCUMENT, re.MULTILINE)
+    sha = hashlib.sha256(head.encode())
+    with h5py.File(DATA / name) as h5:
+        for dataset in datasets.split():
+            sha.update(h5[dataset][()].tobytes())  # pyright: ignore
+    assert sha.hexdigest() == files.read_scene(DATA / name).digest()
+
+
+# Distance fields
+
+
+class Recipe:
+    """A field as a program in another language reads it."""
+
+    def __init__(self, path: Path) -> None:
+        with h5py.File(path) as h5:
+            for name in ("depth", "m", "r", "side"):
+                setattr(self, name, h5.attrs[name].item())
+            self.origin = h5.attrs["origin"].tolist()
+            self.voxels, self.cells, self.hash, self.bounds = (
+                h5[name][()].tolist() if name in h5 else None
+                for name in ("voxels", "cells", "hash", "bounds")
+            )
+
+    def point(self, world: list[float]) -> list[int]:
+        u = [(x - o) / self.side for x, o in zip(world, self.origin, strict=True)]
+        return [min(int(x * 2.0**32), 2**32 - 1) for x in u]
+
+    def identifier(self, level: int, c: list[int]) -> int:
+        code = 0
+        for q in range(level):
+            for axis in range(3):
+                code |= (c[axis] >> q & 1) << (3 * q + axis)
+        return 1 << (3 * level) | code
+
+    def block(self, level: int, c: list[int]) -> int | None:
+        key = [2**level + a for a in c]
+        x, y, z = (a % self.r for a in key)
+        offset = self.hash[z][y][x]
+        w = offset[3] if len(offset) == 4 else self.m
+        hx, hy, hz = ((k % w + o) % self.m for k, o in zip(key, offset, strict=False))
+        *words, block = self.cells[hz][hy][hx]
+        stored = words[0] if len(words) == 1 else words[1] << 32 | words[0]
+        return block if stored == self.identifier(level, c) else None
+
+    def leaf(self, p: list[int]) -> tuple[int, list[int], int]:
+        """The level and the cell of the leaf, and the block that it is in."""
+        found = 0
+        for level in range(self.depth):
+            block = self.block(level, [a >> (32 - level) for a in p])
+            if block is None:
+                break
+            found, last = block, level
+        return last + 1, [a >> (31 - last) for a in p], found
+
+    def distance(self, p: list[int]) -> float:
+        level, leaf, block = self.leaf(p)
+        x, y, z = (a & 1 for a in leaf)
+        t = [((a << level) % 2**32 >> 8) * 2.0**-24 for a in p]
+        v = [
+            self.voxels[block][z + dz][y + dy][x + dx]
+            for dz, dy, dx in itertools.product((0, 1), repeat=3)
+        ]
+        for axis in range(3):
+            v = [
+                rounded(a + rounded(t[axis] * rounded(b - a)))
+                for a, b in zip(v[::2], v[1::2], strict=True)
+            ]
+        return v[0] * self.side
+
+    def bound(self, p: list[int]) -> float:
+        _, leaf, block = self.leaf(p)
+        x, y, z = (a & 1 for a in leaf)
+        code = self.bounds[block][z][y][x]
+        assert code != 0
+        return math.inf if code == 255 else 2 ** ((code - 254) / 8) * self.side
+
+
+def rounded(value: float) -> float:
+    """To float32; of a sum or product of two float32 in float64 that is rounded once."""
+    return struct.unpack("<f", struct.pack("<f", value))[0]
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_recipe_of_fields(name: str, tmp_path: Path) -> None:
+    field, path = FIELDS[name](), tmp_path / "a.adf.h5"
+    files.write_adf(field, path)
+    recipe = Recipe(path)
+    rng = np.random.default_rng(1)
+    u = np.concatenate(
+        [
+            rng.uniform(0, 1, (150, 3)),
+            (0.3, 0.6, 0.7) + rng.normal(0, 1, (150, 3)) * np.exp2(-rng.uniform(2, 16, (150, 1))),
+            np.array(list(itertools.product((0.0, 0.5, 1.0), repeat=3))),
+        ]
+    )
+    points = np.clip(u, 0, 1) * field.side + field.origin
+    points = points[~field.query(points).outside]
+    answer = field.query(points, bounds=field.bounds is not None, cell=True)
+    assert answer.level is not None
+    assert answer.cell is not None
+    assert len(np.unique(answer.level)) > 2 or name in ("golden", "root")
+    for i, world in enumerate(points.tolist()):
+        p = recipe.point(world)
+        level, cell, _ = recipe.leaf(p)
+        assert (level, cell) == (answer.level[i], answer.cell[i].tolist())
+        assert recipe.distance(p) == answer.distance[i]
+        if answer.bound is not None:
+            assert recipe.bound(p) == pytest.approx(answer.bound[i], rel=1e-12)
+
+
+def test_recipe_of_the_order_of_blocks(tmp_path: Path) -> None:
+    field, path = deep_field(), tmp_path / "a.adf.h5"
+    files.write_adf(field, path)
+    recipe = Recipe(path)
+    identifiers = {}
+    for texel in itertools.chain(*itertools.chain(*recipe.cells)):
+        low, high, block = texel
+        if low or high:
+            identifiers[block] = high << 32 | low
+    assert [*sorted(identifiers)] == [*range(len(field.voxels))]
+    ordered = [identifiers[block] for block in range(len(identifiers))]
+    assert ordered == sorted(ordered)
+    assert ordered[0] == 1
+    assert {code >> 3 for code in ordered[1:]} <= {*ordered}
+
+
+# Tetrahedral volumes
+
+
+def test_recipe_of_volumes(tmp_path: Path) -> None:
+    """The scalar at a point of the mesh, found cell by cell."""
+    path = tmp_path / "a.tet.h5"
+    mesh = assembly((2, 2, 2), 3)
+    for layout in ("raycast", "projection"):
+        files.write_tet(built(mesh, layout), path)
+        with h5py.File(path) as h5:
+            origin, scale = h5.attrs["origin"].tolist(), h5.attrs["scale"].item()  # pyright: ignore
+            low, high = h5.attrs["scalar_range"].tolist()  # pyright: ignore
+            arrays = {name: h5[name][()].tolist() for name in h5}  # pyright: ignore
+        random = np.random.default_rng(0)
+        for world in random.uniform(0, 2, (30, 3)).tolist():
+            x = [(w - o) / scale for w, o in zip(world, origin, strict=True)]
+            cell = next(t for t in range(len(arrays["cells"])) if inside(arrays, layout, t, x))
+            g = arrays["gradients"][cell]
+            if layout == "raycast":
+                s = sum(a * b for a, b in zip(g, x, strict=False)) + g[3]
+            else:
+                *anchor, s = arrays["vertices"][arrays["anchors"][cell][0]]
+                s += sum(a * (b - c) for a, b, c in zip(g, x, anchor, strict=True))
+            exact = linear(np.array([world]))[0]
+            assert low + (high - low) * s == pytest.approx(exact, abs=1e-5)
+
+
+def inside(arrays: dict[str, Any], layout: str, cell: int, x: list[float]) -> bool:
+    for face in range(4):
+        n = arrays["normals"][face][cell]
+        height = sum(a * b for a, b in zip(n, x, strict=False))
+        if layout == "raycast":
+            height += n[3]
+        else:
+            anchor = arrays["vertices"][arrays["anchors"][cell][face == 0]]
+            height -= sum(a * b for a, b in zip(n, anchor, strict=False))
+        if height > 1e-6:
+            return False
+    return True
