@@ -17,14 +17,13 @@ from helpers_cli import invoke as call
 from helpers_octree import ball, octree_from_dense
 
 import voxtool
-from voxtool.cli.extract import default_output
+from voxtool.cli.options import output_of
 from voxtool.files import MESH_FORMATS, NORMAL_FORMATS, read_svo, write_svo
 from voxtool.files.mesh import load_mesh
-from voxtool.mesh import topology as diagnosis
-from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import list_devices
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface.extract import extract, plan_extract
+from voxtool.svo.surface.isosurface import Isosurface
 
 STYLES = ("marching-cubes", "voxel-faces", "surface-nets")
 LEVELS = [(style, level) for style in STYLES for level in (None, "voxel", 0, 2)]
@@ -114,8 +113,7 @@ def test_the_name_by_default_is_never_the_mesh_it_was_made_from(here: Path) -> N
     ],
 )
 def test_default_output(octree: str, output: str) -> None:
-    assert default_output(octree, "surface-nets", "obj") == output
-    assert default_output(octree, "surface-nets", "ply") == output.replace(".obj", ".ply")
+    assert output_of(octree, "surface-nets.obj") == output
 
 
 def test_octrees_of_every_format_have_one_surface(here: Path) -> None:
@@ -316,22 +314,18 @@ def test_check_at_the_border_of_the_grid(here: Path) -> None:
             assert check["manifold"]
 
 
-def test_a_check_that_fails_is_exit_code_1_and_tells_why(here: Path, monkeypatch) -> None:
-    whole, chain = diagnosis.check_surface, diagnosis.closed_chain
-
-    def torn(mesh: Mesh) -> Mesh:
-        return replace(mesh, faces=mesh.faces[1:])
-
-    monkeypatch.setattr(diagnosis, "check_surface", lambda mesh, **how: whole(torn(mesh), **how))
-    monkeypatch.setattr(diagnosis, "closed_chain", lambda mesh: chain(torn(mesh)))
-    for more in ("", "--style surface-nets", "--style voxel-faces --merge"):
-        result = call(f"extract bunny.svo.h5 --check -o a.obj {more}")
-        assert result.exit_code == 1
-        assert json.loads(result.stdout)["check"]["closed"] is False
-        message = result.stderr.splitlines()[-1]
-        assert message.startswith("voxtool: error: a.obj: the surface is not closed")
-    check = json.loads(call("extract bunny.svo.h5 --check -q").stdout)["check"]
-    assert (check["boundary_edges"], check["watertight"], check["genus"]) == (3, False, None)
+def test_a_check_that_fails_is_exit_code_1_and_says_why(here: Path, monkeypatch) -> None:
+    octree = read_svo("bunny.svo.h5")
+    for more in ({}, {"style": "surface-nets"}, {"style": "voxel-faces", "merge": True}):
+        surface = extract(octree, **more)
+        torn = replace(surface, faces=surface.faces[1:])
+        assert torn.check()["closed"] is False
+    monkeypatch.setattr(Isosurface, "check", lambda _: {"closed": False, "volume": 1.0})
+    result = call("extract bunny.svo.h5 --check -o a.obj")
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["check"]["closed"] is False
+    message = result.stderr.splitlines()[-1]
+    assert message.startswith("voxtool: error: a.obj: the surface is not closed")
 
 
 def test_against(here: Path) -> None:

@@ -10,7 +10,7 @@ import click
 from voxtool.choices import DEFAULT_MAX_LEVEL, DEFAULT_TOLERANCE, MAX_LEVEL, SIGNS
 from voxtool.cli import options, runner
 from voxtool.cli.options import BYTES, option, together
-from voxtool.errors import CheckError
+from voxtool.errors import CheckError, human
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -79,8 +79,6 @@ def command(
         field = run.job(job)
         run.write(write_adf, field)
     reached, sizes = field.reached, field.sizes()
-    from voxtool.errors import human
-
     run.report(
         f"tolerance {field.tolerance:.3g}, sign {field.sign}; {reached['leaves']:,} leaves in "
         f"{human(sum(sizes.values()))}",
@@ -117,8 +115,6 @@ def facts_of(field: DistanceField) -> dict[str, Any]:
 
 def details_of(field: DistanceField) -> Iterator[str]:
     """The errors, cells and bytes of a field, a line each."""
-    from voxtool.errors import human
-
     n, reached = len(field.voxels), field.reached
     for where, errors in reached["errors"].items():
         if errors["points"]:

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-import math
-import sys
 import time
-from dataclasses import dataclass
-from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from voxtool.choices import DEFAULT_SEARCH, SEARCHES
 from voxtool.cli import options, runner
-from voxtool.cli.options import Parsed, flag, option, plane_of, together
+from voxtool.cli.options import Parsed, flag, numbers_of, option, output_of, plane_of, together
 from voxtool.errors import count_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator
+    from collections.abc import Iterator
 
-    import numpy as np
-
-    from voxtool.adf.host_query import QueryResult
     from voxtool.adf.query import FieldQuery
-    from voxtool.files.answers import Answers
 
 SLICE_SIZE = 800  # pixels
-ANSWER_COLUMNS = {
+COLUMNS = {
     "distance": [("distance", "f8")],
     "gradient": [("gx", "f4"), ("gy", "f4"), ("gz", "f4")],
     "bounds": [("bound", "f8")],
@@ -36,54 +28,10 @@ ANSWER_COLUMNS = {
 
 
 PLANE = Parsed(
-    "plane", lambda text: plane_of(text, finite), " is no plane: write x=1.5, y=0 or z=-2"
+    "plane",
+    lambda text: plane_of(text, lambda place: numbers_of(place, 1)[0]),
+    " is no plane: write x=1.5, y=0 or z=-2",
 )
-
-
-def finite(text: str) -> float:
-    if not math.isfinite(place := float(text)):
-        raise ValueError
-    return place
-
-
-@dataclass
-class Tally:
-    """Counts of points, and the seconds that the queries took."""
-
-    points: int = 0
-    outside: int = 0
-    nan: int = 0
-    seconds: float = 0.0
-
-    def add(self, points: np.ndarray, answer: QueryResult, seconds: float) -> None:
-        import numpy as np
-
-        self.points += len(points)
-        self.outside += int(np.count_nonzero(answer.outside))
-        self.nan += int(np.count_nonzero(np.isnan(points).any(axis=1)))
-        self.seconds += seconds
-
-    def facts(self) -> dict[str, Any]:
-        """The tally in JSON types; `ns_a_point` is of the queries alone, whose first one compiles
-        kernels. The points of a picture are its pixels."""
-        found: dict[str, Any] = {"points": self.points, "outside": self.outside, "nan": self.nan}
-        if self.seconds:
-            found["ns_a_point"] = round(1e9 * self.seconds / self.points, 1)
-        return found
-
-    def notes(self) -> Iterator[str]:
-        """Counts of points with other values than distances."""
-        if self.nan:
-            yield f"{count_of(self.nan, 'point')} {is_or_are(self.nan)} NaN: so is the value"
-        if self.outside:
-            yield (
-                f"{count_of(self.outside, 'point')} {is_or_are(self.outside)} outside the cube: "
-                "the values are lower bounds"
-            )
-
-
-def is_or_are(count: int) -> str:
-    return "is" if count == 1 else "are"
 
 
 @click.command("adf-query")
@@ -130,11 +78,7 @@ def command(
     if plane is None:
         if size is not None:
             raise click.UsageError("--size goes with --slice: there is no picture")
-        points = points or "-"
-        if field == points == "-":
-            raise options.input_twice("FIELD", "POINTS")
-        if points == "-" and sys.stdin.isatty():
-            raise click.UsageError("there are no POINTS: name a file, or pipe them in")
+        points = options.points_of(points, "FIELD", field, "name a file, or pipe them in")
     elif points or any(asked.values()) or run.file_format:
         raise click.UsageError(
             "--slice draws distances: leave out POINTS, --gradient, --bounds, --cell and --format"
@@ -142,14 +86,11 @@ def command(
     from voxtool.adf.host_query import no_bounds
     from voxtool.adf.query import FieldQuery
     from voxtool.files import read_adf
-    from voxtool.files.answers import open_answers
-    from voxtool.files.picture import write_picture
-    from voxtool.files.points import read_points
-    from voxtool.plots.slice import check_plane, draw_slice
+    from voxtool.plots.slice import check_plane
 
     if plane:
         run.file_format = "png"
-        run.to(field, slice_name(field), ("png",))
+        run.to(field, output_of(field if field != "-" else "field", "slice.png"), ("png",))
     else:
         run.to_table(points or "-")
     with run:
@@ -161,56 +102,64 @@ def command(
                 check_plane(source, *plane)
         query = FieldQuery(source, run.device)
         if plane:
-            run.enter("draw")
-            picture, drawn = draw_slice(query, *plane, size=size or SLICE_SIZE)
-            run.write(write_picture, picture)
-            tally = Tally(points=len(drawn.distance))
+            facts = draw(run, query, plane, size or SLICE_SIZE)
         else:
-            run.enter("query")
-            opened = open_answers(
-                str(run.output), columns_of(asked), run.file_format, not run.no_clobber
-            )
-            with opened as answers:
-                blocks = read_points(points or "-")
-                tally = answer_points(query, blocks, answers, search=search, **asked)
-    what = f"{tally.points:,} pixels at {plane[0]}={plane[1]:g}" if plane else ""
-    run.notes += tally.notes()
-    run.report(what or count_of(tally.points, "point"), tally.facts)
+            facts = answer(run, query, points or "-", search, asked)
+    what = f"{facts['points']:,} pixels at {plane[0]}={plane[1]:g}" if plane else ""
+    run.notes += notes_of(facts)
+    run.report(what or count_of(facts["points"], "point"), lambda: facts)
 
 
-def slice_name(field: str) -> str:
-    """bunny.adf.h5 -> bunny.slice.png, in the current folder."""
-    name = PurePath(field if field != "-" else "field").name
-    return f"{name.removesuffix('.h5').removesuffix('.adf')}.slice.png"
+def draw(run: runner.Run, query: FieldQuery, plane: tuple[str, float], size: int) -> dict[str, Any]:
+    """Write the picture of a plane; return the facts of the report, whose points are pixels."""
+    from voxtool.files.picture import write_picture
+    from voxtool.plots.slice import draw_slice
+
+    run.enter("draw")
+    picture, drawn = draw_slice(query, *plane, size=size)
+    run.write(write_picture, picture)
+    return {"points": len(drawn.distance), "outside": 0, "nan": 0}
 
 
-def columns_of(asked: dict[str, bool]) -> list[tuple[str, str]]:
-    """Names and types of what is written: `outside` too, if more than the distance is."""
-    wanted = {"distance": True, **asked, "outside": any(asked.values())}
-    return [
-        column for part, columns in ANSWER_COLUMNS.items() if wanted[part] for column in columns
-    ]
+def answer(
+    run: runner.Run, query: FieldQuery, points: str, search: str, asked: dict[str, bool]
+) -> dict[str, Any]:
+    """Write the values at points, block by block; return the facts of the report. `ns_a_point` is
+    of the queries alone; the first one compiles kernels."""
+    import numpy as np
 
-
-def answer_points(
-    query: FieldQuery, blocks: Iterable[np.ndarray], answers: Answers, **request: Any
-) -> Tally:
-    """Ask for the points, block by block, and write the answers."""
     from voxtool.adf.cells import key_of
+    from voxtool.files.points import read_points
 
-    tally = Tally()
-    for points in blocks:
-        started = time.perf_counter()
-        answer = query(points, **request)
-        tally.add(points, answer, time.perf_counter() - started)
-        columns: list[np.ndarray] = [answer.distance]
-        if answer.gradient is not None:
-            columns.append(answer.gradient)
-        if answer.bound is not None:
-            columns.append(answer.bound)
-        if answer.level is not None and answer.cell is not None:
-            columns += [answer.level, key_of(answer.level, answer.cell)]
-        if len(columns) > 1:
-            columns.append(answer.outside)
-        answers.write(columns)
-    return tally
+    included = {"distance": True, **asked, "outside": any(asked.values())}
+    columns = [column for part in COLUMNS if included[part] for column in COLUMNS[part]]
+    facts: dict[str, Any] = {"points": 0, "outside": 0, "nan": 0}
+    seconds = 0.0
+    run.enter("query")
+    with run.table(columns) as answers:
+        for block in read_points(points):
+            started = time.perf_counter()
+            found = query(block, search=search, **asked)
+            seconds += time.perf_counter() - started
+            facts["points"] += len(block)
+            facts["outside"] += int(np.count_nonzero(found.outside))
+            facts["nan"] += int(np.count_nonzero(np.isnan(block).any(axis=1)))
+            values = [found.distance, found.gradient, found.bound, found.level]
+            if found.level is not None and found.cell is not None:
+                values.append(key_of(found.level, found.cell))
+            if included["outside"]:
+                values.append(found.outside)
+            answers.write([part for part in values if part is not None])
+    if seconds:
+        facts["ns_a_point"] = round(1e9 * seconds / facts["points"], 1)
+    return facts
+
+
+def notes_of(facts: dict[str, Any]) -> Iterator[str]:
+    """Return the remarks on points whose values are not distances."""
+    for what, place, values in (
+        ("nan", "NaN", "so is the value"),
+        ("outside", "outside the cube", "the values are lower bounds"),
+    ):
+        if count := facts[what]:
+            yield f"{count_of(count, 'point')} {'is' if count == 1 else 'are'} {place}: {values}"

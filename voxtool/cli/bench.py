@@ -6,6 +6,7 @@ engine and print alike.
 
 from __future__ import annotations
 
+import shlex
 import sys
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,7 @@ from voxtool.bench.request import KINDS, QUICK, SETTINGS, TRANSFERS, Request
 from voxtool.choices import (
     FILLS,
     FITS,
+    MAX_LEVEL,
     METHODS,
     MODES,
     SEARCHES,
@@ -24,57 +26,62 @@ from voxtool.choices import (
     STYLES,
     VIEWS,
 )
-from voxtool.cli import bench_compare, options, reports
-from voxtool.cli.options import DIM, flag, option
+from voxtool.cli import bench_compare, options
+from voxtool.cli.options import DIM, flag, option, together
+from voxtool.errors import CheckError, printable
+from voxtool.version import __version__
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Sequence
+
+    from voxtool.bench.points import Budget, Point
+    from voxtool.bench.report import Report
 
 FULL = Request()
 
 
-def _choices(names: tuple[str, ...]) -> dict[str, Any]:
-    return {"type": options.List(click.Choice(names)), "metavar": "NAME,..."}
+def error_of(text: str) -> tuple[float, str | None]:
+    """Return a number, and its measure after a colon: 1e-3 or 1e-3:hausdorff."""
+    number, _, measure = text.partition(":")
+    if not 0 <= float(number) < float("inf"):
+        raise ValueError
+    return float(number), measure.strip() or None
 
 
-def _numbers(each: click.ParamType, metavar: str) -> dict[str, Any]:
-    return {"type": options.List(each), "metavar": metavar}
-
-
+ERROR = options.Parsed("error", error_of, " is no error: write 1e-3, or 1e-3:hausdorff")
 COUNT = click.IntRange(1, 100_000_000)
-OPTIONS: dict[str, tuple[str, dict[str, Any]]] = {  # by fields of a Request
-    "dims": ("Voxels along the longest side.", _numbers(DIM, "DIM,...")),
-    "modes": ("Modes, as of `voxtool voxelize`.", _choices(MODES)),
-    "fills": ("Fill rules of solids, as of `voxtool voxelize`; surfaces take the first.",
-              _choices(FILLS)),
-    "fit": ("stretch: eq. (5.1) of [voCCeL], as its tables.", {"type": click.Choice(FITS)}),
-    "samples": ("Points on each surface at which errors are measured.", {"type": COUNT}),
-    "styles": ("Styles, as of `voxtool extract`, at their own levels.",
-               _numbers(options.Alias(STYLES, STYLE_ALIASES), "NAME,...")),
-    "isovalue": ("Between 0 and 1.", {"type": float}),
-    "tolerances": ("Errors that leaves may have, in sides of the cube.",
-                   _numbers(click.FloatRange(min=0), "LENGTH,...")),
-    "levels": ("Finest levels of fields, as --max-level of `voxtool adf-build`.",
-               _numbers(click.IntRange(1, 21), "LEVEL,...")),
-    "band": ("As of `voxtool adf-build`.  [default: everywhere]", {"type": float}),
-    "sign": ("As of `voxtool adf-build`.  [default: by the mesh]", {"type": click.Choice(SIGNS)}),
-    "points": ("Points at which distances are asked for.", {"type": COUNT}),
-    "kinds": ("Points: random, or along rays.", _choices(KINDS)),
-    "searches": ("How the leaf of a point is found, as of `voxtool adf-query`.",
-                 _choices(SEARCHES)),
-    "grids": ("Voxels along the longest side of dense grids.", _numbers(DIM, "DIM,...")),
-    "sizes": ("Pixels along each side; errors are of the largest.",
-              _numbers(click.IntRange(1, 8192), "PIXELS,...")),
-    "pixels": ("Pixels along each side at which errors are measured.", {"type": COUNT}),
-    "view": ("As of `voxtool render`; orthographic.", {"type": click.Choice(VIEWS)}),
-    "methods": ("As of `voxtool render`.", _choices(METHODS)),
-    "integrators": ("As of `voxtool render`.", _numbers(click.STRING, "NAME,...")),
-    "transfers": ("Transfer functions: five colours, times as opaque, or two slabs.",
-                  _choices(TRANSFERS)),
-    "scalar": ("As of `voxtool tet-build`.", {"metavar": "NAME"}),
-    "component": ("As of `voxtool tet-build`.", {"metavar": "NAME"}),
+# By fields of a Request: the type of a value or its choices, the help, and the metavar. Fields that
+# are tuples take several values.
+OPTIONS: dict[str, tuple[Any, ...]] = {
+    "dims": (DIM, "Voxels along the longest side.", "DIM,..."),
+    "modes": (MODES, "Modes, as of `voxtool voxelize`."),
+    "fills": (FILLS, "Fill rules of solids, as of `voxtool voxelize`; surfaces take the first."),
+    "fit": (FITS, "stretch: eq. (5.1) of [voCCeL], as its tables."),
+    "samples": (COUNT, "Points on each surface at which errors are measured."),
+    "styles": (options.Alias(STYLES, STYLE_ALIASES),
+               "Styles, as of `voxtool extract`, at their own levels."),
+    "isovalue": (float, "Between 0 and 1."),
+    "tolerances": (click.FloatRange(min=0),
+                   "Errors that leaves may have, in sides of the cube.", "LENGTH,..."),
+    "levels": (click.IntRange(1, MAX_LEVEL),
+               "Finest levels of fields, as --max-level of `voxtool adf-build`.", "LEVEL,..."),
+    "band": (float, "As of `voxtool adf-build`.  [default: everywhere]"),
+    "sign": (SIGNS, "As of `voxtool adf-build`.  [default: by the mesh]"),
+    "points": (COUNT, "Points at which distances are asked for."),
+    "kinds": (KINDS, "Points: random, or along rays."),
+    "searches": (SEARCHES, "How the leaf of a point is found, as of `voxtool adf-query`."),
+    "grids": (DIM, "Voxels along the longest side of dense grids.", "DIM,..."),
+    "sizes": (click.IntRange(1, 8192), "Pixels along each side; errors are of the largest.",
+              "PIXELS,..."),
+    "pixels": (COUNT, "Pixels along each side at which errors are measured."),
+    "view": (VIEWS, "As of `voxtool render`; orthographic."),
+    "methods": (METHODS, "As of `voxtool render`."),
+    "integrators": (click.STRING, "As of `voxtool render`."),
+    "transfers": (TRANSFERS, "Transfer functions: five colours, times as opaque, or two slabs."),
+    "scalar": (str, "As of `voxtool tet-build`.", "NAME"),
+    "component": (str, "As of `voxtool tet-build`.", "NAME"),
 }  # fmt: skip
-ALIASES = {"levels": ("--max-level",), "sizes": ("--size",)}
+ALIASES = {"levels": "--max-level", "sizes": "--size"}
 COMMANDS = {
     "all": """Measure everything that voxtool does with MODELS: error against run time.
 
@@ -149,52 +156,162 @@ def command() -> None:
     """
 
 
-def _option(name: str) -> Callable[[Any], Any]:
-    """The option of a field of a Request, whose default is None: the request's own."""
-    words, about = OPTIONS[name]
+report_options = together(
+    option("-o --output", str,
+        "Write a report: report.html, .json and .csv, and a PNG of each chart.", metavar="FOLDER"),
+    options.clobber_option,
+    option("--budget-time", click.FloatRange(min=0, min_open=True),
+        "Print only the most accurate setting within this time.", metavar="SECONDS"),
+    option("--budget-error", ERROR, "Print only the cheapest setting with at most this error.",
+        metavar="ERROR[:MEASURE]"),
+    option("--date", str, "Written in the report.", metavar="TEXT"),
+)  # fmt: skip
+
+
+def request_option(name: str) -> options.Decorator:
+    """Return the option of a field of a Request; the default None leaves the request's own."""
+    kind, about, *metavar = OPTIONS[name]
     default = getattr(FULL, name)
+    several = isinstance(default, tuple)
     if default is not None and name != "band":
-        each = default if isinstance(default, tuple) else (default,)
-        words += f"  [default: {','.join(map(str, each))}]"
-    return click.option(f"--{name}", *ALIASES.get(name, ()), name, help=words, **about)
+        about += f"  [default: {','.join(map(str, default if several else (default,)))}]"
+    if several:
+        kind = options.List(click.Choice(kind) if isinstance(kind, tuple) else kind)
+        metavar = metavar or ["NAME,..."]
+    words = f"--{name} {ALIASES.get(name, '')} {name}"
+    return option(words, kind, about, metavar=metavar[0] if metavar else None)
 
 
-def _bench(bench: str, selection: tuple[str, ...] | None) -> click.Command:
-    """The command of a bench."""
+def bench_command(bench: str) -> click.Command:
+    """Return the command of a bench, or of all."""
+    selection = None if bench == "all" else (bench,)
     names = tuple(dict.fromkeys(n for one in selection or SETTINGS for n in SETTINGS[one]))
 
-    def measure(
+    def call(
         models: tuple[str, ...], quick: bool, repeat: int | None, peers: bool,
         device_name: str | None, quiet: bool, **given: Any,
     ) -> None:  # fmt: skip
+        values = {name: given.pop(name) for name in names}
         chosen = {
             name: tuple(value) if isinstance(value, list) else value
-            for name in names
-            if (value := given.pop(name)) is not None
+            for name, value in values.items()
+            if value is not None
         }
         request = replace(QUICK if quick else FULL, **chosen, peers=peers, device=device_name)
         if repeat:
             request = replace(request, repeat=repeat, seconds=0.0)
-        reports.measure_and_report(models, request, selection, words=sys.argv[1:], **given)
+        measure(models, request, selection, **given)
 
     head, examples = COMMANDS[bench].split("\n\n    \b", 1)
-    measure.__doc__ = f"{head}\n{UNITS}\n    \b{examples}"
-    decorate = options.together(
+    call.__doc__ = f"{head}\n{UNITS}\n    \b{examples}"
+    decorate = together(
         click.argument("models", nargs=-1, required=True),
         flag("--quick", "Few and small settings: seconds, not minutes."),
         option("--repeat", click.IntRange(1), "Runs after a warm-up.  [default: 3, and up to 9 of "
                "short work; 2 with --quick]", metavar="N"),
         flag("--peers", "Other tools on the same work, those that are installed: VTK, Open3D, "
              "libigl, scikit-image, trimesh."),
-        *map(_option, names),
-        reports.report_options,
+        *map(request_option, names),
+        report_options,
         options.device_option,
         options.quiet_option,
         options.json_option,
     )  # fmt: skip
-    return click.command(bench)(decorate(measure))
+    return click.command(bench)(decorate(call))
+
+
+def measure(
+    models: Sequence[str], request: Request, benches: tuple[str, ...] | None, *,
+    output: str | None, no_clobber: bool, budget_time: float | None,
+    budget_error: tuple[float, str | None] | None, date: str | None, as_json: bool,
+) -> None:  # fmt: skip
+    """Measure, print the points and what to choose, and write the report.
+
+    Raises
+    ------
+    VoxtoolError : as voxtool.bench.sweep.sweep and voxtool.bench.report.write_report.
+    """
+    from voxtool.bench.peers import missing
+    from voxtool.bench.points import Budget, Point
+    from voxtool.bench.report import Report, check_folder, write_report
+    from voxtool.bench.request import benches_for
+    from voxtool.bench.sweep import sweep
+    from voxtool.opencl import open_device
+
+    error, measure = budget_error or (None, None)
+    budget = Budget(budget_time, error, measure)
+    asked = budget_time is not None or budget_error is not None
+    steps = [(bench, model) for model in models for bench in benches or benches_for(model)]
+    budget.check({bench for bench, _ in steps})
+    if output is not None:
+        check_folder(output, not no_clobber)
+    if asked and output is None:  # an answer needs neither the memory nor the ablations
+        request = replace(request, commands=False, ablations=False)
+    info = open_device(request.device).info
+    if request.peers:
+        for package in missing({bench for bench, _ in steps}):
+            options.tell(f"peer {package} is not installed: pip install {package}")
+    with options.Progress([f"{bench}, {model}" for bench, model in steps]) as progress:
+        found = list(sweep(models, request, benches, progress.enter))
+    report = Report(
+        [one for one in found if isinstance(one, Point)],
+        [one for one in found if not isinstance(one, Point)],
+        info, shlex.join(["voxtool", *map(printable, sys.argv[1:])]), date,
+    )  # fmt: skip
+    if output is not None:
+        write_report(report, output, not no_clobber)
+    if as_json:
+        options.print_json(report.as_dict())
+    elif not asked:
+        click.echo(f"voxtool {__version__}; {info.name}, {info.platform} {info.driver}")
+        print_points(report)
+    if output is not None and not as_json:
+        click.echo(f"report: {output.rstrip('/')}/report.html")
+    if asked:
+        answer(report.points, budget, as_json)
+
+
+def print_points(report: Report) -> None:
+    """Print the tables of each chart and what to choose from it; then the ablations."""
+    from voxtool.bench.points import charts_of, costs, title, verdicts
+    from voxtool.bench.tables import absent_of, tables_of
+
+    for chart, points in charts_of(report.points).items():
+        click.echo(f"\n{printable(title(chart))}")
+        for table in tables_of(points):
+            click.echo(f"  {table.note}")
+            for line in table.lines():
+                click.echo(f"    {printable(line)}")
+        for line in (*absent_of(points), *verdicts(points), *costs(points)):
+            click.echo(f"  {printable(line)}")
+    for one in report.ablations:
+        result = "" if one.same else "; the result differs"
+        words = f"{one.bench}, {one.model}: {one.work}: without {one.what}: {one.verdict}{result}"
+        click.echo(f"{chr(10) * (one is report.ablations[0])}{printable(words)}")
+
+
+def answer(points: Sequence[Point], budget: Budget, err: bool) -> None:
+    """Print the setting to choose in each chart.
+
+    Raises
+    ------
+    CheckError : nothing meets the budget in some chart.
+    """
+    from voxtool.bench.points import answers, charted, duration, named
+
+    none = []
+    for chart, point in answers(points, budget):
+        if point is None:
+            none.append(chart)
+            continue
+        measure = budget.measure or charted(point.bench)
+        found = point.errors.get(measure)
+        error = "" if found is None else f", {measure} error {found:.3g}"
+        click.echo(f"{chart}: {named(point)}: {duration(point.seconds)}{error}", err=err)
+    if none:
+        raise CheckError(f"{budget}: nothing that was measured meets it in {'; '.join(none)}")
 
 
 for _name in COMMANDS:
-    command.add_command(_bench(_name, None if _name == "all" else (_name,)))
+    command.add_command(bench_command(_name))
 command.add_command(bench_compare.command)

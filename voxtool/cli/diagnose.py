@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-
 import click
 
 from voxtool.choices import DEFAULT_DIM
@@ -49,10 +47,10 @@ def command(run: runner.Run, mesh: str, dim: int, obj: str | None, faults_fail: 
             raise click.UsageError("stdout has the report: name a file for --obj")
         format_of(obj, ("obj",))
         check_target(obj, not run.no_clobber)
-        if os.path.exists(obj) and os.path.exists(mesh) and os.path.samefile(mesh, obj):
+        if options.same_file(mesh, obj):
             raise click.UsageError(f"{obj} is MESH itself: name another file")
     with run:
-        run.progress.plan(["read mesh", *STAGES])
+        run.progress.stages = ["read mesh", *STAGES]
         loaded = run.stage("read mesh", load_mesh, mesh)
         grid = Grid.fit(loaded, dim)
         report = diagnose(loaded, grid, device=run.device, progress=run.progress.enter)
@@ -67,7 +65,7 @@ def command(run: runner.Run, mesh: str, dim: int, obj: str | None, faults_fail: 
         click.echo(report.text())
     if obj is not None:
         what = count_of(len(report.boundary.closed), "boundary loop")
-        options.tell(f"{mesh if mesh != '-' else 'stdin'} -> {obj}: {what} as tubes")
+        options.tell(f"{options.shown(mesh)} -> {obj}: {what} as tubes")
     run.finish()
     if faults_fail and report.faults:
         faults = "; ".join(fault.what for fault in report.faults)

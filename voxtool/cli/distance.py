@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -13,14 +12,8 @@ from voxtool.cli.options import DIM, bbox_option, flag, option, together
 from voxtool.errors import VoxtoolError, count_of
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    import numpy as np
-
-    from voxtool.files.answers import Answers
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
-    from voxtool.spatial.signed_distance import SignedDistance
 
 COLUMNS = {
     "gradient": [("gx", "f8"), ("gy", "f8"), ("gz", "f8")],
@@ -67,13 +60,20 @@ def command(
       voxtool distance bunny.obj points.csv --gradient --nearest --face -o distances.csv
       voxtool distance bunny.obj --dim 64 -o sdf.npy
     """
+    options.check_placing(like, placing)
     on_grid = bool(like) or any(value is not None for value in placing.values())
     asked = {"gradient": gradient, "nearest": nearest, "face": face}
-    check_usage(on_grid, mesh, points, sign, fill, float32, asked)
-    if like and any(value is not None for value in placing.values()):
-        raise click.UsageError("--like sets the grid: drop --dim, --pitch, --bbox and --margin")
-    if placing["dim"] and placing["pitch"]:
-        raise click.UsageError("--dim and --pitch both set the voxel size: drop one of them")
+    if on_grid:
+        if points:
+            raise click.UsageError("POINTS and a grid: give one of them")
+        if sign not in (None, "none"):
+            raise click.UsageError("a grid has the signs of voxelize: give --fill, not --sign")
+        if any(asked.values()):
+            raise click.UsageError("--gradient, --nearest and --face go with POINTS")
+    elif fill != FILLS[0] or float32:
+        raise click.UsageError("--fill and --float32 go with a grid: give --dim")
+    else:
+        points = options.points_of(points, "MESH", mesh, "name a file, pipe them in, or give --dim")
     from voxtool.files import read_svo
     from voxtool.files.mesh import load_mesh
     from voxtool.grid import Grid
@@ -93,29 +93,8 @@ def command(
     run.report(f"{count_of(count, 'distance')}, {facts['negative']:,} negative", lambda: facts)
 
 
-def check_usage(
-    on_grid: bool, mesh: str, points: str | None, sign: str | None, fill: str, float32: bool,
-    asked: dict[str, bool],
-) -> None:  # fmt: skip
-    """Refuse options that do not go with points, or with a grid."""
-    if on_grid:
-        if points:
-            raise click.UsageError("POINTS and a grid: give one of them")
-        if sign not in (None, "none"):
-            raise click.UsageError("a grid has the signs of voxelize: give --fill, not --sign")
-        if any(asked.values()):
-            raise click.UsageError("--gradient, --nearest and --face go with POINTS")
-        return
-    if fill != FILLS[0] or float32:
-        raise click.UsageError("--fill and --float32 go with a grid: give --dim")
-    if mesh == (points or "-") == "-":
-        raise options.input_twice("MESH", "POINTS")
-    if points is None and sys.stdin.isatty():
-        raise click.UsageError("there are no POINTS: name a file, pipe them in, or give --dim")
-
-
 def measure_grid(run: runner.Run, mesh: Mesh, grid: Grid, fill: str, dtype: str) -> dict[str, Any]:
-    """Write the distances of a grid; return what the report says."""
+    """Write the distances of a grid; return the facts of the report."""
     import numpy as np
 
     from voxtool.distances import plan_distance_grid
@@ -125,47 +104,39 @@ def measure_grid(run: runner.Run, mesh: Mesh, grid: Grid, fill: str, dtype: str)
     place: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
     found = run.job(job, **place)
     run.write(write_array, found)
-    fill = job.plan.voxels.fill if job.plan.voxels else "none"
-    extremes = {"low": float(found.min()), "high": float(found.max())}
-    negative = int(np.count_nonzero(found < 0))
-    shape = {"shape": list(grid.shape), **place, "fill": fill}
-    return {"points": found.size, "negative": negative, **shape, **extremes}
+    return {
+        "points": found.size,
+        "negative": int(np.count_nonzero(found < 0)),
+        "shape": list(grid.shape),
+        **place,
+        "fill": job.plan.voxels.fill if job.plan.voxels else "none",
+        "low": float(found.min()),
+        "high": float(found.max()),
+    }
 
 
 def measure_points(
     run: runner.Run, mesh: Mesh, points: str, sign: str | None, asked: dict[str, bool]
 ) -> dict[str, Any]:
-    """Write the distances of points, block by block; return what the report says."""
-    from voxtool.distances import plan_distance
-    from voxtool.files.answers import open_answers
-    from voxtool.files.points import read_points
-
-    job = run.plan(plan_distance, mesh, sign=sign, located=any(asked.values()))
-    measure = run.job(job)
-    run.enter("distance")
-    columns = [("distance", "f8")]
-    columns += [column for what, of in COLUMNS.items() if asked[what] for column in of]
-    with open_answers(run.output or "-", columns, run.file_format, not run.no_clobber) as answers:
-        negative = answer(measure, read_points(points), points, answers, asked)
-    run.enter(None)
-    return {"points": answers.count, "negative": negative, "sign": measure.sign}
-
-
-def answer(
-    measure: SignedDistance, blocks: Iterable[np.ndarray], name: str, answers: Answers,
-    asked: dict[str, bool],
-) -> int:  # fmt: skip
-    """Write the distances of blocks of points; return how many are negative."""
+    """Write the distances of points, block by block; return the facts of the report."""
     import numpy as np
 
+    from voxtool.distances import plan_distance
+    from voxtool.files.points import read_points
+
+    measure = run.job(run.plan(plan_distance, mesh, sign=sign, located=any(asked.values())))
+    columns = [("distance", "f8")]
+    columns += [column for what, of in COLUMNS.items() if asked[what] for column in of]
     negative = 0
-    for block in blocks:
-        finite = np.isfinite(block).all(axis=1)
-        if not finite.all():
-            first = answers.count + int(np.argmin(finite))
-            raise VoxtoolError(f"{name}: point {first} is not finite: remove it")
-        found: Any = measure(block, **asked)
-        parts = [found] if not any(asked.values()) else [p for p in found if p is not None]
-        negative += int(np.count_nonzero(parts[0] < 0))
-        answers.write(parts)
-    return negative
+    run.enter("distance")
+    with run.table(columns) as answers:
+        for block in read_points(points):
+            finite = np.isfinite(block).all(axis=1)
+            if not finite.all():
+                first = answers.count + int(np.argmin(finite))
+                raise VoxtoolError(f"{points}: point {first} is not finite: remove it")
+            found: Any = measure(block, **asked)
+            parts = found if any(asked.values()) else [found]
+            negative += int(np.count_nonzero(parts[0] < 0))
+            answers.write([part for part in parts if part is not None])
+    return {"points": answers.count, "negative": negative, "sign": measure.sign}

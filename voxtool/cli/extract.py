@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from voxtool.choices import MARCHING_CUBES, STYLE_ALIASES, STYLES, VOXEL_FACES
 from voxtool.cli import options, runner
-from voxtool.cli.options import SAMPLES, flag, option, together
+from voxtool.cli.options import LEVEL, flag, option, output_of, together
 from voxtool.errors import CheckError
 
 if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
     from voxtool.svo.surface.extract import Isosurface
+SAMPLES = 100_000  # points on each surface at which distances are measured
 
 
 @click.command("extract")
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
         "marching-cubes: smooth, from the shares of set voxels of bricks; voxel-faces: the exact "
         "boundary of the voxels; surface-nets: smooth at full resolution, with every vertex inside "
         "its cell.  Coarser samples round off more.", MARCHING_CUBES),
-    option("--level", options.Level(),
+    option("--level", LEVEL,
         "What a sample is: a node of level N (0: a brick of 4 x 4 x 4 voxels; higher: coarser), "
         "or a voxel.  [default: 0 for marching-cubes, otherwise voxel]", metavar="N|voxel"),
     option("--isovalue", float,
@@ -70,7 +70,8 @@ def command(
     from voxtool.files.mesh import load_mesh
     from voxtool.svo.surface.extract import plan_extract
 
-    run.to(octree, default_output(octree, style, run.file_format or "obj"), MESH_FORMATS)
+    # named after its style: bunny.obj is the mesh that the octree was made from
+    run.to(octree, output_of(octree, f"{style}.{run.file_format or 'obj'}"), MESH_FORMATS)
     if normals and run.file_format not in NORMAL_FORMATS:
         held = ", ".join(f".{name}" for name in NORMAL_FORMATS)
         raise click.UsageError(f"--normals: .{run.file_format} holds none: write one of {held}")
@@ -78,12 +79,15 @@ def command(
     with run:
         source = run.stage("read octree", read_svo, octree)
         reference = load_mesh(against) if against is not None else None
-        after = [name for name, wanted in (("check", check), ("measure", against)) if wanted]
+        after = ["check"] * check + ["measure"] * bool(against)
         with run.naming(octree):
             job = run.plan(plan_extract, source, **request)
             surface = run.job(job, after, empty=lambda surface: not len(surface.faces))
         if check:
-            more["check"] = run.stage("check", check_mesh, source, surface)
+            found = run.stage("check", surface.check)
+            set_volume = source.count * source.grid.voxel_volume
+            ratio = {"octree_volume": set_volume, "volume_ratio": found["volume"] / set_volume}
+            more["check"] = found | ratio
         if reference is not None:
             from voxtool.spatial.deviation import deviation
 
@@ -102,17 +106,6 @@ def command(
         raise CheckError(f"{run.output}: the surface is not closed: report this octree")
 
 
-def default_output(octree: str, style: str, file_format: str) -> str:
-    """bunny.svo.h5 -> bunny.marching-cubes.obj, in the current folder, never the mesh that it was
-    made from; stdin -> stdout."""
-    if octree == "-":
-        return "-"
-    name = PurePath(octree).name
-    for extension in (".gz", ".h5", ".xml", ".svo"):
-        name = name.removesuffix(extension)
-    return f"{name}.{style}.{file_format}"
-
-
 def facts_of(octree: Octree, surface: Isosurface) -> dict[str, Any]:
     """The facts of the report, in JSON types."""
     return {
@@ -127,23 +120,4 @@ def facts_of(octree: Octree, surface: Isosurface) -> dict[str, Any]:
         "voxels_below_isovalue": surface.lost.below,
         "voxels_vanished": surface.lost.vanished,
         "digest": surface.digest(),
-    }
-
-
-def check_mesh(octree: Octree, surface: Isosurface) -> dict[str, Any]:
-    """The result of --check: closed or not, genus, shells, and volume beside the octree's."""
-    from voxtool.mesh.topology import check_surface, closed_chain, volume
-
-    mesh = surface.mesh()
-    enclosed, set_volume = volume(mesh), octree.count * octree.grid.voxel_volume
-    if surface.merged:  # edges end within others: what counts edges says nothing
-        found = {"closed": closed_chain(mesh), "t_junctions": True}
-    else:
-        checked = check_surface(mesh, weld=False)
-        found = {**checked.as_dict(), "closed": checked.watertight and checked.manifold}
-    return {
-        **found,
-        "volume": enclosed,
-        "octree_volume": set_volume,
-        "volume_ratio": enclosed / set_volume,
     }

@@ -1,4 +1,4 @@
-"""What svo-info and adf-info share: their options, and how a summary is printed."""
+"""The options of svo-info and adf-info, and the printing of their summaries."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.cli.options import flag, json_option, print_json
+from voxtool.cli.options import flag, json_option, print_json, together
 from voxtool.errors import printable
 
 if TYPE_CHECKING:
@@ -18,19 +18,18 @@ if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
 
 
-def info_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """--check, --digest and --json, as `describe` takes them."""
-    function = flag("--digest", "Print the SHA-256 of the content, and that alone.")(
-        json_option(function)
-    )
-    return flag("--check", "Check every invariant.")(function)
+info_options = together(
+    flag("--check", "Check every invariant."),
+    flag("--digest", "Print the SHA-256 of the content, and that alone."),
+    json_option,
+)
 
 
 def describe(
     file: str, content: Octree | DistanceField, text: Callable[[dict[str, Any]], Iterable[str]],
     *, check: bool, digest: bool, as_json: bool,
 ) -> None:  # fmt: skip
-    """Print the summary of what a file holds, as the lines of `text` or as JSON."""
+    """Print the summary of the content of a file, as the lines of `text` or as JSON."""
     if check:
         content.validate()
     if digest and not as_json:
@@ -53,7 +52,7 @@ def describe(
 
 
 def table(rows: Iterable[tuple[str, str]]) -> Iterator[str]:
-    """Names and values, a line each."""
+    """Return lines of names and values."""
     return (f"{name:<12} {value}" for name, value in rows)
 
 
@@ -62,12 +61,12 @@ def on_disk(info: dict[str, Any]) -> str:
 
 
 def place(numbers: Iterable[float]) -> str:
-    """Coordinates or lengths along the axes."""
+    """Return coordinates or lengths along the axes."""
     return " ".join(f"{number:.9g}" for number in numbers)
 
 
 def section(title: str, pairs: Any) -> Iterator[str]:
-    """The lines of a dict of names and values, if there are any."""
+    """Return the lines of a dict of names and values, if there are any."""
     if pairs and isinstance(pairs, dict):
         yield f"\n{title}"
         for name, value in _flattened(pairs):
@@ -75,7 +74,7 @@ def section(title: str, pairs: Any) -> Iterator[str]:
 
 
 def _flattened(pairs: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Names and values; of a dict of dicts, one of each inner one."""
+    """Yield names and values, of a dict of dicts those of each inner one."""
     for name, value in pairs.items():
         if not isinstance(value, dict):
             yield name, _shown(value)
@@ -86,7 +85,7 @@ def _flattened(pairs: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _shown(value: Any) -> str:
-    """A value as people read it."""
+    """Return a value as text for people."""
     if isinstance(value, str):
         return value
     if isinstance(value, float):

@@ -29,14 +29,11 @@ from voxtool.version import __version__
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-COMMANDS = {
-    name: f"voxtool.cli.{name.replace('-', '_')}"
-    for name in (
-        "voxelize", "diagnose", "svo-info", "extract", "distance", "adf-build", "adf-query",
-        "adf-info", "tet-build", "render", "export", "devices", "selftest", "bench", "completion",
-    )
-}  # fmt: skip
-# What an error is called in JSON, and the exit code; the first that fits.
+COMMANDS = (
+    "voxelize", "diagnose", "svo-info", "extract", "distance", "adf-build", "adf-query",
+    "adf-info", "tet-build", "render", "export", "devices", "selftest", "bench", "completion",
+)  # fmt: skip
+# The name of an error in JSON, and the exit code; the first that fits.
 ERRORS = (
     (CheckError, "check", 1),
     (click.ClickException, "usage", 2),
@@ -67,8 +64,8 @@ class Voxtool(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
-            return None
-        return import_module(COMMANDS[cmd_name]).command
+            return super().get_command(ctx, cmd_name)
+        return import_module(f"voxtool.cli.{cmd_name.replace('-', '_')}").command
 
     def make_context(self, *args: Any, **extra: Any) -> click.Context:
         with naming_closed_pipes():
@@ -101,7 +98,7 @@ class Voxtool(click.Group):
         sys.exit(code)
 
     def report(self, error: Exception, as_json: bool) -> int:
-        """Print an error; its exit code."""
+        """Print an error, and return its exit code."""
         kind, code = next((kind, code) for kinds, kind, code in ERRORS if isinstance(error, kinds))
         message = message_of(error)
         if message.startswith("Usage:"):  # the help, where a command stands alone
@@ -117,7 +114,7 @@ class Voxtool(click.Group):
 
 
 def message_of(error: Exception) -> str:
-    """The message of an error, in one line."""
+    """Return the message of an error, on one line."""
     if isinstance(error, click.ClickException):
         message = error.format_message()
         context = error.ctx if isinstance(error, click.UsageError) else None
@@ -141,7 +138,7 @@ def message_of(error: Exception) -> str:
 
 @contextmanager
 def library_warnings() -> Iterator[None]:
-    """Print the library's own warnings as lines on stderr, and those of other libraries not."""
+    """Print the library's own warnings as lines on stderr; hide those of other libraries."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", VoxtoolWarning)
@@ -167,7 +164,7 @@ def reader_has_gone(error: BaseException) -> bool:
 
 
 def discard_stdout() -> None:
-    """Send what is left in the buffer nowhere, so that the end of the program is quiet."""
+    """Discard the rest of the buffer, so that the program ends without a message."""
     with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())
 

@@ -1,10 +1,12 @@
-"""Options that several subcommands share, as decorators, and what goes to stderr."""
+"""Options that several subcommands share, as decorators; output on stderr; the progress bar."""
 
 from __future__ import annotations
 
 import functools
 import json
 import math
+import os
+import re
 import sys
 import threading
 from pathlib import PurePath
@@ -12,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from voxtool.choices import MAX_DIM, MIN_DIM
+from voxtool.choices import FITS, MAX_DIM, MIN_DIM
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -20,20 +22,19 @@ if TYPE_CHECKING:
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 DIM = click.IntRange(MIN_DIM, MAX_DIM)
-AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 PROGRESS_AFTER = 1.0  # seconds
-SAMPLES = 100_000  # points on each surface that a deviation is measured at
-# What a context keeps: the Progress that is shown, the warnings so far, whether stdout takes the
-# result of the command, and whether JSON has been printed.
+# Keys of a context's `meta`: the Progress that is shown, the warnings so far, whether stdout takes
+# the result of the command, and whether JSON has been printed.
 BAR, WARNINGS, TO_STDOUT, PRINTED = (
     f"voxtool.{name}" for name in ("bar", "warnings", "to_stdout", "printed")
 )
 
 
 class Parsed(click.ParamType):
-    """What a function makes of a text; where it raises ValueError, the error is text and hint."""
+    """A parameter type made of a function; the error of its ValueError is the text and a hint."""
 
     def __init__(self, name: str, parse: Callable[[str], Any], hint: str) -> None:
         self.name, self.parse, self.hint = name, parse, hint
@@ -45,27 +46,6 @@ class Parsed(click.ParamType):
             return self.parse(value)
         except ValueError:
             self.fail(f"{value!r}{self.hint}", param, ctx)
-
-
-def bytes_of(text: str) -> int:
-    """The number of bytes in 800000000, 800M or 8G."""
-    text = text.upper().removesuffix("B").removesuffix("I")
-    unit = text[-1:] if text[-1:] in UNITS else ""
-    number = float(text.removesuffix(unit)) * UNITS[unit]
-    if not 1 <= number < float(1 << 62):
-        raise ValueError
-    return int(number)
-
-
-BYTES = Parsed("bytes", bytes_of, " is no number of bytes: write 800M or 8G")
-
-
-def plane_of(text: str, number: Callable[[str], Any]) -> tuple[str, Any]:
-    """An axis and where a plane crosses it: z=0.5."""
-    axis, _, place = text.partition("=")
-    if axis not in ("x", "y", "z"):
-        raise ValueError
-    return axis, number(place)
 
 
 class Alias(click.Choice[str]):
@@ -80,152 +60,89 @@ class Alias(click.Choice[str]):
 
 
 class List(click.ParamType):
-    """Values of another type, with commas between them."""
+    """Values of another type, separated by commas."""
+
+    name = "list"
 
     def __init__(self, each: click.ParamType) -> None:
         self.each = each
-        self.name = "list"
 
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> list[object]:
-        if isinstance(value, list):
-            return value
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         return [self.each.convert(word.strip(), param, ctx) for word in str(value).split(",")]
 
 
-class Level(click.ParamType):
-    """A level of the octree, or voxel."""
-
-    name = "level"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> int | str:
-        if value == "voxel":
-            return value
-        try:
-            return int(value)
-        except ValueError:
-            self.fail(f"{value!r}: choose voxel, or a level, from 0 (bricks) on", param, ctx)
+def numbers_of(text: str, count: int) -> tuple[float, ...]:
+    """Return this many finite numbers, which commas separate."""
+    numbers = tuple(map(float, text.split(",")))
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise ValueError
+    return numbers
 
 
-class Number(click.ParamType):
-    """A finite number, or a positive one."""
-
-    name = "number"
-
-    def __init__(self, positive: bool = False) -> None:
-        self.positive = positive
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> float:
-        numbers = numbers_of(value, 1)
-        if numbers is None or (self.positive and numbers[0] <= 0):
-            kind = "positive" if self.positive else "finite"
-            self.fail(f"{value!r} is no {kind} number", param, ctx)
-        return numbers[0]
+def positive_of(text: str) -> float:
+    """Return a positive number."""
+    if (number := numbers_of(text, 1)[0]) <= 0:
+        raise ValueError
+    return number
 
 
-class Vector(click.ParamType):
-    """X,Y,Z; a direction may be an axis: z or -y."""
-
-    name = "vector"
-
-    def __init__(self, axes: bool = False) -> None:
-        self.axes = axes
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, float, float]:
-        if isinstance(value, tuple):
-            return value  # pyright: ignore[reportReturnType]
-        numbers = numbers_of(value, 3)
-        if numbers is not None:
-            return numbers[0], numbers[1], numbers[2]
-        axis = AXES.get(value[-1:].lower())
-        if self.axes and axis and value[:-1] in ("", "+", "-"):
-            sign = -1.0 if value[:-1] == "-" else 1.0
-            return sign * axis[0], sign * axis[1], sign * axis[2]
-        hint = "write 0,0,1, z or -z" if self.axes else "write three numbers, as 1,2.5,-3"
-        self.fail(f"{value!r}: {hint}", param, ctx)
+def bytes_of(text: str) -> int:
+    """Return the number of bytes in 800000000, 800M or 8G."""
+    text = text.upper().removesuffix("B").removesuffix("I")
+    unit = text[-1:] if text[-1:] in UNITS else ""
+    number = float(text.removesuffix(unit)) * UNITS[unit]
+    if not 1 <= number < float(1 << 62):
+        raise ValueError
+    return int(number)
 
 
-class Range(click.ParamType):
-    """A,B, or the word full."""
-
-    name = "range"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, float] | str:
-        if isinstance(value, tuple) or value == "full":
-            return value
-        numbers = numbers_of(value, 2)
-        if numbers is None:
-            self.fail(f"{value!r}: write two numbers, as 0.5,2, or full", param, ctx)
-        return numbers[0], numbers[1]
+def plane_of(text: str, number: Callable[[str], Any]) -> tuple[str, Any]:
+    """Return an axis and where a plane crosses it: z=0.5."""
+    axis, _, place = text.partition("=")
+    if axis not in AXES:
+        raise ValueError
+    return axis, number(place)
 
 
-class Size(click.ParamType):
-    """WIDTHxHEIGHT, or one number for both."""
-
-    name = "size"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[int, int]:
-        if isinstance(value, tuple):
-            return value
-        width, times, height = str(value).lower().partition("x")
-        sides = (width, height if times else width)
-        if not all(side.isdecimal() and 0 < len(side) < 7 and int(side) for side in sides):
-            self.fail(f"{value!r} is no size: write 800x600, or 512 for both sides", param, ctx)
-        return int(sides[0]), int(sides[1])
+def direction_of(text: str) -> tuple[float, ...]:
+    """Return three numbers, or the direction of an axis: z or -y."""
+    axis = AXES.get(text[-1:].lower())
+    if axis and text[:-1] in ("", "+", "-"):
+        return tuple(float(f"{text[:-1]}{number}") for number in axis)
+    return numbers_of(text, 3)
 
 
-class Colour(click.ParamType):
-    """Red, green and blue: #ff8000, or 1,0.5,0; white and black have names."""
-
-    name = "colour"
-
-    def __init__(self, none: bool = False) -> None:
-        self.none = none
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, ...] | str:
-        if isinstance(value, tuple) or (self.none and value == "none"):
-            return value
-        if value in COLOURS:
-            return COLOURS[value]
-        hexadecimal = value.removeprefix("#")
-        if value.startswith("#") and len(hexadecimal) == 6 and hexadecimal.isalnum():
-            try:
-                return tuple(byte / 255 for byte in bytes.fromhex(hexadecimal))
-            except ValueError:
-                pass
-        numbers = numbers_of(value, 3)
-        if numbers is None or not all(0 <= v <= 1 for v in numbers):
-            known = "white, black, none" if self.none else "white, black"
-            self.fail(
-                f"{value!r} is no colour: write #ff8000, 1,0.5,0 (from 0 to 1), {known}", param, ctx
-            )
-        return numbers
+def size_of(text: str) -> tuple[int, ...]:
+    """Return the width and height in 800x600, or in 512 for both."""
+    width, times, height = text.lower().partition("x")
+    sides = (width, height if times else width)
+    if not all(side.isdecimal() and 0 < len(side) < 7 and int(side) for side in sides):
+        raise ValueError
+    return tuple(map(int, sides))
 
 
-def numbers_of(text: Any, count: int) -> tuple[float, ...] | None:
-    """So many finite numbers with commas between them, or None."""
-    try:
-        numbers = tuple(float(word) for word in str(text).split(","))
-    except ValueError:
-        return None
-    return numbers if len(numbers) == count and all(map(math.isfinite, numbers)) else None
+def colour_of(text: str) -> tuple[float, ...]:
+    """Return red, green and blue from 0 to 1: #ff8000, 1,0.5,0 or a name."""
+    if text in COLOURS:
+        return COLOURS[text]
+    if re.fullmatch("#[0-9a-fA-F]{6}", text):
+        return tuple(byte / 255 for byte in bytes.fromhex(text[1:]))
+    numbers = numbers_of(text, 3)
+    if not all(0 <= number <= 1 for number in numbers):
+        raise ValueError
+    return numbers
+
+
+BYTES = Parsed("bytes", bytes_of, " is no number of bytes: write 800M or 8G")
+LEVEL = Parsed(
+    "level",
+    lambda text: text if text == "voxel" else int(text),
+    ": choose voxel, or a level, from 0 (bricks) on",
+)
 
 
 def option(names: str, kind: Any, about: str, default: Any = None, **more: Any) -> Decorator:
-    """An option. A tuple as its kind is a choice; a default is shown unless the help has one."""
+    """Return an option. A tuple as its kind is a choice; the help shows a default."""
     if isinstance(kind, tuple):
         kind = click.Choice(kind)
     if default is not None:
@@ -234,12 +151,12 @@ def option(names: str, kind: Any, about: str, default: Any = None, **more: Any) 
 
 
 def flag(names: str, about: str) -> Decorator:
-    """An option without a value."""
+    """Return an option without a value."""
     return click.option(*names.split(), is_flag=True, help=about)
 
 
 def together(*decorators: Decorator) -> Decorator:
-    """Several decorators as one, in the order of the help."""
+    """Return several decorators as one, in the order of the help."""
     return lambda function: functools.reduce(lambda f, one: one(f), decorators[::-1], function)
 
 
@@ -277,32 +194,67 @@ def output_options(metavar: str, default: str) -> Decorator:
     return together(option("-o --output", str, about, metavar=metavar), clobber_option)
 
 
+def check_placing(like: str | None, placing: Mapping[str, Any]) -> None:
+    """Refuse options that place the grid in two ways."""
+    given = [f"--{name}" for name, value in placing.items() if value not in (None, FITS[0])]
+    if like and given:
+        raise click.UsageError(f"--like sets the grid: drop {' and '.join(given)}")
+    if {"--dim", "--pitch"} <= set(given):
+        raise click.UsageError("--dim and --pitch both set the voxel size: drop one of them")
+    if "--fit" in given and set(given) - {"--fit", "--dim"}:
+        raise click.UsageError(
+            "--fit stretch goes with --dim alone: drop --pitch, --bbox, --margin"
+        )
+
+
 def input_twice(one: str, other: str) -> click.UsageError:
-    """The error of two inputs that are both stdin."""
+    """Return the error of two inputs that are both stdin."""
     return click.UsageError(f"{one} and {other} cannot both be stdin: name a file for one")
 
 
-def output_of(mesh: str, extension: str) -> str:
-    """bunny.obj.gz -> bunny.svo.h5, in the current folder; stdin -> stdout."""
-    if mesh == "-":
+def points_of(points: str | None, name: str, other: str, hint: str) -> str:
+    """Return POINTS, which are stdin by default, unless the other input is, or a terminal."""
+    if (points or "-") == other == "-":
+        raise input_twice(name, "POINTS")
+    if points in (None, "-") and sys.stdin.isatty():
+        raise click.UsageError(f"there are no POINTS: {hint}")
+    return points or "-"
+
+
+def same_file(one: str, other: str) -> bool:
+    """True if two names are of one file that exists."""
+    return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
+
+
+def shown(source: str) -> str:
+    """Return the name of an input in messages."""
+    return "stdin" if source == "-" else source
+
+
+def output_of(source: str, extension: str) -> str:
+    """bunny.obj.gz or bunny.svo.h5 -> bunny.EXTENSION, in the current folder; stdin -> stdout."""
+    if source == "-":
         return "-"
-    name = PurePath(mesh).name
-    if name.lower().endswith(".gz"):
-        name = name[:-3]
-    return f"{PurePath(name).stem}.{extension}"
+    name = PurePath(source).name
+    stem = re.sub(r"(?<=.)(\.svo|\.adf|\.tet)?\.[^.]+(\.gz)?$", "", name, flags=re.IGNORECASE)
+    return f"{stem}.{extension}"
+
+
+def _meta() -> dict[str, Any]:
+    """Return the notes of this call of the command line."""
+    context = click.get_current_context(silent=True)
+    return context.meta if context else {}
 
 
 def print_json(value: Any, err: bool = False) -> None:
     """Print the one JSON document of a command, on stdout or on stderr."""
     click.echo(json.dumps(value, indent=2), err=err)
-    if context := click.get_current_context(silent=True):
-        context.meta[PRINTED] = True
+    _meta()[PRINTED] = True
 
 
 def issued_warnings() -> list[str]:
-    """The library's warnings in this call of the command line, in order, each once."""
-    context = click.get_current_context(silent=True)
-    return context.meta.setdefault(WARNINGS, []) if context else []
+    """Return the library's warnings in this call of the command line, in order, each once."""
+    return _meta().setdefault(WARNINGS, [])
 
 
 def warn(message: str) -> None:
@@ -323,9 +275,7 @@ def tell(message: str) -> None:
     """Print a line on stderr, unless -q is given; errors are printed at the end of the command."""
     if is_quiet():
         return
-    context = click.get_current_context(silent=True)
-    bar: Progress | None = context.meta.get(BAR) if context else None
-    if bar:
+    if bar := _meta().get(BAR):
         bar.erase()
     click.echo(f"voxtool: {message}", err=True)
 
@@ -333,7 +283,8 @@ def tell(message: str) -> None:
 class Progress:
     """A bar of stages on stderr, if it is a terminal and the work takes longer than a second.
 
-    A context manager, within a command: when it ends, by an error too, the bar is erased.
+    It is a context manager, within a command: at its end, by an error too, the bar is erased.
+    stages : all stages, those that have ended included.
     """
 
     def __init__(self, stages: Iterable[str] = ()) -> None:
@@ -359,12 +310,8 @@ class Progress:
         self.erase()
         click.get_current_context().meta.pop(BAR, None)
 
-    def plan(self, stages: Iterable[str]) -> None:
-        """All stages, those that have ended included."""
-        self.stages = list(stages)
-
     def enter(self, stage: str) -> None:
-        """A stage begins; one that was not foreseen is named and does not count."""
+        """Begin a stage; one that is not in `stages` is shown and does not count."""
         with self.lock:
             self.stage = stage
             if stage in self.stages:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import METHODS, VIEWS
-from voxtool.cli import runner
-from voxtool.cli.options import Colour, Level, Number, Range, Size, Vector
+from voxtool.choices import METHODS, VIEWS, WHITE
+from voxtool.cli import options, runner
+from voxtool.cli.options import LEVEL, Parsed, flag, numbers_of, option, output_of, together
 from voxtool.errors import printable
 from voxtool.tets.maps import MAPS
 
@@ -22,163 +21,96 @@ if TYPE_CHECKING:
     from voxtool.tets.transfer import TransferFunction
     from voxtool.tets.volume import TetVolume
 
-SIZE = (512, 512)  # pixels
-MOST_SAMPLES = 16  # along a pixel's side
-# The options that make a transfer function, by their parameters.
+NUMBER = Parsed("number", lambda text: numbers_of(text, 1)[0], " is no finite number")
+POSITIVE = Parsed("number", options.positive_of, " is no positive number")
+VECTOR = Parsed("vector", lambda text: numbers_of(text, 3), ": write three numbers, as 1,2.5,-3")
+DIRECTION = Parsed("vector", options.direction_of, ": write 0,0,1, z or -z")
+RANGE = Parsed(
+    "range",
+    lambda text: text if text == "full" else numbers_of(text, 2),
+    ": write two numbers, as 0.5,2, or full",
+)
+SIZE = Parsed("size", options.size_of, " is no size: write 800x600, or 512 for both sides")
+NO_COLOUR = " is no colour: write #ff8000, 1,0.5,0 (from 0 to 1), white, black"
+COLOUR = Parsed("colour", options.colour_of, NO_COLOUR)
+BACKGROUND = Parsed(
+    "colour", lambda text: text if text == "none" else options.colour_of(text), f"{NO_COLOUR}, none"
+)
+# The parameters of a transfer function, and those that only some kinds of content have.
 MAKERS = {
     "map_name": "--map",
     "opacity_range": "--opacity-range",
     "unit_distance": "--unit-distance",
 }
-# The options that go with some kinds of scenes only, by their parameters.
-BELONGS = {
-    "level": ("octree",),
-    "offset": ("field",),
-    "colour": ("octree", "field"),
-    "transfer_file": ("volume",),
-    "map_name": ("volume",),
-    "opacity_range": ("volume",),
-    "unit_distance": ("volume",),
-    "method": ("volume",),
-    "integrator": ("volume",),
-    "legend": ("volume",),
+OPTIONS_OF = {
+    "octree": ("level", "colour"),
+    "field": ("offset", "colour"),
+    "volume": ("transfer_file", *MAKERS, "method", "integrator", "legend"),
 }
 
 
 @click.command("render")
 @click.argument("file")
-@click.option(
-    "--view",
-    type=click.Choice(VIEWS),
-    help="Where to look from, with all in the picture.  [default: iso]",
-)
-@click.option("--eye", type=Vector(), metavar="X,Y,Z", help="Where to look from, in world units.")
-@click.option(
-    "--target",
-    type=Vector(),
-    metavar="X,Y,Z",
-    help="With --eye: what to look at.  [default: the middle]",
-)
-@click.option(
-    "--up",
-    type=Vector(axes=True),
-    metavar="X,Y,Z|AXIS",
-    help="What is up: a direction, or x, y, z, -x, ...  [default: y]",
-)
-@click.option(
-    "--fov",
-    type=click.FloatRange(0.01, 170),
-    metavar="DEG",
-    help="Degrees that the picture's shorter side takes.  [default: 30]",
-)
-@click.option("--orthographic", is_flag=True, help="Parallel rays, without perspective.")
-@click.option(
-    "--height",
-    type=Number(positive=True),
-    metavar="WORLD",
-    help="With --orthographic: what the shorter side shows, in world units.  [default: all]",
-)
-@click.option(
-    "--turn",
-    type=Number(),
-    metavar="DEG",
-    help="Go around the target by so many degrees, about --up: for turntables.",
-)
-@click.option(
-    "--size", type=Size(), default=SIZE, metavar="WxH|N", help="Pixels.  [default: 512x512]"
-)
-@click.option(
-    "--samples",
-    type=click.IntRange(1, MOST_SAMPLES),
-    metavar="N",
-    help="N x N rays a pixel, whose mean it shows.  [default: 2 for octrees and fields, which have "
-    "sharp edges; 1 for volumes]",
-)
-@click.option(
-    "--level",
-    type=Level(),
-    metavar="N|voxel",
-    help="Octrees: draw nodes of this level as cubes; 0 are bricks of 4 x 4 x 4 voxels.  "
-    "[default: voxel]",
-)
-@click.option(
-    "--offset",
-    type=Number(),
-    metavar="D",
-    help="Fields: the surface at this distance from the mesh's, in world units; negative inside.",
-)
-@click.option(
-    "--colour",
-    type=Colour(),
-    metavar="COLOUR",
-    help="Octrees and fields: the surface's, #ff8000 or 1,0.5,0.  [default: light grey]",
-)
-@click.option(
-    "--transfer",
-    "transfer_file",
-    metavar="FILE.json",
-    help="Volumes: the transfer function, control points of colour and extinction.",
-)
-@click.option(
-    "--map",
-    "map_name",
-    type=click.Choice(MAPS),
-    help="Volumes: a map of colours over the data's range, instead.  [default: viridis]",
-)
-@click.option(
-    "--opacity-range",
-    type=Range(),
-    metavar="A,B|full",
-    help="Volumes: scalars at which a map's extinction is 0 and full; A may be the higher one; "
-    "full: the data's range.  [default: the data's 75th and 99th percentiles]",
-)
-@click.option(
-    "--unit-distance",
-    type=Number(positive=True),
-    metavar="D",
-    help="Volumes: the way through full extinction that leaves 1/e of the light, in world units.  "
-    "[default: a 24th of the longest side]",
-)
-@click.option(
-    "--method",
-    type=click.Choice(METHODS),
-    help="Volumes: follow rays from cell to cell, or project cells in order.  [default: raycast]",
-)
-@click.option(
-    "--integrator",
-    metavar="NAME",
-    help="Volumes: linear (exact), preintegrated (by a table), average or sampled:N (N points a "
-    "cell).  [default: linear]",
-)
-@click.option("--legend", is_flag=True, help="Volumes: draw the transfer function beside it.")
-@click.option(
-    "--background",
-    type=Colour(none=True),
-    metavar="COLOUR",
-    help="Colour behind it, or none: a transparent picture.  [default: white]",
-)
-@click.option(
-    "--bits", type=click.Choice(["8", "16"]), help="Of each value in a .png.  [default: 8]"
-)
-@click.option(
-    "--float",
-    "as_float",
-    is_flag=True,
-    help="Write .npy: (height, width, 4) float32, premultiplied red, green, blue and opacity.",
-)
+@together(
+    option("--view", VIEWS, "Where to look from, with all in the picture.  [default: iso]"),
+    option("--eye", VECTOR, "Where to look from, in world units.", metavar="X,Y,Z"),
+    option("--target", VECTOR, "With --eye: what to look at.  [default: the middle]",
+        metavar="X,Y,Z"),
+    option("--up", DIRECTION, "What is up: a direction, or x, y, z, -x, ...  [default: y]",
+        metavar="X,Y,Z|AXIS"),
+    option("--fov", click.FloatRange(0.01, 170),
+        "Degrees that the picture's shorter side takes.  [default: 30]", metavar="DEG"),
+    flag("--orthographic", "Parallel rays, without perspective."),
+    option("--height", POSITIVE,
+        "With --orthographic: what the shorter side shows, in world units.  [default: all]",
+        metavar="WORLD"),
+    option("--turn", NUMBER,
+        "Turn the camera around the target by this angle, about --up: for turntables.",
+        metavar="DEG"),
+    option("--size", SIZE, "Pixels.  [default: 512x512]", (512, 512), metavar="WxH|N"),
+    option("--samples", click.IntRange(1, 16),
+        "N x N rays a pixel, whose mean it shows.  [default: 2 for octrees and fields, which have "
+        "sharp edges; 1 for volumes]", metavar="N"),
+    option("--level", LEVEL,
+        "Octrees: draw nodes of this level as cubes; 0 are bricks of 4 x 4 x 4 voxels.  "
+        "[default: voxel]", metavar="N|voxel"),
+    option("--offset", NUMBER,
+        "Fields: the surface at this distance from the mesh's, in world units; negative inside.",
+        metavar="D"),
+    option("--colour", COLOUR,
+        "Octrees and fields: the surface's, #ff8000 or 1,0.5,0.  [default: light grey]",
+        metavar="COLOUR"),
+    option("--transfer transfer_file", str,
+        "Volumes: the transfer function, control points of colour and extinction.",
+        metavar="FILE.json"),
+    option("--map map_name", tuple(MAPS),
+        "Volumes: a map of colours over the data's range, instead.  [default: viridis]"),
+    option("--opacity-range", RANGE,
+        "Volumes: scalars at which a map's extinction is 0 and full; A may be the higher one; "
+        "full: the data's range.  [default: the data's 75th and 99th percentiles]",
+        metavar="A,B|full"),
+    option("--unit-distance", POSITIVE,
+        "Volumes: the way through full extinction that leaves 1/e of the light, in world units.  "
+        "[default: a 24th of the longest side]", metavar="D"),
+    option("--method", METHODS,
+        "Volumes: follow rays from cell to cell, or project cells in order.  [default: raycast]"),
+    option("--integrator", str,
+        "Volumes: linear (exact), preintegrated (by a table), average or sampled:N (N points a "
+        "cell).  [default: linear]", metavar="NAME"),
+    flag("--legend", "Volumes: draw the transfer function beside it."),
+    option("--background", BACKGROUND,
+        "Colour behind it, or none: a transparent picture.  [default: white]", metavar="COLOUR"),
+    option("--bits", ("8", "16"), "Of each value in a .png.  [default: 8]"),
+    flag("--float as_float",
+        "Write .npy: (height, width, 4) float32, premultiplied red, green, blue and opacity."),
+)  # fmt: skip
 @runner.job_options(
     "PICTURE", "Default FILE's name with .png, or with --float .npy, in this folder."
 )
 def command(
-    run: Run,
-    file: str,
-    size: tuple[int, int],
-    samples: int | None,
-    background: Any,
-    bits: str | None,
-    as_float: bool,
-    **request: Any,
-) -> None:
+    run: Run, file: str, size: tuple[int, int], samples: int | None, background: Any,
+    bits: str | None, as_float: bool, **request: Any,
+) -> None:  # fmt: skip
     """Draw a picture of an octree, a distance field or a volume FILE.
 
     FILE is what voxelize, adf-build or tet-build wrote, or - for stdin. Lengths are in world units,
@@ -193,12 +125,12 @@ def command(
     check_request(request)
     check_rays(size, samples)
     from voxtool.files import read_scene
-    from voxtool.files.picture import FORMATS, WHITE, check_writer, write_picture
+    from voxtool.files.picture import FORMATS, check_writer, write_picture
     from voxtool.rendering import camera_for, plan_render
 
     if run.output in (None, "-"):
         run.file_format = "npy" if as_float else "png"
-    run.to(file, output_of(file, as_float), FORMATS)
+    run.to(file, output_of(file, "npy" if as_float else "png"), FORMATS)
     check_format(run, as_float)
     depth = int(bits or 8)
     if run.file_format == "png" and not run.only_plan:
@@ -213,7 +145,7 @@ def command(
         drawn = run.job(job)
         picture = with_legend(drawn, job, paper) if request["legend"] else drawn
         run.write(write_picture, picture, bits=depth, background=paper)
-    hit = share_hit(drawn)
+    hit = float((drawn[..., 3] != 0).mean())
     text = f"{size[0]} x {size[1]}, {viewpoint(request)}, {100 * hit:.3g} % of pixels hit"
     run.report(text, lambda: summary(job, drawn, hit))
 
@@ -242,32 +174,30 @@ def check_format(run: Run, as_float: bool) -> None:
 
 def check_request(request: dict[str, Any]) -> None:
     """Refuse options that contradict each other."""
-    if request["eye"] and request["view"]:
-        raise click.UsageError("--eye and --view both place the camera: drop one")
-    if request["target"] and not request["eye"]:
-        raise click.UsageError("--target goes with --eye: views look at the middle")
-    if request["orthographic"] and request["fov"] is not None:
-        raise click.UsageError("--fov is of a perspective: --orthographic has --height")
-    if request["transfer_file"] is not None:
-        for name, option in MAKERS.items():
-            if request[name] is not None:
-                raise click.UsageError(f"{option} makes a transfer function: drop it or --transfer")
-    if request["height"] is not None and not request["orthographic"]:
-        raise click.UsageError("--height goes with --orthographic: a perspective has --fov")
+    given = set(given_of(request))
+    parallel = "orthographic" in given
+    for wrong, message in (
+        ({"eye", "view"} <= given, "--eye and --view both place the camera: drop one"),
+        ({"target"} == given & {"target", "eye"},
+         "--target goes with --eye: views look at the middle"),
+        (parallel and "fov" in given, "--fov is of a perspective: --orthographic has --height"),
+        ("height" in given and not parallel,
+         "--height goes with --orthographic: a perspective has --fov"),
+        *(({"transfer_file", name} <= given,
+           f"{maker} makes a transfer function: drop it or --transfer")
+          for name, maker in MAKERS.items()),
+    ):  # fmt: skip
+        if wrong:
+            raise click.UsageError(message)
 
 
-def output_of(file: str, as_float: bool) -> str:
-    """The default output: bunny.svo.h5 -> bunny.png, in the current folder; stdin -> stdout."""
-    if file == "-":
-        return "-"
-    name = PurePath(file).name
-    for extension in (".gz", ".h5", ".xml", ".svo", ".adf", ".tet"):
-        name = name.removesuffix(extension)
-    return f"{name}.{'npy' if as_float else 'png'}"
+def given_of(request: dict[str, Any]) -> dict[str, Any]:
+    """Return the options that were given: 0 is a value, too."""
+    return {n: value for n, value in request.items() if value is not None and value is not False}
 
 
 def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, Any]:
-    """The options of the picture that go with what the file holds.
+    """Return the options of the picture that go with the content of the file.
 
     Raises
     ------
@@ -275,25 +205,22 @@ def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, 
     """
     from voxtool.rendering import SCENES
 
-    kind = SCENES[type(content)].kind
+    kind, given = SCENES[type(content)].kind, given_of(request)
     for parameter in click.get_current_context().command.params:
-        name = parameter.name or ""
-        kinds = BELONGS.get(name, (kind,))
-        if kind not in kinds and request[name] is not None and request[name] is not False:
+        kinds = [k for k, names in OPTIONS_OF.items() if parameter.name in names]
+        if kinds and kind not in kinds and parameter.name in given:
             article = "an" if kind[0] in "aeiou" else "a"
             raise click.UsageError(
                 f"{parameter.opts[0]} goes with {' and '.join(f'{k}s' for k in kinds)}: "
                 f"{source} holds {article} {kind}"
             )
-    names = ("method", "integrator") if kind == "volume" else ("level", "offset", "colour")
-    given = {name: request[name] for name in names if request[name] is not None}
-    if kind == "volume":
-        given["transfer"] = transfer_of(content, request)
-    return given
+    drawn = {"level", "offset", "colour", "method", "integrator"}
+    shown = {name: value for name, value in given.items() if name in drawn}
+    return shown | ({"transfer": transfer_of(content, request)} if kind == "volume" else {})
 
 
 def transfer_of(volume: TetVolume, request: dict[str, Any]) -> TransferFunction:
-    """The transfer function that was asked for."""
+    """Return the transfer function that the options name."""
     from voxtool.files.transfer import read_transfer
     from voxtool.tets.transfer import DEFAULT_MAP, default_transfer
 
@@ -308,17 +235,14 @@ def transfer_of(volume: TetVolume, request: dict[str, Any]) -> TransferFunction:
 
 
 def camera_options(request: dict[str, Any]) -> dict[str, Any]:
-    """The options of the camera as camera_for takes them."""
-    given = {
-        name: request[name]
-        for name in ("view", "eye", "target", "up", "fov", "height", "turn")
-        if request[name] is not None
-    }
+    """Return the options of the camera as camera_for takes them."""
+    names = {"view", "eye", "target", "up", "fov", "height", "turn"}
+    given = {name: value for name, value in given_of(request).items() if name in names}
     return {**given, "fov": None} if request["orthographic"] else given
 
 
 def viewpoint(request: dict[str, Any]) -> str:
-    """Where the camera is, in words."""
+    """Return the place of the camera in words."""
     where = f"{request['view'] or 'iso'} view"
     if request["eye"]:
         where = f"from ({', '.join(f'{v:g}' for v in request['eye'])})"
@@ -327,7 +251,7 @@ def viewpoint(request: dict[str, Any]) -> str:
 
 
 def with_legend(picture: np.ndarray, job: RenderJob, background: Any) -> np.ndarray:
-    """The picture with the legend of its transfer function at the right."""
+    """Return the picture with the legend of its transfer function at the right."""
     import numpy as np
 
     from voxtool.plots.legend import draw_legend
@@ -345,15 +269,8 @@ def with_legend(picture: np.ndarray, job: RenderJob, background: Any) -> np.ndar
     return np.concatenate([picture, legend], axis=1)
 
 
-def share_hit(picture: np.ndarray) -> float:
-    """The share of pixels that are not wholly transparent."""
-    import numpy as np
-
-    return float(np.count_nonzero(picture[..., 3])) / picture[..., 3].size
-
-
 def summary(job: RenderJob, picture: np.ndarray, hit: float) -> dict[str, Any]:
-    """What was drawn, in JSON types. The digest is that of the picture before it is rounded."""
+    """Return the facts of the report; the digest is of the picture before it is rounded."""
     described = job.describe()
     return {
         **{name: described[name] for name in ("kind", "size", "samples")},

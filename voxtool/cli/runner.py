@@ -17,27 +17,20 @@ decorators adds the shared options and passes their values as a `Run`, the first
             run.write(write_svo, octree)
         run.report(f"{octree.count:,} voxels", lambda: {"voxels": octree.count})
 
-`to` refuses an output that cannot be written. `plan` makes the job, with the device and the memory
-that the options name. `job` runs it under a progress bar whose stages are the job's own; with
-`--plan` it prints the plan instead and ends the command. `report` prints one line on stderr, or
-JSON with `--json`, then the device and the time of each stage with `-v`; with `--strict`, a warning
-that was issued ends the command with exit code 1.
-
-Commands without an output file use the same object: `run_options` adds only the options that are
-named, and `finish` takes the place of `report`.
+The job's own stages are those of the progress bar; `--plan` ends the command at `run.job`. A
+command without an output file names its options with `run_options`, and calls `finish` instead of
+`report`.
 """
 
 from __future__ import annotations
 
 import functools
-import os
 import sys
 import time
 import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, NoReturn, Self, TypeVar
 
 import click
@@ -46,8 +39,10 @@ from voxtool.cli import options
 from voxtool.errors import CheckError, MemoryLimitError, VoxtoolError, VoxtoolWarning, human
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from contextlib import AbstractContextManager
 
+    from voxtool.files.answers import Answers
     from voxtool.job import Job
     from voxtool.opencl import Device
 
@@ -60,7 +55,7 @@ JOB = "job"  # stands for the stages of a job on the device
 
 @dataclass
 class Run:
-    """One call of a command: the values of the shared options, and what was done so far."""
+    """One call of a command: the values of the shared options, and the work done so far."""
 
     output: str | None = None
     no_clobber: bool = False
@@ -77,10 +72,9 @@ class Run:
     progress: options.Progress = field(default_factory=options.Progress)
     started: float = field(default_factory=time.perf_counter)
     seconds: float = 0.0
-    notes: list[str] = field(default_factory=list)  # told after the report: no warnings
+    notes: list[str] = field(default_factory=list)  # remarks that are no warnings
     _times: dict[str, float] = field(default_factory=dict)  # of stages on the host
     _stage: tuple[str, float] | None = None  # the stage that runs, and when it began
-    _device_times: dict[str, float] | None = None  # read once: the device forgets them
 
     # ---- where the result goes
 
@@ -120,25 +114,22 @@ class Run:
 
         piped = (self.output or points) == "-"
         self.file_format = self.file_format or ("csv" if piped else None)
-        name = f"{PurePath(points).stem}.distance.{self.file_format or 'npy'}"
-        self.to(points, "-" if points == "-" else name, ANSWER_FORMATS)
-        self.keep_input(points, "POINTS")
+        default = options.output_of(points, f"distance.{self.file_format or 'npy'}")
+        self.to(points, default, ANSWER_FORMATS)
+        # the input is read while the output is written
+        if options.same_file(points, str(self.output)):
+            raise click.UsageError(f"{self.output} is POINTS itself: name another output")
 
-    def keep_input(self, source: str, name: str) -> None:
-        """Refuse an output that is the input itself, which is read while the output is written."""
-        there = os.path.exists(source) and os.path.exists(str(self.output))
-        if there and os.path.samefile(source, str(self.output)):
-            raise click.UsageError(f"{self.output} is {name} itself: name another output")
+    def table(self, columns: Sequence[tuple[str, str]]) -> AbstractContextManager[Answers]:
+        """Open the output as a table of these columns, which is written block by block."""
+        from voxtool.files.answers import open_answers
+
+        return open_answers(str(self.output), columns, self.file_format, not self.no_clobber)
 
     @property
     def to_stdout(self) -> bool:
         """True if stdout takes the result; reports then go to stderr."""
         return self.output == "-"
-
-    @property
-    def target(self) -> str:
-        """The output as a message names it."""
-        return "stdout" if self.to_stdout else str(self.output)
 
     def write(self, write: Callable[..., Any], content: Any, **more: Any) -> None:
         """Write the result: `write(content, output, clobber=..., format=..., **more)`."""
@@ -174,7 +165,7 @@ class Run:
             self.progress.enter(stage)
 
     def stage(self, name: str, work: Callable[..., Result], *args: Any, **more: Any) -> Result:
-        """The result of `work(*args, **more)`, run as a stage of this name."""
+        """Return `work(*args, **more)`, run as a stage of this name."""
         self.enter(name)
         result = work(*args, **more)
         self.enter(None)
@@ -182,16 +173,16 @@ class Run:
 
     @contextmanager
     def naming(self, name: str) -> Iterator[None]:
-        """Errors in this block name the file that they are about."""
+        """Put the name of a file before the errors of this block."""
         try:
             yield
         except MemoryLimitError:
             raise
         except VoxtoolError as error:
-            raise type(error)(f"{name if name != '-' else 'stdin'}: {error}") from error
+            raise type(error)(f"{options.shown(name)}: {error}") from error
 
     def plan(self, plan: Callable[..., AnyJob], *args: Any, **request: Any) -> AnyJob:
-        """The job of a `plan_...` function, with device= and max_memory= as the options say."""
+        """Return the job of a `plan_...` function, with the device and memory of the options."""
         request["max_memory"] = self.max_memory
         if not self.on_device:
             return self.stage(PLAN, plan, *args, **request)
@@ -215,7 +206,7 @@ class Run:
         """
         if self.only_plan:
             self.print_plan(job, facts)
-        self.progress.plan([*self._times, *job.stages, *after, WRITE])
+        self.progress.stages = [*self._times, *job.stages, *after, WRITE]
         began = time.perf_counter()
         with warnings.catch_warnings(record=True) as caught:
             result = job.run(self.enter if job.device is None else self.progress.enter)
@@ -231,7 +222,7 @@ class Run:
         return result
 
     def print_plan(self, job: Job[Any], facts: Mapping[str, Any]) -> NoReturn:
-        """Print what a job will do, what it leaves out, and what it needs; end the command."""
+        """Print the plan and the predicted memory of a job; end the command."""
         self.progress.erase()
         if self.as_json:
             options.print_json({**job.describe(), **facts})
@@ -253,12 +244,7 @@ class Run:
             options.tell(f"warning: this will be refused: {error}")
         raise click.exceptions.Exit(0)
 
-    # ---- what is said of it
-
-    @property
-    def warnings(self) -> list[str]:
-        """The warnings of the library so far."""
-        return options.issued_warnings()
+    # ---- the report
 
     def report(
         self,
@@ -268,7 +254,7 @@ class Run:
         *,
         json_too: bool = False,
     ) -> None:
-        """Print what was made: a line and its details on stderr, or the facts as JSON; then finish.
+        """Print the result: a line and its details on stderr, or the facts as JSON; then finish.
 
         Parameters
         ----------
@@ -281,15 +267,15 @@ class Run:
                 "output": self.output,
                 **facts(),
                 "notes": self.notes,
-                "warnings": self.warnings,
-                "stages": self.times() if self.as_json else {},
+                "warnings": options.issued_warnings(),
+                "stages": self.times if self.as_json else {},
                 "seconds": round(self.seconds, 3),
             }
             if not (self.to_stdout and self.quiet):
                 options.print_json(result, err=self.to_stdout)
         if not self.as_json:
-            source = self.source if self.source != "-" else "stdin"
-            options.tell(f"{source} -> {self.target}: {text}, {self.seconds:.2f} s")
+            target = "stdout" if self.to_stdout else self.output
+            options.tell(f"{options.shown(self.source)} -> {target}: {text}, {self.seconds:.2f} s")
             for line in (*(f"  {detail}" for detail in details), *self.notes):
                 options.tell(line)
         self.finish()
@@ -304,21 +290,20 @@ class Run:
         if self.verbose:
             if "device" in self.__dict__:
                 options.tell(f"{self.device.info.name} ({self.device.info.platform})")
-            for stage, seconds in self.times().items():
+            for stage, seconds in self.times.items():
                 options.tell(f"  {stage:<18} {1e3 * seconds:9.2f} ms")
-        if self.strict and self.warnings:
-            raise CheckError(f"{'; '.join(self.warnings)} (--strict)")
+        if self.strict and (issued := options.issued_warnings()):
+            raise CheckError(f"{'; '.join(issued)} (--strict)")
 
+    @cached_property
     def times(self) -> dict[str, float]:
         """Seconds by stage, in order: those of kernels and copies for what ran on the device, those
         of the clock for the rest; "other" is the time that no stage has."""
-        if self._device_times is None:
-            opened = "device" in self.__dict__
-            self._device_times = self.device.stage_times() if opened else {}
+        on_device = self.device.stage_times() if "device" in self.__dict__ else {}
         times: dict[str, float] = {}
         for name, seconds in self._times.items():
-            times |= self._device_times if name == JOB else {name: seconds}
-        times |= self._device_times
+            times |= on_device if name == JOB else {name: seconds}
+        times |= on_device
         times.pop("other", None)
         return {**times, "other": max(self.seconds - sum(times.values()), 0.0)}
 
@@ -329,7 +314,7 @@ SHARED = {field.name for field in fields(Run) if field.init} - {"source", "progr
 
 
 def run_options(*decorators: options.Decorator) -> options.Decorator:
-    """These options; the values of those in SHARED arrive as a Run, the first argument."""
+    """Add options to a command; those in SHARED arrive as a Run, the first argument."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(function)

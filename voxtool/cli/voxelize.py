@@ -9,6 +9,7 @@ import click
 from voxtool.choices import DEFAULT_DIM, DEFAULT_MODE, FILLS, FITS, MODES
 from voxtool.cli import options, runner
 from voxtool.cli.options import DIM, bbox_option, flag, option, together
+from voxtool.errors import human
 
 if TYPE_CHECKING:
     from voxtool.grid import Grid
@@ -59,7 +60,7 @@ def command(
       voxtool voxelize open.obj --fill winding
       voxtool voxelize open.obj --fill flood --gap 3
     """
-    check_placing(like, **placing)
+    options.check_placing(like, placing)
     if with_surface and mode != "solid":
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
     if gap and (fill != "flood" or mode != "solid"):
@@ -80,19 +81,6 @@ def command(
     run.report(report_line(octree), lambda: facts_of(octree))
 
 
-def check_placing(like: str | None, fit: str, **sizes: Any) -> None:
-    """Refuse options that place the grid in two ways."""
-    given = [f"--{name}" for name, value in sizes.items() if value is not None]
-    if like and (given or fit != FITS[0]):
-        raise click.UsageError(f"--like sets the grid: drop {' and '.join(given) or '--fit'}")
-    if {"--dim", "--pitch"} <= set(given):
-        raise click.UsageError("--dim and --pitch both set the voxel size: drop one of them")
-    if fit == "stretch" and given not in ([], ["--dim"]):
-        raise click.UsageError(
-            "--fit stretch goes with --dim alone: drop --pitch, --bbox, --margin"
-        )
-
-
 def facts_of(octree: Octree) -> dict[str, Any]:
     """The facts of the report, in JSON types."""
     grid = octree.grid
@@ -111,8 +99,6 @@ def facts_of(octree: Octree) -> dict[str, Any]:
 
 def report_line(octree: Octree) -> str:
     """The line of the report."""
-    from voxtool.errors import human
-
     filled = "" if octree.fill == "none" else f" by {octree.fill}"
     return (
         f"{octree.mode}{filled}, dim {octree.grid.dim}, pitch {pitch_of(octree.grid)}; "

@@ -6,7 +6,7 @@ import hashlib
 import json
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from voxtool.arrays import Data, read_only
 from voxtool.choices import STYLE_ALIASES
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.topology import check_surface, closed_chain, volume
 from voxtool.opencl import program
 from voxtool.vector import unit
 
@@ -117,6 +118,16 @@ class Isosurface(Data):
     def mesh(self) -> Mesh:
         """Return the surface as a triangle mesh in world units."""
         return Mesh(self.vertices, self.faces, name=f"{self.style} surface", units=self.units)
+
+    def check(self) -> dict[str, Any]:
+        """Return whether the surface is closed, its volume in cubic world units, and the counts of
+        check_surface; of a merged surface, whose edges end within others, no counts."""
+        mesh = self.mesh()
+        if self.merged:
+            return {"closed": closed_chain(mesh), "t_junctions": True, "volume": volume(mesh)}
+        found = check_surface(mesh, weld=False)
+        closed = found.watertight and found.manifold
+        return {**found.as_dict(), "closed": closed, "volume": volume(mesh)}
 
     def to_trimesh(self) -> trimesh.Trimesh:
         """Return the surface as a `trimesh.Trimesh` in world units, in the same order."""
