@@ -9,9 +9,11 @@ import sys
 import tempfile
 from pathlib import Path
 
+import meshes
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from helpers_cli import write_obj
 
 from voxtool.cli.main import cli
 from voxtool.errors import DeviceError, DeviceWarning, MemoryLimitError
@@ -29,11 +31,14 @@ def no_choice(monkeypatch) -> None:
     monkeypatch.delenv("VOXTOOL_DEVICE", raising=False)
 
 
-def run_python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+def run_python(
+    code: str, cwd: Path | None = None, **environment: str
+) -> subprocess.CompletedProcess[str]:
     """A fresh interpreter, with neither of the variables that choose devices but those given."""
     kept = {k: v for k, v in os.environ.items() if k not in ("OCL_ICD_VENDORS", "VOXTOOL_DEVICE")}
     return subprocess.run(
         [sys.executable, "-c", code],
+        cwd=cwd,
         env={**kept, "PYTHONPATH": str(ROOT), **environment},
         capture_output=True,
         text=True,
@@ -41,6 +46,7 @@ def run_python(code: str, **environment: str) -> subprocess.CompletedProcess[str
     )
 
 
+MESH = "triangle.obj"
 COMMAND = "from voxtool.__main__ import main; import sys; sys.argv[1:] = {!r}; main()"
 
 
@@ -78,40 +84,23 @@ def test_numbers_of_a_device_are_plausible(device: Device) -> None:
 # ---- nothing to use
 
 
-def assert_says_what_to_install(result) -> None:
-    assert result.exit_code == 4
-    assert result.stderr.startswith("voxtool: error: no usable OpenCL device")
-    assert result.stderr.count("\n") == 1
-    assert "pip install 'voxtool[cpu]'" in result.stderr
-    assert "docs/devices.md" in result.stderr
+def assert_says_what_to_install(code: int, stderr: str) -> None:
+    assert code == 4
+    assert stderr.startswith("voxtool: error: no usable OpenCL device")
+    assert stderr.count("\n") == 1
+    assert "pip install 'voxtool[cpu]'" in stderr
+    assert "docs/devices.md" in stderr
 
 
-def test_no_device_says_what_to_install(monkeypatch, tmp_path) -> None:
-    monkeypatch.delenv("OCL_ICD_VENDORS", raising=False)
-    monkeypatch.setattr(discovery, "_cl_devices", list)
-    mesh = tmp_path / "triangle.obj"
-    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    result = CliRunner().invoke(cli, ["devices"])
-    assert_says_what_to_install(result)
-    assert result.stdout == ""
-    result = CliRunner().invoke(cli, ["devices", "--json"])
-    assert_says_what_to_install(result)
-    assert json.loads(result.stdout) == []
-    result = CliRunner().invoke(cli, ["voxelize", str(mesh), "-o", str(tmp_path / "a.svo.h5")])
-    assert_says_what_to_install(result)
-    assert os.listdir(tmp_path) == ["triangle.obj"]
-    with pytest.raises(DeviceError, match="pip install"):
-        open_device()
-
-
-def test_an_empty_folder_of_drivers(tmp_path) -> None:
-    for arguments in (["devices"], ["devices", "--json"]):
-        done = run_python(COMMAND.format(arguments), OCL_ICD_VENDORS=str(tmp_path))
-        assert done.returncode == 4
-        assert done.stderr.startswith("voxtool: error: no usable OpenCL device: ")
-        assert f"only drivers in OCL_ICD_VENDORS={tmp_path} were sought" in done.stderr
-        assert done.stderr.count("\n") == 1
-        assert done.stdout == ("[]\n" if "--json" in arguments else "")
+@pytest.mark.parametrize("command", [["devices"], ["devices", "--json"], ["voxelize", MESH]])
+def test_no_driver_says_what_to_install(tmp_path, command: list[str]) -> None:
+    write_obj(tmp_path / MESH, *meshes.tetrahedron())
+    (tmp_path / "drivers").mkdir()
+    done = run_python(COMMAND.format(command), cwd=tmp_path, OCL_ICD_VENDORS="drivers")
+    assert_says_what_to_install(done.returncode, done.stderr)
+    assert "only drivers in OCL_ICD_VENDORS=drivers were sought" in done.stderr
+    assert done.stdout == ("[]\n" if "--json" in command else "")
+    assert sorted(os.listdir(tmp_path)) == ["drivers", MESH]
 
 
 def test_no_pyopencl(tmp_path) -> None:
@@ -156,8 +145,8 @@ def test_a_device_whose_probe_fails_is_passed_over_with_a_warning(devices_twice)
 
 def test_the_warning_is_one_line_and_not_for_quiet_commands(devices_twice, tmp_path) -> None:
     _, break_down = devices_twice
-    mesh = tmp_path / "triangle.obj"
-    mesh.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    mesh = tmp_path / MESH
+    write_obj(mesh, *meshes.tetrahedron())
     command = ["voxelize", str(mesh), "--mode", "surface26", "-o", str(tmp_path / "a.svo.h5")]
     break_down(0)
     result = CliRunner().invoke(cli, command)
@@ -178,17 +167,19 @@ def test_every_probe_fails(devices_twice) -> None:
     break_down(*range(2 * count))
     result = CliRunner().invoke(cli, ["devices"])
     assert result.stdout.count("probe failed: unknown target CPU 'generic'") == 2 * count
-    assert_says_what_to_install(result)
+    assert_says_what_to_install(result.exit_code, result.stderr)
 
 
-def test_a_probe_that_does_not_build_or_is_wrong(device: Device, monkeypatch) -> None:
-    monkeypatch.setattr(
-        discovery, "PROBE", "__kernel void probe(__global uint *v) { v[0] = oops; }"
+@pytest.mark.parametrize(
+    ("body", "outcome"),
+    [("v[0] = oops;", "failed: "), ("v[0] = 7u;", "failed: the probe kernel gave wrong values")],
+)
+def test_a_probe_that_does_not_build_or_is_wrong(device: Device, body: str, outcome: str) -> None:
+    found = discovery._probe(
+        device.cl_device, f"__kernel void probe(__global uint *v) {{ {body} }}"
     )
-    assert discovery._probe(device.cl_device).startswith("failed: ")
-    assert "\n" not in discovery._probe(device.cl_device)
-    monkeypatch.setattr(discovery, "PROBE", "__kernel void probe(__global uint *v) { v[0] = 7u; }")
-    assert discovery._probe(device.cl_device) == "failed: the probe kernel gave wrong values"
+    assert found.startswith(outcome)
+    assert "\n" not in found
 
 
 # ---- choosing
@@ -281,18 +272,13 @@ def test_the_users_own_drivers_are_respected(tmp_path) -> None:
     assert os.listdir(own) == ["one.icd"]
 
 
-def test_variables_of_drivers_are_defaults() -> None:
-    code = (
-        "import os; from voxtool.opencl import list_devices; list_devices()\n"
-        "print(os.environ['CL_CONFIG_CPU_VECTORIZER_MODE'])"
-    )
+def test_variables_of_drivers_are_defaults_and_listing_prints_nothing() -> None:
+    code = "import os; from voxtool.opencl import list_devices; list_devices()"
+    done = run_python(code)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    code += "; print(os.environ['CL_CONFIG_CPU_VECTORIZER_MODE'])"
     assert run_python(code).stdout == "1\n"
     assert run_python(code, CL_CONFIG_CPU_VECTORIZER_MODE="4").stdout == "4\n"
-
-
-def test_nothing_is_written_to_stdout_or_stderr_by_listing() -> None:
-    done = run_python("from voxtool.opencl import list_devices; list_devices()")
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
 # ---- work and memory

@@ -6,6 +6,7 @@ import contextlib
 import threading
 import weakref
 from collections import OrderedDict
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -30,26 +31,19 @@ VECTOR = 16  # items that a work-item of a CPU processes side by side: a vector 
 WORK_GROUP = 64  # work-items; a few wavefronts, and enough for a CPU's core
 
 
+@dataclass(eq=False)
 class Array:
     """A one-dimensional array on a device, which is freed when it is no longer referenced.
 
-    Attributes
-    ----------
-    device : Device
-    dtype : np.dtype
-    size : number of elements.
-    buffer : the driver's handle.
-    host : its memory if host and device share it.
+    size : number of elements; buffer : the driver's handle; host : the memory, if host and device
+    share it.
     """
 
-    def __init__(
-        self, device: Device, dtype: np.dtype, size: int, buffer: Any, host: np.ndarray | None
-    ) -> None:
-        self.device = device
-        self.dtype = dtype
-        self.size = size
-        self.buffer = buffer
-        self.host = host
+    device: Device
+    dtype: np.dtype
+    size: int
+    buffer: Any
+    host: np.ndarray | None
 
     def get(self, start: int = 0, stop: int | None = None) -> np.ndarray:
         """A copy of elements [start, stop) on the host; waits for the device."""
@@ -77,7 +71,7 @@ class Array:
 
 
 class _Thread(threading.local):
-    """The current stage of each thread, and what is called with the name of the next."""
+    """The current stage of each thread, and the function that is called with the next name."""
 
     stage = "other"
     progress: Callable[[str], None] | None = None
@@ -133,8 +127,8 @@ class Device:
             ) from error
 
     def _array(self, size: int, dtype: np.dtype | type, make: Callable[..., np.ndarray]) -> Array:
-        """An array of new memory; if it is shared, host memory that `make` (np.empty, np.zeros)
-        gives, in pages larger than drivers ask for."""
+        """An array of new memory; if it is shared, whole pages that `make` (np.empty, np.zeros)
+        allocates."""
         dtype = np.dtype(dtype)
         nbytes = max(-(-size * dtype.itemsize // 4) * 4, 4)  # whole words, for zeros
         flags = self._cl.mem_flags.READ_WRITE
@@ -209,17 +203,13 @@ class Device:
             self._retired.append(memory)
 
     def keep(self, owner: Any, kind: str, nbytes: int, make: Callable[[], T]) -> T:
-        """What `make` returned for this owner and kind, kept on the device for the next call.
+        """The result of `make` for this owner and kind, kept on the device for the next call.
 
         It is released with its owner, or when the total exceeds KEPT_SHARE of the memory; then the
         least recently used goes first.
 
-        Parameters
-        ----------
-        owner
-            any object that can be weakly referenced; what is made must not refer to it.
-        nbytes
-            size on the device.
+        owner : can be weakly referenced, and the result does not refer to it; nbytes : size of the
+        result on the device.
         """
         key = id(owner), kind
         with self._lock:
@@ -237,8 +227,7 @@ class Device:
 
     @contextlib.contextmanager
     def _finishing(self) -> Iterator[None]:
-        """The work in this block waits for all before it, after which shared memory that was
-        retired by then may go."""
+        """The work in this block waits for all before it; then retired memory is released."""
         with self._lock:
             retired, self._retired = self._retired, []
         yield

@@ -25,7 +25,7 @@ __kernel __attribute__((reqd_work_group_size(256, 1, 1))) void probe(__global ui
 
 @dataclass(frozen=True)
 class DeviceInfo:
-    """What is known of a device, and the outcome of the probe kernel: "ok", or what failed."""
+    """The properties of a device, and the outcome of the probe kernel: "ok", or its failure."""
 
     index: int
     name: str
@@ -40,11 +40,11 @@ class DeviceInfo:
     probe: str
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it in JSON types."""
+        """All properties in JSON types."""
         return asdict(self)
 
     def matches(self, choice: str) -> bool:
-        """Whether this is the device of an index, of a kind, or with a part of a name."""
+        """True if `choice` is the index, the kind, or a part of the names of this device."""
         if choice.isdecimal():
             return self.index == int(choice)
         if choice.lower() in ("cpu", "gpu"):
@@ -104,11 +104,7 @@ def default_device() -> Device:
     """The device of calls that name none: `open_device()`, once a process.
 
     It is opened again in a child process after a fork, and when $VOXTOOL_DEVICE changes. Threads
-    may share it.
-
-    Raises
-    ------
-    DeviceError : as `open_device`.
+    may share it. Raises DeviceError as `open_device`.
     """
     key = os.getpid(), os.environ.get("VOXTOOL_DEVICE")
     with _opening:
@@ -155,11 +151,7 @@ def _info(index: int, cl_device: Any, probe: str) -> DeviceInfo:
         index=index,
         name=cl_device.name.strip(),
         platform=cl_device.platform.name.strip(),
-        kind="GPU"
-        if cl_device.type & kinds.GPU
-        else "CPU"
-        if cl_device.type & kinds.CPU
-        else "accelerator",
+        kind=next((k for k in ("GPU", "CPU") if cl_device.type & getattr(kinds, k)), "accelerator"),
         driver=cl_device.driver_version,
         opencl=cl_device.version.strip(),
         units=cl_device.max_compute_units,
@@ -170,16 +162,16 @@ def _info(index: int, cl_device: Any, probe: str) -> DeviceInfo:
     )
 
 
-def _probe(cl_device: Any) -> str:
+def _probe(cl_device: Any, source: str = PROBE) -> str:
     """The outcome of a three-line kernel in a work-group as large as any of ours: "ok", or the
-    first line of what failed."""
+    first line of the failure."""
     cl = driver.opencl()
     if not driver.survives(cl_device.platform.name.strip()):
         return "failed: this driver does not work in a forked process"
     try:
         context = cl.Context([cl_device])
         queue = cl.CommandQueue(context)
-        kernel = cl.Kernel(program.compiled(cl, context, PROBE), "probe")
+        kernel = cl.Kernel(program.compiled(cl, context, source), "probe")
         values = np.zeros(256, np.uint32)
         buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE, values.nbytes)
         kernel.set_args(buffer)

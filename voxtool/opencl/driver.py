@@ -36,10 +36,7 @@ def opencl() -> Any:
     The loader reads OCL_ICD_VENDORS, a folder of .icd files, when the platforms are first asked
     for. If the extra `cpu` is installed and nobody has set the variable, it names a folder with
     the system's drivers and that one for as long as this takes.
-
-    Raises
-    ------
-    DeviceError : pyopencl cannot be imported.
+    Raises DeviceError if pyopencl cannot be imported.
     """
     embedded = Path(sys.prefix, "lib", "libintelocl.so")
     # Intel's CPU driver: our kernels branch too much for work-items to share vector registers
@@ -81,5 +78,5 @@ def _count_fork() -> None:
 
 
 def survives(platform: str) -> bool:
-    """Whether a platform can be used in this process."""
+    """True if a platform can be used in this process."""
     return not forks or platform not in LOST_IN_FORK

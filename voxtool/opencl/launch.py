@@ -43,7 +43,7 @@ class Parameter:
 
     @property
     def is_packed(self) -> bool:
-        """Whether numpy makes the bytes of an argument: of vectors, and of small integers, which
+        """True if numpy makes the bytes of an argument: of vectors, and of small integers, which
         pyopencl would let wrap around."""
         return self.dtype is not None and (self.width > 1 or self.dtype.itemsize < 4)
 
@@ -59,7 +59,7 @@ class Parameter:
         return 4 if self.width == 3 else self.width
 
     def pack(self, value: Any) -> Any:
-        """What pyopencl takes for a value: the buffer of an Array, or the bytes of a vector."""
+        """The argument for pyopencl: the buffer of an Array, or the bytes of a vector."""
         if not self.is_packed:
             return getattr(value, "buffer", value)
         components = np.asarray(value)
@@ -71,12 +71,8 @@ class Parameter:
         raise ValueError(f"{self.name} = {value!r}")
 
     def convert(self, value: Any) -> Any:
-        """A packed value as a plain number, where it is one of numpy's that pyopencl refuses.
-
-        Raises
-        ------
-        TypeError : the value does not suit the parameter.
-        """
+        """A packed value as a plain number, if it is one of numpy's that pyopencl refuses; raises
+        TypeError if it does not suit the parameter."""
         if self.is_packed:
             return value
         is_number = isinstance(value, (int, float, np.generic))
@@ -98,7 +94,7 @@ class Signature:
         self.parameters = parameters
         self.dtypes = [p.passed for p in parameters]
         self._names = [p.name for p in parameters]
-        # what packs each argument, where it is not passed as it is
+        # None for an argument that is passed as it is
         self._packs = [p.pack if p.dtype is None or p.is_packed else None for p in parameters]
 
     def bind(self, size: int, args: tuple[Any, ...], named: dict[str, Any]) -> list[Any]:
@@ -106,11 +102,8 @@ class Signature:
 
         The parameter `n` is the number of work-items. Positional arguments fill the parameters that
         are not given by name, in order. Names that this variant of the kernel does not declare are
-        left out, so that a caller lists what every variant takes.
-
-        Raises
-        ------
-        TypeError : an argument is missing or superfluous, or a vector has the wrong length.
+        left out, so that a caller lists the arguments of all variants. Raises TypeError if an
+        argument is missing or superfluous, or a vector has the wrong length.
         """
         given = {SIZE: size, **named}
         free = [name for name in self._names if name not in given]
@@ -128,12 +121,8 @@ class Signature:
             raise TypeError(f"kernel {self.name} does not take {error}") from error
 
     def convert(self, values: list[Any]) -> list[Any]:
-        """The arguments of a call that pyopencl refused, as plain numbers.
-
-        Raises
-        ------
-        TypeError : names the argument that does not suit its parameter.
-        """
+        """The arguments of a call that pyopencl refused, as plain numbers; raises TypeError with
+        the name of one that does not suit its parameter."""
         try:
             return [p.convert(v) for p, v in zip(self.parameters, values, strict=True)]
         except TypeError as error:
@@ -184,7 +173,7 @@ def preprocess(text: str, defines: dict[str, int | str]) -> tuple[str, dict[str,
 
 
 def _holds(word: str, condition: str, macros: dict[str, str]) -> bool:
-    """Whether an #if, #ifdef or #ifndef holds; names that are no macros count as 0."""
+    """True if an #if, #ifdef or #ifndef holds; names that are no macros count as 0."""
     if word != "if":
         return (condition.split()[0] in macros) == (word == "ifdef")
     condition = re.sub(r"defined\s*\(\s*(\w+)\s*\)", lambda m: str(int(m[1] in macros)), condition)
@@ -197,7 +186,7 @@ def _holds(word: str, condition: str, macros: dict[str, str]) -> bool:
 
 
 def _expand(text: str, macros: dict[str, str]) -> str:
-    """A text with its object-like macros in place."""
+    """The text with its object-like macros replaced."""
     for _ in range(16):
         expanded = re.sub(r"\b[A-Za-z_]\w*\b", lambda m: macros.get(m[0], m[0]), text)
         if expanded == text:
@@ -207,7 +196,7 @@ def _expand(text: str, macros: dict[str, str]) -> str:
 
 
 def _closing(text: str, start: int) -> int:
-    """Where the parenthesis that was opened before `start` is closed."""
+    """The place of the parenthesis that closes the one opened before `start`."""
     depth = 1
     for place in range(start, len(text)):
         depth += {"(": 1, ")": -1}.get(text[place], 0)

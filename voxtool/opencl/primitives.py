@@ -1,7 +1,7 @@
 """Parallel primitives over device arrays: scan, radix sort, compaction, histopyramid.
 
-The kernels are in kernels/opencl/primitives.cl, the histopyramid's traversal is in
-kernels/opencl/histopyramid.h.
+Each raises MemoryLimitError if the number of elements does not fit 31 bits. The kernels are in
+kernels/opencl/primitives.cl; kernels/opencl/histopyramid.h has the traversal of a histopyramid.
 """
 
 from __future__ import annotations
@@ -34,19 +34,12 @@ HEADERS = {
 def exclusive_scan(values: Array, n: int) -> int:
     """Replace values[0 .. n-1] by their exclusive prefix sum, values[n] by the sum of all.
 
-    Up- and down-sweep over blocks [voCCeL, section 5.1], in any number of levels.
+    Up- and down-sweep over blocks [voCCeL, section 5.1], in any number of levels. Returns the sum
+    of all, for which it waits.
 
     Parameters
     ----------
     values : uint32, at least n + 1 elements.
-
-    Returns
-    -------
-    The sum of all; waits for the device.
-
-    Raises
-    ------
-    MemoryLimitError : n does not fit 31 bits.
     """
     _check(n, "scan")
     _scan(values, n)
@@ -96,10 +89,6 @@ def radix_sort(
     Returns
     -------
     The sorted keys and their values, each of at least n elements.
-
-    Raises
-    ------
-    MemoryLimitError : n does not fit 31 bits.
     """
     _check(n, "sort")
     if not 0 <= bits <= 8 * keys.dtype.itemsize:
@@ -130,22 +119,13 @@ def radix_sort(
 
 
 def unique(keys: Array, n: int) -> tuple[Array, int]:
-    """The distinct keys of n sorted ones, in a new array, and their number; waits for the device.
+    """The distinct keys of n sorted ones (uint32 or uint64), in a new array, and their number.
 
-    The last key of each run is kept [voCCeL, section 6.3: uniquify].
-
-    Parameters
-    ----------
-    keys : uint32 or uint64, at least n elements.
-
-    Raises
-    ------
-    MemoryLimitError : n does not fit 31 bits.
+    The last key of each run is kept [voCCeL, section 6.3: uniquify]. Waits for the device.
     """
     _check(n, "compaction")
-    device = keys.device
-    flags = device.empty(n + 1, np.uint32)
-    device.kernel(SOURCE, "flag_last", KEY=_KEYS[keys.dtype])(n, keys, flags)
+    flags = keys.device.empty(n + 1, np.uint32)
+    keys.device.kernel(SOURCE, "flag_last", KEY=_KEYS[keys.dtype])(n, keys, flags)
     return compact(keys, flags, n)
 
 
@@ -157,12 +137,8 @@ def compact(values: Array, flags: Array, n: int) -> tuple[Array, int]:
     Parameters
     ----------
     values : uint32 or uint64, at least n elements.
-    flags : uint32, 0 or 1, at least n + 1 elements; replaced by their exclusive scan, which says
-        where each kept value is.
-
-    Raises
-    ------
-    MemoryLimitError : n does not fit 31 bits.
+    flags : uint32, 0 or 1, at least n + 1 elements; replaced by their exclusive scan, which gives
+        each kept value its place.
     """
     total = exclusive_scan(flags, n)
     kept = values.device.empty(total, values.dtype)
@@ -175,11 +151,11 @@ def compact(values: Array, flags: Array, n: int) -> tuple[Array, int]:
 class Histopyramid:
     """A 5:1 histopyramid over counts, which finds the input of each output [Dyken 2008].
 
-    The variant of [voCCeL, section 4.1]. kernels/opencl/histopyramid.h has its traversal.
+    The variant of [voCCeL, section 4.1].
 
-    counts : those that it is over, which must outlive it; levels : uint32, a quadruple each node
-    (where the intervals of its second to fifth child begin), from the top level down; offsets :
-    (height,) uint32, the first quadruple of each level; total : the number of outputs.
+    counts : outputs of each input; levels : uint32, a quadruple each node (the starts of the
+    intervals of its second to fifth child), from the top level down; offsets : (height,) uint32,
+    the first quadruple of each level; total : the number of outputs.
     """
 
     counts: Array
@@ -190,7 +166,7 @@ class Histopyramid:
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Arguments of kernels, by name: HISTOPYRAMID."""
+        """The arguments HISTOPYRAMID of kernels, by name."""
         return {
             "pyramid_counts": self.counts,
             "pyramid_levels": self.levels,
@@ -202,7 +178,7 @@ class Histopyramid:
 def build_histopyramid(counts: Array, n: int) -> Histopyramid:
     """The histopyramid of n counts, which need not be a power of five [voCCeL, section 6.3].
 
-    Sums saturate on the device, so none that does not fit goes unnoticed. Waits for the device.
+    Sums saturate on the device, so an overflow is noticed. Waits for the device.
 
     Parameters
     ----------
@@ -210,7 +186,7 @@ def build_histopyramid(counts: Array, n: int) -> Histopyramid:
 
     Raises
     ------
-    MemoryLimitError : n does not fit 31 bits, or 2^32 - 1 outputs or more.
+    MemoryLimitError : 2^32 - 1 outputs or more.
     """
     _check(n, "histopyramid")
     device = counts.device

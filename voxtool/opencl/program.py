@@ -38,9 +38,9 @@ def kernel_folder() -> Path:
 
 
 @functools.cache
-def flatten(source: str) -> str:
+def flatten(source: str, folder: Path | None = None) -> str:
     """The text of kernels/`source`, or of `source` itself if it has lines, with its includes in
-    place, each once."""
+    place, each once; folder : other than that of the kernels, for tests."""
     seen: set[str] = set()
 
     def label(name: str) -> str:
@@ -50,17 +50,16 @@ def flatten(source: str) -> str:
         if name in seen:
             return ""
         seen.add(name)
-        lines = []
         if name in headers.HOMES:
             return headers.generated(name)
-        text = name if "\n" in name else (kernel_folder() / name).read_text(encoding="utf-8")
+        path = (folder or kernel_folder()) / name
+        text = name if "\n" in name else path.read_text(encoding="utf-8")
+        lines = []
         for number, line in enumerate(text.splitlines(), 1):
-            include = _INCLUDE.match(line)
-            if include:
-                lines += [f'#line 1 "{include[1]}"', read(include[1])]
+            lines.append(line)
+            if include := _INCLUDE.match(line):
+                lines[-1:] = [f'#line 1 "{include[1]}"', read(include[1])]
                 lines.append(f'#line {number + 1} "{label(name)}"')
-            else:
-                lines.append(line)
         return "\n".join(lines)
 
     return f'#line 1 "{label(source)}"\n{read(source)}\n'
@@ -71,10 +70,9 @@ _change: ContextVar[Callable[[str], str] | None] = ContextVar("change", default=
 
 @contextmanager
 def changed_sources(change: Callable[[str], str]) -> Iterator[None]:
-    """Build programs in this block from what `change` makes of their sources.
+    """Build programs in this block from changed sources, on a device that has not built them yet.
 
-    Tests use it to show that a faulty kernel is found. A device that has built a kernel before
-    keeps it: open another one.
+    Tests use it to show that a faulty kernel is found.
     """
     token = _change.set(change)
     try:
@@ -84,7 +82,7 @@ def changed_sources(change: Callable[[str], str]) -> Iterator[None]:
 
 
 def source_text(source: str) -> str:
-    """The text that a program is built from."""
+    """The source of a program, changed if a test asks for that."""
     change, text = _change.get(), flatten(source)
     return change(text) if change else text
 
