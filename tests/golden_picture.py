@@ -14,7 +14,7 @@ from typing import Any
 
 import golden_svo
 import numpy as np
-from helpers_volume import mesh_of, tet_grid
+from helpers_tets import boxes, grid_points, tet_grid, tet_mesh
 
 import voxtool
 from voxtool.camera import Camera
@@ -60,19 +60,14 @@ def surfaces(mesh: voxtool.Mesh, device: Any) -> Iterator[tuple[str, str]]:
 def own_volume(name: str) -> voxtool.TetVolume:
     """A volume that is made here, by name."""
     if name == "hexahedra":
-        points = np.array(np.meshgrid(*[np.arange(4.0)] * 3, indexing="ij")).reshape(3, -1).T
-        corner = np.array(
-            [16 * x + 4 * y + z for x in range(3) for y in range(3) for z in range(3)]
-        )
-        cells = corner[:, None] + np.array([0, 16, 20, 4, 1, 17, 21, 5])  # as VTK numbers them
-        scalars = [np.arange(27) * 5 % 27 / 27]
-        mesh = voxtool.UnstructuredMesh(points, [("hexahedron", cells)], scalars, "s")
+        shape = (3, 3, 3)
+        mesh, _ = boxes(grid_points(shape), shape, np.arange(27) * 5 % 27 / 27)
         return voxtool.build_tet(mesh, "hexahedra")
     points, cells = tet_grid((6, 5, 4), seed=3, holes=0.3 if name == "holes" else 0.0)
     squares = points * points
     if name == "constant":
-        return voxtool.build_tet(mesh_of(points, cells, [np.arange(len(cells)) * 7 % 64 / 64]))
-    return voxtool.build_tet(mesh_of(points, cells, squares[:, 0] + squares[:, 1] * points[:, 2]))
+        return voxtool.build_tet(tet_mesh(points, cells, [np.arange(len(cells)) * 7 % 64 / 64]))
+    return voxtool.build_tet(tet_mesh(points, cells, squares[:, 0] + squares[:, 1] * points[:, 2]))
 
 
 def volume_pictures(

@@ -1,16 +1,20 @@
-"""Meshes of volume cells for tests."""
+"""Meshes of volume cells for tests, and what pictures of them should be."""
 
 from __future__ import annotations
 
-from itertools import permutations
+import itertools
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from voxtool.camera import Camera, Rays
+from voxtool.selftest.reference import reference
 from voxtool.tets.conforming import tetrahedra
 from voxtool.tets.mesh import ConformingMesh, UnstructuredMesh, volume_cells
+from voxtool.tets.scene import VolumeScene
 from voxtool.tets.textures import build_tet
+from voxtool.tets.transfer import TransferFunction
 from voxtool.tets.volume import TetVolume
 
 SQUARE = [(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)]
@@ -20,6 +24,14 @@ PYRAMID = np.concatenate([CUBE[:4], [(0.5, 0.5, 0.5)]])
 SOLIDS = {"hexahedron": CUBE, "wedge": WEDGE, "pyramid": PYRAMID, "tetra": CUBE[[0, 1, 3, 4]]}
 VOLUMES = {"hexahedron": 6, "wedge": 3, "pyramid": 1, "tetra": 1}  # six times
 QUADS = [(0, 3, 2, 1), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+# Corners 4 x + 2 y + z of a cube: in VTK's order; in Kuhn's six tetrahedra, the ways from corner 0
+# to corner 7; and in five.
+VTK = [0, 4, 6, 2, 1, 5, 7, 3]
+SIX = np.array([np.cumsum([0, *way]) for way in itertools.permutations((1, 2, 4))])
+FIVE = np.array([(0, 1, 2, 4), (3, 1, 2, 7), (5, 1, 4, 7), (6, 2, 4, 7), (1, 2, 4, 7)])
+
+
+# ---- meshes
 
 
 def linear(points: np.ndarray) -> np.ndarray:
@@ -27,13 +39,17 @@ def linear(points: np.ndarray) -> np.ndarray:
     return 3 + points[:, 0] - 2 * points[:, 1] + 0.5 * points[:, 2]
 
 
+def wavy(points: np.ndarray) -> np.ndarray:
+    """A scalar from -2 to 2 or so on the box from -1 to 1."""
+    return np.sin(3 * points[:, 0]) + points[:, 1] * points[:, 2]
+
+
 def unstructured(
     points: Any, cells: list[tuple[str, Any]], scalars: Any = None, **more: Any
 ) -> UnstructuredMesh:
     points = np.asarray(points, float)
     blocks = [(kind, np.asarray(block, np.int64)) for kind, block in cells]
-    if scalars is None:
-        scalars = linear(points)
+    scalars = linear(points) if scalars is None else scalars
     return UnstructuredMesh(points, blocks, scalars, "s", **more)
 
 
@@ -41,27 +57,58 @@ def tet_mesh(points: Any, cells: Any, scalars: Any = None, **more: Any) -> Unstr
     return unstructured(points, [("tetra", cells)], scalars, **more)
 
 
+def grid_points(shape: tuple[int, ...]) -> np.ndarray:
+    """(n, 3) float64: the corners of unit cubes."""
+    axes = (np.arange(n + 1.0) for n in shape)
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+
+
+def grid_corners(shape: tuple[int, ...]) -> np.ndarray:
+    """(cubes, 8) int: the corners 4 x + 2 y + z of each cube."""
+    numbers = np.arange(np.prod(np.add(shape, 1))).reshape(np.add(shape, 1))
+    ends = itertools.product(*(((0, n), (1, n + 1)) for n in shape))
+    return np.stack([numbers[tuple(slice(*end) for end in e)].ravel() for e in ends], axis=1)
+
+
+def lattice(shape: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Points and hexahedra of a box of unit cubes, x changing fastest."""
+    back = shape[::-1]
+    return grid_points(back)[:, ::-1], grid_corners(back)[:, [0, 1, 3, 2, 4, 5, 7, 6]]
+
+
+def boxes(points: np.ndarray, shape: tuple[int, int, int], scalars: np.ndarray) -> Any:
+    """A grid with a scalar each cube, as hexahedra and as six tetrahedra a cube."""
+    corners = grid_corners(shape)
+    cut = tet_mesh(points, corners[:, SIX].reshape(-1, 4), [np.repeat(scalars, 6)])
+    return unstructured(points, [("hexahedron", corners[:, VTK])], [scalars]), cut
+
+
+def tet_grid(
+    shape: tuple[int, int, int], seed: int | None = None, holes: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Cubes cut in six; with a seed, the points moved at random and a share of the cells gone.
+
+    Returns points (P, 3) float64 in [-1, 1] or so, and cells (T, 4) int.
+    """
+    points = grid_points(shape)
+    cells = grid_corners(shape)[:, SIX].reshape(-1, 4)
+    if seed is not None:
+        random = np.random.default_rng(seed)
+        points += random.uniform(-0.2, 0.2, points.shape)
+        cells = cells[random.random(len(cells)) >= holes]
+    return points / (np.array(shape) / 2) - 1, cells
+
+
 def cube(pieces: int) -> UnstructuredMesh:
     """The unit cube as 5, 6 or 24 tetrahedra."""
-    if pieces == 5:
-        cells = [(0, 1, 2, 5), (0, 2, 7, 5), (0, 2, 3, 7), (0, 5, 7, 4), (2, 7, 5, 6)]
-        return tet_mesh(CUBE, cells)
-    if pieces == 6:
-        cells = []
-        for order in permutations(range(3)):
-            corners = np.zeros((4, 3))
-            for step, axis in enumerate(order):
-                corners[step + 1 :, axis] = 1
-            cells.append([int(np.flatnonzero((c == CUBE).all(axis=1))[0]) for c in corners])
-        return tet_mesh(CUBE, oriented(CUBE, np.array(cells)))
-    centres = [CUBE[list(quad)].mean(axis=0) for quad in QUADS]
-    points = np.concatenate([CUBE, centres, [(0.5, 0.5, 0.5)]])
-    cells = [
-        (14, quad[i], quad[(i + 1) % 4], 8 + face)
-        for face, quad in enumerate(QUADS)
-        for i in range(4)
-    ]
-    return tet_mesh(points, oriented(points, np.array(cells)))
+    if pieces < 24:
+        points, cells = grid_points((1, 1, 1)), FIVE if pieces == 5 else SIX
+    else:
+        centres = [CUBE[list(quad)].mean(axis=0) for quad in QUADS]
+        points = np.concatenate([CUBE, centres, [(0.5, 0.5, 0.5)]])
+        sides = itertools.product(enumerate(QUADS), range(4))
+        cells = np.array([(14, q[i], q[(i + 1) % 4], 8 + face) for (face, q), i in sides])
+    return tet_mesh(points, oriented(points, cells))
 
 
 def oriented(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
@@ -76,18 +123,10 @@ def six_volumes(points: np.ndarray, cells: np.ndarray) -> np.ndarray:
     return np.linalg.det(p[:, 1:] - p[:, :1])
 
 
-def lattice(shape: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Points and hexahedra of a box of unit cubes."""
-    nx, ny, nz = (n + 1 for n in shape)
-    points = np.array([(x, y, z) for z in range(nz) for y in range(ny) for x in range(nx)], float)
-    corner = CUBE.astype(int) @ (1, nx, nx * ny)
-    cells = [
-        x + nx * (y + ny * z) + corner
-        for z in range(shape[2])
-        for y in range(shape[1])
-        for x in range(shape[0])
-    ]
-    return points, np.array(cells)
+def shuffled(points: np.ndarray, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """The points in another order, and the new number of each."""
+    number = random.permutation(len(points))
+    return points[np.argsort(number)], number
 
 
 def assembly(shape: tuple[int, int, int], seed: int) -> UnstructuredMesh:
@@ -111,12 +150,9 @@ def assembly(shape: tuple[int, int, int], seed: int) -> UnstructuredMesh:
             apex = len(points) + len(centres)
             centres.append(points[cell].mean(axis=0))
             blocks["pyramid"] += [(*cell[list(quad)][::-1], apex) for quad in QUADS]
-    points = np.concatenate([points, np.reshape(centres, (-1, 3))])
-    number = random.permutation(len(points))
-    shuffled = np.empty_like(points)
-    shuffled[number] = points
+    points, number = shuffled(np.concatenate([points, np.reshape(centres, (-1, 3))]), random)
     cells = [(kind, number[np.array(block)]) for kind, block in blocks.items() if block]
-    return unstructured(shuffled, cells)
+    return unstructured(points, cells)
 
 
 def write_vtu(path: Path) -> None:
@@ -128,19 +164,19 @@ def write_vtu(path: Path) -> None:
     density = 1 + x * y * (3 - z)
     momentum = np.stack([density, x - y, z * z], axis=1)
     regions = [np.arange(len(block)) % 3 for _, block in mesh.cells]
-    meshio.write(
-        path,
-        meshio.Mesh(
-            mesh.points,
-            mesh.cells,  # pyright: ignore[reportArgumentType]
-            point_data={"density": density, "momentum": momentum},
-            cell_data={"region": regions},  # pyright: ignore[reportArgumentType]
-        ),
-    )
+    data: dict[str, Any] = {
+        "point_data": {"density": density, "momentum": momentum},
+        "cell_data": {"region": regions},
+    }
+    cells: Any = mesh.cells
+    meshio.write(path, meshio.Mesh(mesh.points, cells, **data))
+
+
+# ---- volumes
 
 
 def face_sets(cells: np.ndarray) -> dict[frozenset[int], list[tuple[int, int]]]:
-    """Which cells have each face of tetrahedra, and as which."""
+    """The cells of each face of tetrahedra, and the number of the face in each."""
     found: dict[frozenset[int], list[tuple[int, int]]] = {}
     for cell, vertices in enumerate(cells.tolist()):
         for face in range(4):
@@ -173,3 +209,37 @@ def built(mesh: UnstructuredMesh, *arguments: Any, **options: Any) -> TetVolume:
     volume = build_tet(mesh, *arguments, **options)
     volume.validate()
     return volume
+
+
+# ---- pictures
+
+
+def draw(content, rays: Rays, transfer: TransferFunction, device, *how, **decisions) -> np.ndarray:
+    """The picture of a volume, or of a mesh's, by a method and an integrator."""
+    volume = content if isinstance(content, TetVolume) else build_tet(content)
+    return VolumeScene(volume, transfer, *how, **decisions).draw(rays, device)
+
+
+def ramp(
+    low: float, high: float, extinction: float, steps: int = 4, seed: int = 5
+) -> TransferFunction:
+    """Random colours, and random extinctions up to a largest, over a range of scalars."""
+    random = np.random.default_rng(seed)
+    colours = random.random((steps, 3))
+    return TransferFunction(
+        np.linspace(low, high, steps), colours, extinction * random.random(steps)
+    )
+
+
+def reference_picture(mesh: UnstructuredMesh, transfer: TransferFunction, rays: Rays) -> np.ndarray:
+    """(H, W, 4) float64."""
+    cells = mesh.cells[0][1]
+    scalars = mesh.scalars[0] if isinstance(mesh.scalars, list) else mesh.scalars
+    width, height = rays.size
+    picture = reference(mesh.points, cells, scalars, transfer, rays, constant=mesh.constant)
+    return picture.reshape(height, width, 4)
+
+
+def rays_of(mesh: UnstructuredMesh, view: str, fov: float | None, size=(40, 32)) -> Rays:
+    low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
+    return Camera.fit(low, high, view, fov=fov).rays(*size)

@@ -152,7 +152,7 @@ MUTATIONS: dict[str, Mutation] = {
         "kernels/tets/raycast.cl",
         "(depth - place->depth) * rays->length;",
         "depth - place->depth;",
-        "tests/tets/test_raycast.py",
+        "tests/tets/test_pictures.py",
     ),
     "scan: the total": Mutation(
         "kernels/opencl/primitives.cl",

@@ -460,48 +460,34 @@ def render_volumes(device) -> None:
     """Both methods from outside and inside, by every integrator, of every layout, with cells that
     are left out; one ray at a time: of several Oclgrind 21.10 spoils the masks, as above."""
     import numpy as np
-    from helpers_volume import (
-        SIX,
-        Pictures,
-        grid_corners,
-        grid_points,
-        mesh_of,
-        ramp,
-        reference_picture,
-    )
+    from helpers_tets import SIX, boxes, draw, grid_corners, grid_points, ramp, tet_mesh
+    from helpers_tets import reference_picture as exact
 
     from voxtool.camera import Camera
     from voxtool.choices import METHODS
-    from voxtool.tets.mesh import UnstructuredMesh
     from voxtool.tets.textures import build_tet
 
     shape = (3, 2, 6)
     points, corners = grid_points(shape) / (np.array(shape) / 2) - 1, grid_corners(shape)
     cells, scalars = corners[:, SIX].reshape(-1, 4), points @ (0.1, 0.2, 1.0)
-    order = [0, 4, 6, 2, 1, 5, 7, 3]  # as VTK numbers a hexahedron's corners
-    boxes, values = ("hexahedron", corners[:, order]), np.linspace(-1, 1, len(corners))
-    meshes_of = {
-        "raycast": mesh_of(points, cells, scalars),
-        "projection": mesh_of(points, cells, scalars),
-        "hexahedra": UnstructuredMesh(points, [boxes], [values], "s"),
-    }
+    mesh = tet_mesh(points, cells, scalars)
+    hexahedra, _ = boxes(points, shape, np.linspace(-1, 1, len(corners)))
     shown = ramp(-1.5, 1.5, 2.0)
     part = replace(shown, extinctions=shown.extinctions * (0, 0, 1, 1))
     views = [*two_views((6, 5)), Camera((0.1, 0.2, 0.3), (0, 1, -0.4), fov=100.0).rays(6, 5)]
-    for layout, mesh in meshes_of.items():
-        volume = build_tet(mesh, layout)
-        pictures = Pictures(volume, device)
+    for layout in ("raycast", "projection", "hexahedra"):
+        volume = build_tet(hexahedra if layout == "hexahedra" else mesh, layout)
         for rays, method in itertools.product(views, METHODS):
-            picture = pictures.render(rays, part, method, lanes=1)
+            picture = draw(volume, rays, part, device, method, lanes=1)
             assert picture.any()
             if layout != "hexahedra":
-                wanted = reference_picture(mesh, part, rays)
-                assert np.abs(picture - wanted).max() < 2e-5, (layout, method)
+                assert np.abs(picture - exact(mesh, part, rays)).max() < 2e-5, (layout, method)
         for integrator, method in itertools.product(
             ("average", "sampled:2", "preintegrated"), METHODS
         ):
             # a small table, which takes no minutes here
-            found = pictures.render(views[1], shown, method, integrator, lanes=1, table=(6, 4))
+            how = {"lanes": 1, "table": (6, 4)}
+            found = draw(volume, views[1], shown, device, method, integrator, **how)
             assert np.isfinite(found).all()
 
 

@@ -8,7 +8,7 @@ from itertools import pairwise, product
 import mpmath
 import numpy as np
 import pytest
-from helpers_volume import tet_grid
+from helpers_tets import tet_grid
 
 from voxtool.camera import Camera, Rays
 from voxtool.selftest.reference import reference, segments, weights

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers_volume import mesh_of, tet_grid
+from helpers_tets import tet_grid, tet_mesh
 
 import voxtool
 from voxtool.rendering import averaged
@@ -15,7 +15,7 @@ from voxtool.rendering import averaged
 
 def volume() -> voxtool.TetVolume:
     points, cells = tet_grid((2, 2, 2), seed=1)
-    return voxtool.build_tet(mesh_of(points, cells, points[:, 0]))
+    return voxtool.build_tet(tet_mesh(points, cells, points[:, 0]))
 
 
 CAMERA = voxtool.Camera((3.0, 2.0, 5.0), (1.0, 1.0, 1.0))
