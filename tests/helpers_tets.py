@@ -101,9 +101,8 @@ def tet_grid(
 
 def cube(pieces: int) -> UnstructuredMesh:
     """The unit cube as 5, 6 or 24 tetrahedra."""
-    if pieces < 24:
-        points, cells = grid_points((1, 1, 1)), FIVE if pieces == 5 else SIX
-    else:
+    points, cells = CUBE, np.argsort(VTK)[FIVE if pieces == 5 else SIX]
+    if pieces == 24:
         centres = [CUBE[list(quad)].mean(axis=0) for quad in QUADS]
         points = np.concatenate([CUBE, centres, [(0.5, 0.5, 0.5)]])
         sides = itertools.product(enumerate(QUADS), range(4))

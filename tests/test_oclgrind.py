@@ -19,7 +19,44 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import meshes
+import numpy as np
+import oracles
 import pytest
+from helpers_distance import brute
+from helpers_field import HALVES, cells_of, plain_field, sphere
+from helpers_octree import octree_from_dense
+from helpers_signs import winding
+from helpers_tets import (
+    SIX,
+    boxes,
+    draw,
+    grid_corners,
+    grid_points,
+    ramp,
+    reference_picture,
+    tet_mesh,
+)
+
+from voxtool.adf import build, query
+from voxtool.adf.scene import FieldScene
+from voxtool.camera import Camera
+from voxtool.choices import METHODS
+from voxtool.grid import Grid
+from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.topology import check_surface, closed_chain
+from voxtool.opencl import Device, open_device, primitives
+from voxtool.selftest import arithmetic, volumes
+from voxtool.spatial.bvh import build_tree
+from voxtool.spatial.distance import TriangleDistance
+from voxtool.spatial.pseudonormals import pseudonormals
+from voxtool.spatial.self_intersections import find_self_intersections
+from voxtool.spatial.signed_distance import SignedDistance
+from voxtool.svo.raycast import cast, depths
+from voxtool.svo.surface.extract import extract
+from voxtool.svo.surface.isosurface import LATTICE
+from voxtool.svo.voxelize import plan_voxelize
+from voxtool.tets.textures import build_tet
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -48,14 +85,8 @@ VARIANTS = {  # forced decisions of VoxelizePlan
     "wide": {"wide": True},
     "blocked": {"blocked": True},
     "64-bit codes": {"code_bits": 64},
-    "all": {
-        "wide": True,
-        "blocked": True,
-        "code_bits": 64,
-        "tiled": True,
-        "tiled_nodes": True,
-        "column_tile": 8,
-    },
+    "all": dict.fromkeys(("wide", "blocked", "tiled", "tiled_nodes"), True)
+    | {"code_bits": 64, "column_tile": 8},
 }
 
 
@@ -136,7 +167,6 @@ def _without_comments(source: Path) -> str:
 
 
 def main() -> None:
-    from voxtool.opencl import Device, open_device
 
     kernels, options = set(), set()
     kernel = Device.kernel
@@ -173,10 +203,6 @@ def main() -> None:
 
 def use_primitives(device) -> None:
     """Every primitive, over several work-groups, portions and passes."""
-    import numpy as np
-
-    from voxtool.opencl import primitives
-
     values = np.arange(5000, dtype=np.uint32) % 7
     scanned = device.put(values)
     assert primitives.exclusive_scan(scanned, 4999) == values[:-1].sum()
@@ -200,13 +226,6 @@ def use_primitives(device) -> None:
 def voxelize_all(device, variant: str, decisions: dict[str, Any]) -> None:
     """Every mode, on meshes that are closed, open and beginning before the grid, and on one so
     large that several rows' tiles pass through an inside leaf."""
-    import meshes
-    import numpy as np
-    import oracles
-
-    from voxtool.grid import Grid
-    from voxtool.mesh.mesh import Mesh
-    from voxtool.svo.voxelize import plan_voxelize
 
     def voxelize(*args, **more):
         return plan_voxelize(*args, device=device, **more).with_(**decisions).run()
@@ -248,15 +267,6 @@ def voxelize_all(device, variant: str, decisions: dict[str, Any]) -> None:
 
 def measure_distances(device) -> None:
     """Distances near to a mesh of several levels, and far away, and by every sign."""
-    import meshes
-    import numpy as np
-    from helpers_distance import brute
-    from helpers_signs import winding
-
-    from voxtool.mesh.mesh import Mesh
-    from voxtool.spatial.distance import TriangleDistance
-    from voxtool.spatial.signed_distance import SignedDistance
-
     vertices, faces = meshes.torus(sides=(12, 6))
     faces = np.concatenate([faces, [(0, 0, 5), (7, 7, 7)]])
     mesh = Mesh(vertices, faces.astype(np.int32))
@@ -276,14 +286,6 @@ def measure_distances(device) -> None:
 
 def extract_surfaces(device) -> None:
     """Every style at every kind of level, of voxels that touch the border, with inside leaves."""
-    import numpy as np
-    from helpers_octree import octree_from_dense
-
-    from voxtool.mesh.mesh import Mesh
-    from voxtool.mesh.topology import check_surface, closed_chain
-    from voxtool.svo.surface.extract import extract
-    from voxtool.svo.surface.isosurface import LATTICE
-
     dense = np.random.default_rng(3).random((18, 17, 9)) < 0.4
     dense[8:16, :8, :8] = True
     octree = octree_from_dense(dense)
@@ -306,14 +308,7 @@ def extract_surfaces(device) -> None:
 
 def find_faces_that_meet(device) -> None:
     """Faces that others pass, that share a corner or an edge with them, or that lie in a plane."""
-    import meshes
-    import numpy as np
     from spatial.test_self_intersections import meet
-
-    from voxtool.mesh.mesh import Mesh
-    from voxtool.spatial.bvh import build_tree
-    from voxtool.spatial.pseudonormals import pseudonormals
-    from voxtool.spatial.self_intersections import find_self_intersections
 
     flat = np.array([(20, 20, 17), (20, 22, 17), (20, 24, 17)]), np.array([(0, 1, 2)])
     fold = np.array([(5, 1, 1), (4, 0, 0), (4, 2, 0), (9, 9, 9)]), np.array([(0, 1, 2), (0, 3, 2)])
@@ -334,15 +329,6 @@ def find_faces_that_meet(device) -> None:
 def build_fields(device) -> None:
     """Distances without sign, by pseudo-normals and by winding numbers; of meshes that are closed,
     open, so that signs are in doubt near the hole, and with faces that have no side."""
-    import meshes
-    import numpy as np
-    from helpers_distance import brute
-    from helpers_field import HALVES, cells_of
-    from helpers_signs import winding
-
-    from voxtool.adf import build
-    from voxtool.mesh.mesh import Mesh
-
     ball, lidless = meshes.octahedron(0, 2), meshes.open_box(0, (4, 3, 2))
     flat = ball[0], np.concatenate([ball[1], [(0, 0, 2), (1, 1, 1)]])
     scenes = {"ball": ball, "box without lid": lidless, "with flat faces": flat}
@@ -381,11 +367,7 @@ def build_fields(device) -> None:
 def query_fields(device) -> None:
     """Every search, for every answer, by fields with identifiers of either size and hashes with
     and without a fourth channel; one point or several at a time."""
-    import numpy as np
     from adf.test_query import EVERYTHING, equal, spike, with_w
-    from helpers_field import plain_field, sphere
-
-    from voxtool.adf import query
 
     points = np.random.default_rng(1).uniform(-0.1, 1.1, (40, 3))
     points[3] = np.nan
@@ -402,17 +384,11 @@ def query_fields(device) -> None:
 
 def two_views(size: tuple[int, int]) -> list[Any]:
     """Rays to the box from -1 to 1, orthographic ones and others."""
-    from voxtool.camera import Camera
-
     return [Camera.fit((-1, -1, -1), (1, 1, 1), "iso", fov=fov).rays(*size) for fov in (None, 40)]
 
 
 def check_device(device) -> None:
     """The kernels that only the selftest has."""
-    import numpy as np
-
-    from voxtool.selftest import arithmetic, volumes
-
     arithmetic.COUNT = 200
     for case in (arithmetic.single, arithmetic.double, arithmetic.integers):
         assert case.run(device).passed
@@ -422,12 +398,6 @@ def check_device(device) -> None:
 
 def render_octrees(device) -> None:
     """Voxels and nodes, and where rays meet them."""
-    import numpy as np
-    from helpers_octree import octree_from_dense
-
-    from voxtool.grid import Grid
-    from voxtool.svo.raycast import cast, depths
-
     dense = np.random.default_rng(4).random((13, 10, 9)) < 0.3
     octree = octree_from_dense(dense)
     octree = replace(octree, grid=Grid(octree.grid.shape, (-1, -1, -1), (0.16, 0.16, 0.16)))
@@ -442,11 +412,7 @@ def render_octrees(device) -> None:
 def render_fields(device) -> None:
     """A ball, by fields with identifiers of either size and hashes with and without a fourth
     channel."""
-    import numpy as np
     from adf.test_query import spike, with_w
-    from helpers_field import plain_field, sphere
-
-    from voxtool.adf.scene import FieldScene
 
     deep = plain_field(lambda p: spike(p) / 32, 0.2 / 32, 13)
     for field in (plain_field(sphere, 1e-2, 4), with_w(deep, 40)):
@@ -459,14 +425,6 @@ def render_fields(device) -> None:
 def render_volumes(device) -> None:
     """Both methods from outside and inside, by every integrator, of every layout, with cells that
     are left out; one ray at a time: of several Oclgrind 21.10 spoils the masks, as above."""
-    import numpy as np
-    from helpers_tets import SIX, boxes, draw, grid_corners, grid_points, ramp, tet_mesh
-    from helpers_tets import reference_picture as exact
-
-    from voxtool.camera import Camera
-    from voxtool.choices import METHODS
-    from voxtool.tets.textures import build_tet
-
     shape = (3, 2, 6)
     points, corners = grid_points(shape) / (np.array(shape) / 2) - 1, grid_corners(shape)
     cells, scalars = corners[:, SIX].reshape(-1, 4), points @ (0.1, 0.2, 1.0)
@@ -481,7 +439,8 @@ def render_volumes(device) -> None:
             picture = draw(volume, rays, part, device, method, lanes=1)
             assert picture.any()
             if layout != "hexahedra":
-                assert np.abs(picture - exact(mesh, part, rays)).max() < 2e-5, (layout, method)
+                error = np.abs(picture - reference_picture(mesh, part, rays))
+                assert error.max() < 2e-5, (layout, method)
         for integrator, method in itertools.product(
             ("average", "sampled:2", "preintegrated"), METHODS
         ):

@@ -11,28 +11,18 @@ import pytest
 from conftest import opened, usable_devices
 
 from voxtool.opencl import Device
+from voxtool.selftest import volumes
 
 REGIMES = (0.25, 4.0, 80.0)  # between which segment.h changes its method
 GROUP = 64
 LANES = (1, 16)
 
 KERNELS = """
-__kernel void weigh(__global const float *a, __global const float *b, __global float *w_f,
-                    __global float *w_b, __global float *zeta)
-{
-    const size_t i = get_global_id(0) * LANES;
-    floats front, back, through;
-    segment_weights(load(a + i), load(b + i), &front, &back, &through);
-    store(front, w_f + i);
-    store(back, w_b + i);
-    store(through, zeta + i);
-}
-
 __kernel void homogeneous(__global const float *m, __global float *alpha, __global float *zeta)
 {
     const size_t i = get_global_id(0) * LANES;
     floats taken, through;
-    homogeneous_weights(load(m + i), &taken, &through);
+    attenuate(load(m + i), 0, &taken, &through);
     store(taken, alpha + i);
     store(through, zeta + i);
 }
@@ -60,8 +50,9 @@ def run(device: Device, kernel: str, results: int, *values: np.ndarray, lanes: i
 
 
 def weights(device: Device, a, b, lanes: int = 16) -> np.ndarray:
-    a, b = np.broadcast_arrays(np.asarray(a, np.float32), np.asarray(b, np.float32))
-    return run(device, "weigh", 3, a.ravel(), b.ravel(), lanes=lanes)
+    """(3, N) float64 of float32: w_f, w_b and zeta."""
+    a, b = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, np.float32)) for v in (a, b)))
+    return volumes.weights(device, a, b, lanes)
 
 
 def exact(front: float, back: float) -> tuple[Any, Any, Any]:
@@ -116,7 +107,7 @@ def cases() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_weights_are_those_of_mpmath(device: Device, lanes: int) -> None:
     a, b, wanted = cases()
     found = weights(device, a, b, lanes)
-    error = np.abs(found.astype(np.float64) - wanted)
+    error = np.abs(found - wanted)
     assert (error[:2] <= 1e-6 * wanted[:2]).all()
     assert (error[2] <= 1e-7).all()
     seen = wanted[2] > 1e-30
@@ -155,7 +146,7 @@ def test_thick_segments_neither_overflow_nor_lose_anything(device: Device) -> No
     far = np.array([1e6, 1e12, 1e20, 1e30, 0, 1])
     a = np.concatenate([a, *([v] * len(far) for v in far)]).astype(np.float32)
     b = np.concatenate([b, *([far] * len(far))]).astype(np.float32)
-    found = weights(device, a, b).astype(np.float64)
+    found = weights(device, a, b)
     assert ((found >= 0) & (found <= 1)).all()
     assert np.abs(found.sum(axis=0) - 1).max() < 3e-7
 
@@ -164,7 +155,7 @@ def test_weights_go_on_where_the_method_changes(device: Device) -> None:
     """Along ever thicker segments of one shape none jumps, and less and less is let through."""
     for share in (0.0, 0.3, 1.0, 1.7, 2.0):
         m = np.linspace(1e-3, 100, 20001)
-        front, back, zeta = weights(device, m * share, m * (2 - share)).astype(np.float64)
+        front, back, zeta = weights(device, m * share, m * (2 - share))
         assert (np.diff(zeta) <= 1e-7 * zeta[1:]).all()
         assert np.diff(front).min() > -2e-7
         steps = np.abs(np.diff(np.stack([front, back]))) / np.diff(m)
@@ -181,7 +172,9 @@ def test_every_device_and_width_gives_the_same_bits() -> None:
                 weights(opened(index), a, b, lanes),
                 run(opened(index), "homogeneous", 2, a, lanes=lanes),
             ]
-        ).view(np.uint32)
+        )
+        .astype(np.float32)
+        .view(np.uint32)
         for index, _ in usable_devices()
         for lanes in LANES
     }
