@@ -22,7 +22,7 @@ __kernel void homogeneous(__global const float *m, __global float *alpha, __glob
 {
     const size_t i = get_global_id(0) * LANES;
     floats taken, through;
-    attenuate(load(m + i), 0, &taken, &through);
+    attenuate(load(m + i), 0.0f, &taken, &through);
     store(taken, alpha + i);
     store(through, zeta + i);
 }
