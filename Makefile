@@ -3,6 +3,7 @@
 # make quick    a contributor's loop: one driver, nothing slow; under two minutes
 # make test     the whole suite, on every driver
 # make soak     what takes long: kills, fuzzing, many calls, all models; SECONDS= and SEED= choose a slice
+# make fuzz     mutated files and extreme arguments; SECONDS=, SEED= and ARGS= as python -m tests.fuzz -h
 # make lint     style, types and imports
 # make docs     the site, in build/site
 # make headers  the headers that the host generates for the kernels
@@ -15,7 +16,7 @@ SECONDS ?= 3600
 SEED ?=
 ARGS ?=
 
-.PHONY: demo quick test soak lint docs headers clean
+.PHONY: demo quick test soak fuzz lint docs headers clean
 
 demo: .venv/all.done bunny.obj volume.vtu
 	.venv/bin/voxtool voxelize bunny.obj --dim 512 --mode solid
@@ -34,6 +35,9 @@ test: .venv/test.done
 
 soak: .venv/test.done
 	.venv/bin/python -m pytest tests/soak --soak $(SECONDS) $(if $(SEED),--seed $(SEED)) $(ARGS)
+
+fuzz: .venv/test.done
+	.venv/bin/python -m tests.fuzz --seconds $(SECONDS) $(if $(SEED),--seed $(SEED)) $(ARGS)
 
 lint: .venv/test.done
 	.venv/bin/ruff check

@@ -1,0 +1,284 @@
+"""A case for each thing that was found, and the findings that are known and not yet mended.
+
+Files are generated: small, by code. Whoever mends one sets `open` to "" and removes its key from
+KNOWN.
+"""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import io
+import os
+import re
+import struct
+import tempfile
+import zlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .cases import Case
+from .mutate import SECRET
+
+Content = Callable[[], bytes]
+MANY, MORE = 20_000, 4 * 10**9  # faces that are there, and elements that are not
+SCENES = ("svo.h5", "adf.h5", "raycast.tet.h5")
+
+# Keys of findings that tests/fuzz/test_fuzz.py does not fail for, and the items of the issue.
+KNOWN = {
+    r"hang in files/unstructured.py:_through_meshio": "3",
+    r"another file is (opened|told) in files/unstructured.py:_through_meshio": "4",
+    r"memory in files/(unstructured.py:_through_meshio|mesh.py:_read_all)": "5",
+    r"numpy warning in .*": "11",
+    r"no printable line in a message with an odd name": "11",
+    r"not one error line in a message with an odd name": "11",
+    r"warning in files/(unstructured.py:_through_meshio|points.py:_read_npy)": "casts",
+}
+
+
+def is_known(key: str) -> bool:
+    return any(re.fullmatch(pattern, key) for pattern in KNOWN)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A case by name.
+
+    Attributes
+    ----------
+    open : the item of the issue while it is not mended, for the mark xfail.
+    file, content : of the case, without a file both are empty.
+    command : that is run, with FILE for the file; without one the file is used by the library.
+    has, lacks : patterns that stderr must hold; that stdout and stderr must not hold.
+    """
+
+    name: str
+    open: str
+    file: str = ""
+    content: Content = bytes
+    command: str = ""
+    has: str = ""
+    lacks: str = ""
+
+    def case(self, device: str = "") -> Case:
+        words = [self.file if word == "FILE" else word for word in self.command.split(" ")]
+        format = self.file.partition(".")[2]
+        words = [] if not self.command else words
+        if words and words[0] not in ("svo-info", "tet-build"):
+            words += ["--device", device]
+        return Case(0, self.file, format, self.content(), tuple(words), self.has, self.lacks)
+
+
+def entries() -> Iterator[Entry]:
+    yield from counts()
+    yield from other_files()
+    yield from bombs()
+    yield from repeated_faces()
+    yield from numbers_and_words()
+    yield from casts()
+
+
+# ---- item 3: counts that the file does not hold
+
+
+def counts() -> Iterator[Entry]:
+    gmsh = "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n"
+    new = "$MeshFormat\n4.1 0 8\n$EndMeshFormat\n"
+    medit = "MeshVersionFormatted 2\nDimension 3\n"
+    vtk = "# vtk DataFile Version 3.0\nx\nASCII\nDATASET UNSTRUCTURED_GRID\n"
+    for name, file, text in (
+        ("NodeData", "a.msh", f"{gmsh}$NodeData\n{MORE}"),
+        ("ElementData", "a.msh", f"{gmsh}$ElementData\n{MORE}\n"),
+        ("real tags", "a.msh", f'{gmsh}$NodeData\n1\n"s"\n{MORE}\n'),
+        ("Nodes", "a.msh", f"{gmsh}$Nodes\n{MORE}\n"),
+        ("Elements", "a.msh", f"{gmsh}$Elements\n{MORE}\n"),
+        ("PhysicalNames", "a.msh", f"{gmsh}$PhysicalNames\n{MORE}\n"),
+        ("Entities", "a.msh", f"{new}$Entities\n{MORE} 0 0 0\n"),
+        ("Nodes 4.1", "a.msh", f"{new}$Nodes\n1 {MORE} 1 {MORE}\n"),
+        ("Vertices", "a.mesh", f"{medit}Vertices\n{MORE}\n0 0 0 0\n"),
+        ("Tetrahedra", "a.mesh", f"{medit}Tetrahedra\n{MORE}\n1 2 3 4 0\n"),
+        ("POINTS", "a.vtk", f"{vtk}POINTS {MORE} double\n0 0 0\n"),
+        ("CELLS", "a.vtk", f"{vtk}POINTS 1 double\n0 0 0\nCELLS {MORE} {5 * MORE}\n"),
+        ("nodes", "a.ucd.inp", f"{MORE} 1 0 0 0\n1 0 0 0\n"),
+        ("cells", "a.ucd.inp", f"1 {MORE} 0 0 0\n1 0 0 0\n"),
+    ):
+        open = "3" if name in ("NodeData", "ElementData", "real tags") else ""
+        yield Entry(f"count of {name} in {file}", open, file, text.encode)
+
+
+# ---- item 4: files that name another file
+
+
+def other_files() -> Iterator[Entry]:
+    nodes = "*NODE\n1, 0, 0, 0\n2, 1, 0, 0\n3, 0, 1, 0\n4, 0, 0, 1\n"
+    tetrahedron = f"{nodes}*ELEMENT, TYPE=C3D4\n1, 1, 2, 3, 4\n"
+    triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    gltf = (
+        '{"asset":{"version":"2.0"},"buffers":[{"uri":"%s","byteLength":36}],"bufferViews":'
+        '[{"buffer":0,"byteLength":36}],"accessors":[{"bufferView":0,"componentType":5126,"count":3,'
+        '"type":"VEC3"}],"meshes":[{"primitives":[{"attributes":{"POSITION":0}}]}],"nodes":'
+        '[{"mesh":0}],"scenes":[{"nodes":[0]}]}'
+    )
+    vtu = (
+        '<VTKFile type="UnstructuredGrid" xmlns:xi="http://www.w3.org/2001/XInclude">'
+        '<xi:include href="%s" parse="text"/></VTKFile>'
+    )
+    doctype = '<!DOCTYPE octree [<!ENTITY e SYSTEM "%s">]><octree dim="8">&e;</octree>'
+    for name, file, text, open in (
+        ("Abaqus INCLUDE at the end", "a.inp", f"{tetrahedron}*INCLUDE, INPUT={SECRET}\n", "4"),
+        (
+            "Abaqus INCLUDE in small letters",
+            "a.inp",
+            f"{tetrahedron}*include,input={SECRET}\n",
+            "4",
+        ),
+        ("Abaqus INCLUDE of nodes", "a.inp", f"*NODE\n*INCLUDE, INPUT={SECRET}\n", "4"),
+        ("mtllib", "a.obj", f"mtllib {SECRET}\n{triangle}", ""),
+        ("glTF buffer", "a.gltf", gltf % SECRET, ""),
+        ("XInclude", "a.vtu", vtu % SECRET, ""),
+        ("external entity", "a.svo.xml", doctype % SECRET, ""),
+    ):
+        yield Entry(f"another file by {name}", open, file, text.encode)
+
+
+# ---- item 5: little that unpacks to much
+
+
+def bombs() -> Iterator[Entry]:
+    yield Entry("bomb of blocks", "5", "a.vtu", vtu_bomb)
+    yield Entry("bomb of unwritten chunks", "5", "a.exo", exodus_bomb)
+    for file, line in (
+        ("a.obj.gz", b"v 0 0 0\n"),
+        ("a.ply.gz", b"\0" * 8),
+        ("a.svo.xml.gz", b" " * 8),
+    ):
+        part = gzip.compress(line * (1 << 21), mtime=0)
+        yield Entry(
+            f"bomb of gzip in {file}", "5" * (file != "a.svo.xml.gz"), file, lambda p=part: 32 * p
+        )
+
+
+def vtu_bomb() -> bytes:
+    """A .vtu of 0.9 MB whose one array takes 640 MB, and whose points take 24 bytes."""
+    size, blocks = 1 << 25, 20
+    packed = zlib.compress(bytes(size), 9)
+    head = struct.pack(f"<{3 + blocks}I", blocks, size, size, *[len(packed)] * blocks)
+    array = base64.b64encode(head) + base64.b64encode(packed * blocks)
+    opening = (
+        b'<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian" '
+        b'header_type="UInt32" compressor="vtkZLibDataCompressor"><UnstructuredGrid>'
+        b'<Piece NumberOfPoints="1" NumberOfCells="0"><PointData>'
+        b'<DataArray type="Float32" Name="s" format="binary">'
+    )
+    return opening + array + b"</DataArray></PointData></Piece></UnstructuredGrid></VTKFile>"
+
+
+def exodus_bomb() -> bytes:
+    """An Exodus II file of some kB that declares a hundred million points and holds none."""
+    import netCDF4
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.exo"
+        with netCDF4.Dataset(path, "w") as file:
+            file.createDimension("num_nodes", 10**8)
+            for axis in "xyz":
+                file.createVariable(f"coord{axis}", "f8", ("num_nodes",), zlib=True)
+        return path.read_bytes()
+
+
+# ---- item 6: many faces of one kind
+
+
+def obj(points: np.ndarray, faces: np.ndarray) -> bytes:
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in points.tolist()]
+    lines += ["f {} {} {}".format(*face) for face in (faces + 1).tolist()]
+    return "\n".join(lines).encode()
+
+
+def copies() -> bytes:
+    return obj(np.eye(3), np.tile([0, 1, 2], (MANY, 1)))
+
+
+def fan() -> bytes:
+    """Triangles about one vertex, each with two vertices of its own."""
+    angle = np.arange(2 * MANY) * 0.7
+    ring = np.stack([np.cos(angle), np.sin(angle), np.arange(2 * MANY) / MANY], axis=1)
+    corners = np.arange(2 * MANY).reshape(-1, 2) + 1
+    return obj(np.concatenate([np.zeros((1, 3)), ring]), np.insert(corners, 0, 0, axis=1))
+
+
+def loops() -> bytes:
+    """Triangles apart from each other: a loop each."""
+    place = np.arange(MANY)[:, None] * (1.0, 0.37, 0.11) % 7
+    corners = (place[:, None] + 0.05 * np.eye(3)).reshape(-1, 3)
+    return obj(corners, np.arange(3 * MANY).reshape(-1, 3))
+
+
+def collinear() -> bytes:
+    place = np.arange(MANY + 2.0)[:, None] * (1, 1, 1)
+    return obj(place, np.arange(MANY)[:, None] + (0, 1, 2))
+
+
+def repeated_faces() -> Iterator[Entry]:
+    commands = {
+        "voxelize": "voxelize FILE --dim 16 -o out.svo.h5 -q",
+        "adf-build": "adf-build FILE --max-level 3 -o out.adf.h5 -q",
+        "diagnose": "diagnose FILE --dim 16 -q",
+    }
+    for make in (copies, fan, loops, collinear):
+        for name, command in commands.items():
+            quadratic = make is copies or (make is fan and name != "voxelize")
+            open = "6" if quadratic else ""
+            yield Entry(f"{name} of {make.__name__}", open, "faces.obj", make, command)
+
+
+# ---- item 11: numbers and words
+
+
+def numbers_and_words() -> Iterator[Entry]:
+    ball, field, volume = (f"render a.{kind} --size 16 -o out.png" for kind in SCENES)
+    for command in (
+        f"{ball} --eye 1e308,0,0",
+        f"{ball} --orthographic --height 1e-200",
+        f"{field} --offset 1e300",
+        f"{volume} --eye 1e308,0,0",
+        f"{volume} --orthographic --height 1e-200",
+        f"{volume} --orthographic --height 1e300",
+        "adf-build a.obj --tolerance 1e300 -o out.adf.h5",
+    ):
+        quiet = "eye" in command or command.startswith(f"{ball} --ortho")
+        yield Entry(f"numpy warning of {command}", "" if quiet else "11", command=command)
+    deep = f"{volume} --orthographic --opacity-range 1,2 --height"
+    yield Entry("volume at height 1e-10", "", command=f"{deep} 1e-10", has="100 % of pixels hit")
+    yield Entry("volume at height 1e-40", "11", command=f"{deep} 1e-40", has="100 %|too small")
+    yield Entry("hint of render", "", command=f"{ball} --max-memory 1k", has="error", lacks="dim")
+    tiny = b"v 0 0 0\nv 1e-320 0 0\nv 0 1e-320 0\nf 1 2 3\n"
+    huge = b"v -1e308 0 0\nv 1e308 0 0\nv 0 1 0\nf 1 2 3\n"
+    for name, content in {"tiny.obj": tiny, "huge.obj": huge}.items():
+        for command in ("diagnose FILE", "voxelize FILE -o out.svo.h5"):
+            open = "" if name == "tiny.obj" and "voxelize" in command else "11"
+            yield Entry(f"{command} {name}", open, name, lambda c=content: c, command, has=name)
+    for name in ("new\nline.svo.h5", os.fsdecode(b"\xff.svo.h5")):
+        yield Entry(f"name {name!r}", "11", name, lambda: b"\x89HDF\r\n\x1a\n", "svo-info FILE")
+        yield Entry(f"output {name!r}", "11", command=f"voxelize a.obj --dim 16 -o {name}")
+    for name in ("new\nline.obj", os.fsdecode(b"\xff.obj")):
+        yield Entry(f"name {name!r}", "", name, lambda: b"v 0 0 0\nf 1 2 3\n", "diagnose FILE")
+    points = np.array([(np.inf, 0, 0), (-np.inf, np.inf, 0)])
+    csv = "\n".join(",".join(map(str, point)) for point in points.tolist()).encode()
+    query = "adf-query a.adf.h5 FILE --gradient -o - --format csv"
+    yield Entry("gradient at infinity", "11", "far.csv", lambda: csv, query, lacks="nan")
+
+
+# ---- found by this fuzzer
+
+
+def casts() -> Iterator[Entry]:
+    """Numbers whose conversion makes numpy warn: infinite references, signalling NaN."""
+    medit = "MeshVersionFormatted 2\nDimension 3\nVertices\n1\n0 0 0 inf\n"
+    yield Entry("infinite reference", "casts", "a.mesh", medit.encode)
+    file = io.BytesIO()
+    np.save(file, np.full((1, 3), 0x7F800001, "<u4").view("<f4"))
+    yield Entry("signalling NaN", "casts", "a.npy", file.getvalue)

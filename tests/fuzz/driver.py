@@ -1,0 +1,163 @@
+"""Sends numbers to workers, and keeps a small case of each finding."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import shlex
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import voxtool
+
+from . import samples
+from .cases import Case, case_of
+from .judge import Finding
+from .worker import Worker
+
+Items = TypeVar("Items", bound=Sequence[Any])
+
+
+@dataclass
+class Found:
+    """The first case of a finding, made smaller, and how many there were."""
+
+    finding: Finding
+    case: Case
+    count: int = 1
+    path: Path | None = None
+
+
+@dataclass
+class Session:
+    """A run of the fuzzer.
+
+    Attributes
+    ----------
+    folder : of the samples, the workers' files and the saved cases.
+    limit, effort : seconds that a case may take, and that making a case smaller may take.
+    known : says which keys of findings are known; their cases are not made smaller.
+    """
+
+    folder: Path
+    seed: int
+    device: str
+    workers: int = 1
+    limit: float = 20.0
+    effort: float = 30.0
+    known: Callable[[str], bool] = lambda _: False
+    found: dict[str, Found] = field(default_factory=dict)
+    tried: int = 0
+    contents: dict[str, bytes] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.folder = self.folder.resolve()
+        self.folder.mkdir(parents=True, exist_ok=True)
+        samples.write_all(self.folder, voxtool.open_device(self.device))
+        self.contents = samples.read_all(self.folder)
+        self._lock = threading.Lock()
+
+    def run(self, kind: str, start: int, seconds: float, most: int | None = None) -> int:
+        """Try cases from a number on, for so long or so many; the number of the next."""
+        end = time.monotonic() + seconds
+        last = None if most is None else start + most
+        numbers = itertools.count(start)
+        tried: list[int] = []
+
+        def work() -> None:
+            for number in self._numbers(numbers, end, last, worker := self._worker()):
+                findings = worker.ask((kind, number))
+                tried.append(number)
+                for finding in findings:
+                    self.note(finding, kind, number, worker)
+
+        threads = [threading.Thread(target=work) for _ in range(self.workers)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        self.tried += len(tried)
+        return max(tried, default=start - 1) + 1
+
+    def _worker(self) -> Worker:
+        worker = Worker(self.folder, self.seed, self.device, self.limit)
+        worker.start()
+        return worker
+
+    @staticmethod
+    def _numbers(numbers: Any, end: float, last: int | None, worker: Worker) -> Iterator[int]:
+        try:
+            while time.monotonic() < end:
+                number = next(numbers)
+                if last is not None and number >= last:
+                    return
+                yield number
+        finally:
+            worker.stop()
+
+    def note(self, finding: Finding, kind: str, number: int, worker: Worker) -> None:
+        """Count a finding; make the case of a new one smaller, save it and report it."""
+        with self._lock:
+            if finding.key in self.found:
+                self.found[finding.key].count += 1
+                return
+            case = case_of(kind, self.seed, number, self.contents)
+            found = self.found[finding.key] = Found(finding, case)
+        known = self.known(finding.key)
+        if not known:
+            found.case = smaller(case, finding.key, worker, self.effort)
+        found.path = self.save(found, kind)
+        print(
+            f"{'known: ' if known else ''}{finding.key}: {finding.detail}\n    {found.path}",
+            flush=True,
+        )
+
+    def save(self, found: Found, kind: str) -> Path:
+        """Write the case beside a text that says what it does; the path of the text."""
+        case, finding = found.case, found.finding
+        name = re.sub(r"[^\w.-]+", "-", f"{finding.key} {kind} {case.number}")
+        folder = self.folder / "findings"
+        folder.mkdir(exist_ok=True)
+        again = f"--kind {kind} --seed {self.seed} --case {case.number} --device {self.device}"
+        lines = [finding.key, finding.detail, f"python -m tests.fuzz {again}"]
+        if case.words:
+            lines.append(f"voxtool {shlex.join(case.words)}")
+        else:
+            (folder / f"{name}.{case.format}").write_bytes(case.content)
+        path = folder / f"{name}.txt"
+        path.write_text("\n".join(lines) + "\n", errors="backslashreplace")
+        return path
+
+
+def smaller(case: Case, key: str, worker: Worker, seconds: float) -> Case:
+    """A case with fewer words, or a shorter file, that still has the finding."""
+    end = time.monotonic() + seconds
+
+    def fails(changed: Case) -> bool:
+        return any(finding.key == key for finding in worker.ask(changed))
+
+    if case.words:
+        words = shortest(case.words, lambda w: bool(w) and fails(replace(case, words=w)), end)
+        return replace(case, words=words)
+    content = shortest(case.content, lambda c: fails(replace(case, content=c)), end)
+    return replace(case, content=content)
+
+
+def shortest(items: Items, fails: Callable[[Items], bool], end: float) -> Items:
+    """A part of the items that still fails, found by leaving out ever smaller pieces until the time
+    `end` (delta debugging, Zeller and Hildebrandt 2002)."""
+    size = len(items) // 2
+    while size and time.monotonic() < end:
+        before, place = len(items), 0
+        while place < len(items) and time.monotonic() < end:
+            shorter: Any = items[:place] + items[place + size :]  # pyright: ignore
+            if fails(shorter):
+                items = shorter
+            else:
+                place += size
+        size = size // 2 if len(items) == before else min(size, len(items) // 2)
+    return items

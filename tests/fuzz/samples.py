@@ -1,0 +1,136 @@
+"""A small valid file of every format that is read, written by voxtool and by meshio."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import io
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import helpers_tets
+import meshes
+import numpy as np
+
+import voxtool
+from voxtool.files import write_mesh
+
+OCTREES = ("svo.h5", "svo.xml", "svo.xml.gz")
+FIELDS = ("adf.h5",)
+VOLUMES = ("raycast.tet.h5", "projection.tet.h5", "hexahedra.tet.h5")
+MESHES = ("obj", "ply", "stl", "off", "glb", "gltf", "text.ply", "text.stl", "obj.gz", "ply.gz")
+CELLS = ("vtu", "text.vtu", "vtk", "text.vtk", "msh", "text.msh", "old.msh", "mesh", "inp",
+         "ucd.inp", "exo")  # fmt: skip
+POINTS = ("npy", "columns.npy", "npz", "packed.npz", "csv", "xyz", "points.ply", "text.points.ply")
+TRANSFERS = ("json",)
+FORMATS = (*OCTREES, *FIELDS, *VOLUMES, *MESHES, *CELLS, *POINTS, *TRANSFERS)
+# meshio's format and options of each file of volume cells.
+MESHIO: dict[str, tuple[str, dict[str, Any]]] = {
+    "vtu": ("vtu", {}),
+    "text.vtu": ("vtu", {"binary": False}),
+    "vtk": ("vtk", {}),
+    "text.vtk": ("vtk", {"binary": False}),
+    "msh": ("gmsh", {}),
+    "text.msh": ("gmsh", {"binary": False}),
+    "old.msh": ("gmsh22", {"binary": False}),
+    "mesh": ("medit", {}),
+    "inp": ("abaqus", {}),
+    "ucd.inp": ("avsucd", {}),
+    "exo": ("exodus", {}),
+}
+
+
+def write_all(folder: Path, device: Any) -> None:
+    """Write a file of every format, `a.FORMAT`, into the folder."""
+    vertices, faces = meshes.icosphere(1)
+    ball = voxtool.mesh_from_arrays(vertices * (1, 0.8, 0.6), faces)
+    octree = voxtool.voxelize(ball, dim=16, device=device)
+    for kind in OCTREES:
+        voxtool.write_svo(octree, folder / f"a.{kind}")
+    field = voxtool.build_adf(ball, max_level=3, device=device)
+    voxtool.write_adf(field, folder / "a.adf.h5")
+    helpers_tets.write_vtu(folder / "volume.vtu")
+    mesh = voxtool.read_unstructured(folder / "volume.vtu", "density")
+    (folder / "volume.vtu").unlink()
+    points, cells = helpers_tets.lattice((2, 2, 1))
+    box = helpers_tets.unstructured(points, [("hexahedron", cells)], [np.arange(4.0)])
+    for kind in VOLUMES:
+        layout = kind.split(".")[0]
+        volume = voxtool.build_tet(box if layout == "hexahedra" else mesh, layout)
+        voxtool.write_tet(volume, folder / f"a.{kind}")
+    transfer = voxtool.default_transfer(volume)
+    (folder / "a.json").write_text(transfer.to_json())
+    write_meshes(folder, ball)
+    write_cells(folder)
+    write_points(folder, vertices)
+
+
+def write_meshes(folder: Path, ball: Any) -> None:
+    import trimesh
+
+    for kind in ("obj", "ply", "stl", "off", "glb"):
+        write_mesh(ball, folder / f"a.{kind}")
+    same = trimesh.Trimesh(ball.vertices, ball.faces, process=False)
+    for kind, content in {
+        "text.ply": same.export(file_type="ply", encoding="ascii"),
+        "text.stl": same.export(file_type="stl_ascii"),
+        "gltf": embedded(trimesh.Scene(same).export(file_type="gltf")),
+    }.items():
+        (folder / f"a.{kind}").write_bytes(
+            content if isinstance(content, bytes) else content.encode()
+        )
+    for kind in ("obj", "ply"):
+        packed = gzip.compress((folder / f"a.{kind}").read_bytes(), mtime=0)
+        (folder / f"a.{kind}.gz").write_bytes(packed)
+
+
+def embedded(files: dict[str, bytes]) -> str:
+    """A glTF with its buffers inside."""
+    import base64
+
+    tree = json.loads(files["model.gltf"])
+    for buffer in tree["buffers"]:
+        text = base64.b64encode(files[buffer["uri"]]).decode()
+        buffer["uri"] = f"data:application/octet-stream;base64,{text}"
+    return json.dumps(tree)
+
+
+def write_cells(folder: Path) -> None:
+    """Six tetrahedra with one scalar at points and, where the format has it, one at cells."""
+    import meshio
+
+    cube = helpers_tets.cube(6)
+    cells = [("tetra", np.asarray(cube.cells[0][1]))]
+    for kind, (format, options) in MESHIO.items():
+        more: dict[str, Any] = {"point_data": {"s": helpers_tets.linear(cube.points)}}
+        if format in ("medit", "abaqus"):  # have none: a reference, or nothing
+            more = {"cell_data": {"medit:ref": [np.arange(6)]}} if format == "medit" else {}
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            path = folder / f"a.{kind}"
+            meshio.write(path, meshio.Mesh(cube.points, cells, **more), format, **options)
+        if kind.endswith("msh"):  # meshio writes np.float64(1.5), which it cannot read
+            path.write_bytes(re.sub(rb"np\.float64\(([^)]*)\)", rb"\1", path.read_bytes()))
+
+
+def write_points(folder: Path, points: np.ndarray) -> None:
+    np.save(folder / "a.npy", points)
+    np.save(folder / "a.columns.npy", np.asfortranarray(points, np.float32))
+    np.savez(folder / "a.npz", points=points)
+    np.savez_compressed(folder / "a.packed.npz", points=points)
+    rows = [" ".join(map(repr, row)) for row in points.tolist()]
+    (folder / "a.xyz").write_text("# points\n" + "\n".join(rows) + "\n")
+    (folder / "a.csv").write_text("x,y,z\n" + "\n".join(rows).replace(" ", ",") + "\n")
+    head = "ply\nformat {} 1.0\nelement vertex 42\n" + "".join(
+        f"property {{}} {axis}\n" for axis in "xyz"
+    )
+    binary = head.format("binary_little_endian", *["double"] * 3) + "end_header\n"
+    (folder / "a.points.ply").write_bytes(binary.encode() + points.astype("<f8").tobytes())
+    text = head.format("ascii", *["double"] * 3) + "end_header\n" + "\n".join(rows) + "\n"
+    (folder / "a.text.points.ply").write_text(text)
+
+
+def read_all(folder: Path) -> dict[str, bytes]:
+    """The content of each file, by its format."""
+    return {kind: (folder / f"a.{kind}").read_bytes() for kind in FORMATS}

@@ -1,0 +1,61 @@
+"""Every case of the corpus ends with a result or one clear line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from conftest import opened, usable_devices
+
+from . import corpus, samples
+from .worker import Worker
+
+LIMIT = 8.0  # seconds; those that pass take a few at most
+pytestmark = pytest.mark.slow
+
+
+def cases(render: bool) -> list:
+    """The entries that render, or the others; xfail while their item is open."""
+    return [
+        pytest.param(
+            entry,
+            id=ascii(entry.name),
+            marks=[pytest.mark.xfail(strict=True, reason=f"item {entry.open}")] * bool(entry.open),
+        )
+        for entry in corpus.entries()
+        if entry.command.startswith("render") == render
+    ]
+
+
+@contextmanager
+def worker_for(index: int, folder: Path) -> Iterator[Worker]:
+    samples.write_all(folder, opened(index))
+    worker = Worker(folder, 0, str(index), LIMIT)
+    try:
+        yield worker
+    finally:
+        worker.stop()
+
+
+@pytest.fixture(scope="module")
+def one_worker(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Worker]:
+    with worker_for(usable_devices()[0][0], tmp_path_factory.mktemp("one")) as worker:
+        yield worker
+
+
+@pytest.fixture(scope="module")
+def worker(device_index: int, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Worker]:
+    with worker_for(device_index, tmp_path_factory.mktemp("each")) as worker:
+        yield worker
+
+
+@pytest.mark.parametrize("entry", cases(render=False))
+def test_on_one_driver(entry: corpus.Entry, one_worker: Worker) -> None:
+    assert not one_worker.ask(entry.case(one_worker.device))
+
+
+@pytest.mark.parametrize("entry", cases(render=True))
+def test_on_every_driver(entry: corpus.Entry, worker: Worker) -> None:
+    assert not worker.ask(entry.case(worker.device))

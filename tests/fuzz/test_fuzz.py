@@ -1,0 +1,22 @@
+"""Some hundred cases of a fixed seed; `make fuzz` and the CI try others."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from .cases import KINDS
+from .corpus import is_known
+from .driver import Session
+
+CASES = {"files": 300, "arguments": 100}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_nothing_new_is_found(kind: str, device, tmp_path: Path) -> None:
+    session = Session(tmp_path, 1, str(device.info.index), effort=0, known=is_known)
+    assert session.run(kind, 0, seconds=300, most=CASES[kind]) == CASES[kind]
+    new = [found.finding for key, found in session.found.items() if not is_known(key)]
+    assert not new

@@ -1,0 +1,178 @@
+"""What is done with a case: a file is read, and what is accepted is used; or a command runs."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import voxtool
+from voxtool.files.points import read_points
+
+from . import samples
+from .cases import Case
+from .judge import Finding, Tools, memory, place_of, reset_peak, run_command, watched
+
+LEAST_LIMIT = 400 << 20  # bytes that a case may take, whatever its size
+SHARE_OF_COMMANDS = 0.15  # of the files; the others are used by the library
+POINTS = np.array(
+    [(0, 0, 0), (0.1, 0.2, 0.3), (-9, 1e-308, 5), (1e308, 0, 0), (np.inf, 0, 1), (np.nan, 0, 0)]
+)
+# Commands that read a file of each kind, in a folder beside the samples.
+COMMANDS: dict[tuple[str, ...], tuple[str, ...]] = {
+    samples.OCTREES: (
+        "svo-info FILE --json", "svo-info FILE --check", "svo-info FILE --digest",
+        "render FILE --size 16 -o out.png --device DEVICE", "export FILE -o out.png",
+        "extract FILE --check -o out.obj --device DEVICE",
+    ),
+    samples.FIELDS: (
+        "adf-info FILE --json", "adf-query FILE ../../a.csv -o out.csv --device DEVICE",
+        "adf-query FILE --slice z=0 --size 200 -o out.png --device DEVICE",
+    ),
+    samples.VOLUMES: ("render FILE --size 16 --legend -o out.png --device DEVICE",),
+    samples.MESHES: (
+        "voxelize FILE --dim 16 --json -o out.svo.h5 --device DEVICE",
+        "diagnose FILE --dim 16 --json --device DEVICE",
+        "adf-build FILE --max-level 3 -o out.adf.h5 --device DEVICE",
+        "distance FILE --dim 8 -o out.npy --device DEVICE",
+    ),
+    samples.CELLS: ("tet-build FILE --json -o out.tet.h5",),
+    samples.POINTS: ("adf-query ../../a.adf.h5 FILE --gradient -o out.csv --device DEVICE",),
+    samples.TRANSFERS: (
+        "render ../../a.raycast.tet.h5 --transfer FILE --size 16 -o out.png --device DEVICE",
+    ),
+}  # fmt: skip
+
+
+def run(case: Case, tools: Tools) -> list[Finding]:
+    """The findings of a case; its file lies in the current folder."""
+    tools.findings = []
+    what = case.words[0] if case.words else case.format
+    before = {path.name for path in Path().iterdir()}
+    reset_peak()
+    start = memory("VmRSS")
+    if case.words:
+        code = run_command(case, tools, arithmetic=True)
+        fresh = {path.name for path in Path().iterdir()} - before
+        if code not in (0, 1) and fresh:
+            tools.found("a failed command leaves a file", what, sorted(fresh))
+    else:
+        use_file(case, tools)
+    peak = memory("VmHWM") - start
+    if peak > max(LEAST_LIMIT, 3 * len(case.content)):
+        place = place_of(tools.deepest, f".{case.format}" if case.format else what)
+        tools.found("memory", place, f"{peak >> 20} MiB for a file of {len(case.content)} bytes")
+    left = [path.name for path in Path().iterdir() if path.name.endswith(".tmp")]
+    if left:
+        tools.found("temporary file left", what, left)
+    return tools.findings
+
+
+def use_file(case: Case, tools: Tools) -> None:
+    rng = case.rng
+    if rng.random() < SHARE_OF_COMMANDS:
+        line = rng.choice(next(lines for kinds, lines in COMMANDS.items() if case.format in kinds))
+        given = {"FILE": f"./{case.name}", "DEVICE": tools.device_name}
+        words = tuple(given.get(word, word) for word in line.split())
+        run_command(Case(case.number, words=words), tools)
+        return
+    read, uses = next(way for kinds, way in WAYS.items() if case.format in kinds)
+    with watched(tools, f"reading .{case.format}", names=Path(case.name)) as done:
+        done.append(read(case.name))
+    if done:
+        for use in rng.sample(uses, min(2, len(uses))):
+            with watched(tools, f"use of .{case.format}"):
+                use(done[0], tools, rng)
+
+
+# ---- what is done with each kind of content
+
+
+def use_octree(octree: Any, tools: Tools, rng: random.Random) -> None:
+    octree.validate()
+    octree.digest(), octree.summary()
+    style = rng.choice(("marching-cubes", "voxel-faces", "surface-nets", None, None))
+    if style:
+        voxtool.extract(octree, style=style, device=tools.device)
+    else:
+        voxtool.render(octree, size=(16, 16), device=tools.device)
+
+
+def use_field(field: Any, tools: Tools, rng: random.Random) -> None:
+    field.validate()
+    field.digest(), field.summary()
+    if rng.random() < 0.5:
+        voxtool.render(field, size=(16, 16), device=tools.device)
+    else:
+        options = {name: rng.random() < 0.5 for name in ("gradient", "bounds", "cell")}
+        voxtool.query_adf(field, POINTS, device=tools.device, **options)
+
+
+def use_volume(volume: Any, tools: Tools, rng: random.Random) -> None:
+    volume.validate()
+    volume.digest()
+    method = rng.choice(("raycast", "projection", None))
+    more = {"method": method} if method else {"integrator": "preintegrated"}
+    voxtool.render(volume, size=(16, 16), device=tools.device, **more)
+
+
+def voxelize(mesh: Any, tools: Tools, rng: random.Random) -> None:
+    mode = rng.choice(("solid", "solid", "surface26", "surface6"))
+    fill = rng.choice(("auto", "parity", "nonzero", "winding", "flood"))
+    voxtool.voxelize(mesh, None, mode, dim=16, fill=fill, device=tools.device).validate()
+
+
+def measure(mesh: Any, tools: Tools, rng: random.Random) -> None:
+    if rng.random() < 0.5:
+        voxtool.diagnose(mesh, dim=16, device=tools.device)
+    else:
+        voxtool.distance(mesh, POINTS[:3], gradient=True, device=tools.device)
+
+
+def build_field(mesh: Any, tools: Tools, rng: random.Random) -> None:
+    voxtool.build_adf(mesh, max_level=3, device=tools.device).validate()
+
+
+def write_mesh(mesh: Any, tools: Tools, rng: random.Random) -> None:
+    voxtool.write_mesh(mesh, f"out.{rng.choice(('obj', 'ply', 'stl', 'glb', 'off'))}")
+
+
+def build_volume(mesh: Any, tools: Tools, rng: random.Random) -> None:
+    layout = rng.choice(("raycast", "projection", "hexahedra"))
+    use_volume(voxtool.build_tet(mesh, layout), tools, rng)
+
+
+def query(points: np.ndarray, tools: Tools, rng: random.Random) -> None:
+    if rng.random() < 0.5:
+        voxtool.query_adf(tools.distances, points, gradient=True, bounds=True, device=tools.device)
+    else:
+        voxtool.distance(tools.mesh, points, gradient=True, device=tools.device)
+
+
+def render_through(transfer: Any, tools: Tools, rng: random.Random) -> None:
+    more = {"transfer": transfer, "method": rng.choice(("raycast", "projection"))}
+    voxtool.render(tools.volume, size=(16, 16), device=tools.device, **more)
+
+
+def read_cells(name: str) -> Any:
+    scalar = {"mesh": "medit:ref", "inp": None}.get(name.partition(".")[2], "s")
+    return voxtool.read_unstructured(name, scalar)
+
+
+def read_all_points(name: str) -> np.ndarray:
+    return np.concatenate([np.empty((0, 3)), *read_points(name)])
+
+
+Use = Callable[[Any, Tools, random.Random], None]
+WAYS: dict[tuple[str, ...], tuple[Callable[[str], Any], list[Use]]] = {
+    samples.OCTREES: (voxtool.read_svo, [use_octree]),
+    samples.FIELDS: (voxtool.read_adf, [use_field]),
+    samples.VOLUMES: (voxtool.read_tet, [use_volume]),
+    samples.MESHES: (voxtool.load_mesh, [voxelize, measure, build_field, write_mesh]),
+    samples.CELLS: (read_cells, [build_volume]),
+    samples.POINTS: (read_all_points, [query]),
+    samples.TRANSFERS: (voxtool.read_transfer, [render_through]),
+}
