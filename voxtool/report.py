@@ -43,6 +43,9 @@ STAGES = ("topology", "self-intersections", "nesting", *RULES)
 FLAT = 1e-12  # a shell is flat if its volume is less than this times its longest side cubed
 FEW = 10  # if winding sets this many times fewer voxels than flood, faces define no inside
 LISTED = 1000  # faces, edges or rows in a list
+REMOVE_INSIDE = "remove the faces inside, or fill by winding"
+UNITE = "unite the parts, or fill by winding or nonzero"
+REVERSE_CAVITIES = "reverse the faces of cavities, or fill by winding"
 JSON_NAMES = {"self_intersecting_faces": "crossed_faces", "hint": "mend"}  # since version 0.1
 
 
@@ -127,10 +130,7 @@ class Report:
         found = {JSON_NAMES.get(f.name, f.name): getattr(self, f.name) for f in fields(self)}
         del found["boundary"]
         found["diagnosis"] = self.diagnosis.as_dict()
-        found["faults"] = [
-            {JSON_NAMES.get(name, name): text for name, text in fault._asdict().items()}
-            for fault in self.faults
-        ]
+        found["faults"] = [{"what": what, JSON_NAMES["hint"]: hint} for what, hint in self.faults]
         return found
 
     def text(self) -> str:
@@ -206,19 +206,26 @@ def _self_intersecting(
     return intersecting
 
 
+def _rows(**columns: np.ndarray) -> list[dict[str, Any]]:
+    """Return a dict for each row of columns of equal length, in JSON types."""
+    values = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in values]
+
+
 def _loop_rows(loops: Loops) -> list[dict[str, Any]]:
-    middles, extents = loops.low + (loops.high - loops.low) / 2, loops.high - loops.low
-    columns = loops.sizes, loops.lengths, middles, extents, loops.closed
-    names = "edges", "length", "centre", "size", "closed"
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    return [dict(zip(names, row, strict=True)) for row in rows]
+    size = loops.high - loops.low
+    return _rows(
+        edges=loops.sizes,
+        length=loops.lengths,
+        centre=loops.low + size / 2,
+        size=size,
+        closed=loops.closed,
+    )
 
 
 def _crowded_rows(mesh: Mesh, topology: Topology) -> list[dict[str, Any]]:
     edges, faces = crowded_edges(mesh, topology)
-    ends = mesh.vertices[edges[:LISTED]].tolist()
-    counts = faces[:LISTED].tolist()
-    return [{"faces": n, "ends": pair} for n, pair in zip(counts, ends, strict=True)]
+    return _rows(faces=faces[:LISTED], ends=mesh.vertices[edges[:LISTED]])
 
 
 def _listed_faces(mesh: Mesh, chosen: np.ndarray) -> dict[str, Any]:
@@ -233,19 +240,17 @@ def _shell_rows(
 ) -> list[dict[str, Any]]:
     shells = find_shells(mesh, topology, loops)
     nesting = nest(mesh, shells, device)
-    columns = {
-        "faces": shells.faces,
-        "closed": shells.closed,
-        "consistent": shells.consistent,
-        "volume": shells.volumes,
-        "loops": shells.loops,
-        "low": shells.low,
-        "high": shells.high,
-        "parent": nesting.parents,
-        "depth": nesting.depths,
-    }
-    values = zip(*(column.tolist() for column in columns.values()), strict=True)
-    rows = [dict(zip(columns, row, strict=True)) for row in values]
+    rows = _rows(
+        faces=shells.faces,
+        closed=shells.closed,
+        consistent=shells.consistent,
+        volume=shells.volumes,
+        loops=shells.loops,
+        low=shells.low,
+        high=shells.high,
+        parent=nesting.parents,
+        depth=nesting.depths,
+    )
     for row in rows:
         row["volume"] = row["volume"] if row["volume"] == row["volume"] else None  # NaN
         row["parent"] = row["parent"] if row["parent"] >= 0 else None
@@ -362,25 +367,17 @@ def _faults(found: dict[str, Any]) -> Iterator[Fault]:
     holes = "close the holes, or fill by winding"
     if found["t_junctions"]:
         holes = "no holes: edges end within others (T-junctions)"
+    crowded = found["diagnosis"].nonmanifold_edges
     for count, noun, more, hint in (
         (len(found["loops"]), "boundary loop", "", holes),
-        (
-            found["diagnosis"].nonmanifold_edges, "edge", " of more than two faces",
-            "remove the faces inside, or fill by winding",
-        ),
+        (crowded, "edge", " of more than two faces", REMOVE_INSIDE),
         (flipped, "face", " flipped", "reverse them, or fill by flood"),
         (patches["one_sided"], "patch", " with one side only", "voxelize it as a surface"),
         (repeated, "duplicate face", "", "remove them"),
         (flat, "degenerate face", "", "remove them, or keep them: voxels do not depend on them"),
-        (
-            intersecting, "self-intersecting face", "",
-            "unite the parts, or fill by winding or nonzero",
-        ),
+        (intersecting, "self-intersecting face", "", UNITE),
         (roles.count("inside out"), "shell", " inside out", "reverse its faces"),
-        (
-            roles.count("nested alike"), "shell", " wound like the one around it",
-            "reverse the faces of cavities, or fill by winding",
-        ),
-    ):  # fmt: skip
+        (roles.count("nested alike"), "shell", " wound like the one around it", REVERSE_CAVITIES),
+    ):
         if count:
             yield Fault(f"{counted(count, noun)}{more}", hint)
