@@ -7,11 +7,12 @@ the strategies draw vertices in these units.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from hypothesis import strategies as st
 
+import voxtool
 from voxtool.selftest.shapes import (
     BOX_FACES,
     OCTAHEDRON_FACES,
@@ -26,6 +27,13 @@ if TYPE_CHECKING:
     Mesh = tuple[np.ndarray, np.ndarray]
 
 UNIT = 256  # a voxel
+
+
+def mesh_of(vertices: Any, faces: Any = None, name: str = "") -> voxtool.Mesh:
+    """Return a Mesh, unchecked; without faces, of three vertices after the other."""
+    vertices = np.ascontiguousarray(vertices, np.float64).reshape(-1, 3)
+    faces = np.arange(len(vertices)) if faces is None else faces
+    return voxtool.Mesh(vertices, np.array(faces, np.int32).reshape(-1, 3), name=name)
 
 
 def fixed(vertices: np.ndarray) -> np.ndarray:

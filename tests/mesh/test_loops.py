@@ -12,17 +12,12 @@ import pytest
 from conftest import model
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from meshes import mesh_of
 
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.loops import Loops, find_loops, tubes
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_surface, topology_of, volume
-
-MOEBIUS = [(i, (i + 1) % 5, (i + 2) % 5) for i in range(5)]  # five vertices, five triangles
-
-
-def mesh_of(vertices, faces) -> Mesh:
-    return Mesh(np.asarray(vertices, np.float64), np.asarray(faces).astype(np.int32))
 
 
 def points(n: int) -> np.ndarray:
@@ -103,12 +98,6 @@ def test_the_longest_loop_is_first() -> None:
     side = 2 * math.sin(math.pi / n)
     assert loops.lengths == pytest.approx([3 * n * side, n * side])
     assert loops.low[:, 2].tolist() == [5, 0]
-
-
-def test_moebius_band_has_one_loop() -> None:
-    loops = loops_of(mesh_of(points(5), MOEBIUS))
-    assert loops.sizes.tolist() == [5]
-    assert loops.closed.all()
 
 
 def test_seams_are_no_boundary() -> None:

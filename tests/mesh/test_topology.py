@@ -61,18 +61,57 @@ def check(mesh: Mesh, weld: bool = True, **expected) -> SurfaceCheck:
 # Manifolds
 
 
-def test_cube() -> None:
-    assert check(mesh_of(CUBE), genus=0, euler=2).summary() == (
+OPEN = {"watertight": False, "genus": None}
+BAD = OPEN | {"manifold": False}
+FAN = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]]
+MOEBIUS = [(i, (i + 1) % 5, (i + 2) % 5) for i in range(5)]  # five vertices, five triangles
+POINTS, SOLID = meshes.tetrahedron()
+
+
+@pytest.mark.parametrize(
+    ("pair", "expected"),
+    [
+        (CUBE, {"genus": 0, "euler": 2}),
+        (TORUS, {"genus": 1, "euler": 0}),
+        (meshes.join(TORUS, (TORUS[0] + 9, TORUS[1]), CUBE), {"genus": 2, "shells": 3, "euler": 2}),
+        (meshes.open_box(0, 1), OPEN | {"boundary_edges": 4, "euler": 1}),
+        (  # a bow tie: two open fans at a vertex
+            (FAN, [[0, 1, 2], [0, 3, 4]]),
+            BAD | {"boundary_edges": 6, "nonmanifold_vertices": 1, "shells": 2},
+        ),
+        ((FAN, [[0, 1, 2], [0, 2, 3], [0, 3, 4]]), OPEN | {"boundary_edges": 5}),
+        ((FAN, [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]]), OPEN | {"boundary_edges": 4}),
+        ((POINTS, [*SOLID[:3], SOLID[3, ::-1]]), BAD | {"inconsistent_edges": 3}),
+        (
+            (POINTS, [*SOLID, SOLID[0]]),
+            BAD
+            | {"duplicate_faces": 1, "nonmanifold_edges": 3, "nonmanifold_vertices": 3}
+            | {"closed": False},
+        ),
+        # a pillow of two faces bounds nothing, but each vertex has a closed fan
+        (
+            (POINTS, [[0, 1, 2], [2, 1, 0]]),
+            {"manifold": False, "duplicate_faces": 1, "genus": None},
+        ),
+        (
+            (np.random.default_rng(1).random((5, 3)), MOEBIUS),
+            BAD | {"boundary_edges": 5, "euler": 0, "inconsistent_edges": 5},
+        ),
+        ((CUBE[0], [*CUBE[1], [0, 0, 1], [2, 2, 2]]), {"genus": 0, "degenerate_faces": 2}),
+    ],
+)
+def test_shapes(pair: tuple, expected: dict) -> None:
+    check(mesh_of(pair), **expected)
+
+
+def test_summaries() -> None:
+    assert check(mesh_of(CUBE)).summary() == (
         "closed: 0 boundary edges, 0 non-manifold edges, 0 inconsistent edges, 0 duplicate faces, "
         "0 degenerate faces, 1 shell, Euler characteristic 2, 0 non-manifold vertices, genus 0"
     )
-    check(mesh_of(CUBE), weld=False, genus=0, euler=2)
-
-
-def test_genus() -> None:
-    check(mesh_of(TORUS), genus=1, euler=0)
-    far = (TORUS[0] + 9, TORUS[1])
-    check(mesh_of(meshes.join(TORUS, far, CUBE)), genus=2, shells=3, euler=2)
+    found = check_surface(mesh_of(meshes.open_box(0, 1))).summary()
+    assert found.startswith("not closed: 4 boundary edges, ")
+    assert found.endswith(", 0 non-manifold vertices")
 
 
 def test_a_soup_is_a_manifold_by_positions_alone() -> None:
@@ -111,64 +150,6 @@ def test_a_shell_that_meets_itself_in_a_vertex() -> None:
     vertices[3] = vertices[3 + 4 * 6]  # across the hole
     check(mesh_of((vertices, faces)), manifold=False, nonmanifold_vertices=1, genus=None, euler=-1)
     check(mesh_of((vertices, faces)), weld=False, genus=1)
-
-
-def test_open_box() -> None:
-    found = check(
-        mesh_of(meshes.open_box(0, 1)), watertight=False, boundary_edges=4, manifold=True,
-        genus=None, euler=1,
-    )  # fmt: skip
-    assert found.summary().endswith(", 0 non-manifold vertices")
-
-
-def test_two_open_fans_at_a_vertex() -> None:
-    points = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]]
-    bow_tie = mesh_of((points, [[0, 1, 2], [0, 3, 4]]))
-    check(
-        bow_tie, watertight=False, manifold=False, boundary_edges=6, nonmanifold_vertices=1,
-        shells=2,
-    )  # fmt: skip
-    one_fan = mesh_of((points, [[0, 1, 2], [0, 2, 3], [0, 3, 4]]))
-    check(one_fan, watertight=False, boundary_edges=5)
-    around = mesh_of((points, [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]]))
-    check(around, watertight=False, boundary_edges=4)
-
-
-def test_flipped_face() -> None:
-    vertices, faces = meshes.tetrahedron()
-    faces[2] = faces[2, ::-1]
-    check(
-        mesh_of((vertices, faces)), watertight=False, manifold=False, inconsistent_edges=3,
-        genus=None,
-    )  # fmt: skip
-
-
-def test_duplicated_face() -> None:
-    vertices, faces = meshes.tetrahedron()
-    found = check(
-        mesh_of((vertices, [*faces, faces[0]])), watertight=False, manifold=False,
-        duplicate_faces=1, nonmanifold_edges=3, nonmanifold_vertices=3, genus=None,
-    )  # fmt: skip
-    assert not found.closed
-    # a pillow of two faces bounds nothing, but each vertex has a closed fan
-    pillow = mesh_of((vertices, [[0, 1, 2], [2, 1, 0]]))
-    check(pillow, manifold=False, duplicate_faces=1, genus=None)
-
-
-def test_moebius_strip() -> None:
-    rim = [(i, (i + 1) % 5, (i + 2) % 5) for i in range(5)]  # five vertices, five triangles
-    strip = (np.random.default_rng(1).random((5, 3)), rim)
-    found = check(
-        mesh_of(strip), watertight=False, manifold=False, boundary_edges=5, genus=None, euler=0,
-        inconsistent_edges=5,
-    )  # fmt: skip
-    assert found.nonmanifold_vertices == 0
-    assert not closed_chain(mesh_of(strip))
-
-
-def test_faces_that_bound_nothing_are_left_out() -> None:
-    vertices, faces = CUBE
-    check(mesh_of((vertices, [*faces, [0, 0, 1], [2, 2, 2]])), genus=0, degenerate_faces=2)
 
 
 def test_no_faces() -> None:
@@ -243,15 +224,10 @@ def test_a_check_holds_the_diagnosis() -> None:
 def test_volume_of_solids() -> None:
     assert volume(mesh_of(CUBE)) == 8
     assert volume(mesh_of((CUBE[0], CUBE[1][:, ::-1]))) == -8
-    assert volume(mesh_of(meshes.tetrahedron())) == pytest.approx(64 / 6, rel=1e-15)
+    assert volume(mesh_of((CUBE[0] + 2.0**40, CUBE[1]))) == 8
+    assert volume(mesh_of((CUBE[0] * 1e-6, CUBE[1]))) == pytest.approx(8e-18, rel=1e-14)
     vertices, faces = meshes.torus(sides=(200, 200))
     assert volume(mesh_of((vertices, faces))) == pytest.approx(4 * math.pi**2, rel=1e-3)
-
-
-def test_volume_far_from_the_origin() -> None:
-    far = mesh_of((CUBE[0] + 2.0**40, CUBE[1]))
-    assert volume(far) == 8
-    assert volume(mesh_of((CUBE[0] * 1e-6, CUBE[1]))) == pytest.approx(8e-18, rel=1e-14)
 
 
 def test_volume_does_not_see_the_order_of_faces() -> None:
@@ -329,14 +305,9 @@ def test_edges_of_many_faces_cancel_by_direction() -> None:
 
 def test_junctions_off_the_axes_are_open() -> None:
     """Exact on any line, but only lines along the axes are looked at."""
-    vertices, faces = meshes.tetrahedron()
-    vertices = np.vstack([vertices, (vertices[1] + vertices[2]) / 2])
-    split = [f for f in faces.tolist() if not {1, 2} <= set(f)]
-    halved = next(f for f in faces.tolist() if {1, 2} <= set(f))
-    k = next(i for i in range(3) if {halved[i], halved[(i + 1) % 3]} == {1, 2})
-    a, b, c = halved[k], halved[(k + 1) % 3], halved[(k + 2) % 3]
-    other = next(f for f in faces.tolist() if {1, 2} <= set(f) and f != halved)
-    assert not closed_chain(mesh_of((vertices, [*split, other, [a, 4, c], [4, b, c]])))
+    sides = [np.array(side, float) @ [[1, 1, 0], [-1, 1, 0], [0, 0, 1]] for side in t_cube()]
+    assert check_surface(quads(*sides)).boundary_edges == 6
+    assert not closed_chain(quads(*sides))
 
 
 def chain_by_hand(mesh: Mesh) -> bool:
