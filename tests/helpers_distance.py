@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from voxtool.mesh.mesh import Mesh
 from voxtool.selftest.oracles import distances as exact
 
-__all__ = ["brute", "exact"]
+__all__ = ["around", "brute", "exact"]
 
 
 def brute(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -26,3 +27,14 @@ def brute(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     plane = ((p - a) * normal).sum(-1) ** 2 / np.where(nn > 0, nn, 1)
     least = np.where(inside, np.minimum(least, plane), least)
     return np.sqrt(least.min(axis=1)).astype(np.float64)
+
+
+def around(mesh: Mesh, rng: np.random.Generator, n: int, spread: float = 0.1) -> np.ndarray:
+    """n points on faces, edges and vertices, and as many around them."""
+    corners = mesh.vertices[mesh.faces[rng.integers(0, len(mesh.faces), n)]]
+    weights = rng.uniform(size=(n, 3)) * rng.integers(0, 2, (n, 3))
+    weights[weights.sum(axis=1) == 0, 0] = 1
+    weights /= weights.sum(axis=1, keepdims=True)
+    on = (weights[:, :, None] * corners).sum(axis=1)
+    size = np.ptp(mesh.bounds, axis=0).max()
+    return np.concatenate([on, on + spread * size * rng.normal(size=(n, 3))])

@@ -10,9 +10,10 @@ import meshes
 import numpy as np
 import pytest
 from conftest import model, opened, usable_devices
-from helpers_distance import brute, exact
+from helpers_distance import around, brute, exact
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from meshes import mesh_of
 
 from voxtool.errors import DeviceError, MeshError, VoxtoolError
 from voxtool.files.mesh import load_mesh
@@ -27,12 +28,6 @@ EXACT = 1e-15  # error, of the mesh's extent or of the distance, whichever is la
 SHAPE = (8, 8, 8)
 
 
-def mesh_of(vertices, faces=None) -> Mesh:
-    vertices = np.ascontiguousarray(vertices, np.float64).reshape(-1, 3)
-    faces = np.arange(len(vertices)).reshape(-1, 3) if faces is None else faces
-    return Mesh(vertices, np.ascontiguousarray(faces, np.int32))
-
-
 def check(mesh: Mesh, points: np.ndarray, device: Device, oracle=exact) -> np.ndarray:
     found = TriangleDistance(mesh, device)(points)
     expected = oracle(points, mesh.vertices[mesh.faces])
@@ -41,17 +36,6 @@ def check(mesh: Mesh, points: np.ndarray, device: Device, oracle=exact) -> np.nd
     assert found.dtype == np.float64
     assert (np.abs(found - expected) <= allowed).all()
     return found
-
-
-def around(mesh: Mesh, rng: np.random.Generator, n: int, spread: float = 0.1) -> np.ndarray:
-    """n points on faces, edges and vertices, and as many around them."""
-    corners = mesh.vertices[mesh.faces[rng.integers(0, len(mesh.faces), n)]]
-    weights = rng.uniform(size=(n, 3)) * rng.integers(0, 2, (n, 3))
-    weights[weights.sum(axis=1) == 0, 0] = 1
-    weights /= weights.sum(axis=1, keepdims=True)
-    on = (weights[:, :, None] * corners).sum(axis=1)
-    size = np.ptp(mesh.bounds, axis=0).max()
-    return np.concatenate([on, on + spread * size * rng.normal(size=(n, 3))])
 
 
 # ---- against the oracles
@@ -118,21 +102,15 @@ def test_any_number_of_triangles(device: Device, count: int) -> None:
     check(mesh, around(mesh, rng, 50), device, brute)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_equal_triangles(device: Device, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    triangle = rng.uniform(-1, 1, (3, 3))
-    many, one = mesh_of(np.tile(triangle, (1000, 1))), mesh_of(triangle)
-    points = around(one, rng, 100)
-    assert np.array_equal(check(one, points, device), TriangleDistance(many, device)(points))
-
-
-def test_10_000_equal_centroids(device: Device) -> None:
+def test_equal_centroids_and_triangles(device: Device) -> None:
     rng = np.random.default_rng(1)
     half = rng.integers(1, 1 << 20, (10_000, 3))
     corners = np.stack([half, -half, 0 * half], axis=1)
     mesh = mesh_of(corners / (1 << 20))
     check(mesh, rng.uniform(-1, 1, (60, 3)), device, brute)
+    many, one = mesh_of(np.tile(corners[0], (1000, 1))), mesh_of(corners[0])
+    points = around(one, rng, 100)
+    assert np.array_equal(check(one, points, device), TriangleDistance(many, device)(points))
 
 
 @pytest.mark.parametrize("exponent", [-490, -40, 0, 40, 490])
@@ -174,15 +152,6 @@ def test_a_box(device: Device) -> None:
     measure = TriangleDistance(mesh_of(*meshes.box((0, 0, 0), (4, 6, 8))), device)
     points = [(2, 3, 4), (1, 3, 4), (2, 3, 11), (7, 10, 4), (6, 9, 14), (0, 0, 0), (4, 2, 7)]
     assert np.abs(measure(points) - [2, 1, 3, 5, 7, 0, 0]).max() < 8 * EXACT
-
-
-def test_a_sphere(device: Device) -> None:
-    mesh = mesh_of(*meshes.icosphere(4))
-    rng = np.random.default_rng(7)
-    points = rng.normal(size=(2000, 3))
-    radius = np.sqrt((points**2).sum(axis=1))
-    found = TriangleDistance(mesh, device)(points)
-    assert (np.abs(found - np.abs(radius - 1)) < 0.0015).all()  # of which faces are within
 
 
 # ---- what changes nothing
@@ -284,10 +253,6 @@ __kernel void places(__global const uint *cells, __global uint *out) {{
 # ---- what is refused
 
 
-def test_no_points_is_no_distances(device: Device) -> None:
-    assert TriangleDistance(mesh_of(*meshes.box(0, 1)), device)(np.empty((0, 3))).shape == (0,)
-
-
 @pytest.mark.parametrize(
     ("points", "message"),
     [
@@ -311,7 +276,8 @@ def test_an_extent_whose_square_has_no_number(device: Device, scale: float) -> N
         TriangleDistance(mesh_of(vertices * scale, faces), device)
 
 
-def test_no_faces(device: Device) -> None:
+def test_no_points_and_no_faces(device: Device) -> None:
+    assert TriangleDistance(mesh_of(*meshes.box(0, 1)), device)(np.empty((0, 3))).shape == (0,)
     with pytest.raises(MeshError, match="no faces"):
         TriangleDistance(mesh_of(np.zeros((3, 3)), np.empty((0, 3))), device)
 
