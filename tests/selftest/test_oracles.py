@@ -16,6 +16,8 @@ from oracles import (
     to_dense,
 )
 
+from voxtool.selftest import shapes
+
 SHAPE = (8, 8, 8)
 
 
@@ -82,8 +84,7 @@ def test_segment_along_lattice_edges(axis):
 def test_diagonal_through_lattice_corners():
     """A segment along x = y = z meets the cubes of its diagonal and their neighbours at corners."""
     triangle = meshes.fixed([(1, 1, 1), (3, 3, 3), (3, 3, 3)])[None]
-    corners = [cells(*[(c - 1, c)] * 3) for c in (1, 2, 3)]
-    assert surface26(triangle, SHAPE) == set.union(*corners)
+    assert surface26(triangle, SHAPE) == set.union(*(cells(*[(c - 1, c)] * 3) for c in (1, 2, 3)))
 
 
 def test_a_hair_is_enough():
@@ -101,31 +102,25 @@ def test_a_hair_is_enough():
 
 
 @pytest.mark.parametrize("order", list(permutations(range(3))))
-def test_closed_cube(order):
-    """64 voxels, whatever the order of the axes and the winding of the faces."""
-    vertices, faces = meshes.box(2, 6)
-    expected = cells(*[range(2, 6)] * 3)
-    triangles = meshes.fixed(vertices[:, order])[faces]
-    for turned in (triangles, triangles[:, ::-1], np.roll(triangles, 1, axis=1)):
-        assert solid(turned, SHAPE) == expected
-    mixed = triangles.copy()
-    mixed[::3] = mixed[::3, ::-1]
-    assert solid(mixed, SHAPE) == expected
-
-
 @pytest.mark.parametrize(
     ("low", "high", "expected"),
     [
-        (2.5, 6.5, cells(*[range(2, 6)] * 3)),  # a centre on the low side is in, on the high out
-        (2.50390625, 6.50390625, cells(*[range(3, 7)] * 3)),
-        (-5, 3, cells(*[range(3)] * 3)),  # crossings before the grid count
-        (-100, 100, cells(*[range(8)] * 3)),
-        (9, 12, set()),
+        (2, 6, range(2, 6)),
+        (2.5, 6.5, range(2, 6)),  # a centre on the low side is in, on the high out
+        (2.50390625, 6.50390625, range(3, 7)),
+        (-5, 3, range(3)),  # crossings before the grid count
+        (-100, 100, range(8)),
+        (9, 12, range(0)),
     ],
 )
-def test_solid_box(low, high, expected):
+def test_solid_box(order, low, high, expected):
+    """The same voxels for any order of the axes and any winding of the faces."""
     vertices, faces = meshes.box(low, high)
-    assert solid(meshes.fixed(vertices)[faces], SHAPE) == expected
+    triangles = meshes.fixed(vertices[:, order])[faces]
+    mixed = triangles.copy()
+    mixed[::3] = mixed[::3, ::-1]
+    for turned in (triangles, triangles[:, ::-1], np.roll(triangles, 1, axis=1), mixed):
+        assert solid(turned, SHAPE) == cells(*[expected] * 3)
 
 
 @pytest.mark.parametrize(("missing", "columns"), [(0, range(6, 8)), (1, range(2, 8))])
@@ -167,25 +162,18 @@ def test_active_nodes(x, surface_nodes, solid_nodes):
     assert active_nodes(across, (8, 9, 8), True) == expected
 
 
-def test_octree_of_a_full_block():
-    """16 x 16 x 16 of 32: one leaf of level 2 inside, its seven sisters outside."""
+def test_octree_nodes_of_the_contract():
+    # 16 x 16 x 16 of 32: one leaf of level 2 inside, its seven sisters outside
     nodes = expected_octree_nodes(set(), to_dense(cells(*[range(16)] * 3), (32, 32, 32)))
     assert nodes.refined == {1: set(), 2: set(), 3: {(0, 0, 0)}}
     assert nodes.inside == {1: set(), 2: {(0, 0, 0)}, 3: set()}
-
-
-def test_octree_of_an_active_node():
-    """An active node is refined though it be full, and so are those above it."""
-    full = np.ones((32, 32, 32), bool)
-    nodes = expected_octree_nodes({(3, 0, 2)}, full)
+    # an active node is refined although it is full, and so are those above it
+    nodes = expected_octree_nodes({(3, 0, 2)}, np.ones((32, 32, 32), bool))
     assert nodes.refined == {1: {(3, 0, 2)}, 2: {(1, 0, 1)}, 3: {(0, 0, 0)}}
     assert nodes.inside[1] == cells((2, 3), (0, 1), (2, 3)) - {(3, 0, 2)}
     assert nodes.inside[2] == cells(*[(0, 1)] * 3) - {(1, 0, 1)}
     assert nodes.inside[3] == set()
-
-
-def test_octree_of_a_mixed_node_and_padding():
-    """Beyond the grid's shape nothing is set, so a full grid that is no power of two is mixed."""
+    # beyond the grid's shape no voxel is set, so a full grid that is no power of two is mixed
     nodes = expected_octree_nodes(set(), np.ones((9, 8, 8), bool))
     assert nodes.refined == {1: {(1, 0, 0)}, 2: {(0, 0, 0)}}
     assert nodes.inside == {1: {(0, 0, 0)}, 2: set()}
@@ -255,7 +243,7 @@ def test_solid_of_a_closed_mesh(mesh):
 @settings(deadline=None, max_examples=40)
 @given(meshes.closed_meshes((16, 16, 8)))
 def test_nodes_of_a_closed_mesh(mesh):
-    """Where no triangle touches, a node is all in or all out."""
+    """A node that no triangle touches is all in or all out."""
     triangles, shape = mesh[0][mesh[1]], (16, 16, 8)
     nodes = active_nodes(triangles, shape, True)
     assert active_nodes(triangles, shape, False) <= nodes
@@ -274,6 +262,7 @@ def test_nodes_of_a_closed_mesh(mesh):
         (meshes.subdivide(meshes.box(0, 4)), 2),
         (meshes.icosphere(3, (1, 2, 3), 2.0), 2),
         (meshes.torus((4, 4, 4), 2.0, 1.0), 0),
+        *((shapes.ball(level), 2) for level in (0, 1, 3)),
     ],
 )
 def test_makers_make_closed_outward_meshes(mesh, euler):

@@ -53,23 +53,17 @@ class Runs:
         many = len(found) >= MOST_RUNS or sum(found) >= self.seconds
         return len(found) >= self.repeat and many
 
-    def times(self, work: Callable[[], object]) -> list[float]:
-        """Seconds of each run."""
-        found: list[float] = []
-        while not self.enough(found):
-            found += times(work, 1)
+    def by_turns(self, *works: Callable[[], object]) -> list[list[float]]:
+        """Seconds of each run of each work, in turns, so that other load slows all of them."""
+        found: list[list[float]] = [[] for _ in works]
+        while not self.enough(found[0]):
+            for seconds, work in zip(found, works, strict=True):
+                seconds += times(work, 1)
         return found
 
-    def by_turns(
-        self, one: Callable[[], object], other: Callable[[], object]
-    ) -> tuple[list[float], list[float]]:
-        """Seconds of each run of two works, in turns, so that other load slows both."""
-        found: list[float] = []
-        others: list[float] = []
-        while not self.enough(found):
-            found += times(one, 1)
-            others += times(other, 1)
-        return found, others
+    def times(self, work: Callable[[], object]) -> list[float]:
+        """Seconds of each run."""
+        return self.by_turns(work)[0]
 
 
 @dataclass(frozen=True)
@@ -133,27 +127,21 @@ class Bench:
     def measured(self, work: Callable[[Device], object]) -> dict[str, Any]:
         """The runs, the stages and the figure "host" of a Point, for work that takes a device.
 
-        "host" is the time that Python adds to the stages, in the runs that give them.
+        The stages are medians; "host" is the time that Python adds to them in the same runs.
         """
         work(self.timed)  # compile the kernels
-        stages, whole = self.stages(work)
-        return {
-            "runs": self.request.runs.times(partial(work, self.timed)),
-            "stages": stages,
-            "figures": {"host": whole - sum(stages.values())},
-        }
-
-    def stages(self, work: Callable[[Device], object]) -> tuple[dict[str, float], float]:
-        """Median seconds of each stage on the device, and of the whole in the same runs, after a
-        warm-up."""
         runs, whole = [], []
-        for _ in range(self.request.repeat + 1):
+        for _ in range(self.request.repeat + 1):  # the first is a warm-up
             self.profiled.stage_times()
             whole += times(partial(work, self.profiled), 1)
             runs.append(self.profiled.stage_times())
-        names = runs[-1]
-        stages = {name: statistics.median(run.get(name, 0.0) for run in runs[1:]) for name in names}
-        return stages, statistics.median(whole[1:])
+        stages = {name: statistics.median(run.get(name, 0.0) for run in runs[1:])
+                  for name in runs[-1]}  # fmt: skip
+        return {
+            "runs": self.request.runs.times(partial(work, self.timed)),
+            "stages": stages,
+            "figures": {"host": statistics.median(whole[1:]) - sum(stages.values())},
+        }
 
 
 class Peers:

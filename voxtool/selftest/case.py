@@ -22,16 +22,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Case:
-    """One line of the table.
+    """One line of the table: a few words, the work and its oracle, the unit of error and bound, and
+    the largest correct error as documented.
 
-    Attributes
-    ----------
-    name : a few words.
-    what : what is computed, and its oracle.
-    unit : of error and bound.
-    bound : the largest correct error, as documented.
-    measure : called as measure(device, full), returns the error; full asks for more and larger
-        inputs.
+    measure(device, full) returns the error; full asks for more and larger inputs.
     """
 
     name: str
@@ -58,14 +52,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The outcome of a case.
-
-    Attributes
-    ----------
-    error : as measured; NaN if the case failed with an exception.
-    message : the exception, or "".
-    seconds : that the case took.
-    """
+    """The outcome of a case: its error, or NaN and the message of an exception; and its seconds."""
 
     case: Case
     error: float
@@ -78,16 +65,13 @@ class Outcome:
 
     def as_dict(self) -> dict[str, Any]:
         """JSON types; an error that is not finite is null."""
+        case = self.case
         return {
-            "name": self.case.name,
-            "what": self.case.what,
-            "error": self.error if math.isfinite(self.error) else None,
-            "bound": self.case.bound,
-            "unit": self.case.unit,
-            "verdict": "ok" if self.passed else "failed",
-            "message": self.message,
-            "seconds": self.seconds,
-        }
+            "name": case.name, "what": case.what,
+            "error": self.error if math.isfinite(self.error) else None, "bound": case.bound,
+            "unit": case.unit, "verdict": "ok" if self.passed else "failed",
+            "message": self.message, "seconds": self.seconds,
+        }  # fmt: skip
 
 
 def case(name: str, what: str, unit: str, bound: float) -> Callable[[Measure], Case]:

@@ -1,12 +1,10 @@
-"""The picture of a tetrahedral volume in float64, by a plain algorithm: every ray is clipped to
-every cell whose projection may cover its pixel; the intervals are sorted by depth, cut at the
-control points of the transfer function, integrated and composited.
+"""The picture of a tetrahedral volume in float64, by a plain algorithm.
 
-It uses neither the neighbours of cells nor gradients. A ray in a face of two cells belongs to one
-of them: pixel centres are moved by an infinitesimal (εx ≫ εy).
-
-Emission and extinction are linear between control points, and the emission per unit of length is
-c τ [Williams 1998].
+Each ray is clipped to each cell whose projection may cover its pixel. The intervals are sorted by
+depth, cut at the control points of the transfer function, integrated and composited. Neighbours
+and gradients of cells are not used. A ray in a face of two cells belongs to one of them: pixel
+centres are moved by an infinitesimal (εx ≫ εy). Emission and extinction are linear between control
+points, and the emission per unit of length is c τ [Williams 1998].
 """
 
 from __future__ import annotations
@@ -23,18 +21,18 @@ if TYPE_CHECKING:
     from voxtool.camera import Rays
     from voxtool.tets.transfer import TransferFunction
 
-PAIRS = 1 << 19  # of a cell and a pixel that are clipped together, unless a row has more
-ROUNDING = 1e-14  # of a volume, by the terms that it is the sum of; cells below have none
+PAIRS = 1 << 19  # pairs of a cell and a pixel in a band of the picture
+ROUNDING = 1e-14  # of a volume, relative to its terms; cells below it count as flat
 POINTS = 12  # of each panel of a quadrature
-SLACK = 1e-9  # pixels that boxes are wider than their cells, which rounding does not reach
+SLACK = 1e-9  # pixels by which boxes are wider than their cells: more than rounding
 
 
 @dataclass(frozen=True)
 class Segments:
     """The intervals of rays inside cells, by pixel and then by depth.
 
-    pixel : (n,) int, which of those asked for; cell : (n,) int; near, far : (n,) float64, t of the
-    rays; length : (n,) float64, world units; scalars : (n, 2) float64, at near and far.
+    pixel : (n,) int, index among the requested ones; cell : (n,) int; near, far : (n,) float64, t
+    of the rays; length : (n,) float64, world units; scalars : (n, 2) float64, at near and far.
     """
 
     pixel: np.ndarray
@@ -56,21 +54,17 @@ def reference(
     constant: bool = False,
     most: int = PAIRS,
 ) -> np.ndarray:
-    """The colours of pixels.
+    """(N, 4) float64: the premultiplied RGBA of pixels.
 
     Orthographic rays are whole lines; those in perspective begin at the eye.
 
     Parameters
     ----------
-    vertices : (V, 3) float64, world units; cells : (T, 4) int, either way round; those of zero
-        volume are nowhere.
+    vertices : (V, 3) float64, world units; cells : (T, 4) int, of either orientation; those of
+        zero volume are left out.
     scalars : (V,) float64, or (T,) if they are constant in each cell.
     pixels : (N, 2) int, column and row, none twice; all by default, row by row.
     most : pairs of a cell and a pixel that are clipped together, unless a row has more.
-
-    Returns
-    -------
-    (N, 4) float64: premultiplied RGBA.
     """
     if pixels is None:
         width, height = rays.size
@@ -233,21 +227,12 @@ def clip(
 # --- what is added to a ray ----------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Pieces:
-    """Segments between control points, in the order of segments and then of depth.
+def cut(found: Segments, transfer: TransferFunction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The pieces of segments between control points, in the order of segments and then of depth.
 
-    segment : (n,) int; colours : (n, 2, 3) float64 and depths : (n, 2) float64, the optical depth
-    that the whole length has at the extinction there, at the near and the far end.
+    Returns the segment of each, (n,) int; at the near and the far end the colours, (n, 2, 3)
+    float64, and the optical depth of the whole length at the extinction there, (n, 2) float64.
     """
-
-    segment: np.ndarray
-    colours: np.ndarray
-    depths: np.ndarray
-
-
-def cut(found: Segments, transfer: TransferFunction) -> Pieces:
-    """Segments, cut at all control points of the transfer function."""
     points = transfer.scalars
     distinct = np.unique(points)
     low, high = found.scalars.min(axis=1), found.scalars.max(axis=1)
@@ -265,7 +250,7 @@ def cut(found: Segments, transfer: TransferFunction) -> Pieces:
     values[falls] = values[falls, ::-1]
     share = np.divide(upper - lower, np.abs(far - near), out=np.ones(len(k)), where=near != far)
     depths = values[:, :, 3] * (share * found.length[segment])[:, None]
-    return Pieces(segment, values[:, :, :3], depths)
+    return segment, values[:, :, :3], depths
 
 
 def values_in(
@@ -315,14 +300,12 @@ def nodes_of(halvings: int) -> tuple[np.ndarray, np.ndarray]:
 
 def composite(picture: np.ndarray, found: Segments, transfer: TransferFunction) -> None:
     """Add segments to a picture, (N, 4) float64, whose pixels have none yet, front to back."""
-    pieces = cut(found, transfer)
-    near, far = weights(*pieces.depths.T)
-    colours = near[:, None] * pieces.colours[:, 0] + far[:, None] * pieces.colours[:, 1]
-    depth = pieces.depths.mean(axis=1)
+    segment, ends, depths = cut(found, transfer)
+    near, far = weights(*depths.T)
+    colours = near[:, None] * ends[:, 0] + far[:, None] * ends[:, 1]
+    depth = depths.mean(axis=1)
     added = np.column_stack([colours, -np.expm1(-depth)])
-    pixel, start, count = np.unique(
-        found.pixel[pieces.segment], return_index=True, return_counts=True
-    )
+    pixel, start, count = np.unique(found.pixel[segment], return_index=True, return_counts=True)
     sofar = np.zeros(len(pixel))  # optical depth
     for k in range(count.max(initial=0)):
         live = np.flatnonzero(count > k)
