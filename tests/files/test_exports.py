@@ -58,7 +58,7 @@ def test_npz_of_nothing(tmp_path: Path) -> None:
 
 
 def test_vti(dense: np.ndarray, tmp_path: Path) -> None:
-    """As VTK's reader finds it; that reader itself is not needed here."""
+    """The header and the bytes are those that VTK's reader looks for."""
     head, _, body = exported(dense, tmp_path / "a.vti").read_bytes().partition(b"\n   _")
     grid = b'WholeExtent="0 40 0 33 0 21" Origin="-1.5 0.1 0.001" Spacing="0.1 0.1 0.1"'
     assert grid in head

@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.files import formats
+from voxtool.files import formats, streams
 from voxtool.files.atomic import atomic_path, check_target
 from voxtool.files.formats import (
     ADF_FORMATS,
@@ -26,15 +26,7 @@ from voxtool.files.formats import (
     Writer,
     format_of,
 )
-from voxtool.files.streams import (
-    OPENING,
-    STREAM,
-    PathLike,
-    input_name,
-    open_output,
-    open_whole,
-    read_error,
-)
+from voxtool.files.streams import PathLike
 from voxtool.memory import check_disk
 
 if TYPE_CHECKING:
@@ -238,19 +230,19 @@ def write_mesh(
 
 def _read(path: PathLike, kind: Kind) -> Any:
     """The content of a file, as the reader for its format returns it."""
-    name = input_name(path)
+    name = streams.input_name(path)
     try:
-        with open_whole(path) as (file, size):
+        with streams.open_whole(path) as (file, size):
             if size == 0:
                 raise FileError(f"{name} is empty")
-            read = formats.reader_for(kind, name, file.read(OPENING))
+            read = formats.reader_for(kind, name, file.read(streams.OPENING))
             file.seek(0)
             try:
                 return read(file, size)
             except VoxtoolError as error:
                 raise type(error)(f"{name}: {error}") from error
     except OSError as error:
-        raise read_error(name, error) from error
+        raise streams.read_error(name, error) from error
     except MemoryError as error:
         raise FileError(f"{name}: more than fits in memory") from error
 
@@ -268,10 +260,10 @@ def _write(
         raise FileError(f"format {format!r} is unknown: choose one of {', '.join(writers)}")
     writer = writers[format]
     module = import_module(f"voxtool.files.{writer.module}")
-    if path != STREAM:
+    if path != streams.STREAM:
         check_target(path, clobber)
         if writer.size:
             size = getattr(module, writer.size)(content)
             check_disk(path, size, "choose a smaller dim, or the sparse .npz")
-    with open_output(path, writer.text, clobber) as file:
+    with streams.open_output(path, writer.text, clobber) as file:
         getattr(module, writer.function)(content, file, **options)

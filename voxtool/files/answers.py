@@ -22,33 +22,23 @@ CSV_ROWS = 1 << 16  # rows whose text is in memory at once
 
 
 class Answers(ABC):
-    """A table in a file, written block by block.
+    """A table in a file, written block by block."""
 
-    text : whether a terminal can show it.
-    columns : the name and the type of each column.
-    count : the number of rows written so far.
-    """
-
-    text: bool
+    text: bool  # whether a terminal can show it
 
     def __init__(self, file: BinaryIO, columns: Sequence[tuple[str, DTypeLike]]) -> None:
         self.file = file
         self.columns = [(name, np.dtype(kind)) for name, kind in columns]
-        self.count = 0
+        self.count = 0  # rows written so far
         self._begin()
 
     def write(self, block: Mapping[str, Any] | Sequence[Any]) -> None:
-        """Write k rows.
-
-        Parameters
-        ----------
-        block : (k,) arrays by column name; or a list of arrays in the order of the columns, where
-            (k,) is one column and (k, c) is c columns.
+        """Write k rows: (k,) arrays by column name, or a list of arrays in the order of the
+        columns, where (k,) is one column and (k, c) is c columns.
 
         Raises
         ------
         VoxtoolError : the number of columns is wrong, or their lengths differ.
-        OSError : the file cannot be written.
         """
         if isinstance(block, Mapping):
             block = [block[name] for name, _ in self.columns]
@@ -70,16 +60,12 @@ class Answers(ABC):
     def _write(self, values: list[np.ndarray]) -> None:
         """Write rows, given as columns."""
 
-    @abstractmethod
-    def end(self) -> None:
+    def end(self) -> None:  # noqa: B027 (CSV writes nothing here)
         """Write what is known only after the last row."""
 
 
 class NpyAnswers(Answers):
-    """A .npy file: (N,) float64 for one column, else (N, C).
-
-    The header is written again when N is known; numpy pads it to the same size.
-    """
+    """A .npy file: (N,) float64 for one column, else (N, C)."""
 
     text = False
 
@@ -92,7 +78,7 @@ class NpyAnswers(Answers):
         self.file.write(np.stack(values, axis=1).astype("<f8", "C").tobytes())
 
     def end(self) -> None:
-        self.file.seek(0)
+        self.file.seek(0)  # N is known now; numpy pads the header to the same size
         self._begin()
 
 
@@ -107,9 +93,6 @@ class CsvAnswers(Answers):
 
     def _begin(self) -> None:
         self.file.write(",".join(name for name, _ in self.columns).encode() + b"\n")
-
-    def end(self) -> None:
-        pass
 
     def _write(self, values: list[np.ndarray]) -> None:
         for first in range(0, len(values[0]), CSV_ROWS):
@@ -137,13 +120,11 @@ def open_answers(
     format: str | None = None,
     clobber: bool = True,
 ) -> Iterator[Answers]:
-    """Open a table of answers for writing, as .npy or .csv.
-
-    `-` writes stdout, as .csv unless `format` is given. The file appears when the block ends, and
-    not at all if it ends with an error.
+    """Yield a table of answers; it is a .npy or .csv file when the block ends without an error.
 
     Parameters
     ----------
+    path : `-` is stdout, as .csv unless `format` is given.
     columns : name and type of each column. The type decides the decimals of .csv; .npy is float64.
     format : "npy" or "csv" instead of what the name says.
     clobber : False refuses an existing file.

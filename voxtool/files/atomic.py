@@ -1,8 +1,7 @@
 """A file appears whole or not at all: write beside the target, fsync, rename.
 
 A killed process leaves the old file or none, and at worst a hidden
-`.NAME.MACHINE-PROCESS-RANDOM.tmp`,
-which is removed when the same target is written again.
+`.NAME.MACHINE-PROCESS-RANDOM.tmp`, which is removed when the same target is written again.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ import os
 import secrets
 import shutil
 import socket
-import stat
 import tempfile
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -40,13 +38,8 @@ HINTS = {
 
 
 def check_target(target: str | os.PathLike[str], clobber: bool = True) -> None:
-    """Check, before any work, that a file can be written.
-
-    Raises
-    ------
-    FileError : its folder does not exist or cannot be written, the target is a folder, or it
-        exists and clobber is False.
-    """
+    """Raise FileError, before any work, if a file cannot be written: its folder is missing or
+    read-only, it is a folder, or it exists and clobber is False."""
     target = Path(target)
     if os.path.isdir(target):  # a name that is too long raises no error here
         raise FileError(f"cannot write {target}: it is a folder: name a file in it")
@@ -120,11 +113,9 @@ def _is_ours(error: OSError, temporary: Path | None, target: Path) -> bool:
 
 
 def _is_device(path: Path) -> bool:
-    try:
-        mode = path.stat().st_mode
-    except OSError:
-        return False
-    return stat.S_ISCHR(mode) or stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode)
+    with suppress(OSError):  # such as a name that is too long
+        return path.is_char_device() or path.is_fifo() or path.is_socket()
+    return False
 
 
 def _create_beside(folder: Path, name: str) -> Path:
@@ -186,30 +177,20 @@ def _sync(path: Path, flags: int) -> None:
 
 def _rename_new(temporary: Path, target: Path) -> None:
     """Rename, or refuse an existing target; if several processes do it at once, one succeeds."""
-    if os.name == "nt":
-        try:
+    try:
+        if os.name == "nt":
             temporary.rename(target)  # refuses an existing target there
-        except FileExistsError:
-            raise _refusal(target) from None
-        return
-    try:
-        os.link(temporary, target)
-    except FileExistsError:
-        raise _refusal(target) from None
-    except OSError as error:
-        if error.errno not in NO_LINKS:
-            raise
-        _claim(target)
+            return
         try:
-            temporary.replace(target)
-        except BaseException:
-            target.unlink()
-            raise
-
-
-def _claim(target: Path) -> None:
-    """Create an empty file, or refuse; for file systems without hard links."""
-    try:
-        os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
+            os.link(temporary, target)
+        except OSError as error:
+            if error.errno not in NO_LINKS:
+                raise
+            os.close(os.open(target, os.O_CREAT | os.O_EXCL | os.O_WRONLY))  # claims the name
+            try:
+                temporary.replace(target)
+            except BaseException:
+                target.unlink()
+                raise
     except FileExistsError:
         raise _refusal(target) from None

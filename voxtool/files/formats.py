@@ -20,16 +20,12 @@ if TYPE_CHECKING:
 
 
 class Writer(NamedTuple):
-    """The function of a module of voxtool.files that writes a format.
-
-    text : whether a terminal can show it.
-    size : the function of the module that says how many bytes a large export takes.
-    """
+    """The function of a module of voxtool.files that writes a format."""
 
     module: str
     function: str = "write"
-    text: bool = False
-    size: str = ""
+    text: bool = False  # whether a terminal can show it
+    size: str = ""  # the function that says how many bytes a large export takes
 
 
 # What is written, by the extension that names it.
@@ -80,21 +76,13 @@ HDF5, GZIP, BOM = b"\x89HDF\r\n\x1a\n", b"\x1f\x8b", b"\xef\xbb\xbf"
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of content, and the messages for files of another kind.
+    """A kind of content, and the messages for files of another kind, written after their names."""
 
-    Attributes
-    ----------
-    hdf5 : modules of the HDF5 formats that hold it.
-    xml : whether the XML format holds it, too.
-    mesh, other : messages for a mesh and for any other file, written after its name.
-    endings : messages by the endings of names.
-    """
-
-    hdf5: tuple[str, ...]
-    mesh: str
-    other: str
-    xml: bool = False
-    endings: dict[tuple[str, ...], str] = field(default_factory=dict)
+    hdf5: tuple[str, ...]  # modules of the HDF5 formats that hold it
+    mesh: str  # the message for a mesh
+    other: str  # for any other file
+    xml: bool = False  # whether the XML format holds it, too
+    endings: dict[tuple[str, ...], str] = field(default_factory=dict)  # by the endings of names
 
 
 AN_EXPORT = {
@@ -133,12 +121,8 @@ SCENE = Kind(
 
 
 def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
-    """The function that reads a file of this kind, chosen by the first bytes of the file.
-
-    Raises
-    ------
-    FileError : the file is of another kind; the message names the missing step.
-    """
+    """The function that reads a file of this kind, chosen by its first bytes; for a file of another
+    kind, FileError names the missing step."""
     if _is_volume_mesh(name, opening):
         raise FileError(
             f"{name} is a mesh of volume cells: build its textures first: voxtool tet-build {name}"
@@ -168,12 +152,8 @@ def _is_volume_mesh(name: str, opening: bytes) -> bool:
 
 
 def format_of(path: PathLike, formats: Iterable[str]) -> str:
-    """The format that the extension of a name says; for stdout HDF5 or OBJ.
-
-    Raises
-    ------
-    FileError : none of the formats has this extension.
-    """
+    """The format that the extension of a name says; for stdout HDF5 or OBJ. FileError if there is
+    none."""
     formats = tuple(formats)
     if path == STREAM:
         for default in STREAM_FORMATS:

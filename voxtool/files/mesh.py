@@ -112,10 +112,8 @@ def _read_all(name: str, stream: BinaryIO, limit: int, first: bytes = b"") -> by
         pieces.append(piece)
         size += len(piece)
         if size > limit:
-            raise MeshError(
-                f"{name}: more than {limit >> 20} MiB unpacked, the most that is read here: "
-                "simplify or split the mesh"
-            )
+            most = f"more than {limit >> 20} MiB unpacked, the most that is read here"
+            raise MeshError(f"{name}: {most}: simplify or split the mesh")
     return b"".join(pieces)
 
 
@@ -141,18 +139,17 @@ def _unpacked(name: str, data: bytes, limit: int) -> bytes:
 
 
 def _refuse_other_files(name: str, data: bytes) -> None:
-    what = ""
     if data.startswith(HDF5):
-        what = "a voxtool output (HDF5)"
+        what, other = "a voxtool output (HDF5)", " or extract one (voxtool extract)"
     elif data[:64].lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<?xml", b"<!DOCTYPE", b"<octree")):
-        what = "XML, such as a voxtool output"
+        what, other = "XML, such as a voxtool output", " or extract one (voxtool extract)"
     elif data.startswith(b"<VTKFile"):
-        what = "a VTK file"
-    if what:
-        other = " or extract one (voxtool extract)" if "voxtool" in what else ""
-        raise MeshError(
-            f"{name}: this is {what}, not a mesh: give the mesh that it was made from{other}"
-        )
+        what, other = "a VTK file", ""
+    else:
+        return
+    raise MeshError(
+        f"{name}: this is {what}, not a mesh: give the mesh that it was made from{other}"
+    )
 
 
 def _refuse_binary(name: str, data: bytes) -> None:
@@ -260,7 +257,7 @@ def _merged(name: str, scene: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _placement(node: Any, parents: dict[Any, Any]) -> np.ndarray:
-    """Return the transform from the node's coordinates to the scene's, (4, 4) float64."""
+    """Return the (4, 4) transform from the node's coordinates to the scene's."""
     matrix = np.eye(4)
     for _ in parents:  # no path is longer
         if node not in parents:

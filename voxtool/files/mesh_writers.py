@@ -118,8 +118,8 @@ def _given(mesh: Mesh, normals: np.ndarray | None) -> Any:
 
 
 def _decimals(mesh: Mesh) -> int:
-    """Return the decimals that give a tenth of the largest coordinate 17 significant digits, the
-    precision of float64, and resolve 1e-9 of the longest side."""
+    """Return the decimals that give a tenth of the largest coordinate 17 significant digits and
+    resolve 1e-9 of the longest side."""
     used = mesh.vertices[mesh.faces].reshape(-1, 3) if len(mesh.faces) else mesh.vertices
     largest = np.abs(mesh.vertices).max(initial=0)
     with np.errstate(over="ignore"):

@@ -23,8 +23,7 @@ BLOCK_BYTES = 1 << 26  # of text that is parsed at once
 NUMBER_LETTERS = b"0123456789+-.eE \t\r\n"
 CORNER_LETTERS = b"0123456789+-/ \t\r\n"
 SPACE, SLASH, NEWLINE = (ord(letter) for letter in " /\n")
-COORDINATE = re.compile(rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
-NOT_FINITE = re.compile(rb"(?i)[-+]?(?:nan|inf|infinity)")
+NUMBER = re.compile(rb"(?i)[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|nan|inf|infinity)")
 REFERENCE = re.compile(rb"^([-+]?\d{1,10})(?:/(?:[-+]?\d+)?){0,2}$")
 
 
@@ -33,10 +32,10 @@ class _OddityError(Exception):
 
 
 def parse(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices, (V, 3) float64, and faces, (F, 3) int64, of an OBJ in the file's order.
+    """Return the (V, 3) float64 vertices and (F, 3) int64 faces of an OBJ.
 
-    Polygons become fans of triangles; negative indices count back from their line. Groups,
-    materials, texture coordinates and normals are ignored. Raises MeshError, which names the line.
+    MeshError names the line. Polygons become fans of triangles; negative indices count back from
+    their line. Groups, materials, texture coordinates and normals are ignored.
     """
     data = data.removeprefix(b"\xef\xbb\xbf")
     try:
@@ -144,9 +143,8 @@ def _drop_references(words: np.ndarray) -> None:
     digit_next = np.append((words[1:] >= ord("0")) & (words[1:] <= ord("9")), False)
     third = np.cumsum(slash, dtype=np.int32)
     third -= np.where(after_blank >= 0, third[after_blank], 0)
-    if (third > 2).any() or (sign[1:] & ~(slash[:-1] & digit_next[1:])).any():
-        raise _OddityError
-    if (slash[1:] & blank[:-1]).any():
+    wrong_sign = sign[1:] & ~(slash[:-1] & digit_next[1:])
+    if (third > 2).any() or wrong_sign.any() or (slash[1:] & blank[:-1]).any():
         raise _OddityError
     words[tail] = SPACE
 
@@ -194,7 +192,7 @@ def _statements(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
 
 def _vertex(words: list[bytes]) -> list[float]:
     for word in words:
-        if not COORDINATE.fullmatch(word) and not NOT_FINITE.fullmatch(word):
+        if not NUMBER.fullmatch(word):
             raise MeshError(f"{shown(word)} is not a number: correct the vertex")
         if not math.isfinite(float(word)):
             raise MeshError(f"coordinate {shown(word)} is not finite: correct the vertex")

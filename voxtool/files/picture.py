@@ -66,12 +66,7 @@ def write_picture(
 
 
 def check_picture(picture: np.ndarray) -> None:
-    """Check that an array is a picture.
-
-    Raises
-    ------
-    VoxtoolError : its shape or type is another, or a value is not finite.
-    """
+    """Raise VoxtoolError unless an array is a picture."""
     if picture.ndim != 3 or picture.shape[2] != 4 or picture.dtype != np.float32:
         raise VoxtoolError(
             f"an array of shape {picture.shape} and type {picture.dtype} is no picture: those are "
@@ -82,12 +77,7 @@ def check_picture(picture: np.ndarray) -> None:
 
 
 def check_writer(bits: int) -> None:
-    """Check, before any work, that PNG of this depth can be written.
-
-    Raises
-    ------
-    FileError : Pillow, or for 16 bits pypng, is missing.
-    """
+    """Raise FileError, before any work, if Pillow or for 16 bits pypng is missing."""
     library, module = ("Pillow", "PIL") if bits == 8 else ("pypng", "png")
     try:
         import_module(module)
@@ -100,12 +90,8 @@ def check_writer(bits: int) -> None:
 def rounded(
     picture: np.ndarray, bits: int = 8, background: Sequence[float] | None = WHITE
 ) -> np.ndarray:
-    """The integers that PNG stores for a picture.
-
-    Returns
-    -------
-    (H, W, 3) uint8 or uint16 over the background, or (H, W, 4) with straight alpha without one.
-    """
+    """The integers that PNG stores: (H, W, 3) uint8 or uint16 over the background, or (H, W, 4)
+    with straight alpha where that is None."""
     height, width, _ = picture.shape
     pixels = np.empty((height, width, 3 if background is not None else 4), BITS[bits])
     for first in range(0, height, BAND):
@@ -128,13 +114,8 @@ def _integers(values: np.ndarray, bits: int) -> np.ndarray:
 
 
 def write_png(pixels: np.ndarray, file: BinaryIO, palette: Sequence[int] | None = None) -> None:
-    """Write the integers of a picture as PNG.
-
-    Parameters
-    ----------
-    pixels : (H, W, 3 or 4) uint8 or uint16, or (H, W) uint8 numbers of a palette.
-    palette : red, green and blue of each number.
-    """
+    """Write pixels as PNG: (H, W, 3 or 4) uint8 or uint16, or (H, W) uint8 numbers of a palette, a
+    list of the red, green and blue of each number."""
     height, width = pixels.shape[:2]
     if pixels.dtype == np.uint8:
         from PIL import Image

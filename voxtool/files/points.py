@@ -13,9 +13,8 @@ import warnings
 import zipfile
 import zlib
 from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import chain, islice
-from typing import TYPE_CHECKING, BinaryIO
+from itertools import chain, islice, takewhile
+from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -85,7 +84,11 @@ def read_points(
             if not opening:
                 raise FileError(f"{name} is empty")
             try:
-                yield from _blocks(file, size, format or _format(name, opening), block)
+                format = format or _format(name, opening)
+                if format in READERS:
+                    yield from READERS[format](file, size, block)
+                else:
+                    yield from _read_text(file, format, block)
             except FileError as error:
                 raise FileError(f"{name}: {error}") from error
     except OSError as error:
@@ -108,21 +111,10 @@ def _format(name: str, opening: bytes) -> str:
     return extension if extension in ("csv", "xyz") else "text"
 
 
-def _blocks(file: BinaryIO, size: int | None, format: str, block: int) -> Iterator[np.ndarray]:
-    if format == "npy":
-        return _read_npy(file, size, block)
-    if format == "npz":
-        return _read_npz(file, size, block)
-    if format == "ply":
-        return _read_ply(file, size, block)
-    return _read_text(file, format, block)
-
-
 def _cut_short(declared: int, there: int) -> FileError:
     """The error of a file that has fewer points than it declares."""
-    return FileError(
-        f"is cut short: {there} of {count_of(declared, 'point')} are there: copy it anew"
-    )
+    points = count_of(declared, "point")
+    return FileError(f"is cut short: {there} of {points} are there: copy it anew")
 
 
 # --- .npy and .npz -------------------------------------------------------------------------------
@@ -215,16 +207,11 @@ def _points_member(packed: zipfile.ZipFile) -> zipfile.ZipInfo:
 # --- text ----------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Columns:
-    """The columns of a line of text that hold a point.
+class _Columns(NamedTuple):
+    """The columns of a line of text that hold a point."""
 
-    delimiter : between columns; None for white space.
-    places : columns of x, y and z; None where a line has these three only.
-    """
-
-    delimiter: str | None
-    places: tuple[int, ...] | None
+    delimiter: str | None  # None: white space
+    places: tuple[int, ...] | None  # of x, y and z; None: a line has these three only
 
 
 def _read_text(file: BinaryIO, format: str, block: int) -> Iterator[np.ndarray]:
@@ -295,9 +282,8 @@ def _points_of(numbers: list[int], lines: list[str], columns: _Columns) -> np.nd
 def _parsed(lines: list[str], columns: _Columns) -> np.ndarray | None:
     """(k, 3) float64, or None where a line does not hold a point."""
     try:
-        points = np.loadtxt(
-            lines, delimiter=columns.delimiter, usecols=columns.places, comments=None, ndmin=2
-        )
+        delimiter, places = columns
+        points = np.loadtxt(lines, delimiter=delimiter, usecols=places, comments=None, ndmin=2)
     except ValueError:
         return None
     return points if points.shape[1] == 3 else None
@@ -321,13 +307,12 @@ def _fault(line: str, columns: _Columns) -> str:
 # --- .ply ----------------------------------------------------------------------------------------
 
 
-@dataclass
-class _Element:
-    """An element of a PLY file; a property that is a list has the type None."""
+class _Element(NamedTuple):
+    """An element of a PLY file."""
 
     name: str
     count: int
-    properties: list[tuple[str, str | None]]
+    properties: list[tuple[str, str | None]]  # name and type; None: a list
 
     def record(self, order: str, fault: str) -> np.dtype:
         """The structured type of one element; FileError(fault) if a property is a list."""
@@ -339,10 +324,10 @@ class _Element:
 def _read_ply(file: BinaryIO, size: int | None, block: int) -> Iterator[np.ndarray]:
     """Yield the vertices of a PLY file, in blocks of (k, 3) float64."""
     format, elements, lines, start = _ply_header(file)
-    at = next((i for i, element in enumerate(elements) if element.name == "vertex"), None)
-    if at is None:
+    before = list(takewhile(lambda element: element.name != "vertex", elements))
+    if len(before) == len(elements):
         raise FileError("has no element vertex: points are its vertices")
-    before, vertices = elements[:at], elements[at]
+    vertices = elements[len(before)]
     order = PLY_ORDERS.get(format, "=")
     fault = "its vertices have a list among their properties: leave it out"
     record = vertices.record(order, fault)
@@ -412,3 +397,6 @@ def _by_record(
             return
         count -= len(records)
         yield np.stack([records[f"{place}"].astype(np.float64) for place in places], axis=1)
+
+
+READERS = {"npy": _read_npy, "npz": _read_npz, "ply": _read_ply}

@@ -38,27 +38,15 @@ SHA256 = Rule(lambda text: re.fullmatch(r"([0-9a-f]{64})?", text), "is not 64 he
 
 @dataclass(frozen=True)
 class Attribute:
-    """One attribute of a format.
-
-    Attributes
-    ----------
-    name : in the file.
-    kind : the value's type in Python: int, float, str, bool (stored as 0 or 1), or dict (stored as
-        a JSON object).
-    meaning : one phrase for docs/formats.md.
-    size : how many numbers there are; of text and JSON, how many bytes of UTF-8 there are at most.
-    at : path of the value in the content, such as "hash.m"; by default the name.
-    choices : the allowed values; empty where any value is.
-    rule : what else the value must satisfy.
-    """
+    """One attribute of a format."""
 
     name: str
-    kind: type
-    meaning: str
-    size: int = 1
-    at: str = ""
-    choices: tuple[Any, ...] = ()
-    rule: Rule | None = None
+    kind: type  # in Python: int, float, str, bool (stored as 0 or 1), dict (stored as JSON)
+    meaning: str  # one phrase for docs/formats.md
+    size: int = 1  # the count of numbers; of text and JSON, the most bytes of UTF-8
+    at: str = ""  # path of the value in the content, such as "hash.m"; by default the name
+    choices: tuple[Any, ...] = ()  # the allowed values; empty: any
+    rule: Rule | None = None  # what else the value must satisfy
 
     @property
     def stored(self) -> type:
@@ -160,26 +148,16 @@ class Dataset:
 
 @dataclass(frozen=True)
 class Schema:
-    """A file format.
-
-    Attributes
-    ----------
-    format, version : its name, and the major.minor version that is written.
-    what : the content in words; hint : how to make a file of it.
-    own : its attributes, beside the format's name and version and the creator.
-    datasets : its arrays, in the order in which they are stored.
-    build : the content, from the values of the attributes and the arrays by name.
-    agree : a check that the stored attributes agree with each other.
-    """
+    """A file format."""
 
     format: str
-    version: str
-    what: str
-    hint: str
-    own: tuple[Attribute, ...]
-    datasets: tuple[Dataset, ...]
-    build: Callable[[dict[str, Any], dict[str, np.ndarray]], Any]
-    agree: Callable[[Mapping[str, Any]], object] | None = None
+    version: str  # major.minor, as it is written
+    what: str  # the content in words
+    hint: str  # how to make a file of it
+    own: tuple[Attribute, ...]  # beside the format's name and version and the creator
+    datasets: tuple[Dataset, ...]  # in the order in which they are stored
+    build: Callable[[dict[str, Any], dict[str, np.ndarray]], Any]  # content of attributes, arrays
+    agree: Callable[[Mapping[str, Any]], object] | None = None  # checks attributes together
 
     @property
     def attributes(self) -> tuple[Attribute, ...]:

@@ -82,19 +82,8 @@ class _Resumed(io.RawIOBase):
 
 
 @contextmanager
-def standard_output(text: bool) -> Iterator[BinaryIO]:
-    """Yield a temporary file that is copied to stdout when the block ends.
-
-    A format may seek in the file; stdout cannot.
-
-    Parameters
-    ----------
-    text : whether a terminal can show it.
-
-    Raises
-    ------
-    FileError : stdout is a terminal and cannot show the content, or it cannot be written.
-    """
+def _standard_output(text: bool) -> Iterator[BinaryIO]:
+    """Yield a temporary file, in which a format may seek; stdout gets it when the block ends."""
     if not text and sys.stdout.isatty():
         raise FileError("standard output is a terminal: redirect it, or name a file with -o")
     try:
@@ -119,17 +108,20 @@ def _discard_stdout() -> None:
 
 @contextmanager
 def open_output(path: PathLike, text: bool = False, clobber: bool = True) -> Iterator[BinaryIO]:
-    """Yield an empty file that can be read, written and sought; it is whole when the block ends.
+    """Yield an empty file to write and seek in; the output has its content when the block ends.
 
-    It becomes the file of this name, as atomic_path does; for `-` it is copied to stdout, where
-    `text` says that a terminal can show it.
+    Parameters
+    ----------
+    path : the output, which appears whole or not at all; `-` is stdout.
+    text : whether a terminal can show the content.
+    clobber : False refuses an existing file.
 
     Raises
     ------
-    FileError : the file or stdout cannot be written, or the file exists and clobber is False.
+    FileError : the output cannot be written, exists, or is a terminal that cannot show the content.
     """
     if path == STREAM:
-        with standard_output(text) as file:
+        with _standard_output(text) as file:
             yield file
     else:
         with atomic_path(path, clobber) as temporary, open(temporary, "w+b") as file:

@@ -101,17 +101,12 @@ def _write_rows(file: BinaryIO, row: str, words: np.ndarray, columns: int) -> No
 
 
 def read(file: BinaryIO, size: int) -> Octree:
-    """The octree of an XML file of `size` bytes.
-
-    Raises
-    ------
-    FileError : the file is damaged, hostile or of another kind.
-    """
+    """The octree of an XML file of `size` bytes; FileError if it is damaged or hostile."""
     return _Reader(size).read(file)
 
 
 def read_gz(file: BinaryIO, size: int) -> Octree:
-    """The octree of a gzip-compressed XML file of `size` bytes, as `read` returns it."""
+    """The octree of a gzip-compressed XML file of `size` bytes."""
     try:
         with gzip.GzipFile(fileobj=file, mode="rb") as packed:
             return _Reader(size * GZIP_RATIO).read(packed)  # pyright: ignore[reportArgumentType]
@@ -140,19 +135,9 @@ def parse_head(texts: dict[str, str]) -> dict[str, Any]:
             text = texts[attribute.name]
             head[attribute.name] = text if attribute.stored is str else _numbers(attribute, text)
     dim = head["dim"]
-    plain = {
-        "creator": "",
-        "depth": max(dim - 1, 0).bit_length() - 1,
-        "shape": (dim, dim, dim),
-        "mode": "solid",
-        "fill": "parity",
-        "origin": (0.0, 0.0, 0.0),
-        "pitch": (1.0, 1.0, 1.0),
-        "units": "",
-        "source_sha256": "",
-        "plan": "{}",
-    }
-    return plain | head
+    plain = {"creator": "", "mode": "solid", "fill": "parity", "units": "", "source_sha256": ""}
+    plain |= {"depth": max(dim - 1, 0).bit_length() - 1, "shape": (dim,) * 3, "plan": "{}"}
+    return plain | {"origin": (0.0,) * 3, "pitch": (1.0,) * 3} | head
 
 
 def _numbers(attribute: Attribute, text: str) -> Any:
@@ -251,9 +236,9 @@ class _Reader:
         self.parser.ordered_attributes = True
         self.parser.buffer_text = True
         self.parser.StartDoctypeDeclHandler = self.doctype
-        self.parser.EntityDeclHandler = self.entity
-        self.parser.SkippedEntityHandler = self.entity
-        self.parser.ProcessingInstructionHandler = self.instruction
+        self.parser.EntityDeclHandler = _refuse_entity
+        self.parser.SkippedEntityHandler = _refuse_entity
+        self.parser.ProcessingInstructionHandler = _refuse_instruction
         self.parser.StartElementHandler = self.start
         self.parser.EndElementHandler = self.end
         self.parser.CharacterDataHandler = self.data
@@ -298,20 +283,12 @@ class _Reader:
             if found != expected:
                 raise FileError(f"{found} {what} where {expected} are declared")
 
-    # Refused anywhere
+    # Events
 
     def doctype(self, name: str, system: str | None, public: str | None, internal: int) -> None:
         if internal:
             raise FileError("a DOCTYPE with an internal subset is refused: remove it")
         self.doctype_seen = True
-
-    def entity(self, *_: Any) -> None:
-        raise FileError("entities are refused: remove them")
-
-    def instruction(self, target: str, data: str) -> None:
-        raise FileError("processing instructions are refused: remove them")
-
-    # Elements
 
     def start(self, name: str, attributes: list[str]) -> None:
         if name == "node" and self.within == "level":
@@ -411,18 +388,23 @@ def refuse_entities(text: bytes) -> bytes:
     """
     for match in ENTITY.finditer(text):
         if match.start() < len(text) - LONGEST_REFERENCE:
-            raise FileError("entities are refused: remove them")
+            _refuse_entity()
     return text[-LONGEST_REFERENCE:]
 
 
-def _node_words(attributes: list[str]) -> tuple[str, str]:
-    if len(attributes) == 4:
-        first, a, second, b = attributes
-        if first == "parent" and second == "child":
-            return a, b
-        if first == "child" and second == "parent":
-            return b, a
-    raise FileError("a node has the two attributes parent and child")
+def _refuse_entity(*_: Any) -> None:
+    raise FileError("entities are refused: remove them")
+
+
+def _refuse_instruction(*_: Any) -> None:
+    raise FileError("processing instructions are refused: remove them")
+
+
+def _node_words(attributes: list[str]) -> list[str]:
+    names, words = attributes[::2], attributes[1::2]
+    if names not in (["parent", "child"], ["child", "parent"]):
+        raise FileError("a node has the two attributes parent and child")
+    return words if names[0] == "parent" else words[::-1]
 
 
 def _syntax_message(error: expat.ExpatError) -> str:

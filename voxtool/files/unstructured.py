@@ -12,6 +12,7 @@ import hashlib
 import io
 import os
 import warnings
+from math import prod
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, NoReturn
 from xml.parsers import expat
@@ -33,13 +34,7 @@ SCAN = 1 << 20  # bytes of XML at a time
 
 
 def read(path: PathLike, scalar: str | None, component: str | int | None) -> UnstructuredMesh:
-    """Read an unstructured mesh and one of its arrays, as voxtool.files.read_unstructured.
-
-    Raises
-    ------
-    FileError : the file cannot be read, meshio is not installed, or there is no such array or
-        component.
-    """
+    """The unstructured mesh of a file and one of its arrays; see voxtool.read_unstructured."""
     if path == STREAM:
         raise FileError("a volume cannot be read from stdin: name a file, such as mesh.vtu")
     path = os.fspath(path)
@@ -111,7 +106,7 @@ def _scalars(
     arrays = [np.asarray(array) for array in arrays]
     if any(array.dtype.kind not in "biuf" for array in arrays):
         raise FileError(f"{name}: {chosen} holds no real numbers ({arrays[0].dtype})")
-    rows = [array.reshape(len(array), -1).astype(np.float64) for array in arrays]
+    rows = [array.reshape(len(array), prod(array.shape[1:])).astype(float) for array in arrays]
     count = max((array.shape[1] for array in rows if len(array)), default=1)
     if any(array.shape[1] != count for array in rows if len(array)):
         raise FileError(f"{name}: {chosen} has not the same number of components everywhere")
@@ -127,16 +122,9 @@ def _scalars(
         )
     label = f"{chosen} {component}"
     if component == MAGNITUDE:
-        return [_magnitude(array) for array in rows], label
+        return [np.sqrt(sum(column * column for column in array.T)) for array in rows], label
     column = AXES.index(component) if component in AXES else int(component)
     return [array[:, column] if len(array) else array[:, 0] for array in rows], label
-
-
-def _magnitude(rows: np.ndarray) -> np.ndarray:
-    total = np.zeros(len(rows))
-    for column in rows.T:
-        total += column * column
-    return np.sqrt(total)
 
 
 # ---- meshio
@@ -177,13 +165,8 @@ class _Scanned(Exception):
 
 
 def _scan_xml(name: str, file: BinaryIO, size: int) -> None:
-    """Refuse a .vtu that no parser should open, or that meshio would read in part.
-
-    Raises
-    ------
-    FileError : it declares a document type or entities, several pieces, or more points or cells
-        than its bytes can hold.
-    """
+    """Refuse a .vtu with a document type, entities, more points or cells than its bytes can hold, or
+    several pieces, of which meshio would read one."""
     pieces: list[dict[str, str]] = []
     packed = False
 
