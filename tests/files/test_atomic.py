@@ -34,16 +34,11 @@ def names(folder: Path) -> list[str]:
     return sorted(p.name for p in folder.iterdir())
 
 
-def test_writes_a_new_file(tmp_path: Path) -> None:
-    put(tmp_path / "a.h5")
-    assert (tmp_path / "a.h5").read_bytes() == NEW
-    assert names(tmp_path) == ["a.h5"]
-
-
-def test_replaces_a_file(tmp_path: Path) -> None:
-    (tmp_path / "a.h5").write_bytes(OLD)
-    put(tmp_path / "a.h5")
-    assert (tmp_path / "a.h5").read_bytes() == NEW
+def test_writes_a_new_file_or_replaces_one(tmp_path: Path) -> None:
+    for data in (OLD, NEW):
+        put(tmp_path / "a.h5", data)
+        assert (tmp_path / "a.h5").read_bytes() == data
+        assert names(tmp_path) == ["a.h5"]
 
 
 def test_bytes_are_on_the_disk_before_the_rename(tmp_path: Path, monkeypatch) -> None:
@@ -59,26 +54,21 @@ def test_bytes_are_on_the_disk_before_the_rename(tmp_path: Path, monkeypatch) ->
     assert synced[0] == (target.stat().st_ino, OLD)
 
 
-@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt, SystemExit, MemoryError])
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
 @pytest.mark.parametrize("exists", [True, False])
 def test_any_exception_leaves_the_old_file_and_nothing_else(tmp_path, error, exists) -> None:
     target = tmp_path / "a.h5"
     if exists:
         target.write_bytes(OLD)
-
-    def fail() -> None:
-        with atomic_path(target) as temporary:
-            temporary.write_bytes(NEW)
-            raise error
-
-    with pytest.raises(error):
-        fail()
+    with pytest.raises(error), atomic_path(target) as temporary:
+        temporary.write_bytes(NEW)
+        raise error
     assert names(tmp_path) == (["a.h5"] if exists else [])
     assert not exists or target.read_bytes() == OLD
 
 
 @posix_only
-@pytest.mark.parametrize("umask", [0o022, 0o077, 0o002])
+@pytest.mark.parametrize("umask", [0o077, 0o002])
 def test_mode_is_that_of_a_plain_file(tmp_path: Path, umask: int) -> None:
     before = os.umask(umask)
     try:
@@ -126,17 +116,12 @@ def refusal(target: Path, clobber: bool = True) -> str:
     return str(caught.value)
 
 
-def test_no_such_folder(tmp_path: Path) -> None:
-    assert "create it" in refusal(tmp_path / "none" / "a.h5")
-
-
-def test_folder_as_a_target(tmp_path: Path) -> None:
-    assert "is a folder" in refusal(tmp_path)
-
-
-def test_file_as_a_folder(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "message"), [("none/a", "create it"), (".", "is a folder"), ("file/a", "not a folder")]
+)
+def test_folders(name: str, message: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_bytes(OLD)
-    assert "not a folder" in refusal(tmp_path / "file" / "a.h5")
+    assert message in refusal(tmp_path / name)
 
 
 def test_no_clobber(tmp_path: Path) -> None:

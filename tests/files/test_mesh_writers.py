@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import meshes
 import numpy as np
 import pytest
+from helpers_files import run_python
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,7 +22,6 @@ from voxtool.files import MESH_FORMATS, NORMAL_FORMATS, mesh_writers, write_mesh
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 
-ROOT = Path(__file__).parents[2]
 TEXT = ("obj", "off")
 SINGLE = ("ply", "stl", "glb")  # float32
 
@@ -85,15 +84,13 @@ def test_faces_and_vertices_are_kept_as_they_are(kind: str, tmp_path: Path) -> N
     assert_back(tmp_path / "a", mesh, kind)
 
 
-SCALES = (1e-300, 1e-30, 1e-6, 0.999999, 1e6, 1e30, 1e300)
-
-
-@pytest.mark.parametrize("kind", TEXT)
-@pytest.mark.parametrize("scale", SCALES)
-def test_text_of_any_size(torus: Mesh, kind: str, scale: float, tmp_path: Path) -> None:
-    mesh = Mesh(torus.vertices * scale, torus.faces)
-    write_mesh(mesh, tmp_path / "a", format=kind)
-    assert_back(tmp_path / "a", mesh, kind)
+@pytest.mark.parametrize("kind", MESH_FORMATS)
+def test_text_of_any_size_and_float32_of_usual_sizes(torus, kind: str, tmp_path: Path) -> None:
+    scales = (1e-300, 1e-30, 1e-6, 0.999999, 1e6, 1e30, 1e300)
+    for scale in scales if kind in TEXT else (1e-6, 1e6):
+        mesh = Mesh(torus.vertices * scale, torus.faces)
+        write_mesh(mesh, tmp_path / "a", format=kind)
+        assert_back(tmp_path / "a", mesh, kind)
 
 
 @pytest.mark.parametrize("kind", TEXT)
@@ -123,14 +120,6 @@ def test_text_of_any_floats(data: st.DataObject) -> None:
     assert off.max() <= 1e-17 * largest
     assert off.max() <= 1e-9 * side_of(mesh)
     assert not off[np.abs(mesh.vertices) >= largest / 10].any()
-
-
-@pytest.mark.parametrize("kind", SINGLE)
-@pytest.mark.parametrize("scale", [1e-6, 1e6])
-def test_float32_of_usual_sizes(torus: Mesh, kind: str, scale: float, tmp_path: Path) -> None:
-    mesh = Mesh(torus.vertices * scale, torus.faces)
-    write_mesh(mesh, tmp_path / "a", format=kind)
-    assert_back(tmp_path / "a", mesh, kind)
 
 
 @pytest.mark.parametrize("kind", SINGLE)
@@ -320,42 +309,33 @@ def test_no_faces(kind: str, vertices: int, tmp_path: Path) -> None:
 def test_bytes_depend_on_the_mesh_alone(tmp_path: Path) -> None:
     """Twice here, and in other processes, whose hashes differ."""
     code = (
-        "import sys; sys.path.insert(0, 'tests'); import meshes, voxtool\n"
+        "import meshes\n"
         "v, f = meshes.icosphere(1, 0.1); m = voxtool.mesh_from_arrays(v, f)\n"
         "for k in sys.argv[2:]: voxtool.write_mesh(m, f'{sys.argv[1]}.{k}')\n"
         "for k in ('obj', 'ply', 'glb'):\n"
         "    for _ in 'ab': voxtool.write_mesh(m, f'{sys.argv[1]}.n.{k}', normals=v)\n"
     )
     for name in ("a", "b"):
-        command = [sys.executable, "-c", code, str(tmp_path / name), *MESH_FORMATS]
         environment = {**os.environ, "PYTHONHASHSEED": str(ord(name))}
-        subprocess.run(command, cwd=ROOT, check=True, env=environment)
+        run_python(code, tmp_path / name, *MESH_FORMATS, check=True, env=environment)
     written = sorted(p.name[2:] for p in tmp_path.glob("a.*"))
     assert len(written) == 8
     for name in written:
         assert (tmp_path / f"a.{name}").read_bytes() == (tmp_path / f"b.{name}").read_bytes()
 
 
-@pytest.mark.parametrize("kind", [None, *MESH_FORMATS])
+@pytest.mark.parametrize("kind", [None, "glb"])
 def test_stdout(kind: str | None, tmp_path: Path) -> None:
-    code = (
-        "import sys; sys.path.insert(0, 'tests'); import meshes, voxtool\n"
-        "m = voxtool.mesh_from_arrays(*meshes.torus())\n"
-        f"voxtool.write_mesh(m, '-', format={kind!r})"
-    )
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True)
+    code = f"import meshes; voxtool.write_mesh(meshes.torus(), '-', format={kind!r})"
+    done = run_python(code)
     assert (done.returncode, done.stderr) == (0, b"")
     path = tmp_path / f"a.{kind or 'obj'}"
     write_mesh(mesh_from_arrays(*meshes.torus()), path)
     assert done.stdout == path.read_bytes()
 
 
-class Terminal(io.StringIO):
+class Terminal(io.TextIOWrapper):
     """Standard output of a person."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.buffer = io.BytesIO()  # pyright: ignore[reportAttributeAccessIssue]
 
     def isatty(self) -> bool:
         return True
@@ -363,24 +343,14 @@ class Terminal(io.StringIO):
 
 def test_only_text_goes_to_a_terminal(torus: Mesh, monkeypatch) -> None:
     for kind in MESH_FORMATS:
-        monkeypatch.setattr(sys, "stdout", terminal := Terminal())
+        shown = io.BytesIO()
+        monkeypatch.setattr(sys, "stdout", Terminal(shown))
         if kind in TEXT:
             write_mesh(torus, "-", format=kind)
-            assert terminal.buffer.getvalue()  # pyright: ignore[reportAttributeAccessIssue]
         else:
             with pytest.raises(FileError, match="standard output is a terminal: redirect it"):
                 write_mesh(torus, "-", format=kind)
-
-
-def test_no_clobber(torus: Mesh, tmp_path: Path) -> None:
-    path = tmp_path / "a.obj"
-    write_mesh(torus, path, clobber=False)
-    before = path.read_bytes()
-    with pytest.raises(FileError, match=r"a\.obj exists: name another file, or drop --no-clobber"):
-        write_mesh(empty(), path, clobber=False)
-    assert path.read_bytes() == before
-    write_mesh(empty(), path)
-    assert path.read_bytes() != before
+        assert bool(shown.getvalue()) == (kind in TEXT)
 
 
 def test_what_is_refused_leaves_the_old_file(torus: Mesh, tmp_path: Path) -> None:
@@ -388,6 +358,8 @@ def test_what_is_refused_leaves_the_old_file(torus: Mesh, tmp_path: Path) -> Non
     path.write_bytes(b"old")
     with pytest.raises(FileError, match="float32"):
         write_mesh(Mesh(torus.vertices + 1e9, torus.faces), path)
+    with pytest.raises(FileError, match=r"a\.ply exists: name another file, or drop --no-clobber"):
+        write_mesh(torus, path, clobber=False)
     assert path.read_bytes() == b"old"
     assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
 
@@ -400,8 +372,6 @@ def test_unknown_names(torus: Mesh, tmp_path: Path) -> None:
         write_mesh(torus, tmp_path / "a.fbx")
     with pytest.raises(FileError, match="format 'fbx' is unknown: choose one of obj, ply, stl"):
         write_mesh(torus, tmp_path / "a.obj", format="fbx", normals=torus.vertices)
-    with pytest.raises(FileError, match="there is no folder"):
-        write_mesh(torus, tmp_path / "no" / "a.obj")
     assert list(tmp_path.iterdir()) == []
 
 

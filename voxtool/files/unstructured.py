@@ -165,8 +165,8 @@ class _Scanned(Exception):
 
 
 def _scan_xml(name: str, file: BinaryIO, size: int) -> None:
-    """Refuse a .vtu with a document type, entities, more points or cells than its bytes can hold, or
-    several pieces, of which meshio would read one."""
+    """Refuse a .vtu with a document type, entities, more points or cells than its bytes can hold,
+    or several pieces, of which meshio would read one."""
     pieces: list[dict[str, str]] = []
     packed = False
 
