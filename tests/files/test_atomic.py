@@ -60,9 +60,13 @@ def test_any_exception_leaves_the_old_file_and_nothing_else(tmp_path, error, exi
     target = tmp_path / "a.h5"
     if exists:
         target.write_bytes(OLD)
-    with pytest.raises(error), atomic_path(target) as temporary:
+
+    def fail(temporary: Path) -> None:
         temporary.write_bytes(NEW)
         raise error
+
+    with pytest.raises(error), atomic_path(target) as temporary:
+        fail(temporary)
     assert names(tmp_path) == (["a.h5"] if exists else [])
     assert not exists or target.read_bytes() == OLD
 

@@ -61,13 +61,9 @@ def test_tables_of_the_documents(heading: str) -> None:
     assert documented == {d.name: d.type_for(sizes).name for d in schema.datasets}
 
 
-def test_a_free_side_names_itself() -> None:
-    (voxels, cells, hashes, bounds) = adf_hdf5.SCHEMA.datasets
-    assert voxels.shape_for({}) == (None, 3, 3, 3)
-    assert bounds.shape_for({"n": 5}) == (5, 2, 2, 2)
-    assert cells.shape_for({"m": 7}) == (7, 7, 7, (2, 3))
-    assert hashes.type_for({"m": 255}) == np.uint8
-    assert hashes.type_for({"m": 256}) == np.uint16
+def test_offsets_of_a_large_hash_have_16_bits() -> None:
+    hashes = adf_hdf5.SCHEMA.datasets[2]
+    assert [hashes.type_for({"m": m}) for m in (255, 256)] == [np.uint8, np.uint16]
 
 
 @pytest.mark.parametrize(

@@ -44,12 +44,12 @@ from helpers_tets import CUBE, assembly, built, tet_mesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import voxtool
 from voxtool import files
 from voxtool.choices import LAYOUTS
 from voxtool.errors import FileError
 from voxtool.files import adf_hdf5, hdf5, svo_hdf5, tet_hdf5
 from voxtool.files.schema import Schema
+from voxtool.svo.octree import Octree
 
 
 class Kind(NamedTuple):
@@ -60,53 +60,36 @@ class Kind(NamedTuple):
     other: Callable[[], Any]
 
 
+def empty_octree() -> Octree:
+    return octree_from_dense(np.zeros((9, 8, 8), bool))
+
+
 KINDS = {
-    "svo": Kind(
-        voxtool.write_svo,
-        voxtool.read_svo,
-        svo_hdf5.SCHEMA,
-        golden_octree,
-        lambda: octree_from_dense(np.zeros((9, 8, 8), bool)),
-    ),
-    "adf": Kind(
-        voxtool.write_adf, voxtool.read_adf, adf_hdf5.SCHEMA, golden_field, FIELDS["without bounds"]
-    ),
-    "tet": Kind(
-        voxtool.write_tet, voxtool.read_tet, tet_hdf5.SCHEMA, golden_volume, constant_volume
-    ),
+    "svo": Kind(files.write_svo, files.read_svo, svo_hdf5.SCHEMA, golden_octree, empty_octree),
+    "adf": Kind(files.write_adf, files.read_adf, adf_hdf5.SCHEMA, golden_field, FIELDS["root"]),
+    "tet": Kind(files.write_tet, files.read_tet, tet_hdf5.SCHEMA, golden_volume, constant_volume),
 }
 every_kind = pytest.mark.parametrize("kind", KINDS)
 
+SVO_DIGEST = "7c2efdb1b391a600c595306787826bf25a4f5b5e1210126d331c654aa2352fe3"
+ADF_DIGEST = "8d56f2cce91e898584e9e2a71eacd015ae767d7c9f013cf783a6d7a33e5bd423"
+TET_DIGESTS = {
+    "raycast": "7b3bb672fec2c1312ad7608768ad69b709e5d252bb51cf81e5b4f69c98346a3a",
+    "projection": "4fe50048e0c28e981f24674a346bd4602f3395c5e3631361ea2ea8ec7e63f943",
+    "hexahedra": "b7e7a040a23af2235668cfd795794f8146ae950a1c1aefd06f1e7bffb79fd7ca",
+}
 GOLDEN: dict[str, tuple[Callable[[], Any], str]] = {
-    "v1.0.svo.h5": (
-        golden_octree,
-        "7c2efdb1b391a600c595306787826bf25a4f5b5e1210126d331c654aa2352fe3",
-    ),
-    "v1.0.svo.xml": (
-        golden_octree,
-        "7c2efdb1b391a600c595306787826bf25a4f5b5e1210126d331c654aa2352fe3",
-    ),
-    "v1.0.adf.h5": (
-        golden_field,
-        "8d56f2cce91e898584e9e2a71eacd015ae767d7c9f013cf783a6d7a33e5bd423",
-    ),
-    "v1.0.tet.h5": (
-        golden_volume,
-        "7b3bb672fec2c1312ad7608768ad69b709e5d252bb51cf81e5b4f69c98346a3a",
-    ),
-    "v1.0-projection.tet.h5": (
-        lambda: golden_volume("projection"),
-        "4fe50048e0c28e981f24674a346bd4602f3395c5e3631361ea2ea8ec7e63f943",
-    ),
-    "v1.0-hexahedra.tet.h5": (
-        lambda: golden_volume("hexahedra"),
-        "b7e7a040a23af2235668cfd795794f8146ae950a1c1aefd06f1e7bffb79fd7ca",
-    ),
+    "v1.0.svo.h5": (golden_octree, SVO_DIGEST),
+    "v1.0.svo.xml": (golden_octree, SVO_DIGEST),
+    "v1.0.adf.h5": (golden_field, ADF_DIGEST),
+    "v1.0.tet.h5": (golden_volume, TET_DIGESTS["raycast"]),
+    "v1.0-projection.tet.h5": (lambda: golden_volume("projection"), TET_DIGESTS["projection"]),
+    "v1.0-hexahedra.tet.h5": (lambda: golden_volume("hexahedra"), TET_DIGESTS["hexahedra"]),
 }
 
 CONTENTS: dict[str, Callable[[], Any]] = {
     "svo": golden_octree,
-    "svo empty": KINDS["svo"].other,
+    "svo empty": empty_octree,
     **{f"adf {name}": make for name, make in FIELDS.items()},
     "adf of large texts": lambda: replace(
         golden_field(), plan={"a": "x" * 59_000}, reached={"a": "y" * 59_000}
@@ -179,23 +162,12 @@ def test_what_differs_shows_in_the_digest() -> None:
     nodes, bricks = octree.nodes.copy(), octree.bricks.copy()
     nodes["parent"][7] ^= 1
     bricks[3] ^= np.uint64(1)
-    grid = octree.grid
-    octrees = [
-        {"mode": "surface26"},
-        {"fill": "none"},
-        {"grid": replace(grid, shape=(19, 16, 12))},
-        {"grid": replace(grid, origin=(-1.5, 0.1, np.nextafter(1e-3, 1)))},
-        {"grid": replace(grid, pitch=(0.1, 0.1, 0.2))},
-        {"nodes": nodes},
-        {"bricks": bricks},
-    ]
-    volumes = [
-        {"scale": 2 * volume.scale},
-        {"origin": (0.0, 0.0, 1.0)},
-        {"scalar_range": (0.0, 1.0)},
-        {"scalar": "t"},
-        {"vertices": np.roll(volume.vertices, 1, axis=0)},
-    ]
+    moved = replace(octree.grid, origin=(-1.5, 0.1, np.nextafter(1e-3, 1)))
+    octrees = [{"mode": "surface26"}, {"fill": "none"}, {"nodes": nodes}, {"bricks": bricks}]
+    octrees += [{"grid": replace(octree.grid, pitch=(0.1, 0.1, 0.2))}, {"grid": moved}]
+    octrees += [{"grid": replace(octree.grid, shape=(19, 16, 12))}]
+    volumes = [{"scale": 2 * volume.scale}, {"origin": (0.0, 0.0, 1.0)}, {"scalar": "t"}]
+    volumes += [{"scalar_range": (0.0, 1.0)}, {"vertices": np.roll(volume.vertices, 1, axis=0)}]
     for content, changes in ((octree, octrees), (volume, volumes)):
         digests = {replace(content, **change).digest() for change in changes}
         assert len({content.digest(), *digests}) == len(changes) + 1
@@ -581,15 +553,10 @@ def test_damage_of_any_kind(name: str) -> None:
 @pytest.mark.parametrize(
     ("kind", "change", "message"),
     [
-        *(
-            ("svo", change, message)
-            for change, message in (
-                ({"plan": {"a": "x" * 70_000}}, "plan has .* bytes: at most 60000 fit"),
-                ({"units": "m" * 100}, "units has 100 bytes"),
-                ({"units": "a\nb"}, "cannot be printed"),
-                ({"units": "\ud800"}, "not Unicode"),
-            )
-        ),
+        ("svo", {"plan": {"a": "x" * 70_000}}, "plan has .* bytes: at most 60000 fit"),
+        ("svo", {"units": "m" * 100}, "units has 100 bytes"),
+        ("svo", {"units": "a\nb"}, "cannot be printed"),
+        ("svo", {"units": "\ud800"}, "not Unicode"),
         ("adf", {"reached": {"a": float("inf")}}, "attribute reached cannot be JSON"),
         ("adf", {"reached": {"a": np.int64(1)}}, "attribute reached cannot be JSON"),
         ("adf", {"sign": "parity"}, "attribute sign is 'parity'"),
