@@ -1,8 +1,8 @@
 """Small meshes for tests: makers, and hypothesis strategies.
 
-Every mesh is a pair: vertices (V, 3) and faces (F, 3) int64. Makers return what they are given:
-whole numbers stay whole; spheres and tori are float64. `fixed` turns voxels into 1/256 voxel, and
-the strategies draw vertices in these units.
+Every mesh is a pair: vertices (V, 3) and faces (F, 3) int64. Makers keep the type of their
+numbers: whole numbers stay whole; spheres and tori are float64. `fixed` turns voxels into 1/256
+voxel, and the strategies draw vertices in these units.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def _coordinate(low: int, high: int, step: int) -> st.SearchStrategy[int]:
 
 
 def _point(shape: Sequence[int], beyond: int, step: int) -> st.SearchStrategy[tuple]:
-    """A point up to so many voxels beyond the grid, a multiple of `step` units on each axis."""
+    """A point up to `beyond` voxels outside the grid, a multiple of `step` units on each axis."""
     ends = [(-beyond * UNIT, (n + beyond) * UNIT) for n in shape]
     return st.tuples(*(_coordinate(low, high, step) for low, high in ends))
 
@@ -151,18 +151,8 @@ STEPS = st.sampled_from([1, 32, UNIT // 2, UNIT])
 
 @st.composite
 def _triangle(draw: st.DrawFn, shape: Sequence[int], reach: int) -> np.ndarray:
-    kinds = (
-        "any",
-        "lattice",
-        "plane",
-        "tiny",
-        "point",
-        "segment",
-        "line",
-        "outside",
-        "spanning",
-        "ramp",
-    )
+    kinds = ("any", "lattice", "plane", "tiny", "point", "segment", "line", "outside", "spanning",
+             "ramp")  # fmt: skip
     kind = draw(st.sampled_from(kinds))
     step = 1 if kind == "any" else draw(STEPS)
     near = _point(shape, 1, step)

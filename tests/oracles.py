@@ -82,8 +82,8 @@ def _children(nodes: set[Cell]) -> set[Cell]:
 
 
 def numbers(triangles: Iterable, shape: Sequence[int]) -> np.ndarray:
-    """Of each voxel, indexed [x, y, z], how many of these crossings enter, by the triangle's side
-    that is seen from -x, less those that leave."""
+    """The number of crossings that enter, by the triangle's side that is seen from -x, less those
+    that leave, up to each voxel; indexed [x, y, z]."""
     found = np.zeros(shape, np.int64)
     for j, k, x, way in crossings(triangles, shape):
         for i in range(shape[0]):
@@ -93,8 +93,8 @@ def numbers(triangles: Iterable, shape: Sequence[int]) -> np.ndarray:
 
 
 def boundary(triangles: np.ndarray) -> list[tuple[tuple, tuple, int]]:
-    """The edges of (N, 3, 3) triangles, by positions, with the number of times that they run from
-    one end to the other less that of the way back, where that is not 0."""
+    """The boundary edges of (N, 3, 3) triangles, by positions: (p, q, n) where n triangles more run
+    from p to q than from q to p, and n is not 0."""
     net: Counter[tuple] = Counter()
     for triangle in triangles.tolist():
         corners = [tuple(corner) for corner in triangle]
@@ -104,8 +104,8 @@ def boundary(triangles: np.ndarray) -> list[tuple[tuple, tuple, int]]:
 
 
 def flood(surface: np.ndarray, gap: int) -> np.ndarray:
-    """What the outside cannot reach through a surface, by paths between voxels that share a corner:
-    it stays ceil(gap / 2) voxels away and then grows by as many."""
+    """The voxels that the outside cannot reach through a surface, by paths across faces, edges and
+    corners of voxels: it stays ceil(gap / 2) voxels away and then grows by as many."""
     steps = -(-gap // 2)
     pad = 2 * steps + 2
     barrier = np.pad(surface, pad)
@@ -122,7 +122,7 @@ def flood(surface: np.ndarray, gap: int) -> np.ndarray:
 
 
 def _grown(dense: np.ndarray) -> np.ndarray:
-    """With the 26 voxels around each."""
+    """The voxels and the 26 around each."""
     for axis in range(3):
         padded = np.moveaxis(np.pad(dense, [(int(a == axis),) * 2 for a in range(3)]), axis, 0)
         dense = np.moveaxis(padded[:-2] | padded[1:-1] | padded[2:], 0, axis)

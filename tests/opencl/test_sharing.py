@@ -62,7 +62,7 @@ def test_stages_are_those_of_the_thread(device: Device) -> None:
 
 
 class Owner:
-    """What data is kept for."""
+    """An object that data is kept for."""
 
 
 def test_data_is_kept_for_its_owner(device: Device) -> None:
@@ -123,7 +123,7 @@ assert not device or scan() == 70000
 
 
 def forked(device: Device, how: str) -> list[str]:
-    """What a forked child prints: of work on its default device, and on its parent's."""
+    """The output of a forked child that works on its default device, and on its parent's."""
     done = subprocess.run(
         [sys.executable, "-c", SCAN, how],
         env={**os.environ, "PYTHONPATH": str(ROOT), "VOXTOOL_DEVICE": str(device.info.index)},

@@ -180,22 +180,20 @@ def _exact_distances(mesh: Mesh, bench: Bench) -> Iterator[_Exact]:
             replace(bench, request=asked).point, WORK[kind].format(len(places)),
             asked={"kinds": kind}, setting={"points": len(places)}, places=len(places),
         )  # fmt: skip
-        measured = _Exact(places, exact(places), cube_of(mesh)[1], [])
-        measured.points.append(
-            row(
-                "exact distances", runs=asked.runs.times(partial(exact, places)),
-                absent=dict.fromkeys(MEASURES["adf"], "errors are measured against it"),
-                figures={"build": build},
-            )
+        alone = row(
+            "exact distances", runs=asked.runs.times(partial(exact, places)),
+            absent=dict.fromkeys(MEASURES["adf"], "errors are measured against it"),
+            figures={"build": build},
         )  # fmt: skip
-        for peer in bench.tools.of_distance(mesh) if bench.request.peers else ():
-            ready, distance = timing.timed(peer.build)
-            runs, found = others.times(peer.name, partial(distance, places))
+        measured = _Exact(places, exact(places), cube_of(mesh)[1], [alone])
+        peers = bench.tools.of_distance(mesh) if bench.request.peers else {}
+        for peer, prepare in peers.items():
+            ready, distance = timing.timed(prepare)
+            runs, found = others.times(peer, partial(distance, places))
             if runs:
-                name = f"{peer.name}, building its trees" if peer.builds_each_time else peer.name
                 errors, signs = measured.compared(found)
                 figures = {"build": ready, **signs}
-                point = row(name, runs=runs, peer=True, errors=errors, figures=figures)
+                point = row(peer, runs=runs, peer=True, errors=errors, figures=figures)
                 measured.points.append(point)
         yield measured
 

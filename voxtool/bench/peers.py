@@ -190,25 +190,13 @@ def _skimage_marching_cubes(octree: Octree, isovalue: float) -> Callable[[], obj
 # --- distances -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class DistancePeer:
-    """A tool that computes signed distances to a mesh.
-
-    Attributes
-    ----------
-    build : prepares the mesh and returns a function from (N, 3) float64 points to (N,) distances.
-    builds_each_time : True if that function prepares the mesh again in every call.
-    """
-
-    name: str
-    build: Callable[[], Distance]
-    builds_each_time: bool = False
-
-
-def of_distance(mesh: Mesh) -> list[DistancePeer]:
-    """The tools that compute signed distances, each with its own choice of threads."""
-    makers = {"Open3D": _open3d_scene, "libigl": _igl_signed_distance}
-    return [DistancePeer(name, build, "libigl" in name) for name, build in _made(makers, mesh)]
+def of_distance(mesh: Mesh) -> dict[str, Callable[[], Distance]]:
+    """The tools that compute signed distances, by name and version, each with its own choice of
+    threads. A call prepares the mesh and returns a function from (N, 3) float64 points to (N,)
+    distances."""
+    found = dict(_made({"Open3D": _open3d_scene, "libigl": _igl_signed_distance}, mesh))
+    return {name + ", building its trees" * ("libigl" in name): build
+            for name, build in found.items()}  # fmt: skip
 
 
 def _open3d_scene(mesh: Mesh) -> Callable[[], Distance]:

@@ -10,7 +10,7 @@ from typing import Any
 from voxtool.bench.timing import Runs
 from voxtool.choices import MARCHING_CUBES, METHODS, MODES, SEARCHES, SURFACE_NETS
 
-KINDS = ("random", "rays")  # of points: in quasi-random order, and one after another along rays
+KINDS = ("random", "rays")  # of points: quasi-random ones, and those along rays, in order
 INTEGRATORS = ("linear", "average", "preintegrated", "sampled:1", "sampled:4", "sampled:16")
 TRANSFERS = ("x1", "x10", "x100", "steps")
 SETTINGS = {  # the fields of a Request that each bench reads
@@ -27,23 +27,15 @@ MESH_BENCHES = ("voxelize", "extract", "adf", "distance")
 
 @dataclass(frozen=True)
 class Request:
-    """The settings to measure, and how often. The defaults are those of `voxtool bench all`.
+    """The settings to measure, as `voxtool bench` describes its options, and how often. The
+    defaults are those of `voxtool bench all`.
 
     Attributes
     ----------
-    dims, modes, fills, fit, styles, isovalue : of voxels and surfaces; fills are the rules of
-        solids, of which surfaces take the first.
-    samples : points on each surface at which errors are measured.
-    tolerances, levels, band, sign : of distance fields; sphere_level : the depth of the sphere
-        whose cells are hashed.
-    points, kinds, searches : how many points a field is asked at, in which order, and how.
-    grids : dims of dense grids of distances.
-    sizes, view, methods, integrators, transfers, scalar, component : of pictures of volumes; the
-        smaller sizes take the first integrator alone.
-    pixels : along each side of the largest picture, at which errors are measured.
-    repeat, seconds : runs after a warm-up, and more of short work until it took these seconds.
-    commands : whether whole commands are run in their own process, for their time and memory.
-    ablations : whether decisions of plans are forced.
+    sphere_level : the depth of the sphere whose cells are hashed.
+    repeat, seconds : runs after a warm-up; short work has more, until it took these seconds.
+    commands : True to run whole commands in their own process, for their time and memory.
+    ablations : True to force decisions of plans.
     """
 
     dims: tuple[int, ...] = (64, 128, 256, 512)
@@ -79,7 +71,7 @@ class Request:
 
     @property
     def runs(self) -> Runs:
-        """How often work is timed."""
+        """The number of timed runs."""
         return Runs(self.repeat, self.seconds)
 
     def command(self, bench: str, model: str, **setting: Any) -> str:

@@ -15,18 +15,10 @@ from typing import Any
 
 import numpy as np
 
-_TYPES = {
-    "char": np.int8,
-    "uchar": np.uint8,
-    "short": np.int16,
-    "ushort": np.uint16,
-    "int": np.int32,
-    "uint": np.uint32,
-    "long": np.int64,
-    "ulong": np.uint64,
-    "float": np.float32,
-    "double": np.float64,
-}
+_NAMES = ("char", "uchar", "short", "ushort", "int", "uint", "long", "ulong", "float", "double")
+_TYPES = dict(
+    zip(_NAMES, ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"), strict=True)
+)
 _QUALIFIERS = {"__global", "__constant", "__local", "const", "volatile", "restrict"}
 _DIRECTIVE = re.compile(r"\s*#\s*(ifdef|ifndef|if|elif|else|endif|define|undef)\b\s*(.*)")
 _KERNEL = re.compile(r"__kernel\b[^;{]*?\bvoid\s+(\w+)\s*\(")

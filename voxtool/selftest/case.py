@@ -1,4 +1,4 @@
-"""A case of the selftest: what is measured, its oracle, and the largest correct error."""
+"""A case of the selftest: a measurement, its oracle, and the largest correct error."""
 
 from __future__ import annotations
 

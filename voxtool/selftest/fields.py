@@ -1,4 +1,4 @@
-"""Distances, and fields of them, where meshes are stiff or extreme."""
+"""Distances, and fields of them, of stiff and extreme meshes."""
 
 from __future__ import annotations
 

@@ -61,8 +61,8 @@ def solid(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
 
 
 def crossings(triangles: Iterable, shape: Sequence[int]) -> Iterator[tuple]:
-    """The rows (j, k) that cross a triangle, where along x, and 1 if they enter by the triangle's
-    side that is seen from -x, or -1."""
+    """The rows (j, k) that cross a triangle, the place along x, and 1 if the triangle is seen from
+    its front from -x, or -1."""
     for triangle in polygons(triangles):
         (x0, y0, z0), (ax, ay, az), (bx, by, bz) = _edges(*triangle)
         det = ay * bz - az * by
@@ -117,7 +117,7 @@ def polygons(triangles: Iterable) -> Iterator[Polygon]:
 
 def touched(polygon: Polygon, slabs: Sequence[Sequence[Slab]], axis: int = 0) -> Iterator[tuple]:
     """Cells of a product of closed slabs that a convex polygon touches, which may be a segment or a
-    point: clip it to each slab of one axis, then what is left to those of the next."""
+    point: clip it to each slab of one axis, then the rest to those of the next."""
     low, high = min(p[axis] for p in polygon), max(p[axis] for p in polygon)
     for index, (start, end) in enumerate(slabs[axis]):
         if end < low or high < start:

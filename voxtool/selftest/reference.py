@@ -143,7 +143,7 @@ def planes_of(places: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 def projected_boxes(corners: np.ndarray, perspective: bool) -> tuple[np.ndarray, np.ndarray]:
     """(T, 2) float64 each: least and largest x and y of the rays that may meet cells of (T, 4, 3)
-    corners; inf and -inf where none does."""
+    corners; inf and -inf for cells that no ray meets."""
     places, depth = corners[:, :, :2], corners[:, :, 2:]
     if not perspective:
         return places.min(axis=1), places.max(axis=1)

@@ -44,7 +44,7 @@ def weights(device: Device, a: np.ndarray, b: np.ndarray, lanes: int | None = No
 
 
 def weight_error(device: Device, a: np.ndarray, b: np.ndarray) -> float:
-    """The largest relative error of weights and of what is let through."""
+    """The largest relative error of weights and of transmittances."""
     found = weights(device, a, b)
     front, back = a.astype(np.float64), b.astype(np.float64)
     through = np.exp(-(front + back) / 2)
