@@ -268,29 +268,23 @@ def test_files_of_a_report(written: Path) -> None:
     assert "'-x" in rows
 
 
-def test_a_report_is_the_same_again(tmp_path: Path) -> None:
+def test_existing_files_and_the_same_report_again(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     for name in "ab":
         report.write_report(made(), str(tmp_path / name))
-    for path in (tmp_path / "a").iterdir():
-        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes(), path.name
-
-
-def test_existing_files(tmp_path: Path, monkeypatch) -> None:
-    pytest.importorskip("matplotlib")
-    folder = tmp_path / "out"
-    report.write_report(made(), str(folder))
-    before = (folder / "report.json").read_bytes()
+    before = {path.name: path.read_bytes() for path in (tmp_path / "a").iterdir()}
+    again = {path.name: path.read_bytes() for path in (tmp_path / "b").iterdir()}
+    assert before == again
+    file = tmp_path / "a" / "report.json"
     with pytest.raises(FileError, match=r"report\.json exists"):
-        report.write_report(made(POINTS[:1]), str(folder), clobber=False)
-    assert (folder / "report.json").read_bytes() == before
-    report.write_report(made(POINTS[:1]), str(folder))
-    assert (folder / "report.json").read_bytes() != before
-    (tmp_path / "file").write_text("")
-    with pytest.raises(FileError, match="it is a file: name a folder"):
-        report.check_folder(str(tmp_path / "file"))
-    with pytest.raises(FileError, match="there is no folder"):
-        report.check_folder(str(tmp_path / "no" / "out"))
+        report.write_report(made(POINTS[:1]), str(tmp_path / "a"), clobber=False)
+    assert file.read_bytes() == before["report.json"]
+    report.write_report(made(POINTS[:1]), str(tmp_path / "a"))
+    assert file.read_bytes() != before["report.json"]
+    for folder, message in ((file, "it is a file: name a folder"),
+                            (tmp_path / "no" / "out", "there is no folder")):  # fmt: skip
+        with pytest.raises(FileError, match=message):
+            report.check_folder(str(folder))
 
 
 @pytest.mark.parametrize("package", ["matplotlib", "jinja2"])
@@ -355,13 +349,6 @@ def test_compare_command(tmp_path: Path, monkeypatch) -> None:
     assert invoke("bench compare old.json other.json").exit_code == 3
 
 
-def damaged(tmp_path: Path, change) -> str:
-    value = made().as_dict()
-    change(value)
-    (tmp_path / "bad.json").write_text(json.dumps(value))
-    return fail("bench compare bad.json bad.json")
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -383,7 +370,10 @@ def damaged(tmp_path: Path, change) -> str:
 )
 def test_damaged_reports_are_one_line(tmp_path: Path, monkeypatch, change, message: str) -> None:
     monkeypatch.chdir(tmp_path)
-    assert message in damaged(tmp_path, change)
+    value = made().as_dict()
+    change(value)
+    (tmp_path / "bad.json").write_text(json.dumps(value))
+    assert message in fail("bench compare bad.json bad.json")
 
 
 def test_other_files_are_one_line(tmp_path: Path, monkeypatch) -> None:
