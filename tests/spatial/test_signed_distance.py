@@ -18,13 +18,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from meshes import mesh_of
 
+from voxtool import distance
 from voxtool.errors import VoxtoolError
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
 from voxtool.spatial import angles, bvh
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.pseudonormals import pseudonormals
-from voxtool.spatial.signed_distance import SignedDistance, default_sign, distance
+from voxtool.spatial.signed_distance import SignedDistance, default_sign
 from voxtool.spatial.winding_number import WindingNumber
 
 if TYPE_CHECKING:

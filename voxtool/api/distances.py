@@ -261,10 +261,8 @@ def distance(
     ----------
     [Baerentzen 2005] for pseudo-normals, [Jacobson 2013] and [Barill 2018] for winding numbers.
     """
-    return signed_distance.distance(
-        as_mesh(mesh), points, sign=sign, gradient=gradient, nearest=nearest, face=face,
-        device=device,
-    )  # fmt: skip
+    measure = SignedDistance(mesh, sign, device)
+    return measure(points, gradient=gradient, nearest=nearest, face=face)
 
 
 def plan_distance(

@@ -64,16 +64,7 @@ def distance_bytes(faces: int, sign: str) -> int:
 
 
 class SignedDistance:
-    """The signed distance to a mesh, for many calls; see voxtool.SignedDistance.
-
-    The tree is built once, stays on the device while the mesh is in use, and is shared by all
-    objects of the same mesh, sign and device.
-
-    Attributes
-    ----------
-    sign : str
-        How the sign is found, one of voxtool.choices.SIGNS.
-    """
+    """The signed distance to a mesh, for many calls; see voxtool.SignedDistance."""
 
     def __init__(self, mesh: Mesh, sign: str | None = None, device: Device | None = None) -> None:
         if sign is not None and sign not in SIGNS:
@@ -81,12 +72,9 @@ class SignedDistance:
         self.device = device or default_device()
         self.mesh = mesh
         self.sign = sign or self.device.keep(mesh, "default sign", 0, lambda: default_sign(mesh))
-        size = distance_bytes(len(mesh.faces), self.sign)
+        name, size = f"distance, sign {self.sign}", distance_bytes(len(mesh.faces), self.sign)
         self._distance, self._winding = self.device.keep(
-            mesh,
-            f"distance, sign {self.sign}",
-            size,
-            lambda: _measures(mesh, self.sign, self.device),
+            mesh, name, size, lambda: _measures(mesh, self.sign, self.device)
         )
 
     @overload
@@ -126,20 +114,16 @@ class SignedDistance:
         """
         one = np.ndim(points) == 1
         world = checked_points([points] if one else points)
-        parts = [self._at_block(block, gradient or nearest or face) for block in
-                 self._distance.blocks(world)]  # fmt: skip
+        located = gradient or nearest or face
+        parts = [self._at_block(block, located) for block in self._distance.blocks(world)]
         if not parts:
             parts = [(np.empty(0), np.empty((0, 3)), np.empty((0, 3)), np.empty(0, np.int64))]
-        found = [
-            np.concatenate(columns) if asked else None
-            for columns, asked in zip(
-                zip(*parts, strict=True), (True, gradient, nearest, face), strict=True
-            )
+        all_or_one = 0 if one else slice(None)
+        columns: list[Any] = [
+            np.concatenate(column)[all_or_one] if asked else None
+            for asked, *column in zip((True, gradient, nearest, face), *parts, strict=True)
         ]
-        if one:
-            found = [None if column is None else column[0] for column in found]
-        result = DistanceResult(*found)
-        return result if gradient or nearest or face else result.distance
+        return DistanceResult(*columns) if located else columns[0]
 
     def _at_block(self, block: Any, located: bool) -> tuple[Any, ...]:
         """Return the columns of a DistanceResult for the points of a block."""
@@ -171,18 +155,3 @@ def _measures(
     if sign != "winding":
         return distance, None
     return distance, WindingNumber(mesh, device, tree=distance.tree)
-
-
-def distance(
-    mesh: Mesh,
-    points: Any,
-    *,
-    sign: str | None = None,
-    gradient: bool = False,
-    nearest: bool = False,
-    face: bool = False,
-    device: Device | None = None,
-) -> np.ndarray | DistanceResult:
-    """Return the exact signed distances from points to a mesh; see voxtool.distance."""
-    measure = SignedDistance(mesh, sign, device)
-    return measure(points, gradient=gradient, nearest=nearest, face=face)
