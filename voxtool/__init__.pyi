@@ -15,12 +15,10 @@ from voxtool.api.distances import query_adf as query_adf
 from voxtool.api.octrees import MeshLike as MeshLike
 from voxtool.api.octrees import deviation as deviation
 from voxtool.api.octrees import diagnose as diagnose
-from voxtool.api.octrees import export as export
 from voxtool.api.octrees import extract as extract
 from voxtool.api.octrees import plan_extract as plan_extract
 from voxtool.api.octrees import plan_voxelize as plan_voxelize
 from voxtool.api.octrees import voxelize as voxelize
-from voxtool.api.octrees import write_mesh as write_mesh
 from voxtool.api.pictures import build_tet as build_tet
 from voxtool.api.pictures import plan_render as plan_render
 from voxtool.api.pictures import plan_tet as plan_tet
@@ -39,11 +37,13 @@ from voxtool.errors import MeshError as MeshError
 from voxtool.errors import MeshWarning as MeshWarning
 from voxtool.errors import VoxtoolError as VoxtoolError
 from voxtool.errors import VoxtoolWarning as VoxtoolWarning
+from voxtool.files import export as export
 from voxtool.files import read_adf as read_adf
 from voxtool.files import read_svo as read_svo
 from voxtool.files import read_tet as read_tet
 from voxtool.files import read_unstructured as read_unstructured
 from voxtool.files import write_adf as write_adf
+from voxtool.files import write_mesh as write_mesh
 from voxtool.files import write_svo as write_svo
 from voxtool.files import write_tet as write_tet
 from voxtool.files.mesh import load_mesh as load_mesh

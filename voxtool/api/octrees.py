@@ -6,9 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, TypeVar
 
-import numpy as np
-
-from voxtool import files, report
+from voxtool import report
 from voxtool.choices import DEFAULT_MODE, FILLS, STYLES
 from voxtool.errors import GridError
 from voxtool.files import read_svo
@@ -48,66 +46,6 @@ def grid_of(mesh: Mesh, grid: Grid | None, dim: int | None, pitch: float | None)
     if dim is not None or pitch is not None:
         raise GridError("a grid has its own dim and pitch: drop dim= and pitch=, or the grid")
     return grid
-
-
-def write_mesh(
-    mesh: MeshLike,
-    path: Path,
-    clobber: bool = True,
-    format: str | None = None,
-    normals: np.ndarray | None = None,
-) -> None:
-    """Write a triangle mesh, or the result of `extract`, as .obj, .ply, .stl, .glb or .off.
-
-    Parameters
-    ----------
-    path
-        `-` writes stdout, as OBJ.
-    clobber
-        False refuses an existing file.
-    format
-        "obj", "ply", "stl", "glb" or "off", instead of what the name says.
-    normals
-        (V, 3) float64 unit vectors, one a vertex, for .obj, .ply and .glb.
-
-    Raises
-    ------
-    FileError
-        the file cannot be written, or the format cannot hold the mesh or its normals.
-    MeshError
-        a vertex is not finite, or the normals are not one a vertex and finite.
-    """
-    files.write_mesh(as_mesh(mesh), path, clobber, format, normals)
-
-
-def export(
-    octree: Octree | Path,
-    path: Path,
-    clobber: bool = True,
-    format: str | None = None,
-    **options: Any,
-) -> None:
-    """Export the set voxels as .npy (dense), .npz (coordinates), .vti (ParaView) or .png (slice).
-
-    Parameters
-    ----------
-    octree
-        an Octree or a path.
-    clobber
-        False refuses an existing file.
-    format
-        "npy", "npz", "vti" or "png", instead of what the name says.
-    options
-        for a png, `axis` ("x", "y" or "z") and `value` (a voxel index).
-
-    Raises
-    ------
-    FileError
-        the file cannot be written, is larger than its disk, or its name says no format.
-    GridError
-        a slice outside the grid. MemoryLimitError : it does not fit in memory.
-    """
-    files.export(opened(octree, read_svo), path, clobber, format, **options)
 
 
 def plan_voxelize(

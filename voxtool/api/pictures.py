@@ -31,8 +31,9 @@ PICTURE_SIZE = (256, 256)  # pixels of a picture in a notebook
 PICTURE_DIM = 128  # voxels along the longest side of a mesh that is shown
 
 # files imports the types of its functions for type checkers only; get_type_hints needs them too.
-for _type in (DistanceField, Octree, TetVolume, UnstructuredMesh):
-    setattr(files, _type.__name__, _type)
+files.__dict__.update(
+    {type_.__name__: type_ for type_ in (DistanceField, Octree, TetVolume, UnstructuredMesh)}, np=np
+)
 
 
 def plan_tet(

@@ -6,6 +6,7 @@ content. Modules of formats, and what they import, are loaded when they are firs
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -191,41 +192,82 @@ def read_scene(path: PathLike) -> Octree | DistanceField | TetVolume:
 
 
 def export(
-    octree: Octree,
+    octree: Octree | PathLike,
     path: PathLike,
     clobber: bool = True,
     format: str | None = None,
     **options: Any,
 ) -> None:
-    """Write the set voxels as .npy, .npz, .vti or .png, as voxtool.export."""
+    """Export the set voxels as .npy (dense), .npz (coordinates), .vti (ParaView) or .png (slice).
+
+    Parameters
+    ----------
+    octree : Octree or path
+        The voxels.
+    path : path
+        The file; `-` writes stdout.
+    clobber : bool
+        False refuses an existing file.
+    format : str, optional
+        "npy", "npz", "vti" or "png"; by default what the name says.
+    **options
+        Of a png, `axis` ("x", "y" or "z") and `value` (the index of the slice, in voxels).
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written, is larger than its disk, or its name says no format.
+    GridError
+        If the slice is outside the grid.
+    MemoryLimitError
+        If the export does not fit in memory.
+    """
+    if isinstance(octree, str | os.PathLike):
+        octree = read_svo(octree)
     _write(octree, path, clobber, format, EXPORTS, **options)
 
 
 def write_mesh(
-    mesh: Mesh,
+    mesh: Any,
     path: PathLike,
     clobber: bool = True,
     format: str | None = None,
     normals: np.ndarray | None = None,
 ) -> None:
-    """Write a triangle mesh as .obj, .ply, .stl, .glb or .off, as voxtool.write_mesh.
+    """Write a triangle mesh, or the result of `extract`, as .obj, .ply, .stl, .glb or .off.
 
-    The module mesh_writers says how exact each format is.
+    Parameters
+    ----------
+    mesh : Mesh, path, trimesh.Trimesh, pair of arrays, or Isosurface
+        The triangle mesh.
+    path : path
+        The file; `-` writes stdout, as OBJ.
+    clobber : bool
+        False refuses an existing file.
+    format : str, optional
+        "obj", "ply", "stl", "glb" or "off"; by default what the name says.
+    normals : (V, 3) float64, optional
+        Unit vectors, one for each vertex, for .obj, .ply and .glb.
 
     Raises
     ------
-    FileError : the file cannot be written, its name says no format, or the format cannot hold the
-        mesh or its normals.
-    MeshError : a vertex is not finite, or the normals are not one a vertex and finite.
-    MemoryLimitError : the text does not fit in memory.
+    FileError
+        If the file cannot be written, its name says no format, or the format cannot hold the mesh
+        or its normals.
+    MeshError
+        If a vertex is not finite, or the normals are not finite and one for each vertex.
+    MemoryLimitError
+        If the text does not fit in memory.
     """
+    from voxtool.files.mesh import as_mesh
+
     format = format or format_of(path, MESH_FORMATS)
     if normals is not None and format in MESH_FORMATS and format not in NORMAL_FORMATS:
         held = ", ".join(f".{name}" for name in NORMAL_FORMATS)
         raise FileError(
             f".{format} holds no vertex normals: write one of {held}, or leave them out"
         )
-    _write(mesh, path, clobber, format, MESH_FORMATS, normals=normals)
+    _write(as_mesh(mesh), path, clobber, format, MESH_FORMATS, normals=normals)
 
 
 def _read(path: PathLike, kind: Kind) -> Any:
