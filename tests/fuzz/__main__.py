@@ -35,7 +35,7 @@ def replay(session: Session, kind: str, number: int) -> int:
     """Try one case and print it."""
     case = case_of(kind, session.seed, number, session.contents)
     print(repr(case)[:2000])
-    worker = Worker(session.folder, session.seed, session.device, session.limit)
+    worker = Worker(session.folder, session.device, session.limit)
     findings = worker.ask(case)
     worker.stop()
     for finding in findings:

@@ -138,7 +138,7 @@ def base(name: str, names: set[str], rng: random.Random) -> list[str]:
     if name == "render":
         words = [rng.choice(SCENES), "--size", "16"]
     elif name == "bench compare":
-        words = ["report.json", "report.json"]
+        words = ["a.report.json", "a.report.json"]
     elif name.startswith("bench"):
         words = ["a.vtu" if name == "bench tets" else "a.obj"]
         for option, value in zip(BENCH[1::2], BENCH[2::2], strict=True):

@@ -33,6 +33,8 @@ KNOWN = {
     r"another file is (opened|told) in files/unstructured.py:_through_meshio": "4",
     r"memory in files/(unstructured.py:_through_meshio|mesh.py:_read_all)": "5",
     r"numpy warning in .*": "11",
+    r"exception in cli/bench.py:measure": "11",  # with an output whose name is no UTF-8
+    r"a failed command leaves a file in bench": "11",  # the same
     r"no printable line in a message with an odd name": "11",
     r"not one error line in a message with an odd name": "11",
     r"warning in files/(unstructured.py:_through_meshio|points.py:_read_npy)": "casts",
@@ -266,6 +268,8 @@ def numbers_and_words() -> Iterator[Entry]:
         yield Entry(f"output {name!r}", "11", command=f"voxelize a.obj --dim 16 -o {name}")
     for name in ("new\nline.obj", os.fsdecode(b"\xff.obj")):
         yield Entry(f"name {name!r}", "", name, lambda: b"v 0 0 0\nf 1 2 3\n", "diagnose FILE")
+    bench = "bench voxelize a.obj --quick --dims 8 --repeat 1 --samples 99 -o \udcff"
+    yield Entry("report in an odd folder", "11", command=bench)
     points = np.array([(np.inf, 0, 0), (-np.inf, np.inf, 0)])
     csv = "\n".join(",".join(map(str, point)) for point in points.tolist()).encode()
     query = "adf-query a.adf.h5 FILE --gradient -o - --format csv"

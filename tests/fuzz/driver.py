@@ -51,7 +51,6 @@ class Session:
     effort: float = 30.0
     known: Callable[[str], bool] = lambda _: False
     found: dict[str, Found] = field(default_factory=dict)
-    tried: int = 0
     contents: dict[str, bytes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -70,21 +69,20 @@ class Session:
 
         def work() -> None:
             for number in self._numbers(numbers, end, last, worker := self._worker()):
-                findings = worker.ask((kind, number))
+                case = case_of(kind, self.seed, number, self.contents)
+                for finding in worker.ask(case):
+                    self.note(finding, kind, case, worker)
                 tried.append(number)
-                for finding in findings:
-                    self.note(finding, kind, number, worker)
 
         threads = [threading.Thread(target=work) for _ in range(self.workers)]
         for thread in threads:
             thread.start()
         for thread in threads:
             thread.join()
-        self.tried += len(tried)
         return max(tried, default=start - 1) + 1
 
     def _worker(self) -> Worker:
-        worker = Worker(self.folder, self.seed, self.device, self.limit)
+        worker = Worker(self.folder, self.device, self.limit)
         worker.start()
         return worker
 
@@ -99,13 +97,12 @@ class Session:
         finally:
             worker.stop()
 
-    def note(self, finding: Finding, kind: str, number: int, worker: Worker) -> None:
+    def note(self, finding: Finding, kind: str, case: Case, worker: Worker) -> None:
         """Count a finding; make the case of a new one smaller, save it and report it."""
         with self._lock:
             if finding.key in self.found:
                 self.found[finding.key].count += 1
                 return
-            case = case_of(kind, self.seed, number, self.contents)
             found = self.found[finding.key] = Found(finding, case)
         known = self.known(finding.key)
         if not known:

@@ -32,7 +32,7 @@ def cases(render: bool) -> list:
 @contextmanager
 def worker_for(index: int, folder: Path) -> Iterator[Worker]:
     samples.write_all(folder, opened(index))
-    worker = Worker(folder, 0, str(index), LIMIT)
+    worker = Worker(folder, str(index), LIMIT)
     try:
         yield worker
     finally:

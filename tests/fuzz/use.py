@@ -41,6 +41,10 @@ COMMANDS: dict[tuple[str, ...], tuple[str, ...]] = {
     ),
     samples.CELLS: ("tet-build FILE --json -o out.tet.h5",),
     samples.POINTS: ("adf-query ../../a.adf.h5 FILE --gradient -o out.csv --device DEVICE",),
+    samples.REPORTS: (
+        "bench compare FILE ../../a.report.json --json", "bench compare ../../a.report.json FILE",
+        "bench compare FILE FILE --all --fail-over 10",
+    ),
     samples.TRANSFERS: (
         "render ../../a.raycast.tet.h5 --transfer FILE --size 16 -o out.png --device DEVICE",
     ),
@@ -73,7 +77,7 @@ def run(case: Case, tools: Tools) -> list[Finding]:
 
 def use_file(case: Case, tools: Tools) -> None:
     rng = case.rng
-    if rng.random() < SHARE_OF_COMMANDS:
+    if rng.random() < SHARE_OF_COMMANDS or case.format in samples.REPORTS:
         line = rng.choice(next(lines for kinds, lines in COMMANDS.items() if case.format in kinds))
         given = {"FILE": f"./{case.name}", "DEVICE": tools.device_name}
         words = tuple(given.get(word, word) for word in line.split())

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from . import samples
-from .cases import Case, case_of
+from .cases import Case
 from .judge import SECRET_WORD, Finding, Tools, memory
 from .use import run
 
@@ -28,15 +28,15 @@ FRAME = re.compile(r'File ".*?/(voxtool/[^"]+|kernels/[^"]+)", line \d+ in (\w+)
 class Worker:
     """A process and the pipe to it. `limit` is the time that a case may take, in seconds."""
 
-    def __init__(self, folder: Path, seed: int, device: str, limit: float) -> None:
-        self.folder, self.seed, self.device, self.limit = folder, seed, device, limit
+    def __init__(self, folder: Path, device: str, limit: float) -> None:
+        self.folder, self.device, self.limit = folder, device, limit
         self.log = Path(tempfile.mkdtemp(dir=folder)) / "log"
         self.process: Any = None
 
     def start(self) -> None:
         context = multiprocessing.get_context("spawn")
         self.pipe, other = context.Pipe()
-        arguments = (other, self.folder, self.log, self.seed, self.device, self.limit)
+        arguments = (other, self.folder, self.log, self.device, self.limit)
         self.process = context.Process(target=serve, args=arguments, daemon=True)
         self.process.start()
         other.close()
@@ -49,12 +49,12 @@ class Worker:
             self.process.join()
             self.process = None
 
-    def ask(self, request: Case | tuple[str, int]) -> list[Finding]:
-        """The findings of a case, or of the case of a kind and a number."""
+    def ask(self, case: Case) -> list[Finding]:
+        """The findings of a case."""
         if not self.process:
             self.start()
         try:
-            self.pipe.send(request)
+            self.pipe.send(case)
             if self.pipe.poll(self.limit + GRACE):
                 findings, resident = self.pipe.recv()
                 if resident > OLD_AGE:
@@ -75,63 +75,63 @@ class Worker:
         return [Finding(what, place, f"{name}: {' '.join(text.split())[:300]}")]
 
 
-def serve(pipe: Any, folder: Path, log: Path, seed: int, device: str, limit: float) -> None:
+def serve(pipe: Any, folder: Path, log: Path, device: str, limit: float) -> None:
     """Try the cases that come through the pipe, until it is closed."""
-    work, temporary = log.parent / "work", log.parent / "temporary"
     with log.open("wb") as file:
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
     faulthandler.enable(2)
+    work, temporary = log.parent / "work", log.parent / "temporary"
+    work.mkdir(exist_ok=True)
     temporary.mkdir(exist_ok=True)
     tempfile.tempdir = os.environ["TMPDIR"] = str(temporary)
+    os.chdir(work)
     import voxtool
 
     contents = samples.read_all(folder)
     tools = Tools(voxtool.open_device(device), device)
     (folder / "secret.txt").write_text(f"{SECRET_WORD}\n")
     tools.load(folder)
-    new_folder(work, contents, with_samples=False)
-    run(Case(0, "a.obj", "obj", contents["obj"]), tools)  # imports, and the device's first work
+    fill_folder(contents)
+    run(Case(0, "a.obj", "obj"), tools)  # imports, and the device's first work
     space = memory("VmSize") + MOST_MEMORY
     resource.setrlimit(resource.RLIMIT_AS, (space, resource.RLIM_INFINITY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     pipe.send("ready")
-    while True:
-        try:
-            request = pipe.recv()
-        except EOFError:
-            return
-        case = (
-            request
-            if isinstance(request, Case)
-            else case_of(request[0], seed, request[1], contents)
-        )
-        new_folder(work, contents, with_samples=bool(case.words))
-        if case.name:
-            Path(case.name).write_bytes(case.content)
-        faulthandler.dump_traceback_later(limit, exit=True)
-        findings = run(case, tools)
-        faulthandler.cancel_dump_traceback_later()
-        left = [path.name for path in temporary.iterdir()]
-        if left:
-            findings.append(Finding("temporary file left", case.format or case.words[0], f"{left}"))
+    filled: dict[str, tuple[int, int]] = {}
+    with suppress(EOFError):
+        while True:
+            case = pipe.recv()
+            if not filled or listing() != filled:
+                fill_folder(contents)
+                filled = listing()
+            if case.name:
+                Path(case.name).write_bytes(case.content)
+            faulthandler.dump_traceback_later(limit, exit=True)
+            findings = run(case, tools)
+            faulthandler.cancel_dump_traceback_later()
             for path in temporary.iterdir():
+                findings.append(Finding("temporary file left", "the folder for them", path.name))
                 path.unlink()
-        pipe.send((findings, memory("VmRSS")))
+            pipe.send((findings, memory("VmRSS")))
+            if case.name:
+                Path(case.name).unlink(missing_ok=True)
 
 
-def new_folder(work: Path, contents: dict[str, bytes], with_samples: bool) -> None:
-    """Make the current folder a new one: empty, or with the samples and some odd names."""
-    shutil.rmtree(work, ignore_errors=True)
-    work.mkdir()
-    os.chdir(work)
-    if not with_samples:
-        return
+def fill_folder(contents: dict[str, bytes]) -> None:
+    """Make the current folder one of the samples and some odd names, and of nothing else."""
+    for path in Path().iterdir():
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
     for format, content in contents.items():
         Path(f"a.{format}").write_bytes(content)
     Path("folder").mkdir()
     Path("empty").touch()
-    Path("report.json").write_text("{}")
     with suppress(OSError):  # where the file system takes such names
         for name in ("new\nline.obj", os.fsdecode(b"\xff.obj")):
             Path(name).write_bytes(contents["obj"])
+
+
+def listing() -> dict[str, tuple[int, int]]:
+    """The time and size of each file of the current folder."""
+    stats = {entry.name: entry.stat() for entry in os.scandir()}
+    return {name: (stat.st_mtime_ns, stat.st_size) for name, stat in stats.items()}
