@@ -34,10 +34,7 @@ __kernel void activate_nodes(__global const CODE *codes, const uint n, const int
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    CODE code = level == NODE_LEVEL ? codes[gid] : codes[gid] >> 9;
-#ifdef BLOCKED
-    if (level == NODE_LEVEL)
-        code = (CODE)set_index(block_words, block_ranks, code >> 9) << 9 | (code & 511);
-#endif
+    const CODE code =
+        level == NODE_LEVEL ? stored_code(ACTIVE_SET, codes[gid]) : codes[gid] >> 9;
     atomic_or(&target[(uint)(code >> 5)], 1u << (uint)(code & 31));
 }

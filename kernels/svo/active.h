@@ -18,12 +18,17 @@ uint set_index(__global const uint *words, __global const uint *ranks, CODE code
 #define ACTIVE_SET words, ranks
 #endif
 
+// The code under which the bit of a level-1 node is stored.
+CODE stored_code(ACTIVE_SET_PARAMETERS, CODE code)
+{
+#ifdef BLOCKED
+    code = (CODE)set_index(block_words, block_ranks, code >> 9) << 9 | (code & 511);
+#endif
+    return code;
+}
+
 // The index of an active node among the active nodes; undefined for other nodes.
 uint node_index(ACTIVE_SET_PARAMETERS, CODE code)
 {
-#ifdef BLOCKED
-    const CODE slot = set_index(block_words, block_ranks, code >> 9);
-    code = (slot << 9) | (code & 511);
-#endif
-    return set_index(words, ranks, code);
+    return set_index(words, ranks, stored_code(ACTIVE_SET, code));
 }

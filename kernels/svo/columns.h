@@ -24,8 +24,8 @@ int3 unswizzle(int3 v, int axis) { return axis == 2 ? v : axis == 0 ? v.zxy : v.
 columns columns_of(const triangle *t, int kind, int level, int3 shape, int3 pad)
 {
     columns c;
-    const int3 low = min(min(t->v[0], t->v[1]), t->v[2]);
-    const int3 high = max(max(t->v[0], t->v[1]), t->v[2]);
+    int3 low, high;
+    find_bounds(t, &low, &high);
     const int bits = FIXED_POINT_BITS + level;
     if (kind == CROSSED) { // rows of centres: the first and last voxel whose centre lies in the bounding box
         c.axis = 0;
@@ -37,11 +37,8 @@ columns columns_of(const triangle *t, int kind, int level, int3 shape, int3 pad)
         if (c.low.x >= shape.x)
             c.high.y = c.low.y - 1; // beyond the high-x side: no column
     } else {
-        const int3 a = t->v[1] - t->v[0], b = t->v[2] - t->v[0];
-        const long x = cross_term(a.y, b.z, b.y, a.z), y = cross_term(a.z, b.x, b.z, a.x),
-                   z = cross_term(a.x, b.y, b.x, a.y);
-        const ulong nx = abs(x), ny = abs(y), nz = abs(z);
-        c.axis = nz >= nx && nz >= ny ? 2 : nx >= ny ? 0 : 1;
+        const ulong3 n = abs(cross_of(t->v[1] - t->v[0], t->v[2] - t->v[0]));
+        c.axis = n.z >= n.x && n.z >= n.y ? 2 : n.x >= n.y ? 0 : 1;
         c.low = max((low - pad - 1) >> bits, (int3)(0));
         c.high = min((kind == SEPARATING ? high - 1 : high + pad) >> bits, shape - 1);
     }
@@ -81,13 +78,19 @@ int share_of(__global const uint *tile_offsets, uint triangles, uint gid, uint *
     return (int)(gid - tile_offsets[low]);
 }
 
+// The parameters that locate the triangles of a mesh, their tiles, and the boxes of the grid: the
+// host's Scan.shares.
+#define TRIANGLES                                                                                  \
+    __global const int *vertices, __global const int *faces, const uint triangles,                 \
+        __global const uint *tile_offsets, const uint n, const int level, const int3 shape,        \
+        const int pad
+#define THESE_TRIANGLES vertices, faces, triangles, tile_offsets, n, level, shape, pad
+
 // The triangle and the columns that this work-item processes; false if there are none.
-bool take_share(__global const int *vertices, __global const int *faces, uint triangles,
-                __global const uint *tile_offsets, uint shares, int kind, int level, int3 shape,
-                int pad, triangle *t, columns *c)
+bool take_share(TRIANGLES, int kind, triangle *t, columns *c)
 {
     const uint gid = get_global_id(0);
-    if (gid >= shares)
+    if (gid >= n)
         return false;
     uint index;
     const int tile = share_of(tile_offsets, triangles, gid, &index);
@@ -105,54 +108,38 @@ bool take_share(__global const int *vertices, __global const int *faces, uint tr
 // of a level-1 node is looked up once for consecutive voxels of the node.
 typedef struct {
     volatile __global uint *words;
+    bool flips;      // bits are flipped, not set
     uint word, bits; // the bits collected for a word
     uint3 cell;      // level-1 node of the last voxel
-    uint node; // index of this node among the active nodes
+    uint node;       // index of this node among the active nodes
 } sink;
 
 #define NO_WORD 0xFFFFFFFFu
 
-sink open_sink(volatile __global uint *words)
+sink open_sink(volatile __global uint *words, bool flips)
 {
-    sink s;
-    s.words = words;
-    s.word = NO_WORD;
-    s.bits = 0;
-    s.cell = NO_WORD;
-    s.node = 0;
+    const sink s = {words, flips, NO_WORD, 0, (uint3)(NO_WORD), 0};
     return s;
 }
 
-void flush_or(sink *s)
+void flush(sink *s)
 {
-    if (s->word != NO_WORD && (s->words[s->word] & s->bits) != s->bits)
-        atomic_or(&s->words[s->word], s->bits); // most bits are set already: no atomic is needed for them
-}
-
-void flush_xor(sink *s)
-{
-    if (s->word != NO_WORD)
+    if (s->word == NO_WORD)
+        return;
+    if (s->flips)
         atomic_xor(&s->words[s->word], s->bits);
+    else if ((s->words[s->word] & s->bits) != s->bits) // most bits are set already
+        atomic_or(&s->words[s->word], s->bits);
 }
 
-void put_or(sink *s, uint word, uint bit)
+void put(sink *s, uint word, uint bit)
 {
     if (word != s->word) {
-        flush_or(s);
+        flush(s);
         s->word = word;
         s->bits = 0;
     }
-    s->bits |= bit;
-}
-
-void put_xor(sink *s, uint word, uint bit)
-{
-    if (word != s->word) {
-        flush_xor(s);
-        s->word = word;
-        s->bits = 0;
-    }
-    s->bits ^= bit;
+    s->bits = s->flips ? s->bits ^ bit : s->bits | bit;
 }
 
 // The 32-bit word, half a brick, of a voxel of an active node; and its bit in the word.

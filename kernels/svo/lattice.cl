@@ -11,13 +11,14 @@ __kernel void survey(__global const int *vertices, __global const int *faces, co
                      const int3 shape, __global ulong *partial)
 {
     const uint gid = get_global_id(0), items = get_global_size(0);
-    ulong extent = 0, x = 0, y = 0, z = 0, before = 0, outside = 0;
+    ulong extent = 0, before = 0, outside = 0;
+    ulong3 areas = 0;
     // the high end of blocks of level-1 nodes, which are widened by half a voxel along x
     const int3 end = ((shape + NODE_BLOCK - 1) / NODE_BLOCK * NODE_BLOCK) * VOXEL + HALF;
     for (uint i = gid; i < count; i += items) {
         const triangle t = fetch_triangle(vertices, faces, i);
-        const int3 low = min(min(t.v[0], t.v[1]), t.v[2]);
-        const int3 high = max(max(t.v[0], t.v[1]), t.v[2]);
+        int3 low, high;
+        find_bounds(&t, &low, &high);
         if (any(high.yz < 0) || any(low > end)) {
             ++outside;
             continue;
@@ -26,16 +27,11 @@ __kernel void survey(__global const int *vertices, __global const int *faces, co
             before = 1;
         const uint3 size = as_uint3(high) - as_uint3(low);
         extent = max(extent, (ulong)max(max(size.x, size.y), size.z));
-        const int3 a = t.v[1] - t.v[0], b = t.v[2] - t.v[0];
-        x += abs(cross_term(a.y, b.z, b.y, a.z)) >> FIXED_POINT_BITS;
-        y += abs(cross_term(a.z, b.x, b.z, a.x)) >> FIXED_POINT_BITS;
-        z += abs(cross_term(a.x, b.y, b.x, a.y)) >> FIXED_POINT_BITS;
+        areas += abs(cross_of(t.v[1] - t.v[0], t.v[2] - t.v[0])) >> FIXED_POINT_BITS;
     }
     __global ulong *out = partial + 6 * gid;
     out[0] = extent;
-    out[1] = x;
-    out[2] = y;
-    out[3] = z;
+    vstore3(areas, 0, out + 1);
     out[4] = before;
     out[5] = outside;
 }

@@ -16,6 +16,13 @@ triangle fetch_triangle(__global const int *vertices, __global const int *faces,
     return t;
 }
 
+// The corners of a triangle's bounding box.
+void find_bounds(const triangle *t, int3 *low, int3 *high)
+{
+    *low = min(min(t->v[0], t->v[1]), t->v[2]);
+    *high = max(max(t->v[0], t->v[1]), t->v[2]);
+}
+
 // ---- n . (p - v0), in 64 or 128 bits
 
 #ifdef WIDE
@@ -68,6 +75,13 @@ wide wide_dot(long ax, long ay, long az, long bx, long by, long bz)
 long cross_term(int ax, int by, int bx, int ay)
 {
     return (long)((ulong)((long)ax * by) - (ulong)((long)bx * ay));
+}
+
+// The cross product.
+long3 cross_of(int3 a, int3 b)
+{
+    return (long3)(cross_term(a.y, b.z, b.y, a.z), cross_term(a.z, b.x, b.z, a.x),
+                   cross_term(a.x, b.y, b.x, a.y));
 }
 
 // ---- edge functions of a triangle's projection to the axes p and q ([voCCeL], eq. 3.2 to 3.4): one

@@ -35,18 +35,14 @@ scan set_up(const triangle *t, const columns *c, int kind, int level, int pad_x)
                w = swizzle(t->v[2], c->axis), a = v - u, b = w - u;
     s.size = VOXEL << level;
     s.first = (int3)(0, 0, c->low.z * s.size) - pad - u;
-    s.nx = cross_term(a.y, b.z, b.y, a.z);
-    s.ny = cross_term(a.z, b.x, b.z, a.x);
-    s.nz = cross_term(a.x, b.y, b.x, a.y);
+    const long3 n = cross_of(a, b);
     const int3 x = (int3)(u.x, v.x, w.x), y = (int3)(u.y, v.y, w.y), z = (int3)(u.z, v.z, w.z);
-    s.xy = project(kind, x, y, s.nz < 0 ? -1 : 1, s.size, pad.x, pad.y, c->axis != 1);
-    s.yz = project(kind, y, z, s.nx < 0 ? -1 : 1, s.size, pad.y, pad.z, c->axis != 0);
-    s.zx = project(kind, z, x, s.ny < 0 ? -1 : 1, s.size, pad.z, pad.x, c->axis != 2);
-    if (s.nz < 0) {
-        s.nx = -s.nx;
-        s.ny = -s.ny;
-        s.nz = -s.nz;
-    }
+    s.xy = project(kind, x, y, n.z < 0 ? -1 : 1, s.size, pad.x, pad.y, c->axis != 1);
+    s.yz = project(kind, y, z, n.x < 0 ? -1 : 1, s.size, pad.y, pad.z, c->axis != 0);
+    s.zx = project(kind, z, x, n.y < 0 ? -1 : 1, s.size, pad.z, pad.x, c->axis != 2);
+    s.nx = n.z < 0 ? -n.x : n.x;
+    s.ny = n.z < 0 ? -n.y : n.y;
+    s.nz = n.z < 0 ? -n.z : n.z;
     if (kind == SEPARATING) { // the centre is within half a voxel of the plane along the axis
         const int tie = c->axis == 2   ? shift_sign(s.nx, s.ny, s.nz)
                         : c->axis == 0 ? shift_sign(s.nz, s.nx, s.ny)
@@ -70,15 +66,13 @@ void put_box(sink *out, int store, ACTIVE_SET_PARAMETERS, uint3 box)
     if (store == STORE_VOXELS) {
         uint bit;
         const uint word = voxel_word(out, ACTIVE_SET, box, &bit);
-        put_or(out, word, bit);
+        put(out, word, bit);
         return;
     }
     CODE code = morton_encode(box);
-#ifdef BLOCKED
     if (store == STORE_NODES)
-        code = (CODE)set_index(block_words, block_ranks, code >> 9) << 9 | (code & 511);
-#endif
-    put_or(out, (uint)(code >> 5), 1u << (uint)(code & 31));
+        code = stored_code(ACTIVE_SET, code);
+    put(out, (uint)(code >> 5), 1u << (uint)(code & 31));
 }
 
 // Store the boxes that the triangle touches, column by column. In a column, the plane meets the boxes
@@ -128,40 +122,35 @@ void scan_convert(const scan *s, const columns *c, sink *out, int store, ACTIVE_
             far = wide_sum(far, right);
         }
     }
-    flush_or(out);
+    flush(out);
 }
 
 // ---- kernels
 
 // Set the bits of the boxes of 2^level voxels, widened by `pad` along x, that a triangle touches:
 // level-1 nodes (level 3), or blocks of 8 x 8 x 8 of those (level 6).
-__kernel void activate(__global const int *vertices, __global const int *faces,
-                       const uint triangles, __global const uint *tile_offsets, const uint n,
-                       const int level, const int3 shape, const int pad, ACTIVE_SET_PARAMETERS,
-                       volatile __global uint *target)
+__kernel void activate(TRIANGLES, ACTIVE_SET_PARAMETERS, volatile __global uint *target)
 {
     triangle t;
     columns c;
-    if (!take_share(vertices, faces, triangles, tile_offsets, n, TOUCHED, level, shape, pad, &t, &c))
+    if (!take_share(THESE_TRIANGLES, TOUCHED, &t, &c))
         return;
     const scan s = set_up(&t, &c, TOUCHED, level, pad);
-    sink out = open_sink(target);
+    sink out = open_sink(target, false);
     scan_convert(&s, &c, &out, level == NODE_LEVEL ? STORE_NODES : STORE_BLOCKS, ACTIVE_SET);
 }
 
 // Set the voxels of a surface: those whose closed cube touches a triangle (KIND is TOUCHED), or the
 // 6-separating set (KIND is SEPARATING).
 #ifdef KIND
-__kernel void set_surface(__global const int *vertices, __global const int *faces,
-                       const uint triangles, __global const uint *tile_offsets, const uint n,
-                          const int3 shape, ACTIVE_SET_PARAMETERS, volatile __global uint *bricks)
+__kernel void set_surface(TRIANGLES, ACTIVE_SET_PARAMETERS, volatile __global uint *bricks)
 {
     triangle t;
     columns c;
-    if (!take_share(vertices, faces, triangles, tile_offsets, n, KIND, 0, shape, 0, &t, &c))
+    if (!take_share(THESE_TRIANGLES, KIND, &t, &c))
         return;
     const scan s = set_up(&t, &c, KIND, 0, 0);
-    sink out = open_sink(bricks);
+    sink out = open_sink(bricks, false);
     scan_convert(&s, &c, &out, STORE_VOXELS, ACTIVE_SET);
 }
 #endif

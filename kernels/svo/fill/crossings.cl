@@ -39,7 +39,7 @@ void flip_row(sink *out, volatile __global uint *entry, ACTIVE_SET_PARAMETERS, i
     }
     uint bit;
     const uint word = voxel_word(out, ACTIVE_SET, voxel, &bit);
-    put_xor(out, word, bit);
+    put(out, word, bit);
 }
 
 // Visit the crossings of rows with a triangle ([voCCeL], eq. 3.5), each at the first voxel at or
@@ -49,16 +49,15 @@ void visit_crossings(const triangle *t, const columns *c, int3 shape, int what, 
                      ACTIVE_SET_PARAMETERS)
 {
     const int3 u = t->v[0], a = t->v[1] - u, b = t->v[2] - u;
-    long nx = cross_term(a.y, b.z, b.y, a.z);
-    if (nx == 0)
+    long3 n = cross_of(a, b);
+    if (n.x == 0)
         return; // parallel to x: no row crosses it
-    const int sign = nx < 0 ? -1 : 1;
-    nx *= sign;
-    const long ny = cross_term(a.z, b.x, b.z, a.x) * sign, nz = cross_term(a.x, b.y, b.x, a.y) * sign;
+    const int sign = n.x < 0 ? -1 : 1;
+    n *= sign;
     const edge_functions e = project(CROSSED, (int3)(t->v[0].y, t->v[1].y, t->v[2].y),
                                      (int3)(t->v[0].z, t->v[1].z, t->v[2].z), sign, VOXEL, 0, 0, true);
     const int last = c->high.z - c->low.z; // the axis is x
-    const wide right = wide_product(ny, VOXEL), up = wide_product(nx, VOXEL);
+    const wide right = wide_product(n.y, VOXEL), up = wide_product(n.x, VOXEL);
     for (int k = c->low.y; k <= c->high.y; ++k) {
         long3 yz = e.p * c->low.x + e.q * k + e.d;
         int j = c->low.x;
@@ -67,11 +66,11 @@ void visit_crossings(const triangle *t, const columns *c, int3 shape, int what, 
         if (j > c->high.x)
             continue;
         // n . (centre - v0) of the first candidate voxel; it increases along x
-        wide low = wide_dot(nx, ny, nz, (long)c->low.z * VOXEL + HALF - u.x,
+        wide low = wide_dot(n.x, n.y, n.z, (long)c->low.z * VOXEL + HALF - u.x,
                             (long)j * VOXEL + HALF - u.y, (long)k * VOXEL + HALF - u.z);
         for (; j <= c->high.x && none_negative(yz); ++j, yz += e.p, low = wide_sum(low, right)) {
             wide first = low;
-            const int r = first_not_before(&first, nx, VOXEL, up, last);
+            const int r = first_not_before(&first, n.x, VOXEL, up, last);
             const int i = max(c->low.z + r, -1);
             if (i >= shape.x)
                 continue; // beyond the high-x side
@@ -86,35 +85,31 @@ void visit_crossings(const triangle *t, const columns *c, int3 shape, int what, 
     }
 }
 
-__kernel void flip_crossings(__global const int *vertices, __global const int *faces,
-                       const uint triangles, __global const uint *tile_offsets, const uint n,
-                             const int3 shape, ACTIVE_SET_PARAMETERS,
-                             volatile __global uint *bricks, volatile __global uint *entry)
+__kernel void flip_crossings(TRIANGLES, ACTIVE_SET_PARAMETERS, volatile __global uint *bricks,
+                             volatile __global uint *entry)
 {
     triangle t;
     columns c;
-    if (!take_share(vertices, faces, triangles, tile_offsets, n, CROSSED, 0, shape, 0, &t, &c))
+    if (!take_share(THESE_TRIANGLES, CROSSED, &t, &c))
         return;
     visitor v;
-    v.out = open_sink(bricks);
+    v.out = open_sink(bricks, true);
     v.entry = entry;
     visit_crossings(&t, &c, shape, FLIP, &v, ACTIVE_SET);
-    flush_xor(&v.out);
+    flush(&v.out);
 }
 
 // ---- crossings with directions
 
 // counts[i] = the number of crossings that work-item i lists.
-__kernel void count_crossings(__global const int *vertices, __global const int *faces,
-                       const uint triangles, __global const uint *tile_offsets, const uint n,
-                              const int3 shape, __global uint *counts)
+__kernel void count_crossings(TRIANGLES, __global uint *counts)
 {
     const uint gid = get_global_id(0);
     visitor v;
     v.count = 0;
     triangle t;
     columns c;
-    if (take_share(vertices, faces, triangles, tile_offsets, n, CROSSED, 0, shape, 0, &t, &c))
+    if (take_share(THESE_TRIANGLES, CROSSED, &t, &c))
         visit_crossings(&t, &c, shape, COUNT, &v, NO_ACTIVE_SET);
     if (gid < n)
         counts[gid] = v.count;
@@ -122,14 +117,12 @@ __kernel void count_crossings(__global const int *vertices, __global const int *
 
 // Work-item i writes its crossings from firsts[i] on: the row, the voxel in x_bits - 2 bits, counted
 // from -1, and ENTERS if the row, towards high x, enters the solid.
-__kernel void list_crossings(__global const int *vertices, __global const int *faces,
-                       const uint triangles, __global const uint *tile_offsets, const uint n,
-                             const int3 shape, __global const uint *firsts,
-                             const uint x_bits, __global ulong *crossings)
+__kernel void list_crossings(TRIANGLES, __global const uint *firsts, const uint x_bits,
+                             __global ulong *crossings)
 {
     triangle t;
     columns c;
-    if (!take_share(vertices, faces, triangles, tile_offsets, n, CROSSED, 0, shape, 0, &t, &c))
+    if (!take_share(THESE_TRIANGLES, CROSSED, &t, &c))
         return;
     visitor v;
     v.count = firsts[get_global_id(0)];
@@ -152,7 +145,7 @@ __kernel void flip_changes(__global const ulong *crossings, const uint n, const 
     if (gid > 0 && crossings[gid - 1] >> x_bits == row)
         return;
     const int j = (int)(row % shape.y), k = (int)(row / shape.y);
-    sink out = open_sink(bricks);
+    sink out = open_sink(bricks, true);
     int number = 0;
     bool inside = false;
     for (uint at = gid; at < n && crossings[at] >> x_bits == row; ++at) {
@@ -165,5 +158,5 @@ __kernel void flip_changes(__global const ulong *crossings, const uint n, const 
             flip_row(&out, entry, ACTIVE_SET, shape, i, j, k);
         }
     }
-    flush_xor(&out);
+    flush(&out);
 }

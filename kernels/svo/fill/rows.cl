@@ -116,16 +116,7 @@ __kernel void mark_leaves(__global svo_node *nodes, __constant uint *offsets, co
     }
 }
 
-// bricks[8 positions[i] ..] = flips[8 i ..], for the eight bricks of level-1 node i.
-__kernel void move_bricks(__global const ulong *flips, __global const uint *positions,
-                          const uint n, __global ulong *bricks)
-{
-    const uint gid = get_global_id(0);
-    if (gid < n)
-        bricks[8 * positions[gid / 8] + gid % 8] = flips[gid];
-}
-
-// The same, but voxels that are set already stay set.
+// bricks[8 positions[i] ..] |= added[8 i ..], for the eight bricks of level-1 node i.
 __kernel void unite_bricks(__global const ulong *added, __global const uint *positions,
                            const uint n, __global ulong *bricks)
 {

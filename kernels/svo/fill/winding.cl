@@ -83,7 +83,8 @@ double steepness_of_area(double area, double squared_gap)
 // the axes of the box, the normal of the triangle, and the cross products of their edges.
 bool may_meet(const triangle *t, centres c)
 {
-    const int3 low = min(min(t->v[0], t->v[1]), t->v[2]), high = max(max(t->v[0], t->v[1]), t->v[2]);
+    int3 low, high;
+    find_bounds(t, &low, &high);
     if (any(low > c.high) || any(high < c.low))
         return false;
     const double3 half_size = 0.5 * convert_double3(c.high - c.low);
@@ -302,14 +303,12 @@ double number_of(const triangle *t, int3 centre)
     const double4 angle = angle_of((double4)(y[0], y[1], y[2], 0), (double4)(x[0], x[1], x[2], 1));
     int crossing = 0;
     if (side[0] == side[1] && side[1] == side[2] && side[0] != 0) {
-        const int3 e = b - a, f = c - a;
-        const long nx = cross_term(e.y, f.z, f.y, e.z), ny = cross_term(e.z, f.x, f.z, e.x),
-                   nz = cross_term(e.x, f.y, f.x, e.y);
+        const long3 n = cross_of(b - a, c - a);
         const bool ahead = min(min(a.x, b.x), c.x) > 0, behind = max(max(a.x, b.x), c.x) <= 0;
         bool before = behind;
         if (!ahead && !behind) {
-            const wide height = wide_dot(nx, ny, nz, -(long)a.x, -(long)a.y, -(long)a.z);
-            before = !is_negative(nx < 0 ? wide_negative(height) : height);
+            const wide height = wide_dot(n.x, n.y, n.z, -(long)a.x, -(long)a.y, -(long)a.z);
+            before = !is_negative(n.x < 0 ? wide_negative(height) : height);
         }
         crossing = before ? -side[0] : 0;
     }

@@ -2,8 +2,8 @@
 #include "svo/surface/cut_cells.h"
 #include "svo/surface/samples.h"
 
-// Clamps a position on an edge away from both ends.
-int within(int t) { return clamp(t, (int)NEAREST, (int)(LATTICE - NEAREST)); }
+// Clamps positions along axes away from both ends of an edge.
+int3 within(int3 t) { return clamp(t, (int3)(NEAREST), (int3)(LATTICE - NEAREST)); }
 
 // The position, in LATTICE units per edge, where the edge from a cell along an axis crosses the
 // surface: t = (iso - a) / (b - a) from the outside sample, rounded once and clamped away from both
@@ -23,6 +23,6 @@ int crossing(TILES, SAMPLES, ulong cell, uint slot, uint axis, bool cell_is_insi
 #endif
     const ulong above = isovalue - (outer << 16), range = (inner - outer) << 16;
     const long t = (long)((2 * above * LATTICE + range) / (2 * range));
-    const int kept = within((int)t);
+    const int kept = within((int)t).x;
     return cell_is_inside ? LATTICE - kept : kept;
 }

@@ -44,6 +44,9 @@ int3 place_in_tile(uint bit)
                   (int)((bit >> 2 & 1) | (bit >> 4 & 2)));
 }
 
+// A step along an axis.
+int3 unit_of(uint axis) { return (int3)(axis == 0, axis == 1, axis == 2); }
+
 // The samples with coordinate 0 along an axis; the other layers are 1, 8 and 9 << axis bits above.
 #define LAYER(axis)                                                                                \
     ((axis) == 0   ? 0x0055005500550055ul                                                          \

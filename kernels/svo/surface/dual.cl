@@ -63,11 +63,8 @@ __kernel void place_corners(__global const uint *codes, __global const uint *pla
     if (gid >= n)
         return;
     const int3 point = (cell_coordinates(cell_of(codes, places[gid])) - shift + 1) * LATTICE;
-    for (size_t vertex = first_vertex[gid]; vertex < first_vertex[gid + 1]; ++vertex) {
-        points[3 * vertex] = point.x;
-        points[3 * vertex + 1] = point.y;
-        points[3 * vertex + 2] = point.z;
-    }
+    for (size_t vertex = first_vertex[gid]; vertex < first_vertex[gid + 1]; ++vertex)
+        vstore3(point, vertex, points);
 }
 
 // Surface nets [Gibson 1998]: the vertex of a loop starts at the mean of its crossings.
@@ -91,15 +88,11 @@ __kernel void place_means(__global const uint *codes, TILES, SAMPLES, __global c
             const ulong begin = corner_cell(cell, j);
             const uint slot = slot_of(present, ranks, begin >> 6);
             const int t = crossing(THESE_TILES, THESE_SAMPLES, begin, slot, axis, found >> j & 1);
-            sum.x += axis == 0 ? t : (int)(j & 1) * LATTICE;
-            sum.y += axis == 1 ? t : (int)(j >> 1 & 1) * LATTICE;
-            sum.z += axis == 2 ? t : (int)(j >> 2 & 1) * LATTICE;
+            sum += place_in_tile(j) * LATTICE + unit_of(axis) * t;
             ++edges;
         }
-        const size_t vertex = first_vertex[gid] + loop;
-        points[3 * vertex] = low.x + within((2 * sum.x + edges) / (2 * edges));
-        points[3 * vertex + 1] = low.y + within((2 * sum.y + edges) / (2 * edges));
-        points[3 * vertex + 2] = low.z + within((2 * sum.z + edges) / (2 * edges));
+        const int3 mean = (2 * sum + edges) / (2 * edges);
+        vstore3(low + within(mean), first_vertex[gid] + (size_t)loop, points);
     }
 }
 
@@ -139,15 +132,12 @@ __kernel void relax(__global const int *points, __global const uint *link_start,
     if (gid >= n)
         return;
     const uint first = link_start[gid], end = link_start[gid + 1];
-    for (uint axis = 0; axis < 3; ++axis) {
-        const int here = points[3 * (size_t)gid + axis];
-        int sum = 0;
-        for (uint link = first; link < end; ++link)
-            sum += points[3 * (size_t)links[link] + axis] - here;
-        const int low = ((here - LATTICE / 2) >> LATTICE_BITS << LATTICE_BITS) + LATTICE / 2;
-        relaxed[3 * (size_t)gid + axis] =
-            low + within(here - low + sum / (2 * (int)(end - first)));
-    }
+    const int3 here = vload3(gid, points);
+    int3 sum = 0;
+    for (uint link = first; link < end; ++link)
+        sum += vload3(links[link], points) - here;
+    const int3 low = ((here - LATTICE / 2) >> LATTICE_BITS << LATTICE_BITS) + LATTICE / 2;
+    vstore3(low + within(here - low + sum / (2 * (int)(end - first))), gid, relaxed);
 }
 
 // Output quad k is quad r of cube i: the four cubes around a cut edge, counter-clockwise seen from
@@ -185,12 +175,6 @@ __kernel void list_quads(HISTOPYRAMID, const uint n, __global const uint *codes,
     }
 }
 
-long3 to_long(__global const int *points, uint vertex)
-{
-    return (long3)(points[3 * (size_t)vertex], points[3 * (size_t)vertex + 1],
-                   points[3 * (size_t)vertex + 2]);
-}
-
 bool is_flat(long3 a, long3 b, long3 c)
 {
     const long3 p = b - a, q = c - a;
@@ -212,18 +196,14 @@ __kernel void split_quads(__global const uint *quads, const uint n, __global con
     long3 point[4];
     for (uint i = 0; i < 4; ++i) {
         vertex[i] = quads[4 * (size_t)gid + i];
-        point[i] = to_long(points, vertex[i]);
+        point[i] = convert_long3(vload3(vertex[i], points));
     }
     const bool even = squared(point[2] - point[0]) <= squared(point[3] - point[1]);
     uint first = even ? 0 : 1; // one end of the diagonal; the other is the opposite corner
     if (is_flat(point[first], point[first + 1], point[first + 2]) ||
         is_flat(point[first], point[first + 2], point[(first + 3) % 4]))
         first = 1 - first;
-    __global uint *out = triangles + 6 * (size_t)gid;
-    out[0] = vertex[first];
-    out[1] = vertex[first + 1];
-    out[2] = vertex[first + 2];
-    out[3] = vertex[first];
-    out[4] = vertex[first + 2];
-    out[5] = vertex[(first + 3) % 4];
+    const uint begin = vertex[first], end = vertex[first + 2];
+    vstore3((uint3)(begin, vertex[first + 1], end), 2 * (size_t)gid, triangles);
+    vstore3((uint3)(begin, end, vertex[(first + 3) % 4]), 2 * (size_t)gid + 1, triangles);
 }

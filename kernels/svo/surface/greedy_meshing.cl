@@ -92,8 +92,7 @@ __kernel void keep_points(__global const int *points, __global const uint *numbe
     const uint gid = get_global_id(0);
     if (gid >= n || numbers[gid] == numbers[gid + 1])
         return;
-    for (uint axis = 0; axis < 3; ++axis)
-        kept[3 * (size_t)numbers[gid] + axis] = points[3 * (size_t)gid + axis];
+    vstore3(vload3(gid, points), numbers[gid], kept);
 }
 
 __kernel void renumber(__global uint *rectangles, const uint n, __global const uint *numbers)

@@ -25,10 +25,7 @@ __kernel void place_vertices(__global const uint *codes, const uint n, TILES, SA
             const int t =
                 crossing(THESE_TILES, THESE_SAMPLES, cell, gid, axis, masks[gid] >> bit & 1);
             const int3 low = (corner + place_in_tile(bit)) * LATTICE + LATTICE / 2;
-            points[3 * vertex] = low.x + (axis == 0 ? t : 0);
-            points[3 * vertex + 1] = low.y + (axis == 1 ? t : 0);
-            points[3 * vertex + 2] = low.z + (axis == 2 ? t : 0);
-            ++vertex;
+            vstore3(low + unit_of(axis) * t, vertex++, points);
         }
 }
 

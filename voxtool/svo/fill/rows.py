@@ -48,7 +48,7 @@ class Filled:
         positions = self.positions
         if positions is None:
             positions = np.arange(added.size // 8, dtype=np.uint32)
-        _store("unite_bricks", added, positions, self.bricks)
+        _unite(added, positions, self.bricks)
 
 
 def fill_rows(tree: DeviceOctree, flips: Flips, max_memory: int) -> Filled:
@@ -62,7 +62,7 @@ def fill_rows(tree: DeviceOctree, flips: Flips, max_memory: int) -> Filled:
         with device.stage("refine open rows"):
             lists, positions = _refine_open_rows(tree, flips, max_memory)
             moved = device.zeros(8 * len(lists[0]), BRICK)
-            _store("move_bricks", flips.bricks, positions, moved)
+            _unite(flips.bricks, positions, moved)
             tree, flips = build_from_lists(device, lists), replace(flips, bricks=moved)
             entries, unresolved = _walk_rows(tree, flips)
             if unresolved:
@@ -76,10 +76,11 @@ def fill_rows(tree: DeviceOctree, flips: Flips, max_memory: int) -> Filled:
     return Filled(tree, flips.bricks, positions)
 
 
-def _store(kernel: str, source: Array, positions: np.ndarray, target: Array) -> None:
-    """Move or unite the bricks of level-1 nodes into those at their positions."""
-    device = source.device
-    device.kernel(SOURCE, kernel, CODE="uint")(source.size, source, device.put(positions), target)
+def _unite(added: Array, positions: np.ndarray, bricks: Array) -> None:
+    """Add the voxels of the bricks of level-1 nodes to those at their positions."""
+    device = added.device
+    unite_bricks = device.kernel(SOURCE, "unite_bricks", CODE="uint")
+    unite_bricks(added.size, added, device.put(positions), bricks)
 
 
 def _walk_rows(tree: DeviceOctree, flips: Flips) -> tuple[Array, int]:
