@@ -1,28 +1,20 @@
-"""Counting what octrees differ in, and rows that leak, against dense arrays."""
+"""Differences between octrees, and rows that leak, against dense arrays."""
 
 from __future__ import annotations
 
 import meshes
 import numpy as np
 import pytest
-from conftest import model
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from svo.test_voxelize import lattice_grid
 
 from voxtool.errors import GridError
-from voxtool.files.mesh import load_mesh
-from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
 from voxtool.svo.compare import count_differences, leaking_rows
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import voxelize
-
-
-def octree_of(device: Device, pair, shape, mode: str = "solid", fill: str = "parity") -> Octree:
-    """Of a mesh in voxels."""
-    mesh = Mesh(np.asarray(pair[0], np.float64), np.asarray(pair[1]).astype(np.int32))
-    return voxelize(mesh, Grid(shape, (0, 0, 0), (1, 1, 1)), mode, fill=fill, device=device)
 
 
 def check(one: Octree, other: Octree) -> None:
@@ -31,68 +23,47 @@ def check(one: Octree, other: Octree) -> None:
     assert count_differences(one, other) == expected
     assert count_differences(other, one) == expected[::-1]
     assert count_differences(one, one) == (0, 0)
+    assert leaking_rows(one).tolist() == np.argwhere(a[-1]).tolist()
 
 
-def check_rows(octree: Octree) -> None:
-    rows = leaking_rows(octree)
-    assert rows.tolist() == np.argwhere(octree.to_dense()[-1]).tolist()
-
-
-@given(st.integers(0, 2**32 - 1))
-@settings(max_examples=15)
-def test_random_triangles(device: Device, seed: int) -> None:
+@given(seed=st.integers(0, 1 << 32), side=st.sampled_from([1, 4, 8]))
+@settings(max_examples=30)
+def test_octrees_against_dense_arrays(seed: int, side: int) -> None:
+    """Voxels and aligned boxes, whose octrees have leaves of all sizes."""
     rng = np.random.default_rng(seed)
-    shape = tuple(int(n) for n in rng.integers(3, 40, 3))
-    if max(shape) < 8:
-        shape = (8, *shape[1:])
-    octrees = []
-    for mode in ("solid", "surface26"):
-        vertices, faces = meshes.random_triangles(rng, 3, shape)
-        octrees.append(octree_of(device, (vertices / meshes.UNIT, faces), shape, mode))
-        check_rows(octrees[-1])
+    shape = np.maximum(rng.integers(3, 40, 3), (8, 3, 3))
+    dense = []
+    for share in (0.1, 0.5):
+        boxes = rng.random(-(-shape // side)) < share
+        boxes = np.kron(boxes, np.ones((side,) * 3, bool)).astype(bool)
+        dense.append(boxes[tuple(map(slice, shape))])
+    one, other = dense
+    octrees = [Octree.from_dense(one), Octree.from_dense(one | other)]
     check(*octrees)
+    check(octrees[1], Octree.from_dense(other, mode="surface26"))
 
 
-def test_full_and_empty(device: Device) -> None:
-    """A grid wholly inside, one wholly outside, one with a ball; none or one of whose roots is
-    refined."""
-    for side in (8, 32, 20):
-        shape = (side,) * 3
-        full = octree_of(device, meshes.box(-50, 100), shape)
-        empty = octree_of(device, meshes.box(-50, -40), shape)
-        ball = octree_of(device, meshes.icosphere(2, side / 2, side / 3), shape)
-        assert full.count == side**3
-        assert empty.count == 0
-        assert count_differences(full, empty) == (side**3, 0)
-        for one, other in ((full, empty), (full, ball), (ball, empty)):
-            check(one, other)
-        for octree in (full, empty, ball):
-            check_rows(octree)
+@pytest.mark.parametrize("side", [8, 32, 20])
+def test_full_and_empty(side: int) -> None:
+    """Octrees whose roots are not refined, and one with a single voxel."""
+    full = Octree.from_dense(np.ones((side,) * 3))
+    empty = Octree.from_dense(np.zeros((side,) * 3))
+    voxel = Octree.from_voxels([[side - 1, 1, 2]], full.grid)
+    assert count_differences(full, empty) == (side**3, 0)
+    for one, other in ((full, empty), (full, voxel), (voxel, empty)):
+        check(one, other)
 
 
 def test_an_open_box_leaks_through_its_side(device: Device) -> None:
-    shape = (40, 24, 24)
     for missing, leaks in ((0, True), (1, True), (2, False)):
-        box = meshes.open_box(8, 16, missing)
-        octree = octree_of(device, box, shape)
-        check_rows(octree)
+        vertices, faces = meshes.open_box(8, 16, missing)
+        mesh = Mesh(np.asarray(vertices, np.float64), faces.astype(np.int32))
+        octree = voxelize(mesh, lattice_grid((40, 24, 24)), fill="parity", device=device)
         expected = [[y, z] for y in range(8, 16) for z in range(8, 16)] if leaks else []
         assert leaking_rows(octree).tolist() == expected
 
 
-def test_grids_must_be_the_same(device: Device) -> None:
-    one = octree_of(device, meshes.box(1, 5), (8, 8, 8))
+def test_grids_must_be_the_same() -> None:
+    one, other = (Octree.from_dense(np.ones((8, 8, n))) for n in (8, 9))
     with pytest.raises(GridError, match="of different grids"):
-        count_differences(one, octree_of(device, meshes.box(1, 5), (8, 8, 9)))
-
-
-def test_the_bunny(device: Device) -> None:
-    mesh = load_mesh(model("stanford-bunny.obj"))
-    grid = Grid.fit(mesh, 128)
-    parity, winding = (
-        voxelize(mesh, grid, fill=fill, device=device) for fill in ("parity", "winding")
-    )
-    check(parity, winding)
-    check_rows(parity)
-    assert len(leaking_rows(parity)) > 0
-    assert len(leaking_rows(winding)) == 0
+        count_differences(one, other)

@@ -19,8 +19,10 @@ from voxtool.svo.octree import Octree
 SHAPES = st.tuples(*[st.integers(1, 20)] * 3).filter(lambda shape: max(shape) >= 8)
 
 
-@given(dense=SHAPES.flatmap(lambda shape: hnp.arrays(bool, shape)), mode=st.sampled_from(
-    ["solid", "surface26"]))  # fmt: skip
+@given(
+    dense=SHAPES.flatmap(lambda shape: hnp.arrays(bool, shape)),
+    mode=st.sampled_from(["solid", "surface26"]),
+)
 @settings(max_examples=60)
 def test_a_dense_array_and_its_voxels_give_the_canonical_octree(dense, mode: str) -> None:
     expected = octree_from_dense(dense, mode, "none")
@@ -66,9 +68,8 @@ def test_voxels_that_are_refused(voxels, message: str) -> None:
 
 def test_what_is_no_octree_is_refused() -> None:
     octree = octree_from_dense(ball((16, 16, 16)))
-    nothing = Octree, octree.grid, "solid", "none"
     with pytest.raises(VoxtoolError, match="octree offsets: give a one-dimensional array"):
-        nothing[0](*nothing[1:], None, None, None)  # pyright: ignore[reportArgumentType]
+        replace(octree, offsets=None)
     with pytest.raises(VoxtoolError, match="choose one of surface26"):
         replace(octree, mode="thick")
     with pytest.raises(FileError, match="they end at"):
