@@ -41,6 +41,12 @@ HEADERS = {
 BRICK_VOXELS = morton_decode(np.arange(BRICK_SIDE**3))  # (64, 3): the voxel of each bit
 
 
+def descend(codes: np.ndarray, levels: int = 1) -> np.ndarray:
+    """Return the Morton codes of all cells a number of levels below, (8**levels n,) uint64."""
+    below = np.arange(8**levels, dtype=np.uint64)
+    return ((codes << np.uint64(3 * levels))[:, None] | below).ravel()
+
+
 def unpack_bricks(bricks: np.ndarray) -> np.ndarray:
     """Return the (M, 4, 4, 4) bool voxels of (M,) masks, indexed [brick, x, y, z]."""
     bits = np.unpackbits(

@@ -32,6 +32,7 @@ from voxtool.svo.layout import (
     INSIDE,
     NODE,
     VALID,
+    descend,
     pack_array,
     pack_voxels,
     unpack_bricks,
@@ -238,11 +239,9 @@ class Octree(Data):
         for d in range(self.depth):
             number = self.depth - 1 - d
             nodes = self.nodes[self.offsets[d] : self.offsets[d + 1]]
-            level = Level(number, BRICK_SIDE << number, nodes, codes)
-            found.append(level)
+            found.append(level := Level(number, BRICK_SIDE << number, nodes, codes))
             if number:
-                parents = codes[level.refined] << np.uint64(3)
-                codes = (parents[:, None] | np.arange(8, dtype=np.uint64)).ravel()
+                codes = descend(codes[level.refined])
         return found
 
     @property

@@ -96,25 +96,28 @@ class VoxelizePlan:
         return 8 * self.active[0]
 
     @property
-    def octree_bytes(self) -> int:
-        return NODE_BYTES * self.nodes + BRICK_BYTES * self.bricks
-
-    @property
-    def device_bytes(self) -> int:
-        """Predicted peak of memory on the device."""
+    def cost(self) -> Cost:
+        """The predicted bytes: at peak on the device, and of the octree on the host."""
         survey, finest = self.survey, self.active[0]
+        nodes, bricks = NODE_BYTES * self.nodes, BRICK_BYTES * self.bricks
         mesh = 12 * (survey.vertices + survey.triangles)
         shares = 4 * survey.triangles * (self.tiled or self.tiled_nodes)
         lists = sum(self.active) * (self.code_bits // 8 + 4)
         rows = 8 * finest + 4 * (self.nodes - self.bricks) if self.solid else 0
         if self.entry:
             rows += 8 * -(-self.shape[1] // CELL) * -(-self.shape[2] // CELL)
-        added = (BRICK_BYTES * self.bricks + 4 * finest) * (self.solid and bool(self.surface))
+        added = (bricks + 4 * finest) * (self.solid and bool(self.surface))
         crossings = 0
         if self.listed:  # sorting copies them from one array to another
             crossings = 2 * 8 * round(survey.areas[0]) + 4 * survey.triangles
         levels = shares + self._volume_bytes + lists
-        return mesh + levels + rows + crossings + added + self.octree_bytes
+        return Cost(
+            device=mesh + levels + rows + crossings + added + nodes + bricks,
+            host=nodes + bricks,
+            largest=max(
+                12 * survey.vertices, 12 * survey.triangles, nodes, bricks, self._volume_bytes // 2
+            ),
+        )
 
     @property
     def _volume_bytes(self) -> int:
@@ -123,11 +126,6 @@ class VoxelizePlan:
             return _dense_bytes(self.side)
         blocks = self.active[3] if len(self.active) > 3 else 1
         return 2 * 4 * max((self.side // NODE_BLOCK) ** 3 // 32, 1) + blocks * (16 * 4 * 2 + 8)
-
-    @property
-    def cost(self) -> Cost:
-        """Predicted bytes."""
-        return Cost(self.device_bytes, self.octree_bytes, self.largest_buffer)
 
     @property
     def work(self) -> int:
@@ -188,8 +186,8 @@ class VoxelizePlan:
         return {
             "shape": list(self.shape),
             **self.scene(),
-            "predicted_octree_bytes": self.octree_bytes,
-            "predicted_device_bytes": self.device_bytes,
+            "predicted_octree_bytes": self.cost.host,
+            "predicted_device_bytes": self.cost.device,
             "predicted_work": self.work,
         }
 
@@ -207,25 +205,16 @@ class VoxelizePlan:
             rows.append(("fill", f"winding; {count_of(self.holes, 'hole')}, {caps}"))
         elif self.solid:
             rows.append(("fill", self.rule))
-        size = human(self.octree_bytes)
+        size = human(self.cost.host)
         rows.append(("octree", f"about {self.bricks:,} bricks, {self.nodes:,} nodes, {size}"))
         rows.append(("work", f"about {self.work:,} voxels and crossings visited"))
         return rows
 
-    @property
-    def largest_buffer(self) -> int:
-        """Predicted bytes of the largest single allocation on the device."""
-        mesh = 12 * max(self.survey.vertices, self.survey.triangles)
-        octree = max(NODE_BYTES * self.nodes, BRICK_BYTES * self.bricks)
-        return max(mesh, octree, self._volume_bytes // 2)
-
     def fits(self, max_memory: int, max_allocation: int) -> bool:
         """True if the work fits in memory and the nodes fit 30-bit links."""
-        return (
-            self.device_bytes <= max_memory
-            and self.largest_buffer <= max_allocation
-            and self.nodes < MAX_LINK
-        )
+        cost = self.cost
+        fits = cost.device <= max_memory and cost.largest <= max_allocation
+        return fits and self.nodes < MAX_LINK
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError, which names the largest dim that fits, if the work needs more
@@ -242,8 +231,8 @@ class VoxelizePlan:
                 high = middle
         hint = f"dim {low} is the largest that fits" if low >= CELL else "no dim fits"
         raise MemoryLimitError(
-            f"dim {dim} would need {human(self.device_bytes)} of memory "
-            f"({human(self.largest_buffer)} in one buffer), of {human(max_memory)} "
+            f"dim {dim} would need {human(self.cost.device)} of memory "
+            f"({human(self.cost.largest)} in one buffer), of {human(max_memory)} "
             f"({human(max_allocation)}) allowed: {hint} (see --max-memory)"
         )
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.errors import FileError
-from voxtool.morton import morton_decode, spread_bits
+from voxtool.morton import morton_decode
 from voxtool.svo.layout import BRICK_SIDE, LINK, VALID, voxels_within
 
 if TYPE_CHECKING:
@@ -103,7 +103,7 @@ def _check_padding(octree: Octree, levels: list[Level]) -> None:
     if octree.grid.shape == (octree.grid.side,) * 3:
         return
     for level in levels:
-        bad = _beyond(level, octree.grid.shape)
+        bad = np.any(level.cells + level.side > octree.grid.shape, axis=1)
         if level.number:
             bad &= level.inside
         else:
@@ -115,14 +115,3 @@ def _check_padding(octree: Octree, levels: list[Level]) -> None:
                 f"octree padding: level {level.number}, node {int(np.argmax(bad))} has voxels "
                 "set beyond the grid's shape"
             )
-
-
-def _beyond(level: Level, shape: tuple[int, int, int]) -> np.ndarray:
-    """Return (N,) bool, True for nodes that reach beyond the shape. Along one axis, the bits of two
-    Morton codes compare as the cells do."""
-    axis = spread_bits(np.array([(1 << 21) - 1]))[0]  # the bits of x in a code
-    beyond = np.zeros(len(level.codes), bool)
-    for a in range(3):
-        first = spread_bits(np.array([shape[a] // level.side]))[0]  # not completely within
-        beyond |= (level.codes & (axis << np.uint64(a))) >= (first << np.uint64(a))
-    return beyond

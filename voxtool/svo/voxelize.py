@@ -3,11 +3,11 @@
 The stages, on the device:
 
 1. Survey: the mesh is rounded to the grid's lattice and summed up for the plan (lattice.py).
-2. Active nodes: the level-1 nodes (8 x 8 x 8 voxels) that a triangle touches (active.py).
+2. Active nodes: the level-1 nodes (8 x 8 x 8 voxels) that a triangle touches (scan.py).
 3. Octree: the levels above, bottom-up from shortened Morton codes (build.py).
 4. Voxels. A surface is scan-converted into the bricks of the active nodes (scan.py). For a solid,
    flips mark where rows along x change between inside and outside (fill/crossings.py), and the
-   voxels between flips are filled (fill/parity.py); or everything that the outside cannot reach is
+   voxels between flips are filled (fill/rows.py); or everything that the outside cannot reach is
    filled (fill/flood.py). Near holes, the winding number decides each voxel (fill/winding.py).
 
 [voCCeL] descends the octree to find the brick of a voxel; here, the rank of its level-1 node among
@@ -26,11 +26,10 @@ import numpy as np
 from voxtool.choices import FILLS, MODES
 from voxtool.errors import VoxtoolError, count_of
 from voxtool.grid import Grid
-from voxtool.job import Job
+from voxtool.job import Job, one_call
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_topology, volume, watertight
 from voxtool.opencl import Device, default_device
-from voxtool.svo.active import find_active_nodes
 from voxtool.svo.build import build_octree
 from voxtool.svo.fill.crossings import flip_changes, flip_crossings, list_crossings
 from voxtool.svo.fill.flood import flood
@@ -40,14 +39,9 @@ from voxtool.svo.lattice import place_mesh
 from voxtool.svo.octree import Octree
 from voxtool.svo.plan import VoxelizePlan, plan_of
 from voxtool.svo.prune import prune, states_of
-from voxtool.svo.scan import Scan
+from voxtool.svo.scan import Scan, find_active_nodes
 
 Window = tuple[Sequence[int], Sequence[int]]  # of a grid: its low corner and its shape
-
-
-def voxelize(mesh: Mesh, grid: Grid, mode: str = "solid", **options: Any) -> Octree:
-    """Return the octree of a mesh; see `voxtool.voxelize`."""
-    return plan_voxelize(mesh, grid, mode, **options).run()
 
 
 def plan_voxelize(
@@ -81,6 +75,9 @@ def plan_voxelize(
         fill = fill_for(job.watertight)
     job.place(mode + "+surface26" * with_surface, fill if mode == "solid" else "none", gap)
     return job
+
+
+voxelize = one_call(plan_voxelize, "voxelize", Octree)
 
 
 def fill_for(closed: bool) -> str:

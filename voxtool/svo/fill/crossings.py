@@ -14,9 +14,8 @@ import numpy as np
 
 from voxtool.opencl import Array, program
 from voxtool.opencl.primitives import exclusive_scan, radix_sort
-from voxtool.svo.active import ActiveNodes
 from voxtool.svo.layout import BRICK
-from voxtool.svo.scan import CROSSED, Scan
+from voxtool.svo.scan import CROSSED, ActiveNodes, Scan
 
 SOURCE = "svo/fill/crossings.cl"
 # Bit 0 of a key is unused: Oclgrind 21.10 does not support the shift that it would need.

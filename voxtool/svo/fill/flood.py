@@ -19,7 +19,7 @@ import numpy as np
 
 from voxtool.mesh.topology import components
 from voxtool.morton import morton_decode, morton_encode
-from voxtool.svo.layout import unite_bricks, voxels_within
+from voxtool.svo.layout import descend, unite_bricks, voxels_within
 from voxtool.svo.prune import EMPTY, FULL, REFINED, child_places
 
 ALL = ~np.uint64(0)
@@ -62,7 +62,7 @@ def flood(
         states.append(state[slice(*np.searchsorted(codes, [first, end]).tolist())])
         if level == 1:
             bricks = slice(8 * kept.start, 8 * kept.stop)
-    within = voxels_within(morton_decode(_children(lists[0])), shape)
+    within = voxels_within(morton_decode(descend(lists[0])), shape)
     return lists, states, ~outside[bricks] & within
 
 
@@ -119,7 +119,7 @@ class _Octree:
     def nodes(self, level: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the numbers and the codes of all nodes of a level."""
         is_root = level == len(self.lists)
-        codes = np.zeros(1, np.uint64) if is_root else _children(self.lists[level])
+        codes = np.zeros(1, np.uint64) if is_root else descend(self.lists[level])
         return self.first[level - 1] + np.arange(len(codes)), codes
 
     def holds(self, cells: np.ndarray, level: int) -> np.ndarray:
@@ -197,10 +197,6 @@ def _reach(octree: _Octree, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return is_out[:base], masks
 
 
-def _children(codes: np.ndarray) -> np.ndarray:
-    return ((codes << np.uint64(3))[:, None] | np.arange(8, dtype=np.uint64)).ravel()
-
-
 # ---- masks of bricks
 
 
@@ -246,7 +242,7 @@ def _parts(free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _dilate(nodes: np.ndarray, surface: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the voxels up to a number of steps from a surface: the given level-1 nodes and those
     that hold the voxels, and the masks of their bricks."""
-    codes, masks = _children(nodes)[surface != 0], surface[surface != 0]
+    codes, masks = descend(nodes)[surface != 0], surface[surface != 0]
     for _ in range(steps):
         cells, found, grown = morton_decode(codes), [codes], [_spilled(masks, HERE)]
         for d in AROUND:

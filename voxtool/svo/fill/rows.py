@@ -102,10 +102,7 @@ def _sweep_rows(tree: DeviceOctree, flips: Flips, bundles: int, **recorded: Arra
     leaves are filled in `fills`; or traverse the `chosen` bundles and record their `states` in the
     leaves that are to be refined."""
     arguments: dict[str, Any] = {
-        "chosen": None,
-        "entries": None,
-        "fills": None,
-        "states": None,
+        **dict.fromkeys(("chosen", "entries", "fills", "states")),
         "nodes": tree.nodes,
         "offsets": tree.nodes.device.put(tree.offsets),
         "top": tree.top,

@@ -42,7 +42,7 @@ from voxtool.svo.build import DeviceOctree
 from voxtool.svo.fill.caps import Caps
 from voxtool.svo.fill.crossings import Crossings
 from voxtool.svo.lattice import LatticeMesh
-from voxtool.svo.layout import BRICK, BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
+from voxtool.svo.layout import BRICK, BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES, descend
 from voxtool.svo.plan import VoxelizePlan
 from voxtool.vector import cross, length
 
@@ -61,26 +61,33 @@ BATCH = 1 << 14  # bricks whose voxels are computed in one launch
 HEADERS = {"svo/fill/winding.h": program.c_constants(BEYOND_GRID=BEYOND_GRID)}
 
 
-class CapField:
-    """Winding numbers of a mesh with caps: thresholds for blocks of voxels, numbers at voxels."""
+class NearHoles:
+    """The bricks in which N >= 1 does not decide; `nodes` holds the ascending Morton codes of the
+    level-1 nodes that contain them.
 
-    def __init__(self, mesh: LatticeMesh, wide: bool) -> None:
+    Raises MemoryLimitError if these bricks need an octree of more than max_memory bytes.
+    """
+
+    def __init__(self, mesh: LatticeMesh, plan: VoxelizePlan, max_memory: int) -> None:
         assert mesh.caps is not None
-        self.mesh, self.device, caps = mesh, mesh.device, mesh.caps
-        self._options: dict[str, int | str] = {"CODE": "ulong", **({"WIDE": 1} if wide else {})}
+        self._device, self._max_memory, caps = mesh.device, max_memory, mesh.caps
+        self._options: dict[str, int | str] = {"CODE": "ulong"} | ({"WIDE": 1} if plan.wide else {})
         points = mesh.fixed.astype(np.float64)
         cap_mesh = Mesh(points, caps.faces)
-        self.tree = tree = build_tree(self.device, cap_mesh, np.zeros(len(caps.faces), np.uint8))
+        tree = build_tree(self._device, cap_mesh, np.zeros(len(caps.faces), np.uint8))
         farther = math.sqrt(math.sqrt(caps.most))
-        self.windings = [
-            WindingNumber(cap_mesh, self.device, tree=tree, reach=reach * farther)
+        self._windings = [
+            WindingNumber(cap_mesh, self._device, tree=tree, reach=reach * farther)
             for reach, _ in REACHES
         ]
-        holes = build_tree(self.device, _boxes(points, caps), np.zeros(caps.holes, np.uint8))
+        holes = build_tree(self._device, _boxes(points, caps), np.zeros(caps.holes, np.uint8))
         unit = float(np.ldexp(1.0, -tree.frame.exponent))
-        areas = _areas(points[caps.faces] * unit)
+        a, b, c = (unit * points[caps.faces[:, i]] for i in range(3))
+        areas = length(cross(b - a, c - a)) / 2
         by_hole = np.add.reduceat(areas, caps.first[:-1] - 2 * np.arange(caps.holes))
+        self._frame = tree.frame
         self._arguments: dict[str, Any] = {  # of kernels
+            "shape": plan.shape,
             "frame": (*tree.frame.centre, unit),
             "vertices": mesh.vertices,
             "faces": mesh.faces,
@@ -94,23 +101,25 @@ class CapField:
             "hole_names": holes.names,
             "hole_count": holes.count,
             "hole_first_leaf": holes.first_leaf,
-            "first": self.device.put(caps.first.astype(np.uint32)),
-            "loops": self.device.put(tree.frame.local(points[caps.loops])),
-            "areas": self.device.put(_sums(holes, by_hole)),
-            "hole_areas": self.device.put(by_hole),
+            "first": self._device.put(caps.first.astype(np.uint32)),
+            "loops": self._device.put(tree.frame.local(points[caps.loops])),
+            "areas": self._device.put(_sums(holes, by_hole)),
+            "hole_areas": self._device.put(by_hole),
         }
+        self._bricks, self._thresholds = self._find_bricks(plan.side, plan.shape)
+        self.nodes = np.unique(self._bricks >> np.uint64(3))
 
-    def kernel(self, name: str) -> Callable[..., None]:
+    def _kernel(self, name: str) -> Callable[..., None]:
         """Return a kernel compiled with the plan's options."""
-        return self.device.kernel(SOURCE, name, **self._options)
+        return self._device.kernel(SOURCE, name, **self._options)
 
-    def thresholds(self, blocks: np.ndarray, level: int) -> np.ndarray:
+    def _find_thresholds(self, blocks: np.ndarray, level: int) -> np.ndarray:
         """Return (n,) int64, the least N inside of blocks of 2**level voxels, or BY_VOXEL."""
         variations = self._variations(blocks, level)
         near = np.flatnonzero(np.isfinite(variations))
         middles = (morton_decode(blocks[near]) * 2 + 1) << (level - 1 + FIXED_POINT_BITS)
-        at = self.device.put(self.tree.frame.local(middles.astype(np.float64)))
-        half_more = self.windings[0].at_local(at, len(near)).take() + 0.5
+        at = self._device.put(self._frame.local(middles.astype(np.float64)))
+        half_more = self._windings[0].at_local(at, len(near)).take() + 0.5
         known = np.abs(half_more - np.rint(half_more)) > variations[near] + DOUBT
         thresholds = np.full(len(blocks), BY_VOXEL)
         thresholds[near[known]] = np.ceil(half_more[known])
@@ -120,52 +129,37 @@ class CapField:
         """Return (n,) float64 bounds of the difference of w(C) to its value in a block's middle;
         infinite if the bound is 1/2 or more, or a cap passes between the voxels."""
         n = len(blocks)
-        codes, variations = self.device.put(blocks), self.device.empty(n, np.float64)
-        self.kernel("bound_variation")(n, codes, level, 0.5 - DOUBT, variations, **self._arguments)
-        self.kernel("exclude_caps")(n, codes, level, variations, **self._arguments)
+        codes, variations = self._device.put(blocks), self._device.empty(n, np.float64)
+        self._kernel("bound_variation")(n, codes, level, 0.5 - DOUBT, variations, **self._arguments)
+        self._kernel("exclude_caps")(n, codes, level, variations, **self._arguments)
         return variations.take()
 
-    def numbers(
+    def _numbers(
         self, voxels: np.ndarray, crossings: Crossings, winding: WindingNumber | None
     ) -> np.ndarray:
         """Return (n,) float64 winding numbers at voxels, given by Morton codes: of the mesh, or
         of the mesh with its caps if `winding`, the winding number of the caps, is None."""
-        n, shape = len(voxels), self.mesh.grid.shape
-        codes, numbers = self.device.put(voxels), self.device.empty(n, np.float64)
-        number_voxels = self.kernel("number_voxels")
-        number_voxels(n, codes, shape, crossings.keys, crossings.n, crossings.x_bits, numbers)
+        n, listed = len(voxels), (crossings.keys, crossings.n, crossings.x_bits)
+        codes, numbers = self._device.put(voxels), self._device.empty(n, np.float64)
+        self._kernel("number_voxels")(n, codes, *listed, numbers, **self._arguments)
         if winding:
-            self.kernel("subtract_caps")(n, codes, winding.moments, numbers, **self._arguments)
+            self._kernel("subtract_caps")(n, codes, winding.moments, numbers, **self._arguments)
         return numbers.take()
-
-
-class NearHoles:
-    """The bricks in which N >= 1 does not decide; `nodes` holds the ascending Morton codes of the
-    level-1 nodes that contain them.
-
-    Raises MemoryLimitError if these bricks need an octree of more than max_memory bytes.
-    """
-
-    def __init__(self, mesh: LatticeMesh, plan: VoxelizePlan, max_memory: int) -> None:
-        self._field = CapField(mesh, plan.wide)
-        self._max_memory = max_memory
-        self._bricks, self._thresholds = self._find_bricks(plan.side, plan.shape)
-        self.nodes = np.unique(self._bricks >> np.uint64(3))
 
     def _find_bricks(self, side: int, shape: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
         """Return (n,) uint64 ascending codes of bricks, and (n,) int64 least N or BY_VOXEL."""
         codes, thresholds = [], []
         blocks = np.zeros(1, np.uint64)
         for level in range(side.bit_length() - 1, BRICK_LEVEL - 1, -1):
-            threshold = self._field.thresholds(blocks, level)
+            threshold = self._find_thresholds(blocks, level)
             unlike = (threshold != 1) & (threshold != BY_VOXEL)
             self._refuse_beyond(int(unlike.sum()) * 8 ** (level - BRICK_LEVEL) + len(blocks))
-            inner = _descend(blocks[unlike], level - BRICK_LEVEL)
+            inner = descend(blocks[unlike], level - BRICK_LEVEL)
             codes.append(inner)
             thresholds.append(np.repeat(threshold[unlike], len(inner) // max(unlike.sum(), 1)))
             blocks = blocks[threshold == BY_VOXEL]
             if level > BRICK_LEVEL:
-                blocks = _descend(blocks, 1)
+                blocks = descend(blocks, 1)
                 low = morton_decode(blocks) << (level - 1)
                 blocks = blocks[(low < shape).all(axis=1)]
         codes.append(blocks)
@@ -191,7 +185,7 @@ class NearHoles:
         places = 8 * node + (self._bricks & np.uint64(7)).astype(np.int64)
         device = bricks.device
         masks, at = device.put(self._masks(crossings)), device.put(places.astype(np.uint32))
-        self._field.kernel("place_bricks")(len(places), masks, at, bricks)
+        self._kernel("place_bricks")(len(places), masks, at, bricks)
 
     def _masks(self, crossings: Crossings) -> np.ndarray:
         """Return (n,) uint64 masks of the voxels inside. Numbers near 1/2 are computed again, with
@@ -200,14 +194,14 @@ class NearHoles:
         for start in range(0, len(masks), BATCH):
             part = slice(start, start + BATCH)
             threshold = np.repeat(self._thresholds[part].astype(np.float64), BRICK_SIDE**3)
-            voxels = _descend(self._bricks[part], BRICK_LEVEL)
+            voxels = descend(self._bricks[part], BRICK_LEVEL)
             numbers = np.empty(len(voxels))
             single = threshold == BY_VOXEL
             threshold[single] = HALF
-            numbers[~single] = self._field.numbers(voxels[~single], crossings, None)
+            numbers[~single] = self._numbers(voxels[~single], crossings, None)
             asked = np.flatnonzero(single)
-            for winding, (_, doubt) in zip(self._field.windings, REACHES, strict=True):
-                numbers[asked] = self._field.numbers(voxels[asked], crossings, winding)
+            for winding, (_, doubt) in zip(self._windings, REACHES, strict=True):
+                numbers[asked] = self._numbers(voxels[asked], crossings, winding)
                 asked = asked[np.abs(numbers[asked] - 0.5) < doubt]
             inside = (numbers >= threshold) & (numbers != BEYOND_GRID)
             masks[part] = np.packbits(inside, bitorder="little").view(BRICK)
@@ -221,17 +215,6 @@ def _boxes(points: np.ndarray, caps: Caps) -> Mesh:
     low_corner = np.arange(caps.holes, dtype=np.int32)
     high_corner = low_corner + caps.holes
     return Mesh(np.concatenate([low, high]), np.stack([low_corner, high_corner, high_corner], 1))
-
-
-def _areas(triangles: np.ndarray) -> np.ndarray:
-    u, v = (triangles[:, i] - triangles[:, 0] for i in (1, 2))
-    return length(cross(u, v)) / 2
-
-
-def _descend(codes: np.ndarray, levels: int) -> np.ndarray:
-    """Return the Morton codes of all cells a number of levels below."""
-    below = np.arange(8**levels, dtype=np.uint64)
-    return ((codes << np.uint64(3 * levels))[:, None] | below).ravel()
 
 
 def _sums(tree: TriangleTree, values: np.ndarray) -> np.ndarray:

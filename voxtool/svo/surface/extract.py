@@ -19,26 +19,28 @@ from typing import Any, Self
 
 from voxtool.choices import MARCHING_CUBES, STYLE_ALIASES, STYLES, SURFACE_NETS, VOXEL_FACES
 from voxtool.errors import VoxtoolError
-from voxtool.job import Job
+from voxtool.job import Job, one_call
 from voxtool.opencl import Device, default_device
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import VOXEL, Octree, level_number
-from voxtool.svo.surface.cut_cells import classify_cubes, count_lost, find_tiles
+from voxtool.svo.surface.cut_cells import (
+    MAX_LEVEL,
+    Sampling,
+    Tree,
+    classify_cubes,
+    count_lost,
+    find_tiles,
+    grow_tree,
+)
 from voxtool.svo.surface.dual import dual_surface, split_quads
 from voxtool.svo.surface.greedy_meshing import join_squares
 from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.svo.surface.marching_cubes import march_cubes
 from voxtool.svo.surface.plan import MAX_SAMPLES, RELAXATIONS, ExtractionPlan, active_tiles
-from voxtool.svo.surface.sampling import MAX_LEVEL, Sampling, Tree, grow_tree
 
 # Shares of the set voxels from which on their loss is a warning: in samples below the isovalue,
 # and, of them, away from the surface.
 MUCH_BELOW, MUCH_VANISHED = 0.5, 0.01
-
-
-def extract(octree: Octree, **options: Any) -> Isosurface:
-    """Return the surface of an octree; see `voxtool.extract`."""
-    return plan_extract(octree, **options).run()
 
 
 def plan_extract(
@@ -74,6 +76,9 @@ def plan_extract(
         )
     tree, plan = _plan(octree, style, level, share, merge)
     return ExtractJob(octree, tree, plan, device or default_device(), max_memory)
+
+
+extract = one_call(plan_extract, "extract", Isosurface)
 
 
 def _plan(
