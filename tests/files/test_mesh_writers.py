@@ -366,9 +366,7 @@ def test_what_is_refused_leaves_the_old_file(torus: Mesh, tmp_path: Path) -> Non
 
 def test_unknown_names(torus: Mesh, tmp_path: Path) -> None:
     known = r"\.obj, \.ply, \.stl, \.glb, \.off$"
-    with pytest.raises(
-        FileError, match=rf"a\.fbx: the name says no format: end it in one of {known}"
-    ):
+    with pytest.raises(FileError, match=rf"a\.fbx: the name says no format: .* one of {known}"):
         write_mesh(torus, tmp_path / "a.fbx")
     with pytest.raises(FileError, match="format 'fbx' is unknown: choose one of obj, ply, stl"):
         write_mesh(torus, tmp_path / "a.obj", format="fbx", normals=torus.vertices)

@@ -50,31 +50,21 @@ PLY_HEADER_LINES = 1000
 def read_points(
     path: PathLike, format: str | None = None, block: int = POINTS_AT_ONCE
 ) -> Iterator[np.ndarray]:
-    """Yield the points of a file, in blocks; `-` reads stdin.
+    """Yield the points of a file, in (k, 3) float64 blocks, 1 <= k <= block; `-` reads stdin.
 
     The format is recognised by content; of text by the extension, or by commas:
 
     - .npy, (N, 3) integers, float32 or float64, and .npz, of which the array `points` or the only
-      one; a .npz cannot be a stream, since its contents are listed at its end;
+      one; a .npz cannot be a stream;
     - .csv: three columns, or those that a header line calls x, y and z;
     - .xyz: white space between columns, of which the first three count;
     - .ply: the vertices.
 
     In text, # begins a comment, and blank lines do not count. NaN and infinity are numbers.
 
-    Parameters
-    ----------
-    format : one of POINT_FORMATS instead of what the content says.
-    block : the largest number of points in a block.
-
-    Yields
-    ------
-    (k, 3) float64, 1 <= k <= block.
-
     Raises
     ------
-    FileError : no such file, or it holds no points; the message names the line or the point. It is
-        raised at the first block, unless what is wrong is further on.
+    FileError : no such file, or it holds no points; the message names the line or the point.
     """
     name = input_name(path)
     if format not in (None, *POINT_FORMATS):
