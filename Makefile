@@ -2,7 +2,7 @@
 #               volume, and pictures
 # make quick    a contributor's loop: one driver, nothing slow; under two minutes
 # make test     the whole suite, on every driver
-# make soak     what takes long: kills, fuzzing, many calls, all models; SECONDS= and SEED= choose a slice
+# make soak     the long tests: kills, fuzzing, many calls, all models; SECONDS= and SEED= choose a slice
 # make fuzz     mutated files and extreme arguments; SECONDS=, SEED= and ARGS= as python -m tests.fuzz -h
 # make lint     style, types and imports
 # make docs     the site, in build/site

@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,8 @@ from voxtool.cli import main
 ROOT = Path(__file__).parents[1]
 MODULE = (sys.executable, "-m", "voxtool")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+# An environment whose commands are those installed beside this Python.
+SHELL = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
 
 
 def write_obj(path: Path, vertices, faces) -> None:
@@ -40,19 +43,24 @@ def run(command: str, stdin: bytes = b"") -> Result:
     return result
 
 
+def told(command: str, stdin: bytes = b"") -> dict[str, Any]:
+    """Return the JSON of a command that succeeds."""
+    return json.loads(run(command, stdin).stdout)
+
+
 def fail(command: str, code: int | None = None, stdin: bytes = b"") -> str:
     """The message of a command that fails: one line on stderr, and nothing written; with --json
     the same on stdout as JSON. The exit code is 4 where a device or a limit of memory is asked for,
     else 3, unless another is given."""
     if code is None:
         code = 4 if "--device" in command or "--max-memory" in command else 3
-    before = {p: p.read_bytes() for p in Path().iterdir()}
+    before = {p: p.read_bytes() for p in Path().iterdir() if p.is_file()}
     result = invoke(command, stdin)
     assert result.exit_code == code, result.output
     assert result.stderr.startswith("voxtool: error: ")
     assert result.stderr.endswith("\n")
     assert result.stderr.count("\n") == 1, result.stderr
-    assert {p: p.read_bytes() for p in Path().iterdir()} == before
+    assert {p: p.read_bytes() for p in Path().iterdir() if p.is_file()} == before
     message = result.stderr.removeprefix("voxtool: error: ").rstrip()
     if "--json" in command:
         error = json.loads(result.stdout)["error"]

@@ -113,12 +113,6 @@ def test_pipes(here: Path) -> None:
     assert np.array_equal(np.load("a.npy"), expected)
 
 
-def test_in_a_process_of_its_own(here: Path) -> None:
-    done = process("adf-query ball.adf.h5 --format csv", input=b"1 4 2.5\n", cwd=here)
-    assert done.returncode == 0, done.stderr
-    assert float(done.stdout.splitlines()[1]) == pytest.approx(-0.3 * SIDE, abs=5e-2 * SIDE)
-
-
 def test_json(here: Path) -> None:
     points = np.concatenate([POINTS, [(9, 9, 9), (8, 8, 8), (math.nan, 3, 1)]])
     np.save("points.npy", points)
@@ -142,11 +136,6 @@ def test_the_points_are_not_overwritten(here: Path) -> None:
     assert result.returncode == 2
     assert b"points.npy is POINTS itself: name another output" in result.stderr
     assert Path("points.npy").read_bytes() == before
-
-
-def test_verbose(here: Path) -> None:
-    lines = run("adf-query ball.adf.h5 points.npy -v").stderr.splitlines()
-    assert any(line.startswith("voxtool:   query ") and line.endswith(" ms") for line in lines)
 
 
 def test_no_points_at_all(here: Path) -> None:
@@ -180,18 +169,6 @@ def test_a_slice(here: Path) -> None:
     assert len(columns) > 100
 
 
-def test_the_same_pixels_from_the_same_input(here: Path) -> None:
-    from voxtool.opencl import list_devices
-
-    usable = [d.index for d in list_devices() if d.probe == "ok"]
-    pictures = set()
-    for index in [*usable, usable[0]]:
-        command = f"adf-query ball.adf.h5 --slice y=3.3 --size 300 --device {index} -q -o -"
-        pictures.add(run(command).stdout_bytes)
-    assert len(pictures) == 1
-    assert pictures.pop().startswith(b"\x89PNG")
-
-
 def test_slices_of_every_kind_of_field(here: Path) -> None:
     """A plane of which all is outside, at the cube's face, of leaves of one level and of none that
     are large enough."""
@@ -222,18 +199,14 @@ def test_round_steps(least: float, step: float) -> None:
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        ("adf-query none.adf.h5 points.npy", "none.adf.h5: there is no such file"),
         ("adf-query ball.adf.h5 none.npy", "none.npy: there is no such file"),
         ("adf-query points.csv points.npy", "points.csv"),
-        ("adf-query ball.adf.h5 points.npy -o a.txt", "a.txt: the name says no format"),
-        ("adf-query ball.adf.h5 points.npy -o no/a.npy", "there is no folder"),
         ("adf-query ball.adf.h5 points.npy -o points.csv --no-clobber", "points.csv exists"),
         ("adf-query plain.adf.h5 points.npy --bounds", "plain.adf.h5: the field has no bounds"),
         (
             "adf-query ball.adf.h5 --slice x=3.1",
             "ball.adf.h5: slice x=3.1 lies outside of the cube: choose -1 to 3",
         ),
-        ("adf-query ball.adf.h5 points.npy --device nonesuch", "no OpenCL device matches"),
     ],
 )
 def test_failures(command: str, message: str, here: Path) -> None:

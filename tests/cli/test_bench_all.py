@@ -53,11 +53,8 @@ def ball(tmp_path: Path, monkeypatch) -> str:
 
 def test_every_bench_has_times_and_errors(made: Path) -> None:
     told = json.loads((made / "out" / "report.json").read_text())
-    assert (told["format"], told["schema_version"], told["date"]) == (
-        "voxtool-bench",
-        "1.1",
-        "today",
-    )
+    head = (told["format"], told["schema_version"], told["date"])
+    assert head == ("voxtool-bench", "1.1", "today")
     assert told["device"]["probe"] in ("", "ok")
     assert told["machine"]["cores"] > 0
     points = told["points"]
@@ -125,16 +122,8 @@ def test_what_is_said(made: Path) -> None:
 def test_no_clobber(made: Path, monkeypatch) -> None:
     monkeypatch.chdir(made)
     before = {path: path.stat().st_mtime_ns for path in (made / "out").iterdir()}
-    wrong = fail_in_folder("bench all bunny.obj --quick -o out --no-clobber")
-    assert "report.json exists" in wrong
+    assert "report.json exists" in fail("bench all bunny.obj --quick -o out --no-clobber", 3)
     assert {path: path.stat().st_mtime_ns for path in (made / "out").iterdir()} == before
-
-
-def fail_in_folder(command: str) -> str:
-    result = invoke(command)
-    assert result.exit_code == 3
-    assert result.stdout == ""
-    return result.stderr
 
 
 def test_wrong_models_are_one_line_before_anything_is_measured(ball: str) -> None:
@@ -222,10 +211,8 @@ def test_budgets(ball: str) -> None:
 
 @pytest.mark.parametrize("wrong", ["x", "-1", "nan", "1e999", ":rms"])
 def test_wrong_budgets(ball: str, wrong: str) -> None:
-    result = invoke(f"bench all ball.obj --budget-error={wrong}")
-    assert result.exit_code == 2
-    assert "is no error: write 1e-3" in result.stderr
-    assert invoke("bench all ball.obj --budget-time 0").exit_code == 2
+    assert "is no error: write 1e-3" in fail(f"bench all ball.obj --budget-error={wrong}", 2)
+    fail("bench all ball.obj --budget-time 0", 2)
 
 
 @pytest.mark.parametrize(
@@ -239,9 +226,7 @@ def test_wrong_budgets(ball: str, wrong: str) -> None:
     ],
 )
 def test_wrong_usage(words: str, message: str) -> None:
-    result = invoke(f"bench {words}")
-    assert result.exit_code == 2
-    assert message in result.stderr
+    assert message in fail(f"bench {words}", 2)
 
 
 def test_a_band_of_nothing_is_measured(ball: str) -> None:

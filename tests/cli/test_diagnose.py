@@ -49,7 +49,7 @@ def turned(pair):
 
 
 def report(pair, options: str = "--dim 32") -> dict[str, Any]:
-    """Of a mesh, as JSON; and the text has no more lines than a screen."""
+    """Return the JSON of a mesh; check that the text agrees and is shorter than a screen."""
     write_obj(Path("mesh.obj"), *pair)
     result = run(f"diagnose mesh.obj {options} --json")
     assert result.stderr == ""
@@ -279,13 +279,6 @@ def test_standard_input(here: Path) -> None:
 def test_failures(here: Path, options: str, code: int, message: str) -> None:
     write_obj(Path("mesh.obj"), *meshes.open_box(0, 2))
     assert message in fail(f"diagnose mesh.obj {options}", code)
-
-
-def test_verbose(here: Path) -> None:
-    write_obj(Path("mesh.obj"), *meshes.open_box(0, 2))
-    err = run("diagnose mesh.obj --dim 32 -v").stderr
-    assert "self-intersections" in err
-    assert "ms\n" in err
 
 
 # Devices and real models

@@ -71,7 +71,7 @@ def test_stdout_is_binary_on_request(here: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("mesh", ["box", "open"])
 def test_a_grid(here: Path, mesh: str) -> None:
-    """Where the open box leaks by parity, so does its grid."""
+    """The grid of the open box leaks by parity as its octree does."""
     for fill in ("auto", "parity", "flood"):
         run(f"voxelize {mesh}.obj --dim 24 --fill {fill} -o {mesh}.svo.h5 -q")
         octree = voxtool.read_svo(f"{mesh}.svo.h5")

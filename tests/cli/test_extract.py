@@ -5,22 +5,17 @@ from __future__ import annotations
 import json
 import os
 import re
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import meshes
 import numpy as np
 import pytest
-from helpers_cli import ENVIRONMENT, MODULE, fail, run, write_obj
-from helpers_cli import invoke as call
+from helpers_cli import fail, invoke, run, told, write_obj
 from helpers_octree import ball, octree_from_dense
 
-import voxtool
-from voxtool.cli.options import output_of
 from voxtool.files import MESH_FORMATS, NORMAL_FORMATS, read_svo, write_svo
 from voxtool.files.mesh import load_mesh
-from voxtool.opencl import list_devices
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface.extract import extract, plan_extract
 from voxtool.svo.surface.isosurface import Isosurface
@@ -47,11 +42,6 @@ def said(stderr: str) -> re.Match[str]:
     found = SAID.match(stderr)
     assert found, stderr
     return found
-
-
-def told(command: str, stdin: bytes = b"") -> dict:
-    """The JSON of a command that succeeds."""
-    return json.loads(run(command, stdin).stdout)
 
 
 def plate() -> Octree:
@@ -100,44 +90,12 @@ def test_the_name_by_default_is_never_the_mesh_it_was_made_from(here: Path) -> N
     assert os.listdir("folder") == ["bunny.svo.h5"]
 
 
-@pytest.mark.parametrize(
-    ("octree", "output"),
-    [
-        ("bunny.svo.h5", "bunny.surface-nets.obj"),
-        ("a/b/bunny.svo.xml.gz", "bunny.surface-nets.obj"),
-        ("bunny.svo.xml", "bunny.surface-nets.obj"),
-        ("bunny.h5", "bunny.surface-nets.obj"),
-        ("bunny.v2.svo.h5", "bunny.v2.surface-nets.obj"),
-        ("bunny", "bunny.surface-nets.obj"),
-        ("-", "-"),
-    ],
-)
-def test_default_output(octree: str, output: str) -> None:
-    assert output_of(octree, "surface-nets.obj") == output
-
-
 def test_octrees_of_every_format_have_one_surface(here: Path) -> None:
     digests = {told("extract bunny.svo.h5 -o a.obj --json")["digest"]}
     for name in ("b.svo.xml", "b.svo.xml.gz"):
         write_svo(read_svo("bunny.svo.h5"), name)
         digests.add(told(f"extract {name} -o a.obj --json")["digest"])
     assert len(digests) == 1
-
-
-def test_digests_are_equal_on_every_device(here: Path) -> None:
-    devices = [device.index for device in list_devices() if device.probe == "ok"]
-    for request in (
-        "",
-        "--style surface-nets",
-        "--style voxel-faces --merge",
-        "--level 1 --isovalue 0.3",
-    ):
-        digests, files = set(), set()
-        for index in devices:
-            command = f"extract bunny.svo.h5 {request} --normals -o a.ply --device {index} --json"
-            digests.add(told(command)["digest"])
-            files.add(Path("a.ply").read_bytes())
-        assert len(digests) == len(files) == 1, request
 
 
 def test_world_coordinates(here: Path) -> None:
@@ -176,15 +134,6 @@ def test_normals_that_a_format_does_not_hold(name: str, here: Path) -> None:
     assert message in fail(f"extract bunny.svo.h5 --normals --format {name} -o a.obj", code=2)
 
 
-def test_no_clobber_keeps_the_file(here: Path) -> None:
-    run("extract bunny.svo.h5 --level 1 --no-clobber")
-    message = fail("extract bunny.svo.h5 --level 2 --no-clobber")
-    assert message.startswith("bunny.marching-cubes.obj exists")
-    before = Path("bunny.marching-cubes.obj").read_bytes()
-    run("extract bunny.svo.h5 --level 2")
-    assert Path("bunny.marching-cubes.obj").read_bytes() != before
-
-
 # ---- streams
 
 
@@ -211,32 +160,6 @@ def test_json_goes_where_the_mesh_does_not(here: Path) -> None:
     found = json.loads(result.stderr[: result.stderr.rindex("}") + 1])
     assert found["output"] == "-"
     assert found["check"]["closed"]
-
-
-def test_pipe(here: Path, shell) -> None:
-    line = (
-        "voxtool voxelize bunny.obj --dim 64 -q -o - | voxtool extract - -q -o smooth.obj"
-        " && voxtool extract bunny.svo.h5 -q -o - | head -1"
-    )
-    done = subprocess.run(["sh", "-c", line], env=shell, cwd=here, capture_output=True)
-    assert done.returncode == 0
-    assert len(load_mesh("smooth.obj").faces) > 100
-    assert done.stdout.count(b"\n") == 1
-
-
-def test_nothing_on_stdin(here: Path) -> None:
-    assert "stdin is empty" in fail("extract -")
-
-
-def test_no_binary_mesh_is_sent_to_a_terminal(here: Path) -> None:
-    pty = pytest.importorskip("pty")
-    master, slave = pty.openpty()
-    words = [*MODULE, "extract", "bunny.svo.h5", "--format", "ply", "-o", "-"]
-    done = subprocess.run(words, env=ENVIRONMENT, stdout=slave, stderr=subprocess.PIPE)
-    os.close(slave)
-    os.close(master)
-    assert done.returncode == 2
-    assert done.stderr.startswith(b"voxtool: error: stdout is a terminal: redirect it")
 
 
 # ---- JSON, checks and measures
@@ -321,7 +244,7 @@ def test_a_check_that_fails_is_exit_code_1_and_says_why(here: Path, monkeypatch)
         torn = replace(surface, faces=surface.faces[1:])
         assert torn.check()["closed"] is False
     monkeypatch.setattr(Isosurface, "check", lambda _: {"closed": False, "volume": 1.0})
-    result = call("extract bunny.svo.h5 --check -o a.obj")
+    result = invoke("extract bunny.svo.h5 --check -o a.obj")
     assert result.exit_code == 1
     assert json.loads(result.stdout)["check"]["closed"] is False
     message = result.stderr.splitlines()[-1]
@@ -351,27 +274,16 @@ def test_against(here: Path) -> None:
     assert far["marching-cubes"] < 4  # a sample has four voxels along its side
 
 
-def test_against_is_the_same_every_time(here: Path) -> None:
-    command = "extract bunny.svo.h5 --level 1 --against bunny.obj --samples 1000 --check --json"
-    one, two = told(command), told(command)
-    assert one["against"] == two["against"]
-    assert "check" in one
-
-
-@pytest.mark.parametrize(
-    ("mesh", "message"),
-    [("none.obj", "none.obj: there is no such file"), ("bunny.svo.h5", "not a mesh")],
-)
-def test_against_what_is_no_mesh(mesh: str, message: str, here: Path) -> None:
-    assert message in fail(f"extract bunny.svo.h5 --against {mesh} -o a.obj")
-
-
-def test_against_a_mesh_without_area(here: Path) -> None:
-    """What cannot be measured is refused before anything is written."""
+def test_against_meshes_that_cannot_be_measured(here: Path) -> None:
+    """They are refused before anything is written."""
     write_obj(Path("flat.obj"), [(0, 0, 0), (1, 1, 1), (2, 2, 2)], [(0, 1, 2)])
-    for output in ("a.obj", "-"):
-        message = fail(f"extract bunny.svo.h5 --against flat.obj -o {output}")
-        assert message.startswith("flat.obj: no area")
+    for mesh, message in (
+        ("none.obj", "none.obj: no such file"),
+        ("bunny.svo.h5", "not a mesh"),
+        ("flat.obj", "flat.obj: no area"),
+    ):
+        assert message in fail(f"extract bunny.svo.h5 --against {mesh} -o a.obj")
+        assert message in fail(f"extract bunny.svo.h5 --against {mesh} -o -")
 
 
 def test_against_the_file_that_is_replaced(here: Path) -> None:
@@ -384,25 +296,6 @@ def test_against_the_file_that_is_replaced(here: Path) -> None:
 
 
 # ---- the plan, and memory
-
-
-@pytest.mark.parametrize(
-    ("style", "more"),
-    [("marching-cubes", ""), ("voxel-faces", ""), ("voxel-faces", "--merge"), ("surface-nets", "")],
-)
-def test_plan_prints_and_writes_nothing(style: str, more: str, here: Path) -> None:
-    before = sorted(os.listdir())
-    text = run(f"extract bunny.svo.h5 --style {style} {more} --plan -o a.obj")
-    plan = run(f"extract bunny.svo.h5 --style {style} {more} --plan --json")
-    assert sorted(os.listdir()) == before
-    assert text.stderr == plan.stderr == ""
-    octree = read_svo("bunny.svo.h5")
-    expected = plan_extract(octree, style=style, merge=bool(more)).describe()
-    assert json.loads(plan.stdout) == expected
-    for word in ("surface", "stages", "left out", "predicted", f"{style}, level"):
-        assert word in text.stdout
-    for what in (*expected["stages"], *expected["left_out"]):
-        assert what in text.stdout
 
 
 def test_plan_foresees_the_surface(here: Path) -> None:
@@ -429,22 +322,12 @@ def test_a_refusal_names_no_level_that_the_octree_has_not(here: Path) -> None:
     assert message.endswith("allowed: no level fits; or allow more (see --max-memory)")
 
 
-def test_plan_warns_of_a_refusal(here: Path) -> None:
-    result = run("extract bunny.svo.h5 --style surface-nets --plan --json --max-memory 200K")
-    assert json.loads(result.stdout)["predicted_device_bytes"] > 200 << 10
-    assert result.stderr.startswith(
-        "voxtool: warning: this will be refused: a surface-nets surface"
-    )
-    assert result.stderr.count("\n") == 1
-
-
 # ---- usage and failures
 
 
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        ("extract", "Missing argument 'OCTREE' (see voxtool extract -h)"),
         (
             "extract bunny.svo.h5 --merge",
             "--merge goes with --style voxel-faces: marching-cubes has no",
@@ -458,8 +341,6 @@ def test_plan_warns_of_a_refusal(here: Path) -> None:
         ("extract bunny.svo.h5 --level 0.5", "'0.5': choose voxel, or a level"),
         ("extract bunny.svo.h5 --isovalue half", "'half' is not a valid float"),
         ("extract bunny.svo.h5 --format svo.h5", "'obj', 'ply', 'stl', 'glb', 'off'"),
-        ("extract bunny.svo.h5 --samples 0", "0 is not in the range"),
-        ("extract bunny.svo.h5 --max-memory lots", "'lots' is no number of bytes"),
     ],
 )
 def test_usage_errors(command: str, message: str, here: Path) -> None:
@@ -473,11 +354,7 @@ def test_usage_errors(command: str, message: str, here: Path) -> None:
           for bad in ("0", "1", "-0.5", "1.5", "nan", "inf")),
         ("extract bunny.svo.h5 --level 6", "level 6: choose 'voxel' or a level from 0 to 5"),
         ("extract bunny.svo.h5 --level -1", "level -1: choose 'voxel' or a level from 0 to 5"),
-        ("extract bunny.svo.h5 -o a.foo", "end it in one of .obj, .ply, .stl, .glb, .off"),
-        ("extract bunny.svo.h5 -o a", "the name says no format"),
-        ("extract bunny.svo.h5 -o none/a.obj", "there is no folder"),
-        ("extract bunny.svo.h5 --device nothing-like-it", "choose one of 0: "),
-        ("extract none.svo.h5", "none.svo.h5: there is no such file"),
+        ("extract bunny.svo.h5 -o a", "end it in one of .obj, .ply, .stl, .glb, .off"),
         ("extract .", "is a folder"),
         ("extract bunny.obj", "bunny.obj is a mesh: voxelize it first (voxtool voxelize"),
         ("extract notes.txt", "notes.txt is no octree: expected HDF5"),
@@ -564,37 +441,3 @@ def test_voxels_below_the_isovalue_that_the_surface_is_near(here: Path) -> None:
 
 
 # ---- quiet, verbose, and the bar
-
-
-def test_quiet_is_silent(here: Path) -> None:
-    for style in STYLES:
-        assert run(f"extract bunny.svo.h5 --style {style} -q").output == ""
-    assert "no such file" in fail("extract none.svo.h5 -q")
-    found = run("extract bunny.svo.h5 -q --check")
-    assert json.loads(found.stdout)["check"]["closed"]
-    assert found.stderr == ""
-
-
-@pytest.mark.parametrize(
-    "more",
-    [
-        "",
-        "--level voxel",
-        "--style surface-nets",
-        "--style voxel-faces",
-        "--style voxel-faces --merge",
-    ],
-)
-def test_verbose_tells_device_and_stages(more: str, here: Path) -> None:
-    lines = run(f"extract bunny.svo.h5 -v -o a.obj {more}").stderr.splitlines()
-    start = next(i for i, line in enumerate(lines) if re.fullmatch(r"voxtool: \S.* \(.*\)", line))
-    timed = [re.fullmatch(r"voxtool:   (.*?) +\d+\.\d\d ms", line) for line in lines[start + 1 :]]
-    assert all(timed), lines
-    names = [match[1] for match in timed if match]
-    planned = told(f"extract bunny.svo.h5 --plan --json {more}")["stages"]
-    assert [name for name in names if name in planned] == planned
-
-
-def test_the_library_gives_the_same(here: Path) -> None:
-    surface = voxtool.extract(read_svo("bunny.svo.h5"), style="surface-nets")
-    assert told("extract bunny.svo.h5 --style surface-nets --json")["digest"] == surface.digest()

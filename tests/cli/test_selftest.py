@@ -26,13 +26,13 @@ LOST = Case("lost", "what is no number", "values", 1, lambda device, full: math.
 
 
 def printed(capsys, device, *cases: Case, full=False, as_json=False, quiet=False) -> str:
-    """What the command prints for these cases."""
+    """Return the output of the command for these cases."""
     report(device, cases, full, as_json, quiet)
     return capsys.readouterr().out
 
 
 def failed(capsys, device, *cases: Case, **how) -> tuple[str, str]:
-    """What the command prints for cases of which one fails, and the message of the error."""
+    """Return the output for cases of which one fails, and the message of the error."""
     with pytest.raises(CheckError) as error:
         printed(capsys, device, *cases, **how)
     return capsys.readouterr().out, str(error.value)

@@ -1,9 +1,8 @@
-"""What the documents say holds: commands, transcripts, the Python snippet, links, docstrings."""
+"""Checks of the documents: commands, transcripts, Python snippets, links, docstrings."""
 
 from __future__ import annotations
 
 import inspect
-import os
 import re
 import shlex
 import subprocess
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import click
 import pytest
+from helpers_cli import SHELL
 from PIL import Image
 
 import voxtool
@@ -123,15 +123,10 @@ def folder(tmp_path_factory):
 
 
 def run(command: str, cwd: Path) -> str:
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
-        ["bash", "-o", "pipefail", "-c", command],
-        cwd=cwd,
-        env={**os.environ, "PATH": path},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        encoding="utf-8",
-    )
+        ["bash", "-o", "pipefail", "-c", f"exec 2>&1\n{command}"],
+        cwd=cwd, env=SHELL, capture_output=True, encoding="utf-8",
+    )  # fmt: skip
     assert done.returncode == 0, f"{command}\n{done.stdout}"
     return done.stdout
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +10,7 @@ from pathlib import Path
 import meshes
 import numpy as np
 import pytest
+from helpers_cli import SHELL, write_obj
 
 import voxtool
 
@@ -19,30 +19,17 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def run(*command, cwd, status=0):
-    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(
-        [str(word) for word in command],
-        cwd=cwd,
-        env={**os.environ, "PATH": path},
-        capture_output=True,
-        text=True,
-    )
+    words = [str(word) for word in command]
+    done = subprocess.run(words, cwd=cwd, env=SHELL, capture_output=True, text=True)
     assert done.returncode == status, done.stdout + done.stderr
     assert "Traceback" not in done.stderr
     return done.stdout
 
 
-def write_obj(path, mesh):
-    vertices, faces = mesh
-    lines = ["v {} {} {}".format(*v) for v in vertices.tolist()]
-    lines += ["f {} {} {}".format(*f) for f in (faces + 1).tolist()]
-    path.write_text("\n".join(lines) + "\n")
-
-
 @pytest.fixture
 def folder(tmp_path):
-    write_obj(tmp_path / "ball.obj", meshes.icosphere(2))
-    write_obj(tmp_path / "box.obj", meshes.box((0, 0, 0), (3, 2, 1)))
+    write_obj(tmp_path / "ball.obj", *meshes.icosphere(2))
+    write_obj(tmp_path / "box.obj", *meshes.box((0, 0, 0), (3, 2, 1)))
     return tmp_path
 
 
@@ -68,7 +55,6 @@ def test_pipeline_stops_at_a_missing_mesh(folder):
 
 
 # ---- regression.py
-
 
 CASES = [
     {"mesh": "ball.obj", "dim": 32},
@@ -103,7 +89,7 @@ def test_regression_accepts_what_it_wrote(golden, tmp_path_factory):
 
 def test_regression_shows_what_changed(golden):
     regression(golden, "--update", cwd=golden.parent)
-    write_obj(golden.parent / "box.obj", meshes.box((0, 0, 0), (3, 2, 1.25)))
+    write_obj(golden.parent / "box.obj", *meshes.box((0, 0, 0), (3, 2, 1.25)))
     text = regression(golden, cwd=golden.parent, status=1)
     assert text.count("same ") == 2
     assert "changed box.obj pitch 0.25" in text

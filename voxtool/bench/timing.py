@@ -5,7 +5,6 @@ from __future__ import annotations
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import dataclass, field
 from functools import partial
@@ -191,13 +190,17 @@ def command(*words: str, output: str, device: Device) -> tuple[float, int]:
     ------
     VoxtoolError : the command fails.
     """
+    import tempfile  # slow to import, and the help of bench imports this module
+
     with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
-        more = ("-q", "--device", str(device.info.index), "-o", str(Path(folder, output)))
-        program = (sys.executable, "-m", "voxtool.cli.main", *words, *more)
+        target = Path(folder, output)
+        more = ("-q", "--device", str(device.info.index), "-o", str(target))
+        program = (sys.executable, "-m", "voxtool", *words, *more)
         launched = subprocess.run(
             [sys.executable, "-S", "-c", _LAUNCHER, *program], stdout=subprocess.PIPE, check=True
         )
+        written = target.exists()
     code, seconds, peak = launched.stdout.split()
-    if int(code):
+    if int(code) or not written:
         raise VoxtoolError(f"bench: voxtool {' '.join(words)} failed with {int(code)}")
     return float(seconds), int(peak) * (1 if sys.platform == "darwin" else 1024)

@@ -93,7 +93,7 @@ def command(
 
 
 def facts_of(field: DistanceField) -> dict[str, Any]:
-    """The facts of the report, in JSON types."""
+    """Return the facts of the report, in JSON types."""
     n = len(field.voxels)
     return {
         "tolerance": field.tolerance,
@@ -114,7 +114,7 @@ def facts_of(field: DistanceField) -> dict[str, Any]:
 
 
 def details_of(field: DistanceField) -> Iterator[str]:
-    """The errors, cells and bytes of a field, a line each."""
+    """Yield lines of the errors, cells and bytes of a field."""
     n, reached = len(field.voxels), field.reached
     for where, errors in reached["errors"].items():
         if errors["points"]:

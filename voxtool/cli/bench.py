@@ -67,7 +67,7 @@ OPTIONS: dict[str, tuple[Any, ...]] = {
                "Finest levels of fields, as --max-level of `voxtool adf-build`.", "LEVEL,..."),
     "band": (float, "As of `voxtool adf-build`.  [default: everywhere]"),
     "sign": (SIGNS, "As of `voxtool adf-build`.  [default: by the mesh]"),
-    "points": (COUNT, "Points at which distances are asked for."),
+    "points": (COUNT, "Points at which distances are computed."),
     "kinds": (KINDS, "Points: random, or along rays."),
     "searches": (SEARCHES, "How the leaf of a point is found, as of `voxtool adf-query`."),
     "grids": (DIM, "Voxels along the longest side of dense grids.", "DIM,..."),
@@ -85,7 +85,7 @@ ALIASES = {"levels": "--max-level", "sizes": "--size"}
 COMMANDS = {
     "all": """Measure everything that voxtool does with MODELS: error against run time.
 
-    Triangle meshes are voxelized, surfaces extracted, and distance fields built and asked; volume
+    Triangle meshes are voxelized, surfaces extracted, and distance fields built and queried; volume
     meshes are drawn. -o writes a page with charts and JSON.
 
     \b

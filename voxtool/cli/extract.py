@@ -107,7 +107,7 @@ def command(
 
 
 def facts_of(octree: Octree, surface: Isosurface) -> dict[str, Any]:
-    """The facts of the report, in JSON types."""
+    """Return the facts of the report, in JSON types."""
     return {
         "dim": octree.grid.dim,
         "style": surface.style,

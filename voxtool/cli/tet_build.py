@@ -9,16 +9,10 @@ import click
 from voxtool.choices import LAYOUTS
 from voxtool.cli import options, runner
 from voxtool.cli.options import option, together
+from voxtool.errors import human
 
 if TYPE_CHECKING:
     from voxtool.tets.volume import TetVolume
-
-# Bytes a tetrahedron of other layouts, as [TetVol, section 4.1] gives them.
-COMPARED = {
-    "raycast": "table 5; 144 before it (Weiler et al. 2003), 119 and 912 for projection",
-    "projection": "table 4, 119 with OpenGL's vertex attributes; 912 before it, 96 for ray casting",
-    "hexahedra": "table 5 with two more faces",
-}
 
 
 @click.command("tet-build")
@@ -60,42 +54,18 @@ def command(
         mesh = run.stage("read mesh", read_unstructured, file, scalar, component)
         volume = run.job(run.plan(plan_tet, mesh, layout, merge_distance))
         run.write(write_tet, volume)
-    run.report(report_line(volume), lambda: summary(volume), details(volume))
-
-
-def summary(volume: TetVolume) -> dict[str, Any]:
-    """What was made, in JSON types."""
-    return {
-        "layout": volume.layout,
-        "scalar": volume.scalar,
-        "scalar_range": list(volume.scalar_range),
-        "constant": volume.constant,
-        "origin": list(volume.origin),
-        "scale": volume.scale,
-        "tetrahedra" if volume.cells.shape[1] == 4 else "hexahedra": len(volume.cells),
-        "vertices": len(volume.vertices),
-        "bytes": volume.sizes(),
-        "bytes_a_cell": volume.bytes_a_cell(),
-        "compared": COMPARED[volume.layout],
-        **volume.report,
-        "digest": volume.digest(),
-    }
-
-
-def report_line(volume: TetVolume) -> str:
-    """What was made, in a line."""
-    from voxtool.errors import human
-
-    noun = "tetrahedra" if volume.cells.shape[1] == 4 else "hexahedra"
-    return (
-        f"{len(volume.cells):,} {noun} of {volume.scalar}, {len(volume.vertices):,} vertices in "
-        f"{human(sum(volume.sizes().values()))}"
+    size = human(sum(volume.sizes().values()))
+    run.report(
+        f"{len(volume.cells):,} {volume.noun} of {volume.scalar}, {len(volume.vertices):,} "
+        f"vertices in {size}",
+        volume.summary,
+        details(volume),
     )
 
 
 def details(volume: TetVolume) -> list[str]:
-    """What was done to the mesh, and how accurate the result is."""
-    from voxtool.errors import human
+    """Return lines that say what was done to the mesh, and how accurate the result is."""
+    from voxtool.tets.volume import COMPARED
 
     report, sizes = volume.report, volume.sizes()
     read = ", ".join(f"{n:,} {kind}" for kind, n in report["cells"].items())
@@ -120,7 +90,7 @@ def details(volume: TetVolume) -> list[str]:
 
 
 def changes(report: dict[str, Any]) -> list[str]:
-    """What became of cells that could not stay as they were."""
+    """Return phrases that count the cells that were changed or dropped."""
     counted = [
         (sum(report["ignored"].values()), "are no volumes and left out"),
         (report["curved"], "taken by their corners"),

@@ -82,7 +82,7 @@ def command(
 
 
 def facts_of(octree: Octree) -> dict[str, Any]:
-    """The facts of the report, in JSON types."""
+    """Return the facts of the report, in JSON types."""
     grid = octree.grid
     return {
         "grid": {name: list(getattr(grid, name)) for name in ("shape", "origin", "pitch")},
@@ -98,7 +98,7 @@ def facts_of(octree: Octree) -> dict[str, Any]:
 
 
 def report_line(octree: Octree) -> str:
-    """The line of the report."""
+    """Return the line of the report."""
     filled = "" if octree.fill == "none" else f" by {octree.fill}"
     return (
         f"{octree.mode}{filled}, dim {octree.grid.dim}, pitch {pitch_of(octree.grid)}; "
@@ -107,6 +107,6 @@ def report_line(octree: Octree) -> str:
 
 
 def pitch_of(grid: Grid) -> str:
-    """0.01, or where the axes differ 0.01 x 0.02 x 0.03."""
+    """Return 0.01, or 0.01 x 0.02 x 0.03 if the axes differ."""
     sizes = [f"{p:.6g}" for p in grid.pitch]
     return sizes[0] if len(set(grid.pitch)) == 1 else " x ".join(sizes)
