@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 MODULE = (sys.executable, "-m", "voxtool")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 # An environment whose commands are those installed beside this Python.
-SHELL = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+SHELL = {**ENVIRONMENT, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
 
 
 def write_obj(path: Path, vertices, faces) -> None:
