@@ -24,12 +24,12 @@ from voxtool.adf.query import (
     HOST_POINTS,
     SEARCHES,
     FieldQuery,
-    inverses,
     levels_to_search,
     query_adf,
 )
 from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.errors import VoxtoolError
+from voxtool.opencl import open_device
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device
@@ -49,18 +49,28 @@ def equal(found: QueryResult, expected: QueryResult) -> None:
 
 
 def on_device(field: DistanceField, device: Device, **options: Any) -> FieldQuery:
-    """Queries that the host answers none of."""
+    """Return queries of which the host answers none."""
     return FieldQuery(field, device, host_points=0, **options)
 
 
+def check(
+    field: DistanceField, device: Device, points: Any, search: str = "binary", **options: Any
+) -> QueryResult:
+    """Return all values on the device, which are those of the host."""
+    found = on_device(field, device, **options)(points, search=search, **EVERYTHING)
+    equal(found, field.query(points, **EVERYTHING))
+    return found
+
+
 def spike(p: np.ndarray) -> np.ndarray:
-    """As far from linear in a cell of any size: refined to any level, in a few cells of each."""
+    """Return a field that is as far from linear in a cell of any size: few are refined, to any
+    level."""
     return np.log2(point(p) + 1e-12)
 
 
 def points_of(field: DistanceField, n: int = 3000, seed: int = 1) -> np.ndarray:
-    """Random points in the cube and about it, and in deep cells; faces and vertices of cells; the
-    cube's corners; NaN, infinite and huge ones."""
+    """Return random points in the cube, about it and in deep cells; points on faces and vertices of
+    cells; the cube's corners; NaN, infinite and huge ones."""
     random = np.random.default_rng(seed)
     levels, cells = cells_of(field)
     chosen = random.integers(0, len(cells), n)
@@ -80,69 +90,63 @@ def points_of(field: DistanceField, n: int = 3000, seed: int = 1) -> np.ndarray:
     return np.concatenate([world, np.array(odd, float)])
 
 
+def two_balls(p: np.ndarray) -> np.ndarray:
+    small = np.sqrt(((p - (0.1, 0.15, 0.9)) ** 2).sum(axis=1)) - 0.02
+    return np.minimum(sphere(p), small)
+
+
 @pytest.fixture(scope="module")
 def balls() -> DistanceField:
     """Leaves of levels 2 to 7."""
-
-    def function(p: np.ndarray) -> np.ndarray:
-        small = np.sqrt(((p - (0.1, 0.15, 0.9)) ** 2).sum(axis=1)) - 0.02
-        return np.minimum(sphere(p), small)
-
-    return plain_field(function, 2e-3, 7, origin=ORIGIN, side=SIDE)
+    return plain_field(two_balls, 2e-3, 7, origin=ORIGIN, side=SIDE)
 
 
 @pytest.mark.parametrize("search", SEARCHES)
-@pytest.mark.parametrize("asked", [{}, *({name: True} for name in EVERYTHING), EVERYTHING])
-def test_answers_are_the_oracles(device, balls, search, asked) -> None:
+@pytest.mark.parametrize("request_", [{}, *({name: True} for name in EVERYTHING), EVERYTHING])
+def test_values_are_those_of_the_host(device, balls, search, request_) -> None:
     points = points_of(balls)
-    equal(on_device(balls, device)(points, search=search, **asked), balls.query(points, **asked))
+    found = on_device(balls, device)(points, search=search, **request_)
+    equal(found, balls.query(points, **request_))
+
+
+def deep(max_level: int) -> DistanceField:
+    field = plain_field(spike, 0.2, max_level, origin=ORIGIN, side=SIDE)
+    assert field.depth == max_level
+    assert field.cells.shape[-1] == (3 if max_level > 11 else 2)  # identifiers of 64 bits
+    return field
+
+
+FIELDS = {
+    **{f"level {level}": partial(deep, level) for level in (11, 12, 14, 21)},
+    "w": lambda: with_w(plain_field(two_balls, 2e-3, 7)),
+    "w and level 14": lambda: with_w(deep(14)),
+    "16-bit offsets": lambda: with_w(plain_field(sphere, 1e-2, 4), m=299, w=False),
+    "16-bit offsets with w": lambda: with_w(plain_field(sphere, 1e-2, 4), m=300),
+    "a root alone": lambda: plain_field(sphere, 10.0, 3),
+    "a full octree": lambda: plain_field(lambda p: np.sin(40 * p).sum(axis=1), 1e-9, 3),
+}
+
+
+@pytest.mark.parametrize("name", FIELDS)
+def test_any_field(device, name) -> None:
+    field = FIELDS[name]()
+    for search in SEARCHES:
+        found = check(field, device, points_of(field, 1000), search)
+        assert found.level is not None
+        assert found.level.max() == field.depth
+    if name in ("a root alone", "a full octree"):
+        assert levels_to_search(field) == (field.depth - 1, field.depth - 1)
 
 
 @pytest.mark.parametrize("search", SEARCHES)
 def test_other_shapes_of_the_work_give_the_same(device, balls, search) -> None:
-    """As a GPU is given it."""
+    """These are the work-groups of a GPU."""
     shape = GPU_COHERENT if search == "coherent" else GPU
-    points = points_of(balls, 300)
-    found = on_device(balls, device, shape=shape)(points, search=search, **EVERYTHING)
-    equal(found, balls.query(points, **EVERYTHING))
-
-
-@pytest.mark.parametrize("search", SEARCHES)
-@pytest.mark.parametrize("max_level", [11, 12, 14, 21])
-def test_deep_fields(device, search, max_level) -> None:
-    """Identifiers have 64 bits from leaves of level 12 on."""
-    field = plain_field(spike, 0.2, max_level, origin=ORIGIN, side=SIDE)
-    assert field.depth == max_level
-    assert field.cells.shape[-1] == (3 if max_level > 11 else 2)
-    points = points_of(field)
-    found = on_device(field, device)(points, search=search, **EVERYTHING)
-    equal(found, field.query(points, **EVERYTHING))
-    assert found.level is not None
-    assert found.level.max() == max_level
-
-
-@pytest.mark.parametrize("search", SEARCHES)
-@pytest.mark.parametrize("deep", [False, True])
-def test_a_hash_with_w(device, balls, search, deep) -> None:
-    field = with_w(plain_field(spike, 0.2, 14) if deep else balls)
-    points = points_of(field)
-    found = on_device(field, device)(points, search=search, **EVERYTHING)
-    equal(found, field.query(points, **EVERYTHING))
-
-
-@pytest.mark.parametrize("search", SEARCHES)
-@pytest.mark.parametrize("w", [False, True])
-@pytest.mark.slow
-def test_offsets_of_16_bits(device, search, w) -> None:
-    field = with_w(plain_field(sphere, 1e-2, 5), m=300 if w else 299, w=w)
-    assert field.hash.offsets.dtype == np.uint16
-    points = points_of(field)
-    found = on_device(field, device)(points, search=search, **EVERYTHING)
-    equal(found, field.query(points, **EVERYTHING))
+    check(balls, device, points_of(balls, 300), search, shape=shape)
 
 
 def with_w(field: DistanceField, m: int = 101, *, w: bool = True) -> DistanceField:
-    """The same field with a hash that is sparse, so that random offsets, and w, do."""
+    """Return the same field with a sparse hash, for which random offsets, and w, suffice."""
     random = np.random.default_rng(3)
     levels, cells = cells_of(field)
     keys, r = key_of(levels, cells), 37
@@ -172,24 +176,6 @@ def with_w(field: DistanceField, m: int = 101, *, w: bool = True) -> DistanceFie
     return made
 
 
-@pytest.mark.parametrize("search", SEARCHES)
-def test_a_root_alone(device, search) -> None:
-    field = plain_field(sphere, 10.0, 3)
-    assert levels_to_search(field) == (0, 0)
-    points = points_of(field, 100)
-    found = on_device(field, device)(points, search=search, **EVERYTHING)
-    equal(found, field.query(points, **EVERYTHING))
-
-
-@pytest.mark.parametrize("search", SEARCHES)
-def test_a_full_octree(device, search) -> None:
-    field = plain_field(lambda p: np.sin(40 * p).sum(axis=1), 1e-9, 3)
-    assert levels_to_search(field) == (2, 2)
-    points = points_of(field, 100)
-    found = on_device(field, device)(points, search=search, **EVERYTHING)
-    equal(found, field.query(points, **EVERYTHING))
-
-
 def test_levels_to_search(balls) -> None:
     leaves = balls.leaves_by_level()
     full, deepest = levels_to_search(balls)
@@ -208,30 +194,23 @@ def test_order_changes_nothing(device, balls, search) -> None:
     mixed = np.stack([deep, coarse], axis=1).reshape(-1, 3)
     line = np.linspace(0, 1, 5000)[:, None] * (0.9, 0.6, 0.5) + (0.05, 0.2, 0.25)
     for unit in (mixed, mixed[::-1], line):
-        points = unit * SIDE + np.array(ORIGIN)
-        equal(
-            on_device(balls, device)(points, search=search, cell=True),
-            balls.query(points, cell=True),
-        )
+        check(balls, device, unit * SIDE + np.array(ORIGIN), search)
 
 
 @pytest.mark.parametrize("n", [0, 1, 15, 16, 17, CHUNK - 1, CHUNK + 1])
 def test_any_number_of_points(device, balls, n) -> None:
-    query = on_device(balls, device)
     points = np.random.default_rng(n).random((n, 3)) * SIDE + np.array(ORIGIN)
     for search in SEARCHES:
-        for asked in ({}, EVERYTHING):
-            equal(query(points, search=search, **asked), balls.query(points, **asked))
+        check(balls, device, points, search)
+        equal(on_device(balls, device)(points, search=search), balls.query(points))
 
 
 def test_blocks(device, balls) -> None:
-    """Blocks are in their places, those with points outside between others without."""
+    """Only some blocks have points outside."""
     points = np.random.default_rng(4).random((7777, 3))
     points[2500:2600] += 1
     points[7000] = math.nan
-    points = points * SIDE + np.array(ORIGIN)
-    found = on_device(balls, device, block=1000)(points, **EVERYTHING)
-    equal(found, balls.query(points, **EVERYTHING))
+    check(balls, device, points * SIDE + np.array(ORIGIN), block=1000)
 
 
 def test_more_points_than_a_block_has(device, balls) -> None:
@@ -263,9 +242,7 @@ def test_outside_the_distance_is_a_lower_bound(device, balls, outside) -> None:
     assert answer.outside.all() == (outside == "all")
     far = answer.outside
     assert np.array_equal(far, ((points < ORIGIN) | ((points - ORIGIN) / SIDE > 1)).any(axis=1))
-    exact = SIDE * np.minimum(
-        sphere(unit), np.sqrt(((unit - (0.1, 0.15, 0.9)) ** 2).sum(axis=1)) - 0.02
-    )
+    exact = SIDE * two_balls(unit)
     assert (answer.distance[far] >= 0).all()
     assert (answer.distance[far] <= exact[far] + 1e-2 * SIDE).all()
     assert answer.bound is not None
@@ -294,7 +271,7 @@ def test_points_are_rounded_down_to_the_lattice(exponent: int) -> None:
 
 @given(st.integers(1, (1 << 21) - 1), st.integers(1, (1 << 21) - 1))
 def test_remainders_are_exact(key: int, n: int) -> None:
-    """Those of query.cl, in float32, for the keys that are hardest for a divisor."""
+    """These keys are the hardest for a divisor in float32."""
     for hard in {key, key - key % n, max(key - key % n - 1, 0), ((1 << 21) - 1) // n * n - 1}:
         if hard >= 0:
             assert remainders(np.array([hard]), n)[0] == hard % n
@@ -308,18 +285,11 @@ def test_remainders_of_every_divisor_that_a_table_has() -> None:
 
 
 def remainders(keys: np.ndarray, n: int) -> np.ndarray:
-    """As query.cl has it; 2**21 bounds both keys and divisors."""
+    """Return keys mod n as search.h computes them; 2**21 bounds both keys and divisors."""
     inverse = np.float32(1) / np.float32(n)
     k = keys.astype(np.float32)
     quotient = ((k + np.float32(0.5)) * inverse).astype(np.int32).astype(np.float32)
     return k - quotient * np.float32(n)
-
-
-def test_inverses() -> None:
-    table = inverses(300)
-    assert table.dtype == np.float32
-    assert table[0] == 0
-    assert all(table[n] == np.float32(1 / n) for n in range(1, 301))
 
 
 def test_strided_and_integer_points(device, balls) -> None:
@@ -328,7 +298,7 @@ def test_strided_and_integer_points(device, balls) -> None:
     for points in (wide[:, ::2], np.asfortranarray(wide[:, :3]), wide[::-1, 3:]):
         equal(query(points), balls.query(points))
     whole = [(-3, 1, 13), (-2, 2, 14), (0, 0, 0)]
-    equal(query(whole, **EVERYTHING), balls.query(np.array(whole), **EVERYTHING))
+    check(balls, device, whole)
 
 
 def test_refusals(device, balls) -> None:
@@ -341,11 +311,11 @@ def test_refusals(device, balls) -> None:
         query([(0, 0, 0)], search="quick")
 
 
-def test_one_call_for_any_number_of_points(device, balls) -> None:
-    for n in (1, HOST_POINTS, HOST_POINTS + 1):  # on the host, and on the device
-        points = points_of(balls, n)[:n]
-        found = query_adf(balls, points, search="linear", device=device, **EVERYTHING)
-        equal(found, balls.query(points, **EVERYTHING))
+@pytest.mark.parametrize("n", [1, HOST_POINTS, HOST_POINTS + 1])
+def test_one_call_for_any_number_of_points(device, balls, n) -> None:
+    points = points_of(balls, n)[:n]  # on the host, and on the device
+    found = query_adf(balls, points, search="linear", device=device, **EVERYTHING)
+    equal(found, balls.query(points, **EVERYTHING))
 
 
 @pytest.mark.parametrize("point", [(0.4, 0.5, 0.6), (-1, 0.5, 2), (math.nan, 0, 0)])
@@ -386,20 +356,13 @@ def test_fields_and_queries_pickle(balls) -> None:
     assert repr(query).startswith("FieldQuery(DistanceField(")
 
 
-def test_only_what_is_needed_is_compiled(device, balls, monkeypatch) -> None:
-    seen: list[dict] = []
-    kernel = type(device).kernel
-
-    def recorded(self, source, name, **defines):
-        seen.append(defines)
-        return kernel(self, source, name, **defines)
-
-    monkeypatch.setattr(type(device), "kernel", recorded)
-    inside = np.full((5, 3), 0.4) * SIDE + np.array(ORIGIN)
-    query = on_device(balls, device)
-    query(inside)
+def test_only_what_is_needed_is_compiled(device, balls) -> None:
+    points = np.full((5, 3), 0.4) * SIDE + np.array(ORIGIN)
     optional = {"W", "WIDE", "GRADIENT", "BOUNDS", "CELL"}
-    assert optional & set(seen[-1]) == ({"W"} if balls.hash.has_w else set())
-    query(inside, bounds=True)
-    assert optional & set(seen[-1]) - {"W"} == {"BOUNDS"}
-    assert len(seen) == 2
+    query = on_device(balls, fresh := open_device(str(device.info.index)))
+    for request_, needed in (({}, set()), ({"bounds": True}, {"BOUNDS"})):
+        known = set(fresh._kernels)
+        query(points, **request_)
+        (built,) = {key for key in fresh._kernels if key not in known}
+        used = {define[0] for define in built[2:]}
+        assert used & optional == needed | ({"W"} if balls.hash.has_w else set())
