@@ -87,8 +87,8 @@ void find_deepest(const Hash *hash, __global const uint *points, const int full,
     }
 }
 
-// The positions of points along an axis in their leaves, in [0, 1). The leaves are children of
-// cells of these levels.
+// The positions of points along an axis in their leaves, in [0, 1), given the levels of the leaves'
+// parents.
 floats weights(uints x, ints level)
 {
     const uints fraction = x << to_uints(level + 1) >> (POINT_BITS - WEIGHT_BITS);
@@ -98,16 +98,6 @@ floats weights(uints x, ints level)
 uints octant_bits(uints x, ints level)
 {
     return x >> to_uints(POINT_BITS - 1 - level) & 1u;
-}
-
-floats lerp(floats a, floats b, floats t)
-{
-    return a + t * (b - a);
-}
-
-floats bilerp(floats a, floats b, floats c, floats d, floats s, floats t)
-{
-    return lerp(lerp(a, b, s), lerp(c, d, s), t);
 }
 
 // The corner distances of BATCH leaves: by x, then y, then z.
@@ -134,8 +124,8 @@ void read_corners(__global const float *voxels, const uint *block, const uint *f
     }
 }
 
-// The values of BATCH points in their leaves, which are children of cells of these levels:
-// distances in cube edges, and gradients with GRADIENT.
+// The values of BATCH points in their leaves, given the levels of the leaves' parents: distances in
+// cube edges, and gradients with GRADIENT.
 void interpolate(const leaf_corners *leaves, const uint *x, const uint *y, const uint *z,
                  const int *level, __global float *distances, float *dx, float *dy, float *dz)
 {

@@ -172,16 +172,6 @@ bool first_root(const float4 c, float *root)
     return false;
 }
 
-float lerp(const float a, const float b, const float t)
-{
-    return a + t * (b - a);
-}
-
-float bilerp(const float a, const float b, const float c, const float d, const float s, const float t)
-{
-    return lerp(lerp(a, b, s), lerp(c, d, s), t);
-}
-
 // The brightness of the surface at a point, in leaf edges, for a ray in direction `way`.
 float shade(const float8 v, const float3 at, const double3 way, const float3 light)
 {

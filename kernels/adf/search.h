@@ -60,7 +60,7 @@ typedef struct {
     uint m, r;
 } Hash;
 
-// Points, in units of 2^-32 cube edges, and the levels of the cells that contain them.
+// Points, in units of 2^-32 cube edges, and the level of the cell of each that is looked up.
 typedef struct {
     uint x[BATCH], y[BATCH], z[BATCH];
     int level[BATCH];
@@ -107,12 +107,22 @@ identifiers spread(uints x)
     return v;
 }
 
-// The identifiers of the cells of these levels: Morton codes preceded by a 1 bit ([ADF], section
-// 3.4.3).
+// The identifiers of cells, given points and levels: Morton codes preceded by a 1 bit ([ADF],
+// section 3.4.3).
 identifiers identifiers_of(uints x, uints y, uints z, ints level)
 {
     const identifiers code = spread(x) | spread(y) << 1 | spread(z) << 2;
     return (code | (identifiers)1 << 3 * CODE_LEVEL) >> to_identifiers(3 * (CODE_LEVEL - level));
+}
+
+floats lerp(floats a, floats b, floats t)
+{
+    return a + t * (b - a);
+}
+
+floats bilerp(floats a, floats b, floats c, floats d, floats s, floats t)
+{
+    return lerp(lerp(a, b, s), lerp(c, d, s), t);
 }
 
 // H(k) of [ADF], section 3.4.1, for BATCH cells: their slots, and whether each cell is present.

@@ -1,4 +1,4 @@
-"""Building distance fields: what is stored against other algorithms, formulas and recounts."""
+"""Distance fields that are built, against other algorithms, formulas and recounts."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def mesh_of(vertices, faces=None) -> Mesh:
 
 
 def weights_at(points: np.ndarray) -> np.ndarray:
-    """(..., 8) of a cell's corners at (..., 3) points of it, from 0 to 1."""
+    """Return the weights of a cell's corners, (..., 8), at (..., 3) points in [0, 1]."""
     near = np.where(OCTANTS == 1, points[..., None, :], 1 - points[..., None, :])
     return near.prod(axis=-1)
 
@@ -80,7 +80,7 @@ class Tree:
 
     @cached_property
     def corners(self) -> np.ndarray:
-        """(n, 8) float64 of float32."""
+        """Return the distances at the corners of each child, (n, 8) float64."""
         v = self.field.voxels
         parts = [v[:, z : z + 2, y : y + 2, x : x + 2].reshape(-1, 8) for x, y, z in OCTANTS]
         return np.stack(parts, axis=1).reshape(-1, 8).astype(np.float64)
@@ -91,12 +91,12 @@ class Tree:
         return self.field.bounds.ravel()
 
     def world(self, which: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """(n, k, 3) points of the unit cube in each of n children, in the world."""
+        """Return points in n children, (n, k, 3) world units, from points of the unit cube."""
         at = (self.cells[which][:, None] + points) * np.exp2(-self.levels[which])[:, None, None]
         return np.array(self.field.origin) + self.field.side * at
 
     def vertices(self) -> np.ndarray:
-        """(27 n, 3) of all blocks, in units of the deepest lattice."""
+        """Return the vertices of all blocks, (27 n, 3), in units of the deepest lattice."""
         levels, ijk = self.blocks
         shift = (self.field.depth - 1 - levels)[:, None, None]
         return ((2 * ijk.astype(np.int64)[:, None] + HALVES) << shift).reshape(-1, 3)
@@ -106,7 +106,7 @@ class Tree:
         return np.array(self.field.origin) + self.field.side * (self.vertices() * unit)
 
     def hanging(self) -> np.ndarray:
-        """(27 n,) bool: the vertices that lie on a leaf of the block's own level or coarser."""
+        """Return which vertices lie on a leaf of the block's own level or coarser, (27 n,)."""
         levels, ijk = self.blocks
         leading = np.uint64(1) << (3 * levels).astype(np.uint64)
         size = (1 << levels.astype(np.int64))[:, None]
@@ -126,7 +126,7 @@ class Tree:
 def check_voxels(
     field: DistanceField, exact: Callable[[np.ndarray], np.ndarray], error: float = EXACT
 ) -> Tree:
-    """That what does not hang is the distance, rounded to float32; `exact` is in world units."""
+    """Check that vertices that do not hang have the distance `exact`, rounded to float32."""
     tree = Tree(field)
     field.validate()
     distance = exact(tree.vertices_in_world()) / field.side
@@ -146,7 +146,7 @@ def check_bounds(
     most: int = 4000,
 ) -> int:
     """Check that no leaf is further from the distance than its bound, at random points and on a
-    lattice of sixths, and then near the worst of these; return the number of leaves."""
+    lattice of sixths, and then near the worst points; return the number of leaves."""
     tree, rng = Tree(field), np.random.default_rng(0)
     leaves = np.flatnonzero(~tree.refined & (tree.codes != JUMP))
     if len(leaves) > most:
@@ -173,35 +173,17 @@ def check_bounds(
 # ---- shapes
 
 
-def double_cone(n: int, top: tuple, bottom: tuple, waves: float = 0.0) -> Mesh:
-    """Return two cones over a circle of radius 1, whose edge waves up and down."""
+def fan(n: int, height: float, waves: float = 0.0) -> Mesh:
+    """Return two cones over a circle, whose edge waves up and down."""
     t = 2 * np.pi * np.arange(n) / n
     rim = np.stack([np.cos(t), np.sin(t), waves * np.cos(t * (n // 2))], axis=1)
     i, j = np.arange(n), (np.arange(n) + 1) % n
     faces = [np.stack([i, j, 0 * i + n], 1), np.stack([j, i, 0 * i + n + 1], 1)]
-    return mesh_of([*rim, top, bottom], np.concatenate(faces))
-
-
-def fan(n: int, height: float, waves: float = 0.0) -> Mesh:
-    return double_cone(n, (0.03, 0.02, height), (0, 0, -1.5), waves)
-
-
-def to_cone(points: np.ndarray) -> np.ndarray:
-    radius, z = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2), points[:, 2]
-    along = np.clip(((radius - 1) * -1 + z * 2) / 5, 0, 1)
-    slant = np.sqrt((radius - 1 + along) ** 2 + (z - 2 * along) ** 2)
-    base = np.sqrt(np.maximum(radius - 1, 0) ** 2 + z**2)
-    within = (z > 0) & (2 * radius + z < 2)
-    return np.where(within, -1, 1) * np.minimum(slant, base)
+    return mesh_of([*rim, (0.03, 0.02, height), (0, 0, -1.5)], np.concatenate(faces))
 
 
 def to_sphere(points: np.ndarray) -> np.ndarray:
     return np.sqrt((points**2).sum(axis=1)) - 1
-
-
-def to_torus(points: np.ndarray) -> np.ndarray:
-    ring = np.sqrt(points[:, 0] ** 2 + points[:, 1] ** 2) - 2
-    return np.sqrt(ring**2 + points[:, 2] ** 2) - 1
 
 
 def to_box(points: np.ndarray) -> np.ndarray:
@@ -255,30 +237,14 @@ def test_any_triangles(device: Device, triangles, twice: bool, continuous: bool)
     check_voxels(field, lambda points: brute(points, corners))
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_slivers(device: Device, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    a, b = rng.uniform(-1, 1, (2, 4, 3))
-    c = (
-        a
-        + rng.uniform(-0.3, 1.3, (4, 1)) * (b - a)
-        + 10.0 ** -rng.uniform(2, 8) * rng.normal(size=(4, 3))
-    )
-    mesh = mesh_of(np.stack([a, b, c], axis=1))
-    field = build(mesh, device, tolerance=0.01, max_level=3, sign="none", continuous=False)
-    check_voxels(field, lambda points: brute(points, mesh.vertices[mesh.faces]))
-
-
 @continuity
 @pytest.mark.parametrize(
     ("mesh", "formula", "error"),
     [
         (lambda: mesh_of(*meshes.icosphere(4)), to_sphere, 0.0015),
         (lambda: mesh_of(*meshes.box(0, (3, 4, 5))), to_box, 0),
-        (lambda: mesh_of(*meshes.torus(sides=(96, 48))), to_torus, 0.01),
-        (lambda: double_cone(96, (0, 0, 2), (0, 0, 0)), to_cone, 0.0006),  # 1 - cos(pi / 96)
     ],
-    ids=["sphere", "box", "torus", "cone"],
+    ids=["sphere", "box"],
 )
 def test_formulas(device: Device, mesh, formula, error: float, continuous: bool) -> None:
     mesh = mesh()
@@ -397,7 +363,7 @@ def test_real_models(device: Device, name: str, sign: str) -> None:
 
 
 def examined(tree: Tree, exact: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """(n,) of every child, how far its interpolation is from the distance at the samples."""
+    """Return the largest error of the interpolation of every child at the samples, (n,)."""
     points = SAMPLES.T / 4
     everything = np.arange(len(tree.levels))
     world = tree.world(everything, np.broadcast_to(points, (len(everything), *points.shape)))
@@ -406,7 +372,7 @@ def examined(tree: Tree, exact: Callable[[np.ndarray], np.ndarray]) -> np.ndarra
 
 
 def check_tree(field: DistanceField, mesh: Mesh, device: Device) -> Tree:
-    """That leaves are leaves, and refined cells refined, for the reasons that there are."""
+    """Check that each cell is a leaf, or refined, for one of the documented reasons."""
     tree = Tree(field)
     field.validate()
     errors = examined(tree, SignedDistance(mesh, field.sign, device))
@@ -539,7 +505,7 @@ def test_bounds_of_sizes_by_pseudonormals_that_jump(
 
 
 def leaf_at(tree: Tree, points: np.ndarray, bits: int) -> np.ndarray:
-    """(N,) which child is the leaf at (N, 3) int64 points, in units of 2**-bits sides."""
+    """Return the child that is the leaf at (N, 3) int64 points, in units of 2**-bits sides."""
     leaves = np.flatnonzero(~tree.refined)
     levels = tree.levels[leaves].astype(np.uint64)
     codes = morton_encode(tree.cells[leaves]) | np.uint64(1) << np.uint64(3) * levels
@@ -651,25 +617,6 @@ def test_scale_changes_no_bit(device: Device, sign: str, exponent: int) -> None:
     assert other.side == math.ldexp(one.side, exponent)
     assert other.origin == tuple(math.ldexp(x, exponent) for x in one.origin)
     assert one.lipschitz == other.lipschitz
-
-
-@pytest.mark.parametrize(
-    ("scale", "shift", "error"),
-    [
-        (1e12, 0.0, 4e-16),
-        (1e-12, 0.0, 4e-16),
-        (1.0, 1e6, 2 * math.sqrt(3) * np.spacing(1e6) / 7),  # rounded once, of 7 a side
-    ],
-)
-def test_scale_and_place_change_what_rounding_does(
-    device: Device, scale: float, shift: float, error: float
-) -> None:
-    mesh = CLOSED["torus"]()
-    moved = replace(mesh, vertices=mesh.vertices * scale + shift)
-    one, other = (build_adf(m, device, tolerance=7.3e-3, max_level=4) for m in (mesh, moved))
-    assert np.array_equal(one.cells, other.cells)
-    apart = np.abs(one.voxels.astype(np.float64) - other.voxels)
-    assert (apart <= np.spacing(np.abs(one.voxels)) + error).all()
 
 
 @pytest.mark.parametrize("sign", ["pseudonormal", "winding", "none"])

@@ -21,7 +21,7 @@ from voxtool.selftest.fields import slots as slots_by_definition
 
 
 def near_box(level: int, low: tuple[float, ...], high: tuple[float, ...]) -> list[np.ndarray]:
-    """The cells of each level that the surface of a box passes."""
+    """Return the cells of each level that the surface of a box passes."""
     levels = []
     for number in range(level + 1):
         cells = np.indices((1 << number,) * 3).reshape(3, -1).T
@@ -33,7 +33,7 @@ def near_box(level: int, low: tuple[float, ...], high: tuple[float, ...]) -> lis
 
 
 def near_sphere(level: int, radius: float) -> list[np.ndarray]:
-    """The cells of each level that a sphere passes."""
+    """Return the cells of each level that a sphere passes."""
     cells, levels = np.zeros((1, 3), np.int64), []
     for number in range(level + 1):
         low = cells * 0.5**number - np.array([0.5, 0.48, 0.51])
@@ -48,8 +48,8 @@ def near_sphere(level: int, radius: float) -> list[np.ndarray]:
 
 
 def full_with_blobs(level: int) -> list[np.ndarray]:
-    """The cells of each level of a full octree without some balls in its last level but two, and
-    with nothing except some balls in the last two."""
+    """Return the cells of each level of a full octree that lacks some balls in its last level but
+    two, and has nothing except some balls in the last two."""
     levels = [np.indices((1 << number,) * 3).reshape(3, -1).T for number in range(level + 1)]
     rng = np.random.default_rng(level)
     for number, share in ((level - 2, 0.97), (level - 1, 0.4), (level, 0.09)):
@@ -72,7 +72,7 @@ def random_keys(n: int, top: int) -> np.ndarray:
 
 
 def check(keys: np.ndarray) -> SpatialHash:
-    """Build a table on every device and hold it against what is promised of all of them."""
+    """Return the table of keys, which is the same on every device, after checking all of it."""
     tables, n = [build_hash(keys, opened(index)) for index, _ in usable_devices()], len(keys)
     table = tables[0]
     assert all(other == table for other in tables)
@@ -196,19 +196,6 @@ def test_w_is_coprime_and_parts_the_keys(device: Device) -> None:
     search = search_of(keys, 10, 3, device)
     assert search.run() is None
     assert search.w.get().tolist() == [0, 10]
-
-
-def test_buckets_are_numbered_by_falling_size_then_by_cell(device: Device) -> None:
-    keys = np.random.default_rng(2).permutation(block(7, 6, 5))
-    buckets = search_of(keys, 6, 5, device).buckets
-    cells = keys % 5 @ [1, 5, 25]
-    assert (np.lexsort((buckets.cells, -buckets.sizes)) == np.arange(len(buckets.cells))).all()
-    assert buckets.sizes.tolist() == np.bincount(cells)[buckets.cells].tolist()
-    order, rising = buckets.order.get(), keys[np.lexsort(keys.T)]
-    for cell, size, first in zip(buckets.cells, buckets.sizes, buckets.firsts, strict=True):
-        members = order[first : first + size]
-        assert (rising[members] % 5 @ [1, 5, 25] == cell).all()
-        assert (np.diff(members.astype(int)) > 0).all()
 
 
 @pytest.mark.parametrize(("m", "r", "dtype"), [(255, 4, np.uint8), (256, 3, np.uint16)])

@@ -158,7 +158,7 @@ class _Buckets:
 
     r: side of the table of offsets; order: (n,) uint32, the keys, bucket by bucket; cells, sizes,
     firsts: (b,) int64, the place of each bucket in the table of offsets, its number of keys, and
-    the place of the first of these in `order`.
+    the place of its first key in `order`.
     """
 
     keys: _Keys

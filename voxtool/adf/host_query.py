@@ -24,7 +24,7 @@ POINT_BITS = 32  # of a coordinate in the cube
 WEIGHT_BITS = 24  # of the fraction within a cell that a weight in float32 takes
 CORNERS = np.array([0, 1, 3, 4, 9, 10, 12, 13])  # of a block's first child, among its vertices
 AT_ONCE = 1 << 14  # points that are searched for at once, in memory that fits caches
-CHUNK = 1 << 12  # points that are rounded at once, likewise
+CHUNK = 1 << 12  # points that are rounded at once, in memory that fits caches
 
 HEADERS = {"adf/points.h": program.c_constants(POINT_BITS=POINT_BITS, WEIGHT_BITS=WEIGHT_BITS)}
 

@@ -87,7 +87,6 @@ HEADERS = {
             _table("MIDDLES", 2 * OCTANTS + 1),
             _table("CELL", OCTANTS),
             _table("SAMPLES", SAMPLES),
-            _table("SIGNS", 2 * OCTANTS - 1, width=8),
             _table("WEIGHTS", _weights()),
             _table("CORNERS", _corners(), "uint", width=8),
         ]

@@ -30,7 +30,8 @@ class FieldPlan:
 
     triangles, flat, crossed: number of triangles, of those without area, and of those that
     intersect others; closed: as of Survey. sign to measure: as requested. refined: number of
-    refined cells of each level counted so far; items: triangles in the lists of the last of these.
+    refined cells of each level counted so far; items: triangles in the lists of the last
+    counted level.
     """
 
     triangles: int

@@ -33,7 +33,7 @@ class SpatialHash(Data):
 
     @property
     def has_w(self) -> bool:
-        """Whether w is stored; otherwise it is m."""
+        """True if w is stored; otherwise it is m."""
         return self.offsets.shape[-1] == 4
 
     @property

@@ -66,11 +66,11 @@ double8 absolute(double8 a)
     return a < 0.0 ? -a : a;
 }
 
-// Parameter groups. LISTS: the cells of a level and their triangle lists. SIDES: the data for sign
-// computation. BOUNDARY: bounding spheres of the mesh's boundary, and the boundary length in each.
+// Parameter groups. CELLS: the cells of a level. LISTS: these and their triangle lists. SIDES: the
+// data for signs. BOUNDARY: bounding spheres of the mesh's boundary, and the boundary length in each.
+#define CELLS __global const ulong *identifiers, const uint level, const double extent
 #define LISTS                                                                                          \
-    __global const ulong *identifiers, const uint level, const double extent,                          \
-        __global const uint *begins, __global const double *leaves, __global const uint *items
+    CELLS, __global const uint *begins, __global const double *leaves, __global const uint *items
 #ifdef SIGNED
 #ifdef WINDING
 #define FRONT , __global const double *front

@@ -266,9 +266,8 @@ __kernel void count_asked(const uint n, __global const uint *asked, __global uin
         counts[gid] = popcount(asked[gid]);
 }
 
-// The points of these vertices.
-__kernel void list_asked(const uint n, __global const ulong *identifiers, const uint level,
-                         const double extent, __global const uint *asked,
+// The points of the requested vertices.
+__kernel void list_asked(const uint n, CELLS, __global const uint *asked,
                          __global const uint *begins, __global double *points)
 {
     const uint gid = get_global_id(0);
@@ -283,9 +282,7 @@ __kernel void list_asked(const uint n, __global const ulong *identifiers, const 
 // Sets the signs from these winding numbers. If no triangle passes a block, the number at its
 // centre decides the side of the whole block, provided that it changes little enough across the
 // block; otherwise all vertices are requested.
-__kernel void settle_signs(const uint n, __global const ulong *identifiers, const uint level,
-                           const double extent, __global const double *spheres,
-                           const uint sphere_count, __global const uint *begins,
+__kernel void settle_signs(const uint n, CELLS BOUNDARY, __global const uint *begins,
                            __global const double *numbers, __global uint *doubts,
                            __global uint *asked, __global uchar *states, __global double *values)
 {
