@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from voxtool.adf.field import DistanceField
 from voxtool.errors import MeshError
+from voxtool.mesh.mesh import Mesh
+from voxtool.opencl import Device
 from voxtool.spatial.sampling import SurfaceSampler, sample_cube
 from voxtool.spatial.signed_distance import SignedDistance
-
-if TYPE_CHECKING:
-    from voxtool.adf.field import DistanceField
-    from voxtool.mesh.mesh import Mesh
-    from voxtool.opencl import Device
 
 SAMPLES = 1 << 15  # points in the cube, and as many near the surface
 NEAR = 1 / 64  # sides, along each axis: the largest offset of points near the surface

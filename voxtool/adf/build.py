@@ -8,29 +8,24 @@ stages of a level are in levels.py.
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
 from voxtool.adf.accuracy import measure_errors
 from voxtool.adf.cells import NO_LEAF, cell_of, identifier_type, key_of
-from voxtool.adf.field import assemble
+from voxtool.adf.field import DistanceField, assemble
 from voxtool.adf.hashing import build_hash
-from voxtool.adf.levels import Construction, constrain, examine, refine, sample
+from voxtool.adf.levels import Construction, Examined, constrain, examine, refine, sample
 from voxtool.adf.plan import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
 from voxtool.adf.survey import Survey, cube_of
 from voxtool.job import Job
+from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_topology
 from voxtool.opencl import Device, default_device
 from voxtool.spatial.signed_distance import default_sign
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from voxtool.adf.field import DistanceField
-    from voxtool.adf.levels import Examined
-    from voxtool.mesh.mesh import Mesh
 
 
 def build_adf(mesh: Mesh, device: Device | None = None, **request: Any) -> DistanceField:

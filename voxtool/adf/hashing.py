@@ -34,9 +34,10 @@ Kernels: kernels/adf/hashing.cl.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum, auto
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -45,9 +46,6 @@ from voxtool.adf.spatial_hash import SpatialHash, offset_type
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.primitives import radix_sort
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
 
 SOURCE = "adf/hashing.cl"
 SLOT_BITS = 10  # of a slot along an axis: m is at most 1024

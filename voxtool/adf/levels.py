@@ -10,18 +10,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from voxtool.adf.cells import JUMP, bound_values
-from voxtool.opencl import program
+from voxtool.adf.plan import FieldPlan
+from voxtool.adf.survey import Survey
+from voxtool.opencl import Array, program
 from voxtool.opencl.primitives import exclusive_scan
-
-if TYPE_CHECKING:
-    from voxtool.adf.plan import FieldPlan
-    from voxtool.adf.survey import Survey
-    from voxtool.opencl import Array
 
 CROSSED = 64.0  # tolerances: the largest edge of a leaf where triangles pass, unless certain
 KEPT = 32  # triangles of a cell that are combined in pairs, at most

@@ -12,12 +12,14 @@ Kernels: kernels/adf/query.cl.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from voxtool.adf.cells import bound_values, half_diagonals
+from voxtool.adf.field import DistanceField
 from voxtool.adf.host_query import (
     QueryResult,
     checked_points,
@@ -31,14 +33,15 @@ from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.device import ALIGNMENT
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from voxtool.adf.field import DistanceField
-
 SOURCE = "adf/query.cl"
 HOST_POINTS = 128  # up to this number the host is faster than a launch
 BLOCK = 1 << 18  # points that are on the device at once
+
+OUTPUTS: dict[str, dict[str, tuple[type, int]]] = {  # of the kernel, besides distances
+    "gradient": {"gradients": (np.float32, 3)},
+    "bounds": {"codes": (np.uint8, 1)},
+    "cell": {"leaf_levels": (np.uint8, 1), "leaves": (np.uint32, 3)},
+}
 
 HEADERS = {
     "adf/query.h": program.c_constants(
@@ -363,18 +366,14 @@ class _Request:
         return result[0] if single else result
 
     def options(self) -> dict[str, int | str]:
-        values = {"GRADIENT": self.gradient, "BOUNDS": self.bounds, "CELL": self.cell}
-        return {"SEARCH": self.search.upper(), **{name: 1 for name, on in values.items() if on}}
+        wanted = {name.upper(): 1 for name in OUTPUTS if getattr(self, name)}
+        return {"SEARCH": self.search.upper(), **wanted}
 
     def outputs(self) -> dict[str, tuple[type, int]]:
         """Return the kernel's output arguments: type, and numbers a point."""
         outputs: dict[str, tuple[type, int]] = {"distances": (np.float32, 1)}
-        if self.gradient:
-            outputs["gradients"] = np.float32, 3
-        if self.bounds:
-            outputs["codes"] = np.uint8, 1
-        if self.cell:
-            outputs |= {"leaf_levels": (np.uint8, 1), "leaves": (np.uint32, 3)}
+        for name, more in OUTPUTS.items():
+            outputs |= more if getattr(self, name) else {}
         return outputs
 
 

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
 from voxtool.adf.cells import cell_of, half_diagonals
 from voxtool.adf.field import DistanceField
 from voxtool.adf.raycast import COLOUR, cast, checked_offset
-from voxtool.camera import box_corners, checked_colour
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from voxtool.camera import Rays
-    from voxtool.opencl import Device
+from voxtool.camera import Rays, box_corners, checked_colour
+from voxtool.opencl import Device
 
 FINEST_LEVEL = 5  # of the boxes that bound the surface
 

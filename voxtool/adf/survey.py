@@ -5,21 +5,19 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from voxtool.adf.host_query import POINT_BITS
+from voxtool.mesh.mesh import Mesh
+from voxtool.opencl import Device
 from voxtool.spatial.bvh import FIELDS, LEAF, Frame, build_tree
 from voxtool.spatial.pseudonormals import Pseudonormals, pseudonormals
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.spatial.sides import find_sides, shells_agree
 from voxtool.spatial.signed_distance import default_sign
 from voxtool.spatial.winding_number import WindingNumber
-
-if TYPE_CHECKING:
-    from voxtool.mesh.mesh import Mesh
-    from voxtool.opencl import Device
 
 MARGIN = 1 / 16  # of the cube's side, on both sides of the mesh's longest side
 REACH = 2.0  # of winding numbers: an error of 5e-3 is enough for signs, in half the time
