@@ -120,7 +120,7 @@ def _error_note(points: Sequence[Point]) -> str:
 def _figures_note(points: Sequence[Point]) -> str:
     """A line that explains the figures whose names do not."""
     words = {
-        "host": "what Python adds to the stages",
+        "host": "the time that Python adds to the stages",
         "command": "the whole command in its own process",
         "peak memory": "resident, of that command",
         "nodes": "cubes that the algorithm of [voCCeL] visits, of the grid's samples",
