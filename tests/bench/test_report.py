@@ -432,12 +432,12 @@ def test_voxels_of_peers_lie_where_the_model_does(mode: str) -> None:
         assert errors["hausdorff"] * reference.diagonal < 2 * grid.pitch[0], name
 
 
-def test_what_is_short_is_run_more_often() -> None:
-    assert len(timing.Runs(2).times(list)) == 2
-    assert len(timing.Runs(2, seconds=60).times(list)) == timing.MOST_RUNS
-    assert len(timing.Runs(20, seconds=60).times(list)) == 20
-    turns = timing.Runs(2, seconds=60).by_turns(list, list)
-    assert [len(runs) for runs in turns] == [timing.MOST_RUNS] * 2
+@pytest.mark.parametrize(
+    ("repeat", "seconds", "runs"), [(2, 0, 2), (2, 60, timing.MOST_RUNS), (20, 60, 20)]
+)
+def test_short_work_is_run_more_often(repeat: int, seconds: float, runs: int) -> None:
+    turns = timing.by_turns(Request(repeat=repeat, seconds=seconds), list, list)
+    assert [len(found) for found in turns] == [runs] * 2
 
 
 def test_slow_tools_are_not_run_again() -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from voxtool.adf.query import FieldQuery
+from voxtool.bench import timing
 from voxtool.bench.points import Ablation
 from voxtool.tets.scene import TRANSPARENT
 
@@ -63,7 +64,7 @@ def compare(
     expected = planned()
     for what, run in forced.items():
         equal = same(expected, run())
-        runs, others = bench.request.runs.by_turns(planned, run)
+        runs, others = timing.by_turns(bench.request, planned, run)
         yield Ablation(*bench.names, work, what, reasons[what], runs, others, equal)
 
 

@@ -124,7 +124,7 @@ def _hash(method: str, label: str, keys: np.ndarray, bench: Bench) -> Point:
     n, build = len(keys), partial(build_hash, keys, bench.timed)
     table = build()
     return bench.point(
-        HASH, method, label, setting={"keys": n}, runs=bench.request.runs.times(build),
+        HASH, method, label, setting={"keys": n}, runs=timing.by_turns(bench.request, build)[0],
         size=n, size_of="keys", absent=dict.fromkeys(MEASURES["adf"], "a hash has no error"),
         figures={"load": table.load(n), "bits a key": table.bits_a_key(n),
                  "side of slots": table.m, "side of offsets": table.r, "w": int(table.has_w)},
@@ -181,7 +181,7 @@ def _exact_distances(mesh: Mesh, bench: Bench) -> Iterator[_Exact]:
             asked={"kinds": kind}, setting={"points": len(places)}, places=len(places),
         )  # fmt: skip
         alone = row(
-            "exact distances", runs=asked.runs.times(partial(exact, places)),
+            "exact distances", runs=timing.by_turns(asked, partial(exact, places))[0],
             absent=dict.fromkeys(MEASURES["adf"], "errors are measured against it"),
             figures={"build": build},
         )  # fmt: skip

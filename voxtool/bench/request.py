@@ -7,7 +7,6 @@ import shlex
 from dataclasses import dataclass
 from typing import Any
 
-from voxtool.bench.timing import Runs
 from voxtool.choices import MARCHING_CUBES, METHODS, MODES, SEARCHES, SURFACE_NETS
 
 KINDS = ("random", "rays")  # of points: quasi-random ones, and those along rays, in order
@@ -68,11 +67,6 @@ class Request:
     peers: bool = False
     ablations: bool = True
     device: str | None = None
-
-    @property
-    def runs(self) -> Runs:
-        """The number of timed runs."""
-        return Runs(self.repeat, self.seconds)
 
     def command(self, bench: str, model: str, **setting: Any) -> str:
         """The shell command that measures one point again: `setting` replaces fields."""

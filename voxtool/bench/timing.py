@@ -39,30 +39,18 @@ def times(work: Callable[[], object], repeat: int) -> list[float]:
     return [timed(work)[0] for _ in range(repeat)]
 
 
-@dataclass(frozen=True)
-class Runs:
-    """The number of timed runs: `repeat`; for short work more, up to MOST_RUNS, until all took
-    `seconds` in total."""
+def by_turns(request: Request, *works: Callable[[], object]) -> list[list[float]]:
+    """Seconds of each run of each work, in turns, so that other load slows all of them.
 
-    repeat: int
-    seconds: float = 0.0
-
-    def enough(self, found: list[float]) -> bool:
-        """True if no further run is needed."""
-        many = len(found) >= MOST_RUNS or sum(found) >= self.seconds
-        return len(found) >= self.repeat and many
-
-    def by_turns(self, *works: Callable[[], object]) -> list[list[float]]:
-        """Seconds of each run of each work, in turns, so that other load slows all of them."""
-        found: list[list[float]] = [[] for _ in works]
-        while not self.enough(found[0]):
-            for seconds, work in zip(found, works, strict=True):
-                seconds += times(work, 1)
-        return found
-
-    def times(self, work: Callable[[], object]) -> list[float]:
-        """Seconds of each run."""
-        return self.by_turns(work)[0]
+    Each has `request.repeat` runs; short work has more, up to MOST_RUNS, until the first work took
+    `request.seconds` in total.
+    """
+    found: list[list[float]] = [[] for _ in works]
+    first = found[0]
+    while len(first) < request.repeat or (len(first) < MOST_RUNS and sum(first) < request.seconds):
+        for seconds, work in zip(found, works, strict=True):
+            seconds += times(work, 1)
+    return found
 
 
 @dataclass(frozen=True)
@@ -137,7 +125,7 @@ class Bench:
         stages = {name: statistics.median(run.get(name, 0.0) for run in runs[1:])
                   for name in runs[-1]}  # fmt: skip
         return {
-            "runs": self.request.runs.times(partial(work, self.timed)),
+            "runs": by_turns(self.request, partial(work, self.timed))[0],
             "stages": stages,
             "figures": {"host": statistics.median(whole[1:]) - sum(stages.values())},
         }
