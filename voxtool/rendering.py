@@ -1,7 +1,9 @@
 """Pictures of an octree, a distance field or a tetrahedral volume.
 
-Each wing has a scene, which says where its content is, how it is drawn, and why nothing may be
-visible. A scene is a frozen dataclass: its content, and the options of its picture.
+Each wing has a scene: a frozen dataclass of its content and the options of its picture. All have
+the same members: `kind` and `samples` (along a pixel's side, by default); `stages`, `left_out`,
+`counts` and `device_bytes` for the plan; `points`, whose convex hull holds everything shown;
+`draw`, one value a ray; and `why_empty`, the reason if no view shows anything.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -26,6 +28,7 @@ from voxtool.tets.scene import VolumeScene
 from voxtool.tets.volume import TetVolume
 
 Content = Octree | DistanceField | TetVolume
+Scene = OctreeScene | FieldScene | VolumeScene
 
 SIZE = (512, 512)  # pixels
 RAY_BYTES = 16  # of a ray's colour and opacity, float32
@@ -34,46 +37,7 @@ VISIBLE = 0.5 / 255  # opacity from which on 8 bits show something
 SCENES: dict[type, Any] = {Octree: OctreeScene, DistanceField: FieldScene, TetVolume: VolumeScene}
 
 
-class Scene(Protocol):
-    """Content that is drawn, with the options of its picture."""
-
-    kind: ClassVar[str]  # "octree", "field" or "volume"
-    samples: ClassVar[int]  # along a pixel's side, by default
-
-    @property
-    def stages(self) -> tuple[str, ...]:
-        """The stages of drawing, in order."""
-        ...
-
-    @property
-    def left_out(self) -> dict[str, str]:
-        """What is not drawn or computed, and why."""
-        ...
-
-    @property
-    def counts(self) -> dict[str, int]:
-        """The sizes of the content, by name."""
-        ...
-
-    @property
-    def device_bytes(self) -> int:
-        """Bytes of the content on the device."""
-        ...
-
-    def points(self) -> np.ndarray:
-        """(N, 3) float64, world units: points whose convex hull holds everything shown."""
-        ...
-
-    def draw(self, rays: Rays, device: Device) -> np.ndarray:
-        """(H, W, 4) float32, premultiplied: one value a ray."""
-        ...
-
-    def why_empty(self) -> str:
-        """The reason why no view shows anything, or ""."""
-        ...
-
-
-def scene_of(content: Content, **options: Any) -> OctreeScene | FieldScene | VolumeScene:
+def scene_of(content: Content, **options: Any) -> Scene:
     """Return the scene of content, or raise VoxtoolError if it has no such option or value."""
     if type(content) not in SCENES:
         raise VoxtoolError(

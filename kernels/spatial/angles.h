@@ -3,7 +3,7 @@
 #pragma OPENCL FP_CONTRACT OFF
 
 // The angle of each vector (x, y) from the x axis, in [-PI, PI]; 0 where y is 0, whatever x. Host
-// side: voxtool/spatial/angles.py.
+// side: voxtool/spatial/pseudonormals.py.
 double4 angle_of(double4 y, double4 x)
 {
     const double4 across = y < 0.0 ? -y : y, along = x < 0.0 ? -x : x;

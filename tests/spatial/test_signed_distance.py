@@ -22,9 +22,9 @@ from voxtool import distance
 from voxtool.errors import VoxtoolError
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
-from voxtool.spatial import angles, bvh
+from voxtool.spatial import bvh
 from voxtool.spatial.distance import TriangleDistance
-from voxtool.spatial.pseudonormals import pseudonormals
+from voxtool.spatial.pseudonormals import angle_of, pseudonormals
 from voxtool.spatial.signed_distance import SignedDistance, default_sign
 from voxtool.spatial.winding_number import WindingNumber
 
@@ -81,7 +81,7 @@ def directions() -> tuple[np.ndarray, np.ndarray]:
 def test_the_angle_is_that_of_numpy() -> None:
     x, y = directions()
     expected = np.where(y == 0, 0, np.arctan2(y, x))
-    error = np.abs(angles.angle_of(y, x) - expected)
+    error = np.abs(angle_of(y, x) - expected)
     assert (error <= 1e-15 * np.maximum(np.abs(expected), 1e-300)).all()
 
 
@@ -95,7 +95,7 @@ __kernel void turn(__global const double *y, __global const double *x, __global 
     groups = len(x) // 4 // 64 * 64  # whole work-groups
     out = device.zeros(4 * groups, np.float64)
     device.kernel(source, "turn")(groups, device.put(y), device.put(x), out)
-    assert np.array_equal(out.get(), angles.angle_of(y, x)[: 4 * groups])
+    assert np.array_equal(out.get(), angle_of(y, x)[: 4 * groups])
 
 
 # ---- formulas

@@ -20,7 +20,7 @@ FINEST_LEVEL = 5  # of the boxes that bound the surface
 
 @dataclass(frozen=True, eq=False)
 class FieldScene:
-    """The surface of a distance field, or an offset surface; see voxtool.rendering.Scene.
+    """The surface of a distance field, or an offset surface; see voxtool/rendering.py.
 
     offset: distance of the surface drawn, world units, rounded to float32; negative inside. colour:
     red, green and blue, from 0 to 1. leap: whether rays skip empty space. VoxtoolError is raised if

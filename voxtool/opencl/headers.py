@@ -18,7 +18,7 @@ HOMES = {
     "adf/query.h": "voxtool.adf.query",
     "adf/raycast.h": "voxtool.adf.raycast",
     "opencl/primitives.h": "voxtool.opencl.primitives",
-    "spatial/arctangent.h": "voxtool.spatial.angles",
+    "spatial/arctangent.h": "voxtool.spatial.pseudonormals",
     "spatial/bvh.h": "voxtool.spatial.bvh",
     "spatial/names.h": "voxtool.spatial.bvh",
     "spatial/winding_number.h": "voxtool.spatial.winding_number",
