@@ -1,4 +1,4 @@
-"""The golden digests of distance fields: which there are, and (run as a script) writing them anew.
+"""The golden digests of distance fields; run as a script, this writes them anew.
 
 Digests change only together with a line in CHANGELOG.md that says why:
     python tests/golden_adf.py
@@ -33,16 +33,16 @@ REQUESTS = {
 }  # fmt: skip
 REAL_REQUESTS = {"default": {"tolerance": 2e-3, "max_level": 5}}
 POINTS = 4000
+NUMBERS = np.arange(1, POINTS + 1)[:, None] * np.array([577, 1153, 1999]) % 4093 / 4093
 
 
 def points_of(field: DistanceField) -> np.ndarray:
-    """(POINTS, 3): a lattice of thirds in 5-smooth steps, in the cube and about it."""
-    numbers = np.arange(1, POINTS + 1)[:, None] * np.array([577, 1153, 1999]) % 4093 / 4093
-    return np.array(field.origin) + field.side * (1.25 * numbers - 0.125)
+    """Return quasi-random points in the cube and around it, (POINTS, 3)."""
+    return np.array(field.origin) + field.side * (1.25 * NUMBERS - 0.125)
 
 
 def digest_of(answer: QueryResult) -> str:
-    """SHA-256 of all that was answered."""
+    """Return the SHA-256 of a result."""
     sha = hashlib.sha256()
     for name, array in sorted(vars(answer).items()):
         sha.update(name.encode())
@@ -53,7 +53,7 @@ def digest_of(answer: QueryResult) -> str:
 def digests(
     mesh: voxtool.Mesh, requests: dict[str, dict], device: Any
 ) -> Iterator[tuple[str, list[str]]]:
-    """Name of every request, and the digests of the field and of its answers."""
+    """Yield the name of every request, and the digests of the field and of its values."""
     for name, request in requests.items():
         field = build_adf(mesh, device, **request)
         answer = query_adf(

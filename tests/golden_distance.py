@@ -1,4 +1,4 @@
-"""The golden digests of exact distances: which there are, and (run as a script) writing them anew.
+"""The golden digests of exact distances; run as a script, this writes them anew.
 
 Digests change only together with a line in CHANGELOG.md that says why:
     python tests/golden_distance.py
@@ -14,25 +14,23 @@ from typing import Any
 
 import golden_svo
 import numpy as np
+from golden_adf import NUMBERS, OWN
 
 import voxtool
 from voxtool.choices import SIGNS
 
 GOLDEN = Path(__file__).parent / "golden" / "distance.json"
-OWN = ("sphere", "torus", "open-box", "needles")
 DIM = 20
-POINTS = 4000
 
 
 def points_of(mesh: voxtool.Mesh) -> np.ndarray:
-    """(POINTS, 3): quasi-random points in the mesh's box and around it."""
+    """Return quasi-random points in the mesh's box and around it, (POINTS, 3)."""
     low, high = mesh.bounds
-    numbers = np.arange(1, POINTS + 1)[:, None] * np.array([577, 1153, 1999]) % 4093 / 4093
-    return low + (high - low) * (1.5 * numbers - 0.25)
+    return low + (high - low) * (1.5 * NUMBERS - 0.25)
 
 
 def digest(*arrays: np.ndarray) -> str:
-    """SHA-256 of arrays."""
+    """Return the SHA-256 of arrays."""
     sha = hashlib.sha256()
     for array in arrays:
         sha.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).data)
@@ -40,10 +38,10 @@ def digest(*arrays: np.ndarray) -> str:
 
 
 def digests(mesh: voxtool.Mesh, device: Any) -> Iterator[tuple[str, str]]:
-    """The digests of all that is found of points by every sign, and of a grid."""
-    asked = {"gradient": True, "nearest": True, "face": True, "device": device}
+    """Yield the digests of the distances at points with every sign, and on a grid."""
+    options = {"gradient": True, "nearest": True, "face": True, "device": device}
     for sign in SIGNS:
-        yield sign, digest(*voxtool.distance(mesh, points_of(mesh), sign=sign, **asked))
+        yield sign, digest(*voxtool.distance(mesh, points_of(mesh), sign=sign, **options))
     grid = voxtool.Grid.fit(mesh, DIM)
     yield "grid", digest(voxtool.distance_grid(mesh, grid, device=device))
 

@@ -1,4 +1,4 @@
-"""Fields of any function, built in the plainest way: what queries and files are tested with."""
+"""Fields of any function, built in the plainest way, for tests of queries and files."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ CORNERS = np.flatnonzero((HALVES % 2 == 0).all(axis=1))
 
 
 def sphere(points: np.ndarray) -> np.ndarray:
-    """The distance to a sphere of radius 0.3 in the middle of the cube."""
+    """Return the distance to a sphere of radius 0.3 in the middle of the cube."""
     return np.sqrt(((points - 0.5) ** 2).sum(axis=1)) - 0.3
 
 
 def point(points: np.ndarray) -> np.ndarray:
-    """The distance to a point that is no vertex of any cell: refined to any level, in few cells."""
+    """Return the distance to a point that is no vertex of a cell; few cells need refinement."""
     return np.sqrt(((points - (0.3, 0.6, 0.7)) ** 2).sum(axis=1))
 
 
@@ -39,8 +39,8 @@ def plain_field(
     side: float = 1.0,
     **head: Any,
 ) -> DistanceField:
-    """A field with cracks, refined where a vertex of a block is further from the interpolation
-    than the tolerance, and always at the root.
+    """Return a field with cracks, refined at the root and where a vertex of a block is further from
+    the interpolation than the tolerance.
 
     function : of (N, 3) points of the unit cube.
     """
@@ -65,7 +65,7 @@ def plain_field(
     levels, ijk = cell_of(identifiers)
     kind = identifier_type(int(levels.max()))
     children = identifiers[:, None] << np.uint64(3) | morton_encode(OCTANTS)
-    # half of an edge's length bounds nothing in particular: any number will do
+    # not real bounds: any number serves
     found = np.repeat(bound_codes(np.exp2(-2.0 - levels)), 8).reshape(-1, 8)
     found[np.isin(children, identifiers)] = 0
     standard = {
@@ -84,7 +84,7 @@ def plain_field(
 
 
 def cells_of(field: DistanceField) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) levels and (n, 3) cells that have blocks, in their order."""
+    """Return the (n,) levels and (n, 3) cells that have blocks, in their order."""
     codes = field.blocks.astype(np.uint64)
     levels = cell_of(codes)[0]
     leading = np.uint64(1) << (3 * levels).astype(np.uint64)

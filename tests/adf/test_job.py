@@ -1,4 +1,4 @@
-"""Jobs of fields: planned once, forced, and what they warn of."""
+"""Jobs of fields: planned once, forced, refused, and their warnings."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def box_without_lid() -> Mesh:
 
 
 def test_levels_are_built_once(device: Device) -> None:
-    """A plan that was looked at is continued, and runs again from the root."""
+    """A run continues from the levels that the plan built; the next begins at the root."""
     job, begun = plan(ball(), device=device), []
     with device.reporting(begun.append):
         counted = job.plan.refined

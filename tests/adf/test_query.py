@@ -63,8 +63,7 @@ def check(
 
 
 def spike(p: np.ndarray) -> np.ndarray:
-    """Return a field that is as far from linear in a cell of any size: few are refined, to any
-    level."""
+    """Return values that are as far from linear in large cells as in small ones."""
     return np.log2(point(p) + 1e-12)
 
 
@@ -97,7 +96,7 @@ def two_balls(p: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def balls() -> DistanceField:
-    """Leaves of levels 2 to 7."""
+    """Return a field with leaves of levels 2 to 7."""
     return plain_field(two_balls, 2e-3, 7, origin=ORIGIN, side=SIDE)
 
 
@@ -187,7 +186,7 @@ def test_levels_to_search(balls) -> None:
 
 @pytest.mark.parametrize("search", SEARCHES)
 def test_order_changes_nothing(device, balls, search) -> None:
-    """Points that jump between the coarsest and the deepest cells, and those along a line."""
+    """Points may alternate between the coarsest and the deepest cells, or follow a line."""
     levels, cells = cells_of(balls)
     deep = (cells[levels == levels.max()] + 0.3) / 2.0 ** levels.max()
     coarse = np.random.default_rng(2).uniform(0.85, 1, (len(deep), 3))
@@ -225,8 +224,8 @@ def test_more_points_than_a_block_has(device, balls) -> None:
 def test_without_bounds(device) -> None:
     field = plain_field(sphere, 1e-2, 5, bounds=False, origin=ORIGIN, side=SIDE)
     points = points_of(field)
-    asked = {"gradient": True, "cell": True}
-    equal(on_device(field, device)(points, **asked), field.query(points, **asked))
+    found = on_device(field, device)(points, gradient=True, cell=True)
+    equal(found, field.query(points, gradient=True, cell=True))
     with pytest.raises(VoxtoolError, match="no bounds"):
         on_device(field, device)(points, bounds=True)
 
@@ -251,7 +250,7 @@ def test_outside_the_distance_is_a_lower_bound(device, balls, outside) -> None:
 
 @pytest.mark.parametrize("exponent", [-300, -20, 0, 20, 300])
 def test_points_are_rounded_down_to_the_lattice(exponent: int) -> None:
-    """In blocks, of which some have no point outside."""
+    """Points are rounded in blocks, some of which have no point outside."""
     random = np.random.default_rng(7)
     side = math.ldexp(1.37, exponent)
     origin = random.uniform(-2, 2, 3) * side

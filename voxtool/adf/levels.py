@@ -195,7 +195,7 @@ def sample(work: Construction, level: Level) -> None:
 
 
 def settle_signs(work: Construction, level: Level) -> None:
-    """Decide unknown signs by winding numbers, at the vertices that are asked for."""
+    """Decide unknown signs by winding numbers, at the vertices in `asked`."""
     begins = work.device.empty(level.count + 1, np.uint32)
     with work.device.stage("signs"):
         work.run("sample", "count_asked", level, counts=begins)
