@@ -69,7 +69,7 @@ OPTIONS = ("--data-races", "--uniform-writes", "--max-errors", "1000000000")
 HARMLESS = {
     frozenset(
         {
-            "if (s->word != NO_WORD && (s->words[s->word] & s->bits) != s->bits)",
+            "else if ((s->words[s->word] & s->bits) != s->bits)",
             "atomic_or(&s->words[s->word], s->bits);",
         }
     ),
