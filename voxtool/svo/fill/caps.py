@@ -16,6 +16,8 @@ import numpy as np
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import edges_of, positions
 
+MEETING = 64  # edges at a vertex among which the nearest is sought
+
 
 @dataclass(frozen=True)
 class Caps:
@@ -71,19 +73,27 @@ def find_caps(vertices: np.ndarray, faces: np.ndarray) -> Caps:
 def _loops(start: np.ndarray, end: np.ndarray, points: np.ndarray) -> list[list[int]]:
     """Return the simple loops of directed edges; at every vertex as many edges begin as end.
     Where loops meet, the walk continues to the vertex nearest to the previous one, which keeps
-    loops small."""
-    ahead: dict[int, list[int]] = {}
+    loops small; where more than MEETING vertices follow, to the last one, which keeps it fast."""
+    ahead: dict[int, list[list[int]]] = {}  # the vertices after a vertex, and how many edges lead
     for u, v in zip(start.tolist(), end.tolist(), strict=True):
-        ahead.setdefault(u, []).append(v)
+        ways = ahead.setdefault(u, [])
+        if ways and ways[-1][0] == v:  # copies follow each other
+            ways[-1][1] += 1
+        else:
+            ways.append([v, 1])
     loops = []
     for first in ahead:
         path, place = [first], {first: 0}
         while ways := ahead[path[-1]]:
-            if len(ways) > 1 and len(path) > 1:
-                apart = points[ways] - points[path[-2]]
-                vertex = ways.pop(int(np.argmin((apart * apart).sum(axis=1))))
+            chosen = len(ways) - 1
+            if 1 < len(ways) <= MEETING and len(path) > 1:
+                apart = points[[v for v, _ in ways]] - points[path[-2]]
+                chosen = int(np.argmin((apart * apart).sum(axis=1)))
+            vertex, left = ways[chosen]
+            if left == 1:
+                ways.pop(chosen)
             else:
-                vertex = ways.pop()
+                ways[chosen][1] = left - 1
             if vertex in place:  # a loop is closed
                 loop = path[place[vertex] :]
                 loops.append(loop)
