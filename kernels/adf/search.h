@@ -8,24 +8,8 @@
 //   WIDE           identifiers have 64 bits
 
 #include "adf/points.h"
+#include "lanes.h"
 
-#define JOIN_(a, b) a##b
-#define JOIN(a, b) JOIN_(a, b)
-#if LANES == 1
-#define VECTOR(type) type
-#define load(p) (*(p))
-#define store(v, p) (*(p) = (v))
-#else
-#define VECTOR(type) JOIN(type, LANES)
-#define load(p) JOIN(vload, LANES)(0, p)
-#define store(v, p) JOIN(vstore, LANES)(v, 0, p)
-#endif
-#define ints VECTOR(int)
-#define uints VECTOR(uint)
-#define floats VECTOR(float)
-#define to_ints VECTOR(convert_int)
-#define to_uints VECTOR(convert_uint)
-#define to_floats VECTOR(convert_float)
 #define EACH_POINT(i) for (uint i = 0; i < BATCH; ++i)
 #define EACH_VECTOR(i) for (uint i = 0; i < BATCH; i += LANES)
 

@@ -1,7 +1,7 @@
-// Depths and scalars on rays, from the records of view.h. Options: PERSPECTIVE, CONSTANT
+// Depths and scalars on rays, from the records of view.h. Options: those of rays.h
 
 #include "tets/ray.h"
-#include "tets/vector.h"
+#include "lanes.h"
 
 // The depth of a nearness; in perspective it must exceed -1: in front of the eye.
 floats depths_of(const floats nearness, const float middle)

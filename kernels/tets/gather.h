@@ -1,6 +1,6 @@
-// Loads of one record or number for each lane.
+// Loads of one record or number for each lane. Option: LANES
 
-#include "tets/vector.h"
+#include "lanes.h"
 
 #if LANES == 1
 
@@ -8,11 +8,6 @@ void gather(__global const float *from, const ints index, const uint parts, floa
 {
     for (uint i = 0; i < 16 * parts; ++i)
         words[i] = from[16 * parts * (size_t)index + i];
-}
-
-floats lookup(__global const float *from, const ints index)
-{
-    return from[index];
 }
 #else
 
@@ -45,7 +40,9 @@ void gather(__global const float *from, const ints index, const uint parts, floa
         transpose(words + LANES * part);
     }
 }
+#endif
 
+// Load a number for each lane.
 floats lookup(__global const float *from, const ints index)
 {
     int at[LANES];
@@ -55,4 +52,3 @@ floats lookup(__global const float *from, const ints index)
         found[lane] = from[at[lane]];
     return load(found);
 }
-#endif

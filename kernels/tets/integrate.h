@@ -74,10 +74,8 @@ ints add_piece(Light *light, const Integral *integral, const Segment *segment, c
     const Sample front = sample_of(row, segment->from), back = sample_of(row, *to);
     add_segment(light, &front, &back, length * *share);
 #elif INTEGRATOR == AVERAGE
-    floats row[ROW], last[ROW];
-    rows_of(transfer, segment->from_interval, row);
-    rows_of(transfer, segment->to_interval, last);
-    const Sample front = sample_of(row, segment->from), back = sample_of(last, segment->to);
+    const Sample front = sample_at(transfer, segment->from_interval, segment->from);
+    const Sample back = sample_at(transfer, segment->to_interval, segment->to);
     const Sample mean = {0.5f * (front.r + back.r), 0.5f * (front.g + back.g),
                          0.5f * (front.b + back.b), 0.5f * (front.tau + back.tau)};
     add_homogeneous(light, &mean, length);
@@ -88,9 +86,7 @@ ints add_piece(Light *light, const Integral *integral, const Segment *segment, c
     for (uint i = 0; i < integral->samples; ++i) {
         const float w = (i + 0.5f) / integral->samples;
         const floats s = segment->from + whole * w;
-        floats row[ROW];
-        rows_of(transfer, interval_of(transfer, s), row);
-        const Sample sample = sample_of(row, s);
+        const Sample sample = sample_at(transfer, interval_of(transfer, s), s);
         add_homogeneous(light, &sample, step);
     }
 #endif

@@ -3,21 +3,16 @@
 // The cells that may be in the picture are listed by depth for each tile of it. A work-item processes its
 // tile's list for LANES pixels, side by side. A fragment is the segment of a ray in a cell. It is inserted
 // into a sorted buffer, and fragments that no later cell can precede are composited.
-// Options: those of textures.h, and
-//   LANES        1 or 16
-//   PENDING      fragments of a ray that may wait
-//   INTEGRATOR   LINEAR, AVERAGE, SAMPLED or PREINTEGRATED
-//   CONSTANT     cells have one scalar each
-//   PERSPECTIVE
+// Options: those of textures.h, view.h, integrate.h and rays.h, and
+//   PENDING   fragments of a ray that may wait
 
 #include "tets/textures.h"
 #include "tets/view.h"
-#include "tets/extent.h"
 #include "tets/integrators.h"
 #include "tets/project.h"
 #include "tets/depth.h"
 #include "tets/integrate.h"
-#include "tets/picture.h"
+#include "tets/rays.h"
 
 #pragma OPENCL FP_CONTRACT OFF
 

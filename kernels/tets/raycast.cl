@@ -4,19 +4,16 @@
 // A work-item follows the rays of LANES pixels of a tile of 4 x 4, side by side. A step takes each ray
 // from its depth to where it leaves its cell, or to the first control point of the transfer function
 // before that. A ray that leaves the volume continues at its next entry.
-// Options:
-//   LANES        1 or 16
-//   SLOTS        exit faces in a record, as in view.cl
-//   INTEGRATOR   LINEAR, AVERAGE, SAMPLED or PREINTEGRATED
-//   CONSTANT     cells have one scalar each
-//   PERSPECTIVE
+// Options: those of integrate.h and rays.h, and
+//   SLOTS   exit faces in a record, as in view.cl
 
 #include "tets/volume.h"
 #include "tets/integrators.h"
 #include "tets/raycast.h"
+// depth.h comes before segment.h, which turns contraction off: golden digests depend on this order
 #include "tets/depth.h"
 #include "tets/integrate.h"
-#include "tets/picture.h"
+#include "tets/rays.h"
 
 #pragma OPENCL FP_CONTRACT OFF
 

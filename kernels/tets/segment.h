@@ -16,7 +16,7 @@
 // Each polynomial is a minimax fit of the relative error of the weights (Lawson's algorithm, on float64
 // values); the error stated beside it excludes rounding.
 
-#include "tets/vector.h"
+#include "lanes.h"
 
 #pragma OPENCL FP_CONTRACT OFF
 
@@ -25,8 +25,8 @@
 #define LONG 4.0f
 #define OPAQUE 80.0f // where exp(-m) counts as 0, above the denormals
 
-// 1 - exp(-m) and exp(-m), the latter of m + `rest`, for m >= 0: 2^-n (1 + e), e = exp(r) - 1 with
-// r = n ln 2 - m in [-0.347, 0.347]; error of e 1.3e-8.
+// 1 - exp(-m) and exp(-m), the latter of m + `rest`, for m >= 0, each with a relative error of at most
+// 1e-6: 2^-n (1 + e), e = exp(r) - 1 with r = n ln 2 - m in [-0.347, 0.347]; error of e 1.3e-8.
 void attenuate(floats m, floats rest, floats *alpha, floats *zeta)
 {
     const ints opaque = m > OPAQUE;
@@ -166,11 +166,4 @@ void segment_weights(floats a, floats b, floats *w_f, floats *w_b, floats *zeta)
     *w_f = front;
     *w_b = back;
     *zeta = transmittance;
-}
-
-// The weight of the colour of a segment of constant extinction and its transmittance, each with a relative
-// error of at most 1e-6, for m = tau D >= 0.
-void homogeneous_weights(floats m, floats *alpha, floats *zeta)
-{
-    attenuate(m, 0.0f, alpha, zeta);
 }

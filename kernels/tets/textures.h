@@ -1,7 +1,7 @@
 // The textures of a volume [TetVol, tables 4 and 5], and the cells' vertices.
 // Host side: voxtool/tets/volume.py. Options:
-//   FACES, CORNERS  of a cell: 4 and 4, or 6 and 8
-//   ANCHORED        table 4: offsets and scalar terms by vertices instead of stored
+//   FACES      of a cell: 4 or 6
+//   ANCHORED   table 4: offsets and scalar terms by vertices instead of stored
 
 #include "tets/volume.h"
 
@@ -12,23 +12,15 @@
 
 typedef struct {
     __global const float *normals, *gradients, *vertices;
-#ifdef ANCHORED
-    __global const int *anchors;
-#endif
+    __global const int *anchors; // ANCHORED
     uint cells; // how many
 } Textures;
 
-#ifdef ANCHORED
-#define TEXTURES \
-    __global const float *normals, __global const float *gradients, \
+// A kernel's parameters for them.
+#define TEXTURES                                                                                 \
+    __global const float *normals, __global const float *gradients,                              \
         __global const float *vertices, __global const int *anchors, const uint cells
 #define THE_TEXTURES {normals, gradients, vertices, anchors, cells}
-#else
-#define TEXTURES \
-    __global const float *normals, __global const float *gradients, \
-        __global const float *vertices, const uint cells
-#define THE_TEXTURES {normals, gradients, vertices, cells}
-#endif
 
 double dot3(const double3 a, const double3 b)
 {

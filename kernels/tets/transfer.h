@@ -61,6 +61,14 @@ Sample sample_of(const floats *row, const floats s)
     return sample;
 }
 
+// The colour and extinction of scalars in these intervals.
+Sample sample_at(const Transfer *t, const ints interval, const floats s)
+{
+    floats row[ROW];
+    rows_of(t, interval, row);
+    return sample_of(row, s);
+}
+
 // Cut the segment at the first control point that it crosses: lines 1 to 13 of the listing in [TetVol,
 // section 4.2]. There a table of (s_f, s_b) holds this point and the next; here they are the ends of the
 // first interval, found by rank. Returns whether the lane's segment was cut: then it continues at `end`
@@ -105,7 +113,7 @@ void add_segment(Light *light, const Sample *front, const Sample *back, const fl
 void add_homogeneous(Light *light, const Sample *s, const floats length)
 {
     floats alpha, transmittance;
-    homogeneous_weights(s->tau * length, &alpha, &transmittance);
+    attenuate(s->tau * length, 0.0f, &alpha, &transmittance);
     alpha = alpha * light->transmittance;
     light->r = light->r + alpha * s->r;
     light->g = light->g + alpha * s->g;

@@ -9,7 +9,6 @@
 
 #include "tets/textures.h"
 #include "tets/view.h"
-#include "tets/extent.h"
 
 bool is_kept(__global const uchar *kept, const uint cell)
 {
@@ -70,7 +69,15 @@ typedef struct {
     float nearest, farthest; // of its corners
 } Outline;
 
-// sides: which of a cell's vertices are on each of its faces.
+// A kernel's parameters for `n` exposed faces: cell * FACES + face; the vertices of the cells; where
+// they are in the picture; which of a cell's vertices are on each of its faces; and the picture's size.
+#define EXPOSED                                                                                  \
+    __global const int *exposed, const uint n, __global const int *cells_vertices,               \
+        __global const float *projected, __constant const uchar *sides, const int width,         \
+        const int height
+#define THE_OUTLINE \
+    outline_of(exposed[get_global_id(0)], cells_vertices, projected, sides, (int2)(width, height))
+
 Outline outline_of(const int face, __global const int *cells_vertices,
                    __global const float *projected, __constant const uchar *sides, const int2 size)
 {
@@ -124,15 +131,11 @@ float depth_of(const Textures *textures, const View *view, const Outline *o, con
 }
 
 // One work-item an exposed face: one more entry for each pixel whose ray enters by it.
-__kernel void count_entries(__global const int *exposed, const uint n,
-                            __global const int *cells_vertices, __global const float *projected,
-                            __constant const uchar *sides, const int width, const int height,
-                            __global uint *counts)
+__kernel void count_entries(EXPOSED, __global uint *counts)
 {
     if (get_global_id(0) >= n)
         return;
-    const Outline o = outline_of(exposed[get_global_id(0)], cells_vertices, projected, sides,
-                                 (int2)(width, height));
+    const Outline o = THE_OUTLINE;
     for (int row = o.rows.x; row <= o.rows.y; ++row)
         for (int column = o.columns.x; column <= o.columns.y; ++column)
             if (enters(&o, column + (0.5f - 0.5f * width), row + (0.5f - 0.5f * height)))
@@ -141,18 +144,15 @@ __kernel void count_entries(__global const int *exposed, const uint n,
 
 // One work-item an exposed face: write the entries (depth, cell) from starts[pixel] on, in any order.
 // starts[pixel] becomes the end of the pixel's entries.
-__kernel void list_entries(TEXTURES, __global const int *exposed, const uint n,
-                           __global const int *cells_vertices, __global const float *projected,
-                           __constant const uchar *sides, const int width, const int height,
-                           __global const double *viewpoint, __global uint *starts,
-                           __global uint *entries)
+__kernel void list_entries(TEXTURES, EXPOSED, __global const double *viewpoint,
+                           __global uint *starts, __global uint *entries)
 {
     if (get_global_id(0) >= n)
         return;
     const Textures textures = THE_TEXTURES;
     const View view = view_of(viewpoint);
     const int face = exposed[get_global_id(0)];
-    const Outline o = outline_of(face, cells_vertices, projected, sides, (int2)(width, height));
+    const Outline o = THE_OUTLINE;
     for (int row = o.rows.x; row <= o.rows.y; ++row)
         for (int column = o.columns.x; column <= o.columns.y; ++column) {
             const float x = column + (0.5f - 0.5f * width), y = row + (0.5f - 0.5f * height);

@@ -15,7 +15,7 @@ from helpers_field import plain_field, sphere
 
 from voxtool import read_adf, write_adf
 from voxtool.adf.cells import key_of
-from voxtool.plots.slice import INSIDE, OUTSIDE, round_step
+from voxtool.plots.slices import INSIDE, OUTSIDE, round_step
 
 ORIGIN, SIDE = (-1.0, 2.0, 0.5), 4.0
 POINTS = np.random.default_rng(1).random((500, 3)) * SIDE + np.array(ORIGIN)

@@ -86,7 +86,7 @@ def command(
     from voxtool.adf.host_query import no_bounds
     from voxtool.adf.query import FieldQuery
     from voxtool.files import read_adf
-    from voxtool.plots.slice import check_plane
+    from voxtool.plots.slices import check_plane
 
     if plane:
         run.file_format = "png"
@@ -113,10 +113,10 @@ def command(
 def draw(run: runner.Run, query: FieldQuery, plane: tuple[str, float], size: int) -> dict[str, Any]:
     """Write the picture of a plane; return the facts of the report, whose points are pixels."""
     from voxtool.files.picture import write_picture
-    from voxtool.plots.slice import draw_slice
+    from voxtool.plots.slices import draw_field_slice
 
     run.enter("draw")
-    picture, drawn = draw_slice(query, *plane, size=size)
+    picture, drawn = draw_field_slice(query, *plane, size=size)
     run.write(write_picture, picture)
     return {"points": len(drawn.distance), "outside": 0, "nan": 0}
 

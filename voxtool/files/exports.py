@@ -6,7 +6,7 @@
 .vti : VTK ImageData, which ParaView opens: UInt8 cell data `occupancy`, 1 where set. XML with the
     array appended as raw bytes, x fastest; header_type UInt64, little-endian.
     https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html
-.png : one slice, drawn by voxtool.plots.octree_slice.
+.png : one slice, drawn by voxtool.plots.slices.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def write_png(octree: Octree, file: BinaryIO, axis: str = "z", value: int | None
     MemoryLimitError : the picture does not fit in memory.
     """
     from voxtool.files import picture
-    from voxtool.plots.octree_slice import draw_octree_slice, palette
+    from voxtool.plots.slices import draw_octree_slice, palette
 
     picture.check_writer(8)
     picture.write_png(draw_octree_slice(octree, axis, value), file, palette())

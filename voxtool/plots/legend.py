@@ -34,18 +34,11 @@ def draw_legend(
     unit: str = "",
     background: Sequence[float] | None = WHITE,
 ) -> np.ndarray:
-    """Return the legend of a transfer function, to stand at the right of a picture.
+    """Return the legend of a transfer function from the lowest to the highest scalar of a range, to
+    stand at the right of a picture, (height, W, 4) float32, premultiplied.
 
-    Parameters
-    ----------
-    scalar_range : the scalars at the lower and the upper end, in their own units.
     title : the scalar's name; unit : the name of the world unit, or "".
-    height : pixels.
     background : the colour behind the legend, which decides the colour of its text; None is white.
-
-    Returns
-    -------
-    (height, W, 4) float32, premultiplied; transparent where nothing is drawn.
 
     Raises
     ------

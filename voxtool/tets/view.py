@@ -52,9 +52,8 @@ class DeviceVolume:
                 "cells_vertices": device.put(volume.cells),
                 "neighbours": device.put(volume.neighbours),
                 "cells": self.cells,
+                "anchors": None if volume.anchors is None else device.put(volume.anchors),
             }
-            if volume.anchors is not None:
-                self.arguments["anchors"] = device.put(volume.anchors)
         self.options: dict[str, int | str] = {"FACES": self.faces}
         if volume.anchors is not None:
             self.options["ANCHORED"] = 1

@@ -1,4 +1,7 @@
-// The rays of a work-item's pixels, and the picture that it writes. Options: LANES, PERSPECTIVE
+// The rays of a work-item's pixels, and the picture that it writes. Options:
+//   LANES         pixels of a work-item, side by side: 1 or 16
+//   CONSTANT      cells have one scalar each
+//   PERSPECTIVE
 
 #include "tets/ray.h"
 #include "tets/transfer.h"

@@ -1,4 +1,4 @@
-// Vectors of LANES, 1 or 16, so that a kernel is written once for both.
+// Vectors of LANES items, 1 or 16, so that a kernel is written once for both.
 
 #define JOIN_(a, b) a##b
 #define JOIN(a, b) JOIN_(a, b)
@@ -14,8 +14,10 @@
 #define ANY(x) any(x)
 #endif
 #define ints VECTOR(int)
+#define uints VECTOR(uint)
 #define floats VECTOR(float)
 #define to_ints VECTOR(convert_int)
+#define to_uints VECTOR(convert_uint)
 #define to_floats VECTOR(convert_float)
 #define as_ints VECTOR(as_int)
 #define as_floats VECTOR(as_float)
