@@ -58,7 +58,7 @@ class Fault(NamedTuple):
 
 @dataclass(frozen=True)
 class Report:
-    """What is wrong with a mesh, where, and what to do about it.
+    """The faults of a mesh, their places, and what to do about them.
 
     Lengths and positions are in world units; faces are counted from 0; vertices at bit-equal
     positions are one. A list of faces, edges or rows ends after 1,000.
@@ -331,7 +331,7 @@ def _compared(octrees: dict[str, Octree], found: dict[str, Any]) -> dict[str, An
 
 
 def _overlaps(found: dict[str, Any]) -> bool:
-    """Whether parts of a mesh intersect, or are nested and wound alike."""
+    """Return whether parts of a mesh intersect, or are nested and wound alike."""
     return found["self_intersecting_faces"]["count"] > 0 or "nested alike" in _roles(found)
 
 

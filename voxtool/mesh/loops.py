@@ -14,20 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.topology import Topology, fans_of, next_sides
+from voxtool.mesh.topology import Topology, boxes_of, fans_of, next_sides
 from voxtool.vector import cross, length, unit
 
 # corners of a unit triangle in the plane perpendicular to a segment
 ACROSS = ((1.0, 0.0), (-0.5, 0.8660254037844386), (-0.5, -0.8660254037844386))
-PRISM = np.array(
-    [
-        (0, 1, 4), (0, 4, 3),  # sides
-        (1, 2, 5), (1, 5, 4),
-        (2, 0, 3), (2, 3, 5),
-        (0, 2, 1), (3, 4, 5),  # ends
-    ],
-    np.int32,
-)  # fmt: skip
+WALLS = [(0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4), (2, 0, 3), (2, 3, 5)]  # of a prism
+PRISM = np.array([*WALLS, (0, 2, 1), (3, 4, 5)], np.int32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,18 +59,14 @@ def find_loops(mesh: Mesh, topology: Topology) -> Loops:
     loop = np.repeat(np.arange(len(closed)), np.diff(starts))
     points = mesh.vertices[edges] + 0.0
     lengths = np.bincount(loop, length(points[:, 1] - points[:, 0]), len(closed))
-    low, high = np.full((len(closed), 3), np.inf), np.full((len(closed), 3), -np.inf)
-    np.minimum.at(low, loop, points.min(axis=1))
-    np.maximum.at(high, loop, points.max(axis=1))
+    low, high = boxes_of(loop, points, len(closed))
 
     longest = np.argsort(-lengths, kind="stable")
     at = np.argsort(np.argsort(longest)[loop], kind="stable")
     starts = np.concatenate([[0], np.cumsum(np.diff(starts)[longest])])
-    return Loops(
-        starts, edges[at], proper[sides[order[at]] // 3], closed[longest],
-        lengths[longest].astype(np.float64),
-        low[longest], high[longest],
-    )  # fmt: skip
+    faces = proper[sides[order[at]] // 3]
+    lengths, low, high = lengths[longest].astype(np.float64), low[longest], high[longest]
+    return Loops(starts, edges[at], faces, closed[longest], lengths, low, high)
 
 
 def _partners(fan: np.ndarray, place: np.ndarray) -> np.ndarray:

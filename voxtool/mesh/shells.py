@@ -13,7 +13,7 @@ import numpy as np
 
 from voxtool.mesh.loops import Loops
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.topology import Topology, components
+from voxtool.mesh.topology import Topology, boxes_of, components
 from voxtool.vector import cross, dot, length
 
 
@@ -106,9 +106,7 @@ def find_shells(mesh: Mesh, topology: Topology, loops: Loops) -> Shells:
     consistent = np.bincount(of_edge[uneven], minlength=count) == 0
 
     triangles = mesh.vertices[mesh.faces[topology.proper]] + 0.0
-    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
-    np.minimum.at(low, of, triangles.min(axis=1))
-    np.maximum.at(high, of, triangles.max(axis=1))
+    low, high = boxes_of(of, triangles, count)
 
     shell_of_loop = shells[loops.faces[loops.starts[:-1]]]
     of_cap = shells[loops.faces]
@@ -118,9 +116,7 @@ def find_shells(mesh: Mesh, topology: Topology, loops: Loops) -> Shells:
     which = np.concatenate([of, of_cap])
     centres = low + (high - low) / 2
     parts = _volumes(np.concatenate([triangles, cones]) - centres[which][:, None])
-    volumes = np.bincount(which, parts, count).astype(
-        np.float64
-    )  # bincount of nothing returns integers
+    volumes = np.bincount(which, parts, count).astype(np.float64)  # of nothing it is integers
     volumes[~consistent] = np.nan
     volumes[shell_of_loop[~loops.closed]] = np.nan
     holes = np.bincount(shell_of_loop, minlength=count)

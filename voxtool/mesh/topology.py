@@ -50,8 +50,8 @@ class TopologyCheck:
 
     @property
     def watertight(self) -> bool:
-        """There are edges, and every one has exactly two faces, which run along it in opposite
-        directions."""
+        """Whether there are edges, and every one has exactly two faces, which run along it in
+        opposite directions."""
         return self.closed and not (self.nonmanifold_edges or self.inconsistent_edges)
 
     def as_dict(self) -> dict[str, int | bool | None]:
@@ -84,14 +84,10 @@ class SurfaceCheck(TopologyCheck):
 
     @property
     def manifold(self) -> bool:
-        """An oriented 2-manifold, with boundary or without: no non-manifold edge or vertex, no
-        inconsistent edge, no duplicate face."""
-        return not (
-            self.nonmanifold_edges
-            or self.nonmanifold_vertices
-            or self.inconsistent_edges
-            or self.duplicate_faces
-        )
+        """Whether it is an oriented 2-manifold, with boundary or without: no non-manifold edge or
+        vertex, no inconsistent edge, no duplicate face."""
+        faults = self.nonmanifold_edges, self.nonmanifold_vertices, self.inconsistent_edges
+        return not (any(faults) or self.duplicate_faces)
 
     @property
     def genus(self) -> int | None:
@@ -120,7 +116,7 @@ def check_topology(mesh: Mesh, *, weld: bool = True) -> TopologyCheck:
 
 
 def watertight(mesh: Mesh) -> bool:
-    """Whether a mesh is watertight, as TopologyCheck.watertight, in a fifth of the time."""
+    """Return TopologyCheck.watertight of a mesh, in a fifth of the time."""
     corners = positions(mesh)[mesh.faces]
     a, b, c = corners.T
     proper = (a != b) & (b != c) & (c != a)
@@ -141,7 +137,10 @@ def check_surface(mesh: Mesh, *, weld: bool = True) -> SurfaceCheck:
     With weld=False, two cubes that touch in a corner are a manifold if each has its own vertex.
     """
     topology = topology_of(mesh, weld)
-    return SurfaceCheck(**_counts(mesh, topology), nonmanifold_vertices=_pinched(topology))
+    fan = fans_of(topology)
+    fans = np.bincount(topology.corners.ravel()[fan == np.arange(len(fan))])
+    pinched = int(np.count_nonzero(fans > 1))
+    return SurfaceCheck(**_counts(mesh, topology), nonmanifold_vertices=pinched)
 
 
 def volume(mesh: Mesh) -> float:
@@ -160,7 +159,7 @@ def volume(mesh: Mesh) -> float:
 
 
 def closed_chain(mesh: Mesh) -> bool:
-    """Whether a surface is closed apart from T-junctions: its boundary, as a chain, is zero.
+    """Return whether a surface is closed apart from T-junctions: its boundary, as a chain, is zero.
 
     Edges in opposite directions between two positions cancel. The remaining edges must be parallel
     to the axes, as between rectangles of different size, and cancel along each line; otherwise the
@@ -272,13 +271,6 @@ def _counts(mesh: Mesh, topology: Topology) -> dict[str, Any]:
     }
 
 
-def _pinched(topology: Topology) -> int:
-    """Return the number of positions whose faces are not one fan."""
-    fan = fans_of(topology)
-    fans = np.bincount(topology.corners.ravel()[fan == np.arange(len(fan))])
-    return int(np.count_nonzero(fans > 1))
-
-
 def fans_of(topology: Topology) -> np.ndarray:
     """Return equal numbers for corners at a position that are in one fan of faces, (3F,) int64.
 
@@ -324,6 +316,15 @@ def edges_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the start and the end of the sides ab, bc, ca of (F, 3) corners, (3F,) each."""
     return corners.ravel(), np.roll(corners, -1, axis=1).ravel()
+
+
+def boxes_of(of: np.ndarray, points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the low and high corners, (count, 3) each, of the boxes of (n, k, 3) points, by the
+    number (n,) of their box; inf and -inf where there are none."""
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, of, points.min(axis=1))
+    np.maximum.at(high, of, points.max(axis=1))
+    return low, high
 
 
 def components(u: np.ndarray, v: np.ndarray, nodes: int) -> np.ndarray:

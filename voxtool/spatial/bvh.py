@@ -62,12 +62,8 @@ class Frame:
 
     @classmethod
     def of(cls, mesh: Mesh) -> Frame:
-        """Return the frame of a mesh.
-
-        Raises
-        ------
-        MeshError : the mesh has no faces, or an extent whose square float64 cannot hold.
-        """
+        """Return the frame of a mesh; raise MeshError if it has no faces, or an extent whose square
+        float64 cannot hold."""
         low, high = 0.5 * mesh.bounds
         half = float((high - low).max())
         exponent = math.frexp(half)[1]
@@ -79,7 +75,7 @@ class Frame:
         return cls(low + high, exponent)
 
     def local(self, points: np.ndarray) -> np.ndarray:
-        """Local coordinates of world points; infinite or NaN where a point is, or on overflow."""
+        """Return local coordinates of points, infinite or NaN where a point is, or on overflow."""
         with np.errstate(over="ignore", invalid="ignore"):
             return (points - self.centre) * math.ldexp(1.0, -self.exponent)
 
@@ -109,7 +105,7 @@ class TriangleTree:
     names: Array | None
 
     def parts(self) -> list[tuple[int, int]]:
-        """The first node of each level, from the root down, and how many nodes it has."""
+        """Return the first node of each level, from the root down, and how many nodes it has."""
         count, counts = -(-self.count // LEAF), []
         while count > 1 or not counts:
             count = -(-count // ARITY)
@@ -119,7 +115,7 @@ class TriangleTree:
 
 
 def first_node(level: int) -> int:
-    """The number of the first node of a level; the root's level is 0."""
+    """Return the number of the first node of a level; the root's level is 0."""
     return (ARITY**level - 1) // (ARITY - 1)
 
 
@@ -158,7 +154,7 @@ def build_tree(device: Device, mesh: Mesh, flat: np.ndarray | None = None) -> Tr
 
 
 def _sort_faces(device: Device, vertices: Array, faces: Array, n: int) -> Array:
-    """(n,) uint32: the faces along the Hilbert curve; equal codes keep the mesh's order."""
+    """Return the (n,) uint32 faces along the Hilbert curve; equal codes keep the mesh's order."""
     codes, order = device.empty(n, np.uint64), device.empty(n, np.uint32)
     device.kernel(SOURCE, "face_codes")(n, vertices, faces, codes, order)
     return radix_sort(codes, n, 3 * FACE_BITS, order)[1]
@@ -167,7 +163,7 @@ def _sort_faces(device: Device, vertices: Array, faces: Array, n: int) -> Array:
 def _bound(
     device: Device, vertices: Array, faces: Array, n: int, order: Array
 ) -> tuple[Array, int]:
-    """The nodes, bounded level by level from the leaves up, and the number of the first leaf."""
+    """Return the nodes, bounded level by level from the leaves up, and the first leaf's number."""
     count = -(-n // LEAF)
     levels = 1
     while ARITY**levels < count:

@@ -52,19 +52,13 @@ class Nearest(NamedTuple):
 
 @dataclass(frozen=True)
 class PointBlock:
-    """Points on the device.
+    """Points on the device."""
 
-    where : of these points among all; n : how many.
-    local : float64, their local coordinates.
-    order : uint32, in which points near each other follow each other.
-    box : the precision in which distances to boxes can be bounded, "float" or "double".
-    """
-
-    where: slice
+    where: slice  # of these points among all
     n: int
-    local: Array
-    order: Array
-    box: str
+    local: Array  # float64 local coordinates
+    order: Array  # uint32, in which points near each other follow each other
+    box: str  # "float" or "double": the precision in which distances to boxes can be bounded
 
 
 class TriangleDistance:
@@ -138,7 +132,7 @@ class TriangleDistance:
             )
 
     def _search(self, block: PointBlock, ranks: Array | None) -> tuple[Array, Array | None]:
-        """Local distances of a block's points, and the slots of the nearest triangles by rank."""
+        """Return local distances of a block's points, and the slots of the nearest triangles."""
         device, tree = self.device, self.tree
         options = {"RANKED": 1} if ranks else {}
         distances = device.empty(block.n, np.float64)

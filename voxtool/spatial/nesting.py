@@ -1,4 +1,4 @@
-"""Which closed shells of a mesh contain which others.
+"""The nesting of the closed shells of a mesh.
 
 A shell contains another if its box contains the other's, and its winding number is not 0 at the
 other's outermost vertices, those of the least and the greatest x, y and z. Shells that intersect
@@ -66,6 +66,6 @@ def _part(mesh: Mesh, faces: np.ndarray) -> Mesh:
 
 
 def _outermost(mesh: Mesh, faces: np.ndarray) -> np.ndarray:
-    """(6, 3) vertices of faces: of the least and the greatest x, y and z."""
+    """Return the (6, 3) vertices of faces: of the least and the greatest x, y and z."""
     points = mesh.vertices[mesh.faces[faces]].reshape(-1, 3)
     return points[np.concatenate([points.argmin(axis=0), points.argmax(axis=0)])]

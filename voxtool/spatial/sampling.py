@@ -26,7 +26,7 @@ GOLDEN_3 = 1.2207440846057596  # and of x^4 = x + 1: the base of R3
 
 
 def sample_cube(count: int) -> np.ndarray:
-    """(count, 3) float64: the first points of R3 in the unit cube."""
+    """Return the first points of R3 in the unit cube, (count, 3) float64."""
     i = np.arange(count, dtype=np.float64)
     steps = [1 / GOLDEN_3, 1 / (GOLDEN_3 * GOLDEN_3), 1 / (GOLDEN_3 * GOLDEN_3 * GOLDEN_3)]
     return np.stack([(0.5 + i * step) % 1.0 for step in steps], axis=1)
@@ -60,7 +60,7 @@ class SurfaceSampler:
             yield a + u * (b - a) + v * (c - a)
 
     def vertices(self) -> np.ndarray:
-        """(n, 3) float64: the vertices that faces use."""
+        """Return the vertices that faces use, (n, 3) float64."""
         used = np.zeros(len(self.mesh.vertices), bool)
         used[self.mesh.faces] = True
         return self.mesh.vertices[used]

@@ -1,4 +1,4 @@
-"""Which sides of a mesh's faces are inside, so that most points need no winding number.
+"""The winding number beside each face of a mesh, which spares most points a sum of their own.
 
 Go from a point to the nearest point of the mesh, and along that face to its centroid. No face is
 passed on the way, so that the winding number changes only with the boundary's shape: by the law of
@@ -65,10 +65,8 @@ def find_sides(
 
 
 def shells_agree(mesh: Mesh, normals: Pseudonormals, device: Device, tree: TriangleTree) -> bool:
-    """Whether the winding number in front of every shell is 0; or -1, if the mesh is inside out.
-
-    The mesh is closed and has no self-intersections. It is not so where shells are nested and wound
-    alike."""
+    """Return whether the winding number in front of every shell is 0; or -1, if the mesh is inside
+    out. The mesh is closed and has no self-intersections; nested shells wound alike differ."""
     shells = shells_of(mesh)
     faces = np.unique(shells, return_index=True)[1]
     if len(faces) == 1:
@@ -81,8 +79,8 @@ def shells_agree(mesh: Mesh, normals: Pseudonormals, device: Device, tree: Trian
 def _beside(
     mesh: Mesh, faces: np.ndarray, normals: Pseudonormals, winding: WindingNumber
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(n,) float64 each: the winding number above and below the centroid of each of (n,) faces; NaN
-    where one is flat."""
+    """Return the winding number above and below the centroid of each of (n,) faces, (n,) float64
+    each; NaN where one is flat."""
     triangles = winding.tree.frame.local(mesh.vertices)[mesh.faces[faces]]
     normal = normals.normals[normals.features[faces, 0]]
     size = length(normal)
@@ -103,13 +101,13 @@ def _beside(
 
 
 def _along_curve(points: np.ndarray) -> np.ndarray:
-    """The order of (n, 3) points in the tree's frame in which near ones follow each other."""
+    """Return an order of (n, 3) local points in which near ones follow each other."""
     cells = ((points + 1) * 512).clip(0, 1023).astype(np.int64)
     return np.argsort(morton_encode(cells), kind="stable")
 
 
 def _spheres(ends: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(S, 5): spheres about runs of (E, 2, 3) edges along a Morton curve."""
+    """Return spheres, (S, 5), about runs of (E, 2, 3) edges along a Morton curve."""
     if not len(ends):
         return np.empty((0, 5))
     order, spheres = _along_curve(ends.mean(axis=1)), []
