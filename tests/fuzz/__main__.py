@@ -26,7 +26,7 @@ def options() -> argparse.Namespace:
     parser.add_argument("--kind", choices=KINDS, help="both, one after the other, by default")
     parser.add_argument("--device", default="cpu", help="as voxtool's --device")
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--limit", type=float, default=20, help="seconds that a case may take")
+    parser.add_argument("--limit", type=float, default=20, help="processor seconds of a case")
     parser.add_argument("--folder", type=Path, default=Path("build/fuzz"))
     return parser.parse_args()
 

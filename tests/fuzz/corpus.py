@@ -232,7 +232,7 @@ def repeated_faces() -> Iterator[Entry]:
     }
     for make in (copies, fan, loops, collinear):
         for name, command in commands.items():
-            quadratic = make is copies or (make is fan and name != "voxelize")
+            quadratic = make is copies or (make is fan and name == "adf-build")
             open = "6" if quadratic else ""
             yield Entry(f"{name} of {make.__name__}", open, "faces.obj", make, command)
 

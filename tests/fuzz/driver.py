@@ -39,7 +39,7 @@ class Session:
     Attributes
     ----------
     folder : of the samples, the workers' files and the saved cases.
-    limit, effort : seconds that a case may take, and that making a case smaller may take.
+    limit, effort : processor seconds that a case may take; seconds for making one smaller.
     known : says which keys of findings are known; their cases are not made smaller.
     """
 

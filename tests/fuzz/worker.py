@@ -21,12 +21,13 @@ from .use import run
 
 MOST_MEMORY = 6 << 30  # bytes of address space beyond what the device's driver takes
 OLD_AGE = 1 << 30  # bytes of memory at which a process is replaced
-GRACE = 30.0  # seconds beyond the time limit, for the process to end itself
+WAIT = 6  # times the limit of processor time that a case may take by the clock
+GRACE = 30.0  # seconds beyond that, for the process to end itself
 FRAME = re.compile(r'File ".*?/(voxtool/[^"]+|kernels/[^"]+)", line \d+ in (\w+)')
 
 
 class Worker:
-    """A process and the pipe to it. `limit` is the time that a case may take, in seconds."""
+    """A process and the pipe to it. `limit` is the processor time that a case may take, in s."""
 
     def __init__(self, folder: Path, device: str, limit: float) -> None:
         self.folder, self.device, self.limit = folder, device, limit
@@ -55,7 +56,7 @@ class Worker:
             self.start()
         try:
             self.pipe.send(case)
-            if self.pipe.poll(self.limit + GRACE):
+            if self.pipe.poll(WAIT * self.limit + GRACE):
                 findings, resident = self.pipe.recv()
                 if resident > OLD_AGE:
                     self.stop()
@@ -67,7 +68,7 @@ class Worker:
         code = self.process.exitcode
         self.stop()
         text = self.log.read_text(errors="replace") if self.log.exists() else ""
-        if "Timeout (" in text:
+        if "Timeout (" in text or code == -signal.SIGPROF:
             what = "hang"
         frames = FRAME.findall(text)
         place = ":".join(frames[0]).removeprefix("voxtool/") if frames else "no frame of voxtool"
@@ -81,6 +82,7 @@ def serve(pipe: Any, folder: Path, log: Path, device: str, limit: float) -> None
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
     faulthandler.enable(2)
+    faulthandler.register(signal.SIGPROF, 2, all_threads=False, chain=True)  # and end
     work, temporary = log.parent / "work", log.parent / "temporary"
     work.mkdir(exist_ok=True)
     temporary.mkdir(exist_ok=True)
@@ -107,9 +109,11 @@ def serve(pipe: Any, folder: Path, log: Path, device: str, limit: float) -> None
                 filled = listing()
             if case.name:
                 Path(case.name).write_bytes(case.content)
-            faulthandler.dump_traceback_later(limit, exit=True)
+            signal.setitimer(signal.ITIMER_PROF, limit)
+            faulthandler.dump_traceback_later(WAIT * limit, exit=True)
             findings = run(case, tools)
             faulthandler.cancel_dump_traceback_later()
+            signal.setitimer(signal.ITIMER_PROF, 0)
             for path in temporary.iterdir():
                 findings.append(Finding("temporary file left", "the folder for them", path.name))
                 path.unlink()
