@@ -80,14 +80,15 @@ def test_data_is_kept_for_its_owner(device: Device) -> None:
     assert keep(other) == 3
 
 
-def test_the_least_recently_used_goes_beyond_the_limit(monkeypatch) -> None:
+def test_the_least_recently_used_goes_beyond_the_limit() -> None:
     opened = open_device()
-    monkeypatch.setattr(type(opened), "max_memory", 1000)  # a quarter of it is for what is kept
+    tenth = opened.max_memory // 10  # a quarter of the memory is for data that is kept
     a, b, c, d = owners = [Owner() for _ in range(4)]
     for owner in (a, b, a, c):
-        opened.keep(owner, "", 100, object)
+        opened.keep(owner, "", tenth, object)
     assert [(id(owner), "") in opened._kept for owner in owners] == [True, False, True, False]
-    assert opened.keep(d, "", 251, object) is not opened.keep(d, "", 251, object)  # never fits
+    never_fits = 3 * tenth
+    assert opened.keep(d, "", never_fits, object) is not opened.keep(d, "", never_fits, object)
 
 
 # ---- processes
