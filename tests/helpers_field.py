@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.adf.cells import bound_codes, cell_of, identifier_type, key_of
+from voxtool.adf.cells import bound_values, cell_of, identifier_type, key_of
 from voxtool.adf.field import DistanceField, assemble
 from voxtool.adf.hashing import build_hash
 from voxtool.morton import morton_decode, morton_encode
@@ -66,7 +66,8 @@ def plain_field(
     kind = identifier_type(int(levels.max()))
     children = identifiers[:, None] << np.uint64(3) | morton_encode(OCTANTS)
     # not real bounds: any number serves
-    found = np.repeat(bound_codes(np.exp2(-2.0 - levels)), 8).reshape(-1, 8)
+    codes_of_bounds = np.searchsorted(bound_values(), np.exp2(-2.0 - levels)).astype(np.uint8)
+    found = np.repeat(codes_of_bounds, 8).reshape(-1, 8)
     found[np.isin(children, identifiers)] = 0
     standard = {
         "sign": "pseudonormal", "tolerance": tolerance, "max_level": max_level,

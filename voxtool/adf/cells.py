@@ -78,11 +78,6 @@ def bound_values() -> np.ndarray:
     return read_only(values)
 
 
-def bound_codes(bounds: np.ndarray) -> np.ndarray:
-    """Return the code of each bound in sides: the least that is not below it; JUMP above 1."""
-    return np.clip(np.searchsorted(bound_values()[:JUMP], bounds), 1, JUMP).astype(np.uint8)
-
-
 def half_diagonals(levels: np.ndarray) -> np.ndarray:
     """Return half of the diagonal of a cell of each level, (N,) float64, in sides."""
     return np.ldexp(math.sqrt(3) / 2, -levels)
