@@ -174,8 +174,8 @@ def test_axis_aligned_faces_lose_nothing(device: Device, axis: int, place: int) 
 
 @pytest.mark.parametrize(("subdivisions", "tolerance"), [(3, 0.012), (5, 0.002)])
 def test_volume_of_a_sphere(device: Device, subdivisions: int, tolerance: float) -> None:
-    """Of the polyhedron itself, within the error of counting centres; of the ball to the
-    polyhedron's own deficit (3.0e-2 and 1.9e-3 of the volume)."""
+    """The volume is that of the polyhedron within the error of counting centres, and that of the
+    ball within the polyhedron's own deficit."""
     centre = np.array([64.37, 63.71, 64.11])
     vertices, faces = meshes.icosphere(subdivisions, centre, 56.0)
     octree = run(device, (meshes.fixed(vertices), faces), (128,) * 3, "solid")

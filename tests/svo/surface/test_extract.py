@@ -61,7 +61,7 @@ def cut_edges(samples: np.ndarray) -> int:
 
 def assert_manifold(surface: Isosurface, shells: int = 1, genus: int | None = None) -> None:
     """The surface is closed, 2-manifold by index, has no triangle of zero area and uses every
-    vertex; with a genus, it has so many shells and handles."""
+    vertex; with a genus, also that number of shells and handles."""
     found = check_surface(lattice_mesh(surface), weld=False)
     assert found.watertight, found
     assert found.manifold, found

@@ -33,8 +33,8 @@ def flood(
     nodes: np.ndarray, surface: np.ndarray, side: int, shape: tuple[int, int, int], gap: int
 ) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
     """Return the octree of the voxels that the outside cannot reach, including the surface: the
-    codes of the refined nodes by level, from level 1 up, the states of the nodes of these levels,
-    and the masks of the bricks.
+    codes of the refined nodes by level, from level 1 up, the states of all nodes by level, and the
+    masks of the bricks.
 
     `nodes` holds the ascending Morton codes of the level-1 nodes with surface voxels, and `surface`
     the (8 n,) masks of their bricks. The outside does not pass openings of up to `gap` voxels.

@@ -89,7 +89,7 @@ class ExtractionPlan:
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError, which names the finest level that fits, if the extraction needs
-        more bytes, in all or in one buffer, or more samples along a side than codes have bits."""
+        more bytes, in total or in one buffer, or more samples along a side than MAX_SAMPLES."""
         if self.fits(max_memory, max_allocation):
             return
         fitting = (plan.level for plan in self.coarser() if plan.fits(max_memory, max_allocation))
