@@ -237,17 +237,6 @@ def test_pipes(here: Path) -> None:
     assert np.array_equal(found, read_adf("ball.adf.h5").distance([(0.0, 0, 0), (0, 0, 1.05)]))
 
 
-def test_json_goes_to_stderr_where_the_field_goes_to_stdout(here: Path) -> None:
-    built = process(f"adf-build ball.obj {COARSE} -o - --json", cwd=here)
-    summary = json.loads(built.stderr)
-    assert summary["output"] == "-"
-    info = process("adf-info - --json --digest --check", input=built.stdout)
-    assert json.loads(info.stdout)["digest"] == summary["digest"]
-    quiet = process(f"adf-build ball.obj {COARSE} -o - --json -q", cwd=here)
-    assert quiet.stderr == b""
-    assert quiet.stdout == built.stdout
-
-
 # ---- meshes of every sort
 
 

@@ -1,8 +1,7 @@
-"""voxtool adf-info: what it says of a field is so, and failures are one line."""
+"""voxtool adf-info: summaries, JSON, digests and refusals."""
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 from pathlib import Path
@@ -10,7 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from helpers_cli import fail, run, write_obj
+from helpers_cli import fail, run, told, write_obj
 from helpers_field import plain_field, point
 
 from voxtool import read_adf, write_adf
@@ -94,33 +93,33 @@ def test_deep_field(here: Path) -> None:
 @pytest.mark.parametrize("name", ["small.adf.h5", "deep.adf.h5"])
 def test_json(name: str, here: Path) -> None:
     field = read_adf(name)
-    told = json.loads(run(f"adf-info {name} --json --check --digest").stdout)
-    assert (told["check"], told["digest"]) == ("ok", field.digest())
-    assert told["file_bytes"] == os.path.getsize(name)
-    assert told["textures"] == field.sizes()
-    assert told["bytes"] == sum(field.sizes().values())
-    assert told["origin"] == list(field.origin)
-    assert told["band"] == (None if np.isinf(field.band) else field.band)
+    found = told(f"adf-info {name} --json --check --digest")
+    assert (found["check"], found["digest"]) == ("ok", field.digest())
+    assert found["file_bytes"] == os.path.getsize(name)
+    assert found["textures"] == field.sizes()
+    assert found["bytes"] == sum(field.sizes().values())
+    assert found["origin"] == list(field.origin)
+    assert found["band"] == (None if np.isinf(field.band) else field.band)
     for attribute in ("side", "units", "sign", "tolerance", "max_level", "continuous", "lipschitz",
                       "depth", "reached", "plan", "source_sha256"):  # fmt: skip
-        assert told[attribute] == getattr(field, attribute)
-    cells, leaves = ([level[what] for level in told["levels"]] for what in ("cells", "leaves"))
-    assert sum(cells) == told["blocks"] == len(field.voxels)
-    assert sum(leaves) == told["leaves"] == 7 * told["blocks"] + 1
+        assert found[attribute] == getattr(field, attribute)
+    cells, leaves = ([level[what] for level in found["levels"]] for what in ("cells", "leaves"))
+    assert sum(cells) == found["blocks"] == len(field.voxels)
+    assert sum(leaves) == found["leaves"] == 7 * found["blocks"] + 1
     assert cells == np.bincount(cell_of(field.blocks)[0], minlength=field.depth + 1).tolist()
     assert sum(n / 8**level for level, n in enumerate(leaves)) == pytest.approx(1)  # the cube
-    hashed = told["hash"]
+    hashed = found["hash"]
     assert (hashed["m"], hashed["r"], hashed["w"]) == (
         field.hash.m, field.hash.r, field.hash.has_w,
     )  # fmt: skip
-    assert hashed["load"] == told["blocks"] / hashed["m"] ** 3
-    assert hashed["bits_a_key"] == 8 * field.hash.offsets.nbytes / told["blocks"]
+    assert hashed["load"] == found["blocks"] / hashed["m"] ** 3
+    assert hashed["bits_a_key"] == 8 * field.hash.offsets.nbytes / found["blocks"]
     assert hashed["identifier_bits"] == (64 if field.depth > 11 else 32)
-    assert told["jumps"] == (1 if name == "small.adf.h5" else None)
+    assert found["jumps"] == (1 if name == "small.adf.h5" else None)
 
 
 def test_savings_are_those_of_the_text(here: Path) -> None:
-    saved = json.loads(run("adf-info deep.adf.h5 --json").stdout)["saved"]
+    saved = told("adf-info deep.adf.h5 --json")["saved"]
     assert saved["voxels_of_cells"] == pytest.approx(1 - 27 / 64)  # "about 57 %"
     assert saved["voxels_of_leaves"] == pytest.approx(1 - 27 / 56, abs=1e-4)
     assert saved["cells"] == pytest.approx(7 / 8, abs=1e-4)  # "up to 87 %"
@@ -131,7 +130,7 @@ def test_digest_and_stdin(here: Path) -> None:
     assert run("adf-info deep.adf.h5 --digest").stdout == f"{digest}\n"
     data = Path("deep.adf.h5").read_bytes()
     assert run("adf-info - --digest", data).stdout == f"{digest}\n"
-    assert "file_bytes" not in json.loads(run("adf-info - --json", data).stdout)
+    assert "file_bytes" not in told("adf-info - --json", data)
 
 
 @pytest.mark.parametrize("flag", ["", "--check", "--digest", "--json"])

@@ -52,12 +52,12 @@ def ball(tmp_path: Path, monkeypatch) -> str:
 
 
 def test_every_bench_has_times_and_errors(made: Path) -> None:
-    told = json.loads((made / "out" / "report.json").read_text())
-    head = (told["format"], told["schema_version"], told["date"])
+    found = json.loads((made / "out" / "report.json").read_text())
+    head = (found["format"], found["schema_version"], found["date"])
     assert head == ("voxtool-bench", "1.1", "today")
-    assert told["device"]["probe"] in ("", "ok")
-    assert told["machine"]["cores"] > 0
-    points = told["points"]
+    assert found["device"]["probe"] in ("", "ok")
+    assert found["machine"]["cores"] > 0
+    points = found["points"]
     assert {point["bench"] for point in points} == set(BENCHES)
     for point in points:
         assert len(point["runs"]) == 2

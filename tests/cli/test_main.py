@@ -154,7 +154,6 @@ def test_usage_errors(command: str, message: str, here: Path) -> None:
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        ("voxelize none.obj", "none.obj: there is no such file"),
         ("voxelize bunny.svo.h5", "not a mesh"),
         ("voxelize bunny.obj --like none.svo.h5", "none.svo.h5: there is no such file"),
         ("voxelize bunny.obj --pitch 0", "pitch 0.0 is not a positive size"),
@@ -165,18 +164,13 @@ def test_usage_errors(command: str, message: str, here: Path) -> None:
         ("voxelize bunny.obj --bbox 1 1 1 0 0 0", "is empty or not finite"),
         ("voxelize bunny.obj --bbox 1e9 0 0 1.1e9 1 1 --pitch 1", "choose"),
         ("voxelize bunny.obj --device 99", "choose one of 0: "),
-        ("svo-info none.svo.h5", "none.svo.h5: there is no such file"),
-        (
-            "svo-info bunny.obj",
-            "bunny.obj is a mesh: voxelize it first (voxtool voxelize bunny.obj)",
-        ),
+        ("svo-info bunny.obj", "is a mesh: voxelize it first (voxtool voxelize bunny.obj)"),
         ("svo-info .", "is a folder"),
         ("export bunny.obj -o a.npy", "bunny.obj is a mesh: voxelize it first"),
         ("export bunny.svo.h5 -o a.foo", "end it in one of .npy, .npz, .vti, .png"),
         ("export bunny.svo.h5 -o -", "name the format, one of .npy"),
         ("export bunny.svo.h5 -o a.png --slice z=128", "lies outside the grid: choose 0 to 127"),
         ("bench voxelize none.obj --dims 16", "none.obj: there is no such file"),
-        ("bench voxelize bunny.obj --device nothing-like-it", "choose one of 0: "),
     ],
 )
 def test_failures_are_one_line(command: str, message: str, here: Path) -> None:
@@ -201,7 +195,7 @@ def test_stray_errors_of_the_system_are_one_line_too(here: Path) -> None:
 # ---- voxelize
 
 
-def test_voxelize_says_what_it_did_on_stderr(here: Path) -> None:
+def test_the_report_of_voxelize(here: Path) -> None:
     result = run("voxelize bunny.obj --dim 64")
     assert result.stdout == ""
     octree = read_svo("bunny.svo.h5")
@@ -305,7 +299,7 @@ def test_grids_like_another_and_stretched(here: Path) -> None:
         ("--fill flood --gap 2", None),
     ],
 )
-def test_open_mesh_tells_the_counts_and_fills(fill: str, says: str | None, here: Path) -> None:
+def test_open_meshes_are_reported_and_filled(fill: str, says: str | None, here: Path) -> None:
     lines = run(f"voxelize open.obj --dim 16 {fill} -o a.svo.h5").stderr.splitlines()
     rule = (fill or "--fill winding").removeprefix("--fill ").replace(" --gap ", "+gap")
     assert (read_svo("a.svo.h5").mode, read_svo("a.svo.h5").fill) == ("solid", rule)
@@ -394,9 +388,6 @@ def test_more_than_max_memory_is_refused_with_the_dim_that_fits(here: Path) -> N
         assert read_svo("a.svo.h5").grid.dim == int(found[1])
         os.remove("a.svo.h5")
         fail(f"{command} --dim {round(1.1 * int(found[1]))}")
-
-
-def test_no_dim_fits(here: Path) -> None:
     assert "no dim fits" in fail("voxelize bunny.obj --max-memory 1K")
 
 
@@ -423,13 +414,13 @@ def test_svo_info(here: Path) -> None:
     assert result.stderr == ""
     for word in (f"{octree.count:,}", "128 x 128 x 128", "solid, filled by parity", "check: ok"):
         assert word in result.stdout
-    told = json.loads(run("svo-info bunny.svo.h5 --json --check --digest").stdout)
-    assert told["check"] == "ok"
-    assert told["digest"] == octree.digest()
-    assert told["file_bytes"] == os.path.getsize("bunny.svo.h5")
-    assert told["voxels"] == octree.count == sum(level["voxels"] for level in told["levels"])
-    assert told["volume"] == pytest.approx(octree.count * octree.grid.voxel_volume)
-    assert [level["nodes"] for level in told["levels"]] == np.diff(octree.offsets).tolist()
+    found = told("svo-info bunny.svo.h5 --json --check --digest")
+    assert found["check"] == "ok"
+    assert found["digest"] == octree.digest()
+    assert found["file_bytes"] == os.path.getsize("bunny.svo.h5")
+    assert found["voxels"] == octree.count == sum(level["voxels"] for level in found["levels"])
+    assert found["volume"] == pytest.approx(octree.count * octree.grid.voxel_volume)
+    assert [level["nodes"] for level in found["levels"]] == np.diff(octree.offsets).tolist()
 
 
 @pytest.mark.parametrize(

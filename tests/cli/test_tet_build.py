@@ -54,20 +54,20 @@ def test_what_it_writes_and_says(here: Path) -> None:
 def test_json(here: Path) -> None:
     result = run("tet-build volume.vtu --scalar region --json -o a.tet.h5")
     assert result.stderr == ""
-    told = json.loads(result.stdout)
+    found = json.loads(result.stdout)
     volume = read_tet("a.tet.h5")
-    assert told["output"] == "a.tet.h5"
-    assert told["tetrahedra"] == len(volume.cells)
-    assert told["bytes"] == volume.sizes()
-    assert told["bytes_a_cell"] == 96
-    assert told["digest"] == volume.digest()
-    assert told["scalar_range"] == [0, 2]
-    assert told["constant"] is True
-    assert told["merged_points"] == told["zero_volume"] == told["turned"] == 0
-    assert list(told["stages"]) == [
+    assert found["output"] == "a.tet.h5"
+    assert found["tetrahedra"] == len(volume.cells)
+    assert found["bytes"] == volume.sizes()
+    assert found["bytes_a_cell"] == 96
+    assert found["digest"] == volume.digest()
+    assert found["scalar_range"] == [0, 2]
+    assert found["constant"] is True
+    assert found["merged_points"] == found["zero_volume"] == found["turned"] == 0
+    assert list(found["stages"]) == [
         "read mesh", "plan", "tetrahedra", "order", "planes", "gradients", "write file", "other",
     ]  # fmt: skip
-    assert sum(told["stages"].values()) <= told["seconds"] + 1e-3
+    assert sum(found["stages"].values()) <= found["seconds"] + 1e-3
 
 
 def test_a_component(here: Path) -> None:
