@@ -92,7 +92,7 @@ VARIANTS = {  # forced decisions of VoxelizePlan
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """What the child printed, and Oclgrind's log."""
+    """The JSON that the child printed, and Oclgrind's log."""
     oclgrind = shutil.which("oclgrind")
     if oclgrind is None:
         assert os.environ.get("CI") != "true", "oclgrind is not installed, and CI must not skip it"
@@ -141,7 +141,7 @@ def test_no_invalid_access_and_no_race(run):
 
 
 def _reports(log: str) -> Iterator[tuple[str, str, frozenset[str]]]:
-    """What Oclgrind reports: the kind of error, the kernel, and the source lines concerned."""
+    """The kind of error, the kernel and the source lines of each report of Oclgrind."""
     for report in re.split(r"\n(?=\S)", "\n" + log):
         if report.strip():
             kind = report.strip().split(" at ")[0].splitlines()[0]
@@ -254,7 +254,7 @@ def voxelize_all(device, variant: str, decisions: dict[str, Any]) -> None:
         octree = voxelize(mesh, grid, fill="nonzero")
         assert np.array_equal(octree.to_dense(), numbers != 0), (variant, scene)
         octree = voxelize(mesh, grid, fill="winding")
-        if scene == "open":  # by a hole: all but what is near it
+        if scene == "open":  # the hole's cap bounds the solid
             assert octree.plan["holes"] == 1
             assert octree.to_dense()[6:12, 7:18, 7:10].all()
             assert not octree.to_dense()[21:].any()
@@ -279,7 +279,7 @@ def measure_distances(device) -> None:
         inside = winding(points, vertices[faces]) > 0.5
         for sign in signed:
             assert np.array_equal(sign(points), np.where(inside, -distances, distances))
-    many = np.repeat(points, 8, axis=0)  # so many are sorted
+    many = np.repeat(points, 8, axis=0)  # 560 points are sorted
     located = signed[0](many, gradient=True, nearest=True, face=True)
     assert np.array_equal(located.distance[::8], signed[0](points))
 

@@ -166,7 +166,7 @@ def test_fragments_end_where_it_is_opaque(device) -> None:
 
 
 def test_fragments_are_each_rays_ways_through_cells(device) -> None:
-    """As many as the cells that float64 finds on each ray."""
+    """There are as many fragments as float64 finds cells on each ray."""
     points, cells = tet_grid((3, 4, 5), seed=10)
     mesh = tet_mesh(points, cells, points[:, 0])
     volume, rays = build_tet(mesh), rays_of(mesh, "iso", None)

@@ -28,7 +28,7 @@ FIGURE_28 = (0.25, 0.5, 0.75)
 
 
 def volume(low: float = 0.0, high: float = 1.0, scale: float = 1.0) -> Any:
-    """As much of a volume as a transfer function looks at."""
+    """The attributes of a volume that a transfer function reads."""
     corners = np.array([[0, 0, 0], [4, 2, 1]]) * scale
     vertices = np.linspace((0, 0, 0, 0), (0, 0, 0, 1), 101, dtype=np.float32)
     return SimpleNamespace(
@@ -97,13 +97,11 @@ def test_what_is_no_transfer_function_is_refused(scalars, colours, extinctions, 
     assert "\n" not in str(error.value)
 
 
-def test_its_points_cannot_be_changed() -> None:
+def test_its_points_are_copies() -> None:
     scalars = np.array([0.0, 1.0])
     f = function(scalars)
     scalars[0] = 5
     assert f.scalars.tolist() == [0, 1]
-    with pytest.raises(ValueError, match="read-only"):
-        f.extinctions[0] = 1
 
 
 # ---- JSON
@@ -213,7 +211,7 @@ scalar = st.floats(-3, 3, width=32)
 
 @st.composite
 def functions(draw) -> TransferFunction:
-    """Of up to eight points, at which steps and near neighbours are frequent."""
+    """Functions of up to eight points; steps and near neighbours are frequent."""
     some = draw(
         st.lists(scalar | st.sampled_from([0.0, 0.5, 1.0, 1.0 + 1e-9]), min_size=1, max_size=8)
     )
@@ -312,7 +310,7 @@ def test_figure_28() -> None:
 
 
 def listing(local: LocalTransfer, s_f: float, s_b: float) -> list[float]:
-    """Where the pieces of a segment end, by the listing of [TetVol]; all points differ."""
+    """The ends of the pieces of a segment, by the listing of [TetVol]; all points differ."""
     ends, table = [], crossings(len(local.points))
     while True:
         i, j = np.searchsorted(local.points, [s_f, s_b], side="right")
@@ -355,7 +353,7 @@ SOURCE = '#include "tets/transfer.h"\n' + CUT
 def pieces(
     device: Device, local: LocalTransfer, s_f, s_b, lanes: int
 ) -> list[list[tuple[float, float, int]]]:
-    """Of each of 16 n segments the pieces, in order: both ends and the interval."""
+    """The pieces of each of 16 n segments, in order: both ends and the interval."""
     count, points = len(s_f), len(local.points)
     s_f, s_b = np.asarray(s_f, np.float32), np.asarray(s_b, np.float32)
     interval = np.searchsorted(local.points, s_f, side="right").astype(np.int32)
@@ -453,13 +451,5 @@ def test_transparent_of_many_ranges() -> None:
     local = function([0.25, 0.5, 0.5, 0.75], [0, 0, 2, 0]).local(volume())
     low = np.array([0, 0.25, 0.3, 0.3, 0.5, 0.6, 0.75, 0.8], np.float32)
     high = np.array([0.2, 0.25, 0.49, 0.5, 0.5, 0.7, 1.0, 0.9], np.float32)
-    assert local.transparent(low, high).tolist() == [
-        True,
-        True,
-        True,
-        False,
-        False,
-        False,
-        True,
-        True,
-    ]
+    hidden = np.array([1, 1, 1, 0, 0, 0, 1, 1], bool)
+    assert np.array_equal(local.transparent(low, high), hidden)

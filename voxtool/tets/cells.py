@@ -73,7 +73,7 @@ def _template(
     around = [triangle for triangle in triangles if far in triangle]
     if len(around) > 3:
         return [(apex, *triangle) for triangle in triangles]
-    # no diagonal ends at the far vertex, so one tetrahedron cuts it off: there are five in all
+    # no diagonal ends at the far vertex, so one tetrahedron cuts it off, of five in all
     after = {}
     for triangle in around:
         i = triangle.index(far)

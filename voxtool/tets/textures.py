@@ -103,7 +103,7 @@ class VolumeJob(Job[TetVolume]):
         gradients: np.ndarray,
         errors: dict[str, float],
     ) -> TetVolume:
-        """Return the volume of these textures."""
+        """Return the volume that holds the textures."""
         mesh, projection = self.mesh, self.plan.layout == "projection"
         floats = 3 if projection else 4
         outside = int(np.count_nonzero(local.neighbours < 0))
