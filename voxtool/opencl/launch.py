@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 _NAMES = ("char", "uchar", "short", "ushort", "int", "uint", "long", "ulong", "float", "double")
-_TYPES = dict(
+_TYPES: dict[str, str] = dict(
     zip(_NAMES, ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"), strict=True)
 )
 _QUALIFIERS = {"__global", "__constant", "__local", "const", "volatile", "restrict"}

@@ -9,7 +9,7 @@ import hashlib
 import json
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -51,7 +51,7 @@ def hollow() -> Mesh:
 
 def octrees(device: Device) -> Digests:
     modes = {"surface26": {"mode": "surface26"}, "surface6": {"mode": "surface6"}}
-    options = modes | {fill: {"fill": fill} for fill in FILLS}
+    options: dict[str, Any] = modes | {fill: {"fill": fill} for fill in FILLS}
     for (name, mesh), dim in product((("solid", solid()), ("hollow", hollow())), (8, 50, 200)):
         grid = Grid.fit(mesh, dim)
         for kind, given in options.items():
