@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.errors import FileError
-from voxtool.morton import morton_decode
+from voxtool.morton import morton_decode, spread_bits
 from voxtool.svo.layout import BRICK_SIDE, LINK, VALID, voxels_within
 
 if TYPE_CHECKING:
     from voxtool.grid import Grid
     from voxtool.svo.octree import Level, Octree
+
+BITS_OF_X = spread_bits(np.array((1 << 21) - 1))  # in a Morton code
 
 
 def check_offsets(grid: Grid, offsets: np.ndarray) -> None:
@@ -103,7 +105,10 @@ def _check_padding(octree: Octree, levels: list[Level]) -> None:
     if octree.grid.shape == (octree.grid.side,) * 3:
         return
     for level in levels:
-        bad = np.any(level.cells + level.side > octree.grid.shape, axis=1)
+        bad = np.zeros(len(level.codes), bool)
+        ends = spread_bits(np.array(octree.grid.shape) // level.side)  # the first cells not within
+        for axis, end in enumerate(ends):  # the bits of one axis compare as the coordinates do
+            bad |= (level.codes >> np.uint64(axis)) & BITS_OF_X >= end
         if level.number:
             bad &= level.inside
         else:

@@ -53,102 +53,72 @@ def flood(
 
     lists, states = [], []
     for level in range(1, top + 1):
-        first, end = (np.uint64(cube << 3 * (top - level)) for cube in (7, 8))
-        kept = slice(*np.searchsorted(octree.lists[level - 1], [first, end]).tolist())
-        lists.append(octree.lists[level - 1][kept] ^ first)
-        number, codes = octree.nodes(level)
-        state = np.where(reached[number], EMPTY, FULL).astype(np.uint8)
-        state[octree.refined[level - 1]] = REFINED
-        states.append(state[slice(*np.searchsorted(codes, [first, end]).tolist())])
-        if level == 1:
-            bricks = slice(8 * kept.start, 8 * kept.stop)
-    within = voxels_within(morton_decode(descend(lists[0])), shape)
-    return lists, states, ~outside[bricks] & within
+        shift = np.uint64(3 * (top - level))
+        codes, refined = descend(octree.refined[level]), octree.refined[level - 1]
+        codes, refined = (each[each >> shift == 7] for each in (codes, refined))
+        state = np.where(reached[octree.leaf_at(codes, level)], EMPTY, FULL).astype(np.uint8)
+        state[np.searchsorted(codes, refined)] = REFINED
+        lists.append(refined ^ (np.uint64(7) << shift))
+        states.append(state)
+    inside = ~outside[np.repeat(nodes >> np.uint64(3 * (top - 1)) == 7, 8)]
+    return lists, states, inside & voxels_within(morton_decode(descend(lists[0])), shape)
 
 
 class _Octree:
-    """The octree of given level-1 nodes, with the neighbours of its bricks.
+    """The octree of given level-1 nodes. These nodes and the leaves are numbered in Morton order.
 
-    `lists` holds the codes of the refined nodes by level, from level 1 up, and `refined` their
-    positions among all nodes of their level. Nodes are numbered from `first` of their level on.
+    `refined` holds the codes of the refined nodes by level, from level 1 up; `starts` the codes of
+    the first level-1 cells of the numbered nodes; `levels` the levels of leaves, and 0 for the
+    given nodes; and `ranks` the positions of the given nodes among each other, and -1 for leaves.
     """
 
     def __init__(self, nodes: np.ndarray, top: int) -> None:
-        self.lists = [nodes]
-        for _ in range(top - 1):
-            self.lists.append(np.unique(self.lists[-1] >> np.uint64(3)))
-        self.refined, sizes = [], []
-        for codes, above in zip(self.lists[:-1], self.lists[1:], strict=True):
-            self.refined.append(child_places(codes, above))
-            sizes.append(8 * len(above))
-        self.refined.append(np.zeros(len(self.lists[-1]), np.int64))
-        *self.first, self.total = np.cumsum([0, *sizes, 1]).tolist()
+        self.refined, starts, levels = [nodes], [nodes], [np.zeros(len(nodes), np.int64)]
+        for level in range(1, top):
+            codes = self.refined[-1]
+            parents = np.unique(codes >> np.uint64(3))
+            leaves = np.delete(descend(parents), child_places(codes, parents))
+            self.refined.append(parents)
+            starts.append(leaves << np.uint64(3 * (level - 1)))
+            levels.append(np.full(len(leaves), level))
+        order = np.argsort(np.concatenate(starts))
+        self.starts, self.levels = np.concatenate(starts)[order], np.concatenate(levels)[order]
+        self.ranks = np.where(self.levels == 0, np.cumsum(self.levels == 0) - 1, -1)
+        self.side = 1 << (top - 1)  # in level-1 cells
         cells = morton_decode(nodes)
-        self.beside = {d: self._node_at(cells + d) for d in AROUND}
+        self._beside = {d: self._beside_cells(cells + d) for d in (HERE, *AROUND)}
 
-    def _node_at(self, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the ranks of the level-1 nodes at cells (-1 if there is none), and the numbers of
-        the leaves there (-1 if there is none, or beyond the octree)."""
-        rank, leaf = np.full(len(cells), -1), np.full(len(cells), -1)
-        some = np.flatnonzero(self.holds(cells, 1))
-        level, number = self.find(morton_encode(cells[some]), 1)
-        inner = level == 0
-        rank[some[inner]], leaf[some[~inner]] = number[inner], number[~inner]
-        return rank, leaf
-
-    def find(self, codes: np.ndarray, least: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the level and the number of the leaf that holds each cell of level `least`; for a
-        refined cell, 0 and its rank among the refined cells."""
-        levels, numbers = np.zeros(len(codes), np.int64), np.zeros(len(codes), np.int64)
-        left, parent = np.arange(len(codes)), np.zeros(len(codes), np.int64)
-        for level in range(len(self.lists), least - 1, -1):
-            code = codes[left] >> np.uint64(3 * (level - least))
-            is_root = level == len(self.lists)
-            number = np.zeros(len(left), np.int64)
-            if not is_root:
-                number = 8 * parent + (code & np.uint64(7)).astype(np.int64)
-            known = self.lists[level - 1]
-            rank = np.minimum(np.searchsorted(known, code), max(len(known) - 1, 0))
-            found = known[rank] == code if len(known) else np.zeros(len(code), bool)
-            leaf = left[~found]
-            levels[leaf], numbers[leaf] = level, self.first[level - 1] + number[~found]
-            left, parent = left[found], rank[found]
-        numbers[left] = parent
-        return levels, numbers
-
-    def nodes(self, level: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the numbers and the codes of all nodes of a level."""
-        is_root = level == len(self.lists)
-        codes = np.zeros(1, np.uint64) if is_root else descend(self.lists[level])
-        return self.first[level - 1] + np.arange(len(codes)), codes
+    def leaf_at(self, codes: np.ndarray, level: int) -> np.ndarray:
+        """Return the number of the first leaf or level-1 node in each cell of a level, or of the
+        leaf around the cell."""
+        return np.searchsorted(self.starts, codes << np.uint64(3 * (level - 1)), "right") - 1
 
     def holds(self, cells: np.ndarray, level: int) -> np.ndarray:
         """Return (n,) bool, True for cells of a level that lie in the octree."""
-        within = (cells >= 0) & (cells < 1 << (len(self.lists) - level))
-        return np.all(within, axis=1)
+        return np.all((cells >= 0) & (cells < self.side >> (level - 1)), axis=1)
+
+    def _beside_cells(self, cells: np.ndarray) -> np.ndarray:
+        """Return the numbers of the nodes at level-1 cells; the last leaf stands for all that lies
+        beyond the octree, for both are outside."""
+        numbers = np.full(len(cells), len(self.starts) - 1)
+        within = self.holds(cells, 1)
+        numbers[within] = self.leaf_at(morton_encode(cells[within]), 1)
+        return numbers
 
     def neighbours(self, d: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the brick next to each brick in direction d, or -1, and the leaf there, or -1."""
-        octant = np.arange(8)
-        place = np.stack([octant & 1, octant >> 1 & 1, octant >> 2], axis=1) + d
-        step = place >> 1  # to the neighbouring node
-        other = (place & 1) @ np.array([1, 2, 4])
-        ranks, leaves = (np.empty((len(self.lists[0]), 8), np.int64) for _ in range(2))
-        for o in range(8):
-            if not step[o].any():
-                ranks[:, o], leaves[:, o] = 8 * np.arange(len(ranks)) + other[o], -1
-                continue
-            rank, leaf = self.beside[tuple(step[o].tolist())]
-            ranks[:, o], leaves[:, o] = np.where(rank >= 0, 8 * rank + other[o], -1), leaf
-        return ranks.ravel(), leaves.ravel()
+        """Return the brick next to each brick in direction d, or -1, and the number of the node
+        that holds the place."""
+        place = morton_decode(np.arange(8)) + d
+        numbers = np.stack([self._beside[x, y, z] for x, y, z in (place >> 1).tolist()], axis=1)
+        ranks, octants = self.ranks[numbers], morton_encode(place & 1).astype(np.int64)
+        return np.where(ranks >= 0, 8 * ranks + octants, -1).ravel(), numbers.ravel()
 
     def spread(self, masks: np.ndarray, reached: np.ndarray) -> np.ndarray:
         """Return the voxels of bricks that touch voxels of masks or reached leaves."""
         found = _spilled(masks, HERE)
         for d in AROUND:
-            rank, leaf = self.neighbours(d)
-            beside = np.where(rank >= 0, masks[rank], np.uint64(0))
-            beside[(leaf >= 0) & reached[leaf]] = ALL
+            brick, leaf = self.neighbours(d)
+            beside = np.where(brick >= 0, masks[brick], np.where(reached[leaf], ALL, ALL ^ ALL))
             found |= _spilled(beside, (-d[0], -d[1], -d[2]))
         return found
 
@@ -159,38 +129,34 @@ def _reach(octree: _Octree, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     brick, part = _parts(free)
     first = np.searchsorted(brick, np.arange(len(free) + 1))
     count = np.diff(first)
-    base = octree.total  # leaves are numbered before parts
+    base = len(octree.starts)  # leaves are numbered before parts
     links = []
     for d in AROUND:
-        rank, leaf = octree.neighbours(d)
+        other, leaf = (each[brick] for each in octree.neighbours(d))
         spilled = _spilled(part, d)
         touches = spilled != 0
-        beside = leaf[brick]
-        at = np.flatnonzero(touches & (beside >= 0))
-        links.append((base + at, beside[at]))
+        at = np.flatnonzero(touches & (other < 0))
+        links.append((base + at, leaf[at]))
         if d < HERE:
             continue  # found from the other side
-        other = rank[brick]
         at = np.flatnonzero(touches & (other >= 0))
         for i in range(int(count.max(initial=0))):
             at = at[count[other[at]] > i]
             match = first[other[at]] + i
             met = (spilled[at] & part[match]) != 0
             links.append((base + at[met], base + match[met]))
-    for level in range(1, len(octree.lists) + 1):
-        own, codes = octree.nodes(level)
-        leaves = np.delete(np.arange(len(own)), octree.refined[level - 1])
-        own, cells = own[leaves], morton_decode(codes[leaves])
+    for level in range(1, len(octree.refined)):
+        own = np.flatnonzero(octree.levels == level)
+        cells = morton_decode(octree.starts[own] >> np.uint64(3 * (level - 1)))
         for d in AROUND:
             beside = cells + d
             at = np.flatnonzero(octree.holds(beside, level))
-            found, number = octree.find(morton_encode(beside[at]), level)
-            leaf = found > 0  # the leaves in a refined node find this one
-            links.append((own[at[leaf]], number[leaf]))
+            found = octree.leaf_at(morton_encode(beside[at]), level)
+            large = octree.levels[found] >= level  # the leaves in a refined node find this one
+            links.append((own[at[large]], found[large]))
     u, v = (np.concatenate(ends) for ends in zip(*links, strict=True))
     root = components(u, v, base + len(part))
-    far = np.full(1, 8 ** (len(octree.lists) - 1) - 1, np.uint64)  # the last cell
-    is_out = root == root[octree.find(far, 1)[1]]
+    is_out = root == root[base - 1]  # the last leaf lies in a far corner
     masks = np.zeros(len(free), np.uint64)
     out = np.flatnonzero(is_out[base:])
     np.bitwise_or.at(masks, brick[out], part[out])
@@ -203,16 +169,20 @@ def _reach(octree: _Octree, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _spilled(mask: np.ndarray, d: tuple[int, int, int]) -> np.ndarray:
     """Return the voxels of the brick in direction d that touch voxels of a mask."""
     for axis, step in enumerate(d):
-        low, one, two, three = LOW[axis], *(np.uint64(n << axis) for n in (1, 8, 9))
-        if step > 0:
-            mask = (mask >> three) & low
-        elif step < 0:
-            mask = (mask & low) << three
-        else:
-            up = (mask & (low | low << two)) << one | (mask & low << one) << (two - one)
-            down = (mask >> one) & (low | low << two) | (mask >> (two - one)) & low << one
-            mask = mask | up | down
+        mask = _spilled_along(axis, mask, step)
     return mask
+
+
+def _spilled_along(axis: int, mask: np.ndarray, step: int) -> np.ndarray:
+    """Return the same along one axis: voxels that differ in the other coordinates do not touch."""
+    low, one, two, three = LOW[axis], *(np.uint64(n << axis) for n in (1, 8, 9))
+    if step > 0:
+        return (mask >> three) & low
+    if step < 0:
+        return (mask & low) << three
+    up = (mask & (low | low << two)) << one | (mask & low << one) << (two - one)
+    down = (mask >> one) & (low | low << two) | (mask >> (two - one)) & low << one
+    return mask | up | down
 
 
 def _parts(free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -243,15 +213,15 @@ def _dilate(nodes: np.ndarray, surface: np.ndarray, steps: int) -> tuple[np.ndar
     """Return the voxels up to a number of steps from a surface: the given level-1 nodes and those
     that hold the voxels, and the masks of their bricks."""
     codes, masks = descend(nodes)[surface != 0], surface[surface != 0]
-    for _ in range(steps):
-        cells, found, grown = morton_decode(codes), [codes], [_spilled(masks, HERE)]
-        for d in AROUND:
-            spilled = _spilled(masks, d)
+    for axis in [0, 1, 2] * steps:
+        cells, found, grown = morton_decode(codes), [], []
+        for step in (-1, 0, 1):
+            spilled = _spilled_along(axis, masks, step)
             some = spilled != 0
-            found.append(morton_encode(cells[some] + d))
+            found.append(morton_encode(cells[some] + step * np.eye(3, dtype=np.int64)[axis]))
             grown.append(spilled[some])
         codes = np.concatenate(found)
-        order = np.argsort(codes)
+        order = np.argsort(codes, kind="stable")
         codes, masks = unite_bricks(codes[order], np.concatenate(grown)[order])
     wider = np.union1d(nodes, codes >> np.uint64(3))
     barrier = np.zeros(8 * len(wider), np.uint64)

@@ -26,7 +26,7 @@ from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Array, program
 from voxtool.svo.build import DeviceOctree, build_from_lists
 from voxtool.svo.fill.crossings import Flips
-from voxtool.svo.layout import BRICK, BRICK_BYTES, LINK, MAX_LINK, NODE_BYTES, VALID
+from voxtool.svo.layout import BRICK, BRICK_BYTES, MAX_LINK, NODE_BYTES, VALID
 
 SOURCE = "svo/fill/rows.cl"
 MIXED = np.uint32(1 << 29)  # a leaf that must be refined
@@ -120,34 +120,40 @@ def _refine_open_rows(
     """Refine the MIXED leaves of a tree; raise MemoryLimitError if this takes more than max_memory
     bytes. Return the ascending Morton codes of the refined nodes by level, from level 1 up, and the
     (n,) uint32 positions of the tree's level-1 nodes among them."""
-    nodes = tree.nodes.get(0, int(tree.offsets[-2]))
-    leaves = np.flatnonzero((nodes["child"] & (VALID | MIXED)) == MIXED)
-    level, cells = _locate(tree, nodes["parent"], leaves)
-    slots = np.concatenate([[0], np.cumsum(4 ** (level - 1))])  # bundles through each leaf
-    refuse_beyond(tree, 0, int(slots[-1]), max_memory)
-    nodes["child"][leaves] = slots[:-1] + 1
-    device = tree.nodes.device
+    device, nodes = tree.nodes.device, tree.nodes.get(0, int(tree.offsets[-2]))
+    lists = [refined.codes.get(0, refined.n) for refined in tree.refined]
+    mixed = (nodes["child"] & (VALID | MIXED)) == MIXED
+    leaves, slots = [], 0  # a slot holds the state of a bundle in a leaf
+    for level in range(1, tree.top + 1):
+        first, end = tree.offsets[tree.top - level : tree.top - level + 2].tolist()
+        leaf = np.flatnonzero(mixed[first:end])
+        codes = leaf.astype(np.uint64)
+        if level < tree.top:
+            codes = lists[level][leaf >> 3].astype(np.uint64) << np.uint64(3) | codes & np.uint64(7)
+        side = 1 << (level - 1)  # of a leaf, in level-1 cells
+        places = slots + side * side * np.arange(len(leaf) + 1)
+        slots = int(places[-1])
+        leaves.append((level, first + leaf, morton_decode(codes) * side, places))
+    refuse_beyond(tree, 0, slots, max_memory)
+    for _, own, _, places in leaves:
+        nodes["child"][own] = places[:-1] + 1
     device.write(tree.nodes, nodes)
-    states = device.zeros(int(slots[-1]), np.uint64)
-    chosen = _bundles_of(cells, level, flips)
+    states = device.zeros(slots, np.uint64)
+    chosen = _bundles_of(leaves, flips)
     _sweep_rows(tree, flips, len(chosen), chosen=device.put(chosen), states=states)
     found = states.take()
 
     bars = []
-    for number in np.unique(level):
-        chosen = level == number
-        side = 1 << (int(number) - 1)
-        layers = found[slots[:-1][chosen][:, None] + np.arange(side * side)]
-        layers = layers.reshape(-1, side, side)
-        bars += _differing_bars(layers, cells[chosen], int(number), flips.shape[0])
+    for level, _, corners, places in leaves:
+        layers = found[places[0] : places[-1]].reshape(-1, 1 << (level - 1), 1 << (level - 1))
+        bars += _differing_bars(layers, corners, level, flips.shape[0])
     added = sum(int(lengths.sum()) for _, _, lengths in bars)
     refuse_beyond(tree, added, 0, max_memory)
 
-    lists = [refined.codes.get(0, refined.n) for refined in tree.refined]
-    new: list[list[np.ndarray]] = [[old[:0]] for old in lists]
+    new: list[list[np.ndarray]] = [[old] for old in lists]
     for number, first, lengths in bars:
         new[number - 1].append(_codes_of_bars(first, lengths).astype(lists[0].dtype))
-    merged = [np.sort(np.concatenate([old, *codes])) for old, codes in zip(lists, new, strict=True)]
+    merged = [np.sort(np.concatenate(codes)) for codes in new]
     return merged, np.searchsorted(merged[0], lists[0]).astype(np.uint32)
 
 
@@ -163,34 +169,14 @@ def refuse_beyond(tree: DeviceOctree, added: int, slots: int, max_memory: int) -
         )
 
 
-def _bundles_of(cells: np.ndarray, level: np.ndarray, flips: Flips) -> np.ndarray:
+def _bundles_of(leaves: list[tuple[int, Any, np.ndarray, Any]], flips: Flips) -> np.ndarray:
     """Return the bundles whose rows pass through leaves, without duplicates, (n,) uint32."""
     passed = np.zeros((flips.bundles // flips.bundles_y, flips.bundles_y), bool)
-    for number in np.unique(level):
-        across = np.arange(1 << (int(number) - 1))
-        y = cells[level == number, 1, None] + across
-        z = cells[level == number, 2, None] + across
+    for level, _, corners, _ in leaves:
+        y, z = (corners[:, a, None] + np.arange(1 << (level - 1)) for a in (1, 2))
         y, z = np.minimum(y, passed.shape[1] - 1), np.minimum(z, passed.shape[0] - 1)
         passed[z[:, :, None], y[:, None, :]] = True
     return np.flatnonzero(passed).astype(np.uint32)
-
-
-def _locate(
-    tree: DeviceOctree, parents: np.ndarray, leaves: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the levels of nodes and their low corners in level-1 cells, (n, 3) int64."""
-    depth = np.searchsorted(tree.offsets, leaves, side="right") - 1
-    level = tree.top - depth
-    codes = np.zeros(len(leaves), np.uint64)
-    node = leaves - tree.offsets[depth]
-    for step in range(int(depth.max())):
-        below = depth > 0  # not at the root yet
-        octant = (node & 7).astype(np.uint64) << np.uint64(3 * step)
-        codes[below] |= octant[below]
-        parent = parents[tree.offsets[depth] + node] & LINK
-        node = np.where(below, parent, node)
-        depth = np.where(below, depth - 1, depth)
-    return level, morton_decode(codes) << (level - 1)[:, None]
 
 
 def _differing_bars(
