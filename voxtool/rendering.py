@@ -23,7 +23,7 @@ from voxtool.job import Cost, Job, one_call
 from voxtool.memory import check_memory
 from voxtool.opencl import Device, default_device
 from voxtool.svo.octree import Octree
-from voxtool.svo.scene import OctreeScene
+from voxtool.svo.raycast import OctreeScene
 from voxtool.tets.scene import VolumeScene
 from voxtool.tets.volume import TetVolume
 

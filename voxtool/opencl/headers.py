@@ -30,7 +30,7 @@ HOMES = {
     "svo/scan.h": "voxtool.svo.scan",
     "svo/surface/case_tables.h": "voxtool.svo.surface.case_tables",
     "svo/surface/dual_case_tables.h": "voxtool.svo.surface.case_tables",
-    "svo/surface/greedy_meshing.h": "voxtool.svo.surface.greedy_meshing",
+    "svo/surface/greedy_meshing.h": "voxtool.svo.surface.triangles",
     "svo/surface/lattice.h": "voxtool.svo.surface.isosurface",
     "tets/integrators.h": "voxtool.tets.integrate",
     "tets/project.h": "voxtool.tets.project",

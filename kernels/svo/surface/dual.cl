@@ -1,5 +1,5 @@
 // Dual surfaces over the cut cells: a vertex for each loop, a quad for each cut edge. Host side:
-// voxtool/svo/surface/dual.py. Options: VOXELS, or SAMPLE, the type of coverages.
+// voxtool/svo/surface/triangles.py. Options: VOXELS, or SAMPLE, the type of coverages.
 
 #include "svo/surface/dual_case_tables.h"
 #include "svo/surface/crossing.h"

@@ -1,5 +1,5 @@
 // Marching cubes [Lorensen 1987] over the cut cells: a vertex for each cut edge, a work-item for
-// each triangle. Host side: voxtool/svo/surface/marching_cubes.py. Options: VOXELS, or SAMPLE, the
+// each triangle. Host side: voxtool/svo/surface/triangles.py. Options: VOXELS, or SAMPLE, the
 // type of coverages.
 
 #include "svo/surface/case_tables.h"

@@ -4,7 +4,7 @@ The stages, on the device [voCCeL, chapter 4 and sections 5.1 and 6.3]:
 
 1. tiles, samples: the cubes that the surface may cross, and the scalars at their corners.
 2. classify: the case of each cut cube.
-3. vertices, triangles: by marching cubes (marching_cubes.py) or by a dual style (dual.py).
+3. vertices, triangles: by marching cubes or by a dual style (triangles.py).
 
 All of it is integer arithmetic: the crossing of an edge is rounded once, to 2**-14 of a sample's
 side, so the mesh is the same on every device.
@@ -32,11 +32,9 @@ from voxtool.svo.surface.cut_cells import (
     find_tiles,
     grow_tree,
 )
-from voxtool.svo.surface.dual import dual_surface, split_quads
-from voxtool.svo.surface.greedy_meshing import join_squares
 from voxtool.svo.surface.isosurface import Isosurface
-from voxtool.svo.surface.marching_cubes import march_cubes
 from voxtool.svo.surface.plan import MAX_SAMPLES, RELAXATIONS, ExtractionPlan, active_tiles
+from voxtool.svo.surface.triangles import dual_surface, join_squares, march_cubes, split_quads
 
 # Shares of the set voxels from which on their loss is a warning: in samples below the isovalue,
 # and, of them, away from the surface.
@@ -164,12 +162,12 @@ class ExtractJob(Job[Isosurface]):
         if plan.style == MARCHING_CUBES:
             points, triangles = march_cubes(tiles, cubes)
         else:
-            points, quads, n = dual_surface(tiles, cubes, plan.style, plan.relaxations)
+            points, quads = dual_surface(tiles, cubes, plan.style, plan.relaxations)
             if plan.merge:
                 with device.stage("merge"):
-                    points, quads, n = join_squares(device, points, quads, n)
+                    points, quads = join_squares(device, points, quads)
             with device.stage("triangles"):
-                triangles = split_quads(tiles, points, quads, n)
+                triangles = split_quads(tiles, points, quads)
         with device.stage("read back"):
             return Isosurface(
                 grid=self.octree.grid,

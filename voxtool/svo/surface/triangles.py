@@ -1,0 +1,141 @@
+"""Triangles of the cubes that the surface of an octree cuts.
+
+Marching cubes: each cut edge has a vertex [Lorensen 1987]. A 5:1 histopyramid over the triangle
+counts of the cubes [voCCeL, section 4.1] gives each triangle a work-item, which finds its cube.
+
+Voxel faces and surface nets are dual: each loop of a cut cube has a vertex, each cut edge a quad
+[Nielson 2004]; case_tables.py says how loops are separated so that the surface is manifold. Voxel
+faces have their vertices in the middle of the cubes, the corners that eight samples share, so quads
+are the faces of samples. Vertices of surface nets [Gibson 1998] begin at the mean of the loop's
+crossings. If samples are voxels, which are only inside or not, they then move towards the mean of
+their neighbours and never leave their cube; coverages need no such relaxation.
+
+Greedy meshing joins coplanar unit squares to rectangles, first in rows, then rows in columns.
+Squares side by side in a row have sorted keys that rise by one; so have rows of equal beginning and
+length in a column. The side of a rectangle may have vertices of others on it: T-junctions.
+
+Kernels: marching_cubes.cl, dual.cl and greedy_meshing.cl in kernels/svo/surface.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from voxtool.choices import SURFACE_NETS
+from voxtool.opencl import Array, Device, program
+from voxtool.opencl.primitives import build_histopyramid, compact, exclusive_scan, radix_sort
+from voxtool.svo.surface.cut_cells import CutCubes, Tiles
+from voxtool.svo.surface.plan import MAX_SAMPLES
+
+CUBES, DUAL, MERGE = (f"svo/surface/{n}.cl" for n in ("marching_cubes", "dual", "greedy_meshing"))
+COORDINATE_BITS = MAX_SAMPLES.bit_length()  # of a corner of a square
+SQUARE_BITS, ROW_BITS = 3 + 3 * COORDINATE_BITS, 3 + 4 * COORDINATE_BITS
+HEADERS = {"svo/surface/greedy_meshing.h": program.c_constants(COORDINATE_BITS=COORDINATE_BITS)}
+
+
+def march_cubes(tiles: Tiles, cubes: CutCubes) -> tuple[Array, Array]:
+    """Return the vertices, (3 V,) int32 as `Isosurface.points`, and the triangles, (3 F,)
+    uint32."""
+    device = tiles.device
+    scene = {**cubes.arguments, "first_vertex": cubes.arguments["first_edge"]}
+    with device.stage("vertices"):
+        points = device.empty(3 * cubes.edges, np.int32)
+        tiles.kernel(CUBES, "place_vertices")(tiles.n, points, **scene)
+    with device.stage("histopyramid"):
+        counts = device.empty(cubes.n, np.uint32)
+        tiles.kernel(CUBES, "count_triangles")(cubes.n, counts, **scene)
+        pyramid = build_histopyramid(counts, cubes.n)
+    with device.stage("triangles"):
+        triangles = device.empty(3 * pyramid.total, np.uint32)
+        polygonise = tiles.kernel(CUBES, "polygonise")
+        polygonise(pyramid.total, triangles, **pyramid.arguments, **scene)
+    return points, triangles
+
+
+def dual_surface(
+    tiles: Tiles, cubes: CutCubes, style: str, relaxations: int
+) -> tuple[Array, Array]:
+    """Return the vertices, (3 V,) int32 as `Isosurface.points`, and the quads, (4 Q,) uint32,
+    counter-clockwise seen from outside."""
+    device, n = tiles.device, cubes.n
+    first_vertex, quad_counts, first_link = (device.empty(n + 1, np.uint32) for _ in range(3))
+    scene = {
+        **cubes.arguments,
+        "resolved": device.empty(n, np.uint16),
+        "first_vertex": first_vertex,
+        "first_link": first_link,
+    }
+    with device.stage("classify"):
+        tiles.kernel(DUAL, "resolve_cases")(n, quad_counts, **scene)
+        vertices = exclusive_scan(first_vertex, n)
+    with device.stage("vertices"):
+        points = device.empty(3 * vertices, np.int32)
+        place = "place_means" if style == SURFACE_NETS else "place_corners"
+        tiles.kernel(DUAL, place)(n, points, **scene)
+    if relaxations:
+        with device.stage("relax"):
+            points = _relax(tiles, points, n, relaxations, scene)
+    with device.stage("histopyramid"):
+        pyramid = build_histopyramid(quad_counts, n)
+    with device.stage("quads"):
+        quads = device.empty(4 * pyramid.total, np.uint32)
+        list_quads = tiles.kernel(DUAL, "list_quads")
+        list_quads(pyramid.total, quads, **pyramid.arguments, **scene)
+    return points, quads
+
+
+def _relax(
+    tiles: Tiles, points: Array, cubes: int, relaxations: int, scene: dict[str, Any]
+) -> Array:
+    """Return the vertices, moved towards the mean of their neighbours in several rounds."""
+    device, vertices = tiles.device, points.size // 3
+    linked = device.empty(exclusive_scan(scene["first_link"], cubes), np.uint32)
+    link_start = device.empty(vertices + 1, np.uint32)
+    tiles.kernel(DUAL, "link_vertices")(cubes, link_start, linked, **scene)
+    moved = device.empty(3 * vertices, np.int32)
+    for _ in range(relaxations):
+        tiles.kernel(DUAL, "relax")(vertices, points, link_start, linked, moved)
+        points, moved = moved, points
+    return points
+
+
+def split_quads(tiles: Tiles, points: Array, quads: Array) -> Array:
+    """Return two triangles for each of (4 Q,) quads, none of zero area, (6 Q,) uint32."""
+    triangles = tiles.device.empty(6 * (quads.size // 4), np.uint32)
+    tiles.kernel(DUAL, "split_quads")(quads.size // 4, quads, points, triangles)
+    return triangles
+
+
+def join_squares(device: Device, points: Array, quads: Array) -> tuple[Array, Array]:
+    """Return the vertices still in use, (3 V,) int32, and the rectangles, (4 R,) uint32, of unit
+    squares, (4 Q,) uint32 vertices, the lowest corner first."""
+    n = quads.size // 4
+    keys, order = device.empty(n, np.uint64), device.empty(n, np.uint32)
+    device.kernel(MERGE, "key_squares")(n, quads, points, keys, order)
+    keys, order = radix_sort(keys, n, SQUARE_BITS, order)
+    row_start, rows = _runs(device, keys, n)
+    row_keys, row_order = device.empty(rows, np.uint64), device.empty(rows, np.uint32)
+    device.kernel(MERGE, "key_rows")(rows, keys, n, row_start, row_keys, row_order)
+    del keys
+    row_keys, row_order = radix_sort(row_keys, rows, ROW_BITS, row_order)
+    column_start, count = _runs(device, row_keys, rows)
+
+    rectangles = device.empty(4 * count, np.uint32)
+    vertices = points.size // 3
+    numbers = device.zeros(vertices + 1, np.uint32)
+    device.kernel(MERGE, "join_rows")(
+        count, column_start, row_keys, row_order, rows, row_start, order, quads, rectangles, numbers
+    )
+    kept = device.empty(3 * exclusive_scan(numbers, vertices), np.int32)
+    device.kernel(MERGE, "keep_points")(vertices, points, numbers, kept)
+    device.kernel(MERGE, "renumber")(4 * count, rectangles, numbers)
+    return kept, rectangles
+
+
+def _runs(device: Device, keys: Array, n: int) -> tuple[Array, int]:
+    """Return the places where runs of keys that rise by one begin, and their number."""
+    flags, places = device.empty(n + 1, np.uint32), device.empty(n, np.uint32)
+    device.kernel(MERGE, "flag_runs")(n, keys, flags, places)
+    return compact(places, flags, n)
