@@ -1,7 +1,10 @@
-"""The base of the data classes: read-only arrays, equality by content, hashing by identity."""
+"""The base of the data classes: read-only arrays, equality by content, hashing by identity; and
+the digests of their content."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -13,6 +16,15 @@ def read_only(array: np.ndarray) -> np.ndarray:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def digest_of(head: dict[str, Any], *arrays: np.ndarray) -> str:
+    """Return the SHA-256 of a head in JSON types and of arrays, in little-endian order. Equal
+    content has an equal digest on every device and platform."""
+    sha = hashlib.sha256(json.dumps(head, sort_keys=True).encode())
+    for array in arrays:
+        sha.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).data)
+    return sha.hexdigest()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -157,6 +157,15 @@ class Grid:
         """World volume of a voxel."""
         return self.pitch[0] * self.pitch[1] * self.pitch[2]
 
+    @property
+    def exact(self) -> dict[str, list[int] | list[str]]:
+        """Shape, origin and pitch without rounding, in JSON types: the grid's part of digests."""
+        return {
+            "shape": list(self.shape),
+            "origin": [v.hex() for v in self.origin],
+            "pitch": [v.hex() for v in self.pitch],
+        }
+
     def window(self, low: Sequence[int], shape: Sequence[int]) -> Grid:
         """Return the grid of the voxels [low, low + shape) of this grid."""
         origin = (o + p * int(n) for o, p, n in zip(self.origin, self.pitch, low, strict=True))

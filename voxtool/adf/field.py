@@ -16,8 +16,6 @@ Distances are float32, in sides of the cube, and negative inside.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -28,7 +26,7 @@ import numpy as np
 from voxtool.adf.cells import JUMP, NO_LEAF, cell_identifier, cell_of, identifier_type, key_of
 from voxtool.adf.host_query import QueryResult, query_on_host
 from voxtool.adf.spatial_hash import SpatialHash
-from voxtool.arrays import Data
+from voxtool.arrays import Data, digest_of
 from voxtool.choices import MAX_LEVEL
 from voxtool.errors import FileError, VoxtoolError
 
@@ -200,11 +198,8 @@ class DistanceField(Data):
             "hash": [self.hash.m, self.hash.r, self.hash.offsets.shape[-1]],
             "bounds": self.bounds is not None,
         }
-        sha = hashlib.sha256(json.dumps(head, sort_keys=True).encode())
         arrays = [self.voxels, self.cells, self.hash.offsets]
-        for array in arrays if self.bounds is None else [*arrays, self.bounds]:
-            sha.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).data)
-        return sha.hexdigest()
+        return digest_of(head, *arrays, *([] if self.bounds is None else [self.bounds]))
 
     def summary(self) -> dict[str, Any]:
         """Counts and sizes in JSON types; origin and side in world units, lengths in sides.

@@ -12,15 +12,14 @@ The structure is that of [voCCeL], figures 3.5 and 5.1.
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import json
+import math
 import operator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.arrays import Data
+from voxtool.arrays import Data, digest_of
 from voxtool.choices import MODES
 from voxtool.errors import GridError, VoxtoolError, human
 from voxtool.grid import Grid
@@ -269,9 +268,7 @@ class Octree(Data):
         The `voxels` of a level are those in its inside leaves or bricks; its `coverage` is the
         fraction of the volume of its nodes that is set.
         """
-        counts = self.count_by_level()
-        levels = []
-        below = 0
+        counts, levels, below = self.count_by_level(), [], 0
         for level in reversed(self.levels()):
             below += counts[level.number]
             levels.append(
@@ -285,26 +282,20 @@ class Octree(Data):
                     "coverage": below / max(len(level.nodes) * level.side**3, 1),
                 }
             )
-        nx, ny, nz = self.grid.shape
-        voxels = sum(counts.values())
+        size = math.prod(self.grid.shape)
         return {
             "dim": self.grid.dim,
-            "depth": self.depth,
-            "mode": self.mode,
-            "fill": self.fill,
-            "shape": list(self.grid.shape),
-            "origin": list(self.grid.origin),
-            "pitch": list(self.grid.pitch),
-            "units": self.units,
-            "source_sha256": self.source_sha256,
-            "voxels": voxels,
-            "occupancy": voxels / (nx * ny * nz),
-            "volume": voxels * self.grid.voxel_volume,
+            **{name: getattr(self, name) for name in ("depth", "mode", "fill")},
+            **{name: list(getattr(self.grid, name)) for name in ("shape", "origin", "pitch")},
+            **{name: getattr(self, name) for name in ("units", "source_sha256")},
+            "voxels": below,
+            "occupancy": below / size,
+            "volume": below * self.grid.voxel_volume,
             "nodes": len(self.nodes),
             "bricks": len(self.bricks),
             "bytes": self.nbytes,
             "bytes_with_x_pointers": self.nbytes + self.nodes.nbytes,
-            "compression": nx * ny * nz / 8 / self.nbytes,
+            "compression": size / 8 / self.nbytes,
             "levels": levels[::-1],
             "plan": self.plan,
         }
@@ -359,17 +350,8 @@ class Octree(Data):
     def digest(self) -> str:
         """Return the SHA-256 of shape, mode, fill, origin, pitch, offsets, nodes and bricks, in
         little-endian order. Equal content has an equal digest on every device and platform."""
-        head = {
-            "shape": list(self.grid.shape),
-            "mode": self.mode,
-            "fill": self.fill,
-            "origin": [v.hex() for v in self.grid.origin],
-            "pitch": [v.hex() for v in self.grid.pitch],
-        }
-        sha = hashlib.sha256(json.dumps(head, sort_keys=True).encode())
-        for array, dtype in ((self.offsets, "<u4"), (self.nodes, NODE), (self.bricks, BRICK)):
-            sha.update(np.ascontiguousarray(array, dtype).data)
-        return sha.hexdigest()
+        head = {**self.grid.exact, "mode": self.mode, "fill": self.fill}
+        return digest_of(head, self.offsets, self.nodes, self.bricks)
 
     def validate(self) -> None:
         """Check every invariant of the structure.

@@ -212,9 +212,7 @@ class VoxelizePlan:
 
     def fits(self, max_memory: int, max_allocation: int) -> bool:
         """True if the work fits in memory and the nodes fit 30-bit links."""
-        cost = self.cost
-        fits = cost.device <= max_memory and cost.largest <= max_allocation
-        return fits and self.nodes < MAX_LINK
+        return not self.cost.shortage(max_memory, max_allocation) and self.nodes < MAX_LINK
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError, which names the largest dim that fits, if the work needs more

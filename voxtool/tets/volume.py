@@ -14,15 +14,13 @@ use.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from voxtool.arrays import Data
+from voxtool.arrays import Data, digest_of
 from voxtool.choices import LAYOUTS
 from voxtool.errors import FileError
 from voxtool.opencl import program
@@ -183,10 +181,7 @@ class TetVolume(Data):
             "constant": self.constant,
             "shapes": {name: array.shape for name, array in self.arrays().items()},
         }
-        sha = hashlib.sha256(json.dumps(head, sort_keys=True).encode())
-        for array in self.arrays().values():
-            sha.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).data)
-        return sha.hexdigest()
+        return digest_of(head, *self.arrays().values())
 
     def block_ranges(self) -> np.ndarray:
         """Return the range of normalised scalars of each block of cells, (ceil(T / 64), 2)."""

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.arrays import Data, read_only
+from voxtool.arrays import Data, digest_of, read_only
 from voxtool.choices import STYLE_ALIASES
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
@@ -141,15 +139,10 @@ class Isosurface(Data):
         """Return the SHA-256 of grid, style, level, isovalue, points and faces, in little-endian
         order. Equal content has an equal digest on every device and platform."""
         head = {
-            "shape": list(self.grid.shape),
-            "origin": [v.hex() for v in self.grid.origin],
-            "pitch": [v.hex() for v in self.grid.pitch],
+            **self.grid.exact,
             "style": next(old for old, style in STYLE_ALIASES.items() if style == self.style),
             "level": self.level,
             "isovalue": self.isovalue.hex(),
             "merged": self.merged,
         }
-        sha = hashlib.sha256(json.dumps(head, sort_keys=True).encode())
-        for array in (self.points, self.faces):
-            sha.update(np.ascontiguousarray(array, "<i4").data)
-        return sha.hexdigest()
+        return digest_of(head, self.points, self.faces)

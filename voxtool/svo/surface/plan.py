@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from voxtool.choices import MARCHING_CUBES, SURFACE_NETS, VOXEL_FACES
-from voxtool.errors import MemoryLimitError, human
+from voxtool.errors import MemoryLimitError
 from voxtool.job import Cost
 from voxtool.svo.layout import BRICK_BYTES
 
@@ -83,9 +83,8 @@ class ExtractionPlan:
 
     def fits(self, max_memory: int, max_allocation: int) -> bool:
         """True if memory and Morton codes suffice."""
-        cost = self.cost
-        fits = cost.device <= max_memory and cost.largest <= max_allocation
-        return fits and self.samples <= MAX_SAMPLES
+        enough = not self.cost.shortage(max_memory, max_allocation)
+        return enough and self.samples <= MAX_SAMPLES
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError, which names the finest level that fits, if the extraction needs
@@ -101,9 +100,8 @@ class ExtractionPlan:
                 f"that are extracted: {hint}"
             )
         raise MemoryLimitError(
-            f"a {self.style} surface of level {self.level} would need "
-            f"{human(self.cost.device)} of memory ({human(self.cost.largest)} in one buffer), "
-            f"of {human(max_memory)} ({human(max_allocation)}) allowed: {hint}; or allow more (see "
+            f"a {self.style} surface of level {self.level} "
+            f"{self.cost.shortage(max_memory, max_allocation)}: {hint}; or allow more (see "
             "--max-memory)"
         )
 
