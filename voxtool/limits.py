@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import sys
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -62,10 +62,36 @@ def address_space() -> int:
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit == resource.RLIM_INFINITY:
         return UNLIMITED
-    taken = 0
+    return max(limit - mapped_memory(), 0)
+
+
+def mapped_memory() -> int:
+    """Bytes of address space that this process has mapped; 0 where the system does not say."""
+    import resource
+
     with suppress(OSError, ValueError), open("/proc/self/statm") as statistics:
-        taken = int(statistics.read().split()[0]) * resource.getpagesize()
-    return max(limit - taken, 0)
+        return int(statistics.read().split()[0]) * resource.getpagesize()
+    return 0
+
+
+@contextmanager
+def bounded_memory(size: int) -> Iterator[None]:
+    """Let this process map at most `size` bytes more while the block runs: a request beyond that is
+    a MemoryError. Only Linux has such a limit; it is one of the process, so threads share it."""
+    if sys.platform != "linux":
+        yield
+        return
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    limit = mapped_memory() + size
+    if soft != resource.RLIM_INFINITY:
+        limit = min(limit, soft)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def processors(root: str = "/") -> int | None:

@@ -83,7 +83,7 @@ def plan_tet(
     ----------
     [TetVol], [Dompierre 1999] for the split into tetrahedra.
     """
-    found = opened(mesh, lambda path: read_unstructured(path, scalar, component))
+    found = opened(mesh, lambda path: read_unstructured(path, scalar, component, max_memory))
     return tets.plan_tet(found, layout, merge_distance, max_memory=max_memory)
 
 

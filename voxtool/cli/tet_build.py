@@ -51,7 +51,7 @@ def command(
 
     run.to(file, options.output_of(file, "tet.h5"), TET_FORMATS)
     with run:
-        mesh = run.stage("read mesh", read_unstructured, file, scalar, component)
+        mesh = run.stage("read mesh", read_unstructured, file, scalar, component, run.max_memory)
         volume = run.job(run.plan(plan_tet, mesh, layout, merge_distance))
         run.write(write_tet, volume)
     size = human(sum(volume.sizes().values()))

@@ -161,7 +161,10 @@ def write_tet(
 
 
 def read_unstructured(
-    path: PathLike, scalar: str | None = None, component: str | int | None = None
+    path: PathLike,
+    scalar: str | None = None,
+    component: str | int | None = None,
+    max_memory: int | None = None,
 ) -> UnstructuredMesh:
     """Read a mesh of volume cells and one of its arrays, through meshio (the extra `tets`).
 
@@ -174,6 +177,8 @@ def read_unstructured(
         the name of an array at points, or else at cells; None takes the only one there is.
     component
         of an array of vectors: "x", "y", "z", a number from 0, or "magnitude".
+    max_memory
+        bytes that reading may take; at most what its declared content needs, and what is free.
 
     Raises
     ------
@@ -183,7 +188,7 @@ def read_unstructured(
     """
     from voxtool.files.unstructured import read
 
-    return read(path, scalar, component)
+    return read(path, scalar, component, max_memory)
 
 
 def read_scene(path: PathLike) -> Octree | DistanceField | TetVolume:

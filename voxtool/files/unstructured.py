@@ -1,27 +1,23 @@
 """Unstructured meshes of volume cells with a scalar, read through meshio (the extra `tets`).
 
-A file is not trusted: XML is scanned before meshio parses it, and whatever meshio raises, prints or
-exits with becomes one line. What the cells and the scalars themselves are is checked by
-voxtool.tets.mesh, which any mesh passes.
+through_meshio.py guards against hostile files. What the cells and the scalars themselves are is
+checked by voxtool.tets.mesh, which any mesh passes.
 """
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import io
 import os
-import warnings
 from math import prod
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any, NoReturn
-from xml.parsers import expat
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.errors import FileError, MeshWarning, printable
+from voxtool.errors import FileError, printable
 from voxtool.files import VOLUME_FORMATS
 from voxtool.files.streams import STREAM, PathLike, read_error
+from voxtool.files.through_meshio import read_mesh
 from voxtool.tets.mesh import UnstructuredMesh
 
 if TYPE_CHECKING:
@@ -29,11 +25,11 @@ if TYPE_CHECKING:
 
 AXES = ("x", "y", "z")
 MAGNITUDE = "magnitude"
-PACKED = 1032  # bytes that one byte of zlib can become
-SCAN = 1 << 20  # bytes of XML at a time
 
 
-def read(path: PathLike, scalar: str | None, component: str | int | None) -> UnstructuredMesh:
+def read(
+    path: PathLike, scalar: str | None, component: str | int | None, max_memory: int | None = None
+) -> UnstructuredMesh:
     """The unstructured mesh of a file and one of its arrays; see voxtool.read_unstructured."""
     if path == STREAM:
         raise FileError("a volume cannot be read from stdin: name a file, such as mesh.vtu")
@@ -41,15 +37,12 @@ def read(path: PathLike, scalar: str | None, component: str | int | None) -> Uns
     name = printable(PurePath(path).name)
     try:
         with open(path, "rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            if not size:
+            if not os.fstat(file.fileno()).st_size:
                 raise FileError(f"{name} is empty")
             kind = _kind(name, file)
-            if kind == "vtu":
-                _scan_xml(name, file, size)
             file.seek(0)
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-        found = _through_meshio(name, path, kind)
+        found = read_mesh(name, path, kind, max_memory)
     except OSError as error:
         raise read_error(name, error) from error
     points = np.asarray(found.points, np.float64)
@@ -125,86 +118,3 @@ def _scalars(
         return [np.sqrt(sum(column * column for column in array.T)) for array in rows], label
     column = AXES.index(component) if component in AXES else int(component)
     return [array[:, column] if len(array) else array[:, 0] for array in rows], label
-
-
-# ---- meshio
-
-
-def _through_meshio(name: str, path: str, kind: str) -> Any:
-    """The mesh as meshio reads it; its messages become warnings."""
-    try:
-        import meshio
-    except ImportError:
-        raise FileError(
-            f"{name}: meshio reads it, which is not installed: pip install 'voxtool[tets]'"
-        ) from None
-    printed, warned = io.StringIO(), io.StringIO()
-    try:
-        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(warned):
-            read = meshio.read(path, file_format=kind)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # it prints why, and exits
-        reason = printed.getvalue() if isinstance(error, SystemExit) else f"{error}"
-        reason = printable(" ".join(reason.split()))[:200]
-        raise FileError(
-            f"{name}: meshio cannot read it as {kind}{reason and ': '}{reason}: it may be damaged, "
-            "or have cells that meshio does not know: export it again"
-        ) from None
-    for line in filter(None, warned.getvalue().split("\n\n")):
-        text = printable(" ".join(line.split()))
-        warnings.warn(f"{name}: {text}", MeshWarning, stacklevel=4)
-    return read
-
-
-# ---- XML
-
-
-class _Scanned(Exception):
-    """Raised when the needed part of an XML file has been parsed."""
-
-
-def _scan_xml(name: str, file: BinaryIO, size: int) -> None:
-    """Refuse a .vtu with a document type, entities, more points or cells than its bytes can hold,
-    or several pieces, of which meshio would read one."""
-    pieces: list[dict[str, str]] = []
-    packed = False
-
-    def doctype(*_: object) -> NoReturn:
-        raise FileError(f"{name}: declares a document type or entities, which no .vtu needs")
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal packed
-        if tag == "AppendedData":  # what follows may be no XML
-            raise _Scanned
-        if tag == "VTKFile":
-            packed = "compressor" in attributes
-        if tag == "Piece":
-            pieces.append(attributes)
-
-    parser = expat.ParserCreate()
-    parser.StartDoctypeDeclHandler = doctype
-    parser.EntityDeclHandler = doctype
-    parser.StartElementHandler = start
-    file.seek(0)
-    try:
-        for chunk in iter(lambda: file.read(SCAN), b""):
-            parser.Parse(chunk)
-        parser.Parse(b"", True)
-    except _Scanned:
-        pass
-    except expat.ExpatError as error:
-        raise FileError(f"{name}: damaged XML: {error}: export it again") from None
-    if len(pieces) > 1:
-        raise FileError(
-            f"{name}: has {len(pieces)} pieces, of which meshio would read the cells of one: merge "
-            "them"
-        )
-    for piece in pieces:
-        for what in ("NumberOfPoints", "NumberOfCells"):
-            count = piece.get(what, "")
-            if not count.isdecimal() or int(count) > size * (PACKED if packed else 1):
-                raise FileError(
-                    f"{name}: {what}={printable(count)[:40]!r} is no number that {size} bytes "
-                    "hold: the file is damaged"
-                )
