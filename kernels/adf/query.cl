@@ -4,8 +4,6 @@
 // consecutive points and advances as soon as its own search ends. Points are padded to whole
 // work-groups. Options, in addition to those of search.h:
 
-#pragma OPENCL FP_CONTRACT OFF
-
 #include "adf/query.h"
 #include "adf/search.h"
 

@@ -8,8 +8,6 @@
 // Lengths along a ray are float64. Integers that never decrease select the next leaf, so every ray
 // terminates. Options: OFFSET, W and WIDE of search.h.
 
-#pragma OPENCL FP_CONTRACT OFF
-
 #define LANES 1
 #define BATCH 1
 #include "adf/raycast.h"

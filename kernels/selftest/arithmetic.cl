@@ -1,8 +1,6 @@
 // The arithmetic that everything else uses, one value a work-item. Host side: voxtool/selftest/arithmetic.py.
 // Options: REAL, float or double.
 
-#pragma OPENCL FP_CONTRACT OFF
-
 // results: sum, difference, product, quotient, root, a b + c and a b + b c + c a, n of each.
 __kernel void compute(__global const REAL *as, __global const REAL *bs, __global const REAL *cs,
                       const uint n, __global REAL *results)

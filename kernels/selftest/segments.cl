@@ -2,8 +2,6 @@
 
 #include "tets/segment.h"
 
-#pragma OPENCL FP_CONTRACT OFF
-
 // What segments of optical depths a and b at their ends weigh and let through.
 __kernel void weigh(__global const float *a, __global const float *b, __global float *w_f,
                     __global float *w_b, __global float *zeta)

@@ -1,7 +1,5 @@
 #include "spatial/arctangent.h"
 
-#pragma OPENCL FP_CONTRACT OFF
-
 // The angle of each vector (x, y) from the x axis, in [-PI, PI]; 0 where y is 0, whatever x. Host
 // side: voxtool/spatial/pseudonormals.py.
 double4 angle_of(double4 y, double4 x)

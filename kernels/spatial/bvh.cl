@@ -4,8 +4,6 @@
 #include "spatial/hilbert.h"
 #include "spatial/names.h"
 
-#pragma OPENCL FP_CONTRACT OFF
-
 double product(double3 a, double3 b)
 {
     return a.x * b.x + a.y * b.y + a.z * b.z;

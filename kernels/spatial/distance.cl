@@ -7,8 +7,6 @@
 #include "spatial/hilbert.h"
 #include "spatial/names.h"
 
-#pragma OPENCL FP_CONTRACT OFF
-
 #define LANES double4 // one lane per triangle of a leaf: LEAF
 #define MASKS long4
 #include "spatial/point_triangle.h"

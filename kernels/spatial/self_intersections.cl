@@ -3,8 +3,6 @@
 #include "spatial/bvh.h"
 #include "spatial/names.h"
 
-#pragma OPENCL FP_CONTRACT OFF
-
 #define STACK ((ARITY - 1) * MAX_LEVELS + 1)
 #define GAP 0x1p-46 // exceeds the rounding error of a product with a unit vector
 

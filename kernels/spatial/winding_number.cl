@@ -6,8 +6,6 @@
 // xxy, xxz, yyx, yyz, zzx, zzy, xyz. Only the harmonic parts affect the result, so only these are
 // kept.
 
-#pragma OPENCL FP_CONTRACT OFF
-
 #include "spatial/angles.h"
 #include "spatial/solid_angles.h"
 

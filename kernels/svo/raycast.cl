@@ -16,8 +16,6 @@
 #include "svo/octree.h"
 #include "svo/raycast.h"
 
-#pragma OPENCL FP_CONTRACT OFF
-
 #define BRICK 2        // k of a brick
 #define LEVELS 17      // k of a root is 16 at most
 #define STILL 1e-30    // speed along an axis below which a ray stays in its layer of voxels

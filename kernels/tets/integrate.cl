@@ -5,8 +5,6 @@
 #include "tets/integrators.h"
 #include "tets/transfer.h"
 
-#pragma OPENCL FP_CONTRACT OFF
-
 // One work-item an entry of the table, SCALARS x SCALARS x LENGTHS of red, green, blue, premultiplied,
 // and alpha: of the scalar in front, behind, and the length up to `longest`, the last changing fastest.
 __kernel void preintegrate(__global const float *points, __global const float *rows, const int count,

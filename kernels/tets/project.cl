@@ -14,8 +14,6 @@
 #include "tets/integrate.h"
 #include "tets/rays.h"
 
-#pragma OPENCL FP_CONTRACT OFF
-
 // A cell's record: for each face (a, b, c, side), the function a x + b y + c; the scalar on the ray, as in
 // view.cl; and the depths of its nearest and farthest vertex, its columns and its rows.
 #define PARTS (FACES + 2)

@@ -10,12 +10,9 @@
 #include "tets/volume.h"
 #include "tets/integrators.h"
 #include "tets/raycast.h"
-// depth.h comes before segment.h, which turns contraction off: golden digests depend on this order
 #include "tets/depth.h"
 #include "tets/integrate.h"
 #include "tets/rays.h"
-
-#pragma OPENCL FP_CONTRACT OFF
 
 #define WORDS (4 * (SLOTS + 1)) // of a record
 

@@ -18,8 +18,6 @@
 
 #include "lanes.h"
 
-#pragma OPENCL FP_CONTRACT OFF
-
 #define TINY 1e-30f // less counts as 0
 #define SHORT 0.25f
 #define LONG 4.0f

@@ -5,8 +5,6 @@
 
 #include "tets/volume.h"
 
-#pragma OPENCL FP_CONTRACT OFF
-
 #define CORNERS (FACES == 4 ? 4 : 8) // of a cell
 #define SIDES (FACES == 4 ? 3 : 4)   // of a face
 

@@ -14,7 +14,11 @@ from helpers_cli import ENVIRONMENT, MODULE
 from voxtool import open_device
 from voxtool.files.atomic import atomic_path
 
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="processes of POSIX")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(os.name == "nt", reason="processes of POSIX"),
+]
+DRIVERS = ["Intel", "Portable"]
 
 CUBE = """v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"""
 # A command that stops in the middle of writing its output, with the program's own beginning.
@@ -40,10 +44,10 @@ def cube(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def half_written(then: str) -> subprocess.Popen[bytes]:
+def half_written(then: str, device: str) -> subprocess.Popen[bytes]:
     child = subprocess.Popen(
         [sys.executable, "-c", HALF.format(then=then)],
-        env=ENVIRONMENT,
+        env={**ENVIRONMENT, "VOXTOOL_DEVICE": device},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )
@@ -63,9 +67,10 @@ def shell(command: str, **environment: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.parametrize("device", DRIVERS)
 @pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143), ("SIGHUP", 129)])
-def test_a_signal_ends_the_command_with_one_line_and_no_file(name: str, code: int, cube) -> None:
-    with half_written("time.sleep(60)") as child:
+def test_a_signal_ends_the_command_with_one_line_and_no_file(name, code, device, cube) -> None:
+    with half_written("time.sleep(60)", device) as child:
         child.send_signal(getattr(signal, name))
         out, error = child.communicate(timeout=20)
     assert (child.returncode, out, error) == (code, b"", f"voxtool: ended by {name}\n".encode())
@@ -91,14 +96,15 @@ def test_a_signal_during_imports_gives_no_traceback(number: signal.Signals, cube
         assert child.returncode == 128 + number
 
 
+@pytest.mark.parametrize("device", DRIVERS)
 @pytest.mark.parametrize("then", ["os.abort()", "os.kill(os.getpid(), 9)"])
-def test_a_crash_is_one_line_that_names_the_device_and_leaves_no_file(then: str, cube) -> None:
-    with half_written(then) as child:
+def test_a_crash_is_one_line_that_names_the_device_and_leaves_no_file(then, device, cube) -> None:
+    with half_written(then, device) as child:
         error = child.communicate(timeout=20)[1].decode()
     assert child.returncode < 0
     line = error.splitlines()[-1]  # a driver may print its own before
     assert line.startswith("voxtool: error: the command ended without a result")
-    assert f"the driver of {open_device().info.name} (" in line
+    assert f"the driver of {open_device(device).info.name} (" in line
     assert os.listdir() == ["cube.obj"]
 
 
@@ -146,7 +152,30 @@ def test_closed_and_full_streams(command: str, code: int, said: str, cube) -> No
     assert said in done.stderr
 
 
-@pytest.mark.parametrize("device", ["Intel", "Portable"])
+@pytest.mark.parametrize("device", DRIVERS)
+@pytest.mark.parametrize(
+    ("limit", "target", "said"),
+    [
+        (
+            "ulimit -f 2",
+            "a.svo.h5",
+            "cannot write a.svo.h5: the file would be larger than its disk",
+        ),
+        ("true", "/proc/a.svo.h5", "cannot write /proc/a.svo.h5"),
+        ("true", "/dev/full --format svo.h5", "cannot write /dev/full: the disk is full"),
+    ],
+)
+def test_an_output_that_cannot_be_written(limit, target, said, device, cube) -> None:
+    done = shell(f"{limit}; $V voxelize cube.obj --dim 16 -q -o {target} --device {device}")
+    line = done.stderr.splitlines()[-1]  # a driver may print its own before
+    if device == "Portable" and "ulimit" in limit:  # LLVM cannot write its files: it calls exit
+        assert f"the driver of {open_device(device).info.name} (" in line
+    else:
+        assert (done.returncode, said in line) == (3, True), done.stderr
+    assert os.listdir() == ["cube.obj"]
+
+
+@pytest.mark.parametrize("device", DRIVERS)
 def test_without_a_cache_folder_there_is_one_warning(device: str, cube) -> None:
     command = f"$V voxelize cube.obj --dim 16 --device {device} -o a.svo.h5"
     done = shell(command, XDG_CACHE_HOME="/proc/none", HOME="/proc/none")
@@ -181,7 +210,7 @@ def test_a_cache_that_others_can_write_to_is_not_used(cube) -> None:
     assert not os.listdir(cube / "cache/voxtool")
 
 
-@pytest.mark.parametrize("device", ["Intel", "Portable"])
+@pytest.mark.parametrize("device", DRIVERS)
 @pytest.mark.parametrize("limit", [200_000, 500_000, 700_000, 900_000])
 def test_too_little_address_space_is_one_line(limit: int, device: str, cube) -> None:
     """Or a result, or nothing but the line of an allocation in a driver that ends the process."""

@@ -117,6 +117,7 @@ def test_every_kernel_includes_only_what_there_is() -> None:
     for source in sources:
         text = program.flatten(source)
         assert "#include" not in text
+        assert text.startswith("#pragma OPENCL FP_CONTRACT OFF\n")
         for path in folder.rglob("*.h"):
             for line in path.read_text(encoding="utf-8").splitlines():
                 if line.startswith(("typedef ", "bool ", "uint ", "ulong ")) and line.endswith(")"):

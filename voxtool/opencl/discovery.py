@@ -90,11 +90,11 @@ def open_device(choice: str | None = None, *, profile: bool = False) -> Device:
         raise DeviceError(f"no OpenCL device matches {choice!r}: choose one of {names}")
     failures = []
     for info in matching:
+        watch.using(f"{info.name} ({info.platform})")
         outcome = _probe(devices[info.index])
         if outcome == "ok":
             for failure in failures:
                 warnings.warn(f"passed over {failure}", DeviceWarning, stacklevel=2)
-            watch.using(f"{info.name} ({info.platform})")
             return Device(devices[info.index], info, profile)
         failures.append(f"{info.name} ({info.platform}), probe {outcome}")
     raise no_usable_device(failures)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 _INCLUDE = re.compile(r'^#include "([^"]+)"$', re.MULTILINE)
 _C_TYPES = {"<u4": "uint", "<i4": "int", "<u8": "ulong", "<i8": "long", "|u1": "uchar"}
 OPTIONS = ["-cl-std=CL1.2"]
+PREAMBLE = "#pragma OPENCL FP_CONTRACT OFF"  # a * b + c is rounded twice on every device
 ROUNDED = "-cl-fp32-correctly-rounded-divide-sqrt"  # float32, where a device offers it
 
 
@@ -62,7 +63,7 @@ def flatten(source: str, folder: Path | None = None) -> str:
                 lines.append(f'#line {number + 1} "{label(name)}"')
         return "\n".join(lines)
 
-    return f'#line 1 "{label(source)}"\n{read(source)}\n'
+    return f'{PREAMBLE}\n#line 1 "{label(source)}"\n{read(source)}\n'
 
 
 _change: ContextVar[Callable[[str], str] | None] = ContextVar("change", default=None)

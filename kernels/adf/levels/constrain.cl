@@ -1,8 +1,6 @@
 // Continuity across levels: blocks take the values of coarser leaves on shared faces and edges.
 // Host side: voxtool/adf/levels.py.
 
-#pragma OPENCL FP_CONTRACT OFF
-
 #include "adf/levels/level.h"
 
 uint3 octant(uint child)

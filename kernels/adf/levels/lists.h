@@ -13,8 +13,6 @@
 #include "spatial/names.h"
 #include "morton_bits.h"
 
-#pragma OPENCL FP_CONTRACT OFF
-
 #define LANES double8 // one point per lane
 #define MASKS long8
 #include "spatial/point_triangle.h"

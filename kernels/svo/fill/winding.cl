@@ -1,8 +1,6 @@
 // Winding numbers near holes: bounds for blocks of voxels, and numbers at voxels. Host side:
 // voxtool/svo/fill/winding.py. Options: CODE=ulong, WIDE.
 
-#pragma OPENCL FP_CONTRACT OFF
-
 #include "svo/octree.h"
 #include "svo/fill/crossings.h"
 #include "svo/fill/winding.h"
