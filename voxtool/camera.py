@@ -26,6 +26,9 @@ FOV = 30.0  # degrees
 MARGIN = 1.02  # of a named view, around the sphere about the box
 FRAME = 1.04  # around what fills a picture
 MAX_SIDE = 32768  # pixels along a side of a picture
+MOST = 2.0**900  # coordinates whose sums and quotients of picture sizes stay in float64
+REACH = 2.0**40  # units of the content that the eye may be away
+PIXELS = 2.0**-50, 2.0**50  # units of the content that a pixel of parallel rays may have
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +74,26 @@ class Rays(Data):
         """Return the same rays in coordinates (world − origin) / scale; depths scale with them.
 
         Orthographic rays begin nearest to that origin, so that depths are small numbers.
+
+        Raises
+        ------
+        VoxtoolError
+            If the eye is so far away, or parallel rays are so near or far from each other, that
+            rounding in these coordinates would show.
         """
+        if not 2 * _size(self.origin / 2 - np.asarray(origin) / 2) <= REACH * scale:
+            raise VoxtoolError(
+                f"eye {triple(self.origin)} is more than {REACH * scale:.2g} units away from the "
+                "content: choose a nearer --eye"
+            )
+        steps = _size(self.right), _size(self.down)
+        low, high = (scale * bound for bound in PIXELS)
+        if not (self.perspective or low <= min(steps) <= max(steps) <= high):
+            side = min(self.size)
+            raise VoxtoolError(
+                f"a picture {side * min(steps):g} units high: for this content choose a --height "
+                f"from {side * low:.2g} to {side * high:.2g}"
+            )
         start = (self.origin - np.asarray(origin, np.float64)) / scale
         if self.perspective:
             return replace(self, origin=start)
@@ -93,7 +115,7 @@ class Rays(Data):
         depth = dot(arms, self.direction) if self.perspective else np.ones(len(arms))
         arms, depth = arms[depth > 0], depth[depth > 0]
         for side, step in zip(self.size, (self.right, self.down), strict=True):
-            across = dot(arms, step) / dot(step, step) / depth
+            across = _steps(arms, step) / depth
             if not ((across <= side / 2).any() and (across >= -side / 2).any()):
                 return False
         return True
@@ -142,9 +164,11 @@ class Camera:
         """
         if view not in VIEWS:
             raise VoxtoolError(f"view {view!r} is unknown: choose {', '.join(VIEWS)}")
-        low, high = np.asarray(low, np.float64), np.asarray(high, np.float64)
+        low, high = _place(low, "content"), _place(high, "content")
         centre = low / 2 + high / 2
         radius = MARGIN * _size(high / 2 - low / 2) or 1.0
+        if radius < 1 / MOST:
+            raise VoxtoolError(f"content of {radius:g} units is too small to draw: scale it up")
         upward = _direction(up, "up")
         front = np.array([0.0, 0.0, 1.0] if abs(upward[2]) < 0.9 else [0.0, -1.0, 0.0])
         front = _direction(front - dot(front, upward) * upward, "up")
@@ -164,7 +188,7 @@ class Camera:
         if not math.isfinite(degrees):
             raise VoxtoolError(f"a turn of {degrees} degrees: give a finite angle")
         axis = _direction(self.up, "up")
-        arm = np.array(self.eye) - np.array(self.target)
+        arm = _place(self.eye, "eye") - _place(self.target, "target")
         along = dot(arm, axis) * axis
         across = arm - along
         s, c = sine(degrees), sine(90 - degrees % 360)
@@ -184,7 +208,7 @@ class Camera:
         distance, shift = 0.0, np.zeros(3)
         for side, step in zip(rays.size, (rays.right, rays.down), strict=True):
             half = side / 2 / FRAME
-            across = dot(arms, step) / dot(step, step)
+            across = _steps(arms, step)
             ends = float((across - half * depth).max()), float((-across - half * depth).max())
             distance = max(distance, (ends[0] + ends[1]) / 2 / half)
             shift = shift + (ends[0] - ends[1]) / 2 * step
@@ -205,9 +229,7 @@ class Camera:
             If a size, an angle or a direction makes no picture.
         """
         check_size(width, height)
-        eye, target = np.array(self.eye, np.float64), np.array(self.target, np.float64)
-        if not (np.isfinite(eye).all() and np.isfinite(target).all()):
-            raise VoxtoolError("the camera's eye and target must be finite numbers")
+        eye, target = _place(self.eye, "eye"), _place(self.target, "target")
         direction = _direction(target - eye, "the way from eye to target")
         right = cross(direction, _direction(self.up, "up"))
         if _size(right) < 1e-9:
@@ -252,6 +274,23 @@ def _half(fov: float) -> float:
     if not 0.01 <= fov <= 170:
         raise VoxtoolError(f"a field of view of {fov} degrees: choose 0.01 to 170")
     return fov / 2
+
+
+def _place(point: Sequence[float] | np.ndarray, what: str) -> np.ndarray:
+    """Return a point as float64, or raise VoxtoolError if it is not finite or beyond MOST."""
+    point = np.array(point, np.float64)
+    if not (np.abs(point) <= MOST).all():
+        raise VoxtoolError(
+            f"{what} at {triple(point)}: coordinates must be finite numbers up to {MOST:.0e}"
+        )
+    return point
+
+
+def _steps(arms: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Return (N, 3) arms along a step, in steps, (N,); a power of two keeps its square in range."""
+    scale = 2.0 ** -math.frexp(_size(step))[1]
+    step = scale * step
+    return dot(arms, step) / dot(step, step) * scale
 
 
 def _size(v: np.ndarray) -> float:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 FIXED_POINT_BITS = 8  # a voxel is 2**8 units of the fixed-point lattice
 FIXED_POINT_LIMIT = (1 << 30) - 1  # units; differences of coordinates fit 32 bits
 DEFAULT_MARGIN = 4
+MOST = 1e90  # extent; volumes are in the range of float64
+LEAST_PITCH = 1e-95  # of an extent of 1 / MOST
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,7 @@ class Grid:
     origin : (3,) tuple of float
         World coordinates of the low corner of voxel (0, 0, 0).
     pitch : (3,) tuple of float
-        World size of a voxel along x, y and z, positive.
+        World size of a voxel along x, y and z, from 1e-95 to 1e90.
 
     Raises
     ------
@@ -60,8 +62,10 @@ class Grid:
             )
         if not all(map(math.isfinite, self.origin)):
             raise GridError(f"grid origin {self.origin} is not finite")
-        if not all(math.isfinite(p) and p > 0 for p in self.pitch):
-            raise GridError(f"voxel size {self.pitch} is not positive and finite")
+        if not all(LEAST_PITCH <= p <= MOST for p in self.pitch):
+            raise GridError(
+                f"voxel size {self.pitch} is not positive, from {LEAST_PITCH:g} to {MOST:g}"
+            )
 
     @classmethod
     def fit(
@@ -117,9 +121,10 @@ class Grid:
         with np.errstate(over="ignore"):
             extent = high - low
         longest = float(extent.max())
-        if not math.isfinite(longest):
+        if not 1 / MOST <= longest <= MOST:
             raise GridError(
-                "the size of the mesh exceeds the range of floating point: scale it down"
+                f"{mesh.name or 'mesh'}: an extent of {longest:g} is not within 1e±90, where "
+                "volumes can be computed: scale the mesh"
             )
         if fit == "stretch":
             if dim is None or bbox is not None or margin is not None:
@@ -229,10 +234,7 @@ def _pitch_for(dim: int, margin: int | None, longest: float) -> tuple[float, int
             f"margin {margin} on both sides leaves no voxel of dim {dim}: choose at most "
             f"{(dim - 1) // 2}"
         )
-    pitch = longest / inner
-    if not pitch > 0:
-        raise GridError("the mesh is so small that a voxel has no size: scale it up")
-    return pitch, margin
+    return longest / inner, margin
 
 
 def _shape_for(pitch: float, margin: int | None, extent: np.ndarray) -> tuple[np.ndarray, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ from voxtool.mesh.topology import (
 )
 from voxtool.opencl import Device, default_device
 from voxtool.report_text import counted, lines
-from voxtool.spatial.bvh import build_tree
+from voxtool.spatial.bvh import Frame, build_tree
 from voxtool.spatial.nesting import nest
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.svo.compare import count_differences, leaking_rows
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 RULES = tuple(fill for fill in FILLS if fill != "auto")
 STAGES = ("topology", "self-intersections", "nesting", *RULES)
 
+MAX_EXPONENT = 250  # of an extent: squares of areas, and cubes of lengths, are in float64
 FLAT = 1e-12  # a shell is flat if its volume is less than this times its longest side cubed
 FEW = 10  # if winding sets this many times fewer voxels than flood, faces define no inside
 LISTED = 1000  # faces, edges or rows in a list
@@ -153,6 +154,7 @@ def diagnose(
     progress: Callable[[str], None] | None = None,
 ) -> Report:
     """Report what is wrong with a mesh, where, and what to do about it; see voxtool.diagnose."""
+    Frame.of(mesh, MAX_EXPONENT)
     grid = grid or Grid.fit(mesh, DEFAULT_DIM)
     device = device or default_device()
     enter = progress or (lambda _: None)
@@ -200,7 +202,7 @@ def _self_intersecting(
 ) -> np.ndarray:
     """Return which faces others intersect, (F,) bool; duplicate faces do not count."""
     intersecting = np.zeros(len(mesh.faces), bool)
-    distinct = Mesh(mesh.vertices, mesh.faces[~repeated])
+    distinct = replace(mesh, faces=mesh.faces[~repeated])
     tree = build_tree(device, distinct, flat[~repeated].astype(np.uint8))
     intersecting[~repeated] = find_self_intersections(device, distinct, tree)
     return intersecting

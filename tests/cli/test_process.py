@@ -142,6 +142,7 @@ def test_leftovers_of_dead_processes_go_when_the_target_is_written_again(cube) -
         ("$V svo-info a.svo.h5 2>&-", 0, ""),
         ("$V svo-info none.svo.h5 2>&-", 3, ""),
         ("$V voxelize cube.obj --dim 16 -o b.svo.h5 <&- >&- 2>&-", 0, ""),
+        ("ulimit -f 2000; $V render a.svo.h5 --float -o b.npy", 3, "cannot write b.npy: the file"),
     ],
 )
 def test_closed_and_full_streams(command: str, code: int, said: str, cube) -> None:

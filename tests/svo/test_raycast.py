@@ -434,8 +434,11 @@ def test_unknown_levels_and_colours(device: Device, request_):
 
 def test_far_eyes(device: Device):
     octree = placed(octree_from_dense(ball((16, 16, 16))), (0, 0, 0), (1e-9, 1e-9, 1e-9))
-    assert not cast(octree, Camera((0, 0, 1e290), (0, 0, 2e290)).rays(4, 4), device=device).any()
-    distant = cast(octree, Camera((0, 0, 1e20), (8e-9, 8e-9, 8e-9)).rays(1, 1), device=device)
-    assert np.isfinite(distant).all()
-    with pytest.raises(VoxtoolError, match="choose an eye that is nearer"):
-        cast(octree, Camera((0, 0, 1e305), (0, 0, 1)).rays(4, 4), device=device)
+    middle = (8e-9, 8e-9, 8e-9)
+    assert not cast(octree, Camera((0, 0, 1e3), (0, 0, 2e3)).rays(4, 4), device=device).any()
+    assert cast(octree, Camera((8e-9, 8e-9, 1e3), middle).rays(1, 1), device=device).all()
+    for far in (1e4, 1e20, 1e270):
+        with pytest.raises(VoxtoolError, match="choose a nearer --eye"):
+            cast(octree, Camera((0, 0, far), middle).rays(4, 4), device=device)
+    with pytest.raises(VoxtoolError, match=r"eye at .*1e.305.*: coordinates must be finite"):
+        Camera((0, 0, 1e305), middle).rays(4, 4)

@@ -158,7 +158,8 @@ class DistanceField(Data):
         Outside the cube the distance is sqrt(g^2 + max(|d| - e, 0)^2), where g is the distance to
         the cube, d the field's value at the nearest point of the cube, and e its bound, or without
         bounds (sqrt(3) / 2) of the leaf's edge. As the mesh is inside the cube, the exact distance
-        is at least that. The gradient is that of this expression.
+        is at least that. The gradient is that of this expression. At infinity the distance is
+        infinite and the gradient its limit along a ray, where finite coordinates count as 0.
 
         Parameters
         ----------

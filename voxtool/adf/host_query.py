@@ -174,6 +174,9 @@ def extend(
         beyond = np.where(u < 0, u, np.where(u > 1, u - 1, 0.0))
         near = np.abs(distance.astype(np.float64)) - bound
         near = np.where(near > 0, near, 0.0)
+        infinite = np.isinf(beyond)
+        endless = infinite.any(axis=1)  # the limit along a ray: only infinite coordinates count
+        beyond[endless], near[endless] = np.copysign(infinite, beyond)[endless], 0.0
         exponent = np.frexp(np.abs(beyond).max(axis=1))[1]  # squares of large ones overflow
         x, y, z = np.ldexp(beyond.T, -exponent)
         part = np.ldexp(near, -exponent)
@@ -181,7 +184,7 @@ def extend(
         inward = np.where(distance < 0, -near, near)[:, None]
         steep = np.where(beyond != 0, beyond, inward * slope) / total[:, None]
     lost = np.flatnonzero(np.isnan(outer).any(axis=1))
-    total[lost], steep[lost] = np.nan, np.nan
+    total[endless], total[lost], steep[lost] = np.inf, np.nan, np.nan
     result.distance[which] = total * field.side
     if result.gradient is not None:
         result.gradient[which] = steep

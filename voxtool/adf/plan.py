@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from voxtool.adf.field import FAR
 from voxtool.choices import DEFAULT_MAX_LEVEL, DEFAULT_TOLERANCE, MAX_LEVEL, SIGNS
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
 from voxtool.job import Cost
@@ -48,12 +49,12 @@ class FieldPlan:
     items: int = 0
 
     def __post_init__(self) -> None:
-        if not 0 <= self.tolerance < math.inf:
-            raise VoxtoolError(f"tolerance {self.tolerance:g}: give a length from 0 on")
+        if not 0 <= self.tolerance <= FAR:
+            raise VoxtoolError(f"tolerance {self.tolerance:g}: give 0 to {FAR:g} sides of the cube")
         if not 1 <= self.max_level <= MAX_LEVEL:
             raise VoxtoolError(f"max level {self.max_level}: choose 1 to {MAX_LEVEL}")
-        if not self.band >= 0:
-            raise VoxtoolError(f"band {self.band:g}: give a length from 0 on")
+        if not (0 <= self.band <= FAR or self.band == math.inf):
+            raise VoxtoolError(f"band {self.band:g}: give 0 to {FAR:g} sides of the cube, or inf")
         if self.sign and self.sign not in SIGNS:
             raise VoxtoolError(f"sign {self.sign!r}: choose one of {', '.join(SIGNS)}")
         if self.max_bytes is not None and self.max_bytes < BLOCK_BYTES:

@@ -53,7 +53,7 @@ def cast(scene: FieldScene, rays: Rays, device: Device) -> np.ndarray:
     the next picture.
     """
     field = scene.content
-    shown = min(max(checked_offset(field, scene.offset) / field.side, -FAR), FAR)
+    shown = local_offset(field, scene.offset)
     leaps = device.keep(field, "leaps", len(field.blocks), lambda: _leaps(field, device))
     local = rays.local(field.origin, field.side)
     camera = np.concatenate([local.origin, local.direction, local.right, local.down])
@@ -96,6 +96,11 @@ def checked_offset(field: DistanceField, offset: float) -> float:
     if not math.isfinite(offset):
         raise VoxtoolError(f"an offset of {offset}: give a finite distance")
     return offset or (least_shown(field) if field.sign == "none" else 0.0)
+
+
+def local_offset(field: DistanceField, offset: float) -> float:
+    """Return the distance drawn for an offset, in sides; at most FAR, where there is no surface."""
+    return min(max(checked_offset(field, offset) / field.side, -FAR), FAR)
 
 
 def least_shown(field: DistanceField) -> float:

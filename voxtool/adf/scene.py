@@ -11,7 +11,7 @@ import numpy as np
 
 from voxtool.adf.cells import cell_of, half_diagonals
 from voxtool.adf.field import DistanceField
-from voxtool.adf.raycast import COLOUR, cast, checked_offset
+from voxtool.adf.raycast import COLOUR, cast, checked_offset, local_offset
 from voxtool.camera import Rays, box_corners, checked_colour
 from voxtool.opencl import Device
 
@@ -61,7 +61,7 @@ class FieldScene:
         """Return points whose convex hull contains the surface, (N, 3) float64, world units: the
         corners of the leaves that it crosses, or of coarser cells that it may cross."""
         field = self.content
-        offset = checked_offset(field, self.offset) / field.side
+        offset = local_offset(field, self.offset)
         every = field.blocks.astype(np.uint64)  # ascending
         count = int(np.searchsorted(every, 8**FINEST_LEVEL))  # of those above that level
         blocks, voxels = every[:count], field.voxels[:count]

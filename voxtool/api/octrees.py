@@ -225,7 +225,7 @@ def diagnose(
     Raises
     ------
     MeshError
-        If the mesh cannot be read, or its extent is beyond 2^±500.
+        If the mesh cannot be read, or its extent is beyond 2^±250.
     DeviceError
         If there is no device, or it has no double precision.
     """

@@ -142,7 +142,7 @@ def command(
             shown = options_of(content, file, request)
             camera = camera_for(content, size=size, **camera_options(request), **shown)
             job = run.plan(plan_render, content, camera, size=size, samples=samples, **shown)
-        drawn = run.job(job)
+            drawn = run.job(job)
         picture = with_legend(drawn, job, paper) if request["legend"] else drawn
         run.write(write_picture, picture, bits=depth, background=paper)
     hit = float((drawn[..., 3] != 0).mean())

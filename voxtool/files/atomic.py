@@ -12,6 +12,7 @@ import hashlib
 import os
 import secrets
 import shutil
+import signal
 import socket
 import tempfile
 from contextlib import contextmanager, suppress
@@ -72,6 +73,9 @@ def atomic_path(target: str | os.PathLike[str], clobber: bool = True) -> Iterato
     """
     target = Path(target)
     check_target(target, clobber)
+    with suppress(AttributeError, ValueError):  # none on Windows; not in the main thread
+        if signal.getsignal(signal.SIGXFSZ) == signal.SIG_IGN:  # though drivers may handle it
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     temporary: Path | None = None
     try:
         if _is_device(target):

@@ -117,4 +117,11 @@ def write_array(
 ) -> None:
     """Write any array as .npy; `-` writes stdout. FileError if the file cannot be written."""
     with open_output(path, clobber=clobber) as file:
-        np.save(file, values)
+        save(file, values)
+
+
+def save(file: BinaryIO, values: np.ndarray) -> None:
+    """Write an array as .npy; errors have the system's reason, which those of numpy.save lack."""
+    values = np.ascontiguousarray(values)
+    np.lib.format.write_array_header_1_0(file, np.lib.format.header_data_from_array_1_0(values))
+    file.write(values.data)

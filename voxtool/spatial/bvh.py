@@ -61,16 +61,16 @@ class Frame:
     exponent: int
 
     @classmethod
-    def of(cls, mesh: Mesh) -> Frame:
-        """Return the frame of a mesh; raise MeshError if it has no faces, or an extent whose square
-        float64 cannot hold."""
+    def of(cls, mesh: Mesh, most: int = MAX_EXPONENT) -> Frame:
+        """Return the frame of a mesh; raise MeshError if it has no faces, or an extent beyond
+        2**-most and 2**most."""
         low, high = 0.5 * mesh.bounds
         half = float((high - low).max())
         exponent = math.frexp(half)[1]
-        if not (math.isfinite(half) and abs(exponent) <= MAX_EXPONENT):
+        if not (math.isfinite(half) and abs(exponent) <= most):
             raise MeshError(
                 f"{mesh.name or 'mesh'}: its extent of {2 * half:g} is beyond the range of "
-                f"2^±{MAX_EXPONENT}: scale the mesh"
+                f"2^±{most}: scale the mesh"
             )
         return cls(low + high, exponent)
 

@@ -23,7 +23,7 @@ from typing import ClassVar
 import numpy as np
 
 from voxtool.camera import Rays, box_corners, checked_colour
-from voxtool.errors import MemoryLimitError, VoxtoolError
+from voxtool.errors import MemoryLimitError
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.svo.layout import BRICK_SIDE, INSIDE
 from voxtool.svo.octree import VOXEL, Octree, level_number
@@ -189,15 +189,9 @@ def _frame(octree: Octree, rays: Rays) -> np.ndarray:
     grid = octree.grid
     scale = max(grid.pitch)
     pitch = np.array(grid.pitch) / scale
-    with np.errstate(over="ignore", invalid="ignore"):
-        local = rays.local(grid.origin, scale)
-        steps = np.stack([local.origin, local.direction, local.right, local.down]) / pitch
-    if not np.isfinite(steps).all():
-        raise VoxtoolError(
-            f"rays from {tuple(rays.origin.tolist())} are too far from voxels of {scale:g}: "
-            "choose an eye that is nearer"
-        )
-    return np.concatenate([steps, pitch[None]])
+    local = rays.local(grid.origin, scale)
+    steps = np.stack([local.origin, local.direction, local.right, local.down])
+    return np.concatenate([steps / pitch, pitch[None]])
 
 
 def _size_exponent(octree: Octree, level: int | str) -> int:
