@@ -135,17 +135,22 @@ def test_mutated_files_are_read_or_refused_in_one_line(rounds, samples, tmp_path
 
 def test_killed_writers_leave_a_whole_file_or_none(rounds, models: Path, tmp_path: Path) -> None:
     target = tmp_path / "out.svo.h5"
+    drivers = [name for _, name in usable_devices()]
     for rng in rounds:
         before = target.read_bytes() if target.exists() else None
         words = [*MODULE, *f"voxelize {models}/bunny.obj --dim 256 -q -o {target}".split()]
-        child = subprocess.Popen(words, env=ENVIRONMENT)
-        time.sleep(rng.uniform(0, 1.5))
-        child.send_signal(rng.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGINT]))
+        environment = {**ENVIRONMENT, "VOXTOOL_DEVICE": rng.choice(drivers)}
+        child = subprocess.Popen(words, env=environment, stderr=subprocess.DEVNULL)
+        time.sleep(rng.uniform(0.1, 1.0))
+        number = rng.choice([signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+        child.send_signal(number)
         child.wait()
         if target.exists() and target.read_bytes() != before:
             voxtool.read_svo(target).validate()
         elif before is not None:
             assert target.read_bytes() == before
+        time.sleep(0.1 if number == signal.SIGKILL else 0)  # for the second process
+        assert {path.name for path in tmp_path.iterdir()} <= {target.name}, signal.Signals(number)
 
 
 def test_many_calls_keep_their_memory(rounds, models: Path) -> None:
