@@ -18,6 +18,12 @@ def read_only(array: np.ndarray) -> np.ndarray:
     return view
 
 
+def float64(values: Any) -> np.ndarray:
+    """Return a copy as float64 in C order; of signalling NaN numpy would warn."""
+    with np.errstate(invalid="ignore"):
+        return np.array(values, np.float64, order="C")
+
+
 def digest_of(head: dict[str, Any], *arrays: np.ndarray) -> str:
     """Return the SHA-256 of a head in JSON types and of arrays, in little-endian order. Equal
     content has an equal digest on every device and platform."""

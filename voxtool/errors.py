@@ -54,6 +54,9 @@ def count_of(count: int, noun: str) -> str:
     return f"{count} {noun if count == 1 else plural}"
 
 
+LESS = "choose a smaller dim, picture or number of points"
+
+
 def printable(text: Any) -> str:
     """Replace characters that would break a line or a terminal by ?."""
     return "".join(c if c.isprintable() else "?" for c in str(text))

@@ -185,7 +185,11 @@ def test_stray_errors_of_the_system_are_one_line_too(here: Path) -> None:
 
     group = main.Voxtool("voxtool", commands=[stray])
     for kind, code, message in (
-        ("memory", 4, "this machine has not enough memory: choose a smaller dim"),
+        (
+            "memory",
+            4,
+            "this machine has not enough memory: choose a smaller dim, picture or number of points",
+        ),
         ("disk", 3, "a.h5: No space left"),
     ):
         result = CliRunner().invoke(group, ["stray", kind])

@@ -207,8 +207,8 @@ def bench_command(bench: str) -> click.Command:
     decorate = together(
         click.argument("models", nargs=-1, required=True),
         flag("--quick", "Few and small settings: seconds, not minutes."),
-        option("--repeat", click.IntRange(1), "Runs after a warm-up.  [default: 3, and up to 9 of "
-               "short work; 2 with --quick]", metavar="N"),
+        option("--repeat", click.IntRange(1, 1000), "Runs after a warm-up.  [default: 3, and up "
+               "to 9 of short work; 2 with --quick]", metavar="N"),
         flag("--peers", "Other tools on the same work, those that are installed: VTK, Open3D, "
              "libigl, scikit-image, trimesh."),
         *map(request_option, names),
@@ -266,7 +266,7 @@ def measure(
         click.echo(f"voxtool {__version__}; {info.name}, {info.platform} {info.driver}")
         print_points(report)
     if output is not None and not as_json:
-        click.echo(f"report: {output.rstrip('/')}/report.html")
+        click.echo(f"report: {printable(output.rstrip('/'))}/report.html")
     if asked:
         answer(report.points, budget, as_json)
 

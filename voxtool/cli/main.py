@@ -15,6 +15,7 @@ import click
 
 from voxtool.cli.options import PRINTED, TO_STDOUT, print_json, tell, warn
 from voxtool.errors import (
+    LESS,
     CheckError,
     DeviceError,
     FileError,
@@ -123,7 +124,7 @@ def message_of(error: Exception) -> str:
         hint = f" (see {context.command_path} -h)" if context else ""
         return f"{' '.join(message.split()).removesuffix('.')}{hint}"
     if isinstance(error, MemoryError):
-        return "this machine has not enough memory: choose a smaller dim"
+        return f"this machine has not enough memory: {LESS}"
     if isinstance(error, ImportError):
         return f"a library cannot be loaded ({error}): free memory, or raise the limit of ulimit -v"
     if isinstance(error, OSError):

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, BinaryIO, NamedTuple
 
 import numpy as np
 
+from voxtool.arrays import float64
 from voxtool.errors import FileError, count_of, one_line, printable
 from voxtool.files.formats import MESH_EXTENSIONS
 from voxtool.files.streams import PathLike, input_name, open_stream, read_error
@@ -121,14 +122,14 @@ def _read_npy(file: BinaryIO, size: int | None, block: int) -> Iterator[np.ndarr
                 raise _cut_short(count, max(there // dtype.itemsize - 2 * count, 0))
             points = np.memmap(whole, dtype, "r", 0, (count, 3), "F")
             for first in range(0, count, block):
-                yield np.array(points[first : first + block], np.float64, order="C")
+                yield float64(points[first : first + block])
         return
     for first in range(0, count, block):
         rows = min(block, count - first)
         data = file.read(rows * row)
         if len(data) < rows * row:
             raise _cut_short(count, first + len(data) // row)
-        yield np.frombuffer(data, dtype).reshape(rows, 3).astype(np.float64)
+        yield float64(np.frombuffer(data, dtype).reshape(rows, 3))
 
 
 def _npy_header(file: BinaryIO) -> tuple[int, bool, np.dtype]:
@@ -386,7 +387,7 @@ def _by_record(
         if not len(records):
             return
         count -= len(records)
-        yield np.stack([records[f"{place}"].astype(np.float64) for place in places], axis=1)
+        yield np.stack([float64(records[f"{place}"]) for place in places], axis=1)
 
 
 READERS = {"npy": _read_npy, "npz": _read_npz, "ply": _read_ply}

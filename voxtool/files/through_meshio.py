@@ -18,6 +18,8 @@ from math import prod
 from typing import Any, NoReturn
 from xml.parsers import expat
 
+import numpy as np
+
 from voxtool.errors import FileError, MeshWarning, human, printable
 from voxtool.limits import bounded_memory
 from voxtool.memory import available_memory
@@ -74,6 +76,7 @@ def read_mesh(name: str, path: str, kind: str, max_memory: int | None) -> Any:
         with (
             _lock,
             bounded_memory(most),
+            np.errstate(all="ignore"),  # meshio converts numbers that may be anything
             contextlib.redirect_stdout(printed),
             contextlib.redirect_stderr(warned),
         ):

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voxtool.arrays import float64
 from voxtool.errors import FileError, printable
 from voxtool.files import VOLUME_FORMATS
 from voxtool.files.streams import STREAM, PathLike, read_error
@@ -45,7 +46,7 @@ def read(
         found = read_mesh(name, path, kind, max_memory)
     except OSError as error:
         raise read_error(name, error) from error
-    points = np.asarray(found.points, np.float64)
+    points = float64(found.points)
     if points.ndim == 2 and points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))
     chosen, arrays, at_points = _array(name, found, scalar)
@@ -99,7 +100,7 @@ def _scalars(
     arrays = [np.asarray(array) for array in arrays]
     if any(array.dtype.kind not in "biuf" for array in arrays):
         raise FileError(f"{name}: {chosen} holds no real numbers ({arrays[0].dtype})")
-    rows = [array.reshape(len(array), prod(array.shape[1:])).astype(float) for array in arrays]
+    rows = [float64(array.reshape(len(array), prod(array.shape[1:]))) for array in arrays]
     count = max((array.shape[1] for array in rows if len(array)), default=1)
     if any(array.shape[1] != count for array in rows if len(array)):
         raise FileError(f"{name}: {chosen} has not the same number of components everywhere")

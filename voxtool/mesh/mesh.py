@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from voxtool.arrays import Data, read_only
+from voxtool.arrays import Data, float64, read_only
 from voxtool.errors import MeshError, count_of, one_line
 
 MAX_COUNT = (1 << 31) - 1  # triangles, and vertices: indices are int32
@@ -101,7 +101,7 @@ def mesh_from_arrays(
     """
     where = name or "mesh"
     try:
-        points = np.array(vertices, np.float64, order="C")
+        points = float64(vertices)
         corners = np.asarray(faces)
     except (TypeError, ValueError) as error:
         raise MeshError(f"{where}: not arrays of numbers: {one_line(error)}") from None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from voxtool.errors import DeviceError, MemoryLimitError
+from voxtool.errors import LESS, DeviceError, MemoryLimitError
 from voxtool.memory import available_memory
 from voxtool.opencl import driver, launch, program
 
@@ -123,7 +123,7 @@ class Device:
             return self._cl.Buffer(self.context, flags, hostbuf=host)
         except (self._cl.Error, MemoryError) as error:
             raise MemoryLimitError(
-                f"{self.info.name} could not allocate {nbytes} bytes: choose a smaller dim"
+                f"{self.info.name} could not allocate {nbytes} bytes: {LESS}"
             ) from error
 
     def _array(self, size: int, dtype: np.dtype | type, make: Callable[..., np.ndarray]) -> Array:
@@ -138,7 +138,7 @@ class Device:
             pages = make(-(-nbytes // PAGE) * PAGE + PAGE, np.uint8)
         except MemoryError as error:
             raise MemoryLimitError(
-                f"this machine could not allocate {nbytes} bytes: choose a smaller dim"
+                f"this machine could not allocate {nbytes} bytes: {LESS}"
             ) from error
         start = -pages.ctypes.data % PAGE
         host = pages[start : start - PAGE or None]
@@ -312,7 +312,7 @@ class Device:
         except self._cl.Error as error:
             if error.code in OUT_OF_MEMORY:
                 raise MemoryLimitError(
-                    f"{self.info.name} ran out of memory ({error}): choose a smaller dim"
+                    f"{self.info.name} ran out of memory ({error}): {LESS}"
                 ) from error
             raise DeviceError(f"{self.info.name} failed: {error}") from error
         if self.profile:

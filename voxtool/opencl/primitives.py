@@ -11,7 +11,7 @@ from typing import Any, overload
 
 import numpy as np
 
-from voxtool.errors import MemoryLimitError
+from voxtool.errors import LESS, MemoryLimitError
 from voxtool.opencl import program
 from voxtool.opencl.device import WORK_GROUP, Array
 
@@ -48,9 +48,7 @@ def exclusive_scan(values: Array, n: int) -> int:
 
 def _check(n: int, what: str) -> None:
     if n >= 1 << 31:
-        raise MemoryLimitError(
-            f"a {what} of {n} values exceeds 32-bit indices: choose a smaller dim"
-        )
+        raise MemoryLimitError(f"a {what} of {n} values exceeds 32-bit indices: {LESS}")
 
 
 def _scan(values: Array, n: int) -> None:
@@ -204,5 +202,5 @@ def build_histopyramid(counts: Array, n: int) -> Histopyramid:
         sums, size = above, quads
     total = int(sums.get(0, 1)[0]) if n else 0
     if total == 0xFFFFFFFF:
-        raise MemoryLimitError("a histopyramid of 2^32 - 1 outputs or more: choose a smaller dim")
+        raise MemoryLimitError(f"a histopyramid of 2^32 - 1 outputs or more: {LESS}")
     return Histopyramid(counts, levels, device.put(offsets[::-1]), height, total)

@@ -165,8 +165,8 @@ def _cover(octree: Octree, device: Device) -> dict[str, Array | int]:
     *offsets, _ = octree.offsets.tolist()
     if len(octree.nodes) > INSIDE:
         raise MemoryLimitError(
-            f"{len(octree.nodes):,} nodes exceed the {INSIDE:,} that are drawn: choose a smaller "
-            "dim"
+            f"{len(octree.nodes):,} nodes exceed the {INSIDE:,} that are drawn: voxelize with a "
+            "smaller dim"
         )
     with device.stage("coverage"):
         children = device.put(octree.nodes["child"][: offsets[-1]])
