@@ -25,16 +25,19 @@ def _free_memory() -> int:
     return limits.UNLIMITED
 
 
-def check_memory(size: int, what: str, instead: str = "choose a smaller dim") -> None:
-    """Check that a request fits in free memory.
+def check_memory(
+    size: int, what: str, instead: str = "choose a smaller dim", most: int | None = None
+) -> None:
+    """Check that a request fits in free memory, and in `most` bytes.
 
     Raises
     ------
     MemoryLimitError : names both sizes and what to do instead.
     """
-    free = available_memory()
-    if size > free:
-        raise MemoryLimitError(f"{what} need {human(size)} and {human(free)} are free: {instead}")
+    for limit, state in ((most, "allowed"), (available_memory(), "free")):
+        if limit is not None and size > limit:
+            needed = f"{what} need {human(size)} and {human(limit)} are {state}"
+            raise MemoryLimitError(f"{needed}: {instead}")
 
 
 def check_disk(path: str | os.PathLike[str], size: int, instead: str) -> None:

@@ -29,7 +29,6 @@ SCENES = ("svo.h5", "adf.h5", "raycast.tet.h5")
 
 # Keys of findings that tests/fuzz/test_fuzz.py does not fail for, and the items of the issue.
 KNOWN = {
-    r"memory in files/mesh.py:_read_all": "5",
     r"no printable line in a message with an odd name": "11",
     r"not one error line in a message with an odd name": "11",
 }
@@ -147,9 +146,7 @@ def bombs() -> Iterator[Entry]:
         ("a.svo.xml.gz", b" " * 8),
     ):
         part = gzip.compress(line * (1 << 21), mtime=0)
-        yield Entry(
-            f"bomb of gzip in {file}", "5" * (file != "a.svo.xml.gz"), file, lambda p=part: 32 * p
-        )
+        yield Entry(f"bomb of gzip in {file}", "", file, lambda p=part: 32 * p)
 
 
 def vtu_bomb() -> bytes:

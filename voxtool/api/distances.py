@@ -99,7 +99,7 @@ def plan_adf(
     [ADF], [Frisken 2000]
     """
     return adf.plan_adf(
-        as_mesh(mesh), tolerance=tolerance, max_level=max_level, band=band, sign=sign,
+        as_mesh(mesh, max_memory), tolerance=tolerance, max_level=max_level, band=band, sign=sign,
         continuous=continuous, bounds=bounds, max_bytes=max_bytes, measure=measure, device=device,
         max_memory=max_memory,
     )  # fmt: skip
@@ -283,7 +283,7 @@ def plan_distance(
         Whether gradients, nearest points or faces will be requested.
     """
     return distances.plan_distance(
-        as_mesh(mesh), sign=sign, located=located, device=device, max_memory=max_memory
+        as_mesh(mesh, max_memory), sign=sign, located=located, device=device, max_memory=max_memory
     )
 
 
@@ -324,7 +324,7 @@ def plan_distance_grid(
     MeshError, GridError, MemoryLimitError, DeviceError
         As in voxelize and distance.
     """
-    found = as_mesh(mesh)
+    found = as_mesh(mesh, max_memory)
     return distances.plan_distance_grid(
         found, grid_of(found, grid, dim, pitch), fill=fill, gap=gap, dtype=dtype, device=device,
         max_memory=max_memory,

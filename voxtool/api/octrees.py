@@ -126,7 +126,7 @@ def plan_voxelize(
     >>> octree = voxtool.voxelize("bunny.obj", dim=128)
     >>> octree.count, octree.digest()
     """
-    found = as_mesh(mesh)
+    found = as_mesh(mesh, max_memory)
     return svo.plan_voxelize(
         found, grid_of(found, grid, dim, pitch), mode, fill=fill, gap=gap,
         with_surface=with_surface, window=window, device=device, max_memory=max_memory,

@@ -69,7 +69,7 @@ def command(
 
     run.to(mesh, options.output_of(mesh, "adf.h5"), ADF_FORMATS)
     with run:
-        loaded = run.stage("read mesh", load_mesh, mesh)
+        loaded = run.stage("read mesh", load_mesh, mesh, max_memory=run.max_memory)
         if tolerance_world is not None:
             tolerance = tolerance_world / cube_of(loaded)[1]
         request["tolerance"] = DEFAULT_TOLERANCE if tolerance is None else tolerance

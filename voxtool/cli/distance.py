@@ -83,7 +83,7 @@ def command(
     else:
         run.to_table(points or "-")
     with run:
-        loaded = run.stage("read mesh", load_mesh, mesh)
+        loaded = run.stage("read mesh", load_mesh, mesh, max_memory=run.max_memory)
         if on_grid:
             grid = read_svo(like).grid if like else Grid.fit(loaded, **placing)
             facts = measure_grid(run, loaded, grid, fill, "float32" if float32 else "float64")

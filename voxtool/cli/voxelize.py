@@ -72,7 +72,7 @@ def command(
 
     run.to(mesh, options.output_of(mesh, "svo.h5"), SVO_FORMATS)
     with run:
-        loaded = run.stage("read mesh", load_mesh, mesh)
+        loaded = run.stage("read mesh", load_mesh, mesh, max_memory=run.max_memory)
         grid = read_svo(like).grid if like else Grid.fit(loaded, **placing)
         request = {"fill": fill, "gap": gap, "with_surface": with_surface}
         job = run.plan(plan_voxelize, loaded, grid, mode, **request)

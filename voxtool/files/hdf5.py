@@ -15,6 +15,7 @@ import numpy as np
 
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.files.schema import FORMAT, FORMAT_VERSION, Attribute, Dataset, Schema
+from voxtool.memory import check_memory
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -90,6 +91,8 @@ def _read(schema: Schema, h5: Any, size: int) -> Any:
         names = zip(dataset.shape, checked.shape, strict=True)
         sizes |= {side: n for side, n in names if isinstance(side, str)}
         found[dataset.name] = checked
+    needed = sum(checked.dtype.itemsize * math.prod(checked.shape) for checked in found.values())
+    check_memory(needed, "its datasets", "choose a smaller file")
     return schema.decode(stored, {name: _load(checked) for name, checked in found.items()})
 
 

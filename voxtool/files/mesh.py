@@ -16,20 +16,27 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from voxtool.errors import MeshError, one_line, printable
+from voxtool.errors import MeshError, VoxtoolError, one_line, printable
 from voxtool.files import obj
 from voxtool.files.formats import GZIP, HDF5
-from voxtool.files.streams import STREAM, read_error
+from voxtool.files.streams import STREAM, read_at_most, read_error
+from voxtool.memory import available_memory, check_memory
 from voxtool.mesh.mesh import Mesh, check_counts, check_indices, mesh_from_arrays
 
 KINDS = ("obj", "stl", "ply", "off", "glb", "gltf")  # what trimesh reads with numpy alone
 MAX_BYTES = 8 << 30  # of one file, unpacked
+# A .gz may unpack to this many times its size, and some bytes more. Of a plane of equal triangles,
+# ASCII STL packs best: 17 times. Deflate packs zeros 1032 times.
+MOST_PACKED, ANY_SIZE = 100, 1 << 24
+ITEM_BYTES = 120  # of memory that each vertex or index of a glTF scene takes at most
+DEEPEST = 64  # nodes inside nodes of a scene
 
 
 def load_mesh(
     path: str | os.PathLike[str] | BinaryIO,
     file_type: str | None = None,
     max_bytes: int = MAX_BYTES,
+    max_memory: int | None = None,
 ) -> Mesh:
     """Read a triangle mesh from OBJ, STL, PLY, OFF, GLB or glTF, compressed with gzip or not.
 
@@ -43,7 +50,9 @@ def load_mesh(
     file_type : str, optional
         One of KINDS; by default the file name's extension, or the content if there is no name.
     max_bytes : int, optional
-        The largest file that is read, unpacked; never more than half of the machine's memory.
+        The largest file that is read, unpacked; never more than half of the free memory.
+    max_memory : int, optional
+        Bytes of memory that unpacking a .gz, or placing the meshes of a scene, may take.
 
     Returns
     -------
@@ -67,28 +76,31 @@ def load_mesh(
             first = stream.read(1024)
             _refuse_other_files(name, first)
             kind = _kind_of_name(name, file_type, has_name=not given)
-            data = _read_all(name, stream, max_bytes, first)
+            most = min(max_bytes, available_memory() // 2)
+            data = read_at_most(stream, most, first)
+            if data is None:
+                raise _too_large(name, most)
     except (OSError, ValueError) as error:
         raise MeshError(str(read_error(name, error))) from None
     if not data:
         raise MeshError(f"{name}: the file is empty: export the mesh again")
     digest = hashlib.sha256(data).hexdigest()
-    data = _unpacked(name, data, max_bytes)
+    data = _unpacked(name, data, most if max_memory is None else min(most, max_memory))
     kind = kind or _kind_of_content(data)
     if kind != "obj":
-        return _through_trimesh(name, kind, data, digest)
+        return _through_trimesh(name, kind, data, digest, max_memory)
     _refuse_binary(name, data)
     vertices, faces = obj.parse(name, data)
     return mesh_from_arrays(vertices, faces, source_sha256=digest, name=name)
 
 
-def as_mesh(thing: Any) -> Mesh:
+def as_mesh(thing: Any, max_memory: int | None = None) -> Mesh:
     """Return a Mesh of a Mesh, of a path, of an object with `vertices` and `faces` such as a
     trimesh.Trimesh, or of a pair of arrays, (V, 3) and (F, 3); MeshError for anything else."""
     if isinstance(thing, Mesh):
         return thing
     if isinstance(thing, str | os.PathLike):
-        return load_mesh(thing)
+        return load_mesh(thing, max_memory=max_memory)
     if hasattr(thing, "vertices") and hasattr(thing, "faces"):
         units = getattr(thing, "units", None)
         return mesh_from_arrays(thing.vertices, thing.faces, units=units or "")
@@ -103,22 +115,15 @@ def as_mesh(thing: Any) -> Mesh:
 # --- bytes ---------------------------------------------------------------------------------------
 
 
-def _read_all(name: str, stream: BinaryIO, limit: int, first: bytes = b"") -> bytes:
-    """Read the rest of a stream, piece by piece, so that long input is refused early."""
-    with contextlib.suppress(AttributeError, ValueError, OSError):  # no sysconf on Windows
-        limit = min(limit, os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2)
-    pieces, size = [first], len(first)
-    while piece := stream.read(1 << 22):
-        pieces.append(piece)
-        size += len(piece)
-        if size > limit:
-            most = f"more than {limit >> 20} MiB unpacked, the most that is read here"
-            raise MeshError(f"{name}: {most}: simplify or split the mesh")
-    return b"".join(pieces)
+def _too_large(name: str, most: int) -> MeshError:
+    return MeshError(
+        f"{name}: more than {most >> 20} MiB unpacked, the most that is read here: simplify or "
+        "split the mesh"
+    )
 
 
 def _unpacked(name: str, data: bytes, limit: int) -> bytes:
-    """Return the data, decompressed if it is gzip."""
+    """Return the data, decompressed if it is gzip; its size is known before memory is taken."""
     if not data.startswith(GZIP):
         if name.lower().endswith(".gz"):
             raise MeshError(f"{name}: not packed with gzip: drop .gz from its name")
@@ -126,8 +131,21 @@ def _unpacked(name: str, data: bytes, limit: int) -> bytes:
     import gzip
     import zlib
 
+    most = min(limit, MOST_PACKED * len(data) + ANY_SIZE)
+    size = 0
     try:
-        data = _read_all(name, gzip.GzipFile(fileobj=io.BytesIO(data)), limit)  # pyright: ignore
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
+            while size <= most and (piece := packed.read(1 << 20)):
+                size += len(piece)
+            if size > limit:
+                raise _too_large(name, limit)
+            if size > most:
+                raise MeshError(
+                    f"{name}: unpacks to more than {MOST_PACKED} times its size, which no mesh "
+                    "does: unpack it first, if you trust it"
+                )
+            packed.seek(0)
+            data = packed.read(size)
     except EOFError:
         raise MeshError(f"{name}: truncated: the gzip data ends early: copy it again") from None
     except (OSError, zlib.error) as error:
@@ -194,7 +212,9 @@ def _stl_size(data: bytes) -> int:
 # --- trimesh -------------------------------------------------------------------------------------
 
 
-def _through_trimesh(name: str, kind: str, data: bytes, digest: str) -> Mesh:
+def _through_trimesh(
+    name: str, kind: str, data: bytes, digest: str, max_memory: int | None
+) -> Mesh:
     """Read a mesh by trimesh from memory: no other file, no texture, nothing moved."""
     import logging
     import warnings
@@ -203,7 +223,7 @@ def _through_trimesh(name: str, kind: str, data: bytes, digest: str) -> Mesh:
 
     logging.getLogger("trimesh").addHandler(logging.NullHandler())
     try:
-        promised = _promised(name, kind, data)
+        promised = _promised(name, kind, data, max_memory)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # older numpy only warns of unmatched text
             warnings.filterwarnings("error", message="string or file could not be read")
@@ -216,7 +236,7 @@ def _through_trimesh(name: str, kind: str, data: bytes, digest: str) -> Mesh:
                 fix_texture=False,
             )
         vertices, faces = _merged(name, scene)
-    except MeshError:
+    except VoxtoolError:
         raise
     except (Exception, SystemExit) as error:
         reason = one_line(error) or type(error).__name__
@@ -244,7 +264,7 @@ def _merged(name: str, scene: Any) -> tuple[np.ndarray, np.ndarray]:
         points = np.asarray(mesh.vertices, np.float64)
         corners = np.asarray(getattr(mesh, "faces", all_corners[0]))
         check_indices(name, corners, len(points))
-        matrix = _placement(node, parents)
+        matrix = _placement(name, node, parents)
         if not (matrix == np.eye(4)).all():
             points = _product(matrix, [*points.T, np.ones(len(points))])[:3].T
             (a, b, c), (d, e, f), (g, h, i) = matrix[:3, :3]
@@ -256,15 +276,15 @@ def _merged(name: str, scene: Any) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate(all_points), np.concatenate(all_corners)
 
 
-def _placement(node: Any, parents: dict[Any, Any]) -> np.ndarray:
+def _placement(name: str, node: Any, parents: dict[Any, Any]) -> np.ndarray:
     """Return the (4, 4) transform from the node's coordinates to the scene's."""
     matrix = np.eye(4)
-    for _ in parents:  # no path is longer
+    for _ in range(DEEPEST):
         if node not in parents:
-            break
+            return matrix
         node, attributes = parents[node]
         matrix = _product(np.asarray(attributes.get("matrix", np.eye(4))), matrix)
-    return matrix
+    raise MeshError(f"{name}: a scene of nodes inside more than {DEEPEST} others: flatten it")
 
 
 def _product(matrix: np.ndarray, rows: Any) -> np.ndarray:
@@ -273,9 +293,24 @@ def _product(matrix: np.ndarray, rows: Any) -> np.ndarray:
     return m[:, 0] * rows[0] + m[:, 1] * rows[1] + m[:, 2] * rows[2] + m[:, 3] * rows[3]
 
 
-def _promised(name: str, kind: str, data: bytes) -> tuple[int, int]:
+def _check_scene(name: str, tree: dict[str, Any], max_memory: int | None) -> None:
+    """Refuse a glTF scene whose meshes do not fit in memory: many may share the same bytes."""
+    counts = [int(accessor["count"]) for accessor in tree.get("accessors", [])]
+
+    def items(primitive: dict[str, Any]) -> int:
+        used = primitive["attributes"].get("POSITION"), primitive.get("indices")
+        return sum(counts[accessor] for accessor in used if accessor is not None)
+
+    meshes = [sum(map(items, mesh["primitives"])) for mesh in tree.get("meshes", [])]
+    placed = sum(meshes[node["mesh"]] for node in tree.get("nodes", []) if "mesh" in node)
+    needed = ITEM_BYTES * (sum(counts) + sum(meshes) + placed)
+    check_memory(needed, f"{name}: its meshes", "split the scene", max_memory)
+
+
+def _promised(name: str, kind: str, data: bytes, max_memory: int | None) -> tuple[int, int]:
     """Return the vertex and face counts of the header, 0 if absent; refuse impossible ones."""
     vertices = faces = 0
+    tree: dict[str, Any] = {}
     if kind == "ply":
         header = data[: data.find(b"end_header")]
         counts = dict(re.findall(rb"^element\s+(vertex|face)\s+(\d+)", header, re.M))
@@ -298,12 +333,13 @@ def _promised(name: str, kind: str, data: bytes) -> tuple[int, int]:
         text = data
         if kind == "glb":
             text = data[20 : 20 + int.from_bytes(data[12:16], "little")]
-        accessors = json.loads(text).get("accessors", [])
-        vertices = max((int(a["count"]) for a in accessors), default=0)
+        tree = json.loads(text)
+        vertices = max((int(a["count"]) for a in tree.get("accessors", [])), default=0)
     check_counts(name, vertices, faces)
     if vertices + faces > len(data):
         raise MeshError(
             f"{name}: {len(data)} bytes cannot hold the {vertices} vertices and {faces} faces "
             "that the header promises: the file is truncated"
         )
+    _check_scene(name, tree, max_memory)
     return (vertices, faces) if kind in ("ply", "off", "stl") else (0, 0)

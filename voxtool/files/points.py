@@ -114,15 +114,24 @@ def _cut_short(declared: int, there: int) -> FileError:
 def _read_npy(file: BinaryIO, size: int | None, block: int) -> Iterator[np.ndarray]:
     count, in_columns, dtype = _npy_header(file)
     row = 3 * dtype.itemsize
-    if size is not None and file.tell() + count * row > size:
-        raise _cut_short(count, (size - file.tell()) // row)
+
+    def check(there: int) -> None:
+        if there < count * row:
+            whole = max(there // dtype.itemsize - 2 * count, 0) if in_columns else there // row
+            raise _cut_short(count, whole)
+
+    if size is not None:
+        check(size - file.tell())
     if in_columns and count:
         with _on_disk(file, count * row) as (whole, there):
-            if there < count * row:
-                raise _cut_short(count, max(there // dtype.itemsize - 2 * count, 0))
-            points = np.memmap(whole, dtype, "r", 0, (count, 3), "F")
+            check(there)
             for first in range(0, count, block):
-                yield float64(points[first : first + block])
+                columns = []
+                for axis in range(3):
+                    whole.seek((axis * count + first) * dtype.itemsize)
+                    data = whole.read(min(block, count - first) * dtype.itemsize)
+                    columns.append(float64(np.frombuffer(data, dtype)))
+                yield np.stack(columns, axis=1)
         return
     for first in range(0, count, block):
         rows = min(block, count - first)
@@ -173,8 +182,10 @@ def _read_npz(file: BinaryIO, size: int | None, block: int) -> Iterator[np.ndarr
             "beginning: save it to a file, or send .npy"
         )
     try:
-        with zipfile.ZipFile(file) as packed, packed.open(_points_member(packed)) as member:
-            yield from _read_npy(member, None, block)  # pyright: ignore[reportArgumentType]
+        with zipfile.ZipFile(file) as packed:
+            found = _points_member(packed)
+            with packed.open(found) as member:
+                yield from _read_npy(member, found.file_size, block)  # pyright: ignore
     except (FileError, OSError):
         raise
     except Exception as error:  # damage shows in any of the library's errors

@@ -10,8 +10,9 @@ import tempfile
 from contextlib import contextmanager, nullcontext
 from typing import TYPE_CHECKING, Any, BinaryIO
 
-from voxtool.errors import FileError, one_line
+from voxtool.errors import FileError, human, one_line
 from voxtool.files.atomic import atomic_path, write_error
+from voxtool.memory import available_memory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -43,10 +44,25 @@ def open_whole(path: PathLike) -> Iterator[tuple[BinaryIO, int]]:
     """Yield a seekable file and its size; stdin and pipes are read into memory first."""
     with open_stream(path) as (file, _, size):
         if size is None:
-            data = file.read()
+            most = available_memory() // 2
+            data = read_at_most(file, most)
+            if data is None:
+                raise FileError(f"{input_name(path)}: more than {human(most)}: store it in a file")
             yield io.BytesIO(data), len(data)
         else:
             yield file, size
+
+
+def read_at_most(file: BinaryIO, most: int, first: bytes = b"") -> bytes | None:
+    """The rest of a file after its first bytes; None if there are more bytes than `most`."""
+    whole = io.BytesIO()
+    whole.write(first)
+    while whole.tell() <= most:
+        piece = file.read(1 << 20)
+        if not piece:
+            return whole.getvalue()
+        whole.write(piece)
+    return None
 
 
 @contextmanager

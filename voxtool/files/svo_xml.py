@@ -21,6 +21,7 @@ import numpy as np
 
 from voxtool.errors import FileError
 from voxtool.files.svo_hdf5 import SCHEMA, grid_of
+from voxtool.memory import check_memory
 from voxtool.svo.layout import BRICK, NODE
 from voxtool.svo.octree import Octree
 from voxtool.svo.validate import check_offsets
@@ -352,6 +353,7 @@ class _Reader:
         self.expect_size(self.size, nodes)
         if nodes * LEAST_NODE + masks * LEAST_MASK > self.text_limit:
             raise FileError(f"{nodes} nodes are declared, which the file cannot hold: cut short?")
+        check_memory(8 * nodes + 4 * masks, "the nodes", "choose a smaller octree")
         self.allowed += ROW_BYTES * (nodes + masks)
         self.offsets = offsets
         self.nodes = _Words(2 * nodes, "node words")

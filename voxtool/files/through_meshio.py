@@ -38,8 +38,8 @@ PER_BYTE_OF_TEXT = 64  # a number of two letters becomes an object of Python
 
 # The counts that follow a keyword, by format.
 COUNTS = {
-    "gmsh": rb"(?m)^[ \t]*\$[A-Za-z]+[ \t]*\r?\n[ \t]*(\S+)(?:[ \t]+(\S+))?",
-    "medit": rb"(?m)^[ \t]*[A-Za-z]+[ \t]*\r?\n[ \t]*(\S+)[ \t]*\r?$",
+    "gmsh": rb"(?m)^[ \t]*\$[A-Za-z]+[ \t]*\r?\n(?=[ \t]*(\S+)(?:[ \t]+(\S+))?)",
+    "medit": rb"(?m)^[ \t]*[A-Za-z]+[ \t]*\r?\n(?=[ \t]*(\S+)[ \t]*\r?$)",
     "avsucd": rb"\A(?:[ \t]*(?:#[^\n]*)?\n)*[ \t]*(\S+)[ \t]+(\S+)",
     "vtk": rb"(?mi)^[ \t]*(?:POINTS|CELLS|CELL_TYPES|POINT_DATA|CELL_DATA|[XYZ]_COORDINATES|"
     rb"(?:FIELD|LOOKUP_TABLE)[ \t]+\S+)[ \t]+(\S+)(?:[ \t]+(\d+))?",
