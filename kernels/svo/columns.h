@@ -1,6 +1,6 @@
 // Common parts of scan conversion and crossings: the columns of boxes that a triangle meets, the
 // tiles of columns that work-items process, edge functions of projections, and storage of voxels.
-// Options: CODE, WIDE, BLOCKED, COLUMN_TILE.
+// Options: CODE, WIDE, COLUMN_TILE.
 
 #include "svo/octree.h"
 #include "svo/scan.h"
@@ -142,8 +142,8 @@ void put(sink *s, uint word, uint bit)
     s->bits = s->flips ? s->bits ^ bit : s->bits | bit;
 }
 
-// The 32-bit word, half a brick, of a voxel of an active node; and its bit in the word.
-uint voxel_word(sink *s, ACTIVE_SET_PARAMETERS, uint3 voxel, uint *bit)
+// Put the bit of a voxel of an active node into its 32-bit word, half a brick.
+void put_voxel(sink *s, ACTIVE_SET_PARAMETERS, uint3 voxel)
 {
     const uint3 cell = voxel >> 3;
     if (any(cell != s->cell)) {
@@ -151,8 +151,7 @@ uint voxel_word(sink *s, ACTIVE_SET_PARAMETERS, uint3 voxel, uint *bit)
         s->node = node_index(ACTIVE_SET, morton_encode(cell));
     }
     const uint place = voxel_place(voxel);
-    *bit = 1u << (place & 31);
-    return 16 * s->node + (place >> 5);
+    put(s, 16 * s->node + (place >> 5), 1u << (place & 31));
 }
 
 // ---- projections

@@ -1,13 +1,11 @@
 // Scan conversion of triangles into the boxes that they touch: level-1 nodes, blocks of level-1 nodes,
 // and voxels ([voCCeL], sections 3.2 and A.4). Host side: voxtool/svo/scan.py. Options: those of
-// columns.h, and KIND.
+// columns.h.
 
 #include "svo/columns.h"
 
 // tiles[i] = the number of tiles of triangle i.
-__kernel void count_tiles(__global const int *vertices, __global const int *faces, const uint n,
-                          const int kind, const int level, const int3 shape, const int pad,
-                          __global uint *tiles)
+__kernel void count_tiles(TRIANGLES, const int kind, __global uint *tiles)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -57,20 +55,15 @@ scan set_up(const triangle *t, const columns *c, int kind, int level, int pad_x)
     return s;
 }
 
-#define STORE_VOXELS 0 // in bricks
-#define STORE_NODES 1  // in the volume of level-1 nodes
-#define STORE_BLOCKS 2 // in the volume of blocks, which is dense
-
-void put_box(sink *out, int store, ACTIVE_SET_PARAMETERS, uint3 box)
+// Put the bit of a box of 2^level voxels: into bricks, the volume of level-1 nodes, or that of blocks.
+void put_box(sink *out, int level, ACTIVE_SET_PARAMETERS, uint3 box)
 {
-    if (store == STORE_VOXELS) {
-        uint bit;
-        const uint word = voxel_word(out, ACTIVE_SET, box, &bit);
-        put(out, word, bit);
+    if (level == 0) {
+        put_voxel(out, ACTIVE_SET, box);
         return;
     }
     CODE code = morton_encode(box);
-    if (store == STORE_NODES)
+    if (level == NODE_LEVEL)
         code = stored_code(ACTIVE_SET, code);
     put(out, (uint)(code >> 5), 1u << (uint)(code & 31));
 }
@@ -79,7 +72,7 @@ void put_box(sink *out, int store, ACTIVE_SET_PARAMETERS, uint3 box)
 // from the first whose far side is not before it to the last whose near side is not behind it
 // ([voCCeL], fig. 3.4). From one column to the next, this range moves by one or two boxes. The columns
 // of a row that a convex triangle meets are contiguous, so the first column beyond them ends the row.
-void scan_convert(const scan *s, const columns *c, sink *out, int store, ACTIVE_SET_PARAMETERS)
+void scan_convert(const scan *s, const columns *c, sink *out, int level, ACTIVE_SET_PARAMETERS)
 {
     const int last = c->high.z - c->low.z;
     const wide right = wide_product(s->nx, s->size), up = wide_product(s->nz, s->size),
@@ -112,7 +105,7 @@ void scan_convert(const scan *s, const columns *c, sink *out, int store, ACTIVE_
             for (int k = r; k <= last && !is_positive(near); ++k, near = wide_sum(near, up)) {
                 if (none_negative(yz_box | zx_box)) {
                     const int3 box = (int3)(p, q, c->low.z + k);
-                    put_box(out, store, ACTIVE_SET, as_uint3(unswizzle(box, c->axis)));
+                    put_box(out, level, ACTIVE_SET, as_uint3(unswizzle(box, c->axis)));
                 }
                 yz_box += s->yz.q;
                 zx_box += s->zx.p;
@@ -127,33 +120,20 @@ void scan_convert(const scan *s, const columns *c, sink *out, int store, ACTIVE_
 
 // ---- kernels
 
-// Set the bits of the boxes of 2^level voxels, widened by `pad` along x, that a triangle touches:
-// level-1 nodes (level 3), or blocks of 8 x 8 x 8 of those (level 6).
-__kernel void activate(TRIANGLES, ACTIVE_SET_PARAMETERS, volatile __global uint *target)
+// Set the bits of boxes of 2^level voxels, widened by `pad` along x: those whose closed cube touches a
+// triangle (`kind` is TOUCHED), or the 6-separating set (SEPARATING). Boxes are voxels, level-1 nodes
+// (level 3), or blocks of 8 x 8 x 8 of those (level 6).
+__kernel void set_boxes(TRIANGLES, const int kind, ACTIVE_SET_PARAMETERS,
+                        volatile __global uint *target)
 {
     triangle t;
     columns c;
-    if (!take_share(THESE_TRIANGLES, TOUCHED, &t, &c))
+    if (!take_share(THESE_TRIANGLES, kind, &t, &c))
         return;
-    const scan s = set_up(&t, &c, TOUCHED, level, pad);
+    const scan s = set_up(&t, &c, kind, level, pad);
     sink out = open_sink(target, false);
-    scan_convert(&s, &c, &out, level == NODE_LEVEL ? STORE_NODES : STORE_BLOCKS, ACTIVE_SET);
+    scan_convert(&s, &c, &out, level, ACTIVE_SET);
 }
-
-// Set the voxels of a surface: those whose closed cube touches a triangle (KIND is TOUCHED), or the
-// 6-separating set (KIND is SEPARATING).
-#ifdef KIND
-__kernel void set_surface(TRIANGLES, ACTIVE_SET_PARAMETERS, volatile __global uint *bricks)
-{
-    triangle t;
-    columns c;
-    if (!take_share(THESE_TRIANGLES, KIND, &t, &c))
-        return;
-    const scan s = set_up(&t, &c, KIND, 0, 0);
-    sink out = open_sink(bricks, false);
-    scan_convert(&s, &c, &out, STORE_VOXELS, ACTIVE_SET);
-}
-#endif
 
 // ---- the set of active level-1 nodes, as bits in Morton order
 

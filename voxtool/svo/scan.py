@@ -62,7 +62,7 @@ class ActiveNodes:
     touched: np.ndarray | None  # codes of the nodes that the mesh touches; None if it touches all
 
     @property
-    def lookup(self) -> dict[str, Array]:
+    def lookup(self) -> dict[str, Array | None]:
         """Arguments by which kernels find the rank of a node."""
         return _lookup(self.blocks, self.nodes.words, self.nodes.ranks)
 
@@ -72,19 +72,16 @@ class Scan:
 
     def __init__(self, mesh: LatticeMesh, plan: VoxelizePlan) -> None:
         self.mesh, self.plan, self.device = mesh, plan, mesh.device
-        self._kind = TOUCHED if plan.surface == "26" else SEPARATING
         self.code = np.dtype(np.uint32 if plan.code_bits == 32 else np.uint64)
         self._options: dict[str, int | str] = {
             "CODE": code_name(self.code),
             "COLUMN_TILE": plan.column_tile,
             **({"WIDE": 1} if plan.wide else {}),
-            **({"BLOCKED": 1} if plan.blocked else {}),
         }
 
     def kernel(self, source: str, name: str) -> Callable[..., None]:
         """Return a kernel compiled with the plan's options."""
-        kind = {"KIND": self._kind} if source == SOURCE and self.plan.surface else {}
-        return self.device.kernel(source, name, **self._options, **kind)
+        return self.device.kernel(source, name, **self._options)
 
     def shares(
         self, kind: int, level: int = 0, *, with_caps: bool = False
@@ -117,17 +114,18 @@ class Scan:
         return exclusive_scan(tiles, n), {**arguments, "tile_offsets": tiles}
 
     def activate(
-        self, level: int, lookup: dict[str, Array], target: Array, *, with_caps: bool
+        self, level: int, lookup: dict[str, Array | None], target: Array, *, with_caps: bool
     ) -> None:
         """Set the bits of the boxes of 2**level voxels that triangles touch."""
         n, triangles = self.shares(TOUCHED, level, with_caps=with_caps)
-        self.kernel(SOURCE, "activate")(n, target, **triangles, **lookup)
+        self.kernel(SOURCE, "set_boxes")(n, TOUCHED, **lookup, target=target, **triangles)
 
     def surface(self, active: ActiveNodes) -> Array:
         """Return the bricks of the active nodes, with the voxels of the surface set."""
         bricks = self.device.zeros(8 * active.nodes.n, BRICK)
-        n, triangles = self.shares(self._kind)
-        self.kernel(SOURCE, "set_surface")(n, bricks, **triangles, **active.lookup)
+        kind = TOUCHED if self.plan.surface == "26" else SEPARATING
+        n, triangles = self.shares(kind)
+        self.kernel(SOURCE, "set_boxes")(n, kind, **active.lookup, target=bricks, **triangles)
         return bricks
 
 
@@ -137,33 +135,29 @@ def find_active_nodes(scan: Scan, near_holes: np.ndarray | None) -> ActiveNodes:
     blocks = None
     if scan.plan.blocked:
         words = scan.device.zeros(max((scan.plan.side // NODE_BLOCK) ** 3 // 32, 1), np.uint32)
-        lookup = {"block_words": words, "block_ranks": words, "words": words, "ranks": words}
-        blocks, _ = _activate(scan, BLOCK_LEVEL, lookup, words, None, near_holes)
+        blocks, _ = _activate(scan, BLOCK_LEVEL, words, None, near_holes)
         words = scan.device.zeros(BLOCK_WORDS * blocks.n, np.uint32)
     else:
         words = scan.device.zeros(max((scan.plan.side // CELL) ** 3 // 32, 1), np.uint32)
-    lookup = _lookup(blocks, words, words)
-    nodes, touched = _activate(scan, NODE_LEVEL, lookup, words, blocks, near_holes)
+    nodes, touched = _activate(scan, NODE_LEVEL, words, blocks, near_holes)
     return ActiveNodes(nodes, blocks, touched)
 
 
-def _lookup(blocks: BitSet | None, words: Array, ranks: Array) -> dict[str, Array]:
-    found = {"words": words, "ranks": ranks}
-    if blocks:
-        found |= {"block_words": blocks.words, "block_ranks": blocks.ranks}
-    return found
+def _lookup(blocks: BitSet | None, words: Array, ranks: Array) -> dict[str, Array | None]:
+    above = (blocks.words, blocks.ranks) if blocks else (None, None)
+    return {"words": words, "ranks": ranks, "block_words": above[0], "block_ranks": above[1]}
 
 
 def _activate(
     scan: Scan,
     level: int,
-    lookup: dict[str, Array],
     words: Array,
     blocks: BitSet | None,
     near_holes: np.ndarray | None,
 ) -> tuple[BitSet, np.ndarray | None]:
     """Return the active boxes of 2**level voxels and, if the mesh has caps, the codes of those that
     the mesh itself touches."""
+    lookup = _lookup(blocks, words, words)
     scan.activate(level, lookup, words, with_caps=False)
     found = _collect(scan, words, blocks)
     if near_holes is None:

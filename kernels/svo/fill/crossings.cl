@@ -9,12 +9,6 @@
 #define COUNT 1 // count them
 #define LIST 2  // write row, voxel and direction of each
 
-#ifdef BLOCKED // for COUNT and LIST
-#define NO_ACTIVE_SET 0, 0, 0, 0
-#else
-#define NO_ACTIVE_SET 0, 0
-#endif
-
 typedef struct {
     sink out;
     volatile __global uint *entry;
@@ -22,24 +16,16 @@ typedef struct {
     uint count, x_bits;
 } visitor;
 
-uint bundle_of(uint3 voxel, int3 shape)
-{
-    return (voxel.y >> 3) + (voxel.z >> 3) * (uint)((shape.y + 7) >> 3);
-}
-
 // Flip a row from voxel i on. If i is -1, flip the state of the row on entry.
 void flip_row(sink *out, volatile __global uint *entry, ACTIVE_SET_PARAMETERS, int3 shape, int i,
               int j, int k)
 {
-    const uint3 voxel = (uint3)(max(i, 0), j, k);
     if (i < 0) {
-        const uint row = row_bit(j & 7, k & 7);
-        atomic_xor(&entry[2 * bundle_of(voxel, shape) + (row >> 5)], 1u << (row & 31));
-        return;
+        const uint row = row_bit(j & 7, k & 7), bundle = (j >> 3) + (k >> 3) * ((shape.y + 7) >> 3);
+        atomic_xor(&entry[2 * bundle + (row >> 5)], 1u << (row & 31));
+    } else {
+        put_voxel(out, ACTIVE_SET, (uint3)(i, j, k));
     }
-    uint bit;
-    const uint word = voxel_word(out, ACTIVE_SET, voxel, &bit);
-    put(out, word, bit);
 }
 
 // Visit the crossings of rows with a triangle ([voCCeL], eq. 3.5), each at the first voxel at or
@@ -101,34 +87,25 @@ __kernel void flip_crossings(TRIANGLES, ACTIVE_SET_PARAMETERS, volatile __global
 
 // ---- crossings with directions
 
-// counts[i] = the number of crossings that work-item i lists.
-__kernel void count_crossings(TRIANGLES, __global uint *counts)
+// Without `crossings`, firsts[i] = the number of crossings of work-item i. Otherwise the work-item
+// writes them from firsts[i] on: the row, the voxel in x_bits - 2 bits, counted from -1, and ENTERS if
+// the row, towards high x, enters the solid.
+__kernel void list_crossings(TRIANGLES, __global uint *firsts, const uint x_bits,
+                             __global ulong *crossings)
 {
     const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
     visitor v;
-    v.count = 0;
+    v.count = crossings ? firsts[gid] : 0;
+    v.x_bits = x_bits;
+    v.crossings = crossings;
     triangle t;
     columns c;
     if (take_share(THESE_TRIANGLES, CROSSED, &t, &c))
-        visit_crossings(&t, &c, shape, COUNT, &v, NO_ACTIVE_SET);
-    if (gid < n)
-        counts[gid] = v.count;
-}
-
-// Work-item i writes its crossings from firsts[i] on: the row, the voxel in x_bits - 2 bits, counted
-// from -1, and ENTERS if the row, towards high x, enters the solid.
-__kernel void list_crossings(TRIANGLES, __global const uint *firsts, const uint x_bits,
-                             __global ulong *crossings)
-{
-    triangle t;
-    columns c;
-    if (!take_share(THESE_TRIANGLES, CROSSED, &t, &c))
-        return;
-    visitor v;
-    v.count = firsts[get_global_id(0)];
-    v.x_bits = x_bits;
-    v.crossings = crossings;
-    visit_crossings(&t, &c, shape, LIST, &v, NO_ACTIVE_SET);
+        visit_crossings(&t, &c, shape, crossings ? LIST : COUNT, &v, 0, 0, 0, 0);
+    if (!crossings)
+        firsts[gid] = v.count;
 }
 
 // Flip a row where the sum of its sorted crossings (+1 where it enters, -1 where it leaves) changes

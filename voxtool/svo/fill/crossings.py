@@ -77,10 +77,11 @@ def list_crossings(scan: Scan) -> Crossings:
     x_bits = nx.bit_length() + 2
     n, triangles = scan.shares(CROSSED, with_caps=True)
     firsts = scan.device.empty(n + 1, np.uint32)
-    scan.kernel(SOURCE, "count_crossings")(n, firsts, **triangles)
+    list_crossings = scan.kernel(SOURCE, "list_crossings")
+    list_crossings(n, firsts, x_bits, None, **triangles)
     count = exclusive_scan(firsts, n)
     keys = scan.device.empty(count, np.uint64)
-    scan.kernel(SOURCE, "list_crossings")(n, firsts, x_bits, keys, **triangles)
+    list_crossings(n, firsts, x_bits, keys, **triangles)
     keys, _ = radix_sort(keys, count, (ny * nz - 1).bit_length() + x_bits)
     return Crossings(keys, count, x_bits)
 
