@@ -75,7 +75,7 @@ MUTATIONS: dict[str, Mutation] = {
     ),
     # kernels: surfaces
     "marching cubes: orientation of an edge": Mutation(
-        "kernels/svo/surface/crossing.h",
+        "kernels/svo/surface/samples.h",
         "return cell_is_inside ? LATTICE - kept : kept;",
         "return kept;",
         "tests/svo/surface",

@@ -3,21 +3,16 @@
 
 #include "svo/octree.h"
 
-// flags[i] = 1 if refined node i is the last refined child of its parent.
-__kernel void tag_parents(__global const CODE *codes, const uint n, __global uint *flags)
+// stripped[i] = the code of the parent of refined node i; flags[i] = 1 if the node is the last refined
+// child of its parent.
+__kernel void strip_mortons(__global const CODE *codes, const uint n, __global CODE *stripped,
+                            __global uint *flags)
 {
     const uint gid = get_global_id(0);
-    if (gid < n)
-        flags[gid] = gid == n - 1 || codes[gid] >> 3 != codes[gid + 1] >> 3;
-}
-
-// Write the code of each parent once.
-__kernel void strip_mortons(__global const CODE *codes, const uint n,
-                            __global const uint *parent_index, __global CODE *parents)
-{
-    const uint gid = get_global_id(0);
-    if (gid < n && (gid == n - 1 || codes[gid] >> 3 != codes[gid + 1] >> 3))
-        parents[parent_index[gid]] = codes[gid] >> 3;
+    if (gid >= n)
+        return;
+    stripped[gid] = codes[gid] >> 3;
+    flags[gid] = gid == n - 1 || codes[gid] >> 3 != codes[gid + 1] >> 3;
 }
 
 // Link refined node i, which is node `own` of its level, with its eight children; the children of a

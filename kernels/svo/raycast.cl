@@ -106,11 +106,6 @@ double least(const double3 v)
     return xy < v.z ? xy : v.z;
 }
 
-double3 within(const double3 v, const double3 low, const double3 high)
-{
-    return v < low ? low : v > high ? high : v;
-}
-
 double product(const double3 a, const double3 b)
 {
     return a.x * b.x + a.y * b.y + a.z * b.z;
@@ -130,10 +125,22 @@ int differing_bits(const int3 a, const int3 b)
     return 32 - (int)clz(changed.x | changed.y | changed.z);
 }
 
-// The ray of a pixel. `frame`: origin, direction, right and down (camera.py), in grid units.
-void set_out(ray_state *ray, __global const double *frame, const int perspective, const double x,
-             const double y, const int side)
+// The parameters of pictures. `frame`: origin, direction, right and down of rays (camera.py), in grid
+// units, and the pitch, in its unit.
+#define PICTURE                                                                                    \
+    __global const double *frame, const int perspective, const uint width, const uint height,      \
+        const int root, const int finest
+#define THIS_PICTURE frame, perspective, width, height, root, finest
+
+// The ray of a work-item and the place of its pixel; returns whether it exists. Work-groups are tiles.
+int set_out(PICTURE, ray_state *ray, size_t *pixel)
 {
+    const uint tiles = (width + TILE - 1) / TILE, tile = get_group_id(0), place = get_local_id(0);
+    const uint column = tile % tiles * TILE + place % TILE, row = tile / tiles * TILE + place / TILE;
+    if (column >= width || row >= height)
+        return 0;
+    *pixel = (size_t)row * width + column;
+    const double x = column + 0.5 - 0.5 * width, y = row + 0.5 - 0.5 * height;
     const double3 step = x * vload3(2, frame) + y * vload3(3, frame);
     double3 origin = vload3(0, frame), direction = vload3(1, frame);
     if (perspective)
@@ -144,10 +151,11 @@ void set_out(ray_state *ray, __global const double *frame, const int perspective
     const long3 still = forward < STILL, down = (direction < 0) & ~still;
     ray->speed = still ? STILL : forward;
     origin = still ? floor(origin) + 0.5 : origin;
-    ray->origin = down ? side - origin : origin;
+    ray->origin = down ? (1 << root) - origin : origin;
     ray->direction = direction;
     ray->inverse = 1.0 / ray->speed;
     ray->mirror = octant_at(convert_int3(down), 0);
+    return 1;
 }
 
 // Finds the first node of size 2^finest that is not empty, or inside leaf, on a ray; returns
@@ -266,8 +274,8 @@ double3 normal_at(const ray_state *ray, OCTREE, const int root, const int k, con
 {
     const double3 view = ray->direction * pitch;
     const double ahead = AHEAD * (1 << k) / sqrt(product(ray->speed, ray->speed));
-    const double3 place = within(ray->origin + ray->t * ray->speed, convert_double3(ray->low),
-                                 convert_double3(ray->low + (1 << ray->k)));
+    const double3 place = clamp(ray->origin + ray->t * ray->speed, convert_double3(ray->low),
+                                convert_double3(ray->low + (1 << ray->k)));
     double3 into = coverage_gradient(ray, THIS_OCTREE, root, k, place - ahead * ray->speed);
     into = unmirrored(into, ray->mirror) / pitch;
     const double along = product(into, view);
@@ -286,42 +294,22 @@ double3 normal_at(const ray_state *ray, OCTREE, const int root, const int k, con
     return into / -sqrt(square);
 }
 
-// The pixel of a work-item, with work-groups as pixel tiles; returns whether it exists.
-int pixel_of(const uint width, const uint height, uint *column, uint *row)
-{
-    const uint tiles = (width + TILE - 1) / TILE, tile = get_group_id(0), place = get_local_id(0);
-    *column = tile % tiles * TILE + place % TILE;
-    *row = tile / tiles * TILE + place / TILE;
-    return *column < width && *row < height;
-}
-
-#define PICTURE                                                                                    \
-    __global const double *frame, const int perspective, const uint width, const uint height,      \
-        const int root, const int finest
-
 // The depth of each pixel's hit, in the frame's unit; infinite without a hit.
 __kernel void find_depths(OCTREE, PICTURE, __global double *depths)
 {
-    uint column, row;
-    if (!pixel_of(width, height, &column, &row))
-        return;
     ray_state ray;
-    set_out(&ray, frame, perspective, column + 0.5 - 0.5 * width, row + 0.5 - 0.5 * height,
-            1 << root);
-    const int met = meet(&ray, THIS_OCTREE, root, finest, perspective);
-    depths[(size_t)row * width + column] = met ? ray.t : INFINITY;
+    size_t pixel;
+    if (set_out(THIS_PICTURE, &ray, &pixel))
+        depths[pixel] = meet(&ray, THIS_OCTREE, root, finest, perspective) ? ray.t : INFINITY;
 }
 
-// The premultiplied colour of each pixel. `frame` also holds the pitch, in its unit; `paint` holds
-// the light direction and the colour.
+// The premultiplied colour of each pixel. `paint` holds the light direction and the colour.
 __kernel void paint_picture(OCTREE, PICTURE, __global const float *paint, __global float *picture)
 {
-    uint column, row;
-    if (!pixel_of(width, height, &column, &row))
-        return;
     ray_state ray;
-    set_out(&ray, frame, perspective, column + 0.5 - 0.5 * width, row + 0.5 - 0.5 * height,
-            1 << root);
+    size_t pixel;
+    if (!set_out(THIS_PICTURE, &ray, &pixel))
+        return;
     float4 rgba = 0.0f;
     if (meet(&ray, THIS_OCTREE, root, finest, perspective)) {
         const int k = min(max(finest, 1), root - 1);
@@ -330,5 +318,5 @@ __kernel void paint_picture(OCTREE, PICTURE, __global const float *paint, __glob
                                        paint[2]);
         rgba = (float4)(light * vload3(1, paint), 1.0f);
     }
-    vstore4(rgba, (size_t)row * width + column, picture);
+    vstore4(rgba, pixel, picture);
 }

@@ -14,7 +14,7 @@ import numpy as np
 
 from voxtool.errors import MemoryLimitError
 from voxtool.opencl import Array, Device
-from voxtool.opencl.primitives import exclusive_scan
+from voxtool.opencl.primitives import compact
 from voxtool.svo.layout import MAX_LINK, NODE
 
 SOURCE = "svo/build.cl"
@@ -56,18 +56,13 @@ def code_name(dtype: np.dtype) -> str:
 def build_octree(device: Device, side: int, codes: Array, n: int) -> DeviceOctree:
     """Return the octree of `side` voxels whose refined nodes are the n level-1 nodes with these
     ascending Morton codes (uint32 or uint64), and their ancestors."""
-    code = code_name(codes.dtype)
-    tag_parents = device.kernel(SOURCE, "tag_parents", CODE=code)
-    strip_mortons = device.kernel(SOURCE, "strip_mortons", CODE=code)
+    strip_mortons = device.kernel(SOURCE, "strip_mortons", CODE=code_name(codes.dtype))
     refined = []
     for _ in range((side // 8).bit_length()):
-        parent_index = device.empty(n + 1, np.uint32)
-        tag_parents(n, codes, parent_index)
+        stripped, parent_index = device.empty(n, codes.dtype), device.empty(n + 1, np.uint32)
+        strip_mortons(n, codes, stripped, parent_index)
         refined.append(RefinedNodes(codes, parent_index, n))
-        count = exclusive_scan(parent_index, n) if n else 0
-        parents = device.empty(count, codes.dtype)
-        strip_mortons(n, codes, parent_index, parents)
-        codes, n = parents, count
+        codes, n = compact(stripped, parent_index, n)
     return _link(device, refined)
 
 

@@ -33,19 +33,44 @@ double3 to_local(int3 units, double4 frame)
 // The squared distance between two boxes.
 double gap_between(double3 low, double3 high, double3 other_low, double3 other_high)
 {
-    double sum = 0;
-    const double gaps[6] = {other_low.x - high.x, low.x - other_high.x, other_low.y - high.y,
-                            low.y - other_high.y, other_low.z - high.z, low.z - other_high.z};
-    for (uint i = 0; i < 6; i += 2) {
-        const double gap = gaps[i] > gaps[i + 1] ? gaps[i] : gaps[i + 1];
-        sum += gap > 0 ? gap * gap : 0;
-    }
-    return sum;
+    const double3 after = other_low - high, before = low - other_high;
+    double3 gap = after > before ? after : before;
+    gap = gap > 0.0 ? gap : 0.0;
+    return gap.x * gap.x + gap.y * gap.y + gap.z * gap.z;
 }
 
-void child_box(__global const float *nodes, uint id, uint i, double3 *low, double3 *high)
+// A walk through the nodes of a tree, over the children of each.
+typedef struct {
+    uint ids[STACK], top; // inner nodes that are still to be visited
+    uint id, i, child;    // child i of node `id`, and its own number
+} walk;
+
+#define FROM_ROOT {{0}, 1, 0, ARITY - 1, 0}
+
+// Steps to the next child; returns whether there is one.
+bool next_child(walk *w)
 {
-    __global const float *box = nodes + (size_t)id * (6 * ARITY) + i;
+    if (++w->i == ARITY) {
+        if (w->top == 0)
+            return false;
+        w->id = w->ids[--w->top];
+        w->i = 0;
+    }
+    w->child = ARITY * w->id + 1 + w->i;
+    return true;
+}
+
+// Returns whether the child is an inner node, whose children are then visited later.
+bool descend(walk *w, uint first_leaf)
+{
+    if (w->child < first_leaf)
+        w->ids[w->top++] = w->child;
+    return w->child < first_leaf;
+}
+
+void child_box(__global const float *nodes, const walk *w, double3 *low, double3 *high)
+{
+    __global const float *box = nodes + (size_t)w->id * (6 * ARITY) + w->i;
     *low = (double3)(box[0], box[ARITY], box[2 * ARITY]);
     *high = (double3)(box[3 * ARITY], box[4 * ARITY], box[5 * ARITY]);
 }
@@ -144,40 +169,33 @@ __kernel void bound_variation(BLOCKS, HOLES, const double limit, __global double
     const centres c = centres_of(blocks[gid], level);
     const double3 low = to_local(c.low, frame), high = to_local(c.high, frame), size = high - low;
     const double radius = 0.5 * sqrt(size.x * size.x + size.y * size.y + size.z * size.z);
-    uint ids[STACK], top = 1;
-    ids[0] = 0;
+    walk w = FROM_ROOT;
     double steepness = 0;
-    while (top > 0 && steepness * radius < limit) {
-        const uint id = ids[--top];
-        for (uint i = 0; i < ARITY; ++i) {
-            double3 box_low, box_high;
-            child_box(hole_nodes, id, i, &box_low, &box_high);
-            if (!(box_low.x <= box_high.x))
-                continue; // no child
-            const uint child = ARITY * id + 1 + i;
-            const double3 box = box_high - box_low;
-            const double gap = gap_between(low, high, box_low, box_high);
-            if (gap > box.x * box.x + box.y * box.y + box.z * box.z) {
-                steepness += steepness_of_area(areas[child], gap);
-                continue;
+    while (steepness * radius < limit && next_child(&w)) {
+        double3 box_low, box_high;
+        child_box(hole_nodes, &w, &box_low, &box_high);
+        if (!(box_low.x <= box_high.x))
+            continue; // no child
+        const double3 box = box_high - box_low;
+        const double gap = gap_between(low, high, box_low, box_high);
+        if (gap > box.x * box.x + box.y * box.y + box.z * box.z) {
+            steepness += steepness_of_area(areas[w.child], gap);
+            continue;
+        }
+        if (descend(&w, hole_first_leaf))
+            continue;
+        const uint leaf = (w.child - hole_first_leaf) * LEAF;
+        for (uint k = leaf; k < min(leaf + LEAF, hole_count); ++k) {
+            const uint hole = hole_names[k] / 3;
+            double sum = 0;
+            double3 a = vload3(first[hole + 1] - 1, loops);
+            for (uint at = first[hole]; at < first[hole + 1]; ++at) {
+                const double3 b = vload3(at, loops);
+                sum += steepness_of(a, b, low, high, radius);
+                a = b;
             }
-            if (child < hole_first_leaf) {
-                ids[top++] = child;
-                continue;
-            }
-            const uint leaf = (child - hole_first_leaf) * LEAF;
-            for (uint k = leaf; k < min(leaf + LEAF, hole_count); ++k) {
-                const uint hole = hole_names[k] / 3;
-                double sum = 0;
-                double3 a = vload3(first[hole + 1] - 1, loops);
-                for (uint at = first[hole]; at < first[hole + 1]; ++at) {
-                    const double3 b = vload3(at, loops);
-                    sum += steepness_of(a, b, low, high, radius);
-                    a = b;
-                }
-                const double by_area = steepness_of_area(hole_areas[hole], gap);
-                steepness += by_area < sum ? by_area : sum;
-            }
+            const double by_area = steepness_of_area(hole_areas[hole], gap);
+            steepness += by_area < sum ? by_area : sum;
         }
     }
     const double variation = steepness * radius;
@@ -193,27 +211,18 @@ __kernel void exclude_caps(BLOCKS, CAPS, __global const float *cap_nodes,
         return;
     const centres c = centres_of(blocks[gid], level);
     const double3 low = to_local(c.low, frame), high = to_local(c.high, frame);
-    uint ids[STACK], top = 1;
-    ids[0] = 0;
-    while (top > 0) {
-        const uint id = ids[--top];
-        for (uint i = 0; i < ARITY; ++i) {
-            double3 box_low, box_high;
-            child_box(cap_nodes, id, i, &box_low, &box_high);
-            if (any(box_low > high) || any(box_high < low))
-                continue;
-            const uint child = ARITY * id + 1 + i;
-            if (child < cap_first_leaf) {
-                ids[top++] = child;
-                continue;
-            }
-            const uint leaf = (child - cap_first_leaf) * LEAF;
-            for (uint k = leaf; k < min(leaf + LEAF, cap_count); ++k) {
-                const triangle t = fetch_triangle(vertices, faces, first_cap + cap_names[k] / 3);
-                if (may_meet(&t, c)) {
-                    variations[gid] = INFINITY;
-                    return;
-                }
+    walk w = FROM_ROOT;
+    while (next_child(&w)) {
+        double3 box_low, box_high;
+        child_box(cap_nodes, &w, &box_low, &box_high);
+        if (any(box_low > high) || any(box_high < low) || descend(&w, cap_first_leaf))
+            continue;
+        const uint leaf = (w.child - cap_first_leaf) * LEAF;
+        for (uint k = leaf; k < min(leaf + LEAF, cap_count); ++k) {
+            const triangle t = fetch_triangle(vertices, faces, first_cap + cap_names[k] / 3);
+            if (may_meet(&t, c)) {
+                variations[gid] = INFINITY;
+                return;
             }
         }
     }
@@ -340,41 +349,34 @@ __kernel void subtract_caps(__global const ulong *voxels, const uint n, const do
         return;
     const int3 centre = convert_int3(morton_decode(voxels[gid])) * VOXEL + HALF;
     const double3 p = to_local(centre, frame);
-    uint ids[STACK], top = 1;
-    ids[0] = 0;
+    walk w = FROM_ROOT;
     double8 angles = 0;
     double near = 0;
-    while (top > 0) {
-        const uint id = ids[--top];
-        long8 far;
-        angles += distant_angles(moments + (size_t)id * (MOMENTS * ARITY), p, &far);
-        long is_far[ARITY];
-        vstore8(far, 0, is_far);
-        for (uint i = 0; i < ARITY; ++i) {
-            if (is_far[i])
-                continue;
-            const uint child = ARITY * id + 1 + i;
-            if (child < cap_first_leaf) {
-                ids[top++] = child;
+    long is_far[ARITY];
+    while (next_child(&w)) {
+        if (w.i == 0) {
+            long8 far;
+            angles += distant_angles(moments + (size_t)w.id * (MOMENTS * ARITY), p, &far);
+            vstore8(far, 0, is_far);
+        }
+        if (is_far[w.i] || descend(&w, cap_first_leaf))
+            continue;
+        const uint leaf = w.child - cap_first_leaf;
+        double4 x, y, size;
+        triangle_vectors(cap_leaves + (size_t)leaf * (FIELDS * LEAF), p, &x, &y, &size);
+        const long4 close = x < CLOSE * size && (y < 0.0 ? -y : y) < CLOSE * size;
+        double angle[LEAF];
+        long is_close[LEAF];
+        vstore4(angle_of(y, x), 0, angle);
+        vstore4(close, 0, is_close);
+        for (uint k = 0; k < LEAF && leaf * LEAF + k < cap_count; ++k) {
+            if (!is_close[k]) {
+                near += angle[k] / (2 * PI);
                 continue;
             }
-            const uint leaf = child - cap_first_leaf;
-            double4 x, y, size;
-            triangle_vectors(cap_leaves + (size_t)leaf * (FIELDS * LEAF), p, &x, &y, &size);
-            const long4 close = x < CLOSE * size && (y < 0.0 ? -y : y) < CLOSE * size;
-            double angle[LEAF];
-            long is_close[LEAF];
-            vstore4(angle_of(y, x), 0, angle);
-            vstore4(close, 0, is_close);
-            for (uint k = 0; k < LEAF && leaf * LEAF + k < cap_count; ++k) {
-                if (!is_close[k]) {
-                    near += angle[k] / (2 * PI);
-                    continue;
-                }
-                const uint face = first_cap + cap_names[leaf * LEAF + k] / 3;
-                const triangle t = fetch_triangle(vertices, faces, face);
-                near += number_of(&t, centre);
-            }
+            const uint face = first_cap + cap_names[leaf * LEAF + k] / 3;
+            const triangle t = fetch_triangle(vertices, faces, face);
+            near += number_of(&t, centre);
         }
     }
     const double4 halves = angles.lo + angles.hi;

@@ -3,7 +3,6 @@
 // otherwise SAMPLE: the type of coverages.
 
 #include "svo/octree.h"
-#include "svo/surface/cut_cells.h"
 #include "svo/surface/samples.h"
 
 // The `child` words of a level's nodes start at children[first].

@@ -2,7 +2,7 @@
 // voxtool/svo/surface/triangles.py. Options: VOXELS, or SAMPLE, the type of coverages.
 
 #include "svo/surface/dual_case_tables.h"
-#include "svo/surface/crossing.h"
+#include "svo/surface/samples.h"
 #include "opencl/histopyramid.h"
 
 // The arguments that locate a cut cell: the host's CutCubes.arguments.

@@ -3,7 +3,7 @@
 // type of coverages.
 
 #include "svo/surface/case_tables.h"
-#include "svo/surface/crossing.h"
+#include "svo/surface/samples.h"
 #include "opencl/histopyramid.h"
 
 // The vertices of the edges that start in a tile: along x, then y, then z, in Morton order. Points
