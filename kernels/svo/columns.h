@@ -5,7 +5,6 @@
 #include "svo/octree.h"
 #include "svo/scan.h"
 #include "svo/morton.h"
-#include "svo/active.h"
 #include "svo/overlap.h"
 
 // ---- columns of a triangle, and the tile of them that a work-item processes
@@ -51,33 +50,6 @@ columns columns_of(const triangle *t, int kind, int level, int3 shape, int3 pad)
     return c;
 }
 
-// Reduce the columns to those of a tile.
-void take_tile(columns *c, int tile)
-{
-    c->low.x += tile % c->tiles_p * COLUMN_TILE;
-    c->low.y += tile / c->tiles_p * COLUMN_TILE;
-    c->high.xy = min(c->high.xy, c->low.xy + COLUMN_TILE - 1);
-}
-
-// The tile of triangle *index that work-item `gid` processes. Without offsets, a work-item processes
-// a complete triangle.
-int share_of(__global const uint *tile_offsets, uint triangles, uint gid, uint *index)
-{
-    *index = gid;
-    if (!tile_offsets)
-        return 0;
-    uint low = 0, high = triangles; // tile_offsets[low] <= gid < tile_offsets[high]
-    while (high - low > 1) {
-        const uint middle = low + (high - low) / 2;
-        if (tile_offsets[middle] <= gid)
-            low = middle;
-        else
-            high = middle;
-    }
-    *index = low;
-    return (int)(gid - tile_offsets[low]);
-}
-
 // The parameters that locate the triangles of a mesh, their tiles, and the boxes of the grid: the
 // host's Scan.shares.
 #define TRIANGLES                                                                                  \
@@ -86,20 +58,61 @@ int share_of(__global const uint *tile_offsets, uint triangles, uint gid, uint *
         const int pad
 #define THESE_TRIANGLES vertices, faces, triangles, tile_offsets, n, level, shape, pad
 
-// The triangle and the columns that this work-item processes; false if there are none.
+// The triangle and the columns that this work-item processes; false if there are none. Without
+// offsets, a work-item processes a complete triangle, otherwise a tile of one.
 bool take_share(TRIANGLES, int kind, triangle *t, columns *c)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return false;
-    uint index;
-    const int tile = share_of(tile_offsets, triangles, gid, &index);
+    uint index = tile_offsets ? 0 : gid, end = triangles;
+    while (tile_offsets && end - index > 1) { // tile_offsets[index] <= gid < tile_offsets[end]
+        const uint middle = index + (end - index) / 2;
+        if (tile_offsets[middle] <= gid)
+            index = middle;
+        else
+            end = middle;
+    }
     *t = fetch_triangle(vertices, faces, index);
     *c = columns_of(t, kind, level, shape, (int3)(pad, 0, 0));
     if (c->tiles == 0)
         return false;
-    take_tile(c, tile);
+    const int tile = tile_offsets ? (int)(gid - tile_offsets[index]) : 0;
+    c->low.x += tile % c->tiles_p * COLUMN_TILE;
+    c->low.y += tile / c->tiles_p * COLUMN_TILE;
+    c->high.xy = min(c->high.xy, c->low.xy + COLUMN_TILE - 1);
     return true;
+}
+
+// ---- the set of active level-1 nodes
+
+// Bits in Morton order, with the number of set bits before each word, give the index of an active node
+// in constant time. In large grids, only active blocks of 8 x 8 x 8 nodes have bits; `block_words`, a
+// set of the same form, holds these blocks.
+
+uint set_index(__global const uint *words, __global const uint *ranks, CODE code)
+{
+    const uint word = (uint)(code >> 5);
+    return ranks[word] + popcount(words[word] & ((1u << (uint)(code & 31)) - 1u));
+}
+
+#define ACTIVE_SET_PARAMETERS                                                                      \
+    __global const uint *block_words, __global const uint *block_ranks, __global const uint *words, \
+        __global const uint *ranks
+#define ACTIVE_SET block_words, block_ranks, words, ranks
+
+// The code under which the bit of a level-1 node is stored.
+CODE stored_code(ACTIVE_SET_PARAMETERS, CODE code)
+{
+    if (!block_words)
+        return code;
+    return (CODE)set_index(block_words, block_ranks, code >> 9) << 9 | (code & 511);
+}
+
+// The index of an active node among the active nodes; undefined for other nodes.
+uint node_index(ACTIVE_SET_PARAMETERS, CODE code)
+{
+    return set_index(words, ranks, stored_code(ACTIVE_SET, code));
 }
 
 // ---- storage of boxes and voxels

@@ -3,20 +3,8 @@
 // Morton codes ([voCCeL], eq. 2.2), x in the lowest bit. The plan selects CODE: uint if the level-1
 // cells fit 10 bits an axis, otherwise ulong.
 
-uint spread_10_bits(uint v)
-{
-    v = (v | (v << 16)) & 0x030000FFu;
-    v = (v | (v << 8)) & 0x0300F00Fu;
-    v = (v | (v << 4)) & 0x030C30C3u;
-    v = (v | (v << 2)) & 0x09249249u;
-    return v;
-}
-
 CODE morton_encode(uint3 cell)
 {
-    if (sizeof(CODE) == 4)
-        return (CODE)(spread_10_bits(cell.x) | spread_10_bits(cell.y) << 1 |
-                      spread_10_bits(cell.z) << 2);
     return (CODE)(spread_bits(cell.x) | spread_bits(cell.y) << 1 | spread_bits(cell.z) << 2);
 }
 

@@ -45,7 +45,12 @@ typedef struct {
     uint id, i, child;    // child i of node `id`, and its own number
 } walk;
 
-#define FROM_ROOT {{0}, 1, 0, ARITY - 1, 0}
+void start(walk *w)
+{
+    w->ids[0] = 0;
+    w->top = 1;
+    w->i = ARITY - 1;
+}
 
 // Steps to the next child; returns whether there is one.
 bool next_child(walk *w)
@@ -169,7 +174,8 @@ __kernel void bound_variation(BLOCKS, HOLES, const double limit, __global double
     const centres c = centres_of(blocks[gid], level);
     const double3 low = to_local(c.low, frame), high = to_local(c.high, frame), size = high - low;
     const double radius = 0.5 * sqrt(size.x * size.x + size.y * size.y + size.z * size.z);
-    walk w = FROM_ROOT;
+    walk w;
+    start(&w);
     double steepness = 0;
     while (steepness * radius < limit && next_child(&w)) {
         double3 box_low, box_high;
@@ -211,7 +217,8 @@ __kernel void exclude_caps(BLOCKS, CAPS, __global const float *cap_nodes,
         return;
     const centres c = centres_of(blocks[gid], level);
     const double3 low = to_local(c.low, frame), high = to_local(c.high, frame);
-    walk w = FROM_ROOT;
+    walk w;
+    start(&w);
     while (next_child(&w)) {
         double3 box_low, box_high;
         child_box(cap_nodes, &w, &box_low, &box_high);
@@ -349,7 +356,8 @@ __kernel void subtract_caps(__global const ulong *voxels, const uint n, const do
         return;
     const int3 centre = convert_int3(morton_decode(voxels[gid])) * VOXEL + HALF;
     const double3 p = to_local(centre, frame);
-    walk w = FROM_ROOT;
+    walk w;
+    start(&w);
     double8 angles = 0;
     double near = 0;
     long is_far[ARITY];

@@ -61,13 +61,14 @@ __kernel void mark_tiles(__global const uint *codes, const uint n, volatile __gl
 #endif
 }
 
-// The words of tiles at the corners of word `code`; 0 outside the root.
+// The words of tiles at the corners of the cubes of word `code`; 0 outside the root.
 void corner_words(__global const ulong *words, uint n, uint code, ulong *corner)
 {
     for (uint j = 0; j < 8; ++j) {
         const ulong at = corner_cell(code, j);
         corner[j] = at < n ? words[at] : 0;
     }
+    shift_to_corners(corner);
 }
 
 // Finds the tiles with a cube that may be cut: one of the cube's corners lies in an active tile, or
@@ -79,16 +80,12 @@ __kernel void find_tiles(__global const ulong *active, __global const ulong *ins
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    ulong corner[8], any = 0, differing = 0;
+    ulong corner[8];
+    corner_words(inside, n, gid, corner);
+    ulong any = cut_cubes(corner);
     corner_words(active, n, gid, corner);
-    shift_to_corners(corner);
     for (uint j = 0; j < 8; ++j)
         any |= corner[j];
-    corner_words(inside, n, gid, corner);
-    shift_to_corners(corner);
-    for (uint j = 1; j < 8; ++j)
-        differing |= corner[j] ^ corner[0];
-    any |= differing;
     present[gid] = any;
     counts[gid] = (uint)popcount(any);
 }
@@ -241,12 +238,9 @@ __kernel void count_lost(__global const uint *codes, const uint count, TILES, SA
             bool seen = near >> bit & 1;
             for (uint j = 0; j < 8 && !seen; ++j) {
                 ulong cube = cell;
-                bool exists = true; // no cube starts below the root, where the grid is empty
                 for (uint axis = 0; axis < 3; ++axis)
-                    if (j >> axis & 1) {
-                        exists &= (cube & AXIS << axis) != 0;
-                        cube = step_down(cube, axis);
-                    }
+                    cube = j >> axis & 1 ? step_down(cube, axis) : cube;
+                const bool exists = cube >> 12 < words; // below the root, codes wrap around
                 const uint at = exists ? slot_of(present, ranks, cube >> 6) : NOWHERE;
                 seen = at != NOWHERE && (cut[at] >> (cube & 63) & 1);
             }

@@ -17,7 +17,7 @@ ulong step_up(ulong code, uint axis)
     return (((code | ~m) + 1) & m) | (code & ~m);
 }
 
-// The code of the previous cell, which must exist.
+// The code of the previous cell; outside the root it has more bits than the root's codes.
 ulong step_down(ulong code, uint axis)
 {
     const ulong m = AXIS << axis;

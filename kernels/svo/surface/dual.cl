@@ -162,12 +162,8 @@ __kernel void list_quads(HISTOPYRAMID, const uint n, __global const uint *codes,
     }
     const uint b = (axis + 1) % 3, c = (axis + 2) % 3;
     for (uint place = 0; place < 4; ++place) { // (low, low), (high, low), (high, high), (low, high)
-        const uint low_b = place == 0 || place == 3, low_c = place < 2;
-        ulong at = cell;
-        if (low_b)
-            at = step_down(at, b);
-        if (low_c)
-            at = step_down(at, c);
+        ulong at = place == 0 || place == 3 ? step_down(cell, b) : cell;
+        at = place < 2 ? step_down(at, c) : at;
         const uint edge = EDGE_AROUND[4 * axis + place];
         const uint cube = cube_of(THESE_TILES, THESE_CUBES, at);
         quads[4 * (size_t)k + (outward ? place : (4 - place) % 4)] =

@@ -9,6 +9,8 @@
 // row's length between these coordinates. Each field has COORDINATE_BITS.
 #define COORDINATE_MASK ((1ul << COORDINATE_BITS) - 1)
 
+ulong with_field(ulong key, ulong field) { return key << COORDINATE_BITS | field; }
+
 // Keys of squares, for rows along b: sorted by normal, plane, c, b.
 __kernel void key_squares(__global const uint *quads, const uint n, __global const int *points,
                         __global ulong *keys, __global uint *order)
@@ -26,10 +28,9 @@ __kernel void key_squares(__global const uint *quads, const uint n, __global con
     while (corner[1][a] != corner[0][a] || corner[2][a] != corner[0][a])
         ++a;
     const uint b = (a + 1) % 3, c = (a + 2) % 3;
-    const bool outward = corner[1][b] != corner[0][b]; // first edge along b: counter-clockwise from +a
-    const ulong facing = 2 * a + outward;
-    keys[gid] = ((facing << COORDINATE_BITS | (ulong)corner[0][a]) << COORDINATE_BITS | (ulong)corner[0][c]) << COORDINATE_BITS |
-                (ulong)corner[0][b];
+    const bool outward = corner[1][b] != corner[0][b]; // the first edge is along b
+    const ulong plane = with_field(2 * a + outward, corner[0][a]);
+    keys[gid] = with_field(with_field(plane, corner[0][c]), corner[0][b]);
     order[gid] = gid;
 }
 
@@ -56,7 +57,7 @@ __kernel void key_rows(__global const ulong *square_keys, const uint count,
     const uint start = row_start[gid], end = gid + 1 < n ? row_start[gid + 1] : count;
     const ulong key = square_keys[start];
     const ulong b = key & COORDINATE_MASK, c = key >> COORDINATE_BITS & COORDINATE_MASK;
-    keys[gid] = ((key >> 2 * COORDINATE_BITS << COORDINATE_BITS | b) << COORDINATE_BITS | (ulong)(end - start)) << COORDINATE_BITS | c;
+    keys[gid] = with_field(with_field(with_field(key >> 2 * COORDINATE_BITS, b), end - start), c);
     order[gid] = gid;
 }
 
