@@ -19,10 +19,9 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.raycast import COLOUR, cast, depths
 
 AMBIENT = 0.08
-UNIT = {"origin": (0.0, 0.0, 0.0), "pitch": (1.0, 1.0, 1.0)}
 
 
-def placed(octree: Octree, origin, pitch) -> Octree:
+def placed(octree: Octree, origin=(0.0, 0.0, 0.0), pitch=(1.0, 1.0, 1.0)) -> Octree:
     return replace(octree, grid=Grid(octree.grid.shape, origin, pitch))
 
 
@@ -71,6 +70,14 @@ def clear_of_edges(low: np.ndarray, high: np.ndarray, near: np.ndarray, rays: Ra
     return np.isclose(more, less, rtol=0, atol=1e3 * near.max())
 
 
+def check_depths(found: np.ndarray, expected: np.ndarray, clear: np.ndarray, **tolerance) -> int:
+    """Compare depths at rays that are clear of edges; return how many of them meet something."""
+    assert np.array_equal(np.isfinite(found)[clear], np.isfinite(expected)[clear])
+    finite = clear & np.isfinite(expected)
+    np.testing.assert_allclose(found[finite], expected[finite], **tolerance)
+    return np.count_nonzero(finite)
+
+
 def cameras(octree: Octree, rng: np.random.Generator) -> list[Camera]:
     """From outside and from within, in perspective and orthographic."""
     origin, pitch = np.array(octree.grid.origin), np.array(octree.grid.pitch)
@@ -115,16 +122,11 @@ def test_first_hits(device: Device, which: int):
             clear = clear_of_edges(low, high, 1e-6 * pitch, rays)
             assert clear.mean() > 0.95
             found = depths(octree, rays, level=level, device=device)
-            assert np.array_equal(np.isfinite(found)[clear], np.isfinite(expected)[clear])
-            finite = clear & np.isfinite(expected)
-            np.testing.assert_allclose(
-                found[finite], expected[finite], rtol=1e-12, atol=1e-9 * pitch.max()
-            )
+            met += check_depths(found, expected, clear, rtol=1e-12, atol=1e-9 * pitch.max())
             picture = cast(octree, rays, level=level, device=device)
             assert np.array_equal(picture[..., 3], np.isfinite(found).astype(np.float32))
             assert not picture[np.isinf(found)].any()
             assert (picture[np.isfinite(found)] > 0).all()
-            met += np.count_nonzero(finite)
     assert met > 500
 
 
@@ -146,7 +148,7 @@ def test_rays_along_axes(device: Device, axis: int, sign: int):
         inside = (u >= 0) & (u < 16)
         expected = np.where(inside[:, None] & inside, 3.0 if sign > 0 else 4.0, np.inf)
         for dense in (leaf, bricks):
-            scene = placed(octree_from_dense(dense), **UNIT)
+            scene = placed(octree_from_dense(dense))
             for level in ("voxel", 0, 1, 2):
                 assert np.array_equal(depths(scene, rays, level=level, device=device), expected)
 
@@ -156,7 +158,7 @@ def test_rays_through_edges(device: Device, perspective: bool):
     """Along diagonals, from voxel edge to voxel edge, a wall has no hole."""
     dense = np.zeros((32, 32, 32), bool)
     dense[12:14] = True
-    octree = placed(octree_from_dense(dense), **UNIT)
+    octree = placed(octree_from_dense(dense))
     for way in ((1, 1, 0), (1, -1, 0), (1, 1, 1), (1, -1, -1), (-1, 1, 0), (-1, -1, 1)):
         eye = np.where(np.array(way) > 0, 2.0, 30.0)
         direction = np.array(way, float)
@@ -186,16 +188,16 @@ def test_rays_between_voxels_that_share_an_edge(device: Device):
     right, down = np.array([[0, 0, 0.1], [0, 0, 0.2]])
     for sign, eye, dense, expected in scenes:
         rays = Rays(np.array(eye), np.array([sign, sign, 0.0]), right, down, False, (3, 3))
-        octree = placed(octree_from_dense(dense), **UNIT)
+        octree = placed(octree_from_dense(dense))
         assert (depths(octree, rays, device=device) == expected).all()
 
 
 def test_within(device: Device):
     """From inside a set voxel it is met at once; from a cave, its walls, wherever one looks."""
-    solid = placed(octree_from_dense(np.ones((32, 32, 32), bool)), **UNIT)
+    solid = placed(octree_from_dense(np.ones((32, 32, 32), bool)))
     cave = np.ones((32, 32, 32), bool)
     cave[9:23, 9:23, 9:23] = False
-    cave_renderer = placed(octree_from_dense(cave), **UNIT)
+    cave_renderer = placed(octree_from_dense(cave))
     rng = np.random.default_rng(2)
     low, high = np.full((1, 3), 9.0), np.full((1, 3), 23.0)
     for _ in range(4):
@@ -212,7 +214,7 @@ def test_within(device: Device):
 
 def test_behind_the_eye(device: Device):
     """Perspective rays begin at the eye, orthographic ones are whole lines."""
-    octree = placed(octree_from_dense(np.ones((8, 8, 8), bool)), **UNIT)
+    octree = placed(octree_from_dense(np.ones((8, 8, 8), bool)))
     away = Camera((4, 4, 20), (4, 4, 30), fov=40.0)
     assert not cast(octree, away.rays(9, 9), device=device).any()
     lines = replace(away, fov=None, height=4.0).rays(9, 9)
@@ -313,7 +315,7 @@ def test_planes_are_smooth(device: Device, slopes: tuple[float, float], mode: st
 
 def test_faces_where_coverage_is_constant(device: Device):
     """Deep inside, light falls on the faces of voxels."""
-    octree = placed(octree_from_dense(np.ones((64, 64, 64), bool)), **UNIT)
+    octree = placed(octree_from_dense(np.ones((64, 64, 64), bool)))
     for axis in range(3):
         for sign in (-1, 1):
             way = np.full(3, 0.01)
@@ -355,21 +357,15 @@ def test_frames(device: Device):
     assert np.array_equal(first, cast(octree, camera.rays(37, 11), device=device))
 
 
-def test_empty(device: Device):
-    octree = octree_from_dense(np.zeros((9, 8, 8), bool))
-    rays = Camera.fit(octree.grid.origin, octree.grid.to_world(np.array([[9, 8, 8]]))[0]).rays(8, 8)
-    for level in ("voxel", *range(octree.depth)):
-        assert not cast(octree, rays, level=level, device=device).any()
-
-
 def test_refined_nodes_that_are_empty(device: Device):
-    """Nodes that a triangle touches may hold no voxel: no level draws them."""
+    """Nodes that a triangle touches may hold no voxel: no level draws them, nor an empty root."""
     full = octree_from_dense(np.ones((32, 32, 32), bool), mode="surface26", fill="none")
     bricks = np.zeros_like(full.bricks)
     bricks[-1] = 1 << 63
     octree = replace(full, bricks=bricks)
     corner = octree.grid.to_world(np.array([[0, 0, 0], [32, 32, 32]]))
     rays = Camera.fit(corner[0], corner[1]).rays(64, 64)
+    assert not cast(octree_from_dense(np.zeros((32, 32, 32), bool)), rays, device=device).any()
     shares = [
         cast(octree, rays, level=level, device=device)[..., 3].mean()
         for level in ("voxel", 0, 1, 2, 3)
@@ -380,7 +376,7 @@ def test_refined_nodes_that_are_empty(device: Device):
 def deep_octree(dim: int, voxel: tuple[int, int, int]) -> Octree:
     """Return an octree of one voxel in which, on each level, the first node that does not lead to
     the voxel is an inside leaf."""
-    octree = Octree.from_voxels([voxel], Grid((dim, dim, dim), **UNIT))
+    octree = Octree.from_voxels([voxel], Grid((dim, dim, dim), (0, 0, 0), (1, 1, 1)))
     nodes = octree.nodes.copy()
     for first in octree.offsets[1:-2]:
         nodes["child"][first + (1 if nodes["child"][first] else 0)] = INSIDE
@@ -407,10 +403,7 @@ def test_deepest_octree(device: Device, voxel: tuple[int, int, int]):
                 rays = camera.rays(21, 21)
                 found, expected = depths(octree, rays, device=device), nearest(low, high, rays)
                 clear = clear_of_edges(low, high, np.full(3, 1e-6), rays)
-                assert np.array_equal(np.isfinite(found)[clear], np.isfinite(expected)[clear])
-                finite = clear & np.isfinite(expected)
-                np.testing.assert_allclose(found[finite], expected[finite], rtol=0, atol=1e-8)
-                seen += np.count_nonzero(finite)
+                seen += check_depths(found, expected, clear, rtol=0, atol=1e-8)
                 assert np.isfinite(cast(octree, rays, device=device)).all()
     assert seen > 1000
 

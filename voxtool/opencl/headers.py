@@ -22,7 +22,7 @@ HOMES = {
     "spatial/bvh.h": "voxtool.spatial.bvh",
     "spatial/names.h": "voxtool.spatial.bvh",
     "spatial/winding_number.h": "voxtool.spatial.winding_number",
-    "svo/fill/crossings.h": "voxtool.svo.fill.crossings",
+    "svo/fill/crossings.h": "voxtool.svo.fill.rows",
     "svo/fill/rows.h": "voxtool.svo.fill.rows",
     "svo/fill/winding.h": "voxtool.svo.fill.winding",
     "svo/octree.h": "voxtool.svo.layout",

@@ -70,17 +70,9 @@ def build_from_lists(device: Device, lists: list[np.ndarray]) -> DeviceOctree:
     """Return the octree of refined nodes that are given by ascending codes, from level 1 up."""
     refined = []
     for codes, parents in zip(lists, [*lists[1:], lists[-1][:0]], strict=True):
-        index = _places_of_parents(codes, parents)
+        index = np.searchsorted(parents, codes >> codes.dtype.type(3)).astype(np.uint32)
         refined.append(RefinedNodes(device.put(codes), device.put(index), len(codes)))
     return _link(device, refined)
-
-
-def _places_of_parents(codes: np.ndarray, parents: np.ndarray) -> np.ndarray:
-    """Return the index of each code's parent among `parents`, (n,) uint32; both ascend."""
-    shortened = codes >> codes.dtype.type(3)
-    first = np.flatnonzero(np.diff(shortened, prepend=~shortened[:1]))
-    places = np.searchsorted(parents, shortened[first]).astype(np.uint32)
-    return np.repeat(places, np.diff(first, append=len(codes)))
 
 
 def _link(device: Device, refined: list[RefinedNodes]) -> DeviceOctree:

@@ -84,7 +84,7 @@ class Scan:
         return self.device.kernel(source, name, **self._options)
 
     def shares(
-        self, kind: int, level: int = 0, *, with_caps: bool = False
+        self, kind: int, level: int = 0, with_caps: bool = False
     ) -> tuple[int, dict[str, Any]]:
         """Return the number of work-items for triangles in boxes of 2**level voxels, and the
         kernels' arguments by name."""
@@ -113,19 +113,18 @@ class Scan:
                 )
         return exclusive_scan(tiles, n), {**arguments, "tile_offsets": tiles}
 
-    def activate(
-        self, level: int, lookup: dict[str, Array | None], target: Array, *, with_caps: bool
+    def set_boxes(
+        self, kind: int, target: Array, lookup: dict[str, Array | None], *of: Any
     ) -> None:
-        """Set the bits of the boxes of 2**level voxels that triangles touch."""
-        n, triangles = self.shares(TOUCHED, level, with_caps=with_caps)
-        self.kernel(SOURCE, "set_boxes")(n, TOUCHED, **lookup, target=target, **triangles)
+        """Set the bits of boxes that triangles touch, or that separate; `of` as for `shares`."""
+        n, triangles = self.shares(kind, *of)
+        self.kernel(SOURCE, "set_boxes")(n, kind, **lookup, target=target, **triangles)
 
     def surface(self, active: ActiveNodes) -> Array:
         """Return the bricks of the active nodes, with the voxels of the surface set."""
         bricks = self.device.zeros(8 * active.nodes.n, BRICK)
         kind = TOUCHED if self.plan.surface == "26" else SEPARATING
-        n, triangles = self.shares(kind)
-        self.kernel(SOURCE, "set_boxes")(n, kind, **active.lookup, target=bricks, **triangles)
+        self.set_boxes(kind, bricks, active.lookup)
         return bricks
 
 
@@ -158,12 +157,12 @@ def _activate(
     """Return the active boxes of 2**level voxels and, if the mesh has caps, the codes of those that
     the mesh itself touches."""
     lookup = _lookup(blocks, words, words)
-    scan.activate(level, lookup, words, with_caps=False)
+    scan.set_boxes(TOUCHED, words, lookup, level)
     found = _collect(scan, words, blocks)
     if near_holes is None:
         return found, None
     touched = found.codes.get(0, found.n)
-    scan.activate(level, lookup, words, with_caps=True)
+    scan.set_boxes(TOUCHED, words, lookup, level, True)
     codes = scan.device.put(near_holes.astype(scan.code))
     scan.kernel(SOURCE, "activate_nodes")(codes.size, codes, level, **lookup, target=words)
     return _collect(scan, words, blocks), touched

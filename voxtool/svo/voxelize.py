@@ -6,9 +6,9 @@ The stages, on the device:
 2. Active nodes: the level-1 nodes (8 x 8 x 8 voxels) that a triangle touches (scan.py).
 3. Octree: the levels above, bottom-up from shortened Morton codes (build.py).
 4. Voxels. A surface is scan-converted into the bricks of the active nodes (scan.py). For a solid,
-   flips mark where rows along x change between inside and outside (fill/crossings.py), and the
-   voxels between flips are filled (fill/rows.py); or everything that the outside cannot reach is
-   filled (fill/flood.py). Near holes, the winding number decides each voxel (fill/winding.py).
+   flips mark where rows along x change between inside and outside, and the voxels between flips
+   are filled (fill/rows.py); or everything that the outside cannot reach is filled
+   (fill/flood.py). Near holes, the winding number decides each voxel (fill/winding.py).
 
 [voCCeL] descends the octree to find the brick of a voxel; here, the rank of its level-1 node among
 the active nodes gives the brick directly. [voCCeL] links x-neighbours; here, rows walk the octree.
@@ -31,9 +31,8 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_topology, volume, watertight
 from voxtool.opencl import Device, default_device
 from voxtool.svo.build import build_octree
-from voxtool.svo.fill.crossings import flip_changes, flip_crossings, list_crossings
 from voxtool.svo.fill.flood import flood
-from voxtool.svo.fill.rows import Filled, fill_rows
+from voxtool.svo.fill.rows import Filled, fill_rows, flip_changes, flip_crossings, list_crossings
 from voxtool.svo.fill.winding import NearHoles
 from voxtool.svo.lattice import place_mesh
 from voxtool.svo.octree import Octree

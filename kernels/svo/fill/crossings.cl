@@ -1,5 +1,5 @@
 // The crossings of rows of voxel centres along x with triangles. Host side:
-// voxtool/svo/fill/crossings.py. Options: those of columns.h.
+// voxtool/svo/fill/rows.py. Options: those of columns.h.
 
 #include "svo/columns.h"
 #include "svo/fill/crossings.h"

@@ -108,7 +108,7 @@ class _Octree:
     def neighbours(self, d: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
         """Return the brick next to each brick in direction d, or -1, and the number of the node
         that holds the place."""
-        place = morton_decode(np.arange(8)) + d
+        place = morton_decode(np.arange(8)) + np.array(d)
         numbers = np.stack([self._beside[x, y, z] for x, y, z in (place >> 1).tolist()], axis=1)
         ranks, octants = self.ranks[numbers], morton_encode(place & 1).astype(np.int64)
         return np.where(ranks >= 0, 8 * ranks + octants, -1).ravel(), numbers.ravel()

@@ -40,7 +40,7 @@ from voxtool.spatial.bvh import ARITY, LEAF, TriangleTree, build_tree
 from voxtool.spatial.winding_number import WindingNumber
 from voxtool.svo.build import DeviceOctree
 from voxtool.svo.fill.caps import Caps
-from voxtool.svo.fill.crossings import Crossings
+from voxtool.svo.fill.rows import Crossings
 from voxtool.svo.lattice import LatticeMesh
 from voxtool.svo.layout import BRICK, BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES, descend
 from voxtool.svo.plan import VoxelizePlan

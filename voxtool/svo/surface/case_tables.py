@@ -36,19 +36,15 @@ NO_EDGE = 255
 Loop = list[int]  # the cut edges that it passes, counter-clockwise seen from outside the surface
 
 
-def _faces() -> list[list[int]]:
-    """Return the four corners of each face, counter-clockwise seen from outside the cube."""
-    faces = []
-    for axis in range(3):
-        b, c = 1 << (axis + 1) % 3, 1 << (axis + 2) % 3
-        faces.append([0, c, b | c, b])
-        faces.append([corner | 1 << axis for corner in (0, b, b | c, c)])
-    return faces
-
-
+NEXT = [(1 << (axis + 1) % 3, 1 << (axis + 2) % 3) for axis in range(3)]  # bits of the other axes
+# The four corners of each face, counter-clockwise seen from outside the cube.
+FACES = [
+    face
+    for axis, (b, c) in enumerate(NEXT)
+    for face in ([0, c, b | c, b], [corner | 1 << axis for corner in (0, b, b | c, c)])
+]
 # The two corners of each edge, the low one first.
 EDGES = [(j, j | 1 << axis) for axis in range(3) for j in range(8) if not j >> axis & 1]
-FACES = _faces()
 EDGE_OF = {pair: e for e, (u, v) in enumerate(EDGES) for pair in ((u, v), (v, u))}
 FACES_OF = [{f for f in range(6) if {*EDGES[e]} <= {*FACES[f]}} for e in range(12)]
 
@@ -176,8 +172,7 @@ def edge_around() -> np.ndarray:
     """Return the number that an edge along each axis has in the four cubes around it, (3, 4) uint8,
     from that before it along the two next axes (modulo 3) on, counter-clockwise."""
     table = np.zeros((3, 4), np.uint8)
-    for axis in range(3):
-        b, c = 1 << (axis + 1) % 3, 1 << (axis + 2) % 3
+    for axis, (b, c) in enumerate(NEXT):
         for place, low in enumerate((b | c, c, 0, b)):
             table[axis, place] = EDGE_OF[low, low | 1 << axis]
     return table
@@ -191,7 +186,7 @@ def _header(constants: dict[str, int], tables: dict[str, np.ndarray]) -> str:
     return "\n".join(lines)
 
 
-def primal_header() -> str:
+def _primal_header() -> str:
     """Return the tables of marching cubes as OpenCL constants; an edge of a triangle is the corner
     where it begins, plus 8 times its axis."""
     triangles = triangle_table()
@@ -204,7 +199,7 @@ def primal_header() -> str:
     return _header({"MAX_TRIANGLES": MAX_TRIANGLES}, tables)
 
 
-def dual_header() -> str:
+def _dual_header() -> str:
     """Return the tables of the dual styles as OpenCL constants."""
     loop_of, face_of = loop_tables()
     tables = {
@@ -221,6 +216,6 @@ def dual_header() -> str:
 
 
 HEADERS = {
-    "svo/surface/case_tables.h": primal_header(),
-    "svo/surface/dual_case_tables.h": dual_header(),
+    "svo/surface/case_tables.h": _primal_header(),
+    "svo/surface/dual_case_tables.h": _dual_header(),
 }

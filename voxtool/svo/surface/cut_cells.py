@@ -198,10 +198,6 @@ def find_tiles(
     are more than MAX_PRESENT."""
     side = 1 << (tree.top - sampling.level - 2)  # tiles along a side of the root
     words = max(side**3 // 64, 1)
-
-    def kernel(name: str) -> Callable[..., None]:
-        return device.kernel(SOURCE, name, **sampling.options)
-
     with device.stage("tiles"):
         inside, active = device.zeros(words, np.uint64), device.zeros(words, np.uint64)
         scene = {
@@ -212,10 +208,11 @@ def find_tiles(
             "bricks": device.view(octree.bricks),
             "children": device.view(tree.children),
         }
-        nodes = _place_nodes(kernel("place_nodes"), device, tree, sampling.level, scene)
-        kernel("mark_tiles")(nodes.size, nodes, active)
+        tiles = Tiles(device, sampling, 0, scene)
+        nodes = _place_nodes(tiles, tree)
+        tiles.kernel(SOURCE, "mark_tiles")(nodes.size, nodes, active)
         present, ranks = device.empty(words, np.uint64), device.empty(words + 1, np.uint32)
-        kernel("find_tiles")(words, active, inside, present, ranks)
+        tiles.kernel(SOURCE, "find_tiles")(words, active, inside, present, ranks)
         del active
         n = exclusive_scan(ranks, words)
         if n > MAX_PRESENT:
@@ -225,63 +222,52 @@ def find_tiles(
             )
         counted(tiles=n)
         scene |= {
+            "shift": tree.shift // sampling.side,
             "present": present,
             "ranks": ranks,
             "codes": device.empty(n, np.uint32),
             "masks": device.empty(n, np.uint64),
             "source": device.empty(n, np.uint32),
         }
-        kernel("list_tiles")(words, **scene)
+        tiles.kernel(SOURCE, "list_tiles")(words, **scene)
     with device.stage("samples"):
-        _sample_tiles(kernel, device, tree, sampling, nodes, scene)
+        _sample_tiles(tiles, tree, nodes)
     del scene["bricks"], scene["children"]  # frees memory
-    scene["shift"] = tree.shift // sampling.side
-    return Tiles(device, sampling, n, scene)
+    return replace(tiles, n=n)
 
 
-def _place_nodes(
-    kernel: Callable[..., None], device: Device, tree: Tree, level: int, scene: dict[str, Any]
-) -> Array:
+def _place_nodes(tiles: Tiles, tree: Tree) -> Array:
     """Return the Morton codes of the nodes whose descendants are samples: one a tile, or one for
     eight tiles if samples are voxels. Mark the tiles in inside leaves from their level up."""
-    codes = device.empty(0, np.uint32)
+    place_nodes, level = tiles.kernel(SOURCE, "place_nodes"), tiles.sampling.level
+    codes = tiles.device.empty(0, np.uint32)
     for own in range(tree.top, max(level + 2, 1) - 1, -1):
-        above, codes = codes, device.empty(tree.nodes(own - 1) // 8, np.uint32)
-        first, shift = tree.first(own), 3 * (own - level - 2)
-        kernel(tree.nodes(own), first, above, own == tree.top, shift, codes, **scene)
+        above, codes = codes, tiles.device.empty(tree.nodes(own - 1) // 8, np.uint32)
+        first, shift, is_root = tree.first(own), 3 * (own - level - 2), own == tree.top
+        place_nodes(tree.nodes(own), first, above, is_root, shift, codes, **tiles.arguments)
     return codes
 
 
-def _sample_tiles(
-    kernel: Callable[[str], Callable[..., None]],
-    device: Device,
-    tree: Tree,
-    sampling: Sampling,
-    nodes: Array,
-    scene: dict[str, Any],
-) -> None:
+def _sample_tiles(tiles: Tiles, tree: Tree, nodes: Array) -> None:
     """Set the masks of the tiles that have nodes and, unless samples are voxels, add their samples
     and those below the isovalue."""
+    device, sampling, scene = tiles.device, tiles.sampling, tiles.arguments
+    sample_tiles = tiles.kernel(SOURCE, "sample_tiles")
     if sampling.level == VOXEL:
-        kernel("sample_tiles")(scene["bricks"].size, nodes, **scene)
+        sample_tiles(scene["bricks"].size, nodes, **scene)
         return
+    cover_level = tiles.kernel(SOURCE, "cover_level")
     coverage = scene["bricks"]
     for level in range(1, sampling.level + 1):
         finer, coverage = coverage, device.empty(tree.nodes(level), np.uint32)
-        kernel("cover_level")(
-            coverage.size,
-            tree.first(level),
-            finer,
-            level == 1,
-            coverage,
-            **{**scene, "full": (BRICK_SIDE << level) ** 3},
-        )
+        sized = {**scene, "full": (BRICK_SIDE << level) ** 3}
+        cover_level(coverage.size, tree.first(level), finer, level == 1, coverage, **sized)
     sampled = np.uint8 if sampling.level == 0 else np.uint32
     scene["samples"] = device.empty(64 * nodes.size, sampled)
     scene["below"] = device.empty(nodes.size, np.uint64)
     first = tree.first(sampling.level + 1)
     limits = sampling.full, sampling.threshold
-    kernel("sample_tiles")(nodes.size, nodes, first, limits, coverage, **scene)
+    sample_tiles(nodes.size, nodes, first, limits, coverage, **scene)
 
 
 def classify_cubes(tiles: Tiles, counted: Callable[..., None]) -> CutCubes:
