@@ -6,7 +6,10 @@ from typing import Any
 
 
 class VoxtoolError(Exception):
-    """Base of every error that voxtool raises on purpose."""
+    """Base of every error that voxtool raises on purpose. Its text is one printable line."""
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class MeshError(VoxtoolError):
@@ -34,7 +37,10 @@ class CheckError(VoxtoolError):
 
 
 class VoxtoolWarning(UserWarning):
-    """Base of every warning that voxtool issues."""
+    """Base of every warning that voxtool issues. Its text is one printable line."""
+
+    def __str__(self) -> str:
+        return printable(super().__str__())
 
 
 class MeshWarning(VoxtoolWarning):

@@ -415,3 +415,20 @@ def test_a_scene_that_repeats_its_meshes(tmp_path: Path) -> None:
     tree["nodes"] = [{"children": [i + 1], "mesh": 0} for i in range(99)] + [{"mesh": 0}]
     path.write_text(json.dumps(tree))
     refusal(voxtool.load_mesh, path, "nodes inside more than 64 others")
+
+
+@pytest.mark.parametrize("name", ["new\nline.{}", os.fsdecode(b"\xff\x1b[1m.{}")])
+def test_names_in_messages_are_printable(name: str, tmp_path: Path) -> None:
+    """Errors of what is not there, of a folder, of content and of writing are one line."""
+    (tmp_path / name.format("vtu")).write_bytes(b"hello")
+    (tmp_path / name.format("obj")).mkdir()
+    for act in (
+        lambda: voxtool.read_svo(tmp_path / name.format("svo.h5")),
+        lambda: voxtool.read_unstructured(tmp_path / name.format("vtu")),
+        lambda: voxtool.load_mesh(tmp_path / name.format("obj")),
+        lambda: voxtool.write_mesh((np.eye(3), [[0, 1, 2]]), tmp_path / name.format("x")),
+        lambda: voxtool.write_mesh((np.eye(3), [[0, 1, 2]]), tmp_path / name.format("obj")),
+    ):
+        with pytest.raises(VoxtoolError) as caught:
+            act()
+        assert str(caught.value).isprintable()

@@ -24,6 +24,7 @@ from voxtool.errors import (
     MeshError,
     VoxtoolError,
     VoxtoolWarning,
+    printable,
 )
 from voxtool.version import __version__
 
@@ -132,7 +133,7 @@ def message_of(error: Exception) -> str:
             from voxtool.files.atomic import write_error
 
             return str(write_error("standard output", error))
-        where = f"{error.filename}: " if error.filename else ""
+        where = f"{printable(error.filename)}: " if error.filename else ""
         return f"{where}{error.strerror or error}"
     return str(error)
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 import click
 
 from voxtool.choices import FITS, MAX_DIM, MIN_DIM
+from voxtool.errors import printable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -228,7 +229,7 @@ def same_file(one: str, other: str) -> bool:
 
 def shown(source: str) -> str:
     """Return the name of an input in messages."""
-    return "stdin" if source == "-" else source
+    return "stdin" if source == "-" else printable(source)
 
 
 def output_of(source: str, extension: str) -> str:
@@ -277,7 +278,7 @@ def tell(message: str) -> None:
         return
     if bar := _meta().get(BAR):
         bar.erase()
-    click.echo(f"voxtool: {message}", err=True)
+    click.echo(f"voxtool: {printable(message)}", err=True)
 
 
 class Progress:

@@ -77,6 +77,7 @@ def read_mesh(name: str, path: str, kind: str, max_memory: int | None) -> Any:
             _lock,
             bounded_memory(most),
             np.errstate(all="ignore"),  # meshio converts numbers that may be anything
+            warnings.catch_warnings(action="ignore"),
             contextlib.redirect_stdout(printed),
             contextlib.redirect_stderr(warned),
         ):
