@@ -122,9 +122,10 @@ class Grid:
             extent = high - low
         longest = float(extent.max())
         if not 1 / MOST <= longest <= MOST:
+            where = "bbox" if bbox is not None else mesh.name or "mesh"
             raise GridError(
-                f"{mesh.name or 'mesh'}: an extent of {longest:g} is not within 1e±90, where "
-                "volumes can be computed: scale the mesh"
+                f"{where}: an extent of {longest:g} is not within 1e±90, where volumes can be "
+                "computed: scale it"
             )
         if fit == "stretch":
             if dim is None or bbox is not None or margin is not None:

@@ -248,6 +248,17 @@ def test_outside_the_distance_is_a_lower_bound(device, balls, outside) -> None:
     assert np.isinf(answer.bound[far]).all()
 
 
+def test_at_infinity_gradients_are_limits(device, balls) -> None:
+    inf, half = math.inf, np.float32(math.sqrt(0.5))
+    points = [(inf, 0, 0.5), (-inf, 3, inf), (1e308, -1e308, 7)]
+    found = FieldQuery(balls, device, host_points=0)(points, gradient=True, bounds=True)
+    equal(found, balls.query(points, gradient=True, bounds=True))
+    assert (found.distance[:2] == inf).all()
+    assert found.outside.all()
+    expected = [(1, 0, 0), (-half, 0, half), (half, -half, 0)]
+    np.testing.assert_allclose(found.gradient, expected, rtol=1e-6)
+
+
 @pytest.mark.parametrize("exponent", [-300, -20, 0, 20, 300])
 def test_points_are_rounded_down_to_the_lattice(exponent: int) -> None:
     """Points are rounded in blocks, some of which have no point outside."""

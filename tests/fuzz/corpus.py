@@ -232,6 +232,7 @@ def numbers_and_words() -> Iterator[Entry]:
         f"{volume} --eye 1e308,0,0",
         f"{volume} --orthographic --height 1e-200",
         f"{volume} --orthographic --height 1e300",
+        f"{volume} --opacity-range 0,1e-320",
         "adf-build a.obj --tolerance 1e300 -o out.adf.h5",
     ):
         yield Entry(f"numpy warning of {command}", "", command=command)
@@ -250,6 +251,8 @@ def numbers_and_words() -> Iterator[Entry]:
     for name in ("new\nline.obj", os.fsdecode(b"\xff.obj")):
         yield Entry(f"name {name!r}", "", name, lambda: b"v 0 0 0\nf 1 2 3\n", "diagnose FILE")
     bench = "bench voxelize a.obj --quick --dims 8 --repeat 1 --samples 99 -o \udcff"
+    budget = f"{bench} --budget-time 1e300 --json".replace(" -o \udcff", "")
+    yield Entry("an answer beside JSON", "", command=budget)
     yield Entry("runs without end", "", command=bench.replace("--repeat 1", f"--repeat {10**30}"))
     yield Entry("report in an odd folder", "", command=bench)
     points = np.array([(np.inf, 0, 0), (-np.inf, np.inf, 0)])

@@ -307,7 +307,8 @@ def answer(points: Sequence[Point], budget: Budget, err: bool) -> None:
         measure = budget.measure or charted(point.bench)
         found = point.errors.get(measure)
         error = "" if found is None else f", {measure} error {found:.3g}"
-        click.echo(f"{chart}: {named(point)}: {duration(point.seconds)}{error}", err=err)
+        say = options.tell if err else click.echo
+        say(f"{chart}: {named(point)}: {duration(point.seconds)}{error}")
     if none:
         raise CheckError(f"{budget}: nothing that was measured meets it in {'; '.join(none)}")
 

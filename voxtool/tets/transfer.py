@@ -269,7 +269,8 @@ def named(
         scalars = np.sort(np.append(scalars, full))  # a step
         ramp = np.arange(len(scalars)) >= np.searchsorted(scalars, full, side="right") - 1
     else:
-        ramp = np.clip((scalars - clear) / (full - clear), 0, 1)
+        reach = full - clear
+        ramp = np.clip(scalars - clear, min(0, reach), max(0, reach)) / reach + 0.0
     smooth, _ = TransferFunction(at, colours[own], np.zeros(len(at))).evaluate(scalars)
     return TransferFunction(scalars, smooth, ramp / unit_distance)
 
