@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 
@@ -65,7 +66,8 @@ LESS = "choose a smaller dim, picture or number of points"
 
 def printable(text: Any) -> str:
     """Replace characters that would break a line or a terminal by ?."""
-    return "".join(c if c.isprintable() else "?" for c in str(text))
+    plain = re.sub(r"\\udc[89a-f][0-9a-f]", "?", str(text))  # as repr writes such bytes
+    return "".join(c if c.isprintable() else "?" for c in plain)
 
 
 def one_line(error: BaseException) -> str:

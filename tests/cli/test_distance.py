@@ -116,7 +116,11 @@ def test_the_plan(here: Path) -> None:
         ("box.obj points.csv --fill flood", 2, "go with a grid"),
         ("- -", 2, "cannot both be stdin"),
         ("box.obj points.csv -o points.csv", 2, "is POINTS itself"),
-        ("box.obj nan.csv -o no.npy", 3, "nan.csv: point 1 is not finite: remove it"),
+        (
+            "box.obj nan.csv -o no.npy",
+            3,
+            "nan.csv: point 1, (nan, 0.0, 0.0), is not finite or too far",
+        ),
         ("none.obj points.csv", 3, "no such file"),
         ("box.obj --dim 64 --max-memory 1M", 4, "simplify the mesh"),
     ],

@@ -254,6 +254,7 @@ def numbers_and_words() -> Iterator[Entry]:
     budget = f"{bench} --budget-time 1e300 --json".replace(" -o \udcff", "")
     yield Entry("an answer beside JSON", "", command=budget)
     yield Entry("runs without end", "", command=bench.replace("--repeat 1", f"--repeat {10**30}"))
+    yield Entry("name of an array", "", command="tet-build a.vtu --scalar \udcff")
     yield Entry("report in an odd folder", "", command=bench)
     points = np.array([(np.inf, 0, 0), (-np.inf, np.inf, 0)])
     csv = "\n".join(",".join(map(str, point)) for point in points.tolist()).encode()

@@ -9,7 +9,7 @@ import click
 from voxtool.choices import FILLS, SIGNS
 from voxtool.cli import options, runner
 from voxtool.cli.options import DIM, bbox_option, flag, option, together
-from voxtool.errors import VoxtoolError, count_of
+from voxtool.errors import count_of
 
 if TYPE_CHECKING:
     from voxtool.grid import Grid
@@ -131,11 +131,9 @@ def measure_points(
     run.enter("distance")
     with run.table(columns) as answers:
         for block in read_points(points):
-            finite = np.isfinite(block).all(axis=1)
-            if not finite.all():
-                first = answers.count + int(np.argmin(finite))
-                raise VoxtoolError(f"{points}: point {first} is not finite: remove it")
-            found: Any = measure(block, **asked)
+            after = f", after {answers.count} points" if answers.count else ""
+            with run.naming(f"{options.shown(points)}{after}"):
+                found: Any = measure(block, **asked)
             parts = found if any(asked.values()) else [found]
             negative += int(np.count_nonzero(parts[0] < 0))
             answers.write([part for part in parts if part is not None])
