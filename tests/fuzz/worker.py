@@ -87,6 +87,7 @@ def serve(pipe: Any, folder: Path, log: Path, device: str, limit: float) -> None
     work.mkdir(exist_ok=True)
     temporary.mkdir(exist_ok=True)
     tempfile.tempdir = os.environ["TMPDIR"] = str(temporary)
+    os.environ["VOXTOOL_DEVICE"] = device  # of commands without --device
     os.chdir(work)
     import voxtool
 
