@@ -68,6 +68,19 @@ def test_vti(dense: np.ndarray, tmp_path: Path) -> None:
     assert np.array_equal(found, dense.transpose(2, 1, 0))
 
 
+def test_vtk_reads_vti(dense: np.ndarray, tmp_path: Path) -> None:
+    vtk = pytest.importorskip("vtkmodules.vtkIOXML")
+    support = pytest.importorskip("vtkmodules.util.numpy_support")
+    reader = vtk.vtkXMLImageDataReader()
+    reader.SetFileName(str(exported(dense, tmp_path / "a.vti")))
+    reader.Update()
+    image = reader.GetOutput()
+    assert image.GetDimensions() == (41, 34, 22)  # corners of voxels
+    assert (image.GetOrigin(), image.GetSpacing()) == ((-1.5, 0.1, 1e-3), (0.1,) * 3)
+    found = support.vtk_to_numpy(image.GetCellData().GetArray("occupancy"))
+    assert np.array_equal(found.reshape(21, 33, 40), dense.transpose(2, 1, 0))
+
+
 def huge_octree() -> Octree:
     """One inside leaf in a grid of 65,536**3: its dense array has 281 TB."""
     grid = Grid((65536,) * 3, (0, 0, 0), (1, 1, 1))  # pyright: ignore[reportArgumentType]

@@ -4,6 +4,7 @@ line."""
 from __future__ import annotations
 
 import hashlib
+import sys
 import warnings
 import zlib
 from pathlib import Path
@@ -16,7 +17,7 @@ from helpers_files import refusal, run_python
 from helpers_tets import built, cube, lattice, linear, split
 
 from voxtool import read_unstructured
-from voxtool.errors import FileError, VoxtoolError
+from voxtool.errors import FileError, MemoryLimitError, VoxtoolError
 from voxtool.tets.mesh import UnstructuredMesh
 
 
@@ -254,6 +255,7 @@ def test_damaged_meshes_are_one_line(name: str, tmp_path: Path, capfd) -> None:
         ("a.ex2", b"hello", "meshio cannot read it as exodus"),
         ("a.obj", b"v 0 0 0", "no mesh of volume cells has this ending: give one of .vtu, .vtk"),
         ("a", b"v 0 0 0", "no mesh of volume cells has this ending"),
+        ("a.pvtu", b"<VTKFile/>", "no mesh of volume cells has this ending"),
         ("a.tet.h5", b"hello", "is no mesh: name the file that it was made from"),
     ],
 )
@@ -276,6 +278,19 @@ def test_a_packed_bomb_is_bounded_by_the_file(tmp_path: Path) -> None:
     changed(path, (b'NumberOfPoints="12"', b'NumberOfPoints="%d"' % count))
     refusal(lambda path: read_unstructured(path, "s"), path, "is no number that")
     assert len(zlib.compress(bytes(1 << 24), 9)) * 1032 > 1 << 24  # so is what zlib can do
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux bounds the memory of a process")
+def test_memory_is_limited(tmp_path: Path) -> None:
+    points = np.zeros((1 << 20, 3))
+    mesh = meshio.Mesh(points, [("tetra", [[0, 1, 2, 3]])], {"s": points[:, 0]})
+    path = written(tmp_path / "a.vtu", mesh)
+    message = (
+        r"a\.vtu: meshio needs more than the 1 MB that are free or allowed: raise --max-memory"
+    )
+    with pytest.raises(MemoryLimitError, match=message):
+        read_unstructured(path, max_memory=1_000_000)
+    assert len(read_unstructured(path).points) == 1 << 20
 
 
 def test_meshio_is_an_extra(tmp_path: Path) -> None:

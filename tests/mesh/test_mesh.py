@@ -265,6 +265,7 @@ def test_obj_refusals(text, parts, tmp_path):
     ("name", "data", "parts"),
     [
         ("m.foo", b"hello", ["unknown mesh format .foo", ".obj .stl .ply .off .glb .gltf"]),
+        ("m.3mf", b"PK", ["unknown mesh format .3mf"]),
         ("m.svo.h5", b"\x89HDF\r\n\x1a\n", ["voxtool output", "not a mesh"]),
         ("m.svo.xml", b"<?xml version='1.0'?>", ["XML", "not a mesh"]),
         ("m.vtu", b"<VTKFile>", ["VTK", "not a mesh"]),

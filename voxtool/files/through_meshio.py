@@ -20,7 +20,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from voxtool.errors import FileError, MeshWarning, human, printable
+from voxtool.errors import FileError, MemoryLimitError, MeshWarning, human, printable
 from voxtool.limits import bounded_memory
 from voxtool.memory import available_memory
 
@@ -70,12 +70,12 @@ def read_mesh(name: str, path: str, kind: str, max_memory: int | None) -> Any:
     scan = {"vtu": _scan_xml, "exodus": _scan_hdf5}.get(kind, _scan_counts)
     declared = scan(name, path, size, kind)
     free = available_memory() if max_memory is None else min(max_memory, available_memory())
-    most = min(FIXED + PER_BYTE.get(kind, PER_BYTE_OF_TEXT) * (size + declared), free)
+    needed = FIXED + PER_BYTE.get(kind, PER_BYTE_OF_TEXT) * (size + declared)
     printed, warned = io.StringIO(), io.StringIO()
     try:
         with (
             _lock,
-            bounded_memory(most),
+            bounded_memory(min(needed, free)),
             np.errstate(all="ignore"),  # meshio converts numbers that may be anything
             warnings.catch_warnings(action="ignore"),
             contextlib.redirect_stdout(printed),
@@ -87,9 +87,14 @@ def read_mesh(name: str, path: str, kind: str, max_memory: int | None) -> Any:
     except FileError as error:
         raise FileError(f"{name}: {error}") from None
     except MemoryError:
+        if free < needed:
+            raise MemoryLimitError(
+                f"{name}: meshio needs more than the {human(free)} that are free or allowed: raise "
+                "--max-memory, or free some memory"
+            ) from None
         raise FileError(
-            f"{name}: meshio takes more than {human(most)} to read it as {kind}, which is what the "
-            "declared content needs, or what is free: the file is damaged, or too large"
+            f"{name}: meshio takes more than {human(needed)} to read it as {kind}, which its size "
+            "and declared content do not need: it is damaged"
         ) from None
     except BaseException as error:  # it prints why, and exits
         reason = printed.getvalue() if isinstance(error, SystemExit) else f"{error}"
