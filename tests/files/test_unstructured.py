@@ -118,6 +118,14 @@ def test_gmsh_medit_and_abaqus(tmp_path: Path) -> None:
         read_unstructured(path)
 
 
+def test_numbers_in_comments_are_no_counts(tmp_path: Path) -> None:
+    mesh = mixed()
+    mesh.cells, mesh.cell_data = mesh.cells[:1], {}
+    path = written(tmp_path / "a.msh", mesh, file_format="gmsh")
+    path.write_bytes(b"$Comments\n20260101 by hand\n$EndComments\n" + path.read_bytes())
+    assert volume_of(read_unstructured(path, "s")) == pytest.approx(1)
+
+
 def test_an_array_at_points_goes_before_one_at_cells_and_the_only_one_needs_no_name(
     tmp_path: Path,
 ) -> None:

@@ -38,7 +38,8 @@ PER_BYTE_OF_TEXT = 64  # a number of two letters becomes an object of Python
 
 # The counts that follow a keyword, by format.
 COUNTS = {
-    "gmsh": rb"(?m)^[ \t]*\$[A-Za-z]+[ \t]*\r?\n(?=[ \t]*(\S+)(?:[ \t]+(\S+))?)",
+    "gmsh": rb"(?m)^[ \t]*\$(?:PhysicalNames|Entities|Nodes|Elements|Periodic|NodeData|ElementData)"
+    rb"[ \t]*\r?\n(?=[ \t]*(\S+)(?:[ \t]+(\S+))?)",
     "medit": rb"(?m)^[ \t]*[A-Za-z]+[ \t]*\r?\n(?=[ \t]*(\S+)[ \t]*\r?$)",
     "avsucd": rb"\A(?:[ \t]*(?:#[^\n]*)?\n)*[ \t]*(\S+)[ \t]+(\S+)",
     "vtk": rb"(?mi)^[ \t]*(?:POINTS|CELLS|CELL_TYPES|POINT_DATA|CELL_DATA|[XYZ]_COORDINATES|"
@@ -116,7 +117,7 @@ def _read(path: str, kind: str) -> Any:
             return import_module(module).read_buffer(file)
     meshio: Any = import_module("meshio")
     if kind in ("vtu", "exodus"):
-        return meshio.read(path, kind)
+        return meshio.read(os.path.abspath(path), kind)  # which netCDF takes for no URL
     with (_Abaqus if kind == "abaqus" else _Text)(open(path, "rb"), "utf-8", "replace") as file:
         return meshio.read(file, kind)
 
