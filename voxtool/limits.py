@@ -78,13 +78,14 @@ def mapped_memory() -> int:
 def bounded_memory(size: int) -> Iterator[None]:
     """Let this process map at most `size` bytes more while the block runs: a request beyond that is
     a MemoryError. Only Linux has such a limit; it is one of the process, so threads share it."""
-    if sys.platform != "linux":
+    mapped = mapped_memory() if sys.platform == "linux" else 0
+    if not mapped:  # or /proc is not there
         yield
         return
     import resource
 
     soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    limit = mapped_memory() + size
+    limit = mapped + size
     if soft != resource.RLIM_INFINITY:
         limit = min(limit, soft)
     resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
