@@ -269,6 +269,8 @@ def casts() -> Iterator[Entry]:
     """Numbers whose conversion makes numpy warn: infinite references, signalling NaN."""
     medit = "MeshVersionFormatted 2\nDimension 3\nVertices\n1\n0 0 0 inf\n"
     yield Entry("infinite reference", "", "a.mesh", medit.encode)
+    long = f"$MeshFormat\n2.2 0 8\n$EndMeshFormat\n${'-' * 999}8"
+    yield Entry("a long warning of meshio", "", "a.old.msh", long.encode)
     file = io.BytesIO()
     np.save(file, np.full((1, 3), 0x7F800001, "<u4").view("<f4"))
     yield Entry("signalling NaN", "", "a.npy", file.getvalue)

@@ -105,7 +105,7 @@ def read_mesh(name: str, path: str, kind: str, max_memory: int | None) -> Any:
             "or have cells that meshio does not know: export it again"
         ) from None
     for line in filter(None, warned.getvalue().split("\n\n")):
-        text = printable(" ".join(line.split()))
+        text = printable(" ".join(line.split()))[:200]
         warnings.warn(f"{name}: {text}", MeshWarning, stacklevel=5)
     return read
 
