@@ -103,6 +103,21 @@ def boundary(triangles: np.ndarray) -> list[tuple[tuple, tuple, int]]:
     return [(p, q, n) for (p, q), n in sorted(net.items()) if n]
 
 
+def counted(triangles: np.ndarray) -> np.ndarray:
+    """The triangles that count where directions do: opposite ones on the same corners cancel, and
+    of equal ones that are left the first alone, unless the boundary would be longer."""
+    times: Counter[tuple] = Counter()
+    for triangle in triangles.tolist():
+        corners = [tuple(corner) for corner in triangle]
+        first = corners.index(min(corners))
+        times[tuple(corners[first:] + corners[:first])] += 1
+    net = {(a, b, c): n - times[a, c, b] for (a, b, c), n in list(times.items())}
+    once = np.array([t for t, n in net.items() if n > 0]).reshape(-1, 3, 3)
+    every = np.array([t for t, n in net.items() for _ in range(n)]).reshape(-1, 3, 3)
+    lengths = [sum(abs(n) for *_, n in boundary(some)) for some in (once, every)]
+    return once if lengths[0] <= lengths[1] else every
+
+
 def flood(surface: np.ndarray, gap: int) -> np.ndarray:
     """The voxels that the outside cannot reach through a surface, by paths across faces, edges and
     corners of voxels: it stays ceil(gap / 2) voxels away and then grows by as many."""

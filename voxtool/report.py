@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -28,7 +28,7 @@ from voxtool.opencl import Device, default_device
 from voxtool.report_text import counted, lines
 from voxtool.spatial.bvh import Frame, build_tree
 from voxtool.spatial.nesting import nest
-from voxtool.spatial.self_intersections import find_self_intersections
+from voxtool.spatial.self_intersections import UNDECIDED, find_self_intersections
 from voxtool.svo.compare import count_differences, leaking_rows
 from voxtool.svo.voxelize import fill_for, voxelize
 
@@ -82,6 +82,8 @@ class Report:
         Edges of more than two faces: the number of faces, and the two ends.
     duplicate_faces, degenerate_faces, self_intersecting_faces : dict
         Count, list of faces, and the centre of the first.
+    undecided_faces : int
+        Faces that may intersect others: too many are near them to test all.
     shells : list of dict
         Every shell, the one with most faces first: faces, closed, consistent, volume, loops, box,
         parent, depth, and its kind: "solid", "cavity", "open", "flat", "mixed", "inside out", or
@@ -117,6 +119,7 @@ class Report:
     duplicate_faces: dict[str, Any]
     degenerate_faces: dict[str, Any]
     self_intersecting_faces: dict[str, Any]
+    undecided_faces: int
     shells: list[dict[str, Any]]
     patches: dict[str, Any]
     leaking_rows: dict[str, Any]
@@ -179,7 +182,8 @@ def diagnose(
         "crowded_edges": _crowded_rows(mesh, topology),
         "duplicate_faces": _listed_faces(mesh, repeated),
         "degenerate_faces": _listed_faces(mesh, flat),
-        "self_intersecting_faces": _listed_faces(mesh, intersecting),
+        "self_intersecting_faces": _listed_faces(mesh, intersecting == 1),
+        "undecided_faces": int(np.count_nonzero(intersecting == UNDECIDED)),
     }
     enter("nesting")
     found["shells"] = _shell_rows(mesh, topology, loops, device)
@@ -200,12 +204,10 @@ def diagnose(
 def _self_intersecting(
     mesh: Mesh, flat: np.ndarray, repeated: np.ndarray, device: Device
 ) -> np.ndarray:
-    """Return which faces others intersect, (F,) bool; duplicate faces do not count."""
-    intersecting = np.zeros(len(mesh.faces), bool)
-    distinct = replace(mesh, faces=mesh.faces[~repeated])
-    tree = build_tree(device, distinct, flat[~repeated].astype(np.uint8))
-    intersecting[~repeated] = find_self_intersections(device, distinct, tree)
-    return intersecting
+    """Return find_self_intersections of a mesh, (F,) uint8; duplicate faces do not count."""
+    some = np.flatnonzero(~repeated) if repeated.any() else None
+    tree = build_tree(device, mesh, flat.astype(np.uint8), some)
+    return find_self_intersections(device, mesh, tree)
 
 
 def _rows(**columns: np.ndarray) -> list[dict[str, Any]]:
@@ -316,6 +318,7 @@ def _compared(octrees: dict[str, Octree], found: dict[str, Any]) -> dict[str, An
         found["diagnosis"].watertight
         and not found["degenerate_faces"]["count"]
         and not _overlaps(found)
+        and not found["undecided_faces"]
     )
     rows = leaking_rows(octrees["parity"])
     _, ny, nz = octrees["parity"].grid.shape

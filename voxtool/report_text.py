@@ -44,6 +44,8 @@ def lines(report: Report) -> Iterator[str]:
         text = counted(faces["count"], "face")
         if faces["count"]:
             text += f", the first is {faces['faces'][0]:,} at {_point(faces['centre'])}"
+        if faces is report.self_intersecting_faces and report.undecided_faces:
+            text += f"; {report.undecided_faces:,} more are near too many others to be tested"
         yield _row(name, text)
     yield from _shell_lines(report)
     yield from _fill_lines(report)

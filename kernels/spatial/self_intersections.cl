@@ -2,6 +2,7 @@
 
 #include "spatial/bvh.h"
 #include "spatial/names.h"
+#include "spatial/self_intersections.h"
 
 #define STACK ((ARITY - 1) * MAX_LEVELS + 1)
 #define GAP 0x1p-46 // exceeds the rounding error of a product with a unit vector
@@ -137,25 +138,29 @@ bool meet(__global const double *vertices, __global const int *faces, __global c
                        u[(at_g + 2) % 3] - o);
 }
 
-// found[f] = 1 if another face intersects face f. corners[3 f + i] are position indices; faces
-// without a name have zero area.
+// found[f] = 1 if another face intersects face f, 0 if none does, UNDECIDED if more than `most` faces
+// are near. Only faces with this `state` in found are examined. corners[3 f + i] are position
+// indices; faces without a name have zero area.
 __kernel void find_self_intersections(const uint n, __global const uint *names, __global const double *vertices,
                              __global const int *faces, __global const int *corners,
-                             __global const float *nodes, const uint first_leaf,
-                             __global uchar *found)
+                             __global const float *nodes, const uint first_leaf, const uint most,
+                             const uint state, __global uchar *found)
 {
     const uint gid = get_global_id(0);
     if (gid >= n || names[gid] == NAMELESS)
         return;
     const uint own = names[gid] / 3;
+    if (found[own] != state)
+        return;
     double3 low = INFINITY, high = -INFINITY;
     for (uint i = 0; i < 3; ++i) {
         const double3 p = corner(vertices, faces, own, i);
         low = p < low ? p : low;
         high = p > high ? p : high;
     }
-    uint ids[STACK], top = 1;
+    uint ids[STACK], top = 1, near = 0;
     ids[0] = 0;
+    found[own] = UNDECIDED;
     while (top > 0) {
         const uint id = ids[--top];
         for (uint i = 0; i < ARITY; ++i) {
@@ -169,6 +174,9 @@ __kernel void find_self_intersections(const uint n, __global const uint *names, 
                 continue;
             }
             const uint first = (child - first_leaf) * LEAF;
+            near += LEAF;
+            if (near > most)
+                return;
             for (uint j = first; j < min(first + LEAF, n); ++j)
                 if (names[j] != NAMELESS && names[j] / 3 != own &&
                     meet(vertices, faces, corners, own, names[j] / 3)) {
@@ -177,4 +185,5 @@ __kernel void find_self_intersections(const uint n, __global const uint *names, 
                 }
         }
     }
+    found[own] = 0;
 }

@@ -12,6 +12,7 @@ from fractions import Fraction
 
 import meshes
 import numpy as np
+import oracles
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -22,6 +23,7 @@ from voxtool.mesh.topology import (
     check_surface,
     check_topology,
     closed_chain,
+    net_faces,
     positions,
     volume,
     watertight,
@@ -219,6 +221,21 @@ def test_a_check_holds_the_diagnosis() -> None:
 
 
 # Volume
+
+
+@given(st.lists(st.permutations(range(4)).map(lambda p: p[:3]) | st.just([0, 0, 1]), min_size=1))
+def test_net_faces_equal_those_by_hand(rows: list[list[int]]) -> None:
+    points = np.random.default_rng(3).random((4, 3))
+    soup = Mesh(
+        points[rows].reshape(-1, 3), np.arange(3 * len(rows), dtype=np.int32).reshape(-1, 3)
+    )
+    some = net_faces(soup)
+    triangles = soup.vertices[soup.faces]
+    kept = triangles if some is None else triangles[some]
+    expected, found = (oracles.boundary(oracles.counted(t)) for t in (triangles, kept))
+    assert oracles.boundary(kept) == expected == found
+    sets = [{frozenset(map(tuple, t)) for t in part.tolist()} for part in (triangles, kept)]
+    assert sets[0] == sets[1]  # the surface stays
 
 
 def test_volume_of_solids() -> None:

@@ -16,7 +16,7 @@ from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
 from voxtool.spatial.bvh import build_tree
 from voxtool.spatial.pseudonormals import pseudonormals
-from voxtool.spatial.self_intersections import find_self_intersections
+from voxtool.spatial.self_intersections import TESTS, UNDECIDED, find_self_intersections
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,11 +27,14 @@ CLOSE = Fraction(1, 10**12)  # of the longest side: how far from meeting what co
 Point = tuple[Fraction, ...]
 
 
-def crossings(device: Device, vertices, faces=None) -> np.ndarray:
+def crossings(device: Device, vertices, faces=None, tests: int = TESTS) -> np.ndarray:
     vertices = np.asarray(vertices, np.float64).reshape(-1, 3)
     faces = np.arange(len(vertices)).reshape(-1, 3) if faces is None else np.asarray(faces)
     mesh = Mesh(vertices, faces.astype(np.int32))
-    return find_self_intersections(device, mesh, build_tree(device, mesh, pseudonormals(mesh).flat))
+    tree = build_tree(device, mesh, pseudonormals(mesh).flat)
+    found = find_self_intersections(device, mesh, tree, tests)
+    assert tests < TESTS or found.max(initial=0) < UNDECIDED
+    return found if tests < TESTS else found != 0
 
 
 # ---- the oracle
@@ -302,6 +305,17 @@ def test_corners_are_shared_by_position(device: Device) -> None:
     assert not crossings(device, vertices[faces]).any()
     apart = [(0.0, 0, 0), (1, 0, 0), (0, 1, 0), (-0.0, -0.0, -0.0), (-1, 0, 1), (0, -1, 1)]
     assert not crossings(device, apart).any()
+
+
+def test_faces_near_too_many_others_are_undecided(device: Device) -> None:
+    angle = np.linspace(0, 6, 301)
+    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    fan = np.stack([0 * angle[:-1], np.arange(1, 301), np.arange(2, 302)], axis=1)
+    vertices = np.concatenate([[(0, 0, 1)], ring])
+    assert not crossings(device, vertices, fan).any()
+    few = crossings(device, vertices, fan, tests=0)
+    assert (few == UNDECIDED).sum() > 200
+    assert (few != 1).all()
 
 
 def test_faces_without_area_meet_nothing(device: Device) -> None:

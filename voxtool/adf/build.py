@@ -51,7 +51,8 @@ def plan_adf(
     plan = replace(
         plan,
         flat=survey.flat,
-        crossed=int(np.count_nonzero(survey.crossed)),
+        crossed=int(np.count_nonzero(survey.crossed)) - survey.undecided,
+        undecided=survey.undecided,
         closed=survey.closed,
         sign=sign or ("pseudonormal" if survey.closed else "winding"),
     )
@@ -142,6 +143,8 @@ class FieldJob(Job["DistanceField"]):
             wrong.append(f"is {check_topology(mesh).summary()}")
         if plan.crossed:
             wrong.append(f"intersects itself in {plan.crossed:,} faces")
+        if plan.undecided:
+            wrong.append(f"may intersect itself in {plan.undecided:,} faces, near many others")
         if not wrong:
             shells = "has nested shells with the same winding"
             wrong.append("is treated as open" if self._survey.closed else shells)

@@ -165,8 +165,9 @@ class Construction:
         launch(size or level.count, **arguments)
 
     def root(self) -> Level:
-        """Return the root, whose list contains every triangle without duplicates."""
-        triangles = self.survey.distinct_triangles()
+        """Return the root, whose list contains every triangle of the tree: duplicates, which are
+        equally near everywhere, are not in it."""
+        triangles = np.arange(self.survey.tree.count, dtype=np.uint32)
         arrays = {
             "identifiers": np.ones(1, np.uint64),
             "sources": np.zeros(1, np.uint32),

@@ -27,10 +27,10 @@ ITEM_BYTES = 5  # a triangle in a list, and its mask
 class FieldPlan:
     """The decisions of a build, and the cells counted so far.
 
-    triangles, flat, crossed: number of triangles, of those without area, and of those that
-    intersect others; closed: as of Survey. sign to measure: as requested. refined: number of
-    refined cells of each level counted so far; items: triangles in the lists of the last
-    counted level.
+    triangles, flat, crossed, undecided: number of triangles, of those without area, of those that
+    intersect others, and of those that may; closed: as of Survey. sign to measure: as requested.
+    refined: number of refined cells of each level counted so far; items: triangles in the lists of
+    the last counted level.
     """
 
     triangles: int
@@ -44,6 +44,7 @@ class FieldPlan:
     measure: bool = True
     flat: int = 0
     crossed: int = 0
+    undecided: int = 0
     closed: bool = False
     refined: tuple[int, ...] = ()
     items: int = 0

@@ -11,10 +11,11 @@ import numpy as np
 
 from voxtool.adf.host_query import POINT_BITS
 from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.topology import twins_of
 from voxtool.opencl import Device
-from voxtool.spatial.bvh import FIELDS, LEAF, Frame, build_tree
+from voxtool.spatial.bvh import Frame, build_tree, distinct_faces
 from voxtool.spatial.pseudonormals import Pseudonormals, pseudonormals
-from voxtool.spatial.self_intersections import find_self_intersections
+from voxtool.spatial.self_intersections import UNDECIDED, find_self_intersections
 from voxtool.spatial.sides import find_sides, shells_agree
 from voxtool.spatial.signed_distance import default_sign
 from voxtool.spatial.winding_number import WindingNumber
@@ -27,25 +28,31 @@ class Survey:
     """A mesh on the device, ready for the construction of a field.
 
     signed: whether distances have a sign; tree: the triangles, in the mesh's own frame; flat:
-    number of triangles without area; crossed: (F,) bool, faces that intersect others; closed: True
-    if the mesh is closed, consistently wound and free of self-intersections, and its shells agree
-    on what is inside; extent: half of the cube's side, in the frame; misplaced: upper bound of the
-    distance, in sides, by which rounding moves a point.
+    number of triangles without area; crossed: (F,) bool, faces that intersect or repeat others, or
+    may; undecided: number of those that may; closed: True if the mesh is closed, consistently
+    wound and free of self-intersections, and its shells agree on what is inside; extent: half of
+    the cube's side, in the frame; misplaced: upper bound of the distance, in sides, by which
+    rounding moves a point.
     """
 
     def __init__(self, mesh: Mesh, device: Device, signed: bool) -> None:
         self.mesh, self.device, self.signed = mesh, device, signed
         self.crossed = np.zeros(len(mesh.faces), bool)
-        self.flat, self.closed = 0, False
+        self.flat, self.undecided, self.closed = 0, 0, False
         if signed:
             normals = self._normals
             self.flat = int(np.count_nonzero(normals.flat))
-            self.tree = build_tree(device, mesh, normals.flat)
-            self.crossed = find_self_intersections(device, mesh, self.tree)
+            self.tree = build_tree(device, mesh, normals.flat, distinct_faces(mesh))
+            found = find_self_intersections(device, mesh, self.tree)
+            twins = twins_of(mesh)
+            if twins is not None:
+                found[np.bincount(twins)[twins] > 1] = 1
+            self.crossed = found != 0
+            self.undecided = int(np.count_nonzero(found == UNDECIDED))
             self.closed = default_sign(mesh) == "pseudonormal" and not self.crossed.any()
             self.closed = self.closed and shells_agree(mesh, normals, device, self.tree)
         else:
-            self.tree = build_tree(device, mesh, None)
+            self.tree = build_tree(device, mesh, None, distinct_faces(mesh))
         self.extent = _extent(mesh, self.tree.frame)
         self.misplaced = _misplaced(*cube_of(mesh))
 
@@ -79,21 +86,6 @@ class Survey:
             "spheres": put(sides.spheres),
             "sphere_count": len(sides.spheres),
         }
-
-    def distinct_triangles(self) -> np.ndarray:
-        """Return the triangles in the tree, (n,) uint32, without duplicates: these are equally near
-        everywhere, so lists of them would never become shorter."""
-        leaves = self.tree.leaves.get().reshape(-1, FIELDS, LEAF)
-        records = np.ascontiguousarray(leaves.transpose(0, 2, 1).reshape(-1, FIELDS))
-        kept = np.arange(self.tree.count, dtype=np.uint32)
-        codes = records[: len(kept)].view(np.uint64)
-        mixed = np.zeros(len(kept), np.uint64)
-        for field in codes.T:
-            mixed = (mixed ^ field) * np.uint64(0x9E3779B97F4A7C15)
-            mixed ^= mixed >> np.uint64(32)
-        order = np.argsort(mixed, kind="stable")
-        same = (codes[order[1:]] == codes[order[:-1]]).all(axis=1)
-        return np.delete(kept, order[1:][same])
 
 
 def cube_of(mesh: Mesh) -> tuple[np.ndarray, float]:

@@ -204,6 +204,64 @@ def repeated_faces(topology: Topology) -> np.ndarray:
     return repeated
 
 
+def twins_of(mesh: Mesh) -> np.ndarray | None:
+    """Return equal numbers for faces on the same three positions, (F,) int64; None if there are no
+    two such faces."""
+    points = (mesh.vertices + 0.0).view(np.uint64)  # -0.0 is 0.0
+    code = np.zeros(len(points), np.uint64)
+    for axis in range(3):
+        code = (code ^ points[:, axis]) * np.uint64(0x9E3779B97F4A7C15)
+        code ^= code >> np.uint64(32)
+    codes = np.sort(code[mesh.faces].sum(axis=1))
+    if (codes[1:] != codes[:-1]).all():
+        return None
+    corners = np.sort(positions(mesh)[mesh.faces], axis=1)
+    order = np.lexsort(corners.T)
+    new = np.ones(len(order), np.int64)
+    new[1:] = (corners[order[1:]] != corners[order[:-1]]).any(axis=1)
+    numbers = np.empty_like(new)
+    numbers[order] = np.cumsum(new) - 1
+    return None if new.all() else numbers
+
+
+def net_faces(mesh: Mesh) -> np.ndarray | None:
+    """Return the faces that count where directions do, (n,) int64, rising; None for all. Of twins,
+    these are what is left when opposite ones cancel.
+
+    Of k faces in one direction and m in the other, |k - m| are left, and of these the first alone,
+    unless this would give the mesh more boundary; if k = m, one in each direction is left, which
+    keeps the surface. Degenerate faces have no direction, so one of twins is left.
+    """
+    twins = twins_of(mesh)
+    if twins is None:
+        return None
+    corners = positions(mesh)[mesh.faces]
+    a, b, c = corners.T
+    proper = (a != b) & (b != c) & (c != a)
+    way = np.where(proper, 2 * ((a < b) * 1 + (b < c) + (c < a)) - 3, 1)
+    net = np.bincount(twins, way).astype(np.int64)
+    net[twins[~proper]] = 1
+    order = np.lexsort([way, twins])  # stable
+    alike = 2 * twins[order] + (way[order] > 0)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order)) - np.searchsorted(alike, alike)
+    net = net[twins]
+    once = (rank < 1) & (net * way >= 0)
+    boundary = [int(np.abs(net_sides(some)[2]).sum()) for some in (corners[once], corners)]
+    if boundary[0] > boundary[1]:
+        once = (rank < np.maximum(np.abs(net), 1)) & (net * way >= 0)
+    return np.flatnonzero(once)
+
+
+def net_sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return edges_of (F, 3) corners, and for each edge the sides that run to the greater corner
+    minus those that run back, (E,) int64."""
+    edge, forward = edges_of(corners)
+    start, end = _sides(corners)
+    way = np.where(start == end, 0, np.where(forward, 1, -1))
+    return edge, forward, np.bincount(edge, way).astype(np.int64)
+
+
 def crowded_edges(mesh: Mesh, topology: Topology) -> tuple[np.ndarray, np.ndarray]:
     """Return the (n, 2) vertices and (n,) face counts of edges of more than two faces."""
     crowded = topology.count > 2

@@ -21,6 +21,7 @@ HOMES = {
     "spatial/arctangent.h": "voxtool.spatial.pseudonormals",
     "spatial/bvh.h": "voxtool.spatial.bvh",
     "spatial/names.h": "voxtool.spatial.bvh",
+    "spatial/self_intersections.h": "voxtool.spatial.self_intersections",
     "spatial/winding_number.h": "voxtool.spatial.winding_number",
     "svo/fill/crossings.h": "voxtool.svo.fill.rows",
     "svo/fill/rows.h": "voxtool.svo.fill.rows",

@@ -13,12 +13,13 @@ Kernels: kernels/spatial/bvh.cl.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voxtool.errors import DeviceError, MeshError
+from voxtool.mesh.topology import twins_of
 from voxtool.opencl import Array, Device, program
 from voxtool.opencl.primitives import radix_sort
 
@@ -125,8 +126,17 @@ def tree_bytes(faces: int) -> int:
     return leaves * LEAF * (8 * FIELDS + 8) + (leaves * 8 // 7 + 8 * ARITY) * 24
 
 
-def build_tree(device: Device, mesh: Mesh, flat: np.ndarray | None = None) -> TriangleTree:
-    """Return the tree over all faces of a mesh, degenerate ones included.
+def distinct_faces(mesh: Mesh) -> np.ndarray | None:
+    """Return the faces of which no earlier one has the same three corners in local coordinates,
+    (n,) int64, rising; None for all. Distances to the others are the same."""
+    twins = twins_of(replace(mesh, vertices=Frame.of(mesh).local(mesh.vertices)))
+    return None if twins is None else np.sort(np.unique(twins, return_index=True)[1])
+
+
+def build_tree(
+    device: Device, mesh: Mesh, flat: np.ndarray | None = None, some: np.ndarray | None = None
+) -> TriangleTree:
+    """Return the tree over the faces of a mesh, degenerate ones included, or over `some` of them.
 
     `flat` is (F,) uint8, 1 for faces without area; None gives no names. Raises MeshError as
     Frame.of, and DeviceError if the device has no double precision.
@@ -138,9 +148,12 @@ def build_tree(device: Device, mesh: Mesh, flat: np.ndarray | None = None) -> Tr
         )
     frame, n = Frame.of(mesh), len(mesh.faces)
     vertices, faces = device.put(frame.local(mesh.vertices)), device.put(mesh.faces)
-    slots = -(-n // LEAF) * LEAF
     with device.stage("tree"):
         order = _sort_faces(device, vertices, faces, n)
+        if some is not None:
+            chosen, n = order.get(), len(some)
+            order = device.put(chosen[np.isin(chosen, some)])
+        slots = -(-n // LEAF) * LEAF
         leaves, face_of = device.empty(slots * FIELDS, np.float64), device.empty(slots, np.uint32)
         frame_triangles = device.kernel(SOURCE, "frame_triangles")
         frame_triangles(slots, vertices, faces, n, order, leaves, face_of)

@@ -20,7 +20,7 @@ import numpy as np
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, default_device
 from voxtool.opencl.primitives import radix_sort
-from voxtool.spatial.bvh import MAX_EXPONENT, POINT_BITS, TriangleTree, build_tree
+from voxtool.spatial.bvh import MAX_EXPONENT, POINT_BITS, TriangleTree, build_tree, distinct_faces
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -80,7 +80,8 @@ class TriangleDistance:
         self.block, self.near = block, near
         if normals is not None and normals.flat.all():  # no face has a side
             normals = None
-        self.tree = build_tree(self.device, mesh, normals.flat if normals else None)
+        flat = normals.flat if normals else None
+        self.tree = build_tree(self.device, mesh, flat, distinct_faces(mesh))
         self._sides: tuple[Array, ...] = ()
         self._has_flat = False
         if normals:

@@ -6,6 +6,9 @@ share a corner, a plane through it must separate them; if they share two, they m
 onto each other. What rounding cannot decide counts as an intersection: edges that meet at an angle
 of a, some 2e-17 / a apart.
 
+Where many faces lie near each other, as about the apex of a large fan, the pairs are too many to be
+tested. The work for each face is bounded, and faces that would need more are reported as undecided.
+
 Kernels: kernels/spatial/self_intersections.cl.
 """
 
@@ -16,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.mesh.topology import positions
+from voxtool.opencl import program
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
@@ -23,18 +27,29 @@ if TYPE_CHECKING:
     from voxtool.spatial.bvh import TriangleTree
 
 SOURCE = "spatial/self_intersections.cl"
+UNDECIDED = 2
+NEAR = 128  # faces that are tested against each face
+TESTS = 1 << 23  # shared by the faces that NEAR leaves undecided; more in large meshes
+HEADERS = {"spatial/self_intersections.h": program.c_constants(UNDECIDED=UNDECIDED)}
 
 
-def find_self_intersections(device: Device, mesh: Mesh, tree: TriangleTree) -> np.ndarray:
-    """Return the faces that another one meets outside their common corners and edges, (F,) bool.
+def find_self_intersections(
+    device: Device, mesh: Mesh, tree: TriangleTree, tests: int = TESTS
+) -> np.ndarray:
+    """Return whether another face meets each face outside their common corners and edges, (F,)
+    uint8: 0, 1, or UNDECIDED where too many faces are near to test them all.
 
-    Faces without area do not count. The tree is that of the mesh, with names.
+    Faces without area, and those that are not in the tree, do not count. The tree has names.
     """
     vertices, faces = device.put(tree.frame.local(mesh.vertices)), device.put(mesh.faces)
     corners = device.put(positions(mesh)[mesh.faces].astype(np.int32))
     found = device.zeros(len(mesh.faces), np.uint8)
     with device.stage("self-intersections"):
-        device.kernel(SOURCE, "find_self_intersections")(
-            tree.count, tree.names, vertices, faces, corners, tree.nodes, tree.first_leaf, found
-        )
-        return found.take() != 0
+        find = device.kernel(SOURCE, "find_self_intersections")
+        shared = (tree.names, vertices, faces, corners, tree.nodes, tree.first_leaf)
+        find(tree.count, *shared, NEAR, 0, found)
+        undecided = np.count_nonzero(found.get() == UNDECIDED)
+        most = max(tests, NEAR * tree.count) // max(undecided, 1)
+        if undecided and most > 2 * NEAR:
+            find(tree.count, *shared, min(most, 1 << 31), UNDECIDED, found)
+        return found.take()

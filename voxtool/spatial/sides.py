@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.mesh.topology import edges_of, positions, shells_of
+from voxtool.mesh.topology import edges_of, net_faces, positions, shells_of
 from voxtool.morton import morton_encode
 from voxtool.spatial.winding_number import WindingNumber
 from voxtool.vector import cross, length
@@ -50,12 +50,16 @@ def find_sides(
     """Return the sides of a mesh's faces; `intersecting` is that of find_self_intersections."""
     edges, forth = edges_of(positions(mesh)[mesh.faces])
     faces_of = np.bincount(edges)
-    net = np.bincount(edges, np.where(forth, 1.0, -1.0))
+    way, some = np.where(forth, 1.0, -1.0), net_faces(mesh)
+    if some is not None:
+        way *= np.repeat(np.isin(np.arange(len(mesh.faces)), some), 3)
+    net = np.bincount(edges, way)
     triangles = winding.tree.frame.local(mesh.vertices)[mesh.faces]
-    front, behind = _beside(mesh, np.arange(len(mesh.faces)), normals, winding)
     odd = ((faces_of != 2) | (net != 0)) & (faces_of != 1)
-    unknown = intersecting | odd[edges].reshape(-1, 3).any(axis=1)
-    front[unknown | ~(np.abs(behind - front - 1) < 0.25)] = np.nan
+    known = np.flatnonzero(~(intersecting | odd[edges].reshape(-1, 3).any(axis=1)))
+    front = np.full(len(mesh.faces), np.nan)
+    ahead, behind = _beside(mesh, known, normals, winding)
+    front[known] = np.where(np.abs(behind - ahead - 1) < 0.25, ahead, np.nan)
     side = np.flatnonzero(net[edges] != 0)
     _, first = np.unique(edges[side], return_index=True)
     side = side[first]

@@ -7,7 +7,7 @@ series of their moments, here to the third order (octupoles) about the centres o
 nearer triangles count exactly [Oosterom 1983]. Over 8,550 points in and around the teapot,
 fandisk, bunny and armadillo, two thirds of them near the surface, the error was at most 8e-4 and
 1.7e-4 RMS; with a reach of 2 radii 4.7e-3 and 1.1e-3, in about half of the time. All sums are made
-in one order, that of the tree.
+in one order, that of the tree. Faces that repeat count once (net_faces in mesh/topology.py).
 
 Kernels: kernels/spatial/winding_number.cl.
 """
@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from voxtool.mesh.topology import net_faces
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.spatial.bvh import ARITY, LEAF, TriangleTree, build_tree
 from voxtool.spatial.distance import PointBlock, checked_points, point_blocks
@@ -49,11 +50,16 @@ class WindingNumber:
         *,
         tree: TriangleTree | None = None,
         reach: float = REACH,
+        repeats: bool = True,
     ) -> None:
-        """Compute the moments, on a given tree of the mesh or a new one. A node farther away than
-        `reach` radii counts through its moments. Raises as TriangleDistance."""
+        """Compute the moments, on a given tree of the mesh, or a new one if faces repeat. A
+        node farther away than `reach` radii counts through its moments. With `repeats` False, every
+        copy of a face counts. Raises as TriangleDistance."""
         self.device = device or default_device()
-        self.tree = tree or build_tree(self.device, mesh)
+        some = net_faces(mesh) if repeats else None
+        if tree is None or some is not None:
+            tree = build_tree(self.device, mesh, some=some)
+        self.tree = tree
         self.reach = reach
         with self.device.stage("moments"):
             self.moments = self._sum_moments()

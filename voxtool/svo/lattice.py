@@ -57,11 +57,12 @@ def place_mesh(
     mesh: Mesh,
     grid: Grid,
     window: tuple[Sequence[int], Sequence[int]] | None,
+    some: np.ndarray | None,
     with_caps: bool,
     device: Device,
 ) -> LatticeMesh:
-    """Return the mesh on the lattice of a grid, or of a window; raise GridError if a vertex lies
-    too far from the grid's corner or the window is not in the grid."""
+    """Return the mesh, or only `some` of its faces, on the lattice of a grid or of a window; raise
+    GridError if a vertex lies too far from the grid's corner or the window is not in the grid."""
     try:
         fixed = grid.to_fixed(mesh.vertices)
     except GridError:  # vertices that no face uses may lie anywhere
@@ -72,12 +73,11 @@ def place_mesh(
             raise GridError(f"window {low}, {shape} reaches beyond the grid's {grid.shape}")
         grid = grid.window(low, shape)
         fixed -= np.asarray(low, np.int32) << FIXED_POINT_BITS
-    caps = find_caps(fixed, mesh.faces) if with_caps else None
-    faces = mesh.faces if caps is None else np.concatenate([mesh.faces, caps.faces])
+    own = mesh.faces if some is None else mesh.faces[some]
+    caps = find_caps(fixed, own) if with_caps else None
+    faces = own if caps is None else np.concatenate([own, caps.faces])
     faces = faces.astype(np.int32, copy=False)
-    return LatticeMesh(
-        device, grid, fixed, device.put(fixed), device.put(faces), len(mesh.faces), caps
-    )
+    return LatticeMesh(device, grid, fixed, device.put(fixed), device.put(faces), len(own), caps)
 
 
 def _used_vertices(mesh: Mesh) -> np.ndarray:

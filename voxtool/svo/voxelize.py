@@ -28,7 +28,7 @@ from voxtool.errors import VoxtoolError, count_of
 from voxtool.grid import Grid
 from voxtool.job import Job, one_call
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.topology import check_topology, volume, watertight
+from voxtool.mesh.topology import check_topology, net_faces, volume, watertight
 from voxtool.opencl import Device, default_device
 from voxtool.svo.build import build_octree
 from voxtool.svo.fill.flood import flood
@@ -117,6 +117,7 @@ class VoxelizeJob(Job[Octree]):
     device: Device
     plan: VoxelizePlan
     chosen: bool = False
+    _crowded: bool = False  # known once it has run
 
     def __init__(
         self, mesh: Mesh, grid: Grid, window: Window | None, device: Device, max_memory: int | None
@@ -133,8 +134,9 @@ class VoxelizeJob(Job[Octree]):
     def place(self, mode: str, fill: str, gap: int) -> None:
         """Upload the mesh, survey it and make the plan."""
         with self.device.stage("survey"):
+            some = _once(net_faces, self.mesh) if fill in ("nonzero", "winding") else None
             self.lattice = place_mesh(
-                self.mesh, self._whole, self._window, fill == "winding", self.device
+                self.mesh, self._whole, self._window, some, fill == "winding", self.device
             )
             survey, caps = self.lattice.survey(), self.lattice.caps
         self.grid = self.lattice.grid
@@ -180,6 +182,7 @@ class VoxelizeJob(Job[Octree]):
         if holes and crossings:
             with self.stage("near holes"):
                 holes.fill(filled.tree, filled.bricks, crossings)
+                self._crowded = holes.crowded
         if plan.surface:
             with self.stage(f"surface{plan.surface}"):
                 filled.unite(scan.surface(active))
@@ -227,6 +230,11 @@ class VoxelizeJob(Job[Octree]):
             found = _once(check_topology, self.mesh)
             if octree.fill == "nonzero" or not found.even:
                 yield f"{self._name} is {found.summary()}; {leak}"
+        if self._crowded:
+            yield (
+                f"{self._name} has more boundary loops near one voxel than winding numbers are "
+                "computed for; caps close them there: see voxtool diagnose, or fill by flood"
+            )
         if not octree.bricks.any() and not octree.count:
             yield f"{self._name} sets no voxel: {self._why_empty()}"
 

@@ -235,6 +235,31 @@ __kernel void exclude_caps(BLOCKS, CAPS, __global const float *cap_nodes,
     }
 }
 
+// crowded[i] = 1 if more than `most` leaves of the caps are near every voxel of block i, as
+// subtract_caps has it.
+__kernel void find_crowds(BLOCKS, const uint cap_first_leaf, __global const double *moments,
+                          const uint most, __global uchar *crowded)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const centres c = centres_of(blocks[gid], level);
+    const double3 low = to_local(c.low, frame), size = to_local(c.high, frame) - low;
+    const double3 p = low + 0.5 * size;
+    const double radius = 0.5 * sqrt(size.x * size.x + size.y * size.y + size.z * size.z);
+    uint near = 0;
+    walk w;
+    start(&w);
+    while (near <= most && next_child(&w)) {
+        __global const double *m = moments + (size_t)w.id * (MOMENTS * ARITY) + w.i;
+        const double x = m[0] - p.x, y = m[ARITY] - p.y, z = m[2 * ARITY] - p.z;
+        const double reach = m[3 * ARITY] > 0 ? sqrt(m[3 * ARITY]) * (1 - SLACK) - radius : 0;
+        const bool within = reach > 0 && x * x + y * y + z * z < reach * reach;
+        near += within && !descend(&w, cap_first_leaf);
+    }
+    crowded[gid] = near > most;
+}
+
 // ---- at voxels
 
 // The sum of the crossings of a row up to a voxel: +1 where the row enters, -1 where it leaves.
@@ -346,16 +371,19 @@ __kernel void number_voxels(__global const ulong *voxels, const uint n, const in
 }
 
 // Subtract the winding number of the caps about the shifted centres of voxels. Near triangles are
-// evaluated one by one, distant ones through the moments of the tree.
+// evaluated one by one, distant ones through the moments of the tree. Where more than `most` leaves
+// are near, nothing is subtracted, and *crowds is set.
 __kernel void subtract_caps(__global const ulong *voxels, const uint n, const double4 frame,
                             CAPS, __global const double *cap_leaves,
-                            __global const double *moments, __global double *numbers)
+                            __global const double *moments, const uint most,
+                            volatile __global uint *crowds, __global double *numbers)
 {
     const uint gid = get_global_id(0);
     if (gid >= n || numbers[gid] == BEYOND_GRID)
         return;
     const int3 centre = convert_int3(morton_decode(voxels[gid])) * VOXEL + HALF;
     const double3 p = to_local(centre, frame);
+    uint leaves = 0;
     walk w;
     start(&w);
     double8 angles = 0;
@@ -369,6 +397,10 @@ __kernel void subtract_caps(__global const ulong *voxels, const uint n, const do
         }
         if (is_far[w.i] || descend(&w, cap_first_leaf))
             continue;
+        if (++leaves > most) {
+            atomic_or(crowds, 1u);
+            return;
+        }
         const uint leaf = w.child - cap_first_leaf;
         double4 x, y, size;
         triangle_vectors(cap_leaves + (size_t)leaf * (FIELDS * LEAF), p, &x, &y, &size);

@@ -2,8 +2,9 @@
 
 The boundary of a mesh counts, for every edge, the faces that traverse it in one direction minus the
 faces that traverse it in the other. The count is 0 for an edge of two consistently wound faces. The
-edges that remain form closed loops, because at every vertex as many begin as end; a fan of
-triangles closes each loop.
+edges that remain form closed loops, because at every vertex as many begin as end. Triangles that
+halve each loop, and its halves in turn, close it: most of them are small, so that few are near a
+point. (A fan of n triangles about one vertex has n long ones.)
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ from itertools import chain
 import numpy as np
 
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.topology import edges_of, positions
+from voxtool.mesh.topology import net_sides, positions
 
 MEETING = 64  # edges at a vertex among which the nearest is sought
 
 
 @dataclass(frozen=True)
 class Caps:
-    """The holes of a mesh and their caps: a hole is a simple loop of boundary edges, and its cap a
-    fan of triangles from one of its vertices."""
+    """The holes of a mesh and their caps: a hole is a simple loop of boundary edges, and its cap
+    consists of triangles between its vertices."""
 
     loops: np.ndarray  # (E,) int32 vertices, loop after loop
     first: np.ndarray  # (H + 1,) where each loop begins
@@ -49,10 +50,8 @@ def find_caps(vertices: np.ndarray, faces: np.ndarray) -> Caps:
     vertex = np.empty(int(places.max(initial=-1)) + 1, np.int32)  # a vertex at each position
     vertex[places] = np.arange(len(places))
     corners = places[faces]
-    edge, forward = edges_of(corners)
+    edge, forward, net = net_sides(corners)
     start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
-    way = np.where(start == end, 0, np.where(forward, 1, -1))
-    net = np.bincount(edge, way).astype(np.int64)
     side = np.empty(len(net), np.int64)
     side[edge] = np.arange(len(edge))  # any side of each edge
     side, net = side[net != 0], net[net != 0]
@@ -62,12 +61,21 @@ def find_caps(vertices: np.ndarray, faces: np.ndarray) -> Caps:
     loops = _loops(start, end, vertices[vertex].astype(np.int64))
     first = np.concatenate([[0], np.cumsum([len(loop) for loop in loops])]).astype(np.int64)
     places_of_loops = np.fromiter(chain.from_iterable(loops), np.int64, int(first[-1]))
-    within = np.arange(len(places_of_loops)) - np.repeat(first[:-1], np.diff(first))
-    fan = np.flatnonzero(within >= 2)
-    apex = fan - within[fan]
-    corners = places_of_loops[np.stack([apex, fan, fan - 1], axis=1)]
     most = int(np.abs(net).max(initial=1))
-    return Caps(vertex[places_of_loops], first, vertex[corners], most)
+    return Caps(vertex[places_of_loops], first, vertex[places_of_loops[_halve(first)]], most)
+
+
+def _halve(first: np.ndarray) -> np.ndarray:
+    """Return the triangles of the caps of all loops, loop after loop: (C, 3) places in `loops`."""
+    low, high, triangles = first[:-1], first[1:] - 1, [np.empty((0, 3), np.int64)]
+    while len(low):
+        wide = high - low >= 2
+        low, high = low[wide], high[wide]
+        middle = (low + high) // 2
+        triangles.append(np.stack([low, high, middle], axis=1))
+        low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
+    halves = np.concatenate(triangles)
+    return halves[np.argsort(halves[:, 2])]
 
 
 def _loops(start: np.ndarray, end: np.ndarray, points: np.ndarray) -> list[list[int]]:

@@ -20,7 +20,9 @@ from the centre to an edge's ends, and their y and z as complex numbers u and v,
 The discontinuities of the sum and of the crossing cancel, so a centre on a cap or behind an edge is
 no special case. Triangles farther away count through their moments (spatial/winding_number.py), at
 a distance at which a number near 1/2 differs by less than 5e-7 from the sum over all triangles. A
-voxel is inside if its number is at least HALF. Kernels: kernels/svo/fill/winding.cl.
+voxel is inside if its number is at least HALF. Where more than CROWD leaves of caps are near, as
+in a book of thousands of pages, the sums would take too long: there the condition is N >= 1, as if
+the caps were part of the mesh. Kernels: kernels/svo/fill/winding.cl.
 """
 
 from __future__ import annotations
@@ -55,6 +57,7 @@ REACHES = ((2.0, 2.0**-6), (4.0, 2.0**-9), (10.0, 2.0**-14), (24.0, 0.0))
 DOUBT = REACHES[0][1]
 HALF = 0.5 - 2.0**-21  # 1/2 minus the rounding error
 BEYOND_GRID = 1 << 30  # number of a voxel beyond the grid
+CROWD = 1024  # leaves of caps that may be near a voxel; at larger reaches more, by their squares
 BY_VOXEL = BEYOND_GRID  # in place of a brick's threshold
 BRICK_LEVEL = BRICK_SIDE.bit_length() - 1
 BATCH = 1 << 14  # bricks whose voxels are computed in one launch
@@ -77,7 +80,7 @@ class NearHoles:
         tree = build_tree(self._device, cap_mesh, np.zeros(len(caps.faces), np.uint8))
         farther = math.sqrt(math.sqrt(caps.most))
         self._windings = [
-            WindingNumber(cap_mesh, self._device, tree=tree, reach=reach * farther)
+            WindingNumber(cap_mesh, self._device, tree=tree, reach=reach * farther, repeats=False)
             for reach, _ in REACHES
         ]
         holes = build_tree(self._device, _boxes(points, caps), np.zeros(caps.holes, np.uint8))
@@ -86,6 +89,7 @@ class NearHoles:
         areas = length(cross(b - a, c - a)) / 2
         by_hole = np.add.reduceat(areas, caps.first[:-1] - 2 * np.arange(caps.holes))
         self._frame = tree.frame
+        self.crowded = False  # whether more caps are near some voxels than are summed
         self._arguments: dict[str, Any] = {  # of kernels
             "shape": plan.shape,
             "frame": (*tree.frame.centre, unit),
@@ -115,6 +119,25 @@ class NearHoles:
 
     def _find_thresholds(self, blocks: np.ndarray, level: int) -> np.ndarray:
         """Return (n,) int64, the least N inside of blocks of 2**level voxels, or BY_VOXEL."""
+        free = ~self._find_crowds(blocks, level)
+        thresholds = np.ones(len(blocks), np.int64)
+        thresholds[free] = self._thresholds_by_bounds(blocks[free], level)
+        return thresholds
+
+    def _find_crowds(self, blocks: np.ndarray, level: int) -> np.ndarray:
+        """Return (n,) bool, True for blocks with more than CROWD leaves near every voxel."""
+        n = len(blocks)
+        if self._arguments["cap_count"] <= LEAF * CROWD:
+            return np.zeros(n, bool)
+        codes, found = self._device.put(blocks), self._device.empty(n, np.uint8)
+        most = {"moments": self._windings[0].moments, "most": CROWD}
+        self._kernel("find_crowds")(n, codes, level, crowded=found, **most, **self._arguments)
+        crowded = found.take() != 0
+        self.crowded |= bool(crowded.any())
+        return crowded
+
+    def _thresholds_by_bounds(self, blocks: np.ndarray, level: int) -> np.ndarray:
+        """Return the same where no more than CROWD leaves are near."""
         variations = self._variations(blocks, level)
         near = np.flatnonzero(np.isfinite(variations))
         middles = (morton_decode(blocks[near]) * 2 + 1) << (level - 1 + FIXED_POINT_BITS)
@@ -143,7 +166,11 @@ class NearHoles:
         codes, numbers = self._device.put(voxels), self._device.empty(n, np.float64)
         self._kernel("number_voxels")(n, codes, *listed, numbers, **self._arguments)
         if winding:
-            self._kernel("subtract_caps")(n, codes, winding.moments, numbers, **self._arguments)
+            most = int(CROWD * (winding.reach / self._windings[0].reach) ** 2)
+            subtract_caps = self._kernel("subtract_caps")
+            crowds = self._device.zeros(1, np.uint32)
+            subtract_caps(n, codes, winding.moments, most, crowds, numbers, **self._arguments)
+            self.crowded |= bool(crowds.take()[0])
         return numbers.take()
 
     def _find_bricks(self, side: int, shape: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
