@@ -126,6 +126,16 @@ def test_numbers_in_comments_are_no_counts(tmp_path: Path) -> None:
     assert volume_of(read_unstructured(path, "s")) == pytest.approx(1)
 
 
+def test_a_warning_of_meshio_is_short(tmp_path: Path) -> None:
+    mesh = mixed()
+    mesh.cells, mesh.cell_data = mesh.cells[:1], {}
+    path = written(tmp_path / "a.msh", mesh, file_format="gmsh")
+    path.write_bytes(path.read_bytes() + b"$Unknown" * 200 + b"\n")
+    with pytest.warns(UserWarning, match="not closed|Unknown") as caught:
+        read_unstructured(path, "s")
+    assert all(len(str(warning.message)) < 300 for warning in caught)
+
+
 def test_an_array_at_points_goes_before_one_at_cells_and_the_only_one_needs_no_name(
     tmp_path: Path,
 ) -> None:
