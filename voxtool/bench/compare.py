@@ -54,7 +54,7 @@ class Change:
     @property
     def percent(self) -> float:
         """The percentage by which the new median is larger than the old one."""
-        return 100 * (self.new.seconds / self.old.seconds - 1)
+        return min(100 * (self.new.seconds / self.old.seconds - 1), sys.float_info.max)
 
     @property
     def slower(self) -> bool:

@@ -74,7 +74,8 @@ def find_patches(mesh: Mesh, topology: Topology) -> Patches:
         np.concatenate([one, one + n]), np.concatenate([other + turned, other + n - turned]), 2 * n
     )
     as_it_is, over = both[:n], both[n:]
-    areas = _areas(mesh.vertices[mesh.faces[topology.proper]])
+    a, b, c = mesh.vertices[mesh.faces[topology.proper]].transpose(1, 0, 2)
+    areas = length(cross(b - a, c - a)) / 2
     piece = np.minimum(as_it_is, over)
     with_first = as_it_is < over
     surplus = np.bincount(piece, np.where(with_first, areas, -areas), n)
@@ -115,7 +116,8 @@ def find_shells(mesh: Mesh, topology: Topology, loops: Loops) -> Shells:
     cones = np.stack([middles, end, begin], axis=1)
     which = np.concatenate([of, of_cap])
     centres = low + (high - low) / 2
-    parts = _volumes(np.concatenate([triangles, cones]) - centres[which][:, None])
+    a, b, c = (np.concatenate([triangles, cones]) - centres[which][:, None]).transpose(1, 0, 2)
+    parts = dot(a, cross(b, c)) / 6  # tetrahedra between the faces and the middle
     volumes = np.bincount(which, parts, count).astype(np.float64)  # of nothing it is integers
     volumes[~consistent] = np.nan
     volumes[shell_of_loop[~loops.closed]] = np.nan
@@ -129,13 +131,3 @@ def _numbered(roots: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.nd
     sums = np.bincount(numbers, weights).astype(np.float64)
     order = np.argsort(-sums, kind="stable")
     return np.argsort(order)[numbers], sums[order]
-
-
-def _areas(triangles: np.ndarray) -> np.ndarray:
-    u, v = (triangles[:, i] - triangles[:, 0] for i in (1, 2))
-    return length(cross(u, v)) / 2
-
-
-def _volumes(triangles: np.ndarray) -> np.ndarray:
-    """Return the volumes of the tetrahedra between (n, 3, 3) triangles and the origin, (n,)."""
-    return dot(triangles[:, 0], cross(triangles[:, 1], triangles[:, 2])) / 6
