@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import os
 import signal
 import sys
 import warnings
@@ -90,13 +89,12 @@ class Voxtool(click.Group):
         except (click.Abort, KeyboardInterrupt):
             code = 128 + signal.SIGINT
         except (click.ClickException, VoxtoolError, MemoryError, OSError, ImportError) as error:
-            if reader_has_gone(error):
+            gone = reader_has_gone(error)
+            code = 0 if gone else self.report(error, "--json" in words)
+            if gone or (isinstance(error, OSError) and error.errno in STREAM_ERRORS):
+                from voxtool.files.streams import discard_stdout
+
                 discard_stdout()
-                code = 0
-            else:
-                code = self.report(error, "--json" in words)
-                if isinstance(error, OSError) and error.errno in STREAM_ERRORS:
-                    discard_stdout()
         sys.exit(code)
 
     def report(self, error: Exception, as_json: bool) -> int:
@@ -163,12 +161,6 @@ def reader_has_gone(error: BaseException) -> bool:
     while cause and not isinstance(cause, BrokenPipeError):
         cause = cause.__cause__
     return cause is not None
-
-
-def discard_stdout() -> None:
-    """Discard the rest of the buffer, so that the program ends without a message."""
-    with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
-        os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
 @click.group(cls=Voxtool, context_settings={"help_option_names": ["-h", "--help"]})

@@ -7,7 +7,7 @@ import os
 import shutil
 import sys
 import tempfile
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from voxtool.errors import FileError, human, one_line
@@ -109,16 +109,16 @@ def _standard_output(text: bool) -> Iterator[BinaryIO]:
             shutil.copyfileobj(file, sys.stdout.buffer, 1 << 20)
         sys.stdout.buffer.flush()
     except BrokenPipeError as error:
-        _discard_stdout()
+        discard_stdout()
         raise FileError("standard output was closed before all was written") from error
     except OSError as error:
-        _discard_stdout()
+        discard_stdout()
         raise write_error("standard output", error) from error
 
 
-def _discard_stdout() -> None:
+def discard_stdout() -> None:
     """Send the rest of the buffer to the null device, so that the program ends quietly."""
-    with open(os.devnull, "wb") as nowhere:
+    with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 

@@ -65,7 +65,7 @@ SCHEMA = Schema(
         Attribute("mode", str, MODE, 32, choices=(*MODES, "solid+surface26")),
         Attribute("fill", str, FILL, 32, rule=RULE_NAME),
         Attribute("origin", float, "low corner of voxel (0, 0, 0); finite", 3, at="grid.origin"),
-        Attribute("pitch", float, "voxel size along x, y and z; positive", 3, at="grid.pitch"),
+        Attribute("pitch", float, "voxel size along x, y and z; 1e-95 to 1e90", 3, at="grid.pitch"),
         UNITS,
         SOURCE,
         PLAN,

@@ -82,12 +82,6 @@ def changed_sources(change: Callable[[str], str]) -> Iterator[None]:
         _change.reset(token)
 
 
-def source_text(source: str) -> str:
-    """The source of a program, changed if a test asks for that."""
-    change, text = _change.get(), flatten(source)
-    return change(text) if change else text
-
-
 def c_struct(name: str, dtype: np.dtype) -> str:
     """The C declaration of a packed numpy record of 32- and 64-bit fields."""
     assert dtype.fields is not None
@@ -106,7 +100,8 @@ def build(cl: Any, context: Any, platform: str, source: str, defines: dict[str, 
     if context.devices[0].single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
         options.append(ROUNDED)
     try:
-        return compiled(cl, context, source_text(source), options)
+        change = _change.get() or str
+        return compiled(cl, context, change(flatten(source)), options)
     except cl.RuntimeError as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         log = [line for line in lines[1:] if "error" in line.lower()]
