@@ -165,6 +165,7 @@ def diagnose(
     topology, counts = topology_of(mesh), check_surface(mesh)
     loops = find_loops(mesh, topology)
     flat, repeated = collinear(mesh.vertices[mesh.faces]), repeated_faces(topology)
+    edges, crowded = crowded_edges(mesh, topology)
     enter("self-intersections")
     intersecting = _self_intersecting(mesh, flat, repeated, device)
     low, high = mesh.bounds.tolist()
@@ -179,7 +180,7 @@ def diagnose(
         "pitch": grid.pitch[0],
         "loops": _loop_rows(loops),
         "t_junctions": len(loops.closed) > 0 and closed_chain(mesh),
-        "crowded_edges": _crowded_rows(mesh, topology),
+        "crowded_edges": _rows(faces=crowded[:LISTED], ends=mesh.vertices[edges[:LISTED]]),
         "duplicate_faces": _listed_faces(mesh, repeated),
         "degenerate_faces": _listed_faces(mesh, flat),
         "self_intersecting_faces": _listed_faces(mesh, intersecting == 1),
@@ -225,11 +226,6 @@ def _loop_rows(loops: Loops) -> list[dict[str, Any]]:
         size=size,
         closed=loops.closed,
     )
-
-
-def _crowded_rows(mesh: Mesh, topology: Topology) -> list[dict[str, Any]]:
-    edges, faces = crowded_edges(mesh, topology)
-    return _rows(faces=faces[:LISTED], ends=mesh.vertices[edges[:LISTED]])
 
 
 def _listed_faces(mesh: Mesh, chosen: np.ndarray) -> dict[str, Any]:

@@ -43,10 +43,6 @@ def _floats(sizes: Sizes) -> int:
     return 3 if sizes["layout"] == "projection" else 4
 
 
-def _with_anchors(sizes: Sizes, there: bool) -> bool:
-    return sizes["layout"] == "projection"
-
-
 def _build(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> TetVolume:
     return TetVolume(anchors=arrays.pop("anchors", None), **arrays, **values)
 
@@ -75,7 +71,9 @@ SCHEMA = Schema(
         Dataset("normals", "<f4", (_faces, "T", _floats)),
         Dataset("gradients", "<f4", ("T", _floats)),
         Dataset("ranges", "<f4", (lambda sizes: -(-sizes["T"] // BLOCK), 2)),
-        Dataset("anchors", "<i4", ("T", 2), needed=_with_anchors),
+        Dataset(
+            "anchors", "<i4", ("T", 2), needed=lambda sizes, _: sizes["layout"] == "projection"
+        ),
     ),
     build=_build,
 )
