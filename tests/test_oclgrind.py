@@ -258,6 +258,9 @@ def voxelize_all(device, variant: str, decisions: dict[str, Any]) -> None:
             assert octree.plan["holes"] == 1
             assert octree.to_dense()[6:12, 7:18, 7:10].all()
             assert not octree.to_dense()[21:].any()
+            crowded = plan_voxelize(mesh, grid, fill="winding", device=device)
+            crowded = crowded.with_(crowd=0, **decisions).run()
+            assert np.array_equal(crowded.to_dense(), octree.to_dense())
         else:
             assert np.array_equal(octree.to_dense(), numbers > 0), (variant, scene)
         octree = voxelize(mesh, grid, fill="parity", with_surface=True)

@@ -80,7 +80,7 @@ def test_a_signal_ends_the_command_with_one_line_and_no_file(name, code, device,
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_during_imports_gives_no_traceback(number: signal.Signals, cube) -> None:
     script = "import sys; from voxtool.__main__ import main; print(1, flush=True); main()"
-    for delay in (0.0, 0.02, 0.08, 0.2):
+    for delay in (0.0, 0.05):
         child = subprocess.Popen(
             [sys.executable, "-c", script, "voxelize", "cube.obj", "-q"],
             env=ENVIRONMENT,
@@ -212,7 +212,7 @@ def test_a_cache_that_others_can_write_to_is_not_used(cube) -> None:
 
 
 @pytest.mark.parametrize("device", DRIVERS)
-@pytest.mark.parametrize("limit", [200_000, 500_000, 700_000, 900_000])
+@pytest.mark.parametrize("limit", [200_000, 700_000])
 def test_too_little_address_space_is_one_line(limit: int, device: str, cube) -> None:
     """Or a result, or nothing but the line of an allocation in a driver that ends the process."""
     done = shell(

@@ -85,7 +85,7 @@ def test_other_content_is_found(device: Device) -> None:
 @pytest.mark.parametrize(
     ("result", "message"),
     [
-        (DeviceError("it does not\nbuild"), "it does not build"),
+        (DeviceError("it does not\nbuild"), "it does not?build"),
         (IndexError("beyond"), "IndexError: beyond"),
         (MemoryError(), "MemoryError: "),
         (math.nan, ""),

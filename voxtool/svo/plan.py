@@ -15,6 +15,8 @@ NODE_BLOCK = 64  # voxels along a side of a block of level-1 nodes
 NARROW_EXTENT = 4096  # voxels up to which a triangle's predicates fit 64 bits
 CODE_32_SIDE = 8192  # voxels up to which level-1 Morton codes fit 32 bits
 DENSE_SIDE = 2048  # voxels up to which the level-1 volume is dense
+CROWD = 1024  # leaves of caps near a voxel that winding numbers are summed over; at larger
+# reaches more, by their squares
 COLUMN_TILE = 64  # columns along a side of a work-item's share of a triangle
 
 
@@ -51,6 +53,7 @@ class VoxelizePlan:
     tiled_nodes: bool  # a triangle's level-1 nodes are divided among work-items
     active: tuple[int, ...]  # predicted refined nodes by level, from level 1 up
     column_tile: int = COLUMN_TILE  # columns along a side of a work-item's share of a triangle
+    crowd: int = CROWD  # leaves of caps that may be near a voxel
 
     @property
     def solid(self) -> bool:

@@ -330,6 +330,15 @@ def test_a_box_with_turned_faces(device: Device) -> None:
     assert run(device, (vertices, faces), (32,) * 3, "parity").count == 28**3
 
 
+def test_caps_close_crowded_holes(device: Device) -> None:
+    """The cap of an open box is its missing side, so nothing changes but the warning."""
+    mesh = Mesh(*meshes.open_box(0, (4, 3, 2)))
+    job = plan_voxelize(mesh, Grid.fit(mesh, 24), fill="winding", device=device)
+    with pytest.warns(MeshWarning, match="more boundary loops near one voxel"):
+        crowded = job.with_(crowd=0).run()
+    assert crowded.digest() == job.run().digest()
+
+
 def test_the_same_twice_is_the_same(device: Device) -> None:
     vertices, faces = meshes.open_box((300, 310, 290), (4500, 4300, 4100))
     for times in (2, 40):

@@ -57,7 +57,6 @@ REACHES = ((2.0, 2.0**-6), (4.0, 2.0**-9), (10.0, 2.0**-14), (24.0, 0.0))
 DOUBT = REACHES[0][1]
 HALF = 0.5 - 2.0**-21  # 1/2 minus the rounding error
 BEYOND_GRID = 1 << 30  # number of a voxel beyond the grid
-CROWD = 1024  # leaves of caps that may be near a voxel; at larger reaches more, by their squares
 BY_VOXEL = BEYOND_GRID  # in place of a brick's threshold
 BRICK_LEVEL = BRICK_SIDE.bit_length() - 1
 BATCH = 1 << 14  # bricks whose voxels are computed in one launch
@@ -75,6 +74,7 @@ class NearHoles:
         assert mesh.caps is not None
         self._device, self._max_memory, caps = mesh.device, max_memory, mesh.caps
         self._options: dict[str, int | str] = {"CODE": "ulong"} | ({"WIDE": 1} if plan.wide else {})
+        self._crowd = plan.crowd
         points = mesh.fixed.astype(np.float64)
         cap_mesh = Mesh(points, caps.faces)
         tree = build_tree(self._device, cap_mesh, np.zeros(len(caps.faces), np.uint8))
@@ -127,10 +127,10 @@ class NearHoles:
     def _find_crowds(self, blocks: np.ndarray, level: int) -> np.ndarray:
         """Return (n,) bool, True for blocks with more than CROWD leaves near every voxel."""
         n = len(blocks)
-        if self._arguments["cap_count"] <= LEAF * CROWD:
+        if self._arguments["cap_count"] <= LEAF * self._crowd:
             return np.zeros(n, bool)
         codes, found = self._device.put(blocks), self._device.empty(n, np.uint8)
-        most = {"moments": self._windings[0].moments, "most": CROWD}
+        most = {"moments": self._windings[0].moments, "most": self._crowd}
         self._kernel("find_crowds")(n, codes, level, crowded=found, **most, **self._arguments)
         crowded = found.take() != 0
         self.crowded |= bool(crowded.any())
@@ -166,7 +166,7 @@ class NearHoles:
         codes, numbers = self._device.put(voxels), self._device.empty(n, np.float64)
         self._kernel("number_voxels")(n, codes, *listed, numbers, **self._arguments)
         if winding:
-            most = int(CROWD * (winding.reach / self._windings[0].reach) ** 2)
+            most = int(self._crowd * (winding.reach / self._windings[0].reach) ** 2)
             subtract_caps = self._kernel("subtract_caps")
             crowds = self._device.zeros(1, np.uint32)
             subtract_caps(n, codes, winding.moments, most, crowds, numbers, **self._arguments)
