@@ -343,7 +343,7 @@ def test_triangles_beyond_the_grid_but_within_its_nodes(device: Device, shape) -
     far = 1 << 28
     plane = np.array([[-far, -far, z], [far, -far, z], [0, far, z + 300]])
     mesh = (plane, np.array([[0, 1, 2]]))
-    for mode in MODES:
+    for mode in MODES if max(shape) < 1000 else ["solid"]:  # the oracle takes seconds
         octree = run(device, mesh, shape, mode)
         assert octree.count == 0
         level = octree.levels()[-2]
