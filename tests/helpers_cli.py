@@ -107,7 +107,7 @@ def on_terminal(command: str, after: float, here: Path) -> tuple[int, str, str]:
 
 
 def screen(sent: str) -> list[str]:
-    """What a terminal shows in the end."""
+    """Return the final content of a terminal."""
     lines, row, column = [""], 0, 0
     for character in sent:
         if character == "\r":

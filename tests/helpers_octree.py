@@ -62,7 +62,8 @@ def ball(shape: tuple[int, int, int], radius: float = 0.42) -> np.ndarray:
 
 
 def golden_octree() -> Octree:
-    """What tests/data/v1.0.svo.h5 and v1.0.svo.xml hold, written by write_svo at version 1.0."""
+    """Return the octree that tests/data/v1.0.svo.h5 and v1.0.svo.xml hold; version 1.0 of
+    write_svo wrote them."""
     return octree_from_dense(
         ball((19, 16, 11)),
         plan={"triangles": 12, "stages": ["level 1", "level 0"], "ratio": 0.1},

@@ -92,7 +92,7 @@ def test_to_fixed_rounds_half_to_even() -> None:
     st.lists(st.integers(-100, 100), min_size=3, max_size=3),
 )
 def test_to_fixed_is_the_nearest_lattice_point(numerators, exponent, origin) -> None:
-    """Where all quotients are exact, against fractions."""
+    """Compare with fractions, for values whose quotients are exact."""
     pitch = 2.0**exponent
     grid = Grid((8, 8, 8), tuple(map(float, origin)), (pitch,) * 3)  # pyright: ignore
     point = np.array(numerators) / 1024

@@ -25,6 +25,7 @@ import meshes
 import meshio
 import numpy as np
 import pytest
+from fuzz.bombs import vtu_bomb, write_exodus_bomb
 from helpers_files import DATA, refusal, run_python
 from helpers_tets import cube
 
@@ -181,7 +182,7 @@ def test_text_that_names_another_file(
 
 
 def link(kind: str, other: Path) -> Callable[[h5py.File, str], None]:
-    """What makes a dataset lie elsewhere."""
+    """Return a function that moves a dataset into another place or file."""
 
     def change(h5: h5py.File, name: str) -> None:
         shape, dtype = h5[name].shape, h5[name].dtype
@@ -293,34 +294,6 @@ def test_the_limit_of_memory_is_put_back(tmp_path: Path) -> None:
 # ---- bombs
 
 
-def vtu_bomb() -> bytes:
-    """A .vtu of 0.2 MB whose one array takes 160 MB, and whose points take 24 bytes."""
-    size, blocks = 1 << 24, 10
-    packed = zlib.compress(bytes(size), 9)
-    head = struct.pack(f"<{3 + blocks}I", blocks, size, size, *[len(packed)] * blocks)
-    array = base64.b64encode(head) + base64.b64encode(packed * blocks)
-    opening = (
-        b'<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian" '
-        b'header_type="UInt32" compressor="vtkZLibDataCompressor"><UnstructuredGrid>'
-        b'<Piece NumberOfPoints="1" NumberOfCells="0"><PointData>'
-        b'<DataArray type="Float32" Name="s" format="binary">'
-    )
-    return opening + array + b"</DataArray></PointData></Piece></UnstructuredGrid></VTKFile>"
-
-
-def exodus_of(path: Path, count: int, chunk: bytes = b"") -> None:
-    """An Exodus file of many points, without data, or with one chunk that unpacks to more."""
-    import netCDF4
-
-    with netCDF4.Dataset(path, "w") as file:
-        file.createDimension("num_nodes", count)
-        for axis in "xyz":
-            file.createVariable(f"coord{axis}", "f8", ("num_nodes",), zlib=True)
-    if chunk:
-        with h5py.File(path, "r+") as file:
-            file["coordx"].id.write_direct_chunk((0,), chunk)
-
-
 def gz(line: bytes) -> bytes:
     """A quarter of a MB that unpacks to 250 MB."""
     return 16 * gzip.compress(line * ((1 << 24) // len(line)), mtime=0)
@@ -350,8 +323,11 @@ LOAD = "voxtool.load_mesh(sys.argv[1])"
 POINTS = "from voxtool.files.points import read_points\nfor _ in read_points(sys.argv[1]): pass"
 BOMBS: dict[str, tuple[Callable[[Path], Any], str]] = {  # what writes it, what reads it
     "blocks.vtu": (lambda path: path.write_bytes(vtu_bomb()), READ),
-    "unwritten.exo": (lambda path: exodus_of(path, 10**8), READ),
-    "chunk.exo": (lambda path: exodus_of(path, 8, zlib.compress(bytes(200 << 20), 9)), READ),
+    "unwritten.exo": (write_exodus_bomb, READ),
+    "chunk.exo": (
+        lambda path: write_exodus_bomb(path, 8, zlib.compress(bytes(200 << 20), 9)),
+        READ,
+    ),
     "lines.obj.gz": (lambda path: path.write_bytes(gz(b"v 0 0 0\n")), LOAD),
     "zeros.ply.gz": (lambda path: path.write_bytes(gz(bytes(8))), LOAD),
     "blanks.svo.xml.gz": (lambda path: path.write_bytes(gz(b" " * 8)), OCTREE),

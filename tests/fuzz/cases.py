@@ -21,7 +21,7 @@ ODD_NAMES = ("new\nline", os.fsdecode(b"\xff"), "a b'c\"", "\u202e\u0661", "-x",
 
 @dataclass(frozen=True)
 class Case:
-    """What is tried: a file, a command, or a command with a file.
+    """A file, a command, or a command with a file.
 
     Attributes
     ----------

@@ -40,7 +40,6 @@ class Session:
     ----------
     folder : of the samples, the workers' files and the saved cases.
     limit, effort : processor seconds that a case may take; seconds for making one smaller.
-    known : says which keys of findings are known; their cases are not made smaller.
     """
 
     folder: Path
@@ -49,7 +48,6 @@ class Session:
     workers: int = 1
     limit: float = 20.0
     effort: float = 30.0
-    known: Callable[[str], bool] = lambda _: False
     found: dict[str, Found] = field(default_factory=dict)
     contents: dict[str, bytes] = field(default_factory=dict)
 
@@ -61,7 +59,7 @@ class Session:
         self._lock = threading.Lock()
 
     def run(self, kind: str, start: int, seconds: float, most: int | None = None) -> int:
-        """Try cases from a number on, for so long or so many; the number of the next."""
+        """Try the cases from number `start` on, for a time or a count; return the next number."""
         end = time.monotonic() + seconds
         last = None if most is None else start + most
         numbers = itertools.count(start)
@@ -104,17 +102,12 @@ class Session:
                 self.found[finding.key].count += 1
                 return
             found = self.found[finding.key] = Found(finding, case)
-        known = self.known(finding.key)
-        if not known:
-            found.case = smaller(case, finding.key, worker, self.effort)
+        found.case = smaller(case, finding.key, worker, self.effort)
         found.path = self.save(found, kind)
-        print(
-            f"{'known: ' if known else ''}{finding.key}: {finding.detail}\n    {found.path}",
-            flush=True,
-        )
+        print(f"{finding.key}: {finding.detail}\n    {found.path}", flush=True)
 
     def save(self, found: Found, kind: str) -> Path:
-        """Write the case beside a text that says what it does; the path of the text."""
+        """Write the case and a description of it; return the description's path."""
         case, finding = found.case, found.finding
         name = re.sub(r"[^\w.-]+", "-", f"{finding.key} {kind} {case.number}")
         folder = self.folder / "findings"

@@ -1,4 +1,4 @@
-"""What counts as a finding: anything but a result or one clear line."""
+"""Findings: every outcome that is neither a result nor one clear line."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OUT_OF_MEMORY = re.compile("not enough memory|than fits in memory")
 
 
 class Finding(NamedTuple):
-    """What went wrong, where, and the words of it; the first two tell findings apart."""
+    """A fault, its place and its details. Findings of the same fault and place count once."""
 
     what: str
     where: str
@@ -43,7 +43,7 @@ class Finding(NamedTuple):
 
 @dataclass
 class Tools:
-    """What every case shares: the device, and valid contents that mutants are used with."""
+    """The device and the valid contents that all cases share."""
 
     device: Any
     device_name: str
@@ -99,7 +99,7 @@ def watched(tools: Tools, where: str, names: Path | None = None) -> Iterator[lis
 
 
 def check_message(tools: Tools, place: str, message: str, names: Path | None = None) -> None:
-    """Note a message that is no printable line, names no file, or tells what is in another."""
+    """Note a message that is no printable line, names no file, or shows what is in another."""
     if names and not names.name.isprintable():
         place = "a message with an odd name"
     if not message or not message.isprintable() or len(message) > 1000:
@@ -107,7 +107,7 @@ def check_message(tools: Tools, place: str, message: str, names: Path | None = N
     elif names and names.name.isprintable() and names.name not in message:
         tools.found("file not named", place, message)
     if SECRET_WORD in message:
-        tools.found("another file is told", place, message)
+        tools.found("another file is shown", place, message)
 
 
 def run_command(case: Case, tools: Tools, arithmetic: bool = False) -> int:
@@ -156,7 +156,7 @@ def check_stderr(case: Case, result: Any, tools: Tools, where: str) -> None:
         elif not line.startswith(("voxtool: ", "{", "}", " ")):
             tools.found("no printable line", where, line)
         if SECRET_WORD in line:
-            tools.found("another file is told", where, line)
+            tools.found("another file is shown", where, line)
 
 
 def check_json(words: list[str], result: Any, tools: Tools, where: str) -> None:

@@ -17,12 +17,12 @@ pytestmark = pytest.mark.slow
 
 
 def cases(render: bool) -> list:
-    """The entries that render, or the others; xfail while their item is open."""
+    """Return the entries that render, or the others; those that still fail are expected to."""
     return [
         pytest.param(
             entry,
             id=ascii(entry.name),
-            marks=[pytest.mark.xfail(strict=True, reason=f"item {entry.open}")] * bool(entry.open),
+            marks=[pytest.mark.xfail(strict=True, reason=entry.fails)] * bool(entry.fails),
         )
         for entry in corpus.entries()
         if entry.command.startswith("render") == render

@@ -1,4 +1,4 @@
-"""What is done with a case: a file is read, and what is accepted is used; or a command runs."""
+"""Uses of a case: a file is read, and its content used if accepted; or a command runs."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def split(loops: Loops, array: np.ndarray) -> list[np.ndarray]:
 
 
 def check(mesh: Mesh, loops: Loops) -> None:
-    """What holds for the loops of every mesh."""
+    """Check the invariants of the loops of any mesh."""
     count = Counter(frozenset(edge) for edge in all_edges(mesh))
     found = Counter(frozenset(edge) for edge in loops.edges.tolist())
     assert found == Counter({edge for edge, n in count.items() if n == 1})

@@ -73,7 +73,7 @@ def test_obj_keeps_order_and_every_bit(tmp_path):
 
 
 def by_line(text: bytes) -> tuple[list, list]:
-    """What the slow reader makes of a text."""
+    """Return the vertices and faces that the slow reader finds in an OBJ text."""
     return tuple(array.tolist() for array in obj._by_line("m", text))  # pyright: ignore
 
 

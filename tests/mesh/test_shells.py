@@ -177,7 +177,7 @@ def test_what_is_open_or_overlaps_holds_nothing(device: Device) -> None:
 @given(st.integers(0, 2**32 - 1), st.integers(2, 12))
 @settings(max_examples=15)
 def test_octahedra(device: Device, seed: int, n: int) -> None:
-    """Of octahedra of any place and size; they are told apart by their numbers of faces' order."""
+    """Depths and parents of random octahedra are those that their norm gives."""
     rng = np.random.default_rng(seed)
     radii = np.sort(rng.uniform(0.5, 10, n))[::-1]
     centres = rng.uniform(-5, 5, (n, 3))

@@ -1,4 +1,4 @@
-"""What takes long: random meshes, mutated files, killed writers, many calls, all models.
+"""The long tests: random meshes, mutated files, killed writers, many calls, all models.
 
 `make soak SECONDS=600 SEED=7` gives each test its share of the time. The seed is printed, so that a
 failure can be repeated.

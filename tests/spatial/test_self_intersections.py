@@ -58,14 +58,14 @@ def turn(a: Sequence, b: Sequence, c: Sequence) -> Fraction:
 
 
 def within(p: Sequence, triangle: Sequence[Sequence]) -> bool:
-    """Whether a point of the plane is in a triangle, or on its border."""
+    """Return whether a point of the plane is in a triangle, or on its border."""
     a, b, c = triangle
     sides = [turn(a, b, p), turn(b, c, p), turn(c, a, p)]
     return min(sides) >= 0 or max(sides) <= 0
 
 
 def segments_meet(a: Sequence, b: Sequence, c: Sequence, d: Sequence) -> bool:
-    """Whether two segments of the plane do."""
+    """Return whether two segments of the plane meet."""
     ends = ((a, (c, d)), (b, (c, d)), (c, (a, b)), (d, (a, b)))
     for p, (q, r) in ends:
         if turn(q, r, p) == 0 and dot(minus(p, q), minus(p, r)) <= 0:
@@ -74,7 +74,7 @@ def segments_meet(a: Sequence, b: Sequence, c: Sequence, d: Sequence) -> bool:
 
 
 def segment_meets(p: Sequence, q: Sequence, triangle: Sequence[Sequence]) -> bool:
-    """Whether a segment meets a triangle that has an area."""
+    """Return whether a segment meets a triangle that has an area."""
     a, b, c = triangle
     normal = cross(minus(b, a), minus(c, a))
     along = max(range(3), key=lambda axis: abs(normal[axis]))
@@ -102,9 +102,9 @@ def rational(triangle: Any) -> list[Point]:
 
 
 def meet(t: Any, u: Any) -> bool:
-    """Whether two triangles meet elsewhere than in what corners they share. If they share one, a
-    way from it that is in both leaves one of them first, across its opposite edge; if two, they
-    fold back onto each other."""
+    """Return whether two triangles meet outside the corners that they share. If they share one, a
+    ray from it in both triangles leaves one of them first, across its opposite edge; if they share
+    two, they fold back onto each other."""
     t, u = rational(t), rational(u)
     shared = set(t) & set(u)
     if not (has_area(t) and has_area(u)):

@@ -240,7 +240,7 @@ class _Scanned(Exception):
 
 
 class _Declared:
-    """What the elements of a .vtu declare, gathered by the XML parser."""
+    """The sizes that the elements of a .vtu declare, gathered by the XML parser."""
 
     def __init__(self, name: str) -> None:
         self.name = name

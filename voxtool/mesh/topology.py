@@ -50,8 +50,8 @@ class TopologyCheck:
 
     @property
     def watertight(self) -> bool:
-        """Whether there are edges, and every one has exactly two faces, which run along it in
-        opposite directions."""
+        """True if there are edges, and each has exactly two faces, which run along it in opposite
+        directions."""
         return self.closed and not (self.nonmanifold_edges or self.inconsistent_edges)
 
     def as_dict(self) -> dict[str, int | bool | None]:
@@ -84,7 +84,7 @@ class SurfaceCheck(TopologyCheck):
 
     @property
     def manifold(self) -> bool:
-        """Whether it is an oriented 2-manifold, with boundary or without: no non-manifold edge or
+        """True for an oriented 2-manifold, with or without boundary: no non-manifold edge or
         vertex, no inconsistent edge, no duplicate face."""
         faults = self.nonmanifold_edges, self.nonmanifold_vertices, self.inconsistent_edges
         return not (any(faults) or self.duplicate_faces)
@@ -225,12 +225,12 @@ def twins_of(mesh: Mesh) -> np.ndarray | None:
 
 
 def net_faces(mesh: Mesh) -> np.ndarray | None:
-    """Return the faces that count where directions do, (n,) int64, rising; None for all. Of twins,
-    these are what is left when opposite ones cancel.
+    """Return the faces that winding numbers count, (n,) int64, ascending; None for all of them.
 
-    Of k faces in one direction and m in the other, |k - m| are left, and of these the first alone,
-    unless this would give the mesh more boundary; if k = m, one in each direction is left, which
-    keeps the surface. Degenerate faces have no direction, so one of twins is left.
+    Repeated faces, which have the same three positions, are merged. Of k faces in one direction and
+    m in the other, one remains in the direction of the larger number; if this would lengthen the
+    boundary of the mesh, |k - m| remain. If k = m, one in each direction remains, which keeps the
+    surface. Degenerate faces have no direction, so one of them remains.
     """
     twins = twins_of(mesh)
     if twins is None:
