@@ -4,19 +4,25 @@
 # make test     the whole suite, on every driver
 # make soak     the long tests: kills, fuzzing, many calls, all models; SECONDS= and SEED= choose a slice
 # make fuzz     mutated files and extreme arguments; SECONDS=, SEED= and ARGS= as python -m tests.fuzz -h
+# make gpu-report  selftest, golden digests and bench of DEVICE= (a GPU), in docs/gpu; again goes on
 # make lint     style, types and imports
 # make docs     the site, in build/site
 # make headers  the headers that the host generates for the kernels
 # Only Python 3.11 or newer and a package index are needed; PYTHON= names another interpreter.
 
 PYTHON ?= python3
-PIP_INSTALL := .venv/bin/python -m pip install --quiet --disable-pip-version-check
+# Without a network: WHEELS= names a folder of wheels, EXTRAS= the extras that it has.
+WHEELS ?=
+EXTRAS ?= all
+PIP_INSTALL := .venv/bin/python -m pip install --quiet --disable-pip-version-check \
+    $(if $(WHEELS),--no-index --find-links $(WHEELS))
 PYTEST := .venv/bin/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 SECONDS ?= 3600
 SEED ?=
 ARGS ?=
+DEVICE ?= gpu
 
-.PHONY: demo quick test soak fuzz lint docs headers clean
+.PHONY: demo quick test soak fuzz gpu-report lint docs headers clean
 
 demo: .venv/all.done bunny.obj volume.vtu
 	.venv/bin/voxtool voxelize bunny.obj --dim 512 --mode solid
@@ -38,6 +44,9 @@ soak: .venv/test.done
 
 fuzz: .venv/test.done
 	.venv/bin/python -m tests.fuzz --seconds $(SECONDS) $(if $(SEED),--seed $(SEED)) $(ARGS)
+
+gpu-report: .venv/all.done
+	.venv/bin/python -m tests.gpu_report $(DEVICE) $(ARGS)
 
 lint: .venv/test.done
 	.venv/bin/ruff check
@@ -64,7 +73,7 @@ volume.vtu: examples/make_volume.py | .venv/all.done
 
 # The package is installed in place: again only when its metadata change.
 .venv/all.done: pyproject.toml | .venv/bin/python
-	$(PIP_INSTALL) -e '.[all]'
+	$(PIP_INSTALL) -e '.[$(EXTRAS)]'
 	@touch $@
 
 .venv/test.done: pyproject.toml | .venv/bin/python
