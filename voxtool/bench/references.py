@@ -13,7 +13,7 @@ from voxtool.bench.points import MEASURES
 from voxtool.errors import count_of
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.topology import volume
+from voxtool.mesh.topology import boundary_of, volume
 from voxtool.spatial.deviation import deviation
 from voxtool.svo.fill.caps import find_caps
 from voxtool.svo.layout import BRICK_SIDE
@@ -36,7 +36,7 @@ def capped(mesh: Mesh) -> tuple[Mesh, int]:
     """The mesh with its holes closed by fans, as `fill="winding"` closes them, and their number."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
     vertices, faces = mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32)
-    caps = find_caps(Grid.fit(mesh, CAPPED_DIM).to_fixed(vertices), faces)
+    caps = find_caps(Grid.fit(mesh, CAPPED_DIM).to_fixed(vertices), boundary_of(faces))
     return Mesh(vertices, np.concatenate([faces, caps.faces]), name=mesh.name), caps.holes
 
 

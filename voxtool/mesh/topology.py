@@ -247,19 +247,30 @@ def net_faces(mesh: Mesh) -> np.ndarray | None:
     rank[order] = np.arange(len(order)) - np.searchsorted(alike, alike)
     net = net[twins]
     once = (rank < 1) & (net * way >= 0)
-    boundary = [int(np.abs(net_sides(some)[2]).sum()) for some in (corners[once], corners)]
-    if boundary[0] > boundary[1]:
+    if len(boundary_of(corners[once])) > len(boundary_of(corners)):
         once = (rank < np.maximum(np.abs(net), 1)) & (net * way >= 0)
     return np.flatnonzero(once)
 
 
-def net_sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return edges_of (F, 3) corners, and for each edge the sides that run to the greater corner
-    minus those that run back, (E,) int64."""
-    edge, forward = edges_of(corners)
-    start, end = _sides(corners)
-    way = np.where(start == end, 0, np.where(forward, 1, -1))
-    return edge, forward, np.bincount(edge, way).astype(np.int64)
+def boundary_of(corners: np.ndarray) -> np.ndarray:
+    """Return net_edges of the sides of (F, 3) corners: the boundary of these faces."""
+    return net_edges(*_sides(corners.astype(np.int64)))
+
+
+def net_edges(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Return the (n, 2) directed edges that are left when sides from start to end, (m,) int64 each,
+    cancel those that run back; an edge that is left k times appears k times in succession."""
+    proper = start != end
+    start, end = start[proper], end[proper]
+    sides = np.minimum(start, end) << 33 | np.maximum(start, end) << 1 | (start < end)
+    sides.sort()
+    first = np.flatnonzero(np.diff(sides >> 1, prepend=-1))
+    net = np.add.reduceat(2 * (sides & 1) - 1, first) if len(first) else first
+    left = net != 0
+    low, high = sides[first[left]] >> 33, sides[first[left]] >> 1 & 0xFFFFFFFF
+    forward = (net[left] > 0)[:, None]
+    edges = np.where(forward, np.stack([low, high], axis=1), np.stack([high, low], axis=1))
+    return np.repeat(edges, np.abs(net[left]), axis=0)
 
 
 def crowded_edges(mesh: Mesh, topology: Topology) -> tuple[np.ndarray, np.ndarray]:

@@ -58,11 +58,12 @@ def place_mesh(
     grid: Grid,
     window: tuple[Sequence[int], Sequence[int]] | None,
     some: np.ndarray | None,
-    with_caps: bool,
+    boundary: np.ndarray | None,
     device: Device,
 ) -> LatticeMesh:
-    """Return the mesh, or only `some` of its faces, on the lattice of a grid or of a window; raise
-    GridError if a vertex lies too far from the grid's corner or the window is not in the grid."""
+    """Return the mesh, or only `some` of its faces, on the lattice of a grid or of a window, with
+    caps if their boundary_of is given; raise GridError if a vertex lies too far from the grid's
+    corner or the window is not in the grid."""
     try:
         fixed = grid.to_fixed(mesh.vertices)
     except GridError:  # vertices that no face uses may lie anywhere
@@ -74,7 +75,7 @@ def place_mesh(
         grid = grid.window(low, shape)
         fixed -= np.asarray(low, np.int32) << FIXED_POINT_BITS
     own = mesh.faces if some is None else mesh.faces[some]
-    caps = find_caps(fixed, own) if with_caps else None
+    caps = None if boundary is None else find_caps(fixed, boundary)
     faces = own if caps is None else np.concatenate([own, caps.faces])
     faces = faces.astype(np.int32, copy=False)
     return LatticeMesh(device, grid, fixed, device.put(fixed), device.put(faces), len(own), caps)

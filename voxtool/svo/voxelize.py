@@ -28,7 +28,14 @@ from voxtool.errors import VoxtoolError, count_of
 from voxtool.grid import Grid
 from voxtool.job import Job, one_call
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.topology import check_topology, net_faces, volume, watertight
+from voxtool.mesh.topology import (
+    boundary_of,
+    check_topology,
+    net_faces,
+    positions,
+    volume,
+    watertight,
+)
 from voxtool.opencl import Device, default_device
 from voxtool.svo.build import build_octree
 from voxtool.svo.fill.flood import flood
@@ -97,6 +104,15 @@ def _once(check: Callable[[Mesh], Found], mesh: Mesh) -> Found:
     return _found[key]
 
 
+def _boundary(mesh: Mesh) -> np.ndarray:
+    """Return the boundary of the faces that winding numbers count, by (n, 2) vertices."""
+    some, places = _once(net_faces, mesh), positions(mesh)
+    vertex = np.empty(len(places), np.int64)  # one at each position
+    vertex[places] = np.arange(len(places))
+    corners = places[mesh.faces if some is None else mesh.faces[some]]
+    return vertex[boundary_of(corners)]
+
+
 class VoxelizeJob(Job[Octree]):
     """The voxelization of a mesh, surveyed and planned.
 
@@ -135,8 +151,9 @@ class VoxelizeJob(Job[Octree]):
         """Upload the mesh, survey it and make the plan."""
         with self.device.stage("survey"):
             some = _once(net_faces, self.mesh) if fill in ("nonzero", "winding") else None
+            edges = _once(_boundary, self.mesh) if fill == "winding" else None
             self.lattice = place_mesh(
-                self.mesh, self._whole, self._window, some, fill == "winding", self.device
+                self.mesh, self._whole, self._window, some, edges, self.device
             )
             survey, caps = self.lattice.survey(), self.lattice.caps
         self.grid = self.lattice.grid

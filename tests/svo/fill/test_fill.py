@@ -14,6 +14,7 @@ from svo.test_voxelize import assert_contract, lattice_grid, lattice_mesh
 
 from voxtool import Grid, Mesh, load_mesh
 from voxtool.errors import MemoryLimitError, MeshWarning, VoxtoolError
+from voxtool.mesh.topology import boundary_of
 from voxtool.opencl import Device
 from voxtool.svo.fill.caps import find_caps
 from voxtool.svo.octree import Octree
@@ -234,14 +235,14 @@ def test_caps_close_what_is_open() -> None:
     fixed = meshes.fixed(vertices).astype(np.int32)
     for share in (0.0, 0.05, 0.5):
         kept = faces[rng.random(len(faces)) >= share].astype(np.int32)
-        caps = find_caps(fixed, kept)
+        caps = find_caps(fixed, boundary_of(kept))
         assert not oracles.boundary(fixed[np.concatenate([kept, caps.faces])])
         assert len(caps.faces) == len(caps.loops) - 2 * caps.holes
         edges = oracles.boundary(fixed[kept])
         assert len(caps.edges) == sum(abs(times) for *_, times in edges)
         assert (caps.holes == 0) == (share == 0)
     moebius = mobius((32, 32, 32))
-    caps = find_caps(moebius[0].astype(np.int32), moebius[1].astype(np.int32))
+    caps = find_caps(moebius[0].astype(np.int32), boundary_of(moebius[1]))
     assert not oracles.boundary(moebius[0][np.concatenate([moebius[1], caps.faces])])
 
 

@@ -15,7 +15,7 @@ from itertools import chain
 import numpy as np
 
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.topology import net_sides, positions
+from voxtool.mesh.topology import net_edges, positions
 
 MEETING = 64  # edges at a vertex among which the nearest is sought
 
@@ -43,25 +43,22 @@ class Caps:
         return np.stack([self.loops, self.loops[ends]], axis=1)
 
 
-def find_caps(vertices: np.ndarray, faces: np.ndarray) -> Caps:
-    """Return the holes of a mesh on a lattice and their caps; vertices at one position are merged,
-    and faces may be degenerate."""
-    places = positions(Mesh(vertices.astype(np.float64), faces))
+def find_caps(vertices: np.ndarray, boundary: np.ndarray) -> Caps:
+    """Return the holes of a mesh on a lattice and their caps. The boundary is given by (n, 2)
+    vertices, as net_edges returns it; vertices at one position are merged."""
+    used, ends = np.unique(boundary, return_inverse=True)
+    points = Mesh(vertices[used].astype(np.float64), np.empty((0, 3), np.int32))
+    places = positions(points)
     vertex = np.empty(int(places.max(initial=-1)) + 1, np.int32)  # a vertex at each position
-    vertex[places] = np.arange(len(places))
-    corners = places[faces]
-    edge, forward, net = net_sides(corners)
-    start, end = corners.ravel(), np.roll(corners, -1, axis=1).ravel()
-    side = np.empty(len(net), np.int64)
-    side[edge] = np.arange(len(edge))  # any side of each edge
-    side, net = side[net != 0], net[net != 0]
-    turned = (net > 0) != forward[side]
-    start, end = np.where(turned, [end[side], start[side]], [start[side], end[side]])
-    start, end = (np.repeat(each, np.abs(net)) for each in (start, end))
+    vertex[places] = used
+    edges = net_edges(*places[ends.reshape(-1, 2)].T)
+    start, end = edges.T
+    changed = (edges[1:] != edges[:-1]).any(axis=1)
+    copies = np.diff(np.flatnonzero(np.concatenate([[True], changed, [True]])))
     loops = _loops(start, end, vertices[vertex].astype(np.int64))
     first = np.concatenate([[0], np.cumsum([len(loop) for loop in loops])]).astype(np.int64)
     places_of_loops = np.fromiter(chain.from_iterable(loops), np.int64, int(first[-1]))
-    most = int(np.abs(net).max(initial=1))
+    most = int(copies.max(initial=1))
     return Caps(vertex[places_of_loops], first, vertex[places_of_loops[_halve(first)]], most)
 
 

@@ -181,9 +181,10 @@ class NearHoles:
             threshold = self._find_thresholds(blocks, level)
             unlike = (threshold != 1) & (threshold != BY_VOXEL)
             self._refuse_beyond(int(unlike.sum()) * 8 ** (level - BRICK_LEVEL) + len(blocks))
-            inner = descend(blocks[unlike], level - BRICK_LEVEL)
-            codes.append(inner)
-            thresholds.append(np.repeat(threshold[unlike], len(inner) // max(unlike.sum(), 1)))
+            if unlike.any():
+                inner = descend(blocks[unlike], level - BRICK_LEVEL)
+                codes.append(inner)
+                thresholds.append(np.repeat(threshold[unlike], len(inner) // unlike.sum()))
             blocks = blocks[threshold == BY_VOXEL]
             if level > BRICK_LEVEL:
                 blocks = descend(blocks, 1)
