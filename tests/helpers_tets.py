@@ -174,6 +174,20 @@ def write_vtu(path: Path) -> None:
 # ---- volumes
 
 
+def copy_netcdf(source: Path, path: Path, format: str) -> None:
+    """Copy an Exodus file to another format of netCDF, as "NETCDF3_CLASSIC"."""
+    import netCDF4
+
+    with netCDF4.Dataset(source) as old, netCDF4.Dataset(path, "w", format=format) as new:
+        for name, dimension in old.dimensions.items():
+            new.createDimension(name, None if name == "time_step" else dimension.size or 1)
+        for name, variable in old.variables.items():
+            kind = "i4" if variable.dtype == "i8" else variable.dtype  # which CDF-1 lacks
+            copy = new.createVariable(name, kind, variable.dimensions)
+            copy.setncatts({key: variable.getncattr(key) for key in variable.ncattrs()})
+            copy[:] = variable[:]
+
+
 def face_sets(cells: np.ndarray) -> dict[frozenset[int], list[tuple[int, int]]]:
     """The cells of each face of tetrahedra, and the number of the face in each."""
     found: dict[frozenset[int], list[tuple[int, int]]] = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import sys
+import threading
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +19,8 @@ MEMORY_FILES = (
     ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
 )
 UNLIMITED = 1 << 60  # version 1 writes almost 2**63 for no limit
+
+_lock = threading.Lock()  # of the limit of the process
 
 
 @functools.cache
@@ -77,22 +80,24 @@ def mapped_memory() -> int:
 @contextmanager
 def bounded_memory(size: int) -> Iterator[None]:
     """Let this process map at most `size` bytes more while the block runs: a request beyond that is
-    a MemoryError. Only Linux has such a limit; it is one of the process, so threads share it."""
-    mapped = mapped_memory() if sys.platform == "linux" else 0
-    if not mapped:  # or /proc is not there
-        yield
-        return
-    import resource
+    a MemoryError. Only Linux has such a limit; it is one of the process, so threads share it, and
+    one block runs at a time."""
+    with _lock:
+        mapped = mapped_memory() if sys.platform == "linux" else 0
+        if not mapped:  # or /proc is not there
+            yield
+            return
+        import resource
 
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    limit = mapped + size
-    if soft != resource.RLIM_INFINITY:
-        limit = min(limit, soft)
-    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+        limit = mapped + size
+        if soft != resource.RLIM_INFINITY:
+            limit = min(limit, soft)
+        resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def processors(root: str = "/") -> int | None:

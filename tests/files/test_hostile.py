@@ -335,7 +335,7 @@ BOMBS: dict[str, tuple[Callable[[Path], Any], str]] = {  # what writes it, what 
     "columns.npz": (lambda path: path.write_bytes(npz_bomb(True)), POINTS),
 }
 WARM = """
-import h5py, meshio, netCDF4, trimesh, lxml.etree, voxtool.files.unstructured, voxtool.files.mesh
+import h5py, meshio, trimesh, lxml.etree, voxtool.files.unstructured, voxtool.files.mesh
 import voxtool.files.svo_xml, voxtool.files.points, warnings
 warnings.simplefilter("ignore")
 def peak():

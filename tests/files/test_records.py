@@ -433,7 +433,7 @@ def nudged_plane(h5: h5py.File) -> None:
 NOT_STORED = [
     (replaced("nodes", lambda h5, d: None), "dataset nodes is missing"),
     (replaced("nodes", lambda h5, d: h5.create_group("nodes")), "is not a dataset"),
-    (replaced("nodes", virtual), "nodes is not contiguous"),
+    (replaced("nodes", virtual), "nodes lies in another file"),
     (link_to(h5py.ExternalLink("/etc/passwd", "/nodes")), "nodes is a link"),
     (link_to(h5py.SoftLink("/bricks")), "nodes is a link"),
     (replaced("nodes", external_storage), "nodes lies in another file"),

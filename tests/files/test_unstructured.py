@@ -64,9 +64,7 @@ def written(path: Path, mesh: meshio.Mesh, **options: Any) -> Path:
         ("a.vtk", {"file_format": "vtk42"}),
         ("a.msh", {"file_format": "gmsh"}),
         ("a.msh", {"file_format": "gmsh22"}),
-        ("a.ex2", {}),
         ("A.EXO", {"file_format": "exodus"}),
-        ("a.e", {}),
         ("a.inp", {"file_format": "avsucd"}),
     ],
 )
@@ -228,7 +226,7 @@ def test_an_entity_bomb_is_refused_at_once(tmp_path: Path) -> None:
     refusal(lambda path: read_unstructured(path), path, "declares a document type")
 
 
-@pytest.mark.parametrize("name", ["a.vtu", "a.vtk", "a.msh", "a.mesh", "a.ex2", "a.inp"])
+@pytest.mark.parametrize("name", ["a.vtu", "a.vtk", "a.msh", "a.mesh", "a.inp"])
 def test_damaged_meshes_are_one_line(name: str, tmp_path: Path, capfd) -> None:
     """Truncated anywhere, or bytes changed: read, or refused, and never anything else."""
     mesh = mixed()
@@ -270,7 +268,6 @@ def test_damaged_meshes_are_one_line(name: str, tmp_path: Path, capfd) -> None:
         ("a.mesh", b"hello", "meshio cannot read it as medit"),
         ("a.inp", b"hello", "meshio cannot read it as avsucd"),
         ("a.inp", b"8 6 1 0 0", "meshio cannot read it as avsucd"),
-        ("a.ex2", b"hello", "meshio cannot read it as exodus"),
         ("a.obj", b"v 0 0 0", "no mesh of volume cells has this ending: give one of .vtu, .vtk"),
         ("a", b"v 0 0 0", "no mesh of volume cells has this ending"),
         ("a.pvtu", b"<VTKFile/>", "no mesh of volume cells has this ending"),
@@ -316,19 +313,6 @@ def test_meshio_is_an_extra(tmp_path: Path) -> None:
     done = run_python("sys.modules['meshio'] = None\nvoxtool.read_unstructured(sys.argv[1])", path)
     message = b"a.vtu: meshio reads it, which is not installed: pip install 'voxtool[tets]'\n"
     assert done.stderr == message
-
-
-def test_what_meshio_warns_of_is_told(tmp_path: Path) -> None:
-    """Exodus: of several steps in time one is read."""
-    path = written(tmp_path / "a.ex2", mixed())
-    from netCDF4 import Dataset
-
-    with Dataset(path, "r+") as data:
-        variable = next(name for name in data.variables if name.startswith("vals_nod_var"))
-        data.variables["time_whole"][1] = 1.0
-        data.variables[variable][1] = 0.0
-    with pytest.warns(UserWarning, match="a.ex2: .*[Ss]kipping some time data"):
-        read_unstructured(path, "s")
 
 
 def test_cubes_of_tetrahedra_survive_a_file(tmp_path: Path) -> None:

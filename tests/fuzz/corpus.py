@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import h5py
+import netCDF4
 import numpy as np
 
 from .bombs import vtu_bomb, write_exodus_bomb
@@ -58,6 +60,7 @@ def entries() -> Iterator[Entry]:
     yield from repeated_faces()
     yield from numbers_and_words()
     yield from casts()
+    yield Entry("a dimension of Exodus that is gone", "a.exo", without_dimension)
 
 
 # ---- item 3: counts that the file does not hold
@@ -244,3 +247,24 @@ def casts() -> Iterator[Entry]:
     )
     ply = f"{head}end_header\n".encode() + struct.pack("<3I", *[0x7F800001] * 3)
     yield Entry("signalling NaN of a vertex", "a.points.ply", lambda: ply)
+
+
+# ---- found by the fuzzer in CI: netCDF's library crashed
+
+
+def without_dimension() -> bytes:
+    """An Exodus file with a variable over a dimension that something else has replaced."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.exo"
+        with netCDF4.Dataset(path, "w") as file:
+            for name, size in {"xyz": 3, "nodes": 4, "cells": 1, "gone": 4, "time": None}.items():
+                file.createDimension(name, size)
+            file.createVariable("coord", "f8", ("xyz", "nodes"))[:] = np.eye(3, 4)
+            block = file.createVariable("connect1", "i4", ("cells", "nodes"))
+            block.elem_type = "TETRA"
+            block[:] = [[1, 2, 3, 4]]
+            file.createVariable("vals_nod_var1", "f8", ("time", "gone"))[0] = np.arange(4)
+        with h5py.File(path, "r+") as file:
+            del file["gone"]
+            file["gone"] = np.zeros(0, ">f4")
+        return path.read_bytes()

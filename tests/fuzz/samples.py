@@ -24,7 +24,7 @@ FIELDS = ("adf.h5",)
 VOLUMES = ("raycast.tet.h5", "projection.tet.h5", "hexahedra.tet.h5")
 MESHES = ("obj", "ply", "stl", "off", "glb", "gltf", "text.ply", "text.stl", "obj.gz", "ply.gz")
 CELLS = ("vtu", "text.vtu", "vtk", "text.vtk", "msh", "text.msh", "old.msh", "mesh", "inp",
-         "ucd.inp", "exo")  # fmt: skip
+         "ucd.inp", "exo", "e")  # fmt: skip
 POINTS = ("npy", "columns.npy", "npz", "packed.npz", "csv", "xyz", "points.ply", "text.points.ply")
 TRANSFERS = ("json",)
 REPORTS = ("report.json",)
@@ -127,6 +127,7 @@ def write_cells(folder: Path) -> None:
         if format == "exodus":  # meshio writes the time
             with netCDF4.Dataset(path, "a") as file:
                 file.title = "a" * len(file.title)
+            helpers_tets.copy_netcdf(path, folder / "a.e", "NETCDF3_CLASSIC")
         if kind.endswith("msh"):  # meshio writes np.float64(1.5), which it cannot read
             path.write_bytes(re.sub(rb"np\.float64\(([^)]*)\)", rb"\1", path.read_bytes()))
 

@@ -166,13 +166,13 @@ def read_unstructured(
     component: str | int | None = None,
     max_memory: int | None = None,
 ) -> UnstructuredMesh:
-    """Read a mesh of volume cells and one of its arrays, through meshio (the extra `tets`).
+    """Read a mesh of volume cells and one of its arrays, mostly through meshio (the extra `tets`).
 
     Parameters
     ----------
     path
         a .vtu, .vtk, .msh (Gmsh), .mesh (Medit), .inp (Abaqus, AVS UCD) or .ex2, .exo, .e
-        (Exodus II) file.
+        (Exodus II, which needs no meshio) file.
     scalar
         the name of an array at points, or else at cells; None takes the only one there is.
     component
@@ -183,8 +183,10 @@ def read_unstructured(
     Raises
     ------
     FileError
-        the file cannot be read, meshio is not installed, or there is no such array or
-        component.
+        the file cannot be read, meshio is needed and not installed, or there is no such array
+        or component.
+    MemoryLimitError
+        reading needs more memory than is allowed or free.
     """
     from voxtool.files.unstructured import read
 

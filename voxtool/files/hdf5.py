@@ -71,7 +71,7 @@ def _schema_of(h5: Any, schemas: Sequence[Schema]) -> Schema:
     names = " or ".join(schema.format for schema in schemas)
     if not h5py.h5a.exists(h5.id, b"format"):
         raise FileError(f"an HDF5 file, but no {what}: attribute format={names} is missing")
-    format = _attribute(h5, FORMAT)
+    format = read_attribute(h5, FORMAT)
     for schema in schemas:
         if schema.format == format:
             return schema
@@ -80,8 +80,8 @@ def _schema_of(h5: Any, schemas: Sequence[Schema]) -> Schema:
 
 
 def _read(schema: Schema, h5: Any, size: int) -> Any:
-    schema.check_version(_attribute(h5, FORMAT_VERSION))
-    stored = {attribute.name: _attribute(h5, attribute) for attribute in schema.attributes}
+    schema.check_version(read_attribute(h5, FORMAT_VERSION))
+    stored = {attribute.name: read_attribute(h5, attribute) for attribute in schema.attributes}
     schema.check(stored)
     found, sizes = {}, dict(stored)
     for dataset in schema.datasets:
@@ -96,8 +96,9 @@ def _read(schema: Schema, h5: Any, size: int) -> Any:
     return schema.decode(stored, {name: _load(checked) for name, checked in found.items()})
 
 
-def _attribute(h5: Any, expected: Attribute) -> Any:
-    """The stored value of an attribute, its type and size checked before it is read."""
+def read_attribute(h5: Any, expected: Attribute) -> Any:
+    """The stored value of an attribute of a group or dataset, its type and size checked before it
+    is read."""
     name, kind, limit = expected.name, expected.stored, expected.size
     if not h5py.h5a.exists(h5.id, name.encode()):
         raise FileError(f"attribute {name} is missing")
@@ -137,20 +138,12 @@ def _text(attribute: Any, name: str, limit: int) -> str:
 
 def _dataset(h5: Any, expected: Dataset, sizes: dict[str, Any], size: int) -> Any:
     """A dataset of the root group, found to be stored in this file of `size` bytes as one piece."""
-    name, key = expected.name, expected.name.encode()
+    name = expected.name
     shape, dtype = expected.shape_for(sizes), expected.type_for(sizes)
-    if not h5.id.links.exists(key):
-        raise FileError(f"dataset {name} is missing")
-    if h5.id.links.get_info(key).type != h5py.h5l.TYPE_HARD:
-        raise FileError(f"dataset {name} is a link to another place: it must lie in the file")
-    if h5py.h5o.get_info(h5.id, key).type != h5py.h5o.TYPE_DATASET:
-        raise FileError(f"{name} is not a dataset")
-    dataset = h5py.h5d.open(h5.id, key)
+    dataset = open_dataset(h5, name)
     creation = dataset.get_create_plist()
     if creation.get_layout() != h5py.h5d.CONTIGUOUS or creation.get_nfilters():
         raise FileError(f"dataset {name} is not contiguous: store it unchunked and uncompressed")
-    if creation.get_external_count():
-        raise FileError(f"dataset {name} lies in another file: it must lie in this one")
     number = h5py.h5t.TypeFloatID if dtype.kind == "f" else h5py.h5t.TypeIntegerID
     stored_type = dataset.get_type()
     if not isinstance(stored_type, number) or stored_type.dtype != dtype:
@@ -163,6 +156,22 @@ def _dataset(h5: Any, expected: Dataset, sizes: dict[str, Any], size: int) -> An
     start = dataset.get_offset() if needed else 0
     if stored != needed or start is None or start + needed > size:
         raise FileError(f"dataset {name} needs {needed} bytes that the file does not have")
+    return dataset
+
+
+def open_dataset(h5: Any, name: str) -> Any:
+    """A dataset of the root group, whose data lie in this file; FileError if there is none."""
+    key = name.encode()
+    if not h5.id.links.exists(key):
+        raise FileError(f"dataset {name} is missing")
+    if h5.id.links.get_info(key).type != h5py.h5l.TYPE_HARD:
+        raise FileError(f"dataset {name} is a link to another place: it must lie in the file")
+    if h5py.h5o.get_info(h5.id, key).type != h5py.h5o.TYPE_DATASET:
+        raise FileError(f"{name} is not a dataset")
+    dataset = h5py.h5d.open(h5.id, key)
+    creation = dataset.get_create_plist()
+    if creation.get_layout() == h5py.h5d.VIRTUAL or creation.get_external_count():
+        raise FileError(f"dataset {name} lies in another file: it must lie in this one")
     return dataset
 
 

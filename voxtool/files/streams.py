@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 PathLike = str | os.PathLike[str]
+PACKED = 1032  # bytes that a byte of deflate can become, at most
 STREAM = "-"  # stdin or stdout
 OPENING = 64  # bytes by which a format is recognised
 

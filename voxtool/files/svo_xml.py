@@ -20,6 +20,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from voxtool.errors import FileError
+from voxtool.files.streams import PACKED
 from voxtool.files.svo_hdf5 import SCHEMA, grid_of
 from voxtool.memory import check_memory
 from voxtool.svo.layout import BRICK, NODE
@@ -35,7 +36,6 @@ etree: Any = import_module("lxml.etree")  # it has no types
 DTD = Path(__file__).with_name("octree.dtd")
 MAX_ELEMENTS = 64  # without repetitions: 15 levels and a few more
 GZIP_LEVEL = 4
-GZIP_RATIO = 1032  # deflate packs no byte of text into less than 1/1032 byte
 
 OPENING = '<?xml version="1.0" encoding="UTF-8"?>\n'  # no DOCTYPE: some readers would fetch it
 NODE_ROW = '<node parent="%d" child="%d"/>\n'
@@ -110,7 +110,7 @@ def read_gz(file: BinaryIO, size: int) -> Octree:
     """The octree of a gzip-compressed XML file of `size` bytes."""
     try:
         with gzip.GzipFile(fileobj=file, mode="rb") as packed:
-            return _Reader(size * GZIP_RATIO).read(packed)  # pyright: ignore[reportArgumentType]
+            return _Reader(size * PACKED).read(packed)  # pyright: ignore[reportArgumentType]
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
         raise FileError(f"damaged gzip file: {error}") from error
 

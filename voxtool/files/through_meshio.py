@@ -11,7 +11,6 @@ import contextlib
 import io
 import os
 import re
-import threading
 import warnings
 from importlib import import_module
 from math import prod
@@ -21,19 +20,18 @@ from xml.parsers import expat
 import numpy as np
 
 from voxtool.errors import FileError, MemoryLimitError, MeshWarning, human, printable
+from voxtool.files.streams import PACKED
 from voxtool.limits import bounded_memory
 from voxtool.memory import available_memory
 
-PACKED = 1032  # bytes that one byte of zlib can become
 SCAN = 1 << 20  # bytes of XML at a time
 MOST_ARRAYS = 1000  # of a .vtu
-MOST_OBJECTS = 10_000  # of an HDF5 file
 MOST_ENDS = 100  # reads at the end of a file, after which a reader is taken to go on for ever
 NODES = 12  # of a cell of a .vtu, on average
 # Memory that meshio may take: a fixed part, and bytes for each byte of the file and of the content
 # that it declares. Measured on files of 10 to 70 MB in every format: at most half of these.
 FIXED = 64 << 20
-PER_BYTE = {"vtu": 6, "exodus": 6}
+PER_BYTE = 6
 PER_BYTE_OF_TEXT = 64  # a number of two letters becomes an object of Python
 
 # The counts that follow a keyword, by format.
@@ -54,29 +52,23 @@ ROWS = {
     "CellData": "NumberOfCells",
 }
 
-_lock = threading.Lock()  # standard streams and the limit belong to the process
-
 
 def read_mesh(name: str, path: str, kind: str, max_memory: int | None) -> Any:
     """The mesh as meshio reads it; its messages become warnings."""
     try:
         import_module("meshio")
-        if kind == "exodus":
-            import_module("netCDF4")
-    except ImportError as error:
+    except ImportError:
         raise FileError(
-            f"{name}: {error.name} reads it, which is not installed: pip install 'voxtool[tets]'"
+            f"{name}: meshio reads it, which is not installed: pip install 'voxtool[tets]'"
         ) from None
     size = os.stat(path).st_size
-    scan = {"vtu": _scan_xml, "exodus": _scan_hdf5}.get(kind, _scan_counts)
-    declared = scan(name, path, size, kind)
+    declared = (_scan_xml if kind == "vtu" else _scan_counts)(name, path, size, kind)
     free = available_memory() if max_memory is None else min(max_memory, available_memory())
-    needed = FIXED + PER_BYTE.get(kind, PER_BYTE_OF_TEXT) * (size + declared)
+    needed = FIXED + (PER_BYTE if kind == "vtu" else PER_BYTE_OF_TEXT) * (size + declared)
     printed, warned = io.StringIO(), io.StringIO()
     try:
         with (
-            _lock,
-            bounded_memory(min(needed, free)),
+            bounded_memory(min(needed, free)),  # one thread at a time: streams are shared, too
             np.errstate(all="ignore"),  # meshio converts numbers that may be anything
             warnings.catch_warnings(action="ignore"),
             contextlib.redirect_stdout(printed),
@@ -116,8 +108,8 @@ def _read(path: str, kind: str) -> Any:
         with _Bytes(io.FileIO(path)) as file:
             return import_module(module).read_buffer(file)
     meshio: Any = import_module("meshio")
-    if kind in ("vtu", "exodus"):
-        return meshio.read(os.path.abspath(path), kind)  # which netCDF takes for no URL
+    if kind == "vtu":
+        return meshio.read(path, kind)
     with (_Abaqus if kind == "abaqus" else _Text)(open(path, "rb"), "utf-8", "replace") as file:
         return meshio.read(file, kind)
 
@@ -185,51 +177,6 @@ def _check_count(name: str, what: str, count: int, most: int) -> None:
             f"{name}: {printable(what)[:40]} {count} is no number of items that the file can hold: "
             "it is damaged"
         )
-
-
-def _scan_hdf5(name: str, path: str, size: int, kind: str) -> int:
-    """Refuse an HDF5 file that names another file or declares more than it can hold; return the
-    bytes of its datasets."""
-    h5py: Any = import_module("h5py")
-    if not h5py.is_hdf5(path):
-        return 0  # classic netCDF has no links and no compression
-    declared, seen = 0, set()
-    try:
-        with h5py.File(path, "r") as file:
-            groups = [h5py.h5g.open(file.id, b"/")]
-            while groups:
-                group = groups.pop()
-                for key in group:
-                    if group.links.get_info(key).type != h5py.h5l.TYPE_HARD:
-                        raise FileError(f"{name}: has links to other places: copy them into it")
-                    info = h5py.h5o.get_info(group, key)
-                    if info.addr in seen:
-                        continue
-                    seen.add(info.addr)
-                    if len(seen) > MOST_OBJECTS:
-                        raise FileError(f"{name}: has more than {MOST_OBJECTS} HDF5 objects")
-                    if info.type == h5py.h5o.TYPE_GROUP:
-                        groups.append(h5py.h5g.open(group, key))
-                    elif info.type == h5py.h5o.TYPE_DATASET:
-                        declared += _bytes_of(name, h5py, h5py.h5d.open(group, key))
-    except FileError:
-        raise
-    except Exception as error:  # of the library: the file is damaged
-        reason = printable(" ".join(str(error).split()))[:160]
-        raise FileError(f"{name}: damaged HDF5 file: {reason}: export it again") from None
-    if declared > PACKED * size:
-        raise FileError(
-            f"{name}: declares {human(declared)} that {size} bytes cannot hold: it is damaged"
-        )
-    return declared
-
-
-def _bytes_of(name: str, h5py: Any, dataset: Any) -> int:
-    """The bytes of a dataset, which lies in this file."""
-    creation = dataset.get_create_plist()
-    if creation.get_layout() == h5py.h5d.VIRTUAL or creation.get_external_count():
-        raise FileError(f"{name}: has data in other files: copy them into it")
-    return prod(map(int, dataset.shape or ())) * dataset.get_type().get_size()
 
 
 # ---- XML

@@ -1,7 +1,8 @@
-"""Unstructured meshes of volume cells with a scalar, read through meshio (the extra `tets`).
+"""Unstructured meshes of volume cells with a scalar: Exodus, and what meshio reads (the extra
+`tets`).
 
-through_meshio.py guards against hostile files. What the cells and the scalars themselves are is
-checked by voxtool.tets.mesh, which any mesh passes.
+exodus.py and through_meshio.py guard against hostile files. What the cells and the scalars
+themselves are is checked by voxtool.tets.mesh, which any mesh passes.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.arrays import float64
-from voxtool.errors import FileError, printable
-from voxtool.files import VOLUME_FORMATS
+from voxtool.errors import FileError, count_of, printable
+from voxtool.files import VOLUME_FORMATS, exodus
 from voxtool.files.streams import STREAM, PathLike, read_error
 from voxtool.files.through_meshio import read_mesh
-from voxtool.tets.mesh import UnstructuredMesh
+from voxtool.tets.mesh import UnstructuredMesh, is_volume
 
 if TYPE_CHECKING:
     from typing import BinaryIO
@@ -43,13 +44,18 @@ def read(
             kind = _kind(name, file)
             file.seek(0)
             digest = hashlib.file_digest(file, "sha256").hexdigest()
-        found = read_mesh(name, path, kind, max_memory)
+            file.seek(0)
+            if kind == "exodus":
+                found = exodus.read(name, file, max_memory)
+            else:
+                found = read_mesh(name, path, kind, max_memory)
     except OSError as error:
         raise read_error(name, error) from error
     points = float64(found.points)
     if points.ndim == 2 and points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))
-    chosen, arrays, at_points = _array(name, found, scalar)
+    chosen, parts, at_points = _array(name, found, scalar)
+    arrays = parts if at_points else _complete(name, chosen, parts, found.cells)
     numbers, label = _scalars(name, chosen, arrays, component)
     return UnstructuredMesh(
         points,
@@ -91,6 +97,21 @@ def _array(name: str, read: Any, scalar: str | None) -> tuple[str, list[np.ndarr
     if chosen not in arrays:
         raise FileError(f"{name}: has no array {chosen!r}: name one of {there} (--scalar)")
     return printable(chosen), *arrays[chosen]
+
+
+def _complete(name: str, chosen: str, parts: list[Any], blocks: list[Any]) -> list[np.ndarray]:
+    """The parts of an array, zeros for those blocks of flat cells that have none."""
+    for number, (part, block) in enumerate(zip(parts, blocks, strict=True), 1):
+        if part is None and is_volume(block.type, block.data):
+            raise FileError(
+                f"{name}: {chosen} has no values for block {number} of the cells "
+                f"({count_of(len(block.data), f'{block.type} cell')}): leave the block out, or "
+                "name another array (--scalar)"
+            )
+    return [
+        np.zeros(len(block.data)) if part is None else part
+        for part, block in zip(parts, blocks, strict=True)
+    ]
 
 
 def _scalars(

@@ -99,14 +99,13 @@ def volume_cells(mesh: UnstructuredMesh) -> VolumeCells:
         raise MeshError(f"{name}: points of shape {points.shape}: give (P, 3)")
     read, ignored, curved, blocks, values = Counter(), Counter(), 0, [], []
     for number, (kind, block) in enumerate(mesh.cells):
-        plain = kind.rstrip("0123456789")
-        if not len(block) or plain in FLAT:
+        if not is_volume(kind, block):
             ignored[kind] += len(block)
             continue
         corners = _corners(name, kind, block, len(points))
         curved += len(block) if corners.shape[1] < block.shape[1] else 0
         read[kind] += len(block)
-        blocks.append((plain, corners))
+        blocks.append((plain(kind), corners))
         if isinstance(mesh.scalars, list):
             values.append(_cell_scalars(name, kind, mesh.scalars[number], block, mesh.scalar))
     if not blocks:
@@ -125,9 +124,19 @@ def volume_cells(mesh: UnstructuredMesh) -> VolumeCells:
     return VolumeCells(points, blocks, scalars, mesh.constant, mesh.scalar, name, report)
 
 
+def is_volume(kind: str, block: np.ndarray) -> bool:
+    """True if a block has cells, and they are not known to be flat."""
+    return len(block) > 0 and plain(kind) not in FLAT
+
+
+def plain(kind: str) -> str:
+    """The kind without its number of nodes: tetra for tetra10."""
+    return kind.rstrip("0123456789")
+
+
 def _corners(name: str, kind: str, block: np.ndarray, points: int) -> np.ndarray:
     """Return the corners of cells, which are the first points of each, (N, corners) int64."""
-    count = CORNERS.get(kind.rstrip("0123456789"))
+    count = CORNERS.get(plain(kind))
     if count is None:
         raise MeshError(
             f"{name}: has {count_of(len(block), 'cell')} of kind {kind}, which cannot be "
