@@ -34,7 +34,8 @@ def test_stages_are_kept_until_the_source_changes(tmp_path: Path, monkeypatch) -
     assert "```\ncounted | once\n```" in page
 
 
-def test_a_stage_that_is_stopped_is_run_again(tmp_path: Path) -> None:
+def test_a_stage_that_is_stopped_is_run_again(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
     stopped = run_stages([SLEEP, COUNT], tmp_path, 0.5)
     assert stopped[COUNT] is None
     page = page_of(list_devices()[0], stopped)

@@ -646,6 +646,17 @@ def test_copies_of_faces_change_nothing_and_end(device: Device) -> None:
     assert same_textures(*(build(mesh, device, **request) for mesh in copies))
 
 
+def test_a_segment_through_the_middles_of_cells(device: Device) -> None:
+    """No triangle has a side, and the nearest one is at distance 0 of the middles."""
+    mesh = mesh_from_arrays(np.array([(0.0, 0, 0), (1, 1, 1), (1, 1, 1)]), np.array([(0, 1, 2)]))
+    field = build_adf(mesh, device, tolerance=1e-3, max_level=3)
+    field.validate()
+    points = np.random.default_rng(3).uniform(-0.1, 1.1, (100, 3))
+    found = field.query(points, bounds=True)
+    exact = np.linalg.norm(points - points.mean(axis=1, keepdims=True).clip(0, 1), axis=1)
+    assert (np.abs(found.distance - exact) <= found.bound).all()
+
+
 def test_whole_numbers_are_lengths(device: Device) -> None:
     one, other = (
         build(CLOSED["torus"](), device, tolerance=t, band=b, max_level=2)

@@ -14,11 +14,11 @@ from docs.test_docs import parse
 from helpers_cli import fail, invoke, run, write_obj
 
 from voxtool.bench.points import FIGURES, MEASURES
-from voxtool.bench.request import MESH_BENCHES, benches_for
+from voxtool.bench.request import MESH_BENCHES, VOLUME_BENCHES, benches_for
 from voxtool.cli.main import cli
 
 pytestmark = pytest.mark.slow  # most run whole benches
-BENCHES = ("voxelize", "extract", "adf", "distance", "tets")
+BENCHES = ("voxelize", "extract", "adf", "distance", "tets", "growth")
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,8 @@ def test_every_bench_has_times_and_errors(made: Path) -> None:
         assert point["errors"].keys() <= MEASURES[point["bench"]].keys()
         assert point["errors"] or point["absent"]
         assert point["figures"].keys() <= FIGURES.keys()
-        alone = point["method"] == "exact distances" or "hash" in point["work"]
+        alone = point["bench"] == "growth" or point["method"] == "exact distances"
+        alone |= "hash" in point["work"]
         if not point["peer"] and not alone:
             assert all(seconds >= 0 for seconds in point["stages"].values())
             assert point["stages"]
@@ -240,4 +241,4 @@ def test_a_band_of_nothing_is_measured(ball: str) -> None:
 def test_benches_for_files() -> None:
     assert benches_for("a/b.OBJ") == MESH_BENCHES
     assert benches_for("b.ply.gz") == MESH_BENCHES
-    assert benches_for("b.VTU") == ("tets",)
+    assert benches_for("b.VTU") == VOLUME_BENCHES

@@ -191,6 +191,14 @@ def test_no_such_array(scalar, component, message: str, tmp_path: Path) -> None:
     refusal(lambda path: read_unstructured(path, scalar, component), path, message)
 
 
+def test_a_message_lists_a_few_of_many_components(tmp_path: Path) -> None:
+    mesh = mixed()
+    mesh.point_data["many"] = np.zeros((len(mesh.points), 100))
+    path = written(tmp_path / "a.vtu", mesh)
+    message = r"many has 100 components, which .* --component 0\|1\|.*\|17\|...\|magnitude$"
+    refusal(lambda path: read_unstructured(path, "many", None), path, message)
+
+
 def changed(path: Path, *changes: tuple[bytes, bytes]) -> Path:
     data = path.read_bytes()
     for old, new in changes:

@@ -30,6 +30,7 @@ MEASURES = {  # of errors, by bench, and their units; the first is drawn in char
     "adf": CUBE | {f"{name} near the surface": unit for name, unit in CUBE.items()},
     "distance": CUBE,
     "tets": dict.fromkeys(("rms", "max"), "of colours from 0 to 1"),
+    "growth": {"rms": "of the cube's side"},
 }
 _UNITS = {  # of further measures, in the order of their columns
     "host": "s", "command": "s", "build": "s", "upload": "s", "ns a point": "ns",

@@ -19,9 +19,11 @@ SETTINGS = {  # the fields of a Request that each bench reads
     "distance": ("points", "sign", "grids", "fills"),
     "tets": ("sizes", "pixels", "view", "methods", "integrators", "transfers", "scalar",
              "component"),
+    "growth": ("triangles", "cells", "scalar", "component"),
 }  # fmt: skip
 
-MESH_BENCHES = ("voxelize", "extract", "adf", "distance")
+MESH_BENCHES = ("voxelize", "extract", "adf", "distance", "growth")
+VOLUME_BENCHES = ("tets", "growth")
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,8 @@ class Request:
     methods: tuple[str, ...] = METHODS
     integrators: tuple[str, ...] = INTEGRATORS
     transfers: tuple[str, ...] = TRANSFERS
+    triangles: int = 1_200_000
+    cells: int = 1_600_000
     scalar: str | None = None
     component: str | None = None
     repeat: int = 3
@@ -84,13 +88,17 @@ QUICK = Request(
     dims=(16, 32), fills=("auto",), styles=(MARCHING_CUBES,), samples=1000, tolerances=(1e-1, 1e-2),
     levels=(3,), sphere_level=4, points=1 << 10, searches=("binary",), kinds=KINDS[:1],
     grids=(16,), sizes=(16, 32), pixels=8, transfers=("x10",), integrators=("linear", "average"),
-    repeat=2, seconds=0.0, commands=False,
+    triangles=20_000, cells=5_000, repeat=2, seconds=0.0, commands=False,
 )  # fmt: skip
 
 
 def benches_for(model: str) -> tuple[str, ...]:
     """The benches for a file, by its name."""
+    return VOLUME_BENCHES if is_volume(model) else MESH_BENCHES
+
+
+def is_volume(model: str) -> bool:
+    """True if a file has volume cells, by its name."""
     from voxtool.files import VOLUME_FORMATS  # heavy: the help does without
 
-    name = model.lower().removesuffix(".gz")
-    return ("tets",) if name.endswith(tuple(VOLUME_FORMATS)) else MESH_BENCHES
+    return model.lower().removesuffix(".gz").endswith(tuple(VOLUME_FORMATS))

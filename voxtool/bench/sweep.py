@@ -10,8 +10,8 @@ import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from voxtool.bench import adf, distance, tets, voxels
-from voxtool.bench.request import benches_for
+from voxtool.bench import adf, distance, growth, tets, voxels
+from voxtool.bench.request import benches_for, is_volume
 from voxtool.bench.timing import Bench
 from voxtool.errors import MeshWarning
 from voxtool.files import read_unstructured
@@ -30,6 +30,7 @@ BENCHES = {
     "adf": adf.measure,
     "distance": distance.measure,
     "tets": tets.measure,
+    "growth": growth.measure,
 }
 
 
@@ -51,7 +52,7 @@ def sweep(
     """
     bench = Bench(request, open_device(request.device), open_device(request.device, profile=True))
     for model in models:  # read all before anything is measured
-        if (benches or benches_for(model)) == ("tets",):
+        if is_volume(model):
             read_unstructured(model, request.scalar, request.component)
         else:
             load_mesh(model)

@@ -62,7 +62,7 @@ def tables_of(points: Sequence[Point]) -> list[Table]:
         # if the label does not have it
         "size": lambda p: (
             NONE
-            if p.size_of in ("dim", "pixels")
+            if p.size_of in ("dim", "pixels", "triangles", "cells")
             else _text(p.size, lambda size: f"{size:,.0f} {p.size_of}")
         ),
         "result": lambda p: _text(p.bytes, human),

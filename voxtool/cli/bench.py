@@ -78,6 +78,8 @@ OPTIONS: dict[str, tuple[Any, ...]] = {
     "methods": (METHODS, "As of `voxtool render`."),
     "integrators": (click.STRING, "As of `voxtool render`."),
     "transfers": (TRANSFERS, "Transfer functions: five colours, times as opaque, or two slabs."),
+    "triangles": (COUNT, "Most triangles of a mesh that is subdivided."),
+    "cells": (COUNT, "Most cells of a volume that is subdivided."),
     "scalar": (str, "As of `voxtool tet-build`.", "NAME"),
     "component": (str, "As of `voxtool tet-build`.", "NAME"),
 }  # fmt: skip
@@ -132,6 +134,15 @@ COMMANDS = {
     Examples:
       voxtool bench tets volume.vtu --scalar density --sizes 128 --peers
       voxtool bench tets volume.vtu --scalar density --sizes 64 --transfers x1 --methods raycast
+    """,
+    "growth": """Measure how time grows with the triangles or cells of MODELS, by subdividing them.
+
+    The exponent p of time ~ triangles^p is below each table.
+
+    \b
+    Examples:
+      voxtool bench growth bunny.obj --triangles 300000
+      voxtool bench growth volume.vtu --scalar density --cells 500000
     """,
 }
 UNITS = """

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 AXES = ("x", "y", "z")
 MAGNITUDE = "magnitude"
+SHOWN = 20  # names, at most, that a message lists
 
 
 def read(
@@ -88,7 +89,7 @@ def _array(name: str, read: Any, scalar: str | None) -> tuple[str, list[np.ndarr
     """The name of the array, its parts, and whether it is one at points."""
     arrays = {key: (list(parts), False) for key, parts in read.cell_data.items()}
     arrays |= {key: ([values], True) for key, values in read.point_data.items()}
-    there = ", ".join(printable(key) for key in sorted(arrays))
+    there = _listed([printable(key) for key in sorted(arrays)], ", ")
     if not arrays:
         raise FileError(f"{name}: holds no arrays, only cells: export it with its scalars")
     if scalar is None and len(arrays) > 1:
@@ -132,11 +133,16 @@ def _scalars(
     named = [*AXES[: count if count <= len(AXES) else 0], *map(str, range(count)), MAGNITUDE]
     if component is None or str(component) not in named:
         asked = "which component" if component is None else f"no component {component!r}"
-        raise FileError(
-            f"{name}: {chosen} has {count} components, {asked}: --component {'|'.join(named)}"
-        )
+        names = _listed(named, "|")
+        raise FileError(f"{name}: {chosen} has {count} components, {asked}: --component {names}")
     label = f"{chosen} {component}"
     if component == MAGNITUDE:
         return [np.sqrt(sum(column * column for column in array.T)) for array in rows], label
     column = AXES.index(component) if component in AXES else int(component)
     return [array[:, column] if len(array) else array[:, 0] for array in rows], label
+
+
+def _listed(names: list[str], between: str) -> str:
+    """Names in a message: the first and the last, where there are many."""
+    shown = names if len(names) <= SHOWN else [*names[: SHOWN - 2], "...", names[-1]]
+    return between.join(shown)

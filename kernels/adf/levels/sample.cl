@@ -73,7 +73,7 @@ long8 children_that_need(const triangle *t, const ways *middles, double edge,
     for (uint i = 0; i < 8; ++i) {
         const double8 tangent = base + (i & 1 ? x : -x) + (i & 2 ? y : -y) + (i & 4 ? z : -z);
         least[i] = tangent > 0.0 ? tangent * tangent : 0.0;
-        near |= least[i] <= rivals->least[i] * dd;
+        near |= !(least[i] > rivals->least[i] * dd); // also where there is no rival, and dd is 0
     }
     long8 needs = -1;
     for (uint other = 0; other < rivals->count; ++other) {

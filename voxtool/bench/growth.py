@@ -1,0 +1,133 @@
+"""How time grows with the triangles of a mesh, and with the cells of a volume.
+
+A model is subdivided, each triangle in four or each tetrahedron in eight, again and again. Its
+shape stays the same, so errors do too. Growth with dims, leaves, voxels and pixels is part of the
+other benches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.adf.build import plan_adf
+from voxtool.adf.survey import cube_of
+from voxtool.bench.request import is_volume
+from voxtool.camera import Camera
+from voxtool.files import read_unstructured
+from voxtool.files.mesh import load_mesh
+from voxtool.grid import Grid
+from voxtool.mesh.mesh import mesh_from_arrays
+from voxtool.mesh.topology import watertight
+from voxtool.rendering import render
+from voxtool.selftest.shapes import subdivide
+from voxtool.spatial.sampling import sample_cube
+from voxtool.spatial.signed_distance import SignedDistance, default_sign
+from voxtool.svo.voxelize import voxelize
+from voxtool.tets.conforming import tetrahedra
+from voxtool.tets.mesh import UnstructuredMesh, volume_cells
+from voxtool.tets.textures import build_tet
+from voxtool.tets.transfer import named
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from voxtool.bench.points import Point
+    from voxtool.bench.timing import Bench
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.opencl import Device
+
+DIM, LEVEL, TOLERANCE, POINTS, PIXELS = 256, 7, 1e-2, 1 << 16, 256
+SAME = {"rms": "subdivision does not change the shape: the other benches measure errors"}
+# The eight parts of a tetrahedron: corners 0 to 3 are its own, 4 to 9 the midpoints of EDGES.
+EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+PARTS = ((0, 4, 5, 6), (4, 1, 7, 8), (5, 7, 2, 9), (6, 8, 9, 3),
+         (4, 6, 8, 9), (4, 5, 6, 9), (4, 7, 5, 9), (4, 8, 7, 9))  # fmt: skip
+
+
+def measure(bench: Bench) -> Iterator[Point]:
+    """The points of a model."""
+    if not is_volume(bench.model):
+        mesh = load_mesh(bench.model)
+        while True:
+            yield from _of_mesh(mesh, bench)
+            if 4 * len(mesh.faces) > bench.request.triangles:
+                return
+            mesh = mesh_from_arrays(*subdivide((mesh.vertices, mesh.faces)))
+    volume = whole(read_unstructured(bench.model, bench.request.scalar, bench.request.component))
+    while True:
+        yield from _of_volume(volume, bench)
+        if 8 * len(volume.cells[0][1]) > bench.request.cells:
+            return
+        volume = eighths(volume)
+
+
+def _of_mesh(mesh: Mesh, bench: Bench) -> Iterator[Point]:
+    """Each kind of work on a mesh that the device does not have."""
+    grid, (origin, side) = Grid.fit(mesh, DIM), cube_of(mesh)
+    places, sign = origin + side * sample_cube(POINTS), default_sign(mesh)
+    works: dict[str, Callable[[Device], object]] = {
+        "closed or not": lambda device: watertight(replace(mesh)),
+        f"surface26, dim {DIM}": lambda device: voxelize(
+            replace(mesh), grid, "surface26", device=device
+        ),
+        f"solid, parity, dim {DIM}": lambda device: voxelize(
+            replace(mesh), grid, fill="parity", device=device
+        ),
+        f"field, levels to {LEVEL}, tolerance {TOLERANCE:g}": lambda device: plan_adf(
+            replace(mesh), tolerance=TOLERANCE, max_level=LEVEL, measure=False, device=device
+        ).run(),
+        f"exact distances at {POINTS:,} points": lambda device: SignedDistance(
+            replace(mesh), sign, device
+        )(places),
+    }
+    count = len(mesh.faces)
+    for method, run in works.items():
+        yield bench.point(
+            "subdivided mesh", method, f"{count:,} triangles", run=run, absent=SAME,
+            asked={"triangles": count}, size=count, size_of="triangles",
+        )  # fmt: skip
+
+
+def _of_volume(volume: UnstructuredMesh, bench: Bench) -> Iterator[Point]:
+    """The textures of a volume, and a frame."""
+    made = build_tet(volume)
+    low, high = made.bounds()
+    transfer = named("viridis", *made.scalar_range, float((high - low).max()) / 8)
+    rays = Camera.fit(low, high, "iso", fov=None).rays(PIXELS, PIXELS)
+    works: dict[str, Callable[[Device], object]] = {
+        "textures": lambda device: build_tet(volume),
+        f"frame, {PIXELS} x {PIXELS}": lambda device: render(
+            made, rays, transfer=transfer, device=device
+        ),
+    }
+    count = len(volume.cells[0][1])
+    for method, run in works.items():
+        yield bench.point(
+            "subdivided volume", method, f"{count:,} cells", run=run, absent=SAME,
+            asked={"cells": count}, size=count, size_of="cells",
+        )  # fmt: skip
+
+
+def whole(mesh: UnstructuredMesh) -> UnstructuredMesh:
+    """A mesh with its cells split into tetrahedra."""
+    found = tetrahedra(volume_cells(mesh))
+    scalars = [found.scalars] if found.constant else found.scalars
+    return UnstructuredMesh(found.vertices, [("tetra", found.cells)], scalars, mesh.scalar)
+
+
+def eighths(mesh: UnstructuredMesh) -> UnstructuredMesh:
+    """A mesh of tetrahedra, each cut in eight at the midpoints of its edges."""
+    cells = mesh.cells[0][1]
+    ends = np.sort(cells[:, EDGES].reshape(-1, 2), axis=1)
+    ends, middle = np.unique(ends, axis=0, return_inverse=True)
+    corners = np.concatenate([cells, middle.reshape(-1, 6) + len(mesh.points)], axis=1)
+    points = np.concatenate([mesh.points, mesh.points[ends].mean(axis=1)])
+    if isinstance(mesh.scalars, list):
+        scalars = [np.repeat(mesh.scalars[0], 8)]
+    else:
+        scalars = np.concatenate([mesh.scalars, mesh.scalars[ends].mean(axis=1)])
+    parts = corners[:, PARTS].reshape(-1, 4)
+    return UnstructuredMesh(points, [("tetra", parts)], scalars, mesh.scalar)
