@@ -1,258 +1,356 @@
-// Ray casting of a distance field. Leaves along a ray are found by the coherent search of [ADF,
-// section 3.5]. Host side: voxtool/adf/raycast.py.
+// Ray casting of a distance field. Host side: voxtool/adf/raycast.py.
 //
+// Rays visit the leaves whose corners are not all on the side of the surface where the ray starts.
 // In a leaf, the field along a ray is a cubic polynomial; the ray meets the surface at its first
-// root [Marmitt 2004]. At the exit of a leaf, the ray advances by a lower bound on the distance to
-// the surface [Hart 1996].
+// root [Marmitt 2004]. Times along rays are float64.
 //
-// Lengths along a ray are float64. Integers that never decrease select the next leaf, so every ray
-// terminates. Options: OFFSET, W and WIDE of search.h.
+// nodes: for each block, the first block of its children, and bits of its children: whether a child
+// has a block, and from bit OUTER and INNER, whether rays that start outside or inside look into it.
 
-#define LANES 1
-#define BATCH 1
+#define NODE uint
+#define TREE __global const uint2 *nodes, const uint marks, const int root
+#define THIS_TREE nodes, marks, root
 #include "adf/raycast.h"
-#include "adf/search.h"
 #include "shading.h"
 
-#define PARALLEL 0x1p-40 // nearly parallel to a face: the ray gets no nearer to it within the cube
+#define INSIDE 8         // of a kind of rays, beside the axes along which they are mirrored
+#define PARALLEL 0x1p-40 // the least speed along an axis
 #define HALVINGS 20      // of a ray's segment in a leaf, at most sqrt(3) of its edges long
 
-double least_of(const double3 a)
+// ---- the tree
+
+uint occupied(TREE, const uint block, const int k)
 {
-    const double least = a.x < a.y ? a.x : a.y;
-    return least < a.z ? least : a.z;
+    return nodes[block].y >> marks & 0xFF;
+}
+
+uint child_block(const uint2 node, const uint octant)
+{
+    return node.x + popcount(node.y & ((1u << octant) - 1));
+}
+
+int enter(TREE, uint *block, const int k, const uint octant)
+{
+    if (k == root) {
+        *block = 0;
+        return 1;
+    }
+    const uint2 node = nodes[*block];
+    *block = child_block(node, octant);
+    return node.y >> octant & 1;
+}
+
+// The field at the corners of a leaf minus the offset, by x, then y, then z.
+float8 corners_of(__global const float *voxels, const uint block, const uint octant,
+                  const float offset)
+{
+    const uint first = (octant & 1) + 3 * (octant >> 1 & 1) + 9 * (octant >> 2);
+    __global const float *corner = voxels + (27 * (size_t)block + first);
+    return (float8)(vload2(0, corner), vload2(0, corner + 3), vload2(0, corner + 9),
+                    vload2(0, corner + 12)) -
+           offset;
+}
+
+// Marks the children of blocks, from `first`; those of the next level are marked.
+__kernel void mark_children(__global const float *voxels, const float offset, const uint first,
+                            const uint n, __global uint2 *nodes)
+{
+    if (get_global_id(0) >= n)
+        return;
+    const uint block = first + get_global_id(0);
+    uint2 node = nodes[block];
+    for (uint octant = 0; octant < 8; ++octant) {
+        uint outer, inner;
+        if (node.y >> octant & 1) {
+            const uint below = nodes[child_block(node, octant)].y;
+            outer = (below >> OUTER & 0xFF) != 0;
+            inner = (below >> INNER & 0xFF) != 0;
+        } else {
+            const float8 v = corners_of(voxels, block, octant, offset);
+            outer = any(v <= 0);
+            inner = any(v >= 0);
+        }
+        node.y |= outer << (OUTER + octant) | inner << (INNER + octant);
+    }
+    nodes[block] = node;
 }
 
 // ---- rays
 
-// A ray in units of the cube's edge: origin + t way, with |way| = 1. For each axis, moves is -1 if
-// the ray moves along it, and rises is -1 if it moves upward; both are 0 otherwise. inverse is 1 /
-// way where it moves.
+#include "packets.h"
+
+// The rays of a packet, in the finest cells of a field, from where they enter the cube; times are
+// in the edge of such a cell. `mirrors`: the axes along which each ray is mirrored.
+void set_out(packet *p, const doubles3 origin, const doubles3 direction, const uint perspective,
+             const int root, uint *mirrors)
+{
+    const double side = 1 << root;
+    const doubles size = sqrt(direction.x * direction.x + direction.y * direction.y +
+                              direction.z * direction.z);
+    const doubles3 way = {direction.x / size, direction.y / size, direction.z / size};
+    const ints x = to_ints(way.x < 0), y = to_ints(way.y < 0), z = to_ints(way.z < 0);
+    store((x ? (uints)1 : (uints)0) + (y ? (uints)2 : (uints)0) + (z ? (uints)4 : (uints)0),
+          mirrors);
+    p->speed.x = larger(way.x < 0 ? -way.x : way.x, (doubles)PARALLEL);
+    p->speed.y = larger(way.y < 0 ? -way.y : way.y, (doubles)PARALLEL);
+    p->speed.z = larger(way.z < 0 ? -way.z : way.z, (doubles)PARALLEL);
+    p->inverse.x = 1.0 / p->speed.x, p->inverse.y = 1.0 / p->speed.y, p->inverse.z = 1.0 / p->speed.z;
+    p->origin.x = side * (way.x < 0 ? 1.0 - origin.x : origin.x);
+    p->origin.y = side * (way.y < 0 ? 1.0 - origin.y : origin.y);
+    p->origin.z = side * (way.z < 0 ? 1.0 - origin.z : origin.z);
+    doubles begin = larger(larger(-p->origin.x * p->inverse.x, -p->origin.y * p->inverse.y),
+                           -p->origin.z * p->inverse.z);
+    begin = perspective ? larger(begin, (doubles)0) : begin;
+    p->origin.x += begin * p->speed.x;
+    p->origin.y += begin * p->speed.y;
+    p->origin.z += begin * p->speed.z;
+    p->begin = larger(larger(larger(-p->origin.x * p->inverse.x, -p->origin.y * p->inverse.y),
+                             -p->origin.z * p->inverse.z),
+                      (doubles)0);
+    p->end = smaller(smaller((side - p->origin.x) * p->inverse.x, (side - p->origin.y) * p->inverse.y),
+                     (side - p->origin.z) * p->inverse.z);
+}
+
+// ---- leaf
+
+// The field in a leaf along rays: c0 + c1 t + c2 t^2 + c3 t^3 at start + t step, in leaf edges.
 typedef struct {
-    double3 origin, way, inverse;
-    long3 moves, rises;
-} Ray;
+    floats3 start, step;
+    floats c0, c1, c2, c3;
+} segment;
 
-// The ray through a pixel at x to the right of the image centre and y below it.
-Ray ray_through(__global const double *camera, const uint perspective, const double x,
-                const double y)
+floats within_0_1(const doubles t)
 {
-    const double3 origin = vload3(0, camera), direction = vload3(1, camera);
-    const double3 aside = x * vload3(2, camera) + y * vload3(3, camera);
-    Ray ray;
-    ray.origin = perspective ? origin : origin + aside;
-    const double3 way = perspective ? direction + aside : direction;
-    ray.way = way / sqrt(way.x * way.x + way.y * way.y + way.z * way.z);
-    ray.moves = (ray.way > PARALLEL) | (ray.way < -PARALLEL);
-    ray.rises = ray.way > 0;
-    ray.inverse = 1 / (ray.moves ? ray.way : (double3)1);
-    return ray;
+    const floats rounded = to_floats(t);
+    return rounded > 0 ? rounded < 1 ? rounded : (floats)1 : (floats)0;
 }
 
-// Moves a ray's origin to its entry into the cube, but not back beyond `earliest`. Returns the
-// length of the ray from there; 0, negative or NaN if the ray misses the cube.
-double enter_cube(Ray *ray, const double earliest)
+// The way of rays through the walk's leaf, from t = in to t = out.
+void set_segment(segment *s, const packet *p, const doubles in, const doubles out)
 {
-    const double3 to_0 = -ray->origin * ray->inverse, to_1 = (1 - ray->origin) * ray->inverse;
-    const long3 within = (ray->origin >= 0) & (ray->origin <= 1);
-    if (any(!ray->moves & !within))
-        return 0;
-    const double3 near = ray->moves ? (ray->rises ? to_0 : to_1) : (double3)-INFINITY;
-    const double3 far = ray->moves ? (ray->rises ? to_1 : to_0) : (double3)INFINITY;
-    const double nearest = -least_of(-near), begin = nearest > earliest ? nearest : earliest;
-    ray->origin += begin * ray->way;
-    return least_of(far) - begin;
+    const int size = 1 << (p->k - 1);
+    const double leaves = 1.0 / size, octant_x = p->octant & 1, octant_y = p->octant >> 1 & 1,
+                 octant_z = p->octant >> 2;
+    const double low_x = p->x * leaves + octant_x, low_y = p->y * leaves + octant_y,
+                 low_z = p->z * leaves + octant_z;
+    const doubles length = (out - in) * leaves;
+    s->start.x = within_0_1((p->origin.x + in * p->speed.x) * leaves - low_x);
+    s->start.y = within_0_1((p->origin.y + in * p->speed.y) * leaves - low_y);
+    s->start.z = within_0_1((p->origin.z + in * p->speed.z) * leaves - low_z);
+    s->step.x = to_floats(length * p->speed.x);
+    s->step.y = to_floats(length * p->speed.y);
+    s->step.z = to_floats(length * p->speed.z);
 }
 
-// ---- cells; points in units of 2^-32 cube edges
-
-uint3 fixed(const double3 p)
+// The coefficients of a leaf with these corners, in mirrored axes: linear along x, then y, then z.
+void set_cubic(segment *s, const float *v, const uint mirror)
 {
-    const double3 below_1 = p < 1 ? p : (double3)(1 - 0x1p-32);
-    const double3 units = (p > 0 ? below_1 : (double3)0) * 0x1p32;
-    return (uint3)((uint)units.x, (uint)units.y, (uint)units.z); // convert_uint3 is slow in some drivers
-}
-
-// The child, x + 2 y + 4 z, of a cell of this level that contains a point.
-uint octant_of(const uint3 at, const int level)
-{
-    const uint3 child = at >> (uint)(POINT_BITS - 1 - level) & 1;
-    return child.x + 2 * child.y + 4 * child.z;
-}
-
-// The block of the deepest cell with a block that contains a point. The search starts at *level and
-// sets it to that cell's level; `refined` marks the children that have blocks.
-uint find_block(const Hash *hash, __global const uchar *refined, const uint3 at, const int full,
-                int *level)
-{
-    Wanted wanted = {{at.x}, {at.y}, {at.z}, {*level}};
-    uint slot;
-    int exists;
-    find_cells(hash, &wanted, &slot, &exists);
-    while (!exists && wanted.level[0] > full) {
-        --wanted.level[0];
-        find_cells(hash, &wanted, &slot, &exists);
+    floats a[4], b[4];
+    for (uint i = 0; i < 4; ++i) {
+        const float low = v[2 * i ^ mirror], rise = v[(2 * i + 1) ^ mirror] - low;
+        a[i] = low + rise * s->start.x;
+        b[i] = rise * s->step.x;
     }
-    uint block = hash->cells[WORDS * (size_t)slot + WORDS - 1];
-    while (refined[block] >> octant_of(at, wanted.level[0]) & 1) {
-        ++wanted.level[0];
-        find_cells(hash, &wanted, &slot, &exists);
-        block = hash->cells[WORDS * (size_t)slot + WORDS - 1];
+    floats c[2][3];
+    for (uint i = 0; i < 2; ++i) {
+        const floats da = a[2 * i + 1] - a[2 * i], db = b[2 * i + 1] - b[2 * i];
+        c[i][0] = a[2 * i] + da * s->start.y;
+        c[i][1] = b[2 * i] + db * s->start.y + da * s->step.y;
+        c[i][2] = db * s->step.y;
     }
-    *level = wanted.level[0];
-    return block;
+    const floats d0 = c[1][0] - c[0][0], d1 = c[1][1] - c[0][1], d2 = c[1][2] - c[0][2];
+    s->c0 = c[0][0] + d0 * s->start.z;
+    s->c1 = c[0][1] + d1 * s->start.z + d0 * s->step.z;
+    s->c2 = c[0][2] + d2 * s->start.z + d1 * s->step.z;
+    s->c3 = d2 * s->step.z;
 }
 
-// ---- leaf; v: the field at its corners minus the offset, by x, then y, then z
-
-// Linear interpolation, by start + step t, between two polynomials in t (1, t, t^2, t^3).
-float4 lerp_along(const float4 p, const float4 q, const float start, const float step)
+floats value_at(const segment *s, const floats t)
 {
-    const float4 d = q - p;
-    return p + d * start + (float4)(0, d.xyz) * step;
+    return s->c0 + t * (s->c1 + t * (s->c2 + t * s->c3));
 }
 
-// The field at start + t step, in leaf edges: a polynomial in t.
-float4 field_along(const float8 v, const float3 start, const float3 step)
+// Rays whose cubic may be 0 or negative in [0, 1]: not all Bezier control points are positive.
+ints may_have_root(const segment *s)
 {
-    // the four edges along x are linear: a + b t
-    const float4 d = v.odd - v.even, a = v.even + d * start.x, b = d * step.x;
-    const float4 p = lerp_along((float4)(a.x, b.x, 0, 0), (float4)(a.y, b.y, 0, 0), start.y, step.y);
-    const float4 q = lerp_along((float4)(a.z, b.z, 0, 0), (float4)(a.w, b.w, 0, 0), start.y, step.y);
-    return lerp_along(p, q, start.z, step.z);
+    const float third = 0x1.555556p-2f;
+    const floats b1 = s->c0 + s->c1 * third, b2 = b1 + (s->c1 + s->c2) * third;
+    return !((s->c0 > 0) & (b1 > 0) & (b2 > 0) & (value_at(s, (floats)1) > 0));
 }
 
-float cubic(const float4 c, const float t)
+// Rays whose cubic is 0 or negative in [0, 1], and where it is monotonic around its first root.
+ints bracket_root(const segment *s, floats *low, floats *high)
 {
-    return c.x + t * (c.y + t * (c.z + t * c.w));
+    const doubles slope = to_doubles(s->c1), half_curve = to_doubles(s->c2);
+    const doubles cube = 3.0 * to_doubles(s->c3);
+    const doubles discriminant = half_curve * half_curve - slope * cube;
+    const doubles size = sqrt(larger(discriminant, (doubles)0));
+    const doubles q = half_curve < 0 ? size - half_curve : -size - half_curve;
+    const doubles r1 = q / cube, r2 = slope / q; // infinite or NaN where there is none
+    const ints turns = to_ints(discriminant > 0);
+    const floats first = turns ? within_0_1(r1 < r2 ? r1 : r2) : (floats)0;
+    const floats second = turns ? within_0_1(r1 < r2 ? r2 : r1) : (floats)0;
+    const ints at_start = s->c0 <= 0, before_first = value_at(s, first) <= 0;
+    const ints before_second = value_at(s, second) <= 0;
+    *low = at_start | before_first ? (floats)0 : before_second ? first : second;
+    *high = at_start ? (floats)0 : before_first ? first : before_second ? second : (floats)1;
+    return at_start | before_first | before_second | (value_at(s, (floats)1) <= 0);
 }
 
-float within_0_1(const double t)
+// ---- hits
+
+// Where rays meet the surface: the leaf, the segment in it, and bounds of the root.
+typedef struct {
+    ints found;
+    uints block, octant;
+    segment along;
+    floats low, high;
+} hits;
+
+// Sets the hits of some rays in the walk's leaf.
+void set_hits(hits *h, const ints met, const packet *p, const segment *s, const floats low,
+              const floats high)
 {
-    return t > 0 ? t < 1 ? (float)t : 1 : 0;
+    h->found = h->found | met;
+    h->block = met ? (uints)p->nodes[p->k] : h->block;
+    h->octant = met ? (uints)(p->octant ^ p->mirror) : h->octant;
+    h->low = met ? low : h->low, h->high = met ? high : h->high;
+    h->along.c0 = met ? s->c0 : h->along.c0, h->along.c1 = met ? s->c1 : h->along.c1;
+    h->along.c2 = met ? s->c2 : h->along.c2, h->along.c3 = met ? s->c3 : h->along.c3;
+    h->along.start.x = met ? s->start.x : h->along.start.x;
+    h->along.start.y = met ? s->start.y : h->along.start.y;
+    h->along.start.z = met ? s->start.z : h->along.start.z;
+    h->along.step.x = met ? s->step.x : h->along.step.x;
+    h->along.step.y = met ? s->step.y : h->along.step.y;
+    h->along.step.z = met ? s->step.z : h->along.step.z;
 }
 
-// The first t in [0, 1] where a cubic is 0 or negative; false if there is none.
-bool first_root(const float4 c, float *root)
+// Finds the first root of the packet's rays, which all start on one side of the surface. Returns
+// the rays that start inside, if they were taken to start outside.
+ints find_hits(hits *h, packet *p, __global const float *voxels, const float offset, TREE)
 {
-    *root = 0;
-    if (c.x <= 0)
-        return true;
-    const float third = 0x1.555556p-2f, b1 = c.x + c.y * third, b2 = b1 + (c.y + c.z) * third;
-    if (b1 > 0 && b2 > 0 && cubic(c, 1) > 0) // all Bezier control points
-        return false;
-    // the cubic is monotonic between these
-    float stops[3] = {0, 0, 1};
-    const double slope = c.y, half_curve = c.z, cube = 3 * (double)c.w;
-    const double discriminant = half_curve * half_curve - slope * cube;
-    if (discriminant > 0) {
-        const double size = sqrt(discriminant);
-        const double q = half_curve < 0 ? size - half_curve : -size - half_curve;
-        const double r = q / cube, s = slope / q; // infinite or NaN where there is none
-        stops[0] = within_0_1(r < s ? r : s);
-        stops[1] = within_0_1(r < s ? s : r);
-    }
-    float low = 0;
-    for (uint i = 0; i < 3; ++i) {
-        float high = stops[i];
-        if (cubic(c, high) <= 0) {
-            for (uint k = 0; k < HALVINGS; ++k) {
-                const float middle = 0.5f * (low + high);
-                const bool before = cubic(c, middle) > 0;
-                low = before ? middle : low;
-                high = before ? high : middle;
-            }
-            *root = high;
-            return true;
+    const float side = marks == OUTER ? 1 : -1;
+    ints inside = 0;
+    doubles in, out;
+    while (next_leaf(p, THIS_TREE, &in, &out)) {
+        float v[8];
+        vstore8(side * corners_of(voxels, p->nodes[p->k], p->octant ^ p->mirror, offset), 0, v);
+        segment s;
+        set_segment(&s, p, in, out);
+        set_cubic(&s, v, p->mirror);
+        ints met = to_ints(in < out) & may_have_root(&s);
+        if (!ANY(met))
+            continue;
+        if (marks == OUTER) {
+            const ints starts = met & to_ints(in == p->begin) & (s.c0 < 0);
+            inside = inside | starts;
+            met = met & !starts;
+            p->end = to_longs(starts) ? p->begin : p->end;
         }
-        low = high;
+        floats low, high;
+        met = met & bracket_root(&s, &low, &high);
+        if (!ANY(met))
+            continue;
+        set_hits(h, met, p, &s, low, high);
+        p->end = to_longs(met) ? p->begin : p->end;
     }
-    return false;
+    return inside;
 }
 
-// The brightness of the surface at a point, in leaf edges, for a ray in direction `way`.
-float shade(const float8 v, const float3 at, const double3 way, const float3 light)
+// ---- shading
+
+floats bilinear(const floats a, const floats b, const floats c, const floats d, const floats s,
+                const floats t)
 {
-    const float3 gradient = {
-        bilerp(v.s1 - v.s0, v.s3 - v.s2, v.s5 - v.s4, v.s7 - v.s6, at.y, at.z),
-        bilerp(v.s2 - v.s0, v.s3 - v.s1, v.s6 - v.s4, v.s7 - v.s5, at.x, at.z),
-        bilerp(v.s4 - v.s0, v.s5 - v.s1, v.s6 - v.s2, v.s7 - v.s3, at.x, at.y),
-    };
-    const double3 g = convert_double3(gradient), along = g * way;
-    const double size = sqrt(g.x * g.x + g.y * g.y + g.z * g.z);
-    const double towards = along.x + along.y + along.z > 0 ? -1 : 1;
-    const double3 normal = size > 0 ? g * (towards / size) : -way; // a leaf may be 0 everywhere
-    const float3 n = convert_float3(normal);
-    return brightness(n.x, n.y, n.z, light.x, light.y, light.z);
+    const floats low = a + s * (b - a), high = c + s * (d - c);
+    return low + t * (high - low);
 }
 
-// One ray per pixel; a work-group takes TILE x TILE pixels. Arguments in addition to those of
-// query.cl: refined: a bit per child of a block, set if the child has a block; room: for each cell
-// of ROOM_LEVEL, the largest leap of a ray in cell edges; leap: the largest leap per unit of
-// distance; camera: origin, direction, right and down; pixels: premultiplied colour and opacity.
-__kernel void raycast(TEXTURES, __global const uchar *refined, __global const uchar *room,
-                      const float leap, __global const double *camera, const uint perspective, const uint width,
+// The unit normals of the surface at the roots, in mirrored axes and towards the viewer. v: the
+// corners of each ray's leaf.
+floats3 normals_at(const hits *h, const float v[8][LANES], const packet *p)
+{
+    floats low = h->low, high = h->high;
+    for (uint k = 0; k < HALVINGS; ++k) {
+        const floats middle = 0.5f * (low + high);
+        const ints before = value_at(&h->along, middle) > 0;
+        low = before ? middle : low;
+        high = before ? high : middle;
+    }
+    const floats x = h->along.start.x + high * h->along.step.x;
+    const floats y = h->along.start.y + high * h->along.step.y;
+    const floats z = h->along.start.z + high * h->along.step.z;
+    const floats v0 = load(v[0]), v1 = load(v[1]), v2 = load(v[2]), v3 = load(v[3]);
+    const floats v4 = load(v[4]), v5 = load(v[5]), v6 = load(v[6]), v7 = load(v[7]);
+    const doubles gx = to_doubles(bilinear(v1 - v0, v3 - v2, v5 - v4, v7 - v6, y, z));
+    const doubles gy = to_doubles(bilinear(v2 - v0, v3 - v1, v6 - v4, v7 - v5, x, z));
+    const doubles gz = to_doubles(bilinear(v4 - v0, v5 - v1, v6 - v2, v7 - v3, x, y));
+    const doubles size = sqrt(gx * gx + gy * gy + gz * gz);
+    const doubles along = gx * p->speed.x + gy * p->speed.y + gz * p->speed.z;
+    const doubles towards = (along > 0 ? (doubles)-1 : (doubles)1) / size;
+    const longs steep = size > 0; // a leaf may be 0 everywhere
+    const floats3 normals = {
+        to_floats(steep ? gx * towards : -p->speed.x),
+        to_floats(steep ? gy * towards : -p->speed.y),
+        to_floats(steep ? gz * towards : -p->speed.z),
+    };
+    return normals;
+}
+
+// The premultiplied colours and opacities of a packet's pixels.
+void draw_hits(const hits *h, const packet *p, const uint *mirrors, const pixel_block *block,
+               __global const float *voxels, const float offset, const float3 light,
+               const float3 colour, const uint width, __global float *pixels)
+{
+    float v[8][LANES], x[LANES], y[LANES], z[LANES];
+    uint blocks[LANES], octants[LANES];
+    int found[LANES];
+    store(h->block, blocks), store(h->octant, octants), store(h->found, found);
+    EACH_LANE(i)
+    {
+        float corners[8];
+        vstore8(corners_of(voxels, blocks[i], octants[i], offset), 0, corners);
+        for (uint k = 0; k < 8; ++k)
+            v[k][i] = corners[k ^ mirrors[i]];
+    }
+    const floats3 n = normals_at(h, v, p);
+    store(n.x, x), store(n.y, y), store(n.z, z);
+    EACH_LANE(i)
+    if (block->exists[i]) {
+        const uint mirror = mirrors[i];
+        const float bright = brightness(mirror & 1 ? -x[i] : x[i], mirror & 2 ? -y[i] : y[i],
+                                        mirror & 4 ? -z[i] : z[i], light.x, light.y, light.z);
+        vstore4(found[i] ? (float4)(bright * colour, 1) : (float4)0,
+                pixel_of_lane(block, i, width), pixels);
+    }
+}
+
+// A packet of rays per work-item. camera: origin, direction, right and down; root: the depth of the
+// field; pixels: premultiplied colour and opacity.
+__kernel void raycast(__global const float *voxels, __global const uint2 *nodes, const int root,
+                      __global const double *camera, const uint perspective, const uint width,
                       const uint height, const float offset, const float3 light,
                       const float3 colour, __global float *pixels)
 {
-    const Hash hash = {cells, offsets, inverses, m, r};
-    const uint across = (width + TILE - 1) / TILE;
-    const uint tile = get_global_id(0) / (TILE * TILE), within = get_global_id(0) % (TILE * TILE);
-    const uint column = tile % across * TILE + within % TILE;
-    const uint row = tile / across * TILE + within / TILE;
-    if (column >= width || row >= height)
-        return;
-    __global float *pixel = pixels + 4 * ((size_t)row * width + column);
-    vstore4((float4)0, 0, pixel);
-
-    Ray ray = ray_through(camera, perspective, column + 0.5 - 0.5 * width, row + 0.5 - 0.5 * height);
-    const double end = enter_cube(&ray, perspective ? 0 : -INFINITY);
-    const int3 moves = convert_int3(ray.moves), rises = convert_int3(ray.rises);
-    uint3 at = fixed(ray.origin);
-    int level = (full + deepest) >> 1; // the level of the leaf's parent, where the next search starts
-    float side = 0; // side of the surface where the ray starts: 1 outside, -1 inside
-    for (double t = 0; t < end;) {
-        const uint block = find_block(&hash, refined, at, full, &level);
-        const uint above = POINT_BITS - 1 - level;
-        const uint3 leaf = at >> above, octant = leaf & 1;
-        __global const float *corner =
-            voxels + (27 * (size_t)block + octant.x + 3 * octant.y + 9 * octant.z);
-        const float8 v = (float8)(vload2(0, corner), vload2(0, corner + 3), vload2(0, corner + 9),
-                                  vload2(0, corner + 12)) - offset;
-
-        const double leaves_a_side = 2u << level;
-        const double3 low = (double3)(leaf.x, leaf.y, leaf.z);
-        const double3 faces = (ray.rises ? low + 1 : low) * (1 / leaves_a_side);
-        const double3 to_faces =
-            ray.moves ? (faces - ray.origin) * ray.inverse : (double3)INFINITY;
-        const double to_face = least_of(to_faces), exit = to_face > t ? to_face : t;
-        const double3 place = (ray.origin + t * ray.way) * leaves_a_side - low;
-        const double3 below_1 = place < 1 ? place : (double3)1;
-        const float3 start = convert_float3(place > 0 ? below_1 : (double3)0);
-        const float3 step = convert_float3((exit - t) * leaves_a_side * ray.way);
-
-        const float4 along = field_along(v, start, step);
-        side = side != 0 ? side : along.x >= 0 ? 1 : -1;
-        float root;
-        if (first_root(side * along, &root)) {
-            const float bright = shade(v, start + root * step, ray.way, light);
-            vstore4((float4)(bright * colour, 1), 0, pixel);
-            return;
-        }
-
-        // into the next leaf, and past all leaves that cannot contain the surface
-        const int3 passed = convert_int3(to_faces == to_face);
-        const uint3 last = rises ? (uint3)((2u << level) - 1) : (uint3)0;
-        if (any(passed & (leaf == last)))
-            return;
-        const uint3 next = rises ? (leaf + 1) << above : (leaf << above) - 1;
-        at = passed ? next : at;
-        const uint3 cell = at >> (POINT_BITS - ROOM_LEVEL);
-        const float free = room[cell.x + (cell.y << ROOM_LEVEL) + (cell.z << 2 * ROOM_LEVEL)] *
-                           (1.0f / (1 << ROOM_LEVEL));
-        const float away = side * cubic(along, 1) * leap;
-        t = exit + (away < free ? away : free);
-        const uint3 there = fixed(ray.origin + t * ray.way);
-        at = moves & (rises ? there > at : there < at) ? there : at;
+    const pixel_block block = pixels_of_packet(width, height);
+    doubles3 origin, direction;
+    rays_through(&block, camera, perspective, width, height, &origin, &direction);
+    packet p;
+    uint kinds[LANES], mirrors[LANES], kind;
+    int waiting[LANES];
+    set_out(&p, origin, direction, perspective, root, mirrors);
+    store(load(mirrors), kinds);
+    store(load(block.exists), waiting);
+    const doubles end = p.end;
+    hits h = {0};
+    for (ints rays = next_kind(waiting, kinds, &kind); ANY(rays);
+         rays = next_kind(waiting, kinds, &kind)) {
+        p.end = to_longs(rays) ? end : p.begin;
+        start_walk(&p, kind & 7, root);
+        const ints inside =
+            find_hits(&h, &p, voxels, offset, nodes, kind & INSIDE ? INNER : OUTER, root);
+        store(load(waiting) | inside, waiting);
+        store(inside ? load(kinds) | INSIDE : load(kinds), kinds);
     }
+    draw_hits(&h, &p, mirrors, &block, voxels, offset, light, colour, width, pixels);
 }

@@ -290,7 +290,7 @@ def textures_of(field: DistanceField, device: Device) -> Textures:
             **({"WIDE": 1} if field.cells.shape[-1] == 3 else {}),
         }
         arguments = {
-            "voxels": _upload(field.voxels, device),
+            "voxels": voxels_of(field, device),
             "cells": _upload(field.cells, device),
             "offsets": _upload(table.offsets, device),
             "inverses": device.put(inverses(max(table.m, table.r))),
@@ -301,7 +301,14 @@ def textures_of(field: DistanceField, device: Device) -> Textures:
         }
         return Textures(arguments, options)
 
-    return device.keep(field, "textures", sum(field.sizes().values()), upload)
+    nbytes = field.cells.nbytes + field.hash.nbytes
+    return device.keep(field, "textures", nbytes, upload)
+
+
+def voxels_of(field: DistanceField, device: Device) -> Array:
+    """Return the blocks of a field on a device: uploaded by the first call, then kept."""
+    voxels = field.voxels
+    return device.keep(field, "voxels", voxels.nbytes, lambda: _upload(voxels, device))
 
 
 def bounds_of(field: DistanceField, device: Device) -> Array:

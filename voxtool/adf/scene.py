@@ -11,7 +11,7 @@ import numpy as np
 
 from voxtool.adf.cells import cell_of, half_diagonals
 from voxtool.adf.field import DistanceField
-from voxtool.adf.raycast import COLOUR, cast, checked_offset, local_offset
+from voxtool.adf.raycast import COLOUR, NODE_BYTES, cast, checked_offset, local_offset
 from voxtool.camera import Rays, box_corners, checked_colour
 from voxtool.opencl import Device
 
@@ -23,8 +23,9 @@ class FieldScene:
     """The surface of a distance field, or an offset surface; see voxtool/rendering.py.
 
     offset: distance of the surface drawn, world units, rounded to float32; negative inside. colour:
-    red, green and blue, from 0 to 1. leap: whether rays skip empty space. VoxtoolError is raised if
-    the offset is not finite, or there is no such colour.
+    red, green and blue, from 0 to 1. lanes: rays that a work-item follows side by side, 1 or 16,
+    which the picture does not show; by default what suits the device. VoxtoolError is raised if the
+    offset is not finite, or there is no such colour.
     """
 
     kind: ClassVar[str] = "field"
@@ -33,7 +34,7 @@ class FieldScene:
     content: DistanceField
     offset: float = 0.0
     colour: Sequence[float] = COLOUR
-    leap: bool = True
+    lanes: int | None = None
 
     def __post_init__(self) -> None:
         checked_offset(self.content, self.offset)
@@ -41,13 +42,14 @@ class FieldScene:
 
     @property
     def stages(self) -> tuple[str, ...]:
-        return ("upload", "ray casting")
+        return ("upload", "marking", "ray casting")
 
     @property
     def left_out(self) -> dict[str, str]:
-        if self.content.bounds is None:
-            return {}
-        return {"the texture of bounds": "rays do not need error bounds"}
+        out = {"the textures of cells and the hash": "a block knows its children's"}
+        if self.content.bounds is not None:
+            out["the texture of bounds"] = "rays do not need error bounds"
+        return out
 
     @property
     def counts(self) -> dict[str, int]:
@@ -55,7 +57,8 @@ class FieldScene:
 
     @property
     def device_bytes(self) -> int:
-        return sum(size for name, size in self.content.sizes().items() if name != "bounds")
+        voxels = self.content.voxels
+        return voxels.nbytes + NODE_BYTES * len(voxels)
 
     def points(self) -> np.ndarray:
         """Return points whose convex hull contains the surface, (N, 3) float64, world units: the

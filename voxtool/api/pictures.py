@@ -147,7 +147,7 @@ def plan_render(
 
     References
     ----------
-    [Laine 2010] for octrees, [Hart 1996] for fields, [TetVol] and [Moreland 2004] for volumes.
+    [Laine 2010] for octrees, [Marmitt 2004] for fields, [TetVol] and [Moreland 2004] for volumes.
 
     Examples
     --------
