@@ -3,8 +3,7 @@
 Each wing has a scene: a frozen dataclass of its content and the options of its picture. All have
 the same members: `kind` and `samples` (along a pixel's side, by default); `stages`, `left_out`,
 `counts` and `device_bytes` for the plan; `points`, whose convex hull holds everything shown;
-`local_rays`, rays in the frame in which they are drawn, or an error; `draw`, one value a ray; and
-`why_empty`, the reason if no view shows anything.
+`draw`, one value a ray; and `why_empty`, the reason if no view shows anything.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import numpy as np
 from voxtool.adf.field import DistanceField
 from voxtool.adf.scene import FieldScene
 from voxtool.camera import FOV, MAX_SIDE, Camera, Rays
-from voxtool.errors import MemoryLimitError, VoxtoolError, count_of
+from voxtool.errors import DeviceError, MemoryLimitError, VoxtoolError, count_of
 from voxtool.job import Cost, Job, one_call
 from voxtool.memory import check_memory
 from voxtool.opencl import Device, default_device
@@ -172,9 +171,12 @@ def plan_render(
         samples = samples or (scene.samples if scene.samples * max(size) <= MAX_SIDE else 1)
         camera = view if isinstance(view, Camera) else camera_for(scene, view or "iso", size=size)
         rays = camera.rays(samples * size[0], samples * size[1])
-    scene.local_rays(rays)  # refuses an eye too far away and a height too small or large
     device = device or default_device()
-    device.require_float64("pictures")
+    if not device.info.fp64:
+        raise DeviceError(
+            f"{device.info.name} has no double precision (cl_khr_fp64), which pictures need: "
+            "choose another --device"
+        )
     return RenderJob(RenderPlan(scene, size, samples), rays, device, max_memory)
 
 

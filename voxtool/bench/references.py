@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,9 +13,9 @@ from voxtool.bench.points import MEASURES
 from voxtool.errors import count_of
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.topology import boundary_of, volume
+from voxtool.mesh.topology import volume
 from voxtool.spatial.deviation import deviation
-from voxtool.svo.fill.caps import find_caps
+from voxtool.svo.fill.caps import find_boundary, find_caps
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import Octree
 from voxtool.vector import cross, length
@@ -35,9 +35,10 @@ NO_SOLID = {"volume": "the voxels that a surface touches are no solid"}
 def capped(mesh: Mesh) -> tuple[Mesh, int]:
     """The mesh with its holes closed by fans, as `fill="winding"` closes them, and their number."""
     used, faces = np.unique(mesh.faces, return_inverse=True)
-    vertices, faces = mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32)
-    caps = find_caps(Grid.fit(mesh, CAPPED_DIM).to_fixed(vertices), boundary_of(faces))
-    return Mesh(vertices, np.concatenate([faces, caps.faces]), name=mesh.name), caps.holes
+    own = Mesh(mesh.vertices[used], faces.reshape(-1, 3).astype(np.int32), name=mesh.name)
+    fixed = Grid.fit(mesh, CAPPED_DIM).to_fixed(own.vertices)
+    caps = find_caps(fixed, find_boundary(own))
+    return replace(own, faces=np.concatenate([own.faces, caps.faces])), caps.holes
 
 
 class Reference:

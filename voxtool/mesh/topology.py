@@ -224,6 +224,19 @@ def twins_of(mesh: Mesh) -> np.ndarray | None:
     return None if new.all() else numbers
 
 
+def merged_faces(mesh: Mesh, *, parity: bool = False) -> np.ndarray | None:
+    """Return the first of all faces on the same three positions, (n,) int64, rising; None for all
+    faces. With `parity` two of an even number remain, so that rows cross as many, modulo 2."""
+    twins = twins_of(mesh)
+    if twins is None:
+        return None
+    order = np.argsort(twins, kind="stable")
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order)) - np.searchsorted(twins[order], twins[order])
+    even = np.bincount(twins)[twins] % 2 == 0
+    return np.flatnonzero(rank < np.where(even & parity, 2, 1))
+
+
 def net_faces(mesh: Mesh) -> np.ndarray | None:
     """Return the faces that winding numbers count, (n,) int64, ascending; None for all of them.
 

@@ -18,8 +18,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.errors import MeshError
-from voxtool.mesh.topology import twins_of
+from voxtool.errors import DeviceError, MeshError
+from voxtool.mesh.topology import merged_faces
 from voxtool.opencl import Array, Device, program
 from voxtool.opencl.primitives import radix_sort
 
@@ -129,8 +129,7 @@ def tree_bytes(faces: int) -> int:
 def distinct_faces(mesh: Mesh) -> np.ndarray | None:
     """Return the faces of which no earlier one has the same three corners in local coordinates,
     (n,) int64, rising; None for all. Distances to the others are the same."""
-    twins = twins_of(replace(mesh, vertices=Frame.of(mesh).local(mesh.vertices)))
-    return None if twins is None else np.sort(np.unique(twins, return_index=True)[1])
+    return merged_faces(replace(mesh, vertices=Frame.of(mesh).local(mesh.vertices)))
 
 
 def build_tree(
@@ -141,7 +140,11 @@ def build_tree(
     `flat` is (F,) uint8, 1 for faces without area; None gives no names. Raises MeshError as
     Frame.of, and DeviceError if the device has no double precision.
     """
-    device.require_float64("exact distances and winding numbers")
+    if not device.info.fp64:
+        raise DeviceError(
+            f"{device.info.name} has no double precision (cl_khr_fp64), which exact distances "
+            "need: choose another device (see voxtool devices)"
+        )
     frame, n = Frame.of(mesh), len(mesh.faces)
     vertices, faces = device.put(frame.local(mesh.vertices)), device.put(mesh.faces)
     with device.stage("tree"):

@@ -15,7 +15,7 @@ from voxtool.errors import GridError
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Array, Device
-from voxtool.svo.fill.caps import Caps, find_caps
+from voxtool.svo.fill.caps import Boundary, Caps, find_caps
 from voxtool.svo.plan import Survey
 
 SOURCE = "svo/lattice.cl"
@@ -32,6 +32,7 @@ class LatticeMesh:
     vertices: Array  # the same on the device
     faces: Array  # of the mesh, then of the caps
     triangles: int  # faces of the mesh, without caps
+    closed: Array  # faces of the mesh and the caps, without those that cancel
     caps: Caps | None  # None if the fill rule does not need them
 
     def survey(self) -> Survey:
@@ -58,11 +59,11 @@ def place_mesh(
     grid: Grid,
     window: tuple[Sequence[int], Sequence[int]] | None,
     some: np.ndarray | None,
-    boundary: np.ndarray | None,
+    boundary: Boundary | None,
     device: Device,
 ) -> LatticeMesh:
     """Return the mesh, or only `some` of its faces, on the lattice of a grid or of a window, with
-    caps if their boundary_of is given; raise GridError if a vertex lies too far from the grid's
+    caps if their boundary is given; raise GridError if a vertex lies too far from the grid's
     corner or the window is not in the grid."""
     try:
         fixed = grid.to_fixed(mesh.vertices)
@@ -76,9 +77,11 @@ def place_mesh(
         fixed -= np.asarray(low, np.int32) << FIXED_POINT_BITS
     own = mesh.faces if some is None else mesh.faces[some]
     caps = None if boundary is None else find_caps(fixed, boundary)
-    faces = own if caps is None else np.concatenate([own, caps.faces])
-    faces = faces.astype(np.int32, copy=False)
-    return LatticeMesh(device, grid, fixed, device.put(fixed), device.put(faces), len(own), caps)
+    faces = device.put(own if caps is None else np.concatenate([own, caps.faces]))
+    closed, cancelled = faces, 0 if boundary is None else np.count_nonzero(boundary.alone)
+    if boundary is not None and caps is not None and cancelled:
+        closed = device.put(np.concatenate([own[~boundary.alone], caps.faces[:-cancelled]]))
+    return LatticeMesh(device, grid, fixed, device.put(fixed), faces, len(own), closed, caps)
 
 
 def _used_vertices(mesh: Mesh) -> np.ndarray:

@@ -88,10 +88,11 @@ class Scan:
     ) -> tuple[int, dict[str, Any]]:
         """Return the number of work-items for triangles in boxes of 2**level voxels, and the
         kernels' arguments by name."""
-        n = self.mesh.triangles + (self.plan.caps if with_caps else 0)
+        faces = self.mesh.closed if with_caps else self.mesh.faces
+        n = faces.size // 3 if with_caps else self.mesh.triangles
         arguments: dict[str, Any] = {
             "vertices": self.mesh.vertices,
-            "faces": self.mesh.faces,
+            "faces": faces,
             "triangles": n,
             "tile_offsets": None,
             "level": level,

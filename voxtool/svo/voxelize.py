@@ -29,24 +29,25 @@ from voxtool.grid import Grid
 from voxtool.job import Job, one_call
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import (
-    boundary_of,
     check_topology,
+    merged_faces,
     net_faces,
-    positions,
     volume,
     watertight,
 )
 from voxtool.opencl import Device, default_device
 from voxtool.svo.build import build_octree
+from voxtool.svo.fill.caps import Boundary, find_boundary
 from voxtool.svo.fill.flood import flood
 from voxtool.svo.fill.rows import Filled, fill_rows, flip_changes, flip_crossings, list_crossings
 from voxtool.svo.fill.winding import NearHoles
 from voxtool.svo.lattice import place_mesh
 from voxtool.svo.octree import Octree
-from voxtool.svo.plan import VoxelizePlan, plan_of
+from voxtool.svo.plan import Survey, VoxelizePlan, plan_of
 from voxtool.svo.prune import prune, states_of
 from voxtool.svo.scan import Scan, find_active_nodes
 
+LARGE = 64  # columns of a face, on average, from which repeated faces cost more than their search
 Window = tuple[Sequence[int], Sequence[int]]  # of a grid: its low corner and its shape
 
 
@@ -104,13 +105,9 @@ def _once(check: Callable[[Mesh], Found], mesh: Mesh) -> Found:
     return _found[key]
 
 
-def _boundary(mesh: Mesh) -> np.ndarray:
-    """Return the boundary of the faces that winding numbers count, by (n, 2) vertices."""
-    some, places = _once(net_faces, mesh), positions(mesh)
-    vertex = np.empty(len(places), np.int64)  # one at each position
-    vertex[places] = np.arange(len(places))
-    corners = places[mesh.faces if some is None else mesh.faces[some]]
-    return vertex[boundary_of(corners)]
+def _boundary(mesh: Mesh) -> Boundary:
+    """Return the boundary of the faces that winding numbers count."""
+    return find_boundary(mesh, _once(net_faces, mesh))
 
 
 class VoxelizeJob(Job[Octree]):
@@ -151,16 +148,22 @@ class VoxelizeJob(Job[Octree]):
         """Upload the mesh, survey it and make the plan."""
         with self.device.stage("survey"):
             some = _once(net_faces, self.mesh) if fill in ("nonzero", "winding") else None
-            edges = _once(_boundary, self.mesh) if fill == "winding" else None
-            self.lattice = place_mesh(
-                self.mesh, self._whole, self._window, some, edges, self.device
-            )
-            survey, caps = self.lattice.survey(), self.lattice.caps
+            survey = self._place(some, fill)
+            if some is None and sum(survey.areas) > LARGE * survey.triangles:
+                some = merged_faces(self.mesh, parity=fill == "parity")
+                survey = survey if some is None else self._place(some, fill)
+            caps = self.lattice.caps
         self.grid = self.lattice.grid
         holes, faces = (caps.holes, len(caps.faces)) if caps else (0, 0)
         self.plan = plan_of(
             survey, self.grid.shape, mode=mode, fill=fill, gap=gap, holes=holes, caps=faces
         )
+
+    def _place(self, some: np.ndarray | None, fill: str) -> Survey:
+        """Upload the mesh, or only `some` of its faces, and survey it."""
+        boundary = _once(_boundary, self.mesh) if fill == "winding" else None
+        self.lattice = place_mesh(self.mesh, self._whole, self._window, some, boundary, self.device)
+        return self.lattice.survey()
 
     def with_(self, **decisions: Any) -> VoxelizeJob:
         """Return a copy of the job with fields of its plan replaced, for ablation and tests;

@@ -14,9 +14,8 @@ from svo.test_voxelize import assert_contract, lattice_grid, lattice_mesh
 
 from voxtool import Grid, Mesh, load_mesh
 from voxtool.errors import MemoryLimitError, MeshWarning, VoxtoolError
-from voxtool.mesh.topology import boundary_of
 from voxtool.opencl import Device
-from voxtool.svo.fill.caps import find_caps
+from voxtool.svo.fill.caps import find_boundary, find_caps
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import plan_voxelize, voxelize
 
@@ -235,14 +234,15 @@ def test_caps_close_what_is_open() -> None:
     fixed = meshes.fixed(vertices).astype(np.int32)
     for share in (0.0, 0.05, 0.5):
         kept = faces[rng.random(len(faces)) >= share].astype(np.int32)
-        caps = find_caps(fixed, boundary_of(kept))
+        caps = find_caps(fixed, find_boundary(Mesh(vertices, kept)))
         assert not oracles.boundary(fixed[np.concatenate([kept, caps.faces])])
         assert len(caps.faces) == len(caps.loops) - 2 * caps.holes
         edges = oracles.boundary(fixed[kept])
         assert len(caps.edges) == sum(abs(times) for *_, times in edges)
         assert (caps.holes == 0) == (share == 0)
     moebius = mobius((32, 32, 32))
-    caps = find_caps(moebius[0].astype(np.int32), boundary_of(moebius[1]))
+    boundary = find_boundary(Mesh(*moebius))
+    caps = find_caps(moebius[0].astype(np.int32), boundary)
     assert not oracles.boundary(moebius[0][np.concatenate([moebius[1], caps.faces])])
 
 
@@ -257,6 +257,42 @@ def test_repeated_faces_count_once(device: Device, fill: str) -> None:
         assert run(device, (vertices, doubled), shape, fill).digest() == once.digest()
     octree = run(device, (vertices, np.concatenate([front, back])), shape, fill)
     assert octree.count == 0
+
+
+@pytest.mark.parametrize("mode", ["solid", "surface26", "surface6"])
+def test_repeated_large_faces_are_scanned_once(device: Device, mode: str) -> None:
+    """By parity, an even number of copies cancels, but still refines the octree."""
+    vertices, faces = meshes.box((3 * UNIT,) * 3, (29 * UNIT,) * 3)
+    grid, fill = lattice_grid((32,) * 3), {"fill": "parity"} if mode == "solid" else {}
+    for copies, kept in ((1, 12), (3, 12), (4, 24 if fill else 12)):
+        turned = np.roll(faces[:, ::-1], 1, axis=1)
+        many = np.concatenate([faces, *[turned] * (copies - 1)])
+        job = plan_voxelize(lattice_mesh(vertices, many), grid, mode, device=device, **fill)
+        assert job.plan.survey.triangles == kept
+        octree = job.run()
+        once = voxelize(lattice_mesh(vertices, faces), grid, mode, device=device, **fill)
+        if copies < 4 or not fill:
+            assert octree.digest() == once.digest()
+        else:
+            assert octree.count == 0
+            assert np.array_equal(octree.offsets, once.offsets)
+
+
+def test_faces_alone_cancel_with_their_caps(device: Device) -> None:
+    """The pages of a book, and triangles apart, need no crossings; a face beside others does."""
+    random = np.random.default_rng(4)
+    apart = random.integers(0, 32 * UNIT, (30, 3)), np.arange(30).reshape(-1, 3)
+    book = random.integers(0, 32 * UNIT, (12, 3)), np.array([[0, 1, i] for i in range(2, 12)])
+    strip = random.integers(0, 32 * UNIT, (4, 3)), np.array([[0, 1, 2], [2, 1, 3]])
+    for (vertices, faces), alone, caps_of in ((apart, 10, 10), (book, 10, 10), (strip, 0, 2)):
+        job = plan_voxelize(
+            lattice_mesh(vertices, faces), lattice_grid((32,) * 3), fill="winding", device=device
+        )
+        caps = job.lattice.caps
+        assert caps is not None
+        assert len(caps.faces) == caps_of
+        assert job.lattice.closed.size == 3 * (len(faces) + caps_of - 2 * alone)
+        assert not oracles.boundary(vertices[job.lattice.faces.get().reshape(-1, 3)])
 
 
 def test_walls_of_two_shells_count_twice(device: Device) -> None:

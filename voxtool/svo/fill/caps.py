@@ -15,7 +15,7 @@ from itertools import chain
 import numpy as np
 
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.topology import net_edges, positions
+from voxtool.mesh.topology import boundary_of, net_edges, positions
 
 MEETING = 64  # edges at a vertex among which the nearest is sought
 
@@ -43,23 +43,70 @@ class Caps:
         return np.stack([self.loops, self.loops[ends]], axis=1)
 
 
-def find_caps(vertices: np.ndarray, boundary: np.ndarray) -> Caps:
-    """Return the holes of a mesh on a lattice and their caps. The boundary is given by (n, 2)
-    vertices, as net_edges returns it; vertices at one position are merged."""
-    used, ends = np.unique(boundary, return_inverse=True)
+@dataclass(frozen=True)
+class Boundary:
+    """The boundary of a mesh: edges that more faces traverse in this direction than in the other.
+    Of the vertices at one position, always the same is named.
+
+    edges : (n, 2) vertices, as net_edges returns them.
+    alone : (F,) bool, the faces whose three sides are among these edges, each side its own.
+    corners : (A, 3) vertices of these faces.
+    """
+
+    edges: np.ndarray
+    alone: np.ndarray
+    corners: np.ndarray
+
+
+def find_boundary(mesh: Mesh, some: np.ndarray | None = None) -> Boundary:
+    """Return the boundary of a mesh, or of `some` of its faces."""
+    places = positions(mesh)
+    vertex = np.empty(len(places), np.int64)  # one at each position
+    vertex[places] = np.arange(len(places))
+    corners = vertex[places[mesh.faces if some is None else mesh.faces[some]]]
+    edges = boundary_of(corners)
+    alone = _alone(corners, edges)
+    return Boundary(edges, alone, corners[alone])
+
+
+def _alone(corners: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Return Boundary.alone of (F, 3) corners."""
+    on_boundary = np.zeros(int(corners.max(initial=0)) + 1, bool)
+    on_boundary[edges] = True
+    alone = np.asarray(on_boundary[corners].all(axis=1))
+    start = corners[alone]
+    sides = (start << 32 | np.roll(start, -1, axis=1)).ravel()
+    order = np.argsort(sides, kind="stable")
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order)) - np.searchsorted(sides[order], sides[order])
+    left = np.sort(edges[:, 0] << 32 | edges[:, 1])
+    times = np.searchsorted(left, sides, "right") - np.searchsorted(left, sides)
+    alone[alone] = (rank < times).reshape(-1, 3).all(axis=1)
+    return alone
+
+
+def find_caps(vertices: np.ndarray, boundary: Boundary) -> Caps:
+    """Return the holes of a mesh on a lattice and their caps, those of faces that are alone last;
+    vertices at one position are merged."""
+    used, ends = np.unique(boundary.edges, return_inverse=True)
     points = Mesh(vertices[used].astype(np.float64), np.empty((0, 3), np.int32))
     places = positions(points)
     vertex = np.empty(int(places.max(initial=-1)) + 1, np.int32)  # a vertex at each position
     vertex[places] = used
     edges = net_edges(*places[ends.reshape(-1, 2)].T)
-    start, end = edges.T
     changed = (edges[1:] != edges[:-1]).any(axis=1)
     copies = np.diff(np.flatnonzero(np.concatenate([[True], changed, [True]])))
+    alone = places[np.searchsorted(used, boundary.corners)]
+    start, end = edges.T
+    if len(alone):  # without their sides
+        back = np.roll(alone, -1, axis=1).ravel()
+        start, end = net_edges(np.append(start, back), np.append(end, alone.ravel())).T
     loops = _loops(start, end, vertices[vertex].astype(np.int64))
-    first = np.concatenate([[0], np.cumsum([len(loop) for loop in loops])]).astype(np.int64)
-    places_of_loops = np.fromiter(chain.from_iterable(loops), np.int64, int(first[-1]))
-    most = int(copies.max(initial=1))
-    return Caps(vertex[places_of_loops], first, vertex[places_of_loops[_halve(first)]], most)
+    sizes = np.append([len(loop) for loop in loops], np.full(len(alone), 3))
+    first = np.append(0, np.cumsum(sizes)).astype(np.int64)
+    in_loops = np.fromiter(chain.from_iterable(loops), np.int64, int(first[len(loops)]))
+    around = vertex[np.append(in_loops, alone.ravel())]
+    return Caps(around, first, around[_halve(first)], int(copies.max(initial=1)))
 
 
 def _halve(first: np.ndarray) -> np.ndarray:
