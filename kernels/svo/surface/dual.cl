@@ -3,15 +3,16 @@
 
 #include "svo/surface/dual_case_tables.h"
 #include "svo/surface/samples.h"
+#include "svo/surface/relaxation.h"
 #include "opencl/histopyramid.h"
 
 // The arguments that locate a cut cell: the host's CutCubes.arguments.
 #define CUBES __global const ulong *cut, __global const uint *first_cube
 #define THESE_CUBES cut, first_cube
 
-uint cube_of(TILES, CUBES, ulong cell)
+uint cube_of(TILES, CUBES, ulong cell, ulong near, uint slot)
 {
-    const uint slot = slot_of(present, ranks, cell >> 6);
+    slot = cell >> 6 == near >> 6 ? slot : slot_of(present, ranks, cell >> 6);
     return first_cube[slot] + (uint)popcount(cut[slot] & ((1ul << (cell & 63)) - 1));
 }
 
@@ -31,7 +32,7 @@ ulong cell_beyond(ulong cell, uint face)
 __kernel void resolve_cases(__global const uint *codes, TILES, CUBES, __global const uint *places,
                             __global const uchar *cases, const uint n, __global ushort *resolved,
                             __global uint *first_vertex, __global uint *quad_counts,
-                            __global uint *first_link)
+                            __global uint *first_beyond)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -41,17 +42,14 @@ __kernel void resolve_cases(__global const uint *codes, TILES, CUBES, __global c
     quad_counts[gid] = (low_edges >> 1 & 1) + (low_edges >> 2 & 1) + (low_edges >> 4 & 1);
     const uint face = PINCHED_FACE[found];
     if (face != NO_FACE) {
-        const ulong beyond = cell_beyond(cell_of(codes, places[gid]), face);
-        const uint other = cube_of(THESE_TILES, THESE_CUBES, beyond);
+        const ulong cell = cell_of(codes, places[gid]), beyond = cell_beyond(cell, face);
+        const uint other = cube_of(THESE_TILES, THESE_CUBES, beyond, cell, places[gid] >> 6);
         if (PINCHED_FACE[cases[other]] == (face ^ 1))
             found += ALTERNATIVE;
     }
     resolved[gid] = (ushort)found;
     first_vertex[gid] = LOOP_COUNT[found];
-    uint edges = 0;
-    for (uint edge = 0; edge < 12; ++edge)
-        edges += LOOP_OF[12 * found + edge] != NO_EDGE;
-    first_link[gid] = edges;
+    first_beyond[gid] = BEYOND_COUNT[found];
 }
 
 // Voxel faces: the vertex of each loop is the corner shared by eight samples.
@@ -78,66 +76,65 @@ __kernel void place_means(__global const uint *codes, TILES, SAMPLES, __global c
     const ulong cell = cell_of(codes, places[gid]);
     const int3 low = (cell_coordinates(cell) - shift) * LATTICE + LATTICE / 2;
     const uint found = resolved[gid];
-    for (uint loop = 0; loop < LOOP_COUNT[found]; ++loop) {
-        int3 sum = 0;
-        int edges = 0;
-        for (uint edge = 0; edge < 12; ++edge) {
-            if (LOOP_OF[12 * found + edge] != loop)
-                continue;
-            const uint j = EDGE_CORNER[edge], axis = edge >> 2;
-            const ulong begin = corner_cell(cell, j);
-            const uint slot = slot_of(present, ranks, begin >> 6);
-            const int t = crossing(THESE_TILES, THESE_SAMPLES, begin, slot, axis, found >> j & 1);
-            sum += place_in_tile(j) * LATTICE + unit_of(axis) * t;
-            ++edges;
+    size_t vertex = first_vertex[gid];
+    int3 sum = 0;
+    int edges = 0;
+    for (uint i = 0; i < EDGE_COUNT[found]; ++i) {
+        const uint step = LOOP_STEPS[12 * found + i], edge = step & STEP_EDGE;
+        const uint j = EDGE_CORNER[edge], axis = edge >> 2;
+        const ulong begin = corner_cell(cell, j);
+        const uint slot = slot_of(present, ranks, begin >> 6);
+        const int t = crossing(THESE_TILES, THESE_SAMPLES, begin, slot, axis, found >> j & 1);
+        sum += place_in_tile(j) * LATTICE + unit_of(axis) * t;
+        ++edges;
+        if (step & STEP_LAST) {
+            vstore3(low + within((2 * sum + edges) / (2 * edges)), vertex++, points);
+            sum = 0, edges = 0;
         }
-        const int3 mean = (2 * sum + edges) / (2 * edges);
-        vstore3(low + within(mean), first_vertex[gid] + (size_t)loop, points);
     }
 }
 
-// The neighbours of each vertex: the vertices of the adjacent cubes into which its loop continues.
+// The neighbours of each vertex, the vertices of the adjacent cubes into which its loop continues;
+// and the vertex itself, packed.
 __kernel void link_vertices(__global const uint *codes, TILES, CUBES, __global const uint *places,
                             __global const ushort *resolved, const uint n,
-                            __global const uint *first_vertex, __global const uint *first_link,
-                            __global uint *link_start, __global uint *links)
+                            __global const uint *first_vertex, __global const uint *first_beyond,
+                            __global const int *points, const uint lanes, RELAXATION,
+                            __global ulong *packed)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     const ulong cell = cell_of(codes, places[gid]);
     const uint found = resolved[gid];
-    uint link = first_link[gid];
-    for (uint loop = 0; loop < LOOP_COUNT[found]; ++loop) {
-        link_start[first_vertex[gid] + loop] = link;
-        for (uint edge = 0; edge < 12; ++edge) {
-            if (LOOP_OF[12 * found + edge] != loop)
-                continue;
-            const uint face = FACE_OF[12 * found + edge];
-            const uint other = cube_of(THESE_TILES, THESE_CUBES, cell_beyond(cell, face));
-            const uint across = EDGE_ACROSS[12 * face + edge];
-            links[link++] = first_vertex[other] + LOOP_OF[12 * resolved[other] + across];
+    uint vertex = first_vertex[gid], further = first_beyond[gid], count = 0;
+    uint above = 0x8880;
+    for (uint i = 0; i < EDGE_COUNT[found]; ++i) {
+        const uint step = LOOP_STEPS[12 * found + i], face = step >> STEP_FACE & 7;
+        const ulong next = cell_beyond(cell, face);
+        const uint other = cube_of(THESE_TILES, THESE_CUBES, next, cell, places[gid] >> 6);
+        const uint across = step >> STEP_ACROSS & STEP_EDGE;
+        const uint neighbour = first_vertex[other] + LOOP_OF[12 * resolved[other] + across];
+        if (count == 0 && vertex % lanes == 0)
+            beyond_start[vertex / lanes] = further;
+        if (count < 4)
+            links[4 * (size_t)vertex + count] = neighbour;
+        else
+            beyond[further++] = (uint2)(vertex, neighbour);
+        ++count;
+        const uint along = 16u << 4 * (face >> 1);
+        above += face & 1 ? along : -along;
+        if (step & STEP_LAST) {
+            if (count == 3)
+                links[4 * (size_t)vertex + 3] = vertex;
+            const int3 at = (vload3(vertex, points) - LATTICE / 2) & (LATTICE - 1);
+            packed[vertex] = (ulong)at.z << 2 * BITS | (ulong)at.y << BITS | (ulong)at.x;
+            around[vertex++] = (ushort)(above | count);
+            above = 0x8880, count = 0;
         }
     }
     if (gid == n - 1)
-        link_start[first_vertex[n]] = link;
-}
-
-// Moves each coordinate halfway to the mean of the neighbours, clamped away from the faces of its
-// cell.
-__kernel void relax(__global const int *points, __global const uint *link_start,
-                    __global const uint *links, const uint n, __global int *relaxed)
-{
-    const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-    const uint first = link_start[gid], end = link_start[gid + 1];
-    const int3 here = vload3(gid, points);
-    int3 sum = 0;
-    for (uint link = first; link < end; ++link)
-        sum += vload3(links[link], points) - here;
-    const int3 low = ((here - LATTICE / 2) >> LATTICE_BITS << LATTICE_BITS) + LATTICE / 2;
-    vstore3(low + within(here - low + sum / (2 * (int)(end - first))), gid, relaxed);
+        beyond_start[(vertex + lanes - 1) / lanes] = further;
 }
 
 // Output quad k is quad r of cube i: the four cubes around a cut edge, counter-clockwise seen from
@@ -165,7 +162,7 @@ __kernel void list_quads(HISTOPYRAMID, const uint n, __global const uint *codes,
         ulong at = place == 0 || place == 3 ? step_down(cell, b) : cell;
         at = place < 2 ? step_down(at, c) : at;
         const uint edge = EDGE_AROUND[4 * axis + place];
-        const uint cube = cube_of(THESE_TILES, THESE_CUBES, at);
+        const uint cube = cube_of(THESE_TILES, THESE_CUBES, at, cell, places[i] >> 6);
         quads[4 * (size_t)k + (outward ? place : (4 - place) % 4)] =
             first_vertex[cube] + LOOP_OF[12 * resolved[cube] + edge];
     }

@@ -55,7 +55,6 @@ def test_loops_pass_every_cut_edge_once() -> None:
 
 
 def test_both_cubes_of_a_face_have_its_segments_in_opposite_directions() -> None:
-    across = cases.edge_across()
     for case in ALL_CASES:
         for axis in range(3):
             bit = 1 << axis
@@ -65,7 +64,8 @@ def test_both_cubes_of_a_face_have_its_segments_in_opposite_directions() -> None
                 for join in (False, True):
                     here = cases.segments(case, 2 * axis + 1, join)
                     there = cases.segments(other, 2 * axis, join)
-                    moved = {tuple(int(across[2 * axis + 1, e]) for e in s[::-1]) for s in here}
+                    face = 2 * axis + 1
+                    moved = {tuple(cases.edge_across(face, e) for e in s[::-1]) for s in here}
                     assert moved == set(there)
 
 

@@ -460,6 +460,28 @@ def test_relaxation_can_be_left_out(device) -> None:
         job.with_(level=1)
 
 
+@pytest.mark.parametrize("lanes", [1, 16])
+def test_relaxation_moves_halfway_to_the_mean_of_neighbours(device, lanes) -> None:
+    """As numpy moves the ends of the quads' edges, truncating towards zero."""
+    dense = np.random.default_rng(7).random((9, 8, 7)) < 0.5
+    job = plan_extract(octree_from_dense(dense), style=NETS, device=device)
+    flat = job.with_(relaxations=0).run()
+    first, second = flat.faces[::2], flat.faces[1::2]  # of each quad
+    ring = np.stack([first[:, 0], first[:, 1], first[:, 2], second[:, 2]], axis=1)
+    edges = np.stack([ring, np.roll(ring, -1, axis=1)], axis=2).reshape(-1, 2)
+    edges = np.unique(np.concatenate([edges, edges[:, ::-1]]), axis=0)
+    count = np.bincount(edges[:, 0])[:, None]
+    assert {*count.ravel()} >= {3, 4, 5, 6}
+    points = flat.points.astype(np.int64)
+    low = (points - LATTICE // 2) // LATTICE * LATTICE + LATTICE // 2
+    for _ in range(3):
+        apart = np.zeros_like(points)
+        np.add.at(apart, edges[:, 0], points[edges[:, 1]] - points[edges[:, 0]])
+        points = points + np.sign(apart) * (np.abs(apart) // (2 * count))
+        points = np.clip(points, low + NEAREST, low + LATTICE - NEAREST)
+    assert np.array_equal(job.with_(relaxations=3, lanes=lanes).run().points, points)
+
+
 def test_findings_say_what_is_lost_or_empty(device) -> None:
     dense = ball((32, 32, 32), 0.3)
     with warnings.catch_warnings(action="error"):

@@ -32,6 +32,9 @@ ALTERNATIVE = 256  # added to a case whose ambiguous face joins its inside corne
 MAX_TRIANGLES = 5
 NO_FACE = 6
 NO_EDGE = 255
+# A step of a loop in 16 bits: the mask of its edge, the places of the face and of the edge beyond
+# it, and the bit of a loop's last.
+STEP_EDGE, STEP_FACE, STEP_ACROSS, STEP_LAST = 15, 4, 7, 1 << 11
 
 Loop = list[int]  # the cut edges that it passes, counter-clockwise seen from outside the surface
 
@@ -156,16 +159,27 @@ def loop_tables() -> tuple[np.ndarray, np.ndarray]:
     return loop_of, face_of
 
 
-def edge_across() -> np.ndarray:
-    """Return the number that an edge of a face has in the cube beyond the face, (6, 12) uint8;
-    NO_EDGE for the edges that are not on it."""
-    table = np.full((6, 12), NO_EDGE, np.uint8)
-    for face in range(6):
-        for edge, (u, v) in enumerate(EDGES):
-            if face in FACES_OF[edge]:
-                bit = 1 << face // 2
-                table[face, edge] = EDGE_OF[u ^ bit, v ^ bit]
-    return table
+def loop_steps() -> np.ndarray:
+    """Return the edges of each case, by loop, (512, 12) uint16: the edge, the face on which the
+    loop goes on from there, the number of the edge in the cube beyond the face, and whether the
+    loop ends; 0 after the last."""
+    loop_of, face_of = loop_tables()
+    steps = np.zeros(loop_of.shape, np.uint16)
+    for case, (loop, face) in enumerate(zip(loop_of.tolist(), face_of.tolist(), strict=True)):
+        order = sorted((n, edge) for edge, n in enumerate(loop) if n != NO_EDGE)
+        for place, (n, edge) in enumerate(order):
+            last = place + 1 == len(order) or order[place + 1][0] != n
+            across = edge_across(face[edge], edge)
+            steps[case, place] = (
+                edge | face[edge] << STEP_FACE | across << STEP_ACROSS | last * STEP_LAST
+            )
+    return steps
+
+
+def edge_across(face: int, edge: int) -> int:
+    """Return the number that an edge of a face has in the cube beyond the face."""
+    low, high = EDGES[edge]
+    return EDGE_OF[low ^ 1 << face // 2, high ^ 1 << face // 2]
 
 
 def edge_around() -> np.ndarray:
@@ -182,7 +196,8 @@ def _header(constants: dict[str, int], tables: dict[str, np.ndarray]) -> str:
     lines = [program.c_constants(**constants)]
     for name, table in tables.items():
         values = ", ".join(map(str, table.ravel().tolist()))
-        lines.append(f"__constant uchar {name}[{table.size}] = {{{values}}};")
+        kind = "uchar" if table.max() < 256 else "ushort"
+        lines.append(f"__constant {kind} {name}[{table.size}] = {{{values}}};")
     return "\n".join(lines)
 
 
@@ -201,17 +216,21 @@ def _primal_header() -> str:
 
 def _dual_header() -> str:
     """Return the tables of the dual styles as OpenCL constants."""
-    loop_of, face_of = loop_tables()
+    loop_of, _ = loop_tables()
     tables = {
         "PINCHED_FACE": np.array([pinched_face(case) for case in range(CASES)]),
         "LOOP_COUNT": (loop_of + np.uint8(1)).max(axis=1),  # NO_EDGE + 1 is 0
         "LOOP_OF": loop_of,
-        "FACE_OF": face_of,
-        "EDGE_ACROSS": edge_across(),
+        "EDGE_COUNT": np.count_nonzero(loop_of != NO_EDGE, axis=1),
+        "BEYOND_COUNT": sum(np.maximum((loop_of == n).sum(axis=1), 4) - 4 for n in range(4)),
+        "LOOP_STEPS": loop_steps(),
         "EDGE_AROUND": edge_around(),
         "EDGE_CORNER": np.array(EDGES)[:, 0],
     }
-    constants = {"ALTERNATIVE": ALTERNATIVE, "NO_FACE": NO_FACE, "NO_EDGE": NO_EDGE}
+    constants = {
+        "ALTERNATIVE": ALTERNATIVE, "NO_FACE": NO_FACE, "STEP_EDGE": STEP_EDGE,
+        "STEP_FACE": STEP_FACE, "STEP_ACROSS": STEP_ACROSS, "STEP_LAST": STEP_LAST,
+    }  # fmt: skip
     return _header(constants, tables)
 
 

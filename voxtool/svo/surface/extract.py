@@ -102,6 +102,7 @@ def _plan(
         isovalue=isovalue,
         merge=merge,
         relaxations=RELAXATIONS if style == SURFACE_NETS and voxels else 0,
+        lanes=None,
         nodes=nodes,
         rooted=tree.shift > 0,
         tiles=2 * active,
@@ -162,7 +163,9 @@ class ExtractJob(Job[Isosurface]):
         if plan.style == MARCHING_CUBES:
             points, triangles = march_cubes(tiles, cubes)
         else:
-            points, quads = dual_surface(tiles, cubes, plan.style, plan.relaxations)
+            points, quads = dual_surface(
+                tiles, cubes, plan.style, plan.relaxations, plan.lanes or device.lanes
+            )
             if plan.merge:
                 with device.stage("merge"):
                     points, quads = join_squares(device, points, quads)

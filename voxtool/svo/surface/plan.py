@@ -13,7 +13,7 @@ from voxtool.svo.layout import BRICK_BYTES
 
 MAX_SAMPLES = 4096  # along a side: tiles of four have Morton codes of 30 bits
 CUBE_BYTES = 24  # on the device: of a cube that is cut,
-EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 52, SURFACE_NETS: 84}  # a cut edge,
+EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 52, SURFACE_NETS: 96}  # a cut edge,
 MERGE_BYTES = 64  # and one of voxel faces that are merged
 RELAXATIONS = 16  # of surface nets of voxels, as in VTK
 
@@ -27,6 +27,7 @@ class ExtractionPlan:
     isovalue: float
     merge: bool
     relaxations: int  # rounds in which vertices of nets move towards the mean of their neighbours
+    lanes: int | None  # vertices that a work-item moves side by side; None: what suits the device
     nodes: tuple[int, ...]  # numbers of nodes of the levels, level 0 first, with added roots
     rooted: bool  # roots were added, because cubes begin below the octree's low sides
     # predicted, then counted: tiles of 4 x 4 x 4 samples that are examined, cubes and edges that

@@ -14,7 +14,7 @@ Greedy meshing joins coplanar unit squares to rectangles, first in rows, then ro
 Squares side by side in a row have sorted keys that rise by one; so have rows of equal beginning and
 length in a column. The side of a rectangle may have vertices of others on it: T-junctions.
 
-Kernels: marching_cubes.cl, dual.cl and greedy_meshing.cl in kernels/svo/surface.
+Kernels: marching_cubes.cl, dual.cl, relax.cl and greedy_meshing.cl in kernels/svo/surface.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ from voxtool.opencl.primitives import build_histopyramid, compact, exclusive_sca
 from voxtool.svo.surface.cut_cells import CutCubes, Tiles
 from voxtool.svo.surface.plan import MAX_SAMPLES
 
-CUBES, DUAL, MERGE = (f"svo/surface/{n}.cl" for n in ("marching_cubes", "dual", "greedy_meshing"))
+CUBES, DUAL, RELAX, MERGE = (
+    f"svo/surface/{n}.cl" for n in ("marching_cubes", "dual", "relax", "greedy_meshing")
+)
 COORDINATE_BITS = MAX_SAMPLES.bit_length()  # of a corner of a square
 SQUARE_BITS, ROW_BITS = 3 + 3 * COORDINATE_BITS, 3 + 4 * COORDINATE_BITS
 HEADERS = {"svo/surface/greedy_meshing.h": program.c_constants(COORDINATE_BITS=COORDINATE_BITS)}
@@ -55,17 +57,17 @@ def march_cubes(tiles: Tiles, cubes: CutCubes) -> tuple[Array, Array]:
 
 
 def dual_surface(
-    tiles: Tiles, cubes: CutCubes, style: str, relaxations: int
+    tiles: Tiles, cubes: CutCubes, style: str, relaxations: int, lanes: int
 ) -> tuple[Array, Array]:
     """Return the vertices, (3 V,) int32 as `Isosurface.points`, and the quads, (4 Q,) uint32,
     counter-clockwise seen from outside."""
     device, n = tiles.device, cubes.n
-    first_vertex, quad_counts, first_link = (device.empty(n + 1, np.uint32) for _ in range(3))
+    first_vertex, quad_counts, first_beyond = (device.empty(n + 1, np.uint32) for _ in range(3))
     scene = {
         **cubes.arguments,
         "resolved": device.empty(n, np.uint16),
         "first_vertex": first_vertex,
-        "first_link": first_link,
+        "first_beyond": first_beyond,
     }
     with device.stage("classify"):
         tiles.kernel(DUAL, "resolve_cases")(n, quad_counts, **scene)
@@ -76,7 +78,7 @@ def dual_surface(
         tiles.kernel(DUAL, place)(n, points, **scene)
     if relaxations:
         with device.stage("relax"):
-            points = _relax(tiles, points, n, relaxations, scene)
+            _relax(tiles, points, n, relaxations, lanes, scene)
     with device.stage("histopyramid"):
         pyramid = build_histopyramid(quad_counts, n)
     with device.stage("quads"):
@@ -87,18 +89,27 @@ def dual_surface(
 
 
 def _relax(
-    tiles: Tiles, points: Array, cubes: int, relaxations: int, scene: dict[str, Any]
-) -> Array:
-    """Return the vertices, moved towards the mean of their neighbours in several rounds."""
-    device, vertices = tiles.device, points.size // 3
-    linked = device.empty(exclusive_scan(scene["first_link"], cubes), np.uint32)
-    link_start = device.empty(vertices + 1, np.uint32)
-    tiles.kernel(DUAL, "link_vertices")(cubes, link_start, linked, **scene)
-    moved = device.empty(3 * vertices, np.int32)
+    tiles: Tiles, points: Array, cubes: int, relaxations: int, lanes: int, scene: dict[str, Any]
+) -> None:
+    """Move the vertices towards the mean of their neighbours in several rounds."""
+    device, n = tiles.device, points.size // 3
+    padded = -(-n // lanes) * lanes
+    packed, moved = (device.empty(padded, np.uint64) for _ in range(2))
+    further = exclusive_scan(scene["first_beyond"], cubes)
+    links = {
+        "links": device.empty(4 * n, np.uint32),
+        "beyond_start": device.empty(padded // lanes + 1, np.uint32),
+        "beyond": device.empty(2 * further, np.uint32),
+        "around": device.empty(padded, np.uint16),
+    }
+    tiles.kernel(DUAL, "link_vertices")(
+        cubes, points=points, packed=packed, lanes=lanes, **links, **scene
+    )
+    relax, unpack = (device.kernel(RELAX, name, LANES=lanes) for name in ("relax", "unpack"))
     for _ in range(relaxations):
-        tiles.kernel(DUAL, "relax")(vertices, points, link_start, linked, moved)
-        points, moved = moved, points
-    return points
+        relax(padded // lanes, packed, relaxed=moved, n=n, **links)
+        packed, moved = moved, packed
+    unpack(n, packed, points)
 
 
 def split_quads(tiles: Tiles, points: Array, quads: Array) -> Array:
