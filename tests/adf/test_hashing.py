@@ -101,10 +101,9 @@ SHAPES = {  # keys, and the bits a key that their table takes at most, or infini
     "one": (block(1, 1, 1, 5), math.inf),
     "two": (np.array([[5, 6, 7], [5, 6, 8]], np.int32), math.inf),
     "far apart": (np.array([[1, 1, 1], [2**21 - 1] * 3]), math.inf),
-    "line x": (block(2000, 1, 1, 50), math.inf),
+    "line x": (block(1000, 1, 1, 50), math.inf),
     "line z": (block(1, 1, 900, 1024), math.inf),
     "plane": (block(120, 120, 1, 512), math.inf),
-    "plane x": (block(1, 90, 90, 333), math.inf),
     "cube": (block(32, 32, 32, 17), math.inf),
     "box": (block(31, 32, 33, 1024), math.inf),
     "lattice": (block(20, 20, 20, 1, 400), math.inf),
@@ -118,7 +117,7 @@ SHAPES = {  # keys, and the bits a key that their table takes at most, or infini
     },
     **{
         f"{n} random to {top}": (random_keys(n, top), math.inf)
-        for n in (7, 1000, 20_000)
+        for n in (7, 1000)
         for top in (4, 100, 8191, 2**21 - 1)
     },
 }  # fmt: skip
@@ -310,7 +309,7 @@ def test_absent_cells_are_recognised_on_every_level() -> None:
     stored = np.zeros(table.m**3, np.uint32)  # no cell has identifier 0
     for level, cells in enumerate(levels):
         stored[table.slots(key_of(level, cells))] = cell_identifier(level, cells)
-    for level in range(9):
+    for level in range(8):
         every = np.indices((1 << level,) * 3).reshape(3, -1).T
         found = stored[table.slots(key_of(level, every))] == cell_identifier(level, every)
         present = levels[level].tolist() if level < len(levels) else []

@@ -59,14 +59,14 @@ def test_levels_are_built_once(device: Device) -> None:
     ],
 )
 def test_decisions_are_forced(device: Device, forced: dict, says: bool) -> None:
-    job = plan(ball(), device=device)
+    job = plan(ball(), device=device, tolerance=1e-2)
     field = job.run()
     other = job.with_(**forced).run()
-    same = np.array_equal(other.voxels, field.voxels)
-    assert same == says
+    assert np.array_equal(other.voxels, field.voxels) == says
     assert job.run().digest() == field.digest()
     request = {name: value for name, value in forced.items() if name not in ("flat", "closed")}
-    assert np.array_equal(plan(ball(), device=device, **request).run().voxels, other.voxels)
+    again = plan(ball(), device=device, **{"tolerance": 1e-2, **request}).run()
+    assert np.array_equal(again.voxels, other.voxels)
 
 
 def test_memory_is_refused_level_by_level(device: Device) -> None:

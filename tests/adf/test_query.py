@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -126,9 +126,14 @@ FIELDS = {
 }
 
 
+@cache
+def field_of(name: str) -> DistanceField:
+    return FIELDS[name]()
+
+
 @pytest.mark.parametrize("name", FIELDS)
 def test_any_field(device, name) -> None:
-    field = FIELDS[name]()
+    field = field_of(name)
     for search in SEARCHES:
         found = check(field, device, points_of(field, 1000), search)
         assert found.level is not None

@@ -155,7 +155,6 @@ FIELDS = {
     "cracks": lambda device: (ball(), 0.0),
     "continuous": lambda device: (torus(device), 0.0),
     "band": lambda device: (torus(device, band=0.01), 0.0),
-    "offset": lambda device: (torus(device), 0.3),
     "inner offset": lambda device: (torus(device), -0.3),
     "unsigned": lambda device: (torus(device, sign="none"), 0.2),
     "jumps": lambda device: (open_box(device), 0.0),
