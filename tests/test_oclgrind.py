@@ -244,7 +244,9 @@ def voxelize_all(device) -> None:
         numbers = oracles.numbers(triangles, shape)
         for variant, decisions in VARIANTS.items():
 
-            def voxelize(mode="solid", fill="parity", mesh=mesh, grid=grid, forced=decisions, **more):
+            def voxelize(
+                mode="solid", fill="parity", mesh=mesh, grid=grid, forced=decisions, **more
+            ):
                 job = plan_voxelize(mesh, grid, mode, fill=fill, device=device, **more)
                 octree = job.with_(**forced).run()
                 octree.validate()

@@ -101,7 +101,7 @@ SHAPES = {  # keys, and the bits a key that their table takes at most, or infini
     "one": (block(1, 1, 1, 5), math.inf),
     "two": (np.array([[5, 6, 7], [5, 6, 8]], np.int32), math.inf),
     "far apart": (np.array([[1, 1, 1], [2**21 - 1] * 3]), math.inf),
-    "line x": (block(1000, 1, 1, 50), math.inf),
+    "line x": (block(2000, 1, 1, 50), math.inf),
     "line z": (block(1, 1, 900, 1024), math.inf),
     "plane": (block(120, 120, 1, 512), math.inf),
     "cube": (block(32, 32, 32, 17), math.inf),

@@ -6,12 +6,13 @@ import json
 import shlex
 import shutil
 from pathlib import Path
+from typing import Any
 
 import meshes
 import pytest
 from conftest import usable_devices
 from docs.test_docs import parse
-from helpers_cli import fail, invoke, run, write_obj
+from helpers_cli import fail, invoke, run, told, write_obj
 
 from voxtool.bench.points import FIGURES, MEASURES
 from voxtool.bench.request import MESH_BENCHES, VOLUME_BENCHES, benches_for
@@ -21,20 +22,26 @@ pytestmark = pytest.mark.slow  # most run whole benches
 BENCHES = ("voxelize", "extract", "adf", "distance", "tets", "growth")
 
 
+QUICK = f"--quick -q --date today --device {usable_devices()[0][0]}"
+
+
+@pytest.fixture(scope="module")
+def report(models: Path) -> dict[str, Any]:
+    """The quick report of two models."""
+    return told(
+        f"bench all {models}/bunny.obj {models}/volume.vtu --scalar density --peers --json {QUICK}"
+    )
+
+
 @pytest.fixture(scope="module")
 def made(models: Path, tmp_path_factory) -> Path:
-    """A folder with models, and out/, the quick report of two of them."""
+    """A folder with volume.vtu, and out/, its quick report."""
     pytest.importorskip("matplotlib")
     folder = tmp_path_factory.mktemp("bench")
-    for name in ("bunny.obj", "volume.vtu"):
-        shutil.copy(models / name, folder)
+    shutil.copy(models / "volume.vtu", folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        device = usable_devices()[0][0]
-        result = run(
-            "bench all bunny.obj volume.vtu --scalar density --quick --peers -q -o out "
-            f"--date today --device {device}"
-        )
+        result = run(f"bench all volume.vtu --scalar density -o out {QUICK}")
         assert result.stderr == ""
         (folder / "said.txt").write_text(result.stdout)
     return folder
@@ -51,13 +58,12 @@ def ball(tmp_path: Path, monkeypatch) -> str:
 # ---- bench all
 
 
-def test_every_bench_has_times_and_errors(made: Path) -> None:
-    found = json.loads((made / "out" / "report.json").read_text())
-    head = (found["format"], found["schema_version"], found["date"])
+def test_every_bench_has_times_and_errors(report: dict[str, Any]) -> None:
+    head = (report["format"], report["schema_version"], report["date"])
     assert head == ("voxtool-bench", "1.1", "today")
-    assert found["device"]["probe"] in ("", "ok")
-    assert found["machine"]["cores"] > 0
-    points = found["points"]
+    assert report["device"]["probe"] in ("", "ok")
+    assert report["machine"]["cores"] > 0
+    points = report["points"]
     assert {point["bench"] for point in points} == set(BENCHES)
     for point in points:
         assert len(point["runs"]) == 2
@@ -80,8 +86,8 @@ def test_every_bench_has_times_and_errors(made: Path) -> None:
     assert max(p["errors"].get("max", 0) for p in linear if not p["peer"]) < 1e-5
 
 
-def test_errors_fall_with_finer_settings(made: Path) -> None:
-    points = json.loads((made / "out" / "report.json").read_text())["points"]
+def test_errors_fall_with_finer_settings(report: dict[str, Any]) -> None:
+    points = report["points"]
     for work in ("mesh to solid voxels", "solid voxels to surface", "mesh to field"):
         ours = [p for p in points if p["work"] == work and not p["peer"]]
         for method in {p["method"] for p in ours}:
@@ -89,15 +95,15 @@ def test_errors_fall_with_finer_settings(made: Path) -> None:
             assert errors == sorted(errors, reverse=True), (work, method)
 
 
-def test_ablations(made: Path) -> None:
-    savings = json.loads((made / "out" / "report.json").read_text())["savings"]
+def test_ablations(report: dict[str, Any]) -> None:
+    savings = report["savings"]
     assert {saving["bench"] for saving in savings} == {"voxelize", "adf"}
     assert all(saving["same"] for saving in savings)
     assert all(len(s["runs"]) == len(s["forced"]) == 2 for s in savings)
 
 
-def test_commands_of_rows_exist(made: Path) -> None:
-    for point in json.loads((made / "out" / "report.json").read_text())["points"]:
+def test_commands_of_rows_exist(report: dict[str, Any]) -> None:
+    for point in report["points"]:
         words = shlex.split(point["command"])
         assert words[:3] == ["voxtool", "bench", point["bench"]]
         parse(cli, words[1:])
@@ -105,25 +111,18 @@ def test_commands_of_rows_exist(made: Path) -> None:
 
 def test_what_is_said(made: Path) -> None:
     said = (made / "said.txt").read_text()
-    for chart in (
-        "voxelize, bunny.obj: mesh to solid voxels",
-        "extract, bunny.obj: ",
-        "adf, bunny.obj: mesh to field",
-        "distance, bunny.obj: mesh to dense grid of distances",
-        "tets, volume.vtu: frames through x10",
-    ):
-        assert f"\n{chart}" in f"\n{said}"
-    assert said.count("  most accurate: ") == 10
+    assert "\ntets, volume.vtu: frames through x10" in f"\n{said}"
+    assert "  most accurate: " in said
     assert said.endswith("report: out/report.html\n")
     page = (made / "out" / "report.html").read_text()
-    assert page.count("<svg") == len(list((made / "out").glob("*.png"))) >= 14
+    assert page.count("<svg") == len(list((made / "out").glob("*.png"))) >= 2
     assert "today" in page
 
 
 def test_no_clobber(made: Path, monkeypatch) -> None:
     monkeypatch.chdir(made)
     before = {path: path.stat().st_mtime_ns for path in (made / "out").iterdir()}
-    assert "report.json exists" in fail("bench all bunny.obj --quick -o out --no-clobber", 3)
+    assert "report.json exists" in fail("bench all volume.vtu --quick -o out --no-clobber", 3)
     assert {path: path.stat().st_mtime_ns for path in (made / "out").iterdir()} == before
 
 

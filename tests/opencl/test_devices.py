@@ -118,6 +118,7 @@ def devices_twice(monkeypatch, no_choice):
     """Every device twice; returns a function that makes the probe of the given indices fail."""
     found = discovery._cl_devices()
     monkeypatch.setattr(discovery, "_cl_devices", lambda: [*found, *found])
+    monkeypatch.setattr(discovery, "_shared", {})
     probe = discovery._probe
 
     def break_down(*indices: int) -> None:
@@ -154,6 +155,7 @@ def test_the_warning_is_one_line_and_not_for_quiet_commands(devices_twice, tmp_p
     assert first.startswith("voxtool: warning: passed over ")
     assert second.startswith(f"voxtool: {mesh} -> ")
     break_down(0)
+    discovery._shared.clear()
     result = CliRunner().invoke(cli, [*command, "-q"])
     assert (result.exit_code, result.output) == (0, "")
 

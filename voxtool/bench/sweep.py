@@ -16,7 +16,7 @@ from voxtool.bench.timing import Bench
 from voxtool.errors import MeshWarning
 from voxtool.files import read_unstructured
 from voxtool.files.mesh import load_mesh
-from voxtool.opencl import open_device
+from voxtool.opencl import shared_device
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -50,7 +50,9 @@ def sweep(
     ------
     VoxtoolError : a model cannot be read, or a result cannot be computed.
     """
-    bench = Bench(request, open_device(request.device), open_device(request.device, profile=True))
+    bench = Bench(
+        request, shared_device(request.device), shared_device(request.device, profile=True)
+    )
     for model in models:  # read all before anything is measured
         if is_volume(model):
             read_unstructured(model, request.scalar, request.component)

@@ -247,7 +247,7 @@ def measure(
     from voxtool.bench.report import Report, check_folder, write_report
     from voxtool.bench.request import benches_for
     from voxtool.bench.sweep import sweep
-    from voxtool.opencl import open_device
+    from voxtool.opencl import shared_device
 
     error, measure = budget_error or (None, None)
     budget = Budget(budget_time, error, measure)
@@ -258,7 +258,7 @@ def measure(
         check_folder(output, not no_clobber)
     if asked and output is None:  # an answer needs neither the memory nor the ablations
         request = replace(request, commands=False, ablations=False)
-    info = open_device(request.device).info
+    info = shared_device(request.device).info
     if request.peers:
         for package in missing({bench for bench, _ in steps}):
             options.tell(f"peer {package} is not installed: pip install {package}")

@@ -141,9 +141,11 @@ class Run:
     @cached_property
     def device(self) -> Device:
         """The device of --device, opened at the first use."""
-        from voxtool.opencl import open_device
+        from voxtool.opencl import shared_device
 
-        return open_device(self.device_name, profile=self.verbose or self.as_json)
+        device = shared_device(self.device_name, profile=self.verbose or self.as_json)
+        device.stage_times()  # of the command before, where one process runs several
+        return device
 
     def __enter__(self) -> Self:
         self.progress.__enter__()

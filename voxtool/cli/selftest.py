@@ -38,10 +38,10 @@ def command(device_name: str | None, full: bool, as_json: bool, quiet: bool) -> 
       voxtool selftest --device cpu
       voxtool selftest --full --json
     """
-    from voxtool.opencl import open_device
+    from voxtool.opencl import shared_device
     from voxtool.selftest import CASES
 
-    report(open_device(device_name), CASES, full, as_json, quiet)
+    report(shared_device(device_name), CASES, full, as_json, quiet)
 
 
 def report(device: Device, cases: tuple[Case, ...], full: bool, as_json: bool, quiet: bool) -> None:

@@ -4,6 +4,6 @@ The only package that imports pyopencl. Others hold a `Device`, its `Array`s and
 """
 
 from voxtool.opencl.device import Array, Device
-from voxtool.opencl.discovery import default_device, list_devices, open_device
+from voxtool.opencl.discovery import default_device, list_devices, open_device, shared_device
 
-__all__ = ["Array", "Device", "default_device", "list_devices", "open_device"]
+__all__ = ["Array", "Device", "default_device", "list_devices", "open_device", "shared_device"]

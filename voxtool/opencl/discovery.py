@@ -101,19 +101,25 @@ def open_device(choice: str | None = None, *, profile: bool = False) -> Device:
 
 
 def default_device() -> Device:
-    """The device of calls that name none: `open_device()`, once a process.
+    """The device of calls that name none: `shared_device()`."""
+    return shared_device()
+
+
+def shared_device(choice: str | None = None, *, profile: bool = False) -> Device:
+    """The device of `open_device(choice, profile=profile)`, opened once a process.
 
     It is opened again in a child process after a fork, and when $VOXTOOL_DEVICE changes. Threads
     may share it. Raises DeviceError as `open_device`.
     """
-    key = os.getpid(), os.environ.get("VOXTOOL_DEVICE")
+    choice = choice or os.environ.get("VOXTOOL_DEVICE") or None
+    key = os.getpid(), choice, profile
     with _opening:
-        if key not in _default_devices:
-            _default_devices[key] = open_device()
-        return _default_devices[key]
+        if key not in _shared:
+            _shared[key] = open_device(choice, profile=profile)
+        return _shared[key]
 
 
-_default_devices: dict[tuple[int, str | None], Device] = {}
+_shared: dict[tuple[int, str | None, bool], Device] = {}
 _opening = threading.Lock()
 
 

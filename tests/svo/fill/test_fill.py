@@ -139,21 +139,21 @@ def test_meshes_with_holes_by_winding(device: Device, data, shape) -> None:
 
 
 @pytest.mark.parametrize("missing", range(6))
-@pytest.mark.parametrize("place", [0, 100, 128])
+@pytest.mark.parametrize("place", [0, 128])
 def test_a_box_without_a_side(device: Device, missing: int, place: int) -> None:
     """Whatever side it is, and where it falls between centres or on them, most is inside."""
-    low, high = np.array([3, 3, 3]) * UNIT + place, np.array([25, 23, 21]) * UNIT + place
+    low, high = np.array([2, 2, 2]) * UNIT + place, np.array([19, 18, 17]) * UNIT + place
     mesh = meshes.open_box(low, high, missing)
-    octree, _ = assert_winding(device, mesh, (32, 28, 26))
-    assert 0.8 < octree.count / (22 * 20 * 18) < 1.06  # the layer of the lid may be inside
+    octree, _ = assert_winding(device, mesh, (22, 21, 20))
+    assert 0.8 < octree.count / (17 * 16 * 15) <= 1 + 1 / 15  # the layer of the lid may be inside
 
 
 @pytest.mark.slow
 def test_soups_by_winding(device: Device) -> None:
     """Spheres of triangles that share nothing: some missing, some twice, some turned."""
     rng = np.random.default_rng(2)
-    shape = (28, 28, 28)
-    vertices, faces = meshes.icosphere(2, 14.01, 10.0)
+    shape = (20, 20, 20)
+    vertices, faces = meshes.icosphere(2, 10.01, 7.0)
     fixed = meshes.fixed(vertices)
     for missing, turned in ((0.0, 0.0), (0.2, 0.0), (0.1, 0.1)):
         some = faces[rng.random(len(faces)) >= missing]
@@ -165,7 +165,7 @@ def test_soups_by_winding(device: Device) -> None:
         expected = winding(centres(shape), loose[0][loose[1]]).reshape(shape)
         assert (np.abs(expected - 0.5) > DOUBT).all()
         assert np.array_equal(octree.to_dense(), expected >= 0.5)
-        assert octree.count > 0.5 * 4 / 3 * np.pi * 10**3
+        assert octree.count > 0.5 * 4 / 3 * np.pi * 7**3
 
 
 def test_a_band_and_a_plane_hold_nothing(device: Device) -> None:
@@ -195,7 +195,7 @@ def test_the_number_is_of_the_whole_mesh(device: Device) -> None:
 
 
 @given(data=st.data())
-@settings(max_examples=30)
+@settings(max_examples=15)
 def test_order_changes_nothing(device: Device, data) -> None:
     shape = (16, 16, 16)
     vertices, faces = data.draw(meshes.closed_meshes(shape))

@@ -401,8 +401,9 @@ def octree_of_one_voxel(dim: int, voxel: tuple[int, int, int], mode: str) -> vox
     return voxtool.Octree.from_voxels([voxel], Grid((dim,) * 3, (0, 0, 0), (1, 1, 1)), mode=mode)
 
 
-@pytest.mark.parametrize("dim", [4096, 8192, 32768, 65536])
-@pytest.mark.parametrize("voxel", [(4, 5, 6), (3001, 2002, 1003)])
+@pytest.mark.parametrize(
+    ("dim", "voxel"), [(4096, (4, 5, 6)), (8192, (3001, 2002, 1003)), (65536, (3001, 2002, 1003))]
+)
 def test_more_samples_than_codes_have_bits_for_name_a_level_that_works(device, dim, voxel) -> None:
     octree = octree_of_one_voxel(dim, voxel, "solid")
     level, refusals = "voxel", 0
