@@ -43,7 +43,7 @@ BRICK_VOXELS = morton_decode(np.arange(BRICK_SIDE**3))  # (64, 3): the voxel of 
 
 def descend(codes: np.ndarray, levels: int = 1) -> np.ndarray:
     """Return the Morton codes of all cells a number of levels below, (8**levels n,) uint64."""
-    below = np.arange(8**levels, dtype=np.uint64)
+    below = np.arange(8**levels if len(codes) else 0, dtype=np.uint64)
     return ((codes << np.uint64(3 * levels))[:, None] | below).ravel()
 
 

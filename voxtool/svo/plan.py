@@ -75,13 +75,13 @@ class VoxelizePlan:
         by_rows = self.fill not in ("none", "flood")
         stages = {
             "survey": True,
-            "holes": self.caps > 0,
             "active nodes": True,
+            "holes": self.caps > 0,
+            "near holes": self.caps > 0,
             "octree": True,
             "crossings": by_rows,
             "rows": by_rows,
             "fill": by_rows,
-            "near holes": self.caps > 0,
             f"surface{self.surface}": self.surface != "",
             "flood": self.fill == "flood",
             "read back": self.fill != "flood",

@@ -52,6 +52,10 @@ class BitSet:
     codes: Array  # ascending Morton codes of the n cells in the set
     n: int
 
+    def get(self) -> np.ndarray:
+        """Return the codes on the host."""
+        return self.codes.get(0, self.n)
+
 
 @dataclass(frozen=True)
 class ActiveNodes:
@@ -59,7 +63,6 @@ class ActiveNodes:
 
     nodes: BitSet
     blocks: BitSet | None  # the blocks that have words, or None if all have
-    touched: np.ndarray | None  # codes of the nodes that the mesh touches; None if it touches all
 
     @property
     def lookup(self) -> dict[str, Array | None]:
@@ -129,18 +132,19 @@ class Scan:
         return bricks
 
 
-def find_active_nodes(scan: Scan, near_holes: np.ndarray | None) -> ActiveNodes:
-    """Return the level-1 nodes that triangles touch; if the mesh has caps, also those that caps
-    touch, and those whose Morton codes are `near_holes`."""
+def find_active_nodes(
+    scan: Scan, with_caps: bool = False, more: np.ndarray | None = None
+) -> ActiveNodes:
+    """Return the level-1 nodes that triangles touch, those of the caps on request, and those whose
+    Morton codes are `more`."""
     blocks = None
     if scan.plan.blocked:
         words = scan.device.zeros(max((scan.plan.side // NODE_BLOCK) ** 3 // 32, 1), np.uint32)
-        blocks, _ = _activate(scan, BLOCK_LEVEL, words, None, near_holes)
+        blocks = _activate(scan, BLOCK_LEVEL, words, None, with_caps, more)
         words = scan.device.zeros(BLOCK_WORDS * blocks.n, np.uint32)
     else:
         words = scan.device.zeros(max((scan.plan.side // CELL) ** 3 // 32, 1), np.uint32)
-    nodes, touched = _activate(scan, NODE_LEVEL, words, blocks, near_holes)
-    return ActiveNodes(nodes, blocks, touched)
+    return ActiveNodes(_activate(scan, NODE_LEVEL, words, blocks, with_caps, more), blocks)
 
 
 def _lookup(blocks: BitSet | None, words: Array, ranks: Array) -> dict[str, Array | None]:
@@ -153,20 +157,16 @@ def _activate(
     level: int,
     words: Array,
     blocks: BitSet | None,
-    near_holes: np.ndarray | None,
-) -> tuple[BitSet, np.ndarray | None]:
-    """Return the active boxes of 2**level voxels and, if the mesh has caps, the codes of those that
-    the mesh itself touches."""
+    with_caps: bool,
+    more: np.ndarray | None,
+) -> BitSet:
+    """Return the active boxes of 2**level voxels."""
     lookup = _lookup(blocks, words, words)
-    scan.set_boxes(TOUCHED, words, lookup, level)
-    found = _collect(scan, words, blocks)
-    if near_holes is None:
-        return found, None
-    touched = found.codes.get(0, found.n)
-    scan.set_boxes(TOUCHED, words, lookup, level, True)
-    codes = scan.device.put(near_holes.astype(scan.code))
-    scan.kernel(SOURCE, "activate_nodes")(codes.size, codes, level, **lookup, target=words)
-    return _collect(scan, words, blocks), touched
+    scan.set_boxes(TOUCHED, words, lookup, level, with_caps)
+    if more is not None:
+        codes = scan.device.put(more.astype(scan.code))
+        scan.kernel(SOURCE, "activate_nodes")(codes.size, codes, level, **lookup, target=words)
+    return _collect(scan, words, blocks)
 
 
 def _collect(scan: Scan, words: Array, blocks: BitSet | None) -> BitSet:

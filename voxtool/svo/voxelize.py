@@ -33,8 +33,8 @@ from voxtool.mesh.topology import (
     merged_faces,
     net_faces,
     volume,
-    watertight,
 )
+from voxtool.mesh.watertight import watertight
 from voxtool.opencl import Device, default_device
 from voxtool.svo.build import build_octree
 from voxtool.svo.fill.caps import Boundary, find_boundary
@@ -96,11 +96,11 @@ Found = TypeVar("Found")
 _found: dict[tuple[int, str], Any] = {}
 
 
-def _once(check: Callable[[Mesh], Found], mesh: Mesh) -> Found:
-    """Return check(mesh), computed once and kept as long as the mesh."""
+def _once(check: Callable[..., Found], mesh: Mesh, *more: Any) -> Found:
+    """Return check(mesh, *more), computed once and kept as long as the mesh."""
     key = id(mesh), check.__name__
     if key not in _found:
-        _found[key] = check(mesh)
+        _found[key] = check(mesh, *more)
         weakref.finalize(mesh, _found.pop, key, None)
     return _found[key]
 
@@ -142,7 +142,7 @@ class VoxelizeJob(Job[Octree]):
     @property
     def watertight(self) -> bool:
         """True if every edge has exactly two faces, which traverse it in opposite directions."""
-        return _once(watertight, self.mesh)
+        return _once(watertight, self.mesh, self.device)
 
     def place(self, mode: str, fill: str, gap: int) -> None:
         """Upload the mesh, survey it and make the plan."""
@@ -180,11 +180,17 @@ class VoxelizeJob(Job[Octree]):
         plan, scan = self.plan, Scan(self.lattice, self.plan)
         limit = self.device.max_memory if self.max_memory is None else self.max_memory
         holes = crossings = None
-        if plan.caps:
-            with self.stage("holes"):
-                holes = NearHoles(self.lattice, plan, limit)
         with self.stage("active nodes"):
-            active = find_active_nodes(scan, holes.nodes if holes else None)
+            active = find_active_nodes(scan)
+        touched = active.nodes.get() if plan.caps else None
+        if touched is not None:
+            with self.stage("holes"):
+                crossings, capped = list_crossings(scan), find_active_nodes(scan, True).nodes
+                holes = NearHoles(self.lattice, plan, limit, crossings)
+            with self.stage("near holes"):
+                nodes = holes.decide(touched, capped.get())
+                self._crowded = holes.crowded
+                active = find_active_nodes(scan, True, np.union1d(touched, nodes))
         with self.stage("octree"):
             tree = build_octree(self.device, plan.side, active.nodes.codes, active.nodes.n)
         if plan.fill in ("none", "flood"):
@@ -193,20 +199,18 @@ class VoxelizeJob(Job[Octree]):
             return self._flood(filled) if plan.fill == "flood" else self._read(filled, None)
         with self.stage("crossings"):
             if plan.listed:
-                crossings = list_crossings(scan)
+                crossings = crossings or list_crossings(scan)
                 flips = flip_changes(scan, active, crossings)
             else:
                 flips = flip_crossings(scan, active)
         filled = fill_rows(tree, flips, limit)
         del tree, flips  # frees memory if the mesh is open: `filled` then has its own
-        if holes and crossings:
-            with self.stage("near holes"):
-                holes.fill(filled.tree, filled.bricks, crossings)
-                self._crowded = holes.crowded
+        if holes:
+            holes.fill(filled.tree, filled.bricks)
         if plan.surface:
             with self.stage(f"surface{plan.surface}"):
                 filled.unite(scan.surface(active))
-        return self._read(filled, active.touched)
+        return self._read(filled, touched)
 
     def _flood(self, surface: Filled) -> Octree:
         """Return the octree of everything that the outside cannot reach through the surface."""

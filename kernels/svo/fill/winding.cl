@@ -8,9 +8,11 @@
 #include "svo/overlap.h"
 #include "spatial/angles.h"
 #include "spatial/solid_angles.h"
+#include "svo/fill/bricks.h"
 
 #define STACK ((ARITY - 1) * MAX_LEVELS + 1)
 #define SLACK 0x1p-30 // relative; above all rounding errors
+#define MINOR 0x1p-6 // over the diagonal in voxels: a part of `rest` for which edges are not examined
 
 // The box of the voxel centres of a block of 2^level voxels.
 typedef struct {
@@ -23,6 +25,9 @@ centres centres_of(ulong code, uint level)
     const centres c = {corner * VOXEL + HALF, (corner + (1 << level)) * VOXEL - HALF};
     return c;
 }
+
+// The centre of the voxel beyond the middle of a block, about which its winding number is expanded.
+int3 middle_of(centres c) { return ((c.low + c.high) >> 1) + HALF; }
 
 // A point in the frame of a tree: (units - frame.xyz) frame.w, with units of 1/256 voxel.
 double3 to_local(int3 units, double4 frame)
@@ -82,29 +87,62 @@ void child_box(__global const float *nodes, const walk *w, double3 *low, double3
 
 // ---- over blocks
 
-// A bound of the gradient of the winding number in a box, due to a boundary edge from a to b. By the
-// law of Biot and Savart it is at most the sum of dl / (4 pi r^2) along the edge, and at most
-// 1 / (2 pi r) for an edge of any length.
-double steepness_of(double3 a, double3 b, double3 low, double3 high, double radius)
+// The winding number of the caps about points d from a point: its value there, plus slope . d, plus
+// bend[0 .. 2] . d^2 and bend[3 .. 5] . (yz, xz, xy), within `rest` as long as |d| is at most `radius`.
+typedef struct {
+    double slope[3], bend[6], rest, radius;
+} expansion;
+
+double squared(double3 v) { return v.x * v.x + v.y * v.y + v.z * v.z; }
+
+double total(double8 v)
 {
-    const double3 e = b - a, way = 0.5 * (low + high) - a;
-    const double ee = e.x * e.x + e.y * e.y + e.z * e.z;
-    double t = (way.x * e.x + way.y * e.y + way.z * e.z) / (ee > 0x1p-300 ? ee : 1.0);
-    t = t > 0 ? t < 1 ? t : 1 : 0;
-    const double3 rest = way - t * e;
-    const double apart = sqrt(rest.x * rest.x + rest.y * rest.y + rest.z * rest.z) - radius;
-    const double gap = sqrt(gap_between(low, high, a < b ? a : b, a < b ? b : a));
-    const double r = apart > gap ? apart : gap;
-    const double length = sqrt(ee);
-    if (!(r > 0))
-        return INFINITY;
-    return (length < 2 * r ? length / r : 2) / (4 * PI * r);
+    const double4 halves = v.lo + v.hi;
+    const double2 quarters = halves.lo + halves.hi;
+    return quarters.x + quarters.y;
 }
 
-// The same, due to triangles of this total area at a distance from the box: each is a dipole.
-double steepness_of_area(double area, double squared_gap)
+// Add the parts of eight boundary edges from a to b; `edges` holds the x, y, z of a, then those of b, and
+// p is the point. By the law of Biot and Savart, the gradient is the integral of dl x r / (4 pi r^3)
+// = b x a s / (4 pi). What it changes by with d, along d, is (b x a . d) (grad s . d). The terms of
+// order k are at most dl radius^k / (4 pi r^(k + 1)).
+void expand_edges(expansion *e, __global const double *edges, double3 p)
 {
-    return area / (2 * PI * squared_gap * sqrt(squared_gap));
+    const double8 ax = vload8(0, edges) - p.x, ay = vload8(1, edges) - p.y, az = vload8(2, edges) - p.z;
+    const double8 bx = vload8(3, edges) - p.x, by = vload8(4, edges) - p.y, bz = vload8(5, edges) - p.z;
+    const double8 x = bx - ax, y = by - ay, z = bz - az;
+    const double8 ww = x * x + y * y + z * z, ab = ax * bx + ay * by + az * bz;
+    double8 t = -(ax * x + ay * y + az * z) / (ww > 0x1p-300 ? ww : 1.0);
+    t = t > 0.0 ? t < 1.0 ? t : 1.0 : 0.0;
+    const double8 fx = ax + t * x, fy = ay + t * y, fz = az + t * z;
+    const double8 distance = sqrt(fx * fx + fy * fy + fz * fz), ratio = e->radius / distance;
+    if (!all(ratio < 1 - SLACK)) {
+        e->rest = INFINITY;
+        return;
+    }
+    const double8 length = sqrt(ww), spans = length < 2 * distance ? length / distance : 2.0;
+    e->rest += total(spans * ratio * ratio * ratio / (1 - ratio)) / (4 * PI);
+    const double8 cx = az * by - ay * bz, cy = ax * bz - az * bx, cz = ay * bx - ax * by;
+    const double8 u = sqrt(ax * ax + ay * ay + az * az), v = sqrt(bx * bx + by * by + bz * bz), uv = u * v;
+    const double8 cc = cx * cx + cy * cy + cz * cz;
+    const double8 sum = ab < 0.0 ? cc / (uv - ab) : uv + ab; // no cancellation
+    const double8 s = (u + v) / (uv * sum), both = uv + sum;
+    // the gradient of s, from those of u, v and uv sum: -a / u, -b / v and the rest
+    const double8 of_a = s * (v * both / u + uv) - 1 / u, of_b = s * (u * both / v + uv) - 1 / v;
+    const double8 by_product = 1 / (uv * sum);
+    const double8 gx = (of_a * ax + of_b * bx) * by_product, gy = (of_a * ay + of_b * by) * by_product,
+                  gz = (of_a * az + of_b * bz) * by_product;
+    e->slope[0] += total(s * cx), e->slope[1] += total(s * cy), e->slope[2] += total(s * cz);
+    e->bend[0] += 0.5 * total(cx * gx), e->bend[1] += 0.5 * total(cy * gy), e->bend[2] += 0.5 * total(cz * gz);
+    e->bend[3] += 0.5 * total(cy * gz + cz * gy);
+    e->bend[4] += 0.5 * total(cx * gz + cz * gx);
+    e->bend[5] += 0.5 * total(cx * gy + cy * gx);
+}
+
+// What triangles of this total area at a distance add to `rest`: each is a dipole.
+double rest_of_area(const expansion *e, double area, double squared_gap)
+{
+    return e->radius * area / (2 * PI * squared_gap * sqrt(squared_gap));
 }
 
 // False only if a triangle and a box are disjoint, by a separating axis test with tolerance SLACK:
@@ -152,40 +190,41 @@ bool may_meet(const triangle *t, centres c)
 }
 
 // Parameter groups. BLOCKS: blocks of 2^level voxels, by Morton codes. HOLES: the tree over the holes;
-// the areas of its nodes and of the caps; hole h's loop, the points first[h] to first[h + 1], in the
-// frame. CAPS: the caps, and the rest of the tree over them.
+// the areas of its nodes and of the caps; hole h's edges in the frame, the groups of eight from first[h]
+// to first[h + 1]. CAPS: the caps, and the rest of the tree over them.
 #define BLOCKS __global const ulong *blocks, const uint n, const uint level, const double4 frame
 #define HOLES                                                                                          \
     __global const float *hole_nodes, __global const uint *hole_names, const uint hole_count,          \
         const uint hole_first_leaf, __global const double *areas, __global const double *hole_areas,   \
-        __global const uint *first, __global const double *loops
+        __global const uint *first, __global const double *edges
 #define CAPS                                                                                           \
     __global const uint *cap_names, const uint cap_count, const uint cap_first_leaf,                   \
         __global const int *vertices, __global const int *faces, const uint first_cap
 
-// variations[i] = a bound of the difference between the winding number of the caps at the voxels of
-// block i and in its middle; infinite if it is `limit` or more. A hole contributes the lower one of
-// two bounds: by the area of its cap, and by its edges.
-__kernel void bound_variation(BLOCKS, HOLES, const double limit, __global double *variations)
+// Expand the winding number of the caps in each block about the voxel beyond its middle: EXPANSION
+// numbers, slope, bend and rest; the rest is infinite if it is `limit` or more. A hole counts by its
+// edges, or adds to the rest by the area of its cap, if that is less.
+__kernel void expand_blocks(BLOCKS, HOLES, const double limit, __global double *expansions)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const centres c = centres_of(blocks[gid], level);
-    const double3 low = to_local(c.low, frame), high = to_local(c.high, frame), size = high - low;
-    const double radius = 0.5 * sqrt(size.x * size.x + size.y * size.y + size.z * size.z);
+    const centres box = centres_of(blocks[gid], level);
+    const double3 low = to_local(box.low, frame), high = to_local(box.high, frame);
+    const double3 middle = to_local(middle_of(box), frame);
+    expansion sum = {{0}, {0}, 0, sqrt(squared(middle - low))};
     walk w;
     start(&w);
-    double steepness = 0;
-    while (steepness * radius < limit && next_child(&w)) {
+    while (sum.rest < limit && next_child(&w)) {
         double3 box_low, box_high;
         child_box(hole_nodes, &w, &box_low, &box_high);
         if (!(box_low.x <= box_high.x))
             continue; // no child
-        const double3 box = box_high - box_low;
         const double gap = gap_between(low, high, box_low, box_high);
-        if (gap > box.x * box.x + box.y * box.y + box.z * box.z) {
-            steepness += steepness_of_area(areas[w.child], gap);
+        const double diagonal = sqrt(squared(box_high - box_low)), minor = MINOR * VOXEL * frame.w / diagonal;
+        const double part = rest_of_area(&sum, areas[w.child], gap);
+        if (part < minor) {
+            sum.rest += part;
             continue;
         }
         if (descend(&w, hole_first_leaf))
@@ -193,28 +232,31 @@ __kernel void bound_variation(BLOCKS, HOLES, const double limit, __global double
         const uint leaf = (w.child - hole_first_leaf) * LEAF;
         for (uint k = leaf; k < min(leaf + LEAF, hole_count); ++k) {
             const uint hole = hole_names[k] / 3;
-            double sum = 0;
-            double3 a = vload3(first[hole + 1] - 1, loops);
-            for (uint at = first[hole]; at < first[hole + 1]; ++at) {
-                const double3 b = vload3(at, loops);
-                sum += steepness_of(a, b, low, high, radius);
-                a = b;
-            }
-            const double by_area = steepness_of_area(hole_areas[hole], gap);
-            steepness += by_area < sum ? by_area : sum;
+            const double by_area = sum.rest + rest_of_area(&sum, hole_areas[hole], gap);
+            expansion one = sum;
+            for (uint at = first[hole]; at < first[hole + 1] && one.rest < limit; ++at)
+                expand_edges(&one, edges + 48 * (size_t)at, middle);
+            if (one.rest < by_area)
+                sum = one;
+            else
+                sum.rest = by_area;
         }
     }
-    const double variation = steepness * radius;
-    variations[gid] = variation < limit ? variation : INFINITY;
+    __global double *to = expansions + (size_t)gid * EXPANSION;
+    for (uint i = 0; i < 3; ++i)
+        to[i] = sum.slope[i] / (4 * PI);
+    for (uint i = 0; i < 6; ++i)
+        to[3 + i] = sum.bend[i] / (4 * PI);
+    to[9] = sum.rest < limit ? sum.rest : INFINITY;
 }
 
-// variations[i] = infinite if a cap may pass between the voxels of block i.
-__kernel void exclude_caps(BLOCKS, CAPS, __global const float *cap_nodes,
-                           __global double *variations)
+// met[i] = 1 if a cap may pass between the voxels of block i.
+__kernel void meet_caps(BLOCKS, CAPS, __global const float *cap_nodes, __global uchar *met)
 {
     const uint gid = get_global_id(0);
-    if (gid >= n || variations[gid] == INFINITY)
+    if (gid >= n)
         return;
+    met[gid] = 0;
     const centres c = centres_of(blocks[gid], level);
     const double3 low = to_local(c.low, frame), high = to_local(c.high, frame);
     walk w;
@@ -228,15 +270,15 @@ __kernel void exclude_caps(BLOCKS, CAPS, __global const float *cap_nodes,
         for (uint k = leaf; k < min(leaf + LEAF, cap_count); ++k) {
             const triangle t = fetch_triangle(vertices, faces, first_cap + cap_names[k] / 3);
             if (may_meet(&t, c)) {
-                variations[gid] = INFINITY;
+                met[gid] = 1;
                 return;
             }
         }
     }
 }
 
-// crowded[i] = 1 if more than `most` leaves of the caps are near every voxel of block i, as
-// subtract_caps has it.
+// crowded[i] = the number of voxels near which more than `most` leaves of the caps are, as subtract_caps
+// has it: NONE of block i, ALL of them, or SOME if this is not certain.
 __kernel void find_crowds(BLOCKS, const uint cap_first_leaf, __global const double *moments,
                           const uint most, __global uchar *crowded)
 {
@@ -244,28 +286,37 @@ __kernel void find_crowds(BLOCKS, const uint cap_first_leaf, __global const doub
     if (gid >= n)
         return;
     const centres c = centres_of(blocks[gid], level);
-    const double3 low = to_local(c.low, frame), size = to_local(c.high, frame) - low;
-    const double3 p = low + 0.5 * size;
-    const double radius = 0.5 * sqrt(size.x * size.x + size.y * size.y + size.z * size.z);
-    uint near = 0;
+    const double3 low = to_local(c.low, frame), half_size = 0.5 * (to_local(c.high, frame) - low);
+    const double3 p = low + half_size;
+    const double radius = sqrt(squared(half_size));
+    uint near_all = 0, near_any = 0;
     walk w;
     start(&w);
-    while (near <= most && next_child(&w)) {
+    while (near_all <= most && next_child(&w)) {
         __global const double *m = moments + (size_t)w.id * (MOMENTS * ARITY) + w.i;
-        const double x = m[0] - p.x, y = m[ARITY] - p.y, z = m[2 * ARITY] - p.z;
-        const double reach = m[3 * ARITY] > 0 ? sqrt(m[3 * ARITY]) * (1 - SLACK) - radius : 0;
-        const bool within = reach > 0 && x * x + y * y + z * z < reach * reach;
-        near += within && !descend(&w, cap_first_leaf);
+        if (m[3 * ARITY] < 0)
+            continue; // no child
+        const double3 way = (double3)(m[0], m[ARITY], m[2 * ARITY]) - p;
+        const double distance = sqrt(squared(way)), reach = sqrt(m[3 * ARITY]);
+        if (distance > reach * (1 + SLACK) + radius || descend(&w, cap_first_leaf))
+            continue;
+        ++near_any;
+        near_all += distance < reach * (1 - SLACK) - radius;
     }
-    crowded[gid] = near > most;
+    crowded[gid] = near_all > most ? ALL : near_any > most ? SOME : NONE;
 }
 
 // ---- at voxels
 
-// The sum of the crossings of a row up to a voxel: +1 where the row enters, -1 where it leaves.
-int number_before(__global const ulong *crossings, uint n, uint x_bits, ulong row, int x)
+// Parameter group: the sorted crossings of the rows of the grid.
+#define CROSSINGS                                                                                      \
+    const int3 shape, __global const ulong *crossings, const uint count, const uint x_bits
+
+// The first crossing of row (j, k), or of a later one.
+uint first_crossing(CROSSINGS, int j, int k)
 {
-    uint low = 0, high = n; // the first crossing of the row
+    const ulong row = (ulong)k * shape.y + j;
+    uint low = 0, high = count;
     while (low < high) {
         const uint middle = low + (high - low) / 2;
         if (crossings[middle] >> x_bits < row)
@@ -273,10 +324,17 @@ int number_before(__global const ulong *crossings, uint n, uint x_bits, ulong ro
         else
             high = middle;
     }
-    const ulong end = (row << x_bits) + ((ulong)(x + 2) << 2);
+    return low;
+}
+
+// Sum the crossings of a row up to voxel (i, j, k), from crossing *at on, which is moved to the first
+// one beyond: +1 where the row enters, -1 where it leaves.
+int number_until(CROSSINGS, int i, int j, int k, uint *at)
+{
+    const ulong end = (((ulong)k * shape.y + j) << x_bits) + ((ulong)(i + 2) << 2);
     int number = 0;
-    for (; low < n && crossings[low] < end; ++low)
-        number += crossings[low] & ENTERS ? 1 : -1;
+    for (; *at < count && crossings[*at] < end; ++*at)
+        number += crossings[*at] & ENTERS ? 1 : -1;
     return number;
 }
 
@@ -356,18 +414,18 @@ double number_of(const triangle *t, int3 centre)
 
 // numbers[i] = the sum of the crossings of a row before the shifted centre of voxel voxels[i];
 // BEYOND_GRID for voxels beyond the grid.
-__kernel void number_voxels(__global const ulong *voxels, const uint n, const int3 shape,
-                            __global const ulong *crossings, const uint count, const uint x_bits,
+__kernel void number_voxels(__global const ulong *voxels, const uint n, CROSSINGS,
                             __global double *numbers)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     const int3 voxel = convert_int3(morton_decode(voxels[gid]));
-    const ulong row = (ulong)voxel.z * shape.y + voxel.y;
-    numbers[gid] = any(voxel >= shape)
-                       ? BEYOND_GRID
-                       : number_before(crossings, count, x_bits, row, voxel.x);
+    numbers[gid] = BEYOND_GRID;
+    if (any(voxel >= shape))
+        return;
+    uint at = first_crossing(shape, crossings, count, x_bits, voxel.y, voxel.z);
+    numbers[gid] = number_until(shape, crossings, count, x_bits, voxel.x, voxel.y, voxel.z, &at);
 }
 
 // Subtract the winding number of the caps about the shifted centres of voxels. Near triangles are
@@ -419,9 +477,133 @@ __kernel void subtract_caps(__global const ulong *voxels, const uint n, const do
             near += number_of(&t, centre);
         }
     }
-    const double4 halves = angles.lo + angles.hi;
-    const double2 quarters = halves.lo + halves.hi;
-    numbers[gid] = numbers[gid] - (quarters.x + quarters.y) / (4 * PI) - near;
+    numbers[gid] = numbers[gid] - total(angles) / (4 * PI) - near;
+}
+
+// The sums of the caps over a brick; false if more than `most` leaves are near it.
+bool sum_brick(brick_sums *sums, int3 low, double4 frame, CAPS, __global const double *moments,
+               __global const double *cap_areas, double reach, uint most)
+{
+    const int3 first = low * VOXEL + HALF;
+    const double3 p = to_local(low * VOXEL + 2 * VOXEL, frame);
+    const double voxels = 1 / (VOXEL * frame.w);
+    uint leaves = 0;
+    walk w;
+    start(&w);
+    while (next_child(&w)) {
+        __global const double *m = moments + (size_t)w.id * (MOMENTS * ARITY) + w.i;
+        if (m[3 * ARITY] < 0)
+            continue; // no child
+        const double x = m[0] - p.x, y = m[ARITY] - p.y, z = m[2 * ARITY] - p.z;
+        const double distance = sqrt(x * x + y * y + z * z) * voxels, far = sqrt(m[3 * ARITY]) * voxels;
+        const double area = cap_areas[w.child] * voxels * voxels;
+        if (is_linear(sums, distance, far, far / reach, area)) {
+            sums->far += angles_at_corners(m, p, SPREAD / (float)voxels);
+            continue;
+        }
+        if (descend(&w, cap_first_leaf))
+            continue;
+        if (++leaves > most)
+            return false;
+        const uint leaf = (w.child - cap_first_leaf) * LEAF;
+        for (uint k = leaf; k < min(leaf + LEAF, cap_count); ++k) {
+            const triangle t = fetch_triangle(vertices, faces, first_cap + cap_names[k] / 3);
+            add_triangle(sums, &t, first);
+        }
+    }
+    return true;
+}
+
+// For each brick: inside[i] = the voxels of winding number 1/2 or more; open[i] = those that are left to
+// decide, because their number may be within `doubt` of 1/2, or more than `most` leaves of the caps are
+// near the brick; same[i] = 1 if none is left, and those inside are those that N >= 1 gives.
+__kernel void decide_bricks(__global const ulong *bricks, const uint n, const double4 frame, CROSSINGS,
+                            CAPS, __global const double *moments, __global const double *cap_areas,
+                            const double reach, const uint most, const double doubt,
+                            __global ulong *inside, __global ulong *open, __global uchar *same)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const int3 low = convert_int3(morton_decode(bricks[gid])) << BRICK_LEVEL;
+    brick_sums sums = {0};
+    const bool summed = sum_brick(&sums, low, frame, cap_names, cap_count, cap_first_leaf, vertices, faces,
+                                  first_cap, moments, cap_areas, reach, most);
+    float caps[16 * PER_BRICK], far[8];
+    int vague[16 * PER_BRICK];
+    for (uint g = 0; g < PER_BRICK; ++g) {
+        vstore16(sums.near[g] / (float)(2 * PI), g, caps);
+        vstore16(sums.vague[g], g, vague);
+    }
+    vstore8(sums.far / (float)(4 * PI), 0, far);
+    const float margin = (float)(doubt + sums.error);
+    ulong in = 0, left = 0, enclosed = 0;
+    for (uint row = 0; row < 16; ++row) {
+        const int j = row & 3, k = row >> 2;
+        const float y = j / (2 * SPREAD), z = k / (2 * SPREAD);
+        const float begin = mix_of(mix_of(far[0], far[2], y), mix_of(far[4], far[6], y), z);
+        const float end = mix_of(mix_of(far[1], far[3], y), mix_of(far[5], far[7], y), z);
+        if (low.y + j >= shape.y || low.z + k >= shape.z)
+            continue;
+        uint at = first_crossing(shape, crossings, count, x_bits, low.y + j, low.z + k);
+        int number = 0;
+        for (int i = 0; i < 4 && low.x + i < shape.x; ++i) {
+            number += number_until(shape, crossings, count, x_bits, low.x + i, low.y + j, low.z + k, &at);
+            const uint place = voxel_place((uint3)(i, j, k));
+            const float over = number - caps[place] - mix_of(begin, end, i / (2 * SPREAD)) - 0.5f;
+            in |= (ulong)(over >= 0) << place;
+            left |= (ulong)(!(over > margin || over < -margin) || vague[place] || !summed) << place;
+            enclosed |= (ulong)(number >= 1) << place;
+        }
+    }
+    inside[gid] = in;
+    open[gid] = left;
+    same[gid] = in == enclosed && !left;
+}
+
+// Decide the voxels of bricks as decide_bricks does, by the expansion of brick i's block, parents[i].
+// `values` holds the winding number of the mesh about the voxel beyond the block's middle; that of its
+// caps, negated, if `counted`: then the mesh crosses the block and no cap does, and the crossings
+// before each voxel are added.
+__kernel void decide_by_expansions(__global const ulong *bricks, const uint n, const double4 frame,
+                                   CROSSINGS, __global const uint *parents,
+                                   __global const ulong *blocks, __global const uchar *levels,
+                                   __global const double *expansions, __global const double *values,
+                                   __global const uchar *counted, __global ulong *inside,
+                                   __global ulong *open, __global uchar *same)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint block = parents[gid];
+    const int3 low = convert_int3(morton_decode(bricks[gid])) << BRICK_LEVEL;
+    const int3 middle = middle_of(centres_of(blocks[block], levels[block]));
+    const double3 d0 = convert_double3(low * VOXEL + HALF - middle) * frame.w;
+    __global const double *e = expansions + (size_t)block * EXPANSION;
+    const double margin = e[EXPANSION - 1], voxel = VOXEL * frame.w;
+    ulong in = 0, left = 0, enclosed = 0;
+    for (uint row = 0; row < 16; ++row) {
+        const int j = row & 3, k = row >> 2;
+        if (low.y + j >= shape.y || low.z + k >= shape.z)
+            continue;
+        const double y = d0.y + j * voxel, z = d0.z + k * voxel;
+        uint at = first_crossing(shape, crossings, count, x_bits, low.y + j, low.z + k);
+        int number = 0;
+        for (int i = 0; i < 4 && low.x + i < shape.x; ++i) {
+            const double x = d0.x + i * voxel;
+            number += number_until(shape, crossings, count, x_bits, low.x + i, low.y + j, low.z + k, &at);
+            const double change = x * (e[0] + e[3] * x + e[7] * z + e[8] * y) + y * (e[1] + e[4] * y + e[6] * z) +
+                                  z * (e[2] + e[5] * z);
+            const double over = values[block] - change + (counted[block] ? number : 0) - 0.5;
+            const uint place = voxel_place((uint3)(i, j, k));
+            in |= (ulong)(over >= 0) << place;
+            left |= (ulong)!(over > margin || over < -margin) << place;
+            enclosed |= (ulong)(number >= 1) << place;
+        }
+    }
+    inside[gid] = in;
+    open[gid] = left;
+    same[gid] = in == enclosed && !left;
 }
 
 // bricks[places[i]] = masks[i].

@@ -387,7 +387,7 @@ def test_holes_may_not_outgrow_the_memory(device: Device) -> None:
     vertices, faces = meshes.box((256, 256, 256), (60000, 60000, 60000))
     corner = vertices, faces[[0, 2, 4, 6, 8]]  # a saddle, which no fan is near to
     with pytest.raises(MemoryLimitError, match="near the holes of this mesh"):
-        run(device, corner, (256,) * 3, "winding", max_memory=30_000_000)
+        run(device, corner, (256,) * 3, "winding", max_memory=10_000_000)
 
 
 # ---- flood

@@ -6,14 +6,18 @@ row before the centre, counted +1 where the row enters and -1 where it leaves (d
 voxel is inside if N >= w(C) + 1/2.
 
 Away from holes, w(C) lies between -1/2 and 1/2, and the condition is N >= 1. Blocks of voxels are
-examined from the octree's root down. For a block, the law of Biot and Savart bounds how much w(C)
-can differ from its value in the middle: its gradient is at most the sum of dl / (4 pi r^2) over the
-boundary. If the condition is N >= k, with one integer k, in the whole block, k is kept; otherwise
-the block is split. In the bricks that remain, each voxel is decided separately.
+examined from the octree's root down. w(M) is smooth where M does not pass, also across caps, and
+w(C) is smooth where caps do not pass. By the law of Biot and Savart, its derivatives are integrals
+along the boundary: a sum over the boundary's edges gives the polynomial of second order about the
+block's middle, and a bound of the rest. Together with the number in the middle, it decides blocks
+at once, or all voxels except a few near the level set of 1/2; otherwise the block is split. In
+the bricks that remain, near the boundary and where M and C pass together, the number at all voxels
+is summed in single precision: near triangles one by one, and farther ones at the brick's corners.
 
-At a voxel, a triangle of a near cap counts by one crossing of the row, decided by integers with the
-tie rule, and the angles of the strips that its three edges sweep towards +x. With vectors a and b
-from the centre to an edge's ends, and their y and z as complex numbers u and v,
+Voxels whose number is too near to 1/2 for that are decided separately. There, a triangle of a near
+cap counts by one crossing of the row, decided by integers with the tie rule, and the angles of the
+strips that its three edges sweep towards +x. With vectors a and b from the centre to an edge's
+ends, and their y and z as complex numbers u and v,
 
     w = crossing + sum of arg(conj(u) v + (|a| + ax) (|b| + bx)) / 2 pi.
 
@@ -29,6 +33,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -46,6 +51,7 @@ from voxtool.svo.fill.rows import Crossings
 from voxtool.svo.lattice import LatticeMesh
 from voxtool.svo.layout import BRICK, BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES, descend
 from voxtool.svo.plan import VoxelizePlan
+from voxtool.svo.scan import NODE_LEVEL
 from voxtool.vector import cross, length
 
 SOURCE = "svo/fill/winding.cl"
@@ -55,26 +61,39 @@ SOURCE = "svo/fill/winding.cl"
 # grow by the fourth root of m to compensate.
 REACHES = ((2.0, 2.0**-6), (4.0, 2.0**-9), (10.0, 2.0**-14), (24.0, 0.0))
 DOUBT = REACHES[0][1]
+SINGLE_DOUBT = 2.0**-7  # the same for single precision, beside DOUBT
+MIDDLE = 2  # the reach of numbers in the middle of blocks
+LIMIT = 0.5  # of a useful expansion's error
+TAKEN_LEVEL = 4  # of the largest blocks whose bricks are decided by one expansion
+EXPANSION = 10  # numbers
+MOST_LEFT = 0.5  # share of level-1 nodes without an answer, up to which their bricks are expanded
+NONE, SOME, ALL = range(3)  # voxels
 HALF = 0.5 - 2.0**-21  # 1/2 minus the rounding error
 BEYOND_GRID = 1 << 30  # number of a voxel beyond the grid
-BY_VOXEL = BEYOND_GRID  # in place of a brick's threshold
 BRICK_LEVEL = BRICK_SIDE.bit_length() - 1
 BATCH = 1 << 14  # bricks whose voxels are computed in one launch
-HEADERS = {"svo/fill/winding.h": program.c_constants(BEYOND_GRID=BEYOND_GRID)}
+HEADERS = {
+    "svo/fill/winding.h": program.c_constants(
+        BEYOND_GRID=BEYOND_GRID,
+        BRICK_LEVEL=BRICK_LEVEL,
+        EXPANSION=EXPANSION,
+        NONE=NONE,
+        SOME=SOME,
+        ALL=ALL,
+    )
+}
 
 
 class NearHoles:
-    """The bricks in which N >= 1 does not decide; `nodes` holds the ascending Morton codes of the
-    level-1 nodes that contain them.
+    """The bricks in which N >= 1 does not decide, once they are found by `decide`."""
 
-    Raises MemoryLimitError if these bricks need an octree of more than max_memory bytes.
-    """
-
-    def __init__(self, mesh: LatticeMesh, plan: VoxelizePlan, max_memory: int) -> None:
+    def __init__(
+        self, mesh: LatticeMesh, plan: VoxelizePlan, max_memory: int, crossings: Crossings
+    ) -> None:
         assert mesh.caps is not None
         self._device, self._max_memory, caps = mesh.device, max_memory, mesh.caps
         self._options: dict[str, int | str] = {"CODE": "ulong"} | ({"WIDE": 1} if plan.wide else {})
-        self._crowd = plan.crowd
+        self._crowd, self._side, self._shape = plan.crowd, plan.side, plan.shape
         points = mesh.fixed.astype(np.float64)
         cap_mesh = Mesh(points, caps.faces)
         tree = build_tree(self._device, cap_mesh, np.zeros(len(caps.faces), np.uint8))
@@ -85,13 +104,18 @@ class NearHoles:
         ]
         holes = build_tree(self._device, _boxes(points, caps), np.zeros(caps.holes, np.uint8))
         unit = float(np.ldexp(1.0, -tree.frame.exponent))
+        self._voxel = unit * 2**FIXED_POINT_BITS  # a voxel's side in the frame
         a, b, c = (unit * points[caps.faces[:, i]] for i in range(3))
         areas = length(cross(b - a, c - a)) / 2
         by_hole = np.add.reduceat(areas, caps.first[:-1] - 2 * np.arange(caps.holes))
-        self._frame = tree.frame
+        first, edges = _groups(caps, tree.frame.local(points))
+        self._may_crowd = tree.count > LEAF * plan.crowd
         self.crowded = False  # whether more caps are near some voxels than are summed
         self._arguments: dict[str, Any] = {  # of kernels
             "shape": plan.shape,
+            "crossings": crossings.keys,
+            "count": crossings.n,
+            "x_bits": crossings.x_bits,
             "frame": (*tree.frame.centre, unit),
             "vertices": mesh.vertices,
             "faces": mesh.faces,
@@ -101,70 +125,131 @@ class NearHoles:
             "cap_leaves": tree.leaves,
             "cap_count": tree.count,
             "cap_first_leaf": tree.first_leaf,
+            "cap_areas": self._device.put(_sums(tree, areas)),
             "hole_nodes": holes.nodes,
             "hole_names": holes.names,
             "hole_count": holes.count,
             "hole_first_leaf": holes.first_leaf,
-            "first": self._device.put(caps.first.astype(np.uint32)),
-            "loops": self._device.put(tree.frame.local(points[caps.loops])),
+            "first": self._device.put(first),
+            "edges": self._device.put(edges),
             "areas": self._device.put(_sums(holes, by_hole)),
             "hole_areas": self._device.put(by_hole),
         }
-        self._bricks, self._thresholds = self._find_bricks(plan.side, plan.shape)
-        self.nodes = np.unique(self._bricks >> np.uint64(3))
+
+    def decide(self, touched: np.ndarray, capped: np.ndarray) -> np.ndarray:
+        """Find the bricks and their voxels. Return the ascending Morton codes of the level-1 nodes
+        that contain them.
+
+        `touched` holds the ascending codes of the level-1 nodes that the mesh touches, and `capped`
+        those that the mesh or its caps touch. Raises MemoryLimitError if the bricks need an octree
+        of more than max_memory bytes.
+        """
+        self._touched, self._capped = touched.astype(np.uint64), capped.astype(np.uint64)
+        found, bricks, left = [], 0, 0.0
+        blocks = np.zeros(1, np.uint64)
+        for level in range(self._side.bit_length() - 1, BRICK_LEVEL - 1, -1):
+            if level == BRICK_LEVEL and left > MOST_LEFT:
+                break
+            expanded, rest = self._examine(blocks, level)
+            left, blocks = len(rest) / max(len(blocks), 1), rest
+            found.append(expanded)
+            bricks += len(expanded.blocks) * 8 ** (level - BRICK_LEVEL)
+            self._refuse_beyond(bricks + len(blocks))
+            if level > BRICK_LEVEL:
+                blocks = self._within(descend(blocks), level - 1)
+        parts = [self._by_expansions(found), self._by_sums(blocks)]
+        codes, masks = (np.concatenate(each) for each in zip(*parts, strict=True))
+        order = np.argsort(codes)
+        self._bricks, self._masks = codes[order], masks[order]
+        return np.unique(self._bricks >> np.uint64(3))
+
+    def _within(self, blocks: np.ndarray, level: int) -> np.ndarray:
+        """Return the blocks that reach into the grid."""
+        return blocks[(morton_decode(blocks) << level < self._shape).all(axis=1)]
 
     def _kernel(self, name: str) -> Callable[..., None]:
         """Return a kernel compiled with the plan's options."""
         return self._device.kernel(SOURCE, name, **self._options)
 
-    def _find_thresholds(self, blocks: np.ndarray, level: int) -> np.ndarray:
-        """Return (n,) int64, the least N inside of blocks of 2**level voxels, or BY_VOXEL."""
-        free = ~self._find_crowds(blocks, level)
-        thresholds = np.ones(len(blocks), np.int64)
-        thresholds[free] = self._thresholds_by_bounds(blocks[free], level)
-        return thresholds
+    def _examine(self, blocks: np.ndarray, level: int) -> tuple[_Expanded, np.ndarray]:
+        """Return the blocks of 2**level voxels that expansions decide, except a few voxels, and
+        those that are left; N >= 1 decides all others."""
+        crowds = self._find_crowds(blocks, level)
+        blocks, free = blocks[crowds != ALL], crowds[crowds != ALL] == NONE
+        meshed, capped = (_touches(n, blocks, level) for n in (self._touched, self._capped))
+        met = meshed & free
+        met[met] = self._meet_caps(blocks[met], level)
+        some = np.flatnonzero(free & ~met)
+        expansions = self._expand(blocks[some], level)
+        near = np.isfinite(expansions[:, -1])
+        some, expansions = some[near], expansions[near]
+        numbers, values = self._middle_numbers(blocks[some], level)
+        expansions[:, -1] += REACHES[MIDDLE][1]
+        counted = meshed[some]
+        values[counted] -= numbers[counted]
+        low, high = self._ranges(expansions, values, level)
+        alike = np.where(counted, (low > -0.5) & (high < 0.5), (low > 0.5) | (high < 0.5))
+        as_counted = (low > 0.5) == (numbers >= 1)
+        done = alike & (counted | (~capped[some] & as_counted))
+        rest, slope = expansions[:, -1], length(expansions[:, :3]) * self._voxel
+        taken = alike | (rest < slope / 2**level) | ((level == BRICK_LEVEL) & (rest < DOUBT))
+        taken &= (numbers != BEYOND_GRID) & (level <= TAKEN_LEVEL) & ~done
+        done &= numbers != BEYOND_GRID
+        left = np.ones(len(blocks), bool)
+        left[some[done | taken]] = False
+        of = (blocks[some[taken]], level, expansions[taken], values[taken], counted[taken])
+        return _Expanded(*of), blocks[left]
+
+    def _expand(self, blocks: np.ndarray, level: int) -> np.ndarray:
+        """Return (n, EXPANSION) float64 expansions of w(C) in blocks about the voxels beyond their
+        middles."""
+        n = len(blocks)
+        codes, found = self._device.put(blocks), self._device.empty(n * EXPANSION, np.float64)
+        self._kernel("expand_blocks")(n, codes, level, LIMIT, found, **self._arguments)
+        return found.take().reshape(n, EXPANSION)
+
+    def _meet_caps(self, blocks: np.ndarray, level: int) -> np.ndarray:
+        """Return (n,) bool, False where no cap passes between the voxels of a block."""
+        n = len(blocks)
+        codes, met = self._device.put(blocks), self._device.empty(n, np.uint8)
+        self._kernel("meet_caps")(n, codes, level, met=met, **self._arguments)
+        return met.take() != 0
+
+    def _middle_numbers(self, blocks: np.ndarray, level: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return (n,) float64 numbers N and w(M) at the voxels beyond the middles of blocks."""
+        voxels = blocks << np.uint64(3 * level) | np.uint64(7 << 3 * (level - 1))
+        return self._numbers(voxels, None), self._numbers(voxels, self._windings[MIDDLE])
+
+    def _ranges(
+        self, expansions: np.ndarray, values: np.ndarray, level: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return (n,) float64 bounds from below and above of expanded numbers at voxels."""
+        half = 2 ** (level - 1) * self._voxel
+        slope, bend = expansions[:, :3], expansions[:, 3:9]
+        sizes = np.sqrt((bend[:, :3] ** 2).sum(axis=1) + (bend[:, 3:] ** 2).sum(axis=1) / 2)
+        spread = 3 * half**2 * sizes + half * np.abs(slope).sum(axis=1)
+        spread += expansions[:, -1]
+        return values - spread, values + spread
 
     def _find_crowds(self, blocks: np.ndarray, level: int) -> np.ndarray:
-        """Return (n,) bool, True for blocks with more than CROWD leaves near every voxel."""
+        """Return (n,) uint8, ALL for blocks with more than CROWD leaves near every voxel, SOME if
+        that may be so for some voxels, otherwise NONE."""
         n = len(blocks)
-        if self._arguments["cap_count"] <= LEAF * self._crowd:
-            return np.zeros(n, bool)
+        if not self._may_crowd:
+            return np.full(n, NONE, np.uint8)
         codes, found = self._device.put(blocks), self._device.empty(n, np.uint8)
         most = {"moments": self._windings[0].moments, "most": self._crowd}
         self._kernel("find_crowds")(n, codes, level, crowded=found, **most, **self._arguments)
-        crowded = found.take() != 0
-        self.crowded |= bool(crowded.any())
-        return crowded
+        found = found.take()
+        self.crowded |= bool((found == ALL).any())
+        return found
 
-    def _thresholds_by_bounds(self, blocks: np.ndarray, level: int) -> np.ndarray:
-        """Return the same where no more than CROWD leaves are near."""
-        variations = self._variations(blocks, level)
-        near = np.flatnonzero(np.isfinite(variations))
-        middles = (morton_decode(blocks[near]) * 2 + 1) << (level - 1 + FIXED_POINT_BITS)
-        at = self._device.put(self._frame.local(middles.astype(np.float64)))
-        half_more = self._windings[0].at_local(at, len(near)).take() + 0.5
-        known = np.abs(half_more - np.rint(half_more)) > variations[near] + DOUBT
-        thresholds = np.full(len(blocks), BY_VOXEL)
-        thresholds[near[known]] = np.ceil(half_more[known])
-        return thresholds
-
-    def _variations(self, blocks: np.ndarray, level: int) -> np.ndarray:
-        """Return (n,) float64 bounds of the difference of w(C) to its value in a block's middle;
-        infinite if the bound is 1/2 or more, or a cap passes between the voxels."""
-        n = len(blocks)
-        codes, variations = self._device.put(blocks), self._device.empty(n, np.float64)
-        self._kernel("bound_variation")(n, codes, level, 0.5 - DOUBT, variations, **self._arguments)
-        self._kernel("exclude_caps")(n, codes, level, variations, **self._arguments)
-        return variations.take()
-
-    def _numbers(
-        self, voxels: np.ndarray, crossings: Crossings, winding: WindingNumber | None
-    ) -> np.ndarray:
+    def _numbers(self, voxels: np.ndarray, winding: WindingNumber | None) -> np.ndarray:
         """Return (n,) float64 winding numbers at voxels, given by Morton codes: of the mesh, or
         of the mesh with its caps if `winding`, the winding number of the caps, is None."""
-        n, listed = len(voxels), (crossings.keys, crossings.n, crossings.x_bits)
+        n = len(voxels)
         codes, numbers = self._device.put(voxels), self._device.empty(n, np.float64)
-        self._kernel("number_voxels")(n, codes, *listed, numbers, **self._arguments)
+        self._kernel("number_voxels")(n, codes, numbers, **self._arguments)
         if winding:
             most = int(self._crowd * (winding.reach / self._windings[0].reach) ** 2)
             subtract_caps = self._kernel("subtract_caps")
@@ -173,28 +258,63 @@ class NearHoles:
             self.crowded |= bool(crowds.take()[0])
         return numbers.take()
 
-    def _find_bricks(self, side: int, shape: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-        """Return (n,) uint64 ascending codes of bricks, and (n,) int64 least N or BY_VOXEL."""
-        codes, thresholds = [], []
-        blocks = np.zeros(1, np.uint64)
-        for level in range(side.bit_length() - 1, BRICK_LEVEL - 1, -1):
-            threshold = self._find_thresholds(blocks, level)
-            unlike = (threshold != 1) & (threshold != BY_VOXEL)
-            self._refuse_beyond(int(unlike.sum()) * 8 ** (level - BRICK_LEVEL) + len(blocks))
-            if unlike.any():
-                inner = descend(blocks[unlike], level - BRICK_LEVEL)
-                codes.append(inner)
-                thresholds.append(np.repeat(threshold[unlike], len(inner) // unlike.sum()))
-            blocks = blocks[threshold == BY_VOXEL]
-            if level > BRICK_LEVEL:
-                blocks = descend(blocks, 1)
-                low = morton_decode(blocks) << (level - 1)
-                blocks = blocks[(low < shape).all(axis=1)]
-        codes.append(blocks)
-        thresholds.append(np.full(len(blocks), BY_VOXEL))
-        found, threshold = np.concatenate(codes), np.concatenate(thresholds)
-        order = np.argsort(found)
-        return found[order], threshold[order]
+    def _by_expansions(self, found: list[_Expanded]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the codes and masks of the bricks in expanded blocks that N >= 1 does not
+        decide."""
+        parts = [self._within(descend(f.blocks, f.level - BRICK_LEVEL), BRICK_LEVEL) for f in found]
+        bricks = np.concatenate(parts)
+        levels = np.repeat([f.level for f in found], [len(f.blocks) for f in found])
+        arrays = {
+            name: np.concatenate([getattr(f, name) for f in found])
+            for name in ("blocks", "expansions", "values", "counted")
+        }
+        starts = arrays["blocks"] << (3 * (levels - BRICK_LEVEL)).astype(np.uint64)
+        order = np.argsort(starts)
+        parents = order[np.searchsorted(starts[order], bricks, "right") - 1]
+        arrays |= {"parents": parents.astype(np.uint32), "levels": levels.astype(np.uint8)}
+        arrays["counted"] = arrays["counted"].astype(np.uint8)
+        of = {name: self._device.put(values) for name, values in arrays.items()}
+        return self._decided("decide_by_expansions", bricks, MIDDLE, **of)
+
+    def _by_sums(self, bricks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the same of bricks in which every voxel's number is summed."""
+        winding = self._windings[0]
+        return self._decided(
+            "decide_bricks", bricks, 0 if self._may_crowd else 1, moments=winding.moments,
+            reach=winding.reach, most=self._crowd, doubt=DOUBT + SINGLE_DOUBT,
+        )  # fmt: skip
+
+    def _decided(
+        self, kernel: str, bricks: np.ndarray, first: int, **arguments: Any
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the codes and masks of the bricks that N >= 1 does not decide, by a kernel, and
+        by precise numbers at the voxels that it leaves open."""
+        n = len(bricks)
+        inside, left = (self._device.empty(n, BRICK) for _ in range(2))
+        same = self._device.empty(n, np.uint8)
+        results = {"inside": inside, "open": left, "same": same}
+        codes = self._device.put(bricks)
+        self._kernel(kernel)(n, bricks=codes, **results, **arguments, **self._arguments)
+        kept = same.take() == 0
+        bricks, masks, left = bricks[kept], inside.take()[kept], left.take()[kept]
+        brick = np.flatnonzero(left)
+        for start in range(0, len(brick), BATCH):
+            part = brick[start : start + BATCH]
+            asked = np.flatnonzero(_unpacked(left[part]))
+            voxels = descend(bricks[part], BRICK_LEVEL)[asked]
+            found = _unpacked(masks[part])
+            found[asked] = self._precise_numbers(voxels, first) >= HALF
+            masks[part] = np.packbits(found, bitorder="little").view(BRICK)
+        return bricks, masks
+
+    def _precise_numbers(self, voxels: np.ndarray, first: int) -> np.ndarray:
+        """Return (n,) float64 winding numbers at voxels in the grid, with moments used beyond
+        the `first` of the reaches. Those near 1/2 are computed again, with the next one."""
+        numbers, asked = np.empty(len(voxels)), np.arange(len(voxels))
+        for winding, (_, doubt) in zip(self._windings[first:], REACHES[first:], strict=True):
+            numbers[asked] = self._numbers(voxels[asked], winding)
+            asked = asked[np.abs(numbers[asked] - 0.5) < doubt]
+        return numbers
 
     def _refuse_beyond(self, bricks: int) -> None:
         """Raise MemoryLimitError if this number of bricks does not fit; no plan predicts it."""
@@ -206,34 +326,40 @@ class NearHoles:
                 "another fill"
             )
 
-    def fill(self, tree: DeviceOctree, bricks: Array, crossings: Crossings) -> None:
+    def fill(self, tree: DeviceOctree, bricks: Array) -> None:
         """Write these bricks into those of an octree in which their nodes are refined."""
         level1 = tree.refined[0]
         node = np.searchsorted(level1.codes.get(0, level1.n), self._bricks >> np.uint64(3))
         places = 8 * node + (self._bricks & np.uint64(7)).astype(np.int64)
         device = bricks.device
-        masks, at = device.put(self._masks(crossings)), device.put(places.astype(np.uint32))
+        masks, at = device.put(self._masks), device.put(places.astype(np.uint32))
         self._kernel("place_bricks")(len(places), masks, at, bricks)
 
-    def _masks(self, crossings: Crossings) -> np.ndarray:
-        """Return (n,) uint64 masks of the voxels inside. Numbers near 1/2 are computed again, with
-        moments used only at a larger distance."""
-        masks = np.empty(len(self._bricks), BRICK)
-        for start in range(0, len(masks), BATCH):
-            part = slice(start, start + BATCH)
-            threshold = np.repeat(self._thresholds[part].astype(np.float64), BRICK_SIDE**3)
-            voxels = descend(self._bricks[part], BRICK_LEVEL)
-            numbers = np.empty(len(voxels))
-            single = threshold == BY_VOXEL
-            threshold[single] = HALF
-            numbers[~single] = self._numbers(voxels[~single], crossings, None)
-            asked = np.flatnonzero(single)
-            for winding, (_, doubt) in zip(self._windings, REACHES, strict=True):
-                numbers[asked] = self._numbers(voxels[asked], crossings, winding)
-                asked = asked[np.abs(numbers[asked] - 0.5) < doubt]
-            inside = (numbers >= threshold) & (numbers != BEYOND_GRID)
-            masks[part] = np.packbits(inside, bitorder="little").view(BRICK)
-        return masks
+
+@dataclass(frozen=True)
+class _Expanded:
+    """Blocks of 2**level voxels with the arguments of the kernel decide_by_expansions."""
+
+    blocks: np.ndarray
+    level: int
+    expansions: np.ndarray
+    values: np.ndarray
+    counted: np.ndarray
+
+
+def _touches(nodes: np.ndarray, blocks: np.ndarray, level: int) -> np.ndarray:
+    """Return (n,) bool, True for blocks of 2**level voxels in which, or for bricks around which,
+    there are level-1 nodes, given by ascending codes."""
+    if level < NODE_LEVEL:
+        blocks, level = blocks >> np.uint64(3 * (NODE_LEVEL - level)), NODE_LEVEL
+    shift = np.uint64(3 * (level - NODE_LEVEL))
+    first, end = (np.searchsorted(nodes, each << shift) for each in (blocks, blocks + np.uint64(1)))
+    return end > first
+
+
+def _unpacked(masks: np.ndarray) -> np.ndarray:
+    """Return (64 n,) bool voxels of (n,) masks."""
+    return np.unpackbits(masks.view(np.uint8), bitorder="little").view(bool)
 
 
 def _boxes(points: np.ndarray, caps: Caps) -> Mesh:
@@ -243,6 +369,20 @@ def _boxes(points: np.ndarray, caps: Caps) -> Mesh:
     low_corner = np.arange(caps.holes, dtype=np.int32)
     high_corner = low_corner + caps.holes
     return Mesh(np.concatenate([low, high]), np.stack([low_corner, high_corner, high_corner], 1))
+
+
+def _groups(caps: Caps, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the boundary edges in groups of eight: the first group of each hole, (H + 1,) uint32,
+    and (groups, 6, 8) float64, the x, y, z of an edge's start and of its end. The last group of a
+    hole is filled with its last vertex."""
+    groups = -(-np.diff(caps.first) // 8)
+    first = np.concatenate([[0], np.cumsum(groups)])
+    edge = np.arange(8 * first[-1]) - np.repeat(8 * first[:-1] - caps.first[:-1], 8 * groups)
+    last = np.repeat(caps.first[1:] - 1, 8 * groups)
+    ends = caps.edges[np.minimum(edge, last)]
+    ends[edge > last, 0] = ends[edge > last, 1]  # an edge without length
+    values = points[ends].reshape(-1, 8, 6).transpose(0, 2, 1)
+    return first.astype(np.uint32), np.ascontiguousarray(values)
 
 
 def _sums(tree: TriangleTree, values: np.ndarray) -> np.ndarray:
