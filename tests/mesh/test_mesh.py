@@ -23,6 +23,7 @@ from hypothesis import strategies as st
 from voxtool.errors import MeshError, printable
 from voxtool.files import obj
 from voxtool.files.mesh import as_mesh, load_mesh
+from voxtool.files.numbers import OddityError
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.mesh.topology import check_topology, collinear
 
@@ -90,7 +91,7 @@ def test_both_readers_of_obj_agree(lines, ended, size):
     text = text if ended else text.removesuffix(b"\n").removesuffix(b"\r")
     try:
         assert tuple(array.tolist() for array in obj._quick(text, size)) == by_line(text)
-    except obj._OddityError:
+    except OddityError:
         assert not ended  # a last face of two vertices may be cut
 
 
@@ -100,7 +101,7 @@ def test_what_the_quick_reader_leaves_to_the_other():
     text += b"".join(b"f %d %d %d\n" % tuple(f) for f in rng.integers(1, 10, (20, 3)).tolist())
     expected = by_line(text)
     for odd in (text.replace(b"f ", b"\tf\t"), text.replace(b"\n", b"\r"), text + b"v 0 0 # \\\n0"):
-        with pytest.raises(obj._OddityError):
+        with pytest.raises(OddityError):
             obj._quick(odd)
     assert (read(text.replace(b"f ", b"\tf\t")).faces == expected[1]).all()
     for other in (text.replace(b"\n", b"\r\n"), b"\xef\xbb\xbf" + text):

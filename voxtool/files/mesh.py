@@ -1,6 +1,6 @@
-"""Reading triangle meshes: OBJ by obj.py, other formats by trimesh from memory.
+"""Reading triangle meshes: OBJ, OFF and STL by modules of their names, PLY and glTF by trimesh.
 
-Nothing is welded or moved.
+trimesh reads from memory. Nothing is welded or moved.
 """
 
 from __future__ import annotations
@@ -17,13 +17,14 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from voxtool.errors import MeshError, VoxtoolError, one_line, printable
-from voxtool.files import obj
+from voxtool.files import obj, off, stl
 from voxtool.files.formats import GZIP, HDF5
 from voxtool.files.streams import STREAM, read_at_most, read_error
 from voxtool.memory import available_memory, check_memory
-from voxtool.mesh.mesh import Mesh, check_counts, check_indices, mesh_from_arrays
+from voxtool.mesh.mesh import Mesh, check_complete, check_indices, check_promised, mesh_from_arrays
 
-KINDS = ("obj", "stl", "ply", "off", "glb", "gltf")  # what trimesh reads with numpy alone
+KINDS = ("obj", "stl", "ply", "off", "glb", "gltf")  # what we, and trimesh with numpy alone, read
+OWN = {"obj": obj.parse, "off": off.parse, "stl": stl.parse}
 MAX_BYTES = 8 << 30  # of one file, unpacked
 # A .gz may unpack to this many times its size, and some bytes more. Of a plane of equal triangles,
 # ASCII STL packs best: 17 times. Deflate packs zeros 1032 times.
@@ -87,10 +88,11 @@ def load_mesh(
     digest = hashlib.sha256(data).hexdigest()
     data = _unpacked(name, data, most if max_memory is None else min(most, max_memory))
     kind = kind or _kind_of_content(data)
-    if kind != "obj":
+    if kind not in OWN:
         return _through_trimesh(name, kind, data, digest, max_memory)
-    _refuse_binary(name, data)
-    vertices, faces = obj.parse(name, data)
+    if kind == "obj":
+        _refuse_binary(name, data)
+    vertices, faces = OWN[kind](name, data)
     return mesh_from_arrays(vertices, faces, source_sha256=digest, name=name)
 
 
@@ -199,14 +201,9 @@ def _kind_of_content(data: bytes) -> str:
         return "off"
     if data.lstrip().startswith(b"{"):
         return "gltf"
-    if _stl_size(data) == len(data) or re.match(rb"\s*solid\b", data):
+    if stl.binary_size(data) == len(data) or re.match(rb"\s*solid\b", data):
         return "stl"
     return "obj"
-
-
-def _stl_size(data: bytes) -> int:
-    """Return the size of a binary STL with the number of triangles in its header, bytes."""
-    return 84 + 50 * int.from_bytes(data[80:84], "little")
 
 
 # --- trimesh -------------------------------------------------------------------------------------
@@ -244,11 +241,8 @@ def _through_trimesh(
             f"{name}: not readable as {kind.upper()}: {reason}: it may be truncated or damaged, "
             "export it again"
         ) from None
-    if len(faces) and (len(vertices) < promised[0] or len(faces) < promised[1]):
-        raise MeshError(
-            f"{name}: {len(vertices)} vertices and {len(faces)} faces where the header promises "
-            f"{promised[0]} and {promised[1]}: the file is truncated"
-        )
+    if len(faces):
+        check_complete(name, (len(vertices), len(faces)), promised)
     units = "m" if kind in ("glb", "gltf") else ""  # the format's own
     return mesh_from_arrays(vertices, faces, source_sha256=digest, name=name, units=units)
 
@@ -315,31 +309,12 @@ def _promised(name: str, kind: str, data: bytes, max_memory: int | None) -> tupl
         header = data[: data.find(b"end_header")]
         counts = dict(re.findall(rb"^element\s+(vertex|face)\s+(\d+)", header, re.M))
         vertices, faces = int(counts.get(b"vertex", 0)), int(counts.get(b"face", 0))
-    elif kind == "off":
-        match = re.match(rb"(?:\s|#.*\n)*\w*OFF(?:\s|#.*\n)+(\d+)\s+(\d+)", data)
-        vertices, faces = map(int, match.groups()) if match else (0, 0)
-    elif kind == "stl" and len(data) != _stl_size(data):
-        if b"\0" in data[:1024] or not re.match(rb"\s*solid\b", data):
-            raise MeshError(
-                f"{name}: {len(data)} bytes where an STL of {(_stl_size(data) - 84) // 50} "
-                f"triangles, as the header counts, has {_stl_size(data)}: the file is truncated "
-                "or no STL"
-            )
-        if b"endsolid" not in data[-4096:].lower():
-            raise MeshError(f"{name}: 'endsolid' is missing at its end: the file is truncated")
-    elif kind == "stl":
-        faces = (_stl_size(data) - 84) // 50
     else:
         text = data
         if kind == "glb":
             text = data[20 : 20 + int.from_bytes(data[12:16], "little")]
         tree = json.loads(text)
         vertices = max((int(a["count"]) for a in tree.get("accessors", [])), default=0)
-    check_counts(name, vertices, faces)
-    if vertices + faces > len(data):
-        raise MeshError(
-            f"{name}: {len(data)} bytes cannot hold the {vertices} vertices and {faces} faces "
-            "that the header promises: the file is truncated"
-        )
+    check_promised(name, vertices, faces, len(data))
     _check_scene(name, tree, max_memory)
-    return (vertices, faces) if kind in ("ply", "off", "stl") else (0, 0)
+    return (vertices, faces) if kind == "ply" else (0, 0)

@@ -9,26 +9,30 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voxtool.errors import MeshError, count_of, shown
+from voxtool.files.numbers import (
+    BLOCK_BYTES,
+    LETTERS,
+    NEWLINE,
+    SPACE,
+    OddityError,
+    blocks_of,
+    by_line,
+    fans,
+    numbers_in,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-BLOCK_BYTES = 1 << 26  # of text that is parsed at once
-NUMBER_LETTERS = b"0123456789+-.eE \t\r\n"
 CORNER_LETTERS = b"0123456789+-/ \t\r\n"
-SPACE, SLASH, NEWLINE = (ord(letter) for letter in " /\n")
+SLASH = ord("/")
 NUMBER = re.compile(rb"(?i)[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|nan|inf|infinity)")
 REFERENCE = re.compile(rb"^([-+]?\d{1,10})(?:/(?:[-+]?\d+)?){0,2}$")
-
-
-class _OddityError(Exception):
-    """Raised where `_quick` cannot read an OBJ."""
 
 
 def parse(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -40,7 +44,7 @@ def parse(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
     data = data.removeprefix(b"\xef\xbb\xbf")
     try:
         return _quick(data)
-    except _OddityError:
+    except OddityError:
         return _by_line(name, data)
 
 
@@ -48,35 +52,30 @@ def parse(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _quick(data: bytes, size: int = BLOCK_BYTES) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mesh of a text of plain lines; raise _OddityError for others."""
+    """Return the mesh of a text of plain lines; raise OddityError for others."""
     lone_return = b"\r" in data and data.count(b"\r") != data.count(b"\r\n")
     if lone_return or (b"\\" in data and re.search(rb"\\\r?(?:\n|$)", data)):
-        raise _OddityError
+        raise OddityError
     points, corners, known = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
-    for block in _blocks(data, size):
-        vertices, faces = _parse_block(block, known)
+    for block in blocks_of(data, size=size):
+        vertices, faces = _parse_block(_whole(block), known)
         known += len(vertices)
         points.append(vertices)
         corners.append(faces)
     faces = np.concatenate(corners)
     if len(faces) and (faces.min() < 0 or faces.max() >= known):
-        raise _OddityError
+        raise OddityError
     return np.concatenate(points), faces
 
 
-def _blocks(data: bytes, size: int) -> Iterator[np.ndarray]:
-    """Yield an OBJ in blocks of whole lines, of about `size` bytes; the last line ends, too."""
-    start = 0
-    while start < len(data):
-        end = data.find(b"\n", start + size) + 1 or len(data)
-        block = data[start:end]
-        if not block.endswith(b"\n"):
-            last = block[block.rfind(b"\n") + 1 :]
-            if last.startswith(b"f") and len(last.split()) < 4:  # it may be cut
-                raise _OddityError
-            block += b"\n"
-        yield np.frombuffer(block, np.uint8)
-        start = end
+def _whole(block: bytes) -> np.ndarray:
+    """Return the letters of a block, whose last line ends."""
+    if not block.endswith(b"\n"):
+        last = block[block.rfind(b"\n") + 1 :]
+        if last.startswith(b"f") and len(last.split()) < 4:  # it may be cut
+            raise OddityError
+        block += b"\n"
+    return np.frombuffer(block, np.uint8)
 
 
 def _parse_block(text: np.ndarray, known: int) -> tuple[np.ndarray, np.ndarray]:
@@ -85,22 +84,19 @@ def _parse_block(text: np.ndarray, known: int) -> tuple[np.ndarray, np.ndarray]:
     starts = np.concatenate([[0], ends[:-1]])
     first, second = text[starts], text[np.minimum(starts + 1, len(text) - 1)]
     if np.isin(first, np.frombuffer(b" \t\v\f", np.uint8)).any():
-        raise _OddityError
+        raise OddityError
     spaced = (second == SPACE) | (second == ord("\t"))
     is_vertex, is_face = ((first == ord(letter)) & spaced for letter in "vf")
 
     numbers, begins, counts = _numbers(text, starts, ends, is_vertex, np.float64)
     if (counts < 3).any() or not np.isfinite(numbers).all():
-        raise _OddityError
+        raise OddityError
     vertices = numbers[begins[:, None] + np.arange(3)]
 
     indices, begins, counts = _numbers(text, starts, ends, is_face, np.int64)
     above = known + np.cumsum(is_vertex)[is_face]  # vertices that stand above each face
     indices = np.where(indices < 0, indices + np.repeat(above, counts), indices - 1)
-    fans = np.maximum(counts - 2, 0)
-    centre = np.repeat(begins, fans)
-    nth = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
-    return vertices, indices[np.stack([centre, centre + nth + 1, centre + nth + 2], axis=1)]
+    return vertices, fans(indices, begins, counts)
 
 
 def _numbers(
@@ -111,29 +107,17 @@ def _numbers(
     words = text[np.repeat(chosen, lengths)]
     last = np.cumsum(lengths[chosen])
     words[last - lengths[chosen]] = SPACE  # in place of v or f
-    allowed = NUMBER_LETTERS if dtype is np.float64 else CORNER_LETTERS
+    allowed = LETTERS if dtype is np.float64 else CORNER_LETTERS
     if words.tobytes().translate(None, allowed):
-        raise _OddityError
+        raise OddityError
     if dtype is np.int64 and (words == SLASH).any():
         _drop_references(words)
-    letter = words > SPACE
-    letter[1:] &= words[:-1] <= SPACE
-    begins = np.flatnonzero(letter)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # numpy warns of text that is no number
-        try:
-            numbers = np.fromstring(words.tobytes(), dtype, sep=" ") if len(begins) else begins
-        except (DeprecationWarning, ValueError, OverflowError):
-            raise _OddityError from None
-    if len(numbers) != len(begins):
-        raise _OddityError
-    upto = np.searchsorted(begins, last)
-    counts = np.diff(upto, prepend=0)
-    return numbers.astype(dtype, copy=False), upto - counts, counts
+    numbers, begins = numbers_in(words, dtype)
+    return numbers, *by_line(begins, last)
 
 
 def _drop_references(words: np.ndarray) -> None:
-    """Blank out /vt/vn after the corners of faces; raise _OddityError for other text."""
+    """Blank out /vt/vn after the corners of faces; raise OddityError for other text."""
     places = np.arange(len(words), dtype=np.int32)
     slash, blank = words == SLASH, words <= SPACE
     after_slash = np.maximum.accumulate(np.where(slash, places, -1))
@@ -145,7 +129,7 @@ def _drop_references(words: np.ndarray) -> None:
     third -= np.where(after_blank >= 0, third[after_blank], 0)
     wrong_sign = sign[1:] & ~(slash[:-1] & digit_next[1:])
     if (third > 2).any() or wrong_sign.any() or (slash[1:] & blank[:-1]).any():
-        raise _OddityError
+        raise OddityError
     words[tail] = SPACE
 
 

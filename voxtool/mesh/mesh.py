@@ -141,6 +141,25 @@ def check_counts(name: str, vertices: int, faces: int) -> None:
             raise MeshError(f"{name}: {count} {what}, at most {MAX_COUNT} can be read: split it")
 
 
+def check_promised(name: str, vertices: int, faces: int, size: int) -> None:
+    """Refuse counts in a header that `size` bytes cannot hold, or that check_counts refuses."""
+    check_counts(name, vertices, faces)
+    if vertices + faces > size:
+        raise MeshError(
+            f"{name}: {size} bytes cannot hold the {vertices} vertices and {faces} faces that the "
+            "header promises: the file is truncated"
+        )
+
+
+def check_complete(name: str, found: tuple[int, int], promised: tuple[int, int]) -> None:
+    """Refuse fewer vertices or faces than the header promises."""
+    if found[0] < promised[0] or found[1] < promised[1]:
+        raise MeshError(
+            f"{name}: {found[0]} vertices and {found[1]} faces where the header promises "
+            f"{promised[0]} and {promised[1]}: the file is truncated"
+        )
+
+
 def check_indices(where: str, corners: np.ndarray, vertices: int) -> None:
     """Refuse faces that name vertices which do not exist."""
     if len(corners) and (corners.min() < 0 or corners.max() >= vertices):
