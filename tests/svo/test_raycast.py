@@ -330,6 +330,20 @@ def test_faces_where_coverage_is_constant(device: Device):
 # --- the rest of the contract --------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("which", range(4))
+def test_what_a_ray_meets_does_not_depend_on_its_neighbours(device: Device, which: int):
+    """One ray at a time, and rays side by side, draw the same; also where the rays of a packet are
+    mirrored differently."""
+    octree = patterns()[which]
+    for camera in cameras(octree, np.random.default_rng(9)):
+        for level in ("voxel", 0, 1):
+            alone, together = (
+                cast(octree, camera.rays(26, 19), level=level, lanes=lanes, device=device)
+                for lanes in (1, 16)
+            )
+            assert np.array_equal(alone, together)
+
+
 def test_same_on_every_device():
     """Bit for bit, at every level, with rays of every kind."""
     devices = [opened(index) for index, _ in usable_devices()]

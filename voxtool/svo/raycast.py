@@ -1,6 +1,7 @@
 """Pictures of an octree by ray casting, at any of its levels, as the demonstration of [voCCeL].
 
-A ray goes from node to node and skips empty ones [Laine 2010]. Each node of the drawn level that
+Rays of neighbouring pixels go from node to node together (kernels/packets.h), which the picture
+does not show, and skip empty ones [Laine 2010]. Each node of the drawn level that
 holds a set voxel is a cube. Orthographic rays are whole lines; perspective ones begin at the eye.
 What lies in a plane between two cells and along it is in the upper one.
 
@@ -16,7 +17,8 @@ Kernels: kernels/svo/raycast.cl.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -32,7 +34,7 @@ from voxtool.vector import dot
 SOURCE = "svo/raycast.cl"
 COLOUR = (0.88, 0.85, 0.8)  # a warm light grey
 COARSE_LEVELS = 5  # levels below the root down to which nodes bound what is shown
-TILE = 8  # pixels along a side of the tile that a work-group draws
+TILE = 8  # a work-group draws TILE x TILE packets of rays
 HEADERS = {"svo/raycast.h": program.c_constants(TILE=TILE)}
 
 
@@ -46,6 +48,7 @@ class OctreeScene:
     content: Octree
     level: int | str = "voxel"  # or a level, from 0 for bricks
     colour: Sequence[float] = COLOUR  # red, green and blue of a face towards the light, 0 to 1
+    lanes: int | None = None  # rays that a work-item follows, 1 or 16; by default what suits it
 
     def __post_init__(self) -> None:
         _size_exponent(self.content, self.level)
@@ -97,7 +100,10 @@ class OctreeScene:
 
     def draw(self, rays: Rays, device: Device) -> np.ndarray:
         """Return the premultiplied colour of every ray, (H, W, 4) float32."""
-        return cast(self.content, rays, level=self.level, colour=self.colour, device=device)
+        return cast(
+            self.content, rays, level=self.level, colour=self.colour, device=device,
+            lanes=self.lanes,
+        )  # fmt: skip
 
     def why_empty(self) -> str:
         """Return why the scene is empty, or ""."""
@@ -111,6 +117,7 @@ def cast(
     level: int | str = "voxel",
     colour: Sequence[float] = COLOUR,
     device: Device | None = None,
+    lanes: int | None = None,
 ) -> np.ndarray:
     """Return the premultiplied colour of each ray, (height, width, 4) float32; its alpha is 1 if
     the ray meets a cube, otherwise 0."""
@@ -118,19 +125,25 @@ def cast(
     width, height = rays.size
     paint = np.array([rays.light(), checked_colour(colour)], np.float32)
     picture = device.empty(4 * width * height, np.float32)
-    _draw("paint_picture", octree, rays, level, device, paint=device.put(paint), picture=picture)
+    arrays = {"paint": device.put(paint), "picture": picture}
+    _draw("paint_picture", octree, rays, level, device, lanes, **arrays)
     return picture.take().reshape(height, width, 4)
 
 
 def depths(
-    octree: Octree, rays: Rays, *, level: int | str = "voxel", device: Device | None = None
+    octree: Octree,
+    rays: Rays,
+    *,
+    level: int | str = "voxel",
+    device: Device | None = None,
+    lanes: int | None = None,
 ) -> np.ndarray:
     """Return the depth along the view, from the eye, at which each ray meets a cube, (height,
     width) float64 in world units; infinite where it meets none."""
     device = device or default_device()
     width, height = rays.size
     depths = device.empty(width * height, np.float64)
-    _draw("find_depths", octree, rays, level, device, depths=depths)
+    _draw("find_depths", octree, rays, level, device, lanes, depths=depths)
     scale, eye = max(octree.grid.pitch), 0.0
     if not rays.perspective:  # they begin abreast of the grid's corner
         eye = dot(np.subtract(octree.grid.origin, rays.origin), rays.direction)
@@ -138,15 +151,24 @@ def depths(
 
 
 def _draw(
-    kernel: str, octree: Octree, rays: Rays, level: int | str, device: Device, **named: Array
+    kernel: str,
+    octree: Octree,
+    rays: Rays,
+    level: int | str,
+    device: Device,
+    lanes: int | None,
+    **named: Array,
 ) -> None:
-    """Run a kernel on every pixel. The octree stays on the device for the next picture."""
+    """Run a kernel on every packet of rays. The octree stays on the device for the next picture."""
     frame, finest = _frame(octree, rays), _size_exponent(octree, level)
-    tree = device.keep(octree, "render", octree.nbytes, lambda: _cover(octree, device))
+    lanes = lanes or device.lanes
+    draw, cover = (device.kernel(SOURCE, name, LANES=lanes) for name in (kernel, "cover_level"))
+    tree = device.keep(octree, "render", octree.nbytes, lambda: _cover(octree, device, cover))
     width, height = rays.size
+    side = TILE * math.isqrt(lanes)  # pixels along a side of a work-group's tile
     with device.stage("ray casting"):
-        device.kernel(SOURCE, kernel)(
-            -(-width // TILE) * -(-height // TILE) * TILE**2,
+        draw(
+            -(-width // side) * -(-height // side) * TILE**2,
             **tree,
             frame=device.put(frame),
             perspective=rays.perspective,
@@ -159,7 +181,9 @@ def _draw(
         )
 
 
-def _cover(octree: Octree, device: Device) -> dict[str, Array | int]:
+def _cover(
+    octree: Octree, device: Device, cover_level: Callable[..., None]
+) -> dict[str, Array | int]:
     """Return the octree as arguments of kernels: the words of the nodes above level 0, the
     coverages of those that are refined, the bricks, and where these would begin among the nodes."""
     *offsets, _ = octree.offsets.tolist()
@@ -176,7 +200,6 @@ def _cover(octree: Octree, device: Device) -> dict[str, Array | int]:
             "bricks": device.view(octree.bricks),
             "first_brick": offsets[-1],
         }
-        cover_level = device.kernel(SOURCE, "cover_level")
         for d in reversed(range(octree.depth - 1)):
             n, k = offsets[d + 1] - offsets[d], octree.depth - d
             cover_level(n, children=children, first=offsets[d], k=k, **tree)
