@@ -2,7 +2,7 @@
 #               volume, and pictures
 # make quick    a contributor's loop: one driver, nothing slow; under two minutes
 # make test     the whole suite, on every driver
-# make soak     the long tests: kills, fuzzing, many calls, all models; SECONDS= and SEED= choose a slice
+# make soak     the long tests: kills, many calls, all models and digests; SECONDS= and SEED= choose a slice
 # make fuzz     mutated files and extreme arguments; SECONDS=, SEED= and ARGS= as python -m tests.fuzz -h
 # make gpu-report  selftest, golden digests and bench of DEVICE= (a GPU), in docs/gpu; again goes on
 # make lint     style, types and imports
@@ -40,7 +40,7 @@ test: .venv/test.done
 	$(PYTEST) $(ARGS)
 
 soak: .venv/test.done
-	.venv/bin/python -m pytest tests/soak --soak $(SECONDS) $(if $(SEED),--seed $(SEED)) $(ARGS)
+	.venv/bin/python -m pytest -m soak --soak $(SECONDS) $(if $(SEED),--seed $(SEED)) $(ARGS)
 
 fuzz: .venv/test.done
 	.venv/bin/python -m tests.fuzz --seconds $(SECONDS) $(if $(SEED),--seed $(SEED)) $(ARGS)

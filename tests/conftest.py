@@ -7,13 +7,12 @@ import importlib.util
 import os
 import shlex
 import shutil
-import subprocess
 from pathlib import Path
 
 import helpers_tets
 import meshes
 import pytest
-from helpers_cli import ENVIRONMENT, MODULE, ROOT, write_obj
+from helpers_cli import ENVIRONMENT, MODULE, ROOT, run, write_obj
 from hypothesis import HealthCheck, Phase, settings
 
 from voxtool.opencl import Device, list_devices, open_device
@@ -115,12 +114,14 @@ def models(tmp_path_factory) -> Path:
     write_obj(folder / "open.obj", *meshes.open_box(0, (4, 3, 2)))
     (folder / "points.csv").write_text("x,y,z\n0,1,0\n0.5,2,0.25\n")
     helpers_tets.write_vtu(folder / "volume.vtu")
-    for words in (
-        "voxelize bunny.obj --dim 128 -q",
-        "adf-build bunny.obj --max-level 5 -q",
-        "tet-build volume.vtu --scalar density -q",
-    ):
-        subprocess.run([*MODULE, *words.split()], cwd=folder, env=ENVIRONMENT, check=True)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        for words in (
+            "voxelize bunny.obj --dim 128 -q",
+            "adf-build bunny.obj --max-level 5 -q",
+            "tet-build volume.vtu --scalar density -q",
+        ):
+            run(words)
     return folder
 
 

@@ -8,6 +8,7 @@ import golden_adf
 import golden_distance
 import golden_mesh
 import golden_picture
+import golden_report
 import golden_svo
 import pytest
 from conftest import model
@@ -64,11 +65,26 @@ def test_distances_to_own_meshes(device, name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", golden_adf.OWN)
 def test_fields_of_own_meshes(device, name: str) -> None:
-    mesh = golden_svo.own_mesh(name)
-    assert dict(golden_adf.digests(mesh, golden_adf.REQUESTS, device)) == FIELDS[name]
+    deepest = {k: r for k, r in golden_adf.REQUESTS.items() if r["max_level"] == 5}
+    found = dict(golden_adf.digests(golden_svo.own_mesh(name), deepest, device))
+    assert found == {k: FIELDS[name][k] for k in deepest}
 
 
-@pytest.mark.parametrize("name", golden_svo.REAL)
+@pytest.mark.soak
+@pytest.mark.parametrize("wing", golden_report.WINGS)
+def test_every_digest_of_own_meshes(device, wing: str) -> None:
+    golden = json.loads((golden_svo.GOLDEN.parent / f"{wing}.json").read_text(encoding="utf-8"))
+    for name, digests in golden_report.WINGS[wing].items():
+        assert dict(digests(device)) == golden[name], name
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.soak] * (name in golden_adf.LARGE))
+        for name in golden_svo.REAL
+    ],
+)
 def test_fields_of_real_models(device, name: str) -> None:
     mesh = voxtool.load_mesh(model(f"{name}.obj"))
     found = dict(golden_adf.digests(mesh, golden_adf.REAL_REQUESTS, device))

@@ -271,7 +271,7 @@ def test_files_of_a_report(written: Path) -> None:
 def test_existing_files_and_the_same_report_again(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     for name in "ab":
-        report.write_report(made(), str(tmp_path / name))
+        report.write_report(made(POINTS[:2]), str(tmp_path / name))
     before = {path.name: path.read_bytes() for path in (tmp_path / "a").iterdir()}
     again = {path.name: path.read_bytes() for path in (tmp_path / "b").iterdir()}
     assert before == again

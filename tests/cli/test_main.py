@@ -78,10 +78,11 @@ def test_help(path, flag) -> None:
 )
 def test_every_example_runs(line: str, here: Path, shell) -> None:
     line = line.replace("--dim 512", "--dim 100").replace("--tolerance 1e-4", "--tolerance 1e-2")
-    done = subprocess.run(
-        ["sh", "-c", line], env=shell, cwd=here, capture_output=True, text=True, timeout=120
-    )
-    assert done.returncode == 0, done.stderr
+    if re.search("[|<>$]", line):
+        done = subprocess.run(["sh", "-c", line], env=shell, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    else:
+        done = run(line.removeprefix("voxtool "))
     assert "error:" not in done.stderr
 
 

@@ -138,7 +138,7 @@ def test_transcripts_are_what_is_printed(folder: Path) -> None:
             assert lasting(run(command, folder)) == lasting(expected), command
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_pictures_are_what_is_drawn(folder: Path) -> None:
     for command in DRAWN_BY:
         run(command, folder)

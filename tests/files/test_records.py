@@ -544,7 +544,7 @@ def test_damage_of_any_kind(name: str) -> None:
             assert np.isfinite(found.distance(np.full((1, 3), 0.4))).all()
         return found
 
-    check_damaged(to_bytes(schema, CONTENTS[name]()), read, seeds=2, least=60)
+    check_damaged(to_bytes(schema, CONTENTS[name]()), read, seeds=1, least=60)
 
 
 # What cannot be written

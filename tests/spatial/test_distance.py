@@ -46,7 +46,7 @@ def check(mesh: Mesh, points: np.ndarray, device: Device, oracle=exact) -> np.nd
     st.lists(st.tuples(*[st.integers(-1024, 3072)] * 3), min_size=1, max_size=8),
     st.integers(-40, 40),
 )
-@settings(max_examples=80)
+@settings(max_examples=40)
 def test_any_triangles_at_any_scale(device: Device, triangles, points, exponent) -> None:
     vertices, faces = triangles
     scale = 2.0**exponent
@@ -55,7 +55,7 @@ def test_any_triangles_at_any_scale(device: Device, triangles, points, exponent)
 
 
 @given(meshes.closed_meshes(SHAPE), st.integers(0, 1 << 16))
-@settings(max_examples=25)
+@settings(max_examples=12)
 def test_closed_meshes(device: Device, vertices_and_faces, seed) -> None:
     mesh = mesh_of(*vertices_and_faces)
     check(mesh, around(mesh, np.random.default_rng(seed), 6), device)

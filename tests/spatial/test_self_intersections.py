@@ -207,7 +207,7 @@ def pairs(draw: st.DrawFn) -> np.ndarray:
 
 
 @given(pairs())
-@settings(max_examples=250)
+@settings(max_examples=100)
 def test_pairs(device: Device, pair: np.ndarray) -> None:
     if not np.ptp(pair.reshape(-1, 3), axis=0).any():
         return  # a point: a mesh without any length
@@ -228,7 +228,7 @@ def test_many_pairs(device: Device, seed: int) -> None:
 
 
 @given(pairs(), st.integers(20, 52), points, st.booleans())
-@settings(max_examples=250)
+@settings(max_examples=100)
 def test_what_nearly_meets(
     device: Device, pair: np.ndarray, exponent: int, way: tuple, tilted: bool
 ) -> None:

@@ -266,19 +266,6 @@ def test_windows_make_up_the_whole(device: Device, data) -> None:
 # ---- extremes
 
 
-def test_a_million_triangles_in_a_voxel_and_one_over_the_grid(device: Device) -> None:
-    rng = np.random.default_rng(3)
-    vertices, faces = meshes.random_triangles(rng, 1_000_000, (1, 1, 1), margin=0)
-    vertices = np.concatenate(
-        [np.clip(vertices, 1, 255) + 256 * 100, [[0, 0, 0], [0, 65535, 9], [65535, 0, 7]]]
-    )
-    faces = np.concatenate([faces, [[len(vertices) - 3, len(vertices) - 2, len(vertices) - 1]]])
-    octree = run(device, (vertices, faces), (256,) * 3, "surface26")
-    alone = run(device, (vertices, faces[-1:]), (256,) * 3, "surface26")
-    added = octree.to_dense() & ~alone.to_dense()
-    assert np.argwhere(added).tolist() == [[100, 100, 100]]
-
-
 def test_beyond_a_dense_volume(device: Device) -> None:
     """Blocks of level-1 nodes, at a dim where the plan chooses them."""
     vertices, faces = meshes.tetrahedron((9, 8, 7), (60, 11, 12), (14, 55, 9), (13, 17, 61))

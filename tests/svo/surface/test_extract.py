@@ -85,7 +85,7 @@ def patterns(draw: st.DrawFn) -> np.ndarray:
 
 
 @given(patterns(), st.sampled_from(STYLES), st.sampled_from(ISOVALUES))
-@settings(max_examples=150)
+@settings(max_examples=60)
 def test_every_pattern_has_a_closed_manifold_surface(device, dense, style, isovalue) -> None:
     octree = octree_from_dense(dense)
     assume(style[1] == "voxel" or style[1] < octree.depth)
@@ -168,7 +168,7 @@ def test_nets_stay_in_the_cubes_of_their_blocks(device, dense, level) -> None:
 
 
 @given(patterns(), st.sampled_from([0, "voxel"]))
-@settings(max_examples=40)
+@settings(max_examples=15)
 def test_merged_blocks_are_the_same_boundary_of_fewer_triangles(device, dense, level) -> None:
     octree = octree_from_dense(dense)
     blocks = extract(octree, style=FACES, level=level, device=device)
