@@ -67,7 +67,7 @@ LESS = "choose a smaller dim, picture or number of points"
 def printable(text: Any) -> str:
     """Replace characters that would break a line or a terminal by ?."""
     plain = re.sub(r"\\udc[89a-f][0-9a-f]", "?", str(text))  # as repr writes such bytes
-    return "".join(c if c.isprintable() else "?" for c in plain)
+    return plain if plain.isprintable() else "".join(c if c.isprintable() else "?" for c in plain)
 
 
 def one_line(error: BaseException) -> str:

@@ -19,6 +19,7 @@ from .cases import Case, case_of
 from .judge import Finding
 from .worker import Worker
 
+BATCH = 16  # cases that a worker is sent at once
 Items = TypeVar("Items", bound=Sequence[Any])
 
 
@@ -61,16 +62,21 @@ class Session:
     def run(self, kind: str, start: int, seconds: float, most: int | None = None) -> int:
         """Try the cases from number `start` on, for a time or a count; return the next number."""
         end = time.monotonic() + seconds
-        last = None if most is None else start + most
-        numbers = itertools.count(start)
+        numbers = iter(itertools.count(start) if most is None else range(start, start + most))
         tried: list[int] = []
 
         def work() -> None:
-            for number in self._numbers(numbers, end, last, worker := self._worker()):
-                case = case_of(kind, self.seed, number, self.contents)
-                for finding in worker.ask(case):
-                    self.note(finding, kind, case, worker)
-                tried.append(number)
+            worker = self._worker()
+            try:
+                while time.monotonic() < end and (batch := self._batch(numbers)):
+                    findings = worker.ask_all([(kind, self.seed, number) for number in batch])
+                    for number, found in zip(batch, findings, strict=True):
+                        for finding in found:
+                            case = case_of(kind, self.seed, number, self.contents)
+                            self.note(finding, kind, case, worker)
+                    tried.extend(batch)
+            finally:
+                worker.stop()
 
         threads = [threading.Thread(target=work) for _ in range(self.workers)]
         for thread in threads:
@@ -84,16 +90,9 @@ class Session:
         worker.start()
         return worker
 
-    @staticmethod
-    def _numbers(numbers: Any, end: float, last: int | None, worker: Worker) -> Iterator[int]:
-        try:
-            while time.monotonic() < end:
-                number = next(numbers)
-                if last is not None and number >= last:
-                    return
-                yield number
-        finally:
-            worker.stop()
+    def _batch(self, numbers: Iterator[int]) -> list[int]:
+        with self._lock:
+            return list(itertools.islice(numbers, BATCH))
 
     def note(self, finding: Finding, kind: str, case: Case, worker: Worker) -> None:
         """Count a finding; make the case of a new one smaller, save it and report it."""

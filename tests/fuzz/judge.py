@@ -184,8 +184,8 @@ def place_of(stack: Any, otherwise: str) -> str:
 
 def memory(name: str) -> int:
     """Bytes of memory of this process; VmHWM is the peak since `reset_peak`."""
-    with suppress(OSError):
-        for line in Path("/proc/self/status").read_text().splitlines():
+    with suppress(OSError), open("/proc/self/status") as lines:
+        for line in lines:
             if line.startswith(name):
                 return int(line.split()[1]) << 10
     return 0

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from .cases import KINDS
+from . import samples
+from .cases import KINDS, Case
 from .driver import Session
+from .worker import Worker
 
 CASES = {"files": 120, "arguments": 50}
 
@@ -18,3 +20,18 @@ def test_nothing_new_is_found(kind: str, device, tmp_path: Path) -> None:
     session = Session(tmp_path, 1, str(device.info.index), effort=0)
     assert session.run(kind, 0, seconds=300, most=CASES[kind]) == CASES[kind]
     assert not [found.finding for found in session.found.values()]
+
+
+@pytest.mark.slow
+def test_a_process_that_ends_is_replaced(device, tmp_path: Path) -> None:
+    """Its case is named, and those sent with it are tried again."""
+    samples.write_all(tmp_path, device)
+    worker = Worker(tmp_path, str(device.info.index), limit=1)
+    quick = Case(0, words=("svo-info", "a.svo.h5"))
+    slow = Case(1, words=("bench", "voxelize", "a.obj", "--dims", "256", "--repeat", "1000"))
+    try:
+        before, found, after = worker.ask_all([quick, slow, quick])
+    finally:
+        worker.stop()
+    assert before == after == []
+    assert [finding.what for finding in found] == ["hang"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 from collections.abc import Callable
 from pathlib import Path
@@ -55,12 +56,12 @@ def run(case: Case, tools: Tools) -> list[Finding]:
     """The findings of a case; its file lies in the current folder."""
     tools.findings = []
     what = case.words[0] if case.words else case.format
-    before = {path.name for path in Path().iterdir()}
+    before = set(os.listdir())
     reset_peak()
     start = memory("VmRSS")
     if case.words:
         code = run_command(case, tools, arithmetic=True)
-        fresh = {path.name for path in Path().iterdir()} - before
+        fresh = set(os.listdir()) - before
         if code not in (0, 1) and fresh:
             tools.found("a failed command leaves a file", what, sorted(fresh))
     else:
@@ -69,7 +70,7 @@ def run(case: Case, tools: Tools) -> list[Finding]:
     if peak > max(LEAST_LIMIT, 3 * len(case.content)):
         place = place_of(tools.deepest, f".{case.format}" if case.format else what)
         tools.found("memory", place, f"{peak >> 20} MiB for a file of {len(case.content)} bytes")
-    left = [path.name for path in Path().iterdir() if path.name.endswith(".tmp")]
+    left = [name for name in os.listdir() if name.endswith(".tmp")]
     if left:
         tools.found("temporary file left", what, left)
     return tools.findings

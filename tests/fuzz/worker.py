@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import faulthandler
+import functools
 import multiprocessing
 import os
 import re
@@ -10,12 +11,13 @@ import resource
 import shutil
 import signal
 import tempfile
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from . import samples
-from .cases import Case
+from .cases import Case, case_of
 from .judge import SECRET_WORD, Finding, Tools, memory
 from .use import run
 
@@ -24,6 +26,9 @@ OLD_AGE = 1 << 30  # bytes of memory at which a process is replaced
 WAIT = 6  # times the limit of processor time that a case may take by the clock
 GRACE = 30.0  # seconds beyond that, for the process to end itself
 FRAME = re.compile(r'File ".*?/(voxtool/[^"]+|kernels/[^"]+)", line \d+ in (\w+)')
+
+
+Numbered = tuple[str, int, int]  # kind, seed and number of a case, which the process makes itself
 
 
 class Worker:
@@ -52,19 +57,34 @@ class Worker:
 
     def ask(self, case: Case) -> list[Finding]:
         """The findings of a case."""
-        if not self.process:
-            self.start()
-        try:
-            self.pipe.send(case)
-            if self.pipe.poll(WAIT * self.limit + GRACE):
-                findings, resident = self.pipe.recv()
-                if resident > OLD_AGE:
-                    self.stop()
-                return findings
-            what = "hang"
-        except (EOFError, OSError):
+        return self.ask_all([case])[0]
+
+    def ask_all(self, cases: Sequence[Case | Numbered]) -> list[list[Finding]]:
+        """The findings of each case. All are sent at once, so that neither process waits for the
+        other after each; after a crash the rest is sent again."""
+        answers: list[list[Finding]] = []
+        while len(answers) < len(cases):
+            if not self.process:
+                self.start()
+            rest = cases[len(answers) :]
+            try:
+                self.pipe.send(rest)
+                for _ in rest:
+                    if not self.pipe.poll(WAIT * self.limit + GRACE):
+                        raise TimeoutError
+                    findings, resident = self.pipe.recv()
+                    answers.append(findings)
+                    if resident > OLD_AGE:
+                        self.stop()
+                        break
+            except (EOFError, OSError) as error:
+                answers.append([self._end("hang" if isinstance(error, TimeoutError) else "crash")])
+        return answers
+
+    def _end(self, what: str) -> Finding:
+        """The finding of a process that has crashed or hangs."""
+        if what == "crash":
             self.process.join(GRACE)
-            what = "crash"
         code = self.process.exitcode
         self.stop()
         text = self.log.read_text(errors="replace") if self.log.exists() else ""
@@ -73,7 +93,7 @@ class Worker:
         frames = FRAME.findall(text)
         place = ":".join(frames[0]).removeprefix("voxtool/") if frames else "no frame of voxtool"
         name = signal.Signals(-code).name if code and code < 0 else f"exit code {code}"
-        return [Finding(what, place, f"{name}: {' '.join(text.split())[:300]}")]
+        return Finding(what, place, f"{name}: {' '.join(text.split())[:300]}")
 
 
 def serve(pipe: Any, folder: Path, log: Path, device: str, limit: float) -> None:
@@ -89,10 +109,12 @@ def serve(pipe: Any, folder: Path, log: Path, device: str, limit: float) -> None
     tempfile.tempdir = os.environ["TMPDIR"] = str(temporary)
     os.environ["VOXTOOL_DEVICE"] = device  # of commands without --device
     os.chdir(work)
-    import voxtool
+    from voxtool import opencl
 
+    # Commands open a device each. Here all share one, which builds each kernel once.
+    opencl.open_device = functools.cache(opencl.open_device)
     contents = samples.read_all(folder)
-    tools = Tools(voxtool.open_device(device), device)
+    tools = Tools(opencl.open_device(device), device)
     (folder / "secret.txt").write_text(f"{SECRET_WORD}\n")
     tools.load(folder)
     fill_folder(contents)
@@ -104,23 +126,29 @@ def serve(pipe: Any, folder: Path, log: Path, device: str, limit: float) -> None
     filled: dict[str, tuple[int, int]] = {}
     with suppress(EOFError):
         while True:
-            case = pipe.recv()
-            if not filled or listing() != filled:
-                fill_folder(contents)
-                filled = listing()
-            if case.name:
-                Path(case.name).write_bytes(case.content)
-            signal.setitimer(signal.ITIMER_PROF, limit)
-            faulthandler.dump_traceback_later(WAIT * limit, exit=True)
-            findings = run(case, tools)
-            faulthandler.cancel_dump_traceback_later()
-            signal.setitimer(signal.ITIMER_PROF, 0)
-            for path in temporary.iterdir():
-                findings.append(Finding("temporary file left", "the folder for them", path.name))
-                path.unlink()
-            pipe.send((findings, memory("VmRSS")))
-            if case.name:
-                Path(case.name).unlink(missing_ok=True)
+            for case in pipe.recv():
+                case = case if isinstance(case, Case) else case_of(*case, contents)
+                if not filled or listing() != filled:
+                    fill_folder(contents)
+                    filled = listing()
+                pipe.send((try_case(case, tools, limit, temporary), memory("VmRSS")))
+
+
+def try_case(case: Case, tools: Tools, limit: float, temporary: Path) -> list[Finding]:
+    """The findings of a case, which may take so many seconds of processor time."""
+    if case.name:
+        Path(case.name).write_bytes(case.content)
+    signal.setitimer(signal.ITIMER_PROF, limit)
+    faulthandler.dump_traceback_later(WAIT * limit, exit=True)
+    findings = run(case, tools)
+    faulthandler.cancel_dump_traceback_later()
+    signal.setitimer(signal.ITIMER_PROF, 0)
+    for name in os.listdir(temporary):
+        findings.append(Finding("temporary file left", "the folder for them", name))
+        (temporary / name).unlink()
+    if case.name:
+        Path(case.name).unlink(missing_ok=True)
+    return findings
 
 
 def fill_folder(contents: dict[str, bytes]) -> None:
