@@ -3,7 +3,8 @@
 Each wing has a scene: a frozen dataclass of its content and the options of its picture. All have
 the same members: `kind` and `samples` (along a pixel's side, by default); `stages`, `left_out`,
 `counts` and `device_bytes` for the plan; `points`, whose convex hull holds everything shown;
-`draw`, one value a ray; and `why_empty`, the reason if no view shows anything.
+`local_rays`, rays in the frame in which they are drawn, or an error; `draw`, one value a ray; and
+`why_empty`, the reason if no view shows anything.
 """
 
 from __future__ import annotations
@@ -171,6 +172,7 @@ def plan_render(
         samples = samples or (scene.samples if scene.samples * max(size) <= MAX_SIDE else 1)
         camera = view if isinstance(view, Camera) else camera_for(scene, view or "iso", size=size)
         rays = camera.rays(samples * size[0], samples * size[1])
+    scene.local_rays(rays)  # refuses an eye too far away and a height too small or large
     device = device or default_device()
     if not device.info.fp64:
         raise DeviceError(

@@ -437,6 +437,17 @@ def test_plan_tells_what_a_level_leaves_out(here: Path) -> None:
     assert "finer" not in run(f"render {OCTREE} --plan").stdout
 
 
+@pytest.mark.parametrize("kind", SCENES)
+@pytest.mark.parametrize(
+    "camera", ["--eye 1e30,0,0", "--orthographic --height 1e-200", "--orthographic --height 1e300"]
+)
+def test_the_plan_refuses_what_the_run_refuses(kind: str, camera: str, here: Path) -> None:
+    command = f"render {SCENES[kind]} --size 8 {camera}"
+    refused = fail(command)
+    assert "choose a nearer --eye" in refused or "choose a --height from" in refused
+    assert fail(f"{command} --plan") == refused
+
+
 # ---- empty pictures
 
 

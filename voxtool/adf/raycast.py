@@ -60,7 +60,7 @@ def cast(scene: FieldScene, rays: Rays, device: Device) -> np.ndarray:
         field, f"nodes at {shown!r}", NODE_BYTES * len(field.blocks),
         lambda: _marked(field, shown, device, mark),
     )  # fmt: skip
-    local = rays.local(field.origin, field.side)
+    local = scene.local_rays(rays)
     camera = np.concatenate([local.origin, local.direction, local.right, local.down])
     width, height = rays.size
     pixels = device.empty(4 * width * height, np.float32)

@@ -86,6 +86,10 @@ class FieldScene:
         sides = np.ldexp(1.0, -levels)[:, None]
         return np.array(field.origin) + field.side * box_corners(cells * sides, sides)
 
+    def local_rays(self, rays: Rays) -> Rays:
+        """Return rays in units of the field's side from its corner; see Rays.local."""
+        return rays.local(self.content.origin, self.content.side)
+
     def draw(self, rays: Rays, device: Device) -> np.ndarray:
         return cast(self, rays, device)
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from voxtool.opencl import Array, Device, default_device, program
 from voxtool.svo.layout import BRICK_SIDE, INSIDE
 from voxtool.svo.octree import VOXEL, Octree, level_number
 from voxtool.vector import dot
+
+if TYPE_CHECKING:
+    from voxtool.grid import Grid
 
 SOURCE = "svo/raycast.cl"
 COLOUR = (0.88, 0.85, 0.8)  # a warm light grey
@@ -97,6 +100,10 @@ class OctreeScene:
                 boxes.append(box_corners(cells, max(level.side, finest)))
         low, high = low // finest * finest, -(-high // finest) * finest
         return origin + pitch * np.clip(np.concatenate(boxes), low, high)
+
+    def local_rays(self, rays: Rays) -> Rays:
+        """Return rays in units of the longest pitch from the grid's corner; see Rays.local."""
+        return _local_rays(self.content.grid, rays)
 
     def draw(self, rays: Rays, device: Device) -> np.ndarray:
         """Return the premultiplied colour of every ray, (H, W, 4) float32."""
@@ -210,11 +217,14 @@ def _frame(octree: Octree, rays: Rays) -> np.ndarray:
     """Return the origin, direction, right and down of the rays, in voxels, and the pitch, (5, 3)
     float64; times along rays and the pitch are in units of the longest pitch."""
     grid = octree.grid
-    scale = max(grid.pitch)
-    pitch = np.array(grid.pitch) / scale
-    local = rays.local(grid.origin, scale)
+    pitch = np.array(grid.pitch) / max(grid.pitch)
+    local = _local_rays(grid, rays)
     steps = np.stack([local.origin, local.direction, local.right, local.down])
     return np.concatenate([steps / pitch, pitch[None]])
+
+
+def _local_rays(grid: Grid, rays: Rays) -> Rays:
+    return rays.local(grid.origin, max(grid.pitch))
 
 
 def _size_exponent(octree: Octree, level: int | str) -> int:

@@ -123,6 +123,10 @@ class VolumeScene:
         """(V, 3) float64, world units: the vertices, whatever the transfer function shows."""
         return self.content.points()
 
+    def local_rays(self, rays: Rays) -> Rays:
+        """Return rays in the volume's frame; see Rays.local."""
+        return rays.local(self.content.origin, self.content.scale)
+
     def draw(self, rays: Rays, device: Device) -> np.ndarray:
         """Return the picture, (H, W, 4) float32, premultiplied: one value a ray."""
         if self.method == "projection":
@@ -143,7 +147,7 @@ class VolumeScene:
         integral = Integral(
             self.content, self.local, volume, self.integrator, self.lanes, self.table
         )
-        return volume, shown, Viewpoint.of(rays, self.content, device), integral
+        return volume, shown, Viewpoint.of(self.local_rays(rays), self.content, device), integral
 
     def why_empty(self) -> str:
         """Return the reason why no view shows anything, or ""."""

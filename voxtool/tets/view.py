@@ -133,20 +133,19 @@ class Viewpoint:
     options: dict[str, int | str]
 
     @staticmethod
-    def of(rays: Rays, volume: TetVolume, device: Device) -> Viewpoint:
-        """Return the viewpoint of rays in world units.
+    def of(local: Rays, volume: TetVolume, device: Device) -> Viewpoint:
+        """Return the viewpoint of rays in the volume's frame.
 
         Raises
         ------
         MemoryLimitError : the device cannot hold their picture.
         """
-        width, height = rays.size
+        width, height = local.size
         if 16 * width * height > device.info.max_allocation:
             raise MemoryLimitError(
                 f"{device.info.name} cannot hold a picture of {width} x {height} pixels, "
                 f"{16 * width * height} bytes: choose a smaller one"
             )
-        local = rays.local(volume.origin, volume.scale)
         middle = 0.0
         if local.perspective:
             middle = max(-float(dot(local.origin, local.direction)), NEAREST)
