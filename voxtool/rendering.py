@@ -19,7 +19,7 @@ import numpy as np
 from voxtool.adf.field import DistanceField
 from voxtool.adf.scene import FieldScene
 from voxtool.camera import FOV, MAX_SIDE, Camera, Rays
-from voxtool.errors import DeviceError, MemoryLimitError, VoxtoolError, count_of
+from voxtool.errors import MemoryLimitError, VoxtoolError, count_of
 from voxtool.job import Cost, Job, one_call
 from voxtool.memory import check_memory
 from voxtool.opencl import Device, default_device
@@ -174,11 +174,7 @@ def plan_render(
         rays = camera.rays(samples * size[0], samples * size[1])
     scene.local_rays(rays)  # refuses an eye too far away and a height too small or large
     device = device or default_device()
-    if not device.info.fp64:
-        raise DeviceError(
-            f"{device.info.name} has no double precision (cl_khr_fp64), which pictures need: "
-            "choose another --device"
-        )
+    device.require_float64("pictures")
     return RenderJob(RenderPlan(scene, size, samples), rays, device, max_memory)
 
 

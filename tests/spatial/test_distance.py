@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from meshes import mesh_of
 
+import voxtool
 from voxtool.errors import DeviceError, MeshError, VoxtoolError
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
@@ -282,7 +283,17 @@ def test_no_points_and_no_faces(device: Device) -> None:
         TriangleDistance(mesh_of(np.zeros((3, 3)), np.empty((0, 3))), device)
 
 
-def test_a_device_without_double_precision_is_refused(device: Device, monkeypatch) -> None:
+def test_a_device_without_double_precision(device: Device, monkeypatch) -> None:
+    """It does octrees and surfaces; a line says so where it cannot do the work."""
     monkeypatch.setattr(device, "info", replace(device.info, fp64=False))
-    with pytest.raises(DeviceError, match=r"no double precision.*choose another device"):
-        TriangleDistance(mesh_of(*meshes.box(0, 1)), device)
+    box = mesh_of(*meshes.box(0, 1))
+    message = r"no double precision.*choose another device.*this one does octrees"
+    with pytest.raises(DeviceError, match=message):
+        TriangleDistance(box, device)
+    for fill in ("parity", "nonzero", "flood"):
+        octree = voxtool.voxelize(box, dim=16, fill=fill, device=device)
+        assert len(voxtool.extract(octree, style="surface-nets", device=device).faces)
+    with pytest.raises(DeviceError, match="which pictures need"):
+        voxtool.render(octree, device=device)
+    with pytest.raises(DeviceError, match="winding numbers need"):
+        voxtool.voxelize(mesh_of(*meshes.open_box(0, (1, 1, 1))), dim=16, device=device)

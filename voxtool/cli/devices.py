@@ -21,6 +21,7 @@ def command(as_json: bool) -> None:
       voxtool voxelize bunny.obj --device cpu
     """
     from voxtool.opencl import list_devices
+    from voxtool.opencl.device import WITHOUT_FLOAT64
     from voxtool.opencl.discovery import no_usable_device
 
     found = list_devices()
@@ -32,5 +33,7 @@ def command(as_json: bool) -> None:
             f"   driver {d.driver}; {d.opencl}; {d.units} units; {d.memory / 1e9:.1f} GB, largest "
             f"buffer {d.max_allocation / 1e9:.1f} GB; probe {d.probe}"
         )
+        if not d.fp64:
+            click.echo(f"   no double precision: it does {WITHOUT_FLOAT64}")
     if not any(d.probe == "ok" for d in found):
         raise no_usable_device([f"{d.name} ({d.platform}), probe {d.probe}" for d in found])

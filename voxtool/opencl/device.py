@@ -28,6 +28,7 @@ PAGE = 4096  # alignment at which a CPU's driver uses the host's memory as it is
 ALIGNMENT = 128  # bytes, of buffers that CPU drivers do not copy (CL_DEVICE_MEM_BASE_ADDR_ALIGN)
 SHARED_FROM = 1 << 16  # bytes; smaller arrays are the driver's own
 VECTOR = 16  # items that a work-item of a CPU processes side by side: a vector of float32
+WITHOUT_FLOAT64 = "octrees (--fill parity, nonzero or flood) and their surfaces"
 WORK_GROUP = 64  # work-items; a few wavefronts, and enough for a CPU's core
 
 
@@ -92,7 +93,7 @@ class Device:
         self.queue = cl.CommandQueue(self.context, cl_device, flags)
         self.profile = profile
         self.shares_memory = info.kind == "CPU"
-        self._forks = driver.forks
+        self._driver, self._forks = driver, driver.forks  # the module, as it ends before devices do
         self._retired: list[np.ndarray] = []  # shared memory, kept until the queue has run dry
         self._kept: OrderedDict[tuple[int, str], tuple[Any, int]] = OrderedDict()
         self._thread = _Thread()
@@ -104,6 +105,14 @@ class Device:
     def lanes(self) -> int:
         """The number of points or rays that a work-item should process side by side."""
         return VECTOR if self.info.kind == "CPU" else 1
+
+    def require_float64(self, what: str) -> None:
+        """Raise DeviceError if the device has no double precision, which `what` need."""
+        if not self.info.fp64:
+            raise DeviceError(
+                f"{self.info.name} has no double precision (cl_khr_fp64), which {what} need: "
+                f"choose another device (see voxtool devices); this one does {WITHOUT_FLOAT64}"
+            )
 
     # ---- memory
 
@@ -234,7 +243,7 @@ class Device:
         del retired
 
     def __del__(self) -> None:
-        if hasattr(self, "queue") and self._forks == driver.forks:
+        if hasattr(self, "queue") and self._forks == self._driver.forks:
             self.queue.finish()
 
     # ---- work

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.errors import DeviceError, MeshError
+from voxtool.errors import MeshError
 from voxtool.mesh.topology import merged_faces
 from voxtool.opencl import Array, Device, program
 from voxtool.opencl.primitives import radix_sort
@@ -140,11 +140,7 @@ def build_tree(
     `flat` is (F,) uint8, 1 for faces without area; None gives no names. Raises MeshError as
     Frame.of, and DeviceError if the device has no double precision.
     """
-    if not device.info.fp64:
-        raise DeviceError(
-            f"{device.info.name} has no double precision (cl_khr_fp64), which exact distances "
-            "need: choose another device (see voxtool devices)"
-        )
+    device.require_float64("exact distances and winding numbers")
     frame, n = Frame.of(mesh), len(mesh.faces)
     vertices, faces = device.put(frame.local(mesh.vertices)), device.put(mesh.faces)
     with device.stage("tree"):
