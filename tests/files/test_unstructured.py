@@ -197,6 +197,9 @@ def test_a_message_lists_a_few_of_many_components(tmp_path: Path) -> None:
     path = written(tmp_path / "a.vtu", mesh)
     message = r"many has 100 components, which .* --component 0\|1\|.*\|17\|...\|magnitude$"
     refusal(lambda path: read_unstructured(path, "many", None), path, message)
+    mesh.point_data["n" * 5000] = mesh.point_data.pop("many")
+    path = written(tmp_path / "a.vtu", mesh)
+    refusal(lambda path: read_unstructured(path, "x", None), path, f"name one of c, {'n' * 60}, s")
 
 
 def changed(path: Path, *changes: tuple[bytes, bytes]) -> Path:

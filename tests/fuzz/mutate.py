@@ -43,9 +43,12 @@ def mutant(format: str, data: bytes, rng: random.Random, others: list[bytes]) ->
         inside = mutant(format[:-3], gzip.decompress(data), rng, others)
         return gzip.compress(inside, mtime=0)
     changes = changes_for(format, data)
-    for _ in range(rng.choice((1, 1, 1, 2, 2, 4))):
-        change = rng.choice(changes) if rng.random() < 0.8 else change_bytes
-        data = splice(data, rng, others) if rng.random() < 0.03 else change(data, rng)
+    count = rng.choice((1, 1, 1, 2, 2, 4))
+    chosen = [rng.choice(changes) if rng.random() < 0.8 else change_bytes for _ in range(count)]
+    # the HDF5 library, which changes files in this process, gets them before they are damaged
+    for change in sorted(chosen, key=lambda one: one is not change_hdf5):
+        spliced = change is not change_hdf5 and rng.random() < 0.03
+        data = splice(data, rng, others) if spliced else change(data, rng)
     return data[:MOST_BYTES]
 
 
@@ -263,7 +266,7 @@ def change_hdf5(data: bytes, rng: random.Random) -> bytes:
                 change_attribute(h5, rng)
             elif len(h5):
                 change_dataset(h5, rng.choice(sorted(h5)), rng)
-    except Exception:  # a file that was damaged before, or a value that HDF5 cannot hold
+    except Exception:  # a value that HDF5 cannot hold
         return change_bytes(data, rng)
     return file.getvalue()
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 AXES = ("x", "y", "z")
 MAGNITUDE = "magnitude"
-SHOWN = 20  # names, at most, that a message lists
+SHOWN, LETTERS = 20, 60  # names, at most, that a message lists, and letters of each
 
 
 def read(
@@ -143,6 +143,6 @@ def _scalars(
 
 
 def _listed(names: list[str], between: str) -> str:
-    """Names in a message: the first and the last, where there are many."""
-    shown = names if len(names) <= SHOWN else [*names[: SHOWN - 2], "...", names[-1]]
-    return between.join(shown)
+    """Names in a message, the beginnings of long ones: the first and the last of many."""
+    few = names if len(names) <= SHOWN else [*names[: SHOWN - 2], "...", names[-1]]
+    return between.join(name[:LETTERS] for name in few)
