@@ -5,33 +5,66 @@ from __future__ import annotations
 import json
 
 import golden_adf
-import golden_distance
 import golden_mesh
 import golden_picture
-import golden_report
 import golden_svo
 import pytest
 from conftest import model
+from golden_report import WINGS
 
 import voxtool
 
-GOLDEN = json.loads(golden_svo.GOLDEN.read_text(encoding="utf-8"))
-FIELDS = json.loads(golden_adf.GOLDEN.read_text(encoding="utf-8"))
-DISTANCES = json.loads(golden_distance.GOLDEN.read_text(encoding="utf-8"))
-PICTURES = json.loads(golden_picture.GOLDEN.read_text(encoding="utf-8"))
-SURFACES = json.loads(golden_mesh.GOLDEN.read_text(encoding="utf-8"))
+GOLDEN = {
+    wing: json.loads((golden_svo.GOLDEN.parent / f"{wing}.json").read_text(encoding="utf-8"))
+    for wing in WINGS
+}
+# slow wings; make test has some of the fields' requests, make soak all
+MARKS = {"adf": [pytest.mark.soak], "picture": [pytest.mark.slow]}
+REAL = {
+    "svo": (golden_svo.digests, golden_svo.REAL_DIMS),
+    "mesh": (golden_mesh.digests, golden_mesh.REAL_DIMS),
+    "adf": (golden_adf.digests, golden_adf.REAL_REQUESTS),
+}
 
 
-@pytest.mark.parametrize("name", golden_svo.OWN)
-def test_own_meshes(device, name: str) -> None:
-    mesh = golden_svo.own_mesh(name)
-    assert dict(golden_svo.digests(mesh, golden_svo.DIMS, device)) == GOLDEN[name]
+@pytest.mark.parametrize(
+    ("wing", "name"),
+    [
+        pytest.param(wing, name, marks=MARKS.get(wing, ()))
+        for wing, names in WINGS.items()
+        for name in names
+    ],
+)
+def test_own(device, wing: str, name: str) -> None:
+    assert dict(WINGS[wing][name](device)) == GOLDEN[wing][name]
 
 
-@pytest.mark.parametrize("name", golden_svo.REAL)
-def test_real_models(device, name: str) -> None:
+@pytest.mark.slow
+@pytest.mark.parametrize("name", golden_adf.OWN)
+def test_deepest_fields_of_own_meshes(device, name: str) -> None:
+    deepest = {k: r for k, r in golden_adf.REQUESTS.items() if r["max_level"] == 5}
+    found = dict(golden_adf.digests(golden_svo.own_mesh(name), deepest, device))
+    assert found == {k: GOLDEN["adf"][name][k] for k in deepest}
+
+
+@pytest.mark.parametrize(
+    ("wing", "name"),
+    [
+        pytest.param(wing, name, marks=MARKS["adf"] * (wing == "adf" and name in golden_adf.LARGE))
+        for wing in REAL
+        for name in golden_svo.REAL
+    ],
+)
+def test_real_models(device, wing: str, name: str) -> None:
     mesh = voxtool.load_mesh(model(f"{name}.obj"))
-    assert dict(golden_svo.digests(mesh, golden_svo.REAL_DIMS, device)) == GOLDEN[f"{name}.obj"]
+    digests, requests = REAL[wing]
+    assert dict(digests(mesh, requests, device)) == GOLDEN[wing][f"{name}.obj"]
+
+
+def test_pictures_of_a_real_volume(device) -> None:
+    volume = voxtool.build_tet(voxtool.read_unstructured(model("bluntfin.vtu")))
+    found = dict(golden_picture.volume_pictures(volume, device, golden_picture.REAL_VIEWS))
+    assert found == GOLDEN["picture"]["bluntfin.vtu"]
 
 
 def test_closed_models_have_no_odd_column(device) -> None:
@@ -42,70 +75,3 @@ def test_closed_models_have_no_odd_column(device) -> None:
         dense = voxtool.voxelize(mesh, grid, fill="parity", device=device).to_dense()
         assert dense.any()
         assert not dense[-min(4, dim // 8) :].any()
-
-
-@pytest.mark.parametrize("name", golden_svo.OWN)
-def test_surfaces_of_own_meshes(device, name: str) -> None:
-    mesh = golden_svo.own_mesh(name)
-    assert dict(golden_mesh.digests(mesh, golden_mesh.DIMS, device)) == SURFACES[name]
-
-
-@pytest.mark.parametrize("name", golden_svo.REAL)
-def test_surfaces_of_real_models(device, name: str) -> None:
-    mesh = voxtool.load_mesh(model(f"{name}.obj"))
-    found = dict(golden_mesh.digests(mesh, golden_mesh.REAL_DIMS, device))
-    assert found == SURFACES[f"{name}.obj"]
-
-
-@pytest.mark.parametrize("name", golden_distance.OWN)
-def test_distances_to_own_meshes(device, name: str) -> None:
-    assert dict(golden_distance.digests(golden_svo.own_mesh(name), device)) == DISTANCES[name]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", golden_adf.OWN)
-def test_fields_of_own_meshes(device, name: str) -> None:
-    deepest = {k: r for k, r in golden_adf.REQUESTS.items() if r["max_level"] == 5}
-    found = dict(golden_adf.digests(golden_svo.own_mesh(name), deepest, device))
-    assert found == {k: FIELDS[name][k] for k in deepest}
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("wing", golden_report.WINGS)
-def test_every_digest_of_own_meshes(device, wing: str) -> None:
-    golden = json.loads((golden_svo.GOLDEN.parent / f"{wing}.json").read_text(encoding="utf-8"))
-    for name, digests in golden_report.WINGS[wing].items():
-        assert dict(digests(device)) == golden[name], name
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=[pytest.mark.soak] * (name in golden_adf.LARGE))
-        for name in golden_svo.REAL
-    ],
-)
-def test_fields_of_real_models(device, name: str) -> None:
-    mesh = voxtool.load_mesh(model(f"{name}.obj"))
-    found = dict(golden_adf.digests(mesh, golden_adf.REAL_REQUESTS, device))
-    assert found == FIELDS[f"{name}.obj"]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", golden_picture.OWN)
-def test_pictures_of_surfaces(device, name: str) -> None:
-    mesh = golden_svo.own_mesh(name)
-    assert dict(golden_picture.surfaces(mesh, device)) == PICTURES[name]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", golden_picture.VOLUMES)
-def test_pictures_of_volumes(device, name: str) -> None:
-    volume = golden_picture.own_volume(name)
-    assert dict(golden_picture.volume_pictures(volume, device)) == PICTURES[name]
-
-
-def test_pictures_of_a_real_volume(device) -> None:
-    volume = voxtool.build_tet(voxtool.read_unstructured(model("bluntfin.vtu")))
-    found = dict(golden_picture.volume_pictures(volume, device, golden_picture.REAL_VIEWS))
-    assert found == PICTURES["bluntfin.vtu"]
