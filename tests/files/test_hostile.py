@@ -25,7 +25,7 @@ import meshes
 import meshio
 import numpy as np
 import pytest
-from fuzz.bombs import vtu_bomb, write_exodus_bomb
+from fuzz.bombs import endless_list, vtu_bomb, write_exodus_bomb
 from helpers_files import DATA, refusal, run_python
 from helpers_tets import cube
 
@@ -328,6 +328,8 @@ BOMBS: dict[str, tuple[Callable[[Path], Any], str]] = {  # what writes it, what 
         lambda path: write_exodus_bomb(path, 8, zlib.compress(bytes(200 << 20), 9)),
         READ,
     ),
+    "endless.svo.h5": (lambda path: path.write_bytes(endless_list("v1.0.svo.h5")), OCTREE),
+    "endless.exo": (lambda path: path.write_bytes(endless_list("v1.0.svo.h5")), READ),
     "lines.obj.gz": (lambda path: path.write_bytes(gz(b"v 0 0 0\n")), LOAD),
     "zeros.ply.gz": (lambda path: path.write_bytes(gz(bytes(8))), LOAD),
     "blanks.svo.xml.gz": (lambda path: path.write_bytes(gz(b" " * 8)), OCTREE),

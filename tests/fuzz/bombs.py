@@ -9,6 +9,8 @@ from pathlib import Path
 
 import h5py
 
+DATA = Path(__file__).parents[1] / "data"
+
 
 def vtu_bomb(block: int = 1 << 24, blocks: int = 10) -> bytes:
     """A .vtu of 0.2 MB whose one array takes 160 MB, and whose points take 24 bytes."""
@@ -36,3 +38,12 @@ def write_exodus_bomb(path: Path, count: int = 10**8, chunk: bytes = b"") -> Non
     if chunk:
         with h5py.File(path, "r+") as file:
             file["coordx"].id.write_direct_chunk((0,), chunk)
+
+
+def endless_list(name: str) -> bytes:
+    """A file of tests/data in whose heap of names the list of free places leads back to itself:
+    HDF5 takes memory for each of them."""
+    data = bytearray((DATA / name).read_bytes())
+    first, place = struct.unpack_from("<QQ", data, data.index(b"HEAP") + 16)
+    struct.pack_into("<Q", data, place + first, first)
+    return bytes(data)

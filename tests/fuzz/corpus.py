@@ -9,13 +9,14 @@ import struct
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import h5py
 import netCDF4
 import numpy as np
 
-from .bombs import vtu_bomb, write_exodus_bomb
+from .bombs import endless_list, vtu_bomb, write_exodus_bomb
 from .cases import Case
 from .mutate import SECRET
 
@@ -127,6 +128,14 @@ def other_files() -> Iterator[Entry]:
 def bombs() -> Iterator[Entry]:
     yield Entry("bomb of blocks", "a.vtu", lambda: vtu_bomb(1 << 25, 20))
     yield Entry("bomb of unwritten chunks", "a.exo", exodus_bomb)
+    for file, kind in (
+        ("a.svo.h5", "svo"),
+        ("a.adf.h5", "adf"),
+        ("a.raycast.tet.h5", "tet"),
+        ("a.exo", "svo"),
+    ):
+        content = partial(endless_list, f"v1.0.{kind}.h5")
+        yield Entry(f"bomb of an endless list in {file}", file, content)
     for file, line in (
         ("a.obj.gz", b"v 0 0 0\n"),
         ("a.ply.gz", b"\0" * 8),

@@ -92,8 +92,9 @@ def read(name: str, file: BinaryIO, max_memory: int | None) -> ExodusMesh:
             variables = netcdf.read_variables(file)
             mesh = _mesh(_needed(variables, size), max_memory)
         else:
-            with h5py.File(file, "r") as h5:
-                variables = _variables(h5)
+            with hdf5.opened(file) as h5:
+                with bounded_memory(hdf5.METADATA):
+                    variables = _variables(h5)
                 mesh = _mesh(_needed(variables, PACKED * size), max_memory)
     except VoxtoolError as error:
         raise type(error)(f"{name}: {error}") from None

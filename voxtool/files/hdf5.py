@@ -15,10 +15,15 @@ import numpy as np
 
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.files.schema import FORMAT, FORMAT_VERSION, Attribute, Dataset, Schema
+from voxtool.limits import bounded_memory
 from voxtool.memory import check_memory
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
+# Bytes of memory that all but the data of a file may take. The library would follow a list of free
+# places that leads back to itself until it has taken all there is.
+METADATA = 1 << 25
 
 h5py: Any = import_module("h5py")  # its low-level modules have no types
 
@@ -57,13 +62,22 @@ def read(schemas: Sequence[Schema], file: BinaryIO, size: int) -> Any:
     FileError : the file is damaged, hostile or of another format.
     """
     try:
-        with h5py.File(file, "r") as h5:
-            return _read(_schema_of(h5, schemas), h5, size)
+        with opened(file) as h5:
+            with bounded_memory(METADATA):
+                schema = _schema_of(h5, schemas)
+                stored, found = _checked(schema, h5, size)
+            return schema.decode(stored, {name: _load(array) for name, array in found.items()})
     except VoxtoolError:
         raise
     except Exception as error:  # of the library: the file is damaged
         first = (str(error).splitlines() or [type(error).__name__])[0][:160]
         raise FileError(f"damaged HDF5 file: {first}") from error
+
+
+def opened(file: BinaryIO) -> Any:
+    """An open HDF5 file."""
+    with bounded_memory(METADATA):
+        return h5py.File(file, "r")
 
 
 def _schema_of(h5: Any, schemas: Sequence[Schema]) -> Schema:
@@ -79,7 +93,8 @@ def _schema_of(h5: Any, schemas: Sequence[Schema]) -> Schema:
     raise FileError(f"holds {format!r}, not {article} {what} ({names!r}): {schemas[0].hint}")
 
 
-def _read(schema: Schema, h5: Any, size: int) -> Any:
+def _checked(schema: Schema, h5: Any, size: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The attributes and the datasets of a file, by name."""
     schema.check_version(read_attribute(h5, FORMAT_VERSION))
     stored = {attribute.name: read_attribute(h5, attribute) for attribute in schema.attributes}
     schema.check(stored)
@@ -93,7 +108,7 @@ def _read(schema: Schema, h5: Any, size: int) -> Any:
         found[dataset.name] = checked
     needed = sum(checked.dtype.itemsize * math.prod(checked.shape) for checked in found.values())
     check_memory(needed, "its datasets", "choose a smaller file")
-    return schema.decode(stored, {name: _load(checked) for name, checked in found.items()})
+    return stored, found
 
 
 def read_attribute(h5: Any, expected: Attribute) -> Any:
