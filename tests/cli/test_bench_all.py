@@ -19,7 +19,7 @@ from voxtool.bench.request import MESH_BENCHES, VOLUME_BENCHES, benches_for
 from voxtool.cli.main import cli
 
 pytestmark = pytest.mark.slow  # most run whole benches
-BENCHES = ("voxelize", "extract", "adf", "distance", "tets", "growth")
+BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "tets", "growth")
 
 
 QUICK = f"--quick -q --date today --device {usable_devices()[0][0]}"

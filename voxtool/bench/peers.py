@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 TOOLS = {  # imported name, name on the package index, and the benches that use it
     "VTK": ("vtk", "vtk", {"voxelize", "extract", "tets"}),
-    "Open3D": ("open3d", "open3d", {"voxelize", "adf"}),
+    "Open3D": ("open3d", "open3d", {"voxelize", "adf", "pictures"}),
     "libigl": ("igl", "libigl", {"adf"}),
     "scikit-image": ("skimage", "scikit-image", {"extract"}),
     "trimesh": ("scipy", "scipy", {"voxelize"}),  # trimesh is always there, and needs SciPy here
@@ -236,6 +236,29 @@ def _igl_signed_distance(mesh: Mesh) -> Callable[[], Distance]:
 
 
 # --- pictures ------------------------------------------------------------------------------------
+
+
+def of_rays(mesh: Mesh, rays: Rays) -> dict[str, Callable[[], np.ndarray]]:
+    """The tools that cast rays at a mesh, by name and version; their trees are made before. Each
+    returns (H, W) bool: the rays that meet it."""
+    return dict(_made({"Open3D": _open3d_rays}, mesh, rays))
+
+
+def _open3d_rays(mesh: Mesh, rays: Rays) -> Callable[[], np.ndarray]:
+    """RaycastingScene.cast_rays, which is Embree, in float32."""
+    open3d = _module("open3d")
+    as_tensor, (width, height) = open3d.core.Tensor, rays.size
+    scene = open3d.t.geometry.RaycastingScene()
+    scene.add_triangles(
+        as_tensor(mesh.vertices.astype(np.float32)), as_tensor(mesh.faces.astype(np.uint32))
+    )
+    y, x = np.indices((height, width))[..., None] + 0.5
+    aside = (x - width / 2) * rays.right + (y - height / 2) * rays.down
+    origins, directions = np.broadcast_arrays(rays.origin, rays.direction, aside)[:2]
+    origins = origins + (0 if rays.perspective else aside)
+    directions = directions + (aside if rays.perspective else 0)
+    both = as_tensor(np.concatenate([origins, directions], axis=2).astype(np.float32))
+    return lambda: np.isfinite(scene.cast_rays(both)["t_hit"].numpy())
 
 
 @dataclass(frozen=True)

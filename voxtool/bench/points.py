@@ -29,6 +29,7 @@ MEASURES = {  # of errors, by bench, and their units; the first is drawn in char
     "extract": SURFACE,
     "adf": CUBE | {f"{name} near the surface": unit for name, unit in CUBE.items()},
     "distance": CUBE,
+    "pictures": {"outline": "of the pixels"},
     "tets": dict.fromkeys(("rms", "max"), "of colours from 0 to 1"),
     "growth": {"rms": "of the cube's side"},
 }
@@ -37,7 +38,7 @@ _UNITS = {  # of further measures, in the order of their columns
     "samples a side": "count", "nodes": "share", "looked at": "share", "cut": "share",
     "rms in voxels": "number", "max in voxels": "number", "lipschitz": "number", "load": "share",
     "within": "share", "within near the surface": "share", "bits a key": "number",
-    "max unsigned": "number", "largest alpha": "number",
+    "max unsigned": "number", "largest alpha": "number", "times a peer": "number",
 }  # fmt: skip
 _COUNTS = ("triangles", "vertices", "voxels", "depth", "blocks", "over tolerance", "side of slots",
            "side of offsets", "w", "break-even", "other sign", "pixels compared")  # fmt: skip

@@ -17,12 +17,13 @@ SETTINGS = {  # the fields of a Request that each bench reads
     "extract": ("dims", "fills", "styles", "isovalue", "samples"),
     "adf": ("tolerances", "levels", "band", "sign", "points", "kinds", "searches"),
     "distance": ("points", "sign", "grids", "fills"),
+    "pictures": ("sizes", "view", "dims", "levels", "tolerances", "sign"),
     "tets": ("sizes", "pixels", "view", "methods", "integrators", "transfers", "scalar",
              "component"),
     "growth": ("triangles", "cells", "scalar", "component"),
 }  # fmt: skip
 
-MESH_BENCHES = ("voxelize", "extract", "adf", "distance", "growth")
+MESH_BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "growth")
 VOLUME_BENCHES = ("tets", "growth")
 
 

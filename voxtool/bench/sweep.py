@@ -10,7 +10,7 @@ import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from voxtool.bench import adf, distance, growth, tets, voxels
+from voxtool.bench import adf, distance, growth, pictures, tets, voxels
 from voxtool.bench.request import benches_for, is_volume
 from voxtool.bench.timing import Bench
 from voxtool.errors import MeshWarning
@@ -29,6 +29,7 @@ BENCHES = {
     "extract": voxels.measure_extract,
     "adf": adf.measure,
     "distance": distance.measure,
+    "pictures": pictures.measure,
     "tets": tets.measure,
     "growth": growth.measure,
 }

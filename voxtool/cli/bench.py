@@ -128,6 +128,15 @@ COMMANDS = {
       voxtool bench distance bunny.obj --points 1000 --grids 16
       voxtool bench distance bunny.obj --quick --peers
     """,
+    "pictures": """Measure pictures of the octrees and fields of MODELS, one ray a pixel.
+
+    With --peers, other tools cast the same rays at the mesh itself.
+
+    \b
+    Examples:
+      voxtool bench pictures bunny.obj --sizes 256 --dims 256 --levels 6 --tolerances 1e-2
+      voxtool bench pictures bunny.obj --quick --peers
+    """,
     "tets": """Measure pictures of MODELS, which are volume meshes, against pictures in float64.
 
     \b
@@ -147,9 +156,9 @@ COMMANDS = {
 }
 UNITS = """
     Times are medians after a warm-up, in memory, kernels compiled; ± is their spread. Errors are in
-    diagonals of the model (surfaces), sides of the field's cube (distances) or colours from 0 to 1
-    (pictures). * marks the Pareto front. With a budget the exit code is 1 if nothing measured meets
-    it.
+    diagonals of the model (surfaces), sides of the field's cube (distances), colours from 0 to 1
+    (pictures of volumes) or shares of the pixels (other pictures). * marks the Pareto front. With a
+    budget the exit code is 1 if nothing measured meets it.
 """
 
 
