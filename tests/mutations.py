@@ -63,8 +63,8 @@ MUTATIONS: dict[str, Mutation] = {
     ),
     "winding: the row up to a voxel": Mutation(
         "kernels/svo/fill/winding.cl",
-        "((ulong)(x + 2) << 2)",
-        "((ulong)(x + 1) << 2)",
+        "((ulong)(i + 2) << 2)",
+        "((ulong)(i + 1) << 2)",
         "tests/svo/fill",
     ),
     "winding: a box that a cap may cross": Mutation(
