@@ -183,6 +183,14 @@ def test_tables_put_the_error_beside_the_time() -> None:
     assert [line[:2] for line in lines] == ["  ", "* ", "* ", "  "]
 
 
+def test_fill_rules_are_compared_with_parity() -> None:
+    rules = (("winding", 3e-3, "dim 8"), ("parity", 2e-3, "dim 8"), ("winding", 3e-3, "dim 16"))
+    measured = [point(r, t, 0.5, label=dim, setting={"rule": r}) for r, t, dim in rules]
+    times = tables_of([*measured, point("theirs", 4e-3, 0.5, label="dim 8", peer=True)])[0]
+    assert times.head[-1] == "over parity"
+    assert [row[-1] for row in times.rows] == ["1.5", "-", "-", "-"]
+
+
 # ---- files
 
 

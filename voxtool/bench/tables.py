@@ -57,6 +57,7 @@ def tables_of(points: Sequence[Point]) -> list[Table]:
         "first": lambda p: _text(p.first, duration),
         **{name: partial(_error, name) for name in MEASURES[points[0].bench]},
         "beside": partial(_ratio, points),
+        "over parity": partial(_over_parity, points),
     }
     figures: Columns = {
         # if the label does not have it
@@ -167,3 +168,13 @@ def _ratio(points: Sequence[Point], point: Point) -> str:
     """The time of another tool over voxtool's at the same setting."""
     ours = next((p for p in points if not p.peer and p.label == point.label), None)
     return f"{point.seconds / ours.seconds:.2g} times" if point.peer and ours else NONE
+
+
+def _over_parity(points: Sequence[Point], point: Point) -> str:
+    """The time of a fill rule over that of parity at the same setting."""
+    parity = next(
+        (p for p in points if p.setting.get("rule") == "parity" and p.label == point.label), None
+    )
+    if parity is None or point.peer or "rule" not in point.setting or point is parity:
+        return NONE
+    return f"{point.seconds / parity.seconds:.2g}"
