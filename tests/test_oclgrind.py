@@ -266,6 +266,18 @@ def voxelize_all(device) -> None:
             else:
                 assert np.array_equal(wound, numbers > 0), (scene, variant)
 
+    # a hole so wide that its middle is far from its edges
+    vertices, faces = meshes.open_box((1.5, 1.5, 3), (30.5, 30.5, 10), missing=4)
+    mesh, grid = Mesh(vertices, faces.astype(np.int32)), Grid((32, 32, 12), (0, 0, 0), (1, 1, 1))
+    job = plan_voxelize(mesh, grid, fill="winding", device=device).with_(most_left=1.0)
+    assert job.run().to_dense()[8:24, 8:24, 5:10].all()
+
+    vertices, faces = meshes.open_box((2.5, 3.5, 2.5), (13.5, 12.5, 9.5), missing=4)
+    mesh, grid = Mesh(vertices, faces.astype(np.int32)), Grid((16, 16, 12), (0, 0, 0), (1, 1, 1))
+    surface = plan_voxelize(mesh, grid, "surface26", device=device).run().to_dense()
+    flooded = plan_voxelize(mesh, grid, fill="flood", gap=2, device=device).run()
+    assert np.array_equal(flooded.to_dense(), oracles.flood(surface, 2))
+
 
 def measure_distances(device) -> None:
     """Distances near to a mesh of several levels, and far away, and by every sign."""

@@ -17,6 +17,7 @@ CODE_32_SIDE = 8192  # voxels up to which level-1 Morton codes fit 32 bits
 DENSE_SIDE = 2048  # voxels up to which the level-1 volume is dense
 CROWD = 1024  # leaves of caps near a voxel that winding numbers are summed over; at larger
 # reaches more, by their squares
+MOST_LEFT = 0.5  # share of nodes near holes without an answer up to which their bricks are expanded
 COLUMN_TILE = 64  # columns along a side of a work-item's share of a triangle
 
 
@@ -54,6 +55,7 @@ class VoxelizePlan:
     active: tuple[int, ...]  # predicted refined nodes by level, from level 1 up
     column_tile: int = COLUMN_TILE  # columns along a side of a work-item's share of a triangle
     crowd: int = CROWD  # leaves of caps that may be near a voxel
+    most_left: float = MOST_LEFT
 
     @property
     def solid(self) -> bool:

@@ -217,7 +217,8 @@ class VoxelizeJob(Job[Octree]):
         with self.stage("flood"):
             level1 = surface.tree.refined[0]
             nodes, masks = level1.codes.get(0, level1.n), surface.bricks.take()
-            found = flood(nodes, masks, self.plan.side, self.plan.shape, self.plan.gap)
+            plan = self.plan
+            found = flood(self.device, nodes, masks, plan.side, plan.shape, plan.gap)
             return self._octree(*prune(*found, nodes))
 
     def _read(self, filled: Filled, touched: np.ndarray | None) -> Octree:

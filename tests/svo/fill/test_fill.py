@@ -73,6 +73,8 @@ def assert_winding(device: Device, mesh, shape) -> tuple[Octree, np.ndarray]:
     """Check that an octree holds the voxels of winding number 1/2 or more; return it, and the
     voxels in doubt."""
     octree = run(device, mesh, shape, "winding")
+    job = plan_voxelize(lattice_mesh(*mesh), lattice_grid(shape), fill="winding", device=device)
+    assert job.with_(most_left=1.0).run().digest() == octree.digest()
     triangles = mesh[0][mesh[1]]
     some = oracles.counted(triangles)
     found = numbers(some, shape)

@@ -66,7 +66,6 @@ MIDDLE = 2  # the reach of numbers in the middle of blocks
 LIMIT = 0.5  # of a useful expansion's error
 TAKEN_LEVEL = 4  # of the largest blocks whose bricks are decided by one expansion
 EXPANSION = 10  # numbers
-MOST_LEFT = 0.5  # share of level-1 nodes without an answer, up to which their bricks are expanded
 NONE, SOME, ALL = range(3)  # voxels
 HALF = 0.5 - 2.0**-21  # 1/2 minus the rounding error
 BEYOND_GRID = 1 << 30  # number of a voxel beyond the grid
@@ -94,6 +93,7 @@ class NearHoles:
         self._device, self._max_memory, caps = mesh.device, max_memory, mesh.caps
         self._options: dict[str, int | str] = {"CODE": "ulong"} | ({"WIDE": 1} if plan.wide else {})
         self._crowd, self._side, self._shape = plan.crowd, plan.side, plan.shape
+        self._most_left = plan.most_left
         points = mesh.fixed.astype(np.float64)
         cap_mesh = Mesh(points, caps.faces)
         tree = build_tree(self._device, cap_mesh, np.zeros(len(caps.faces), np.uint8))
@@ -148,7 +148,7 @@ class NearHoles:
         found, bricks, left = [], 0, 0.0
         blocks = np.zeros(1, np.uint64)
         for level in range(self._side.bit_length() - 1, BRICK_LEVEL - 1, -1):
-            if level == BRICK_LEVEL and left > MOST_LEFT:
+            if level == BRICK_LEVEL and left > self._most_left:
                 break
             expanded, rest = self._examine(blocks, level)
             left, blocks = len(rest) / max(len(blocks), 1), rest

@@ -1,0 +1,245 @@
+// What the outside reaches through voxels that share a face, an edge or a corner: connected components
+// of the leaves of an octree and of the free voxels of its bricks. Host side: voxtool/svo/fill/flood.py.
+// Options: CODE.
+//
+// Nodes of the graph are numbered: coarse nodes as in the octree, then PARTS for each brick. A root is
+// the least number of its component, whatever the order in which components are united.
+
+#include "svo/octree.h"
+#include "svo/fill/flood.h"
+#include "svo/morton.h"
+
+// The voxels of coordinate 0 along an axis; those of 1, 2 and 3 lie 1, 8 and 9 << axis bits above.
+__constant ulong LOW[3] = {0x0055005500550055ul, 0x0000333300003333ul, 0x000000000F0F0F0Ful};
+
+// The voxels of the brick `step` away along an axis that touch voxels of a mask: voxels that differ in the
+// other coordinates do not touch.
+ulong spilled_along(int axis, ulong mask, int step)
+{
+    const ulong low = LOW[axis];
+    const int one = 1 << axis, two = 8 << axis, three = 9 << axis;
+    if (step > 0)
+        return (mask >> three) & low;
+    if (step < 0)
+        return (mask & low) << three;
+    const ulong up = (mask & (low | low << two)) << one | (mask & low << one) << (two - one);
+    const ulong down = (mask >> one & (low | low << two)) | (mask >> (two - one) & low << one);
+    return mask | up | down;
+}
+
+ulong spilled(ulong mask, int3 d)
+{
+    return spilled_along(2, spilled_along(1, spilled_along(0, mask, d.x), d.y), d.z);
+}
+
+// Direction i of 27, ascending in x, then y, then z; the middle one is none.
+int3 direction(int i) { return (int3)(i / 9 - 1, i / 3 % 3 - 1, i % 3 - 1); }
+
+// ---- components
+
+// The root of a node; halves the path to it.
+uint root_of(volatile __global uint *roots, uint i)
+{
+    uint above = roots[i];
+    while (above != i) {
+        const uint next = roots[above];
+        if (next != above)
+            atomic_min(&roots[i], next);
+        i = above;
+        above = next;
+    }
+    return i;
+}
+
+void unite(volatile __global uint *roots, uint a, uint b)
+{
+    for (;;) {
+        a = root_of(roots, a);
+        b = root_of(roots, b);
+        if (a == b)
+            return;
+        const uint low = min(a, b), high = max(a, b);
+        if (atomic_cmpxchg(&roots[high], high, low) == high)
+            return;
+        a = low;
+        b = high;
+    }
+}
+
+// The connected components of the free voxels of each brick: at most PARTS,
+// and empty masks after them.
+__kernel void split_bricks(__global const ulong *barrier, const uint n, __global ulong *parts)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    ulong left = ~barrier[gid];
+    for (uint i = 0; i < PARTS; ++i) {
+        ulong part = left & (~left + 1), grown = part; // the lowest voxel
+        do {
+            part = grown;
+            grown = spilled(part, (int3)(0)) & left;
+        } while (grown != part);
+        parts[(size_t)PARTS * gid + i] = part;
+        left &= ~part;
+    }
+}
+
+__kernel void number_nodes(const uint n, __global uint *roots)
+{
+    if (get_global_id(0) < n)
+        roots[get_global_id(0)] = get_global_id(0);
+}
+
+// ---- neighbours
+
+// The node at a cell of a level: a leaf at this level or above, or else the node at this level.
+uint node_at(__global const svo_node *nodes, __constant uint *offsets, uint top, uint level, uint3 cell)
+{
+    uint at = 0, own = 0;
+    for (uint above = top; above > level; --above) {
+        const uint child = nodes[at].child, shift = above - 1 - level;
+        if (!(child & VALID))
+            return at;
+        own = (child & LINK) | ((cell.x >> shift) & 1) | ((cell.y >> shift) & 1) << 1 |
+              ((cell.z >> shift) & 1) << 2;
+        at = offsets[top - above + 1] + own;
+    }
+    return at;
+}
+
+// beside[27 i ..] = what lies in each direction from level-1 node i: VALID and the index of a refined
+// level-1 node, the number of a leaf, or NOTHING.
+__kernel void find_beside(__global const svo_node *nodes, __constant uint *offsets, const uint top,
+                          __global const CODE *codes, const uint n, __global uint *beside)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const int3 own = convert_int3(morton_decode(codes[gid]));
+    const int side = 1 << (top - 1);
+    for (int i = 0; i < 27; ++i) {
+        const int3 cell = own + direction(i);
+        uint found = NOTHING;
+        if (all(cell >= 0) && all(cell < side)) {
+            found = node_at(nodes, offsets, top, 1, convert_uint3(cell));
+            const uint child = nodes[found].child;
+            found = child & VALID ? VALID | (child & LINK) / 8 : found;
+        }
+        beside[27 * (size_t)gid + i] = found;
+    }
+}
+
+// What lies in direction d from octant o of level-1 node `node`: as `beside` has it, and in *octant the
+// brick of a refined node.
+uint beside_brick(__global const uint *beside, uint node, uint o, int3 d, uint *octant)
+{
+    const int3 place = (int3)(o & 1, o >> 1 & 1, o >> 2) + d, away = place >> 1; // -1, 0 or 1
+    *octant = (uint)((place.x & 1) | (place.y & 1) << 1 | (place.z & 1) << 2);
+    return beside[27 * (size_t)node + 9 * (away.x + 1) + 3 * (away.y + 1) + away.z + 1];
+}
+
+// ---- links
+
+// Unite each leaf of a level with the leaves beside it that are not smaller. `parents` holds the codes
+// of the refined nodes of the level above.
+__kernel void link_leaves(__global const svo_node *nodes, __constant uint *offsets, const uint top,
+                          const uint level, __global const CODE *parents, const uint n,
+                          volatile __global uint *roots)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint own = offsets[top - level] + gid;
+    if (nodes[own].child & VALID)
+        return;
+    const int3 cell = convert_int3(morton_decode(parents[gid >> 3] << 3 | (gid & 7)));
+    const int side = 1 << (top - level);
+    for (int i = 0; i < 27; ++i) {
+        const int3 next = cell + direction(i);
+        if (any(next < 0) || any(next >= side))
+            continue;
+        const uint other = node_at(nodes, offsets, top, level, convert_uint3(next));
+        if (!(nodes[other].child & VALID))
+            unite(roots, own, other);
+    }
+}
+
+// Unite each part of brick i with the leaves, and with the parts of other bricks, that it touches.
+__kernel void link_parts(__global const uint *beside, const uint n, __global const ulong *parts,
+                         const uint first_part, volatile __global uint *roots)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    for (int i = 0; i < 27; ++i) {
+        uint octant;
+        const int3 d = direction(i);
+        const uint other = beside_brick(beside, gid >> 3, gid & 7, d, &octant);
+        if (i == 13 || other == NOTHING || (other & VALID && i < 13))
+            continue; // bricks find each other from one side
+        for (uint p = 0; p < PARTS && parts[(size_t)PARTS * gid + p]; ++p) {
+            const ulong reach = spilled(parts[(size_t)PARTS * gid + p], d);
+            const uint own = first_part + PARTS * gid + p;
+            const uint first = PARTS * (8 * (other & LINK) + octant);
+            if (!(other & VALID)) {
+                if (reach)
+                    unite(roots, own, other);
+                continue;
+            }
+            for (uint q = 0; q < PARTS && parts[first + q]; ++q)
+                if (reach & parts[first + q])
+                    unite(roots, own, first_part + first + q);
+        }
+    }
+}
+
+// ---- answers
+
+// outside[i] = the voxels of brick i in the component of node `out`.
+__kernel void collect_outside(__global const ulong *parts, const uint n, const uint first_part,
+                              const uint out, volatile __global uint *roots, __global ulong *outside)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint root = root_of(roots, out);
+    ulong found = 0;
+    for (uint p = 0; p < PARTS && parts[(size_t)PARTS * gid + p]; ++p)
+        if (root_of(roots, first_part + PARTS * gid + p) == root)
+            found |= parts[(size_t)PARTS * gid + p];
+    outside[gid] = found;
+}
+
+// states[i] = the state of coarse node i: REFINED, or EMPTY in the component of node `out`, or FULL.
+__kernel void state_nodes(__global const svo_node *nodes, const uint n, const uint out,
+                          volatile __global uint *roots, __global uchar *states)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const bool reached = root_of(roots, gid) == root_of(roots, out);
+    states[gid] = nodes[gid].child & VALID ? REFINED : reached ? EMPTY : FULL;
+}
+
+// grown[i] = outside[i] and the voxels of brick i's barrier that touch the outside: voxels of other
+// bricks, or leaves.
+__kernel void grow_outside(__global const uint *beside, const uint n, __global const uchar *states,
+                           __global const ulong *barrier, __global const ulong *outside,
+                           __global ulong *grown)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    ulong found = 0;
+    for (int i = 0; i < 27; ++i) {
+        uint octant;
+        const int3 d = direction(i);
+        const uint other = beside_brick(beside, gid >> 3, gid & 7, d, &octant);
+        ulong mask = ~0ul; // beyond the octree is outside
+        if (other != NOTHING)
+            mask = other & VALID ? outside[8 * (other & LINK) + octant] : states[other] == EMPTY ? ~0ul : 0;
+        found |= spilled(mask, -d);
+    }
+    grown[gid] = outside[gid] | (found & barrier[gid]);
+}
