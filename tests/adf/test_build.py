@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import meshes
 import numpy as np
 import pytest
-from conftest import model, opened, usable_devices
+from conftest import model
 from helpers_distance import brute
 from helpers_field import HALVES, OCTANTS, cells_of
 from helpers_signs import winding
@@ -621,15 +621,6 @@ def test_the_order_of_faces_changes_no_distance(device: Device, name: str, sign:
     shuffled = replace(mesh, faces=np.random.default_rng(4).permutation(mesh.faces))
     request = {"tolerance": 1e-2, "max_level": 4, "sign": sign}
     assert same_textures(*(build(m, device, **request) for m in (mesh, shuffled)))
-
-
-@pytest.mark.parametrize("name", ["torus", "box without lid", "loose"])
-def test_all_devices_agree_bit_for_bit(name: str) -> None:
-    devices = [opened(index) for index, _ in usable_devices()]
-    first, *others = (build(EVERY[name](), d, tolerance=1e-2, max_level=4) for d in devices)
-    for other in others:
-        assert other.digest() == first.digest()
-        assert other.reached == first.reached
 
 
 def test_copies_of_faces_change_nothing_and_end(device: Device) -> None:

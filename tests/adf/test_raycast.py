@@ -10,7 +10,6 @@ from typing import Any
 import meshes
 import numpy as np
 import pytest
-from conftest import opened, usable_devices
 from helpers_field import cells_of, plain_field, point, sphere
 
 from voxtool.adf.build import build_adf
@@ -206,15 +205,6 @@ def test_nothing_behind_the_camera(device) -> None:
     middle, back = np.array(ORIGIN) + SIDE / 2, np.array([0.0, 0.0, 1.0])
     away = Camera(tuple(middle + SIDE * back), tuple(middle + 2 * SIDE * back))
     assert not cast(field, away.rays(16, 16), device=device).any()
-
-
-def test_every_device_draws_the_same() -> None:
-    devices = [opened(index) for index, _ in usable_devices()]
-    field = open_box(devices[0])
-    for rays in (view(field, size=90), view(field, "front", size=90, fov=None)):
-        first, *others = (cast(field, rays, device=d) for d in devices)
-        assert first.any()
-        assert all(np.array_equal(first, other) for other in others)
 
 
 @pytest.mark.parametrize("name", FIELDS)

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import opened, usable_devices
 from helpers_octree import ball, octree_from_dense
 
 from voxtool.camera import Camera, Rays
@@ -342,19 +341,6 @@ def test_what_a_ray_meets_does_not_depend_on_its_neighbours(device: Device, whic
                 for lanes in (1, 16)
             )
             assert np.array_equal(alone, together)
-
-
-def test_same_on_every_device():
-    """Bit for bit, at every level, with rays of every kind."""
-    devices = [opened(index) for index, _ in usable_devices()]
-    if len(devices) < 2:
-        pytest.skip("only one device")
-    for octree in patterns():
-        for camera in cameras(octree, np.random.default_rng(9)):
-            for level in ("voxel", 0):
-                rays = camera.rays(33, 21)
-                pictures = [cast(octree, rays, level=level, device=d) for d in devices]
-                assert len({picture.tobytes() for picture in pictures}) == 1
 
 
 def test_frames(device: Device):
