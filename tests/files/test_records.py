@@ -578,3 +578,11 @@ def test_importing_files_is_light() -> None:
     code = "import sys, voxtool.files\n"
     code += "print([m for m in ('h5py', 'lxml', 'PIL', 'numpy') if m in sys.modules])"
     assert run_python(code).stdout == b"[]\n"
+
+
+def test_the_limit_of_memory_is_not_one_of_the_data(tmp_path: Path, monkeypatch) -> None:
+    octree = Octree.from_dense(np.random.default_rng(0).random((256, 256, 256)) < 0.5)
+    monkeypatch.setattr(hdf5, "METADATA", 1 << 22)
+    assert octree.nbytes > hdf5.METADATA
+    files.write_svo(octree, tmp_path / "a.svo.h5")
+    assert files.read_svo(tmp_path / "a.svo.h5") == octree

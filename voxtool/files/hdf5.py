@@ -66,6 +66,8 @@ def read(schemas: Sequence[Schema], file: BinaryIO, size: int) -> Any:
             with bounded_memory(METADATA):
                 schema = _schema_of(h5, schemas)
                 stored, found = _checked(schema, h5, size)
+            needed = sum(array.dtype.itemsize * math.prod(array.shape) for array in found.values())
+            check_memory(needed, "its datasets", "choose a smaller file")
             return schema.decode(stored, {name: _load(array) for name, array in found.items()})
     except VoxtoolError:
         raise
@@ -106,8 +108,6 @@ def _checked(schema: Schema, h5: Any, size: int) -> tuple[dict[str, Any], dict[s
         names = zip(dataset.shape, checked.shape, strict=True)
         sizes |= {side: n for side, n in names if isinstance(side, str)}
         found[dataset.name] = checked
-    needed = sum(checked.dtype.itemsize * math.prod(checked.shape) for checked in found.values())
-    check_memory(needed, "its datasets", "choose a smaller file")
     return stored, found
 
 
