@@ -46,7 +46,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what the tier does not run: slow tests in --quick, soak tests without --soak."""
+    """Leave out what the tier does not run: slow tests in --quick, soak tests without --soak. The
+    longest file comes first, so that no worker is left alone with it."""
+    items.sort(key=lambda item: item.path.name != "test_oclgrind.py")
     left_out = set() if config.getoption("soak") else {"soak"}
     if config.getoption("quick"):
         left_out.add("slow")

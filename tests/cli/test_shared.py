@@ -92,6 +92,7 @@ def test_verbose_names_the_device_and_the_stages_of_the_plan(command: str, here:
     assert len(named) == (not command.startswith("tet-build"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command",
     [
