@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import faulthandler
-import functools
 import multiprocessing
 import os
 import re
@@ -111,10 +110,8 @@ def serve(pipe: Any, folder: Path, log: Path, device: str, limit: float) -> None
     os.chdir(work)
     from voxtool import opencl
 
-    # Commands open a device each. Here all share one, which builds each kernel once.
-    opencl.open_device = functools.cache(opencl.open_device)
     contents = samples.read_all(folder)
-    tools = Tools(opencl.open_device(device), device)
+    tools = Tools(opencl.shared_device(device), device)
     (folder / "secret.txt").write_text(f"{SECRET_WORD}\n")
     tools.load(folder)
     fill_folder(contents)
