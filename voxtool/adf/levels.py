@@ -21,6 +21,7 @@ from voxtool.opencl import Array, program
 from voxtool.opencl.primitives import exclusive_scan
 
 CROSSED = 64.0  # tolerances: the largest edge of a leaf where triangles pass, unless certain
+WALKERS = {"sample_blocks", "examine_children", "pass_lists_on"}  # kernels that walk whole lists
 KEPT = 32  # triangles of a cell that are combined in pairs, at most
 NO_TRIANGLE = OUT_OF_CUBE = 0xFFFFFFFF
 COARSE = OUT_OF_CUBE - 1  # a neighbour that is a leaf, or lies within one
@@ -103,7 +104,8 @@ class Level:
         begins, items : uint32, where the list of each cell begins, and the triangles of all lists.
         masks, needed : uint8 an item, the children that need it; uint32 a child, its number of
             items.
-        values : float64, 27 a cell, the distances of its block, in the frame.
+        values, centres : float64, 27 and 8 a cell, the distances of its block and at the centres of
+            its children, in the frame.
         states, doubts, asked : uint8, the side of the mesh of each cell; uint32, the vertices of
             its block whose signs are unknown, and those whose winding numbers are computed.
         neighbours : uint32, 27 a cell, see find_neighbours.
@@ -162,7 +164,8 @@ class Construction:
         `more` replaces arguments of the construction and the level."""
         launch = self.device.kernel(f"adf/levels/{stage}.cl", kernel, **self.options)
         arguments = {**self.arguments, **level.arrays, "level": level.number, **more}
-        launch(size or level.count, **arguments)
+        alone = kernel in WALKERS and self.device.lanes > 1  # a core for each of few long lists
+        launch(size or level.count, **arguments, local=1 if alone else 64)
 
     def root(self) -> Level:
         """Return the root, whose list contains every triangle of the tree: duplicates, which are
@@ -182,7 +185,7 @@ class Construction:
 def sample(work: Construction, level: Level) -> None:
     """Compute the distances of a level's blocks, their signs, and the triangles of each child."""
     device, winding = work.device, "WINDING" in work.options
-    level.allocate(values=(27, np.float64), needed=(8, np.uint32))
+    level.allocate(values=(27, np.float64), centres=(8, np.float64), needed=(8, np.uint32))
     level.arrays["masks"] = device.empty(level.arrays["items"].size, np.uint8)
     signed = "SIGNED" in work.options
     places = device.empty(27 * level.count, np.uint32) if signed else None

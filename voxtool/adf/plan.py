@@ -19,7 +19,7 @@ BLOCK_BYTES = 27 * 4 + 8 + 8 + 1  # voxels, cell, bounds, and about as much of t
 NARROW_LEVEL = 11  # leaves up to this level have parents with 32-bit identifiers
 PILOT_LEVEL = 5  # a field is built down to this level to predict the rest
 GROWTH = 4  # factor from level to level, at most about: refined cells lie along surfaces
-CELL_BYTES = 27 * (8 + 4 + 4 + 8) + 8 + 2 * 4 + 8 * (4 + 4 + 1 + 4)  # of a refined cell's arrays
+CELL_BYTES = 27 * (8 + 4 + 4 + 8) + 8 + 2 * 4 + 8 * (8 + 4 + 4 + 1 + 4)  # of a refined cell
 ITEM_BYTES = 5  # a triangle in a list, and its mask
 
 

@@ -112,7 +112,7 @@ double bound_apart(const child_list *list, const ways *at, double8 size, double 
         if (count < KEPT)
             distances[count++] = d;
     }
-    for (uint i = 0; i < count; ++i) {
+    for (uint i = 0; i < count && bounds.above > bounds.below; ++i) {
         const double excess = highest(0.5 * (bounds.best + distances[i]) - size);
         bounds.above = excess < bounds.above ? excess : bounds.above;
     }
@@ -150,32 +150,59 @@ double bound_passed(const child_list *list, const ways *at, double8 field, doubl
 }
 #endif
 
+// The refinement parameters, in the frame: tolerance, displacement of points by rounding, and width
+// of the refined band around the surface; whether children can be refined, whether they must be
+// where triangles pass, and whether all samples are taken.
+#define LIMITS                                                                                         \
+    const double tolerance, const double misplaced, const double band, const uint can_refine,          \
+        const uint refine_coarse, const uint thorough
+
+// A child of a block and its state. corners: its distances; radius: half of its diagonal; middle:
+// the distance at its centre; rounding: of bounds; gap: the growth of the error between samples;
+// passed: triangles may pass through it; in_doubt: the sign of a corner is unknown; beyond: it lies
+// beyond the band; may_refine: it may have children. error: the largest error known; bound: the
+// error bound.
+typedef struct {
+    uint3 cell;
+    uint level;
+    double corners[8], extent, edge, slope, radius, middle, rounding, gap, error, bound;
+    bool in_doubt, passed, beyond, may_refine;
+} child_cell;
+
+ways samples_of(const child_cell *c, uint k)
+{
+    return lattice_points(4 * c->cell, SAMPLES, k, c->level + 2, c->extent);
+}
+
+double8 interpolated_at(const child_cell *c, uint k)
+{
+    double8 sum = 0;
+    for (uint i = 0; i < 8; ++i)
+        sum += c->corners[i] * vload8(k, WEIGHTS + i * POINTS);
+    return sum;
+}
+
 // The largest interpolation error at eight of a cell's samples, computed from the triangles of a
-// child's list; and the distances of the first triangle to the samples. The interpolation supplies
-// the sign where it is uncertain, or where the distance is so large that the whole cell is on one
-// side.
-double sample_error(const child_list *list, const ways *points, uint k, const double *corners,
-                    bool in_doubt, double radius, double *first)
+// child's list. The interpolation supplies the sign where it is uncertain, or where the distance is
+// so large that the whole cell is on one side.
+double sample_error(const child_list *list, const child_cell *c, uint k)
 {
     const scene_of_lists *scene = &list->scene;
+    const ways points = samples_of(c, k);
     nearest found = nothing_found();
     for (uint j = from(list, list->begin); j < list->end; j = from(list, j + 1)) {
         const triangle t = triangle_at(scene, j);
-        look_at(scene, j, squares_to(&t, points), &found);
+        look_at(scene, j, squares_to(&t, &points), &found);
     }
-    const double8 distance = sqrt(found.square);
-    *first = distance.s0;
-    double8 interpolated = 0;
-    for (uint i = 0; i < 8; ++i)
-        interpolated += corners[i] * vload8(k, WEIGHTS + i * POINTS);
+    const double8 distance = sqrt(found.square), interpolated = interpolated_at(c, k);
     double8 outward = interpolated;
 #ifdef SIGNED
-    if (!in_doubt && (k > 0 || *first <= radius)) {
+    if (!c->in_doubt && c->passed) {
         double x[8], y[8], z[8], numbers[8];
         long which[8];
-        vstore8(points->x, 0, x);
-        vstore8(points->y, 0, y);
-        vstore8(points->z, 0, z);
+        vstore8(points.x, 0, x);
+        vstore8(points.y, 0, y);
+        vstore8(points.z, 0, z);
         vstore8(found.which, 0, which);
         for (uint i = 0; i < 8; ++i)
             numbers[i] = number_beside(scene, which[i], x[i], y[i], z[i]);
@@ -186,22 +213,6 @@ double sample_error(const child_list *list, const ways *points, uint k, const do
     return highest(absolute(interpolated - (outward < 0.0 ? -distance : distance)));
 }
 
-// The refinement parameters, in the frame: tolerance, displacement of points by rounding, and width
-// of the refined band around the surface; whether children can be refined, whether they must be
-// where triangles pass, and whether all samples are taken.
-#define LIMITS                                                                                         \
-    const double tolerance, const double misplaced, const double band, const uint can_refine,          \
-        const uint refine_coarse, const uint thorough
-
-// A child of a block and its state. corners: its distances; radius: half of its diagonal; middle:
-// the distance at its centre; passed: triangles may pass through it; in_doubt: the sign of a corner
-// is unknown. error: an upper bound, or the largest sampled error so far; bound: the error bound.
-typedef struct {
-    uint3 cell;
-    double corners[8], edge, slope, radius, middle, error, bound;
-    bool in_doubt, passed;
-} child_cell;
-
 // The largest gradient of the interpolation in a cell.
 double slope_of(double8 field, double edge)
 {
@@ -211,78 +222,94 @@ double slope_of(double8 field, double edge)
     return sqrt(dx * dx + dy * dy + dz * dz) / edge;
 }
 
-// The error at the first eight samples, enough to refine most children that need it.
-void sample_middle(const child_list *list, child_cell *c, uint level, double extent)
+// Computes the errors at the samples, until the error exceeds the tolerance and the child may be
+// refined or, if thorough, at all of them; then the bound between samples.
+void sample_all(const child_list *list, child_cell *c, double tolerance, uint thorough)
 {
-    const ways central = lattice_points(4 * c->cell, SAMPLES, 0, level + 3, extent);
-    c->error = sample_error(list, &central, 0, c->corners, c->in_doubt, c->radius, &c->middle);
-    c->passed = c->middle <= c->radius;
-}
-
-// Computes the bound without samples. If it exceeds the tolerance, computes the errors at the
-// remaining samples, until the child is `refined` or, if thorough, at all of them; then the bound
-// between samples.
-bool sample_all(const child_list *list, child_cell *c, uint level, double extent, bool refined,
-                bool can_refine, double tolerance, double misplaced,
-                uint refine_coarse, uint thorough)
-{
-    const double8 field = vload8(0, c->corners), size = absolute(field);
-    const ways at = lattice_points(c->cell, CELL, 0, level + 1, extent);
-#ifdef SIGNED
-    if (!c->passed)
-#endif
-        c->bound = bound_apart(list, &at, size, c->edge);
-#ifdef CLOSED
-    if (c->passed)
-        c->bound = bound_passed(list, &at, field, c->middle + 2 * c->radius);
-#endif
-    const double rounding = highest(size) * 0x1p-21 + SLACK + misplaced;
-    c->bound += rounding;
-    if (c->bound <= tolerance) {
-        c->error = c->bound;
-        return refined;
-    }
-    for (uint k = 1; k < POINTS / 8 && (thorough || !refined); ++k) {
-        const ways points = lattice_points(4 * c->cell, SAMPLES, k, level + 3, extent);
-        double elsewhere;
-        const double miss = sample_error(list, &points, k, c->corners, c->in_doubt || !c->passed,
-                                         c->radius, &elsewhere);
+    for (uint k = 0; k < POINTS / 8; ++k) {
+        const double miss = sample_error(list, c, k);
         c->error = miss > c->error ? miss : c->error;
-        refined = can_refine && c->error > tolerance;
+        if (c->may_refine && c->error > tolerance && !thorough)
+            return;
     }
     const double unsure = c->in_doubt && c->passed ? 2 * (c->middle + c->radius) : 0;
-    const double between = c->error + unsure + rounding + (1 + c->slope) * (SAMPLE_GAP * c->edge);
+    const double between = c->error + unsure + c->rounding + c->gap;
     c->bound = between < c->bound ? between : c->bound;
-    return refined || (can_refine && c->passed && refine_coarse);
 }
 
-// For each child c of block c / 8: flags[c] = 1 if it is to be refined. errors[c] = its
-// interpolation error in cube edges: an upper bound if that is within the tolerance, otherwise the
-// sampled error. Unless `thorough`, sampling stops once the error exceeds the tolerance. errors[c]
-// = 0 beyond the band and -1 at a sign discontinuity. codes[c] = the code of its bound.
+// Computes the error bound of a child that no triangle passes. If it exceeds the tolerance, samples
+// the error, unless the child lies beyond the band and samples cannot lower the bound.
+void examine_apart(const child_list *list, child_cell *c, double tolerance, uint thorough)
+{
+    const double8 size = absolute(vload8(0, c->corners));
+    const ways at = lattice_points(c->cell, CELL, 0, c->level, c->extent);
+    c->bound = bound_apart(list, &at, size, c->edge) + c->rounding;
+    if (c->bound > tolerance && !(c->beyond && c->bound <= c->rounding + c->gap))
+        sample_all(list, c, tolerance, thorough);
+}
+
+#ifdef SIGNED
+// Computes the error bound of a child that triangles pass, and its error if that bound exceeds the
+// tolerance.
+void examine_passed(const child_list *list, child_cell *c, double tolerance, uint thorough)
+{
+#ifdef CLOSED
+    const double8 field = vload8(0, c->corners);
+    const ways at = lattice_points(c->cell, CELL, 0, c->level, c->extent);
+    c->bound = bound_passed(list, &at, field, c->middle + 2 * c->radius) + c->rounding;
+    if (c->bound <= tolerance)
+        return;
+#endif
+    sample_all(list, c, tolerance, thorough);
+}
+#endif
+
+// Whether a child is refined: its error exceeds the tolerance, or triangles pass a coarse child
+// whose bound does. Computes both as far as they are needed.
+bool examined(const child_list *list, child_cell *c, double tolerance, uint refine_coarse,
+              uint thorough)
+{
+    const double miss = fabs(fabs(interpolated_at(c, 0).s0) - c->middle);
+    if (c->may_refine && !thorough && miss > tolerance) // at the centre, whatever its sign
+        return true;
+#ifdef SIGNED
+    if (c->passed)
+        examine_passed(list, c, tolerance, thorough);
+    else
+#endif
+        examine_apart(list, c, tolerance, thorough);
+    const bool coarse = c->passed && refine_coarse && c->bound > tolerance;
+    return c->may_refine && (c->error > tolerance || coarse);
+}
+
+// For each child c of block c / 8, with the distance centres[c] at its centre: flags[c] = 1 if it is
+// to be refined. errors[c] = the sampled error of a leaf, in cube edges, if it exceeds the
+// tolerance; otherwise anything up to that; 0 beyond the band and -1 at a sign discontinuity.
+// codes[c] = the code of its bound.
 __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
 #ifdef WINDING
                                __global const uint *doubts,
 #endif
-                               __global const float *voxels, __global const double *bounds,
-                               __global const uchar *masks, __global uint *flags,
-                               __global float *errors, __global uchar *codes,
+                               __global const float *voxels, __global const double *centres,
+                               __global const double *bounds, __global const uchar *masks,
+                               __global uint *flags, __global float *errors, __global uchar *codes,
                                __global uint *steepest)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     child_list list = {{SCENE_VALUES}, masks, begins[gid], begins[gid + 1], 0};
-    const uint3 parent = cell_of(identifiers[gid], level);
     const double side = 2 * extent;
     child_cell c;
+    c.level = level + 1;
+    c.extent = extent;
     c.edge = side / (2ul << level);
     c.radius = c.edge * HALF_DIAGONAL + SLACK;
     float slope_of_leaves = 0;
     for (uint child = 0; child < 8; ++child) {
         const size_t place = 8 * (size_t)gid + child;
         list.child = child;
-        c.cell = 2 * parent + octant(child);
+        c.cell = 2 * cell_of(identifiers[gid], level) + octant(child);
         c.in_doubt = false;
         for (uint i = 0; i < 8; ++i) {
             c.corners[i] = voxels[27 * (size_t)gid + CORNERS[8 * child + i]] * side;
@@ -290,20 +317,24 @@ __kernel void examine_children(const uint n, LISTS SIDES, LIMITS,
             c.in_doubt |= doubts[gid] >> CORNERS[8 * child + i] & 1;
 #endif
         }
-        c.slope = slope_of(vload8(0, c.corners), c.edge);
+        const double8 field = vload8(0, c.corners);
+        c.slope = slope_of(field, c.edge);
+        c.gap = (1 + c.slope) * (SAMPLE_GAP * c.edge);
+        c.rounding = highest(absolute(field)) * 0x1p-21 + SLACK + misplaced;
+        c.middle = centres[place];
+        c.passed = c.middle <= c.radius;
+        c.beyond = c.middle - c.radius > band;
+        c.may_refine = can_refine && !c.beyond;
+        c.error = 0;
         c.bound = INFINITY;
-        sample_middle(&list, &c, level, extent);
-        const bool beyond = c.middle - c.radius > band, may_refine = can_refine && !beyond;
         bool jumped = false;
 #ifdef JUMPS
         jumped = jumps(c.corners, c.edge, c.passed);
 #endif
-        bool refined = may_refine && (jumped ? refine_coarse : c.error > tolerance);
-        if (!jumped && (!refined || thorough))
-            refined = sample_all(&list, &c, level, extent, refined, may_refine, tolerance, misplaced,
-                                 refine_coarse, thorough);
+        const bool refined = jumped ? c.may_refine && refine_coarse
+                                    : examined(&list, &c, tolerance, refine_coarse, thorough);
         flags[place] = refined;
-        errors[place] = jumped ? -1 : beyond ? 0 : (float)(c.error / side);
+        errors[place] = jumped ? -1 : c.beyond ? 0 : (float)(c.error / side);
         codes[place] = jumped ? JUMP : code_of(c.bound / side, bounds);
         if (!refined && !jumped && c.slope > slope_of_leaves)
             slope_of_leaves = (float)c.slope;

@@ -5,10 +5,11 @@
 
 // ---- distances
 
-// The squared distances from the corners of the eight children to up to eight triangles. `corners`
-// has one child per lane; `least` is the smallest distance so far at each corner.
+// The distances from the corners of the eight children, one per lane, to up to eight triangles, the
+// rivals of the others. `own` is the distance to the rival nearest to a child's centre, `lowest` the
+// smallest.
 typedef struct {
-    double8 corners[8][8], least[8];
+    double8 corners[8][8], own[8], lowest[8];
     uint count;
 } rival_distances;
 
@@ -23,6 +24,10 @@ nearest nearest_to_middles(const scene_of_lists *scene, uint begin, uint end, co
     return found;
 }
 
+#define SIDES_X (double8)(-1, 1, -1, 1, -1, 1, -1, 1)
+#define SIDES_Y (double8)(-1, -1, 1, 1, -1, -1, 1, 1)
+#define SIDES_Z (double8)(-1, -1, -1, -1, 1, 1, 1, 1)
+
 // Updates the vertices of a block with the triangles nearest to the centres, each triangle once.
 void look_at_rivals(const scene_of_lists *scene, long8 which, const ways *points, nearest *found,
                     rival_distances *rivals)
@@ -32,12 +37,17 @@ void look_at_rivals(const scene_of_lists *scene, long8 which, const ways *points
     rivals->count = 0;
     for (uint i = 0; i < 8; ++i) {
         found[i] = nothing_found();
-        rivals->least[i] = INFINITY;
+        rivals->lowest[i] = INFINITY;
     }
+    uint rival_of[8];
     for (uint k = 0; k < 8; ++k) {
         bool known = places[k] == NO_TRIANGLE;
+        rival_of[k] = rivals->count;
         for (uint other = 0; other < k; ++other)
-            known |= places[other] == places[k];
+            if (places[other] == places[k]) {
+                known = true;
+                rival_of[k] = rival_of[other];
+            }
         if (known)
             continue;
         const triangle t = triangle_at(scene, (uint)places[k]);
@@ -51,44 +61,84 @@ void look_at_rivals(const scene_of_lists *scene, long8 which, const ways *points
                 children[j] = squares[CORNERS[8 * j + i]];
             }
             look_at(scene, (uint)places[k], vload8(0, corners), &found[i]);
-            const double8 other = rivals->corners[rivals->count][i] = vload8(0, children);
-            rivals->least[i] = other < rivals->least[i] ? other : rivals->least[i];
+            const double8 other = rivals->corners[rivals->count][i] = sqrt(vload8(0, children));
+            rivals->lowest[i] = other < rivals->lowest[i] ? other : rivals->lowest[i];
         }
         ++rivals->count;
     }
+    for (uint i = 0; i < 8; ++i) {
+        double own[8];
+        for (uint k = 0; k < 8; ++k)
+            own[k] = rivals->count == 0 ? INFINITY : ((double *)&rivals->corners[rival_of[k]][i])[k];
+        rivals->own[i] = vload8(0, own);
+    }
 }
 
-// The children that need a triangle (all bits of a lane set), by its tangents at their centres, and
-// in *nearer those of them where it may be nearest at a corner.
-long8 children_that_need(const triangle *t, const ways *middles, double edge,
-                         const rival_distances *rivals, long8 *nearer)
+// The tangents of a triangle's distance at the centres of the children, one per lane: the values
+// there, lowered by more than the rounding error, and the changes along half an edge.
+typedef struct {
+    double8 base, x, y, z;
+} tangents;
+
+// The children that need a triangle: all bits of a lane are set.
+long8 children_that_need(const tangents *at, const rival_distances *rivals)
+{
+    double8 corners[8];
+    long8 needs = 0, open = 0;
+    for (uint i = 0; i < 8; ++i) {
+        corners[i] = at->base + (i & 1 ? at->x : -at->x) + (i & 2 ? at->y : -at->y) +
+                     (i & 4 ? at->z : -at->z);
+        needs |= corners[i] <= rivals->lowest[i];
+        open |= corners[i] <= rivals->own[i];
+    }
+    open &= ~needs; // excluded by no rival yet, but nowhere below all of them
+    for (uint other = 0; other < rivals->count && any(open); ++other) {
+        long8 some = 0;
+        for (uint i = 0; i < 8; ++i)
+            some |= corners[i] <= rivals->corners[other][i];
+        open &= some;
+    }
+    return needs | open;
+}
+
+tangents tangents_at(const triangle *t, const ways *middles, double edge)
 {
     ways way;
     MASKS feature;
     const double8 dd = triangle_ways(t, middles->x, middles->y, middles->z, &way, &feature);
-    const double8 x = 0.25 * edge * way.x, y = 0.25 * edge * way.y, z = 0.25 * edge * way.z;
-    const double8 base = dd - SLACK * (edge + sqrt(dd));
-    double8 least[8]; // (tangent times distance at the centre) squared; 0 where negative
-    long8 near = 0;
-    for (uint i = 0; i < 8; ++i) {
-        const double8 tangent = base + (i & 1 ? x : -x) + (i & 2 ? y : -y) + (i & 4 ? z : -z);
-        least[i] = tangent > 0.0 ? tangent * tangent : 0.0;
-        near |= !(least[i] > rivals->least[i] * dd); // also where there is no rival, and dd is 0
+    const double8 d = sqrt(dd), slope = dd > 0.0 ? 0.25 * edge / d : 0.0;
+    const tangents at = {d - SLACK * (edge + d), slope * way.x, slope * way.y, slope * way.z};
+    return at;
+}
+
+// Updates the nearest triangles at the corners of the `needing` children, one per bit, with the
+// triangle at an index of the lists, where its tangents do not exceed the distance so far.
+void look_at_corners(const scene_of_lists *scene, uint place, const triangle *t, uint needing,
+                     const tangents *at, const ways *corners, nearest *found)
+{
+    double base[8], x[8], y[8], z[8];
+    vstore8(at->base, 0, base);
+    vstore8(at->x, 0, x);
+    vstore8(at->y, 0, y);
+    vstore8(at->z, 0, z);
+    for (uint left = needing; left > 0; left &= left - 1) {
+        const uint child = 31 - clz(left & -left);
+        const double8 tangent = base[child] + x[child] * SIDES_X + y[child] * SIDES_Y +
+                                z[child] * SIDES_Z;
+#ifdef FLAT
+        const double8 least = found[child].sided;
+#else
+        const double8 least = found[child].square;
+#endif
+        if (any(tangent <= 0.0 || tangent * tangent <= least))
+            look_at(scene, place, squares_to(t, &corners[child]), &found[child]);
     }
-    long8 needs = -1;
-    for (uint other = 0; other < rivals->count; ++other) {
-        long8 some = 0;
-        for (uint i = 0; i < 8; ++i)
-            some |= least[i] <= rivals->corners[other][i] * dd;
-        needs &= some;
-    }
-    *nearer = near & needs;
-    return needs;
 }
 
 // values[27 b + i] = distance at vertex i of block b, of cell identifiers[b]; places[27 b + i] =
-// index in the lists of the nearest triangle with a side. Bit k of masks[j] is set if child k needs
-// item j of the list. needed[8 b + k] = number of triangles that child k needs.
+// index in the lists of the nearest triangle with a side; centres[8 b + k] = distance at the centre
+// of child k. Bit k of masks[j] is set if child k needs item j of the list. needed[8 b + k] = number
+// of triangles that child k needs.
 //
 // The distance to a triangle is convex, so its tangent bounds it from below. Inside a cell, the
 // trilinear interpolation of its corner values bounds it from above. So a triangle is nowhere
@@ -96,7 +146,8 @@ long8 children_that_need(const triangle *t, const ways *middles, double edge,
 // some other triangle. The candidates for that are the triangles nearest to the centres of the
 // children.
 __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
-                            __global uint *places, __global uchar *masks, __global uint *needed)
+                            __global double *centres, __global uint *places,
+                            __global uchar *masks, __global uint *needed)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -106,49 +157,39 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
     const uint3 cell = cell_of(identifiers[gid], level);
     const double edge = extent / (1ul << level) * 2;
     const ways middles = lattice_points(4 * cell, MIDDLES, 0, level + 2, extent);
-    ways points[POINTS / 8];
+    ways points[POINTS / 8], corners[8]; // vertices, and those of each child
+    for (uint child = 0; child < 8; ++child)
+        corners[child] = lattice_points(2 * cell + octant(child), CELL, 0, level + 1, extent);
     for (uint k = 0; k < POINTS / 8; ++k)
         points[k] = lattice_points(2 * cell, VERTICES, k, level + 1, extent);
     nearest found[8]; // at the corners of each child
     rival_distances rivals;
-    look_at_rivals(&scene, nearest_to_middles(&scene, begin, end, &middles).which, points, found,
-                   &rivals);
+    const nearest central = nearest_to_middles(&scene, begin, end, &middles);
+    vstore8(sqrt(central.square), gid, centres);
+    look_at_rivals(&scene, central.which, points, found, &rivals);
 
     const long8 bits = (long8)(1, 2, 4, 8, 16, 32, 64, 128);
     long8 total = 0;
     for (uint j = begin; j < end; ++j) {
         const triangle t = triangle_at(&scene, j);
-        long8 nearer;
-        const long8 needs = children_that_need(&t, &middles, edge, &rivals, &nearer);
+        const tangents at = tangents_at(&t, &middles, edge);
+        const long8 needs = children_that_need(&at, &rivals);
         total -= needs;
         masks[j] = (uchar)gathered(needs & bits);
-        for (uint left = gathered(nearer & bits), child = 0; left > 0; left >>= 1, ++child) {
-            if (!(left & 1))
-                continue;
-            const ways corners = lattice_points(2 * cell + octant(child), CELL, 0, level + 1, extent);
-            look_at(&scene, j, squares_to(&t, &corners), &found[child]);
-            double reached[8];
-#ifdef FLAT
-            vstore8(found[child].sided, 0, reached);
-#else
-            vstore8(found[child].square, 0, reached);
-#endif
-            for (uint i = 0; i < 8; ++i)
-                ((double *)&rivals.least[i])[child] = reached[i];
-        }
+        look_at_corners(&scene, j, &t, masks[j], &at, corners, found);
     }
     long counted[8];
     vstore8(total, 0, counted);
     for (uint child = 0; child < 8; ++child) {
         needed[8 * (size_t)gid + child] = (uint)counted[child];
         // a shared vertex has the same value in each child
-        double corners[8];
+        double distances[8];
         long own[8];
-        vstore8(sqrt(found[child].square), 0, corners);
+        vstore8(sqrt(found[child].square), 0, distances);
         vstore8(found[child].which, 0, own);
         for (uint i = 0; i < 8; ++i) {
             const size_t vertex = 27 * (size_t)gid + CORNERS[8 * child + i];
-            values[vertex] = corners[i];
+            values[vertex] = distances[i];
 #ifdef SIGNED
             places[vertex] = (uint)own[i];
 #endif
