@@ -22,6 +22,7 @@ from voxtool.files.numbers import (
 )
 from voxtool.mesh.mesh import check_complete, check_promised
 
+WORD = re.compile(rb"[^ \t\r]+")
 HEAD = re.compile(rb"\s*(?:ST)?C?N?OFF\s+(\d{1,20})[ \t]+(\d{1,20})(?:[ \t]+\d+)?[ \t\r]*(?:\n|$)")
 
 
@@ -65,8 +66,9 @@ def _rows(name: str, block: bytes, line: int) -> tuple[np.ndarray, ...]:
             raise OddityError
         numbers, begins = numbers_in(words, np.float64)
     except OddityError:
-        odd = ((n, w) for n, text in enumerate(block.split(b"\n"), line) for w in text.split())
-        line, word = next((n, w) for n, w in odd if not re.fullmatch(NUMBER, w))
+        texts = enumerate(block.split(b"\n"), line)
+        found = ((n, word) for n, text in texts for word in WORD.findall(text))
+        line, word = next((n, word) for n, word in found if not re.fullmatch(NUMBER, word))
         raise MeshError(f"{name}, line {line}: {shown(word)} is not a number: correct it") from None
     first, counts = by_line(begins, np.flatnonzero(words == NEWLINE))
     rows = np.flatnonzero(counts)

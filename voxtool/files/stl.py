@@ -21,7 +21,7 @@ from voxtool.mesh.mesh import check_counts
 
 HEAD = 84  # bytes: a text and the number of triangles
 TRIANGLE = np.dtype([("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("more", "<u2")])
-THREE = re.compile(rb"(?:\s*" + NUMBER + rb"(?!\S)){3}\s*")
+THREE = re.compile(rb"(?:[ \t]*" + NUMBER + rb"(?![^ \t])){3}[ \t]*")
 VERTEX = re.compile(rb"(?im)^[ \t]*vertex[ \t]+([^\r\n]*)")
 
 
