@@ -205,11 +205,17 @@ def use_primitives(device) -> None:
     assert primitives.exclusive_scan(scanned, 4999) == values[:-1].sum()
     assert np.array_equal(scanned.get(), np.cumsum(values) - values)
 
-    for dtype, bits in ((np.uint32, 15), (np.uint64, 42)):
+    for dtype, bits, blocks in (
+        (np.uint32, 15, False),
+        (np.uint64, 42, False),
+        (np.uint32, 7, True),
+        (np.uint64, 3, True),
+    ):
         keys = np.random.default_rng(1).integers(0, 1 << bits, 1001).astype(dtype)
         keys[::3] = keys[0]
         for numbers in (None, device.put(np.arange(1001, dtype=np.uint32))):
-            found, order = primitives.radix_sort(device.put(keys), 1001, bits, numbers)
+            array = device.put(keys)
+            found, order = primitives.radix_sort(array, 1001, bits, numbers, blocks=blocks)
             assert np.array_equal(found.get(0, 1001), np.sort(keys))
             if order is not None:
                 assert np.array_equal(order.get(0, 1001), np.argsort(keys, kind="stable"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 import pytest
@@ -100,14 +101,16 @@ def test_scan_and_sort_again_and_again_are_the_same(device: Device) -> None:
 
 
 def check_sort(device: Device, keys: np.ndarray, bits: int, room: int = 0) -> None:
-    """Sort without and with values, which are the keys' numbers: they show what was stable."""
+    """Sort without and with values, which are the keys' numbers: they show what was stable. Once by
+    portions of work-items, as on CPUs, and once by blocks of work-groups, as on GPUs."""
     n = len(keys)
     order = np.argsort(keys & keys.dtype.type((1 << bits) - 1), kind="stable")
     padding = np.zeros(room, np.uint32)
-    for numbers in (None, np.concatenate([np.arange(n, dtype=np.uint32), padding])):
+    every = np.concatenate([np.arange(n, dtype=np.uint32), padding])
+    for numbers, blocks in product((None, every), (False, True)):
         array = device.put(np.concatenate([keys, padding.astype(keys.dtype)]))
         values = None if numbers is None else device.put(numbers)
-        found, found_values = radix_sort(array, n, bits, values)
+        found, found_values = radix_sort(array, n, bits, values, blocks=blocks)
         assert found.dtype == keys.dtype
         assert np.array_equal(found.get(0, n), keys[order])
         assert (found_values is None) == (numbers is None)

@@ -19,14 +19,20 @@ SOURCE = "opencl/primitives.cl"
 GROUP = 256  # work-items of a group that scans
 ITEMS = 8  # values of one of them
 BLOCK = GROUP * ITEMS  # values that a work-group scans
-DIGIT_BITS = 8  # of a key that one pass sorts by, at most
+DIGIT_BITS = 8  # of a key that one pass sorts by, at most: by portions
+BLOCK_DIGIT_BITS = 4  # and by blocks, whose counts must fit local memory
 QUADS = 32  # quadruples of a histopyramid that a work-group of 5 * QUADS makes
 PORTIONS = 128  # portions of keys for each unit of the device, at most
 _KEYS = {np.dtype(np.uint32): "uint", np.dtype(np.uint64): "ulong"}
 
 HEADERS = {
     "opencl/primitives.h": program.c_constants(
-        WORK_GROUP=WORK_GROUP, GROUP=GROUP, ITEMS=ITEMS, DIGIT_BITS=DIGIT_BITS, QUADS=QUADS
+        WORK_GROUP=WORK_GROUP,
+        GROUP=GROUP,
+        ITEMS=ITEMS,
+        DIGIT_BITS=DIGIT_BITS,
+        BLOCK_DIGIT_BITS=BLOCK_DIGIT_BITS,
+        QUADS=QUADS,
     )
 }
 
@@ -66,23 +72,29 @@ def _scan(values: Array, n: int) -> None:
 
 
 @overload
-def radix_sort(keys: Array, n: int, bits: int) -> tuple[Array, None]: ...
-@overload
-def radix_sort(keys: Array, n: int, bits: int, values: Array) -> tuple[Array, Array]: ...
 def radix_sort(
-    keys: Array, n: int, bits: int, values: Array | None = None
+    keys: Array, n: int, bits: int, values: None = None, *, blocks: bool | None = None
+) -> tuple[Array, None]: ...
+@overload
+def radix_sort(
+    keys: Array, n: int, bits: int, values: Array, *, blocks: bool | None = None
+) -> tuple[Array, Array]: ...
+def radix_sort(
+    keys: Array, n: int, bits: int, values: Array | None = None, *, blocks: bool | None = None
 ) -> tuple[Array, Array | None]:
     """Sort n keys by their lowest `bits` bits; keys that are equal in these keep their order.
 
-    From the lowest digit to the highest [voCCeL, section 5.1]: each work-item counts the
-    digits of a portion of the keys, the counts H(digit, portion) are scanned, and each work-item
-    moves its keys, in order, to where the scan says. Does not wait for the device.
+    From the lowest digit to the highest [voCCeL, section 5.1]: the digits of each portion of the
+    keys are counted, the counts H(digit, portion) are scanned, and the keys of each portion move,
+    in order, to where the scan says. Does not wait for the device.
 
     Parameters
     ----------
     keys : uint32 or uint64, at least n elements; overwritten.
     bits : 0 to the width of a key.
     values : uint32, at least n elements that go where their keys go; overwritten.
+    blocks : a portion is a block of a work-group [Satish 2009], or else it belongs to one
+        work-item; by default what suits the device.
 
     Returns
     -------
@@ -94,26 +106,53 @@ def radix_sort(
     if n < 2 or bits == 0:
         return keys, values
     device = keys.device
-    # portions of no fewer keys than there are digits: the table is hardly larger than the keys
-    portions = min(-(-n >> DIGIT_BITS), PORTIONS * device.info.units)
-    portion = -(-n // portions)
-    portions = -(-n // portion)
-    passes = -(-bits // DIGIT_BITS)
+    by_blocks = device.lanes == 1 if blocks is None else blocks
+    sort_digit = _sort_blocks if by_blocks else _sort_portions
+    passes = -(-bits // (BLOCK_DIGIT_BITS if by_blocks else DIGIT_BITS))
     width = -(-bits // passes)
-    table = device.empty((portions << width) + 1, np.uint32)
-    count = device.kernel(SOURCE, "count_digits", KEY=_KEYS[keys.dtype])
-    scatter = device.kernel(SOURCE, "scatter_keys", KEY=_KEYS[keys.dtype])
     spare = device.empty(n, keys.dtype)
     spare_values = None if values is None else device.empty(n, np.uint32)
     for shift in range(0, bits, width):
         digits = 1 << min(width, bits - shift)
-        digit = {"count": n, "portion": portion, "shift": shift, "digits": digits}
-        count(portions, keys, table, **digit)
-        _scan(table, portions * digits)
-        scatter(portions, keys, table, spare, values, spare_values, **digit)
+        arrays = {"sorted": spare, "values": values, "sorted_values": spare_values}
+        sort_digit(keys, n, arrays, shift=shift, digits=digits)
         keys, spare = spare, keys
         values, spare_values = spare_values, values
     return keys, values
+
+
+def _sort_portions(
+    keys: Array, n: int, arrays: dict[str, Array | None], *, shift: int, digits: int
+) -> None:
+    """Sort by one digit; a work-item counts and moves the keys of a portion."""
+    count, scatter = (
+        keys.device.kernel(SOURCE, name, KEY=_KEYS[keys.dtype])
+        for name in ("count_digits", "scatter_keys")
+    )
+    # portions of no fewer keys than there are digits: the table is hardly larger than the keys
+    portion = -(-n // min(-(-n >> DIGIT_BITS), PORTIONS * keys.device.info.units))
+    portions = -(-n // portion)
+    table = keys.device.empty(portions * digits + 1, np.uint32)
+    digit = {"keys": keys, "count": n, "portion": portion, "shift": shift, "digits": digits}
+    count(portions, counts=table, **digit)
+    _scan(table, portions * digits)
+    scatter(portions, starts=table, **arrays, **digit)
+
+
+def _sort_blocks(
+    keys: Array, n: int, arrays: dict[str, Array | None], *, shift: int, digits: int
+) -> None:
+    """Sort by one digit; a work-group counts and moves the keys of a block."""
+    count, scatter = (
+        keys.device.kernel(SOURCE, name, KEY=_KEYS[keys.dtype])
+        for name in ("count_block_digits", "scatter_block_keys")
+    )
+    blocks = -(-n // BLOCK)
+    table = keys.device.empty(blocks * digits + 1, np.uint32)
+    digit = {"keys": keys, "count": n, "shift": shift, "digits": digits, "blocks": blocks}
+    count(blocks * GROUP, counts=table, local=GROUP, **digit)
+    _scan(table, blocks * digits)
+    scatter(blocks * GROUP, starts=table, local=GROUP, **arrays, **digit)
 
 
 def unique(keys: Array, n: int) -> tuple[Array, int]:
