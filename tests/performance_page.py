@@ -210,12 +210,13 @@ def volumes(points: list[Point]) -> Rows:
 
 
 def growth(points: list[Point]) -> Rows:
-    yield ["model", "work", "sizes", "ms", "exponent"]
-    for model, method in dict.fromkeys((p["model"], p["method"]) for p in points):
-        found = own(points, model=model, method=method)
+    yield ["model", "work", "grows", "from", "to", "ms", "exponent"]
+    for model, work, method in dict.fromkeys((p["model"], p["work"], p["method"]) for p in points):
+        found = own(points, model=model, work=work, method=method)
         p = exponent([(one["size"], one["seconds"]["median"]) for one in found])
-        yield [model, method, " ".join(f"{one['size']:,.0f}" for one in found),
-               " ".join(map(ms, found)), "" if p is None else f"{p:.2f}"]  # fmt: skip
+        first, last = (f"{found[i]['size']:,.0f}" for i in (0, -1))
+        yield [model, method, found[0]["size_of"], first, last, " ".join(map(ms, found)),
+               "" if p is None else f"{p:.2f}"]  # fmt: skip
 
 
 SMALL = f"python {ROOT / 'examples/call_costs.py'} bunny.obj"
@@ -237,7 +238,9 @@ TABLES: dict[str, tuple[str, Callable[[list[Point]], Rows]]] = {
                  "--peers", pictures),
     "volumes": (f"{BENCH} tets bluntfin.vtu --scalar density --peers --methods raycast "
                 "--integrators linear --repeat 5", volumes),
-    "growth": (f"{BENCH} growth bunny.obj bluntfin.vtu --scalar density", growth),
+    "growth": (f"{BENCH} growth bunny.obj bluntfin.vtu --scalar density --triangles 5000000 "
+               "--dims 64,128,256,512,1024,2048,4096,8192 --levels 4,5,6,7,8,9,10 "
+               "--tolerances 1e-3 --sizes 64,128,256,512,1024,2048 --repeat 1", growth),
 }  # fmt: skip
 
 if __name__ == "__main__":

@@ -32,7 +32,8 @@ def test_eighths_fill_the_volume_and_share_their_faces(constant: bool) -> None:
 def test_each_work_has_its_sizes_and_its_exponent(here: Path) -> None:
     write_obj(Path("octahedron.obj"), *octahedron(np.zeros(3), 1))
     command = "bench growth octahedron.obj volume.vtu --scalar density --triangles 32 "
-    command += "--cells 1 --repeat 1 --json -q"
+    command += "--cells 1 --dims 16,32 --levels 2,3 --tolerances 1e-2 --sizes 8,16 "
+    command += "--repeat 1 --json -q"
     points = told(command)["points"]
     of_mesh = [p for p in points if p["work"] == "subdivided mesh"]
     assert [p["size"] for p in of_mesh] == [8] * 5 + [32] * 5
@@ -40,4 +41,10 @@ def test_each_work_has_its_sizes_and_its_exponent(here: Path) -> None:
         "textures",
         "frame, 256 x 256",
     }
-    assert all(p["runs"] and "shape" in p["absent"]["rms"] for p in points)
+    sizes = {kind: [p["size"] for p in points if p["size_of"] == kind] for kind in
+             ("dim", "leaves", "pixels")}  # fmt: skip
+    assert sizes["dim"] == [16] * 4 + [32] * 4
+    assert sizes["pixels"] == [64, 64, 256, 256]
+    assert len(sizes["leaves"]) == 4
+    assert sizes["leaves"][0] < sizes["leaves"][2]
+    assert all(p["runs"] and "other benches" in p["absent"]["rms"] for p in points)

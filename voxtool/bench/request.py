@@ -20,7 +20,8 @@ SETTINGS = {  # the fields of a Request that each bench reads
     "pictures": ("sizes", "view", "dims", "levels", "tolerances", "sign"),
     "tets": ("sizes", "pixels", "view", "methods", "integrators", "transfers", "scalar",
              "component"),
-    "growth": ("triangles", "cells", "scalar", "component"),
+    "growth": ("triangles", "dims", "levels", "tolerances", "sizes", "cells", "scalar",
+               "component"),
 }  # fmt: skip
 
 MESH_BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "growth")

@@ -144,9 +144,10 @@ COMMANDS = {
       voxtool bench tets volume.vtu --scalar density --sizes 128 --peers
       voxtool bench tets volume.vtu --scalar density --sizes 64 --transfers x1 --methods raycast
     """,
-    "growth": """Measure how time grows with the triangles or cells of MODELS, by subdividing them.
+    "growth": """Measure the growth of time with triangles, dims, leaves, pixels and cells.
 
-    The exponent p of time ~ triangles^p is below each table.
+    MODELS are subdivided for more triangles or cells. The exponent p of time ~ triangles^p is below
+    each table.
 
     \b
     Examples:
