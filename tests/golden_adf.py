@@ -31,7 +31,7 @@ REQUESTS = {
     for joint in ("continuous", "cracks")
     for level in (4, 5)
 }  # fmt: skip
-LARGE = ("armadillo", "dragon", "nefertiti")  # only make soak builds fields of these
+LARGE = ("armadillo", "dragon", "nefertiti")  # their fields are built by `make soak` alone
 REAL_REQUESTS = {"default": {"tolerance": 2e-3, "max_level": 5}}
 POINTS = 4000
 NUMBERS = np.arange(1, POINTS + 1)[:, None] * np.array([577, 1153, 1999]) % 4093 / 4093

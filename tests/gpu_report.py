@@ -45,7 +45,7 @@ BENCHES = {  # of each kind of model, with the options that keep a stage within 
 
 @dataclass(frozen=True)
 class Result:
-    """What a stage printed. `source` identifies the source code that ran; `code` is the exit code,
+    """The output of a stage. `source` identifies the source code that ran; `code` is the exit code,
     or None where the stage was stopped at its limit."""
 
     command: str
@@ -56,7 +56,7 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """How the stage ended, in words."""
+        """The end of the stage in words: passed, failed or stopped, and its time."""
         if self.code is None:
             return f"stopped after {self.seconds:.0f} s"
         return f"{'passed' if self.code == 0 else f'FAILED ({self.code})'}, {self.seconds:.0f} s"

@@ -98,7 +98,8 @@ def test_no_library_of_netcdf_and_no_meshio(tmp_path: Path) -> None:
 def minimal(
     path: Path, kinds: dict[str, int], change: Callable[[Any], Any] = lambda f: None
 ) -> Path:
-    """Write a block of one cell of each kind, which has so many nodes, and an array at points."""
+    """Write a block of one cell for each kind, with the number of nodes that `kinds` gives, and an
+    array at points."""
     count = max(kinds.values())
     with netCDF4.Dataset(path, "w", format="NETCDF3_CLASSIC") as file:
         for name, size in {"nodes": count, "one": 1, "letters": 9, "time": None}.items():

@@ -132,7 +132,7 @@ def serve(pipe: Any, folder: Path, log: Path, device: str, limit: float) -> None
 
 
 def try_case(case: Case, tools: Tools, limit: float, temporary: Path) -> list[Finding]:
-    """The findings of a case, which may take so many seconds of processor time."""
+    """The findings of a case, which may take `limit` seconds of processor time."""
     if case.name:
         Path(case.name).write_bytes(case.content)
     signal.setitimer(signal.ITIMER_PROF, limit)

@@ -312,16 +312,16 @@ BINARY_PLY = trimesh.Trimesh(POINTS, TETRAHEDRON, process=False).export(file_typ
 @pytest.mark.parametrize(
     ("data", "part"),
     [
-        (PLY[:-2] + b"5\n", "face 0 names vertex 5"),
-        (PLY.replace(b"1 0 0\n", b"nan 0 0\n"), "vertex 1 is not finite"),
-        (PLY[:-4], ""),  # the last face is cut
-        (PLY_HEADER % (b"ascii", 3, 2) + PLY_ROWS, ""),
+        (PLY[:-2] + b"5\n", "line 13: the face names vertex 5 where there are 3"),
+        (PLY.replace(b"1 0 0\n", b"nan 0 0\n"), "line 11: 'nan' is not a number"),
+        (PLY[:-4], "line 13: a face of 3 vertices names 1"),
+        (PLY_HEADER % (b"ascii", 3, 2) + PLY_ROWS, "header promises 3 and 2"),
         (
             PLY_HEADER % (b"binary_little_endian", 3, 1 << 31),
             "2147483648 triangles, at most 2147483647",
         ),
-        (BINARY_PLY[:-5], ""),
-        (BINARY_PLY[:60], ""),
+        (BINARY_PLY[:-5], "4 face rows end beyond its"),
+        (BINARY_PLY[:60], "does not belong in a PLY header"),
     ],
 )
 def test_ply_refusals(data, part, tmp_path):

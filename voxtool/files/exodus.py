@@ -63,7 +63,7 @@ class Block(NamedTuple):
 
 
 class ExodusMesh(NamedTuple):
-    """What a file holds, with the names that meshio's meshes have.
+    """The content of a file; its fields have the names of meshio's.
 
     points : (P, 1 to 3) float.
     cells : list of Block.

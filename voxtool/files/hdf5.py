@@ -21,8 +21,8 @@ from voxtool.memory import check_memory
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-# Bytes of memory that all but the data of a file may take. The library would follow a list of free
-# places that leads back to itself until it has taken all there is.
+# Bytes of memory that a file may take beside its data. HDF5 follows a damaged list of free places
+# that leads back to its start for ever, and takes memory at each step.
 METADATA = 1 << 25
 
 h5py: Any = import_module("h5py")  # its low-level modules have no types

@@ -1,4 +1,4 @@
-"""Reading triangle meshes: OBJ, OFF and STL by modules of their names, PLY and glTF by trimesh.
+"""Reading triangle meshes: OBJ, OFF, PLY and STL by modules of their names, glTF by trimesh.
 
 trimesh reads from memory. Nothing is welded or moved.
 """
@@ -17,18 +17,19 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from voxtool.errors import MeshError, VoxtoolError, one_line, printable
-from voxtool.files import obj, off, stl
+from voxtool.files import obj, off, ply, stl
 from voxtool.files.formats import GZIP, HDF5
 from voxtool.files.streams import STREAM, read_at_most, read_error
 from voxtool.memory import available_memory, check_memory
-from voxtool.mesh.mesh import Mesh, check_complete, check_indices, check_promised, mesh_from_arrays
+from voxtool.mesh.mesh import Mesh, check_indices, check_promised, mesh_from_arrays
 
 KINDS = ("obj", "stl", "ply", "off", "glb", "gltf")  # what we, and trimesh with numpy alone, read
-OWN = {"obj": obj.parse, "off": off.parse, "stl": stl.parse}
+OWN = {"obj": obj.parse, "off": off.parse, "ply": ply.parse, "stl": stl.parse}
 MAX_BYTES = 8 << 30  # of one file, unpacked
 # A .gz may unpack to this many times its size, and some bytes more. Of a plane of equal triangles,
 # ASCII STL packs best: 17 times. Deflate packs zeros 1032 times.
 MOST_PACKED, ANY_SIZE = 100, 1 << 24
+UNITS = "m"  # of glTF
 ITEM_BYTES = 120  # of memory that each vertex or index of a glTF scene takes at most
 DEEPEST = 64  # nodes inside nodes of a scene
 
@@ -214,24 +215,19 @@ def _through_trimesh(
 ) -> Mesh:
     """Read a mesh by trimesh from memory: no other file, no texture, nothing moved."""
     import logging
-    import warnings
 
     import trimesh
 
     logging.getLogger("trimesh").addHandler(logging.NullHandler())
     try:
-        promised = _promised(name, kind, data, max_memory)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # older numpy only warns of unmatched text
-            warnings.filterwarnings("error", message="string or file could not be read")
-            scene = trimesh.load_scene(
-                io.BytesIO(data),
-                file_type=kind,
-                process=False,
-                maintain_order=True,
-                skip_materials=True,
-                fix_texture=False,
-            )
+        _check_scene(name, kind, data, max_memory)
+        scene = trimesh.load_scene(
+            io.BytesIO(data),
+            file_type=kind,
+            process=False,
+            maintain_order=True,
+            skip_materials=True,
+        )
         vertices, faces = _merged(name, scene)
     except VoxtoolError:
         raise
@@ -241,10 +237,7 @@ def _through_trimesh(
             f"{name}: not readable as {kind.upper()}: {reason}: it may be truncated or damaged, "
             "export it again"
         ) from None
-    if len(faces):
-        check_complete(name, (len(vertices), len(faces)), promised)
-    units = "m" if kind in ("glb", "gltf") else ""  # the format's own
-    return mesh_from_arrays(vertices, faces, source_sha256=digest, name=name, units=units)
+    return mesh_from_arrays(vertices, faces, source_sha256=digest, name=name, units=UNITS)
 
 
 def _merged(name: str, scene: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -287,9 +280,13 @@ def _product(matrix: np.ndarray, rows: Any) -> np.ndarray:
     return m[:, 0] * rows[0] + m[:, 1] * rows[1] + m[:, 2] * rows[2] + m[:, 3] * rows[3]
 
 
-def _check_scene(name: str, tree: dict[str, Any], max_memory: int | None) -> None:
-    """Refuse a glTF scene whose meshes do not fit in memory: many may share the same bytes."""
+def _check_scene(name: str, kind: str, data: bytes, max_memory: int | None) -> None:
+    """Refuse a glTF scene with counts that its bytes cannot hold, or whose meshes do not fit in
+    memory: many may share the same bytes."""
+    text = data[20 : 20 + int.from_bytes(data[12:16], "little")] if kind == "glb" else data
+    tree: dict[str, Any] = json.loads(text)
     counts = [int(accessor["count"]) for accessor in tree.get("accessors", [])]
+    check_promised(name, max(counts, default=0), 0, len(data))
 
     def items(primitive: dict[str, Any]) -> int:
         used = primitive["attributes"].get("POSITION"), primitive.get("indices")
@@ -299,22 +296,3 @@ def _check_scene(name: str, tree: dict[str, Any], max_memory: int | None) -> Non
     placed = sum(meshes[node["mesh"]] for node in tree.get("nodes", []) if "mesh" in node)
     needed = ITEM_BYTES * (sum(counts) + sum(meshes) + placed)
     check_memory(needed, f"{name}: its meshes", "split the scene", max_memory)
-
-
-def _promised(name: str, kind: str, data: bytes, max_memory: int | None) -> tuple[int, int]:
-    """Return the vertex and face counts of the header, 0 if absent; refuse impossible ones."""
-    vertices = faces = 0
-    tree: dict[str, Any] = {}
-    if kind == "ply":
-        header = data[: data.find(b"end_header")]
-        counts = dict(re.findall(rb"^element\s+(vertex|face)\s+(\d+)", header, re.M))
-        vertices, faces = int(counts.get(b"vertex", 0)), int(counts.get(b"face", 0))
-    else:
-        text = data
-        if kind == "glb":
-            text = data[20 : 20 + int.from_bytes(data[12:16], "little")]
-        tree = json.loads(text)
-        vertices = max((int(a["count"]) for a in tree.get("accessors", [])), default=0)
-    check_promised(name, vertices, faces, len(data))
-    _check_scene(name, tree, max_memory)
-    return (vertices, faces) if kind == "ply" else (0, 0)

@@ -31,7 +31,7 @@ class Variable(NamedTuple):
     shape, dtype : of its numbers.
     piece : the least number of bytes that can be read.
     text : returns an attribute; FileError if there is no such text.
-    rows : returns so many of the first rows; FileError if they are not in the file.
+    rows : returns the first n rows, of a given n; FileError if they are not in the file.
     """
 
     shape: tuple[int, ...]

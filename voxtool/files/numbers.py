@@ -1,15 +1,24 @@
-"""Lines of numbers to arrays, a million numbers in a tenth of a second; and polygons to fans."""
+"""Lines of numbers to arrays, a million numbers in a tenth of a second; and polygons to fans.
+
+The text readers of meshes share these: a block of lines, the rows of numbers in it, and the
+vertices and triangles that rows hold.
+"""
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
+
+from voxtool.errors import MeshError, shown
 
 BLOCK_BYTES = 1 << 21  # of text that is parsed at once: beyond that, caches overflow
 LETTERS = b"0123456789+-.eE \t\r\n"  # of numbers and between them
 NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"  # a pattern
+WORD = re.compile(rb"[^ \t\r]+")
 SPACE, NEWLINE = ord(" "), ord("\n")
 
 
@@ -63,3 +72,70 @@ def fans(corners: np.ndarray, first: np.ndarray, counts: np.ndarray) -> np.ndarr
     centre = np.repeat(first, triangles)
     nth = np.arange(triangles.sum()) - np.repeat(np.cumsum(triangles) - triangles, triangles)
     return corners[np.stack([centre, centre + nth + 1, centre + nth + 2], axis=1)]
+
+
+class Rows(NamedTuple):
+    """The lines of a text that hold numbers: these, (N,) float64; and of each line the first, their
+    count, and the number of the line, (L,) int64 each."""
+
+    numbers: np.ndarray
+    first: np.ndarray
+    counts: np.ndarray
+    lines: np.ndarray
+
+    def part(self, begin: int, end: int) -> Rows:
+        """Return the rows from one to another."""
+        return Rows(self.numbers, *(each[begin:end] for each in self[1:]))
+
+
+def rows_in(name: str, block: bytes, line: int) -> Rows:
+    """Return the rows of a block whose first line has the number `line`; MeshError names the line
+    of a word that is no number."""
+    block = block if block.endswith(b"\n") else block + b"\n"
+    words = np.frombuffer(block, np.uint8)
+    try:
+        if block.translate(None, LETTERS):
+            raise OddityError
+        numbers, begins = numbers_in(words, np.float64)
+    except OddityError:
+        texts = enumerate(block.split(b"\n"), line)
+        found = ((n, word) for n, text in texts for word in WORD.findall(text))
+        line, word = next((n, word) for n, word in found if not re.fullmatch(NUMBER, word))
+        raise MeshError(f"{name}, line {line}: {shown(word)} is not a number: correct it") from None
+    first, counts = by_line(begins, np.flatnonzero(words == NEWLINE))
+    some = np.flatnonzero(counts)
+    return Rows(numbers, first[some], counts[some], line + some)
+
+
+def vertices_in(name: str, rows: Rows, axes: tuple[int, ...] = (0, 1, 2)) -> np.ndarray:
+    """Return the (V, 3) vertices of rows whose numbers at `axes` are x, y and z."""
+    short = np.flatnonzero(rows.counts <= max(axes))
+    if len(short):
+        raise MeshError(
+            f"{name}, line {rows.lines[short[0]]}: a vertex of {rows.counts[short[0]]} numbers "
+            f"where {max(axes) + 1} are needed: correct it, or the file is truncated"
+        )
+    return rows.numbers[rows.first[:, None] + np.array(axes)]
+
+
+def triangles_in(name: str, vertices: int, rows: Rows) -> np.ndarray:
+    """Return the (F, 3) int64 triangles of rows: each row is a polygon's number of corners and
+    its corners, which count from 0 and are less than `vertices`."""
+    sides = rows.numbers[rows.first]
+    short = np.flatnonzero(~((sides >= 0) & (sides < rows.counts) & (sides == np.floor(sides))))
+    if len(short):
+        raise MeshError(
+            f"{name}, line {rows.lines[short[0]]}: a face of {sides[short[0]]:g} vertices names "
+            f"{rows.counts[short[0]] - 1}: correct it, or the file is truncated"
+        )
+    sides = sides.astype(np.int64)
+    corners = fans(rows.numbers, rows.first + 1, sides)
+    wrong = ~((corners >= 0) & (corners < vertices) & (corners == np.floor(corners)))
+    if wrong.any():
+        face = int(np.argmax(wrong.any(axis=1)))
+        line = np.repeat(rows.lines, np.maximum(sides - 2, 0))[face]
+        raise MeshError(
+            f"{name}, line {line}: the face names vertex {corners[face][wrong[face]][0]:g} where "
+            f"there are {vertices}, counted from 0: correct the index, or the file is truncated"
+        )
+    return corners.astype(np.int64)

@@ -20,7 +20,9 @@ import numpy as np
 
 from voxtool.arrays import float64
 from voxtool.errors import FileError, count_of, one_line, printable
+from voxtool.files import ply
 from voxtool.files.formats import MESH_EXTENSIONS
+from voxtool.files.ply import LINE_LIMIT
 from voxtool.files.streams import PathLike, input_name, open_stream, read_error
 from voxtool.memory import check_disk
 
@@ -33,19 +35,10 @@ NPY_MAGIC, ZIP_MAGIC = b"\x93NUMPY", (b"PK\3\4", b"PK\5\6")
 NPY_VERSION = (1, 0)  # the only one that numbers need; its header has at most 64 KiB
 TEXT_ROWS = 1 << 16  # lines that are in memory at once,
 TEXT_LETTERS = 1 << 24  # unless they are long
-LINE_LIMIT = 1 << 16  # letters
 NUMBER = re.compile(
     r"\s*[+-]?((\d+\.?\d*|\.\d+)(e[+-]?\d+)?|nan|inf|infinity)\s*", re.ASCII | re.IGNORECASE
 )
 RECORD_BYTES = 1 << 26  # of a PLY file's vertices that are in memory at once
-
-PLY_TYPES = {
-    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
-    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
-    "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
-}  # fmt: skip
-PLY_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
-PLY_HEADER_LINES = 1000
 
 
 def read_points(
@@ -309,35 +302,15 @@ def _fault(line: str, columns: _Columns) -> str:
 # --- .ply ----------------------------------------------------------------------------------------
 
 
-class _Element(NamedTuple):
-    """An element of a PLY file."""
-
-    name: str
-    count: int
-    properties: list[tuple[str, str | None]]  # name and type; None: a list
-
-    def record(self, order: str, fault: str) -> np.dtype:
-        """The structured type of one element; FileError(fault) if a property is a list."""
-        if not all(kind for _, kind in self.properties):
-            raise FileError(fault)
-        return np.dtype([(f"{i}", f"{order}{t}") for i, (_, t) in enumerate(self.properties)])
-
-
 def _read_ply(file: BinaryIO, size: int | None, block: int) -> Iterator[np.ndarray]:
     """Yield the vertices of a PLY file, in blocks of (k, 3) float64."""
-    format, elements, lines, start = _ply_header(file)
+    format, elements, lines, start = ply.read_header(file)
     before = list(takewhile(lambda element: element.name != "vertex", elements))
     if len(before) == len(elements):
         raise FileError("has no element vertex: points are its vertices")
     vertices = elements[len(before)]
-    order = PLY_ORDERS.get(format, "=")
-    fault = "its vertices have a list among their properties: leave it out"
-    record = vertices.record(order, fault)
-    names = [name for name, _ in vertices.properties]
-    for axis in "xyz":
-        if names.count(axis) != 1:
-            raise FileError(f"its vertices have {names.count(axis)} properties {axis}, not one")
-    places = tuple(map(names.index, "xyz"))
+    order = ply.ORDERS.get(format, "=")
+    record, places = vertices.record(order, ply.LISTED_VERTEX), vertices.axes()
     if format == "ascii":
         skipped = sum(element.count for element in before)
         rows = islice(_lines_of(file, lines + 1), skipped, skipped + vertices.count)
@@ -356,35 +329,6 @@ def _read_ply(file: BinaryIO, size: int | None, block: int) -> Iterator[np.ndarr
         yield points
     if count < vertices.count:
         raise _cut_short(vertices.count, count)
-
-
-def _ply_header(file: BinaryIO) -> tuple[str, list[_Element], int, int]:
-    """The format, the elements, and the number of lines and bytes of the header."""
-    line = file.readline(LINE_LIMIT)
-    if line.split() != [b"ply"]:
-        raise FileError("is no PLY file: its first line is not ply")
-    format, elements, size = "", [], len(line)
-    for number in range(2, PLY_HEADER_LINES + 1):
-        line = file.readline(LINE_LIMIT)
-        size += len(line)
-        words = line.decode("ascii", "replace").split()
-        match words:
-            case ["end_header"] if format:
-                return format, elements, number, size
-            case ["comment" | "obj_info", *_]:
-                pass
-            case ["format", name, "1.0"] if name == "ascii" or name in PLY_ORDERS:
-                format = name
-            case ["element", name, count] if re.fullmatch(r"[0-9]{1,15}", count):
-                elements.append(_Element(name, int(count), []))
-            case ["property", kind, name] if kind in PLY_TYPES and elements:
-                elements[-1].properties.append((name, PLY_TYPES[kind]))
-            case ["property", "list", _, _, name] if elements:
-                elements[-1].properties.append((name, None))
-            case _:
-                shown = printable(" ".join(words))[:40]
-                raise FileError(f"line {number}: {shown!r} does not belong in a PLY header")
-    raise FileError(f"its header has no end within {PLY_HEADER_LINES} lines")
 
 
 def _by_record(

@@ -65,8 +65,9 @@ class Mesh(Data):
             raise MeshError(f"{self.name or 'mesh'}: no faces: it has no bounds")
         used = np.zeros(len(self.vertices), bool)
         used[self.faces] = True
-        points = self.vertices[used]
-        return read_only(np.stack([points.min(axis=0), points.max(axis=0)]) + 0.0)  # no -0.0
+        points = self.vertices if used.all() else self.vertices[used]
+        bounds = np.array([[f(points[:, axis]) for axis in range(3)] for f in (np.min, np.max)])
+        return read_only(bounds + 0.0)  # no -0.0
 
     def to_trimesh(self) -> Any:
         """Return a copy as a trimesh.Trimesh, with vertices and faces in the same order."""

@@ -271,8 +271,9 @@ def boundary_of(corners: np.ndarray) -> np.ndarray:
 
 
 def net_edges(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Return the (n, 2) directed edges that are left when sides from start to end, (m,) int64 each,
-    cancel those that run back; an edge that is left k times appears k times in succession."""
+    """Return the (n, 2) directed edges that are left after sides from start to end, (m,) int64
+    each, have cancelled those in the opposite direction; an edge left k times appears k times in
+    succession."""
     proper = start != end
     start, end = start[proper], end[proper]
     sides = np.minimum(start, end) << 33 | np.maximum(start, end) << 1 | (start < end)

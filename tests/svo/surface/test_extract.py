@@ -463,7 +463,8 @@ def test_relaxation_can_be_left_out(device) -> None:
 
 @pytest.mark.parametrize("lanes", [1, 16])
 def test_relaxation_moves_halfway_to_the_mean_of_neighbours(device, lanes) -> None:
-    """As numpy moves the ends of the quads' edges, truncating towards zero."""
+    """The same vertices as numpy gives, which moves the ends of the quads' edges and truncates
+    towards zero."""
     dense = np.random.default_rng(7).random((9, 8, 7)) < 0.5
     job = plan_extract(octree_from_dense(dense), style=NETS, device=device)
     flat = job.with_(relaxations=0).run()
