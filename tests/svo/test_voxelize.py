@@ -15,7 +15,7 @@ from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
-from voxtool.opencl import Device
+from voxtool.opencl import Device, open_device
 from voxtool.svo.build import DeviceOctree
 from voxtool.svo.fill.rows import refuse_beyond
 from voxtool.svo.layout import NODE
@@ -353,3 +353,26 @@ def test_thin_grids_are_dense_in_their_own_shape(device: Device) -> None:
     assert dense.shape == shape
     assert np.array_equal(np.argwhere(dense), octree.occupied())
     assert octree.count == 49990 * 5 * 3
+
+
+@pytest.mark.parametrize(
+    ("mode", "options"),
+    [
+        ("surface6", {"fill": "auto"}),
+        ("solid", {"fill": "parity", "with_surface": True}),
+        ("solid", {"fill": "nonzero"}),
+        ("solid", {"fill": "flood"}),
+        ("solid", {"fill": "winding"}),
+    ],
+)
+def test_the_programs_that_a_job_uses_are_prepared(device, mode, options, monkeypatch) -> None:
+    fresh = open_device(str(device.info.index))
+    mesh = meshes.mesh_of(*meshes.open_box(3, 27))
+    job = plan_voxelize(mesh, lattice_grid((32, 32, 32)), mode, device=fresh, **options)
+    assert not job.watertight  # warnings ask for it
+    planned = fresh.builder.requests
+    prepared = []
+    monkeypatch.setattr(fresh.builder, "prepare", prepared.extend)
+    job.run()
+    keys = {(source, *sorted(defines.items())) for source, defines in prepared}
+    assert fresh.builder.requests == keys | planned

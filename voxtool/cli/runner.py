@@ -26,14 +26,16 @@ from __future__ import annotations
 
 import functools
 import sys
+import threading
 import time
 import warnings
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NoReturn, Self, TypeVar
 
 import click
+from click.globals import push_context
 
 from voxtool.cli import options
 from voxtool.errors import CheckError, MemoryLimitError, VoxtoolError, VoxtoolWarning, human
@@ -141,14 +143,26 @@ class Run:
     @cached_property
     def device(self) -> Device:
         """The device of --device, opened at the first use."""
-        from voxtool.opencl import shared_device
-
-        device = shared_device(self.device_name, profile=self.verbose or self.as_json)
+        device = self._shared_device()
         device.stage_times()  # of the command before, where one process runs several
         return device
 
+    def _shared_device(self) -> Device:
+        from voxtool.opencl import shared_device
+
+        return shared_device(self.device_name, profile=self.verbose or self.as_json)
+
+    def _open_device(self, context: click.Context) -> None:
+        """Open the device in a thread of its own, in the context of the command."""
+        push_context(context)  # for warnings
+        with suppress(VoxtoolError):  # which the command meets at the first use
+            self._shared_device()
+
     def __enter__(self) -> Self:
         self.progress.__enter__()
+        if self.on_device:  # the device is opened while the input is read
+            context = click.get_current_context()
+            threading.Thread(target=self._open_device, args=(context,)).start()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -283,12 +297,18 @@ class Run:
         self.finish()
 
     def finish(self) -> None:
-        """Print the device and the time of each stage with -v.
+        """Print how long kernels compiled, if it was long; with -v the device and the time of each
+        stage.
 
         Raises
         ------
         CheckError : with --strict, the library has issued a warning.
         """
+        if "device" in self.__dict__:
+            from voxtool.opencl.program import compile_report
+
+            if line := compile_report():
+                options.tell(line)
         if self.verbose:
             if "device" in self.__dict__:
                 options.tell(f"{self.device.info.name} ({self.device.info.platform})")

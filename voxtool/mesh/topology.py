@@ -196,9 +196,12 @@ def shells_of(mesh: Mesh) -> np.ndarray:
 
 def repeated_faces(topology: Topology) -> np.ndarray:
     """Return which faces have the same three positions as an earlier one, (F,) bool."""
+    repeated = np.zeros(len(topology.proper), bool)
+    codes = _mixed(_mixed(np.arange(topology.corners.max(initial=0) + 1, dtype=np.uint64)))
+    if _all_differ(codes[topology.corners]):
+        return repeated
     corners = np.sort(topology.corners, axis=1)
     order = np.lexsort(corners.T)  # stable: of equal ones the first comes first
-    repeated = np.zeros(len(topology.proper), bool)
     same = (corners[order[1:]] == corners[order[:-1]]).all(axis=1)
     repeated[np.flatnonzero(topology.proper)[order[1:][same]]] = True
     return repeated
@@ -210,10 +213,8 @@ def twins_of(mesh: Mesh) -> np.ndarray | None:
     points = (mesh.vertices + 0.0).view(np.uint64)  # -0.0 is 0.0
     code = np.zeros(len(points), np.uint64)
     for axis in range(3):
-        code = (code ^ points[:, axis]) * np.uint64(0x9E3779B97F4A7C15)
-        code ^= code >> np.uint64(32)
-    codes = np.sort(code[mesh.faces].sum(axis=1))
-    if (codes[1:] != codes[:-1]).all():
+        code = _mixed(code ^ points[:, axis])
+    if _all_differ(code[mesh.faces]):
         return None
     corners = np.sort(positions(mesh)[mesh.faces], axis=1)
     order = np.lexsort(corners.T)
@@ -222,6 +223,19 @@ def twins_of(mesh: Mesh) -> np.ndarray | None:
     numbers = np.empty_like(new)
     numbers[order] = np.cumsum(new) - 1
     return None if new.all() else numbers
+
+
+def _mixed(codes: np.ndarray) -> np.ndarray:
+    """Return uint64 codes whose bits depend on many bits of the given ones."""
+    codes = codes * np.uint64(0x9E3779B97F4A7C15)
+    return codes ^ codes >> np.uint64(32)
+
+
+def _all_differ(codes: np.ndarray) -> bool:
+    """Return whether the sums of (F, 3) codes of corners differ, so that no two faces have the same
+    corners in any order."""
+    sums = np.sort(codes.sum(axis=1))
+    return bool((sums[1:] != sums[:-1]).all())
 
 
 def merged_faces(mesh: Mesh, *, parity: bool = False) -> np.ndarray | None:
@@ -324,9 +338,11 @@ def topology_of(mesh: Mesh, weld: bool = True) -> Topology:
     a, b, c = corners.T
     proper = (a != b) & (b != c) & (c != a)
     corners = corners[proper]
-    edge, forward = edges_of(corners)
-    order = np.argsort(edge, kind="stable")
-    same = edge[order[1:]] == edge[order[:-1]]
+    key, forward = _edge_keys(corners)
+    order = np.argsort(key, kind="stable")
+    same = key[order[1:]] == key[order[:-1]]
+    edge = np.zeros(len(order), np.int64)
+    edge[order[1:]] = np.cumsum(~same)
     pairs = np.stack([order[:-1][same], order[1:][same]])
     return Topology(proper, corners, edge, forward, np.bincount(edge), pairs)
 
@@ -391,9 +407,14 @@ def positions(mesh: Mesh) -> np.ndarray:
 
 def edges_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the edge, (3F,), and direction, (3F,) bool, of the sides ab, bc, ca of faces."""
+    key, forward = _edge_keys(corners)
+    return np.unique(key, return_inverse=True)[1].reshape(-1), forward
+
+
+def _edge_keys(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a number for the two ends of each side, in any order, and edges_of's directions."""
     start, end = _sides(corners)
-    key = np.minimum(start, end) << 32 | np.maximum(start, end)
-    return np.unique(key, return_inverse=True)[1].reshape(-1), start < end
+    return np.minimum(start, end) << 32 | np.maximum(start, end), start < end
 
 
 def _sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

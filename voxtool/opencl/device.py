@@ -13,7 +13,8 @@ import numpy as np
 
 from voxtool.errors import LESS, DeviceError, MemoryLimitError
 from voxtool.memory import available_memory
-from voxtool.opencl import driver, launch, program
+from voxtool.opencl import driver, launch
+from voxtool.opencl.builder import Builder, Request
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -100,6 +101,7 @@ class Device:
         self._lock = threading.RLock()  # a kernel's arguments and its launch belong together
         self._events: list[tuple[str, Any]] = []
         self._kernels: dict[Any, Callable[..., None]] = {}
+        self.builder = Builder(cl, self.context, info.platform)
 
     @property
     def lanes(self) -> int:
@@ -248,6 +250,11 @@ class Device:
 
     # ---- work
 
+    def prepare(self, *requests: Request) -> None:
+        """Begin to build the programs of these sources and -D options, in the order of their use,
+        beside the work that follows."""
+        self.builder.prepare(requests)
+
     def kernel(self, source: str, name: str, **defines: int | str) -> Callable[..., None]:
         """A kernel of kernels/`source`, built once with the given -D options.
 
@@ -258,11 +265,9 @@ class Device:
         key = (source, name, *sorted(defines.items()))
         with self._lock:
             if key not in self._kernels:
-                built = program.build(self._cl, self.context, self.info.platform, source, defines)
-                for signature in launch.signatures(program.flatten(source), defines):
-                    kernel = self._cl.Kernel(built, signature.name)
-                    launcher = self._launcher(kernel, signature)
-                    self._kernels[(source, signature.name, *key[2:])] = launcher
+                built = self.builder.program(source, defines)
+                kernel = self._cl.Kernel(built.program, name)
+                self._kernels[key] = self._launcher(kernel, built.signatures[name])
             return self._kernels[key]
 
     def _launcher(self, kernel: Any, signature: launch.Signature) -> Callable[..., None]:

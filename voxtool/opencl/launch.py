@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -121,7 +122,7 @@ class Signature:
             raise TypeError(f"kernel {self.name} does not take {error}") from error
 
 
-def signatures(text: str, defines: dict[str, int | str]) -> list[Signature]:
+def signatures(text: str, defines: Mapping[str, int | str]) -> list[Signature]:
     """The signature of every kernel in a flattened source, for these -D options."""
     text, macros = preprocess(text, defines)
     found = []
@@ -132,7 +133,7 @@ def signatures(text: str, defines: dict[str, int | str]) -> list[Signature]:
     return found
 
 
-def preprocess(text: str, defines: dict[str, int | str]) -> tuple[str, dict[str, str]]:
+def preprocess(text: str, defines: Mapping[str, int | str]) -> tuple[str, dict[str, str]]:
     """The active lines of a source without comments, and its object-like macros."""
     text = re.sub(r"//[^\n]*|/\*.*?\*/", " ", text.replace("\\\n", " "), flags=re.DOTALL)
     macros = {name: str(value) for name, value in defines.items()}

@@ -8,24 +8,26 @@ from __future__ import annotations
 
 import functools
 import re
+import time
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, SupportsInt
+from typing import TYPE_CHECKING, Any, NamedTuple, SupportsInt
 
 import numpy as np
 
-from voxtool.errors import DeviceError
+from voxtool.errors import DeviceError, count_of
 from voxtool.opencl import cache, headers
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
 _INCLUDE = re.compile(r'^#include "([^"]+)"$', re.MULTILINE)
 _C_TYPES = {"<u4": "uint", "<i4": "int", "<u8": "ulong", "<i8": "long", "|u1": "uchar"}
 OPTIONS = ["-cl-std=CL1.2"]
 PREAMBLE = "#pragma OPENCL FP_CONTRACT OFF"  # a * b + c is rounded twice on every device
 ROUNDED = "-cl-fp32-correctly-rounded-divide-sqrt"  # float32, where a device offers it
+LONG = 1.0  # seconds of compiling that a command mentions
 
 
 @functools.cache
@@ -94,7 +96,9 @@ def c_constants(**values: SupportsInt) -> str:
     return "\n".join(f"#define {name} {int(value):#x}" for name, value in values.items())
 
 
-def build(cl: Any, context: Any, platform: str, source: str, defines: dict[str, int | str]) -> Any:
+def build(
+    cl: Any, context: Any, platform: str, source: str, defines: Mapping[str, int | str]
+) -> Any:
     """The program of kernels/`source`; raises DeviceError with the compiler's first error."""
     options = [*OPTIONS, *(f"-D{name}={value}" for name, value in sorted(defines.items()))]
     if context.devices[0].single_fp_config & cl.device_fp_config.CORRECTLY_ROUNDED_DIVIDE_SQRT:
@@ -122,8 +126,42 @@ def compiled(cl: Any, context: Any, text: str, options: Sequence[str] = ()) -> A
     if file and (binary := cache.load(file)):
         with suppress(cl.Error):  # the driver may have changed without a new version
             return cl.Program(context, [device], [binary]).build([*options])
+    began = time.perf_counter()
     # Program(context, text) would leave the text in the temporary folder when it does not compile.
     program = cl.Program(cl._cl._Program(context, text)).build([*options])
+    kernels = program.get_info(cl.program_info.NUM_KERNELS)
+    _compilations.append(Compilation(began, time.perf_counter(), kernels, file))
     if file:
         cache.keep(file, program.get_info(cl.program_info.BINARIES)[0])
     return program
+
+
+class Compilation(NamedTuple):
+    """A program that was compiled from its source: when, its number of kernels, and the file that
+    keeps it, or None."""
+
+    began: float
+    ended: float
+    kernels: int
+    file: Path | None
+
+
+_compilations: list[Compilation] = []
+
+
+def compile_report() -> str:
+    """A line on the kernels compiled since the last call: how many, how long, and where they are
+    kept; "" if it took less than LONG, or they are not kept, of which `cache` warns. Time in which
+    two programs compiled counts once."""
+    done = sorted(_compilations)
+    _compilations.clear()
+    seconds = end = 0.0
+    for one in done:
+        seconds += max(one.ended - max(one.began, end), 0.0)
+        end = max(end, one.ended)
+    if seconds < LONG or cache.folder() is None:
+        return ""
+    files = [one.file for one in done if one.file]
+    where = f"they are kept in {files[0].parent}" if files else "the driver keeps them"
+    count = sum(one.kernels for one in done)
+    return f"compiled {count_of(count, 'kernel')} in {seconds:.1f} s; {where} for the next run"

@@ -76,7 +76,7 @@ class Scan:
     def __init__(self, mesh: LatticeMesh, plan: VoxelizePlan) -> None:
         self.mesh, self.plan, self.device = mesh, plan, mesh.device
         self.code = np.dtype(np.uint32 if plan.code_bits == 32 else np.uint64)
-        self._options: dict[str, int | str] = {
+        self.options: dict[str, int | str] = {
             "CODE": code_name(self.code),
             "COLUMN_TILE": plan.column_tile,
             **({"WIDE": 1} if plan.wide else {}),
@@ -84,7 +84,7 @@ class Scan:
 
     def kernel(self, source: str, name: str) -> Callable[..., None]:
         """Return a kernel compiled with the plan's options."""
-        return self.device.kernel(source, name, **self._options)
+        return self.device.kernel(source, name, **self.options)
 
     def shares(
         self, kind: int, level: int = 0, with_caps: bool = False

@@ -36,15 +36,29 @@ from voxtool.mesh.topology import (
 )
 from voxtool.mesh.watertight import watertight
 from voxtool.opencl import Device, default_device
+from voxtool.opencl.builder import Request
+from voxtool.opencl.primitives import SOURCE as PRIMITIVES
+from voxtool.svo.build import SOURCE as BUILD
 from voxtool.svo.build import build_octree
 from voxtool.svo.fill.caps import Boundary, find_boundary
+from voxtool.svo.fill.flood import SOURCE as FLOOD
 from voxtool.svo.fill.flood import flood
-from voxtool.svo.fill.rows import Filled, fill_rows, flip_changes, flip_crossings, list_crossings
+from voxtool.svo.fill.rows import (
+    CROSSINGS,
+    Filled,
+    fill_rows,
+    flip_changes,
+    flip_crossings,
+    list_crossings,
+)
+from voxtool.svo.fill.rows import SOURCE as ROWS
 from voxtool.svo.fill.winding import NearHoles
+from voxtool.svo.fill.winding import programs as near_holes
 from voxtool.svo.lattice import place_mesh
 from voxtool.svo.octree import Octree
 from voxtool.svo.plan import Survey, VoxelizePlan, plan_of
 from voxtool.svo.prune import prune, states_of
+from voxtool.svo.scan import SOURCE as SCAN
 from voxtool.svo.scan import Scan, find_active_nodes
 
 LARGE = 64  # columns of a face, on average, from which repeated faces cost more than their search
@@ -176,8 +190,27 @@ class VoxelizeJob(Job[Octree]):
             job.plan = replace(job.plan, **forced)
         return job
 
+    @property
+    def programs(self) -> list[Request]:
+        """The programs that the stages use, in order."""
+        plan, options = self.plan, Scan(self.lattice, self.plan).options
+        code, wide = ({"CODE": name} for name in (options["CODE"], "ulong"))
+        sort: Request = PRIMITIVES, {"KEY": "ulong"}
+        programs: list[Request] = [(SCAN, options), (PRIMITIVES, {})]
+        by_rows: list[Request] = [(CROSSINGS, options)]
+        by_rows += [sort] * plan.listed
+        if plan.caps:
+            programs += [*by_rows, *near_holes(plan)]
+        programs += [(BUILD, code), (PRIMITIVES, {"KEY": options["CODE"]})]
+        if plan.fill == "flood":
+            programs += [(BUILD, wide), sort, (FLOOD, wide)]
+        elif plan.solid:
+            programs += [*by_rows, (ROWS, code)]
+        return programs
+
     def _run(self) -> Octree:
         plan, scan = self.plan, Scan(self.lattice, self.plan)
+        self.device.prepare(*self.programs)
         limit = self.device.max_memory if self.max_memory is None else self.max_memory
         holes = crossings = None
         with self.stage("active nodes"):
@@ -190,7 +223,7 @@ class VoxelizeJob(Job[Octree]):
             with self.stage("near holes"):
                 nodes = holes.decide(touched, capped.get())
                 self._crowded = holes.crowded
-                active = find_active_nodes(scan, True, np.union1d(touched, nodes))
+                active = find_active_nodes(scan, True, np.append(touched, nodes))
         with self.stage("octree"):
             tree = build_octree(self.device, plan.side, active.nodes.codes, active.nodes.n)
         if plan.fill in ("none", "flood"):

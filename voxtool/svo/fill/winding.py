@@ -43,7 +43,10 @@ from voxtool.grid import FIXED_POINT_BITS
 from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
 from voxtool.opencl import Array, program
+from voxtool.opencl.builder import Request
 from voxtool.spatial.bvh import ARITY, LEAF, TriangleTree, build_tree
+from voxtool.spatial.bvh import SOURCE as BVH
+from voxtool.spatial.winding_number import SOURCE as MOMENTS
 from voxtool.spatial.winding_number import WindingNumber
 from voxtool.svo.build import DeviceOctree
 from voxtool.svo.fill.caps import Caps
@@ -83,6 +86,15 @@ HEADERS = {
 }
 
 
+def programs(plan: VoxelizePlan) -> list[Request]:
+    """Return the programs that a plan with holes uses."""
+    return [(BVH, {}), (MOMENTS, {}), (SOURCE, _options(plan))]
+
+
+def _options(plan: VoxelizePlan) -> dict[str, int | str]:
+    return {"CODE": "ulong", **({"WIDE": 1} if plan.wide else {})}
+
+
 class NearHoles:
     """The bricks in which N >= 1 does not decide, once they are found by `decide`."""
 
@@ -91,7 +103,7 @@ class NearHoles:
     ) -> None:
         assert mesh.caps is not None
         self._device, self._max_memory, caps = mesh.device, max_memory, mesh.caps
-        self._options: dict[str, int | str] = {"CODE": "ulong"} | ({"WIDE": 1} if plan.wide else {})
+        self._options = _options(plan)
         self._crowd, self._side, self._shape = plan.crowd, plan.side, plan.shape
         self._most_left = plan.most_left
         points = mesh.fixed.astype(np.float64)
@@ -138,7 +150,7 @@ class NearHoles:
 
     def decide(self, touched: np.ndarray, capped: np.ndarray) -> np.ndarray:
         """Find the bricks and their voxels. Return the ascending Morton codes of the level-1 nodes
-        that contain them.
+        that contain them, once for each.
 
         `touched` holds the ascending codes of the level-1 nodes that the mesh touches, and `capped`
         those that the mesh or its caps touch. Raises MemoryLimitError if the bricks need an octree
@@ -161,7 +173,7 @@ class NearHoles:
         codes, masks = (np.concatenate(each) for each in zip(*parts, strict=True))
         order = np.argsort(codes)
         self._bricks, self._masks = codes[order], masks[order]
-        return np.unique(self._bricks >> np.uint64(3))
+        return self._bricks >> np.uint64(3)
 
     def _within(self, blocks: np.ndarray, level: int) -> np.ndarray:
         """Return the blocks that reach into the grid."""
