@@ -11,6 +11,7 @@ import numpy as np
 from voxtool.choices import DEFAULT_DIM, FILLS
 from voxtool.errors import MeshWarning
 from voxtool.grid import Grid
+from voxtool.mesh.collinear import collinear
 from voxtool.mesh.loops import Loops, find_loops
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.shells import find_patches, find_shells
@@ -19,7 +20,6 @@ from voxtool.mesh.topology import (
     Topology,
     check_surface,
     closed_chain,
-    collinear,
     crowded_edges,
     repeated_faces,
     topology_of,

@@ -16,12 +16,16 @@ import h5py
 import netCDF4
 import numpy as np
 
+from voxtool.selftest.crowds import CROWDS
+from voxtool.selftest.shapes import Shape
+
 from .bombs import endless_list, vtu_bomb, write_exodus_bomb
 from .cases import Case
 from .mutate import SECRET
 
 Content = Callable[[], bytes]
 MANY, MORE = 20_000, 4 * 10**9  # faces that are there, and elements that are not
+SUMMED = ("fan", "closed-fans", "loose-fan", "book", "needles", "nested")  # for winding numbers
 SCENES = ("svo.h5", "adf.h5", "raycast.tet.h5")
 
 
@@ -158,41 +162,21 @@ def obj(points: np.ndarray, faces: np.ndarray) -> bytes:
     return "\n".join(lines).encode()
 
 
-def copies() -> bytes:
-    return obj(np.eye(3), np.tile([0, 1, 2], (MANY, 1)))
-
-
-def fan(many: int = MANY) -> bytes:
-    """Triangles about one vertex, each with two vertices of its own."""
-    angle = np.arange(2 * many) * 0.7
-    ring = np.stack([np.cos(angle), np.sin(angle), np.arange(2 * many) / many], axis=1)
-    corners = np.arange(2 * many).reshape(-1, 2) + 1
-    return obj(np.concatenate([np.zeros((1, 3)), ring]), np.insert(corners, 0, 0, axis=1))
-
-
-def loops() -> bytes:
-    """Triangles apart from each other: a loop each."""
-    place = np.arange(MANY)[:, None] * (1.0, 0.37, 0.11) % 7
-    corners = (place[:, None] + 0.05 * np.eye(3)).reshape(-1, 3)
-    return obj(corners, np.arange(3 * MANY).reshape(-1, 3))
-
-
-def collinear() -> bytes:
-    place = np.arange(MANY + 2.0)[:, None] * (1, 1, 1)
-    return obj(place, np.arange(MANY)[:, None] + (0, 1, 2))
-
-
 def repeated_faces() -> Iterator[Entry]:
     commands = {
         "voxelize": "voxelize FILE --dim 16 -o out.svo.h5 -q",
         "adf-build": "adf-build FILE --max-level 3 -o out.adf.h5 -q",
         "diagnose": "diagnose FILE --dim 16 -q",
     }
-    for make in (copies, fan, loops, collinear):
+    for kind, shape in CROWDS.items():
+        # each winding number sums all triangles of a fan: fewer of them
+        many = MANY // 4 if kind in SUMMED else MANY
         for name, command in commands.items():
-            # each sign sums all triangles of a fan: a smaller one
-            content = partial(fan, MANY // 4) if (make, name) == (fan, "adf-build") else make
-            yield Entry(f"{name} of {make.__name__}", "faces.obj", content, command)
+            yield Entry(f"{name} of {kind}", "faces.obj", partial(crowd, shape, many), command)
+
+
+def crowd(shape: Callable[[int], Shape], many: int) -> bytes:
+    return obj(*shape(many))
 
 
 # ---- item 11: numbers and words

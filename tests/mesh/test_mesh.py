@@ -24,8 +24,9 @@ from voxtool.errors import MeshError, printable
 from voxtool.files import obj
 from voxtool.files.mesh import as_mesh, load_mesh
 from voxtool.files.numbers import OddityError
+from voxtool.mesh.collinear import collinear
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
-from voxtool.mesh.topology import check_topology, collinear
+from voxtool.mesh.topology import check_topology
 
 MODELS = Path(__file__).parents[2].parent / "shared" / "models"
 
@@ -434,11 +435,14 @@ def flat(triangle) -> bool:
     return all(u[i] * v[j] == u[j] * v[i] for i, j in ((0, 1), (1, 2), (2, 0)))
 
 
-@given(st.lists(st.floats(-1e9, 1e9), min_size=6, max_size=6), st.integers(-20, 20))
-def test_zero_area_is_exact(numbers, k):
+@given(
+    st.lists(st.floats(-1e9, 1e9), min_size=9, max_size=9), st.integers(-20, 20),
+    st.sampled_from([-1000, -500, 0, 500, 900]), st.booleans(),
+)  # fmt: skip
+def test_zero_area_is_exact(numbers, k, exponent, moved):
     """Against fractions: a point that float64 puts near a line is on it or it is not."""
-    p, q = np.array(numbers[:3]), np.array(numbers[3:])
-    triangle = np.stack([p, q, p + (q - p) * (k / 8)])
+    p, q, r = np.ldexp(np.array(numbers), exponent).reshape(3, 3)
+    triangle = np.stack([p, q, p + (q - p) * (k / 8)]) + moved * r
     assert collinear(triangle[None])[0] == flat(triangle.tolist())
 
 

@@ -32,6 +32,7 @@ MEASURES = {  # of errors, by bench, and their units; the first is drawn in char
     "pictures": {"outline": "of the pixels"},
     "tets": dict.fromkeys(("rms", "max"), "of colours from 0 to 1"),
     "growth": {"rms": "of the cube's side"},
+    "degenerate": {"rms": "of the cube's side"},
 }
 _UNITS = {  # of further measures, in the order of their columns
     "host": "s", "command": "s", "build": "s", "upload": "s", "ns a point": "ns",

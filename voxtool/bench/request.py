@@ -20,6 +20,7 @@ SETTINGS = {  # the fields of a Request that each bench reads
     "pictures": ("sizes", "view", "dims", "levels", "tolerances", "sign"),
     "tets": ("sizes", "pixels", "view", "methods", "integrators", "transfers", "scalar",
              "component"),
+    "degenerate": ("triangles",),
     "growth": ("triangles", "dims", "levels", "tolerances", "sizes", "cells", "scalar",
                "component"),
 }  # fmt: skip

@@ -10,7 +10,7 @@ import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from voxtool.bench import adf, distance, growth, pictures, tets, voxels
+from voxtool.bench import adf, degenerate, distance, growth, pictures, tets, voxels
 from voxtool.bench.request import benches_for, is_volume
 from voxtool.bench.timing import Bench
 from voxtool.errors import MeshWarning
@@ -32,6 +32,7 @@ BENCHES = {
     "pictures": pictures.measure,
     "tets": tets.measure,
     "growth": growth.measure,
+    "degenerate": degenerate.measure,
 }
 
 
@@ -41,7 +42,8 @@ def sweep(
     benches: tuple[str, ...] | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Iterator[Point | Ablation]:
-    """Measure each model in the named benches, by default in every bench for its kind of file.
+    """Measure each model in the named benches, by default in every bench for its kind of file. The
+    models of the bench "degenerate" are kinds of meshes, by default all.
 
     Parameters
     ----------
@@ -54,8 +56,12 @@ def sweep(
     bench = Bench(
         request, shared_device(request.device), shared_device(request.device, profile=True)
     )
+    if benches == ("degenerate",):
+        models = models or degenerate.KINDS
     for model in models:  # read all before anything is measured
-        if is_volume(model):
+        if benches == ("degenerate",):
+            degenerate.check_kind(model)
+        elif is_volume(model):
             read_unstructured(model, request.scalar, request.component)
         else:
             load_mesh(model)

@@ -154,6 +154,17 @@ COMMANDS = {
       voxtool bench growth bunny.obj --triangles 300000
       voxtool bench growth volume.vtu --scalar density --cells 500000
     """,
+    "degenerate": """Measure the growth of time with the faces of degenerate meshes.
+
+    MODELS are kinds of meshes that are generated: copies, points, collinear, fan, closed-fans,
+    loose-fan, book, loops, needles, shells, nested; by default all. The exponent p of time ~
+    triangles^p is below each table.
+
+    \b
+    Examples:
+      voxtool bench degenerate copies book --triangles 100000 --repeat 1
+      voxtool bench degenerate --triangles 1000 --repeat 1 -o report
+    """,
 }
 UNITS = """
     Times are medians after a warm-up, in memory, kernels compiled; ± is their spread. Errors are in
@@ -226,7 +237,7 @@ def bench_command(bench: str) -> click.Command:
     head, examples = COMMANDS[bench].split("\n\n    \b", 1)
     call.__doc__ = f"{head}\n{UNITS}\n    \b{examples}"
     decorate = together(
-        click.argument("models", nargs=-1, required=True),
+        click.argument("models", nargs=-1, required=bench != "degenerate"),
         flag("--quick", "Few and small settings: seconds, not minutes."),
         option("--repeat", click.IntRange(1, 1000), "Runs after a warm-up.  [default: 3, and up "
                "to 9 of short work; 2 with --quick]", metavar="N"),

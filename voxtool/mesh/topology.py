@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from voxtool.errors import count_of
+from voxtool.mesh.collinear import collinear
 from voxtool.mesh.mesh import Mesh
 from voxtool.vector import cross, dot
 
@@ -442,22 +443,3 @@ def components(u: np.ndarray, v: np.ndarray, nodes: int) -> np.ndarray:
         while not np.array_equal(root, jump := root[root]):
             root = jump
     return root
-
-
-def collinear(triangles: np.ndarray) -> np.ndarray:
-    """Return which (F, 3, 3) triangles have zero area, (F,) bool, exactly: by float64 with an error
-    bound, and by integers if that does not decide."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        p, q = (triangles[:, i] - triangles[:, 0] for i in (1, 2))
-        sure = np.zeros(len(triangles), bool)
-        for i, j in ((0, 1), (1, 2), (2, 0)):
-            left, right = p[:, i] * q[:, j], p[:, j] * q[:, i]
-            sure |= np.abs(left - right) > 2**-50 * (np.abs(left) + np.abs(right)) + 2.0**-1000
-    flat = ~sure
-    for face in np.flatnonzero(flat):
-        ratios = [v.as_integer_ratio() for v in triangles[face].ravel().tolist()]
-        unit = max(below for _, below in ratios)  # a power of two
-        x = [above * (unit // below) for above, below in ratios]
-        p, q = ([x[k + i] - x[i] for i in range(3)] for k in (3, 6))
-        flat[face] = all(p[i] * q[j] == p[j] * q[i] for i, j in ((0, 1), (1, 2), (2, 0)))
-    return flat

@@ -14,6 +14,7 @@ from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.opencl import Device
 from voxtool.selftest import oracles, shapes
 from voxtool.selftest.case import case
+from voxtool.selftest.crowds import CROWDS
 from voxtool.svo.raycast import depths
 from voxtool.svo.voxelize import voxelize
 
@@ -116,6 +117,19 @@ def flat_faces(device: Device, full: bool) -> int:
         copies = [(c, b, a), (b, c, a), (a, b, c)]
         every = [np.stack(columns, axis=1) for columns in ((a, b, c), *degenerate, *copies)]
         faces = random.permutation(np.concatenate([some[::2] for some in every]))
+        found += wrong_on_lattice(device, vertices, faces)
+    return found
+
+
+@case("crowded vertices, edges and lines", "fans, books, needles, copies: rational arithmetic",
+      "voxels wrong", 0)  # fmt: skip
+def crowds(device: Device, full: bool) -> int:
+    found, count = 0, 64 if full else 16
+    for kind in CROWDS.values():
+        corners, faces = kind(count)
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        place = (corners - low) / (high - low).max()
+        vertices = np.rint(UNIT * (1 + (min(SMALL) - 2) * place)).astype(np.int64)
         found += wrong_on_lattice(device, vertices, faces)
     return found
 
@@ -284,4 +298,4 @@ def rays(device: Device, full: bool) -> float:
     return error
 
 
-CASES = (needles, flat_faces, boundaries, coordinates, wide, crowd, dims, open_box, rays)
+CASES = (needles, flat_faces, crowds, boundaries, coordinates, wide, crowd, dims, open_box, rays)

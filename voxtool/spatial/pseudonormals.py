@@ -19,14 +19,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.mesh.topology import collinear, edges_of, positions
+from voxtool.mesh.collinear import collinear
+from voxtool.mesh.topology import edges_of, positions
 from voxtool.spatial.bvh import Frame
-from voxtool.vector import dot, length
+from voxtool.vector import cross_component, difference, dot, length
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
 
-SPLIT = 134217729.0  # 2**27 + 1: halves the digits of a float64 [Dekker 1971]
 # atan t = t + t^3 P(t^2) on [0, tan(pi/8)] to 2e-17: the first twelve terms of the Chebyshev series
 # 2 sum (-1)^k q^(2k+1) / (2k+1) T_(2k+1)(t / tan(pi/8)), q = tan(pi/16)
 COEFFICIENTS = (
@@ -112,8 +112,8 @@ def _sums(feature: np.ndarray, weights: np.ndarray, normals: np.ndarray) -> np.n
 def _normals_and_angles(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(F, 3) unit normals, 0 where there is none, and (F, 3) angles at the corners."""
     a, b, c = (triangles[:, i].T for i in range(3))
-    u, v, w = (_difference(*ends) for ends in ((b, a), (c, a), (c, b)))
-    n = np.stack([_cross(u, v, i, (i + 1) % 3) for i in (1, 2, 0)])
+    u, v, w = (difference(*ends) for ends in ((b, a), (c, a), (c, b)))
+    n = np.stack([sum(cross_component(u, v, i, (i + 1) % 3)) for i in (1, 2, 0)])
     exponent = np.frexp(np.abs(n).max(axis=0))[1]
     n = np.ldexp(n, -exponent)
     size = length(n.T)
@@ -142,32 +142,3 @@ def angle_of(y: np.ndarray, x: np.ndarray) -> np.ndarray:
     angle = np.where(x < 0, PI - angle, angle)
     angle = np.where(y < 0, -angle, angle)
     return np.where(y == 0, 0.0, angle)
-
-
-Twofold = tuple[np.ndarray, np.ndarray]  # a number as the sum of a float64 and a much smaller one
-
-
-def _difference(a: np.ndarray, b: np.ndarray) -> Twofold:
-    """Return a - b exactly [Knuth 1998]."""
-    high = a - b
-    part = high - a
-    return high, (a - (high - part)) - (b + part)
-
-
-def _multiplied(a: np.ndarray, b: np.ndarray) -> Twofold:
-    """Return a b exactly [Dekker 1971]."""
-    high = a * b
-    a_high, b_high = SPLIT * a, SPLIT * b
-    a_high, b_high = a_high - (a_high - a), b_high - (b_high - b)
-    a_low, b_low = a - a_high, b - b_high
-    return high, a_low * b_low - (((high - a_high * b_high) - a_low * b_high) - a_high * b_low)
-
-
-def _cross(u: Twofold, v: Twofold, i: int, j: int) -> np.ndarray:
-    """u_i v_j - u_j v_i, to about 2^-100 of the products."""
-    (uh, ul), (vh, vl) = u, v
-    one, other = _multiplied(uh[i], vh[j]), _multiplied(uh[j], vh[i])
-    high, low = _difference(one[0], other[0])
-    low = low + ((one[1] - other[1]) + ((uh[i] * vl[j] + ul[i] * vh[j])
-                                        - (uh[j] * vl[i] + ul[j] * vh[i])))  # fmt: skip
-    return high + low

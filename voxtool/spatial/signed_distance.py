@@ -14,7 +14,8 @@ import numpy as np
 
 from voxtool.choices import SIGNS
 from voxtool.errors import VoxtoolError
-from voxtool.mesh.topology import collinear, watertight
+from voxtool.mesh.collinear import collinear
+from voxtool.mesh.topology import watertight
 from voxtool.opencl import Device, default_device
 from voxtool.spatial.bvh import tree_bytes
 from voxtool.spatial.distance import TriangleDistance, checked_points
