@@ -291,10 +291,12 @@ def measure_distances(device) -> None:
     faces = np.concatenate([faces, [(0, 0, 5), (7, 7, 7)]])
     mesh = Mesh(vertices, faces.astype(np.int32))
     measure = TriangleDistance(mesh, device)
+    together = TriangleDistance(mesh, device, packets_from=1)
     signed = [SignedDistance(mesh, sign, device) for sign in ("pseudonormal", "winding")]
     for scale in (1, 100):
         points = scale * np.random.default_rng(1).uniform(-3, 3, (70, 3))
         distances = measure(points)
+        assert np.array_equal(together(points), distances)
         assert np.allclose(distances, brute(points, vertices[faces]), rtol=1e-14, atol=1e-14)
         inside = winding(points, vertices[faces]) > 0.5
         for sign in signed:

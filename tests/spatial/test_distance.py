@@ -31,6 +31,8 @@ SHAPE = (8, 8, 8)
 
 def check(mesh: Mesh, points: np.ndarray, device: Device, oracle=exact) -> np.ndarray:
     found = TriangleDistance(mesh, device)(points)
+    together = TriangleDistance(mesh, device, packets_from=1)(points)
+    assert np.array_equal(together, found)
     expected = oracle(points, mesh.vertices[mesh.faces])
     low, high = mesh.bounds
     allowed = EXACT * np.maximum((high - low).max(), expected)
@@ -168,7 +170,7 @@ def test_neither_order_nor_company_changes_a_bit(device: Device) -> None:
     order = rng.permutation(len(points))
     assert np.array_equal(shuffled(points[order]), expected[order])
     assert np.array_equal(shuffled(points[:7]), expected[:7])
-    for parameters in ({"block": 1000}, {"near": 0.0}):  # 0: boxes in double precision
+    for parameters in ({"block": 1000}, {"near": 0.0}, {"packets_from": 1}):  # 0: float64 boxes
         assert np.array_equal(TriangleDistance(mesh, device, **parameters)(points), expected)
 
 
@@ -186,6 +188,49 @@ def _bunny() -> tuple[Mesh, np.ndarray]:
 def test_the_bunny_against_brute_force(device: Device) -> None:
     mesh, points = _bunny()
     check(mesh, points[:: len(points) // 12], device, brute)
+
+
+ROUNDED = """
+#include "spatial/nearest_packets.cl"
+__kernel void measure(__global const double *points, __global const double *leaves,
+                      __global const float *rounded, const uint n, __global double *squares)
+{
+    const uint gid = get_global_id(0), slot = gid / POINTS;
+    const double3 p = vload3(gid, points);
+    const float3 q = convert_float3(p);
+    const triangle t = triangle_of(leaves, slot);
+    ways way;
+    long16 feature;
+    squares[2 * gid] = triangle_ways(&t, p.x, p.y, p.z, &way, &feature).x;
+    squares[2 * gid + 1] = rounded_squares(rounded + FIELDS * slot, q.x, q.y, q.z).x;
+}
+"""
+
+
+def test_rounded_triangles_are_no_further_than_doubt(device: Device) -> None:
+    rng = np.random.default_rng(11)
+    n = 1 << 12
+    a, b = rng.uniform(-1, 1, (2, n, 3))
+    thin, short = 10.0 ** -rng.uniform(0, 17, (2, n, 1))
+    b = np.where(rng.integers(2, size=(n, 1)), b, a + short * rng.normal(size=(n, 3)))
+    c = a + rng.uniform(-0.3, 1.3, (n, 1)) * (b - a) + thin * rng.normal(size=(n, 3))
+    corners = np.clip(np.stack([a, b, c], axis=1), -1, 1)
+    corners[0] = [(-1, -1, -1), (1, 1, 1), (1, -1, 1)]  # the frame
+    tree = bvh.build_tree(device, mesh_of(corners.reshape(-1, 3)))
+    slots = tree.face_of.size
+    ends = corners[tree.face_of.get()]
+    weights = rng.dirichlet((0.5, 0.5, 0.5), (slots, 16)) + rng.normal(size=(slots, 16, 3)) * 1e-3
+    apart = 10.0 ** -rng.uniform(-0.9, 8, (slots, 16, 1)) * rng.normal(size=(slots, 16, 3))
+    points = np.clip(weights @ ends + apart, -8, 8)
+    rounded = device.empty(slots * bvh.FIELDS, np.float32)
+    device.kernel("spatial/nearest_packets.cl", "round_triangles")(slots, tree.leaves, rounded)
+    squares = device.empty(2 * 16 * slots, np.float64)
+    device.kernel(ROUNDED, "measure")(
+        16 * slots, device.put(points), tree.leaves, rounded, squares, local=16
+    )
+    exact, found = np.sqrt(squares.get().reshape(-1, 2).T)
+    assert (found - exact).max() < 2.0**-16  # half of DOUBT
+    assert (found - exact).max() > 2.0**-24  # single precision shows
 
 
 # ---- the tree

@@ -22,6 +22,7 @@ HOMES = {
     "spatial/arctangent.h": "voxtool.spatial.pseudonormals",
     "spatial/bvh.h": "voxtool.spatial.bvh",
     "spatial/names.h": "voxtool.spatial.bvh",
+    "spatial/nearest_packets.h": "voxtool.spatial.distance",
     "spatial/self_intersections.h": "voxtool.spatial.self_intersections",
     "spatial/winding_number.h": "voxtool.spatial.winding_number",
     "svo/fill/crossings.h": "voxtool.svo.fill.rows",

@@ -7,20 +7,33 @@ against rational arithmetic was at most 6e-16 of the mesh's extent, or of the di
 larger. Degenerate faces count as the segments and points that they are. If pseudo-normals are
 given, distances are negative inside.
 
-Kernels: kernels/spatial/distance.cl.
+Many points go in packets: a work-item follows 16 neighbours, which share the traversal, and
+computes distances in single precision, with a bound on the error, before those that can be least.
+
+Kernels: distance.cl and nearest_packets.cl in kernels/spatial.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from voxtool.errors import VoxtoolError
-from voxtool.opencl import Array, Device, default_device
+from voxtool.opencl import Array, Device, default_device, program
+from voxtool.opencl.device import VECTOR
 from voxtool.opencl.primitives import radix_sort
-from voxtool.spatial.bvh import MAX_EXPONENT, POINT_BITS, TriangleTree, build_tree, distinct_faces
+from voxtool.spatial.bvh import (
+    FIELDS,
+    LEAF,
+    MAX_EXPONENT,
+    POINT_BITS,
+    TriangleTree,
+    build_tree,
+    distinct_faces,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -28,10 +41,19 @@ if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
     from voxtool.spatial.pseudonormals import Pseudonormals
 
-SOURCE = "spatial/distance.cl"
-POINTS_AT_ONCE = 1 << 18  # on the device
+SOURCE, PACKETS = "spatial/distance.cl", "spatial/nearest_packets.cl"
+POINTS_AT_ONCE = 1 << 20  # on the device: the more there are, the nearer is the next
 SORTED_FROM = 1 << 9  # points: fewer are not sorted
 NEAR = 8.0  # extents within which single precision bounds distances to boxes; see MARGIN_BITS
+POINTS = VECTOR  # of a packet, which are near each other and share a traversal
+PACKETS_FROM = 1 << 13  # points: fewer are too far apart
+
+HEADERS = {"spatial/nearest_packets.h": program.c_constants(POINTS=POINTS)}
+
+
+def rounded_bytes(faces: int) -> int:
+    """Return the bytes on the device of a number of faces in single precision."""
+    return 4 * FIELDS * LEAF * -(-faces // LEAF)
 
 
 class Nearest(NamedTuple):
@@ -72,12 +94,19 @@ class TriangleDistance:
         normals: Pseudonormals | None = None,
         block: int = POINTS_AT_ONCE,
         near: float = NEAR,
+        packets_from: int | None = None,
     ) -> None:
-        """Build the tree. With normals, distances are negative inside. The number of points that
-        are on the device at once, `block`, and the extents within which boxes are bounded in single
-        precision, `near`, change no result."""
+        """Build the tree. With normals, distances are negative inside.
+
+        No result depends on the others: the number of points that are on the device at once, the
+        extents within which boxes are bounded in single precision, and the number of points from
+        which they go in packets, by default what suits the device.
+        """
         self.device = device or default_device()
         self.block, self.near = block, near
+        suits = self.device.lanes == POINTS
+        self._packets_from = packets_from or (PACKETS_FROM if suits else math.inf)
+        self._rounded: Array | None = None  # triangles
         if normals is not None and normals.flat.all():  # no face has a side
             normals = None
         flat = normals.flat if normals else None
@@ -138,12 +167,28 @@ class TriangleDistance:
         options = {"RANKED": 1} if ranks else {}
         distances = device.empty(block.n, np.float64)
         slots = device.empty(block.n, np.uint32) if ranks else None
+        if block.box == "float" and block.n >= self._packets_from:
+            nearest_in_packets = device.kernel(PACKETS, "nearest_in_packets", **options)
+            nearest_in_packets(
+                -(-block.n // POINTS), block.local, block.order, block.n, tree.nodes, tree.leaves,
+                self._rounded_triangles(), tree.count, tree.first_leaf,
+                ranks=ranks, slots=slots, distances=distances,
+            )  # fmt: skip
+            return distances, slots
         nearest_triangles = device.kernel(SOURCE, "nearest_triangles", BOX=block.box, **options)
         nearest_triangles(
             block.n, block.local, block.order, tree.nodes, tree.leaves, tree.first_leaf,
             ranks=ranks, slots=slots, distances=distances,
         )  # fmt: skip
         return distances, slots
+
+    def _rounded_triangles(self) -> Array:
+        """Return the triangles in single precision: of most, packets need nothing else."""
+        if self._rounded is None:
+            slots = self.tree.face_of.size
+            self._rounded = self.device.empty(slots * FIELDS, np.float32)
+            self.device.kernel(PACKETS, "round_triangles")(slots, self.tree.leaves, self._rounded)
+        return self._rounded
 
 
 def checked_points(points: Any) -> np.ndarray:

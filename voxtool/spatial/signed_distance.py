@@ -18,7 +18,7 @@ from voxtool.mesh.collinear import collinear
 from voxtool.mesh.topology import watertight
 from voxtool.opencl import Device, default_device
 from voxtool.spatial.bvh import tree_bytes
-from voxtool.spatial.distance import TriangleDistance, checked_points
+from voxtool.spatial.distance import TriangleDistance, checked_points, rounded_bytes
 from voxtool.spatial.pseudonormals import normal_bytes, pseudonormals
 from voxtool.spatial.winding_number import WindingNumber, moment_bytes
 
@@ -61,7 +61,7 @@ def default_sign(mesh: Mesh) -> str:
 def distance_bytes(faces: int, sign: str) -> int:
     """Return the bytes on the device for the distance to a mesh, without points."""
     more = {"pseudonormal": normal_bytes, "winding": moment_bytes}.get(sign)
-    return tree_bytes(faces) + (more(faces) if more else 0)
+    return tree_bytes(faces) + rounded_bytes(faces) + (more(faces) if more else 0)
 
 
 class SignedDistance:
