@@ -10,13 +10,13 @@
 #define LANES double4 // one lane per triangle of a leaf: LEAF
 #define MASKS long4
 #include "spatial/point_triangle.h"
+#include "spatial/traversal.h"
 
 #define JOIN_(a, b) a##b
 #define JOIN(a, b) JOIN_(a, b)
 #define BOXES JOIN(BOX, 8) // one lane per child: ARITY
 #define to_boxes JOIN(convert_, BOXES)
 #define SLACK ((BOX)1 + (sizeof(BOX) == 4 ? (BOX)0x1p-18 : (BOX)0x1p-40)) // exceeds the rounding error
-#define STACK ((ARITY - 1) * MAX_LEVELS + 1)
 #define TINY 0x1p-900 // smaller squares count as 0
 
 // codes[i] = the Hilbert index of point i; order[i] = i.
@@ -135,18 +135,7 @@ __kernel void nearest_triangles(__global const double *points, __global const ui
         const BOXES dz = gap(vload8(2, boxes), vload8(5, boxes), z);
         BOX found[ARITY];
         JOIN(vstore, 8)(dx * dx + dy * dy + dz * dz, 0, found);
-        const uint base = top;
-        for (uint i = 0; i < ARITY; ++i) {
-            if (found[i] >= reach)
-                continue;
-            uint at = top++;
-            for (; at > base && bounds[at - 1] < found[i]; --at) {
-                bounds[at] = bounds[at - 1];
-                ids[at] = ids[at - 1];
-            }
-            bounds[at] = found[i];
-            ids[at] = ARITY * id + 1 + i;
-        }
+        top = push_nearest(id, found, reach, bounds, ids, top);
     }
     distances[own] = sqrt(least);
 #ifdef RANKED

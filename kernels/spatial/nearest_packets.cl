@@ -10,9 +10,10 @@
 
 #define LANES double16 // one lane per point: POINTS
 #define MASKS long16
+#define BOX float
 #include "spatial/point_triangle.h"
+#include "spatial/traversal.h"
 
-#define STACK ((ARITY - 1) * MAX_LEVELS + 1)
 #define SLACK (1 + 0x1p-18f) // exceeds the rounding error of squared distances to boxes
 
 // Triangles whose longest edge, or whose height, is shorter than SHORT are rounded to points or to
@@ -93,12 +94,91 @@ float largest(float16 v)
     return fmax(c.x, c.y);
 }
 
-// The squared distances of points to a child's box.
+// The box of a node: low x, y, z and high x, y, z, ARITY apart.
+__global const float *box_of(__global const float *nodes, uint id)
+{
+    return nodes + (size_t)((id - 1) / ARITY) * (6 * ARITY) + (id - 1) % ARITY;
+}
+
+// The squared distances of points to a box.
 float16 squares_to(__global const float *box, float16 x, float16 y, float16 z)
 {
     const float16 dx = fmax(fmax(box[0] - x, x - box[3 * ARITY]), 0.0f);
     const float16 dy = fmax(fmax(box[ARITY] - y, y - box[4 * ARITY]), 0.0f);
     const float16 dz = fmax(fmax(box[2 * ARITY] - z, z - box[5 * ARITY]), 0.0f);
+    return dx * dx + dy * dy + dz * dz;
+}
+
+// The points of a packet, in both precisions, and their box; the nearest triangles found so far, as
+// of nearest_triangles; and the squares beyond which no box and no rounded triangle changes them.
+typedef struct {
+    double16 x, y, z;
+    float16 fx, fy, fz;
+    float3 low, high;
+    double16 least;
+#ifdef RANKED
+    double16 least_ranked;
+    uint16 rank, slot;
+#endif
+    float16 reach, doubtful;
+} packet;
+
+// Packet `gid` of `count` points; the last point pads the last packet.
+packet points_of(__global const double *points, __global const uint *order, uint count, uint gid)
+{
+    double xs[POINTS], ys[POINTS], zs[POINTS];
+    packet p;
+    p.low = INFINITY, p.high = -INFINITY;
+    for (uint i = 0; i < POINTS; ++i) {
+        const double3 point = vload3(order[min(POINTS * gid + i, count - 1)], points);
+        xs[i] = point.x, ys[i] = point.y, zs[i] = point.z;
+        p.low = fmin(p.low, convert_float3(point));
+        p.high = fmax(p.high, convert_float3(point));
+    }
+    p.x = vload16(0, xs), p.y = vload16(0, ys), p.z = vload16(0, zs);
+    p.fx = convert_float16(p.x), p.fy = convert_float16(p.y), p.fz = convert_float16(p.z);
+    p.least = INFINITY;
+#ifdef RANKED
+    p.least_ranked = INFINITY;
+    p.rank = NAMELESS, p.slot = NAMELESS;
+#endif
+    p.reach = INFINITY, p.doubtful = INFINITY;
+    return p;
+}
+
+// Updates the nearest triangles with the triangle of a slot. Returns whether `reach` changed.
+bool meet(packet *p, const triangle *t, uint slot, uint rank)
+{
+    ways way;
+    long16 feature;
+    const double16 dd = triangle_ways(t, p->x, p->y, p->z, &way, &feature);
+    const long16 nearer = dd < p->least;
+    p->least = nearer ? dd : p->least;
+#ifdef RANKED
+    if (rank == NAMELESS)
+        return false;
+    const long16 lower = convert_long16(rank < p->rank);
+    const long16 better = dd < p->least_ranked | (dd == p->least_ranked & lower);
+    p->least_ranked = better ? dd : p->least_ranked;
+    p->rank = convert_int16(better) ? rank : p->rank;
+    p->slot = convert_int16(better) ? slot : p->slot;
+    const float16 square = convert_float16(p->least_ranked);
+#else
+    const long16 better = nearer;
+    const float16 square = convert_float16(p->least);
+#endif
+    p->reach = square * SLACK + 0x1p-100f; // positive even if the distance is 0
+    const float16 distance = sqrt(square) * SLACK + DOUBT;
+    p->doubtful = distance * distance;
+    return any(better);
+}
+
+// The squared distances of the packet's box to a node's children.
+float8 squares_apart(const packet *p, __global const float *boxes)
+{
+    const float8 dx = fmax(fmax(vload8(0, boxes) - p->high.x, p->low.x - vload8(3, boxes)), 0.0f);
+    const float8 dy = fmax(fmax(vload8(1, boxes) - p->high.y, p->low.y - vload8(4, boxes)), 0.0f);
+    const float8 dz = fmax(fmax(vload8(2, boxes) - p->high.z, p->low.z - vload8(5, boxes)), 0.0f);
     return dx * dx + dy * dy + dz * dz;
 }
 
@@ -116,24 +196,8 @@ __kernel void nearest_in_packets(__global const double *points, __global const u
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    double xs[POINTS], ys[POINTS], zs[POINTS], least_of[POINTS];
-    float3 low = INFINITY, high = -INFINITY; // of the packet
-    for (uint i = 0; i < POINTS; ++i) {
-        const double3 p = vload3(order[min(POINTS * gid + i, count - 1)], points);
-        xs[i] = p.x, ys[i] = p.y, zs[i] = p.z;
-        low = fmin(low, convert_float3(p));
-        high = fmax(high, convert_float3(p));
-    }
-    const double16 x = vload16(0, xs), y = vload16(0, ys), z = vload16(0, zs);
-    const float16 fx = convert_float16(x), fy = convert_float16(y), fz = convert_float16(z);
-    double16 least = INFINITY;
-#ifdef RANKED
-    double16 least_ranked = INFINITY;
-    uint16 rank = NAMELESS, slot = NAMELESS;
-#endif
-    float16 reach = INFINITY, doubtful = INFINITY; // of boxes, and of rounded triangles
-    float furthest = INFINITY;                     // reach
-    float bounds[STACK];
+    packet p = points_of(points, order, count, gid);
+    float furthest = INFINITY, bounds[STACK];
     uint ids[STACK];
     uint top = 1;
     bounds[0] = 0;
@@ -142,79 +206,41 @@ __kernel void nearest_in_packets(__global const double *points, __global const u
         const uint id = ids[--top];
         if (bounds[top] >= furthest)
             continue;
-        if (id > 0) {
-            __global const float *box = nodes + (size_t)((id - 1) / ARITY) * (6 * ARITY) + (id - 1) % ARITY;
-            if (!any(squares_to(box, fx, fy, fz) < reach))
-                continue;
-        }
-        if (id >= first_leaf) {
-            const uint first = (id - first_leaf) * LEAF;
-            bool changed = false;
-            for (uint own = first; own < min(first + LEAF, triangles); ++own) {
-                if (!any(rounded_squares(rounded + FIELDS * (size_t)own, fx, fy, fz) < doubtful))
-                    continue;
-                const triangle t = triangle_of(leaves, own);
-                ways way;
-                long16 feature;
-                const double16 dd = triangle_ways(&t, x, y, z, &way, &feature);
-                const long16 nearer = dd < least;
-                least = nearer ? dd : least;
-#ifdef RANKED
-                if (ranks[own] == NAMELESS)
-                    continue;
-                const long16 lower = convert_long16(ranks[own] < rank);
-                const long16 better = dd < least_ranked | (dd == least_ranked & lower);
-                least_ranked = better ? dd : least_ranked;
-                rank = convert_int16(better) ? ranks[own] : rank;
-                slot = convert_int16(better) ? own : slot;
-                changed |= any(better);
-#else
-                changed |= any(nearer);
-#endif
-                if (changed) {
-#ifdef RANKED
-                    const float16 square = convert_float16(least_ranked);
-#else
-                    const float16 square = convert_float16(least);
-#endif
-                    reach = square * SLACK + 0x1p-100f;
-                    const float16 far = sqrt(square) * SLACK + DOUBT;
-                    doubtful = far * far;
-                }
-            }
-            if (changed)
-                furthest = largest(reach);
+        if (id > 0 && !any(squares_to(box_of(nodes, id), p.fx, p.fy, p.fz) < p.reach))
+            continue;
+        if (id < first_leaf) {
+            float found[ARITY];
+            vstore8(squares_apart(&p, nodes + (size_t)id * (6 * ARITY)), 0, found);
+            top = push_nearest(id, found, furthest, bounds, ids, top);
             continue;
         }
-        __global const float *boxes = nodes + (size_t)id * (6 * ARITY);
-        const float8 dx = fmax(fmax(vload8(0, boxes) - high.x, low.x - vload8(3, boxes)), 0.0f);
-        const float8 dy = fmax(fmax(vload8(1, boxes) - high.y, low.y - vload8(4, boxes)), 0.0f);
-        const float8 dz = fmax(fmax(vload8(2, boxes) - high.z, low.z - vload8(5, boxes)), 0.0f);
-        float found[ARITY];
-        vstore8(dx * dx + dy * dy + dz * dz, 0, found);
-        const uint base = top;
-        for (uint i = 0; i < ARITY; ++i) {
-            if (found[i] >= furthest)
+        const uint first = (id - first_leaf) * LEAF;
+        bool changed = false;
+        for (uint slot = first; slot < min(first + LEAF, triangles); ++slot) {
+            __global const float *t = rounded + FIELDS * (size_t)slot;
+            if (!any(rounded_squares(t, p.fx, p.fy, p.fz) < p.doubtful))
                 continue;
-            uint at = top++;
-            for (; at > base && bounds[at - 1] < found[i]; --at) {
-                bounds[at] = bounds[at - 1];
-                ids[at] = ids[at - 1];
-            }
-            bounds[at] = found[i];
-            ids[at] = ARITY * id + 1 + i;
-        }
-    }
-    vstore16(sqrt(least), 0, least_of);
+            const triangle exact = triangle_of(leaves, slot);
 #ifdef RANKED
-    uint slot_of[POINTS];
-    vstore16(slot, 0, slot_of);
+            changed |= meet(&p, &exact, slot, ranks[slot]);
+#else
+            changed |= meet(&p, &exact, slot, 0);
+#endif
+        }
+        if (changed)
+            furthest = largest(p.reach);
+    }
+    double least[POINTS];
+    vstore16(sqrt(p.least), 0, least);
+#ifdef RANKED
+    uint slot[POINTS];
+    vstore16(p.slot, 0, slot);
 #endif
     for (uint i = 0; i < POINTS && POINTS * gid + i < count; ++i) {
         const uint own = order[POINTS * gid + i];
-        distances[own] = least_of[i];
+        distances[own] = least[i];
 #ifdef RANKED
-        slots[own] = slot_of[i];
+        slots[own] = slot[i];
 #endif
     }
 }
