@@ -12,6 +12,7 @@ import json
 import os
 import re
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -29,7 +30,6 @@ MAX_BYTES = 8 << 30  # of one file, unpacked
 # A .gz may unpack to this many times its size, and some bytes more. Of a plane of equal triangles,
 # ASCII STL packs best: 17 times. Deflate packs zeros 1032 times.
 MOST_PACKED, ANY_SIZE = 100, 1 << 24
-UNITS = "m"  # of glTF
 ITEM_BYTES = 120  # of memory that each vertex or index of a glTF scene takes at most
 DEEPEST = 64  # nodes inside nodes of a scene
 
@@ -86,15 +86,12 @@ def load_mesh(
         raise MeshError(str(read_error(name, error))) from None
     if not data:
         raise MeshError(f"{name}: the file is empty: export the mesh again")
-    digest = hashlib.sha256(data).hexdigest()
-    data = _unpacked(name, data, most if max_memory is None else min(most, max_memory))
-    kind = kind or _kind_of_content(data)
-    if kind not in OWN:
-        return _through_trimesh(name, kind, data, digest, max_memory)
-    if kind == "obj":
-        _refuse_binary(name, data)
-    vertices, faces = OWN[kind](name, data)
-    return mesh_from_arrays(vertices, faces, source_sha256=digest, name=name)
+    with ThreadPoolExecutor(1) as beside:  # hashing does not hold the interpreter's lock
+        digest = beside.submit(hashlib.sha256, data)
+        limit = most if max_memory is None else min(most, max_memory)
+        vertices, faces, units = _parsed(name, kind, data, limit, max_memory)
+    source = digest.result().hexdigest()
+    return mesh_from_arrays(vertices, faces, source_sha256=source, name=name, units=units)
 
 
 def as_mesh(thing: Any, max_memory: int | None = None) -> Mesh:
@@ -113,6 +110,20 @@ def as_mesh(thing: Any, max_memory: int | None = None) -> Mesh:
         f"{type(thing).__name__} is no mesh: give a Mesh, a trimesh.Trimesh, a path, or a pair of "
         "arrays, (V, 3) vertices and (F, 3) faces"
     )
+
+
+def _parsed(
+    name: str, kind: str, data: bytes, limit: int, max_memory: int | None
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """Return the vertices, the faces and the units of a file, which unpacks to `limit` bytes at
+    most."""
+    data = _unpacked(name, data, limit)
+    kind = kind or _kind_of_content(data)
+    if kind not in OWN:
+        return *_through_trimesh(name, kind, data, max_memory), "m"  # the units of glTF
+    if kind == "obj":
+        _refuse_binary(name, data)
+    return *OWN[kind](name, data), ""
 
 
 # --- bytes ---------------------------------------------------------------------------------------
@@ -211,9 +222,10 @@ def _kind_of_content(data: bytes) -> str:
 
 
 def _through_trimesh(
-    name: str, kind: str, data: bytes, digest: str, max_memory: int | None
-) -> Mesh:
-    """Read a mesh by trimesh from memory: no other file, no texture, nothing moved."""
+    name: str, kind: str, data: bytes, max_memory: int | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices and faces that trimesh reads from memory: no other file, no texture,
+    nothing moved."""
     import logging
 
     import trimesh
@@ -228,7 +240,7 @@ def _through_trimesh(
             maintain_order=True,
             skip_materials=True,
         )
-        vertices, faces = _merged(name, scene)
+        return _merged(name, scene)
     except VoxtoolError:
         raise
     except (Exception, SystemExit) as error:
@@ -237,7 +249,6 @@ def _through_trimesh(
             f"{name}: not readable as {kind.upper()}: {reason}: it may be truncated or damaged, "
             "export it again"
         ) from None
-    return mesh_from_arrays(vertices, faces, source_sha256=digest, name=name, units=UNITS)
 
 
 def _merged(name: str, scene: Any) -> tuple[np.ndarray, np.ndarray]:

@@ -103,10 +103,14 @@ def _numbers(
     text: np.ndarray, starts: np.ndarray, ends: np.ndarray, chosen: np.ndarray, dtype: type
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the numbers of the chosen lines, and for each line its first and its count."""
-    lengths = ends - starts
-    words = text[np.repeat(chosen, lengths)]
-    last = np.cumsum(lengths[chosen])
-    words[last - lengths[chosen]] = SPACE  # in place of v or f
+    if chosen.all():  # as in most blocks
+        words, first, last = text.copy(), starts, ends
+    else:
+        lengths = ends - starts
+        words = text[np.repeat(chosen, lengths)]
+        last = np.cumsum(lengths[chosen])
+        first = last - lengths[chosen]
+    words[first] = SPACE  # in place of v or f
     allowed = LETTERS if dtype is np.float64 else CORNER_LETTERS
     if words.tobytes().translate(None, allowed):
         raise OddityError
