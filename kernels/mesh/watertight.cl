@@ -3,8 +3,28 @@
 
 #include "mesh/watertight.h"
 
+// A work-item processes BATCH vertices or faces: it first reads the places that all of them will change,
+// because a read does not wait for the one before it, as an atomic operation does.
+
 // The bits of a coordinate, where -0.0 is 0.0.
 ulong bits_of(ulong coordinate) { return coordinate << 1 ? coordinate : 0; }
+
+typedef struct {
+    ulong x, y, z;
+} position;
+
+position position_of(__global const ulong *points, uint vertex)
+{
+    __global const ulong *p = points + 3 * (size_t)vertex;
+    const position found = {bits_of(p[0]), bits_of(p[1]), bits_of(p[2])};
+    return found;
+}
+
+bool is_at(position p, __global const ulong *points, uint vertex)
+{
+    const position q = position_of(points, vertex);
+    return p.x == q.x && p.y == q.y && p.z == q.z;
+}
 
 ulong mixed(ulong code)
 {
@@ -12,101 +32,134 @@ ulong mixed(ulong code)
     return code ^ code >> 29;
 }
 
-// first[i] = the same number for all vertices at the position of vertex i: one of them, which `table`
-// holds. `table` has mask + 1 slots, NOTHING in each. *unsure becomes 1 if a chain is too long.
+// first[i] = the same number for all vertices at the position of vertex i: one of them. `table` has
+// mask + 1 slots, which hold a vertex plus 1, or 0. *merged becomes 1 if two vertices have one position,
+// *unsure if a chain is too long.
 __kernel void merge_vertices(__global const ulong *points, const uint n, volatile __global uint *table,
-                             const uint mask, __global uint *first, volatile __global uint *unsure)
+                             const uint mask, __global uint *first, volatile __global uint *merged,
+                             volatile __global uint *unsure)
 {
-    const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-    const ulong x = bits_of(points[3 * (size_t)gid]), y = bits_of(points[3 * (size_t)gid + 1]),
-                z = bits_of(points[3 * (size_t)gid + 2]);
-    const uint place = (uint)(mixed(mixed(mixed(x) ^ y) ^ z) >> 20);
-    for (uint probe = 0; probe < MOST_PROBES; ++probe) {
-        volatile __global uint *slot = table + ((place + probe) & mask);
-        uint other = *slot; // most slots are taken for good when vertices repeat
-        if (other == NOTHING)
-            other = atomic_cmpxchg(slot, NOTHING, gid);
-        if (other == NOTHING || other == gid) {
-            first[gid] = gid;
-            return;
-        }
-        __global const ulong *p = points + 3 * (size_t)other;
-        if (bits_of(p[0]) == x && bits_of(p[1]) == y && bits_of(p[2]) == z) {
-            first[gid] = other;
-            return;
-        }
+    const uint begin = BATCH * (uint)get_global_id(0), end = min(begin + BATCH, n);
+    uint places[BATCH];
+    for (uint i = begin; i < end; ++i) {
+        const position p = position_of(points, i);
+        places[i - begin] = (uint)(mixed(mixed(mixed(p.x) ^ p.y) ^ p.z) >> 20);
+        (void)table[places[i - begin] & mask]; // fetches it
     }
-    first[gid] = gid;
-    *unsure = 1;
+    for (uint i = begin; i < end; ++i) {
+        const position p = position_of(points, i);
+        uint other = 0, probe = 0;
+        for (; probe < MOST_PROBES; ++probe) {
+            volatile __global uint *slot = table + ((places[i - begin] + probe) & mask);
+            other = *slot; // most slots are taken for good when vertices repeat
+            if (other == 0)
+                other = atomic_cmpxchg(slot, 0, i + 1);
+            if (other == 0 || is_at(p, points, other - 1))
+                break;
+        }
+        first[i] = other ? other - 1 : i;
+        if (other)
+            *merged = 1;
+        if (probe == MOST_PROBES)
+            *unsure = 1;
+    }
 }
 
-// The three positions of a face; false if two are the same.
-bool corners_of(__global const uint *faces, __global const uint *first, uint face, uint *at)
+// The positions of the faces of a batch, `first` of their vertices if that is given.
+typedef struct {
+    uint at[BATCH][3], begin;
+    bool proper[BATCH]; // false beyond the last face, and if two positions are the same
+} batch;
+
+void fetch_faces(batch *b, __global const uint *faces, uint n, __global const uint *first,
+                 volatile __global const uint *lists)
 {
-    for (uint i = 0; i < 3; ++i)
-        at[i] = first[faces[3 * (size_t)face + i]];
-    return at[0] != at[1] && at[1] != at[2] && at[2] != at[0];
+    b->begin = BATCH * (uint)get_global_id(0);
+    for (uint f = 0; f < BATCH; ++f) {
+        const uint face = min(b->begin + f, n - 1);
+        uint *at = b->at[f];
+        for (uint i = 0; i < 3; ++i) {
+            const uint vertex = faces[3 * (size_t)face + i];
+            at[i] = first ? first[vertex] : vertex;
+            (void)lists[LIST * (size_t)at[i]]; // fetches it
+        }
+        b->proper[f] = b->begin + f < n && at[0] != at[1] && at[1] != at[2] && at[2] != at[0];
+    }
 }
 
-// Of the sides that run to their higher end, count those at each lower end; or, with `sides`, store the
-// higher end from places[lower end] on. *degenerate is increased for faces without three positions.
+// List the sides that run to their higher end at their lower one: the number of those at position i is
+// lists[LIST i], the higher ends of the first ones follow it, and `more` has the others: heads[i] is the
+// last one plus 1, or 0, and more[s] = (the higher end of side s, the one listed before it plus 1, or 0).
 __kernel void list_sides(__global const uint *faces, const uint n, __global const uint *first,
-                         volatile __global uint *places, __global uint *sides,
-                         volatile __global uint *degenerate)
+                         volatile __global uint *lists, volatile __global uint *heads,
+                         __global uint2 *more)
 {
-    const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-    uint at[3];
-    if (!corners_of(faces, first, gid, at)) {
-        atomic_inc(degenerate);
-        return;
-    }
-    for (uint i = 0; i < 3; ++i) {
-        const uint start = at[i], end = at[(i + 1) % 3];
-        if (start > end)
+    batch b;
+    fetch_faces(&b, faces, n, first, lists);
+    for (uint k = 0; k < 3 * BATCH; ++k) {
+        const uint f = k / 3, start = b.at[f][k % 3], end = b.at[f][(k + 1) % 3];
+        if (!b.proper[f] || start > end)
             continue;
-        const uint place = atomic_inc(&places[start]);
-        if (sides)
-            sides[place] = end;
+        volatile __global uint *list = lists + LIST * (size_t)start;
+        const uint place = atomic_inc(list) + 1, side = 3 * b.begin + k;
+        if (place < LIST)
+            list[place] = end;
+        else
+            more[side] = (uint2)(end, atomic_xchg(&heads[start], side + 1));
     }
 }
 
-// Mark the listed side to which each other side runs back; *open becomes 1 if there is none. The sides
-// at position i are listed from ends[i - 1] to ends[i]. *unsure becomes 1 if they are too many.
+// MARK the listed side to which each other side runs back; *open becomes 1 if there is none, or if
+// another one runs back to it. *unsure becomes 1 if too many are listed.
 __kernel void mark_sides(__global const uint *faces, const uint n, __global const uint *first,
-                         __global const uint *ends, volatile __global uint *sides,
-                         volatile __global uint *open, volatile __global uint *unsure)
+                         volatile __global uint *lists, __global const uint *heads,
+                         volatile __global uint *more, volatile __global uint *open,
+                         volatile __global uint *unsure)
 {
-    const uint gid = get_global_id(0);
-    uint at[3];
-    if (gid >= n || !corners_of(faces, first, gid, at))
-        return;
-    for (uint i = 0; i < 3; ++i) {
-        const uint start = at[i], end = at[(i + 1) % 3];
-        if (start < end)
+    batch b;
+    fetch_faces(&b, faces, n, first, lists);
+    for (uint k = 0; k < 3 * BATCH; ++k) {
+        const uint f = k / 3, start = b.at[f][k % 3], end = b.at[f][(k + 1) % 3];
+        if (!b.proper[f] || start < end)
             continue;
-        const uint begin = end ? ends[end - 1] : 0, stop = ends[end];
-        if (stop - begin > MOST_SIDES) {
+        volatile __global uint *list = lists + LIST * (size_t)end, *side = list;
+        uint left = list[0];
+        if (left > MOST_SIDES) {
             *unsure = 1;
             return;
         }
-        uint k = begin;
-        while (k < stop && (sides[k] & ~MARK) != start)
-            ++k;
-        if (k < stop)
-            sides[k] = start | MARK;
-        else
+        for (uint place = 1; side == list && place < LIST && left > 0; ++place, --left)
+            if ((list[place] & ~MARK) == start)
+                side = list + place;
+        for (uint other = heads[end]; side == list && left > 0; --left) {
+            volatile __global uint *entry = more + 2 * (size_t)(other - 1);
+            if ((entry[0] & ~MARK) == start)
+                side = entry;
+            other = entry[1];
+        }
+        if (side == list || atomic_or(side, MARK) & MARK)
             *open = 1;
     }
 }
 
-// *open becomes 1 if a side is not marked.
-__kernel void check_sides(__global const uint *sides, const uint n, volatile __global uint *open)
+// *some becomes 1 if a side is listed, and *open if one of them is not marked.
+__kernel void check_sides(__global const uint *lists, const uint n, __global const uint *heads,
+                          __global const uint *more, volatile __global uint *open,
+                          volatile __global uint *some)
 {
     const uint gid = get_global_id(0);
-    if (gid < n && !(sides[gid] & MARK))
-        *open = 1;
+    if (gid >= n)
+        return;
+    __global const uint *list = lists + LIST * (size_t)gid;
+    uint left = list[0], place = 1;
+    if (left > 0 && !*some)
+        *some = 1;
+    for (; place < LIST && left > 0; ++place, --left)
+        if (!(list[place] & MARK))
+            *open = 1;
+    for (uint side = heads[gid]; left > 0; --left) {
+        if (!(more[2 * (size_t)(side - 1)] & MARK))
+            *open = 1;
+        side = more[2 * (size_t)(side - 1) + 1];
+    }
 }

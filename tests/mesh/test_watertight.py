@@ -36,10 +36,12 @@ def fan(sides: int) -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([[[0, 0, 1], [0, 0, -1]], rim]), (np.concatenate(faces) + 2) % (sides + 2)
 
 
-@pytest.mark.parametrize("shape", ["sphere", "soup", "fan"])
+@pytest.mark.parametrize("shape", ["sphere", "soup", "star", "fan"])
 def test_large_meshes(device: Device, shape: str) -> None:
-    """Closed, with one face fewer, and with one turned; the fan is left to the host."""
-    vertices, faces = fan(2000) if shape == "fan" else meshes.icosphere(3)
+    """Closed, with one face fewer, and with one turned. A list of the star does not fit at its
+    vertex, and the fan is left to the host."""
+    sizes = {"star": 200, "fan": 2000}
+    vertices, faces = fan(sizes[shape]) if shape in sizes else meshes.icosphere(3)
     if shape == "soup":
         vertices, faces = vertices[faces].reshape(-1, 3), np.arange(faces.size).reshape(-1, 3)
     turned = faces.copy()
@@ -47,3 +49,17 @@ def test_large_meshes(device: Device, shape: str) -> None:
     for some, expected in ((faces, True), (faces[1:], False), (turned, False)):
         mesh = Mesh(vertices, np.ascontiguousarray(some, np.int32))
         assert watertight.watertight(mesh, device) is expected
+
+
+@pytest.mark.parametrize("copies", [2, 3])
+def test_a_fan_of_repeated_faces(device: Device, copies: int) -> None:
+    """Every edge has several faces in each direction."""
+    vertices, faces = fan(100)
+    mesh = Mesh(vertices, np.tile(faces, (copies, 1)).astype(np.int32))
+    assert not watertight.watertight(mesh, device)
+
+
+def test_faces_without_area_have_no_edges(device: Device) -> None:
+    assert not watertight.watertight(
+        Mesh(POINTS, np.array([[0, 4, 1], [2, 2, 3]], np.int32)), device
+    )

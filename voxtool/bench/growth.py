@@ -23,7 +23,7 @@ from voxtool.files import read_unstructured
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import mesh_from_arrays
-from voxtool.mesh.topology import watertight
+from voxtool.mesh.watertight import watertight
 from voxtool.rendering import camera_for, plan_render, render
 from voxtool.selftest.shapes import subdivide
 from voxtool.spatial.sampling import sample_cube
@@ -90,7 +90,7 @@ def _of_mesh(mesh: Mesh, bench: Bench) -> Iterator[Point]:
     grid, (origin, side) = Grid.fit(mesh, DIM), cube_of(mesh)
     places, sign = origin + side * sample_cube(POINTS), default_sign(mesh)
     works: Works = {
-        "closed or not": lambda device: watertight(replace(mesh)),
+        "closed or not": lambda device: watertight(mesh, device),
         f"surface26, dim {DIM}": lambda device: voxelize(
             replace(mesh), grid, "surface26", device=device
         ),
