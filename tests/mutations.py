@@ -129,6 +129,18 @@ MUTATIONS: dict[str, Mutation] = {
         "(MASKS)CA;",
         "tests/spatial/test_signed_distance.py tests/spatial/test_distance.py",
     ),
+    "distance: rounding of triangles": Mutation(
+        "kernels/spatial/nearest_packets.cl",
+        "#define DOUBT 0x1p-15f",
+        "#define DOUBT -0x1p-15f",
+        "tests/spatial/test_distance.py",
+    ),
+    "distance: ties in packets": Mutation(
+        "kernels/spatial/nearest_packets.cl",
+        "convert_long16(rank < p->rank)",
+        "convert_long16(rank > p->rank)",
+        "tests/spatial",
+    ),
     "self-intersections: coplanar triangles": Mutation(
         "kernels/spatial/self_intersections.cl",
         "apart_on(cross_of(n, unit(e[i])), t, u) || apart_on(cross_of(m, unit(f[i])), t, u)",
@@ -158,6 +170,12 @@ MUTATIONS: dict[str, Mutation] = {
         "kernels/opencl/primitives.cl",
         "i < ITEMS && start + i <= count",
         "i < ITEMS && start + i < count",
+        "tests/opencl/test_primitives.py",
+    ),
+    "radix sort: digits of a block": Mutation(
+        "kernels/opencl/primitives.cl",
+        "atomic_inc(&found[digit_of(keys[i], shift, digits)]);",
+        "atomic_inc(&found[digit_of(keys[start], shift, digits)]);",
         "tests/opencl/test_primitives.py",
     ),
     "histopyramid: saturated sums": Mutation(

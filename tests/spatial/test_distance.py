@@ -21,6 +21,7 @@ from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
 from voxtool.spatial import bvh
 from voxtool.spatial.distance import TriangleDistance
+from voxtool.spatial.pseudonormals import pseudonormals
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device
@@ -172,6 +173,20 @@ def test_neither_order_nor_company_changes_a_bit(device: Device) -> None:
     assert np.array_equal(shuffled(points[:7]), expected[:7])
     for parameters in ({"block": 1000}, {"near": 0.0}, {"packets_from": 1}):  # 0: float64 boxes
         assert np.array_equal(TriangleDistance(mesh, device, **parameters)(points), expected)
+
+
+def test_packets_find_the_same_faces(device: Device) -> None:
+    vertices, faces = meshes.torus()
+    mesh = mesh_of(vertices, faces)
+    normals = pseudonormals(mesh)
+    # at a vertex, several faces are equally near
+    points = np.concatenate([vertices, 1.01 * vertices])
+    for sides in (None, normals):
+        alone = TriangleDistance(mesh, device, normals=sides)
+        together = TriangleDistance(mesh, device, normals=sides, packets_from=1)
+        for a, b in zip(alone.blocks(points), together.blocks(points), strict=True):
+            for one, other in zip(alone.at_block(a, True), together.at_block(b, True), strict=True):
+                assert np.array_equal(one, other)
 
 
 @cache
