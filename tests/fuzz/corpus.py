@@ -169,9 +169,9 @@ def repeated_faces() -> Iterator[Entry]:
         "diagnose": "diagnose FILE --dim 16 -q",
     }
     for kind, shape in CROWDS.items():
-        # each winding number sums all triangles of a fan: fewer of them
-        many = MANY // 4 if kind in SUMMED else MANY
         for name, command in commands.items():
+            # each winding number sums all triangles of a fan: fewer of them
+            many = MANY // 40 if name == "adf-build" and kind in SUMMED else MANY // 4
             yield Entry(f"{name} of {kind}", "faces.obj", partial(crowd, shape, many), command)
 
 
