@@ -33,6 +33,7 @@ class LatticeMesh:
     faces: Array  # of the mesh, then of the caps
     triangles: int  # faces of the mesh, without caps
     closed: Array  # faces of the mesh and the caps, without those that cancel
+    closing: Array | None  # those of the caps
     caps: Caps | None  # None if the fill rule does not need them
 
     def survey(self) -> Survey:
@@ -78,10 +79,14 @@ def place_mesh(
     own = mesh.faces if some is None else mesh.faces[some]
     caps = None if boundary is None else find_caps(fixed, boundary)
     faces = device.put(own if caps is None else np.concatenate([own, caps.faces]))
-    closed, cancelled = faces, 0 if boundary is None else np.count_nonzero(boundary.alone)
-    if boundary is not None and caps is not None and cancelled:
-        closed = device.put(np.concatenate([own[~boundary.alone], caps.faces[:-cancelled]]))
-    return LatticeMesh(device, grid, fixed, device.put(fixed), faces, len(own), closed, caps)
+    closed, closing = faces, None
+    if boundary is not None and caps is not None:
+        kept = caps.faces[: len(caps.faces) - np.count_nonzero(boundary.alone)]
+        closing = device.put(kept)
+        if len(kept) < len(caps.faces):
+            closed = device.put(np.concatenate([own[~boundary.alone], kept]))
+    vertices = device.put(fixed)
+    return LatticeMesh(device, grid, fixed, vertices, faces, len(own), closed, closing, caps)
 
 
 def _used_vertices(mesh: Mesh) -> np.ndarray:

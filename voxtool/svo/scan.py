@@ -41,6 +41,7 @@ HEADERS = {
         NODE_BLOCK=NODE_BLOCK,
     )
 }
+Lookup = dict[str, Array | None]  # arguments by which kernels find a node's rank, and its target
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class ActiveNodes:
     blocks: BitSet | None  # the blocks that have words, or None if all have
 
     @property
-    def lookup(self) -> dict[str, Array | None]:
+    def lookup(self) -> Lookup:
         """Arguments by which kernels find the rank of a node."""
         return _lookup(self.blocks, self.nodes.words, self.nodes.ranks)
 
@@ -87,15 +88,14 @@ class Scan:
         return self.device.kernel(source, name, **self.options)
 
     def shares(
-        self, kind: int, level: int = 0, with_caps: bool = False
+        self, kind: int, level: int = 0, faces: Array | None = None
     ) -> tuple[int, dict[str, Any]]:
         """Return the number of work-items for triangles in boxes of 2**level voxels, and the
-        kernels' arguments by name."""
-        faces = self.mesh.closed if with_caps else self.mesh.faces
-        n = faces.size // 3 if with_caps else self.mesh.triangles
+        kernels' arguments by name; faces : other than the mesh's."""
+        n = faces.size // 3 if faces else self.mesh.triangles
         arguments: dict[str, Any] = {
             "vertices": self.mesh.vertices,
-            "faces": faces,
+            "faces": faces or self.mesh.faces,
             "triangles": n,
             "tile_offsets": None,
             "level": level,
@@ -117,56 +117,54 @@ class Scan:
                 )
         return exclusive_scan(tiles, n), {**arguments, "tile_offsets": tiles}
 
-    def set_boxes(
-        self, kind: int, target: Array, lookup: dict[str, Array | None], *of: Any
-    ) -> None:
-        """Set the bits of boxes that triangles touch, or that separate; `of` as for `shares`."""
+    def set_boxes(self, kind: int, lookup: Lookup, *of: Any) -> None:
+        """Set the bits, in the target of a lookup, of boxes that triangles touch, or that separate;
+        `of` as for `shares`."""
         n, triangles = self.shares(kind, *of)
-        self.kernel(SOURCE, "set_boxes")(n, kind, **lookup, target=target, **triangles)
+        self.kernel(SOURCE, "set_boxes")(n, kind, **lookup, **triangles)
 
     def surface(self, active: ActiveNodes) -> Array:
         """Return the bricks of the active nodes, with the voxels of the surface set."""
         bricks = self.device.zeros(8 * active.nodes.n, BRICK)
         kind = TOUCHED if self.plan.surface == "26" else SEPARATING
-        self.set_boxes(kind, bricks, active.lookup)
+        self.set_boxes(kind, {**active.lookup, "target": bricks})
         return bricks
 
 
-def find_active_nodes(
-    scan: Scan, with_caps: bool = False, more: np.ndarray | None = None
-) -> ActiveNodes:
-    """Return the level-1 nodes that triangles touch, those of the caps on request, and those whose
-    Morton codes are `more`."""
+def find_active_nodes(scan: Scan) -> ActiveNodes:
+    """Return the level-1 nodes that the mesh touches."""
+    return _find(scan, lambda level, lookup: scan.set_boxes(TOUCHED, lookup, level))
+
+
+def add_nodes(scan: Scan, nodes: np.ndarray, faces: Array | None = None) -> ActiveNodes:
+    """Return the level-1 nodes whose Morton codes are given, and those that some faces touch."""
+    codes = scan.device.put(nodes.astype(scan.code))
+
+    def activate(level: int, lookup: Lookup) -> None:
+        scan.kernel(SOURCE, "activate_nodes")(codes.size, codes, level, **lookup)
+        if faces:
+            scan.set_boxes(TOUCHED, lookup, level, faces)
+
+    return _find(scan, activate)
+
+
+def _find(scan: Scan, activate: Callable[[int, Lookup], None]) -> ActiveNodes:
+    """Return the level-1 nodes whose bits `activate` sets, of boxes of 2**level voxels."""
     blocks = None
     if scan.plan.blocked:
         words = scan.device.zeros(max((scan.plan.side // NODE_BLOCK) ** 3 // 32, 1), np.uint32)
-        blocks = _activate(scan, BLOCK_LEVEL, words, None, with_caps, more)
+        activate(BLOCK_LEVEL, {**_lookup(None, words, words), "target": words})
+        blocks = _collect(scan, words, None)
         words = scan.device.zeros(BLOCK_WORDS * blocks.n, np.uint32)
     else:
         words = scan.device.zeros(max((scan.plan.side // CELL) ** 3 // 32, 1), np.uint32)
-    return ActiveNodes(_activate(scan, NODE_LEVEL, words, blocks, with_caps, more), blocks)
+    activate(NODE_LEVEL, {**_lookup(blocks, words, words), "target": words})
+    return ActiveNodes(_collect(scan, words, blocks), blocks)
 
 
-def _lookup(blocks: BitSet | None, words: Array, ranks: Array) -> dict[str, Array | None]:
+def _lookup(blocks: BitSet | None, words: Array, ranks: Array) -> Lookup:
     above = (blocks.words, blocks.ranks) if blocks else (None, None)
     return {"words": words, "ranks": ranks, "block_words": above[0], "block_ranks": above[1]}
-
-
-def _activate(
-    scan: Scan,
-    level: int,
-    words: Array,
-    blocks: BitSet | None,
-    with_caps: bool,
-    more: np.ndarray | None,
-) -> BitSet:
-    """Return the active boxes of 2**level voxels."""
-    lookup = _lookup(blocks, words, words)
-    scan.set_boxes(TOUCHED, words, lookup, level, with_caps)
-    if more is not None:
-        codes = scan.device.put(more.astype(scan.code))
-        scan.kernel(SOURCE, "activate_nodes")(codes.size, codes, level, **lookup, target=words)
-    return _collect(scan, words, blocks)
 
 
 def _collect(scan: Scan, words: Array, blocks: BitSet | None) -> BitSet:

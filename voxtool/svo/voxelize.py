@@ -59,7 +59,7 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.plan import Survey, VoxelizePlan, plan_of
 from voxtool.svo.prune import prune, states_of
 from voxtool.svo.scan import SOURCE as SCAN
-from voxtool.svo.scan import Scan, find_active_nodes
+from voxtool.svo.scan import Scan, add_nodes, find_active_nodes
 
 LARGE = 64  # columns of a face, on average, from which repeated faces cost more than their search
 Window = tuple[Sequence[int], Sequence[int]]  # of a grid: its low corner and its shape
@@ -218,12 +218,13 @@ class VoxelizeJob(Job[Octree]):
         touched = active.nodes.get() if plan.caps else None
         if touched is not None:
             with self.stage("holes"):
-                crossings, capped = list_crossings(scan), find_active_nodes(scan, True).nodes
+                crossings = list_crossings(scan)
+                capped = add_nodes(scan, touched, self.lattice.closing).nodes.get()
                 holes = NearHoles(self.lattice, plan, limit, crossings)
             with self.stage("near holes"):
-                nodes = holes.decide(touched, capped.get())
+                nodes = holes.decide(touched, capped)
                 self._crowded = holes.crowded
-                active = find_active_nodes(scan, True, np.append(touched, nodes))
+                active = add_nodes(scan, np.append(capped, nodes))
         with self.stage("octree"):
             tree = build_octree(self.device, plan.side, active.nodes.codes, active.nodes.n)
         if plan.fill in ("none", "flood"):

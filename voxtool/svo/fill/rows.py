@@ -95,7 +95,7 @@ def list_crossings(scan: Scan) -> Crossings:
     """Return the crossings with the mesh and its caps."""
     nx, ny, nz = scan.plan.shape
     x_bits = nx.bit_length() + 2
-    n, triangles = scan.shares(CROSSED, with_caps=True)
+    n, triangles = scan.shares(CROSSED, faces=scan.mesh.closed)
     firsts = scan.device.empty(n + 1, np.uint32)
     list_crossings = scan.kernel(CROSSINGS, "list_crossings")
     list_crossings(n, firsts, x_bits, None, **triangles)
