@@ -46,9 +46,10 @@ from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_surface, closed_chain
 from voxtool.opencl import Device, open_device, primitives
-from voxtool.selftest import arithmetic, volumes
+from voxtool.selftest import arithmetic, crowds, volumes
 from voxtool.spatial.bvh import build_tree
 from voxtool.spatial.distance import TriangleDistance
+from voxtool.spatial.fans import fan_of
 from voxtool.spatial.pseudonormals import pseudonormals
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.spatial.signed_distance import SignedDistance
@@ -189,6 +190,7 @@ def main() -> None:
     extract_surfaces(device)
     measure_distances(device)
     find_faces_that_meet(device)
+    wind_a_fan(device)
     build_fields(device)
     query_fields(device)
     render_octrees(device)
@@ -346,6 +348,17 @@ def find_faces_that_meet(device) -> None:
     ]
     assert np.array_equal(found, met)
     assert 0 < np.count_nonzero(found) < len(faces)
+
+
+def wind_a_fan(device) -> None:
+    """Two levels of bundles, and a leaf that is not full."""
+    vertices, faces = crowds.fan(70)
+    fan = fan_of(vertices[0], vertices[faces[:, 1]], vertices[faces[:, 2]], device)
+    points = np.array([(0, 0, -5), (0.3, 0.2, 0.3), (0, 0, 0.5), (1, 1, 1.0), (0.01, 0, 0)])
+    order = device.put(np.arange(len(points), dtype=np.uint32))
+    numbers = device.zeros(len(points), np.float64)
+    fan.add_numbers(len(points), device.put(points), order, numbers)
+    assert np.allclose(numbers.take(), winding(points, vertices[faces]), rtol=0, atol=8e-4)
 
 
 def build_fields(device) -> None:

@@ -1,65 +1,10 @@
 // The winding number of a mesh [Barill 2018]. Host side: voxtool/spatial/winding_number.py.
-//
-// Moments about a centre are polynomials of a vector d. They are sums, over a node's triangles with
-// area vector N and points y relative to the centre, of N.d, of the integral of (y.d)(N.d), and of
-// the integral of (y.d)^2 (N.d). Coefficient order: x, y, z; xx, yy, zz, yz, xz, xy; xxx, yyy, zzz,
-// xxy, xxz, yyx, yyz, zzx, zzy, xyz. Only the harmonic parts affect the result, so only these are
-// kept.
 
 #include "spatial/angles.h"
+#include "spatial/moments.h"
 #include "spatial/solid_angles.h"
 
 #define STACK ((ARITY - 1) * MAX_LEVELS + 1)
-
-typedef struct {
-    double one[3], two[6], three[10];
-} moments;
-
-// two += f s m
-void add_two(double *two, double f, const double *s, const double *m)
-{
-    two[0] += f * (s[0] * m[0]);
-    two[1] += f * (s[1] * m[1]);
-    two[2] += f * (s[2] * m[2]);
-    two[3] += f * (s[1] * m[2] + s[2] * m[1]);
-    two[4] += f * (s[0] * m[2] + s[2] * m[0]);
-    two[5] += f * (s[0] * m[1] + s[1] * m[0]);
-}
-
-// three += f s q
-void add_three(double *three, double f, const double *s, const double *q)
-{
-    three[0] += f * (s[0] * q[0]);
-    three[1] += f * (s[1] * q[1]);
-    three[2] += f * (s[2] * q[2]);
-    three[3] += f * (s[0] * q[5] + s[1] * q[0]);
-    three[4] += f * (s[0] * q[4] + s[2] * q[0]);
-    three[5] += f * (s[1] * q[5] + s[0] * q[1]);
-    three[6] += f * (s[1] * q[3] + s[2] * q[1]);
-    three[7] += f * (s[2] * q[4] + s[0] * q[2]);
-    three[8] += f * (s[2] * q[3] + s[1] * q[2]);
-    three[9] += f * (s[0] * q[3] + s[1] * q[4] + s[2] * q[5]);
-}
-
-// Subtracts the multiple of d.d that makes the polynomial harmonic.
-void make_harmonic(moments *m)
-{
-    const double trace = (m->two[0] + m->two[1] + m->two[2]) / 3;
-    for (uint i = 0; i < 3; ++i)
-        m->two[i] -= trace;
-    double *c = m->three;
-    const double x = (3 * c[0] + c[5] + c[7]) / 5;
-    const double y = (3 * c[1] + c[3] + c[8]) / 5;
-    const double z = (3 * c[2] + c[4] + c[6]) / 5;
-    c[0] -= x, c[5] -= x, c[7] -= x;
-    c[1] -= y, c[3] -= y, c[8] -= y;
-    c[2] -= z, c[4] -= z, c[6] -= z;
-}
-
-double length_of(const double *v)
-{
-    return sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
-}
 
 // The centre of a child's box; returns half of the diagonal.
 double box_middle(__global const float *nodes, uint node, uint child, double *middle)
@@ -98,16 +43,6 @@ void store_nothing(__global double *to)
 {
     for (uint i = 0; i < MOMENTS; ++i)
         to[i * ARITY] = i == 3 ? -1.0 : 0.0;
-}
-
-void clear(moments *m)
-{
-    for (uint i = 0; i < 3; ++i)
-        m->one[i] = 0;
-    for (uint i = 0; i < 6; ++i)
-        m->two[i] = 0;
-    for (uint i = 0; i < 10; ++i)
-        m->three[i] = 0;
 }
 
 // The moments of the leaves over `count` triangles, stored in the nodes from `first` on.

@@ -21,6 +21,7 @@ HOMES = {
     "opencl/primitives.h": "voxtool.opencl.primitives",
     "spatial/arctangent.h": "voxtool.spatial.pseudonormals",
     "spatial/bvh.h": "voxtool.spatial.bvh",
+    "spatial/fans.h": "voxtool.spatial.fans",
     "spatial/names.h": "voxtool.spatial.bvh",
     "spatial/nearest_packets.h": "voxtool.spatial.distance",
     "spatial/self_intersections.h": "voxtool.spatial.self_intersections",

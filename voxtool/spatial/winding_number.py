@@ -7,9 +7,10 @@ series of their moments, here to the third order (octupoles) about the centres o
 nearer triangles count exactly [Oosterom 1983]. Over 8,550 points in and around the teapot,
 fandisk, bunny and armadillo, two thirds of them near the surface, the error was at most 8e-4 and
 1.7e-4 RMS; with a reach of 2 radii 4.7e-3 and 1.1e-3, in about half of the time. All sums are made
-in one order, that of the tree. Faces that repeat count once (net_faces in mesh/topology.py).
+in one order, that of the tree. Thin faces about a crowded vertex are summed by fans.py. Faces that
+repeat count once (net_faces in mesh/topology.py).
 
-Kernels: kernels/spatial/winding_number.cl.
+Kernels: kernels/spatial/winding_number.cl and moments.h.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from voxtool.mesh.topology import net_faces
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.spatial.bvh import ARITY, LEAF, TriangleTree, build_tree
 from voxtool.spatial.distance import PointBlock, checked_points, point_blocks
+from voxtool.spatial.fans import find_fans
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
@@ -56,9 +58,15 @@ class WindingNumber:
         node farther away than `reach` radii counts through its moments. With `repeats` False, every
         copy of a face counts. Raises as TriangleDistance."""
         self.device = device or default_device()
-        some = net_faces(mesh) if repeats else None
-        if tree is None or some is not None:
-            tree = build_tree(self.device, mesh, some=some)
+        some, self.fans = None, []
+        if repeats:
+            some = net_faces(mesh)
+            self.fans, in_fan = find_fans(mesh, some, self.device)
+            if self.fans:
+                some = np.flatnonzero(~in_fan) if some is None else some[~in_fan[some]]
+        self.all_in_fans = some is not None and not len(some)
+        if tree is None or (some is not None and not self.all_in_fans):
+            tree = build_tree(self.device, mesh, some=None if self.all_in_fans else some)
         self.tree = tree
         self.reach = reach
         with self.device.stage("moments"):
@@ -100,9 +108,11 @@ class WindingNumber:
         return self._wind(n, points, self.device.put(np.arange(n, dtype=np.uint32)))
 
     def _wind(self, n: int, points: Array, order: Array) -> Array:
-        tree, numbers = self.tree, self.device.empty(n, np.float64)
+        tree, numbers = self.tree, self.device.zeros(n, np.float64)
         with self.device.stage("winding number"):
-            self.device.kernel(SOURCE, "wind")(
-                n, points, order, tree.leaves, tree.count, tree.first_leaf, self.moments, numbers
-            )
+            wind = self.device.kernel(SOURCE, "wind")
+            rest = (tree.leaves, tree.count, tree.first_leaf, self.moments)
+            wind(0 if self.all_in_fans else n, points, order, *rest, numbers)
+            for fan in self.fans:
+                fan.add_numbers(n, points, order, numbers)
         return numbers
