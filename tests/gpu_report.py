@@ -95,10 +95,10 @@ def stages(device: str) -> list[str]:
 
 
 def run_stages(
-    commands: list[str], folder: Path, seconds: float, only: str = ""
+    commands: list[str], folder: Path, seconds: float, only: str = "", limit: float = LIMIT
 ) -> dict[str, Result | None]:
-    """The result of each command. Those that have none and match the pattern `only` are run, until
-    `seconds` have passed."""
+    """The result of each command. Those that have none and match the pattern `only` are run, each
+    for at most `limit` seconds, until `seconds` have passed."""
     folder.mkdir(parents=True, exist_ok=True)
     end = time.monotonic() + seconds
     results = {}
@@ -110,7 +110,7 @@ def run_stages(
         left = end - time.monotonic()
         if not found and left > 0 and re.search(only, command):
             print(f"{command} ...", flush=True)
-            found = run(command, min(LIMIT, left))
+            found = run(command, min(limit, left))
             path.write_text(json.dumps(asdict(found)), encoding="utf-8")
             print(f"    {found.verdict}", flush=True)
         results[command] = found
