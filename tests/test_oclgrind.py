@@ -124,7 +124,7 @@ def test_every_kernel_and_variant_was_launched(run):
     wanted = {"", "WIDE", "CODE=ulong", "VOXELS", "SAMPLE=uchar", "SAMPLE=uint"}
     wanted |= {"SIGNED", "RANKED", "FLAT", "WINDING", "CLOSED", "JUMPS"}
     wanted |= {"SEARCH=LINEAR", "SEARCH=BINARY", "SEARCH=COHERENT", "LANES=1", "LANES=16", "W"}
-    wanted |= {"GRADIENT", "BOUNDS", "CELL"}
+    wanted |= {"GRADIENT", "BOUNDS", "CELL", "BOOK"}
     wanted |= {"PERSPECTIVE", "ANCHORED", "CONSTANT", "FACES=4", "FACES=6", "SLOTS=3", "SLOTS=7"}
     wanted |= {f"INTEGRATOR={name}" for name in ("LINEAR", "AVERAGE", "SAMPLED", "PREINTEGRATED")}
     assert wanted <= set(run[0]["options"])
@@ -351,14 +351,20 @@ def find_faces_that_meet(device) -> None:
 
 
 def wind_a_fan(device) -> None:
-    """Two levels of bundles, and a leaf that is not full."""
+    """Of a fan and of a book two levels of bundles, and a leaf that is not full."""
     vertices, faces = crowds.fan(70)
-    fan = fan_of(vertices[0], vertices[faces[:, 1]], vertices[faces[:, 2]], device)
+    _, q, r = vertices[faces].transpose(1, 0, 2)
     points = np.array([(0, 0, -5), (0.3, 0.2, 0.3), (0, 0, 0.5), (1, 1, 1.0), (0.01, 0, 0)])
     order = device.put(np.arange(len(points), dtype=np.uint32))
-    numbers = device.zeros(len(points), np.float64)
-    fan.add_numbers(len(points), device.put(points), order, numbers)
-    assert np.allclose(numbers.take(), winding(points, vertices[faces]), rtol=0, atol=8e-4)
+    spine, signs = np.array([0.1, 0.2, -1]), np.ones((70, 1)) * (1, 0, 0)
+    book = np.stack([0 * q, 0 * q + spine, q], axis=1)
+    for fan, triangles in (
+        (fan_of(vertices[0], 0 * spine, q, r - q, device), vertices[faces]),
+        (fan_of(vertices[0], spine, q, signs, device), book),
+    ):
+        numbers = device.zeros(len(points), np.float64)
+        fan.add_numbers(len(points), device.put(points), order, numbers)
+        assert np.allclose(numbers.take(), winding(points, triangles), rtol=0, atol=4e-3)
 
 
 def build_fields(device) -> None:

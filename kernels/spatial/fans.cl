@@ -1,4 +1,5 @@
-// The winding number of the thin faces about a vertex. Host side: voxtool/spatial/fans.py.
+// The winding number of the thin faces about a vertex, or of the faces about an edge. Host side:
+// voxtool/spatial/fans.py. Options: BOOK for an edge.
 
 #include "spatial/angles.h"
 #include "spatial/bvh.h"
@@ -9,10 +10,11 @@
 // The numbers of a bundle of sides of the rim, from q to r: its centre, from which these are
 // counted; its squared radius times the squared reach; the sums of r, of its products of two and of
 // three coordinates, less those of q; and the moments of the triangles between the centre and the
-// sides. Order of coefficients as in moments.h.
-enum { CENTRE = 0, FAR = 3, ONE = 4, TWO = 7, THREE = 13, RIM = 23 };
+// sides. Order of coefficients as in moments.h. Of a book: the sums of its corners q, with the signs of
+// the faces, and instead of moments the sum of the signs and the squared radius.
+enum { CENTRE = 0, FAR = 3, ONE = 4, TWO = 7, THREE = 13, RIM = 23, NET = 23, RADIUS = 24 };
 
-// Side i of the rim: its start q, or with `way` = 3 LEAF the way from q to r.
+// Side i of the rim: its start q, or with `way` = 3 LEAF the way from q to r; of a book its sign, 0, 0.
 double3 side_of(__global const double *rim, uint i, uint way)
 {
     __global const double *leaf = rim + (size_t)(i / LEAF) * (6 * LEAF) + way + i % LEAF;
@@ -53,18 +55,29 @@ __kernel void sum_bundles(__global const double *rim, const uint count, const ui
     const uint first = gid * size, end = count - first > size ? first + size : count;
     double3 low = INFINITY, high = -INFINITY;
     for (uint i = first; i < end; ++i) {
-        const double3 q = side_of(rim, i, 0), r = q + side_of(rim, i, 3 * LEAF);
-        low = q < low ? q : low, low = r < low ? r : low;
-        high = q > high ? q : high, high = r > high ? r : high;
+        const double3 q = side_of(rim, i, 0);
+        low = q < low ? q : low;
+        high = q > high ? q : high;
+#ifndef BOOK
+        const double3 r = q + side_of(rim, i, 3 * LEAF);
+        low = r < low ? r : low;
+        high = r > high ? r : high;
+#endif
     }
     const double3 centre = 0.5 * (low + high);
     double sums[19] = {0}, radius = 0;
     moments m;
     clear(&m);
     for (uint i = first; i < end; ++i) {
-        const double3 q = side_of(rim, i, 0) - centre, way = side_of(rim, i, 3 * LEAF), r = q + way;
-        const double qq = product(q, q), rr = product(r, r);
+        const double3 q = side_of(rim, i, 0) - centre, way = side_of(rim, i, 3 * LEAF);
+        const double qq = product(q, q);
         radius = qq > radius ? qq : radius;
+#ifdef BOOK
+        add_products(sums, way.x, q);
+        m.one[0] += way.x;
+#else
+        const double3 r = q + way;
+        const double rr = product(r, r);
         radius = rr > radius ? rr : radius;
         add_products(sums, 1, r);
         add_products(sums, -1, q);
@@ -79,8 +92,13 @@ __kernel void sum_bundles(__global const double *rim, const uint count, const ui
             m.one[k] += area[k];
         add_two(m.two, 1.0 / 3, sum, area);
         add_three(m.three, 1, area, quadric);
+#endif
     }
+#ifdef BOOK
+    m.one[1] = radius;
+#else
     make_harmonic(&m);
+#endif
     __global double *to = bundles + (size_t)(bundle + gid) * SUMS;
     to[CENTRE] = centre.x, to[CENTRE + 1] = centre.y, to[CENTRE + 2] = centre.z;
     to[FAR] = far * far * radius;
@@ -119,11 +137,12 @@ double rim_angle(__global const double *m, double3 c)
     return s * sqrt(s) * (one + s * (7.5 * s * three - 3.0 * two));
 }
 
-// The solid angle of a bundle's faces; a and c are the ways to the apex and to the bundle's centre.
+// The sum of f(d) over the d of a bundle, from its centre: the solid angle of the triangles between the
+// apex, the centre and the ends of d, with a and c the ways to the apex and to the centre.
 //
-// With d from the centre, f(d) = 2 atan(y / x) of y = a x c . d and of x as in solid_angles.h. To
-// the third order that is g.d (1 - h.d + (h.d)^2 - (d.d / c.c - (c.d / c.c)^2) / 4) - (g.d)^3 / 12.
-double bundle_angle(__global const double *bundle, double3 a, double3 c)
+// f(d) = 2 atan(y / x) of y = a x c . d and of x as in solid_angles.h. To the third order that is
+// g.d (1 - h.d + (h.d)^2 - (d.d / c.c - (c.d / c.c)^2) / 4) - (g.d)^3 / 12.
+double arms_angle(__global const double *bundle, double3 a, double3 c)
 {
     __global const double *one = bundle + ONE, *two = bundle + TWO, *three = bundle + THREE;
     const double cc = product(c, c), lengths = sqrt(product(a, a) * cc);
@@ -138,23 +157,69 @@ double bundle_angle(__global const double *bundle, double3 a, double3 c)
                           (g.x * h.y + g.y * h.x) * two[5];
     const double3 third = contracted(three, h) - 0.25 / cc * trace +
                           0.25 / (cc * cc) * contracted(three, c) - contracted(three, g) / 12;
-    return first - second + product(g, third) + rim_angle(bundle + RIM, c);
+    return first - second + product(g, third);
 }
 
-// Whether a bundle counts at once: the ray away from the apex is far from its centre.
-bool is_far(__global const double *bundle, double3 a, double3 c)
+// Whether f is smooth: the ray away from the apex is far from the centre.
+bool is_smooth(__global const double *bundle, double3 a, double3 c)
 {
     const double aa = product(a, a), along = product(a, c);
     const double gap = product(c, c) - (along < 0 ? along * along / aa : 0.0);
     return aa > 0 && gap > bundle[FAR];
 }
 
-// The solid angle of the faces of leaf i is twice the sum of angle_of over them.
-double leaf_angle(__global const double *rim, uint i, double3 a, double3 p)
+#ifdef BOOK
+// Half of the solid angles of triangles between a, b and four points (qx, qy, qz).
+double4 pages_angle(double3 a, double3 b, double3 spine, double4 qx, double4 qy, double4 qz)
+{
+    const double3 normal = cross_of(a, spine);
+    const double as = sqrt(product(a, a)), bs = sqrt(product(b, b)), ab = product(a, b);
+    const double4 q = sqrt(qx * qx + qy * qy + qz * qz);
+    const double4 aq = a.x * qx + a.y * qy + a.z * qz, bq = b.x * qx + b.y * qy + b.z * qz;
+    const double4 y = normal.x * qx + normal.y * qy + normal.z * qz;
+    return angle_of(y, as * bs * q + ab * q + bq * as + aq * bs);
+}
+
+// Whether the point is outside of the wedge about the spine that contains the bundle.
+bool is_beside(__global const double *bundle, double3 a, double3 c, double3 spine)
+{
+    const double ss = product(spine, spine);
+    const double3 ahead = c - a - spine * (product(c - a, spine) / ss);
+    const double3 own = -a + spine * (product(a, spine) / ss);
+    const double3 across = cross_of(ahead, own);
+    return product(ahead, own) < 0 ||
+           product(across, across) > product(own, own) * bundle[RADIUS] * (1 + 0x1p-20);
+}
+
+// The solid angle of a bundle's faces, or NAN if its parts must be summed. The faces of the tetrahedron
+// between a, b, the centre and q are closed.
+double bundle_angle(__global const double *bundle, double3 a, double3 b, double3 c, double3 spine)
+{
+    if (!is_smooth(bundle, a, c) || !is_smooth(bundle, b, c) || !is_beside(bundle, a, c, spine))
+        return NAN;
+    const double4 angle = pages_angle(a, b, spine, c.x, c.y, c.z);
+    return 2 * bundle[NET] * angle.x + arms_angle(bundle, a, c) - arms_angle(bundle, b, c);
+}
+#else
+// The same of a fan.
+double bundle_angle(__global const double *bundle, double3 a, double3 b, double3 c, double3 spine)
+{
+    if (!is_smooth(bundle, a, c))
+        return NAN;
+    return arms_angle(bundle, a, c) + rim_angle(bundle + RIM, c);
+}
+#endif
+
+// Half of the solid angle of the faces of leaf i.
+double leaf_angle(__global const double *rim, uint i, double3 a, double3 b, double3 p, double3 spine)
 {
     __global const double *leaf = rim + (size_t)i * (6 * LEAF);
     const double4 qx = vload4(0, leaf) - p.x, qy = vload4(1, leaf) - p.y, qz = vload4(2, leaf) - p.z;
-    const double4 wx = vload4(3, leaf), wy = vload4(4, leaf), wz = vload4(5, leaf);
+    const double4 wx = vload4(3, leaf);
+#ifdef BOOK
+    const double4 angle = wx * pages_angle(a, b, spine, qx, qy, qz);
+#else
+    const double4 wy = vload4(4, leaf), wz = vload4(5, leaf);
     const double4 rx = qx + wx, ry = qy + wy, rz = qz + wz;
     const double size = sqrt(product(a, a));
     const double4 q = sqrt(qx * qx + qy * qy + qz * qz), r = sqrt(rx * rx + ry * ry + rz * rz);
@@ -162,20 +227,22 @@ double leaf_angle(__global const double *rim, uint i, double3 a, double3 p)
     const double4 aq = a.x * qx + a.y * qy + a.z * qz, ar = a.x * rx + a.y * ry + a.z * rz;
     const double4 qr = qx * rx + qy * ry + qz * rz;
     const double4 angle = angle_of(y, size * q * r + aq * r + qr * size + ar * q);
+#endif
     return angle.x + angle.y + angle.z + angle.w;
 }
 
 // numbers[i] += the winding number of a fan about point i. `rim` holds the `count` sides opposite to
-// the apex, in leaves of LEAF; `bundles` those of each level, from the smallest on, up to one.
+// the apex, or the corners opposite to the edge from the apex along the spine, in leaves of LEAF;
+// `bundles` those of each level, from the smallest on, up to one.
 __kernel void wind_fan(__global const double *points, __global const uint *order, const uint n,
-                       const double4 apex, __global const double *rim, const uint count,
-                       __global const double *bundles, __global double *numbers)
+                       const double4 apex, const double4 spine, __global const double *rim,
+                       const uint count, __global const double *bundles, __global double *numbers)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     const uint own = order[gid];
-    const double3 p = vload3(own, points), a = apex.xyz - p;
+    const double3 p = vload3(own, points), a = apex.xyz - p, b = a + spine.xyz;
     const double beyond = (double)(1ul << FAR_BITS);
     if (!(product(p, p) < beyond * beyond))
         return;
@@ -191,17 +258,16 @@ __kernel void wind_fan(__global const double *points, __global const uint *order
     for (uint level = top; i < counts[level];) {
         __global const double *bundle = bundles + (size_t)(firsts[level] + i) * SUMS;
         const double3 c = (double3)(bundle[0], bundle[1], bundle[2]) - p;
-        if (is_far(bundle, a, c)) {
-            sum += bundle_angle(bundle, a, c);
+        const double angle = bundle_angle(bundle, a, b, c, spine.xyz);
+        if (angle == angle) {
+            sum += angle;
         } else if (level > 0) {
             --level;
             i *= ARITY;
             continue;
         } else {
-            double angles = 0;
             for (uint k = i * (BUNDLE / LEAF); k < min((i + 1) * (BUNDLE / LEAF), leaves); ++k)
-                angles += leaf_angle(rim, k, a, p);
-            sum += 2 * angles;
+                sum += 2 * leaf_angle(rim, k, a, b, p, spine.xyz);
         }
         for (++i; level < top && i % ARITY == 0; i /= ARITY)
             ++level;

@@ -7,8 +7,8 @@ series of their moments, here to the third order (octupoles) about the centres o
 nearer triangles count exactly [Oosterom 1983]. Over 8,550 points in and around the teapot,
 fandisk, bunny and armadillo, two thirds of them near the surface, the error was at most 8e-4 and
 1.7e-4 RMS; with a reach of 2 radii 4.7e-3 and 1.1e-3, in about half of the time. All sums are made
-in one order, that of the tree. Thin faces about a crowded vertex are summed by fans.py. Faces that
-repeat count once (net_faces in mesh/topology.py).
+in one order, that of the tree. Faces about crowded vertices and edges are summed by fans.py. Faces
+that repeat count once (net_faces in mesh/topology.py).
 
 Kernels: kernels/spatial/winding_number.cl and moments.h.
 """
