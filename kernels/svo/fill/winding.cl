@@ -529,20 +529,18 @@ __kernel void decide_bricks(__global const ulong *bricks, const uint n, const do
     brick_sums sums = {0};
     const bool summed = sum_brick(&sums, low, frame, cap_names, cap_count, cap_first_leaf, vertices, faces,
                                   first_cap, moments, cap_areas, reach, most);
-    float caps[16 * PER_BRICK], far[8];
-    int vague[16 * PER_BRICK];
+    float caps[16 * PER_BRICK], doubts[16 * PER_BRICK], far[8];
     for (uint g = 0; g < PER_BRICK; ++g) {
-        vstore16(sums.near[g] / (float)(2 * PI), g, caps);
-        vstore16(sums.vague[g], g, vague);
+        vstore16(sums.near[g], g, caps);
+        vstore16(sums.doubt[g], g, doubts);
     }
-    vstore8(sums.far / (float)(4 * PI), 0, far);
-    const float margin = (float)(doubt + sums.error);
+    vstore8(sums.far, 0, far);
     ulong in = 0, left = 0, enclosed = 0;
     for (uint row = 0; row < 16; ++row) {
         const int j = row & 3, k = row >> 2;
-        const float y = j / (2 * SPREAD), z = k / (2 * SPREAD);
-        const float begin = mix_of(mix_of(far[0], far[2], y), mix_of(far[4], far[6], y), z);
-        const float end = mix_of(mix_of(far[1], far[3], y), mix_of(far[5], far[7], y), z);
+        const double y = j / (2 * SPREAD), z = k / (2 * SPREAD);
+        const double begin = mix_of(mix_of(far[0], far[2], y), mix_of(far[4], far[6], y), z);
+        const double end = mix_of(mix_of(far[1], far[3], y), mix_of(far[5], far[7], y), z);
         if (low.y + j >= shape.y || low.z + k >= shape.z)
             continue;
         uint at = first_crossing(shape, crossings, count, x_bits, low.y + j, low.z + k);
@@ -550,9 +548,11 @@ __kernel void decide_bricks(__global const ulong *bricks, const uint n, const do
         for (int i = 0; i < 4 && low.x + i < shape.x; ++i) {
             number += number_until(shape, crossings, count, x_bits, low.x + i, low.y + j, low.z + k, &at);
             const uint place = voxel_place((uint3)(i, j, k));
-            const float over = number - caps[place] - mix_of(begin, end, i / (2 * SPREAD)) - 0.5f;
+            const double part = mix_of(begin, end, i / (2 * SPREAD)) / (4 * PI);
+            const double over = number - caps[place] / (2 * PI) - part - 0.5;
+            const double margin = doubt + sums.error + SINGLE * doubts[place];
             in |= (ulong)(over >= 0) << place;
-            left |= (ulong)(!(over > margin || over < -margin) || vague[place] || !summed) << place;
+            left |= (ulong)(!(over > margin || over < -margin) || !summed) << place;
             enclosed |= (ulong)(number >= 1) << place;
         }
     }

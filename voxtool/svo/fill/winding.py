@@ -64,7 +64,6 @@ SOURCE = "svo/fill/winding.cl"
 # grow by the fourth root of m to compensate.
 REACHES = ((2.0, 2.0**-6), (4.0, 2.0**-9), (10.0, 2.0**-14), (24.0, 0.0))
 DOUBT = REACHES[0][1]
-SINGLE_DOUBT = 2.0**-7  # the same for single precision, beside DOUBT
 MIDDLE = 2  # the reach of numbers in the middle of blocks
 LIMIT = 0.5  # of a useful expansion's error
 TAKEN_LEVEL = 4  # of the largest blocks whose bricks are decided by one expansion
@@ -293,7 +292,7 @@ class NearHoles:
         winding = self._windings[0]
         return self._decided(
             "decide_bricks", bricks, 0 if self._may_crowd else 1, moments=winding.moments,
-            reach=winding.reach, most=self._crowd, doubt=DOUBT + SINGLE_DOUBT,
+            reach=winding.reach, most=self._crowd, doubt=DOUBT,
         )  # fmt: skip
 
     def _decided(
