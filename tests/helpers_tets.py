@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import itertools
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from voxtool.camera import Camera, Rays
+from voxtool.opencl import default_device
 from voxtool.selftest.reference import reference
-from voxtool.tets.conforming import tetrahedra
-from voxtool.tets.mesh import ConformingMesh, UnstructuredMesh, volume_cells
+from voxtool.tets.conforming import ConformingCells, tetrahedra
+from voxtool.tets.mesh import UnstructuredMesh, volume_cells
+from voxtool.tets.neighbours import match_faces
 from voxtool.tets.scene import VolumeScene
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
@@ -198,7 +200,25 @@ def face_sets(cells: np.ndarray) -> dict[frozenset[int], list[tuple[int, int]]]:
     return found
 
 
-def assert_matched(mesh: ConformingMesh | TetVolume) -> int:
+class Matched(NamedTuple):
+    """A ConformingMesh, and the cell across each face, (T, F) int32."""
+
+    vertices: np.ndarray
+    cells: np.ndarray
+    neighbours: np.ndarray
+    scalars: np.ndarray
+    report: dict[str, Any]
+
+
+def matched(found: ConformingCells) -> Matched:
+    """Cells and their neighbours on the host."""
+    neighbours, counts = match_faces(found.cells, found.corners, found.count, len(found.vertices))
+    mesh = found.on_host()
+    across = neighbours.get().reshape(found.count, -1)
+    return Matched(mesh.vertices, mesh.cells, across, mesh.scalars, {**mesh.report, **counts})
+
+
+def assert_matched(mesh: Matched | TetVolume) -> int:
     """Neighbours are the two cells of each face; how many faces have one cell."""
     single = 0
     for sides in face_sets(mesh.cells).values():
@@ -212,9 +232,9 @@ def assert_matched(mesh: ConformingMesh | TetVolume) -> int:
     return single
 
 
-def split(mesh: UnstructuredMesh, *arguments: Any, **options: Any) -> ConformingMesh:
+def split(mesh: UnstructuredMesh, *arguments: Any, **options: Any) -> Matched:
     """The cells of a mesh as tetrahedra."""
-    return tetrahedra(volume_cells(mesh), *arguments, **options)
+    return matched(tetrahedra(default_device(), volume_cells(mesh), *arguments, **options))
 
 
 def built(mesh: UnstructuredMesh, *arguments: Any, **options: Any) -> TetVolume:

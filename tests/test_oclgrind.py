@@ -224,6 +224,11 @@ def use_primitives(device) -> None:
             distinct, _ = primitives.unique(found, 1001)
             assert np.array_equal(distinct.get(), np.unique(keys))
 
+    buckets = np.arange(1001, dtype=np.uint32) % 3 // 2 * 5  # one of them small enough to insert
+    buckets[::50] = 3
+    _, _, order = primitives.bucket_sort(device.put(buckets), device.put(keys), 1001, 8)
+    assert np.array_equal(order.get(), np.lexsort((keys, buckets)))
+
     pyramid = primitives.build_histopyramid(scanned, 1000)
     assert pyramid.total == scanned.get(0, 1000).sum()
 
@@ -471,8 +476,10 @@ def render_volumes(device) -> None:
     shown = ramp(-1.5, 1.5, 2.0)
     part = replace(shown, extinctions=shown.extinctions * (0, 0, 1, 1))
     views = [*two_views((6, 5)), Camera((0.1, 0.2, 0.3), (0, 1, -0.4), fov=100.0).rays(6, 5)]
+    constant = build_tet(hexahedra, device=device)  # split
+    assert (constant.noun, constant.constant) == ("tetrahedra", True)
     for layout in ("raycast", "projection", "hexahedra"):
-        volume = build_tet(hexahedra if layout == "hexahedra" else mesh, layout)
+        volume = build_tet(hexahedra if layout == "hexahedra" else mesh, layout, device=device)
         for rays, method in itertools.product(views, METHODS):
             picture = draw(volume, rays, part, device, method, lanes=1)
             assert picture.any()

@@ -3,6 +3,7 @@
 //   FACES      of a cell: 4 or 6
 //   ANCHORED   table 4: offsets and scalar terms by vertices instead of stored
 
+#include "tets/vector.h"
 #include "tets/volume.h"
 
 #define CORNERS (FACES == 4 ? 4 : 8) // of a cell
@@ -19,11 +20,6 @@ typedef struct {
     __global const float *normals, __global const float *gradients,                              \
         __global const float *vertices, __global const int *anchors, const uint cells
 #define THE_TEXTURES {normals, gradients, vertices, anchors, cells}
-
-double dot3(const double3 a, const double3 b)
-{
-    return a.x * b.x + a.y * b.y + a.z * b.z;
-}
 
 // The plane of a face: its outward normal and offset.
 double4 plane_of(const Textures *t, const uint cell, const uint face)

@@ -10,6 +10,7 @@ from helpers_cli import told, write_obj
 from helpers_tets import assert_matched, six_volumes, split, tet_grid, tet_mesh
 
 from voxtool.bench.growth import eighths, whole
+from voxtool.opencl import default_device
 from voxtool.selftest.shapes import octahedron
 
 
@@ -17,7 +18,7 @@ from voxtool.selftest.shapes import octahedron
 def test_eighths_fill_the_volume_and_share_their_faces(constant: bool) -> None:
     points, cells = tet_grid((2, 2, 1), seed=3)
     scalars = [np.arange(len(cells)) * 1.0] if constant else points @ [1.0, 2.0, 4.0]
-    mesh = whole(tet_mesh(points, cells, scalars))
+    mesh = whole(tet_mesh(points, cells, scalars), default_device())
     made = eighths(mesh)
     volumes = [six_volumes(one.points, one.cells[0][1]) for one in (mesh, made)]
     np.testing.assert_allclose(volumes[1], np.repeat(volumes[0] / 8, 8), rtol=1e-9)

@@ -123,7 +123,7 @@ def test_errors_are_of_pixels_with_something_in_them() -> None:
 def test_transfer_functions() -> None:
     vertices, cells = kuhn()
     mesh = UnstructuredMesh(vertices, [("tetra", cells)], 3 + vertices[:, 0], "s")
-    mesh = tetrahedra(volume_cells(mesh))
+    mesh = tetrahedra(opened(0), volume_cells(mesh)).on_host()
     opaque = {name: tets.transfer_of(name, mesh) for name in TRANSFERS}
     most = tets.DEPTH / np.sqrt(3)
     for name, factor in (("x1", 1), ("x10", 10), ("x100", 100)):

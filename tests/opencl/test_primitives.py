@@ -15,9 +15,11 @@ from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import (
     BLOCK,
     DIGIT_BITS,
+    FEW,
     GROUP,
     PORTIONS,
     QUADS,
+    bucket_sort,
     build_histopyramid,
     compact,
     exclusive_scan,
@@ -326,3 +328,22 @@ def test_what_exceeds_31_bits_is_refused(device: Device) -> None:
     ):
         with pytest.raises(MemoryLimitError, match="choose a smaller dim"):
             refused()
+
+
+# ---- bucket sort
+
+
+@pytest.mark.parametrize("items", [1, 2, FEW, FEW + 1, 3 * FEW, 1000])
+def test_items_are_sorted_by_bucket_then_key_then_place(device: Device, items: int) -> None:
+    """Of buckets that are empty, and about as full as `items`; among few keys, many are equal."""
+    rng, n, size = np.random.default_rng(items), 3001, max(3000 // items, 1)
+    buckets = 2 * rng.integers(0, size, n).astype(np.uint32)
+    for keys in (rng.integers(0, 7, n), rng.integers(0, 1 << 63, n), -np.arange(n)):
+        keys = keys.astype(np.uint64)
+        ends, found, order = bucket_sort(device.put(buckets), device.put(keys), n, 2 * size)
+        expected = np.lexsort((keys, buckets))
+        assert np.array_equal(order.get(), expected)
+        assert np.array_equal(found.get(), keys[expected])
+        assert np.array_equal(
+            ends.get(0, 2 * size), np.cumsum(np.bincount(buckets, minlength=2 * size))
+        )

@@ -14,6 +14,7 @@ from helpers_tets import (
     PYRAMID,
     SOLIDS,
     VOLUMES,
+    Matched,
     assembly,
     assert_matched,
     built,
@@ -32,10 +33,12 @@ from hypothesis import strategies as st
 
 from voxtool import read_unstructured
 from voxtool.errors import MemoryLimitError, MeshError, VoxtoolError
-from voxtool.tets.cells import HEXAHEDRON_FACES, TETRAHEDRON_FACES, match_faces
-from voxtool.tets.conforming import hexahedra, scaled, signed_volumes
+from voxtool.opencl import default_device
+from voxtool.tets.cells import HEXAHEDRON_FACES, TETRAHEDRON_FACES
+from voxtool.tets.conforming import SHAPES, hexahedra, scaled, tetrahedron_shapes
 from voxtool.tets.merge import first_at_place, first_within
 from voxtool.tets.mesh import volume_cells
+from voxtool.tets.neighbours import match_faces
 from voxtool.tets.textures import build_tet, plan_tet
 from voxtool.tets.volume import (
     BLOCK,
@@ -45,15 +48,13 @@ from voxtool.tets.volume import (
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from voxtool.tets.mesh import ConformingMesh
-
 ONE = CUBE[[0, 1, 3, 4]]
 
 
 # ---- splitting
 
 
-def renumbered(kind: str, order: Sequence[int]) -> ConformingMesh:
+def renumbered(kind: str, order: Sequence[int]) -> Matched:
     """The tetrahedra of one cell, point i of which has the number order[i]."""
     number = np.array(order)
     found = split(unstructured(SOLIDS[kind][np.argsort(number)], [(kind, [number])]))
@@ -140,7 +141,7 @@ def test_merging_is_that_of_every_pair(corners, distance: float, seed: int) -> N
             if gap <= Fraction(distance) ** 2:
                 old, new = max(group[i], group[j]), min(group[i], group[j])
                 group = [new if g == old else g for g in group]
-    first = first_at_place(points)
+    first = first_at_place(default_device(), points)
     if distance:
         first = first_within(points, first, distance)
     assert first.tolist() == group
@@ -153,7 +154,7 @@ def test_merging_far_from_the_origin_and_of_many_points() -> None:
     both = np.concatenate([points, close])
     distance = 3e-5
     gaps = np.sqrt(((close[:, None] - points[None]) ** 2).sum(axis=2))
-    first = first_within(both, first_at_place(both), distance)
+    first = first_within(both, first_at_place(default_device(), both), distance)
     alone = (gaps <= distance).sum(axis=1) == 1
     assert np.count_nonzero(alone) > 490
     assert np.array_equal(first[3000:][alone], gaps.argmin(axis=1)[alone])
@@ -238,7 +239,10 @@ def nearly_flat(seed: int) -> np.ndarray:
 def test_the_sign_of_a_volume_is_exact(seed: int) -> None:
     corners = nearly_flat(seed)
     points, cells = corners.reshape(-1, 3), np.arange(400).reshape(-1, 4)
-    _, sign, _ = signed_volumes(scaled(points), cells)
+    shapes = tetrahedron_shapes(
+        default_device().put(cells.astype(np.uint32)), len(cells), scaled(points)
+    )
+    sign = (shapes.get() & SHAPES["SIGN"]).astype(int) - 1
     whole = np.vectorize(lambda x: int(Fraction(x) * 2**60), otypes=[object])(corners)
     (ux, uy, uz), (vx, vy, vz), (wx, wy, wz) = ((whole[:, i] - whole[:, 0]).T for i in (1, 2, 3))
     exact = ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)
@@ -276,7 +280,9 @@ def test_faces_are_matched_as_by_comparing_all(orders: list[list[int]]) -> None:
     cells = np.array(sorted({tuple(sorted(o[:4])) for o in orders}), np.int32)
     odd = np.array([o[4] % 2 == 1 for o in orders[: len(cells)]])
     cells[odd] = cells[odd][:, [1, 0, 2, 3]]
-    neighbours, counts = match_faces(cells, np.array(TETRAHEDRON_FACES))
+    on_device = default_device().put(cells.astype(np.uint32))
+    across, counts = match_faces(on_device, 4, len(cells), 7)
+    neighbours = across.get().reshape(-1, 4)
     expected = np.full_like(neighbours, -1)
     many = folded = 0
     for sides in face_sets(cells).values():
@@ -604,9 +610,8 @@ def test_flat_and_double_hexahedra_are_dropped() -> None:
     points = np.concatenate([CUBE, CUBE * (1, 1, 1e-16)])
     points[8:, 0] += 5
     cells = [range(8), range(8, 16), (4, 5, 6, 7, 0, 1, 2, 3)]
-    found = hexahedra(
-        volume_cells(unstructured(points, [("hexahedron", cells)], [np.array([1.0, 2.0, 3.0])]))
-    )
+    mesh = unstructured(points, [("hexahedron", cells)], [np.array([1.0, 2.0, 3.0])])
+    found = hexahedra(default_device(), volume_cells(mesh))
     assert (found.report["duplicates"], found.report["flat"]) == (1, 1)
     assert found.scalars.tolist() == [1]
     assert len(found.vertices) == 8
@@ -633,7 +638,7 @@ def test_the_plan_foretells(layout: str) -> None:
 def test_more_than_max_memory_is_refused_before_it_starts() -> None:
     mesh = cube(24)
     stages: list[str] = []
-    needed = plan_tet(mesh).cost.host
+    needed = plan_tet(mesh).cost.device
     build_tet(mesh, max_memory=needed)
     with pytest.raises(MemoryLimitError, match=r"24 cells would need .* about 12 fit"):
         plan_tet(mesh, max_memory=needed // 2).run(stages.append)

@@ -43,6 +43,7 @@ def plan_tet(
     *,
     scalar: str | None = None,
     component: str | int | None = None,
+    device: Device | None = None,
     max_memory: int | None = None,
 ) -> VolumeJob:
     """Build a tetrahedral volume, ready for rendering, from a mesh of volume cells.
@@ -59,8 +60,10 @@ def plan_tet(
         Points at most this far apart are merged, world units; 0 merges points at the same position.
     scalar, component : str or int, optional
         The array of a path, as in read_unstructured.
+    device : Device, optional
+        Where the textures are computed; by default the default device.
     max_memory : int, optional
-        Bytes that the work may take; by default what is free.
+        Bytes that the work may take; by default what the device has.
 
     Returns
     -------
@@ -76,6 +79,8 @@ def plan_tet(
         positions.
     VoxtoolError
         If the layout is unknown or does not hold such scalars.
+    DeviceError
+        If the device has no double precision.
     MemoryLimitError
         If the work needs more than max_memory, or too many points are within the merge distance.
 
@@ -84,7 +89,7 @@ def plan_tet(
     [TetVol], [Dompierre 1999] for the split into tetrahedra.
     """
     found = opened(mesh, lambda path: read_unstructured(path, scalar, component, max_memory))
-    return tets.plan_tet(found, layout, merge_distance, max_memory=max_memory)
+    return tets.plan_tet(found, layout, merge_distance, device=device, max_memory=max_memory)
 
 
 build_tet = one_call(plan_tet, "build_tet", TetVolume)

@@ -78,7 +78,8 @@ def _subdivided_mesh(mesh: Mesh, bench: Bench) -> Iterator[Point]:
 
 def _subdivided_volume(bench: Bench) -> Iterator[Point]:
     """Work on a volume, which is subdivided until it would have too many cells."""
-    volume = whole(read_unstructured(bench.model, bench.request.scalar, bench.request.component))
+    read = read_unstructured(bench.model, bench.request.scalar, bench.request.component)
+    volume = whole(read, bench.timed)
     yield from _of_volume(volume, bench)
     while 8 * len(volume.cells[0][1]) <= bench.request.cells:
         volume = eighths(volume)
@@ -171,12 +172,12 @@ def _points(bench: Bench, work: str, label: str, works: Works, **fields: Any) ->
 
 def _of_volume(volume: UnstructuredMesh, bench: Bench) -> Iterator[Point]:
     """The textures of a volume, and a frame."""
-    made = build_tet(volume)
+    made = build_tet(volume, device=bench.timed)
     low, high = made.bounds()
     transfer = named("viridis", *made.scalar_range, float((high - low).max()) / 8)
     rays = Camera.fit(low, high, "iso", fov=None).rays(PIXELS, PIXELS)
     works: Works = {
-        "textures": lambda device: build_tet(volume),
+        "textures": lambda device: build_tet(volume, device=device),
         f"frame, {PIXELS} x {PIXELS}": lambda device: render(
             made, rays, transfer=transfer, device=device
         ),
@@ -188,9 +189,9 @@ def _of_volume(volume: UnstructuredMesh, bench: Bench) -> Iterator[Point]:
     )  # fmt: skip
 
 
-def whole(mesh: UnstructuredMesh) -> UnstructuredMesh:
+def whole(mesh: UnstructuredMesh, device: Device) -> UnstructuredMesh:
     """A mesh with its cells split into tetrahedra."""
-    found = tetrahedra(volume_cells(mesh))
+    found = tetrahedra(device, volume_cells(mesh)).on_host()
     scalars = [found.scalars] if found.constant else found.scalars
     return UnstructuredMesh(found.vertices, [("tetra", found.cells)], scalars, mesh.scalar)
 

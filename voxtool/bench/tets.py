@@ -41,10 +41,11 @@ def measure(bench: Bench) -> Iterator[Point | Ablation]:
     """The points and ablations of a volume."""
     asked = bench.request
     mesh = read_unstructured(bench.model, asked.scalar, asked.component)
-    cells = tetrahedra(volume_cells(mesh))
+    cells = tetrahedra(bench.timed, volume_cells(mesh)).on_host()
     # either method draws either layout, and only "raycast" holds scalars of cells
     volumes = {
-        method: build_tet(mesh, "raycast" if mesh.constant else method) for method in asked.methods
+        method: build_tet(mesh, "raycast" if mesh.constant else method, device=bench.timed)
+        for method in asked.methods
     }
     box = cells.vertices.min(axis=0), cells.vertices.max(axis=0)
     camera = Camera.fit(*box, asked.view, fov=None)

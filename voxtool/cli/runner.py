@@ -349,9 +349,7 @@ def run_options(*decorators: options.Decorator) -> options.Decorator:
     return decorate
 
 
-def job_options(
-    metavar: str, default: str, *formats: str, on_device: bool = True
-) -> options.Decorator:
+def job_options(metavar: str, default: str, *formats: str) -> options.Decorator:
     """The options of a command that runs one job: -o, --no-clobber, --format, --plan,
     --max-memory, --device, --strict, --json, -q, -v.
 
@@ -359,13 +357,12 @@ def job_options(
     ----------
     metavar, default : what -o takes, and what its help says of the default.
     formats : the choices of --format; without any there is no such option.
-    on_device : False leaves out --device.
     """
     return run_options(
         options.output_options(metavar, default),
         *([options.format_option(*formats)] if formats else []),
         options.plan_options,
-        *([options.device_option] if on_device else []),
+        options.device_option,
         options.strict_option,
         options.report_options,
     )

@@ -29,9 +29,7 @@ if TYPE_CHECKING:
         "Points within D of each other become one, in the mesh's own units.  [default: only "
         "points at one place]", 0.0, metavar="D"),
 )  # fmt: skip
-@runner.job_options(
-    "OUT", "Default FILE's name with .tet.h5, in this folder.", "tet.h5", on_device=False
-)  # fmt: skip
+@runner.job_options("OUT", "Default FILE's name with .tet.h5, in this folder.", "tet.h5")
 def command(
     run: runner.Run, file: str, scalar: str | None, component: str | None, layout: str,
     merge_distance: float,

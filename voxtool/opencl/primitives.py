@@ -1,4 +1,4 @@
-"""Parallel primitives over device arrays: scan, radix sort, compaction, histopyramid.
+"""Parallel primitives over device arrays: scan, radix sort, bucket sort, compaction, histopyramid.
 
 Each raises MemoryLimitError if the number of elements does not fit 31 bits. The kernels are in
 kernels/opencl/primitives.cl; kernels/opencl/histopyramid.h has the traversal of a histopyramid.
@@ -21,6 +21,7 @@ ITEMS = 8  # values of one of them
 BLOCK = GROUP * ITEMS  # values that a work-group scans
 DIGIT_BITS = 8  # of a key that one pass sorts by, at most: by portions
 BLOCK_DIGIT_BITS = 4  # and by blocks, whose counts must fit local memory
+FEW = 32  # items of a bucket that insertion sort sorts fastest
 QUADS = 32  # quadruples of a histopyramid that a work-group of 5 * QUADS makes
 PORTIONS = 128  # portions of keys for each unit of the device, at most
 _KEYS = {np.dtype(np.uint32): "uint", np.dtype(np.uint64): "ulong"}
@@ -33,6 +34,7 @@ HEADERS = {
         DIGIT_BITS=DIGIT_BITS,
         BLOCK_DIGIT_BITS=BLOCK_DIGIT_BITS,
         QUADS=QUADS,
+        FEW=FEW,
     )
 }
 
@@ -153,6 +155,35 @@ def _sort_blocks(
     count(blocks * GROUP, counts=table, local=GROUP, **digit)
     _scan(table, blocks * digits)
     scatter(blocks * GROUP, starts=table, local=GROUP, **arrays, **digit)
+
+
+def bucket_sort(buckets: Array, keys: Array, n: int, size: int) -> tuple[Array, Array, Array]:
+    """Sort n items by their bucket, then by their key; equal ones keep their order.
+
+    Items are counted and moved by atomics, then each bucket is sorted on its own, in time n log n
+    at worst. This is faster than radix_sort where buckets are small and items of one bucket are
+    near each other. Does not wait for the device.
+
+    Parameters
+    ----------
+    buckets : uint32, below `size`, at least n elements.
+    keys : uint64, at least n elements.
+
+    Returns
+    -------
+    The end of each bucket in the sorted items (uint32, at least `size` elements; it begins where
+    the one before it ends); the sorted keys; and their items (uint32).
+    """
+    _check(n, "sort")
+    _check(size, "sort")
+    device = keys.device
+    ends = device.zeros(size + 1, np.uint32)
+    sorted_keys, items = device.empty(n, np.uint64), device.empty(n, np.uint32)
+    device.kernel(SOURCE, "count_buckets")(n, buckets, ends)
+    _scan(ends, size)
+    device.kernel(SOURCE, "fill_buckets")(n, buckets, keys, ends, sorted_keys, items)
+    device.kernel(SOURCE, "sort_buckets")(size, ends, sorted_keys, items)
+    return ends, sorted_keys, items
 
 
 def unique(keys: Array, n: int) -> tuple[Array, int]:

@@ -79,7 +79,9 @@ def pictures(device: Device) -> Digests:
     yield "field", _digest(render(field, rays, device=device))
     points, cells = shapes.tetrahedra(*[np.linspace(-1, 1, 6)] * 3)
     x, y, z = points.T
-    volume = build_tet(UnstructuredMesh(points, [("tetra", cells)], x * x + y * z, "s"))
+    volume = build_tet(
+        UnstructuredMesh(points, [("tetra", cells)], x * x + y * z, "s"), device=device
+    )
     transfer = named("viridis", *volume.scalar_range, 2 / 24)
     rays = Camera.fit(*volume.bounds()).rays(*SIZE)
     for method in METHODS:

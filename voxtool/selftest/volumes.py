@@ -94,7 +94,7 @@ def picture_error(
     move by ROUNDED of their range, which shows if a ray runs along a step."""
     points, cells, scalars = mesh.points, mesh.cells[0][1], np.asarray(mesh.scalars)
     moved = ROUNDED * np.ptp(scalars)
-    volume, error = build_tet(mesh), 0.0
+    volume, error = build_tet(mesh, device=device), 0.0
     low, high = points.min(axis=0), points.max(axis=0)
     views = product(("iso", "left", "top"), (None, 30.0, 100.0)) if full else [("iso", None)]
     for view, fov in views:
@@ -155,7 +155,7 @@ def edges(device: Device, full: bool) -> float:
     cubes, error = 8, 0.0
     points, cells = shapes.tetrahedra(*[np.linspace(-1, 1, cubes + 1)] * 3)
     mesh = UnstructuredMesh(points, [("tetra", cells)], points[:, 0], "s")
-    volume, step = build_tet(mesh), 2 / cubes
+    volume, step = build_tet(mesh, device=device), 2 / cubes
     expected = -math.expm1(-2 * float(GREY.extinctions[0]))
     for parts in (1, 2, 3, 7) if full else (1, 2):
         size = (cubes + 1) * parts

@@ -1,4 +1,4 @@
-"""Cells: their faces, how they are split into tetrahedra, and which ones share a face.
+"""Cells: their faces, and how they are split into tetrahedra.
 
 A quadrilateral that two cells share is cut along the diagonal from its smallest vertex number, so
 both cells cut it alike [Dompierre 1999].
@@ -6,7 +6,11 @@ both cells cut it alike [Dompierre 1999].
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
+
+from voxtool.opencl import program
 
 # The vertices of each face, so that the normal by the right-hand rule points out; VTK's numbers.
 TETRAHEDRON_FACES = ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))
@@ -22,41 +26,40 @@ CELL_FACES: dict[str, tuple[tuple[int, ...], ...]] = {
 CORNERS = {"tetra": 4, "pyramid": 5, "wedge": 6, "hexahedron": 8}
 PIECES = {"tetra": 1, "pyramid": 2, "wedge": 3, "hexahedron": 6}  # tetrahedra of a cell, at most
 
+TEMPLATE = 1 + 4 * 6  # bytes of a template: how many tetrahedra, and four corners each
 
-# ---- splitting
+
+@cache
+def quads(kind: str) -> np.ndarray:
+    """Return the corners of the quadrilaterals of a kind of cell, (Q, 4) uint8."""
+    faces = [face for face in CELL_FACES[kind] if len(face) == 4]
+    return np.array(faces, np.uint8).reshape(-1, 4)
 
 
-def split(kind: str, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return tetrahedra that fill cells, (N, 4) int64, and the number of the cell of each.
+@cache
+def templates(kind: str) -> np.ndarray:
+    """Return how a kind of cell is split, (codes, TEMPLATE) uint8: the number of tetrahedra and
+    their corners.
 
-    A cell is the cone from its smallest vertex over the faces that do not have this vertex.
-    Tetrahedra that would name a vertex twice are left out.
+    A code is the corner with the smallest vertex, followed by a bit for each quadrilateral: 0
+    where it is cut from its first corner or its third, 1 otherwise. A cell becomes the cone from
+    its smallest vertex over the faces that do not have this vertex.
     """
+    count = len(quads(kind))
+    table = np.zeros((CORNERS[kind] << count, TEMPLATE), np.uint8)
+    for code, row in enumerate(table):
+        pieces = _template(kind, code >> count, code)
+        row[0] = len(pieces)
+        row[1 : 1 + 4 * len(pieces)] = np.ravel(pieces)
+    return table
+
+
+def _template(kind: str, apex: int, code: int) -> list[tuple[int, int, int, int]]:
+    """Return the tetrahedra of a cell whose smallest vertex is `apex`."""
     if kind == "tetra":
-        whole = np.flatnonzero(~repeats(block))
-        return block[whole], whole
-    quads = [face for face in CELL_FACES[kind] if len(face) == 4]
-    code = block.argmin(axis=1)
-    for face in quads:
-        code = 2 * code + block[:, face].argmin(axis=1) % 2
-    pieces, sources = [], []
-    for value in np.unique(code).tolist():
-        cuts = {face: value >> (len(quads) - 1 - i) & 1 for i, face in enumerate(quads)}
-        template = _template(kind, value >> len(quads), cuts)
-        cells = np.flatnonzero(code == value)
-        pieces.append(block[cells][:, template].reshape(-1, 4))
-        sources.append(np.repeat(cells, len(template)))
-    cells, source = np.concatenate(pieces), np.concatenate(sources)
-    order = np.argsort(source, kind="stable")
-    order = order[~repeats(cells[order])]
-    return cells[order], source[order]
-
-
-def _template(
-    kind: str, apex: int, cuts: dict[tuple[int, ...], int]
-) -> list[tuple[int, int, int, int]]:
-    """Return the tetrahedra of a cell whose smallest vertex is `apex`. A quadrilateral is cut from
-    its first vertex where `cuts` is 0, and from its second where it is 1."""
+        return [(0, 1, 2, 3)]
+    order = [tuple(face) for face in quads(kind).tolist()]
+    cuts = {face: code >> (len(order) - 1 - i) & 1 for i, face in enumerate(order)}
     triangles = []
     for face in CELL_FACES[kind]:
         if apex in face:
@@ -90,45 +93,17 @@ def repeats(cells: np.ndarray) -> np.ndarray:
     return (ordered[:, 1:] == ordered[:, :-1]).any(axis=1)
 
 
-# ---- faces
+def _face_table(name: str, faces: tuple[tuple[int, ...], ...]) -> str:
+    corners = ", ".join(str(corner) for face in faces for corner in face)
+    return f"__constant uchar {name}[] = {{{corners}}};"
 
 
-def loops(cells: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices of faces, (T, F, k), in one order whichever cell has the face: the
-    smallest vertex first, then the smaller of its two neighbours on the face. The second array,
-    (T, F) bool, says where the cell winds the face the other way."""
-    k = faces.shape[1]
-    loop = cells[:, faces]
-    start = loop.argmin(axis=2)[:, :, None]
-    loop = np.take_along_axis(loop, (start + np.arange(k)) % k, axis=2)
-    backward = loop[:, :, 1] > loop[:, :, -1]
-    loop[backward, 1:] = loop[backward, :0:-1]
-    return loop, backward
-
-
-def match_faces(cells: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, dict[str, int]]:
-    """Return the cell across each face, (T, F) int32, -1 where there is none; and counts of faces.
-
-    Two cells are neighbours if no third cell has the face, and they are on opposite sides of it.
-    """
-    loop, backward = loops(cells, faces)
-    loop, side = loop.reshape(-1, faces.shape[1]).astype(np.int64), backward.ravel()
-    low = loop[:, 0] << 32 | loop[:, 1]
-    high = loop[:, 2] << 32 | loop[:, -1]
-    order = np.lexsort((high, low))
-    new = np.ones(len(order) + 1, bool)
-    new[1:-1] = (low[order[1:]] != low[order[:-1]]) | (high[order[1:]] != high[order[:-1]])
-    begin = np.flatnonzero(new)
-    count = np.diff(begin)
-    pair = begin[:-1][count == 2]
-    one, other = order[pair], order[pair + 1]
-    folded = side[one] == side[other]
-    one, other = one[~folded], other[~folded]
-    neighbours = np.full(len(loop), -1, np.int32)
-    neighbours[one] = other // len(faces)
-    neighbours[other] = one // len(faces)
-    counts = {
-        "non_manifold_faces": int(np.count_nonzero(count > 2)),
-        "folded_faces": int(np.count_nonzero(folded)),
-    }
-    return neighbours.reshape(-1, len(faces)), counts
+HEADERS = {
+    "tets/cells.h": "\n".join(
+        (
+            program.c_constants(TEMPLATE=TEMPLATE),
+            _face_table("TETRAHEDRON_FACES", TETRAHEDRON_FACES),
+            _face_table("HEXAHEDRON_FACES", HEXAHEDRON_FACES),
+        )
+    )
+}

@@ -1,69 +1,135 @@
-"""Conforming meshes: tetrahedra or hexahedra, positively oriented, matched across their faces.
+"""Cells of one kind: tetrahedra or hexahedra, positively oriented, none flat, none twice.
 
 Volumes and lengths are float64; the side of a plane on which a vertex lies is decided exactly.
+
+Kernels: kernels/tets/conforming.cl.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import pairwise
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from voxtool.errors import MeshError
-from voxtool.tets.cells import (
-    HEXAHEDRON_FACES,
-    TETRAHEDRON_FACES,
-    match_faces,
-    repeats,
-    split,
-)
-from voxtool.tets.merge import MAX_PAIRS, merged_cells
+from voxtool.opencl import program
+from voxtool.opencl.primitives import bucket_sort, exclusive_scan
+from voxtool.tets.cells import CORNERS, quads, templates
+from voxtool.tets.merge import MAX_PAIRS, merged_points
 from voxtool.tets.mesh import ConformingMesh, VolumeCells
 from voxtool.tets.volume import PLANAR
-from voxtool.vector import cross, dot, length
+from voxtool.vector import cross, dot
 
-MAX_COUNT = (1 << 31) - 1  # cells, and vertices: indices are int32
-FLATTEST = 1e-14  # 6 |V| / longest edge^3 of a cell that is dropped
-SMALLEST = 2.0**-40  # longest edge / longest side of the mesh, of a cell that is dropped
-ROUNDING = 8 * 2.0**-53  # of a determinant of differences, relative to the sizes of its terms
+if TYPE_CHECKING:
+    from voxtool.opencl import Array, Device
+    from voxtool.tets.merge import MergedPoints
+
+SOURCE = "tets/conforming.cl"
+# Of a cell that is dropped: 6 |V| / longest edge^3; longest edge / longest side of the mesh. Of a
+# determinant of differences whose sign is decided exactly: its size relative to that of its terms,
+# and theirs.
+LIMITS = {
+    "FLATTEST": 1e-14,
+    "SMALLEST": 2.0**-40,
+    "ROUNDING": 8 * 2.0**-53,
+    "LEAST_MAGNITUDE": 2.0**-900,
+    "PLANAR": PLANAR,
+}
+# The shape of a cell: the sign of its volume plus 1 in the lowest bits, and what else was found.
+SHAPES = {"SIGN": 3, "FLAT": 4, "DOUBTFUL": 8, "BENT": 16}
+# What becomes of a cell.
+OUTCOMES = ("KEPT", "TURNED", "DUPLICATE", "ZERO_VOLUME", "TOO_FLAT")
+
+HEADERS = {
+    "tets/conforming.h": "\n".join(
+        (
+            *(f"#define {name} {value.hex()}" for name, value in LIMITS.items()),
+            program.c_constants(**SHAPES, **{name: i for i, name in enumerate(OUTCOMES)}),
+        )
+    )
+}
+
+
+@dataclass(frozen=True, eq=False)
+class ConformingCells:
+    """A ConformingMesh whose cells are on the device.
+
+    vertices, scalars, constant, report : as there.
+    cells : uint32, the `corners` vertices of each of `count` cells.
+    """
+
+    vertices: np.ndarray
+    cells: Array
+    corners: int
+    count: int
+    scalars: np.ndarray
+    constant: bool
+    report: dict[str, Any]
+
+    def on_host(self) -> ConformingMesh:
+        """Return the mesh with a copy of its cells."""
+        cells = self.cells.get(0, self.corners * self.count).astype(np.int32)
+        return ConformingMesh(
+            self.vertices, cells.reshape(-1, self.corners), self.scalars, self.constant, self.report
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """A block of cells of one kind on the device, by the numbers of merged points.
+
+    corners : uint32; starts : uint32, the number of tetrahedra before each cell's, `pieces` in all;
+    repeating : (count,) bool, whether a cell names a vertex twice.
+    """
+
+    kind: str
+    count: int
+    corners: Array
+    starts: Array
+    pieces: int
+    repeating: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Cells of one kind on the device, and the cell of the mesh from which each comes: uint32."""
+
+    cells: Array
+    corners: int
+    count: int
+    sources: Array
 
 
 def tetrahedra(
-    found: VolumeCells, merge_distance: float = 0.0, max_pairs: int = MAX_PAIRS
-) -> ConformingMesh:
-    """Return cells as tetrahedra; points are merged as by `merged_cells`.
+    device: Device, found: VolumeCells, merge_distance: float = 0.0, max_pairs: int = MAX_PAIRS
+) -> ConformingCells:
+    """Return cells as tetrahedra; points are merged as by `merged_points`.
 
     Hexahedra, wedges and pyramids are split. A tetrahedron is dropped if it repeats a vertex or
     another tetrahedron, if its volume is zero (exactly, or 6 |V| <= 1e-14 longest edge^3), or if
     its longest edge is at most 2^-40 of the mesh's longest side. A negative volume is turned over.
-    A face of more than two cells, or of two on the same side, has no neighbours. The report counts
-    all of it.
+    The report counts all of it.
 
     Raises
     ------
     MeshError : no volume is left, or a point or a scalar is not finite.
     MemoryLimitError : too many points are within the merge distance.
     """
-    found = merged_cells(found, merge_distance, max_pairs)
-    parts, sources, either, first = [], [], [], 0
-    for kind, block in found.blocks:
-        pieces, source = split(kind, block)
-        parts.append(pieces)
-        sources.append(source + first)
-        either.append(np.full(len(pieces), kind == "wedge"))  # programs wind wedges both ways
-        first += len(block)
-    cells = np.concatenate(parts)
-    unit = scaled(found.points)
-    volume, sign, size = signed_volumes(unit, cells)
-    flat, repeated = _flat(unit, volume, size), _repeated(cells)
-    source, winds = np.concatenate(sources), ~np.concatenate(either)
-    return _conforming(found, cells, source, sign, flat, repeated, winds)
+    merged = merged_points(device, found, merge_distance, max_pairs)
+    blocks = _blocks(device, found, merged)
+    cells = _split(device, blocks)
+    unit = scaled(merged.points)
+    shapes = tetrahedron_shapes(cells.cells, cells.count, unit)
+    outcomes = _judged(device, cells, shapes, _repeated(device, cells, len(unit)))
+    ends = np.cumsum([block.pieces for block in blocks])
+    return _kept(device, found, merged, cells, outcomes, _report(blocks, outcomes, ends))
 
 
 def hexahedra(
-    found: VolumeCells, merge_distance: float = 0.0, max_pairs: int = MAX_PAIRS
-) -> ConformingMesh:
+    device: Device, found: VolumeCells, merge_distance: float = 0.0, max_pairs: int = MAX_PAIRS
+) -> ConformingCells:
     """Return the hexahedra of a mesh with constant cells, whole; they are merged, dropped and
     turned over as by `tetrahedra`.
 
@@ -79,21 +145,27 @@ def hexahedra(
             f"{found.name}: {found.scalar} is one a point and --layout hexahedra takes one a cell: "
             f"name a cell array, or {hint}"
         )
-    found = merged_cells(found, merge_distance, max_pairs)
+    merged = merged_points(device, found, merge_distance, max_pairs)
     others = [kind for kind, _ in found.blocks if kind != "hexahedron"]
     if others:
         raise MeshError(f"{found.name}: has {others[0]} cells beside hexahedra: {hint}")
-    cells = np.concatenate([block for _, block in found.blocks])
-    _refuse_some(found.name, repeats(cells), "name a vertex twice", hint)
-    pieces, piece_of = split("hexahedron", cells)
-    unit = scaled(found.points)
-    volume = np.zeros(len(cells))
-    np.add.at(volume, piece_of, signed_volumes(unit, pieces)[0])
-    bent, size = _bent(unit, cells, volume)
-    flat, repeated = _flat(unit, volume, size), _repeated(cells)
-    refused = (bent > PLANAR * size) & ~flat & ~repeated
-    _refuse_some(found.name, refused, "are not convex with planar faces", hint)
-    return _conforming(found, cells, np.arange(len(cells)), np.sign(volume), flat, repeated)
+    whole = np.concatenate([block for _, block in found.blocks])
+    (block,) = _blocks(device, replace(found, blocks=[("hexahedron", whole)]), merged)
+    _refuse_some(found.name, block.repeating, "name a vertex twice", hint)
+    numbers = device.put(np.arange(block.count, dtype=np.uint32))
+    cells = _Cells(block.corners, 8, block.count, numbers)
+    unit = scaled(merged.points)
+    shapes = device.empty(block.count, np.uint8)
+    device.kernel(SOURCE, "measure_hexahedra")(
+        block.count, block.corners, device.put(unit), _longest_side(unit), block.starts,
+        _split(device, [block]).cells, shapes,
+    )  # fmt: skip
+    repeated = _repeated(device, cells, len(unit))
+    bent = (shapes.get() & (SHAPES["BENT"] | SHAPES["FLAT"])) == SHAPES["BENT"]
+    _refuse_some(found.name, bent & (repeated.get() == 0), "are not convex with planar faces", hint)
+    outcomes = _judged(device, cells, shapes, repeated)
+    report = _report([block], outcomes, np.array([block.count]))
+    return _kept(device, found, merged, cells, outcomes, report)
 
 
 def _refuse_some(name: str, bad: np.ndarray, what: str, hint: str) -> None:
@@ -105,13 +177,50 @@ def _refuse_some(name: str, bad: np.ndarray, what: str, hint: str) -> None:
         )
 
 
-def _repeated(cells: np.ndarray) -> np.ndarray:
-    """Return which cells have the vertices of an earlier cell, (N,) bool."""
-    ordered = np.sort(cells, axis=1)
-    order = np.lexsort(ordered.T)
-    same = np.zeros(len(cells), bool)
-    same[order[1:]] = (ordered[order[1:]] == ordered[order[:-1]]).all(axis=1)
-    return same
+# ---- splitting
+
+
+def _blocks(device: Device, found: VolumeCells, merged: MergedPoints) -> list[_Block]:
+    """Return the blocks of cells, and how many tetrahedra each cell becomes."""
+    numbers, blocks = device.put(merged.numbers), []
+    for kind, cells in found.blocks:
+        count, corners = len(cells), device.put(cells)
+        device.kernel(SOURCE, "renumber")(cells.size, corners, numbers)
+        starts, repeating = device.empty(count + 1, np.uint32), device.empty(count, np.uint8)
+        device.kernel(SOURCE, "count_pieces")(
+            count, corners, starts, repeating, **_kind(device, kind)
+        )
+        pieces = exclusive_scan(starts, count)
+        blocks.append(_Block(kind, count, corners, starts, pieces, repeating.take() != 0))
+    return blocks
+
+
+def _kind(device: Device, kind: str) -> dict[str, Any]:
+    """Return the arguments KIND of kernels, by name."""
+    return {
+        "corners": CORNERS[kind],
+        "quads": device.put(quads(kind)),
+        "quad_count": len(quads(kind)),
+        "templates": device.put(templates(kind)),
+    }
+
+
+def _split(device: Device, blocks: list[_Block]) -> _Cells:
+    """Return the tetrahedra of all blocks that name no vertex twice."""
+    total = sum(block.pieces for block in blocks)
+    cells, sources = device.empty(4 * total, np.uint32), device.empty(total, np.uint32)
+    offset = first = 0
+    for block in blocks:
+        device.kernel(SOURCE, "write_pieces")(
+            block.count, block.corners, block.starts, offset, first, cells, sources,
+            **_kind(device, block.kind),
+        )  # fmt: skip
+        offset += block.pieces
+        first += block.count
+    return _Cells(cells, 4, total, sources)
+
+
+# ---- measuring
 
 
 def scaled(points: np.ndarray) -> np.ndarray:
@@ -119,33 +228,28 @@ def scaled(points: np.ndarray) -> np.ndarray:
     return np.ldexp(points, -int(np.frexp(np.abs(points).max())[1]))
 
 
-def _flat(points: np.ndarray, volume: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """Return which cells are too flat or too small, (N,) bool, by six times their volume and their
-    longest edge."""
-    side = np.ptp(points, axis=0).max()
-    return (np.abs(volume) <= FLATTEST * size * size * size) | (size <= SMALLEST * side)
+def _longest_side(points: np.ndarray) -> float:
+    return float(np.ptp(points, axis=0).max())
 
 
-def signed_volumes(
-    points: np.ndarray, cells: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return six times the volumes of tetrahedra, their exact signs, and their longest edges."""
-    corners = points[cells]
-    a, b, c = (corners[:, i] - corners[:, 0] for i in (1, 2, 3))
-    size = np.zeros(len(cells))
-    for p, q in ((a, 0), (b, 0), (c, 0), (a, b), (b, c), (c, a)):
-        size = np.maximum(size, length(p - q))
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = a.T, b.T, c.T
-    terms = ((az, bx * cy, cx * by), (bz, cx * ay, ax * cy), (cz, ax * by, bx * ay))
-    volume, magnitude = np.zeros(len(cells)), np.zeros(len(cells))
-    for height, plus, minus in terms:
-        volume += height * (plus - minus)
-        magnitude += np.abs(height) * (np.abs(plus) + np.abs(minus))
-    sign = np.sign(volume).astype(np.int8)
-    doubtful = (np.abs(volume) <= ROUNDING * magnitude) | (magnitude < 2.0**-900)
-    for cell in np.flatnonzero(doubtful):
-        sign[cell] = _exact_sign(corners[cell])
-    return volume, sign, size
+def tetrahedron_shapes(cells: Array, count: int, points: np.ndarray) -> Array:
+    """Return the shapes of tetrahedra, uint8; the signs of their volumes are exact.
+
+    cells : uint32, four vertices each; points : (P, 3) float64 in [-1, 1].
+    """
+    device = cells.device
+    shapes = device.empty(count, np.uint8)
+    device.kernel(SOURCE, "measure_tetrahedra")(
+        count, cells, device.put(points), _longest_side(points), shapes
+    )
+    shape = shapes.get()
+    doubtful = np.flatnonzero(shape & SHAPES["DOUBTFUL"])
+    if len(doubtful):  # rounding might have changed their signs
+        vertices = cells.get().reshape(-1, 4)[doubtful]
+        signs = np.array([_exact_sign(points[cell]) for cell in vertices])
+        shape[doubtful] = shape[doubtful] & SHAPES["FLAT"] | (signs + 1).astype(np.uint8)
+        device.write(shapes, shape)
+    return shapes
 
 
 def _exact_sign(corners: np.ndarray) -> int:
@@ -155,69 +259,86 @@ def _exact_sign(corners: np.ndarray) -> int:
     return int(volume > 0) - int(volume < 0)
 
 
-def _bent(
-    points: np.ndarray, cells: np.ndarray, volume: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far vertices of each hexahedron are from the plane of their face, or outside
-    another face, at most; and its longest edge. `volume` is six times each volume."""
-    corners = points[cells]
-    way = np.where(volume < 0, -1.0, 1.0)
-    bent, size = np.zeros(len(cells)), np.zeros(len(cells))
-    for face in HEXAHEDRON_FACES:
-        a, b, c, d = (corners[:, i] for i in face)
-        for p, q in pairwise((a, b, c, d, a)):
-            size = np.maximum(size, length(q - p))
-        normal = cross(c - a, d - b) * way[:, None]
-        area = length(normal)
-        bent[area == 0] = np.inf
-        normal /= np.where(area == 0, 1, area)[:, None]
-        centre = (a + b + c + d) / 4
-        for i in range(8):
-            height = dot(corners[:, i] - centre, normal)
-            bent = np.maximum(bent, np.abs(height) if i in face else height)
-    return bent, size
+# ---- dropping
 
 
-def _conforming(
-    found: VolumeCells,
-    cells: np.ndarray,
-    source: np.ndarray,
-    sign: np.ndarray,
-    flat: np.ndarray,
-    repeated: np.ndarray,
-    winds: np.ndarray | bool = True,
-) -> ConformingMesh:
-    """Return the cells that are kept, turned over where the sign of their volume is negative, with
-    the vertices that they use and their neighbours.
+def _repeated(device: Device, cells: _Cells, points: int) -> Array:
+    """Return which cells have the vertices of an earlier cell, uint8."""
+    count, corners = cells.count, cells.corners
+    buckets, keys = device.empty(count, np.uint32), device.empty(count, np.uint64)
+    device.kernel(SOURCE, "key_cells")(count, cells.cells, corners, buckets, keys)
+    ends, keys, items = bucket_sort(buckets, keys, count, points)
+    repeated = device.empty(count, np.uint8)
+    device.kernel(SOURCE, "find_repeated")(count, cells.cells, corners, ends, keys, items, repeated)
+    return repeated
 
-    source : the number of each cell in `found`; winds : whether its winding means anything.
-    """
-    hexa = cells.shape[1] == 8
-    turned = sign < 0
-    cells[turned] = cells[turned][:, [4, 5, 6, 7, 0, 1, 2, 3] if hexa else [1, 0, 2, 3]]
-    kept = ~(repeated | flat | (sign == 0))
-    repeating = [(kind == "tetra", int(repeats(block).sum())) for kind, block in found.blocks]
+
+@dataclass(frozen=True, eq=False)
+class _Outcomes:
+    """What becomes of each cell, (N,) uint8; on the device too, with the places of those that stay,
+    the exclusive scan of their flags."""
+
+    on_host: np.ndarray
+    outcomes: Array
+    places: Array
+    kept: int
+
+
+def _judged(device: Device, cells: _Cells, shapes: Array, repeated: Array) -> _Outcomes:
+    """Return what becomes of cells."""
+    outcomes = device.empty(cells.count, np.uint8)
+    places = device.empty(cells.count + 1, np.uint32)
+    device.kernel(SOURCE, "judge")(cells.count, shapes, repeated, outcomes, places)
+    kept = exclusive_scan(places, cells.count)
+    return _Outcomes(outcomes.get(), outcomes, places, kept)
+
+
+def _report(blocks: list[_Block], outcomes: _Outcomes, ends: np.ndarray) -> dict[str, int]:
+    """Return the counts of what was dropped and turned. The cells of each block end at `ends`."""
+    parts = np.split(outcomes.on_host, ends[:-1])
+    counts = np.array([np.bincount(part, minlength=len(OUTCOMES)) for part in parts])
+    winds = [block.kind != "wedge" for block in blocks]  # programs wind wedges both ways
+    total = dict(zip(OUTCOMES, counts.sum(axis=0).tolist(), strict=True))
+    repeating = [(block.kind == "tetra", int(block.repeating.sum())) for block in blocks]
     coincident = sum(count for is_tetra, count in repeating if is_tetra)
-    report = {
-        **found.report,
+    return {
         "coincident": coincident,
         "collapsed": sum(count for is_tetra, count in repeating if not is_tetra),
-        "duplicates": int(np.count_nonzero(repeated)),
-        "zero_volume": coincident + int(np.count_nonzero((sign == 0) & ~repeated)),
-        "flat": int(np.count_nonzero(flat & (sign != 0) & ~repeated)),
-        "turned": int(np.count_nonzero(turned & kept & winds)),
+        "duplicates": total["DUPLICATE"],
+        "zero_volume": coincident + total["ZERO_VOLUME"],
+        "flat": total["TOO_FLAT"],
+        "turned": int(counts[winds, OUTCOMES.index("TURNED")].sum()),
     }
-    if not kept.any():
+
+
+def _kept(
+    device: Device,
+    found: VolumeCells,
+    merged: MergedPoints,
+    cells: _Cells,
+    outcomes: _Outcomes,
+    report: dict[str, int],
+) -> ConformingCells:
+    """Return the cells that stay, with the vertices that they use."""
+    kept, corners = outcomes.kept, cells.corners
+    if not kept:
         raise MeshError(f"{found.name}: all of its cells have zero volume: it has no inside")
-    cells, source = cells[kept], source[kept]
-    used = np.zeros(len(found.points), bool)
-    used[cells.ravel()] = True
-    if len(cells) > MAX_COUNT or np.count_nonzero(used) > MAX_COUNT:
-        raise MeshError(f"{found.name}: {len(cells):,} cells, at most {MAX_COUNT:,} fit: split it")
-    cells = (np.cumsum(used) - 1)[cells].astype(np.int32)
-    faces = np.array(HEXAHEDRON_FACES if hexa else TETRAHEDRON_FACES)
-    neighbours, counts = match_faces(cells, faces)
-    scalars = found.scalars[source] if found.constant else found.scalars[used]
-    return ConformingMesh(
-        found.points[used], cells, neighbours, scalars, found.constant, {**report, **counts}
+    points = len(merged.points)
+    found_cells, sources = device.empty(corners * kept, np.uint32), device.empty(kept, np.uint32)
+    numbers = device.zeros(points + 1, np.uint32)
+    device.kernel(SOURCE, "keep_cells")(
+        cells.count, cells.cells, corners, cells.sources, outcomes.outcomes, outcomes.places,
+        found_cells, sources, numbers,
+    )  # fmt: skip
+    used = numbers.get(0, points) != 0
+    exclusive_scan(numbers, points)
+    device.kernel(SOURCE, "renumber")(corners * kept, found_cells, numbers)
+    return ConformingCells(
+        merged.points[used],
+        found_cells,
+        corners,
+        kept,
+        merged.scalars[sources.take() if found.constant else used],
+        found.constant,
+        {**merged.report, **report},
     )

@@ -1,30 +1,53 @@
-"""Merging of points at one position, or within a distance of each other."""
+"""Merging of points at one position, or within a distance of each other.
+
+Kernels: kernels/tets/merge.cl.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.mesh.topology import components
+from voxtool.opencl.primitives import bucket_sort
 from voxtool.tets.mesh import VolumeCells, check_finite
 from voxtool.vector import dot
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from voxtool.opencl import Device
+
+SOURCE = "tets/merge.cl"
 MAX_PAIRS = 1 << 27  # pairs of points that are compared
 PAIRS = 1 << 22  # pairs that are compared at a time
 
 
-def merged_cells(
-    found: VolumeCells, merge_distance: float, max_pairs: int = MAX_PAIRS
-) -> VolumeCells:
-    """Return cells with the points that they use. Points at one position (-0.0 equals 0.0), or
-    within the merge distance directly or through others, become the first of them.
+@dataclass(frozen=True, eq=False)
+class MergedPoints:
+    """The points that cells use.
+
+    points : (P, 3) float64; scalars : (P,) float64, or one a cell.
+    numbers : uint32: for each point of the mesh, the number of the point that it became; undefined
+        for those that no cell uses.
+    report : counts of what was found and done: JSON types only.
+    """
+
+    points: np.ndarray
+    scalars: np.ndarray
+    numbers: np.ndarray
+    report: dict[str, Any]
+
+
+def merged_points(
+    device: Device, found: VolumeCells, merge_distance: float, max_pairs: int = MAX_PAIRS
+) -> MergedPoints:
+    """Return the points that cells use. Points at one position (-0.0 equals 0.0), or within the
+    merge distance directly or through others, become the first of them.
 
     merge_distance : world units; max_pairs : pairs of points that are compared at most.
 
@@ -40,13 +63,12 @@ def merged_cells(
     used = np.zeros(len(points), bool)
     for _, block in found.blocks:
         used[block.ravel()] = True
-    number = np.cumsum(used) - 1
     check_finite(found.name, points, used, "point", "the position")
     if not found.constant:
         check_finite(found.name, scalars, used, "point", found.scalar)
         scalars = scalars[used]
     points = points[used]
-    first = first_at_place(points)
+    first = first_at_place(device, points)
     if merge_distance > 0:
         first = first_within(points, first, merge_distance, max_pairs)
     other = 0 if found.constant else int(np.count_nonzero(scalars != scalars[first]))
@@ -56,18 +78,22 @@ def merged_cells(
         "merged_points": int(np.count_nonzero(first != np.arange(len(points)))),
         "merged_scalars": other,
     }
-    blocks = [(kind, first[number[block]]) for kind, block in found.blocks]
-    return replace(found, points=points, blocks=blocks, scalars=scalars, report=report)
+    numbers = np.zeros(len(used), np.uint32)
+    numbers[used] = first
+    return MergedPoints(points, scalars, numbers, report)
 
 
-def first_at_place(points: np.ndarray) -> np.ndarray:
+def first_at_place(device: Device, points: np.ndarray) -> np.ndarray:
     """Return the number of the first point at the position of each, (P,) int64; -0.0 equals 0.0."""
-    order = np.lexsort(points.T)  # stable, so the first of a run comes first
-    new = np.ones(len(order), bool)
-    new[1:] = (points[order[1:]] != points[order[:-1]]).any(axis=1)
-    first = np.empty(len(points), np.int64)
-    first[order] = order[np.maximum.accumulate(np.where(new, np.arange(len(order)), 0))]
-    return first
+    count = len(points)
+    bits = count.bit_length()  # about as many buckets as points
+    at = device.put(points)
+    buckets, keys = device.empty(count, np.uint32), device.empty(count, np.uint64)
+    device.kernel(SOURCE, "key_points")(count, at, 64 - bits, buckets, keys)
+    _, keys, items = bucket_sort(buckets, keys, count, 1 << bits)
+    first = device.empty(count, np.uint32)
+    device.kernel(SOURCE, "first_points")(count, at, keys, items, first)
+    return first.take().astype(np.int64)
 
 
 def first_within(

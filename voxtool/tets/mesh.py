@@ -11,6 +11,7 @@ import numpy as np
 from voxtool.errors import MeshError, count_of
 from voxtool.tets.cells import CORNERS
 
+MAX_COUNT = (1 << 31) - 1  # points, cells and vertices: indices are int32
 FLAT = ("vertex", "line", "triangle", "quad", "polygon", "pixel")  # and their curved forms
 
 
@@ -49,18 +50,16 @@ class UnstructuredMesh:
 
 @dataclass(frozen=True, eq=False)
 class ConformingMesh:
-    """Cells of one kind, positively oriented, none flat, none twice, matched across their faces.
+    """Cells of one kind, positively oriented, none flat, none twice.
 
     vertices : (V, 3) float64, world units; each is in a cell.
     cells : (T, 4) int32, tetrahedra; or (T, 8), hexahedra.
-    neighbours : (T, 4 or 6) int32: the cell across each face, -1 where there is none.
     scalars : (V,) float64, or (T,) where `constant`, that is, where each cell has one scalar.
     report : counts of what was found and done: JSON types only.
     """
 
     vertices: np.ndarray
     cells: np.ndarray
-    neighbours: np.ndarray
     scalars: np.ndarray
     constant: bool
     report: dict[str, Any]
@@ -71,7 +70,7 @@ class VolumeCells:
     """The volume cells of a mesh.
 
     points : (P, 3) float64.
-    blocks : kinds and corners of cells, (N, k) int64 each.
+    blocks : kinds and corners of cells, (N, k) uint32 each.
     scalars : (P,) float64; or, where `constant`, one for each cell of the blocks.
     scalar, name : names of the scalar and of the mesh, for messages.
     report : counts of what was found and done: JSON types only.
@@ -97,6 +96,8 @@ def volume_cells(mesh: UnstructuredMesh) -> VolumeCells:
     points = np.asarray(mesh.points, np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise MeshError(f"{name}: points of shape {points.shape}: give (P, 3)")
+    if len(points) > MAX_COUNT:
+        raise MeshError(f"{name}: {len(points):,} points, at most {MAX_COUNT:,} fit: split it")
     read, ignored, curved, blocks, values = Counter(), Counter(), 0, [], []
     for number, (kind, block) in enumerate(mesh.cells):
         if not is_volume(kind, block):
@@ -135,7 +136,7 @@ def plain(kind: str) -> str:
 
 
 def _corners(name: str, kind: str, block: np.ndarray, points: int) -> np.ndarray:
-    """Return the corners of cells, which are the first points of each, (N, corners) int64."""
+    """Return the corners of cells, which are the first points of each, (N, corners) uint32."""
     count = CORNERS.get(plain(kind))
     if count is None:
         raise MeshError(
@@ -147,14 +148,14 @@ def _corners(name: str, kind: str, block: np.ndarray, points: int) -> np.ndarray
             f"{name}: {kind} cells of shape {block.shape} and type {block.dtype}: give whole "
             f"numbers (N, {count})"
         )
-    bad = (block < 0) | (block >= points)
-    if bad.any():
+    if int(block.min()) < 0 or int(block.max()) >= points:
+        bad = (block < 0) | (block >= points)
         cell = int(np.argmax(bad.any(axis=1)))
         raise MeshError(
             f"{name}: {kind} {cell} names point {block[cell][bad[cell]][0]} where there are "
             f"{points}, both counted from 0: correct the index, or the file is truncated"
         )
-    return block[:, :count].astype(np.int64)
+    return block[:, :count].astype(np.uint32)
 
 
 def _cell_scalars(
@@ -173,7 +174,10 @@ def _cell_scalars(
 
 def check_finite(name: str, values: np.ndarray, used: np.ndarray, noun: str, what: str) -> None:
     """Raise MeshError if a value that volume cells use is not finite."""
-    finite = np.isfinite(values) if values.ndim == 1 else np.isfinite(values).all(axis=1)
+    finite = np.isfinite(values)
+    if finite.all():
+        return
+    finite = finite if values.ndim == 1 else finite.all(axis=1)
     bad = used & ~finite
     if bad.any():
         first = int(np.argmax(bad))

@@ -11,8 +11,9 @@ from voxtool.tets.cells import PIECES
 from voxtool.tets.merge import MAX_PAIRS
 
 CELL_BYTES = {"raycast": 116, "projection": 104, "hexahedra": 186}  # of its textures, with vertices
-WORK_BYTES = {"raycast": 560, "projection": 560, "hexahedra": 2400}  # at most about: measured
+WORK_BYTES = {"raycast": 300, "projection": 280, "hexahedra": 620}  # at most about: measured
 POINT_BYTES = 150  # of a point, while coincident ones are merged
+PLANE_BYTES = {"raycast": 64, "projection": 48, "hexahedra": 96}  # of a cell's planes
 
 
 @dataclass(frozen=True)
@@ -37,7 +38,12 @@ class VolumePlan:
     def stages(self) -> list[str]:
         """The stages that will run, in order."""
         cells = "hexahedra" if self.layout == "hexahedra" else "tetrahedra"
-        return [cells, "order", "planes", "gradients"]
+        return [cells, "order", "neighbours", "planes", "gradients"]
+
+    @property
+    def floats(self) -> int:
+        """Floats of a plane, and of a gradient."""
+        return 3 if self.layout == "projection" else 4
 
     @property
     def left_out(self) -> dict[str, str]:
@@ -70,9 +76,12 @@ class VolumePlan:
 
     @property
     def cost(self) -> Cost:
-        """The approximate peak of memory, on the host."""
-        work = WORK_BYTES[self.layout] * self.predicted_cells
-        return Cost(0, host=work + POINT_BYTES * self.points)
+        """The approximate peak of memory, the textures included."""
+        cells = self.predicted_cells
+        return Cost(
+            device=WORK_BYTES[self.layout] * cells + POINT_BYTES * self.points,
+            largest=PLANE_BYTES[self.layout] * cells,
+        )
 
     def scene(self) -> dict[str, Any]:
         """Return the part of the plan that is stored with the output, in JSON types."""
@@ -87,7 +96,7 @@ class VolumePlan:
             **self.scene(),
             "predicted_cells": self.predicted_cells,
             "predicted_volume_bytes": self.volume_bytes,
-            "predicted_work_bytes": self.cost.host,
+            "predicted_device_bytes": self.cost.device,
         }
 
     def rows(self) -> list[tuple[str, str]]:
@@ -100,13 +109,13 @@ class VolumePlan:
         ]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if the work needs more bytes than max_memory; the message says
-        how many cells fit. There is no limit to an allocation on the host."""
-        needed = self.cost.host
-        if needed > max_memory:
-            fits = self.predicted_cells * max_memory // needed
+        """Raise MemoryLimitError if the work needs more bytes than these, in total or in one
+        buffer; the message says how many cells fit."""
+        cost = self.cost
+        if shortage := cost.shortage(max_memory, max_allocation):
+            share = min(max_memory / cost.device, max_allocation / cost.largest)
             raise MemoryLimitError(
-                f"{self.predicted_cells:,} cells would need {human(needed)} of memory, of "
-                f"{human(max_memory)} allowed: about {fits:,} fit; cut the mesh into parts, or see "
+                f"{self.predicted_cells:,} cells {shortage}: about "
+                f"{int(share * self.predicted_cells):,} fit; cut the mesh into parts, or see "
                 "--max-memory"
             )

@@ -3,30 +3,41 @@
 Everything is computed in float64, in local coordinates, and rounded to float32 once. The plane of a
 face is computed from its vertices in one order, whichever cell has the face; the cell on the other
 side has the negated plane.
+
+Kernels: kernels/tets/textures.cl.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from voxtool.choices import LAYOUTS
 from voxtool.errors import MeshError, VoxtoolError
 from voxtool.job import Job
-from voxtool.morton import morton_encode
-from voxtool.tets.cells import loops
-from voxtool.tets.conforming import hexahedra, tetrahedra
-from voxtool.tets.mesh import ConformingMesh, UnstructuredMesh, VolumeCells, volume_cells
+from voxtool.opencl import Device, default_device, program
+from voxtool.opencl.primitives import bucket_sort, exclusive_scan
+from voxtool.tets.conforming import ConformingCells, hexahedra, tetrahedra
+from voxtool.tets.mesh import UnstructuredMesh, VolumeCells, volume_cells
+from voxtool.tets.neighbours import FACES, match_faces
 from voxtool.tets.plan import VolumePlan
-from voxtool.tets.volume import FACES, TetVolume
-from voxtool.vector import cross, dot, length, triple
+from voxtool.tets.volume import BLOCK, TetVolume
+from voxtool.vector import triple
 
+if TYPE_CHECKING:
+    from voxtool.opencl import Array
+
+SOURCE = "tets/textures.cl"
 MORTON_BITS = 21  # of each coordinate of a centroid
 LEAST = 2.0**-126  # some devices round smaller numbers of float32 to 0
+
+HEADERS = {
+    "tets/order.h": program.c_constants(MORTON_BITS=MORTON_BITS) + f"\n#define LEAST {LEAST.hex()}"
+}
 
 
 def build_tet(
@@ -34,10 +45,11 @@ def build_tet(
     layout: str = "raycast",
     merge_distance: float = 0.0,
     *,
+    device: Device | None = None,
     max_memory: int | None = None,
 ) -> TetVolume:
     """Return the volume of a mesh; see voxtool.build_tet."""
-    return plan_tet(mesh, layout, merge_distance, max_memory=max_memory).run()
+    return plan_tet(mesh, layout, merge_distance, device=device, max_memory=max_memory).run()
 
 
 def plan_tet(
@@ -45,6 +57,7 @@ def plan_tet(
     layout: str = "raycast",
     merge_distance: float = 0.0,
     *,
+    device: Device | None = None,
     max_memory: int | None = None,
 ) -> VolumeJob:
     """Return the job of the volume of a mesh; see voxtool.build_tet."""
@@ -56,66 +69,77 @@ def plan_tet(
             "scalars of vertices: use --layout raycast"
         )
     found = volume_cells(mesh)
+    device = device or default_device()
+    device.require_float64("the textures of volumes")
     cells: Counter[str] = Counter()
     for kind, block in found.blocks:
         cells[kind] += len(block)
     ignored, points = found.report["ignored"], len(found.points)
     plan = VolumePlan(layout, merge_distance, dict(cells), ignored, points, mesh.constant)
-    return VolumeJob(mesh, found, plan, max_memory)
+    return VolumeJob(mesh, found, plan, device, max_memory)
 
 
 class VolumeJob(Job[TetVolume]):
     """A planned volume; `run` returns a TetVolume."""
 
-    device = None
+    device: Device
     plan: VolumePlan
 
     def __init__(
-        self, mesh: UnstructuredMesh, found: VolumeCells, plan: VolumePlan, max_memory: int | None
+        self,
+        mesh: UnstructuredMesh,
+        found: VolumeCells,
+        plan: VolumePlan,
+        device: Device,
+        max_memory: int | None,
     ) -> None:
-        self.mesh, self.found, self.plan, self.max_memory = mesh, found, plan, max_memory
+        self.mesh, self.found, self.plan = mesh, found, plan
+        self.device, self.max_memory = device, max_memory
 
     def _run(self) -> TetVolume:
         plan = self.plan
-        with self.stage(plan.stages[0]):
-            conforming = hexahedra if plan.layout == "hexahedra" else tetrahedra
-            cells = conforming(self.found, plan.merge_distance, plan.max_pairs)
-        with self.stage("order"):
-            frame = _frame(cells, self.found)
-            local = _ordered(frame.localised(cells))
-        with self.stage("planes"):
-            vertices = np.zeros((len(local.vertices), 4), np.float32)
-            vertices[:, :3] = _float32(local.vertices)
-            if not local.constant:
-                vertices[:, 3] = _float32(local.scalars)
-            normals, plane_error = _planes(local, vertices, plan.layout)
-        with self.stage("gradients"):
-            gradients, scalar_error = _gradients(local, vertices)
+        conforming, order, neighbours, planes, gradients = plan.stages
+        with self.stage(conforming):
+            conform = hexahedra if plan.layout == "hexahedra" else tetrahedra
+            found = conform(self.device, self.found, plan.merge_distance, plan.max_pairs)
+        with self.stage(order):
+            frame = _frame(found, self.found)
+            cells = _ordered(self.device, found, frame, plan.floats)
+        report = found.report
+        del found  # frees its cells
+        with self.stage(neighbours):
+            across, counts = match_faces(cells.cells, cells.corners, cells.count, cells.points)
+        with self.stage(planes):
+            normals, plane_error = _planes(cells)
+        with self.stage(gradients):
+            slopes, scalar_error = _gradients(cells)
+            ranges = _ranges(cells, slopes)
         errors = {"plane_error": plane_error, "scalar_error": scalar_error}
-        return self._volume(frame, local, vertices, normals, gradients, errors)
+        textures = {"neighbours": across, "normals": normals, "gradients": slopes, "ranges": ranges}
+        return self._volume(frame, cells, textures, {**report, **counts}, errors)
 
     def _volume(
         self,
         frame: Frame,
-        local: ConformingMesh,
-        vertices: np.ndarray,
-        normals: np.ndarray,
-        gradients: np.ndarray,
+        cells: OrderedCells,
+        textures: dict[str, Array],
+        counts: dict[str, Any],
         errors: dict[str, float],
     ) -> TetVolume:
         """Return the volume that holds the textures."""
-        mesh, projection = self.mesh, self.plan.layout == "projection"
-        floats = 3 if projection else 4
-        outside = int(np.count_nonzero(local.neighbours < 0))
-        volume = TetVolume(
+        mesh, floats, faces = self.mesh, self.plan.floats, FACES[cells.corners]
+        found = {name: array.take() for name, array in textures.items()}
+        numbers = cells.cells.take().view(np.int32).reshape(-1, cells.corners)
+        outside = int(np.count_nonzero(found["neighbours"] < 0))
+        return TetVolume(
             self.plan.layout,
-            vertices,
-            local.cells,
-            local.neighbours,
-            normals[:, :, :floats].copy(),
-            gradients[:, :floats].copy(),
-            local.cells[:, :2].copy() if projection else None,
-            np.zeros((0, 2), np.float32),
+            cells.vertices.take().reshape(-1, 4),
+            numbers,
+            found["neighbours"].reshape(-1, faces),
+            found["normals"].reshape(faces, -1, floats),
+            found["gradients"].reshape(-1, floats),
+            numbers[:, :2].copy() if self.plan.layout == "projection" else None,
+            found["ranges"].reshape(-1, 2),
             triple(frame.origin),
             frame.scale,
             (frame.low, frame.high),
@@ -124,9 +148,8 @@ class VolumeJob(Job[TetVolume]):
             mesh.units,
             mesh.source_sha256,
             self.plan.scene(),
-            {**local.report, "boundary_faces": outside, **errors},
+            {**counts, "boundary_faces": outside, **errors},
         )
-        return replace(volume, ranges=volume.block_ranges())
 
 
 class Frame(NamedTuple):
@@ -137,13 +160,16 @@ class Frame(NamedTuple):
     low: float
     high: float
 
-    def localised(self, mesh: ConformingMesh) -> ConformingMesh:
-        """Return a mesh in local coordinates, with normalised scalars."""
-        scalars = (mesh.scalars - self.low) / ((self.high - self.low) or 1.0)
-        return replace(mesh, vertices=(mesh.vertices - self.origin) / self.scale, scalars=scalars)
+    def local(self, points: np.ndarray) -> np.ndarray:
+        """Return points in local coordinates."""
+        return (points - self.origin) / self.scale
+
+    def normalised(self, scalars: np.ndarray) -> np.ndarray:
+        """Return scalars in [0, 1]."""
+        return (scalars - self.low) / ((self.high - self.low) or 1.0)
 
 
-def _frame(mesh: ConformingMesh, found: VolumeCells) -> Frame:
+def _frame(mesh: ConformingCells, found: VolumeCells) -> Frame:
     """Return the frame that brings a mesh into [-1, 1] around its middle, by a power of two.
 
     Raises
@@ -169,93 +195,109 @@ def _frame(mesh: ConformingMesh, found: VolumeCells) -> Frame:
     return Frame(origin, scale, least, most)
 
 
-def _float32(values: np.ndarray) -> np.ndarray:
-    """Return values rounded to float32; those below LEAST become 0."""
-    return np.where(np.abs(values) < LEAST, 0.0, values).astype(np.float32)
+@dataclass(frozen=True, eq=False)
+class OrderedCells:
+    """Cells along the Morton curve of their centroids, and vertices in the order of first use.
+
+    cells : uint32, the `corners` vertices of each of `count` cells.
+    placed : float64, local position and normalised scalar (0 where `constant`) of each of `points`.
+    vertices : float32, the same, rounded.
+    scalars : float64, the normalised scalar of each cell where these are constant, else none; and
+        items : uint32, the place in it of each cell.
+    options : -D options of the kernels.
+    """
+
+    cells: Array
+    corners: int
+    count: int
+    placed: Array
+    vertices: Array
+    points: int
+    scalars: Array
+    items: Array
+    options: dict[str, int | str]
+
+    @property
+    def device(self) -> Device:
+        return self.cells.device
+
+    @property
+    def constant(self) -> bool:
+        """True if each cell has one scalar."""
+        return "CONSTANT" in self.options
+
+    def run(self, kernel: str, size: int, *arguments: Any) -> None:
+        """Launch a kernel of textures.cl."""
+        self.device.kernel(SOURCE, kernel, **self.options)(size, *arguments)
 
 
-def _ordered(mesh: ConformingMesh) -> ConformingMesh:
-    """Return a mesh with its cells along the Morton curve of their centroids, and its vertices in
-    the order of their first use."""
-    count = mesh.cells.shape[1]
-    centroid = sum(mesh.vertices[mesh.cells[:, i]] for i in range(count)) / count
-    place = ((centroid + 1) * 2.0 ** (MORTON_BITS - 1)).astype(np.int64)
-    order = np.argsort(morton_encode(place.clip(0, (1 << MORTON_BITS) - 1)), kind="stable")
-    rank = np.full(len(mesh.cells) + 1, -1, np.int32)  # the last is for -1, no cell
-    rank[order] = np.arange(len(order))
-    cells = mesh.cells[order]
-    used, first = np.unique(cells, return_index=True)
-    vertices = used[np.argsort(first)]
-    number = np.zeros(len(mesh.vertices), np.int32)
-    number[vertices] = np.arange(len(vertices))
-    return replace(
-        mesh,
-        vertices=mesh.vertices[vertices],
-        cells=number[cells],
-        neighbours=rank[mesh.neighbours[order]],
-        scalars=mesh.scalars[order if mesh.constant else vertices],
+def _ordered(device: Device, mesh: ConformingCells, frame: Frame, floats: int) -> OrderedCells:
+    """Return cells in order, in local coordinates."""
+    points, corners, count = len(mesh.vertices), mesh.corners, mesh.count
+    options: dict[str, int | str] = {"CORNERS": corners, "FLOATS": floats}
+    options |= {"CONSTANT": 1} if mesh.constant else {}
+    local = np.zeros((points, 4))
+    local[:, :3] = frame.local(mesh.vertices)
+    scalars = frame.normalised(mesh.scalars)
+    if not mesh.constant:
+        local[:, 3], scalars = scalars, scalars[:0]
+    cells = OrderedCells(
+        device.empty(corners * count, np.uint32), corners, count,
+        device.empty(4 * points, np.float64), device.empty(4 * points, np.float32), points,
+        device.put(scalars), _morton_order(device, mesh, local, options), options,
+    )  # fmt: skip
+    first = device.put(np.full(points, 0xFFFFFFFF, np.uint32))
+    cells.run("order_cells", count, mesh.cells, cells.items, cells.cells, first)
+    numbers = device.empty(corners * count + 1, np.uint32)
+    cells.run("flag_first", corners * count, cells.cells, first, numbers)
+    exclusive_scan(numbers, corners * count)
+    cells.run("renumber_corners", corners * count, cells.cells, first, numbers)
+    cells.run(
+        "place_points", points, device.put(local), first, numbers, cells.placed, cells.vertices
     )
+    return cells
 
 
-def _planes(mesh: ConformingMesh, vertices: np.ndarray, layout: str) -> tuple[np.ndarray, float]:
-    """Return normal and offset of each face, (F, T, 4) float32, and the largest distance of a
-    face's vertex, in float32, from its plane.
-
-    The offset is midway between those of the outermost and the innermost vertex of the face.
-    """
-    normals, error = np.empty((len(FACES[layout]), len(mesh.cells), 4), np.float32), 0.0
-    for face, plane in zip(FACES[layout], normals, strict=True):
-        loop, backward = (found[:, 0] for found in loops(mesh.cells, np.array([face])))
-        corners = [mesh.vertices[k] for k in loop.T]
-        normal = cross(corners[2] - corners[0], corners[-1] - corners[1])
-        plane[:, :3] = _float32(normal / length(normal)[:, None])
-        heights = [_height(plane, corner) for corner in corners]
-        plane[:, 3] = _float32(-_middle(heights))
-        for k in loop.T:
-            height = _height(plane, vertices[k, :3].astype(np.float64)) + plane[:, 3]
-            error = max(error, float(np.abs(height).max()))
-        plane[backward] *= -1
-    return normals, error
+def _morton_order(
+    device: Device, mesh: ConformingCells, local: np.ndarray, options: dict[str, int | str]
+) -> Array:
+    """Return the cells along the Morton curve of their centroids, uint32."""
+    count = mesh.count
+    bits = min(count.bit_length(), 3 * MORTON_BITS)  # about as many buckets as cells
+    buckets, keys = device.empty(count, np.uint32), device.empty(count, np.uint64)
+    device.kernel(SOURCE, "key_centroids", **options)(
+        count, mesh.cells, device.put(local), 3 * MORTON_BITS - bits, buckets, keys
+    )
+    return bucket_sort(buckets, keys, count, 1 << bits)[2]
 
 
-def _height(plane: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Return the dot products of normals, or gradients, in float32 with points, (T,) float64."""
-    return dot(plane[:, :3].astype(np.float64), points)
+def _planes(cells: OrderedCells) -> tuple[Array, float]:
+    """Return the planes of each face, and the largest distance of a face's vertex, in float32, from
+    its plane."""
+    floats, count = int(cells.options["FLOATS"]), cells.count
+    normals = cells.device.empty(FACES[cells.corners] * count * floats, np.float32)
+    errors = cells.device.empty(count, np.float64)
+    cells.run("find_planes", count, cells.cells, cells.placed, cells.vertices, normals, errors)
+    return normals, float(errors.take().max())
 
 
-def _middle(values: list[np.ndarray]) -> np.ndarray:
-    """Return the middle between the least and the largest of several values, element by element."""
-    return (np.min(values, axis=0) + np.max(values, axis=0)) / 2
-
-
-def _slopes(mesh: ConformingMesh) -> np.ndarray:
-    """Return the gradient of the scalar in each tetrahedron, by the inverse of its edges, (T, 3)
-    float64."""
-    points, scalars = mesh.vertices[mesh.cells], mesh.scalars[mesh.cells]
-    edges = [points[:, i] - points[:, 0] for i in (1, 2, 3)]
-    normals = [cross(edges[(i + 1) % 3], edges[(i + 2) % 3]) for i in range(3)]
-    slopes = np.zeros((len(mesh.cells), 3))
-    for i, normal in enumerate(normals):
-        slopes += (scalars[:, i + 1] - scalars[:, 0])[:, None] * normal
-    return slopes / dot(edges[0], normals[0])[:, None]
-
-
-def _gradients(mesh: ConformingMesh, vertices: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return gradient and scalar term of each cell, (T, 4) float32, and the largest difference of
-    a cell's scalar at a vertex from that of the vertex in float32.
-
-    The scalar term is midway between those by which the cell has the scalars of its vertices.
-    """
-    gradients = np.zeros((len(mesh.cells), 4), np.float32)
-    if mesh.constant:
-        gradients[:, 3] = _float32(mesh.scalars)
+def _gradients(cells: OrderedCells) -> tuple[Array, float]:
+    """Return gradient and scalar term of each cell, and the largest difference of a cell's scalar
+    at a vertex from that of the vertex in float32."""
+    count = cells.count
+    gradients = cells.device.empty(int(cells.options["FLOATS"]) * count, np.float32)
+    if cells.constant:
+        cells.run("find_gradients", count, cells.scalars, cells.items, gradients)
         return gradients, 0.0
-    gradients[:, :3] = _float32(_slopes(mesh))
-    terms = [mesh.scalars[k] - _height(gradients, mesh.vertices[k]) for k in mesh.cells.T]
-    gradients[:, 3] = _float32(_middle(terms))
-    error = 0.0
-    for k in mesh.cells.T:
-        corner = vertices[k].astype(np.float64)
-        value = _height(gradients, corner[:, :3]) + gradients[:, 3]
-        error = max(error, float(np.abs(value - corner[:, 3]).max()))
-    return gradients, error
+    errors = cells.device.empty(count, np.float64)
+    cells.run("find_gradients", count, cells.cells, cells.placed, cells.vertices, gradients, errors)
+    return gradients, float(errors.take().max())
+
+
+def _ranges(cells: OrderedCells, gradients: Array) -> Array:
+    """Return the range of normalised scalars of each block of cells."""
+    blocks = -(-cells.count // BLOCK)
+    ranges = cells.device.empty(2 * blocks, np.float32)
+    scalars = gradients if cells.constant else cells.vertices
+    cells.run("find_ranges", blocks, cells.cells, cells.count, scalars, ranges)
+    return ranges
