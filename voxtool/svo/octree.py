@@ -15,6 +15,7 @@ import contextlib
 import math
 import operator
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -243,7 +244,7 @@ class Octree(Data):
                 codes = descend(codes[level.refined])
         return found
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Number of set voxels."""
         return sum(self.count_by_level().values())

@@ -83,8 +83,7 @@ __kernel void place_means(__global const uint *codes, TILES, SAMPLES, __global c
         const uint step = LOOP_STEPS[12 * found + i], edge = step & STEP_EDGE;
         const uint j = EDGE_CORNER[edge], axis = edge >> 2;
         const ulong begin = corner_cell(cell, j);
-        const uint slot = slot_of(present, ranks, begin >> 6);
-        const int t = crossing(THESE_TILES, THESE_SAMPLES, begin, slot, axis, found >> j & 1);
+        const int t = crossing_of(THESE_TILES, THESE_SAMPLES, begin, axis, found >> j & 1);
         sum += place_in_tile(j) * LATTICE + unit_of(axis) * t;
         ++edges;
         if (step & STEP_LAST) {

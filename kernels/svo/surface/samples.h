@@ -11,40 +11,65 @@
     __global const uint *source, __global const SAMPLE *samples, const uint full,                  \
         const ulong isovalue
 #define THESE_SAMPLES source, samples, full, isovalue
+#endif
 
-// The number of occupied voxels in a sample; `slot` is its tile's slot, or NOWHERE.
-uint coverage_of(TILES, SAMPLES, ulong cell, uint slot)
+// The samples of a tile; `each` is their coverages unless all are alike, or the mask of voxels.
+#ifdef VOXELS
+typedef ulong tile_samples;
+typedef uint difference; // of coverages, in units of `isovalue`
+
+tile_samples samples_of(TILES, SAMPLES, ulong tile) { return mask_of(THESE_TILES, tile); }
+
+uint coverage_at(tile_samples tile, uint place) { return (uint)(tile >> place & 1); }
+#else
+typedef struct {
+    __global const SAMPLE *each;
+    uint all;
+} tile_samples;
+typedef DIFFERENCE difference; // of coverages, in units of `isovalue`
+
+tile_samples samples_of(TILES, SAMPLES, ulong tile)
 {
-    const ulong tile = cell >> 6;
+    const uint slot = tile >> 6 < words ? slot_of(present, ranks, tile) : NOWHERE;
+    tile_samples found = {0, 0};
     if (slot == NOWHERE)
-        return tile >> 6 < words && (inside[tile >> 6] >> (tile & 63) & 1) ? full : 0;
-    if (source[slot] == NOWHERE)
-        return masks[slot] & 1 ? full : 0;
-    return samples[64 * (size_t)source[slot] + (cell & 63)];
+        found.all = tile >> 6 < words && (inside[tile >> 6] >> (tile & 63) & 1) ? full : 0;
+    else if (source[slot] == NOWHERE)
+        found.all = masks[slot] & 1 ? full : 0;
+    else
+        found.each = samples + 64 * (size_t)source[slot];
+    return found;
+}
+
+uint coverage_at(tile_samples tile, uint place)
+{
+    return tile.each ? tile.each[place] : tile.all;
 }
 #endif
 
 // Clamps positions along axes away from both ends of an edge.
 int3 within(int3 t) { return clamp(t, (int3)(NEAREST), (int3)(LATTICE - NEAREST)); }
 
-// The position, in LATTICE units per edge, where the edge from a cell along an axis crosses the
-// surface: t = (iso - a) / (b - a) from the outside sample, rounded once and clamped away from both
-// ends. The cell's tile has a slot.
-int crossing(TILES, SAMPLES, ulong cell, uint slot, uint axis, bool cell_is_inside)
+// The position, in LATTICE units per edge, where an edge crosses the surface, by the coverages of its
+// two samples: t = (iso - a) / (b - a) from the outside sample, rounded once and clamped away from
+// both ends.
+int crossing(uint here, uint beyond, ulong isovalue, bool is_inside)
 {
-#ifdef VOXELS
-    const ulong outer = 0, inner = 1;
-#else
-    const ulong next = step_up(cell, axis), tile = next >> 6;
-    uint next_slot = slot;
-    if (tile != cell >> 6)
-        next_slot = tile >> 6 < words ? slot_of(present, ranks, tile) : NOWHERE;
-    const uint here = coverage_of(THESE_TILES, THESE_SAMPLES, cell, slot);
-    const uint beyond = coverage_of(THESE_TILES, THESE_SAMPLES, next, next_slot);
-    const ulong outer = cell_is_inside ? beyond : here, inner = cell_is_inside ? here : beyond;
-#endif
-    const ulong above = isovalue - (outer << 16), range = (inner - outer) << 16;
-    const long t = (long)((2 * above * LATTICE + range) / (2 * range));
-    const int kept = within((int)t).x;
-    return cell_is_inside ? LATTICE - kept : kept;
+    const uint outer = is_inside ? beyond : here, inner = is_inside ? here : beyond;
+    const difference above = (difference)isovalue - ((difference)outer << 16);
+    const difference half_step = (difference)(inner - outer) << (15 - LATTICE_BITS);
+    const int kept = within((int)((above + half_step) / (2 * half_step))).x;
+    return is_inside ? LATTICE - kept : kept;
+}
+
+// The same of the edge that starts at a cell.
+int crossing_of(TILES, SAMPLES, ulong cell, uint axis, bool is_inside)
+{
+    const ulong end = step_up(cell, axis);
+    const tile_samples own = samples_of(THESE_TILES, THESE_SAMPLES, cell >> 6);
+    tile_samples next = own;
+    if (end >> 6 != cell >> 6)
+        next = samples_of(THESE_TILES, THESE_SAMPLES, end >> 6);
+    const uint here = coverage_at(own, cell & 63), beyond = coverage_at(next, end & 63);
+    return crossing(here, beyond, isovalue, is_inside);
 }

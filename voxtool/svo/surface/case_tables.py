@@ -202,14 +202,22 @@ def _header(constants: dict[str, int], tables: dict[str, np.ndarray]) -> str:
 
 
 def _primal_header() -> str:
-    """Return the tables of marching cubes as OpenCL constants; an edge of a triangle is the corner
-    where it begins, plus 8 times its axis."""
+    """Return the tables of marching cubes as OpenCL constants: the cut edges of each case, each
+    the corner where it begins plus 8 times its axis; and triangles, by the places of their edges
+    among these."""
     triangles = triangle_table()
     begin_and_axis = np.array([low | edge // 4 << 3 for edge, (low, _) in enumerate(EDGES)])
-    used = triangles != NO_EDGE
+    edges = np.full((CASES, 12), NO_EDGE, np.uint8)
+    places = np.full_like(triangles, NO_EDGE)
+    for case, row in enumerate(triangles):
+        cut = np.unique(row[row != NO_EDGE])
+        edges[case, : len(cut)] = begin_and_axis[cut]
+        places[case] = np.where(row == NO_EDGE, NO_EDGE, np.searchsorted(cut, row))
     tables = {
-        "TRIANGLE_COUNT": np.count_nonzero(used, axis=1) // 3,
-        "TRIANGLES": np.where(used, begin_and_axis[np.where(used, triangles, 0)], NO_EDGE),
+        "TRIANGLE_COUNT": np.count_nonzero(triangles != NO_EDGE, axis=1) // 3,
+        "TRIANGLES": places,
+        "EDGE_COUNT": np.count_nonzero(edges != NO_EDGE, axis=1),
+        "EDGES": edges,
     }
     return _header({"MAX_TRIANGLES": MAX_TRIANGLES}, tables)
 

@@ -17,8 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from fractions import Fraction
-from math import ceil
 from typing import Any
 
 import numpy as np
@@ -50,8 +48,8 @@ class Sampling:
     def of(cls, level: int | str, isovalue: float) -> Sampling:
         """Return the sampling of a level, or "voxel", and an isovalue in (0, 1)."""
         sampling = cls(VOXEL if isinstance(level, str) else level, 0)
-        scale = sampling.full << ISOVALUE_BITS
-        return replace(sampling, isovalue=min(max(round(Fraction(isovalue) * scale), 1), scale))
+        scale = sampling.full << ISOVALUE_BITS  # a power of two: the product is exact
+        return replace(sampling, isovalue=min(max(round(isovalue * scale), 1), scale))
 
     @property
     def side(self) -> int:
@@ -66,7 +64,7 @@ class Sampling:
     @property
     def threshold(self) -> int:
         """The least number of set voxels of a sample that is inside."""
-        return ceil(Fraction(self.isovalue, 1 << ISOVALUE_BITS))
+        return -(-self.isovalue >> ISOVALUE_BITS)
 
     @property
     def options(self) -> dict[str, int | str]:
@@ -74,8 +72,8 @@ class Sampling:
         if self.level == VOXEL:
             return {"VOXELS": 1}
         if self.level == 0:
-            return {"SAMPLE": "uchar", "COVERAGE": "ulong"}
-        return {"SAMPLE": "uint", "COVERAGE": "uint"}
+            return {"SAMPLE": "uchar", "COVERAGE": "ulong", "DIFFERENCE": "uint"}
+        return {"SAMPLE": "uint", "COVERAGE": "uint", "DIFFERENCE": "ulong"}
 
 
 @dataclass(frozen=True)
@@ -87,7 +85,7 @@ class Tree:
     """
 
     children: np.ndarray  # the nodes' `child` words, root first
-    offsets: np.ndarray  # the first node of each level in them, and their end
+    offsets: list[int]  # the first node of each level in them, and their end
     bricks: int  # number of bricks
     shift: int  # voxels from the root's corner to the octree's, along each axis
 
@@ -98,16 +96,18 @@ class Tree:
 
     def first(self, level: int) -> int:
         """Return the first node of a level in `children`."""
-        return int(self.offsets[self.top - level])
+        return self.offsets[self.top - level]
 
     def nodes(self, level: int) -> int:
         """Return the number of nodes of a level."""
-        return int(np.diff(self.offsets)[self.top - level]) if level else self.bricks
+        if not level:
+            return self.bricks
+        return self.offsets[self.top - level + 1] - self.offsets[self.top - level]
 
 
 def grow_tree(octree: Octree, sampling: Sampling) -> Tree:
     """Return the octree's links, with roots added above its own where they are needed."""
-    offsets = octree.offsets[:-1].astype(np.int64)
+    offsets = octree.offsets[:-1].tolist()
     children = np.ascontiguousarray(octree.nodes["child"][: offsets[-1]])
     tree = Tree(children, offsets, len(octree.bricks), 0)
     if _touches_low_sides(tree, octree.bricks, sampling):
@@ -122,7 +122,8 @@ def _with_root(tree: Tree, octant: int) -> Tree:
     siblings = np.zeros(8, np.uint32)
     siblings[octant] = tree.children[0]
     children = np.concatenate([np.array([VALID], np.uint32), siblings, tree.children[1:]])
-    return replace(tree, children=children, offsets=np.append([0, 1], tree.offsets[1:] + 8))
+    offsets = [0, 1, *(offset + 8 for offset in tree.offsets[1:])]
+    return replace(tree, children=children, offsets=offsets)
 
 
 def _touches_low_sides(tree: Tree, bricks: np.ndarray, sampling: Sampling) -> bool:
@@ -297,12 +298,18 @@ def classify_cubes(tiles: Tiles, counted: Callable[..., None]) -> CutCubes:
     return CutCubes(cubes, edges, scene)
 
 
-def count_lost(tiles: Tiles, cubes: CutCubes) -> Lost:
-    """Return the numbers of set voxels in samples that are not inside."""
+def count_lost(tiles: Tiles, cubes: CutCubes) -> Array | None:
+    """Count the set voxels in samples that are not inside; `lost_of` reads the counts. None if
+    samples are voxels."""
     if tiles.sampling.level == VOXEL:
-        return Lost(0, 0)
+        return None
     with tiles.device.stage("lost voxels"):
-        lost = tiles.device.empty(2 * LOST_ITEMS, np.uint64)
-        tiles.kernel(SOURCE, "count_lost")(LOST_ITEMS, tiles.n, lost, **cubes.arguments)
-        below, vanished = lost.take().reshape(-1, 2).sum(axis=0)
+        counts = tiles.device.empty(2 * LOST_ITEMS, np.uint64)
+        tiles.kernel(SOURCE, "count_lost")(LOST_ITEMS, tiles.n, counts, **cubes.arguments)
+    return counts
+
+
+def lost_of(counts: Array | None) -> Lost:
+    """Return what `count_lost` counted."""
+    below, vanished = (0, 0) if counts is None else counts.take().reshape(-1, 2).sum(axis=0)
     return Lost(int(below), int(vanished))

@@ -31,6 +31,7 @@ from voxtool.svo.surface.cut_cells import (
     count_lost,
     find_tiles,
     grow_tree,
+    lost_of,
 )
 from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.svo.surface.plan import MAX_SAMPLES, RELAXATIONS, ExtractionPlan, active_tiles
@@ -159,7 +160,7 @@ class ExtractJob(Job[Isosurface]):
 
         tiles = find_tiles(device, self.octree, self._tree, sampling, counted)
         cubes = classify_cubes(tiles, counted)
-        lost = count_lost(tiles, cubes)
+        lost = count_lost(tiles, cubes)  # read with the surface
         if plan.style == MARCHING_CUBES:
             points, triangles = march_cubes(tiles, cubes)
         else:
@@ -183,7 +184,7 @@ class ExtractJob(Job[Isosurface]):
                 faces=triangles.take().view("int32").reshape(-1, 3),
                 tiles=tiles.n,
                 cubes=cubes.n,
-                lost=lost,
+                lost=lost_of(lost),
                 merged=plan.merge,
             )
 

@@ -52,7 +52,7 @@ class ExtractionPlan:
             "lost voxels": not self.voxels,
             "vertices": True,
             "relax": self.relaxations > 0,
-            "histopyramid": True,
+            "histopyramid": self.style != MARCHING_CUBES,
             "quads": self.style != MARCHING_CUBES,
             "merge": self.merge,
             "triangles": True,

@@ -1,14 +1,16 @@
 """Triangles of the cubes that the surface of an octree cuts.
 
-Marching cubes: each cut edge has a vertex [Lorensen 1987]. A 5:1 histopyramid over the triangle
-counts of the cubes [voCCeL, section 4.1] gives each triangle a work-item, which finds its cube.
+Marching cubes: each cut edge has a vertex [Lorensen 1987]. A work-item writes the triangles of a
+tile, whose cubes share most of the tiles that their edges start in.
 
 Voxel faces and surface nets are dual: each loop of a cut cube has a vertex, each cut edge a quad
-[Nielson 2004]; case_tables.py says how loops are separated so that the surface is manifold. Voxel
-faces have their vertices in the middle of the cubes, the corners that eight samples share, so quads
-are the faces of samples. Vertices of surface nets [Gibson 1998] begin at the mean of the loop's
-crossings. If samples are voxels, which are only inside or not, they then move towards the mean of
-their neighbours and never leave their cube; coverages need no such relaxation.
+[Nielson 2004]; case_tables.py says how loops are separated so that the surface is manifold. A 5:1
+histopyramid over the edges of the cubes [voCCeL, section 4.1] gives each quad a work-item, which
+finds its cube. Voxel faces have their vertices in the middle of the cubes, the corners that eight
+samples share, so quads are the faces of samples. Vertices of surface nets [Gibson 1998] begin at
+the mean of the loop's crossings. If samples are voxels, which are only inside or not, they then
+move towards the mean of their neighbours and never leave their cube; coverages need no such
+relaxation.
 
 Greedy meshing joins coplanar unit squares to rectangles, first in rows, then rows in columns.
 Squares side by side in a row have sorted keys that rise by one; so have rows of equal beginning and
@@ -45,14 +47,11 @@ def march_cubes(tiles: Tiles, cubes: CutCubes) -> tuple[Array, Array]:
     with device.stage("vertices"):
         points = device.empty(3 * cubes.edges, np.int32)
         tiles.kernel(CUBES, "place_vertices")(tiles.n, points, **scene)
-    with device.stage("histopyramid"):
-        counts = device.empty(cubes.n, np.uint32)
-        tiles.kernel(CUBES, "count_triangles")(cubes.n, counts, **scene)
-        pyramid = build_histopyramid(counts, cubes.n)
     with device.stage("triangles"):
-        triangles = device.empty(3 * pyramid.total, np.uint32)
-        polygonise = tiles.kernel(CUBES, "polygonise")
-        polygonise(pyramid.total, triangles, **pyramid.arguments, **scene)
+        first = scene["first_triangle"] = device.empty(tiles.n + 1, np.uint32)
+        tiles.kernel(CUBES, "count_triangles")(tiles.n, **scene)
+        triangles = device.empty(3 * exclusive_scan(first, tiles.n), np.uint32)
+        tiles.kernel(CUBES, "polygonise")(tiles.n, triangles, **scene)
     return points, triangles
 
 
