@@ -140,7 +140,13 @@ def of_octree(octree: Octree, isovalue: float) -> dict[str, Callable[[], object]
     """The tools that extract a smooth surface, by name and version. Their time includes the dense
     grid of coverages that they need."""
     makers = {"VTK": _vtk_flying_edges, "scikit-image": _skimage_marching_cubes}
-    return dict(_made(makers, octree, isovalue))
+    found = dict(_made(makers, octree, isovalue))
+    flying = f", Flying Edges on {_threads()} threads"
+    return {name + flying * ("VTK" in name): extract for name, extract in found.items()}
+
+
+def _threads() -> int:
+    return os.cpu_count() or 1
 
 
 def coverage_grid(octree: Octree) -> np.ndarray:
@@ -165,7 +171,7 @@ def _vtk_flying_edges(octree: Octree, isovalue: float) -> Callable[[], object]:
 
     def run() -> object:
         vtk.vtkSMPTools.SetBackend("STDThread")
-        vtk.vtkSMPTools.Initialize(os.cpu_count() or 1)
+        vtk.vtkSMPTools.Initialize(_threads())
         coverage = coverage_grid(octree)
         image = vtk.vtkImageData()
         image.SetDimensions(*coverage.shape[::-1])
