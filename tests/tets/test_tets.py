@@ -35,7 +35,7 @@ from voxtool import read_unstructured
 from voxtool.errors import MemoryLimitError, MeshError, VoxtoolError
 from voxtool.opencl import default_device
 from voxtool.tets.cells import HEXAHEDRON_FACES, TETRAHEDRON_FACES
-from voxtool.tets.conforming import SHAPES, hexahedra, scaled, tetrahedron_shapes
+from voxtool.tets.conforming import SIGN, hexahedra, scaled, tetrahedron_shapes
 from voxtool.tets.merge import first_at_place, first_within
 from voxtool.tets.mesh import volume_cells
 from voxtool.tets.neighbours import match_faces
@@ -242,7 +242,7 @@ def test_the_sign_of_a_volume_is_exact(seed: int) -> None:
     shapes = tetrahedron_shapes(
         default_device().put(cells.astype(np.uint32)), len(cells), scaled(points)
     )
-    sign = (shapes.get() & SHAPES["SIGN"]).astype(int) - 1
+    sign = (shapes.get() & SIGN).astype(int) - 1
     whole = np.vectorize(lambda x: int(Fraction(x) * 2**60), otypes=[object])(corners)
     (ux, uy, uz), (vx, vy, vz), (wx, wy, wz) = ((whole[:, i] - whole[:, 0]).T for i in (1, 2, 3))
     exact = ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx)

@@ -38,18 +38,21 @@ LIMITS = {
     "PLANAR": PLANAR,
 }
 # The shape of a cell: the sign of its volume plus 1 in the lowest bits, and what else was found.
-SHAPES = {"SIGN": 3, "FLAT": 4, "DOUBTFUL": 8, "BENT": 16}
-# What becomes of a cell.
-OUTCOMES = ("KEPT", "TURNED", "DUPLICATE", "ZERO_VOLUME", "TOO_FLAT")
+SIGN, FLAT, DOUBTFUL, BENT = 3, 4, 8, 16
+OUTCOMES = KEPT, TURNED, DUPLICATE, ZERO_VOLUME, TOO_FLAT = range(5)  # what becomes of a cell
 
 HEADERS = {
     "tets/conforming.h": "\n".join(
         (
             *(f"#define {name} {value.hex()}" for name, value in LIMITS.items()),
-            program.c_constants(**SHAPES, **{name: i for i, name in enumerate(OUTCOMES)}),
+            program.c_constants(SIGN=SIGN, FLAT=FLAT, DOUBTFUL=DOUBTFUL, BENT=BENT),
+            program.c_constants(
+                KEPT=KEPT, TURNED=TURNED, DUPLICATE=DUPLICATE, ZERO_VOLUME=ZERO_VOLUME,
+                TOO_FLAT=TOO_FLAT,
+            ),
         )
     )
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +164,7 @@ def hexahedra(
         _split(device, [block]).cells, shapes,
     )  # fmt: skip
     repeated = _repeated(device, cells, len(unit))
-    bent = (shapes.get() & (SHAPES["BENT"] | SHAPES["FLAT"])) == SHAPES["BENT"]
+    bent = (shapes.get() & (BENT | FLAT)) == BENT
     _refuse_some(found.name, bent & (repeated.get() == 0), "are not convex with planar faces", hint)
     outcomes = _judged(device, cells, shapes, repeated)
     report = _report([block], outcomes, np.array([block.count]))
@@ -243,11 +246,11 @@ def tetrahedron_shapes(cells: Array, count: int, points: np.ndarray) -> Array:
         count, cells, device.put(points), _longest_side(points), shapes
     )
     shape = shapes.get()
-    doubtful = np.flatnonzero(shape & SHAPES["DOUBTFUL"])
+    doubtful = np.flatnonzero(shape & DOUBTFUL)
     if len(doubtful):  # rounding might have changed their signs
         vertices = cells.get().reshape(-1, 4)[doubtful]
         signs = np.array([_exact_sign(points[cell]) for cell in vertices])
-        shape[doubtful] = shape[doubtful] & SHAPES["FLAT"] | (signs + 1).astype(np.uint8)
+        shape[doubtful] = shape[doubtful] & FLAT | (signs + 1).astype(np.uint8)
         device.write(shapes, shape)
     return shapes
 
@@ -298,16 +301,16 @@ def _report(blocks: list[_Block], outcomes: _Outcomes, ends: np.ndarray) -> dict
     parts = np.split(outcomes.on_host, ends[:-1])
     counts = np.array([np.bincount(part, minlength=len(OUTCOMES)) for part in parts])
     winds = [block.kind != "wedge" for block in blocks]  # programs wind wedges both ways
-    total = dict(zip(OUTCOMES, counts.sum(axis=0).tolist(), strict=True))
+    total = counts.sum(axis=0).tolist()
     repeating = [(block.kind == "tetra", int(block.repeating.sum())) for block in blocks]
     coincident = sum(count for is_tetra, count in repeating if is_tetra)
     return {
         "coincident": coincident,
         "collapsed": sum(count for is_tetra, count in repeating if not is_tetra),
-        "duplicates": total["DUPLICATE"],
-        "zero_volume": coincident + total["ZERO_VOLUME"],
-        "flat": total["TOO_FLAT"],
-        "turned": int(counts[winds, OUTCOMES.index("TURNED")].sum()),
+        "duplicates": total[DUPLICATE],
+        "zero_volume": coincident + total[ZERO_VOLUME],
+        "flat": total[TOO_FLAT],
+        "turned": int(counts[winds, TURNED].sum()),
     }
 
 
