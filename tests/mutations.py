@@ -62,13 +62,13 @@ MUTATIONS: dict[str, Mutation] = {
         "tests/svo/fill",
     ),
     "winding: the row up to a voxel": Mutation(
-        "kernels/svo/fill/winding.cl",
+        "kernels/svo/fill/winding/near.h",
         "((ulong)(i + 2) << 2)",
         "((ulong)(i + 1) << 2)",
         "tests/svo/fill",
     ),
     "winding: a box that a cap may cross": Mutation(
-        "kernels/svo/fill/winding.cl",
+        "kernels/svo/fill/winding/blocks.cl",
         "least > reach + slack || most < -reach - slack",
         "least > slack || most < -slack",
         "tests/svo/fill",

@@ -1,5 +1,5 @@
 // The winding number of caps at the 64 voxels of a brick at once, in single precision: good enough
-// wherever it is not near a threshold. Included by svo/fill/winding.cl.
+// wherever it is not near a threshold. Included by svo/fill/winding/bricks.cl.
 
 #define PER_BRICK 4     // vectors of 16 voxels in Morton order
 #define SPREAD 1.5     // voxels from the middle of a brick to the centres of its outer voxels
