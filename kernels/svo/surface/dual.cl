@@ -65,25 +65,19 @@ __kernel void place_corners(__global const uint *codes, __global const uint *pla
         vstore3(point, vertex, points);
 }
 
-// Surface nets [Gibson 1998]: the vertex of a loop starts at the mean of its crossings.
-__kernel void place_means(__global const uint *codes, TILES, SAMPLES, __global const uint *places,
-                          __global const ushort *resolved, const uint n,
-                          __global const uint *first_vertex, const int shift, __global int *points)
+// Surface nets [Gibson 1998]: the vertex of a loop starts at the mean of its crossings. Stores the
+// vertices of a cube of case `found`, from the corner `low` on.
+void place_loops(TILES, SAMPLES, const ulong cell, const uint found, const int3 low,
+                 __global int *points)
 {
-    const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-    const ulong cell = cell_of(codes, places[gid]);
-    const int3 low = (cell_coordinates(cell) - shift) * LATTICE + LATTICE / 2;
-    const uint found = resolved[gid];
-    size_t vertex = first_vertex[gid];
+    size_t vertex = 0;
     int3 sum = 0;
     int edges = 0;
     for (uint i = 0; i < EDGE_COUNT[found]; ++i) {
         const uint step = LOOP_STEPS[12 * found + i], edge = step & STEP_EDGE;
         const uint j = EDGE_CORNER[edge], axis = edge >> 2;
-        const ulong begin = corner_cell(cell, j);
-        const int t = crossing_of(THESE_TILES, THESE_SAMPLES, begin, axis, found >> j & 1);
+        const int t = crossing_of(THESE_TILES, THESE_SAMPLES, corner_cell(cell, j), axis,
+                                  found >> j & 1);
         sum += place_in_tile(j) * LATTICE + unit_of(axis) * t;
         ++edges;
         if (step & STEP_LAST) {
@@ -91,6 +85,39 @@ __kernel void place_means(__global const uint *codes, TILES, SAMPLES, __global c
             sum = 0, edges = 0;
         }
     }
+}
+
+#ifdef VOXELS
+
+// The vertices of each of n cases from the corner of its cube, MAX_LOOPS a case: edges between
+// voxels are all crossed at the same place.
+__kernel void find_means(TILES, SAMPLES, const uint n, __global int *means)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n)
+        place_loops(THESE_TILES, THESE_SAMPLES, 0, gid, (int3)(0),
+                    means + 3 * MAX_LOOPS * (size_t)gid);
+}
+
+#endif
+
+__kernel void place_means(__global const uint *codes, TILES, SAMPLES, __global const uint *places,
+                          __global const ushort *resolved, const uint n,
+                          __global const uint *first_vertex, const int shift,
+                          __global const int *means, __global int *points)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const ulong cell = cell_of(codes, places[gid]);
+    const int3 low = (cell_coordinates(cell) - shift) * LATTICE + LATTICE / 2;
+    const size_t first = first_vertex[gid];
+#ifdef VOXELS
+    for (uint i = 0; first + i < first_vertex[gid + 1]; ++i)
+        vstore3(low + vload3(MAX_LOOPS * resolved[gid] + i, means), first + i, points);
+#else
+    place_loops(THESE_TILES, THESE_SAMPLES, cell, resolved[gid], low, points + 3 * first);
+#endif
 }
 
 // The neighbours of each vertex, the vertices of the adjacent cubes into which its loop continues;

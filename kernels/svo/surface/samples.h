@@ -62,9 +62,12 @@ int crossing(uint here, uint beyond, ulong isovalue, bool is_inside)
     return is_inside ? LATTICE - kept : kept;
 }
 
-// The same of the edge that starts at a cell.
+// The same of an edge that the surface cuts, and that starts at a cell.
 int crossing_of(TILES, SAMPLES, ulong cell, uint axis, bool is_inside)
 {
+#ifdef VOXELS
+    return crossing(is_inside, !is_inside, isovalue, is_inside);
+#else
     const ulong end = step_up(cell, axis);
     const tile_samples own = samples_of(THESE_TILES, THESE_SAMPLES, cell >> 6);
     tile_samples next = own;
@@ -72,4 +75,5 @@ int crossing_of(TILES, SAMPLES, ulong cell, uint axis, bool is_inside)
         next = samples_of(THESE_TILES, THESE_SAMPLES, end >> 6);
     const uint here = coverage_at(own, cell & 63), beyond = coverage_at(next, end & 63);
     return crossing(here, beyond, isovalue, is_inside);
+#endif
 }

@@ -28,6 +28,7 @@ import numpy as np
 from voxtool.opencl import program
 
 CASES = 256
+MAX_LOOPS = 4  # of a case
 ALTERNATIVE = 256  # added to a case whose ambiguous face joins its inside corners
 MAX_TRIANGLES = 5
 NO_FACE = 6
@@ -230,7 +231,9 @@ def _dual_header() -> str:
         "LOOP_COUNT": (loop_of + np.uint8(1)).max(axis=1),  # NO_EDGE + 1 is 0
         "LOOP_OF": loop_of,
         "EDGE_COUNT": np.count_nonzero(loop_of != NO_EDGE, axis=1),
-        "BEYOND_COUNT": sum(np.maximum((loop_of == n).sum(axis=1), 4) - 4 for n in range(4)),
+        "BEYOND_COUNT": sum(
+            np.maximum((loop_of == n).sum(axis=1), 4) - 4 for n in range(MAX_LOOPS)
+        ),
         "LOOP_STEPS": loop_steps(),
         "EDGE_AROUND": edge_around(),
         "EDGE_CORNER": np.array(EDGES)[:, 0],
@@ -238,6 +241,7 @@ def _dual_header() -> str:
     constants = {
         "ALTERNATIVE": ALTERNATIVE, "NO_FACE": NO_FACE, "STEP_EDGE": STEP_EDGE,
         "STEP_FACE": STEP_FACE, "STEP_ACROSS": STEP_ACROSS, "STEP_LAST": STEP_LAST,
+        "MAX_LOOPS": MAX_LOOPS,
     }  # fmt: skip
     return _header(constants, tables)
 

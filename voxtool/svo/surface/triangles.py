@@ -28,6 +28,8 @@ import numpy as np
 from voxtool.choices import SURFACE_NETS
 from voxtool.opencl import Array, Device, program
 from voxtool.opencl.primitives import build_histopyramid, compact, exclusive_scan, radix_sort
+from voxtool.svo.octree import VOXEL
+from voxtool.svo.surface.case_tables import CASES, MAX_LOOPS
 from voxtool.svo.surface.cut_cells import CutCubes, Tiles
 from voxtool.svo.surface.plan import MAX_SAMPLES
 
@@ -73,8 +75,10 @@ def dual_surface(
         vertices = exclusive_scan(first_vertex, n)
     with device.stage("vertices"):
         points = device.empty(3 * vertices, np.int32)
-        place = "place_means" if style == SURFACE_NETS else "place_corners"
-        tiles.kernel(DUAL, place)(n, points, **scene)
+        if style == SURFACE_NETS:
+            tiles.kernel(DUAL, "place_means")(n, points=points, means=_means(tiles), **scene)
+        else:
+            tiles.kernel(DUAL, "place_corners")(n, points, **scene)
     if relaxations:
         with device.stage("relax"):
             _relax(tiles, points, n, relaxations, lanes, scene)
@@ -85,6 +89,17 @@ def dual_surface(
         list_quads = tiles.kernel(DUAL, "list_quads")
         list_quads(pyramid.total, quads, **pyramid.arguments, **scene)
     return points, quads
+
+
+def _means(tiles: Tiles) -> Array:
+    """Return where the vertices of each case are in its cube, if samples are voxels; none
+    otherwise."""
+    if tiles.sampling.level != VOXEL:
+        return tiles.device.empty(0, np.int32)
+    cases = 2 * CASES  # with their alternatives
+    means = tiles.device.empty(3 * MAX_LOOPS * cases, np.int32)
+    tiles.kernel(DUAL, "find_means")(cases, means, **tiles.arguments)
+    return means
 
 
 def _relax(
