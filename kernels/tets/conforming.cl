@@ -3,6 +3,7 @@
 
 #include "tets/cells.h"
 #include "tets/conforming.h"
+#include "tets/mixed.h"
 #include "tets/vector.h"
 
 // Each number is replaced by another one.
@@ -196,7 +197,8 @@ void ascending(__global const uint *cells, const uint corners, const uint cell, 
     }
 }
 
-// The bucket of a cell is its smallest vertex, the key the next two.
+// The bucket of a cell is its smallest vertex; cells of equal keys nearly always have the same
+// vertices.
 __kernel void key_cells(__global const uint *cells, const uint corners, const uint n,
                         __global uint *buckets, __global ulong *keys)
 {
@@ -206,7 +208,10 @@ __kernel void key_cells(__global const uint *cells, const uint corners, const ui
     uint vertex[8];
     ascending(cells, corners, gid, vertex);
     buckets[gid] = vertex[0];
-    keys[gid] = (ulong)vertex[1] << 32 | vertex[2];
+    ulong key = 0;
+    for (uint i = 1; i < corners; ++i)
+        key = mixed(key + vertex[i]);
+    keys[gid] = key;
 }
 
 // repeated[i] = 1 where an earlier cell has the vertices of cell i.
@@ -224,7 +229,7 @@ __kernel void find_repeated(__global const uint *cells, const uint corners, cons
     for (uint i = gid; i > begin && keys[i - 1] == keys[gid] && !found; --i) {
         ascending(cells, corners, items[i - 1], other);
         found = true;
-        for (uint k = 3; k < corners; ++k)
+        for (uint k = 1; k < corners; ++k)
             found &= vertex[k] == other[k];
     }
     repeated[items[gid]] = found;

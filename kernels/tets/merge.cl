@@ -1,12 +1,6 @@
 // Points at one position. Host side: voxtool/tets/merge.py.
 
-// Bits of a number that depend on all of its bits [Steele 2014].
-ulong mixed(ulong bits)
-{
-    bits = (bits ^ bits >> 30) * 0xBF58476D1CE4E5B9ul;
-    bits = (bits ^ bits >> 27) * 0x94D049BB133111EBul;
-    return bits ^ bits >> 31;
-}
+#include "tets/mixed.h"
 
 // Keys of points by their position, -0 as 0, and their buckets: the highest bits, from `shift` on.
 __kernel void key_points(__global const double *points, const uint n, const uint shift,

@@ -1,9 +1,10 @@
 // The cells on both sides of each face. Host side: voxtool/tets/neighbours.py. Option: CORNERS.
 
 #include "tets/faces.h"
+#include "tets/mixed.h"
 
-// Face f of cell c is FACES c + f. Its bucket is its smallest vertex, its key the vertices beside
-// that.
+// Face f of cell c is FACES c + f. Its bucket is its smallest vertex. Faces of equal keys have the
+// same vertices, quadrilaterals nearly always.
 __kernel void key_faces(__global const uint *cells, const uint n, __global uint *buckets,
                         __global ulong *keys)
 {
@@ -13,7 +14,8 @@ __kernel void key_faces(__global const uint *cells, const uint n, __global uint 
     uint loop[SIDES];
     loop_of(cells, gid / FACES, gid % FACES, loop);
     buckets[gid] = loop[0];
-    keys[gid] = (ulong)loop[1] << 32 | loop[SIDES - 1];
+    const ulong beside = (ulong)loop[1] << 32 | loop[SIDES - 1];
+    keys[gid] = SIDES == 3 ? beside : mixed(mixed(beside) + loop[2]);
 }
 
 // Whether a face of the same bucket and key has the same vertices.
@@ -21,7 +23,7 @@ bool is_same(__global const uint *cells, const uint item, const uint *loop)
 {
     uint other[SIDES];
     loop_of(cells, item / FACES, item % FACES, other);
-    return other[2] == loop[2];
+    return other[1] == loop[1] && other[2] == loop[2] && other[SIDES - 1] == loop[SIDES - 1];
 }
 
 // neighbours[i] = the cell on the other side of face i, or -1. Counts the faces of more than two
