@@ -11,6 +11,13 @@
 
 // ---- order. A point is a local position and a normalised scalar.
 
+// The lattice coordinate of a local one.
+uint on_lattice(const double at)
+{
+    const long place = (long)((at + 1) * (double)(1 << (MORTON_BITS - 1)));
+    return (uint)clamp(place, 0l, (1l << MORTON_BITS) - 1);
+}
+
 // The key of a cell is the Morton code of its centroid; its bucket are the highest bits, from
 // `shift` on.
 __kernel void key_centroids(__global const uint *cells, const uint n,
@@ -23,10 +30,10 @@ __kernel void key_centroids(__global const uint *cells, const uint n,
     double3 sum = 0;
     for (uint i = 0; i < CORNERS; ++i)
         sum += vload4(cells[CORNERS * (size_t)gid + i], points).xyz;
-    const double3 place = (sum / (double)CORNERS + 1.0) * (double)(1 << (MORTON_BITS - 1));
-    const long3 cell = clamp(convert_long3_rtz(place), 0l, (1l << MORTON_BITS) - 1);
-    const ulong code = spread_bits((uint)cell.x) | spread_bits((uint)cell.y) << 1 |
-                       spread_bits((uint)cell.z) << 2;
+    const double3 centroid = sum / (double)CORNERS;
+    const ulong code = spread_bits(on_lattice(centroid.x)) |
+                       spread_bits(on_lattice(centroid.y)) << 1 |
+                       spread_bits(on_lattice(centroid.z)) << 2;
     buckets[gid] = (uint)(code >> shift);
     keys[gid] = code;
 }
