@@ -121,7 +121,7 @@ def test_every_kernel_and_variant_was_launched(run):
     }
     assert len(declared) > 10
     assert declared == set(run[0]["kernels"])
-    wanted = {"", "WIDE", "CODE=ulong", "VOXELS", "SAMPLE=uchar", "SAMPLE=uint"}
+    wanted = {"", "WIDE", "CODE=ulong", "LISTED", "VOXELS", "SAMPLE=uchar", "SAMPLE=uint"}
     wanted |= {"SIGNED", "RANKED", "FLAT", "WINDING", "CLOSED", "JUMPS"}
     wanted |= {"SEARCH=LINEAR", "SEARCH=BINARY", "SEARCH=COHERENT", "LANES=1", "LANES=16", "W"}
     wanted |= {"GRADIENT", "BOUNDS", "CELL", "BOOK"}

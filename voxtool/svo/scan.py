@@ -83,9 +83,9 @@ class Scan:
             **({"WIDE": 1} if plan.wide else {}),
         }
 
-    def kernel(self, source: str, name: str) -> Callable[..., None]:
-        """Return a kernel compiled with the plan's options."""
-        return self.device.kernel(source, name, **self.options)
+    def kernel(self, source: str, name: str, **more: int) -> Callable[..., None]:
+        """Return a kernel compiled with the plan's options, and more."""
+        return self.device.kernel(source, name, **self.options, **more)
 
     def shares(
         self, kind: int, level: int = 0, faces: Array | None = None

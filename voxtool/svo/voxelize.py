@@ -197,7 +197,7 @@ class VoxelizeJob(Job[Octree]):
         code, wide = ({"CODE": name} for name in (options["CODE"], "ulong"))
         sort: Request = PRIMITIVES, {"KEY": "ulong"}
         programs: list[Request] = [(SCAN, options), (PRIMITIVES, {})]
-        by_rows: list[Request] = [(CROSSINGS, options)]
+        by_rows: list[Request] = [(CROSSINGS, options | ({"LISTED": 1} if plan.listed else {}))]
         by_rows += [sort] * plan.listed
         if plan.caps:
             programs += [*by_rows, *near_holes(plan)]

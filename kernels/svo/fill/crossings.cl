@@ -1,5 +1,5 @@
 // The crossings of rows of voxel centres along x with triangles. Host side:
-// voxtool/svo/fill/rows.py. Options: those of columns.h.
+// voxtool/svo/fill/rows.py. Options: those of columns.h; LISTED, for crossings with directions.
 
 #include "svo/columns.h"
 #include "svo/fill/crossings.h"
@@ -71,6 +71,8 @@ void visit_crossings(const triangle *t, const columns *c, int3 shape, int what, 
     }
 }
 
+#ifndef LISTED
+
 __kernel void flip_crossings(TRIANGLES, ACTIVE_SET_PARAMETERS, volatile __global uint *bricks,
                              volatile __global uint *entry)
 {
@@ -84,6 +86,8 @@ __kernel void flip_crossings(TRIANGLES, ACTIVE_SET_PARAMETERS, volatile __global
     visit_crossings(&t, &c, shape, FLIP, &v, ACTIVE_SET);
     flush(&v.out);
 }
+
+#else
 
 // ---- crossings with directions
 
@@ -137,3 +141,5 @@ __kernel void flip_changes(__global const ulong *crossings, const uint n, const 
     }
     flush(&out);
 }
+
+#endif

@@ -97,7 +97,7 @@ def list_crossings(scan: Scan) -> Crossings:
     x_bits = nx.bit_length() + 2
     n, triangles = scan.shares(CROSSED, faces=scan.mesh.closed)
     firsts = scan.device.empty(n + 1, np.uint32)
-    list_crossings = scan.kernel(CROSSINGS, "list_crossings")
+    list_crossings = scan.kernel(CROSSINGS, "list_crossings", LISTED=1)
     list_crossings(n, firsts, x_bits, None, **triangles)
     count = exclusive_scan(firsts, n)
     keys = scan.device.empty(count, np.uint64)
@@ -111,7 +111,7 @@ def flip_changes(scan: Scan, active: ActiveNodes, crossings: Crossings) -> Flips
     flips = no_flips(scan, active)
     keys, n, x_bits = crossings.keys, crossings.n, crossings.x_bits
     nonzero, shape = scan.plan.fill == "nonzero", scan.plan.shape
-    flip = scan.kernel(CROSSINGS, "flip_changes")
+    flip = scan.kernel(CROSSINGS, "flip_changes", LISTED=1)
     flip(n, keys, x_bits, nonzero, shape, flips.bricks, flips.entry, **active.lookup)
     return flips
 
