@@ -99,15 +99,26 @@ double3 corner(__global const double *vertices, __global const int *faces, uint 
     return vload3(faces[3 * (size_t)face + i], vertices);
 }
 
-// Whether two faces intersect outside their shared corners and edges.
+// Whether three points are all below or above a box along some axis.
+bool beside(const double3 *u, double3 low, double3 high)
+{
+    const long3 above = (u[0] > high) & (u[1] > high) & (u[2] > high);
+    const long3 below = (u[0] < low) & (u[1] < low) & (u[2] < low);
+    return any(above | below);
+}
+
+// Whether two faces intersect outside their shared corners and edges; low, high: the box of face f.
 bool meet(__global const double *vertices, __global const int *faces, __global const int *corners,
-          uint f, uint g)
+          uint f, uint g, double3 low, double3 high)
 {
     double3 t[3], u[3];
+    for (uint i = 0; i < 3; ++i)
+        u[i] = corner(vertices, faces, g, i);
+    if (beside(u, low, high))
+        return false;
     uint shared = 0, at_f = 0, at_g = 0, apexes[2] = {0, 0};
     for (uint i = 0; i < 3; ++i) {
         t[i] = corner(vertices, faces, f, i);
-        u[i] = corner(vertices, faces, g, i);
         for (uint j = 0; j < 3; ++j)
             if (corners[3 * (size_t)f + i] == corners[3 * (size_t)g + j]) {
                 ++shared;
@@ -179,7 +190,7 @@ __kernel void find_self_intersections(const uint n, __global const uint *names, 
                 return;
             for (uint j = first; j < min(first + LEAF, n); ++j)
                 if (names[j] != NAMELESS && names[j] / 3 != own &&
-                    meet(vertices, faces, corners, own, names[j] / 3)) {
+                    meet(vertices, faces, corners, own, names[j] / 3, low, high)) {
                     found[own] = 1;
                     return;
                 }
