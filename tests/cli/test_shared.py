@@ -89,7 +89,7 @@ def test_verbose_names_the_device_and_the_stages_of_the_plan(command: str, here:
     if not command.startswith("adf-build"):  # whose stages run once a level
         assert [s for s in timed if s in planned] == [s for s in planned if s in timed]
     named = [line for line in lines if re.fullmatch(r"voxtool: \S.* \(.*\)", line)]
-    assert len(named) == (not command.startswith("tet-build"))
+    assert len(named) == 1
 
 
 @pytest.mark.slow
