@@ -1,5 +1,5 @@
 // Parallel primitives. Host side: voxtool/opencl/primitives.py. Options: KEY, for sort and
-// compaction.
+// compaction; BLOCKS, for a sort by blocks.
 
 #include "opencl/primitives.h"
 
@@ -184,48 +184,7 @@ __kernel void sort_buckets(__global const uint *ends, const uint n, __global ulo
 // The digit of a key at bit `shift`; `digits` is their number, a power of two.
 uint digit_of(KEY key, uint shift, uint digits) { return (uint)(key >> shift) & (digits - 1); }
 
-// ---- by portions: work-item gid of n has keys[portion * gid ..], a portion of count keys
-
-// counts[digit * n + gid] = how many keys of a portion have this digit.
-__kernel void count_digits(__global const KEY *keys, const uint count, const uint portion,
-                           const uint shift, const uint digits, const uint n,
-                           __global uint *counts)
-{
-    const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-    uint found[1 << DIGIT_BITS];
-    for (uint digit = 0; digit < digits; ++digit)
-        found[digit] = 0;
-    const uint end = min(portion * gid + portion, count);
-    for (uint i = portion * gid; i < end; ++i)
-        ++found[digit_of(keys[i], shift, digits)];
-    for (uint digit = 0; digit < digits; ++digit)
-        counts[digit * n + gid] = found[digit];
-}
-
-// Keys in the order of a digit, where starts[digit * n + gid] is the place of a portion's
-// first key with it; their values too, if there are.
-__kernel void scatter_keys(__global const KEY *keys, const uint count, const uint portion,
-                           const uint shift, const uint digits, const uint n,
-                           __global const uint *starts, __global KEY *sorted,
-                           __global const uint *values, __global uint *sorted_values)
-{
-    const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-    uint place[1 << DIGIT_BITS];
-    for (uint digit = 0; digit < digits; ++digit)
-        place[digit] = starts[digit * n + gid];
-    const uint end = min(portion * gid + portion, count);
-    for (uint i = portion * gid; i < end; ++i) {
-        const KEY key = keys[i];
-        const uint to = place[digit_of(key, shift, digits)]++;
-        sorted[to] = key;
-        if (values)
-            sorted_values[to] = values[i];
-    }
-}
+#ifdef BLOCKS
 
 // ---- by blocks: work-group g has keys[GROUP * ITEMS * g ..], a block of count keys
 
@@ -288,6 +247,51 @@ scatter_block_keys(__global const KEY *keys, const uint count, const uint shift,
     }
 }
 
+#else
+
+// ---- by portions: work-item gid of n has keys[portion * gid ..], a portion of count keys
+
+// counts[digit * n + gid] = how many keys of a portion have this digit.
+__kernel void count_digits(__global const KEY *keys, const uint count, const uint portion,
+                           const uint shift, const uint digits, const uint n,
+                           __global uint *counts)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    uint found[1 << DIGIT_BITS];
+    for (uint digit = 0; digit < digits; ++digit)
+        found[digit] = 0;
+    const uint end = min(portion * gid + portion, count);
+    for (uint i = portion * gid; i < end; ++i)
+        ++found[digit_of(keys[i], shift, digits)];
+    for (uint digit = 0; digit < digits; ++digit)
+        counts[digit * n + gid] = found[digit];
+}
+
+// Keys in the order of a digit, where starts[digit * n + gid] is the place of a portion's
+// first key with it; their values too, if there are.
+__kernel void scatter_keys(__global const KEY *keys, const uint count, const uint portion,
+                           const uint shift, const uint digits, const uint n,
+                           __global const uint *starts, __global KEY *sorted,
+                           __global const uint *values, __global uint *sorted_values)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    uint place[1 << DIGIT_BITS];
+    for (uint digit = 0; digit < digits; ++digit)
+        place[digit] = starts[digit * n + gid];
+    const uint end = min(portion * gid + portion, count);
+    for (uint i = portion * gid; i < end; ++i) {
+        const KEY key = keys[i];
+        const uint to = place[digit_of(key, shift, digits)]++;
+        sorted[to] = key;
+        if (values)
+            sorted_values[to] = values[i];
+    }
+}
+
 // ---- compaction
 
 // flags[i] = 1 where a key is the last of equal ones.
@@ -307,4 +311,5 @@ __kernel void move_flagged(__global const KEY *values, const uint n, __global co
         kept[places[gid]] = values[gid];
 }
 
+#endif
 #endif

@@ -297,14 +297,16 @@ class Run:
         self.finish()
 
     def finish(self) -> None:
-        """Print how long kernels compiled, if it was long; with -v the device and the time of each
-        stage.
+        """Print, on a terminal or with -v, how long kernels compiled, if it was long; with -v the
+        device and the time of each stage. Pipelines compare what is printed, and the first run of a
+        machine is not to differ there.
 
         Raises
         ------
         CheckError : with --strict, the library has issued a warning.
         """
-        if "device" in self.__dict__:
+        on_terminal = sys.stderr and sys.stderr.isatty()
+        if "device" in self.__dict__ and (on_terminal or self.verbose):
             from voxtool.opencl.program import compile_report
 
             if line := compile_report():

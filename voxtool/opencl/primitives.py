@@ -146,7 +146,7 @@ def _sort_blocks(
 ) -> None:
     """Sort by one digit; a work-group counts and moves the keys of a block."""
     count, scatter = (
-        keys.device.kernel(SOURCE, name, KEY=_KEYS[keys.dtype])
+        keys.device.kernel(SOURCE, name, KEY=_KEYS[keys.dtype], BLOCKS=1)
         for name in ("count_block_digits", "scatter_block_keys")
     )
     blocks = -(-n // BLOCK)
