@@ -73,7 +73,8 @@ def with_table(page: str, name: str, command: str, where: str, found: Result) ->
     else:
         points = json.loads(Path(name, "report.json").read_text("utf-8"))["points"]
         body = markdown(TABLES[name][1](points))
-    shown = command.replace("python -m voxtool", "voxtool").removesuffix(f" -o {name}")
+    shown = command.replace("python -m voxtool", "voxtool").replace(f"{ROOT}/", "")
+    shown = shown.removesuffix(f" -o {name}")
     text = f"```sh\n{shown}\n```\n\n{where}.\n\n{body}"
     begin, end = f"<!-- table {name} -->", "<!-- end -->"
     pattern = re.compile(re.escape(begin) + ".*?" + re.escape(end), re.DOTALL)

@@ -1,7 +1,7 @@
 """Growth of time with the faces of degenerate meshes, in which many faces are at one place.
 
 The meshes are those of voxtool/selftest/crowds.py, with ten times as many faces in each step. Work
-takes time in proportion to the faces, but for a logarithm, where its exponent is 1 or little more.
+whose exponent is 1 or little more takes time in proportion to the faces, except for a logarithm.
 """
 
 from __future__ import annotations

@@ -47,7 +47,9 @@ def numbers_in(words: np.ndarray, dtype: type) -> tuple[np.ndarray, np.ndarray]:
     letter[1:] &= words[:-1] <= SPACE
     begins = np.flatnonzero(letter)
     with warnings.catch_warnings():
-        warnings.simplefilter("error")  # numpy warns of text that is no number
+        # Older numpy warns of text that is no number. The filter holds in all threads, of which one
+        # may open the device and warn of that, so it is for this category alone.
+        warnings.simplefilter("error", DeprecationWarning)
         try:
             numbers = np.fromstring(words.tobytes(), dtype, sep=" ") if len(begins) else begins
         except (DeprecationWarning, ValueError, OverflowError):
