@@ -151,8 +151,9 @@ def text(value: str) -> np.bytes_:
 
 
 def newer_minor_version(h5: h5py.File) -> None:
-    """A change: version 1.7, with an attribute and a dataset that this version does not have."""
-    attribute("format_version", text("1.7"))(h5)
+    """A change: minor version 7, with an attribute and a dataset that no version has."""
+    major = bytes(h5.attrs["format_version"]).decode()[0]  # pyright: ignore
+    attribute("format_version", text(f"{major}.7"))(h5)
     h5.attrs["new"] = 1
     h5["a new dataset"] = np.zeros(5)
 

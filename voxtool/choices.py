@@ -19,9 +19,12 @@ DEFAULT_TOLERANCE = 1e-3  # of a distance field, in sides of its cube
 # 21 bits and whose identifier has 61.
 DEFAULT_MAX_LEVEL, MAX_LEVEL = 9, 21
 SIGNS = ("pseudonormal", "winding", "none")  # what decides the sign of a distance
+# Texels along an axis of a field's 3-D textures: every device with WebGL 2 has the fewest.
+MIN_TEXTURE_3D, MAX_TEXTURE_3D, DEFAULT_TEXTURE_3D = 256, 3072, 2048
 SEARCHES = ("linear", "binary", "coherent")  # for the leaf of a field that holds a point
 DEFAULT_SEARCH = "binary"
 LAYOUTS = ("raycast", "projection", "hexahedra")  # of the textures of a volume
+MIN_TEXTURE_2D, MAX_TEXTURE_2D = 2048, 16384  # texels along an axis of a volume's textures
 METHODS = ("raycast", "projection")  # of rendering volumes
 VIEWS = ("front", "back", "left", "right", "top", "bottom", "iso")
 WHITE = (1.0, 1.0, 1.0)  # the background of pictures

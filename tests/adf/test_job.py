@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -10,8 +12,9 @@ import numpy as np
 import pytest
 
 from voxtool.adf.build import plan_adf
-from voxtool.adf.plan import PILOT_LEVEL
-from voxtool.errors import MemoryLimitError, MeshWarning
+from voxtool.adf.packing import arrangement, most_blocks, pack_blocks, pointers_to
+from voxtool.adf.plan import PILOT_LEVEL, FieldPlan
+from voxtool.errors import MemoryLimitError, MeshWarning, VoxtoolError
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 
 if TYPE_CHECKING:
@@ -96,3 +99,33 @@ def nested_balls() -> Mesh:
 def test_warnings(device: Device, mesh, forced: dict, message: str) -> None:
     with pytest.warns(MeshWarning, match=message):
         plan(mesh(), max_level=3, device=device).with_(**forced).run()
+
+
+def test_a_field_that_fits_no_texture_is_refused() -> None:
+    room = most_blocks(256)
+    fits = FieldPlan(1, "none", max_texture=256, refined=(1, 8, room - 9))
+    fits.refuse_beyond(1 << 40, 1 << 40)
+    message = (
+        r"614,126 blocks down to level 2 do not fit a texture of 256\^3 texels, which has room for "
+        r"614,125: --max-level 2 fits, or ask for .* --max-bytes 76765625 \(see --max-texture\)"
+    )
+    with pytest.raises(MemoryLimitError, match=message):
+        replace(fits, refined=(1, 8, room - 8)).refuse_beyond(1 << 40, 1 << 40)
+    with pytest.raises(VoxtoolError, match="max texture 255: choose 256 to 3072"):
+        replace(fits, max_texture=255)
+
+
+@pytest.mark.parametrize("n", [1, 2, 9, 27, 28, 585, 37449])
+def test_blocks_are_packed_nearly_as_a_cube(n: int) -> None:
+    sides = arrangement(n)
+    assert math.prod(sides) >= n
+    assert math.prod(sides) <= n + sides[0] * (sides[1] + sides[2])
+    assert max(sides) ** 3 < n + 3 * max(sides) ** 2  # no smaller cube has room
+    assert most_blocks(3 * max(sides)) >= n > most_blocks(3 * (max(sides) - 1))
+    blocks = np.arange(8 * n, dtype=np.uint32).reshape(n, 2, 2, 2)
+    texture, pointers = pack_blocks(blocks), pointers_to(n)
+    x, y, z = (pointers >> shift & 1023 for shift in (0, 10, 20))
+    for dz, dy, dx in np.ndindex(2, 2, 2):
+        texels = texture[2 * z + dz, 2 * y + dy, 2 * x + dx]
+        assert np.array_equal(texels, blocks[:, dz, dy, dx])
+    assert texture.sum(dtype=np.int64) == blocks.sum(dtype=np.int64)

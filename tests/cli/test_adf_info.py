@@ -29,11 +29,11 @@ jumps        in 1 of 64 leaves
 bytes        1,516 on the device, 23.7 a leaf, 4,980 on disk
 hash         m 3, r 4, with w; load 33.3 %, 228 bits a key; identifiers of 32 bits
 
-texture            bytes
-voxels               972   52.5 % less than eight float32 a leaf, 57.8 % less than eight a cell
-cells                216   87.7 % less than with leaves
-hash                 256
-bounds                72
+texture            bytes   x, y, z, channels
+voxels               972       9 x 9 x 3 x 1   52.5 % less than eight float32 a leaf, 57.8 % a cell
+cells                216       3 x 3 x 3 x 2   87.7 % less than with leaves
+hash                 256       4 x 4 x 4 x 4
+bounds                72       6 x 6 x 2 x 1
 
 level        cells       leaves
     0            1            0
@@ -55,7 +55,7 @@ check: ok
 def here(tmp_path: Path, monkeypatch) -> Path:
     """A folder with the golden field, and one without bounds whose identifiers have 64 bits."""
     monkeypatch.chdir(tmp_path)
-    shutil.copy(DATA / "v1.0.adf.h5", "small.adf.h5")
+    shutil.copy(DATA / "v2.0.adf.h5", "small.adf.h5")
     deep = plain_field(
         lambda p: np.sqrt(point(p)),
         3e-3,
@@ -97,6 +97,11 @@ def test_json(name: str, here: Path) -> None:
     assert (found["check"], found["digest"]) == ("ok", field.digest())
     assert found["file_bytes"] == os.path.getsize(name)
     assert found["textures"] == field.sizes()
+    with h5py.File(name) as file:
+        shapes = {key: np.shape(file[key]) for key in found["textures"]}
+    assert found["shapes"] == {
+        key: [*shape[2::-1], *(shape[3:] or (1,))] for key, shape in shapes.items()
+    }
     assert found["bytes"] == sum(field.sizes().values())
     assert found["origin"] == list(field.origin)
     assert found["band"] == (None if np.isinf(field.band) else field.band)

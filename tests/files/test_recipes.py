@@ -14,7 +14,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from helpers_files import DATA, FIELDS, ROOT, deep_field
+from helpers_files import DATA, FIELDS, ROOT, deep_field, golden_field
 from helpers_tets import assembly, built, linear
 
 from voxtool import files
@@ -57,29 +57,42 @@ def test_tables_of_the_documents(heading: str) -> None:
     assert f"version {schema.version}" in text.partition("\n")[0]
     table = text.partition("| dataset |")[2].partition("\n\n")[0]
     documented = dict(re.findall(r"^\| `(\w+)` \| (\w+)", table, re.MULTILINE))
-    sizes = {"m": 1, "r": 1, "depth": 1, "layout": "raycast"}
+    sizes = {"m": 1, "layout": "raycast"}
     assert documented == {d.name: d.type_for(sizes).name for d in schema.datasets}
 
 
 def test_offsets_of_a_large_hash_have_16_bits() -> None:
-    hashes = adf_hdf5.SCHEMA.datasets[2]
+    hashes = next(d for d in adf_hdf5.SCHEMA.datasets if d.name == "hash")
     assert [hashes.type_for({"m": m}) for m in (255, 256)] == [np.uint8, np.uint16]
 
 
-@pytest.mark.parametrize(
-    ("name", "line", "datasets"),
-    [
-        ("v1.0.adf.h5", "band", "voxels cells hash bounds"),
-        ("v1.0.tet.h5", "constant", "vertices cells neighbours normals gradients ranges"),
-    ],
-)
-def test_digest_of_the_documents(name: str, line: str, datasets: str) -> None:
+def head_of(line: str) -> bytes:
+    """The JSON of a digest in the documents, by its first key."""
     (head,) = re.findall(rf"^\{{\"{line}\".*\}}$", DOCUMENT, re.MULTILINE)
-    sha = hashlib.sha256(head.encode())
-    with h5py.File(DATA / name) as h5:
-        for dataset in datasets.split():
+    return head.encode()
+
+
+def test_digest_of_volumes() -> None:
+    path = DATA / "v1.0.tet.h5"
+    sha = hashlib.sha256(head_of("constant"))
+    with h5py.File(path) as h5:
+        for dataset in ("vertices", "cells", "neighbours", "normals", "gradients", "ranges"):
             sha.update(h5[dataset][()].tobytes())  # pyright: ignore
-    assert sha.hexdigest() == files.read_scene(DATA / name).digest()
+    assert sha.hexdigest() == files.read_tet(path).digest()
+
+
+def test_digest_of_fields() -> None:
+    path = DATA / "v2.0.adf.h5"
+    recipe = Recipe(path)
+    blocks = sorted(recipe.pointers().items())
+    sha = hashlib.sha256(head_of("band"))
+    sha.update(struct.pack(f"<{len(blocks)}Q", *(identifier for identifier, _ in blocks)))
+    for texture, side, kind in ((recipe.voxels, 3, "f"), (recipe.bounds, 2, "B")):
+        for _, (x, y, z) in blocks:
+            for dz, dy, dx in itertools.product(range(side), repeat=3):
+                texel = texture[side * z + dz][side * y + dy][side * x + dx]
+                sha.update(struct.pack(f"<{kind}", texel))
+    assert sha.hexdigest() == files.read_adf(path).digest()
 
 
 # Distance fields
@@ -109,19 +122,27 @@ class Recipe:
                 code |= (c[axis] >> q & 1) << (3 * q + axis)
         return 1 << (3 * level) | code
 
-    def block(self, level: int, c: list[int]) -> int | None:
+    def pointers(self) -> dict[int, tuple[int, ...]]:
+        """The place of the block of each identifier."""
+        found = {}
+        for *words, pointer in itertools.chain(*itertools.chain(*self.cells)):
+            if any(words):
+                found[sum(word << 32 * i for i, word in enumerate(words))] = place(pointer)
+        return found
+
+    def block(self, level: int, c: list[int]) -> tuple[int, ...] | None:
         key = [2**level + a for a in c]
         x, y, z = (a % self.r for a in key)
         offset = self.hash[z][y][x]
         w = offset[3] if len(offset) == 4 else self.m
         hx, hy, hz = ((k % w + o) % self.m for k, o in zip(key, offset, strict=False))
-        *words, block = self.cells[hz][hy][hx]
+        *words, pointer = self.cells[hz][hy][hx]
         stored = words[0] if len(words) == 1 else words[1] << 32 | words[0]
-        return block if stored == self.identifier(level, c) else None
+        return place(pointer) if stored == self.identifier(level, c) else None
 
-    def leaf(self, p: list[int]) -> tuple[int, list[int], int]:
+    def leaf(self, p: list[int]) -> tuple[int, list[int], tuple[int, ...]]:
         """The level and the cell of the leaf, and the block that it is in."""
-        found = 0
+        found = (0, 0, 0)
         for level in range(self.depth):
             block = self.block(level, [a >> (32 - level) for a in p])
             if block is None:
@@ -131,10 +152,10 @@ class Recipe:
 
     def distance(self, p: list[int]) -> float:
         level, leaf, block = self.leaf(p)
-        x, y, z = (a & 1 for a in leaf)
+        x, y, z = (3 * b + (a & 1) for a, b in zip(leaf, block, strict=True))
         t = [((a << level) % 2**32 >> 8) * 2.0**-24 for a in p]
         v = [
-            self.voxels[block][z + dz][y + dy][x + dx]
+            self.voxels[z + dz][y + dy][x + dx]
             for dz, dy, dx in itertools.product((0, 1), repeat=3)
         ]
         for axis in range(3):
@@ -146,10 +167,14 @@ class Recipe:
 
     def bound(self, p: list[int]) -> float:
         _, leaf, block = self.leaf(p)
-        x, y, z = (a & 1 for a in leaf)
-        code = self.bounds[block][z][y][x]
+        x, y, z = (2 * b + (a & 1) for a, b in zip(leaf, block, strict=True))
+        code = self.bounds[z][y][x]
         assert code != 0
         return math.inf if code == 255 else 2 ** ((code - 254) / 8) * self.side
+
+
+def place(pointer: int) -> tuple[int, ...]:
+    return tuple(pointer >> shift & 1023 for shift in (0, 10, 20))
 
 
 def rounded(value: float) -> float:
@@ -185,20 +210,33 @@ def test_recipe_of_fields(name: str, tmp_path: Path) -> None:
             assert recipe.bound(p) == pytest.approx(answer.bound[i], rel=1e-12)
 
 
-def test_recipe_of_the_order_of_blocks(tmp_path: Path) -> None:
+def test_recipe_of_the_places_of_blocks(tmp_path: Path) -> None:
     field, path = deep_field(), tmp_path / "a.adf.h5"
     files.write_adf(field, path)
     recipe = Recipe(path)
-    identifiers = {}
-    for texel in itertools.chain(*itertools.chain(*recipe.cells)):
-        low, high, block = texel
-        if low or high:
-            identifiers[block] = high << 32 | low
-    assert [*sorted(identifiers)] == [*range(len(field.voxels))]
-    ordered = [identifiers[block] for block in range(len(identifiers))]
-    assert ordered == sorted(ordered)
+    found = recipe.pointers()
+    ordered = sorted(found)
+    assert len(ordered) == len({*found.values()}) == len(field.voxels)
     assert ordered[0] == 1
     assert {code >> 3 for code in ordered[1:]} <= {*ordered}
+    reversed_places = [found[code][::-1] for code in ordered]  # z, y, x
+    assert reversed_places == sorted(reversed_places)
+
+
+def test_the_places_of_blocks_do_not_show_in_what_is_read(tmp_path: Path) -> None:
+    field, path = golden_field(), tmp_path / "a.adf.h5"
+    files.write_adf(field, path)
+    with h5py.File(path, "r+") as file:
+        h5: Any = file
+        for name, side in (("voxels", 3), ("bounds", 2)):
+            h5[name][...] = np.roll(h5[name][()], -side, axis=2)
+        cells = h5["cells"][()]
+        taken = cells[..., 0] != 0
+        x = cells[taken, 1] & 1023
+        cells[taken, 1] += (x + 2) % 3 - x
+        h5["cells"][...] = cells
+    assert files.read_adf(path) == field
+    assert files.read_adf(path).digest() == field.digest()
 
 
 # Tetrahedral volumes

@@ -43,8 +43,8 @@ def plan_adf(
 ) -> FieldJob:
     """Return the job of building the distance field of a mesh.
 
-    request: tolerance, max_level, band, continuous, bounds, max_bytes and measure, as in
-    voxtool.build_adf.
+    request: tolerance, max_level, band, continuous, bounds, max_bytes, measure and max_texture, as
+    in voxtool.build_adf.
     """
     plan = FieldPlan(triangles=len(mesh.faces), sign=sign or "", **request)
     survey = Survey(mesh, device or default_device(), signed=sign != "none")

@@ -47,6 +47,15 @@ def cell_identifier(level: int, ijk: np.ndarray) -> np.ndarray:
     return codes.astype(identifier_type(level))
 
 
+def identifiers_in(cells: np.ndarray) -> np.ndarray:
+    """Return the identifier in each slot of (..., 2 or 3) uint32 texels: uint32, or uint64 where it
+    has a high word; 0 where the slot is free."""
+    if cells.shape[-1] == 2:
+        return np.ascontiguousarray(cells[..., 0])
+    low, high = cells[..., 0].astype(np.uint64), cells[..., 1].astype(np.uint64)
+    return high << np.uint64(32) | low
+
+
 def cell_of(identifiers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the (n,) int64 levels and (n, 3) int64 cells of (n,) identifiers other than 0."""
     codes = np.asarray(identifiers, np.uint64)

@@ -9,7 +9,8 @@ them. Leaves are implicit: they are the children without a block. A field has th
     cells    the identifier of a cell and the number of its block, where the hash puts its key
     hash     offsets of a perfect spatial hash (hashing.py)
 
-and optionally a fourth: a byte for each child of a block, which bounds its error (bounds.py).
+and optionally a fourth: a byte for each child of a block, which bounds its error. Here they are as
+buffers suit; packing.py makes the 3-D textures of them that a file holds.
 
 Distances are float32, in sides of the cube, and negative inside.
 """
@@ -23,8 +24,17 @@ from typing import Any
 
 import numpy as np
 
-from voxtool.adf.cells import JUMP, NO_LEAF, cell_identifier, cell_of, identifier_type, key_of
+from voxtool.adf.cells import (
+    JUMP,
+    NO_LEAF,
+    cell_identifier,
+    cell_of,
+    identifier_type,
+    identifiers_in,
+    key_of,
+)
 from voxtool.adf.host_query import QueryResult, query_on_host
+from voxtool.adf.packing import FieldTextures
 from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.arrays import Data, digest_of
 from voxtool.choices import MAX_LEVEL
@@ -101,10 +111,7 @@ class DistanceField(Data):
     @cached_property
     def identifiers(self) -> np.ndarray:
         """(m, m, m) uint32 or uint64: of the cell in each slot; 0 where it is free."""
-        if self.cells.shape[-1] == 2:
-            return np.ascontiguousarray(self.cells[..., 0])
-        low, high = self.cells[..., 0].astype(np.uint64), self.cells[..., 1].astype(np.uint64)
-        return high << np.uint64(32) | low
+        return identifiers_in(self.cells)
 
     @cached_property
     def blocks(self) -> np.ndarray:
@@ -182,7 +189,8 @@ class DistanceField(Data):
     # ---- sizes, identity, soundness
 
     def sizes(self) -> dict[str, int]:
-        """Return the bytes of each texture."""
+        """Return the bytes of each texture, as on a device: the blocks alone, without the places of
+        a 3-D texture that no block fills."""
         sizes = {"voxels": self.voxels.nbytes, "cells": self.cells.nbytes, "hash": self.hash.nbytes}
         if self.bounds is not None:
             sizes["bounds"] = self.bounds.nbytes
@@ -191,15 +199,16 @@ class DistanceField(Data):
     def digest(self) -> str:
         """Return the SHA-256 of the canonical content, without `reached`, `plan`, source and units.
 
-        It is the same on every device and platform."""
+        It covers the identifiers of the cells that have blocks, the blocks in their order, and the
+        bounds, not where a hash or a texture puts them. It is the same on every device and
+        platform."""
         head = {
             "origin": [v.hex() for v in self.origin],
             **{name: float(getattr(self, name)).hex() for name in EXACT},
             **{name: getattr(self, name) for name in ("sign", "max_level", "continuous")},
-            "hash": [self.hash.m, self.hash.r, self.hash.offsets.shape[-1]],
             "bounds": self.bounds is not None,
         }
-        arrays = [self.voxels, self.cells, self.hash.offsets]
+        arrays = [self.blocks.astype(np.uint64), self.voxels]
         return digest_of(head, *arrays, *([] if self.bounds is None else [self.bounds]))
 
     def summary(self) -> dict[str, Any]:
@@ -238,6 +247,7 @@ class DistanceField(Data):
             "bytes": sum(sizes.values()),
             "bytes_a_leaf": sum(sizes.values()) / sum(leaves),
             "textures": sizes,
+            "shapes": FieldTextures(self).shapes(),
             "saved": {
                 "voxels_of_leaves": 1 - sizes["voxels"] / (eight * sum(leaves)),
                 "voxels_of_cells": 1 - sizes["voxels"] / (eight * 8 * n),

@@ -11,7 +11,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from voxtool.adf.field import FAR
-from voxtool.choices import DEFAULT_MAX_LEVEL, DEFAULT_TOLERANCE, MAX_LEVEL, SIGNS
+from voxtool.adf.packing import most_blocks
+from voxtool.choices import (
+    DEFAULT_MAX_LEVEL,
+    DEFAULT_TEXTURE_3D,
+    DEFAULT_TOLERANCE,
+    MAX_LEVEL,
+    MAX_TEXTURE_3D,
+    MIN_TEXTURE_3D,
+    SIGNS,
+)
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
 from voxtool.job import Cost
 
@@ -42,6 +51,7 @@ class FieldPlan:
     bounds: bool = True
     max_bytes: int | None = None
     measure: bool = True
+    max_texture: int = DEFAULT_TEXTURE_3D
     flat: int = 0
     crossed: int = 0
     undecided: int = 0
@@ -60,6 +70,10 @@ class FieldPlan:
             raise VoxtoolError(f"sign {self.sign!r}: choose one of {', '.join(SIGNS)}")
         if self.max_bytes is not None and self.max_bytes < BLOCK_BYTES:
             raise VoxtoolError(f"max bytes {self.max_bytes}: one block takes {BLOCK_BYTES}")
+        if not MIN_TEXTURE_3D <= self.max_texture <= MAX_TEXTURE_3D:
+            raise VoxtoolError(
+                f"max texture {self.max_texture}: choose {MIN_TEXTURE_3D} to {MAX_TEXTURE_3D}"
+            )
 
     @property
     def certain(self) -> bool:
@@ -162,12 +176,21 @@ class FieldPlan:
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError, with the level that fits, if the levels counted so far need more
-        bytes on the device in total, or in one buffer."""
+        bytes on the device in total, or in one buffer, or more texels than a texture may have."""
         cost, level = self._cost(self.refined, self.items), len(self.refined) - 1
         fitting = cost.device <= max_memory and cost.largest <= max_allocation
+        room, fits = (
+            most_blocks(self.max_texture),
+            f"--max-level {level} fits, or " if level else "",
+        )
+        if sum(self.refined) > room:
+            raise MemoryLimitError(
+                f"{sum(self.refined):,} blocks down to level {level} do not fit a texture of "
+                f"{self.max_texture}^3 texels, which has room for {room:,}: {fits}ask for a larger "
+                f"--tolerance, a --band or --max-bytes {BLOCK_BYTES * room} (see --max-texture)"
+            )
         if fitting and self.items < 1 << 32:
             return
-        fits = f"--max-level {level} fits, or " if level else ""
         cells, most = count_of(self.refined[-1], "cell"), human(max_memory)
         raise MemoryLimitError(
             f"{cells} of level {level} would need {human(cost.device)} of memory "

@@ -14,7 +14,13 @@ from voxtool.adf.build import FieldJob
 from voxtool.adf.field import DistanceField
 from voxtool.adf.host_query import QueryResult
 from voxtool.api.octrees import MeshLike, Path, grid_of, opened
-from voxtool.choices import DEFAULT_MAX_LEVEL, DEFAULT_SEARCH, DEFAULT_TOLERANCE, FILLS
+from voxtool.choices import (
+    DEFAULT_MAX_LEVEL,
+    DEFAULT_SEARCH,
+    DEFAULT_TEXTURE_3D,
+    DEFAULT_TOLERANCE,
+    FILLS,
+)
 from voxtool.distances import DistanceGridJob, DistanceJob
 from voxtool.files import read_adf
 from voxtool.files.mesh import as_mesh
@@ -36,6 +42,7 @@ def plan_adf(
     bounds: bool = True,
     max_bytes: int | None = None,
     measure: bool = True,
+    max_texture: int = DEFAULT_TEXTURE_3D,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> FieldJob:
@@ -70,6 +77,9 @@ def plan_adf(
         Approximate size of the field; the largest errors are refined first.
     measure : bool
         Whether the errors of the field are measured; see DistanceField.reached.
+    max_texture : int
+        Texels that a 3-D texture may have along each axis, 256 to 3072. A field whose blocks would
+        not fit is refused.
     device, max_memory
         As in voxelize.
 
@@ -100,8 +110,8 @@ def plan_adf(
     """
     return adf.plan_adf(
         as_mesh(mesh, max_memory), tolerance=tolerance, max_level=max_level, band=band, sign=sign,
-        continuous=continuous, bounds=bounds, max_bytes=max_bytes, measure=measure, device=device,
-        max_memory=max_memory,
+        continuous=continuous, bounds=bounds, max_bytes=max_bytes, measure=measure,
+        max_texture=max_texture, device=device, max_memory=max_memory,
     )  # fmt: skip
 
 

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import DEFAULT_MAX_LEVEL, DEFAULT_TOLERANCE, MAX_LEVEL, SIGNS
+from voxtool.choices import (
+    DEFAULT_MAX_LEVEL,
+    DEFAULT_TEXTURE_3D,
+    DEFAULT_TOLERANCE,
+    MAX_LEVEL,
+    MAX_TEXTURE_3D,
+    MIN_TEXTURE_3D,
+    SIGNS,
+)
 from voxtool.cli import options, runner
 from voxtool.cli.options import BYTES, option, together
 from voxtool.errors import CheckError, human
@@ -32,6 +40,9 @@ if TYPE_CHECKING:
     option("--max-bytes", BYTES,
         "Approximate size of the field (60M).  The largest errors are refined first.",
         metavar="BYTES"),
+    option("--max-texture", click.IntRange(MIN_TEXTURE_3D, MAX_TEXTURE_3D),
+        "Texels along an axis of a 3-D texture on the device that shall take the field.  A field "
+        "that does not fit is refused.", DEFAULT_TEXTURE_3D, metavar="TEXELS"),
     option("--sign", SIGNS,
         "How inside is separated from outside.  [default: pseudonormal if the mesh is closed and "
         "has no self-intersections, otherwise winding]"),

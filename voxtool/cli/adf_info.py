@@ -59,12 +59,13 @@ def text_of(info: dict[str, Any]) -> Iterator[str]:
     ))  # fmt: skip
     notes = {
         "voxels": f"{percent(saved['voxels_of_leaves'])} less than eight float32 a leaf, "
-        f"{percent(saved['voxels_of_cells'])} less than eight a cell",
+        f"{percent(saved['voxels_of_cells'])} a cell",
         "cells": f"{percent(saved['cells'])} less than with leaves",
     }
-    yield "\ntexture            bytes"
+    yield "\ntexture            bytes   x, y, z, channels"
     for name, size in info["textures"].items():
-        yield f"{name:<8} {size:>15,}   {notes.get(name, '')}".rstrip()
+        texels = " x ".join(map(str, info["shapes"][name]))
+        yield f"{name:<8} {size:>15,} {texels:>19}   {notes.get(name, '')}".rstrip()
     yield "\nlevel        cells       leaves"
     for row in info["levels"]:
         yield f"{row['level']:>5} {row['cells']:>12,} {row['leaves']:>12,}"

@@ -1,14 +1,18 @@
 """Distance fields as HDF5, format `voxtool-adf`, specified in docs/formats.md.
 
-The datasets are the three textures of [ADF, section 3.2] and the error bounds.
+The datasets are the three textures of [ADF, section 3.2] and the error bounds. Version 1 has the
+blocks one after another instead of packed in 3-D textures; it is read, and no longer written.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from voxtool.adf.field import DistanceField
+from voxtool.adf.packing import CHILDREN, VERTICES, FieldTextures, unpack
 from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.choices import MAX_LEVEL, SIGNS
 from voxtool.files import hdf5
@@ -48,6 +52,10 @@ def _offset_type(sizes: Sizes) -> str:
     return "u1" if sizes["m"] < 256 else "<u2"
 
 
+def _bounds_side(voxels: str) -> Callable[[Sizes], int]:
+    return lambda sizes: sizes[voxels] // VERTICES * CHILDREN
+
+
 def _build(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> DistanceField:
     field = DistanceField(
         arrays["voxels"],
@@ -60,37 +68,65 @@ def _build(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> DistanceFie
     return field
 
 
-SCHEMA = Schema(
+def _unpack(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> DistanceField:
+    voxels, cells, bounds = unpack(arrays["voxels"], arrays["cells"], arrays.get("bounds"))
+    unpacked = {"voxels": voxels, "cells": cells, "hash": arrays["hash"]}
+    return _build(values, unpacked if bounds is None else {**unpacked, "bounds": bounds})
+
+
+OWN = (
+    Attribute("depth", int, "deepest level of a leaf", rule=LEVEL),
+    Attribute("m", int, "slots along each axis of `cells`", at="hash.m"),
+    Attribute("r", int, "entries along each axis of `hash`", at="hash.r"),
+    Attribute("origin", float, "low corner of the cube, in world units", 3, rule=FINITE),
+    Attribute("side", float, "side of the cube, in world units", rule=POSITIVE),
+    Attribute("sign", str, SIGN, 32, choices=SIGNS),
+    Attribute("tolerance", float, "error asked for, in sides", rule=FROM_ZERO),
+    Attribute(
+        "max_level", int, f"deepest level allowed for a leaf, at most {MAX_LEVEL}", rule=LEVEL
+    ),
+    Attribute("band", float, WITHIN, rule=BAND),
+    Attribute("continuous", bool, CONTINUOUS),
+    Attribute("lipschitz", float, "largest slope of the field", rule=FROM_ZERO),
+    UNITS,
+    SOURCE,
+    Attribute("reached", dict, "errors and counts that the build reached", JSON_LIMIT),
+    PLAN,
+)
+CELLS = Dataset("cells", "<u4", ("m", "m", "m", (2, 3)))
+HASH = Dataset("hash", _offset_type, ("r", "r", "r", (3, 4)))
+
+
+def _if_there(sizes: Sizes, there: bool) -> bool:
+    return there
+
+
+VERSION_1 = Schema(
     format="voxtool-adf",
     version="1.0",
     what="distance field",
     hint="build a field first: voxtool adf-build MESH",
-    own=(
-        Attribute("depth", int, "deepest level of a leaf", rule=LEVEL),
-        Attribute("m", int, "slots along each axis of `cells`", at="hash.m"),
-        Attribute("r", int, "entries along each axis of `hash`", at="hash.r"),
-        Attribute("origin", float, "low corner of the cube, in world units", 3, rule=FINITE),
-        Attribute("side", float, "side of the cube, in world units", rule=POSITIVE),
-        Attribute("sign", str, SIGN, 32, choices=SIGNS),
-        Attribute("tolerance", float, "error asked for, in sides", rule=FROM_ZERO),
-        Attribute(
-            "max_level", int, f"deepest level allowed for a leaf, at most {MAX_LEVEL}", rule=LEVEL
-        ),
-        Attribute("band", float, WITHIN, rule=BAND),
-        Attribute("continuous", bool, CONTINUOUS),
-        Attribute("lipschitz", float, "largest slope of the field", rule=FROM_ZERO),
-        UNITS,
-        SOURCE,
-        Attribute("reached", dict, "errors and counts that the build reached", JSON_LIMIT),
-        PLAN,
-    ),
+    own=OWN,
     datasets=(
         Dataset("voxels", "<f4", ("n", 3, 3, 3)),
-        Dataset("cells", "<u4", ("m", "m", "m", (2, 3))),
-        Dataset("hash", _offset_type, ("r", "r", "r", (3, 4)), at="hash.offsets"),
-        Dataset("bounds", "u1", ("n", 2, 2, 2), needed=lambda sizes, there: there),
+        CELLS,
+        HASH,
+        Dataset("bounds", "u1", ("n", 2, 2, 2), needed=_if_there),
     ),
     build=_build,
+)
+SCHEMA = replace(
+    VERSION_1,
+    version="2.0",
+    datasets=(
+        Dataset("voxels", "<f4", ("Z", "Y", "X")),
+        CELLS,
+        HASH,
+        Dataset("bounds", "u1", tuple(map(_bounds_side, "ZYX")), needed=_if_there),
+    ),
+    build=_unpack,
+    packed=FieldTextures,
+    older=(VERSION_1,),
 )
 
 write = partial(hdf5.write, SCHEMA)

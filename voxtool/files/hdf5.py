@@ -40,8 +40,9 @@ def write(schema: Schema, content: Any, file: BinaryIO) -> None:
     with h5py.File(file, "w", track_order=False) as h5:
         for attribute in (FORMAT, *schema.attributes):
             _write_attribute(h5, attribute, stored[attribute.name])
+        packed = schema.packed(content)
         for dataset in schema.datasets:
-            array = dataset.encode(content, stored)
+            array = dataset.encode(packed, stored)
             if array is not None:
                 h5.create_dataset(dataset.name, data=array, track_times=False)
 
@@ -83,6 +84,7 @@ def opened(file: BinaryIO) -> Any:
 
 
 def _schema_of(h5: Any, schemas: Sequence[Schema]) -> Schema:
+    """The schema of the file's format and major version."""
     what = " or ".join(schema.what for schema in schemas)
     names = " or ".join(schema.format for schema in schemas)
     if not h5py.h5a.exists(h5.id, b"format"):
@@ -90,14 +92,13 @@ def _schema_of(h5: Any, schemas: Sequence[Schema]) -> Schema:
     format = read_attribute(h5, FORMAT)
     for schema in schemas:
         if schema.format == format:
-            return schema
+            return schema.of_version(read_attribute(h5, FORMAT_VERSION))
     article = "an" if what[0] in "aeiou" else "a"
     raise FileError(f"holds {format!r}, not {article} {what} ({names!r}): {schemas[0].hint}")
 
 
 def _checked(schema: Schema, h5: Any, size: int) -> tuple[dict[str, Any], dict[str, Any]]:
     """The attributes and the datasets of a file, by name."""
-    schema.check_version(read_attribute(h5, FORMAT_VERSION))
     stored = {attribute.name: read_attribute(h5, attribute) for attribute in schema.attributes}
     schema.check(stored)
     found, sizes = {}, dict(stored)

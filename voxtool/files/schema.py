@@ -146,9 +146,13 @@ class Dataset:
         return array if self.rows is None else array.view(self.rows).reshape(-1)
 
 
+def _itself(content: Any) -> Any:
+    return content
+
+
 @dataclass(frozen=True)
 class Schema:
-    """A file format."""
+    """A major version of a file format."""
 
     format: str
     version: str  # major.minor, as it is written
@@ -158,6 +162,8 @@ class Schema:
     datasets: tuple[Dataset, ...]  # in the order in which they are stored
     build: Callable[[dict[str, Any], dict[str, np.ndarray]], Any]  # content of attributes, arrays
     agree: Callable[[Mapping[str, Any]], object] | None = None  # checks attributes together
+    packed: Callable[[Any], Any] = _itself  # what the datasets of some content are taken from
+    older: tuple[Schema, ...] = ()  # major versions that are read, but not written
 
     @property
     def attributes(self) -> tuple[Attribute, ...]:
@@ -172,8 +178,8 @@ class Schema:
         return stored
 
     def check(self, stored: Mapping[str, Any]) -> None:
-        """Check stored attributes of the right types and counts; FileError names the attribute."""
-        self.check_version(stored["format_version"])
+        """Check stored attributes of the right types and counts, of this major version; FileError
+        names the attribute."""
         for attribute in self.attributes:
             attribute.check(stored[attribute.name])
         if self.agree:
@@ -189,18 +195,26 @@ class Schema:
         content.validate()
         return content
 
-    def check_version(self, version: str) -> None:
-        """Raise FileError unless a version has our major number."""
+    @property
+    def major(self) -> int:
+        """The major number of the version."""
+        return int(self.version.split(".")[0])
+
+    def of_version(self, version: str) -> Schema:
+        """Return the schema with the major number of a version; FileError if there is none."""
         found = re.fullmatch(r"([0-9]{1,4})\.([0-9]{1,4})", version)
         if found is None:
             raise FileError(f"format_version {version[:16]!r} is no version such as {self.version}")
-        ours, theirs = int(self.version.split(".")[0]), int(found[1])
-        if theirs != ours:
-            age, hint = ("newer", "update voxtool") if theirs > ours else ("older", "write it anew")
-            raise FileError(
-                f"written in format {version}, {age} than the {self.version} that voxtool "
-                f"{__version__} reads: {hint}"
-            )
+        theirs = int(found[1])
+        for schema in (self, *self.older):
+            if schema.major == theirs:
+                return schema
+        newer = theirs > self.major
+        age, hint = ("newer", "update voxtool") if newer else ("older", "write it anew")
+        raise FileError(
+            f"written in format {version}, {age} than the {self.version} that voxtool "
+            f"{__version__} reads: {hint}"
+        )
 
     def is_newer(self, version: str) -> bool:
         """True if an accepted version has a newer minor number, so that it may hold more."""

@@ -130,7 +130,7 @@ def parse_head(texts: dict[str, str]) -> dict[str, Any]:
     if "dim" not in texts:
         raise FileError("attribute dim is missing")
     head: dict[str, Any] = {"format_version": SCHEMA.version}
-    SCHEMA.check_version(texts.get("format_version", SCHEMA.version))
+    SCHEMA.of_version(texts.get("format_version", SCHEMA.version))
     for attribute in SCHEMA.attributes:
         if attribute.name in texts:
             text = texts[attribute.name]
