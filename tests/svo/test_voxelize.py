@@ -362,6 +362,7 @@ def test_thin_grids_are_dense_in_their_own_shape(device: Device) -> None:
         ("solid", {"fill": "parity", "with_surface": True}),
         ("solid", {"fill": "nonzero"}),
         ("solid", {"fill": "flood"}),
+        ("solid", {"fill": "flood", "gap": 3}),
         ("solid", {"fill": "winding"}),
     ],
 )

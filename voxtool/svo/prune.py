@@ -30,15 +30,16 @@ def prune(
 
     `lists` holds the ascending Morton codes of the refined nodes by level, from level 1 up,
     `states` the (n,) uint8 states of all nodes of each level, and `bricks` the masks of the
-    children of the refined level-1 nodes. The level-1 nodes with codes `active` stay refined.
-    Returns the offsets, nodes and bricks of an Octree.
+    children of the refined level-1 nodes. The level-1 nodes with codes `active`, which are among
+    the refined ones, stay refined. Returns the offsets, nodes and bricks of an Octree.
     """
     parts, below = [], np.empty(0, np.uint8)
     for level, (codes, state) in enumerate(zip(lists, states, strict=True), 1):
         if level == 1:
             bricks = bricks.reshape(-1, 8)
             empty, full = (bricks == 0).all(axis=1), (bricks == ALL_VOXELS).all(axis=1)
-            stays = np.isin(codes, active, assume_unique=True) | ~(empty | full)
+            stays = ~(empty | full)
+            stays[np.searchsorted(codes, active)] = True
             bricks = bricks[stays].ravel().astype(BRICK, copy=False)
         else:
             below = below.reshape(-1, 8)

@@ -41,6 +41,7 @@ from voxtool.opencl.primitives import SOURCE as PRIMITIVES
 from voxtool.svo.build import SOURCE as BUILD
 from voxtool.svo.build import build_octree
 from voxtool.svo.fill.caps import Boundary, find_boundary
+from voxtool.svo.fill.dilation import SOURCE as DILATION
 from voxtool.svo.fill.flood import SOURCE as FLOOD
 from voxtool.svo.fill.flood import flood
 from voxtool.svo.fill.rows import (
@@ -204,6 +205,7 @@ class VoxelizeJob(Job[Octree]):
         programs += [(BUILD, code), (PRIMITIVES, {"KEY": options["CODE"]})]
         if plan.fill == "flood":
             programs += [(BUILD, wide), sort, (FLOOD, wide)]
+            programs += [(DILATION, wide), (ROWS, {"CODE": "uint"})] * (plan.gap > 0)
         elif plan.solid:
             programs += [*by_rows, (ROWS, code)]
         return programs

@@ -425,6 +425,15 @@ def test_gaps_are_closed_up_to_their_width(device: Device, width: int) -> None:
         assert octree.count <= 17**3  # no fatter
 
 
+@pytest.mark.parametrize("gap", [15, 16, 18, 31, 40])
+def test_gaps_may_reach_over_nodes(device: Device, gap: int) -> None:
+    """Steps beyond a node of 8 voxels are made in rounds."""
+    mesh, shape = meshes.open_box((UNIT * 13 + 9,) * 3, (UNIT * 33 + 9,) * 3), (45, 40, 41)
+    surface = voxelize(lattice_mesh(*mesh), lattice_grid(shape), "surface26", device=device)
+    found = run(device, mesh, shape, "flood", gap=gap).to_dense()
+    assert np.array_equal(found, oracles.flood(surface.to_dense(), gap))
+
+
 def test_a_gap_goes_with_flood(device: Device) -> None:
     mesh = meshes.box(300, 2000)
     for fill, gap, message in (

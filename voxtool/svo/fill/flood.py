@@ -15,11 +15,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from voxtool.morton import morton_decode, morton_encode
+from voxtool.morton import morton_decode
 from voxtool.opencl import Array, Device, program
 from voxtool.svo.build import DeviceOctree, build_octree
-from voxtool.svo.layout import BRICK, descend, unite_bricks, voxels_within
-from voxtool.svo.prune import EMPTY, FULL, REFINED, child_places
+from voxtool.svo.fill.dilation import dilate, grow_outside, reached_nodes
+from voxtool.svo.fill.rows import unite_nodes
+from voxtool.svo.layout import BRICK, descend, voxels_within
+from voxtool.svo.prune import EMPTY, FULL, REFINED
 
 SOURCE = "svo/fill/flood.cl"
 PARTS = 8  # components that the voxels of a brick can have
@@ -29,8 +31,6 @@ HEADERS = {
         PARTS=PARTS, NOTHING=NOTHING, EMPTY=EMPTY, FULL=FULL, REFINED=REFINED
     )
 }
-# The voxels of coordinate 0 along an axis; those of 1, 2 and 3 lie 1, 8 and 9 << axis bits above.
-LOW = [np.uint64(m) for m in (0x0055005500550055, 0x0000333300003333, 0x000000000F0F0F0F)]
 
 
 def flood(
@@ -54,16 +54,19 @@ def flood(
         root = np.full(1, EMPTY, np.uint8)
         return [nodes] * top, [root[:0]] * (top - 1) + [root], surface
     around = np.uint64(7 << 3 * (top - 1))  # the grid becomes cube (1, 1, 1) of 4 x 4 x 4
-    nodes, masks = _dilate(nodes.astype(np.uint64) | around, surface, steps)
-    tree = build_octree(device, 4 * side, device.put(nodes), len(nodes))
-    barrier = device.put(masks)
+    nodes = own = nodes.astype(np.uint64) | around
+    codes, n, barrier = device.put(own), len(own), device.view(surface)
+    if steps:
+        codes, n = reached_nodes(codes, n, barrier, steps, bits=3 * (top + 1))
+    tree = build_octree(device, 4 * side, codes, n)
     beside = _beside(tree)
+    if steps:
+        nodes, walls = _level_codes(tree, 1), barrier
+        barrier = device.zeros(8 * n, BRICK)
+        unite_nodes(walls, np.searchsorted(nodes, own).astype(np.uint32), barrier)
+        barrier = dilate(tree, beside, barrier, steps)
     all_states, outside = _reach(tree, beside, barrier)
-    for _ in range(steps):
-        grown = device.empty(outside.size, BRICK)
-        grow_outside = tree.kernel(SOURCE, "grow_outside")
-        grow_outside(outside.size, beside, all_states, barrier, outside, grown)
-        outside = grown
+    outside = grow_outside(tree, beside, all_states, barrier, outside, steps)
 
     every, lists, states = all_states.take(), [], []
     for level in range(1, top + 1):
@@ -112,38 +115,3 @@ def _reach(tree: DeviceOctree, beside: Array, barrier: Array) -> tuple[Array, Ar
     states = device.empty(coarse, np.uint8)
     tree.kernel(SOURCE, "state_nodes")(coarse, tree.nodes, out, roots, states)
     return states, outside
-
-
-# ---- masks of bricks
-
-
-def _spilled_along(axis: int, mask: np.ndarray, step: int) -> np.ndarray:
-    """Return the same along one axis: voxels that differ in the other coordinates do not touch."""
-    low, one, two, three = LOW[axis], *(np.uint64(n << axis) for n in (1, 8, 9))
-    if step > 0:
-        return (mask >> three) & low
-    if step < 0:
-        return (mask & low) << three
-    up = (mask & (low | low << two)) << one | (mask & low << one) << (two - one)
-    down = (mask >> one) & (low | low << two) | (mask >> (two - one)) & low << one
-    return mask | up | down
-
-
-def _dilate(nodes: np.ndarray, surface: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the voxels up to a number of steps from a surface: the given level-1 nodes and those
-    that hold the voxels, and the masks of their bricks."""
-    codes, masks = descend(nodes)[surface != 0], surface[surface != 0]
-    for axis in [0, 1, 2] * steps:
-        cells, found, grown = morton_decode(codes), [], []
-        for step in (-1, 0, 1):
-            spilled = _spilled_along(axis, masks, step)
-            some = spilled != 0
-            found.append(morton_encode(cells[some] + step * np.eye(3, dtype=np.int64)[axis]))
-            grown.append(spilled[some])
-        codes = np.concatenate(found)
-        order = np.argsort(codes, kind="stable")
-        codes, masks = unite_bricks(codes[order], np.concatenate(grown)[order])
-    wider = np.union1d(nodes, codes >> np.uint64(3))
-    barrier = np.zeros(8 * len(wider), np.uint64)
-    barrier[child_places(codes, wider)] = masks
-    return wider, barrier

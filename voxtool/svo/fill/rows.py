@@ -130,7 +130,7 @@ class Filled:
         positions = self.positions
         if positions is None:
             positions = np.arange(added.size // 8, dtype=np.uint32)
-        _unite(added, positions, self.bricks)
+        unite_nodes(added, positions, self.bricks)
 
 
 def fill_rows(tree: DeviceOctree, flips: Flips, max_memory: int) -> Filled:
@@ -144,7 +144,7 @@ def fill_rows(tree: DeviceOctree, flips: Flips, max_memory: int) -> Filled:
         with device.stage("refine open rows"):
             lists, positions = _refine_open_rows(tree, flips, max_memory)
             moved = device.zeros(8 * len(lists[0]), BRICK)
-            _unite(flips.bricks, positions, moved)
+            unite_nodes(flips.bricks, positions, moved)
             tree, flips = build_from_lists(device, lists), replace(flips, bricks=moved)
             entries, unresolved = _walk_rows(tree, flips)
             if unresolved:
@@ -158,8 +158,8 @@ def fill_rows(tree: DeviceOctree, flips: Flips, max_memory: int) -> Filled:
     return Filled(tree, flips.bricks, positions)
 
 
-def _unite(added: Array, positions: np.ndarray, bricks: Array) -> None:
-    """Add the voxels of the bricks of level-1 nodes to those at their positions."""
+def unite_nodes(added: Array, positions: np.ndarray, bricks: Array) -> None:
+    """Add the voxels of the bricks of level-1 nodes to those of the nodes at their positions."""
     device = added.device
     unite_bricks = device.kernel(SOURCE, "unite_bricks", CODE="uint")
     unite_bricks(added.size, added, device.put(positions), bricks)
