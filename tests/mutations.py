@@ -76,14 +76,14 @@ MUTATIONS: dict[str, Mutation] = {
     # kernels: surfaces
     "marching cubes: orientation of an edge": Mutation(
         "kernels/svo/surface/samples.h",
-        "return cell_is_inside ? LATTICE - kept : kept;",
+        "return is_inside ? LATTICE - kept : kept;",
         "return kept;",
         "tests/svo/surface",
     ),
     "marching cubes: the edge of a triangle": Mutation(
         "kernels/svo/surface/marching_cubes.cl",
-        "vertex_of(THESE_TILES, cut_edges, first_vertex,\n",
-        "vertex_of(THESE_TILES, cut_edges, first_vertex + (i & 1),\n",
+        "vertex[PLACE[bit] + offset] = before",
+        "vertex[PLACE[bit] + offset] = 1 + before",
         "tests/svo/surface",
     ),
     "nets: a face pinched on both sides": Mutation(

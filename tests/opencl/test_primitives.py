@@ -24,6 +24,7 @@ from voxtool.opencl.primitives import (
     compact,
     exclusive_scan,
     radix_sort,
+    scan_runs,
     unique,
 )
 
@@ -97,6 +98,15 @@ def test_scan_and_sort_again_and_again_are_the_same(device: Device) -> None:
     assert all(
         np.array_equal(*pair) for run in results for pair in zip(run, results[0], strict=True)
     )
+
+
+@pytest.mark.parametrize("size", [0, 1, GROUP, BLOCK + 1])
+def test_scan_of_runs_adds_the_runs_before(device: Device, size: int) -> None:
+    values = np.random.default_rng(size).integers(0, 1 << 32, (3, size), np.uint32)
+    array = device.put(np.append(values, np.uint32(7)))
+    sums = scan_runs(array, size, 3)
+    assert sums == values.sum(axis=1, dtype=np.uint32).tolist()  # modulo 2**32
+    assert np.array_equal(array.get()[1:], np.cumsum(values.ravel(), dtype=np.uint32))
 
 
 # ---- radix sort

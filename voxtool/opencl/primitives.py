@@ -54,6 +54,21 @@ def exclusive_scan(values: Array, n: int) -> int:
     return int(values.get(n, n + 1)[0])
 
 
+def scan_runs(values: Array, n: int, runs: int) -> list[int]:
+    """Replace each of `runs` runs of n values by its exclusive prefix sum, to which the sums of the
+    runs before it are added; return the sum of each run. Sums are modulo 2**32. Waits for the
+    device.
+
+    Parameters
+    ----------
+    values : uint32, at least n * runs + 1 elements.
+    """
+    _check(n * runs, "scan")
+    _scan(values, n * runs)
+    starts = np.array([values.get(n * i, n * i + 1)[0] for i in range(runs + 1)], np.uint32)
+    return np.diff(starts).tolist()
+
+
 def _check(n: int, what: str) -> None:
     if n >= 1 << 31:
         raise MemoryLimitError(f"a {what} of {n} values exceeds 32-bit indices: {LESS}")

@@ -5,11 +5,11 @@
 #include "svo/octree.h"
 #include "svo/surface/samples.h"
 
-// The `child` words of a level's nodes start at children[first].
+// A level's nodes start at nodes[first].
 
 // coverage[i] = number of occupied voxels in node i of a level, `full` if the node is inside.
 // `below` holds the coverages of the next finer level, or `bricks` its bricks if that is level 0.
-__kernel void cover_level(__global const uint *children, const uint first, const uint n,
+__kernel void cover_level(__global const svo_node *nodes, const uint first, const uint n,
                           const uint full, __global const ulong *bricks,
                           __global const uint *below, const uint below_bricks,
                           __global uint *coverage)
@@ -17,7 +17,7 @@ __kernel void cover_level(__global const uint *children, const uint first, const
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const uint child = children[first + gid];
+    const uint child = nodes[first + gid].child;
     uint sum = child & INSIDE ? full : 0;
     if (child & VALID)
         for (uint i = child & LINK; i < (child & LINK) + 8; ++i)
@@ -26,18 +26,27 @@ __kernel void cover_level(__global const uint *children, const uint first, const
 }
 
 // The codes of a level's refined nodes, from those of the level above; and the tiles in the level's
-// inside leaves: 2^shift per leaf, contiguous in Morton order.
-__kernel void place_nodes(__global const uint *children, const uint first, const uint n,
-                          __global const uint *above_codes, const uint is_root, const uint shift,
-                          __global uint *codes, volatile __global uint *inside)
+// inside leaves: 2^shift per leaf, contiguous in Morton order. On the last level, also the active
+// tiles, those of its refined nodes; a node whose children are bricks has eight tiles.
+__kernel void place_nodes(__global const svo_node *nodes, const uint first, const uint n,
+                          __global const uint *above_codes, const uint is_root, const uint is_last,
+                          const uint shift, __global uint *codes, volatile __global uint *inside,
+                          volatile __global uint *active)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const uint child = children[first + gid];
+    const uint child = nodes[first + gid].child;
     const uint code = is_root ? 0 : above_codes[gid >> 3] << 3 | (gid & 7);
-    if (child & VALID)
+    if (child & VALID) {
         codes[(child & LINK) >> 3] = code;
+        if (is_last)
+#ifdef VOXELS
+            atomic_or(&active[code >> 2], 0xFFu << (8 * (code & 3)));
+#else
+            atomic_or(&active[code >> 5], 1u << (code & 31));
+#endif
+    }
     if (!(child & INSIDE))
         return;
     const ulong tile = (ulong)code << shift;
@@ -46,19 +55,6 @@ __kernel void place_nodes(__global const uint *children, const uint first, const
     else
         for (ulong word = tile >> 5; word < (tile + (1ul << shift)) >> 5; ++word)
             inside[word] = 0xFFFFFFFFu;
-}
-
-// Marks the tiles of the octree's refined nodes; a node whose children are bricks has eight tiles.
-__kernel void mark_tiles(__global const uint *codes, const uint n, volatile __global uint *active)
-{
-    const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-#ifdef VOXELS
-    atomic_or(&active[codes[gid] >> 2], 0xFFu << (8 * (codes[gid] & 3)));
-#else
-    atomic_or(&active[codes[gid] >> 5], 1u << (codes[gid] & 31));
-#endif
 }
 
 // The words of tiles at the corners of the cubes of word `code`; 0 outside the root.
@@ -126,21 +122,23 @@ __kernel void sample_tiles(__global const uint *node_codes, const uint n,
 #else
 
 // The coverages of the 64 samples of each active tile; the masks of samples inside, and of samples
-// outside that contain occupied voxels. full_and_inside: the coverage of a full sample, and the least
+// outside that contain occupied voxels, with the number of these voxels. full_and_inside: the coverage of a full sample, and the least
 // of a sample inside.
 __kernel void sample_tiles(__global const uint *node_codes, const uint n,
-                           __global const uint *children, const uint first,
+                           __global const svo_node *nodes, const uint first,
                            const uint2 full_and_inside, __global const COVERAGE *coverage,
                            __global const ulong *present, __global const uint *ranks,
                            __global SAMPLE *samples, __global ulong *below,
-                           __global ulong *masks, __global uint *source)
+                           __global uint *lost_below, __global ulong *masks,
+                           __global uint *source)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     ulong mask = 0, set = 0;
+    uint outside = 0;
     for (uint octant = 0; octant < 8; ++octant) {
-        const uint child = children[first + 8 * gid + octant], node = child & LINK;
+        const uint child = nodes[first + 8 * gid + octant].child, node = child & LINK;
         __global SAMPLE *sample = samples + 64 * (size_t)gid + 8 * octant;
         if (child & VALID) {
             for (uint i = 0; i < 8; ++i) {
@@ -149,6 +147,7 @@ __kernel void sample_tiles(__global const uint *node_codes, const uint n,
                 sample[i] = (SAMPLE)covered;
                 mask |= (ulong)(covered >= full_and_inside.y) << (8 * octant + i);
                 set |= (ulong)(covered > 0) << (8 * octant + i);
+                outside += covered < full_and_inside.y ? covered : 0;
             }
         } else {
             for (uint i = 0; i < 8; ++i)
@@ -159,16 +158,16 @@ __kernel void sample_tiles(__global const uint *node_codes, const uint n,
     const uint slot = slot_of(present, ranks, node_codes[gid]);
     masks[slot] = mask;
     below[gid] = set & ~mask;
+    lost_below[gid] = outside;
     source[slot] = gid;
 }
 
 #endif
 
-// For each present tile: the cut cells, the cut edges that start in it along x, y and z, and the
-// number of each.
+// For each present tile: the cut cells; their number, and n further that of the cut edges that start
+// in it.
 __kernel void classify_cubes(__global const uint *codes, const uint n, TILES, __global ulong *cut,
-                             __global ulong *cut_edges, __global uint *first_cube,
-                             __global uint *first_edge)
+                             __global uint *first_cube)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -177,11 +176,10 @@ __kernel void classify_cubes(__global const uint *codes, const uint n, TILES, __
     corner_masks(THESE_TILES, codes[gid], corner);
     cut[gid] = cut_cubes(corner);
     first_cube[gid] = (uint)popcount(cut[gid]);
-    for (uint axis = 0; axis < 3; ++axis) {
-        const ulong differing = corner[0] ^ corner[1u << axis];
-        cut_edges[3 * gid + axis] = differing;
-        first_edge[3 * gid + axis] = (uint)popcount(differing);
-    }
+    uint edges = 0;
+    for (uint axis = 0; axis < 3; ++axis)
+        edges += (uint)popcount(corner[0] ^ corner[1u << axis]);
+    first_cube[n + gid] = edges;
 }
 
 // The tile (its slot), position in the tile, and case of each cut cell.
@@ -217,25 +215,26 @@ ulong dilate(ulong mask)
 }
 
 // lost[2 i]: number of occupied voxels in samples outside. lost[2 i + 1]: those of them in samples
-// with no cut cell around. Work-item i of n sums every n-th of `count` tiles.
+// with no cut cell around. Each of n work-items sums a share of `count` tiles.
 __kernel void count_lost(__global const uint *codes, const uint count, TILES, SAMPLES,
-                         __global const ulong *below, __global const ulong *cut, const uint n,
-                         __global ulong *lost)
+                         __global const ulong *below, __global const uint *lost_below,
+                         __global const ulong *cut, const uint n, __global ulong *lost)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     ulong sum = 0, vanished = 0;
-    for (uint slot = gid; slot < count; slot += n) {
+    const uint share = (count + n - 1) / n;
+    for (uint slot = gid * share; slot < min((gid + 1) * share, count); ++slot) {
         if (source[slot] == NOWHERE)
             continue;
-        const ulong near = dilate(masks[slot]); // samples in a cut cell of the tile
-        for (ulong left = below[source[slot]]; left; left &= left - 1) {
+        sum += lost_below[source[slot]];
+        // samples without a cut cell in the tile
+        ulong left = below[source[slot]] & ~dilate(masks[slot]);
+        for (; left; left &= left - 1) {
             const uint bit = lowest_bit(left);
-            const uint covered = samples[64 * (size_t)source[slot] + bit];
-            sum += covered;
             const ulong cell = (ulong)codes[slot] << 6 | bit;
-            bool seen = near >> bit & 1;
+            bool seen = false;
             for (uint j = 0; j < 8 && !seen; ++j) {
                 ulong cube = cell;
                 for (uint axis = 0; axis < 3; ++axis)
@@ -244,7 +243,7 @@ __kernel void count_lost(__global const uint *codes, const uint count, TILES, SA
                 const uint at = exists ? slot_of(present, ranks, cube >> 6) : NOWHERE;
                 seen = at != NOWHERE && (cut[at] >> (cube & 63) & 1);
             }
-            vanished += seen ? 0 : covered;
+            vanished += seen ? 0 : samples[64 * (size_t)source[slot] + bit];
         }
     }
     lost[2 * gid] = sum;

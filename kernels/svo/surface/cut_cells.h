@@ -89,8 +89,11 @@ ulong mask_of(TILES, ulong tile)
 {
     if (tile >> 6 >= words)
         return 0;
-    const uint slot = slot_of(present, ranks, tile);
-    return slot != NOWHERE ? masks[slot] : inside[tile >> 6] >> (tile & 63) & 1 ? ALL : 0;
+    const ulong word = present[tile >> 6], bit = 1ul << (tile & 63);
+    const ulong all = inside[tile >> 6] & bit ? ALL : 0; // without branches that go either way
+    const uint slot = ranks[tile >> 6] + (uint)popcount(word & (bit - 1));
+    const ulong mask = masks[word & bit ? slot : 0];
+    return word & bit ? mask : all;
 }
 
 // Bit b of corner[j]: is corner j of cube b of the tile inside?

@@ -81,7 +81,8 @@ void place_loops(TILES, SAMPLES, const ulong cell, const uint found, const int3 
         sum += place_in_tile(j) * LATTICE + unit_of(axis) * t;
         ++edges;
         if (step & STEP_LAST) {
-            vstore3(low + within((2 * sum + edges) / (2 * edges)), vertex++, points);
+            const int3 mean = (2 * sum + edges) / (2 * edges);
+            vstore3(low + (int3)(within(mean.x), within(mean.y), within(mean.z)), vertex++, points);
             sum = 0, edges = 0;
         }
     }

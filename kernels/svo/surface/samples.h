@@ -47,8 +47,8 @@ uint coverage_at(tile_samples tile, uint place)
 }
 #endif
 
-// Clamps positions along axes away from both ends of an edge.
-int3 within(int3 t) { return clamp(t, (int3)(NEAREST), (int3)(LATTICE - NEAREST)); }
+// Clamps a position along an edge away from both ends.
+int within(int t) { return clamp(t, NEAREST, LATTICE - NEAREST); }
 
 // The position, in LATTICE units per edge, where an edge crosses the surface, by the coverages of its
 // two samples: t = (iso - a) / (b - a) from the outside sample, rounded once and clamped away from
@@ -58,7 +58,7 @@ int crossing(uint here, uint beyond, ulong isovalue, bool is_inside)
     const uint outer = is_inside ? beyond : here, inner = is_inside ? here : beyond;
     const difference above = (difference)isovalue - ((difference)outer << 16);
     const difference half_step = (difference)(inner - outer) << (15 - LATTICE_BITS);
-    const int kept = within((int)((above + half_step) / (2 * half_step))).x;
+    const int kept = within((int)((above + half_step) / (2 * half_step)));
     return is_inside ? LATTICE - kept : kept;
 }
 

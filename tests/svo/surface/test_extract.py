@@ -434,7 +434,7 @@ def test_the_plan_says_what_is_left_out() -> None:
     job = plan_extract(octree)
     assert "loops and quads" in job.left_out
     assert "root above the octree" in job.left_out
-    assert job.stages[-3:] == ("vertices", "triangles", "read back")
+    assert job.stages[-3:] == ("lost voxels", "triangles", "read back")
     merged = plan_extract(octree, style=FACES, merge=True)
     assert "sorting" not in merged.left_out
     assert merged.stages[-3:] == ("merge", "triangles", "read back")

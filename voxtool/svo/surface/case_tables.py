@@ -25,12 +25,15 @@ from itertools import combinations
 
 import numpy as np
 
+from voxtool.morton import morton_encode
 from voxtool.opencl import program
+from voxtool.svo.layout import BRICK_SIDE, BRICK_VOXELS
 
 CASES = 256
 MAX_LOOPS = 4  # of a case
 ALTERNATIVE = 256  # added to a case whose ambiguous face joins its inside corners
 MAX_TRIANGLES = 5
+CORNERS_ALONG = BRICK_SIDE + 1  # of the cubes of a tile
 NO_FACE = 6
 NO_EDGE = 255
 # A step of a loop in 16 bits: the mask of its edge, the places of the face and of the edge beyond
@@ -203,24 +206,31 @@ def _header(constants: dict[str, int], tables: dict[str, np.ndarray]) -> str:
 
 
 def _primal_header() -> str:
-    """Return the tables of marching cubes as OpenCL constants: the cut edges of each case, each
-    the corner where it begins plus 8 times its axis; and triangles, by the places of their edges
-    among these."""
+    """Return the tables of marching cubes as OpenCL constants.
+
+    The edges along x, y and z from the corners of a tile's cubes are numbered by the corner, in
+    rows, then by the axis. PLACE is the number of the first edge from the low corner of each cube,
+    TILE_BEYOND that from each corner of the tile, and TILE_TOP the cube below this corner;
+    TRIANGLES has the edges of a case, from PLACE of its cube on.
+    """
+    steps = 3 * CORNERS_ALONG ** np.arange(3)
+    low_corner, axis = np.array(EDGES)[:, 0], np.arange(12) // 4
+    number = _bits(low_corner) @ steps + axis
     triangles = triangle_table()
-    begin_and_axis = np.array([low | edge // 4 << 3 for edge, (low, _) in enumerate(EDGES)])
-    edges = np.full((CASES, 12), NO_EDGE, np.uint8)
-    places = np.full_like(triangles, NO_EDGE)
-    for case, row in enumerate(triangles):
-        cut = np.unique(row[row != NO_EDGE])
-        edges[case, : len(cut)] = begin_and_axis[cut]
-        places[case] = np.where(row == NO_EDGE, NO_EDGE, np.searchsorted(cut, row))
     tables = {
         "TRIANGLE_COUNT": np.count_nonzero(triangles != NO_EDGE, axis=1) // 3,
-        "TRIANGLES": places,
-        "EDGE_COUNT": np.count_nonzero(edges != NO_EDGE, axis=1),
-        "EDGES": edges,
+        "TRIANGLES": np.where(triangles == NO_EDGE, 0, number[np.minimum(triangles, 11)]),
+        "PLACE": BRICK_VOXELS.astype(int) @ steps,
+        "TILE_BEYOND": BRICK_SIDE * _bits(np.arange(8)) @ steps,
+        "TILE_TOP": morton_encode((BRICK_SIDE - 1) * _bits(np.arange(8))),
     }
-    return _header({"MAX_TRIANGLES": MAX_TRIANGLES}, tables)
+    constants = {"MAX_TRIANGLES": MAX_TRIANGLES, "CORNERS_ALONG": CORNERS_ALONG}
+    return _header(constants, tables)
+
+
+def _bits(corners: np.ndarray) -> np.ndarray:
+    """Return the coordinates of corners of a cube, (N, 3)."""
+    return corners[:, None] >> np.arange(3) & 1
 
 
 def _dual_header() -> str:

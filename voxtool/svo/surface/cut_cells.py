@@ -23,13 +23,14 @@ import numpy as np
 
 from voxtool.errors import MemoryLimitError
 from voxtool.opencl import Array, Device
-from voxtool.opencl.primitives import exclusive_scan
-from voxtool.svo.layout import BRICK_SIDE, BRICK_VOXELS, INSIDE, LINK, VALID
+from voxtool.opencl.primitives import exclusive_scan, scan_runs
+from voxtool.svo.layout import BRICK_SIDE, BRICK_VOXELS, INSIDE, LINK, NODE, VALID
 from voxtool.svo.octree import VOXEL, Octree
 from voxtool.svo.surface.isosurface import Lost
 
 SOURCE = "svo/surface/cut_cells.cl"
 MAX_PRESENT = 1 << 24  # tiles: 32 bits count their 192 edges each
+MAX_EDGES = 1 << 30  # that the surface cuts
 MAX_LEVEL = 8  # up to which 32 bits count a node's voxels
 ISOVALUE_BITS = 16  # of a fraction of a voxel
 _BIT = np.uint64(1) << np.arange(BRICK_SIDE**3, dtype=np.uint64)
@@ -84,7 +85,7 @@ class Tree:
     low sides of its cube, because cubes begin one sample below them.
     """
 
-    children: np.ndarray  # the nodes' `child` words, root first
+    nodes: np.ndarray  # the octree's, root first
     offsets: list[int]  # the first node of each level in them, and their end
     bricks: int  # number of bricks
     shift: int  # voxels from the root's corner to the octree's, along each axis
@@ -95,10 +96,10 @@ class Tree:
         return len(self.offsets) - 1
 
     def first(self, level: int) -> int:
-        """Return the first node of a level in `children`."""
+        """Return the place of a level's first node."""
         return self.offsets[self.top - level]
 
-    def nodes(self, level: int) -> int:
+    def count(self, level: int) -> int:
         """Return the number of nodes of a level."""
         if not level:
             return self.bricks
@@ -108,8 +109,7 @@ class Tree:
 def grow_tree(octree: Octree, sampling: Sampling) -> Tree:
     """Return the octree's links, with roots added above its own where they are needed."""
     offsets = octree.offsets[:-1].tolist()
-    children = np.ascontiguousarray(octree.nodes["child"][: offsets[-1]])
-    tree = Tree(children, offsets, len(octree.bricks), 0)
+    tree = Tree(octree.nodes[: offsets[-1]], offsets, len(octree.bricks), 0)
     if _touches_low_sides(tree, octree.bricks, sampling):
         tree = replace(_with_root(tree, 7), shift=octree.grid.side)
     while tree.top < sampling.level + 2:
@@ -119,11 +119,12 @@ def grow_tree(octree: Octree, sampling: Sampling) -> Tree:
 
 def _with_root(tree: Tree, octant: int) -> Tree:
     """Return the tree with a root above its own, which becomes the child in an octant."""
-    siblings = np.zeros(8, np.uint32)
-    siblings[octant] = tree.children[0]
-    children = np.concatenate([np.array([VALID], np.uint32), siblings, tree.children[1:]])
+    above = np.zeros(9, NODE)
+    above["child"][0] = VALID
+    above["child"][1 + octant] = tree.nodes["child"][0]
+    nodes = np.concatenate([above, tree.nodes[1:]])
     offsets = [0, 1, *(offset + 8 for offset in tree.offsets[1:])]
-    return replace(tree, children=children, offsets=offsets)
+    return replace(tree, nodes=nodes, offsets=offsets)
 
 
 def _touches_low_sides(tree: Tree, bricks: np.ndarray, sampling: Sampling) -> bool:
@@ -134,7 +135,7 @@ def _touches_low_sides(tree: Tree, bricks: np.ndarray, sampling: Sampling) -> bo
     octants = np.arange(8, dtype=np.uint32)
     high_sides = ~octants.astype(np.uint8)
     for level in range(tree.top, 0, -1):
-        child = tree.children[tree.first(level) + nodes]
+        child = tree.nodes["child"][tree.first(level) + nodes]
         refined = np.flatnonzero(child & VALID)
         if (child & INSIDE).any() or (level == sampling.level and len(refined)):
             return True
@@ -158,8 +159,9 @@ class Tiles:
     ranks : (words,) number of present tiles before each word.
     codes, masks, source : (n,) Morton code and inside samples of each present tile, and its number
         among the tiles that have nodes, if it is one.
-    samples, below : set voxels of the 64 samples of each tile that has nodes, and as a mask those
-        samples that have set voxels and are not inside; missing if samples are voxels.
+    samples, below, lost_below : set voxels of the 64 samples of each tile that has nodes; as a mask
+        those samples that have set voxels and are not inside, and the set voxels of these; missing
+        if samples are voxels.
     full, isovalue : voxels of a sample, and the isovalue.
     shift : samples from the root's corner to the grid's, along each axis.
     """
@@ -175,14 +177,29 @@ class Tiles:
 
 
 @dataclass(frozen=True)
+class Extracted:
+    """A surface on the device.
+
+    cubes : number of cut cubes.
+    lost : as of count_lost.
+    points : (3 V,) int32 as Isosurface.points.
+    triangles : (3 F,) uint32 vertices, counter-clockwise seen from outside.
+    """
+
+    cubes: int
+    lost: Array | None
+    points: Array
+    triangles: Array
+
+
+@dataclass(frozen=True)
 class CutCubes:
     """The cubes that the surface cuts, on the device, in the order of their tiles.
 
     The arguments of kernels, by name: those of the tiles, and
 
-    cut, cut_edges : (tiles,), (3 tiles,) masks of the cut cubes of each tile, and of its cut edges
-        along x, y and z.
-    first_cube, first_edge : (tiles + 1,), (3 tiles + 1,) number of cut cubes, and edges, before.
+    cut : (tiles,) mask of the cut cubes of each tile.
+    first_cube : (tiles + 1,) number of cut cubes before.
     places, cases : (n,) slot of the tile << 6 | place in it, and case, of each cube.
     """
 
@@ -207,11 +224,10 @@ def find_tiles(
             "full": sampling.full,
             "isovalue": sampling.isovalue,
             "bricks": device.view(octree.bricks),
-            "children": device.view(tree.children),
+            "nodes": device.view(tree.nodes),
         }
         tiles = Tiles(device, sampling, 0, scene)
-        nodes = _place_nodes(tiles, tree)
-        tiles.kernel(SOURCE, "mark_tiles")(nodes.size, nodes, active)
+        nodes = _place_nodes(tiles, tree, active)
         present, ranks = device.empty(words, np.uint64), device.empty(words + 1, np.uint32)
         tiles.kernel(SOURCE, "find_tiles")(words, active, inside, present, ranks)
         del active
@@ -233,19 +249,23 @@ def find_tiles(
         tiles.kernel(SOURCE, "list_tiles")(words, **scene)
     with device.stage("samples"):
         _sample_tiles(tiles, tree, nodes)
-    del scene["bricks"], scene["children"]  # frees memory
+    del scene["bricks"], scene["nodes"]  # frees memory
     return replace(tiles, n=n)
 
 
-def _place_nodes(tiles: Tiles, tree: Tree) -> Array:
+def _place_nodes(tiles: Tiles, tree: Tree, active: Array) -> Array:
     """Return the Morton codes of the nodes whose descendants are samples: one a tile, or one for
-    eight tiles if samples are voxels. Mark the tiles in inside leaves from their level up."""
+    eight tiles if samples are voxels. Mark these tiles as active, and those in inside leaves from
+    their level up."""
     place_nodes, level = tiles.kernel(SOURCE, "place_nodes"), tiles.sampling.level
     codes = tiles.device.empty(0, np.uint32)
-    for own in range(tree.top, max(level + 2, 1) - 1, -1):
-        above, codes = codes, tiles.device.empty(tree.nodes(own - 1) // 8, np.uint32)
-        first, shift, is_root = tree.first(own), 3 * (own - level - 2), own == tree.top
-        place_nodes(tree.nodes(own), first, above, is_root, shift, codes, **tiles.arguments)
+    last = max(level + 2, 1)
+    for own in range(tree.top, last - 1, -1):
+        above, codes = codes, tiles.device.empty(tree.count(own - 1) // 8, np.uint32)
+        place_nodes(
+            tree.count(own), tree.first(own), above, own == tree.top, own == last,
+            3 * (own - level - 2), codes, active=active, **tiles.arguments,
+        )  # fmt: skip
     return codes
 
 
@@ -260,12 +280,13 @@ def _sample_tiles(tiles: Tiles, tree: Tree, nodes: Array) -> None:
     cover_level = tiles.kernel(SOURCE, "cover_level")
     coverage = scene["bricks"]
     for level in range(1, sampling.level + 1):
-        finer, coverage = coverage, device.empty(tree.nodes(level), np.uint32)
+        finer, coverage = coverage, device.empty(tree.count(level), np.uint32)
         sized = {**scene, "full": (BRICK_SIDE << level) ** 3}
         cover_level(coverage.size, tree.first(level), finer, level == 1, coverage, **sized)
     sampled = np.uint8 if sampling.level == 0 else np.uint32
     scene["samples"] = device.empty(64 * nodes.size, sampled)
     scene["below"] = device.empty(nodes.size, np.uint64)
+    scene["lost_below"] = device.empty(nodes.size, np.uint32)
     first = tree.first(sampling.level + 1)
     limits = sampling.full, sampling.threshold
     sample_tiles(nodes.size, nodes, first, limits, coverage, **scene)
@@ -274,23 +295,17 @@ def _sample_tiles(tiles: Tiles, tree: Tree, nodes: Array) -> None:
 def classify_cubes(tiles: Tiles, counted: Callable[..., None]) -> CutCubes:
     """Return the cubes whose corners are not all alike, and their cases. Before memory is taken for
     them, `counted` is called with `tiles=`, `cubes=` and `edges=`. MemoryLimitError is raised if
-    there are 2**30 edges or more, beyond the 32-bit links of dual surfaces."""
+    there are MAX_EDGES edges or more."""
     device, n = tiles.device, tiles.n
     scene = {
         **tiles.arguments,
         "cut": device.empty(n, np.uint64),
-        "cut_edges": device.empty(3 * n, np.uint64),
-        "first_cube": device.empty(n + 1, np.uint32),
-        "first_edge": device.empty(3 * n + 1, np.uint32),
+        "first_cube": device.empty(2 * n + 1, np.uint32),
     }
     with device.stage("classify"):
         tiles.kernel(SOURCE, "classify_cubes")(n, **scene)
-        cubes = exclusive_scan(scene["first_cube"], n)
-        edges = exclusive_scan(scene["first_edge"], 3 * n)
-        if edges >= 1 << 30:
-            raise MemoryLimitError(
-                f"{edges:,} cut edges exceed links of 32 bits: choose a coarser level"
-            )
+        cubes, edges = scan_runs(scene["first_cube"], n, 2)
+        check_edges(edges)
         counted(tiles=n, cubes=cubes, edges=edges)
         scene["places"] = device.empty(cubes, np.uint32)
         scene["cases"] = device.empty(cubes, np.uint8)
@@ -298,14 +313,24 @@ def classify_cubes(tiles: Tiles, counted: Callable[..., None]) -> CutCubes:
     return CutCubes(cubes, edges, scene)
 
 
-def count_lost(tiles: Tiles, cubes: CutCubes) -> Array | None:
-    """Count the set voxels in samples that are not inside; `lost_of` reads the counts. None if
-    samples are voxels."""
+def check_edges(edges: int) -> None:
+    """Raise MemoryLimitError if there are more cut edges than links of 32 bits have."""
+    if edges >= MAX_EDGES:
+        raise MemoryLimitError(
+            f"{edges:,} cut edges exceed links of 32 bits: choose a coarser level"
+        )
+
+
+def count_lost(tiles: Tiles, cut: Array) -> Array | None:
+    """Count the set voxels in samples that are not inside, given the mask of the cut cubes of each
+    tile; `lost_of` reads the counts. None if samples are voxels."""
     if tiles.sampling.level == VOXEL:
         return None
     with tiles.device.stage("lost voxels"):
         counts = tiles.device.empty(2 * LOST_ITEMS, np.uint64)
-        tiles.kernel(SOURCE, "count_lost")(LOST_ITEMS, tiles.n, counts, **cubes.arguments)
+        tiles.kernel(SOURCE, "count_lost")(
+            LOST_ITEMS, count=tiles.n, cut=cut, lost=counts, **tiles.arguments
+        )  # fmt: skip
     return counts
 
 

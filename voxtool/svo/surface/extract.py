@@ -4,7 +4,7 @@ The stages, on the device [voCCeL, chapter 4 and sections 5.1 and 6.3]:
 
 1. tiles, samples: the cubes that the surface may cross, and the scalars at their corners.
 2. classify: the case of each cut cube.
-3. vertices, triangles: by marching cubes or by a dual style (triangles.py).
+3. vertices, triangles: by marching cubes (marching_cubes.py) or a dual style (triangles.py).
 
 All of it is integer arithmetic: the crossing of an edge is rounded once, to 2**-14 of a sample's
 side, so the mesh is the same on every device.
@@ -27,15 +27,14 @@ from voxtool.svo.surface.cut_cells import (
     MAX_LEVEL,
     Sampling,
     Tree,
-    classify_cubes,
-    count_lost,
     find_tiles,
     grow_tree,
     lost_of,
 )
 from voxtool.svo.surface.isosurface import Isosurface
+from voxtool.svo.surface.marching_cubes import march_cubes
 from voxtool.svo.surface.plan import MAX_SAMPLES, RELAXATIONS, ExtractionPlan, active_tiles
-from voxtool.svo.surface.triangles import dual_surface, join_squares, march_cubes, split_quads
+from voxtool.svo.surface.triangles import dual_surface
 
 # Shares of the set voxels from which on their loss is a warning: in samples below the isovalue,
 # and, of them, away from the surface.
@@ -88,7 +87,7 @@ def _plan(
     without an inside, twice as many."""
     solid, voxels = "solid" in octree.mode, level == "voxel"
     tree = grow_tree(octree, Sampling.of(level, isovalue))
-    nodes = tuple(tree.nodes(number) for number in range(tree.top + 1))
+    nodes = tuple(tree.count(number) for number in range(tree.top + 1))
     active = active_tiles(nodes, level)
     cubes = active * (16 if not voxels else 8 if solid else 20)
 
@@ -159,19 +158,12 @@ class ExtractJob(Job[Isosurface]):
             replace(plan, **numbers).refuse_beyond(allowed, device.info.max_allocation)
 
         tiles = find_tiles(device, self.octree, self._tree, sampling, counted)
-        cubes = classify_cubes(tiles, counted)
-        lost = count_lost(tiles, cubes)  # read with the surface
         if plan.style == MARCHING_CUBES:
-            points, triangles = march_cubes(tiles, cubes)
+            found = march_cubes(tiles, counted)
         else:
-            points, quads = dual_surface(
-                tiles, cubes, plan.style, plan.relaxations, plan.lanes or device.lanes
+            found = dual_surface(
+                tiles, counted, plan.style, plan.relaxations, plan.lanes or device.lanes, plan.merge
             )
-            if plan.merge:
-                with device.stage("merge"):
-                    points, quads = join_squares(device, points, quads)
-            with device.stage("triangles"):
-                triangles = split_quads(tiles, points, quads)
         with device.stage("read back"):
             return Isosurface(
                 grid=self.octree.grid,
@@ -180,11 +172,11 @@ class ExtractJob(Job[Isosurface]):
                 level=plan.level,
                 side=sampling.side,
                 isovalue=plan.isovalue,
-                points=points.take().reshape(-1, 3),
-                faces=triangles.take().view("int32").reshape(-1, 3),
+                points=found.points.take().reshape(-1, 3),
+                faces=found.triangles.take().view("int32").reshape(-1, 3),
                 tiles=tiles.n,
-                cubes=cubes.n,
-                lost=lost_of(lost),
+                cubes=found.cubes,
+                lost=lost_of(found.lost),
                 merged=plan.merge,
             )
 

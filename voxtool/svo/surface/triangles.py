@@ -1,9 +1,6 @@
-"""Triangles of the cubes that the surface of an octree cuts.
+"""Triangles of voxel faces and surface nets, from the cubes that the surface of an octree cuts.
 
-Marching cubes: each cut edge has a vertex [Lorensen 1987]. A work-item writes the triangles of a
-tile, whose cubes share most of the tiles that their edges start in.
-
-Voxel faces and surface nets are dual: each loop of a cut cube has a vertex, each cut edge a quad
+Both are dual: each loop of a cut cube has a vertex, each cut edge a quad
 [Nielson 2004]; case_tables.py says how loops are separated so that the surface is manifold. A 5:1
 histopyramid over the edges of the cubes [voCCeL, section 4.1] gives each quad a work-item, which
 finds its cube. Voxel faces have their vertices in the middle of the cubes, the corners that eight
@@ -16,11 +13,12 @@ Greedy meshing joins coplanar unit squares to rectangles, first in rows, then ro
 Squares side by side in a row have sorted keys that rise by one; so have rows of equal beginning and
 length in a column. The side of a rectangle may have vertices of others on it: T-junctions.
 
-Kernels: marching_cubes.cl, dual.cl, relax.cl and greedy_meshing.cl in kernels/svo/surface.
+Kernels: dual.cl, relax.cl and greedy_meshing.cl in kernels/svo/surface.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -30,38 +28,44 @@ from voxtool.opencl import Array, Device, program
 from voxtool.opencl.primitives import build_histopyramid, compact, exclusive_scan, radix_sort
 from voxtool.svo.octree import VOXEL
 from voxtool.svo.surface.case_tables import CASES, MAX_LOOPS
-from voxtool.svo.surface.cut_cells import CutCubes, Tiles
+from voxtool.svo.surface.cut_cells import CutCubes, Extracted, Tiles, classify_cubes, count_lost
 from voxtool.svo.surface.plan import MAX_SAMPLES
 
-CUBES, DUAL, RELAX, MERGE = (
-    f"svo/surface/{n}.cl" for n in ("marching_cubes", "dual", "relax", "greedy_meshing")
-)
+DUAL, RELAX, MERGE = (f"svo/surface/{n}.cl" for n in ("dual", "relax", "greedy_meshing"))
 COORDINATE_BITS = MAX_SAMPLES.bit_length()  # of a corner of a square
 SQUARE_BITS, ROW_BITS = 3 + 3 * COORDINATE_BITS, 3 + 4 * COORDINATE_BITS
 HEADERS = {"svo/surface/greedy_meshing.h": program.c_constants(COORDINATE_BITS=COORDINATE_BITS)}
 
 
-def march_cubes(tiles: Tiles, cubes: CutCubes) -> tuple[Array, Array]:
-    """Return the vertices, (3 V,) int32 as `Isosurface.points`, and the triangles, (3 F,)
-    uint32."""
-    device = tiles.device
-    scene = {**cubes.arguments, "first_vertex": cubes.arguments["first_edge"]}
-    with device.stage("vertices"):
-        points = device.empty(3 * cubes.edges, np.int32)
-        tiles.kernel(CUBES, "place_vertices")(tiles.n, points, **scene)
-    with device.stage("triangles"):
-        first = scene["first_triangle"] = device.empty(tiles.n + 1, np.uint32)
-        tiles.kernel(CUBES, "count_triangles")(tiles.n, **scene)
-        triangles = device.empty(3 * exclusive_scan(first, tiles.n), np.uint32)
-        tiles.kernel(CUBES, "polygonise")(tiles.n, triangles, **scene)
-    return points, triangles
-
-
 def dual_surface(
+    tiles: Tiles,
+    counted: Callable[..., None],
+    style: str,
+    relaxations: int,
+    lanes: int,
+    merge: bool,
+) -> Extracted:
+    """Return the surface of the tiles. Before memory is taken for it, `counted` is called with
+    `tiles=`, `cubes=` and `edges=`. `relaxations`: of surface nets, in vertices of which a
+    work-item moves `lanes` side by side; `merge`: of voxel faces, whether coplanar squares are
+    joined."""
+    device = tiles.device
+    cubes = classify_cubes(tiles, counted)
+    lost = count_lost(tiles, cubes.arguments["cut"])
+    points, quads = _quads(tiles, cubes, style, relaxations, lanes)
+    if merge:
+        with device.stage("merge"):
+            points, quads = join_squares(device, points, quads)
+    with device.stage("triangles"):
+        triangles = split_quads(tiles, points, quads)
+    return Extracted(cubes.n, lost, points, triangles)
+
+
+def _quads(
     tiles: Tiles, cubes: CutCubes, style: str, relaxations: int, lanes: int
 ) -> tuple[Array, Array]:
-    """Return the vertices, (3 V,) int32 as `Isosurface.points`, and the quads, (4 Q,) uint32,
-    counter-clockwise seen from outside."""
+    """Return the vertices, (3 V,) int32, and the quads, (4 Q,) uint32, counter-clockwise seen from
+    outside."""
     device, n = tiles.device, cubes.n
     first_vertex, quad_counts, first_beyond = (device.empty(n + 1, np.uint32) for _ in range(3))
     scene = {
