@@ -124,7 +124,7 @@ def test_every_kernel_and_variant_was_launched(run):
     wanted = {"", "WIDE", "CODE=ulong", "LISTED", "VOXELS", "SAMPLE=uchar", "SAMPLE=uint"}
     wanted |= {"SIGNED", "RANKED", "FLAT", "WINDING", "CLOSED", "JUMPS"}
     wanted |= {"SEARCH=LINEAR", "SEARCH=BINARY", "SEARCH=COHERENT", "LANES=1", "LANES=16", "W"}
-    wanted |= {"GRADIENT", "BOUNDS", "CELL", "BOOK"}
+    wanted |= {"GRADIENT", "BOUNDS", "CELL", "HARDWARE", "BOOK"}
     wanted |= {"PERSPECTIVE", "ANCHORED", "CONSTANT", "FACES=4", "FACES=6", "SLOTS=3", "SLOTS=7"}
     wanted |= {f"INTEGRATOR={name}" for name in ("LINEAR", "AVERAGE", "SAMPLED", "PREINTEGRATED")}
     assert wanted <= set(run[0]["options"])
@@ -425,6 +425,9 @@ def query_fields(device) -> None:
             for search in query.SEARCHES:
                 for asked in ({}, EVERYTHING):
                     equal(ask(points, search=search, **asked), field.query(points, **asked))
+    ask = query.FieldQuery(fields[0], device, sampler="hardware")
+    exact = fields[0].query(points)
+    assert np.allclose(ask(points).distance, exact.distance, atol=5e-3, equal_nan=True)
 
 
 def two_views(size: tuple[int, int]) -> list[Any]:

@@ -3,6 +3,8 @@
 // A work-item searches for the cells of BATCH points at a time. Each lane processes a run of RUN
 // consecutive points and advances as soon as its own search ends. Points are padded to whole
 // work-groups. Options, in addition to those of search.h:
+//   GRADIENT, BOUNDS, CELL   these values are written, too
+//   HARDWARE                 distances are interpolated by the device's filter
 
 #include "adf/query.h"
 #include "adf/search.h"
@@ -146,9 +148,30 @@ void interpolate(const leaf_corners *leaves, const uint *x, const uint *y, const
     }
 }
 
+#ifdef HARDWARE
+__constant sampler_t FILTER =
+    CLK_NORMALIZED_COORDS_FALSE | CLK_ADDRESS_CLAMP_TO_EDGE | CLK_FILTER_LINEAR;
+
+// The distance at a point as the device's filter interpolates it ([ADF] eq. 3-4), given its leaf.
+// Blocks lie side by side in the image, `across` of them along x and y.
+float filtered(__read_only image3d_t image, const uint2 across, const uint block, const uint octant,
+               const uint3 point, const int level)
+{
+    const uint3 place = (uint3)(block % across.x, block / across.x % across.y,
+                                block / (across.x * across.y));
+    const uint3 first = 3u * place + (uint3)(octant & 1, octant >> 1 & 1, octant >> 2);
+    const uint3 fraction = point << (uint)(level + 1) >> (uint)(POINT_BITS - WEIGHT_BITS);
+    const float3 t = convert_float3(fraction) * (1.0f / (1 << WEIGHT_BITS));
+    return read_imagef(image, FILTER, (float4)(convert_float3(first) + 0.5f + t, 0)).x;
+}
+#endif
+
 // The values of the field at points: distances in cube edges; optionally gradients, codes of the
 // leaves' error bounds, and the leaves' levels and cells.
 __kernel void query(__global const uint *points, TEXTURES, __global float *distances
+#ifdef HARDWARE
+                    , __read_only image3d_t image, const uint2 across
+#endif
 #ifdef GRADIENT
                     , __global float *gradients
 #endif
@@ -185,6 +208,11 @@ __kernel void query(__global const uint *points, TEXTURES, __global float *dista
         read_corners(voxels, block, corner, &corners);
         float dx[BATCH], dy[BATCH], dz[BATCH];
         interpolate(&corners, x, y, z, level, distances + first + begin, dx, dy, dz);
+#ifdef HARDWARE
+        EACH_POINT(i)
+        distances[first + begin + i] = filtered(image, across, block[i], octant[i],
+                                                (uint3)(x[i], y[i], z[i]), level[i]);
+#endif
 #if defined(GRADIENT) || defined(BOUNDS) || defined(CELL)
         EACH_POINT(i)
         {

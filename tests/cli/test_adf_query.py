@@ -15,6 +15,7 @@ from helpers_field import plain_field, sphere
 
 from voxtool import read_adf, write_adf
 from voxtool.adf.cells import key_of
+from voxtool.opencl import images
 from voxtool.plots.slices import INSIDE, OUTSIDE, round_step
 
 ORIGIN, SIDE = (-1.0, 2.0, 0.5), 4.0
@@ -237,3 +238,13 @@ def test_damaged_points_leave_nothing(here: Path) -> None:
     Path("bad.npy").write_bytes(npy(POINTS)[:-8])
     assert fail("adf-query ball.adf.h5 bad.npy").startswith("bad.npy: ")
     assert not list(here.glob("*.distance.*"))
+
+
+def test_the_hardware_interpolates_on_request(here: Path, monkeypatch) -> None:
+    expected = read_adf("ball.adf.h5").query(POINTS).distance
+    run("adf-query ball.adf.h5 points.csv --sampler hardware -o a.npy -q")
+    assert np.allclose(np.load("a.npy"), expected, rtol=0, atol=1e-2)
+    monkeypatch.setattr(images, "FILTER_STEP", -1.0)
+    said = fail("adf-query ball.adf.h5 points.csv --sampler hardware -o b.npy", 4)
+    assert "does not interpolate in images of one float32 channel: use the exact sampler" in said
+    assert not Path("b.npy").exists()

@@ -4,6 +4,9 @@ Each of three searches finds the deepest cell that has a block, by looking up ce
 after another in the hash. All return the values of DistanceField.query, bit for bit. Levels whose
 cells all have blocks are skipped.
 
+With the sampler "hardware", the device's filter interpolates in a 3-D image of the blocks, and
+distances are as exact as it. All else is the same.
+
 Points are processed in blocks: while the device searches one, the host rounds the next to the
 lattice of 2**-32 sides. A few points are looked up on the host, which is faster than a launch.
 
@@ -14,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,10 +32,12 @@ from voxtool.adf.host_query import (
     query_on_host,
     to_fixed,
 )
-from voxtool.choices import SEARCHES
+from voxtool.adf.packing import FieldTextures, arrangement
+from voxtool.choices import EXACT, SAMPLERS, SEARCHES
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.device import ALIGNMENT
+from voxtool.opencl.images import Image, check_filter, image_of
 
 SOURCE = "adf/query.cl"
 HOST_POINTS = 128  # up to this number the host is faster than a launch
@@ -78,6 +84,7 @@ def query_adf(
     points: Any,
     *,
     search: str = "binary",
+    sampler: str = EXACT,
     gradient: bool = False,
     bounds: bool = False,
     cell: bool = False,
@@ -85,7 +92,8 @@ def query_adf(
 ) -> QueryResult:
     """Return the values of a field at points; see voxtool.query_adf."""
     request = _Request(search, gradient, bounds, cell)
-    return request.run(field, points, HOST_POINTS, lambda: FieldQuery(field, device))
+    few = HOST_POINTS if sampler == EXACT else 0
+    return request.run(field, points, few, lambda: FieldQuery(field, device, sampler=sampler))
 
 
 class FieldQuery:
@@ -100,17 +108,22 @@ class FieldQuery:
         The field, whose textures are uploaded.
     device : Device, optional
         Where to search; the default device if None.
+    sampler : str
+        "exact", or "hardware": the device's filter interpolates distances, so they differ from
+        device to device, and are as exact as it.
     shape : Shape, optional
         The assignment of points to work-items; by default the one for the kind of device.
     block : int
         Points that are on the device at once.
     host_points : int
-        Number of points up to which the host computes the values.
+        Number of points up to which the host computes the values, unless hardware does.
 
     Raises
     ------
     DeviceError
-        If there is no device.
+        If there is no device, or it has no filter for the images that the sampler needs.
+    VoxtoolError
+        If the sampler is unknown.
     MemoryLimitError
         If the field does not fit on it.
 
@@ -126,6 +139,7 @@ class FieldQuery:
         field: DistanceField,
         device: Device | None = None,
         *,
+        sampler: str = EXACT,
         shape: Shape | None = None,
         block: int = BLOCK,
         host_points: int = HOST_POINTS,
@@ -133,10 +147,14 @@ class FieldQuery:
         self.field = field
         self.device = device or default_device()
         self.textures = textures_of(field, self.device)
-        self.shape, self.block, self.host_points = shape, block, host_points
+        self.sampler, self.shape, self.block = sampler, shape, block
+        if sampler not in SAMPLERS:
+            raise VoxtoolError(f"sampler {sampler!r} is unknown: choose {', '.join(SAMPLERS)}")
+        self.host_points = host_points if sampler == EXACT else 0
+        self.filtered = {} if sampler == EXACT else filtered_of(field, self.device)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.field,)
+        return partial(type(self), sampler=self.sampler), (self.field,)
 
     def __repr__(self) -> str:
         return f"FieldQuery({self.field!r}, {self.device!r})"
@@ -232,13 +250,15 @@ class FieldQuery:
         fixed[n:padded] = 0
         points, kinds = device.view(fixed[:padded]), request.outputs()
         outputs = {name: device.empty(wide * padded, kind) for name, (kind, wide) in kinds.items()}
-        kernel = device.kernel(
-            SOURCE, "query", **shape.options(), **self.textures.options, **request.options()
-        )
+        options = {**shape.options(), **self.textures.options, **request.options()}
+        if self.filtered:
+            options["HARDWARE"] = 1
+        kernel = device.kernel(SOURCE, "query", **options)
         kernel(
             padded // (shape.batch * shape.run),
             points=points,
             **self.textures.arguments,
+            **self.filtered,
             bounds=bounds_of(self.field, device) if request.bounds else None,
             **outputs,
             local=shape.group,
@@ -316,6 +336,19 @@ def bounds_of(field: DistanceField, device: Device) -> Array:
     bounds = field.bounds
     assert bounds is not None
     return device.keep(field, "bounds", bounds.nbytes, lambda: _upload(bounds, device))
+
+
+def filtered_of(field: DistanceField, device: Device) -> dict[str, Any]:
+    """Return the arguments of the kernel for distances by the device's filter: the image of the
+    voxels, uploaded by the first call and then kept, and its blocks along x and y."""
+    across = arrangement(len(field.voxels))[:2]
+    nbytes = field.voxels.nbytes
+
+    def upload() -> Image:
+        check_filter(device)
+        return image_of(FieldTextures(field).voxels, device)
+
+    return {"image": device.keep(field, "image", nbytes, upload), "across": across}
 
 
 def _upload(texture: np.ndarray, device: Device) -> Array:

@@ -19,6 +19,7 @@ from voxtool.choices import (
     DEFAULT_SEARCH,
     DEFAULT_TEXTURE_3D,
     DEFAULT_TOLERANCE,
+    EXACT,
     FILLS,
 )
 from voxtool.distances import DistanceGridJob, DistanceJob
@@ -123,6 +124,7 @@ def query_adf(
     points: Any,
     *,
     search: str = DEFAULT_SEARCH,
+    sampler: str = EXACT,
     gradient: bool = False,
     bounds: bool = False,
     cell: bool = False,
@@ -138,6 +140,9 @@ def query_adf(
         World units; (3,) is one point.
     search : str
         How leaves are found: "linear", "binary" or "coherent"; the result is the same.
+    sampler : str
+        "exact", or "hardware": distances are interpolated by the device's filter in a 3-D image,
+        which differs from device to device by up to 2**-9 of the range of a leaf's corners an axis.
     gradient, bounds, cell : bool
         Whether these are returned as well.
     device : Device, optional
@@ -152,11 +157,11 @@ def query_adf(
     VoxtoolError
         If points have a wrong shape, or bounds are requested of a field without them.
     DeviceError
-        If there is no device.
+        If there is no device, or it has no filter for the images that the sampler needs.
     """
     return adf_query.query_adf(
-        opened(field, read_adf), points, search=search, gradient=gradient, bounds=bounds,
-        cell=cell, device=device,
+        opened(field, read_adf), points, search=search, sampler=sampler, gradient=gradient,
+        bounds=bounds, cell=cell, device=device,
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import DEFAULT_SEARCH, SEARCHES
+from voxtool.choices import DEFAULT_SEARCH, EXACT, SAMPLERS, SEARCHES
 from voxtool.cli import options, runner
 from voxtool.cli.options import Parsed, flag, numbers_of, option, output_of, plane_of, together
 from voxtool.errors import count_of
@@ -42,6 +42,9 @@ PLANE = Parsed(
         "How leaves are found: linear, from coarse to fine; binary, by halving the levels; "
         "coherent, from the level of the point before, for points along rays.  All find the same.",
         DEFAULT_SEARCH),
+    option("--sampler", SAMPLERS,
+        "What interpolates: exact arithmetic, the same everywhere, or the device's hardware, with "
+        "8-bit weights on most.", EXACT),
     flag("--gradient", "Write the gradient, too: gx, gy, gz."),
     flag("--bounds", "Write a bound of the error of the distance, too: bound."),
     flag("--cell", "Write the leaf, too: its level and its key kx, ky, kz (eq. 3-1)."),
@@ -60,7 +63,7 @@ PLANE = Parsed(
     options.report_options,
 )  # fmt: skip
 def command(
-    run: runner.Run, field: str, points: str | None, search: str,
+    run: runner.Run, field: str, points: str | None, search: str, sampler: str,
     plane: tuple[str, float] | None, size: int | None, **asked: bool,
 ) -> None:  # fmt: skip
     """Evaluate a distance FIELD at POINTS: their distances from its mesh, negative inside.
@@ -100,7 +103,7 @@ def command(
                 raise no_bounds()
             if plane:
                 check_plane(source, *plane)
-        query = FieldQuery(source, run.device)
+        query = FieldQuery(source, run.device, sampler=sampler)
         if plane:
             facts = draw(run, query, plane, size or SLICE_SIZE)
         else:

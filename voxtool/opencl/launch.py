@@ -20,7 +20,7 @@ _NAMES = ("char", "uchar", "short", "ushort", "int", "uint", "long", "ulong", "f
 _TYPES: dict[str, str] = dict(
     zip(_NAMES, ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"), strict=True)
 )
-_QUALIFIERS = {"__global", "__constant", "__local", "const", "volatile", "restrict"}
+_QUALIFIERS = {"__global", "__constant", "__local", "const", "volatile", "restrict", "__read_only"}
 _DIRECTIVE = re.compile(r"\s*#\s*(ifdef|ifndef|if|elif|else|endif|define|undef)\b\s*(.*)")
 _KERNEL = re.compile(r"__kernel\b[^;{]*?\bvoid\s+(\w+)\s*\(")
 SIZE = "n"  # the parameter that is the number of work-items
@@ -28,7 +28,8 @@ SIZE = "n"  # the parameter that is the number of work-items
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of a kernel; `dtype` is None for a pointer, `width` the components of vectors."""
+    """A parameter of a kernel; `dtype` is None for a pointer or an image, `width` the components of
+    vectors."""
 
     name: str
     dtype: np.dtype | None = None
@@ -52,7 +53,7 @@ class Parameter:
         return 4 if self.width == 3 else self.width
 
     def pack(self, value: Any) -> Any:
-        """The argument for pyopencl: the buffer of an Array, or the bytes of a vector."""
+        """The argument for pyopencl: the buffer of an Array or Image, or the bytes of a vector."""
         if not self.is_packed:
             return getattr(value, "buffer", value)
         components = np.asarray(value)
@@ -200,9 +201,9 @@ def _closing(text: str, start: int) -> int:
 
 def _parameter(declaration: str) -> Parameter:
     *words, name = re.findall(r"\w+|\*", declaration)
-    if "*" in words:
-        return Parameter(name)
     kind = next(word for word in words if word not in _QUALIFIERS)
+    if "*" in words or kind == "image3d_t":
+        return Parameter(name)
     match = re.fullmatch(r"([a-z]+)(\d*)", kind)
     if not match or match[1] not in _TYPES:
         raise ValueError(f"parameter {declaration.strip()!r} is of a type that is not understood")
