@@ -5,7 +5,7 @@
 # make soak     the long tests: kills, many calls, all models and digests; SECONDS= and SEED= choose a slice
 # make fuzz     mutated files and extreme arguments; SECONDS=, SEED= and ARGS= as python -m tests.fuzz -h
 # make gpu-report  selftest, golden digests and bench of DEVICE= (a GPU), in docs/gpu; again goes on
-# make lint     style, types and imports
+# make lint     style, types and imports, also of the scripts of pages
 # make docs     the site, in build/site
 # make headers  the headers that the host generates for the kernels
 # Only Python 3.11 or newer and a package index are needed; PYTHON= names another interpreter.
@@ -48,11 +48,13 @@ fuzz: .venv/test.done
 gpu-report: .venv/all.done
 	.venv/bin/python -m tests.gpu_report $(DEVICE) $(ARGS)
 
-lint: .venv/test.done
+lint: .venv/test.done node_modules/lint.done
 	.venv/bin/ruff check
 	.venv/bin/ruff format --check
 	.venv/bin/basedpyright
 	.venv/bin/lint-imports
+	PATH="$$PWD/.venv/bin:$$PATH" node_modules/.bin/tsc -p .
+	PATH="$$PWD/.venv/bin:$$PATH" node_modules/.bin/biome lint --error-on-warnings
 
 docs: .venv/docs.done
 	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --clean --quiet
@@ -61,7 +63,7 @@ headers: .venv/all.done
 	.venv/bin/python -m voxtool.opencl.headers
 
 clean:
-	rm -rf .venv bunny.obj bunny.svo.h5 nets.ply bunny.adf.h5 bunny.png volume.vtu volume.tet.h5 volume.png \
+	rm -rf .venv node_modules bunny.obj bunny.svo.h5 nets.ply bunny.adf.h5 bunny.png volume.vtu volume.tet.h5 volume.png \
 	    build dist .pytest_cache .ruff_cache .hypothesis .import_linter_cache
 	find voxtool tests examples -name __pycache__ -type d -prune -exec rm -rf {} +
 
@@ -79,6 +81,11 @@ volume.vtu: examples/make_volume.py | .venv/all.done
 .venv/test.done: pyproject.toml | .venv/bin/python
 	$(PIP_INSTALL) -e '.[test]'
 	@touch $@ .venv/all.done
+
+# Tools for the scripts of pages: a type checker and a linter, of the npm registry, by pip's node.
+node_modules/lint.done: package.json | .venv/test.done
+	PATH="$$PWD/.venv/bin:$$PATH" npm install --no-package-lock --no-fund --no-audit --silent
+	@touch $@
 
 .venv/docs.done: pyproject.toml | .venv/bin/python
 	$(PIP_INSTALL) -e '.[docs]'

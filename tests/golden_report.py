@@ -16,6 +16,7 @@ from typing import Any
 import golden_adf
 import golden_distance
 import golden_mesh
+import golden_page
 import golden_picture
 import golden_svo
 
@@ -35,6 +36,7 @@ WINGS: dict[str, dict[str, Callable[[Any], Digests]]] = {
     "picture": {n: lambda d, n=n: golden_picture.surfaces(own(n), d) for n in golden_picture.OWN}
     | {n: lambda d, n=n: golden_picture.volume_pictures(golden_picture.own_volume(n), d)
        for n in golden_picture.VOLUMES},
+    "page": {n: lambda d, n=n: golden_page.digests(own(n), d) for n in golden_page.OWN},
 }  # fmt: skip
 
 

@@ -26,6 +26,7 @@ from voxtool.files.formats import (
     Kind,
     Writer,
     format_of,
+    is_mesh,
 )
 from voxtool.files.streams import PathLike
 from voxtool.memory import check_disk
@@ -53,6 +54,7 @@ __all__ = [
     "check_target",
     "export",
     "format_of",
+    "is_mesh",
     "read_adf",
     "read_scene",
     "read_svo",

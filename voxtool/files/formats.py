@@ -120,6 +120,11 @@ SCENE = Kind(
 )
 
 
+def is_mesh(path: PathLike) -> bool:
+    """Whether a name says that a file holds a mesh of triangles."""
+    return os.fspath(path).lower().removesuffix(".gz").endswith(MESH_EXTENSIONS)
+
+
 def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
     """The function that reads a file of this kind, chosen by its first bytes; for a file of another
     kind, FileError names the missing step."""

@@ -1,0 +1,38 @@
+"""The golden digests of what pages hold: which there are, and (run as a script) writing them anew.
+
+Digests change only together with a line in CHANGELOG.md that says why:
+    python tests/golden_page.py
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import golden_svo
+
+import voxtool
+from voxtool.viewer.job import plan_view
+
+GOLDEN = Path(__file__).parent / "golden" / "page.json"
+OWN = ("sphere", "needles")
+
+
+def digests(mesh: voxtool.Mesh, device: Any) -> Iterator[tuple[str, str]]:
+    """Name and digest of the pages of a mesh's octrees."""
+    for mode in ("solid", "surface26"):
+        grid = voxtool.Grid.fit(mesh, 48)
+        octree = voxtool.voxelize(mesh, grid, mode, fill="parity", device=device)
+        yield f"octree {mode}", plan_view(octree, "a").plan.content.digest()
+
+
+def main() -> None:
+    device = voxtool.open_device()
+    golden = {name: dict(digests(golden_svo.own_mesh(name), device)) for name in OWN}
+    GOLDEN.write_text(json.dumps(golden, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

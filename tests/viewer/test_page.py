@@ -1,0 +1,155 @@
+"""Pages without a browser: what they hold, how large they are, and what they refuse."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import zlib
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from helpers_cli import fail, run, told
+from lxml import html
+
+import voxtool
+from voxtool.viewer import job, page
+from voxtool.viewer.octrees import octree_content
+
+MOST_BASE = 60_000  # bytes of a page without data
+MOST_RATIO = 1.4  # of the bytes of a page's data to those of the file
+
+
+def voxels_of(octree: voxtool.Octree) -> np.ndarray:
+    """The voxels that a page holds, found by its description alone."""
+    content = octree_content(octree)
+    children, bricks = content.arrays["children"], content.arrays["bricks"]
+    dense = np.zeros((1 << content.facts["root"],) * 3, bool)
+    cells, at, brick = [(0, 0, 0)], 0, 0
+    for d, count in enumerate(content.facts["levels"]):
+        side, below = 1 << (content.facts["root"] - 1 - d), []
+        assert count == len(cells)
+        last = side == 4
+        for x, y, z in cells:
+            held, refined = map(int, children[at])
+            at += 1
+            for octant in range(8):
+                low = (
+                    x + side * (octant & 1),
+                    y + side * (octant >> 1 & 1),
+                    z + side * (octant >> 2),
+                )
+                if not held >> octant & 1:
+                    continue
+                if last:
+                    mask = int(bricks[brick][0]) | int(bricks[brick][1]) << 32
+                    brick += 1
+                    for bit in (b for b in range(64) if mask >> b & 1):
+                        place = [
+                            sum((bit >> (3 * i + a) & 1) << i for i in range(2)) + low[a]
+                            for a in range(3)
+                        ]
+                        dense[tuple(place)] = True
+                elif refined >> octant & 1:
+                    below.append(low)
+                else:
+                    dense[tuple(slice(n, n + side) for n in low)] = True
+        cells = below
+    assert (at, brick) == (len(children), len(bricks))
+    return dense
+
+
+@pytest.mark.parametrize("mode", ["solid", "surface26"])
+@pytest.mark.parametrize("shape", [(3, 9, 2), (8, 8, 8), (20, 9, 33)])
+def test_a_page_holds_the_voxels(shape: tuple[int, int, int], mode: str) -> None:
+    rng = np.random.default_rng(sum(shape))
+    dense = rng.random(shape) < 0.2
+    dense[: shape[0] // 2] = True
+    octree = voxtool.Octree.from_dense(dense, mode=mode)
+    found = voxels_of(octree)
+    assert found.sum() == dense.sum()
+    assert np.array_equal(found[tuple(map(slice, shape))], dense)
+
+
+def test_a_page_of_nothing() -> None:
+    empty = voxtool.Octree.from_dense(np.zeros((8, 8, 8)))
+    assert not voxels_of(empty).any()
+
+
+def test_the_page_is_small_and_holds_its_data(here: Path) -> None:
+    said = told("view bunny.svo.h5 --no-open --json")
+    text = Path("bunny.html").read_text(encoding="utf-8")
+    assert said["bytes"] == len(text.encode()) == said["base_bytes"] + said["data_bytes"]
+    assert said["base_bytes"] < MOST_BASE
+    with h5py.File("bunny.svo.h5") as file:
+        assert said["data_bytes"] < MOST_RATIO * file.id.get_filesize()
+    octree = voxtool.read_svo("bunny.svo.h5")
+    content = octree_content(octree)
+    assert said["digest"] == content.digest()
+    tree = html.fromstring(text)
+    for name, array in content.arrays.items():
+        planes = zlib.decompress(base64.b64decode(tree.get_element_by_id(f"data-{name}").text))
+        whole = np.frombuffer(planes, np.uint8).reshape(array.itemsize, -1).T
+        assert np.array_equal(np.ascontiguousarray(whole).view(array.dtype).ravel(), array.ravel())
+
+
+def test_a_mesh_is_voxelized_first(here: Path) -> None:
+    run("view open.obj --no-open -q")
+    expected = voxtool.voxelize("open.obj", dim=256)
+    tree = html.fromstring(Path("open.html").read_text(encoding="utf-8"))
+    assert json.loads(tree.get_element_by_id("facts").text)["voxels"] == expected.count
+
+
+def test_stdin_and_stdout(here: Path) -> None:
+    piped = run("view - -o - -q", stdin=Path("bunny.svo.h5").read_bytes()).stdout
+    run("view bunny.svo.h5 --no-open -q")
+    named = Path("bunny.html").read_text(encoding="utf-8")
+    assert len(named.splitlines()) == len(piped.splitlines())
+
+
+def test_markup_is_escaped() -> None:
+    evil = "</script><img src=x onerror=alert(1)>&lt;$title"
+    octree = voxtool.Octree.from_dense(np.ones((8, 8, 8)), units=evil)
+    tree = html.fromstring(job.plan_view(octree, f"{evil}.svo.h5").run().html)
+    assert not tree.xpath("//img")
+    assert tree.xpath("//title")[0].text.endswith("onerror=alert(1)>&lt;$title.svo.h5")
+    scripts = tree.xpath("//script[not(@type)]")
+    assert len(scripts) == 1
+    assert json.loads(tree.get_element_by_id("facts").text)["units"] == evil
+
+
+def test_the_policy_names_the_script_and_forbids_the_rest() -> None:
+    octree = voxtool.Octree.from_dense(np.ones((8, 8, 8)))
+    text = job.plan_view(octree, "a").run().html
+    policy = html.fromstring(text).xpath("//meta[@http-equiv]")[0].get("content")
+    assert policy.startswith("default-src 'none'; ")
+    assert "unsafe" not in policy
+    assert re.findall(r"https?://", text) == []
+
+
+def test_the_notebook_shows_a_frame() -> None:
+    octree = voxtool.Octree.from_dense(np.ones((8, 8, 8)))
+    made = job.plan_view(octree, "a").run()
+    frame = html.fromstring(made._repr_html_())
+    assert frame.get("srcdoc") == made.html
+    assert "allow-same-origin" not in frame.get("sandbox")
+
+
+def test_what_is_too_large_is_refused(here: Path, monkeypatch) -> None:
+    monkeypatch.setattr(job, "MOST_DATA", 10_000)
+    message = fail("view bunny.svo.h5 --no-open", 4)
+    assert "more than a page holds, 10 kB: voxelize with --dim" in message
+    dim = re.search(r"--dim (\d+)", message)
+    assert dim
+    run(f"voxelize bunny.obj --dim {dim[1]} -q -o small.svo.h5")
+    run("view small.svo.h5 --no-open -q")
+
+
+def test_comments_are_left_out_and_nothing_else() -> None:
+    made = page.fragment_of("octree") + page._scripts("octree")
+    assert "/**" not in made.replace("/** @type", "")
+    assert not re.search(r"^\s*//", made, re.MULTILINE)
+    assert "function start(" in made
+    assert "float brightness(" in made

@@ -1,0 +1,91 @@
+"""voxtool view: an interactive page of an octree."""
+
+from __future__ import annotations
+
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from voxtool.choices import DEFAULT_DIM, DEFAULT_MODE
+from voxtool.cli import options, runner
+from voxtool.cli.options import flag, together
+from voxtool.cli.render import DIRECTION
+from voxtool.errors import human
+
+if TYPE_CHECKING:
+    from voxtool.cli.runner import Run
+    from voxtool.viewer.page import Page
+
+
+@click.command("view")
+@click.argument("file")
+@together(
+    flag("--no-open", "Write the page, and do not open it in a browser."),
+    options.option("--up", DIRECTION, "What is up: a direction, or x, y, z, -x, ...  [default: y]",
+        metavar="X,Y,Z|AXIS"),
+)  # fmt: skip
+@runner.run_options(
+    options.output_options("PAGE.html", "Default FILE's name with .html, in this folder."),
+    options.plan_options,
+    options.strict_option,
+    options.report_options,
+)
+def command(run: Run, file: str, no_open: bool, up: tuple[float, ...] | None) -> None:
+    """Write a page that shows an octree FILE in a browser, and open it.
+
+    The page is one file with everything inside and reaches nothing else: it can be mailed. FILE is
+    what voxelize wrote, or a mesh, which is voxelized first, or - for stdin. Positions on the page
+    are in world units.
+
+    \b
+    Examples:
+      voxtool view bunny.svo.h5
+      voxtool view bunny.obj -o bunny.html --no-open
+    """
+    from voxtool.files.page import FORMATS, write_page
+    from voxtool.viewer.job import plan_view
+
+    if run.output in (None, "-"):
+        run.file_format = "html"
+    run.to(file, options.output_of(file, "html"), FORMATS)
+    with run:
+        content = run.stage("read file", content_of, file)
+        with run.naming(file):
+            given = {"up": up} if up else {}
+            job = run.plan(plan_view, content, file, **given)
+            page = run.job(job)
+        run.write(write_page, page.html)
+    run.report(
+        f"{page.content.kind}, {human(len(page.html.encode()))}, of these "
+        f"{human(page.data_bytes)} data",
+        lambda: summary(page),
+    )
+    if not (no_open or run.to_stdout):
+        webbrowser.open(Path(str(run.output)).absolute().as_uri())
+
+
+def content_of(file: str) -> Any:
+    """Return what a file holds; a mesh is voxelized."""
+    from voxtool.files import is_mesh, read_scene
+    from voxtool.files.mesh import load_mesh
+    from voxtool.grid import Grid
+    from voxtool.svo.voxelize import voxelize
+
+    if not is_mesh(file):
+        return read_scene(file)
+    mesh = load_mesh(file)
+    return voxelize(mesh, Grid.fit(mesh, DEFAULT_DIM), DEFAULT_MODE)
+
+
+def summary(page: Page) -> dict[str, Any]:
+    """Return the facts of the report; the digest is of the data before they are compressed."""
+    size = len(page.html.encode())
+    return {
+        "kind": page.content.kind,
+        "bytes": size,
+        "data_bytes": page.data_bytes,
+        "base_bytes": size - page.data_bytes,
+        "digest": page.content.digest(),
+    }

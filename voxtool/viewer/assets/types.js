@@ -1,0 +1,21 @@
+// Types that the scripts share.
+
+/**
+ * @typedef {Record<string, any>} Settings values of the controls, by name
+ * @typedef {{name: string, label: string, type: "select" | "range" | "check" | "custom",
+ *     options?: string[], min?: number, max?: number, step?: number, start: any,
+ *     build?: (settings: Settings, changed: () => void) => HTMLElement}} Control
+ * @typedef {{camera: Camera, settings: Settings}} State
+ * @typedef {object} Kind what the page knows of octrees, fields or volumes
+ * @property {Control[]} controls
+ * @property {(gl: WebGL2RenderingContext, arrays: Record<string, any>) =>
+ *     Record<string, WebGLTexture | null>} textures by the names of their uniforms
+ * @property {Vector} origin of the coordinates in which rays are followed, world units
+ * @property {Vector} scale of these coordinates, by axis
+ * @property {(gl: WebGL2RenderingContext, settings: Settings, camera: Camera) =>
+ *     Record<string, any>} uniforms
+ * @property {(settings: Settings) => {options: string, same: boolean}} command the options of
+ *     `voxtool render`, and whether its picture is the same
+ * @property {(id: number[]) => string} describe what a pixel with this id shows
+ * @property {Record<string, (settings: Settings) => void>} keys
+ */

@@ -1,0 +1,109 @@
+"""Planning a page: what it shows, how large it is, and whether a browser can hold it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from voxtool.camera import Camera
+from voxtool.errors import MemoryLimitError, VoxtoolError, human
+from voxtool.job import Cost, Job
+from voxtool.rendering import Content, camera_for, scene_of
+from voxtool.svo.octree import Octree
+from voxtool.viewer.content import PageContent
+from voxtool.viewer.octrees import octree_content
+from voxtool.viewer.page import Page, page_of
+
+# Bytes of data that a page holds: as base64 they stay below the longest text of browsers, 2**29.
+MOST_DATA = 1 << 28
+CONTENTS: dict[type, Callable[[Any], PageContent]] = {Octree: octree_content}
+
+
+@dataclass(frozen=True)
+class ViewPlan:
+    """The plan of a page: what it shows, the name of the file, the camera at the start, and whether
+    the data are served beside the page instead of in it."""
+
+    content: PageContent
+    name: str
+    camera: Camera
+    served: bool = False
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        return ("compress data",)
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        out = {"scripts and shaders of other kinds": f"the page shows one {self.content.kind}"}
+        if self.served:
+            out["data in the page"] = "they are served beside it"
+        return out
+
+    @property
+    def cost(self) -> Cost:
+        """On the host the arrays, compressed, as base64, and in the page."""
+        return Cost(0, host=5 * self.content.nbytes)
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "kind": self.content.kind,
+            "stages": list(self.stages),
+            "left_out": self.left_out,
+            "arrays": {name: list(array.shape) for name, array in self.content.arrays.items()},
+            "data_bytes": self.content.nbytes,
+            "served": self.served,
+            "predicted_host_bytes": self.cost.host,
+        }
+
+    def rows(self) -> list[tuple[str, str]]:
+        arrays = self.content.arrays.items()
+        shapes = ", ".join(f"{' x '.join(map(str, a.shape))} {name}" for name, a in arrays)
+        return [
+            ("page", f"{self.content.kind}, {human(self.content.nbytes)} of data"),
+            ("arrays", shapes),
+        ]
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        if self.cost.host > max_memory:
+            raise MemoryLimitError(
+                f"the page would need {human(self.cost.host)} of memory, of {human(max_memory)} "
+                f"allowed: {self.content.smaller_by(max_memory / self.cost.host)} "
+                "(see --max-memory)"
+            )
+        if not self.served and self.content.nbytes > MOST_DATA:
+            raise MemoryLimitError(
+                f"{human(self.content.nbytes)} of data are more than a page holds, "
+                f"{human(MOST_DATA)}: {self.content.smaller_by(MOST_DATA / self.content.nbytes)}"
+            )
+
+
+@dataclass(eq=False)
+class ViewJob(Job[Page]):
+    """A planned page; `run` returns it."""
+
+    plan: ViewPlan
+    max_memory: int | None = None
+    device: None = None
+
+    def _run(self) -> Page:
+        plan = self.plan
+        with self.stage("compress data"):
+            return page_of(plan.content, plan.name, {"camera": asdict(plan.camera)}, plan.served)
+
+
+def plan_view(
+    content: Content,
+    name: str,
+    *,
+    up: Sequence[float] = (0.0, 1.0, 0.0),
+    served: bool = False,
+    max_memory: int | None = None,
+) -> ViewJob:
+    """Return the job of a page that shows content; see voxtool.view."""
+    if type(content) not in CONTENTS:
+        raise VoxtoolError(f"a {type(content).__name__} has no page yet: view an octree")
+    camera = camera_for(scene_of(content), up=up)
+    made = CONTENTS[type(content)](content)
+    return ViewJob(ViewPlan(made, name, camera, served), max_memory)

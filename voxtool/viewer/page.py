@@ -1,0 +1,135 @@
+"""Putting a page together: template, style, scripts, shaders and data in one file.
+
+Data are blocks of base64, JSON has no `<`, and text is escaped, so that nothing of a file is markup
+or script. A content security policy names the script and the style by their digests and lets the
+page reach nothing else.
+"""
+
+from __future__ import annotations
+
+import base64
+import functools
+import hashlib
+import html
+import json
+import re
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voxtool.errors import human
+from voxtool.opencl.program import kernel_folder
+
+if TYPE_CHECKING:
+    from voxtool.viewer.content import PageContent
+
+ASSETS = Path(__file__).parent / "assets"
+SHARED = ("vectors", "data", "gl", "state", "controls", "panel", "view", "main")
+FRAME_HEIGHT = 480  # pixels of a page in a notebook
+_COMMENT = re.compile(r"^\s*(//[^\n]*|/\*\*((?!\*/).)*\*/)\n", re.MULTILINE | re.DOTALL)
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """An interactive page.
+
+    html : the file. blocks : the compressed data by name, which the page holds unless they are
+    served beside it. content : what it shows.
+    """
+
+    html: str
+    blocks: Mapping[str, bytes]
+    content: PageContent
+
+    @property
+    def data_bytes(self) -> int:
+        """Bytes of the data in the page, as base64."""
+        return sum(4 * -(-len(block) // 3) for block in self.blocks.values())
+
+    def _repr_html_(self) -> str:
+        """The frame that a notebook shows."""
+        return (
+            f'<iframe srcdoc="{html.escape(self.html)}" sandbox="allow-scripts allow-downloads" '
+            f'style="width: 100%; height: {FRAME_HEIGHT}px; border: 0"></iframe>'
+        )
+
+
+def page_of(
+    content: PageContent, name: str, facts: Mapping[str, Any], served: bool = False
+) -> Page:
+    """Return the page of content from a file of this name; `facts` are added to the content's.
+    Data that are served are not in the page but beside it."""
+    blocks = {key: packed(array) for key, array in content.arrays.items()}
+    types = {key: {"type": array.dtype.str[1:]} for key, array in content.arrays.items()}
+    told = {
+        **content.facts,
+        **facts,
+        "arrays": types,
+        "size": f"{human(content.nbytes)} of data",
+        "file": name,
+        "name": re.sub(r"(?<=.)\..*", "", Path(name).name),
+    }
+    script = f'"use strict";\n(() => {{\n{_scripts(content.kind)}run({content.kind}Kind);\n}})();\n'
+    style = _asset("page.css")
+    values = {
+        "policy": _policy(script, style, served),
+        "title": html.escape(f"{content.kind} {Path(name).name}"),
+        "label": html.escape(f"{content.kind} {Path(name).name}, interactive picture"),
+        "style": style,
+        "facts": json.dumps(told).replace("<", "\\u003c"),
+        "vertex": _asset("screen.vert"),
+        "fragment": fragment_of(content.kind),
+        "blocks": "" if served else "\n".join(map(_block, blocks, blocks.values())),
+        "script": script,
+    }
+    return Page(Template(_asset("page.html")).substitute(values), blocks, content)
+
+
+def packed(array: np.ndarray) -> bytes:
+    """Return an array deflated, with the bytes of its elements plane by plane."""
+    little = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).reshape(-1)
+    planes = little.view(np.uint8).reshape(-1, little.itemsize).T
+    return zlib.compress(planes.tobytes(), 9)
+
+
+@functools.cache
+def fragment_of(kind: str) -> str:
+    """Return the fragment shader of a kind; the brightness of surfaces is that of the kernels."""
+    shading = (kernel_folder() / "shading.h").read_text(encoding="utf-8")
+    return _asset("rays.glsl") + _COMMENT.sub("", shading) + _asset(f"{kind}.frag")
+
+
+@functools.cache
+def _scripts(kind: str) -> str:
+    """Return the script of a kind of content."""
+    return "".join(_asset(f"{name}.js") for name in (*SHARED, kind))
+
+
+def _asset(name: str) -> str:
+    """Return a file of the page without the lines that are comments."""
+    text = (ASSETS / name).read_text(encoding="utf-8")
+    return _COMMENT.sub("", text)
+
+
+def _policy(script: str, style: str, served: bool) -> str:
+    """Return the content security policy of a page."""
+
+    def source(text: str) -> str:
+        return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+    reach = "connect-src 'self'; " if served else ""
+    return (
+        f"default-src 'none'; {reach}img-src blob: data:; script-src {source(script)}; "
+        f"style-src {source(style)}"
+    )
+
+
+def _block(name: str, block: bytes) -> str:
+    """Return the element of a block of data."""
+    text = base64.b64encode(block).decode()
+    return f'<script type="application/octet-stream" id="data-{name}">{text}</script>'
