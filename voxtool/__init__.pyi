@@ -23,6 +23,8 @@ from voxtool.api.pictures import build_tet as build_tet
 from voxtool.api.pictures import plan_render as plan_render
 from voxtool.api.pictures import plan_tet as plan_tet
 from voxtool.api.pictures import render as render
+from voxtool.api.views import plan_view as plan_view
+from voxtool.api.views import view as view
 from voxtool.camera import Camera as Camera
 from voxtool.camera import Rays as Rays
 from voxtool.distances import DistanceGridJob as DistanceGridJob
@@ -72,3 +74,5 @@ from voxtool.tets.transfer import TransferFunction as TransferFunction
 from voxtool.tets.transfer import default_transfer as default_transfer
 from voxtool.tets.volume import TetVolume as TetVolume
 from voxtool.version import __version__ as __version__
+from voxtool.viewer.job import ViewJob as ViewJob
+from voxtool.viewer.page import Page as Page

@@ -5,10 +5,13 @@ from __future__ import annotations
 import base64
 import json
 import re
+import sys
+import tempfile
 import zlib
 from pathlib import Path
 
 import h5py
+import meshes
 import numpy as np
 import pytest
 from helpers_cli import fail, run, told
@@ -153,3 +156,29 @@ def test_comments_are_left_out_and_nothing_else() -> None:
     assert not re.search(r"^\s*//", made, re.MULTILINE)
     assert "function start(" in made
     assert "float brightness(" in made
+
+
+@pytest.mark.parametrize("notebook", [False, True])
+def test_the_library_shows_a_page(notebook: bool, here: Path, monkeypatch) -> None:
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr("sys.modules", {**sys.modules, **({"ipykernel": sys} if notebook else {})})
+    monkeypatch.setattr(tempfile, "tempdir", str(here))
+    octree = voxtool.read_svo("bunny.svo.h5")
+    shown = voxtool.view(octree)
+    files = list(here.glob("voxtool-*/view.html"))
+    assert len(files) == len(opened) == (not notebook)
+    assert all(file.read_text(encoding="utf-8") == shown.html for file in files)
+    named = voxtool.view(Path("bunny.svo.h5"), "a.html")
+    assert Path("a.html").read_text(encoding="utf-8") == named.html
+    assert named.content.digest() == shown.content.digest()
+    assert opened[-1:] == ([] if notebook else [Path("a.html").absolute().as_uri()])
+
+
+def test_meshes_are_shown_as_octrees() -> None:
+    box = voxtool.mesh_from_arrays(*meshes.open_box(0, (4, 3, 2)))
+    made = voxtool.plan_view(box).run()
+    expected = voxtool.voxelize(box)
+    assert made.content.digest() == octree_content(expected).digest()
+    with pytest.raises(voxtool.VoxtoolError, match="cannot be drawn"):
+        voxtool.plan_view(np.ones(3))

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import DEFAULT_DIM, DEFAULT_MODE
 from voxtool.cli import options, runner
 from voxtool.cli.options import flag, together
 from voxtool.cli.render import DIRECTION
@@ -44,6 +43,7 @@ def command(run: Run, file: str, no_open: bool, up: tuple[float, ...] | None) ->
       voxtool view bunny.svo.h5
       voxtool view bunny.obj -o bunny.html --no-open
     """
+    from voxtool.api.views import shown_content
     from voxtool.files.page import FORMATS, write_page
     from voxtool.viewer.job import plan_view
 
@@ -51,7 +51,7 @@ def command(run: Run, file: str, no_open: bool, up: tuple[float, ...] | None) ->
         run.file_format = "html"
     run.to(file, options.output_of(file, "html"), FORMATS)
     with run:
-        content = run.stage("read file", content_of, file)
+        content = run.stage("read file", shown_content, file)
         with run.naming(file):
             given = {"up": up} if up else {}
             job = run.plan(plan_view, content, file, **given)
@@ -64,19 +64,6 @@ def command(run: Run, file: str, no_open: bool, up: tuple[float, ...] | None) ->
     )
     if not (no_open or run.to_stdout):
         webbrowser.open(Path(str(run.output)).absolute().as_uri())
-
-
-def content_of(file: str) -> Any:
-    """Return what a file holds; a mesh is voxelized."""
-    from voxtool.files import is_mesh, read_scene
-    from voxtool.files.mesh import load_mesh
-    from voxtool.grid import Grid
-    from voxtool.svo.voxelize import voxelize
-
-    if not is_mesh(file):
-        return read_scene(file)
-    mesh = load_mesh(file)
-    return voxelize(mesh, Grid.fit(mesh, DEFAULT_DIM), DEFAULT_MODE)
 
 
 def summary(page: Page) -> dict[str, Any]:
