@@ -167,19 +167,19 @@ MUTATIONS: dict[str, Mutation] = {
         "tests/tets/test_pictures.py",
     ),
     "scan: the total": Mutation(
-        "kernels/opencl/primitives.cl",
+        "kernels/opencl/scan.cl",
         "i < ITEMS && start + i <= count",
         "i < ITEMS && start + i < count",
         "tests/opencl/test_primitives.py",
     ),
     "radix sort: digits of a block": Mutation(
-        "kernels/opencl/primitives.cl",
+        "kernels/opencl/radix_sort.cl",
         "atomic_inc(&found[digit_of(keys[i], shift, digits)]);",
         "atomic_inc(&found[digit_of(keys[start], shift, digits)]);",
         "tests/opencl/test_primitives.py",
     ),
     "histopyramid: saturated sums": Mutation(
-        "kernels/opencl/primitives.cl",
+        "kernels/opencl/histopyramid.cl",
         "add_sat(e, five[4])",
         "e + five[4]",
         "tests/opencl/test_primitives.py",

@@ -6,7 +6,7 @@
 // coarser node's word is the index of its first child. Nodes are numbered from the root; bricks
 // start at first_brick.
 //
-// Packets of rays follow packets.h. Option: LANES.
+// Packets of rays follow packets.h. Options: LANES; DEPTHS, for depths instead of a picture.
 
 #include "shading.h"
 #include "svo/octree.h"
@@ -404,6 +404,8 @@ int next_hits(packet *p, TREE, int *met, double *times)
     return 1;
 }
 
+#ifdef DEPTHS
+
 // The depth of each pixel's hit, in the frame's unit; infinite without a hit.
 __kernel void find_depths(TREE, PICTURE, __global double *depths)
 {
@@ -426,6 +428,8 @@ __kernel void find_depths(TREE, PICTURE, __global double *depths)
                 depths[pixel_of_lane(&block, i, width)] = times[i];
     }
 }
+
+#else
 
 // The premultiplied colour of each pixel. `paint` holds the light direction and the colour.
 __kernel void paint_picture(TREE, PICTURE, __global const float *paint, __global float *picture)
@@ -463,3 +467,5 @@ __kernel void paint_picture(TREE, PICTURE, __global const float *paint, __global
         }
     }
 }
+
+#endif

@@ -310,7 +310,7 @@ def test_failures_of_the_driver_are_ours(device: Device) -> None:
     array = device.empty(4, np.uint32)
     with pytest.raises(DeviceError, match="failed: "):
         device.write(array, np.zeros(8, np.uint32))  # more than it holds
-    kernel = device.kernel("opencl/primitives.cl", "sum_blocks")
+    kernel = device.kernel("opencl/scan.cl", "sum_blocks")
     with pytest.raises(DeviceError, match="failed: "):
         kernel(256, array, np.uint32(0), array, local=128)  # not the size that it requires
 

@@ -113,7 +113,7 @@ def where(text: str, wanted: str) -> tuple[str, int]:
 def test_every_kernel_includes_only_what_there_is() -> None:
     folder = program.kernel_folder()
     sources = [p.relative_to(folder).as_posix() for p in folder.rglob("*.cl")]
-    assert {"opencl/primitives.cl", "svo/scan.cl", "svo/build.cl"} <= set(sources)
+    assert {"opencl/scan.cl", "svo/scan.cl", "svo/build.cl"} <= set(sources)
     for source in sources:
         text = program.flatten(source)
         assert "#include" not in text
@@ -124,7 +124,7 @@ def test_every_kernel_includes_only_what_there_is() -> None:
                     assert text.splitlines().count(line) <= 1, f"{line} twice in {source}"
 
 
-@pytest.mark.parametrize("file", ["opencl/primitives.h", "opencl/primitives.cl"])
+@pytest.mark.parametrize("file", ["opencl/primitives.h", "opencl/scan.cl"])
 def test_a_syntax_error_names_file_and_line(device: Device, file: str) -> None:
     mark, wrong = f'#line 1 "{file}"\n', "\n\nint broken(void) { return no_such_thing; }\n"
     fresh = open_device(str(device.info.index))
@@ -132,10 +132,10 @@ def test_a_syntax_error_names_file_and_line(device: Device, file: str) -> None:
         program.changed_sources(lambda text: text.replace(mark, mark + wrong)),
         pytest.raises(DeviceError) as caught,
     ):
-        fresh.kernel("opencl/primitives.cl", "sum_blocks")
+        fresh.kernel("opencl/scan.cl", "sum_blocks")
     message = str(caught.value)
     platform = device.info.platform
-    assert message.startswith(f"kernels/opencl/primitives.cl does not build on {platform}: ")
+    assert message.startswith(f"kernels/opencl/scan.cl does not build on {platform}: ")
     assert f"{file}:3" in message
     assert "no_such_thing" in message
     assert "\n" not in message

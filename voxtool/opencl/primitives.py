@@ -1,7 +1,8 @@
 """Parallel primitives over device arrays: scan, radix sort, bucket sort, compaction, histopyramid.
 
-Each raises MemoryLimitError if the number of elements does not fit 31 bits. The kernels are in
-kernels/opencl/primitives.cl; kernels/opencl/histopyramid.h has the traversal of a histopyramid.
+Each raises MemoryLimitError if the number of elements does not fit 31 bits. Each has a program of
+its own in kernels/opencl, as most work needs one or two; kernels/opencl/histopyramid.h has the
+traversal of a histopyramid.
 """
 
 from __future__ import annotations
@@ -15,7 +16,10 @@ from voxtool.errors import LESS, MemoryLimitError
 from voxtool.opencl import program
 from voxtool.opencl.device import WORK_GROUP, Array
 
-SOURCE = "opencl/primitives.cl"
+SCAN, RADIX_SORT, BUCKET_SORT, COMPACTION, HISTOPYRAMID = (
+    f"opencl/{name}.cl"
+    for name in ("scan", "radix_sort", "bucket_sort", "compaction", "histopyramid")
+)
 GROUP = 256  # work-items of a group that scans
 ITEMS = 8  # values of one of them
 BLOCK = GROUP * ITEMS  # values that a work-group scans
@@ -76,14 +80,14 @@ def _check(n: int, what: str) -> None:
 
 def _scan(values: Array, n: int) -> None:
     device = values.device
-    scan_blocks = device.kernel(SOURCE, "scan_blocks")
+    scan_blocks = device.kernel(SCAN, "scan_blocks")
     blocks = n // BLOCK + 1  # one holds element n, the sum
     if blocks == 1:
         scan_blocks(GROUP, values, n, values, values, local=GROUP)
         return
     size = blocks * GROUP
     sums = device.empty(blocks + 1, np.uint32)
-    device.kernel(SOURCE, "sum_blocks")(size, values, n, sums, local=GROUP)
+    device.kernel(SCAN, "sum_blocks")(size, values, n, sums, local=GROUP)
     _scan(sums, blocks)
     scan_blocks(size, values, n, sums, values, local=GROUP)
 
@@ -143,7 +147,7 @@ def _sort_portions(
 ) -> None:
     """Sort by one digit; a work-item counts and moves the keys of a portion."""
     count, scatter = (
-        keys.device.kernel(SOURCE, name, KEY=_KEYS[keys.dtype])
+        keys.device.kernel(RADIX_SORT, name, KEY=_KEYS[keys.dtype])
         for name in ("count_digits", "scatter_keys")
     )
     # portions of no fewer keys than there are digits: the table is hardly larger than the keys
@@ -161,7 +165,7 @@ def _sort_blocks(
 ) -> None:
     """Sort by one digit; a work-group counts and moves the keys of a block."""
     count, scatter = (
-        keys.device.kernel(SOURCE, name, KEY=_KEYS[keys.dtype], BLOCKS=1)
+        keys.device.kernel(RADIX_SORT, name, KEY=_KEYS[keys.dtype], BLOCKS=1)
         for name in ("count_block_digits", "scatter_block_keys")
     )
     blocks = -(-n // BLOCK)
@@ -194,10 +198,10 @@ def bucket_sort(buckets: Array, keys: Array, n: int, size: int) -> tuple[Array, 
     device = keys.device
     ends = device.zeros(size + 1, np.uint32)
     sorted_keys, items = device.empty(n, np.uint64), device.empty(n, np.uint32)
-    device.kernel(SOURCE, "count_buckets")(n, buckets, ends)
+    device.kernel(BUCKET_SORT, "count_buckets")(n, buckets, ends)
     _scan(ends, size)
-    device.kernel(SOURCE, "fill_buckets")(n, buckets, keys, ends, sorted_keys, items)
-    device.kernel(SOURCE, "sort_buckets")(size, ends, sorted_keys, items)
+    device.kernel(BUCKET_SORT, "fill_buckets")(n, buckets, keys, ends, sorted_keys, items)
+    device.kernel(BUCKET_SORT, "sort_buckets")(size, ends, sorted_keys, items)
     return ends, sorted_keys, items
 
 
@@ -208,7 +212,7 @@ def unique(keys: Array, n: int) -> tuple[Array, int]:
     """
     _check(n, "compaction")
     flags = keys.device.empty(n + 1, np.uint32)
-    keys.device.kernel(SOURCE, "flag_last", KEY=_KEYS[keys.dtype])(n, keys, flags)
+    keys.device.kernel(COMPACTION, "flag_last", KEY=_KEYS[keys.dtype])(n, keys, flags)
     return compact(keys, flags, n)
 
 
@@ -225,7 +229,7 @@ def compact(values: Array, flags: Array, n: int) -> tuple[Array, int]:
     """
     total = exclusive_scan(flags, n)
     kept = values.device.empty(total, values.dtype)
-    move = values.device.kernel(SOURCE, "move_flagged", KEY=_KEYS[values.dtype])
+    move = values.device.kernel(COMPACTION, "move_flagged", KEY=_KEYS[values.dtype])
     move(n, values, flags, kept)
     return kept, total
 
@@ -279,7 +283,7 @@ def build_histopyramid(counts: Array, n: int) -> Histopyramid:
     height = len(sizes)
     offsets = np.array([sum(sizes[level + 1 :]) for level in range(height)], np.uint32)
     levels = device.empty(4 * sum(sizes), np.uint32)
-    build = device.kernel(SOURCE, "build_level")
+    build = device.kernel(HISTOPYRAMID, "build_level")
     sums, size = counts, n
     for offset, quads in zip(offsets, sizes, strict=True):
         above = device.empty(quads, np.uint32)

@@ -169,7 +169,8 @@ def _draw(
     """Run a kernel on every packet of rays. The octree stays on the device for the next picture."""
     frame, finest = _frame(octree, rays), _size_exponent(octree, level)
     lanes = lanes or device.lanes
-    draw, cover = (device.kernel(SOURCE, name, LANES=lanes) for name in (kernel, "cover_level"))
+    options = {"LANES": lanes, **({"DEPTHS": 1} if kernel == "find_depths" else {})}
+    draw, cover = (device.kernel(SOURCE, name, **options) for name in (kernel, "cover_level"))
     tree = device.keep(octree, "render", octree.nbytes, lambda: _cover(octree, device, cover))
     width, height = rays.size
     side = TILE * math.isqrt(lanes)  # pixels along a side of a work-group's tile

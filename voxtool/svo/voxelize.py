@@ -37,7 +37,8 @@ from voxtool.mesh.topology import (
 from voxtool.mesh.watertight import watertight
 from voxtool.opencl import Device, default_device
 from voxtool.opencl.builder import Request
-from voxtool.opencl.primitives import SOURCE as PRIMITIVES
+from voxtool.opencl.primitives import COMPACTION, RADIX_SORT
+from voxtool.opencl.primitives import SCAN as PREFIX_SUMS
 from voxtool.svo.build import SOURCE as BUILD
 from voxtool.svo.build import build_octree
 from voxtool.svo.fill.caps import Boundary, find_boundary
@@ -196,16 +197,16 @@ class VoxelizeJob(Job[Octree]):
         """The programs that the stages use, in order."""
         plan, options = self.plan, Scan(self.lattice, self.plan).options
         code, wide = ({"CODE": name} for name in (options["CODE"], "ulong"))
-        sort: Request = PRIMITIVES, {"KEY": "ulong"}
-        programs: list[Request] = [(SCAN, options), (PRIMITIVES, {})]
+        sort: Request = RADIX_SORT, {"KEY": "ulong"}
+        programs: list[Request] = [(SCAN, options), (PREFIX_SUMS, {})]
         by_rows: list[Request] = [(CROSSINGS, options | ({"LISTED": 1} if plan.listed else {}))]
         by_rows += [sort] * plan.listed
         if plan.caps:
             programs += [*by_rows, *near_holes(plan)]
-        programs += [(BUILD, code), (PRIMITIVES, {"KEY": options["CODE"]})]
+        programs += [(BUILD, code), (COMPACTION, {"KEY": options["CODE"]})]
         if plan.fill == "flood":
-            programs += [(BUILD, wide), sort, (FLOOD, wide)]
-            programs += [(DILATION, wide), (ROWS, {"CODE": "uint"})] * (plan.gap > 0)
+            programs += [(BUILD, wide), (COMPACTION, {"KEY": "ulong"}), (FLOOD, wide)]
+            programs += [(DILATION, wide), sort, (ROWS, {"CODE": "uint"})] * (plan.gap > 0)
         elif plan.solid:
             programs += [*by_rows, (ROWS, code)]
         return programs

@@ -14,7 +14,7 @@ from svo.test_voxelize import lattice_grid, lattice_mesh
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Device
 from voxtool.svo.fill.rows import list_crossings
-from voxtool.svo.fill.winding import BRICKS, NearHoles
+from voxtool.svo.fill.winding import NearHoles
 from voxtool.svo.layout import BRICK
 from voxtool.svo.scan import Scan
 from voxtool.svo.voxelize import plan_voxelize
@@ -95,7 +95,7 @@ def test_single_precision_knows_its_error(device: Device, seed: int) -> None:
 
     def decided(doubt: float) -> np.ndarray:
         inside, left = (device.empty(64, BRICK) for _ in range(2))
-        holes._kernel(BRICKS, "decide_bricks")(
+        holes._kernel("decide_bricks")(
             64, inside=inside, open=left, same=device.empty(64, np.uint8), reach=every.reach,
             most=1 << 20, doubt=doubt, **arguments,
         )  # fmt: skip

@@ -58,7 +58,7 @@ from voxtool.svo.plan import VoxelizePlan
 from voxtool.svo.scan import NODE_LEVEL
 from voxtool.vector import cross, length
 
-BLOCKS, VOXELS, BRICKS = (f"svo/fill/winding/{name}.cl" for name in ("blocks", "voxels", "bricks"))
+SOURCE = "svo/fill/winding.cl"
 # Distances, in radii, beyond which caps count through their moments; and the difference to 1/2
 # below which a number is computed again at the next distance. The errors are about 5e-3, 3e-4,
 # 8e-6 and 2e-7: they fall with the fourth power of the distance. If m caps coincide, the distances
@@ -88,8 +88,7 @@ HEADERS = {
 
 def programs(plan: VoxelizePlan) -> list[Request]:
     """Return the programs that a plan with holes uses."""
-    near = [(source, _options(plan)) for source in (BLOCKS, VOXELS, BRICKS)]
-    return [(BVH, {}), (MOMENTS, {}), *near]
+    return [(BVH, {}), (MOMENTS, {}), (SOURCE, _options(plan))]
 
 
 def _options(plan: VoxelizePlan) -> dict[str, int | str]:
@@ -180,9 +179,9 @@ class NearHoles:
         """Return the blocks that reach into the grid."""
         return blocks[(morton_decode(blocks) << level < self._shape).all(axis=1)]
 
-    def _kernel(self, source: str, name: str) -> Callable[..., None]:
+    def _kernel(self, name: str) -> Callable[..., None]:
         """Return a kernel compiled with the plan's options."""
-        return self._device.kernel(source, name, **self._options)
+        return self._device.kernel(SOURCE, name, **self._options)
 
     def _examine(self, blocks: np.ndarray, level: int) -> tuple[_Expanded, np.ndarray]:
         """Return the blocks of 2**level voxels that expansions decide, except a few voxels, and
@@ -218,14 +217,14 @@ class NearHoles:
         middles."""
         n = len(blocks)
         codes, found = self._device.put(blocks), self._device.empty(n * EXPANSION, np.float64)
-        self._kernel(BLOCKS, "expand_blocks")(n, codes, level, LIMIT, found, **self._arguments)
+        self._kernel("expand_blocks")(n, codes, level, LIMIT, found, **self._arguments)
         return found.take().reshape(n, EXPANSION)
 
     def _meet_caps(self, blocks: np.ndarray, level: int) -> np.ndarray:
         """Return (n,) bool, False where no cap passes between the voxels of a block."""
         n = len(blocks)
         codes, met = self._device.put(blocks), self._device.empty(n, np.uint8)
-        self._kernel(BLOCKS, "meet_caps")(n, codes, level, met=met, **self._arguments)
+        self._kernel("meet_caps")(n, codes, level, met=met, **self._arguments)
         return met.take() != 0
 
     def _middle_numbers(self, blocks: np.ndarray, level: int) -> tuple[np.ndarray, np.ndarray]:
@@ -252,9 +251,7 @@ class NearHoles:
             return np.full(n, NONE, np.uint8)
         codes, found = self._device.put(blocks), self._device.empty(n, np.uint8)
         most = {"moments": self._windings[0].moments, "most": self._crowd}
-        self._kernel(BLOCKS, "find_crowds")(
-            n, codes, level, crowded=found, **most, **self._arguments
-        )
+        self._kernel("find_crowds")(n, codes, level, crowded=found, **most, **self._arguments)
         found = found.take()
         self.crowded |= bool((found == ALL).any())
         return found
@@ -264,10 +261,10 @@ class NearHoles:
         of the mesh with its caps if `winding`, the winding number of the caps, is None."""
         n = len(voxels)
         codes, numbers = self._device.put(voxels), self._device.empty(n, np.float64)
-        self._kernel(VOXELS, "number_voxels")(n, codes, numbers, **self._arguments)
+        self._kernel("number_voxels")(n, codes, numbers, **self._arguments)
         if winding:
             most = int(self._crowd * (winding.reach / self._windings[0].reach) ** 2)
-            subtract_caps = self._kernel(VOXELS, "subtract_caps")
+            subtract_caps = self._kernel("subtract_caps")
             crowds = self._device.zeros(1, np.uint32)
             subtract_caps(n, codes, winding.moments, most, crowds, numbers, **self._arguments)
             self.crowded |= bool(crowds.take()[0])
@@ -309,7 +306,7 @@ class NearHoles:
         same = self._device.empty(n, np.uint8)
         results = {"inside": inside, "open": left, "same": same}
         codes = self._device.put(bricks)
-        self._kernel(BRICKS, kernel)(n, bricks=codes, **results, **arguments, **self._arguments)
+        self._kernel(kernel)(n, bricks=codes, **results, **arguments, **self._arguments)
         kept = same.take() == 0
         bricks, masks, left = bricks[kept], inside.take()[kept], left.take()[kept]
         brick = np.flatnonzero(left)
@@ -348,7 +345,7 @@ class NearHoles:
         places = 8 * node + (self._bricks & np.uint64(7)).astype(np.int64)
         device = bricks.device
         masks, at = device.put(self._masks), device.put(places.astype(np.uint32))
-        self._kernel(BRICKS, "place_bricks")(len(places), masks, at, bricks)
+        self._kernel("place_bricks")(len(places), masks, at, bricks)
 
 
 @dataclass(frozen=True)
