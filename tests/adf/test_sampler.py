@@ -14,7 +14,7 @@ from helpers_files import FIELDS, ROOT
 
 from voxtool.adf.field import DistanceField
 from voxtool.adf.host_query import to_fixed
-from voxtool.adf.packing import FieldTextures
+from voxtool.adf.packing import pack_blocks, pack_cells
 from voxtool.adf.query import FieldQuery, query_adf
 from voxtool.errors import DeviceError, VoxtoolError
 from voxtool.opencl import images
@@ -52,19 +52,20 @@ def test_the_program_of_the_documents(name: str, device: Device) -> None:
     document = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
     (text,) = re.findall(r"^```opencl\n(.*?)^```$", document, re.MULTILINE | re.DOTALL)
     field = FIELDS[name]()
-    textures = FieldTextures(field)
+    cells, offsets = pack_cells(field.cells), field.hash.offsets
     points = points_in(field)
     fixed, outside = np.empty(points.shape, np.uint32), np.zeros(len(points), bool)
     to_fixed(field, points, fixed, outside)
     distances, filtered = (device.empty(len(points), np.float32) for _ in range(2))
     kernel = device.kernel(
-        text, "look_up", OFFSET={1: "uchar", 2: "ushort"}[textures.hash.itemsize],
-        CHANNELS=textures.hash.shape[-1], WORDS=textures.cells.shape[-1],
+        text, "look_up", OFFSET={1: "uchar", 2: "ushort"}[offsets.itemsize],
+        CHANNELS=offsets.shape[-1], WORDS=cells.shape[-1],
     )  # fmt: skip
     kernel(
-        len(points), points=device.put(fixed), cells=device.put(textures.cells),
-        hash=device.put(textures.hash), m=field.hash.m, r=field.hash.r, depth=field.depth,
-        voxels=images.image_of(textures.voxels, device), distances=distances, filtered=filtered,
+        len(points), points=device.put(fixed), cells=device.put(cells),
+        hash=device.put(offsets), m=field.hash.m, r=field.hash.r, depth=field.depth,
+        voxels=images.image_of(pack_blocks(field.voxels), device), distances=distances,
+        filtered=filtered,
     )  # fmt: skip
     exact = query_adf(field, points, device=device).distance
     inside = ~outside

@@ -39,14 +39,15 @@ def test_what_it_writes_and_says(here: Path) -> None:
         f"{len(volume.vertices)} vertices in "
     )
     assert [line.split()[0] for line in lines[1:]] == [
-        "cells", "points", "faces", "scalar", "rounding", "bytes",
+        "cells", "points", "faces", "scalar", "rounding", "texels", "bytes",
     ]  # fmt: skip
     assert lines[1] == f"  cells     {counted()}; none turned or dropped"
     assert lines[2] == f"  points    0 of {len(volume.vertices)} merged into others"
     outside = np.count_nonzero(volume.neighbours < 0)
     assert lines[3].startswith(f"  faces     {outside} without a neighbour, of these 0 of more")
+    assert lines[6].startswith("  texels    vertices 16 x 6, cells 32 x 9, neighbours 32 x 9, norm")
     assert lines[4].startswith("  scalar    density, linear in a cell, 1 to ")
-    assert re.match(r"  bytes     96\.0 a cell of table 5; 144 before it .*, 119 and 912", lines[6])
+    assert re.match(r"  bytes     96\.0 a cell of table 5; 144 before it .*, 119 and 912", lines[7])
 
 
 def test_json(here: Path) -> None:

@@ -14,10 +14,11 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from helpers_files import DATA, FIELDS, ROOT, deep_field, golden_field
+from helpers_files import DATA, FIELDS, ROOT, deep_field, golden_field, golden_volume
 from helpers_tets import assembly, built, linear
 
 from voxtool import files
+from voxtool.choices import LAYOUTS
 from voxtool.files import adf_hdf5, svo_hdf5, tet_hdf5
 from voxtool.files.schema import CREATOR, FORMAT, FORMAT_VERSION, Attribute
 
@@ -242,19 +243,40 @@ def test_the_places_of_blocks_do_not_show_in_what_is_read(tmp_path: Path) -> Non
 # Tetrahedral volumes
 
 
+def items(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The attributes of a volume, and its textures as lists of items: rows end to end, and those of
+    cells and neighbours joined."""
+    with h5py.File(path) as file:
+        head: Any = {name: value.tolist() for name, value in file.attrs.items()}
+        textures: dict[str, Any] = {name: data[()].tolist() for name, data in file.items()}
+    counts = {"vertices": head["vertex_count"], "ranges": -(-head["cell_count"] // 64)}
+    arrays = {}
+    for name, texture in textures.items():
+        count = counts.get(name, head["cell_count"])
+        layers = texture if name in ("cells", "neighbours", "normals") else [texture]
+        width = len(layers[0][0])
+        assert width**2 >= count > (width // 2) ** 2 or width == count == 1
+        found = [[layer[i // width][i % width] for i in range(count)] for layer in layers]
+        assert not np.any(layers[0][-1][(count - 1) % width + 1 :])
+        if name in ("cells", "neighbours"):
+            found = [[list(itertools.chain(*parts)) for parts in zip(*found, strict=True)]]
+        arrays[name] = found if name == "normals" else found[0]
+    return head, arrays
+
+
 def test_recipe_of_volumes(tmp_path: Path) -> None:
     """The scalar at a point of the mesh, found cell by cell."""
     path = tmp_path / "a.tet.h5"
     mesh = assembly((2, 2, 2), 3)
     for layout in ("raycast", "projection"):
-        files.write_tet(built(mesh, layout), path)
-        with h5py.File(path) as h5:
-            origin, scale = h5.attrs["origin"].tolist(), h5.attrs["scale"].item()  # pyright: ignore
-            low, high = h5.attrs["scalar_range"].tolist()  # pyright: ignore
-            arrays = {name: h5[name][()].tolist() for name in h5}  # pyright: ignore
+        volume = built(mesh, layout)
+        files.write_tet(volume, path)
+        head, arrays = items(path)
+        assert all(np.array_equal(arrays[name], a) for name, a in volume.arrays().items())
+        low, high = head["scalar_range"]
         random = np.random.default_rng(0)
         for world in random.uniform(0, 2, (30, 3)).tolist():
-            x = [(w - o) / scale for w, o in zip(world, origin, strict=True)]
+            x = [(w - o) / head["scale"] for w, o in zip(world, head["origin"], strict=True)]
             cell = next(t for t in range(len(arrays["cells"])) if inside(arrays, layout, t, x))
             g = arrays["gradients"][cell]
             if layout == "raycast":
@@ -264,6 +286,16 @@ def test_recipe_of_volumes(tmp_path: Path) -> None:
                 s += sum(a * (b - c) for a, b, c in zip(g, x, anchor, strict=True))
             exact = linear(np.array([world]))[0]
             assert low + (high - low) * s == pytest.approx(exact, abs=1e-5)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_recipe_of_rows(layout: str) -> None:
+    name = "v2.0" + f"-{layout}" * (layout != "raycast")
+    _, arrays = items(DATA / f"{name}.tet.h5")
+    expected = golden_volume(layout).arrays()
+    assert arrays.keys() == expected.keys()
+    for key, array in expected.items():
+        assert np.array_equal(np.array(arrays[key], array.dtype), array), key
 
 
 def inside(arrays: dict[str, Any], layout: str, cell: int, x: list[float]) -> bool:

@@ -2,12 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers_tets import assembly, lattice, linear, tet_grid, tet_mesh, unstructured
 
+from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.opencl import Device
 from voxtool.tets.mesh import UnstructuredMesh
+from voxtool.tets.packing import (
+    pack_layers,
+    pack_rows,
+    rows_for,
+    unpack_layers,
+    unpack_rows,
+    width_for,
+)
+from voxtool.tets.plan import VolumePlan
 from voxtool.tets.textures import build_tet
 
 # Of each case: the digest of the volume, and the counts of its build that are not 0.
@@ -146,3 +158,30 @@ def test_textures_are_those_of_numpy(name: str, device: Device) -> None:
     volume.validate()
     counts = {key: n for key, n in volume.report.items() if isinstance(n, int) and n}
     assert (volume.digest(), counts) == EXPECTED[name]
+
+
+def test_a_volume_that_fits_no_texture_is_refused() -> None:
+    fits = VolumePlan("raycast", 0.0, {"tetra": 2048**2}, {}, 5000, False, max_texture=2048)
+    fits.refuse_beyond(1 << 40, 1 << 40)
+    message = "4,194,305 cells with 5,000 points do not fit textures of 2048 x 2048 .*--max-texture"
+    with pytest.raises(MemoryLimitError, match=message):
+        replace(fits, cells={"tetra": 2048**2 + 1}).refuse_beyond(1 << 40, 1 << 40)
+    with pytest.raises(VoxtoolError, match="max texture 16385: choose 2048 to 16384"):
+        replace(fits, max_texture=16385)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 5, 16, 17, 100])
+def test_rows_are_a_power_of_two_wide(n: int) -> None:
+    items = np.arange(2 * n, dtype=np.int32).reshape(n, 2) + 1
+    packed = pack_rows(items)
+    rows, width, channels = packed.shape
+    assert (rows, width, channels) == (rows_for(n), width_for(n), 2)
+    assert width & (width - 1) == 0
+    assert width**2 >= n > (width // 2) ** 2
+    assert n <= rows * width < n + width
+    assert all(np.array_equal(packed[i // width, i % width], items[i]) for i in range(n))
+    assert np.array_equal(unpack_rows(packed, n), items)
+    eight = np.arange(8 * n, dtype=np.int32).reshape(n, 8)
+    layers = pack_layers(eight)
+    assert np.array_equal(layers[1, 0, 0], (4, 5, 6, 7))
+    assert np.array_equal(unpack_layers(layers, n), eight)

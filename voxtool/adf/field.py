@@ -34,7 +34,7 @@ from voxtool.adf.cells import (
     key_of,
 )
 from voxtool.adf.host_query import QueryResult, query_on_host
-from voxtool.adf.packing import FieldTextures
+from voxtool.adf.packing import shapes
 from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.arrays import Data, digest_of
 from voxtool.choices import MAX_LEVEL
@@ -247,7 +247,7 @@ class DistanceField(Data):
             "bytes": sum(sizes.values()),
             "bytes_a_leaf": sum(sizes.values()) / sum(leaves),
             "textures": sizes,
-            "shapes": FieldTextures(self).shapes(),
+            "shapes": shapes(self),
             "saved": {
                 "voxels_of_leaves": 1 - sizes["voxels"] / (eight * sum(leaves)),
                 "voxels_of_cells": 1 - sizes["voxels"] / (eight * 8 * n),

@@ -65,48 +65,24 @@ def unpack_blocks(texture: np.ndarray, side: int) -> np.ndarray:
     return apart.reshape(-1, side, side, side)
 
 
-class FieldTextures:
-    """The textures of a field, packed when they are asked for: voxels, cells, hash and bounds."""
+def pack_cells(cells: np.ndarray) -> np.ndarray:
+    """Return (m, m, m, 2 or 3) texels of cells with pointers instead of numbers of blocks."""
+    taken, packed = identifiers_in(cells) != 0, cells.copy()
+    packed[taken, -1] = pointers_to(int(np.count_nonzero(taken)))[cells[taken, -1]]
+    return packed
 
-    def __init__(self, field: DistanceField) -> None:
-        self.field = field
 
-    @property
-    def voxels(self) -> np.ndarray:
-        """(3 Z, 3 Y, 3 X) float32 for X, Y and Z places: distances, in sides."""
-        return pack_blocks(self.field.voxels)
-
-    @property
-    def cells(self) -> np.ndarray:
-        """(m, m, m, 2 or 3) uint32: identifier, low word first, and pointer; 0 in a free slot."""
-        cells = self.field.cells.copy()
-        taken = self.field.identifiers != 0
-        cells[taken, -1] = pointers_to(len(self.field.voxels))[cells[taken, -1]]
-        return cells
-
-    @property
-    def hash(self) -> np.ndarray:
-        """(r, r, r, 3 or 4) uint8 or uint16: offsets."""
-        return self.field.hash.offsets
-
-    @property
-    def bounds(self) -> np.ndarray | None:
-        """(2 Z, 2 Y, 2 X) uint8: codes of bounds; None if the field has none."""
-        return None if self.field.bounds is None else pack_blocks(self.field.bounds)
-
-    def shapes(self) -> dict[str, list[int]]:
-        """Return the texels along x, y and z of each texture, and its channels; nothing is
-        packed."""
-        field = self.field
-        places = arrangement(len(field.voxels))
-        shapes = {
-            "voxels": [*(VERTICES * side for side in places), 1],
-            "cells": [*field.cells.shape],
-            "hash": [*field.hash.offsets.shape],
-        }
-        if field.bounds is not None:
-            shapes["bounds"] = [*(CHILDREN * side for side in places), 1]
-        return shapes
+def shapes(field: DistanceField) -> dict[str, list[int]]:
+    """Return the texels along x, y and z of each texture, and its channels."""
+    places = arrangement(len(field.voxels))
+    found = {
+        "voxels": [*(VERTICES * side for side in places), 1],
+        "cells": [*field.cells.shape],
+        "hash": [*field.hash.offsets.shape],
+    }
+    if field.bounds is not None:
+        found["bounds"] = [*(CHILDREN * side for side in places), 1]
+    return found
 
 
 def unpack(

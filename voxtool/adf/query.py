@@ -32,7 +32,7 @@ from voxtool.adf.host_query import (
     query_on_host,
     to_fixed,
 )
-from voxtool.adf.packing import FieldTextures, arrangement
+from voxtool.adf.packing import arrangement, pack_blocks
 from voxtool.choices import EXACT, SAMPLERS, SEARCHES
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, default_device, program
@@ -346,7 +346,7 @@ def filtered_of(field: DistanceField, device: Device) -> dict[str, Any]:
 
     def upload() -> Image:
         check_filter(device)
-        return image_of(FieldTextures(field).voxels, device)
+        return image_of(pack_blocks(field.voxels), device)
 
     return {"image": device.keep(field, "image", nbytes, upload), "across": across}
 

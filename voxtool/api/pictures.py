@@ -13,7 +13,7 @@ from voxtool import files, rendering
 from voxtool.adf.field import DistanceField
 from voxtool.api.octrees import Path, opened, voxelize
 from voxtool.camera import Camera, Rays
-from voxtool.choices import LAYOUTS
+from voxtool.choices import LAYOUTS, MAX_TEXTURE_2D
 from voxtool.files import read_unstructured
 from voxtool.files.picture import rounded, write_png
 from voxtool.job import one_call
@@ -43,6 +43,7 @@ def plan_tet(
     *,
     scalar: str | None = None,
     component: str | int | None = None,
+    max_texture: int = MAX_TEXTURE_2D,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> VolumeJob:
@@ -60,6 +61,9 @@ def plan_tet(
         Points at most this far apart are merged, world units; 0 merges points at the same position.
     scalar, component : str or int, optional
         The array of a path, as in read_unstructured.
+    max_texture : int
+        Texels that a 2-D texture may have along each axis, 2048 to 16384. A volume that would not
+        fit is refused.
     device : Device, optional
         Where the textures are computed; by default the default device.
     max_memory : int, optional
@@ -89,7 +93,9 @@ def plan_tet(
     [TetVol], [Dompierre 1999] for the split into tetrahedra.
     """
     found = opened(mesh, lambda path: read_unstructured(path, scalar, component, max_memory))
-    return tets.plan_tet(found, layout, merge_distance, device=device, max_memory=max_memory)
+    return tets.plan_tet(
+        found, layout, merge_distance, max_texture=max_texture, device=device, max_memory=max_memory
+    )
 
 
 build_tet = one_call(plan_tet, "build_tet", TetVolume)

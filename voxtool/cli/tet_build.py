@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import LAYOUTS
+from voxtool.choices import LAYOUTS, MAX_TEXTURE_2D, MIN_TEXTURE_2D
 from voxtool.cli import options, runner
 from voxtool.cli.options import option, together
 from voxtool.errors import human
@@ -28,11 +28,14 @@ if TYPE_CHECKING:
     option("--merge-distance", float,
         "Points within D of each other become one, in the mesh's own units.  [default: only "
         "points at one place]", 0.0, metavar="D"),
+    option("--max-texture", click.IntRange(MIN_TEXTURE_2D, MAX_TEXTURE_2D),
+        "Texels along an axis of a 2-D texture on the device that shall take the volume.  A volume "
+        "that does not fit is refused.", MAX_TEXTURE_2D, metavar="TEXELS"),
 )  # fmt: skip
 @runner.job_options("OUT", "Default FILE's name with .tet.h5, in this folder.", "tet.h5")
 def command(
     run: runner.Run, file: str, scalar: str | None, component: str | None, layout: str,
-    merge_distance: float,
+    merge_distance: float, max_texture: int,
 ) -> None:  # fmt: skip
     """Build the textures of a tetrahedral volume from a mesh of volume cells.
 
@@ -50,7 +53,7 @@ def command(
     run.to(file, options.output_of(file, "tet.h5"), TET_FORMATS)
     with run:
         mesh = run.stage("read mesh", read_unstructured, file, scalar, component, run.max_memory)
-        volume = run.job(run.plan(plan_tet, mesh, layout, merge_distance))
+        volume = run.job(run.plan(plan_tet, mesh, layout, merge_distance, max_texture=max_texture))
         run.write(write_tet, volume)
     size = human(sum(volume.sizes().values()))
     run.report(
@@ -82,6 +85,8 @@ def details(volume: TetVolume) -> list[str]:
         f"scalar    {volume.scalar}, {each}, {low:.6g} to {high:.6g}",
         f"rounding  vertices within {report['plane_error']:.2g} of their planes, scalars within "
         f"{report['scalar_error']:.2g}, where the mesh is about 2 long and scalars are 0 to 1",
+        "texels    "
+        + ", ".join(f"{name} {shape[0]} x {shape[1]}" for name, shape in volume.shapes().items()),
         f"bytes     {table:.1f} a cell of {COMPARED[volume.layout]}; {beside:.1f} beside: "
         + ", ".join(f"{name} {human(size)}" for name, size in sizes.items()),
     ]

@@ -12,7 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from voxtool.adf.field import DistanceField
-from voxtool.adf.packing import CHILDREN, VERTICES, FieldTextures, unpack
+from voxtool.adf.packing import CHILDREN, VERTICES, pack_blocks, pack_cells, unpack
 from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.choices import MAX_LEVEL, SIGNS
 from voxtool.files import hdf5
@@ -94,11 +94,8 @@ OWN = (
     PLAN,
 )
 CELLS = Dataset("cells", "<u4", ("m", "m", "m", (2, 3)))
-HASH = Dataset("hash", _offset_type, ("r", "r", "r", (3, 4)))
-
-
-def _if_there(sizes: Sizes, there: bool) -> bool:
-    return there
+HASH = Dataset("hash", _offset_type, ("r", "r", "r", (3, 4)), at="hash.offsets")
+BOUNDS = Dataset("bounds", "u1", ("n", 2, 2, 2), needed=lambda sizes, there: there)
 
 
 VERSION_1 = Schema(
@@ -107,25 +104,19 @@ VERSION_1 = Schema(
     what="distance field",
     hint="build a field first: voxtool adf-build MESH",
     own=OWN,
-    datasets=(
-        Dataset("voxels", "<f4", ("n", 3, 3, 3)),
-        CELLS,
-        HASH,
-        Dataset("bounds", "u1", ("n", 2, 2, 2), needed=_if_there),
-    ),
+    datasets=(Dataset("voxels", "<f4", ("n", 3, 3, 3)), CELLS, HASH, BOUNDS),
     build=_build,
 )
 SCHEMA = replace(
     VERSION_1,
     version="2.0",
     datasets=(
-        Dataset("voxels", "<f4", ("Z", "Y", "X")),
-        CELLS,
+        Dataset("voxels", "<f4", ("Z", "Y", "X"), pack=pack_blocks),
+        replace(CELLS, pack=pack_cells),
         HASH,
-        Dataset("bounds", "u1", tuple(map(_bounds_side, "ZYX")), needed=_if_there),
+        replace(BOUNDS, shape=tuple(map(_bounds_side, "ZYX")), pack=pack_blocks),
     ),
     build=_unpack,
-    packed=FieldTextures,
     older=(VERSION_1,),
 )
 

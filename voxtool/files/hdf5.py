@@ -40,9 +40,8 @@ def write(schema: Schema, content: Any, file: BinaryIO) -> None:
     with h5py.File(file, "w", track_order=False) as h5:
         for attribute in (FORMAT, *schema.attributes):
             _write_attribute(h5, attribute, stored[attribute.name])
-        packed = schema.packed(content)
         for dataset in schema.datasets:
-            array = dataset.encode(packed, stored)
+            array = dataset.encode(content, stored)
             if array is not None:
                 h5.create_dataset(dataset.name, data=array, track_times=False)
 

@@ -110,6 +110,7 @@ class Dataset:
         names the side from here on.
     at : path of the array in the content; by default the name.
     rows : structured dtype of a row in Python, where it has one.
+    pack : the stored array of the content's, where they differ; the schema's `build` undoes it.
     needed : whether a file has it, from the sizes and from whether it is there.
     """
 
@@ -118,6 +119,7 @@ class Dataset:
     shape: tuple[Side, ...]
     at: str = ""
     rows: np.dtype | None = None
+    pack: Callable[[np.ndarray], np.ndarray] | None = None
     needed: Callable[[Sizes, bool], bool] = lambda sizes, there: True
 
     def type_for(self, sizes: Sizes) -> np.dtype:
@@ -136,6 +138,8 @@ class Dataset:
         array = attrgetter(self.at or self.name)(content)
         if array is None:
             return None
+        if self.pack is not None:
+            array = self.pack(array)
         if self.rows is not None:
             array = np.ascontiguousarray(array, self.rows).view(self.type_for(sizes))
             return array.reshape(-1, len(self.rows.names or ()))
@@ -144,10 +148,6 @@ class Dataset:
     def decode(self, array: np.ndarray) -> np.ndarray:
         """The array in Python of a stored one."""
         return array if self.rows is None else array.view(self.rows).reshape(-1)
-
-
-def _itself(content: Any) -> Any:
-    return content
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,6 @@ class Schema:
     datasets: tuple[Dataset, ...]  # in the order in which they are stored
     build: Callable[[dict[str, Any], dict[str, np.ndarray]], Any]  # content of attributes, arrays
     agree: Callable[[Mapping[str, Any]], object] | None = None  # checks attributes together
-    packed: Callable[[Any], Any] = _itself  # what the datasets of some content are taken from
     older: tuple[Schema, ...] = ()  # major versions that are read, but not written
 
     @property

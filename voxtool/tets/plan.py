@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from voxtool.errors import MemoryLimitError, human
+from voxtool.choices import MAX_TEXTURE_2D, MIN_TEXTURE_2D
+from voxtool.errors import MemoryLimitError, VoxtoolError, human
 from voxtool.job import Cost
 from voxtool.tets.cells import PIECES
 from voxtool.tets.merge import MAX_PAIRS
+from voxtool.tets.packing import rows_for, width_for
 
 CELL_BYTES = {"raycast": 116, "projection": 104, "hexahedra": 186}  # of its textures, with vertices
 WORK_BYTES = {"raycast": 300, "projection": 280, "hexahedra": 620}  # at most about: measured
@@ -24,6 +26,7 @@ class VolumePlan:
     cells : of the mesh, by kind; ignored : cells that are no volumes, by kind.
     points : of the mesh; constant : whether each cell has one scalar.
     max_pairs : pairs of points, compared for merging, beyond which the work is refused.
+    max_texture : texels along an axis of a 2-D texture, beyond which it is refused.
     """
 
     layout: str
@@ -33,6 +36,13 @@ class VolumePlan:
     points: int
     constant: bool
     max_pairs: int = MAX_PAIRS
+    max_texture: int = MAX_TEXTURE_2D
+
+    def __post_init__(self) -> None:
+        if not MIN_TEXTURE_2D <= self.max_texture <= MAX_TEXTURE_2D:
+            raise VoxtoolError(
+                f"max texture {self.max_texture}: choose {MIN_TEXTURE_2D} to {MAX_TEXTURE_2D}"
+            )
 
     @property
     def stages(self) -> list[str]:
@@ -110,7 +120,14 @@ class VolumePlan:
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError if the work needs more bytes than these, in total or in one
-        buffer; the message says how many cells fit."""
+        buffer, or wider textures than allowed; the message says how many cells fit."""
+        most = max(self.predicted_cells, self.points)
+        if max(width_for(most), rows_for(most)) > self.max_texture:
+            raise MemoryLimitError(
+                f"{self.predicted_cells:,} cells with {self.points:,} points do not fit textures "
+                f"of {self.max_texture} x {self.max_texture} texels: cut the mesh into parts, or "
+                "see --max-texture"
+            )
         cost = self.cost
         if shortage := cost.shortage(max_memory, max_allocation):
             share = min(max_memory / cost.device, max_allocation / cost.largest)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from voxtool.choices import LAYOUTS
+from voxtool.choices import LAYOUTS, MAX_TEXTURE_2D
 from voxtool.errors import MeshError, VoxtoolError
 from voxtool.job import Job
 from voxtool.opencl import Device, default_device, program
@@ -44,12 +44,10 @@ def build_tet(
     mesh: UnstructuredMesh,
     layout: str = "raycast",
     merge_distance: float = 0.0,
-    *,
-    device: Device | None = None,
-    max_memory: int | None = None,
+    **request: Any,
 ) -> TetVolume:
-    """Return the volume of a mesh; see voxtool.build_tet."""
-    return plan_tet(mesh, layout, merge_distance, device=device, max_memory=max_memory).run()
+    """Return the volume of a mesh: `plan_tet(...).run()`; see voxtool.build_tet."""
+    return plan_tet(mesh, layout, merge_distance, **request).run()
 
 
 def plan_tet(
@@ -57,6 +55,7 @@ def plan_tet(
     layout: str = "raycast",
     merge_distance: float = 0.0,
     *,
+    max_texture: int = MAX_TEXTURE_2D,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> VolumeJob:
@@ -75,7 +74,9 @@ def plan_tet(
     for kind, block in found.blocks:
         cells[kind] += len(block)
     ignored, points = found.report["ignored"], len(found.points)
-    plan = VolumePlan(layout, merge_distance, dict(cells), ignored, points, mesh.constant)
+    plan = VolumePlan(
+        layout, merge_distance, dict(cells), ignored, points, mesh.constant, max_texture=max_texture
+    )
     return VolumeJob(mesh, found, plan, device, max_memory)
 
 

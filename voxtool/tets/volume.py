@@ -25,6 +25,7 @@ from voxtool.choices import LAYOUTS
 from voxtool.errors import FileError
 from voxtool.opencl import program
 from voxtool.tets.cells import HEXAHEDRON_FACES, TETRAHEDRON_FACES, repeats
+from voxtool.tets.packing import layers_for, rows_for, width_for
 
 BLOCK = 64  # consecutive cells that share a range of scalars
 FACES = {
@@ -119,6 +120,16 @@ class TetVolume(Data):
         return np.array(FACES[self.layout])
 
     @property
+    def cell_count(self) -> int:
+        """Number of cells."""
+        return len(self.cells)
+
+    @property
+    def vertex_count(self) -> int:
+        """Number of vertices."""
+        return len(self.vertices)
+
+    @property
     def noun(self) -> str:
         """ "tetrahedra" or "hexahedra"."""
         return "tetrahedra" if self.cells.shape[1] == 4 else "hexahedra"
@@ -141,6 +152,17 @@ class TetVolume(Data):
         """Bytes of each texture."""
         return {name: array.nbytes for name, array in self.arrays().items()}
 
+    def shapes(self) -> dict[str, list[int]]:
+        """Texels along x and y of each texture, and its layers and channels."""
+        counts = {"vertices": len(self.vertices), "ranges": len(self.ranges)}
+        found = {}
+        for name, array in self.arrays().items():
+            count, split = counts.get(name, len(self.cells)), layers_for(array.shape[-1])
+            layers = len(array) if array.ndim == 3 else split
+            sides = [width_for(count), rows_for(count)]
+            found[name] = [*sides, layers, array.shape[-1] // split]
+        return found
+
     def bytes_a_cell(self) -> float:
         """Return the bytes a cell of the textures in the layout's table of [TetVol]."""
         table = ("normals", "gradients", "neighbours")
@@ -161,6 +183,7 @@ class TetVolume(Data):
             self.noun: len(self.cells),
             "vertices": len(self.vertices),
             "bytes": self.sizes(),
+            "shapes": self.shapes(),
             "bytes_a_cell": self.bytes_a_cell(),
             "compared": COMPARED[self.layout],
             **self.report,
