@@ -18,10 +18,10 @@ from voxtool.mesh.shells import find_patches, find_shells
 from voxtool.mesh.topology import (
     SurfaceCheck,
     Topology,
-    check_surface,
     closed_chain,
     crowded_edges,
     repeated_faces,
+    surface_counts,
     topology_of,
 )
 from voxtool.opencl import Device, default_device
@@ -162,7 +162,8 @@ def diagnose(
     device = device or default_device()
     enter = progress or (lambda _: None)
     enter("topology")
-    topology, counts = topology_of(mesh), check_surface(mesh)
+    topology = topology_of(mesh)
+    counts = surface_counts(mesh, topology)
     loops = find_loops(mesh, topology)
     flat, repeated = collinear(mesh.vertices[mesh.faces]), repeated_faces(topology)
     edges, crowded = crowded_edges(mesh, topology)

@@ -8,6 +8,7 @@ import os
 import struct
 import subprocess
 import sys
+import warnings
 import zipfile
 from collections.abc import Callable
 from contextlib import suppress
@@ -20,7 +21,7 @@ from helpers_files import LIMITED, memory_below, run_python
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from voxtool.errors import FileError, VoxtoolError
+from voxtool.errors import DeviceWarning, FileError, VoxtoolError
 from voxtool.files.answers import open_answers
 from voxtool.files.points import read_points
 
@@ -126,6 +127,22 @@ def test_points_are_recognised_by_content(name: str, block: int, tmp_path: Path)
     assert [len(b) for b in blocks[:-1]] == [block] * (len(blocks) - 1)
     assert 1 <= len(blocks[-1]) <= block
     assert same(np.concatenate(blocks), expected)
+
+
+def test_a_header_of_python_2_hides_no_other_warning(tmp_path: Path, monkeypatch) -> None:
+    """As that of another thread, which opens the device."""
+    (tmp_path / "points").write_bytes(npy(SMALL).replace(b"(5, 3), }  ", b"(5L, 3L), }"))
+    header = np.lib.format.read_array_header_1_0
+
+    def read(stream: Any) -> Any:
+        warnings.warn("the folder cannot be written", DeviceWarning, stacklevel=1)
+        return header(stream)
+
+    monkeypatch.setattr(np.lib.format, "read_array_header_1_0", read)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        assert same(np.concatenate(list(read_points(tmp_path / "points"))), SMALL)
+    assert [str(w.message) for w in found] == ["the folder cannot be written"]
 
 
 @pytest.mark.parametrize("name", [name for name in CONTENTS if "npz" not in name])

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import sys
+import threading
 import warnings
 import zlib
 from pathlib import Path
@@ -17,7 +18,8 @@ from helpers_files import refusal, run_python
 from helpers_tets import built, cube, lattice, linear, split
 
 from voxtool import read_unstructured
-from voxtool.errors import FileError, MemoryLimitError, VoxtoolError
+from voxtool.errors import DeviceWarning, FileError, MemoryLimitError, VoxtoolError
+from voxtool.files import through_meshio
 from voxtool.tets.mesh import UnstructuredMesh
 
 
@@ -132,6 +134,28 @@ def test_a_warning_of_meshio_is_short(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match="not closed|Unknown") as caught:
         read_unstructured(path, "s")
     assert all(len(str(warning.message)) < 300 for warning in caught)
+
+
+def test_a_warning_of_another_thread_is_not_the_files(tmp_path: Path, monkeypatch, capsys) -> None:
+    """As of the thread that opens the device while meshio reads."""
+    path = written(tmp_path / "a.vtk", mixed())
+
+    def warn() -> None:
+        warnings.warn("the folder cannot be written", DeviceWarning, stacklevel=1)
+        print("a line", file=sys.stderr)
+
+    def read(path: str, kind: str) -> Any:
+        other = threading.Thread(target=warn)
+        other.start()
+        other.join()
+        return meshio.read(path, kind)
+
+    monkeypatch.setattr(through_meshio, "_read", read)
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        read_unstructured(path, "s")
+    assert [str(w.message) for w in found] == ["the folder cannot be written"]
+    assert capsys.readouterr().err == "a line\n"
 
 
 def test_an_array_at_points_goes_before_one_at_cells_and_the_only_one_needs_no_name(

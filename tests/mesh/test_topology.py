@@ -24,7 +24,6 @@ from voxtool.mesh.topology import (
     check_topology,
     closed_chain,
     net_faces,
-    positions,
     volume,
     watertight,
 )
@@ -193,7 +192,7 @@ def test_nonmanifold_vertices_equal_those_by_hand(rows: list[list[int]]) -> None
 @pytest.mark.parametrize("count", [0, 1, 2, 500])
 def test_positions_are_numbered_in_their_order(count: int, span: int) -> None:
     points = np.random.default_rng(count).integers(-span, span, (count, 3)) * -0.5
-    found = positions(Mesh(points, np.zeros((0, 3), np.int32)))
+    found = Mesh(points, np.zeros((0, 3), np.int32)).positions
     rising = sorted({(z, y, x) for x, y, z in points.tolist()})
     assert found.tolist() == [rising.index((z, y, x)) for x, y, z in points.tolist()]
 

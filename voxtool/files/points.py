@@ -140,7 +140,8 @@ def _npy_header(file: BinaryIO) -> tuple[int, bool, np.dtype]:
         if np.lib.format.read_magic(file) != NPY_VERSION:
             raise ValueError
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of arrays that Python 2 wrote
+            # of arrays that Python 2 wrote; another thread may warn of the device
+            warnings.filterwarnings("ignore", ".* created on Python 2", UserWarning)
             shape, in_columns, dtype = np.lib.format.read_array_header_1_0(file)
     except (OSError, zipfile.BadZipFile, zlib.error):
         raise

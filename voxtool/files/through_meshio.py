@@ -11,6 +11,8 @@ import contextlib
 import io
 import os
 import re
+import sys
+import threading
 import warnings
 from importlib import import_module
 from math import prod
@@ -65,15 +67,16 @@ def read_mesh(name: str, path: str, kind: str, max_memory: int | None) -> Any:
     declared = (_scan_xml if kind == "vtu" else _scan_counts)(name, path, size, kind)
     free = available_memory() if max_memory is None else min(max_memory, available_memory())
     needed = FIXED + (PER_BYTE if kind == "vtu" else PER_BYTE_OF_TEXT) * (size + declared)
-    printed, warned = io.StringIO(), io.StringIO()
+    printed, warned = _OwnText(sys.stdout), _OwnText(sys.stderr)
     try:
         with (
             bounded_memory(min(needed, free)),  # one thread at a time: streams are shared, too
             np.errstate(all="ignore"),  # meshio converts numbers that may be anything
-            warnings.catch_warnings(action="ignore"),
+            warnings.catch_warnings(),  # of meshio alone: another thread may open the device
             contextlib.redirect_stdout(printed),
             contextlib.redirect_stderr(warned),
         ):
+            warnings.filterwarnings("ignore", module="meshio")
             read = _read(path, kind)
     except KeyboardInterrupt:
         raise
@@ -100,6 +103,19 @@ def read_mesh(name: str, path: str, kind: str, max_memory: int | None) -> Any:
         text = printable(" ".join(line.split()))[:200]
         warnings.warn(f"{name}: {text}", MeshWarning, stacklevel=5)
     return read
+
+
+class _OwnText(io.StringIO):
+    """The text that the thread of its making writes; what other threads write goes to a stream."""
+
+    def __init__(self, stream: Any) -> None:
+        super().__init__()
+        self._stream, self._thread = stream, threading.get_ident()
+
+    def write(self, text: str, /) -> int:
+        """Write a text; return its length."""
+        own = threading.get_ident() == self._thread
+        return super().write(text) if own else self._stream.write(text)
 
 
 def _read(path: str, kind: str) -> Any:

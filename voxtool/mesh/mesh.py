@@ -69,6 +69,23 @@ class Mesh(Data):
         bounds = np.array([[f(points[:, axis]) for axis in range(3)] for f in (np.min, np.max)])
         return read_only(bounds + 0.0)  # no -0.0
 
+    @cached_property
+    def positions(self) -> np.ndarray:
+        """(V,) int64: equal numbers for vertices at bit-equal positions."""
+        points = self.vertices + 0.0  # -0.0 is 0.0
+        order = np.argsort(points[:, 2])
+        z = points[order, 2]
+        tied = np.zeros(len(points) + 1, bool)
+        tied[1:-1] = z[1:] == z[:-1]
+        tied = tied[1:] | tied[:-1]
+        some = order[tied]
+        order[tied] = some[np.lexsort(points[some].T)]  # slow, so only for ties
+        new = np.ones(len(points), np.int64)
+        new[1:] = (points[order[1:]] != points[order[:-1]]).any(axis=1)
+        numbers = np.empty_like(new)
+        numbers[order] = np.cumsum(new) - 1
+        return read_only(numbers)
+
     def to_trimesh(self) -> Any:
         """Return a copy as a trimesh.Trimesh, with vertices and faces in the same order."""
         import trimesh

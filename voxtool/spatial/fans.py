@@ -31,7 +31,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.mesh.topology import positions
 from voxtool.morton import morton_encode
 from voxtool.opencl import Array, Device, program
 from voxtool.spatial.bvh import ARITY, LEAF, Frame
@@ -83,7 +82,7 @@ def find_fans(mesh: Mesh, some: np.ndarray | None, device: Device) -> tuple[list
     edge."""
     chosen = np.arange(len(mesh.faces)) if some is None else some
     in_fan = np.zeros(len(mesh.faces), bool)
-    places = positions(mesh)[mesh.faces[chosen]]
+    places = mesh.positions[mesh.faces[chosen]]
     crowds = np.bincount(places.ravel(), minlength=1)
     if crowds.max(initial=0) < CROWDED:
         return [], in_fan

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.mesh.topology import positions
 from voxtool.opencl import program
 
 if TYPE_CHECKING:
@@ -42,7 +41,7 @@ def find_self_intersections(
     Faces without area, and those that are not in the tree, do not count. The tree has names.
     """
     vertices, faces = device.put(tree.frame.local(mesh.vertices)), device.put(mesh.faces)
-    corners = device.put(positions(mesh)[mesh.faces].astype(np.int32))
+    corners = device.put(mesh.positions[mesh.faces].astype(np.int32))
     found = device.zeros(len(mesh.faces), np.uint8)
     with device.stage("self-intersections"):
         find = device.kernel(SOURCE, "find_self_intersections")

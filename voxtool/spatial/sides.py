@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.mesh.topology import edges_of, net_faces, positions, shells_of
+from voxtool.mesh.topology import edges_of, net_faces, shells_of
 from voxtool.morton import morton_encode
 from voxtool.spatial.winding_number import WindingNumber
 from voxtool.vector import cross, length
@@ -48,7 +48,7 @@ def find_sides(
     mesh: Mesh, normals: Pseudonormals, winding: WindingNumber, intersecting: np.ndarray
 ) -> Sides:
     """Return the sides of a mesh's faces; `intersecting` is that of find_self_intersections."""
-    edges, forth = edges_of(positions(mesh)[mesh.faces])
+    edges, forth = edges_of(mesh.positions[mesh.faces])
     faces_of = np.bincount(edges)
     way, some = np.where(forth, 1.0, -1.0), net_faces(mesh)
     if some is not None:

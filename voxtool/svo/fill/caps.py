@@ -15,7 +15,7 @@ from itertools import chain
 import numpy as np
 
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.topology import boundary_of, net_edges, positions
+from voxtool.mesh.topology import boundary_of, net_edges
 
 MEETING = 64  # edges at a vertex among which the nearest is sought
 
@@ -60,7 +60,7 @@ class Boundary:
 
 def find_boundary(mesh: Mesh, some: np.ndarray | None = None) -> Boundary:
     """Return the boundary of a mesh, or of `some` of its faces."""
-    places = positions(mesh)
+    places = mesh.positions
     vertex = np.empty(len(places), np.int64)  # one at each position
     vertex[places] = np.arange(len(places))
     corners = vertex[places[mesh.faces if some is None else mesh.faces[some]]]
@@ -90,7 +90,7 @@ def find_caps(vertices: np.ndarray, boundary: Boundary) -> Caps:
     vertices at one position are merged."""
     used, ends = np.unique(boundary.edges, return_inverse=True)
     points = Mesh(vertices[used].astype(np.float64), np.empty((0, 3), np.int32))
-    places = positions(points)
+    places = points.positions
     vertex = np.empty(int(places.max(initial=-1)) + 1, np.int32)  # a vertex at each position
     vertex[places] = used
     edges = net_edges(*places[ends.reshape(-1, 2)].T)
