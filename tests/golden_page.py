@@ -21,11 +21,13 @@ OWN = ("sphere", "needles")
 
 
 def digests(mesh: voxtool.Mesh, device: Any) -> Iterator[tuple[str, str]]:
-    """Name and digest of the pages of a mesh's octrees."""
+    """Name and digest of the pages of a mesh's octrees and field."""
     for mode in ("solid", "surface26"):
         grid = voxtool.Grid.fit(mesh, 48)
         octree = voxtool.voxelize(mesh, grid, mode, fill="parity", device=device)
         yield f"octree {mode}", plan_view(octree, "a").plan.content.digest()
+    field = voxtool.build_adf(mesh, device=device, tolerance=4e-3, max_level=4)
+    yield "field", plan_view(field, "a").plan.content.digest()
 
 
 def main() -> None:

@@ -14,9 +14,16 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 
+import voxtool
 from voxtool.camera import Camera
+from voxtool.viewer.job import plan_view
 
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
+NAMES = {
+    voxtool.Octree: "bunny.svo.h5",
+    voxtool.DistanceField: "bunny.adf.h5",
+    voxtool.TetVolume: "volume.tet.h5",
+}
 PATIENCE = 60  # seconds; SwiftShader compiles for some
 ARGUMENTS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
 
@@ -97,6 +104,24 @@ class Viewer:
         )
         shape = (height, width, 4)
         return tuple(np.array(values, np.int64).reshape(shape)[::-1] for values in found)
+
+
+def written(content: Any, folder: Path) -> Path:
+    """Return a file with the page of content."""
+    file, name = folder / "page.html", NAMES[type(content)]
+    file.write_text(plan_view(content, name).run().html, encoding="utf-8")
+    return file
+
+
+@contextlib.contextmanager
+def opened(browser: Any, file: Path) -> Iterator[Viewer]:
+    """Yield the page of a file, which must log no error and ask no network."""
+    viewer = Viewer(browser, file)
+    assert viewer.message == ""
+    yield viewer
+    assert viewer.errors == []
+    assert {url.partition(":")[0] for url in viewer.requests} <= {"file", "blob"}
+    viewer.close()
 
 
 def beside(mask: np.ndarray) -> np.ndarray:

@@ -10,14 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_browser import Viewer, check_same, open_browser
+from helpers_browser import Viewer, check_same, opened, written
 from helpers_cli import run
 from PIL import Image
 
 import voxtool
 from voxtool.camera import Camera
 from voxtool.svo.raycast import depths
-from voxtool.viewer.job import plan_view
 
 SIZE = (96, 80)
 pytestmark = pytest.mark.slow
@@ -29,29 +28,14 @@ def octree(models: Path) -> voxtool.Octree:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator:
-    with open_browser() as browser:
-        yield browser
-
-
-@pytest.fixture(scope="module")
 def page(octree: voxtool.Octree, tmp_path_factory) -> Path:
-    return written(octree, tmp_path_factory.mktemp("pages") / "bunny.html")
+    return written(octree, tmp_path_factory.mktemp("pages"))
 
 
 @pytest.fixture(scope="module")
 def viewer(browser, page: Path) -> Iterator[Viewer]:
-    viewer = Viewer(browser, page)
-    yield viewer
-    assert viewer.errors == []
-    assert {url.partition(":")[0] for url in viewer.requests} <= {"file", "blob"}
-    viewer.close()
-
-
-def written(content: voxtool.Octree, file: Path) -> Path:
-    """Return a file with the page of content."""
-    file.write_text(plan_view(content, "bunny.svo.h5").run().html, encoding="utf-8")
-    return file
+    with opened(browser, page) as viewer:
+        yield viewer
 
 
 def hits(octree: voxtool.Octree, camera: Camera, level: int | str = "voxel") -> np.ndarray:
@@ -278,7 +262,7 @@ def test_a_lost_context(browser, page: Path) -> None:
 def test_small_octrees_and_markup_in_attributes(shape, browser, tmp_path: Path) -> None:
     evil = "</script><script>document.title = 'evil'</script><b>"
     full = voxtool.Octree.from_dense(np.ones(shape, bool), units=evil, pitch=(1.0, 1.5, 0.5))
-    page = written(full, tmp_path / "evil.html")
+    page = written(full, tmp_path)
     viewer = Viewer(browser, page)
     camera = voxtool.camera_for(full)
     colours, ids = viewer.picture(*SIZE)

@@ -182,3 +182,11 @@ def test_meshes_are_shown_as_octrees() -> None:
     assert made.content.digest() == octree_content(expected).digest()
     with pytest.raises(voxtool.VoxtoolError, match="cannot be drawn"):
         voxtool.plan_view(np.ones(3))
+
+
+def test_a_page_of_a_field_is_small(here: Path) -> None:
+    said = told("view bunny.adf.h5 --no-open --json")
+    assert said["kind"] == "field"
+    assert said["base_bytes"] < MOST_BASE
+    with h5py.File("bunny.adf.h5") as file:
+        assert said["data_bytes"] < MOST_RATIO * file.id.get_filesize()

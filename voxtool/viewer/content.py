@@ -21,12 +21,16 @@ class PageContent:
     facts : what the scripts need to know, in JSON types.
     arrays : little-endian arrays by name, of uint8, uint16, uint32, int32 or float32.
     smaller_by : returns what makes a content fit of which only this share does, for messages.
+    shaders : files of assets that the fragment shader begins with.
+    defines : names that these find defined.
     """
 
     kind: str
     facts: Mapping[str, Any]
     arrays: Mapping[str, np.ndarray]
     smaller_by: Callable[[float], str]
+    shaders: tuple[str, ...] = ()
+    defines: tuple[str, ...] = ()
 
     @property
     def nbytes(self) -> int:

@@ -6,18 +6,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from voxtool.adf.field import DistanceField
 from voxtool.camera import Camera
 from voxtool.errors import MemoryLimitError, VoxtoolError, human
 from voxtool.job import Cost, Job
 from voxtool.rendering import Content, camera_for, scene_of
 from voxtool.svo.octree import Octree
 from voxtool.viewer.content import PageContent
+from voxtool.viewer.fields import field_content
 from voxtool.viewer.octrees import octree_content
 from voxtool.viewer.page import Page, page_of
 
 # Bytes of data that a page holds: as base64 they stay below the longest text of browsers, 2**29.
 MOST_DATA = 1 << 28
-CONTENTS: dict[type, Callable[[Any], PageContent]] = {Octree: octree_content}
+CONTENTS: dict[type, Callable[[Any], PageContent]] = {
+    Octree: octree_content,
+    DistanceField: field_content,
+}
 
 
 @dataclass(frozen=True)
@@ -102,8 +107,9 @@ def plan_view(
     max_memory: int | None = None,
 ) -> ViewJob:
     """Return the job of a page that shows content; see voxtool.view."""
+    scene = scene_of(content)  # refuses what cannot be drawn
     if type(content) not in CONTENTS:
-        raise VoxtoolError(f"a {type(content).__name__} has no page yet: view an octree")
-    camera = camera_for(scene_of(content), up=up)
+        raise VoxtoolError(f"there are no pages of {scene.kind}s yet: view an octree or a field")
+    camera = camera_for(scene, up=up)
     made = CONTENTS[type(content)](content)
     return ViewJob(ViewPlan(made, name, camera, served), max_memory)

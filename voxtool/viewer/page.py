@@ -83,7 +83,7 @@ def page_of(
         "style": style,
         "facts": json.dumps(told).replace("<", "\\u003c"),
         "vertex": _asset("screen.vert"),
-        "fragment": fragment_of(content.kind),
+        "fragment": fragment_of(content.kind, content.shaders, content.defines),
         "blocks": "" if served else "\n".join(map(_block, blocks, blocks.values())),
         "script": script,
     }
@@ -98,10 +98,12 @@ def packed(array: np.ndarray) -> bytes:
 
 
 @functools.cache
-def fragment_of(kind: str) -> str:
+def fragment_of(kind: str, shaders: tuple[str, ...] = (), defines: tuple[str, ...] = ()) -> str:
     """Return the fragment shader of a kind; the brightness of surfaces is that of the kernels."""
     shading = (kernel_folder() / "shading.h").read_text(encoding="utf-8")
-    return _asset("rays.glsl") + _COMMENT.sub("", shading) + _asset(f"{kind}.frag")
+    defined = "".join(f"#define {name}\n" for name in defines)
+    parts = "".join(map(_asset, (*shaders, f"{kind}.frag")))
+    return _asset("rays.glsl") + defined + _COMMENT.sub("", shading) + parts
 
 
 @functools.cache

@@ -23,9 +23,12 @@ function programOf(gl, vertex, fragment) {
 }
 
 const FORMATS = {
-  u1: { internal: "R8UI", format: "RED_INTEGER", type: "UNSIGNED_BYTE", channels: 1 },
-  u2: { internal: "R16UI", format: "RED_INTEGER", type: "UNSIGNED_SHORT", channels: 1 },
-  u4x1: { internal: "R32UI", format: "RED_INTEGER", type: "UNSIGNED_INT", channels: 1 },
+  u1x1: { internal: "R8UI", format: "RED_INTEGER", type: "UNSIGNED_BYTE", channels: 1 },
+  u1x3: { internal: "RGB8UI", format: "RGB_INTEGER", type: "UNSIGNED_BYTE", channels: 3 },
+  u1x4: { internal: "RGBA8UI", format: "RGBA_INTEGER", type: "UNSIGNED_BYTE", channels: 4 },
+  u2x3: { internal: "RGB16UI", format: "RGB_INTEGER", type: "UNSIGNED_SHORT", channels: 3 },
+  u2x4: { internal: "RGBA16UI", format: "RGBA_INTEGER", type: "UNSIGNED_SHORT", channels: 4 },
+  u4x3: { internal: "RGB32UI", format: "RGB_INTEGER", type: "UNSIGNED_INT", channels: 3 },
   u4x2: { internal: "RG32UI", format: "RG_INTEGER", type: "UNSIGNED_INT", channels: 2 },
   i4x4: { internal: "RGBA32I", format: "RGBA_INTEGER", type: "INT", channels: 4 },
   f4x1: { internal: "R32F", format: "RED", type: "FLOAT", channels: 1 },
@@ -67,6 +70,37 @@ function listTexture(gl, name, array, what) {
     throw new PageError(`The graphics memory does not hold the ${what}: make the page of a coarser file.`);
   return texture;
 }
+
+/** A three-dimensional texture.
+ * @param {WebGL2RenderingContext} gl @param {keyof FORMATS} name @param {any} array typed
+ * @param {number[]} size texels along x, y and z @param {string} what for messages */
+function boxTexture(gl, name, array, size, what) {
+  const { internal, format, type } = FORMATS[name];
+  const [width, height, depth] = size;
+  const most = gl.getParameter(gl.MAX_3D_TEXTURE_SIZE);
+  if (Math.max(...size) > most)
+    throw new PageError(
+      `This browser's textures have ${most} texels along a side, and the ${what} need ${Math.max(...size)}: ` +
+        "open the page on a machine with a graphics card, or make it of a coarser file.",
+    );
+  const texture = gl.createTexture();
+  gl.bindTexture(gl.TEXTURE_3D, texture);
+  gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+  gl.texStorage3D(gl.TEXTURE_3D, 1, gl[/** @type {"R8UI"} */ (internal)], width, height, depth);
+  for (const side of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER])
+    gl.texParameteri(gl.TEXTURE_3D, side, gl.NEAREST);
+  gl.texSubImage3D(
+    gl.TEXTURE_3D, 0, 0, 0, 0, width, height, depth,
+    gl[/** @type {"RED"} */ (format)], gl[/** @type {"FLOAT"} */ (type)], array,
+  );
+  if (gl.getError() === gl.OUT_OF_MEMORY)
+    throw new PageError(`The graphics memory does not hold the ${what}: make the page of a coarser file.`);
+  boxes.add(texture);
+  return texture;
+}
+
+/** The textures of three dimensions. @type {WeakSet<WebGLTexture>} */
+const boxes = new WeakSet();
 
 /** Sets a program's uniforms by name: a number or a boolean, or an array of 2 to 4 numbers.
  * @param {WebGL2RenderingContext} gl @param {WebGLProgram} program

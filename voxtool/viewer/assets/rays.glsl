@@ -5,6 +5,8 @@ precision highp float;
 precision highp int;
 precision highp usampler2D;
 precision highp sampler2D;
+precision highp usampler3D;
+precision highp sampler3D;
 
 uniform vec2 size;                         // of the picture, in pixels
 uniform vec3 start, startRight, startDown; // where rays are at depth 0, in units of the content

@@ -42,7 +42,7 @@ class View {
     };
     Object.entries(this.textures).forEach(([name, texture], unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(name === "voxels" ? gl.TEXTURE_3D : gl.TEXTURE_2D, texture);
+      gl.bindTexture(texture && boxes.has(texture) ? gl.TEXTURE_3D : gl.TEXTURE_2D, texture);
       values[name] = unit;
     });
     setUniforms(gl, this.program, values);

@@ -1,0 +1,51 @@
+"""Distance fields in pages: the textures of the file, which the fragment shader searches."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from voxtool.adf.packing import CHILDREN, FieldTextures
+from voxtool.adf.raycast import COLOUR, checked_offset
+from voxtool.viewer.content import PageContent
+
+if TYPE_CHECKING:
+    from voxtool.adf.field import DistanceField
+
+LOOKUP = "lookup.glsl"  # the code of docs/formats.md
+
+
+def field_content(field: DistanceField) -> PageContent:
+    """Return the content of a page that shows a distance field: its textures as in a file, with a
+    block of zeros for bounds that it does not have."""
+    textures = FieldTextures(field)
+    bounds = np.zeros((CHILDREN,) * 3, np.uint8) if textures.bounds is None else textures.bounds
+    arrays = {"voxels": textures.voxels, "cells": textures.cells, "hash": textures.hash,
+              "bounds": bounds}  # fmt: skip
+    defines = [name for name, has in
+               (("WIDE", arrays["cells"].shape[-1] == 3), ("HAS_W", arrays["hash"].shape[-1] == 4))
+               if has]  # fmt: skip
+    facts = {
+        "origin": list(field.origin),
+        "side": field.side,
+        "depth": field.depth,
+        "range": [field.side * float(v) for v in (field.voxels.min(), field.voxels.max())],
+        "least": checked_offset(field, 0.0),
+        "units": field.units,
+        "bounds": field.bounds is not None,
+        "colour": list(COLOUR),
+        "textures": {name: _described(array) for name, array in arrays.items()},
+    }
+    return PageContent("field", facts, arrays, _smaller_by, (LOOKUP,), tuple(defines))
+
+
+def _described(array: np.ndarray) -> dict[str, object]:
+    """Return the format of a texture and its texels along x, y and z."""
+    channels = array.shape[3] if array.ndim == 4 else 1
+    kind = array.dtype.str[1:]
+    return {"format": f"{kind}x{channels}", "size": list(array.shape[2::-1])}
+
+
+def _smaller_by(share: float) -> str:
+    return f"build it with a --tolerance {1 / share:.2g} times as large, or a smaller --max-level"
