@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.adf.packing import CHILDREN, FieldTextures
+from voxtool.adf.packing import CHILDREN, pack_blocks, pack_cells
 from voxtool.adf.raycast import COLOUR, checked_offset
 from voxtool.viewer.content import PageContent
 
@@ -19,10 +19,13 @@ LOOKUP = "lookup.glsl"  # the code of docs/formats.md
 def field_content(field: DistanceField) -> PageContent:
     """Return the content of a page that shows a distance field: its textures as in a file, with a
     block of zeros for bounds that it does not have."""
-    textures = FieldTextures(field)
-    bounds = np.zeros((CHILDREN,) * 3, np.uint8) if textures.bounds is None else textures.bounds
-    arrays = {"voxels": textures.voxels, "cells": textures.cells, "hash": textures.hash,
-              "bounds": bounds}  # fmt: skip
+    no_bounds = np.zeros((1, *(CHILDREN,) * 3), np.uint8)
+    arrays = {
+        "voxels": pack_blocks(field.voxels),
+        "cells": pack_cells(field.cells),
+        "hash": field.hash.offsets,
+        "bounds": pack_blocks(no_bounds if field.bounds is None else field.bounds),
+    }
     defines = [name for name, has in
                (("WIDE", arrays["cells"].shape[-1] == 3), ("HAS_W", arrays["hash"].shape[-1] == 4))
                if has]  # fmt: skip
