@@ -27,7 +27,7 @@ HOMES = {
     "spatial/self_intersections.h": "voxtool.spatial.self_intersections",
     "spatial/winding_number.h": "voxtool.spatial.winding_number",
     "svo/fill/crossings.h": "voxtool.svo.fill.rows",
-    "svo/fill/flood.h": "voxtool.svo.fill.flood",
+    "svo/fill/flood.h": "voxtool.svo.fill.pieces",
     "svo/fill/rows.h": "voxtool.svo.fill.rows",
     "svo/fill/winding.h": "voxtool.svo.fill.winding",
     "svo/octree.h": "voxtool.svo.layout",

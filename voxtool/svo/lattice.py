@@ -65,15 +65,13 @@ def place_mesh(
 ) -> LatticeMesh:
     """Return the mesh, or only `some` of its faces, on the lattice of a grid or of a window, with
     caps if their boundary is given; raise GridError if a vertex lies too far from the grid's
-    corner or the window is not in the grid."""
+    corner."""
     try:
         fixed = grid.to_fixed(mesh.vertices)
     except GridError:  # vertices that no face uses may lie anywhere
         fixed = grid.to_fixed(_used_vertices(mesh))
     if window is not None:
         low, shape = window
-        if min(low) < 0 or any(a + n > m for a, n, m in zip(low, shape, grid.shape, strict=True)):
-            raise GridError(f"window {low}, {shape} reaches beyond the grid's {grid.shape}")
         grid = grid.window(low, shape)
         fixed -= np.asarray(low, np.int32) << FIXED_POINT_BITS
     own = mesh.faces if some is None else mesh.faces[some]

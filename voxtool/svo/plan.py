@@ -18,7 +18,11 @@ DENSE_SIDE = 2048  # voxels up to which the level-1 volume is dense
 CROWD = 1024  # leaves of caps near a voxel that winding numbers are summed over; at larger
 # reaches more, by their squares
 MOST_LEFT = 0.5  # share of nodes near holes without an answer up to which their bricks are expanded
+FLOOD_BYTES = 176  # of a brick in the graph of free space that a flood unites
+FLOOD_BLOCK = 64  # voxels along a side of the blocks of which slabs consist, at least
 COLUMN_TILE = 64  # columns along a side of a work-item's share of a triangle
+
+REQUEST = ("mode", "fill", "gap", "holes", "caps", "flooded")  # fields of a plan that are given
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,8 @@ class VoxelizePlan:
     tiled: bool  # a triangle's voxels are divided among work-items
     tiled_nodes: bool  # a triangle's level-1 nodes are divided among work-items
     active: tuple[int, ...]  # predicted refined nodes by level, from level 1 up
+    flooded: tuple[int, int, int] | None = None  # shape of the grid that is flooded
+    slabs: int = 1  # in which it is flooded, one after the other
     column_tile: int = COLUMN_TILE  # columns along a side of a work-item's share of a triangle
     crowd: int = CROWD  # leaves of caps that may be near a voxel
     most_left: float = MOST_LEFT
@@ -80,7 +86,7 @@ class VoxelizePlan:
             "active nodes": True,
             "holes": self.caps > 0,
             "near holes": self.caps > 0,
-            "octree": True,
+            "octree": self.fill != "flood",
             "crossings": by_rows,
             "rows": by_rows,
             "fill": by_rows,
@@ -103,6 +109,8 @@ class VoxelizePlan:
     @property
     def cost(self) -> Cost:
         """The predicted bytes: at peak on the device, and of the octree on the host."""
+        if self.flooded:
+            return self._flood_cost(self.flooded)
         survey, finest = self.survey, self.active[0]
         nodes, bricks = NODE_BYTES * self.nodes, BRICK_BYTES * self.bricks
         mesh = 12 * (survey.vertices + survey.triangles)
@@ -123,6 +131,31 @@ class VoxelizePlan:
                 12 * survey.vertices, 12 * survey.triangles, nodes, bricks, self._volume_bytes // 2
             ),
         )
+
+    def _flood_cost(self, grid: tuple[int, int, int]) -> Cost:
+        """The predicted bytes of flooding a grid: of its largest slab, beside the mesh."""
+        block, steps = flood_block(max(grid), self.gap), flood_steps(self.gap)
+        slab = -(-grid[2] // (block * self.slabs)) * block + 2 * (block + steps)
+        share = min(slab / grid[2], 1.0) if self.slabs > 1 else 1.0
+        active = _predict_active(self.survey, grid, 1 << (max(grid) - 1).bit_length(), True)
+        widened = 1 + 2 * steps / CELL  # a surface meets as many more nodes once it is dilated
+        bricks = round(8 * active[0] * share * widened)
+        mesh = 12 * (self.survey.vertices + self.survey.triangles)
+        return Cost(
+            device=mesh + self._volume_bytes + FLOOD_BYTES * bricks,
+            host=NODE_BYTES * self.nodes + BRICK_BYTES * self.bricks,
+            largest=max(mesh, self._volume_bytes // 2, 8 * BRICK_BYTES * bricks),
+        )
+
+    def in_slabs(self, max_memory: int, max_allocation: int) -> VoxelizePlan:
+        """Return the plan with as few slabs as fit in memory, or with as many as there can be."""
+        if not self.flooded:
+            return self
+        most = -(-self.flooded[2] // flood_block(max(self.flooded), self.gap))
+        plan = self
+        while not plan.fits(max_memory, max_allocation) and plan.slabs < most:
+            plan = replace(plan, slabs=min(2 * plan.slabs, most))
+        return plan
 
     @property
     def _volume_bytes(self) -> int:
@@ -209,7 +242,8 @@ class VoxelizePlan:
             caps = count_of(self.caps, "cap triangle")
             rows.append(("fill", f"winding; {count_of(self.holes, 'hole')}, {caps}"))
         elif self.solid:
-            rows.append(("fill", self.rule))
+            slabs = f"; in {self.slabs} slabs, as memory allows" if self.slabs > 1 else ""
+            rows.append(("fill", self.rule + slabs))
         size = human(self.cost.host)
         rows.append(("octree", f"about {self.bricks:,} bricks, {self.nodes:,} nodes, {size}"))
         rows.append(("work", f"about {self.work:,} voxels and crossings visited"))
@@ -228,7 +262,8 @@ class VoxelizePlan:
         low, high = CELL - 1, dim  # low fits, or is below the least dim
         while high - low > 1:
             middle = (low + high) // 2
-            if _rescale(self, middle / dim).fits(max_memory, max_allocation):
+            plan = _rescale(self, middle / dim).in_slabs(max_memory, max_allocation)
+            if plan.fits(max_memory, max_allocation):
                 low = middle
             else:
                 high = middle
@@ -241,8 +276,7 @@ class VoxelizePlan:
 
 
 def plan_of(survey: Survey, shape: tuple[int, int, int], **request: Any) -> VoxelizePlan:
-    """Return the plan for a surveyed mesh on a grid of the given shape; the request is its `mode`,
-    `fill`, `gap`, `holes` and `caps`."""
+    """Return the plan for a surveyed mesh on a grid of the given shape, and its fields REQUEST."""
     mode, fill = request["mode"], request["fill"]
     solid = fill != "none"
     side = 1 << (max(shape) - 1).bit_length()
@@ -260,6 +294,19 @@ def plan_of(survey: Survey, shape: tuple[int, int, int], **request: Any) -> Voxe
         tiled_nodes=survey.extent > (COLUMN_TILE - 3) * CELL,
         active=_predict_active(survey, shape, side, solid),
     )
+
+
+def flood_steps(gap: int) -> int:
+    """Return the steps that a flood stays away from the surface, to close openings of `gap`
+    voxels."""
+    return -(-gap // 2)
+
+
+def flood_block(dim: int, gap: int) -> int:
+    """Return the voxels along a side of the blocks of which slabs consist. They are wider than what
+    a surface beyond a slab's neighbouring block can change, and not too many."""
+    least = max(FLOOD_BLOCK, 2 * (flood_steps(gap) + 2 * CELL), dim // 64)
+    return 1 << (least - 1).bit_length()
 
 
 def _predict_active(
@@ -290,6 +337,9 @@ def _rescale(plan: VoxelizePlan, factor: float) -> VoxelizePlan:
     s = plan.survey
     ax, ay, az = (a * factor**2 for a in s.areas)
     survey = replace(s, extent=s.extent * factor, areas=(ax, ay, az))
+    request = {name: getattr(plan, name) for name in REQUEST}
+    if plan.flooded:
+        nx, ny, nz = (max(round(n * factor), 1) for n in plan.flooded)
+        request["flooded"] = nx, ny, nz
     nx, ny, nz = (max(round(n * factor), 1) for n in plan.shape)
-    request = {name: getattr(plan, name) for name in ("mode", "fill", "gap", "holes", "caps")}
     return plan_of(survey, (nx, ny, nz), **request)

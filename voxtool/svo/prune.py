@@ -54,24 +54,37 @@ def prune(
     return _linked(parts[::-1], bricks)
 
 
+def levels_of(
+    codes: np.ndarray, full: list[np.ndarray]
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Return the ascending codes of the refined nodes and the states of all nodes, by level from
+    level 1 up: of the octree of refined level-1 nodes, given by their ascending codes, and of FULL
+    leaves, given by their codes, for each level up to the root's."""
+    lists, states = [codes], []
+    for leaves in full[:-1]:
+        lists.append(np.unique(np.concatenate([lists[-1], leaves]) >> np.uint64(3)))
+    for refined, leaves, parents in zip(lists, full, [*lists[1:], None], strict=True):
+        if parents is None:
+            state, places = np.full(1, EMPTY, np.uint8), (refined.astype(int), leaves.astype(int))
+        else:
+            state = np.full(8 * len(parents), EMPTY, np.uint8)
+            places = child_places(refined, parents), child_places(leaves, parents)
+        state[places[0]], state[places[1]] = REFINED, FULL
+        states.append(state)
+    return lists, states
+
+
 def octree_of_bricks(
     side: int, codes: np.ndarray, masks: np.ndarray, *, collapse: bool
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return offsets, nodes and bricks of the canonical octree of occupied bricks, given by their
     ascending codes and masks. With `collapse`, nodes whose voxels are all set become leaves."""
-    lists, children = [], codes
-    while side > BRICK_SIDE:
-        lists.append(np.unique(children >> np.uint64(3)))
-        children, side = lists[-1], side // 2
-    states = []
-    for refined, parents in zip(lists, [*lists[1:], None], strict=True):
-        state = np.full(1 if parents is None else 8 * len(parents), EMPTY, np.uint8)
-        places = child_places(refined, parents) if parents is not None else refined.astype(int)
-        state[places] = REFINED
-        states.append(state)
+    none = codes[:0]
+    top = (side // (2 * BRICK_SIDE)).bit_length()
+    lists, states = levels_of(np.unique(codes >> np.uint64(3)), [none] * top)
     bricks = np.zeros(8 * len(lists[0]), BRICK)
     bricks[child_places(codes, lists[0])] = masks
-    return prune(lists, states, bricks, lists[0][:0] if collapse else lists[0])
+    return prune(lists, states, bricks, none if collapse else lists[0])
 
 
 def child_places(codes: np.ndarray, parents: np.ndarray) -> np.ndarray:

@@ -24,7 +24,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from voxtool.choices import FILLS, MODES
-from voxtool.errors import VoxtoolError, count_of
+from voxtool.errors import GridError, VoxtoolError, count_of
 from voxtool.grid import Grid
 from voxtool.job import Job, one_call
 from voxtool.mesh.mesh import Mesh
@@ -35,7 +35,7 @@ from voxtool.mesh.topology import (
     volume,
 )
 from voxtool.mesh.watertight import watertight
-from voxtool.opencl import Device, default_device
+from voxtool.opencl import Array, Device, default_device
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import COMPACTION, RADIX_SORT
 from voxtool.opencl.primitives import SCAN as PREFIX_SUMS
@@ -43,8 +43,8 @@ from voxtool.svo.build import SOURCE as BUILD
 from voxtool.svo.build import build_octree
 from voxtool.svo.fill.caps import Boundary, find_boundary
 from voxtool.svo.fill.dilation import SOURCE as DILATION
-from voxtool.svo.fill.flood import SOURCE as FLOOD
-from voxtool.svo.fill.flood import flood
+from voxtool.svo.fill.flood import flood, frame_of
+from voxtool.svo.fill.pieces import SOURCE as FLOOD
 from voxtool.svo.fill.rows import (
     CROSSINGS,
     Filled,
@@ -58,7 +58,7 @@ from voxtool.svo.fill.winding import NearHoles
 from voxtool.svo.fill.winding import programs as near_holes
 from voxtool.svo.lattice import place_mesh
 from voxtool.svo.octree import Octree
-from voxtool.svo.plan import Survey, VoxelizePlan, plan_of
+from voxtool.svo.plan import REQUEST, Survey, VoxelizePlan, plan_of
 from voxtool.svo.prune import prune, states_of
 from voxtool.svo.scan import SOURCE as SCAN
 from voxtool.svo.scan import Scan, add_nodes, find_active_nodes
@@ -90,8 +90,10 @@ def plan_voxelize(
         raise VoxtoolError(f"gap {gap} goes with fill 'flood', not {fill!r}")
     if not 0 <= gap <= grid.dim:
         raise VoxtoolError(f"gap {gap} is out of range: choose from 0 to {grid.dim} voxels")
-    if fill == "flood" and window is not None:
-        raise VoxtoolError("fill 'flood' needs the whole grid: drop window, or choose another")
+    if window is not None:
+        low, shape = window
+        if min(low) < 0 or any(a + n > m for a, n, m in zip(low, shape, grid.shape, strict=True)):
+            raise GridError(f"window {low}, {shape} reaches beyond the grid's {grid.shape}")
     job = VoxelizeJob(mesh, grid, window, device or default_device(), max_memory)
     job.chosen = fill == "auto" and mode == "solid"
     if job.chosen:
@@ -169,16 +171,26 @@ class VoxelizeJob(Job[Octree]):
                 some = merged_faces(self.mesh, parity=fill == "parity")
                 survey = survey if some is None else self._place(some, fill)
             caps = self.lattice.caps
-        self.grid = self.lattice.grid
+        self._faces = some
+        self.grid = self._whole.window(*self._window) if self._window else self._whole
         holes, faces = (caps.holes, len(caps.faces)) if caps else (0, 0)
-        self.plan = plan_of(
-            survey, self.grid.shape, mode=mode, fill=fill, gap=gap, holes=holes, caps=faces
-        )
+        request: dict[str, Any] = {"mode": mode, "fill": fill, "gap": gap}
+        flooded = self._whole.shape if fill == "flood" else None
+        request |= {"holes": holes, "caps": faces, "flooded": flooded}
+        plan = plan_of(survey, self.grid.shape, **request)
+        self.plan = plan.in_slabs(self._limit, self.device.info.max_allocation)
+
+    @property
+    def _limit(self) -> int:
+        """Bytes that the job may take on the device."""
+        return self.device.max_memory if self.max_memory is None else self.max_memory
 
     def _place(self, some: np.ndarray | None, fill: str) -> Survey:
-        """Upload the mesh, or only `some` of its faces, and survey it."""
+        """Upload the mesh, or only `some` of its faces, and survey it: on the window, or on the
+        whole grid to flood it."""
         boundary = _once(_boundary, self.mesh) if fill == "winding" else None
-        self.lattice = place_mesh(self.mesh, self._whole, self._window, some, boundary, self.device)
+        window = None if fill == "flood" else self._window
+        self.lattice = place_mesh(self.mesh, self._whole, window, some, boundary, self.device)
         return self.lattice.survey()
 
     def with_(self, **decisions: Any) -> VoxelizeJob:
@@ -203,18 +215,19 @@ class VoxelizeJob(Job[Octree]):
         by_rows += [sort] * plan.listed
         if plan.caps:
             programs += [*by_rows, *near_holes(plan)]
-        programs += [(BUILD, code), (COMPACTION, {"KEY": options["CODE"]})]
         if plan.fill == "flood":
-            programs += [(BUILD, wide), (COMPACTION, {"KEY": "ulong"}), (FLOOD, wide)]
-            programs += [(DILATION, wide), sort, (ROWS, {"CODE": "uint"})] * (plan.gap > 0)
-        elif plan.solid:
+            programs += [(ROWS, {"CODE": "uint"}), (BUILD, wide), (COMPACTION, {"KEY": "ulong"})]
+            return [*programs, (FLOOD, wide), *[(DILATION, wide), sort] * (plan.gap > 0)]
+        programs += [(BUILD, code), (COMPACTION, {"KEY": options["CODE"]})]
+        if plan.solid:
             programs += [*by_rows, (ROWS, code)]
         return programs
 
     def _run(self) -> Octree:
         plan, scan = self.plan, Scan(self.lattice, self.plan)
         self.device.prepare(*self.programs)
-        limit = self.device.max_memory if self.max_memory is None else self.max_memory
+        if plan.fill == "flood":
+            return self._flood()
         holes = crossings = None
         with self.stage("active nodes"):
             active = find_active_nodes(scan)
@@ -223,24 +236,23 @@ class VoxelizeJob(Job[Octree]):
             with self.stage("holes"):
                 crossings = list_crossings(scan)
                 capped = add_nodes(scan, touched, self.lattice.closing).nodes.get()
-                holes = NearHoles(self.lattice, plan, limit, crossings)
+                holes = NearHoles(self.lattice, plan, self._limit, crossings)
             with self.stage("near holes"):
                 nodes = holes.decide(touched, capped)
                 self._crowded = holes.crowded
                 active = add_nodes(scan, np.append(capped, nodes))
         with self.stage("octree"):
             tree = build_octree(self.device, plan.side, active.nodes.codes, active.nodes.n)
-        if plan.fill in ("none", "flood"):
+        if not plan.solid:
             with self.stage(f"surface{plan.surface}"):
-                filled = Filled(tree, scan.surface(active), None)
-            return self._flood(filled) if plan.fill == "flood" else self._read(filled, None)
+                return self._read(Filled(tree, scan.surface(active), None), None)
         with self.stage("crossings"):
             if plan.listed:
                 crossings = crossings or list_crossings(scan)
                 flips = flip_changes(scan, active, crossings)
             else:
                 flips = flip_crossings(scan, active)
-        filled = fill_rows(tree, flips, limit)
+        filled = fill_rows(tree, flips, self._limit)
         del tree, flips  # frees memory if the mesh is open: `filled` then has its own
         if holes:
             holes.fill(filled.tree, filled.bricks)
@@ -249,14 +261,27 @@ class VoxelizeJob(Job[Octree]):
                 filled.unite(scan.surface(active))
         return self._read(filled, touched)
 
-    def _flood(self, surface: Filled) -> Octree:
+    def _flood(self) -> Octree:
         """Return the octree of everything that the outside cannot reach through the surface."""
-        with self.stage("flood"):
-            level1 = surface.tree.refined[0]
-            nodes, masks = level1.codes.get(0, level1.n), surface.bricks.take()
-            plan = self.plan
-            found = flood(self.device, nodes, masks, plan.side, plan.shape, plan.gap)
-            return self._octree(*prune(*found, nodes))
+        low = np.array(self._window[0] if self._window else (0, 0, 0))
+        plan = self.plan
+        frame = frame_of(self._whole.shape, low, np.array(plan.shape), plan.gap, plan.slabs)
+        return self._octree(*prune(*flood(self.device, self._walls, frame, plan.gap)))
+
+    def _walls(self, low: np.ndarray, shape: np.ndarray) -> tuple[np.ndarray, Array]:
+        """Return the active level-1 nodes of a box of the grid, and the bricks with the surface."""
+        lattice, plan, box = self.lattice, self.plan, tuple(shape.tolist())
+        if low.any() or box != self._whole.shape:
+            window = low.tolist(), box
+            lattice = place_mesh(self.mesh, self._whole, window, self._faces, None, self.device)
+        if box != plan.shape:
+            request = {name: getattr(plan, name) for name in REQUEST}
+            plan = replace(plan_of(plan.survey, box, **request), **self._forced)
+        scan = Scan(lattice, plan)
+        with self.stage("active nodes"):
+            active = find_active_nodes(scan)
+        with self.stage(f"surface{plan.surface}"):
+            return active.nodes.get(), scan.surface(active)
 
     def _read(self, filled: Filled, touched: np.ndarray | None) -> Octree:
         """Return the octree on the host; prune active nodes that the mesh does not touch."""

@@ -1,7 +1,10 @@
 // The voxels of bricks, and what lies around a brick, for the flood rule and its gaps.
 
-// The voxels of coordinate 0 along an axis; those of 1, 2 and 3 lie 1, 8 and 9 << axis bits above.
+// The voxels of coordinate 0 along an axis.
 __constant ulong LOW[3] = {0x0055005500550055ul, 0x0000333300003333ul, 0x000000000F0F0F0Ful};
+
+// The shift from the voxels of coordinate 0 along an axis to those of coordinate i.
+int shift_to(int axis, int i) { return (int[]){0, 1, 8, 9}[i] << axis; }
 
 // The voxels of the brick `step` away along an axis that touch voxels of a mask: voxels that differ in the
 // other coordinates do not touch.

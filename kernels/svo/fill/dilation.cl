@@ -6,9 +6,6 @@
 #include "svo/morton.h"
 #include "svo/fill/beside.h"
 
-// The shift from the voxels of coordinate 0 along an axis to those of coordinate i.
-int shift_to(int axis, int i) { return (int[]){0, 1, 8, 9}[i] << axis; }
-
 // True if a brick has voxels whose coordinate along an axis is first, ... or last.
 bool has_voxels(ulong mask, int axis, int first, int last)
 {

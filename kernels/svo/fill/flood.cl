@@ -84,19 +84,21 @@ uint node_at(__global const svo_node *nodes, __constant uint *offsets, uint top,
 }
 
 // beside[27 i ..] = what lies in each direction from level-1 node i: VALID and the index of a refined
-// level-1 node, the number of a leaf, or NOTHING.
+// level-1 node, the number of a leaf, or NOTHING. The region is that of the level-1 cells from low to
+// below high.
 __kernel void find_beside(__global const svo_node *nodes, __constant uint *offsets, const uint top,
-                          __global const CODE *codes, const uint n, __global uint *beside)
+                          __global const CODE *codes, const uint n, const int3 low, const int3 high,
+                          __global uint *beside)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     const int3 own = convert_int3(morton_decode(codes[gid]));
-    const int side = 1 << (top - 1);
+    const bool within = all(own >= low) && all(own < high);
     for (int i = 0; i < 27; ++i) {
         const int3 cell = own + direction(i);
         uint found = NOTHING;
-        if (all(cell >= 0) && all(cell < side)) {
+        if (within && all(cell >= low) && all(cell < high)) {
             found = node_at(nodes, offsets, top, 1, convert_uint3(cell));
             const uint child = nodes[found].child;
             found = child & VALID ? VALID | (child & LINK) / 8 : found;
@@ -107,11 +109,11 @@ __kernel void find_beside(__global const svo_node *nodes, __constant uint *offse
 
 // ---- links
 
-// Unite each leaf of a level with the leaves beside it that are not smaller. `parents` holds the codes
-// of the refined nodes of the level above.
+// Unite each leaf of a level with the leaves beside it that are not smaller, within the region.
+// `parents` holds the codes of the refined nodes of the level above.
 __kernel void link_leaves(__global const svo_node *nodes, __constant uint *offsets, const uint top,
-                          const uint level, __global const CODE *parents, const uint n,
-                          volatile __global uint *roots)
+                          const uint level, __global const CODE *parents, const uint n, const int3 low,
+                          const int3 high, volatile __global uint *roots)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -120,10 +122,12 @@ __kernel void link_leaves(__global const svo_node *nodes, __constant uint *offse
     if (nodes[own].child & VALID)
         return;
     const int3 cell = convert_int3(morton_decode(parents[gid >> 3] << 3 | (gid & 7)));
-    const int side = 1 << (top - level);
+    const int side = 1 << (level - 1);
+    if (any(cell * side < low) || any((cell + 1) * side > high))
+        return;
     for (int i = 0; i < 27; ++i) {
         const int3 next = cell + direction(i);
-        if (any(next < 0) || any(next >= side))
+        if (any(next * side < low) || any((next + 1) * side > high))
             continue;
         const uint other = node_at(nodes, offsets, top, level, convert_uint3(next));
         if (!(nodes[other].child & VALID))
@@ -162,28 +166,73 @@ __kernel void link_parts(__global const uint *beside, const uint n, __global con
 
 // ---- answers
 
-// outside[i] = the voxels of brick i in the component of node `out`.
-__kernel void collect_outside(__global const ulong *parts, const uint n, const uint first_part,
-                              const uint out, volatile __global uint *roots, __global ulong *outside)
+__kernel void find_roots(const uint n, volatile __global uint *roots)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n)
+        atomic_min(&roots[gid], root_of(roots, gid));
+}
+
+// found[PARTS i + p] = the root of part p of brick i % 8 of level-1 node chosen[i / 8], if it has voxels in
+// plane z (0 to 7) of the node, or NOTHING.
+__kernel void find_roots_at(__global const uint *chosen, const uint n, const uint z,
+                            __global const ulong *parts, const uint first_part,
+                            __global const uint *roots, __global uint *found)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const uint root = root_of(roots, out);
+    const size_t first = (size_t)PARTS * (8 * (size_t)chosen[gid / 8] + gid % 8);
+    const ulong plane = (gid >> 2 & 1) == z >> 2 ? LOW[2] << shift_to(2, z & 3) : 0;
+    for (uint p = 0; p < PARTS; ++p)
+        found[(size_t)PARTS * gid + p] = parts[first + p] & plane ? roots[first_part + first + p] : NOTHING;
+}
+
+// outside[i] = the voxels of brick i whose roots are reached.
+__kernel void collect_outside(__global const ulong *parts, const uint n, const uint first_part,
+                              __global const uint *roots, __global const uchar *reached,
+                              __global ulong *outside)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
     ulong found = 0;
     for (uint p = 0; p < PARTS && parts[(size_t)PARTS * gid + p]; ++p)
-        if (root_of(roots, first_part + PARTS * gid + p) == root)
+        if (reached[roots[first_part + PARTS * gid + p]])
             found |= parts[(size_t)PARTS * gid + p];
     outside[gid] = found;
 }
 
-// states[i] = the state of coarse node i: REFINED, or EMPTY in the component of node `out`, or FULL.
-__kernel void state_nodes(__global const svo_node *nodes, const uint n, const uint out,
-                          volatile __global uint *roots, __global uchar *states)
+// states[i] = the state of coarse node i: REFINED, or EMPTY if its root is reached, or FULL.
+__kernel void state_nodes(__global const svo_node *nodes, const uint n, __global const uint *roots,
+                          __global const uchar *reached, __global uchar *states)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n)
+        states[gid] = nodes[gid].child & VALID ? REFINED : reached[roots[gid]] ? EMPTY : FULL;
+}
+
+// The voxels of a brick at a cell of bricks that lie in the box from low to below high.
+ulong voxels_within(int3 brick, int3 low, int3 high)
+{
+    const int first[3] = {low.x - 4 * brick.x, low.y - 4 * brick.y, low.z - 4 * brick.z};
+    const int end[3] = {high.x - 4 * brick.x, high.y - 4 * brick.y, high.z - 4 * brick.z};
+    ulong beyond = 0;
+    for (int axis = 0; axis < 3; ++axis)
+        for (int i = 0; i < 4; ++i)
+            if (i < first[axis] || i >= end[axis])
+                beyond |= LOW[axis] << shift_to(axis, i);
+    return ~beyond;
+}
+
+// Clear the voxels that do not lie in the box, or with `inverted` set those that are clear and lie in it.
+__kernel void clip_bricks(__global const CODE *codes, const uint n, const int3 low, const int3 high,
+                          const uint inverted, __global ulong *bricks)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const bool reached = root_of(roots, gid) == root_of(roots, out);
-    states[gid] = nodes[gid].child & VALID ? REFINED : reached ? EMPTY : FULL;
+    const int3 octant = (int3)(gid & 1, gid >> 1 & 1, gid >> 2 & 1);
+    const int3 brick = 2 * convert_int3(morton_decode(codes[gid >> 3])) + octant;
+    bricks[gid] = (inverted ? ~bricks[gid] : bricks[gid]) & voxels_within(brick, low, high);
 }

@@ -425,6 +425,59 @@ def test_gaps_are_closed_up_to_their_width(device: Device, width: int) -> None:
         assert octree.count <= 17**3  # no fatter
 
 
+@given(data=st.data(), shape=SHAPES, gap=st.integers(0, 3))
+@settings(max_examples=15)
+def test_a_window_of_a_flood_is_part_of_the_whole(device: Device, data, shape, gap: int) -> None:
+    mesh = data.draw(st.one_of(meshes.fixed_triangles(shape), meshes.closed_meshes(shape)))
+    low = [data.draw(st.integers(0, n - min(n, 8))) for n in shape]
+    size = [data.draw(st.integers(min(n, 8), n - a)) for a, n in zip(low, shape, strict=True)]
+    if max(size) < 8:
+        return
+    whole = run(device, mesh, shape, "flood", gap=gap).to_dense()
+    part = run(device, mesh, shape, "flood", gap=gap, window=(low, size))
+    box = tuple(slice(a, a + n) for a, n in zip(low, size, strict=True))
+    assert part.grid.shape == tuple(size)
+    assert np.array_equal(part.to_dense(), whole[box])
+    at_window = mesh[0][mesh[1]] - UNIT * np.array(low)
+    assert_contract(part, at_window, True)
+
+
+@pytest.mark.parametrize("gap", [0, 4])
+def test_slabs_give_the_same_flood(device: Device, gap: int) -> None:
+    """A spiral corridor leads through all slabs and back, past a closed chamber in each."""
+    shape = (48, 24, 300)
+    boxes = [((4, 4, 4), (44, 20, 296)), ((9, 9, 20), (13, 15, 280)), ((20, 9, 30), (24, 15, 290))]
+    parts = [meshes.box(*(np.array(ends) * UNIT + 9).tolist()) for ends in boxes]
+    walls = [_sheet((16, 4, 4), (16, 20, 240)), _sheet((30, 4, 60), (30, 20, 296))]
+    hull = np.delete(parts[0][1], (0, 1), axis=0)
+    mesh = meshes.join((parts[0][0], hull), *parts[1:], *walls)
+    grid = lattice_grid(shape)
+    job = plan_voxelize(lattice_mesh(*mesh), grid, fill="flood", gap=gap, device=device)
+    whole = job.run()
+    assert 0 < whole.count < 40 * 16 * 292
+    for slabs in (2, 5):
+        assert job.with_(slabs=slabs).run().digest() == whole.digest()
+
+
+def _sheet(low, high) -> tuple[np.ndarray, np.ndarray]:
+    """A rectangle of one x."""
+    corners = np.array([low, (low[0], high[1], low[2]), high, (low[0], low[1], high[2])])
+    return corners * UNIT + 9, np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def test_a_flood_in_slabs_fits_less_memory(device: Device) -> None:
+    mesh, grid = lattice_mesh(*meshes.box(300, 500 * UNIT)), lattice_grid((512,) * 3)
+    whole = plan_voxelize(mesh, grid, fill="flood", device=device)
+    assert whole.plan.slabs == 1
+    less = whole.cost.device * 6 // 10
+    job = plan_voxelize(mesh, grid, fill="flood", device=device, max_memory=less)
+    assert job.plan.slabs > 1
+    assert job.cost.device <= less
+    assert f"in {job.plan.slabs} slabs" in dict(job.plan.rows())["fill"]
+    with pytest.raises(MemoryLimitError, match=r"dim \d+ is the largest that fits"):
+        run(device, meshes.box(300, 500 * UNIT), (512,) * 3, "flood", max_memory=less // 10)
+
+
 @pytest.mark.parametrize("gap", [15, 16, 18, 31, 40])
 def test_gaps_may_reach_over_nodes(device: Device, gap: int) -> None:
     """Steps beyond a node of 8 voxels are made in rounds."""
@@ -443,8 +496,6 @@ def test_a_gap_goes_with_flood(device: Device) -> None:
     ):
         with pytest.raises(VoxtoolError, match=message):
             run(device, mesh, (16,) * 3, fill, gap=gap)
-    with pytest.raises(VoxtoolError, match="needs the whole grid"):
-        run(device, mesh, (16,) * 3, "flood", window=((0, 0, 0), (8, 8, 8)))
 
 
 # ---- auto

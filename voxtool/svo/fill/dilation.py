@@ -42,10 +42,10 @@ def dilate(tree: DeviceOctree, beside: Array, masks: Array, steps: int) -> Array
     `beside` holds what lies around each level-1 node of the tree; every voxel that is reached lies
     in one of them.
     """
-    dilate_along = tree.kernel(SOURCE, "dilate_along")
     for done in range(0, steps, BRICK_SIDE):
         for axis in range(3):
             grown = masks.device.empty(masks.size, BRICK)
+            dilate_along = tree.kernel(SOURCE, "dilate_along")
             dilate_along(masks.size, beside, axis, min(steps - done, BRICK_SIDE), masks, grown)
             masks = grown
     return masks

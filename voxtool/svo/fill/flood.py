@@ -2,116 +2,192 @@
 
 The surface is "surface26": no path through voxels that share a face, an edge or a corner passes it.
 The outside consists of the voxels that such paths reach from beyond the grid. The flood works on
-the octree: a leaf without surface voxels is one node of a graph, and so is every connected
-component of the free voxels of a brick. Nodes that touch are united [Jaiganesh 2018]; the component
-of a far corner is outside.
+the octree, whose free space is a graph of pieces (pieces.py); those that are connected with a leaf
+beyond the grid are outside.
 
 With a gap of N voxels, the outside first stays ceil(N / 2) voxels away from the surface, so that it
 does not pass openings of up to N voxels. Then it grows by the same number of steps, so that closing
-gaps does not thicken the solid. Kernels: kernels/svo/fill/flood.cl.
+gaps does not thicken the solid: dilation.py.
+
+A grid whose graph is too large for the memory is flooded in slabs along z. Neighbouring slabs
+overlap, and a piece in the overlap is a piece of both, so the components of all slabs are united by
+the roots that such pieces have in either. Then every slab is made again and answers for its voxels.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
 import numpy as np
 
-from voxtool.morton import morton_decode
-from voxtool.opencl import Array, Device, program
-from voxtool.svo.build import DeviceOctree, build_octree
-from voxtool.svo.fill.dilation import dilate, grow_outside, reached_nodes
-from voxtool.svo.fill.rows import unite_nodes
-from voxtool.svo.layout import BRICK, descend, voxels_within
-from voxtool.svo.prune import EMPTY, FULL, REFINED
+from voxtool.mesh.topology import components
+from voxtool.morton import gather_bits, morton_decode, morton_encode
+from voxtool.opencl import Array, Device
+from voxtool.svo.fill.pieces import Pieces, Region, clip_bricks, find_pieces
+from voxtool.svo.plan import CELL, flood_block, flood_steps
+from voxtool.svo.prune import FULL, levels_of
 
-SOURCE = "svo/fill/flood.cl"
-PARTS = 8  # components that the voxels of a brick can have
-NOTHING = 0xFFFFFFFF  # beyond the octree
-HEADERS = {
-    "svo/fill/flood.h": program.c_constants(
-        PARTS=PARTS, NOTHING=NOTHING, EMPTY=EMPTY, FULL=FULL, REFINED=REFINED
-    )
-}
+# The active level-1 nodes of a window of the grid, given by its low corner and its shape, and the
+# masks of their bricks with the surface; the window may begin before the grid.
+Walls = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, Array]]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The octree's cube around a grid: the window that is asked for is an aligned cube of it."""
+
+    side: int  # voxels along a side
+    window: int  # along a side of the window's cube
+    corner: np.ndarray  # (3,) int64: where the grid begins
+    end: np.ndarray  # where it ends
+    low: np.ndarray  # where the window begins
+    high: np.ndarray
+    block: int  # no leaf of a slab is larger
+    slabs: int
+
+    @property
+    def regions(self) -> list[Region]:
+        """The slabs, from low to high."""
+        if self.slabs == 1:
+            return [Region(np.zeros(3, np.int64), np.full(3, self.side), (0, self.side))]
+        low, high = self.corner // self.block, -(-self.end // self.block)
+        cuts = self.block * np.linspace(low[2], high[2], self.slabs + 1).astype(np.int64)
+        low, high = self.block * (low - 1), self.block * (high + 1)
+        return [
+            Region(np.append(low[:2], a - self.block), np.append(high[:2], b + self.block), (a, b))
+            for a, b in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True)
+            if a < b
+        ]
+
+    def seeds(self, region: Region) -> np.ndarray:
+        """Return the Morton codes of level-1 nodes that are refined so that no leaf reaches across
+        the faces of the region or of the window."""
+        ends = region.low + self.block if self.slabs == 1 else region.high
+        cells = [_lattice(region.low, ends, self.block), self.low[None]]
+        for axis in np.flatnonzero((self.high < self.end) & (self.high % self.window > 0)):
+            step = int(self.high[axis] & -self.high[axis])
+            low = self.low.copy()
+            low[axis] = self.high[axis] - 1
+            cells.append(_lattice(low, self.high, max(step, CELL)))
+        every = np.concatenate(cells)
+        return morton_encode(
+            every[((every >= region.low) & (every < region.high)).all(axis=1)] // CELL
+        )
+
+
+def _lattice(low: np.ndarray, high: np.ndarray, step: int) -> np.ndarray:
+    """Return the points from low to below high, (n, 3), in steps."""
+    axes = (np.arange(a, b, step) for a, b in zip(low, high, strict=True))
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def frame_of(
+    grid: tuple[int, int, int], low: np.ndarray, shape: np.ndarray, gap: int, slabs: int
+) -> Frame:
+    """Return the frame of a window of a grid."""
+    window = 1 << (int(shape.max()) - 1).bit_length()
+    block = flood_block(max(grid), gap) if slabs > 1 else CELL
+    margin = block if slabs > 1 else flood_steps(gap) + 2 * CELL  # voxels 8 to 15 are beyond
+    align = max(window, block)
+    corner = align * -(-(low + margin) // align) - low
+    end = corner + grid
+    side = 1 << (int(end.max()) + margin + block - 1).bit_length()
+    return Frame(side, window, corner, end, corner + low, corner + low + shape, block, slabs)
 
 
 def flood(
-    device: Device,
-    nodes: np.ndarray,
-    surface: np.ndarray,
-    side: int,
-    shape: tuple[int, int, int],
-    gap: int,
-) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray]:
-    """Return the octree of the voxels that the outside cannot reach, including the surface: the
-    codes of the refined nodes by level, from level 1 up, the states of all nodes by level, and the
-    masks of the bricks.
+    device: Device, walls: Walls, frame: Frame, gap: int
+) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray, np.ndarray]:
+    """Return the octree of the window's voxels that the outside cannot reach, with the surface: the
+    codes of the refined nodes by level, from level 1 up, the states of all nodes by level, the
+    masks of the bricks, and the codes of the active level-1 nodes.
 
-    `nodes` holds the ascending Morton codes of the level-1 nodes with surface voxels, and `surface`
-    the (8 n,) masks of their bricks. The outside does not pass openings of up to `gap` voxels.
+    The outside does not pass openings of up to `gap` voxels.
     """
-    steps = -(-gap // 2)
-    top = (side // 8).bit_length()  # the root's level
-    if not len(nodes):
-        root = np.full(1, EMPTY, np.uint8)
-        return [nodes] * top, [root[:0]] * (top - 1) + [root], surface
-    around = np.uint64(7 << 3 * (top - 1))  # the grid becomes cube (1, 1, 1) of 4 x 4 x 4
-    nodes = own = nodes.astype(np.uint64) | around
-    codes, n, barrier = device.put(own), len(own), device.view(surface)
-    if steps:
-        codes, n = reached_nodes(codes, n, barrier, steps, bits=3 * (top + 1))
-    tree = build_octree(device, 4 * side, codes, n)
-    beside = _beside(tree)
-    if steps:
-        nodes, walls = _level_codes(tree, 1), barrier
-        barrier = device.zeros(8 * n, BRICK)
-        unite_nodes(walls, np.searchsorted(nodes, own).astype(np.uint32), barrier)
-        barrier = dilate(tree, beside, barrier, steps)
-    all_states, outside = _reach(tree, beside, barrier)
-    outside = grow_outside(tree, beside, all_states, barrier, outside, steps)
+    regions, steps = frame.regions, flood_steps(gap)
+    kept = {}
+    if len(regions) == 1:
+        kept[0] = _pieces(device, walls, frame, regions[0], steps)
+        outside = [np.array([kept[0][0].beyond])]
+    else:
+        outside = _outside(_pieces(device, walls, frame, r, steps)[0] for r in regions)
+    codes, masks, active = [], [], []
+    full: list[list[np.ndarray]] = [[] for _ in range((frame.window // CELL).bit_length())]
+    for i, region in enumerate(regions):
+        if region.own[0] < frame.high[2] and frame.low[2] < region.own[1]:
+            pieces, found = kept.pop(i, None) or _pieces(device, walls, frame, region, steps)
+            states, inside = pieces.inside(outside[i], steps, frame.low, frame.high)
+            here = _within(frame, region, pieces.codes)
+            codes.append(pieces.codes[here])
+            masks.append(inside.reshape(-1, 8)[here])
+            active.append(found[_within(frame, region, found)])
+            for level, leaves in enumerate(_full_leaves(frame, pieces, states)):
+                full[level].append(leaves)
+    order = np.argsort(np.concatenate(codes), kind="stable")
+    own = np.uint64((1 << 3 * (len(full) - 1)) - 1)  # bits of a level-1 code in the window's cube
+    ascending = np.concatenate(codes)[order] & own
+    levels = levels_of(ascending, [np.concatenate(leaves) for leaves in full])
+    return *levels, np.concatenate(masks)[order].ravel(), np.concatenate(active) & own
 
-    every, lists, states = all_states.take(), [], []
+
+def _pieces(
+    device: Device, walls: Walls, frame: Frame, region: Region, steps: int
+) -> tuple[Pieces, np.ndarray]:
+    """Return the pieces of a region, and the codes of its active level-1 nodes."""
+    low = np.maximum(region.low - steps, frame.corner)
+    high = np.minimum(region.high + steps, frame.end)
+    corner = low // CELL * CELL
+    codes, bricks = walls(corner - frame.corner, high - corner)
+    if (corner < low).any():
+        clip_bricks(device.put(codes), bricks, low - corner, high - corner)
+    codes = morton_encode(morton_decode(codes) + corner // CELL)
+    seeds = frame.seeds(region)
+    return find_pieces(device, frame.side, region, seeds, (codes, bricks), steps), codes
+
+
+def _outside(slabs: Iterator[Pieces]) -> list[np.ndarray]:
+    """Return the roots of each slab's pieces that are outside."""
+    links, beyond, starts, above = [], [], [0], np.empty(0, np.int64)
+    for pieces in slabs:
+        first, (low, high) = starts[-1], pieces.region.own
+        if len(starts) > 1:
+            below = first + pieces.roots_at(low - 1).astype(np.int64)
+            links.append(np.unique(np.stack([above, below]), axis=1))
+        above = first + pieces.roots_at(high - 1).astype(np.int64)
+        beyond.append(first + pieces.beyond)
+        starts.append(first + pieces.roots.size)
+    u, v = np.concatenate(links, axis=1)
+    numbers = np.unique(np.concatenate([u, v, beyond]))
+    u, v = np.searchsorted(numbers, u), np.searchsorted(numbers, v)
+    least = components(u, v, len(numbers))
+    outside = numbers[np.isin(least, least[np.searchsorted(numbers, beyond)])]
+    parts = np.split(outside, np.searchsorted(outside, starts[1:-1]))
+    return [part - first for part, first in zip(parts, starts, strict=False)]
+
+
+def _within(frame: Frame, region: Region, codes: np.ndarray) -> np.ndarray:
+    """Return which level-1 nodes a region answers for, and lie in the window."""
+    bits = np.uint64(3 * ((frame.window // CELL).bit_length() - 1))
+    here = codes >> bits == morton_encode(frame.low[None] // frame.window)
+    others = (frame.high < frame.end) | (frame.slabs > 1)  # nodes beyond the window, not outside
+    for axis in np.flatnonzero(others & (frame.high % frame.window > 0)):
+        here &= gather_bits(codes >> np.uint64(axis)) < -(-frame.high[axis] // CELL)
+    if frame.slabs > 1:
+        z = CELL * gather_bits(codes >> np.uint64(2))
+        here &= (region.own[0] <= z) & (z < region.own[1])
+    return here
+
+
+def _full_leaves(frame: Frame, pieces: Pieces, states: np.ndarray) -> list[np.ndarray]:
+    """Return the codes, in the window's cube, of the FULL leaves that a region answers for, by
+    level from level 1 up."""
+    tree, leaves, top = pieces.tree, [], (frame.window // CELL).bit_length()
     for level in range(1, top + 1):
-        shift = np.uint64(3 * (top - level))
-        codes, refined = (_level_codes(tree, n) for n in (level + 1, level))
-        first = int(tree.offsets[tree.top - level])
-        within = descend(codes) >> shift == 7
-        states.append(every[first : first + len(within)][within])
-        lists.append(refined[refined >> shift == 7] ^ (np.uint64(7) << shift))
-    inside = ~outside.take()[np.repeat(nodes >> np.uint64(3 * (top - 1)) == 7, 8)]
-    return lists, states, inside & voxels_within(morton_decode(descend(lists[0])), shape)
-
-
-def _level_codes(tree: DeviceOctree, level: int) -> np.ndarray:
-    """Return the ascending Morton codes of the refined nodes of a level."""
-    refined = tree.refined[level - 1]
-    return refined.codes.get(0, refined.n)
-
-
-def _beside(tree: DeviceOctree) -> Array:
-    """Return what lies around each refined level-1 node, (27 n,) uint32."""
-    device, level1 = tree.nodes.device, tree.refined[0]
-    beside = device.empty(27 * level1.n, np.uint32)
-    find_beside = tree.kernel(SOURCE, "find_beside")
-    offsets = device.put(tree.offsets)
-    find_beside(level1.n, tree.nodes, offsets, tree.top, level1.codes, beside)
-    return beside
-
-
-def _reach(tree: DeviceOctree, beside: Array, barrier: Array) -> tuple[Array, Array]:
-    """Return what the outside reaches: (coarse nodes,) uint8 states, and the (bricks,) masks of
-    free voxels."""
-    device, n, coarse = tree.nodes.device, barrier.size, int(tree.offsets[-2])
-    offsets, roots = device.put(tree.offsets), device.empty(coarse + PARTS * n, np.uint32)
-    parts, outside = device.empty(PARTS * n, BRICK), device.empty(n, BRICK)
-    tree.kernel(SOURCE, "number_nodes")(roots.size, roots)
-    tree.kernel(SOURCE, "split_bricks")(n, barrier, parts)
-    for level in range(1, tree.top):
-        above = tree.refined[level]
-        link_leaves = tree.kernel(SOURCE, "link_leaves")
-        link_leaves(8 * above.n, tree.nodes, offsets, tree.top, level, above.codes, roots)
-    tree.kernel(SOURCE, "link_parts")(n, beside, parts, coarse, roots)
-    refined = _level_codes(tree, tree.top - 1)[-1] == 7  # the root's last child, in a far corner
-    out = int(tree.offsets[3 if refined else 2]) - 1  # a leaf beyond the grid
-    tree.kernel(SOURCE, "collect_outside")(n, parts, coarse, out, roots, outside)
-    states = device.empty(coarse, np.uint8)
-    tree.kernel(SOURCE, "state_nodes")(coarse, tree.nodes, out, roots, states)
-    return states, outside
+        first, end = tree.offsets[tree.top - level : tree.top - level + 2].tolist()
+        full = np.flatnonzero(states[first:end] == FULL)
+        codes = pieces.level(level + 1)[full >> 3] << np.uint64(3) | (full & 7).astype(np.uint64)
+        corners = codes << np.uint64(3 * (level - 1))
+        here = codes[_within(frame, pieces.region, corners)]
+        leaves.append(here & np.uint64((1 << 3 * (top - level)) - 1))
+    return leaves

@@ -1,0 +1,182 @@
+"""The free space of a region as a graph: leaves of an octree, and parts of bricks.
+
+A leaf without surface voxels is one piece, and so is every connected component of the free voxels
+of a brick. Pieces that touch are united [Jaiganesh 2018]: the root of a piece is the least number
+of its component. Kernels: kernels/svo/fill/flood.cl.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from voxtool.morton import gather_bits, morton_decode, morton_encode
+from voxtool.opencl import Array, Device, program
+from voxtool.svo.build import DeviceOctree, build_octree
+from voxtool.svo.fill.dilation import dilate, grow_outside, reached_nodes
+from voxtool.svo.fill.rows import unite_nodes
+from voxtool.svo.layout import BRICK, VALID, descend
+from voxtool.svo.plan import CELL
+from voxtool.svo.prune import EMPTY, FULL, REFINED
+
+SOURCE = "svo/fill/flood.cl"
+PARTS = 8  # components that the voxels of a brick can have
+NOTHING = 0xFFFFFFFF  # beyond the region
+HEADERS = {
+    "svo/fill/flood.h": program.c_constants(
+        PARTS=PARTS, NOTHING=NOTHING, EMPTY=EMPTY, FULL=FULL, REFINED=REFINED
+    )
+}
+
+
+@dataclass(frozen=True)
+class Region:
+    """A box of an octree's cube in which pieces are united, in voxels; no leaf reaches across its
+    faces."""
+
+    low: np.ndarray  # (3,) int64
+    high: np.ndarray
+    own: tuple[int, int]  # the voxels along z that it answers for
+
+    @property
+    def cells(self) -> tuple[np.ndarray, np.ndarray]:
+        """The low and the high corner in level-1 cells."""
+        return self.low // CELL, self.high // CELL
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """The pieces of a region, united."""
+
+    region: Region
+    tree: DeviceOctree
+    codes: np.ndarray  # (n,) uint64 ascending Morton codes of the refined level-1 nodes
+    beside: Array  # (27 n,) uint32: what lies around each refined level-1 node
+    barrier: Array  # (8 n,) masks of the voxels that are not free
+    parts: Array  # (PARTS * 8 n,) masks of the parts of each brick; empty masks follow them
+    roots: Array  # uint32, of the coarse nodes, then of the parts
+
+    @property
+    def coarse(self) -> int:
+        """The number of nodes above level 0."""
+        return int(self.tree.offsets[-2])
+
+    @property
+    def beyond(self) -> int:
+        """The root of the leaf beside the region's lowest node, which is refined."""
+        level1, level2 = morton_encode(self.region.cells[0][None]), self.level(2)
+        parent = np.searchsorted(level2, level1[0] >> np.uint64(3))
+        leaf = int(self.tree.offsets[self.tree.top - 1]) + 8 * int(parent) + 1
+        return int(self.roots.get(leaf, leaf + 1)[0])
+
+    def level(self, number: int) -> np.ndarray:
+        """Return the ascending Morton codes of the refined nodes of a level."""
+        refined = self.tree.refined[number - 1]
+        return refined.codes.get(0, refined.n)
+
+    def roots_at(self, z: int) -> np.ndarray:
+        """Return the roots of the pieces that have voxels of coordinate z, in an order that depends
+        on the pieces there alone."""
+        child = self.tree.nodes.get(0, self.coarse)["child"]
+        every, found = self.roots.get(0, self.coarse), []
+        low, high = self.region.cells
+        for level in range(1, self.tree.top):
+            first = int(self.tree.offsets[self.tree.top - level])
+            cells = morton_decode(descend(self.level(level + 1))) << (level - 1)
+            below = z // CELL - cells[:, 2]
+            here = (below >= 0) & (below < 1 << (level - 1))
+            here &= ((cells >= low) & (cells < high)).all(axis=1)
+            numbers = first + np.flatnonzero(here)
+            found.append(every[numbers[(child[numbers] & VALID) == 0]])
+        device, chosen = self.roots.device, gather_bits(self.codes >> np.uint64(2)) == z // CELL
+        chosen = device.put(np.flatnonzero(chosen).astype(np.uint32))
+        of_parts, n = device.empty(PARTS * 8 * chosen.size, np.uint32), 8 * chosen.size
+        find_roots_at = self.tree.kernel(SOURCE, "find_roots_at")
+        find_roots_at(n, chosen, z % CELL, self.parts, self.coarse, self.roots, of_parts)
+        of_bricks = of_parts.take()
+        return np.concatenate([*found, of_bricks[of_bricks != NOTHING]])
+
+    def inside(
+        self, outside: np.ndarray, steps: int, low: np.ndarray, high: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the states of the coarse nodes, and the (8 n,) masks of the voxels from low to
+        below high that are not outside: in pieces whose roots are given, grown by steps."""
+        device, n = self.roots.device, self.barrier.size
+        flags = np.zeros(self.roots.size, np.uint8)
+        flags[outside] = 1
+        reached, states = device.put(flags), device.empty(self.coarse, np.uint8)
+        kernel = self.tree.kernel
+        kernel(SOURCE, "state_nodes")(self.coarse, self.tree.nodes, self.roots, reached, states)
+        voxels = device.empty(n, BRICK)
+        collect_outside = kernel(SOURCE, "collect_outside")
+        collect_outside(n, self.parts, self.coarse, self.roots, reached, voxels)
+        voxels = grow_outside(self.tree, self.beside, states, self.barrier, voxels, steps)
+        clip_bricks(self.tree.refined[0].codes, voxels, low, high, inverted=True)
+        return states.take(), voxels.take()
+
+
+def clip_bricks(
+    codes: Array, bricks: Array, low: np.ndarray, high: np.ndarray, *, inverted: bool = False
+) -> None:
+    """Clear the voxels of the bricks of level-1 nodes that do not lie in the box from low to below
+    high; `inverted` keeps those in it that are clear instead."""
+    name = {4: "uint", 8: "ulong"}[codes.dtype.itemsize]
+    clip = bricks.device.kernel(SOURCE, "clip_bricks", CODE=name)
+    clip(bricks.size, codes, tuple(low), tuple(high), inverted, bricks)
+
+
+def find_pieces(
+    device: Device,
+    side: int,
+    region: Region,
+    seeds: np.ndarray,
+    surface: tuple[np.ndarray, Array],
+    steps: int,
+) -> Pieces:
+    """Return the pieces of a region in an octree of `side` voxels, of the voxels that are more than
+    `steps` steps from a surface.
+
+    seeds : Morton codes of level-1 nodes to be refined; surface : the codes of those with surface
+    voxels, and the (8 n,) masks of their bricks.
+    """
+    codes, bricks = surface
+    if steps and len(codes):
+        bits = 3 * (side // CELL).bit_length()
+        reached, n = reached_nodes(device.put(codes), len(codes), bricks, steps, bits)
+        seeds = np.append(seeds, reached.get(0, n))
+    nodes = np.union1d(codes, seeds)
+    masks = device.zeros(8 * len(nodes), BRICK)
+    unite_nodes(bricks, np.searchsorted(nodes, codes).astype(np.uint32), masks)
+    tree = build_octree(device, side, device.put(nodes), len(nodes))
+    beside = _beside(tree, region)
+    masks = dilate(tree, beside, masks, steps)
+    return Pieces(region, tree, nodes, beside, masks, *_unite(tree, region, beside, masks))
+
+
+def _beside(tree: DeviceOctree, region: Region) -> Array:
+    """Return what lies around each refined level-1 node in a region, (27 n,) uint32."""
+    device, level1 = tree.nodes.device, tree.refined[0]
+    beside, (low, high) = device.empty(27 * level1.n, np.uint32), region.cells
+    find_beside = tree.kernel(SOURCE, "find_beside")
+    offsets, box = device.put(tree.offsets), (tuple(low), tuple(high))
+    find_beside(level1.n, tree.nodes, offsets, tree.top, level1.codes, *box, beside)
+    return beside
+
+
+def _unite(
+    tree: DeviceOctree, region: Region, beside: Array, barrier: Array
+) -> tuple[Array, Array]:
+    """Return the parts of bricks, and the roots of coarse nodes and of parts."""
+    device, n, coarse = tree.nodes.device, barrier.size, int(tree.offsets[-2])
+    offsets, roots = device.put(tree.offsets), device.empty(coarse + PARTS * n, np.uint32)
+    parts, box = device.empty(PARTS * n, BRICK), [tuple(corner) for corner in region.cells]
+    tree.kernel(SOURCE, "number_nodes")(roots.size, roots)
+    tree.kernel(SOURCE, "split_bricks")(n, barrier, parts)
+    for level in range(1, tree.top):
+        above = tree.refined[level]
+        link_leaves = tree.kernel(SOURCE, "link_leaves")
+        link_leaves(8 * above.n, tree.nodes, offsets, tree.top, level, above.codes, *box, roots)
+    tree.kernel(SOURCE, "link_parts")(n, beside, parts, coarse, roots)
+    tree.kernel(SOURCE, "find_roots")(roots.size, roots)
+    return parts, roots
