@@ -87,7 +87,7 @@ def of(mesh: Mesh, grid: Grid, mode: str) -> dict[str, Callable[[], object]]:
 
 
 def _vtk_stencil(mesh: Mesh, grid: Grid) -> Callable[[], object]:
-    """vtkPolyDataToImageStencil, and the image of bytes that it is for."""
+    """vtkPolyDataToImageStencil: the runs of voxels in each row, without an image made from them."""
     vtk, _ = _vtk()
     surface = vtk.vtkPolyData()
     points, faces = _vtk_mesh(mesh.vertices, mesh.faces)
@@ -100,12 +100,8 @@ def _vtk_stencil(mesh: Mesh, grid: Grid) -> Callable[[], object]:
         stencil.SetOutputOrigin(*(np.array(grid.origin) + 0.5 * np.array(grid.pitch)))
         stencil.SetOutputSpacing(*grid.pitch)
         stencil.SetOutputWholeExtent(*(v for n in grid.shape for v in (0, n - 1)))
-        image = vtk.vtkImageStencilToImage()
-        image.SetInputConnection(stencil.GetOutputPort())
-        image.SetInsideValue(1)
-        image.SetOutputScalarTypeToUnsignedChar()
-        image.Update()
-        return image.GetOutput()
+        stencil.Update()
+        return stencil.GetOutput()
 
     return run
 
