@@ -291,9 +291,9 @@ def voxelize_all(device) -> None:
     surface = plan_voxelize(mesh, grid, "surface26", device=device).run().to_dense()
     flooded = plan_voxelize(mesh, grid, fill="flood", gap=2, device=device).run()
     assert np.array_equal(flooded.to_dense(), oracles.flood(surface, 2))
-    tall = plan_voxelize(
-        mesh, Grid((16, 16, 72), (0, 0, 0), (1, 1, 1)), fill="flood", device=device
-    )
+    vertices, faces = meshes.open_box((2.5, 2.5, 2.5), (6, 6, 68), missing=5)
+    mesh, grid = Mesh(vertices, faces.astype(np.int32)), Grid((8, 8, 72), (0, 0, 0), (1, 1, 1))
+    tall = plan_voxelize(mesh, grid, fill="flood", device=device)
     assert tall.with_(slabs=2).run().count == tall.run().count
 
 

@@ -87,7 +87,7 @@ def of(mesh: Mesh, grid: Grid, mode: str) -> dict[str, Callable[[], object]]:
 
 
 def _vtk_stencil(mesh: Mesh, grid: Grid) -> Callable[[], object]:
-    """vtkPolyDataToImageStencil: the runs of voxels in each row, without an image made from them."""
+    """vtkPolyDataToImageStencil: the runs of voxels in rows, without an image made from them."""
     vtk, _ = _vtk()
     surface = vtk.vtkPolyData()
     points, faces = _vtk_mesh(mesh.vertices, mesh.faces)
