@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import golden_picture
 import golden_svo
 
 import voxtool
@@ -18,6 +19,7 @@ from voxtool.viewer.job import plan_view
 
 GOLDEN = Path(__file__).parent / "golden" / "page.json"
 OWN = ("sphere", "needles")
+VOLUMES = ("jittered", "hexahedra")
 
 
 def digests(mesh: voxtool.Mesh, device: Any) -> Iterator[tuple[str, str]]:
@@ -30,9 +32,15 @@ def digests(mesh: voxtool.Mesh, device: Any) -> Iterator[tuple[str, str]]:
     yield "field", plan_view(field, "a").plan.content.digest()
 
 
+def volume_digests(volume: voxtool.TetVolume) -> Iterator[tuple[str, str]]:
+    """Name and digest of the page of a volume."""
+    yield "volume", plan_view(volume, "a").plan.content.digest()
+
+
 def main() -> None:
     device = voxtool.open_device()
     golden = {name: dict(digests(golden_svo.own_mesh(name), device)) for name in OWN}
+    golden |= {name: dict(volume_digests(golden_picture.own_volume(name))) for name in VOLUMES}
     GOLDEN.write_text(json.dumps(golden, indent=1) + "\n", encoding="utf-8")
 
 

@@ -36,7 +36,9 @@ WINGS: dict[str, dict[str, Callable[[Any], Digests]]] = {
     "picture": {n: lambda d, n=n: golden_picture.surfaces(own(n), d) for n in golden_picture.OWN}
     | {n: lambda d, n=n: golden_picture.volume_pictures(golden_picture.own_volume(n), d)
        for n in golden_picture.VOLUMES},
-    "page": {n: lambda d, n=n: golden_page.digests(own(n), d) for n in golden_page.OWN},
+    "page": {n: lambda d, n=n: golden_page.digests(own(n), d) for n in golden_page.OWN}
+    | {n: lambda d, n=n: golden_page.volume_digests(golden_picture.own_volume(n))
+       for n in golden_page.VOLUMES},
 }  # fmt: skip
 
 

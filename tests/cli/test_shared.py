@@ -30,6 +30,7 @@ JOBS = {
     "render volume.tet.h5 --size 20 --method projection --integrator preintegrated": "volume.png",
     "view bunny.svo.h5 --no-open": "bunny.html",
     "view bunny.adf.h5 --no-open": "bunny.html",
+    "view volume.tet.h5 --no-open": "volume.html",
 }
 QUERIES = {
     "adf-query bunny.adf.h5 points.csv": "points.distance.npy",

@@ -151,7 +151,8 @@ def test_what_is_too_large_is_refused(here: Path, monkeypatch) -> None:
 
 
 def test_comments_are_left_out_and_nothing_else() -> None:
-    made = page.fragment_of("octree") + page._scripts("octree")
+    octree = voxtool.Octree.from_dense(np.ones((8, 8, 8)))
+    made = page.fragment_of(octree_content(octree)) + page._scripts("octree")
     assert "/**" not in made.replace("/** @type", "")
     assert not re.search(r"^\s*//", made, re.MULTILINE)
     assert "function start(" in made
@@ -190,3 +191,21 @@ def test_a_page_of_a_field_is_small(here: Path) -> None:
     assert said["base_bytes"] < MOST_BASE
     with h5py.File("bunny.adf.h5") as file:
         assert said["data_bytes"] < MOST_RATIO * file.id.get_filesize()
+
+
+def test_a_page_of_a_volume_is_small(here: Path) -> None:
+    said = told("view volume.tet.h5 --no-open --json")
+    assert said["kind"] == "volume"
+    assert said["base_bytes"] < MOST_BASE
+    with h5py.File("volume.tet.h5") as file:
+        assert said["data_bytes"] < MOST_RATIO * file.id.get_filesize()
+
+
+def test_headers_of_kernels_become_glsl() -> None:
+    made = page.glsl_of("tets/segment.h")
+    numbers = re.compile(r"\d+\.\d+(?:e-?\d+)?f")
+    source = (page.kernel_folder() / "tets/segment.h").read_text(encoding="utf-8")
+    code = re.sub(r"^\s*//.*\n", "", source, flags=re.MULTILINE)
+    assert numbers.findall(made) == numbers.findall(code)
+    for foreign in ("floats", "ints", "#include", "*zeta", "&", "to_int", "as_float"):
+        assert foreign not in made

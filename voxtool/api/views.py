@@ -31,7 +31,7 @@ def plan_view(
 
     Parameters
     ----------
-    content : Octree, DistanceField, Mesh or path
+    content : Octree, DistanceField, TetVolume, Mesh or path
         What the page shows. A mesh is voxelized with the defaults of `voxelize`.
     name : str
         The name that the page shows; by default that of the file.
@@ -69,7 +69,7 @@ def view(
 
     Parameters
     ----------
-    content : Octree, DistanceField, Mesh or path
+    content : Octree, DistanceField, TetVolume, Mesh or path
         What the page shows. A mesh is voxelized with the defaults of `voxelize`.
     path : path, optional
         Where the page is written; by default a new file in the folder for temporary files, and in a

@@ -1,4 +1,4 @@
-"""voxtool view: an interactive page of an octree or a distance field."""
+"""voxtool view: an interactive page of an octree, a distance field or a volume."""
 
 from __future__ import annotations
 
@@ -32,15 +32,16 @@ if TYPE_CHECKING:
     options.report_options,
 )
 def command(run: Run, file: str, no_open: bool, up: tuple[float, ...] | None) -> None:
-    """Write a page that shows an octree or a distance field FILE in a browser, and open it.
+    """Write a page that shows an octree, a field or a volume FILE in a browser, and open it.
 
     The page is one file with everything inside and reaches nothing else: it can be mailed. FILE is
-    what voxelize or adf-build wrote, or a mesh, which is voxelized first, or - for stdin. Positions
-    and distances on the page are in world units.
+    what voxelize, adf-build or tet-build wrote, or a mesh, which is voxelized first, or - for
+    stdin. Positions and distances on the page are in world units.
 
     \b
     Examples:
       voxtool view bunny.svo.h5
+      voxtool view volume.tet.h5 --up z
       voxtool view bunny.obj -o bunny.html --no-open
     """
     from voxtool.api.views import shown_content

@@ -22,7 +22,8 @@ class PageContent:
     arrays : little-endian arrays by name, of uint8, uint16, uint32, int32 or float32.
     smaller_by : returns what makes a content fit of which only this share does, for messages.
     shaders : files of assets that the fragment shader begins with.
-    defines : names that these find defined.
+    defines : what these find defined: names, with a value or without.
+    kernel : a header of the kernels that the fragment shader begins with, translated.
     """
 
     kind: str
@@ -31,6 +32,7 @@ class PageContent:
     smaller_by: Callable[[float], str]
     shaders: tuple[str, ...] = ()
     defines: tuple[str, ...] = ()
+    kernel: str = ""
 
     @property
     def nbytes(self) -> int:

@@ -8,20 +8,23 @@ from typing import Any
 
 from voxtool.adf.field import DistanceField
 from voxtool.camera import Camera
-from voxtool.errors import MemoryLimitError, VoxtoolError, human
+from voxtool.errors import MemoryLimitError, human
 from voxtool.job import Cost, Job
 from voxtool.rendering import Content, camera_for, scene_of
 from voxtool.svo.octree import Octree
+from voxtool.tets.volume import TetVolume
 from voxtool.viewer.content import PageContent
 from voxtool.viewer.fields import field_content
 from voxtool.viewer.octrees import octree_content
 from voxtool.viewer.page import Page, page_of
+from voxtool.viewer.volumes import volume_content
 
 # Bytes of data that a page holds: as base64 they stay below the longest text of browsers, 2**29.
 MOST_DATA = 1 << 28
 CONTENTS: dict[type, Callable[[Any], PageContent]] = {
     Octree: octree_content,
     DistanceField: field_content,
+    TetVolume: volume_content,
 }
 
 
@@ -108,8 +111,6 @@ def plan_view(
 ) -> ViewJob:
     """Return the job of a page that shows content; see voxtool.view."""
     scene = scene_of(content)  # refuses what cannot be drawn
-    if type(content) not in CONTENTS:
-        raise VoxtoolError(f"there are no pages of {scene.kind}s yet: view an octree or a field")
     camera = camera_for(scene, up=up)
     made = CONTENTS[type(content)](content)
     return ViewJob(ViewPlan(made, name, camera, served), max_memory)

@@ -31,6 +31,19 @@ if TYPE_CHECKING:
 ASSETS = Path(__file__).parent / "assets"
 SHARED = ("vectors", "data", "gl", "state", "controls", "panel", "view", "main")
 FRAME_HEIGHT = 480  # pixels of a page in a notebook
+EXTRAS = {"volume": ("transfer", "editor")}  # scripts of one kind alone
+# OpenCL C of the kernels' headers, and what GLSL has for it.
+GLSL_FOR = (
+    (r"const ints (\w+) = to_ints", r"int \1 = to_ints"),
+    (r"\bconst (?=floats )", ""),
+    (r"\bconst ints\b", "bool"),
+    (r"\bfloats\b", "float"),
+    (r"\bto_ints\(", "int("),
+    (r"\bto_floats\(", "float("),
+    (r"\bas_floats\(", "intBitsToFloat("),
+    (r"\bANY\(", "("),
+    (r"&(?=\w)", ""),
+)
 _COMMENT = re.compile(r"^\s*(//[^\n]*|/\*\*((?!\*/).)*\*/)\n", re.MULTILINE | re.DOTALL)
 
 
@@ -83,7 +96,7 @@ def page_of(
         "style": style,
         "facts": json.dumps(told).replace("<", "\\u003c"),
         "vertex": _asset("screen.vert"),
-        "fragment": fragment_of(content.kind, content.shaders, content.defines),
+        "fragment": fragment_of(content),
         "blocks": "" if served else "\n".join(map(_block, blocks, blocks.values())),
         "script": script,
     }
@@ -97,25 +110,38 @@ def packed(array: np.ndarray) -> bytes:
     return zlib.compress(planes.tobytes(), 9)
 
 
+def fragment_of(content: PageContent) -> str:
+    """Return the fragment shader of content; brightness and integrals are those of the kernels."""
+    defined = "".join(f"#define {name}\n" for name in content.defines)
+    kernels = ["shading.h", *([content.kernel] if content.kernel else [])]
+    parts = [_asset(name) for name in (*content.shaders, f"{content.kind}.frag")]
+    return "".join([_asset("rays.glsl"), defined, *map(glsl_of, kernels), *parts])
+
+
 @functools.cache
-def fragment_of(kind: str, shaders: tuple[str, ...] = (), defines: tuple[str, ...] = ()) -> str:
-    """Return the fragment shader of a kind; the brightness of surfaces is that of the kernels."""
-    shading = (kernel_folder() / "shading.h").read_text(encoding="utf-8")
-    defined = "".join(f"#define {name}\n" for name in defines)
-    parts = "".join(map(_asset, (*shaders, f"{kind}.frag")))
-    return _asset("rays.glsl") + defined + _COMMENT.sub("", shading) + parts
+def glsl_of(header: str) -> str:
+    """Return a header of the kernels as GLSL: one lane, results by `out`, no constant variables."""
+    text = (kernel_folder() / header).read_text(encoding="utf-8")
+    text = re.sub(r'^#include "lanes.h"\n', "", _COMMENT.sub("", text), flags=re.MULTILINE)
+    results = set(re.findall(r"floats \*(\w+)", text))
+    for name in results:
+        text = re.sub(rf"floats \*{name}\b", f"out floats {name}", text)
+        text = re.sub(rf"\*{name}\b", name, text)
+    for pattern, with_ in GLSL_FOR:
+        text = re.sub(pattern, with_, text)
+    return text
 
 
 @functools.cache
 def _scripts(kind: str) -> str:
     """Return the script of a kind of content."""
-    return "".join(_asset(f"{name}.js") for name in (*SHARED, kind))
+    return "".join(_asset(f"{name}.js") for name in (*SHARED, *EXTRAS.get(kind, ()), kind))
 
 
 def _asset(name: str) -> str:
-    """Return a file of the page without the lines that are comments."""
+    """Return a file of the page without the lines that are comments, and without indentation."""
     text = (ASSETS / name).read_text(encoding="utf-8")
-    return _COMMENT.sub("", text)
+    return re.sub(r"^ +", "", _COMMENT.sub("", text), flags=re.MULTILINE)
 
 
 def _policy(script: str, style: str, served: bool) -> str:

@@ -7,6 +7,12 @@ function buildPanel(form, controls, settings, changed) {
   /** @type {(() => void)[]} */
   const refresh = [];
   for (const control of controls) {
+    if (control.build) {
+      const built = control.build(settings, changed);
+      form.append(control.label, built);
+      refresh.push(built.show);
+      continue;
+    }
     const label = document.createElement("label");
     const name = document.createElement("span");
     name.textContent = control.label;

@@ -6,6 +6,7 @@ precision highp int;
 precision highp usampler2D;
 precision highp sampler2D;
 precision highp usampler3D;
+precision highp isampler2D;
 precision highp sampler3D;
 
 uniform vec2 size;                         // of the picture, in pixels

@@ -4,7 +4,7 @@
  * @typedef {Record<string, any>} Settings values of the controls, by name
  * @typedef {{name: string, label: string, type: "select" | "range" | "check" | "custom",
  *     options?: string[], min?: number, max?: number, step?: number | "any", start: any,
- *     build?: (settings: Settings, changed: () => void) => HTMLElement}} Control
+ *     build?: (settings: () => Settings, changed: () => void) => HTMLElement & {show: () => void}}} Control
  * @typedef {{camera: Camera, settings: Settings}} State
  * @typedef {object} Kind what the page knows of octrees, fields or volumes
  * @property {Control[]} controls

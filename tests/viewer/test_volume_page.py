@@ -1,0 +1,167 @@
+"""Pages of volumes in a browser, held against `voxtool render` of the same camera."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+import golden_picture
+import numpy as np
+import pytest
+from helpers_browser import Viewer, check_same, opened, written
+from helpers_cli import run
+from PIL import Image
+
+import voxtool
+from voxtool.camera import Camera
+from voxtool.tets.transfer import TransferFunction, default_transfer, named
+
+SIZE = (72, 60)
+SHARE = 0.999  # of pixels within 2/255
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def volume(models: Path) -> voxtool.TetVolume:
+    return voxtool.read_tet(models / "volume.tet.h5")
+
+
+@pytest.fixture(scope="module")
+def viewer(browser, volume: voxtool.TetVolume, tmp_path_factory) -> Iterator[Viewer]:
+    with opened(browser, written(volume, tmp_path_factory.mktemp("pages"))) as viewer:
+        yield viewer
+
+
+def setting(transfer: TransferFunction) -> str:
+    """Return a transfer function as the page's setting."""
+    rows = np.column_stack([transfer.scalars, transfer.colours, transfer.extinctions])
+    return ";".join(",".join(map(repr, row)) for row in rows.tolist())
+
+
+def check_picture(viewer: Viewer, volume, camera: Camera, transfer: TransferFunction) -> None:
+    viewer.set(camera, transfer=setting(transfer))
+    colours, _ = viewer.picture(*SIZE)
+    expected = voxtool.render(volume, camera.rays(*SIZE), transfer=transfer)
+    assert (expected[..., 3] > 0.05).mean() > 0.1
+    check_same(colours, expected, SHARE)
+
+
+def cameras(volume: voxtool.TetVolume) -> dict[str, Camera]:
+    low, high = volume.bounds()
+    middle, side = (low + high) / 2, float((high - low).max())
+    eye, target = (tuple((middle + s * side).tolist()) for s in (0.1, -1.0))
+    within = Camera(eye, target, (0.0, 1.0, 0.0), 90.0)
+    return {
+        "iso": voxtool.camera_for(volume, "iso"),
+        "parallel": voxtool.camera_for(volume, "right", fov=None),
+        "within": within,
+    }
+
+
+STEPS = [(0.2, 0.2, 0.5, 0.5, 0.9), [0.0, 2.0, 2.0, 0.0, 30.0]]  # scalars and extinctions
+
+
+@pytest.mark.parametrize("name", ["iso", "parallel", "within"])
+@pytest.mark.parametrize("function", ["default", "steps", "everywhere"])
+def test_the_picture_is_that_of_render(name: str, function: str, volume, viewer: Viewer) -> None:
+    low, high = volume.scalar_range
+    transfer = default_transfer(volume)
+    if function == "steps":
+        colours = np.random.default_rng(4).random((5, 3))
+        at = low + (high - low) * np.array(STEPS[0])
+        transfer = TransferFunction(at, colours, np.array(STEPS[1]))
+    elif function == "everywhere":
+        transfer = named("turbo", low - 1, high + 1, 1.0, (low - 2, high))
+    check_picture(viewer, volume, cameras(volume)[name], transfer)
+
+
+@pytest.mark.parametrize("name", ["holes", "hexahedra"])
+def test_other_volumes(name: str, browser, tmp_path: Path) -> None:
+    volume = golden_picture.own_volume(name)
+    low, high = volume.bounds()
+    transfer = named("viridis", *volume.scalar_range, float((high - low).max()) / 8)
+    with opened(browser, written(volume, tmp_path)) as viewer:
+        check_picture(viewer, volume, cameras(volume)["iso"], transfer)
+
+
+def test_table_4_becomes_table_5(browser, tmp_path: Path, here: Path) -> None:
+    run("tet-build volume.vtu --scalar density --layout projection -o p.tet.h5 -q")
+    volume = voxtool.read_tet("p.tet.h5")
+    with opened(browser, written(volume, tmp_path)) as viewer:
+        check_picture(viewer, volume, cameras(volume)["iso"], default_transfer(volume))
+
+
+def test_the_editor_of_the_transfer_function(volume, viewer: Viewer, tmp_path: Path) -> None:
+    transfer = default_transfer(volume)
+    viewer.set(cameras(volume)["iso"], transfer=setting(transfer))
+    viewer.tab.evaluate("document.getElementById('message').hidden = true")
+
+    def points() -> list[dict]:
+        return voxtool_points(viewer.tab.evaluate("voxtool.state().settings.transfer"))
+
+    before, drawn = points(), viewer.picture(*SIZE)[0]
+    assert [p["scalar"] for p in before] == transfer.scalars.tolist()
+    editor = viewer.tab.locator("canvas[role=application]")
+    editor.focus()
+    viewer.tab.keyboard.press("n")  # the second point
+    for _ in range(3):
+        viewer.tab.keyboard.press("ArrowUp")
+    moved = points()
+    assert moved[1]["extinction"] > 0
+    assert moved[0] == before[0]
+    assert (viewer.picture(*SIZE)[0] != drawn).any()  # in the next frame
+    editor.dblclick(position={"x": 150, "y": 30})
+    added = points()
+    assert len(added) == len(before) + 1
+    viewer.tab.keyboard.press("Delete")
+    assert points() == moved
+    box = editor.bounding_box()
+    viewer.tab.mouse.move(box["x"] + box["width"] - 5, box["y"] + 30)
+    editor.hover(position={"x": 3, "y": box["height"] - 4})
+    viewer.tab.mouse.down()
+    viewer.tab.mouse.move(box["x"] + 3, box["y"] + 20)
+    viewer.tab.mouse.up()
+    assert points()[0]["extinction"] > 0
+    viewer.tab.fill("input[type=color]", "#ff0000")
+    assert points()[0]["color"] == [1, 0, 0]
+    with viewer.tab.expect_download() as download:
+        viewer.tab.click("#transfer-save")
+    download.value.save_as(tmp_path / "saved.json")
+    saved = voxtool.read_transfer(tmp_path / "saved.json")
+    assert json.loads(saved.to_json())["points"] == points()
+    file = tmp_path / "other.json"
+    file.write_text(named("gray", *volume.scalar_range, 0.5).to_json())
+    before = viewer.tab.evaluate("voxtool.state().settings.transfer")
+    viewer.tab.set_input_files("#transfer-load", file)
+    viewer.wait(f"voxtool.state().settings.transfer !== {before!r}")
+    assert points() == json.loads(file.read_text())["points"]
+    file.write_text('{"points": [{"scalar": 1}]}')
+    viewer.tab.set_input_files("#transfer-load", file)
+    viewer.wait("!document.getElementById('message').hidden")
+    assert "needs 1 to 255 points" in viewer.message
+
+
+def voxtool_points(text: str) -> list[dict]:
+    """Return the control points of a setting as in JSON."""
+    rows = [list(map(float, word.split(","))) for word in text.split(";")]
+    return [{"scalar": s, "color": [r, g, b], "extinction": e} for s, r, g, b, e in rows]
+
+
+def test_the_copied_command(volume, viewer: Viewer, here: Path) -> None:
+    viewer.set(cameras(volume)["iso"])
+    words = shlex.split(viewer.tab.evaluate("voxtool.command()"))
+    assert words[2] == "volume.tet.h5"
+    size = words.index("--size") + 1
+    words[size] = f"{SIZE[0]}x{SIZE[1]}"
+    run(f"{shlex.join(words[1:])} -q -o drawn.png")
+    straight = np.asarray(Image.open("drawn.png")) / 255
+    colours, _ = viewer.picture(*SIZE)
+    over_white = colours[..., :3] + 255.0 - colours[..., 3:]
+    expected = 255 * (straight[..., :3] * straight[..., 3:] + 1 - straight[..., 3:])
+    assert np.abs(over_white - expected).max() <= 2
+    changed = setting(named("gray", *volume.scalar_range, 1.0))
+    viewer.set(cameras(volume)["iso"], transfer=changed)
+    command = viewer.tab.evaluate("voxtool.command()")
+    assert command.endswith(" --transfer volume.transfer.json")
