@@ -50,7 +50,7 @@ def open_browser() -> Iterator[Any]:
 class Viewer:
     """A page in a tab, and what it logs: errors and requests of the network."""
 
-    def __init__(self, browser: Any, file: Path, fragment: str = "", before: str = "") -> None:
+    def __init__(self, browser: Any, file: Path | str, before: str = "") -> None:
         self.context = browser.new_context(viewport={"width": 480, "height": 360})
         self.tab = self.context.new_page()
         self.tab.set_default_timeout(1e3 * PATIENCE)
@@ -61,7 +61,7 @@ class Viewer:
         self.tab.on("request", lambda request: self.requests.append(request.url))
         if before:
             self.tab.add_init_script(before)
-        self.tab.goto(f"{file.absolute().as_uri()}{fragment}")
+        self.tab.goto(file if isinstance(file, str) else file.absolute().as_uri())
         self.tab.wait_for_selector("body[data-ready]", state="attached")
 
     def close(self) -> None:

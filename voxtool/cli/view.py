@@ -21,7 +21,10 @@ if TYPE_CHECKING:
 @click.command("view")
 @click.argument("file")
 @together(
-    flag("--no-open", "Write the page, and do not open it in a browser."),
+    flag("--no-open", "Write or serve the page, and do not open it in a browser."),
+    flag("--serve",
+        "Serve the page and its data to this machine until interrupted, and write nothing: for "
+        "data that no page holds."),
     options.option("--up", DIRECTION, "What is up: a direction, or x, y, z, -x, ...  [default: y]",
         metavar="X,Y,Z|AXIS"),
 )  # fmt: skip
@@ -31,7 +34,7 @@ if TYPE_CHECKING:
     options.strict_option,
     options.report_options,
 )
-def command(run: Run, file: str, no_open: bool, up: tuple[float, ...] | None) -> None:
+def command(run: Run, file: str, no_open: bool, serve: bool, up: tuple[float, ...] | None) -> None:
     """Write a page that shows an octree, a field or a volume FILE in a browser, and open it.
 
     The page is one file with everything inside and reaches nothing else: it can be mailed. FILE is
@@ -48,18 +51,27 @@ def command(run: Run, file: str, no_open: bool, up: tuple[float, ...] | None) ->
     from voxtool.files.page import FORMATS, write_page
     from voxtool.viewer.job import plan_view
 
-    if run.output in (None, "-"):
-        run.file_format = "html"
-    run.to(file, options.output_of(file, "html"), FORMATS)
+    if serve and run.output:
+        raise click.UsageError("--serve writes no page: drop it or -o")
+    if serve:
+        run.source = file
+    else:
+        if run.output in (None, "-"):
+            run.file_format = "html"
+        run.to(file, options.output_of(file, "html"), FORMATS)
     with run:
         content = run.stage("read file", shown_content, file)
         with run.naming(file):
             given = {"up": up} if up else {}
-            job = run.plan(plan_view, content, file, **given)
+            job = run.plan(plan_view, content, file, served=serve, **given)
             page = run.job(job)
-        run.write(write_page, page.html)
+        if not serve:
+            run.write(write_page, page.html)
+    if serve:
+        show_served(run, page, no_open)
+        return
     run.report(
-        f"{page.content.kind}, {human(len(page.html.encode()))}, of these "
+        f"{page.content.kind}, {human(page.base_bytes + page.data_bytes)}, of these "
         f"{human(page.data_bytes)} data",
         lambda: summary(page),
     )
@@ -67,13 +79,26 @@ def command(run: Run, file: str, no_open: bool, up: tuple[float, ...] | None) ->
         webbrowser.open(Path(str(run.output)).absolute().as_uri())
 
 
+def show_served(run: Run, page: Page, no_open: bool) -> None:
+    """Serve a page until the command is interrupted."""
+    from voxtool.viewer.serve import PageServer
+
+    with PageServer(page) as server:
+        if run.as_json:
+            options.print_json({"url": server.url, **summary(page)})
+        else:
+            options.tell(f"{options.shown(run.source)} at {server.url}: Ctrl-C ends it")
+        if not no_open:
+            webbrowser.open(server.url)
+        server.serve_forever()
+
+
 def summary(page: Page) -> dict[str, Any]:
     """Return the facts of the report; the digest is of the data before they are compressed."""
-    size = len(page.html.encode())
     return {
         "kind": page.content.kind,
-        "bytes": size,
+        "bytes": page.base_bytes + page.data_bytes,
         "data_bytes": page.data_bytes,
-        "base_bytes": size - page.data_bytes,
+        "base_bytes": page.base_bytes,
         "digest": page.content.digest(),
     }

@@ -83,7 +83,8 @@ class ViewPlan:
         if not self.served and self.content.nbytes > MOST_DATA:
             raise MemoryLimitError(
                 f"{human(self.content.nbytes)} of data are more than a page holds, "
-                f"{human(MOST_DATA)}: {self.content.smaller_by(MOST_DATA / self.content.nbytes)}"
+                f"{human(MOST_DATA)}: {self.content.smaller_by(MOST_DATA / self.content.nbytes)}, "
+                "or serve them beside the page (voxtool view --serve)"
             )
 
 

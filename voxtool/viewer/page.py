@@ -51,18 +51,25 @@ _COMMENT = re.compile(r"^\s*(//[^\n]*|/\*\*((?!\*/).)*\*/)\n", re.MULTILINE | re
 class Page:
     """An interactive page.
 
-    html : the file. blocks : the compressed data by name, which the page holds unless they are
-    served beside it. content : what it shows.
+    html : the file. blocks : the compressed data by name. content : what it shows. served :
+    whether the data are served beside the page instead of being in it.
     """
 
     html: str
     blocks: Mapping[str, bytes]
     content: PageContent
+    served: bool = False
 
     @property
     def data_bytes(self) -> int:
-        """Bytes of the data in the page, as base64."""
-        return sum(4 * -(-len(block) // 3) for block in self.blocks.values())
+        """Bytes of the compressed data; in the page they are base64."""
+        sizes = map(len, self.blocks.values())
+        return sum(size if self.served else 4 * -(-size // 3) for size in sizes)
+
+    @property
+    def base_bytes(self) -> int:
+        """Bytes of the page without its data."""
+        return len(self.html.encode()) - (0 if self.served else self.data_bytes)
 
     def _repr_html_(self) -> str:
         """The frame that a notebook shows."""
@@ -100,7 +107,7 @@ def page_of(
         "blocks": "" if served else "\n".join(map(_block, blocks, blocks.values())),
         "script": script,
     }
-    return Page(Template(_asset("page.html")).substitute(values), blocks, content)
+    return Page(Template(_asset("page.html")).substitute(values), blocks, content, served)
 
 
 def packed(array: np.ndarray) -> bytes:
