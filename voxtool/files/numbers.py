@@ -7,19 +7,31 @@ vertices and triangles that rows hold.
 from __future__ import annotations
 
 import re
+import threading
 import warnings
-from collections.abc import Iterator
-from typing import NamedTuple
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from voxtool.errors import MeshError, shown
 
-BLOCK_BYTES = 1 << 21  # of text that is parsed at once: beyond that, caches overflow
+BLOCK_BYTES = 1 << 19  # of text that is parsed at once: beyond that, caches overflow
 LETTERS = b"0123456789+-.eE \t\r\n"  # of numbers and between them
 NUMBER = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"  # a pattern
 WORD = re.compile(rb"[^ \t\r]+")
-SPACE, NEWLINE = ord(" "), ord("\n")
+SPACE, NEWLINE, POINT, MINUS = b" \n.-"
+EIGHT = 8  # digits, which a uint64 holds as letters
+MOST_DIGITS = 15  # of a number below 2**53, so that float64 holds it
+TENS = 10 ** np.arange(MOST_DIGITS + 1, dtype=np.uint64)  # float64 holds them, too
+# By how many of the last of eight letters are digits: their values, of which each is four bits.
+VALUES = np.array([0x0F0F0F0F0F0F0F0F << 8 * (8 - n) & (1 << 64) - 1 for n in range(9)], np.uint64)
+THREADS = 2  # that parse blocks; more would wait for the interpreter's lock
+_alone = threading.Lock()  # fromstring holds the interpreter's lock; filters are for all threads
+
+Parsed = TypeVar("Parsed")
 
 
 class OddityError(Exception):
@@ -35,6 +47,19 @@ def blocks_of(data: bytes, start: int = 0, size: int = BLOCK_BYTES) -> Iterator[
         start = end
 
 
+def beside(parse: Callable[[bytes], Parsed], blocks: Iterable[bytes]) -> Iterator[Parsed]:
+    """Yield what `parse` returns for each block, in order; threads parse a few at a time, because
+    numpy's work on arrays does not hold the interpreter's lock."""
+    with ThreadPoolExecutor(THREADS) as threads:
+        begun: deque[Future[Parsed]] = deque()
+        for block in blocks:
+            begun.append(threads.submit(parse, block))
+            if len(begun) > 2 * THREADS:
+                yield begun.popleft().result()
+        while begun:
+            yield begun.popleft().result()
+
+
 def numbers_in(words: np.ndarray, dtype: type) -> tuple[np.ndarray, np.ndarray]:
     """Return the numbers of a text, (N,), and the places where they begin, (N,) int64.
 
@@ -43,10 +68,12 @@ def numbers_in(words: np.ndarray, dtype: type) -> tuple[np.ndarray, np.ndarray]:
     words : (letters,) uint8, all among LETTERS.
     dtype : np.float64 or np.int64.
     """
+    if (plain := _decimals_in(words, dtype)) is not None:
+        return plain
     letter = words > SPACE
     letter[1:] &= words[:-1] <= SPACE
     begins = np.flatnonzero(letter)
-    with warnings.catch_warnings():
+    with _alone, warnings.catch_warnings():
         # Older numpy warns of text that is no number. The filter holds in all threads, of which one
         # may open the device and warn of that, so it is for this category alone.
         warnings.simplefilter("error", DeprecationWarning)
@@ -57,6 +84,69 @@ def numbers_in(words: np.ndarray, dtype: type) -> tuple[np.ndarray, np.ndarray]:
     if len(numbers) != len(begins):
         raise OddityError
     return numbers.astype(dtype, copy=False), begins
+
+
+def _decimals_in(words: np.ndarray, dtype: type) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return numbers_in of a text of whole numbers alone, such as -7, or of decimals alone, such as
+    12.50, of at most MOST_DIGITS digits; None for others.
+
+    Eight digits become a number by three multiplications [Lemire 2021]. The quotient of a whole
+    number and a power of ten, both of which float64 holds, is the float64 nearest to the decimal.
+    """
+    letters = np.zeros(EIGHT + len(words) + 1, np.uint8)  # blank at both ends
+    letters[EIGHT:-1] = words
+    digit = letters[EIGHT - 1 :] - np.uint8(ord("0")) < 10
+    bounds = np.flatnonzero(digit[1:] != digit[:-1])
+    starts, ends = bounds[::2], bounds[1::2]  # of runs of digits
+    lengths = ends - starts
+    points = np.count_nonzero(words == POINT)
+    step = 2 if points else 1  # runs of a number
+    first, after = starts[::step], ends[::step]
+    minus = letters[first + (EIGHT - 1)] == MINUS
+    begins = first - minus
+    if (
+        lengths.sum() + points + np.count_nonzero(minus) != np.count_nonzero(words > SPACE)
+        or (letters[begins + (EIGHT - 1)] > SPACE).any()
+        or lengths.max(initial=0) > MOST_DIGITS
+    ):
+        return None
+    numbers = _values_of(letters, ends, lengths)
+    if not points:
+        found = numbers.astype(dtype)
+    else:
+        places = lengths[1::2]
+        if (
+            dtype is not np.float64
+            or len(first) != points
+            or len(places) != points
+            or not (letters[after + EIGHT] == POINT).all()
+            or (starts[1::2] != after + 1).any()
+            or (lengths[::2] + places).max() > MOST_DIGITS
+        ):
+            return None
+        found = (numbers[::2] * TENS[places] + numbers[1::2]).astype(np.float64)
+        found /= TENS[places]
+    np.negative(found, out=found, where=minus)
+    return found, begins
+
+
+def _values_of(letters: np.ndarray, ends: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Return the numbers, (n,) uint64, of runs of at most 16 digits that end EIGHT letters after
+    `ends`."""
+    last = np.ndarray(len(letters) - EIGHT + 1, "<u8", letters, strides=(1,))[ends]
+    last &= VALUES[np.minimum(lengths, EIGHT)]
+    for factor, shift, kept in (
+        (1 + (10 << 8), 8, 0x00FF00FF00FF00FF),  # pairs of digits
+        (1 + (100 << 16), 16, 0x0000FFFF0000FFFF),  # pairs of those
+        (1 + (10000 << 32), 32, 0xFFFFFFFF),
+    ):
+        last *= np.uint64(factor)
+        last >>= np.uint64(shift)
+        last &= np.uint64(kept)
+    long = np.flatnonzero(lengths > EIGHT)
+    if len(long):
+        last[long] += TENS[EIGHT] * _values_of(letters, ends[long] - EIGHT, lengths[long] - EIGHT)
+    return last
 
 
 def by_line(begins: np.ndarray, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

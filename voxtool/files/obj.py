@@ -20,6 +20,7 @@ from voxtool.files.numbers import (
     NEWLINE,
     SPACE,
     OddityError,
+    beside,
     blocks_of,
     by_line,
     fans,
@@ -57,8 +58,9 @@ def _quick(data: bytes, size: int = BLOCK_BYTES) -> tuple[np.ndarray, np.ndarray
     if lone_return or (b"\\" in data and re.search(rb"\\\r?(?:\n|$)", data)):
         raise OddityError
     points, corners, known = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
-    for block in blocks_of(data, size=size):
-        vertices, faces = _parse_block(_whole(block), known)
+    for vertices, faces, counted_back in beside(_parse_block, blocks_of(data, size=size)):
+        if counted_back is not None:
+            faces[counted_back] += known
         known += len(vertices)
         points.append(vertices)
         corners.append(faces)
@@ -78,8 +80,10 @@ def _whole(block: bytes) -> np.ndarray:
     return np.frombuffer(block, np.uint8)
 
 
-def _parse_block(text: np.ndarray, known: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (V, 3) vertices and (F, 3) faces of a block after `known` vertices."""
+def _parse_block(block: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return the (V, 3) vertices and (F, 3) faces of a block, and which indices count back, from
+    the block's own vertices on, (F, 3) bool; None if none do."""
+    text = _whole(block)
     ends = np.flatnonzero(text == NEWLINE) + 1
     starts = np.concatenate([[0], ends[:-1]])
     first, second = text[starts], text[np.minimum(starts + 1, len(text) - 1)]
@@ -94,9 +98,12 @@ def _parse_block(text: np.ndarray, known: int) -> tuple[np.ndarray, np.ndarray]:
     vertices = numbers[begins[:, None] + np.arange(3)]
 
     indices, begins, counts = _numbers(text, starts, ends, is_face, np.int64)
-    above = known + np.cumsum(is_vertex)[is_face]  # vertices that stand above each face
-    indices = np.where(indices < 0, indices + np.repeat(above, counts), indices - 1)
-    return vertices, fans(indices, begins, counts)
+    back = indices < 0
+    if not back.any():
+        return vertices, fans(indices - 1, begins, counts), None
+    above = np.cumsum(is_vertex)[is_face]  # vertices of the block that stand above each face
+    indices = np.where(back, indices + np.repeat(above, counts), indices - 1)
+    return vertices, fans(indices, begins, counts), fans(back, begins, counts)
 
 
 def _numbers(
