@@ -87,6 +87,13 @@ def volume_pictures(
                     device=device,
                 )  # fmt: skip
                 yield f"{method} {integrator} {name}", digest(picture)
+            if not volume.constant:
+                low_third = volume.scalar_range[0] * 2 / 3 + volume.scalar_range[1] / 3
+                picture = voxtool.render(
+                    volume, rays, transfer=transfer, isovalues=(low_third,), opacity=0.5,
+                    method=method, device=device,
+                )  # fmt: skip
+                yield f"{method} surface {name}", digest(picture)
 
 
 def main() -> None:

@@ -126,6 +126,7 @@ def test_every_kernel_and_variant_was_launched(run):
     wanted |= {"SEARCH=LINEAR", "SEARCH=BINARY", "SEARCH=COHERENT", "LANES=1", "LANES=16", "W"}
     wanted |= {"GRADIENT", "BOUNDS", "CELL", "HARDWARE", "BOOK"}
     wanted |= {"PERSPECTIVE", "ANCHORED", "CONSTANT", "FACES=4", "FACES=6", "SLOTS=3", "SLOTS=7"}
+    wanted |= {"SURFACES=2"}
     wanted |= {f"INTEGRATOR={name}" for name in ("LINEAR", "AVERAGE", "SAMPLED", "PREINTEGRATED")}
     assert wanted <= set(run[0]["options"])
 
@@ -494,6 +495,10 @@ def render_volumes(device) -> None:
             if layout != "hexahedra":
                 error = np.abs(picture - reference_picture(mesh, part, rays))
                 assert error.max() < 2e-5, (layout, method)
+                surfaces = {"isovalues": (-0.5, 0.3), "opacity": 0.5, "lanes": 1}
+                shaded = draw(volume, rays, part, device, method, **surfaces)
+                assert (shaded[..., 3] >= picture[..., 3] - 1e-6).all()
+                assert (shaded != picture).any()
         for integrator, method in itertools.product(
             ("average", "sampled:2", "preintegrated"), METHODS
         ):

@@ -1,20 +1,33 @@
 // The light of a segment of a ray within a cell, by each integrator. Options:
 //   INTEGRATOR   LINEAR, AVERAGE, SAMPLED or PREINTEGRATED
+//   SURFACES     isosurfaces that rays meet, with the options of surfaces.h
 
 #include "tets/transfer.h"
+#ifdef SURFACES
+#include "tets/surfaces.h"
+#endif
 
 typedef struct {
     Transfer transfer;
     uint samples;                // SAMPLED: points in a cell
     __global const float *table; // PREINTEGRATED: of segments up to `longest`
     float longest;
+#ifdef SURFACES
+    Surfaces surfaces;
+#endif
 } Integral;
 
 // A kernel's parameters for it, of voxtool/tets/integrate.py.
-#define INTEGRAL                                                                                 \
+#define THE_LIGHT                                                                                \
     __global const float *points, __global const float *rows, const int count,                   \
         __global const float *table, const float longest, const uint samples
+#ifdef SURFACES
+#define INTEGRAL THE_LIGHT, SURFACE_LIST
+#define THE_INTEGRAL {{points, rows, count}, samples, table, longest, THE_SURFACES}
+#else
+#define INTEGRAL THE_LIGHT
 #define THE_INTEGRAL {{points, rows, count}, samples, table, longest}
+#endif
 
 #if INTEGRATOR == PREINTEGRATED
 // Composite a segment by linear interpolation in the pre-integrated table [Roettger 2000].

@@ -152,6 +152,9 @@ typedef struct {
     floats begin; // where it began, and its cell
     ints cell;
     ints fragments; // how many
+#ifdef SURFACES
+    ints rank;      // as in surfaces.h, or NO_RANK
+#endif
 } Followed;
 
 // Whether a fragment comes before another.
@@ -208,6 +211,10 @@ void composite_fragments(Followed *rays, __global const float *records, const In
 {
     floats depth = begin > rays->depth ? begin : rays->depth;
     ints active = lanes & (end > depth);
+#ifdef SURFACES
+    const ints apart = active & (begin > rays->depth + GAP);
+    rays->rank = apart ? (ints)NO_RANK : rays->rank;
+#endif
     rays->begin = lanes ? begin : rays->begin;
     rays->cell = lanes ? cell : rays->cell;
     rays->depth = active ? end : rays->depth;
@@ -218,14 +225,36 @@ void composite_fragments(Followed *rays, __global const float *records, const In
     const floats last = scalars_at(on_ray, rays->rays.x, rays->rays.y, end, rays->rays.middle);
     Segment segment = {first, last, interval_of(&integral->transfer, first),
                        interval_of(&integral->transfer, last)};
+#ifdef SURFACES
+    const ints known = (active == 0) | (rays->rank != NO_RANK);
+    rays->rank = known ? rays->rank : rank_of(&integral->surfaces, first);
+#endif
     while (ANY(active)) {
-        floats to, share;
+        floats to, share, until = end;
         ints follows;
-        const floats length = active ? (end - depth) * rays->rays.length : (floats)0;
-        active &= add_piece(&rays->light, integral, &segment, length, &to, &follows, &share);
+#ifdef SURFACES
+        Meeting m;
+        meet_surface(&integral->surfaces, active, rays->rank, segment.from, last, &m);
+        until = m.met ? depth + (end - depth) * m.share : end;
+        segment.to = m.scalar;
+        segment.to_interval = interval_of(&integral->transfer, m.scalar);
+#endif
+        const floats length = active ? (until - depth) * rays->rays.length : (floats)0;
+        const ints goes_on =
+            add_piece(&rays->light, integral, &segment, length, &to, &follows, &share);
         segment.from = to;
         segment.from_interval = follows;
-        depth = depth + (end - depth) * share;
+        depth = depth + (until - depth) * share;
+        ints stays = goes_on;
+#ifdef SURFACES
+        const ints met = m.met & (goes_on == 0);
+        if (ANY(met))
+            add_surfaces(&rays->light, &integral->surfaces, met, m.number, cell, rays->rays.x,
+                         rays->rays.y);
+        rays->rank = met ? m.rank : rays->rank;
+        stays = stays | met;
+#endif
+        active &= stays;
     }
 }
 
@@ -357,6 +386,9 @@ __kernel void composite(INTEGRAL, PICTURE, __global const float *records,
     rays_of(pixels, &frame, &rays.rays);
     rays.light.transmittance = 1;
     rays.depth = rays.begin = -FARTHEST;
+#ifdef SURFACES
+    rays.rank = NO_RANK;
+#endif
     Pending pending;
     uint passes = 0, sum = 0;
     ints again = load(rays.rays.pixel) >= 0;

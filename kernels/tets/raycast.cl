@@ -32,6 +32,9 @@ typedef struct {
     ints interval;   // of the transfer function, which holds the scalar
     ints fresh;      // the ray has just entered the cell: its scalar is not known yet
     ints still;      // steps since the ray last moved
+#ifdef SURFACES
+    ints rank;       // as in surfaces.h, or NO_RANK
+#endif
 } Place;
 
 // Where the rays enter cells: first those that hold the eye, one after the other until the ray leaves
@@ -86,6 +89,10 @@ void enter(Place *place, Entries *e)
     place->fresh |= waits;
     place->still = waits ? (ints)0 : place->still;
     place->cell = load(cells);
+#ifdef SURFACES
+    const ints apart = waits & (load(depths) > place->depth + GAP);
+    place->rank = apart ? (ints)NO_RANK : place->rank;
+#endif
     place->depth = load(depths);
 }
 
@@ -140,8 +147,8 @@ ints exits_of(const floats *record, const Rays *rays, const ints active, const f
     return out ? beyond_edge(record, rays, greatest, slack) : beyond;
 }
 
-// Integrate to where rays leave their cells, or to the first control point before that. `beyond` and
-// `nearness` are those of exits_of.
+// Integrate to where rays leave their cells, or to the first control point or isosurface before that.
+// `beyond` and `nearness` are those of exits_of.
 void step(Place *place, Light *light, const Integral *integral, const Rays *rays,
           const floats *record, const ints active, const ints beyond, const floats nearness)
 {
@@ -152,17 +159,31 @@ void step(Place *place, Light *light, const Integral *integral, const Rays *rays
     depth = depth < DEEPEST ? depth : (floats)DEEPEST;
     // by this cell's gradient: the cell before may be a sliver with an inexact one
     const floats *on_ray = record + 4 * SLOTS;
-    const floats scalar = scalars_at(on_ray, rays->x, rays->y, depth, rays->middle);
+    floats scalar = scalars_at(on_ray, rays->x, rays->y, depth, rays->middle);
     const floats entered = scalars_at(on_ray, rays->x, rays->y, place->depth, rays->middle);
+    const floats from = place->fresh ? entered : place->scalar;
+#ifdef SURFACES
+    Meeting meeting;
+    const ints rank = place->rank == NO_RANK ? rank_of(&integral->surfaces, entered) : place->rank;
+    meet_surface(&integral->surfaces, active, rank, from, scalar, &meeting);
+    scalar = meeting.scalar;
+    depth = meeting.met ? place->depth + (depth - place->depth) * meeting.share : depth;
+#endif
     const ints interval = interval_of(&integral->transfer, scalar);
     const ints began = interval_of(&integral->transfer, entered);
-    const Segment segment = {place->fresh ? entered : place->scalar, scalar,
-                             place->fresh ? began : place->interval, interval};
+    const Segment segment = {from, scalar, place->fresh ? began : place->interval, interval};
     const floats distance = (depth - place->depth) * rays->length;
     floats share;
-    const ints goes_on = add_piece(light, integral, &segment, active ? distance : (floats)0,
-                                   &place->scalar, &place->interval, &share);
+    ints goes_on = add_piece(light, integral, &segment, active ? distance : (floats)0,
+                             &place->scalar, &place->interval, &share);
     depth = goes_on ? place->depth + (depth - place->depth) * share : depth;
+#ifdef SURFACES
+    const ints met = meeting.met & (goes_on == 0);
+    if (ANY(met))
+        add_surfaces(light, &integral->surfaces, met, meeting.number, place->cell, rays->x, rays->y);
+    place->rank = met ? meeting.rank : rank;
+    goes_on = goes_on | met;
+#endif
     place->still = (moves | goes_on) ? (ints)0 : place->still + 1;
     place->fresh = !goes_on;
     place->depth = active ? depth : place->depth;
@@ -204,6 +225,9 @@ __kernel void cast(INTEGRAL, PICTURE, __global const float *records, __global co
     entries_of(&rays, ends, entries, eye_cells, eye_count, &to_enter);
     Place place = {NO_CELL, EYE_DEPTH(middle), 0, 0, 0, 0};
     Light light = {0, 0, 0, 1};
+#ifdef SURFACES
+    place.rank = NO_RANK;
+#endif
     for (;;) {
         if (ANY(place.cell == NO_CELL))
             enter(&place, &to_enter);

@@ -35,6 +35,7 @@ OPTIONS = {
     "method": "--method raycast",
     "integrator": "--integrator linear",
     "legend": "--legend",
+    "isovalues": "--isovalue 0.5",
 }
 
 
@@ -275,7 +276,14 @@ def test_options_of_other_kinds_are_refused_by_name(kind: str, name: str, here: 
         ("--turn inf", "'inf' is no finite number"),
         ("--turn east", "'east' is no finite number"),
         ("--method rays", "'raycast', 'projection'"),
-        ("--opacity-range 2", "'2': write two numbers, as 0.5,2, or full"),
+        (
+            "--opacity-range 2",
+            "'2': write two numbers or percentiles, as 0.5,2 or 75%,99%, or full",
+        ),
+        ("--opacity-range 75%,101%", "'75%,101%': write two numbers or percentiles"),
+        ("--iso-opacity 0.5", "--iso-opacity is of the surfaces of --isovalue: give one"),
+        ("--isovalue 1 --legend", "--legend shows a transfer function, and --isovalue alone has"),
+        ("--isovalue x", "is no finite number"),
         ("--opacity-range 0,inf", "'0,inf': write two numbers"),
         ("--map fire", "'viridis', 'inferno', 'coolwarm', 'turbo', 'gray'"),
         ("--transfer a.json --map gray", "--map makes a transfer function: drop it or --transfer"),
@@ -339,6 +347,25 @@ def test_volumes_are_the_librarys(method: str, integrator: str, here: Path) -> N
     command = f"{VOLUME} {EYE} --size 30x20 --method {method} --integrator {integrator}"
     assert np.array_equal(floats(command), expected)
     assert 0 < expected[..., 3].max() < 1
+
+
+def test_isovalues_alone_and_within_a_transfer_function(here: Path) -> None:
+    volume = read_tet(VOLUME)
+    low, high = volume.scalar_range
+    one, two = low + 0.2 * (high - low), low + 0.5 * (high - low)
+    rays = Camera((9.0, 5.0, 12.0), (2.0, 1.5, 1.5)).rays(30, 20)
+    command = f"{VOLUME} {EYE} --size 30x20 --isovalue {one!r},{two!r} --iso-opacity 0.6"
+    both = {"isovalues": (one, two), "opacity": 0.6}
+    alone = render(volume, rays, **both)
+    assert alone[..., 3].any()
+    assert np.array_equal(floats(command), alone)
+    coloured = render(volume, rays, colour=(1.0, 0.0, 0.0), method="projection", **both)
+    assert np.array_equal(floats(f"{command} --colour #ff0000 --method projection"), coloured)
+    shown = transfer.default_transfer(volume, "gray", opacity_range=("50%", high))
+    within = render(volume, rays, transfer=shown, **both)
+    assert np.array_equal(floats(f"{command} --map gray --opacity-range 50%,{high!r}"), within)
+    message = fail(f"render {VOLUME} --colour #ff0000", code=2)
+    assert message.startswith("--colour of a volume is that of --isovalue: give one")
 
 
 def test_transfer_functions(here: Path) -> None:

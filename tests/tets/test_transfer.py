@@ -9,31 +9,36 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers_tets import SIX, boxes, grid_corners, grid_points, tet_mesh
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Device
 from voxtool.tets.maps import MAPS
+from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import (
     DEFAULT_MAP,
     MOST_POINTS,
     LocalTransfer,
     TransferFunction,
+    cell_sizes,
     default_transfer,
     named,
+    scalars_at,
 )
 
 FIGURE_28 = (0.25, 0.5, 0.75)
 
 
 def volume(low: float = 0.0, high: float = 1.0, scale: float = 1.0) -> Any:
-    """The attributes of a volume that a transfer function reads."""
+    """The attributes of a volume that a transfer function reads; its cells are equally large."""
     corners = np.array([[0, 0, 0], [4, 2, 1]]) * scale
     vertices = np.linspace((0, 0, 0, 0), (0, 0, 0, 1), 101, dtype=np.float32)
+    vertices[:100, :3] = np.tile(np.eye(4, 3, -1), (25, 1))
     return SimpleNamespace(
         scalar_range=(low, high), scale=scale, bounds=lambda: corners, constant=False,
-        vertices=vertices,
+        vertices=vertices, cells=np.arange(100).reshape(-1, 4),
     )  # fmt: skip
 
 
@@ -188,14 +193,33 @@ def test_the_default_shows_something_of_any_mesh(scale: float) -> None:
     )
 
 
-def test_the_default_hides_what_three_quarters_of_the_vertices_have() -> None:
-    usual = default_transfer(volume(0, 100)).evaluate(np.array([70, 75, 99, 100]))[1]
+def test_the_default_hides_what_three_quarters_of_the_volume_have() -> None:
+    usual = default_transfer(volume(0, 100)).evaluate(np.array([70, 74, 99, 100]))[1]
     assert usual[:2].tolist() == [0, 0]
     assert usual[2] == pytest.approx(usual[3]) != 0
     full = default_transfer(volume(0, 100), opacity_range="full").evaluate(np.array([50, 100]))[1]
     assert full[0] == pytest.approx(full[1] / 2)
     with pytest.raises(VoxtoolError, match="give two scalars, or 'full'"):
         default_transfer(volume(), opacity_range="all")
+    for text in ("101%", "-1%", "75", "x%", "nan%"):
+        with pytest.raises(VoxtoolError, match="is no percentile: write 75%"):
+            default_transfer(volume(), opacity_range=(text, 1.0))
+
+
+def test_percentiles_are_by_volume(device: Device) -> None:
+    """The scalar is x over the unit cube: a percentile is itself, however the cells are graded."""
+    shape = (24, 2, 2)
+    points = grid_points(shape) / np.array(shape)
+    points[:, 0] **= 3  # half of the vertices are in an eighth of the cube
+    cells = grid_corners(shape)[:, SIX].reshape(-1, 4)
+    found = build_tet(tet_mesh(points, cells, points[:, 0]), device=device)
+    at = scalars_at(found, ("0%", "25%", "50%", 0.3, "99%", "100%"))
+    assert at == pytest.approx((0, 0.25, 0.5, 0.3, 0.99, 1), abs=0.07)
+    assert float(cell_sizes(found).sum()) * found.scale**3 == pytest.approx(1)
+    boxes_, _ = boxes(grid_points((3, 1, 1)), (3, 1, 1), np.array([5.0, 7.0, 6.0]))
+    whole = build_tet(boxes_, "hexahedra", device=device)
+    assert cell_sizes(whole) * whole.scale**3 == pytest.approx(np.ones(3))
+    assert scalars_at(whole, ("30%", "60%", "90%")) == (5, 6, 7)
 
 
 @pytest.mark.parametrize("high", [2.0, np.nextafter(2, 3)])

@@ -80,6 +80,16 @@ def numbers_of(text: str, count: int) -> tuple[float, ...]:
     return numbers
 
 
+def places_of(text: str, count: int) -> tuple[float | str, ...]:
+    """Return this many finite numbers, or percentiles as written, which commas separate."""
+    words = [word.strip() for word in text.split(",")]
+    numbers = numbers_of(",".join(word.removesuffix("%") for word in words), count)
+    shares = [word.endswith("%") for word in words]
+    if any(share and not 0 <= number <= 100 for share, number in zip(shares, numbers, strict=True)):
+        raise ValueError
+    return tuple(w if s else n for w, s, n in zip(words, shares, numbers, strict=True))
+
+
 def positive_of(text: str) -> float:
     """Return a positive number."""
     if (number := numbers_of(text, 1)[0]) <= 0:

@@ -9,7 +9,16 @@ import click
 
 from voxtool.choices import METHODS, VIEWS, WHITE
 from voxtool.cli import options, runner
-from voxtool.cli.options import LEVEL, Parsed, flag, numbers_of, option, output_of, together
+from voxtool.cli.options import (
+    LEVEL,
+    List,
+    Parsed,
+    flag,
+    numbers_of,
+    option,
+    output_of,
+    together,
+)
 from voxtool.errors import printable
 from voxtool.tets.maps import MAPS
 
@@ -27,8 +36,8 @@ VECTOR = Parsed("vector", lambda text: numbers_of(text, 3), ": write three numbe
 DIRECTION = Parsed("vector", options.direction_of, ": write 0,0,1, z or -z")
 RANGE = Parsed(
     "range",
-    lambda text: text if text == "full" else numbers_of(text, 2),
-    ": write two numbers, as 0.5,2, or full",
+    lambda text: text if text == "full" else options.places_of(text, 2),
+    ": write two numbers or percentiles, as 0.5,2 or 75%,99%, or full",
 )
 SIZE = Parsed("size", options.size_of, " is no size: write 800x600, or 512 for both sides")
 NO_COLOUR = " is no colour: write #ff8000, 1,0.5,0 (from 0 to 1), white, black"
@@ -45,8 +54,11 @@ MAKERS = {
 OPTIONS_OF = {
     "octree": ("level", "colour"),
     "field": ("offset", "colour"),
-    "volume": ("transfer_file", *MAKERS, "method", "integrator", "legend"),
-}
+    "volume": (
+        "transfer_file", *MAKERS, "method", "integrator", "legend", "isovalues", "opacity",
+        "colour",
+    ),
+}  # fmt: skip
 
 
 @click.command("render")
@@ -78,17 +90,22 @@ OPTIONS_OF = {
         "Fields: the surface at this distance from the mesh's, in world units; negative inside.",
         metavar="D"),
     option("--colour", COLOUR,
-        "Octrees and fields: the surface's, #ff8000 or 1,0.5,0.  [default: light grey]",
+        "The surface's, #ff8000 or 1,0.5,0.  [default: light grey; of isosurfaces the map's]",
         metavar="COLOUR"),
+    option("--isovalue isovalues", List(NUMBER),
+        "Volumes: draw the surfaces where the scalar is V; alone, or within --transfer, --map or "
+        "--opacity-range if one is given.", metavar="V[,V...]"),
+    option("--iso-opacity opacity", click.FloatRange(0, 1, min_open=True),
+        "Of these surfaces.  [default: 1]", metavar="A"),
     option("--transfer transfer_file", str,
         "Volumes: the transfer function, control points of colour and extinction.",
         metavar="FILE.json"),
     option("--map map_name", tuple(MAPS),
         "Volumes: a map of colours over the data's range, instead.  [default: viridis]"),
     option("--opacity-range", RANGE,
-        "Volumes: scalars at which a map's extinction is 0 and full; A may be the higher one; "
-        "full: the data's range.  [default: the data's 75th and 99th percentiles]",
-        metavar="A,B|full"),
+        "Volumes: scalars at which a map's extinction is 0 and full, or percentiles of the volume; "
+        "A may be the higher one; full: the data's range.  [default: 75%,99%]",
+        metavar="A,B|A%,B%|full"),
     option("--unit-distance", POSITIVE,
         "Volumes: the way through full extinction that leaves 1/e of the light, in world units.  "
         "[default: a 24th of the longest side]", metavar="D"),
@@ -121,6 +138,7 @@ def command(
       voxtool render bunny.svo.h5 -o bunny.png
       voxtool render bunny.adf.h5 --view front --samples 2 --background none
       voxtool render volume.tet.h5 --legend --size 800x600
+      voxtool render volume.tet.h5 --isovalue 0.2,0.4 --iso-opacity 0.6 -o surfaces.png
     """
     check_request(request)
     check_rays(size, samples)
@@ -183,12 +201,22 @@ def check_request(request: dict[str, Any]) -> None:
         (parallel and "fov" in given, "--fov is of a perspective: --orthographic has --height"),
         ("height" in given and not parallel,
          "--height goes with --orthographic: a perspective has --fov"),
+        ("opacity" in given and "isovalues" not in given,
+         "--iso-opacity is of the surfaces of --isovalue: give one"),
+        ("legend" in given and not with_transfer(request),
+         "--legend shows a transfer function, and --isovalue alone has none: give --map, too"),
         *(({"transfer_file", name} <= given,
            f"{maker} makes a transfer function: drop it or --transfer")
           for name, maker in MAKERS.items()),
     ):  # fmt: skip
         if wrong:
             raise click.UsageError(message)
+
+
+def with_transfer(request: dict[str, Any]) -> bool:
+    """Return whether a volume is drawn through a transfer function: not isosurfaces alone."""
+    given = given_of(request)
+    return "isovalues" not in given or not given.keys().isdisjoint({"transfer_file", *MAKERS})
 
 
 def given_of(request: dict[str, Any]) -> dict[str, Any]:
@@ -214,9 +242,13 @@ def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, 
                 f"{parameter.opts[0]} goes with {' and '.join(f'{k}s' for k in kinds)}: "
                 f"{source} holds {article} {kind}"
             )
-    drawn = {"level", "offset", "colour", "method", "integrator"}
+    drawn = {"level", "offset", "colour", "method", "integrator", "isovalues", "opacity"}
     shown = {name: value for name, value in given.items() if name in drawn}
-    return shown | ({"transfer": transfer_of(content, request)} if kind == "volume" else {})
+    if kind == "volume" and "colour" in given and "isovalues" not in given:
+        raise click.UsageError("--colour of a volume is that of --isovalue: give one")
+    if kind == "volume" and with_transfer(request):
+        shown["transfer"] = transfer_of(content, request)
+    return shown
 
 
 def transfer_of(volume: TetVolume, request: dict[str, Any]) -> TransferFunction:

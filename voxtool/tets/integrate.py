@@ -15,6 +15,7 @@ from voxtool.opencl import program
 
 if TYPE_CHECKING:
     from voxtool.opencl import Array, Device
+    from voxtool.tets.surfaces import Surfaces
     from voxtool.tets.transfer import LocalTransfer
     from voxtool.tets.view import DeviceVolume
     from voxtool.tets.volume import TetVolume
@@ -32,7 +33,7 @@ HEADERS = {
 
 
 class Integral:
-    """A transfer function on a device, and an integrator.
+    """A transfer function on a device, an integrator, and isosurfaces.
 
     lanes : rays that a work-item follows side by side, 1 or 16; by default what suits the device.
     arguments, options : of kernels, by name.
@@ -47,6 +48,7 @@ class Integral:
         integrator: str,
         lanes: int | None = None,
         table: tuple[int, int] = TABLE,
+        surfaces: Surfaces | None = None,
     ) -> None:
         name, samples = integrator_of(integrator)
         device = on_device.device
@@ -62,6 +64,10 @@ class Integral:
         self.options: dict[str, int | str] = {"LANES": self.lanes, "INTEGRATOR": name.upper()}
         if volume.constant:
             self.options["CONSTANT"] = 1
+        if surfaces is not None:
+            self.options |= surfaces.options(volume)
+            self.arguments |= surfaces.arguments(device)
+            self.arguments["gradients"] = on_device.arguments["gradients"]
         if name == "preintegrated":
             self.options |= {"SCALARS": table[0], "LENGTHS": table[1]}
             self.arguments["longest"] = on_device.longest(volume)

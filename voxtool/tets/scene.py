@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from voxtool.camera import checked_colour
 from voxtool.choices import METHODS
 from voxtool.errors import VoxtoolError, printable
 from voxtool.tets.integrate import TABLE, Integral, integrator_of
 from voxtool.tets.project import MAX_PAIRS, PENDING, CellProjection, Projection
 from voxtool.tets.raycast import cast
+from voxtool.tets.surfaces import Surfaces, surfaces_of
 from voxtool.tets.transfer import LocalTransfer, TransferFunction, default_transfer
 from voxtool.tets.view import MAX_ENTRIES, DeviceVolume, ShownCells, Viewpoint, kept_cells
 
@@ -23,16 +26,21 @@ if TYPE_CHECKING:
 
 
 TRANSPARENT = "transparent cells"
+BLACK = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class VolumeScene:
     """A tetrahedral volume through a transfer function.
 
-    transfer : colours and extinctions of scalars; by default `default_transfer`.
+    transfer : colours and extinctions of scalars; by default `default_transfer`, or with isovalues
+        nothing but the surfaces.
     method : "raycast", or "projection".
     integrator : "linear", exact for the transfer function; "average", the mean of both ends of a
         segment; "sampled:N", N points in each cell; "preintegrated", from a table.
+    isovalues : scalars whose surfaces are drawn, lit from both sides.
+    opacity : of the surfaces, more than 0, at most 1.
+    colour : of the surfaces; by default that of the transfer function at their scalar.
     kept : (blocks,) bool, the blocks of cells that are drawn; by default those that the transfer
         function does not leave transparent.
     lanes : rays that a work-item follows side by side, 1 or 16; by default what suits the device.
@@ -43,7 +51,8 @@ class VolumeScene:
 
     Raises
     ------
-    VoxtoolError : an unknown method or integrator, or an extinction that float32 does not hold.
+    VoxtoolError : an unknown method or integrator, an extinction that float32 does not hold, or
+        isovalues of a volume with one scalar a cell.
     """
 
     kind: ClassVar[str] = "volume"
@@ -53,6 +62,9 @@ class VolumeScene:
     transfer: TransferFunction | None = None
     method: str = "raycast"
     integrator: str = "linear"
+    isovalues: Sequence[float] = ()
+    opacity: float = 1.0
+    colour: Sequence[float] | None = None
     kept: np.ndarray | None = None
     lanes: int | None = None
     pending: int = PENDING
@@ -64,12 +76,27 @@ class VolumeScene:
         if self.method not in METHODS:
             raise VoxtoolError(f"method {self.method!r} is unknown: choose {', '.join(METHODS)}")
         integrator_of(self.integrator)
-        _ = self.local
+        if self.colour is not None:
+            checked_colour(self.colour)
+        _ = self.local, self.surfaces
 
     @cached_property
     def shown_through(self) -> TransferFunction:
-        """The transfer function, by default `default_transfer`."""
-        return default_transfer(self.content) if self.transfer is None else self.transfer
+        """The transfer function: by default `default_transfer`, or none beside isosurfaces."""
+        if self.transfer is not None:
+            return self.transfer
+        if self.isovalues:
+            return TransferFunction([self.content.scalar_range[0]], [BLACK], [0.0])  # pyright: ignore
+        return default_transfer(self.content)
+
+    @cached_property
+    def surfaces(self) -> Surfaces | None:
+        """The isosurfaces in the volume's frame; None if there are none."""
+        if not self.isovalues:
+            return None
+        colours = self.transfer or default_transfer(self.content)
+        found = surfaces_of(self.content, self.isovalues, colours, self.colour, self.opacity)
+        return found if len(found.isovalues) else None
 
     @cached_property
     def local(self) -> LocalTransfer:
@@ -81,7 +108,8 @@ class VolumeScene:
         """(blocks,) bool: the blocks of cells that are drawn."""
         if self.kept is not None:
             return self.kept
-        return ~self.local.transparent(*self.content.ranges.T)
+        shown = ~self.local.transparent(*self.content.ranges.T)
+        return shown | self.surfaces.blocks(self.content) if self.surfaces else shown
 
     @cached_property
     def cells_shown(self) -> int:
@@ -145,7 +173,7 @@ class VolumeScene:
         volume = DeviceVolume.of(self.content, device)
         shown = volume.shown(self.content, self.blocks)
         integral = Integral(
-            self.content, self.local, volume, self.integrator, self.lanes, self.table
+            self.content, self.local, volume, self.integrator, self.lanes, self.table, self.surfaces
         )
         return volume, shown, Viewpoint.of(self.local_rays(rays), self.content, device), integral
 
@@ -154,6 +182,11 @@ class VolumeScene:
         if self.cells_shown:
             return ""
         low, high = self.content.scalar_range
+        if self.isovalues and self.transfer is None:
+            return (
+                f"{printable(self.content.scalar)} is from {low:.6g} to {high:.6g}, so no surface "
+                "has these isovalues: choose others"
+            )
         return (
             f"the transfer function is transparent from {low:.6g} to {high:.6g}, where "
             f"{printable(self.content.scalar)} is: choose another"

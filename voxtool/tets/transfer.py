@@ -7,6 +7,7 @@ scalar make a step. Colours are what a screen shows, extinctions are per world u
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,12 +18,18 @@ from voxtool.arrays import Data
 from voxtool.errors import VoxtoolError, printable
 from voxtool.tets.maps import MAPS
 from voxtool.tets.volume import TetVolume
+from voxtool.vector import cross, dot
 
 MOST_POINTS = 255
 ROW = 16  # floats of an interval
 FARTHEST = 1e300  # scalar: differences must not overflow
 LARGEST = 1e30  # extinction that float32 holds with room for products
 TINY = 1e-30  # smaller numbers count as 0 on the device: no denormals
+# Tetrahedra that a cell with so many corners consists of, by its corners.
+TETRAHEDRA = {
+    4: [[0, 1, 2, 3]],
+    8: [[0, a, b, 6] for a, b in ((1, 2), (2, 3), (3, 7), (7, 4), (4, 5), (5, 1))],
+}
 KEYS = ("scalar", "color", "extinction")  # of a control point in JSON
 
 
@@ -230,7 +237,7 @@ class LocalTransfer:
 
 DEFAULT_MAP = "viridis"
 DEPTH = 24  # unit distances along a mesh's longest side, by default
-OPACITY_PERCENTILES = (0.75, 0.99)  # of the scalars, at which extinction is 0 and full by default
+OPACITY_RANGE = ("75%", "99%")  # percentiles at which extinction is 0 and full by default
 
 
 def named(
@@ -279,7 +286,7 @@ def default_transfer(
     volume: TetVolume,
     name: str = DEFAULT_MAP,
     *,
-    opacity_range: Sequence[float] | str | None = None,
+    opacity_range: Sequence[float | str] | str | None = None,
     unit_distance: float | None = None,
 ) -> TransferFunction:
     """Return a colour map over the range of a volume's scalars, with a ramp of extinction.
@@ -290,10 +297,10 @@ def default_transfer(
         The volume.
     name : str
         "viridis", "inferno", "coolwarm", "turbo" or "gray".
-    opacity_range : (float, float) or "full", optional
-        Scalars at which the extinction is 0 and full, in either order; "full" is the range of the
-        scalars. By default the 75th and the 99th percentile of the scalars, which hides the
-        background of a simulation.
+    opacity_range : (float or str, float or str) or "full", optional
+        Scalars at which the extinction is 0 and full, in either order; "75%" is the scalar that is
+        not exceeded in 75 % of the volume; "full" is the range of the scalars. By default "75%"
+        and "99%", which hides the background of a simulation.
     unit_distance : float, optional
         Length over which full extinction leaves a transmittance of 1/e, world units; by default a
         24th of the volume's longest side.
@@ -314,17 +321,65 @@ def default_transfer(
         if opacity_range != "full":
             raise VoxtoolError(f"opacity range {opacity_range!r}: give two scalars, or 'full'")
         opacity_range = volume.scalar_range
-    elif opacity_range is None:
-        opacity_range = _usual_opacity_range(volume)
-    return named(name, *volume.scalar_range, unit_distance, opacity_range)
+    ends = scalars_at(volume, OPACITY_RANGE if opacity_range is None else opacity_range)
+    if opacity_range is None and not ends[0] < ends[1]:
+        ends = volume.scalar_range
+    return named(name, *volume.scalar_range, unit_distance, ends)
 
 
-def _usual_opacity_range(volume: TetVolume) -> tuple[float, float]:
-    """Return the 75th and the 99th percentile of the scalars of vertices, or of constant cells; the
-    range of the scalars where these percentiles are equal."""
-    scalars = volume.gradients[:, 3] if volume.constant else volume.vertices[:, 3]
-    ordered, (low, high) = np.sort(scalars), volume.scalar_range
-    clear, full = (float(ordered[int(p * (len(ordered) - 1))]) for p in OPACITY_PERCENTILES)
-    if not clear < full:
-        return low, high
-    return low + (high - low) * clear, low + (high - low) * full
+def scalars_at(volume: TetVolume, places: Sequence[float | str]) -> tuple[float, ...]:
+    """Return scalars, of which some are given as percentiles by volume, such as "75%".
+
+    Raises
+    ------
+    VoxtoolError
+        If a percentile is not from 0 to 100.
+    """
+    if not any(isinstance(place, str) for place in places):
+        return tuple(map(float, places))
+    scalars, shares = scalar_shares(volume)
+    (low, high), below = volume.scalar_range, np.cumsum(shares)
+    found = []
+    for place in places:
+        if not isinstance(place, str):
+            found.append(float(place))
+            continue
+        percent = _percent(place)
+        rank = int(np.searchsorted(below, percent / 100 * below[-1]))
+        found.append(low + (high - low) * float(scalars[min(rank, len(scalars) - 1)]))
+    return tuple(found)
+
+
+def _percent(text: str) -> float:
+    try:
+        percent = float(text.removesuffix("%"))
+    except ValueError:
+        percent = math.nan
+    if not (text.endswith("%") and 0 <= percent <= 100):
+        raise VoxtoolError(f"opacity range: {printable(text)!r} is no percentile: write 75%")
+    return percent
+
+
+def scalar_shares(volume: TetVolume) -> tuple[np.ndarray, np.ndarray]:
+    """Return the normalised scalars of a volume in ascending order, (n,) float32, and the volume
+    that each stands for, (n,) float64, local: of a cell its own, of a vertex an equal part of each
+    of its cells'."""
+    sizes = cell_sizes(volume)
+    if volume.constant:
+        scalars = volume.gradients[:, 3]
+    else:
+        scalars, corners = volume.vertices[:, 3], volume.cells.shape[1]
+        parts = np.repeat(sizes / corners, corners)
+        sizes = np.bincount(volume.cells.ravel(), parts, len(scalars))
+    order = np.argsort(scalars, kind="stable")
+    return scalars[order], sizes[order]
+
+
+def cell_sizes(volume: TetVolume) -> np.ndarray:
+    """Return the volume of each cell, (T,) float64, local; of a hexahedron that of the six
+    tetrahedra about its diagonal."""
+    sizes = np.zeros(len(volume.cells))
+    for corners in TETRAHEDRA[volume.cells.shape[1]]:
+        a, b, c, d = volume.vertices[volume.cells[:, corners], :3].astype(np.float64).swapaxes(0, 1)
+        sizes += np.abs(dot(b - a, cross(c - a, d - a))) / 6
+    return sizes

@@ -157,6 +157,7 @@ class Viewpoint:
             "viewpoint": device.put(np.array(numbers)),
             "sides": device.put(sides),
             "middle": middle,
+            "lamp": local.light(),
             "right_square": dot(local.right, local.right),
             "down_square": dot(local.down, local.down),
             "width": width,

@@ -1,0 +1,183 @@
+"""Isosurfaces of volumes against float64 by another algorithm, on both methods; no cracks."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from functools import cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from helpers_tets import SIX, grid_corners, grid_points, ramp, rays_of, tet_mesh
+
+from voxtool.choices import METHODS
+from voxtool.errors import VoxtoolError
+from voxtool.rendering import plan_render, render
+from voxtool.selftest.reference import Segments, composite, segments
+from voxtool.tets.textures import build_tet
+from voxtool.tets.transfer import TransferFunction
+
+if TYPE_CHECKING:
+    from voxtool.camera import Rays
+    from voxtool.opencl import Device
+    from voxtool.tets.mesh import UnstructuredMesh
+    from voxtool.tets.volume import TetVolume
+
+CLEAR = TransferFunction(np.zeros(1), np.zeros((1, 3)), np.zeros(1))
+ORANGE = (1.0, 0.5, 0.25)
+both_methods = pytest.mark.parametrize("method", METHODS)
+
+
+@cache
+def shaken(linear: bool = False) -> UnstructuredMesh:
+    """A box of 4 x 5 x 6 cubes of six tetrahedra, whose inner points are moved; the scalar is
+    linear, or curved in itself."""
+    shape = np.array((4, 5, 6))
+    points = grid_points(shape.tolist()) / (shape / 2) - 1
+    inner = (np.abs(points) < 1).all(axis=1)
+    points[inner] += np.random.default_rng(3).uniform(-0.06, 0.06, (inner.sum(), 3))
+    cells = grid_corners(shape.tolist())[:, SIX].reshape(-1, 4)
+    x, y, z = points.T
+    scalars = 0.3 * x + 0.5 * y - 0.7 * z if linear else x * x + y * z + 0.3 * np.abs(z)
+    return tet_mesh(points, cells, scalars)
+
+
+@cache
+def volume_of(linear: bool, layout: str, device: Device) -> TetVolume:
+    return build_tet(shaken(linear), layout, device=device)
+
+
+def oracle(
+    mesh: UnstructuredMesh, rays: Rays, isovalues: tuple[float, ...], opacity: float,
+    transfer: TransferFunction,
+) -> np.ndarray:  # fmt: skip
+    """Return the picture of orange surfaces within a transfer function, (H, W, 4) float64: the
+    segments of each ray are cut at the isovalues, and composited one after the other."""
+    width, height = rays.size
+    row, column = np.divmod(np.arange(width * height), width)
+    cells, pixels = mesh.cells[0][1], np.stack([column, row], axis=1)
+    (found,) = segments(
+        mesh.points,
+        cells,
+        mesh.scalars,
+        rays,
+        pixels,
+        most=1 << 30,  # pyright: ignore
+    )
+    corners, values = mesh.points[cells], np.asarray(mesh.scalars)[cells]
+    rises = np.linalg.solve(
+        corners[:, 1:] - corners[:, :1], (values[:, 1:] - values[:, :1])[..., None]
+    )
+    pieces, owners, hits = [], [], []
+    for i, (near, far) in enumerate(found.scalars):
+        between = sorted(v for v in isovalues if min(near, far) < v <= max(near, far))
+        stops = [near, *(between if near < far else reversed(between)), far]
+        for k, (a, b) in enumerate(itertools.pairwise(stops)):
+            share = (b - a) / (far - near) if far != near else 1.0
+            pieces.append((found.length[i] * share, a, b))
+            owners.append(i)
+            hits.append(k + 2 < len(stops))
+    lengths, starts, ends = np.array(pieces).T
+    each = np.zeros((len(pieces), 4))
+    index = np.arange(len(pieces))
+    ordered = Segments(index, index, index, index, lengths, np.stack([starts, ends], axis=1))
+    composite(each, ordered, transfer)
+    picture, light = np.zeros((width * height, 4)), rays.light()
+    x, y = (pixels + 0.5 - np.array(rays.size) / 2).T
+    for piece, segment, hit in zip(each, owners, hits, strict=True):
+        pixel = found.pixel[segment]
+        picture[pixel] += (1 - picture[pixel, 3]) * piece
+        if hit:
+            way = rays.direction + rays.perspective * (x[pixel] * rays.right + y[pixel] * rays.down)
+            normal = rises[found.cell[segment], :, 0]
+            normal = normal / -np.linalg.norm(normal) * np.sign(normal @ way)
+            bright = 0.08 + 0.92 * (0.5 + 0.5 * normal @ light) ** 2
+            tint = opacity * np.array([*(bright * np.array(ORANGE)), 1])
+            picture[pixel] += (1 - picture[pixel, 3]) * tint
+    return picture.reshape(height, width, 4)
+
+
+@both_methods
+@pytest.mark.parametrize(
+    ("view", "fov", "isovalues", "opacity", "within"),
+    [
+        ("iso", 30, (0.31,), 1.0, False),
+        ("front", None, (0.31, -0.213, 0.7), 0.4, False),
+        ("iso", 40, (0.7, 0.31), 0.5, True),
+        ("left", None, (0.1,), 1.0, True),
+    ],
+)
+def test_surfaces_are_where_the_scalar_is(
+    view: str, fov: float | None, isovalues: tuple[float, ...], opacity: float, within: bool,
+    method: str, device: Device,
+) -> None:  # fmt: skip
+    mesh = shaken()
+    rays = rays_of(mesh, view, fov, (31, 23))
+    transfer = ramp(-0.5, 1.0, 1.5) if within else CLEAR
+    expected = oracle(mesh, rays, isovalues, opacity, transfer)
+    for layout in ("raycast", "projection"):
+        found = render(
+            volume_of(False, layout, device), rays, isovalues=isovalues, opacity=opacity,
+            colour=ORANGE, method=method, device=device,
+            **({"transfer": transfer} if within else {}),
+        )  # fmt: skip
+        assert np.abs(found - expected).max() < 2e-5
+    assert (expected[..., 3] > 0.3).mean() > 0.1
+
+
+@both_methods
+@pytest.mark.parametrize("lanes", [1, 16])
+def test_surfaces_have_no_cracks(lanes: int, method: str, device: Device) -> None:
+    """The isosurface of a linear scalar is a plane: every ray through it meets it once, whatever
+    the cells, also where it passes along their faces."""
+    volume = volume_of(True, "raycast", device)
+    for fov in (30, None):
+        rays = rays_of(shaken(True), "top", fov, (120, 90))
+        for isovalue in (0.0, 0.123):
+            found = render(
+                volume, rays, isovalues=(isovalue,), opacity=0.5, method=method, lanes=lanes,
+                device=device,
+            )  # fmt: skip
+            inside = found[..., 3] != 0
+            assert inside.mean() > 0.1
+            assert (found[inside, 3] == 0.5).all()
+            # a convex outline: each row is one run without a gap
+            assert (np.abs(np.diff(inside.astype(int), axis=1)).sum(axis=1) <= 2).all()
+
+
+@both_methods
+def test_surfaces_beside_what_the_transfer_function_shows(method: str, device: Device) -> None:
+    """They take the map's colours, and an opaque one hides what is behind; by other integrators,
+    too."""
+    volume, rays = volume_of(False, "raycast", device), rays_of(shaken(), "iso", 30)
+    transfer = ramp(-0.5, 1.0, 1.5)
+    red = replace(transfer, colours=np.tile((1.0, 0.0, 0.0), (len(transfer.scalars), 1)))
+    ways = {"transfer": red, "method": method, "device": device}
+    alone = render(volume, rays, **ways)
+    for integrator in ("linear", "sampled:4"):
+        both = render(volume, rays, isovalues=(0.31,), integrator=integrator, **ways)
+        met = render(volume, rays, isovalues=(0.31,), method=method, device=device)[..., 3] == 1
+        assert (both[met, 3] == 1).all()
+        assert not both[..., 1:3].any()
+        assert np.allclose(both[~met, 3], alone[~met, 3], atol=5e-3)
+    faint = render(volume, rays, isovalues=(0.31,), opacity=1e-4, **ways)
+    assert np.allclose(faint, alone, atol=1e-3)
+
+
+def test_what_has_no_surface(device: Device) -> None:
+    volume = volume_of(False, "raycast", device)
+    constant = tet_mesh(shaken().points, shaken().cells[0][1], None)
+    constant = replace(constant, scalars=[np.arange(len(shaken().cells[0][1]), dtype=float)])
+    with pytest.raises(VoxtoolError, match="it is one number a cell, so none has a surface"):
+        plan_render(build_tet(constant, device=device), isovalues=(3.0,), device=device)
+    for options, message in (
+        ({"isovalues": (np.nan,)}, "give up to 64 finite numbers"),
+        ({"isovalues": tuple(range(65))}, "give up to 64 finite numbers"),
+        ({"isovalues": (0.3,), "opacity": 0.0}, "isosurfaces of opacity 0: give more than 0"),
+        ({"isovalues": (0.3,), "colour": (2, 0, 0)}, "colour"),
+    ):
+        with pytest.raises(VoxtoolError, match=message):
+            plan_render(volume, device=device, **options)
+    with pytest.warns(UserWarning, match=r"is from .* so no surface has these isovalues"):
+        assert not render(volume, isovalues=(99.0,), size=(20, 20), device=device).any()
