@@ -398,11 +398,12 @@ def _groups(caps: Caps, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _sums(tree: TriangleTree, values: np.ndarray) -> np.ndarray:
-    """Return the sums of the faces' values over each node and leaf of their tree."""
+    """Return the sums of the faces' values over each node and leaf of their tree, and zeros to
+    the end of the last node's children."""
     assert tree.names is not None
-    sums = np.zeros(tree.first_leaf + -(-tree.count // LEAF))
+    sums = np.zeros(tree.first_leaf + -(-tree.count // LEAF) + ARITY)
     below, size = values[tree.names.get(0, tree.count) // 3], LEAF
-    parts = [*tree.parts(), (tree.first_leaf, len(sums) - tree.first_leaf)]
+    parts = [*tree.parts(), (tree.first_leaf, -(-tree.count // LEAF))]
     for first, count in reversed(parts):
         padded = np.zeros((count, size))
         padded.ravel()[: len(below)] = below

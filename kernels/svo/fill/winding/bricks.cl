@@ -10,30 +10,47 @@ bool sum_brick(brick_sums *sums, int3 low, double4 frame, CAPS, __global const d
                __global const double *cap_areas, double reach, uint most)
 {
     const int3 first = low * VOXEL + HALF;
-    const double3 p = to_local(low * VOXEL + 2 * VOXEL, frame);
-    const double voxels = 1 / (VOXEL * frame.w);
-    uint leaves = 0;
-    walk w;
-    start(&w);
-    while (next_child(&w)) {
-        __global const double *m = moments + (size_t)w.id * (MOMENTS * ARITY) + w.i;
-        if (m[3 * ARITY] < 0)
-            continue; // no child
-        const double x = m[0] - p.x, y = m[ARITY] - p.y, z = m[2 * ARITY] - p.z;
-        const double distance = sqrt(x * x + y * y + z * z) * voxels, far = sqrt(m[3 * ARITY]) * voxels;
-        const double area = cap_areas[w.child] * voxels * voxels;
-        if (is_linear(sums, distance, far, far / reach, area)) {
-            sums->far += angles_at_corners(m, p, SPREAD / (float)voxels);
-            continue;
-        }
-        if (descend(&w, cap_first_leaf))
-            continue;
-        if (++leaves > most)
-            return false;
-        const uint leaf = (w.child - cap_first_leaf) * LEAF;
-        for (uint k = leaf; k < min(leaf + LEAF, cap_count); ++k) {
-            const triangle t = fetch_triangle(vertices, faces, first_cap + cap_names[k] / 3);
-            add_triangle(sums, &t, first);
+    const double3 p = to_local(low * VOXEL + 2 * VOXEL, frame), p0 = to_local(first, frame);
+    const double voxel = VOXEL * frame.w, voxels = 1 / voxel;
+    uint ids[STACK], top = 1, leaves = 0;
+    ids[0] = 0;
+    while (top) {
+        const uint id = ids[--top], child = ARITY * id + 1;
+        __global const double *m = moments + (size_t)id * (MOMENTS * ARITY);
+        const double8 x = vload8(0, m) - p.x, y = vload8(1, m) - p.y, z = vload8(2, m) - p.z;
+        const double8 reaches = vload8(3, m), area = vload8(0, cap_areas + child) * (voxels * voxels);
+        const long8 exists = reaches >= 0.0;
+        const double8 distance = exists ? sqrt(x * x + y * y + z * z) * voxels : 0.0;
+        const double8 far = sqrt(exists ? reaches : 0.0) * voxels, radius = far / reach;
+        const long8 linear = linear_children(sums, distance, far, radius, area);
+        if (any(linear))
+            add_to_corners(sums, m, p, SPREAD * (float)voxel, linear);
+        const double8 gap = distance - HALF_DIAGONAL - radius;
+        const long8 distant = (distance > BEYOND * far + HALF_DIAGONAL) & (gap > 0.0);
+        long left[ARITY], is_distant[ARITY];
+        double parts[ARITY];
+        vstore8(exists & ~linear, 0, left);
+        vstore8(distant, 0, is_distant);
+        vstore8(area / (gap * gap), 0, parts);
+        for (uint i = 0; i < ARITY; ++i) {
+            if (!left[i])
+                continue;
+            if (is_distant[i]) {
+                add_to_voxels(sums, m + i, p0, (float)voxel);
+                sums->error += FAR_ERROR * parts[i];
+                continue;
+            }
+            if (child < cap_first_leaf) {
+                ids[top++] = child + i;
+                continue;
+            }
+            if (++leaves > most)
+                return false;
+            const uint leaf = (child + i - cap_first_leaf) * LEAF;
+            for (uint k = leaf; k < min(leaf + LEAF, cap_count); ++k) {
+                const triangle t = fetch_triangle(vertices, faces, first_cap + cap_names[k] / 3);
+                add_triangle(sums, &t, first);
+            }
         }
     }
     return true;
@@ -59,7 +76,7 @@ __kernel void decide_bricks(__global const ulong *bricks, const uint n, const do
         vstore16(sums.near[g], g, caps);
         vstore16(sums.doubt[g], g, doubts);
     }
-    vstore8(sums.far, 0, far);
+    vstore8(sums_at_corners(&sums), 0, far);
     ulong in = 0, left = 0, enclosed = 0;
     for (uint row = 0; row < 16; ++row) {
         const int j = row & 3, k = row >> 2;

@@ -3,52 +3,89 @@
 
 #define PER_BRICK 4     // vectors of 16 voxels in Morton order
 #define SPREAD 1.5     // voxels from the middle of a brick to the centres of its outer voxels
+#define HALF_DIAGONAL (SPREAD * 1.7320509)
 #define LINEAR 1.62     // over 9/8 (3 voxels)^2 6 / (4 pi); see is_linear
 #define FLAT 0x1p-8     // the most that a node may deviate from a linear function in a brick
 #define BEHIND 0x1p-15f // relative to `size` of triangle_vectors; nearer to 0, the sign of y is not known
 #define SINGLE 0x1p-19  // winding number of an angle's error, over size / (|x| + |y|); see add_triangle
 #define MOST_RATIO 0x1p15f // of size to |x| + |y|
 #define ADDED 0x1p-7f   // the same of a sum's rounding, over the sum
-#define FAR_ERROR 0x1p-20 // winding number of the error of angles_at_corners, over area / distance^2
+#define DIPOLE 0x1p-10f // the most that a triangle may deviate from a dipole in a brick
+#define SIXTEEN_PI_PARTS 0.02f // over 1 / (16 pi), for rounding errors in a bound
+#define FAR_ERROR 0x1p-20 // winding number of the error of distant_angles16, over area / distance^2
+#define BEYOND 1.5      // over the reach of moments: from there they are summed at voxels, not triangles
 
-__constant float CORNER_X[8] = {-1, 1, -1, 1, -1, 1, -1, 1};
-__constant float CORNER_Y[8] = {-1, -1, 1, 1, -1, -1, 1, 1};
-__constant float CORNER_Z[8] = {-1, -1, -1, -1, 1, 1, 1, 1};
+__constant float CORNER_X[16] = {-1, -1, -1, -1, -1, -1, -1, -1, 1, 1, 1, 1, 1, 1, 1, 1};
 __constant float VOXEL_X[16] = {0, 1, 0, 1, 0, 1, 0, 1, 2, 3, 2, 3, 2, 3, 2, 3};
 __constant float VOXEL_Y[16] = {0, 0, 1, 1, 0, 0, 1, 1, 0, 0, 1, 1, 0, 0, 1, 1};
 __constant float VOXEL_Z[16] = {0, 0, 0, 0, 1, 1, 1, 1, 0, 0, 0, 0, 1, 1, 1, 1};
 
 double mix_of(double a, double b, double t) { return a + t * (b - a); }
 
-// The sums over a brick: `far` at its corners, of solid angles; `near` at its voxels, of half solid
-// angles. SINGLE doubt bounds the error of the winding number that is due to `near`, infinite where an
-// angle is not known, and `error` what is due to `far` and to its linear interpolation.
+// The sums over a brick: `far` at its corners, of solid angles, of two corners in each vector and of the
+// children of nodes apart; `near` at its voxels, of half solid angles. SINGLE doubt bounds the error of
+// the winding number that is due to `near`, infinite where an angle is not known, and `error` what is
+// due to `far` and to its linear interpolation.
 typedef struct {
-    float8 far;
-    float16 near[PER_BRICK], doubt[PER_BRICK];
+    float16 far[4], near[PER_BRICK], doubt[PER_BRICK];
     double far_size, error; // far_size: of area / distance^2
 } brick_sums;
 
-// distant_angles of one child at the corners of a brick; m is the child's first number, p the middle
-// of the brick and `spread` SPREAD in the same coordinates. At two radii or more, the terms sum to at
-// most 4.4 area / distance^2 in absolute value. With u = 2^-24, none has more than 40 roundings, so
-// that the winding number is wrong by less than 40 u 4.4 / (4 pi) < 2^-20 area / distance^2.
-float8 angles_at_corners(__global const double *m, double3 p, float spread)
+// Solid angles of nodes by their moments c[4 ..], seen from places with centres x, y, z away from them
+// [Barill 2018]. At two radii or more, the terms sum to at most 4.4 area / distance^2 in absolute
+// value. With u = 2^-24, none has more than 40 roundings, so that the winding number is wrong by less
+// than 40 u 4.4 / (4 pi) < 2^-20 area / distance^2.
+float16 distant_angles16(float16 x, float16 y, float16 z, const float16 *c)
 {
-    float8 x = (float)(m[0] - p.x) - vload8(0, CORNER_X) * spread;
-    float8 y = (float)(m[ARITY] - p.y) - vload8(0, CORNER_Y) * spread;
-    float8 z = (float)(m[2 * ARITY] - p.z) - vload8(0, CORNER_Z) * spread;
-    const float8 inverse = 1.0f / sqrt(x * x + y * y + z * z);
+    const float16 inverse = 1.0f / sqrt(x * x + y * y + z * z);
     x *= inverse, y *= inverse, z *= inverse;
-    float c[MOMENTS];
+    const float16 one = x * c[4] + y * c[5] + z * c[6];
+    const float16 two = x * (x * c[7] + y * c[12] + z * c[11]) + y * (y * c[8] + z * c[10]) + z * z * c[9];
+    const float16 three = x * (x * (x * c[13] + y * c[16] + z * c[17]) + y * (y * c[18] + z * c[22]) +
+                               z * z * c[20]) +
+                          y * (y * (y * c[14] + z * c[19]) + z * z * c[21]) + z * z * z * c[15];
+    return inverse * inverse * (one + inverse * (7.5f * inverse * three - 3.0f * two));
+}
+
+float16 twice(double8 v)
+{
+    const float8 single = convert_float8(v);
+    return (float16)(single, single);
+}
+
+// Add the children of a node that count at the corners of a brick alone; m is the node's first moment,
+// p the middle of the brick and `spread` SPREAD in the same coordinates.
+void add_to_corners(brick_sums *sums, __global const double *m, double3 p, float spread, long8 counts)
+{
+    const int8 counted = convert_int8(counts);
+    const int16 both = (int16)(counted, counted);
+    const float16 x = twice(vload8(0, m) - p.x) - vload16(0, CORNER_X) * spread;
+    const float16 y = twice(vload8(1, m) - p.y), z = twice(vload8(2, m) - p.z);
+    float16 c[MOMENTS];
+    for (uint i = 4; i < MOMENTS; ++i)
+        c[i] = twice(vload8(i, m));
+    for (uint g = 0; g < 4; ++g) {
+        const float above = g & 1 ? spread : -spread, behind = g & 2 ? spread : -spread;
+        const float16 angles = distant_angles16(x, y - above, z - behind, c);
+        sums->far[g] += both ? angles : 0.0f;
+    }
+}
+
+// Add a child of a node, whose first moment is m, at the voxels of a brick; `first` is the centre of the
+// brick's first voxel and `voxel` a voxel's side in the same coordinates.
+void add_to_voxels(brick_sums *sums, __global const double *m, double3 first, float voxel)
+{
+    float16 c[MOMENTS];
     for (uint i = 4; i < MOMENTS; ++i)
         c[i] = (float)m[i * ARITY];
-    const float8 one = x * c[4] + y * c[5] + z * c[6];
-    const float8 two = x * (x * c[7] + y * c[12] + z * c[11]) + y * (y * c[8] + z * c[10]) + z * z * c[9];
-    const float8 three = x * (x * (x * c[13] + y * c[16] + z * c[17]) + y * (y * c[18] + z * c[22]) +
-                              z * z * c[20]) +
-                         y * (y * (y * c[14] + z * c[19]) + z * z * c[21]) + z * z * z * c[15];
-    return inverse * inverse * (one + inverse * (7.5f * inverse * three - 3.0f * two));
+    const float16 x = (float)(m[0] - first.x) - vload16(0, VOXEL_X) * voxel;
+    const float16 y = (float)(m[ARITY] - first.y) - vload16(0, VOXEL_Y) * voxel;
+    const float16 z = (float)(m[2 * ARITY] - first.z) - vload16(0, VOXEL_Z) * voxel;
+    for (uint g = 0; g < PER_BRICK; ++g) {
+        const float16 angles = distant_angles16(x, y - (g & 1) * (2 * voxel), z - (g >> 1) * (2 * voxel), c);
+        sums->near[g] += 0.5f * angles;
+        sums->doubt[g] += ADDED * fabs(sums->near[g]);
+    }
 }
 
 // angle_of in single precision; its error is below 2^-20.
@@ -71,6 +108,41 @@ float16 angles_of(float16 y, float16 x)
     return y < 0.0f ? -angle : angle;
 }
 
+// Add a triangle of corners v and area vector n as a dipole in its middle; false if it is too near. All
+// in voxels from the brick's first one. The middle takes the first order of the integral of n . r / r^3
+// over the triangle; the second derivatives of this are at most 6 area / r^4, and the squares of the
+// distances from the middle average to a twelfth of their sum over the corners, so that the winding number
+// is wrong by at most area sum / (16 pi r^4). Rounding: as no voxel is nearer than 2 or the triangle's
+// radius, coordinates are at most 5.6 gap. The middle has 24 u gap in each, 42 u in all, which changes
+// n . r / r^3 by 84 u area / gap^2; its own roundings are 20 u area / gap^2 at most. Both are 9 u area / gap^2
+// of a winding number, less than FAR_ERROR.
+bool add_dipole(brick_sums *sums, const float3 *v, float3 n)
+{
+    const float3 middle = (v[0] + v[1] + v[2]) / 3.0f, way = middle - (float)SPREAD;
+    float sum = 0, most = 0;
+    for (uint i = 0; i < 3; ++i) {
+        const float3 d = v[i] - middle;
+        const float square = d.x * d.x + d.y * d.y + d.z * d.z;
+        sum += square;
+        most = max(most, square);
+    }
+    const float area = sqrt(n.x * n.x + n.y * n.y + n.z * n.z), radius = sqrt(most);
+    const float distance = sqrt(way.x * way.x + way.y * way.y + way.z * way.z);
+    const float gap = distance - (float)HALF_DIAGONAL - radius, squared = gap * gap;
+    const float bound = SIXTEEN_PI_PARTS * area * sum / (squared * squared);
+    if (!(gap >= 2.0f && gap >= radius && bound < DIPOLE))
+        return false;
+    sums->error += bound + FAR_ERROR * area / squared;
+    for (uint g = 0; g < PER_BRICK; ++g) {
+        const float16 x = middle.x - vload16(0, VOXEL_X), y = middle.y - (g & 1) * 2.0f - vload16(0, VOXEL_Y),
+                      z = middle.z - (g >> 1) * 2.0f - vload16(0, VOXEL_Z);
+        const float16 square = x * x + y * y + z * z;
+        sums->near[g] += 0.5f * (n.x * x + n.y * y + n.z * z) / (square * sqrt(square));
+        sums->doubt[g] += ADDED * fabs(sums->near[g]);
+    }
+    return true;
+}
+
 // Add a triangle, as triangle_vectors has it; `first` is the centre of the brick's first voxel.
 // Errors, with u = 2^-24 and relative to `size`, to first order: coordinates have 2 u (0 within 2^16
 // voxels), lengths 4.5 u, `size` itself 15.5 u. A scalar product has 7 u, times a length 12.5 u; with
@@ -86,6 +158,9 @@ void add_triangle(brick_sums *sums, const triangle *t, int3 first)
     float3 v[3];
     for (uint i = 0; i < 3; ++i)
         v[i] = convert_float3(t->v[i] - first) / (float)VOXEL;
+    const long3 n = cross_of(t->v[1] - t->v[0], t->v[2] - t->v[0]);
+    if (add_dipole(sums, v, convert_float3(n) * (0.5f / ((float)VOXEL * VOXEL))))
+        return;
     for (uint g = 0; g < PER_BRICK; ++g) {
         const float16 x = vload16(0, VOXEL_X), y = vload16(0, VOXEL_Y) + (g & 1) * 2.0f,
                       z = vload16(0, VOXEL_Z) + (g >> 1) * 2.0f;
@@ -106,18 +181,31 @@ void add_triangle(brick_sums *sums, const triangle *t, int3 first)
     }
 }
 
-// Whether a child counts at the corners of a brick alone, and is interpolated between them: all of the
-// brick is beyond the child's reach, and the second derivatives of its winding number, at most
-// 6 area / (4 pi r^4) in each direction at distance r, bend it by no more than FLAT. If so, adds the
-// bound and that of rounding errors to sums->error. All in voxels.
-bool is_linear(brick_sums *sums, double distance, double far, double radius, double area)
+// Which children of a node count at the corners of a brick alone, and are interpolated between them: all
+// of the brick is beyond the child's reach, and the second derivatives of its winding number, at most
+// 6 area / (4 pi r^4) in each direction at distance r, bend it by no more than FLAT. Adds the bound and
+// that of rounding errors to sums->error. All in voxels.
+long8 linear_children(brick_sums *sums, double8 distance, double8 far, double8 radius, double8 area)
 {
-    const double half_diagonal = SPREAD * 1.7320509, gap = distance - half_diagonal - radius;
-    const double bend = LINEAR * area / (gap * gap * gap * gap);
-    if (!(distance > far + half_diagonal && gap > 0 && bend < FLAT))
-        return false;
-    const double part = area / (gap * gap);
+    const double8 gap = distance - HALF_DIAGONAL - radius, squared = gap * gap;
+    const double8 bend = LINEAR * area / (squared * squared);
+    const long8 linear = (distance > far + HALF_DIAGONAL) & (gap > 0.0) & (bend < FLAT);
+    const double part = total(linear ? area / squared : 0.0);
     sums->far_size += part;
-    sums->error += bend + FAR_ERROR * (part + sums->far_size / 32); // the last one for the addition
-    return true;
+    // the last one for the addition, to sums of children apart that are no larger together
+    sums->error += total(linear ? bend : 0.0) + FAR_ERROR * (part + sums->far_size / 32);
+    return linear;
+}
+
+// The sums at the corners, of all children.
+float8 sums_at_corners(brick_sums *sums)
+{
+    float far[8];
+    for (uint i = 0; i < 8; ++i) {
+        const float8 of_children = i & 1 ? sums->far[i >> 1].hi : sums->far[i >> 1].lo;
+        const float4 halves = of_children.lo + of_children.hi;
+        far[i] = (halves.x + halves.y) + (halves.z + halves.w);
+    }
+    sums->error += 3 * FAR_ERROR * sums->far_size / 32; // additions
+    return vload8(0, far);
 }
