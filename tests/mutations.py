@@ -178,12 +178,6 @@ MUTATIONS: dict[str, Mutation] = {
         "atomic_inc(&found[digit_of(keys[start], shift, digits)]);",
         "tests/opencl/test_primitives.py",
     ),
-    "histopyramid: saturated sums": Mutation(
-        "kernels/opencl/histopyramid.cl",
-        "add_sat(e, five[4])",
-        "e + five[4]",
-        "tests/opencl/test_primitives.py",
-    ),
     # host code
     "grid: ties of rounding": Mutation(
         "voxtool/grid.py",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import product
 
 import numpy as np
@@ -18,9 +17,7 @@ from voxtool.opencl.primitives import (
     FEW,
     GROUP,
     PORTIONS,
-    QUADS,
     bucket_sort,
-    build_histopyramid,
     compact,
     exclusive_scan,
     radix_sort,
@@ -235,95 +232,6 @@ def test_sort_and_unique_of_anything(device: Device, keys: list[int]) -> None:
     assert taken(unique(array, len(keys))).tolist() == sorted(set(keys))
 
 
-# ---- histopyramid
-
-TRAVERSE = """
-#include "opencl/histopyramid.h"
-__kernel void traverse(HISTOPYRAMID, const uint n, __global uint2 *found)
-{
-    const uint k = get_global_id(0);
-    __local uint inputs[2 * WORK_GROUP];
-    uint r;
-    const uint i = histopyramid_input(THIS_HISTOPYRAMID, n, inputs, &r);
-    if (k < n)
-        found[k] = (uint2)(i, r);
-}
-"""
-
-
-@pytest.fixture
-def traverse(device: Device) -> Callable[..., None]:
-    """The kernel above."""
-    return device.kernel(TRAVERSE, "traverse")
-
-
-def check_pyramid(
-    device: Device, traverse: Callable[..., None], counts: np.ndarray, room: int = 0
-) -> None:
-    """Every output is of the input that it should be, and none is missing."""
-    n = len(counts)
-    array = device.put(np.append(counts, np.full(room, 9)).astype(np.uint32))
-    pyramid = build_histopyramid(array, n)
-    assert pyramid.total == counts.sum()
-    found = device.empty(2 * pyramid.total, np.uint32)
-    traverse(pyramid.total, found, **pyramid.arguments)
-    inputs, rests = found.get().reshape(-1, 2).T
-    first = np.cumsum(counts) - counts
-    assert np.array_equal(inputs, np.repeat(np.arange(n), counts))
-    assert np.array_equal(rests, np.arange(pyramid.total) - np.repeat(first, counts))
-
-
-PYRAMID_SIZES = sorted(
-    {0, 1, 2, 3, 1001}
-    | {5**k + d for k in (1, 2, 3, 5, 7) for d in (-1, 0, 1)}
-    | {k * 5 * QUADS + d for k in (1, 5 * QUADS) for d in (-1, 0, 1)}
-)
-
-
-@pytest.mark.parametrize("size", PYRAMID_SIZES)
-def test_pyramid_around_powers_of_five(device: Device, traverse, size: int) -> None:
-    rng = np.random.default_rng(size)
-    check_pyramid(device, traverse, rng.integers(0, 6, size))
-    check_pyramid(device, traverse, rng.integers(0, 2, size), room=5)
-    check_pyramid(device, traverse, np.zeros(size, int))
-    check_pyramid(device, traverse, np.ones(size, int))
-
-
-@pytest.mark.parametrize("size", [1, 2, 5, 6, 126, 3125])
-def test_pyramid_of_one_large_count(device: Device, traverse, size: int) -> None:
-    for place in {0, size // 2, size - 1}:
-        counts = np.zeros(size, int)
-        counts[place] = 100_001
-        check_pyramid(device, traverse, counts)
-
-
-def test_pyramid_of_a_million(device: Device, traverse) -> None:
-    check_pyramid(device, traverse, np.random.default_rng(1).integers(0, 6, 1_000_003))
-
-
-@given(st.lists(st.integers(0, 1000), max_size=700))
-@settings(max_examples=30)
-def test_pyramid_of_anything(device: Device, traverse, counts: list[int]) -> None:
-    check_pyramid(device, traverse, np.array(counts, int))
-
-
-@pytest.mark.parametrize("size", [1, 5, 6, 1000])
-def test_pyramid_of_as_many_outputs_as_there_can_be(device: Device, size: int) -> None:
-    counts = np.zeros(size, np.uint32)
-    counts[0] = 0xFFFFFFFE
-    array = device.put(counts)
-    pyramid = build_histopyramid(array, size)
-    assert pyramid.total == 0xFFFFFFFE
-    for place, more in ((size - 1, 1), (size - 1, 2), (0, 0xFFFFFFFF)):
-        counts[place] = min(int(counts[place]) + more, 0xFFFFFFFF)
-        device.write(array, counts)
-        with pytest.raises(MemoryLimitError, match="2\\^32 - 1 outputs or more"):
-            build_histopyramid(array, size)
-    device.write(array, np.full(size, 0xFFFFFFFF, np.uint32))
-    with pytest.raises(MemoryLimitError, match="2\\^32 - 1 outputs or more"):
-        build_histopyramid(array, size)
-
-
 # ---- limits
 
 
@@ -334,7 +242,6 @@ def test_what_exceeds_31_bits_is_refused(device: Device) -> None:
         lambda: radix_sort(array, 1 << 31, 32),
         lambda: unique(array, 1 << 31),
         lambda: compact(array, array, 1 << 31),
-        lambda: build_histopyramid(array, 1 << 31),
     ):
         with pytest.raises(MemoryLimitError, match="choose a smaller dim"):
             refused()

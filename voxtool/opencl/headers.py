@@ -35,7 +35,7 @@ HOMES = {
     "svo/scan.h": "voxtool.svo.scan",
     "svo/surface/case_tables.h": "voxtool.svo.surface.case_tables",
     "svo/surface/dual_case_tables.h": "voxtool.svo.surface.case_tables",
-    "svo/surface/greedy_meshing.h": "voxtool.svo.surface.triangles",
+    "svo/surface/greedy_meshing.h": "voxtool.svo.surface.dual",
     "svo/surface/lattice.h": "voxtool.svo.surface.isosurface",
     "tets/cells.h": "voxtool.tets.cells",
     "tets/conforming.h": "voxtool.tets.conforming",

@@ -1,14 +1,12 @@
-"""Parallel primitives over device arrays: scan, radix sort, bucket sort, compaction, histopyramid.
+"""Parallel primitives over device arrays: scan, radix sort, bucket sort, compaction.
 
 Each raises MemoryLimitError if the number of elements does not fit 31 bits. Each has a program of
-its own in kernels/opencl, as most work needs one or two; kernels/opencl/histopyramid.h has the
-traversal of a histopyramid.
+its own in kernels/opencl, as most work needs one or two.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, overload
+from typing import overload
 
 import numpy as np
 
@@ -16,9 +14,8 @@ from voxtool.errors import LESS, MemoryLimitError
 from voxtool.opencl import program
 from voxtool.opencl.device import WORK_GROUP, Array
 
-SCAN, RADIX_SORT, BUCKET_SORT, COMPACTION, HISTOPYRAMID = (
-    f"opencl/{name}.cl"
-    for name in ("scan", "radix_sort", "bucket_sort", "compaction", "histopyramid")
+SCAN, RADIX_SORT, BUCKET_SORT, COMPACTION = (
+    f"opencl/{name}.cl" for name in ("scan", "radix_sort", "bucket_sort", "compaction")
 )
 GROUP = 256  # work-items of a group that scans
 ITEMS = 8  # values of one of them
@@ -26,7 +23,6 @@ BLOCK = GROUP * ITEMS  # values that a work-group scans
 DIGIT_BITS = 8  # of a key that one pass sorts by, at most: by portions
 BLOCK_DIGIT_BITS = 4  # and by blocks, whose counts must fit local memory
 FEW = 32  # items of a bucket that insertion sort sorts fastest
-QUADS = 32  # quadruples of a histopyramid that a work-group of 5 * QUADS makes
 PORTIONS = 128  # portions of keys for each unit of the device, at most
 _KEYS = {np.dtype(np.uint32): "uint", np.dtype(np.uint64): "ulong"}
 
@@ -37,7 +33,6 @@ HEADERS = {
         ITEMS=ITEMS,
         DIGIT_BITS=DIGIT_BITS,
         BLOCK_DIGIT_BITS=BLOCK_DIGIT_BITS,
-        QUADS=QUADS,
         FEW=FEW,
     )
 }
@@ -232,64 +227,3 @@ def compact(values: Array, flags: Array, n: int) -> tuple[Array, int]:
     move = values.device.kernel(COMPACTION, "move_flagged", KEY=_KEYS[values.dtype])
     move(n, values, flags, kept)
     return kept, total
-
-
-@dataclass(frozen=True)
-class Histopyramid:
-    """A 5:1 histopyramid over counts, which finds the input of each output [Dyken 2008].
-
-    The variant of [voCCeL, section 4.1].
-
-    counts : outputs of each input; levels : uint32, a quadruple each node (the starts of the
-    intervals of its second to fifth child), from the top level down; offsets : (height,) uint32,
-    the first quadruple of each level; total : the number of outputs.
-    """
-
-    counts: Array
-    levels: Array
-    offsets: Array
-    height: int
-    total: int
-
-    @property
-    def arguments(self) -> dict[str, Any]:
-        """The arguments HISTOPYRAMID of kernels, by name."""
-        return {
-            "pyramid_counts": self.counts,
-            "pyramid_levels": self.levels,
-            "pyramid_offsets": self.offsets,
-            "pyramid_height": self.height,
-        }
-
-
-def build_histopyramid(counts: Array, n: int) -> Histopyramid:
-    """The histopyramid of n counts, which need not be a power of five [voCCeL, section 6.3].
-
-    Sums saturate on the device, so an overflow is noticed. Waits for the device.
-
-    Parameters
-    ----------
-    counts : uint32, at least n elements: how many outputs each input has.
-
-    Raises
-    ------
-    MemoryLimitError : 2^32 - 1 outputs or more.
-    """
-    _check(n, "histopyramid")
-    device = counts.device
-    sizes = []  # quadruples of each level, from the lowest up
-    while n > 5 ** len(sizes):
-        sizes.append(-(-n // 5 ** (len(sizes) + 1)))
-    height = len(sizes)
-    offsets = np.array([sum(sizes[level + 1 :]) for level in range(height)], np.uint32)
-    levels = device.empty(4 * sum(sizes), np.uint32)
-    build = device.kernel(HISTOPYRAMID, "build_level")
-    sums, size = counts, n
-    for offset, quads in zip(offsets, sizes, strict=True):
-        above = device.empty(quads, np.uint32)
-        build(5 * quads, sums, size, levels, int(offset), above, quads, local=5 * QUADS)
-        sums, size = above, quads
-    total = int(sums.get(0, 1)[0]) if n else 0
-    if total == 0xFFFFFFFF:
-        raise MemoryLimitError(f"a histopyramid of 2^32 - 1 outputs or more: {LESS}")
-    return Histopyramid(counts, levels, device.put(offsets[::-1]), height, total)

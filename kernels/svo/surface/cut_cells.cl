@@ -122,8 +122,8 @@ __kernel void sample_tiles(__global const uint *node_codes, const uint n,
 #else
 
 // The coverages of the 64 samples of each active tile; the masks of samples inside, and of samples
-// outside that contain occupied voxels, with the number of these voxels. full_and_inside: the coverage of a full sample, and the least
-// of a sample inside.
+// outside that contain occupied voxels, with the number of these voxels. full_and_inside: the
+// coverage of a full sample, and the least of a sample inside.
 __kernel void sample_tiles(__global const uint *node_codes, const uint n,
                            __global const svo_node *nodes, const uint first,
                            const uint2 full_and_inside, __global const COVERAGE *coverage,
@@ -163,42 +163,6 @@ __kernel void sample_tiles(__global const uint *node_codes, const uint n,
 }
 
 #endif
-
-// For each present tile: the cut cells; their number, and n further that of the cut edges that start
-// in it.
-__kernel void classify_cubes(__global const uint *codes, const uint n, TILES, __global ulong *cut,
-                             __global uint *first_cube)
-{
-    const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-    ulong corner[8];
-    corner_masks(THESE_TILES, codes[gid], corner);
-    cut[gid] = cut_cubes(corner);
-    first_cube[gid] = (uint)popcount(cut[gid]);
-    uint edges = 0;
-    for (uint axis = 0; axis < 3; ++axis)
-        edges += (uint)popcount(corner[0] ^ corner[1u << axis]);
-    first_cube[n + gid] = edges;
-}
-
-// The tile (its slot), position in the tile, and case of each cut cell.
-__kernel void list_cubes(__global const uint *codes, const uint n, TILES,
-                         __global const uint *first_cube, __global uint *places,
-                         __global uchar *cases)
-{
-    const uint gid = get_global_id(0);
-    if (gid >= n || first_cube[gid] == first_cube[gid + 1])
-        return;
-    ulong corner[8];
-    corner_masks(THESE_TILES, codes[gid], corner);
-    uint cube = first_cube[gid];
-    for (ulong left = cut_cubes(corner); left; left &= left - 1) {
-        const uint bit = lowest_bit(left);
-        places[cube] = gid << 6 | bit;
-        cases[cube++] = (uchar)case_of(corner, bit);
-    }
-}
 
 #ifndef VOXELS
 

@@ -1,24 +1,32 @@
-// Dual surfaces over the cut cells: a vertex for each loop, a quad for each cut edge. Host side:
-// voxtool/svo/surface/triangles.py. Options: VOXELS, or SAMPLE, the type of coverages.
+// Dual surfaces over the cut cells: a vertex for each loop, a quad for each cut edge; a work-item
+// for each tile. Host side: voxtool/svo/surface/dual.py. Options: VOXELS, or SAMPLE, the type of
+// coverages.
 
 #include "svo/surface/dual_case_tables.h"
 #include "svo/surface/samples.h"
 #include "svo/surface/relaxation.h"
-#include "opencl/histopyramid.h"
 
-// The arguments that locate a cut cell: the host's CutCubes.arguments.
-#define CUBES __global const ulong *cut, __global const uint *first_cube
-#define THESE_CUBES cut, first_cube
+// The arguments that describe the cut cells of tiles: the host's CutCubes.arguments.
+#define CUBES                                                                                      \
+    __global const ulong *cut, __global const uchar *cases, __global const ulong *joined,          \
+        __global const ulong *several, __global const uint *first
+#define THESE_CUBES cut, cases, joined, several, first
 
-uint cube_of(TILES, CUBES, ulong cell, ulong near, uint slot)
+// The case of cut cell k of a tile, which is at `bit`; or its alternative.
+uint resolved_case(__global const uchar *cases, __global const ulong *joined, uint slot, uint k,
+                   uint bit)
 {
-    slot = cell >> 6 == near >> 6 ? slot : slot_of(present, ranks, cell >> 6);
-    return first_cube[slot] + (uint)popcount(cut[slot] & ((1ul << (cell & 63)) - 1));
+    return cases[64 * (size_t)slot + k] + (joined[slot] >> bit & 1 ? ALTERNATIVE : 0);
 }
 
-ulong cell_of(__global const uint *codes, uint place)
+uint case_at(TILES, ulong cell)
 {
-    return (ulong)codes[place >> 6] << 6 | (place & 63);
+    uint found = 0;
+    for (uint j = 0; j < 8; ++j) {
+        const ulong corner = corner_cell(cell, j);
+        found |= (uint)(mask_of(THESE_TILES, corner >> 6) >> (corner & 63) & 1) << j;
+    }
+    return found;
 }
 
 ulong cell_beyond(ulong cell, uint face)
@@ -26,49 +34,71 @@ ulong cell_beyond(ulong cell, uint face)
     return face & 1 ? step_up(cell, face >> 1) : step_down(cell, face >> 1);
 }
 
-// The case of each cube, or its alternative if its pinched face is also the pinched face of the
-// adjacent cube; and its numbers of loops, quads (cut edges that start in its low
-// corner) and cut edges.
-__kernel void resolve_cases(__global const uint *codes, TILES, CUBES, __global const uint *places,
-                            __global const uchar *cases, const uint n, __global ushort *resolved,
-                            __global uint *first_vertex, __global uint *quad_counts,
-                            __global uint *first_beyond)
+// For each present tile: the cut cells, with their cases; those with the alternative, as their
+// pinched face is also the pinched face of the adjacent cell; and those with several loops. In
+// `first` the numbers of loops, n further of quads (cut edges that start in the tile), 2 n further
+// of neighbours of vertices beyond the fourth, 3 n further of cut cells.
+__kernel void classify_tiles(__global const uint *codes, const uint n, TILES, __global ulong *cut,
+                             __global uchar *cases, __global ulong *joined,
+                             __global ulong *several, __global uint *first)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    uint found = cases[gid];
-    const uint low_edges = found ^ (found & 1 ? 0xFF : 0); // corners that differ from the lowest
-    quad_counts[gid] = (low_edges >> 1 & 1) + (low_edges >> 2 & 1) + (low_edges >> 4 & 1);
-    const uint face = PINCHED_FACE[found];
-    if (face != NO_FACE) {
-        const ulong cell = cell_of(codes, places[gid]), beyond = cell_beyond(cell, face);
-        const uint other = cube_of(THESE_TILES, THESE_CUBES, beyond, cell, places[gid] >> 6);
-        if (PINCHED_FACE[cases[other]] == (face ^ 1))
-            found += ALTERNATIVE;
+    ulong corner[8];
+    corner_masks(THESE_TILES, codes[gid], corner);
+    uint loops = 0, quads = 0, beyond = 0;
+    for (uint axis = 0; axis < 3; ++axis)
+        quads += (uint)popcount(corner[0] ^ corner[1u << axis]);
+    const ulong all = cut_cubes(corner);
+    ulong alternatives = 0, more = 0;
+    __global uchar *to = cases + 64 * (size_t)gid;
+    for (ulong left = all; left; left &= left - 1) {
+        const uint bit = lowest_bit(left);
+        uint found = case_of(corner, bit);
+        const uint face = PINCHED_FACE[found];
+        *to++ = (uchar)found;
+        if (face != NO_FACE) {
+            const ulong adjacent = cell_beyond((ulong)codes[gid] << 6 | bit, face);
+            if (PINCHED_FACE[case_at(THESE_TILES, adjacent)] == (face ^ 1)) {
+                alternatives |= 1ul << bit;
+                found += ALTERNATIVE;
+            }
+        }
+        loops += LOOP_COUNT[found];
+        beyond += BEYOND_COUNT[found];
+        more |= (ulong)(LOOP_COUNT[found] > 1) << bit;
     }
-    resolved[gid] = (ushort)found;
-    first_vertex[gid] = LOOP_COUNT[found];
-    first_beyond[gid] = BEYOND_COUNT[found];
+    cut[gid] = all;
+    joined[gid] = alternatives;
+    several[gid] = more;
+    first[gid] = loops;
+    first[n + gid] = quads;
+    first[2 * n + gid] = beyond;
+    first[3 * n + gid] = (uint)popcount(all);
 }
 
 // Voxel faces: the vertex of each loop is the corner shared by eight samples.
-__kernel void place_corners(__global const uint *codes, __global const uint *places, const uint n,
-                            __global const uint *first_vertex, const int shift,
+__kernel void place_corners(__global const uint *codes, const uint n, CUBES, const int shift,
                             __global int *points)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const int3 point = (cell_coordinates(cell_of(codes, places[gid])) - shift + 1) * LATTICE;
-    for (size_t vertex = first_vertex[gid]; vertex < first_vertex[gid + 1]; ++vertex)
-        vstore3(point, vertex, points);
+    const int3 corner = cell_coordinates((ulong)codes[gid] << 6) - shift + 1;
+    size_t vertex = first[gid];
+    uint k = 0;
+    for (ulong left = cut[gid]; left; left &= left - 1) {
+        const uint bit = lowest_bit(left), found = resolved_case(cases, joined, gid, k++, bit);
+        for (uint i = 0; i < LOOP_COUNT[found]; ++i)
+            vstore3((corner + place_in_tile(bit)) * LATTICE, vertex++, points);
+    }
 }
 
 // Surface nets [Gibson 1998]: the vertex of a loop starts at the mean of its crossings. Stores the
 // vertices of a cube of case `found`, from the corner `low` on.
 void place_loops(TILES, SAMPLES, const ulong cell, const uint found, const int3 low,
-                 __global int *points)
+                 int *points)
 {
     size_t vertex = 0;
     int3 sum = 0;
@@ -90,108 +120,202 @@ void place_loops(TILES, SAMPLES, const ulong cell, const uint found, const int3 
 
 #ifdef VOXELS
 
-// The vertices of each of n cases from the corner of its cube, MAX_LOOPS a case: edges between
-// voxels are all crossed at the same place.
-__kernel void find_means(TILES, SAMPLES, const uint n, __global int *means)
-{
-    const uint gid = get_global_id(0);
-    if (gid < n)
-        place_loops(THESE_TILES, THESE_SAMPLES, 0, gid, (int3)(0),
-                    means + 3 * MAX_LOOPS * (size_t)gid);
-}
-
-#endif
-
-__kernel void place_means(__global const uint *codes, TILES, SAMPLES, __global const uint *places,
-                          __global const ushort *resolved, const uint n,
-                          __global const uint *first_vertex, const int shift,
-                          __global const int *means, __global int *points)
+// The vertices of each of n cases from the corner of its cube, packed, MAX_LOOPS a case: edges
+// between voxels are all crossed at the same place.
+__kernel void find_means(TILES, SAMPLES, const uint n, __global ulong *means)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const ulong cell = cell_of(codes, places[gid]);
-    const int3 low = (cell_coordinates(cell) - shift) * LATTICE + LATTICE / 2;
-    const size_t first = first_vertex[gid];
-#ifdef VOXELS
-    for (uint i = 0; first + i < first_vertex[gid + 1]; ++i)
-        vstore3(low + vload3(MAX_LOOPS * resolved[gid] + i, means), first + i, points);
-#else
-    place_loops(THESE_TILES, THESE_SAMPLES, cell, resolved[gid], low, points + 3 * first);
-#endif
+    int points[3 * MAX_LOOPS];
+    place_loops(THESE_TILES, THESE_SAMPLES, 0, gid, (int3)(0), points);
+    for (uint i = 0; i < LOOP_COUNT[gid]; ++i)
+        means[MAX_LOOPS * gid + i] = pack(points[3 * i], points[3 * i + 1], points[3 * i + 2]);
 }
 
-// The neighbours of each vertex, the vertices of the adjacent cubes into which its loop continues;
-// and the vertex itself, packed.
-__kernel void link_vertices(__global const uint *codes, TILES, CUBES, __global const uint *places,
-                            __global const ushort *resolved, const uint n,
-                            __global const uint *first_vertex, __global const uint *first_beyond,
-                            __global const int *points, const uint lanes, RELAXATION,
+#else
+
+// Surface nets of coverages.
+__kernel void place_means(__global const uint *codes, const uint n, TILES, SAMPLES, CUBES,
+                          const int shift, __global int *points)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const int3 corner = cell_coordinates((ulong)codes[gid] << 6) - shift;
+    size_t vertex = first[gid];
+    uint k = 0;
+    for (ulong left = cut[gid]; left; left &= left - 1) {
+        const uint bit = lowest_bit(left), found = resolved_case(cases, joined, gid, k++, bit);
+        const int3 low = (corner + place_in_tile(bit)) * LATTICE + LATTICE / 2;
+        int loops[3 * MAX_LOOPS];
+        place_loops(THESE_TILES, THESE_SAMPLES, (ulong)codes[gid] << 6 | bit, found, low, loops);
+        for (uint i = 0; i < LOOP_COUNT[found]; ++i)
+            vstore3(vload3(i, loops), vertex++, points);
+    }
+}
+
+#endif
+
+// ---- cells of a tile and beside it, in rows: those of a tile at PLACE
+
+uint step_along(uint axis)
+{
+    return axis == 0 ? 1 : axis == 1 ? CELLS_ALONG : CELLS_ALONG * CELLS_ALONG;
+}
+
+// The cells with the highest coordinate along an axis.
+ulong high_layer(uint axis) { return LAYER(axis) << (9u << axis); }
+
+// The first vertices and cases of those of a tile's cut cells that are `wanted`; PLACE + offset is
+// their place.
+void number_cells(CUBES, uint slot, ulong wanted, int offset, uint *vertex, ushort *found)
+{
+    for (ulong left = wanted & cut[slot]; left; left &= left - 1) {
+        const uint bit = lowest_bit(left);
+        const ulong before = (1ul << bit) - 1;
+        const uint k = (uint)popcount(cut[slot] & before);
+        uint own = first[slot] + k;
+        for (ulong more = several[slot] & before; more; more &= more - 1) {
+            const uint other = lowest_bit(more);
+            const uint at = (uint)popcount(cut[slot] & ((1ul << other) - 1));
+            own += LOOP_COUNT[resolved_case(cases, joined, slot, at, other)] - 1;
+        }
+        vertex[PLACE[bit] + offset] = own;
+        found[PLACE[bit] + offset] = (ushort)resolved_case(cases, joined, slot, k, bit);
+    }
+}
+
+// The same of a tile, and of the adjacent cells in directions begin .. end - 1: from UP on along x,
+// y and z, from DOWN on against them, from DIAGONAL on against x and y, y and z, z and x.
+#define UP 0
+#define DOWN 3
+#define DIAGONAL 6
+#define WAYS 9
+void number_around(TILES, CUBES, __global const uint *codes, uint gid, uint begin, uint end,
+                   uint *vertex, ushort *found)
+{
+    number_cells(THESE_CUBES, gid, ALL, 0, vertex, found);
+    for (uint way = begin; way < end; ++way) {
+        const uint axis = way % 3, other = way < DIAGONAL ? axis : (axis + 1) % 3;
+        const ulong low = LAYER(axis) & LAYER(other), high = high_layer(axis) & high_layer(other);
+        if (!(cut[gid] & (way < DOWN ? high : low)))
+            continue;
+        ulong tile = way < DOWN ? step_up(codes[gid], axis) : step_down(codes[gid], axis);
+        tile = way < DIAGONAL ? tile : step_down(tile, other);
+        const uint slot = tile >> 6 < words ? slot_of(present, ranks, tile) : NOWHERE;
+        if (slot == NOWHERE)
+            continue;
+        const int along = 4 * (int)step_along(axis);
+        const int offset = way < DOWN       ? along
+                           : way < DIAGONAL ? -along
+                                            : -along - 4 * (int)step_along(other);
+        number_cells(THESE_CUBES, slot, way < DOWN ? low : high, offset, vertex, found);
+    }
+}
+
+#ifdef VOXELS
+
+// The vertex into which a loop of a cell continues.
+uint vertex_beyond(uint step, uint cell, const uint *vertices, const ushort *resolved)
+{
+    const uint face = step >> STEP_FACE & 7, along = step_along(face >> 1);
+    const uint next = face & 1 ? cell + along : cell - along;
+    return vertices[next] + LOOP_OF[12 * resolved[next] + (step >> STEP_ACROSS & STEP_EDGE)];
+}
+
+// The neighbours of each vertex, the vertices of the adjacent cells into which its loop continues;
+// and the vertex itself, at the mean of its crossings.
+__kernel void link_vertices(__global const uint *codes, const uint n, TILES, CUBES,
+                            __global const ulong *means, const uint batch, RELAXATION,
                             __global ulong *packed)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const ulong cell = cell_of(codes, places[gid]);
-    const uint found = resolved[gid];
-    uint vertex = first_vertex[gid], further = first_beyond[gid], count = 0;
-    uint above = 0x8880;
-    for (uint i = 0; i < EDGE_COUNT[found]; ++i) {
-        const uint step = LOOP_STEPS[12 * found + i], face = step >> STEP_FACE & 7;
-        const ulong next = cell_beyond(cell, face);
-        const uint other = cube_of(THESE_TILES, THESE_CUBES, next, cell, places[gid] >> 6);
-        const uint across = step >> STEP_ACROSS & STEP_EDGE;
-        const uint neighbour = first_vertex[other] + LOOP_OF[12 * resolved[other] + across];
-        if (count == 0 && vertex % lanes == 0)
-            beyond_start[vertex / lanes] = further;
-        if (count < 4)
-            links[4 * (size_t)vertex + count] = neighbour;
-        else
-            beyond[further++] = (uint2)(vertex, neighbour);
-        ++count;
-        const uint along = 16u << 4 * (face >> 1);
-        above += face & 1 ? along : -along;
-        if (step & STEP_LAST) {
-            if (count == 3)
-                links[4 * (size_t)vertex + 3] = vertex;
-            const int3 at = (vload3(vertex, points) - LATTICE / 2) & (LATTICE - 1);
-            packed[vertex] = (ulong)at.z << 2 * BITS | (ulong)at.y << BITS | (ulong)at.x;
-            around[vertex++] = (ushort)(above | count);
-            above = 0x8880, count = 0;
+    uint vertices[NEAR_CELLS];
+    ushort resolved[NEAR_CELLS];
+    number_around(THESE_TILES, THESE_CUBES, codes, gid, UP, DIAGONAL, vertices, resolved);
+    uint further = first[2 * n + gid] - first[2 * n];
+    for (ulong left = cut[gid]; left; left &= left - 1) {
+        const uint cell = PLACE[lowest_bit(left)], found = resolved[cell];
+        __constant const ushort *steps = LOOP_STEPS + 12 * found;
+        for (uint loop = 0; loop < LOOP_COUNT[found]; ++loop) {
+            const uint vertex = vertices[cell] + loop, about = AROUND[MAX_LOOPS * found + loop];
+            const uint count = about & 15; // at least 3
+            if ((vertex & (batch - 1)) == 0)
+                beyond_start[vertex / batch] = further;
+            for (uint i = 0; i < 4; ++i) {
+                const uint next = vertex_beyond(steps[min(i, count - 1)], cell, vertices, resolved);
+                links[4 * (size_t)vertex + i] = i < count ? next : vertex;
+            }
+            for (uint i = 4; i < count; ++i)
+                beyond[further++] =
+                    (uint2)(vertex, vertex_beyond(steps[i], cell, vertices, resolved));
+            packed[vertex] = means[MAX_LOOPS * found + loop];
+            around[vertex] = (ushort)about;
+            steps += count;
         }
     }
-    if (gid == n - 1)
-        beyond_start[(vertex + lanes - 1) / lanes] = further;
+    if (gid == n - 1) {
+        uint vertex = first[n]; // the sum of all
+        for (; vertex & (batch - 1); ++vertex)
+            vstore4((uint4)(0), vertex, links);
+        beyond_start[vertex / batch] = further;
+    }
 }
 
-// Output quad k is quad r of cube i: the four cubes around a cut edge, counter-clockwise seen from
-// outside, the lowest first.
-__kernel void list_quads(HISTOPYRAMID, const uint n, __global const uint *codes, TILES, CUBES,
-                         __global const uint *places, __global const ushort *resolved,
-                         __global const uint *first_vertex, __global uint *quads)
+// The vertices of surface nets, from their coordinates in their cells.
+__kernel void unpack(__global const uint *codes, const uint n, CUBES, const int shift,
+                     __global const ulong *packed, __global int *points)
 {
-    const uint k = get_global_id(0);
-    __local uint found[2 * WORK_GROUP];
-    uint r;
-    const uint i = histopyramid_input(THIS_HISTOPYRAMID, n, found, &r);
-    if (k >= n)
+    const uint gid = get_global_id(0);
+    if (gid >= n)
         return;
-    const ulong cell = cell_of(codes, places[i]);
-    const bool outward = resolved[i] & 1; // whether the surface faces along the axis
-    uint axis = 0;
-    for (;; ++axis) {
-        const bool cut_here = (resolved[i] >> (1u << axis) & 1) != outward;
-        if (cut_here && r-- == 0)
-            break;
+    const int3 corner = cell_coordinates((ulong)codes[gid] << 6) - shift;
+    size_t vertex = first[gid];
+    uint k = 0;
+    for (ulong left = cut[gid]; left; left &= left - 1) {
+        const uint bit = lowest_bit(left), found = resolved_case(cases, joined, gid, k++, bit);
+        const int3 low = (corner + place_in_tile(bit)) * LATTICE + LATTICE / 2;
+        for (uint i = 0; i < LOOP_COUNT[found]; ++i) {
+            const ulong at = packed[vertex];
+            const int3 kept = {(int)at & COORDINATE, (int)(at >> BITS) & COORDINATE,
+                               (int)(at >> 2 * BITS) & COORDINATE};
+            vstore3(low + kept, vertex++, points);
+        }
     }
-    const uint b = (axis + 1) % 3, c = (axis + 2) % 3;
-    for (uint place = 0; place < 4; ++place) { // (low, low), (high, low), (high, high), (low, high)
-        ulong at = place == 0 || place == 3 ? step_down(cell, b) : cell;
-        at = place < 2 ? step_down(at, c) : at;
-        const uint edge = EDGE_AROUND[4 * axis + place];
-        const uint cube = cube_of(THESE_TILES, THESE_CUBES, at, cell, places[i] >> 6);
-        quads[4 * (size_t)k + (outward ? place : (4 - place) % 4)] =
-            first_vertex[cube] + LOOP_OF[12 * resolved[cube] + edge];
+}
+
+#endif
+
+// The quad of each cut edge that starts in a tile: the four cells around it, counter-clockwise seen
+// from outside, the lowest first.
+__kernel void list_quads(__global const uint *codes, const uint n, TILES, CUBES,
+                         __global uint *quads)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n || !cut[gid])
+        return;
+    uint vertices[NEAR_CELLS];
+    ushort resolved[NEAR_CELLS];
+    number_around(THESE_TILES, THESE_CUBES, codes, gid, DOWN, WAYS, vertices, resolved);
+    __global uint *to = quads + 4 * (size_t)(first[n + gid] - first[n]);
+    for (ulong left = cut[gid]; left; left &= left - 1) {
+        const uint cell = PLACE[lowest_bit(left)];
+        const bool outward = resolved[cell] & 1; // whether the surface faces along the axis
+        for (uint axis = 0; axis < 3; ++axis) {
+            if ((resolved[cell] >> (1u << axis) & 1) == outward)
+                continue;
+            const uint b = step_along((axis + 1) % 3), c = step_along((axis + 2) % 3);
+            const uint around[4] = {cell - b - c, cell - c, cell, cell - b};
+            for (uint place = 0; place < 4; ++place) {
+                const uint at = around[place], edge = EDGE_AROUND[4 * axis + place];
+                to[outward ? place : (4 - place) % 4] =
+                    vertices[at] + LOOP_OF[12 * resolved[at] + edge];
+            }
+            to += 4;
+        }
     }
 }
 

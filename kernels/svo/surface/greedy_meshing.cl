@@ -1,5 +1,5 @@
 // Greedy meshing: merges coplanar unit squares into rectangles. Host side:
-// voxtool/svo/surface/triangles.py.
+// voxtool/svo/surface/dual.py.
 
 #include "svo/surface/lattice.h"
 #include "svo/surface/greedy_meshing.h"

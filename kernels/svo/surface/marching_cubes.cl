@@ -5,8 +5,8 @@
 #include "svo/surface/case_tables.h"
 #include "svo/surface/samples.h"
 
-// For each present tile: the cut cells, the cases of these, and the cut edges that start in it along
-// x, y and z; in `first` the numbers of vertices, n further of triangles, 2 n further of cut cells.
+// For each present tile: the cut cells, the cases of these, and the cut edges that start in it
+// along x, y and z; in `first` the numbers of vertices, n further of triangles, 2 n further of cut cells.
 __kernel void classify_tiles(__global const uint *codes, const uint n, TILES, __global ulong *cut,
                              __global uchar *cases, __global ulong *cut_edges,
                              __global uint *first)
@@ -84,14 +84,14 @@ __kernel void polygonise(__global const uint *codes, const uint n, TILES, SAMPLE
     const uint gid = get_global_id(0);
     if (gid >= n || !cut[gid])
         return;
-    uint vertex[3 * CORNERS_ALONG * CORNERS_ALONG * CORNERS_ALONG]; // of the edges along each axis from the cubes' corners
+    uint vertex[TILE_EDGES]; // of the edges along each axis from the corners of cubes
     place_vertices(THESE_TILES, THESE_SAMPLES, codes, cut_edges, gid, first[gid], shift, points,
                    vertex);
     for (uint j = 1; j < 7; ++j) { // the tiles above; all that cut edges start in are present
         const ulong beside = (j & 1 ? LAYER(0) : ALL) & (j & 2 ? LAYER(1) : ALL) &
                              (j & 4 ? LAYER(2) : ALL);
         const ulong tile = corner_cell(codes[gid], j);
-        if (!(cut[gid] & beside << TILE_TOP[j]) || tile >> 6 >= words)
+        if (tile >> 6 >= words)
             continue;
         const uint slot = slot_of(present, ranks, tile);
         if (slot == NOWHERE)

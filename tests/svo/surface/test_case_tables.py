@@ -21,6 +21,23 @@ def middle(edge: int) -> np.ndarray:
     return (corner(low) + corner(high)) / 2
 
 
+def test_neighbours_of_a_vertex_are_those_of_its_steps() -> None:
+    found = cases.surroundings()
+    for row, steps in enumerate(cases.loop_steps().tolist()):
+        about = np.array([0, 8, 8, 8])
+        loop = 0
+        for step in steps:
+            if not step:
+                break
+            face = step >> cases.STEP_FACE & 7
+            about[0] += 1
+            about[1 + face // 2] += 1 if face % 2 else -1
+            if step & cases.STEP_LAST:
+                assert found[row, loop] == about @ (1, 16, 256, 4096), (row, loop)
+                about, loop = np.array([0, 8, 8, 8]), loop + 1
+        assert not found[row, loop:].any()
+
+
 def cut_edges(case: int) -> set[int]:
     return {e for e, (u, v) in enumerate(cases.EDGES) if (case >> u ^ case >> v) & 1}
 

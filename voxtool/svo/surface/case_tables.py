@@ -34,6 +34,9 @@ MAX_LOOPS = 4  # of a case
 ALTERNATIVE = 256  # added to a case whose ambiguous face joins its inside corners
 MAX_TRIANGLES = 5
 CORNERS_ALONG = BRICK_SIDE + 1  # of the cubes of a tile
+TILE_EDGES = 3 * CORNERS_ALONG**3  # from these corners
+CELLS_ALONG = BRICK_SIDE + 2  # of a tile, and beside it
+NEAR_CELLS = CELLS_ALONG**3
 NO_FACE = 6
 NO_EDGE = 255
 # A step of a loop in 16 bits: the mask of its edge, the places of the face and of the edge beyond
@@ -180,6 +183,24 @@ def loop_steps() -> np.ndarray:
     return steps
 
 
+def surroundings() -> np.ndarray:
+    """Return the neighbours of the vertex of each loop, (512, MAX_LOOPS) uint16: their number and,
+    from bits 4, 8 and 12 on, by how many more of them lie in a cube above than below along x, y and
+    z, plus 8; 0 beyond the last loop."""
+    loop_of, face_of = loop_tables()
+    found = np.zeros((2 * CASES, MAX_LOOPS), np.uint16)
+    for loop in range(MAX_LOOPS):
+        count = (loop_of == loop).sum(axis=1)
+        about = count.copy()
+        for axis in range(3):
+            below, above = (
+                ((loop_of == loop) & (face_of == 2 * axis + side)).sum(axis=1) for side in (0, 1)
+            )
+            about |= above - below + 8 << 4 + 4 * axis
+        found[:, loop] = np.where(count, about, 0)
+    return found
+
+
 def edge_across(face: int, edge: int) -> int:
     """Return the number that an edge of a face has in the cube beyond the face."""
     low, high = EDGES[edge]
@@ -224,7 +245,7 @@ def _primal_header() -> str:
         "TILE_BEYOND": BRICK_SIDE * _bits(np.arange(8)) @ steps,
         "TILE_TOP": morton_encode((BRICK_SIDE - 1) * _bits(np.arange(8))),
     }
-    constants = {"MAX_TRIANGLES": MAX_TRIANGLES, "CORNERS_ALONG": CORNERS_ALONG}
+    constants = {"MAX_TRIANGLES": MAX_TRIANGLES, "TILE_EDGES": TILE_EDGES}
     return _header(constants, tables)
 
 
@@ -234,7 +255,11 @@ def _bits(corners: np.ndarray) -> np.ndarray:
 
 
 def _dual_header() -> str:
-    """Return the tables of the dual styles as OpenCL constants."""
+    """Return the tables of the dual styles as OpenCL constants.
+
+    The cells of a tile and those around it are numbered in rows; PLACE is the number of each cell
+    of the tile.
+    """
     loop_of, _ = loop_tables()
     tables = {
         "PINCHED_FACE": np.array([pinched_face(case) for case in range(CASES)]),
@@ -245,10 +270,13 @@ def _dual_header() -> str:
             np.maximum((loop_of == n).sum(axis=1), 4) - 4 for n in range(MAX_LOOPS)
         ),
         "LOOP_STEPS": loop_steps(),
+        "AROUND": surroundings(),
         "EDGE_AROUND": edge_around(),
         "EDGE_CORNER": np.array(EDGES)[:, 0],
+        "PLACE": (BRICK_VOXELS.astype(int) + 1) @ CELLS_ALONG ** np.arange(3),
     }
     constants = {
+        "CELLS_ALONG": CELLS_ALONG, "NEAR_CELLS": NEAR_CELLS,
         "ALTERNATIVE": ALTERNATIVE, "NO_FACE": NO_FACE, "STEP_EDGE": STEP_EDGE,
         "STEP_FACE": STEP_FACE, "STEP_ACROSS": STEP_ACROSS, "STEP_LAST": STEP_LAST,
         "MAX_LOOPS": MAX_LOOPS,

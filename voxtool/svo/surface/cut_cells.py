@@ -23,7 +23,7 @@ import numpy as np
 
 from voxtool.errors import MemoryLimitError
 from voxtool.opencl import Array, Device
-from voxtool.opencl.primitives import exclusive_scan, scan_runs
+from voxtool.opencl.primitives import exclusive_scan
 from voxtool.svo.layout import BRICK_SIDE, BRICK_VOXELS, INSIDE, LINK, NODE, VALID
 from voxtool.svo.octree import VOXEL, Octree
 from voxtool.svo.surface.isosurface import Lost
@@ -192,22 +192,6 @@ class Extracted:
     triangles: Array
 
 
-@dataclass(frozen=True)
-class CutCubes:
-    """The cubes that the surface cuts, on the device, in the order of their tiles.
-
-    The arguments of kernels, by name: those of the tiles, and
-
-    cut : (tiles,) mask of the cut cubes of each tile.
-    first_cube : (tiles + 1,) number of cut cubes before.
-    places, cases : (n,) slot of the tile << 6 | place in it, and case, of each cube.
-    """
-
-    n: int
-    edges: int
-    arguments: dict[str, Any]
-
-
 def find_tiles(
     device: Device, octree: Octree, tree: Tree, sampling: Sampling, counted: Callable[..., None]
 ) -> Tiles:
@@ -290,27 +274,6 @@ def _sample_tiles(tiles: Tiles, tree: Tree, nodes: Array) -> None:
     first = tree.first(sampling.level + 1)
     limits = sampling.full, sampling.threshold
     sample_tiles(nodes.size, nodes, first, limits, coverage, **scene)
-
-
-def classify_cubes(tiles: Tiles, counted: Callable[..., None]) -> CutCubes:
-    """Return the cubes whose corners are not all alike, and their cases. Before memory is taken for
-    them, `counted` is called with `tiles=`, `cubes=` and `edges=`. MemoryLimitError is raised if
-    there are MAX_EDGES edges or more."""
-    device, n = tiles.device, tiles.n
-    scene = {
-        **tiles.arguments,
-        "cut": device.empty(n, np.uint64),
-        "first_cube": device.empty(2 * n + 1, np.uint32),
-    }
-    with device.stage("classify"):
-        tiles.kernel(SOURCE, "classify_cubes")(n, **scene)
-        cubes, edges = scan_runs(scene["first_cube"], n, 2)
-        check_edges(edges)
-        counted(tiles=n, cubes=cubes, edges=edges)
-        scene["places"] = device.empty(cubes, np.uint32)
-        scene["cases"] = device.empty(cubes, np.uint8)
-        tiles.kernel(SOURCE, "list_cubes")(n, **scene)
-    return CutCubes(cubes, edges, scene)
 
 
 def check_edges(edges: int) -> None:

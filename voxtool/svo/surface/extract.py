@@ -4,7 +4,7 @@ The stages, on the device [voCCeL, chapter 4 and sections 5.1 and 6.3]:
 
 1. tiles, samples: the cubes that the surface may cross, and the scalars at their corners.
 2. classify: the case of each cut cube.
-3. vertices, triangles: by marching cubes (marching_cubes.py) or a dual style (triangles.py).
+3. vertices, triangles: by marching cubes (marching_cubes.py) or a dual style (dual.py).
 
 All of it is integer arithmetic: the crossing of an edge is rounded once, to 2**-14 of a sample's
 side, so the mesh is the same on every device.
@@ -31,10 +31,10 @@ from voxtool.svo.surface.cut_cells import (
     grow_tree,
     lost_of,
 )
+from voxtool.svo.surface.dual import dual_surface
 from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.svo.surface.marching_cubes import march_cubes
 from voxtool.svo.surface.plan import MAX_SAMPLES, RELAXATIONS, ExtractionPlan, active_tiles
-from voxtool.svo.surface.triangles import dual_surface
 
 # Shares of the set voxels from which on their loss is a warning: in samples below the isovalue,
 # and, of them, away from the surface.

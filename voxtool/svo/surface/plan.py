@@ -12,9 +12,7 @@ from voxtool.job import Cost
 from voxtool.svo.layout import BRICK_BYTES
 
 MAX_SAMPLES = 4096  # along a side: tiles of four have Morton codes of 30 bits
-# Bytes on the device: of a tile, a cube that is cut,
-TILE_BYTES = {MARCHING_CUBES: 124, VOXEL_FACES: 32, SURFACE_NETS: 32}
-CUBE_BYTES = {MARCHING_CUBES: 0, VOXEL_FACES: 24, SURFACE_NETS: 24}
+TILE_BYTES = 124  # on the device: of a tile,
 EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 52, SURFACE_NETS: 96}  # a cut edge,
 MERGE_BYTES = 64  # and one of voxel faces that are merged
 RELAXATIONS = 16  # of surface nets of voxels, as in VTK
@@ -54,7 +52,6 @@ class ExtractionPlan:
             "lost voxels": not self.voxels,
             "vertices": self.style != MARCHING_CUBES,
             "relax": self.relaxations > 0,
-            "histopyramid": self.style != MARCHING_CUBES,
             "quads": self.style != MARCHING_CUBES,
             "merge": self.merge,
             "triangles": True,
@@ -76,11 +73,11 @@ class ExtractionPlan:
         if self.level not in ("voxel", 0):
             octree += 4 * self.nodes[1]  # coverages
         sample = 0 if self.voxels else 1 if self.level == 0 else 4
-        tiles = 28 * max(self.samples**3 // 4096, 1) + TILE_BYTES[self.style] * self.tiles
+        tiles = 28 * max(self.samples**3 // 4096, 1) + TILE_BYTES * self.tiles
         tiles += (64 * sample + 12 * (sample > 0)) * active_tiles(self.nodes, self.level)
         edge = EDGE_BYTES[self.style] + (MERGE_BYTES if self.merge else 0)
         return Cost(
-            device=octree + tiles + CUBE_BYTES[self.style] * self.cubes + edge * self.edges,
+            device=octree + tiles + edge * self.edges,
             largest=max(bricks, self.samples**3 // 512, 64 * self.tiles, 28 * self.edges),
         )
 
