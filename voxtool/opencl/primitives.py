@@ -12,7 +12,7 @@ import numpy as np
 
 from voxtool.errors import LESS, MemoryLimitError
 from voxtool.opencl import program
-from voxtool.opencl.device import WORK_GROUP, Array
+from voxtool.opencl.device import Array
 
 SCAN, RADIX_SORT, BUCKET_SORT, COMPACTION = (
     f"opencl/{name}.cl" for name in ("scan", "radix_sort", "bucket_sort", "compaction")
@@ -28,7 +28,6 @@ _KEYS = {np.dtype(np.uint32): "uint", np.dtype(np.uint64): "ulong"}
 
 HEADERS = {
     "opencl/primitives.h": program.c_constants(
-        WORK_GROUP=WORK_GROUP,
         GROUP=GROUP,
         ITEMS=ITEMS,
         DIGIT_BITS=DIGIT_BITS,
