@@ -28,5 +28,4 @@
 #define to_floats VECTOR(convert_float)
 #define to_doubles VECTOR(convert_double)
 #define as_ints VECTOR(as_int)
-#define as_uints VECTOR(as_uint)
 #define as_floats VECTOR(as_float)
