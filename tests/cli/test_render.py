@@ -7,12 +7,13 @@ import io
 import json
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import png
 import pytest
 from helpers_cli import fail, run, told
-from PIL import Image
+from PIL import Image, ImageSequence
 
 from voxtool.camera import Camera
 from voxtool.choices import METHODS, VIEWS
@@ -223,6 +224,37 @@ def test_up(here: Path) -> None:
         )
 
 
+# ---- turntables
+
+
+def test_turntables(here: Path) -> None:
+    """Frames are the pictures of --turn, one by one, in every format."""
+    command = f"render {OCTREE} --size 40 --samples 1 --turntable 5"
+    result = run(f"{command} -o spin%02d.png")
+    assert "5 frames, the first 40 x 40, iso view" in result.stderr
+    frames = sorted(Path().glob("spin*.png"))
+    assert [path.name for path in frames] == [f"spin{i:02d}.png" for i in range(5)]
+    for i, path in enumerate(frames):
+        run(f"render {OCTREE} --size 40 --samples 1 --turn {72 * i} -o one.png -q")
+        assert Path("one.png").read_bytes() == path.read_bytes()
+    pixels = [np.asarray(Image.open(path)) for path in frames]
+    run(f"{command} -q")  # bunny.gif
+    run(f"{command} -o spin.webp --background none -q")
+    for name in ("bunny.gif", "spin.webp"):
+        film: Any = Image.open(name)
+        assert film.n_frames == 5
+        assert film.info["loop"] == 0
+        for i, frame in enumerate(ImageSequence.Iterator(film)):
+            drawn = np.asarray(frame.convert("RGBA"), float)
+            straight = drawn[..., :3] * drawn[..., 3:] / 255 + (255 - drawn[..., 3:])
+            assert np.abs(straight - pixels[i]).mean() < 6, (name, i)  # as it is encoded
+    assert run(f"{command} -o - -q").stdout_bytes[:6] == b"GIF89a"
+    assert "frames as .png need a place for their number" in fail(f"{command} -o spin.png")
+    with_legend = f"render {VOLUME} --size 200 --turntable 2 --legend"
+    run(f"{with_legend} -o a.gif -q")
+    assert Image.open("a.gif").width > 200
+
+
 # ---- refusals
 
 
@@ -281,6 +313,9 @@ def test_options_of_other_kinds_are_refused_by_name(kind: str, name: str, here: 
             "'2': write two numbers or percentiles, as 0.5,2 or 75%,99%, or full",
         ),
         ("--opacity-range 75%,101%", "'75%,101%': write two numbers or percentiles"),
+        ("--turntable 4 -o a.mp4", "a.mp4: voxtool has no video encoder: write .webp or .gif, or"),
+        ("--turntable 4 --float", "--float goes with one picture: --turntable writes frames of 8"),
+        ("--turntable 4 --bits 16", "--bits goes with one picture"),
         ("--iso-opacity 0.5", "--iso-opacity is of the surfaces of --isovalue: give one"),
         ("--isovalue 1 --legend", "--legend shows a transfer function, and --isovalue alone has"),
         ("--isovalue x", "is no finite number"),

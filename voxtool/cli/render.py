@@ -23,8 +23,11 @@ from voxtool.errors import printable
 from voxtool.tets.maps import MAPS
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     import numpy as np
 
+    from voxtool.camera import Camera
     from voxtool.cli.runner import Run
     from voxtool.rendering import RenderJob
     from voxtool.tets.transfer import TransferFunction
@@ -77,8 +80,10 @@ OPTIONS_OF = {
         "With --orthographic: what the shorter side shows, in world units.  [default: all]",
         metavar="WORLD"),
     option("--turn", NUMBER,
-        "Turn the camera around the target by this angle, about --up: for turntables.",
+        "Turn the camera around the target by this angle, about --up.",
         metavar="DEG"),
+    option("--turntable", click.IntRange(2, 3600),
+        "Draw N frames of a whole turn, as .gif, .webp or spin%03d.png.", metavar="N"),
     option("--size", SIZE, "Pixels.  [default: 512x512]", (512, 512), metavar="WxH|N"),
     option("--samples", click.IntRange(1, 16),
         "N x N rays a pixel, whose mean it shows.  [default: 2 for octrees and fields, which have "
@@ -126,7 +131,7 @@ OPTIONS_OF = {
 )
 def command(
     run: Run, file: str, size: tuple[int, int], samples: int | None, background: Any,
-    bits: str | None, as_float: bool, **request: Any,
+    bits: str | None, as_float: bool, turntable: int | None, **request: Any,
 ) -> None:  # fmt: skip
     """Draw a picture of an octree, a distance field or a volume FILE.
 
@@ -138,34 +143,86 @@ def command(
       voxtool render bunny.svo.h5 -o bunny.png
       voxtool render bunny.adf.h5 --view front --samples 2 --background none
       voxtool render volume.tet.h5 --legend --size 800x600
+      voxtool render bunny.svo.h5 --turntable 24 --size 128 -o spin.gif
       voxtool render volume.tet.h5 --isovalue 0.2,0.4 --iso-opacity 0.6 -o surfaces.png
     """
     check_request(request)
     check_rays(size, samples)
     from voxtool.files import read_scene
+    from voxtool.files.animation import write_animation
     from voxtool.files.picture import FORMATS, check_writer, write_picture
     from voxtool.rendering import camera_for, plan_render
 
-    if run.output in (None, "-"):
-        run.file_format = "npy" if as_float else "png"
-    run.to(file, output_of(file, "npy" if as_float else "png"), FORMATS)
-    check_format(run, as_float)
+    if turntable is not None:
+        choose_animation(run, file, as_float, bits)
+    else:
+        if run.output in (None, "-"):
+            run.file_format = "npy" if as_float else "png"
+        run.to(file, output_of(file, "npy" if as_float else "png"), FORMATS)
+        check_format(run, as_float)
     depth = int(bits or 8)
-    if run.file_format == "png" and not run.only_plan:
+    if run.file_format != "npy" and not run.only_plan:
         check_writer(depth)
     paper = None if background == "none" else background or WHITE
     with run:
         content = run.stage("read file", read_scene, file)
         with run.naming(file):
             shown = options_of(content, file, request)
+            if turntable is not None:
+                request["turn"] = request["turn"] or 0.0
             camera = camera_for(content, size=size, **camera_options(request), **shown)
             job = run.plan(plan_render, content, camera, size=size, samples=samples, **shown)
             drawn = run.job(job)
         picture = with_legend(drawn, job, paper) if request["legend"] else drawn
-        run.write(write_picture, picture, bits=depth, background=paper)
+        if turntable is None:
+            run.write(write_picture, picture, bits=depth, background=paper)
+        else:
+            frames = turned(picture, job, camera, turntable, request["legend"], paper)
+            run.write(write_animation, frames, count=turntable)
     hit = float((drawn[..., 3] != 0).mean())
     text = f"{size[0]} x {size[1]}, {viewpoint(request)}, {100 * hit:.3g} % of pixels hit"
+    if turntable is not None:
+        text = f"{turntable} frames, the first {text}"
     run.report(text, lambda: summary(job, drawn, hit))
+
+
+def choose_animation(run: Run, file: str, as_float: bool, bits: str | None) -> None:
+    """Choose the output of a turntable; refuse options and formats that do not go with it."""
+    from voxtool.files.animation import FORMATS, numbered
+
+    if as_float or bits:
+        raise click.UsageError(f"{'--float' if as_float else '--bits'} goes with one picture: "
+                               "--turntable writes frames of 8 bits")  # fmt: skip
+    if str(run.output).lower().endswith(".mp4"):
+        raise click.UsageError(
+            f"{run.output}: voxtool has no video encoder: write .webp or .gif, or spin%03d.png and "
+            "then ffmpeg -i spin%03d.png spin.mp4"
+        )
+    if run.output == "-":
+        run.file_format = run.file_format or "gif"
+    run.to(file, output_of(file, "gif"), FORMATS)
+    if run.file_format == "png":
+        numbered(run.output or "", 0)
+
+
+def turned(
+    first: np.ndarray, job: RenderJob, camera: Camera, count: int, legend: bool, paper: Any
+) -> Iterator[np.ndarray]:
+    """Yield the frames of a whole turn, (H, W, 3 or 4) uint8, drawn one by one as they are asked
+    for. The content stays on the device."""
+    import warnings
+    from dataclasses import replace
+
+    from voxtool.files.picture import rounded
+
+    yield rounded(first, 8, paper)
+    width, height = job.rays.size
+    for number in range(1, count):
+        rays = camera.turned(360 * number / count).rays(width, height)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a frame in which nothing is: the first has told
+            drawn = replace(job, rays=rays).run()
+        yield rounded(with_legend(drawn, job, paper) if legend else drawn, 8, paper)
 
 
 def check_rays(size: tuple[int, int], samples: int | None) -> None:
