@@ -3,6 +3,7 @@
 // surface [Marmitt 2004]. Rays are mirrored, so that all their coordinates increase; they are
 // followed in cells of the deepest level.
 
+uniform sampler3D ranges; // least and greatest value in each child of a block, in sides
 uniform float shown;      // distance that is drawn, in sides
 uniform int planeAxis;    // of the cutting plane; -1 for none
 uniform float planeAt;    // where it crosses the axis, in sides
@@ -115,7 +116,9 @@ bool follow(Ray ray, inout float t, float end, out ivec3 low, out int size, out 
         size = k - 1;
         low = p >> size << size;
         uvec3 cell = cellAt(p >> size, uint(top - size), ray.mirror), found;
-        if (size > 0 && find_block(uint(top - size), cell, found)) {
+        vec2 range = texelFetch(ranges, ivec3(2u * stack[k] + (cell & 1u)), 0).rg - shown;
+        bool passes = side > 0.0 ? range.x > 0.0 : side < 0.0 && range.y < 0.0; // without a surface
+        if (!passes && size > 0 && find_block(uint(top - size), cell, found)) {
             k = size;
             stack[k] = found;
             continue;
@@ -123,7 +126,7 @@ bool follow(Ray ray, inout float t, float end, out ivec3 low, out int size, out 
         ivec3 high = low + (1 << size);
         vec3 outs = (vec3(high) - ray.origin) * ray.inverse;
         float leaves = smallest(outs), scale = 1.0 / float(1 << size);
-        if (t < leaves) {
+        if (!passes && t < leaves) {
             vec4 near, far;
             cornersOf(stack[k], cell, ray.mirror, near, far);
             along.start = clamp((ray.origin + t * ray.speed - vec3(low)) * scale, 0.0, 1.0);
@@ -135,8 +138,8 @@ bool follow(Ray ray, inout float t, float end, out ivec3 low, out int size, out 
                 t = mix(t, min(leaves, end), bracket.y);
                 return true;
             }
-            t = leaves;
         }
+        t = max(t, leaves);
         if (t >= end)
             return false;
         ivec3 inner = clamp(ivec3(floor(ray.origin + t * ray.speed)), low, high - 1);

@@ -32,6 +32,7 @@ const FORMATS = {
   u4x2: { internal: "RG32UI", format: "RG_INTEGER", type: "UNSIGNED_INT", channels: 2 },
   i4x4: { internal: "RGBA32I", format: "RGBA_INTEGER", type: "INT", channels: 4 },
   f4x1: { internal: "R32F", format: "RED", type: "FLOAT", channels: 1 },
+  f4x2: { internal: "RG32F", format: "RG", type: "FLOAT", channels: 2 },
   f4x4: { internal: "RGBA32F", format: "RGBA", type: "FLOAT", channels: 4 },
 };
 
