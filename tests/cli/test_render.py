@@ -18,9 +18,10 @@ from PIL import Image, ImageSequence
 from voxtool.camera import Camera
 from voxtool.choices import METHODS, VIEWS
 from voxtool.cli.render import OPTIONS_OF
-from voxtool.files import read_adf, read_svo, read_tet
+from voxtool.files import read_adf, read_svo, read_tet, write_svo
 from voxtool.files.picture import rounded
 from voxtool.rendering import averaged, camera_for, render
+from voxtool.svo.octree import Octree
 from voxtool.tets import transfer
 
 OCTREE, FIELD, VOLUME = "bunny.svo.h5", "bunny.adf.h5", "volume.tet.h5"
@@ -37,6 +38,7 @@ OPTIONS = {
     "integrator": "--integrator linear",
     "legend": "--legend",
     "isovalues": "--isovalue 0.5",
+    "other": f"--difference {OCTREE}",
 }
 
 
@@ -222,6 +224,34 @@ def test_up(here: Path) -> None:
         assert np.array_equal(
             floats(f"{OCTREE} --up {axis} --size 20"), floats(f"{OCTREE} --up {vector} --size 20")
         )
+
+
+# ---- differences
+
+
+def test_a_difference_colours_what_only_one_octree_has(here: Path) -> None:
+    dense = read_svo(OCTREE).to_dense()
+    low, high = dense.copy(), dense.copy()
+    half, third = dense.shape[1] // 2, dense.shape[1] // 3
+    low[:, half:], high[:, :third] = False, False
+    grid = read_svo(OCTREE).grid
+    for name, part in (("low", low), ("high", high)):
+        part_of = Octree.from_dense(part, grid.origin, grid.pitch)
+        write_svo(part_of, f"{name}.svo.h5")
+    camera = "--size 48 --samples 1 --orthographic --view front"
+    found = floats(f"low.svo.h5 --difference high.svo.h5 {camera}")
+    whole = floats(f"{OCTREE} {camera} --colour white")
+    assert np.array_equal(found[..., 3], whole[..., 3])  # together they have every voxel
+    reddish, bluish = found[..., 0] > 1.5 * found[..., 2], found[..., 2] > 1.5 * found[..., 0]
+    common = (found[..., 3] == 1) & ~reddish & ~bluish
+    rows = [np.flatnonzero(met.any(axis=1)) for met in (bluish, common, reddish)]
+    assert all(len(met) > 4 for met in rows)
+    assert rows[0].max() <= rows[1].min() + 1  # the second from the top, the first at the bottom
+    assert rows[1].max() <= rows[2].min() + 1
+    same = floats(f"{OCTREE} --difference {OCTREE} {camera}")
+    assert np.array_equal(same, floats(f"{OCTREE} {camera}"))
+    run("voxelize bunny.obj --dim 16 -o other.svo.h5 -q")
+    assert "octrees of different grids" in fail(f"render {OCTREE} --difference other.svo.h5")
 
 
 # ---- turntables

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from voxtool.errors import VoxtoolError
-from voxtool.plots.legend import LEAST_HEIGHT, draw_legend
+from voxtool.plots.legend import BOTTOM, LEAST_HEIGHT, TOP, draw_legend
 
 STEP = SimpleNamespace(
     scalars=np.array([0.0, 1.0, 1.0, 2.0]),
@@ -44,6 +44,18 @@ def test_a_constant_volume_and_a_transparent_function_have_legends() -> None:
         scalars=np.array([3.0]), colours=np.array([(1.0, 0, 0)]), extinctions=np.array([0.0])
     )
     assert np.isfinite(draw_legend(nothing, (3.0, 3.0), "$x_{" * 50, 300)).all()
+
+
+def test_a_histogram_is_behind_the_curve() -> None:
+    scalars, volumes = np.array([0.24, 0.26, 0.4, 0.9]), np.array([2.0, 2.0, 1.0, 4.0])
+    how = ((0.0, 2.0), "density", 512)
+    plain, drawn = draw_legend(STEP, *how), draw_legend(STEP, *how, shares=(scalars, volumes))
+    changed = (plain != drawn).any(axis=2)
+    rows = np.flatnonzero(changed.any(axis=1))
+    low, high = (512 * (1 - BOTTOM - (1 - BOTTOM - TOP) * share) for share in (0.22, 0.42))
+    assert high - 2 <= rows.min() < rows.max() <= low + 2  # that at 0.9 is behind the blue area
+    lengths = changed.sum(axis=1)
+    assert lengths.max() > 1.2 * lengths[rows.min() + 2] > 0  # the square root of 2, about
 
 
 def test_a_low_legend_is_refused() -> None:

@@ -55,7 +55,7 @@ MAKERS = {
     "unit_distance": "--unit-distance",
 }
 OPTIONS_OF = {
-    "octree": ("level", "colour"),
+    "octree": ("level", "colour", "other"),
     "field": ("offset", "colour"),
     "volume": (
         "transfer_file", *MAKERS, "method", "integrator", "legend", "isovalues", "opacity",
@@ -91,6 +91,9 @@ OPTIONS_OF = {
     option("--level", LEVEL,
         "Octrees: draw nodes of this level as cubes; 0 are bricks of 4 x 4 x 4 voxels.  "
         "[default: voxel]", metavar="N|voxel"),
+    option("--difference other", str,
+        "Octrees: colour what only FILE has vermilion, and what only OTHER has, on the same grid, "
+        "blue.", metavar="OTHER"),
     option("--offset", NUMBER,
         "Fields: the surface at this distance from the mesh's, in world units; negative inside.",
         metavar="D"),
@@ -301,6 +304,12 @@ def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, 
             )
     drawn = {"level", "offset", "colour", "method", "integrator", "isovalues", "opacity"}
     shown = {name: value for name, value in given.items() if name in drawn}
+    if "other" in given:
+        from voxtool.files import read_svo
+
+        if source == given["other"] == "-":
+            raise options.input_twice("FILE", "OTHER")
+        shown["other"] = read_svo(given["other"])
     if kind == "volume" and "colour" in given and "isovalues" not in given:
         raise click.UsageError("--colour of a volume is that of --isovalue: give one")
     if kind == "volume" and with_transfer(request):
@@ -344,6 +353,7 @@ def with_legend(picture: np.ndarray, job: RenderJob, background: Any) -> np.ndar
     import numpy as np
 
     from voxtool.plots.legend import draw_legend
+    from voxtool.tets.transfer import scalar_shares
 
     scene: Any = job.plan.scene
     volume = scene.content
@@ -354,6 +364,7 @@ def with_legend(picture: np.ndarray, job: RenderJob, background: Any) -> np.ndar
         len(picture),
         unit=printable(volume.units),
         background=background,
+        shares=scalar_shares(volume),
     )
     return np.concatenate([picture, legend], axis=1)
 

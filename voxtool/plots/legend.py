@@ -23,6 +23,8 @@ CURVE = (0.47, 0.45)  # the same of the curve
 TITLE = 26  # characters that fit
 BOTTOM, TOP = 0.12, 0.08  # margins, of the height
 FAINT = "#909090"
+PALE = "#b8b8b8"
+BINS = 64  # of the histogram
 
 
 def draw_legend(
@@ -33,12 +35,15 @@ def draw_legend(
     *,
     unit: str = "",
     background: Sequence[float] | None = WHITE,
+    shares: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> np.ndarray:
     """Return the legend of a transfer function from the lowest to the highest scalar of a range, to
     stand at the right of a picture, (height, W, 4) float32, premultiplied.
 
     title : the scalar's name; unit : the name of the world unit, or "".
     background : the colour behind the legend, which decides the colour of its text; None is white.
+    shares : scalars from 0 to 1 over the range, and the volume of each, (n,) both: a histogram of
+        them is drawn behind the curve, its bars in proportion to the square root of the volume.
 
     Raises
     ------
@@ -63,6 +68,8 @@ def draw_legend(
             for left, width in (BAR, CURVE)
         )
         _draw_colours(bar, plot, transfer, low, high, ink)
+        if shares is not None:
+            _draw_histogram(plot, *shares, low, high)
         words: dict[str, Any] = {"color": ink, "parse_math": False}  # names may hold a $
         plot.set_xlabel(f"extinction per {unit or 'unit'}", fontsize=7, labelpad=1, **words)
         figure.text(0.04, 1 - TOP / 2, title[:TITLE], fontsize=8, va="center", **words)
@@ -71,6 +78,17 @@ def draw_legend(
     legend = drawn(round(WIDTH * scale), height, paint, scale=scale, face="none")
     legend[..., :3] *= legend[..., 3:]
     return legend
+
+
+def _draw_histogram(
+    plot: Any, scalars: np.ndarray, volumes: np.ndarray, low: float, high: float
+) -> None:
+    """Draw how much of the volume has each scalar, behind the curve. Square roots show rare ones,
+    too."""
+    counts, edges = np.histogram(scalars, BINS, (0.0, 1.0), weights=volumes)
+    bars = 0.9 * np.sqrt(counts / (counts.max() or 1.0)) * plot.get_xlim()[1]
+    at = low + (high - low) * edges
+    plot.stairs(bars, at, orientation="horizontal", fill=True, color=PALE, zorder=-1)
 
 
 def _draw_colours(

@@ -19,13 +19,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from voxtool.camera import Rays, box_corners, checked_colour
-from voxtool.errors import MemoryLimitError
+from voxtool.choices import WHITE
+from voxtool.errors import GridError, MemoryLimitError
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.svo.layout import BRICK_SIDE, INSIDE
 from voxtool.svo.octree import VOXEL, Octree, level_number
@@ -36,6 +37,8 @@ if TYPE_CHECKING:
 
 SOURCE = "svo/raycast.cl"
 COLOUR = (0.88, 0.85, 0.8)  # a warm light grey
+ONLY_HERE = (0.84, 0.37, 0.0)  # vermilion, and a blue: colour-blind eyes tell them apart
+ONLY_THERE = (0.0, 0.45, 0.7)
 COARSE_LEVELS = 5  # levels below the root down to which nodes bound what is shown
 TILE = 8  # a work-group draws TILE x TILE packets of rays
 HEADERS = {"svo/raycast.h": program.c_constants(TILE=TILE)}
@@ -43,7 +46,11 @@ HEADERS = {"svo/raycast.h": program.c_constants(TILE=TILE)}
 
 @dataclass(frozen=True, eq=False)
 class OctreeScene:
-    """The voxels of an octree, or the nodes of a level as cubes."""
+    """The voxels of an octree, or the nodes of a level as cubes.
+
+    other: an octree of the same grid. Of what rays meet first, voxels that only `content` has are
+    drawn in ONLY_HERE, those that only the other has in ONLY_THERE, and those of both in `colour`.
+    """
 
     kind: ClassVar[str] = "octree"
     samples: ClassVar[int] = 2
@@ -51,10 +58,16 @@ class OctreeScene:
     content: Octree
     level: int | str = "voxel"  # or a level, from 0 for bricks
     colour: Sequence[float] = COLOUR  # red, green and blue of a face towards the light, 0 to 1
+    other: Octree | None = None
     lanes: int | None = None  # rays that a work-item follows, 1 or 16; by default what suits it
 
     def __post_init__(self) -> None:
         _size_exponent(self.content, self.level)
+        if self.other is not None and self.other.grid != self.content.grid:
+            raise GridError(
+                "octrees of different grids have no difference: voxelize both on one grid, with "
+                "--like"
+            )
         checked_colour(self.colour)
 
     @property
@@ -76,12 +89,17 @@ class OctreeScene:
 
     @property
     def device_bytes(self) -> int:
-        """Bytes of the octree on the device."""
-        return self.content.nbytes
+        """Bytes of the octrees on the device."""
+        return self.content.nbytes + (self.other.nbytes if self.other else 0)
 
     def points(self) -> np.ndarray:
         """Return (N, 3) float64 points in world units whose convex hull holds everything shown: the
         corners of coarse nodes, clipped to the bounding box of the voxels or cubes."""
+        if self.other is not None:
+            both = self.content, self.other
+            shown = [octree for octree in both if octree.count] or both
+            alone = [replace(self, content=octree, other=None) for octree in shown]
+            return np.concatenate([scene.points() for scene in alone])
         octree, grid = self.content, self.content.grid
         origin, pitch = np.array(grid.origin), np.array(grid.pitch)
         finest = BRICK_SIDE if self.level == "voxel" else 1 << _size_exponent(octree, self.level)
@@ -107,14 +125,31 @@ class OctreeScene:
 
     def draw(self, rays: Rays, device: Device) -> np.ndarray:
         """Return the premultiplied colour of every ray, (H, W, 4) float32."""
+        if self.other is not None:
+            return self._difference(self.other, rays, device)
         return cast(
             self.content, rays, level=self.level, colour=self.colour, device=device,
             lanes=self.lanes,
         )  # fmt: skip
 
+    def _difference(self, other: Octree, rays: Rays, device: Device) -> np.ndarray:
+        """Return the colours by which octree a ray meets first: a voxel of both is met by both at
+        one depth, since depths are those of the planes of one grid."""
+        how: dict[str, Any] = {"level": self.level, "device": device, "lanes": self.lanes}
+        here, there = (depths(octree, rays, **how) for octree in (self.content, other))
+        picture = cast(self.content, rays, colour=WHITE, **how)
+        beyond = there < here
+        picture[beyond] = cast(other, rays, colour=WHITE, **how)[beyond]
+        for met, colour in (
+            (here < there, ONLY_HERE), (beyond, ONLY_THERE), (here == there, self.colour)
+        ):  # fmt: skip
+            picture[met, :3] *= np.array(colour, np.float32)
+        return picture
+
     def why_empty(self) -> str:
         """Return why the scene is empty, or ""."""
-        return "" if self.content.count else "no voxel of the octree is set"
+        count = self.content.count + (self.other.count if self.other else 0)
+        return "" if count else "no voxel of the octree is set"
 
 
 def cast(
