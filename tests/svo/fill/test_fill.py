@@ -478,10 +478,10 @@ def test_a_flood_in_slabs_fits_less_memory(device: Device) -> None:
         run(device, meshes.box(300, 500 * UNIT), (512,) * 3, "flood", max_memory=less // 10)
 
 
-@pytest.mark.parametrize("gap", [15, 16, 18, 31, 40])
+@pytest.mark.parametrize("gap", [16, 18, 26])
 def test_gaps_may_reach_over_nodes(device: Device, gap: int) -> None:
     """Steps beyond a node of 8 voxels are made in rounds."""
-    mesh, shape = meshes.open_box((UNIT * 13 + 9,) * 3, (UNIT * 33 + 9,) * 3), (45, 40, 41)
+    mesh, shape = meshes.open_box((UNIT * 6 + 9,) * 3, (UNIT * 20 + 9,) * 3), (26, 24, 25)
     surface = voxelize(lattice_mesh(*mesh), lattice_grid(shape), "surface26", device=device)
     found = run(device, mesh, shape, "flood", gap=gap).to_dense()
     assert np.array_equal(found, oracles.flood(surface.to_dense(), gap))
