@@ -1,7 +1,8 @@
 // Evaluates a field at points [ADF, section 3.5]. Host side: voxtool/adf/query.py.
 //
 // A work-item searches for the cells of BATCH points at a time. Each lane processes a run of RUN
-// consecutive points and advances as soon as its own search ends. Points are padded to whole
+// points of those in small cells and advances as soon as its own search ends: a table has the cells
+// down to level `top`. Points are padded to whole
 // work-groups. Options, in addition to those of search.h:
 //   GRADIENT, BOUNDS, CELL   these values are written, too
 //   HARDWARE                 distances are interpolated by the device's filter
@@ -16,16 +17,18 @@ void read_point(__global const uint *point, uint *x, uint *y, uint *z)
     *z = point[2];
 }
 
-// For each of BATCH runs of points: the deepest cells that have blocks, their slots and levels. All
-// cells down to level `full` have blocks; no cell below `deepest` has one.
-void find_deepest(const Hash *hash, __global const uint *points, const int full, const int deepest,
-                  uint *slots, int *levels)
+// For `count` of the points, whose places are `wanted`: the deepest cells that have blocks, their
+// blocks and levels. All of their cells down to level `known` have blocks, which are set; no cell
+// below `deepest` has one.
+void find_deepest(const Hash *hash, __global const uint *points, const uint *wanted_points,
+                  const uint count, const int known, const int deepest, uint *blocks, int *levels)
 {
     // coherent: the first point of a run starts at the middle level
-    const int start = SEARCH == LINEAR ? min(full + 1, deepest) : (full + deepest) >> 1;
+    const int start = SEARCH == LINEAR ? known + 1 : (known + 1 + deepest) >> 1;
+    const uint run = (count + BATCH - 1) / BATCH;
     Wanted wanted;
     uint left[BATCH], at[BATCH]; // per run: points left, and the current point
-    uint slot[BATCH];            // the deepest cell so far
+    uint slot[BATCH];            // the deepest cell so far, if it is below `known`
     int level[BATCH];
 #if SEARCH == BINARY
     int least[BATCH], most[BATCH]; // bounds on the level of the deepest cell
@@ -34,21 +37,21 @@ void find_deepest(const Hash *hash, __global const uint *points, const int full,
 #endif
     EACH_POINT(i)
     {
-        left[i] = RUN;
-        at[i] = i * RUN;
+        left[i] = i * run < count ? min(run, count - i * run) : 0;
+        at[i] = min(i * run, count - 1);
         slot[i] = 0;
-        level[i] = full;
+        level[i] = known;
         wanted.level[i] = start;
 #if SEARCH == BINARY
-        least[i] = full;
+        least[i] = known + 1;
         most[i] = deepest;
 #else
         way[i] = 0;
 #endif
     }
-    for (uint searching = 1; searching > 0;) {
+    for (uint searching = count; searching > 0;) {
         EACH_POINT(i)
-            read_point(points + 3 * at[i], wanted.x + i, wanted.y + i, wanted.z + i);
+            read_point(points + 3 * wanted_points[at[i]], wanted.x + i, wanted.y + i, wanted.z + i);
         uint looked_at[BATCH];
         int exist[BATCH], ended[BATCH];
         find_cells(hash, &wanted, looked_at, exist);
@@ -62,7 +65,7 @@ void find_deepest(const Hash *hash, __global const uint *points, const int full,
             const ints low = exists ? tried + 1 : load(least + i);
             const ints high = exists ? load(most + i) : tried - 1;
             const ints end = low > high;
-            store(end ? (ints)full : low, least + i);
+            store(end ? (ints)(known + 1) : low, least + i);
             store(end ? (ints)deepest : high, most + i);
             store(end ? (ints)start : (low + high) >> 1, wanted.level + i);
 #else
@@ -76,12 +79,15 @@ void find_deepest(const Hash *hash, __global const uint *points, const int full,
         searching = 0;
         EACH_POINT(i) // a finished run repeats its last point; the result is unused
         {
-            if (left[i] > 0) {
-                slots[at[i]] = slot[i];
-                levels[at[i]] = level[i];
-                left[i] -= ended[i] != 0;
+            if (left[i] > 0 && ended[i]) {
+                const uint point = wanted_points[at[i]];
+                if (level[i] > known)
+                    blocks[point] = hash->cells[WORDS * (size_t)slot[i] + WORDS - 1];
+                levels[point] = level[i];
+                level[i] = known;
+                if (--left[i] > 0)
+                    ++at[i];
             }
-            at[i] = (i + 1) * RUN - max(left[i], 1u);
             searching += left[i];
         }
     }
@@ -166,9 +172,29 @@ float filtered(__read_only image3d_t image, const uint2 across, const uint block
 }
 #endif
 
+// For each of the points, one in each cell of level `top`: the block of the deepest cell down to this
+// level that has one, and its level.
+__kernel void find_tops(__global const uint *points, TEXTURES, const int top, __global uint2 *tops)
+{
+    const Hash hash = {cells, offsets, inverses, m, r};
+    const size_t first = get_global_id(0) * (BATCH * RUN);
+    uint every[BATCH * RUN], blocks[BATCH * RUN];
+    int levels[BATCH * RUN];
+    for (uint i = 0; i < BATCH * RUN; ++i)
+        every[i] = i;
+    find_deepest(&hash, points + 3 * first, every, BATCH * RUN, min(full, top) - 1, top, blocks,
+                 levels);
+    for (uint i = 0; i < BATCH * RUN; ++i)
+        tops[first + i] = (uint2)(blocks[i], (uint)levels[i]);
+}
+
+// A coordinate of a cell of level `top`.
+uint top_of(uint x, int top) { return x >> 1 >> (POINT_BITS - 1 - top); }
+
 // The values of the field at points: distances in cube edges; optionally gradients, codes of the
 // leaves' error bounds, and the leaves' levels and cells.
-__kernel void query(__global const uint *points, TEXTURES, __global float *distances
+__kernel void query(__global const uint *points, TEXTURES, const int top,
+                    __global const uint2 *tops, __global float *distances
 #ifdef HARDWARE
                     , __read_only image3d_t image, const uint2 across
 #endif
@@ -185,17 +211,26 @@ __kernel void query(__global const uint *points, TEXTURES, __global float *dista
 {
     const Hash hash = {cells, offsets, inverses, m, r};
     const size_t first = get_global_id(0) * (BATCH * RUN);
-    uint slots[BATCH * RUN];
+    uint blocks[BATCH * RUN], below[BATCH * RUN], count = 0; // points in cells below `top`
     int levels[BATCH * RUN];
-    find_deepest(&hash, points + 3 * first, full, deepest, slots, levels);
+    for (uint i = 0; i < BATCH * RUN; ++i) {
+        uint x, y, z;
+        read_point(points + 3 * (first + i), &x, &y, &z);
+        const uint2 found =
+            tops[top_of(x, top) | (top_of(y, top) | top_of(z, top) << top) << top];
+        blocks[i] = found.x;
+        levels[i] = (int)found.y;
+        below[count] = i;
+        count += levels[i] == top && top < deepest;
+    }
+    if (count > 0)
+        find_deepest(&hash, points + 3 * first, below, count, top, deepest, blocks, levels);
     for (uint begin = 0; begin < BATCH * RUN; begin += BATCH) {
         const int *level = levels + begin;
-        uint x[BATCH], y[BATCH], z[BATCH], octant[BATCH], corner[BATCH], block[BATCH];
+        uint x[BATCH], y[BATCH], z[BATCH], octant[BATCH], corner[BATCH];
+        const uint *block = blocks + begin;
         EACH_POINT(i)
-        {
             read_point(points + 3 * (first + begin + i), x + i, y + i, z + i);
-            block[i] = cells[WORDS * (size_t)slots[begin + i] + WORDS - 1];
-        }
         EACH_VECTOR(i)
         {
             const uints bx = octant_bits(load(x + i), load(level + i));

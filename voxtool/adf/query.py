@@ -25,6 +25,7 @@ import numpy as np
 from voxtool.adf.cells import bound_values, half_diagonals
 from voxtool.adf.field import DistanceField
 from voxtool.adf.host_query import (
+    POINT_BITS,
     QueryResult,
     checked_points,
     extend,
@@ -41,6 +42,7 @@ from voxtool.opencl.images import Image, check_filter, image_of
 
 SOURCE = "adf/query.cl"
 HOST_POINTS = 128  # up to this number the host is faster than a launch
+TOP_LEVEL = 5  # down to which a table has the cells of points: it fits caches
 BLOCK = 1 << 18  # points that are on the device at once
 
 OUTPUTS: dict[str, dict[str, tuple[type, int]]] = {  # of the kernel, besides distances
@@ -309,7 +311,8 @@ def textures_of(field: DistanceField, device: Device) -> Textures:
             **({"W": 1} if table.has_w else {}),
             **({"WIDE": 1} if field.cells.shape[-1] == 3 else {}),
         }
-        arguments = {
+        top = min(TOP_LEVEL, deepest)
+        arguments: dict[str, Any] = {
             "voxels": voxels_of(field, device),
             "cells": _upload(field.cells, device),
             "offsets": _upload(table.offsets, device),
@@ -318,11 +321,30 @@ def textures_of(field: DistanceField, device: Device) -> Textures:
             "r": table.r,
             "full": full,
             "deepest": deepest,
+            "top": top,
         }
-        return Textures(arguments, options)
+        return Textures(arguments | {"tops": _tops(device, top, arguments, options)}, options)
 
-    nbytes = field.cells.nbytes + field.hash.nbytes
+    nbytes = field.cells.nbytes + field.hash.nbytes + 8 * 8**TOP_LEVEL
     return device.keep(field, "textures", nbytes, upload)
+
+
+def _tops(
+    device: Device, top: int, arguments: dict[str, Any], options: dict[str, int | str]
+) -> Array:
+    """Return the block and the level of the deepest cell down to level `top` that has a block, for
+    each cell of this level, (8**top, 2) uint32 by x, y, z."""
+    shape, n = CPU if device.lanes > 1 else GPU, 8**top
+    padded = shape.padded(n)
+    points = np.zeros((padded, 3), np.uint32)
+    for axis in range(3):
+        cells = np.arange(n) >> top * axis & (1 << top) - 1
+        points[:n, axis] = cells << (POINT_BITS - top)
+    tops = device.empty(2 * padded, np.uint32)
+    find_tops = device.kernel(SOURCE, "find_tops", SEARCH="BINARY", **shape.options(), **options)
+    size = padded // (shape.batch * shape.run)
+    find_tops(size, points=device.put(points), tops=tops, local=shape.group, **arguments)
+    return tops
 
 
 def voxels_of(field: DistanceField, device: Device) -> Array:
