@@ -135,6 +135,12 @@ MUTATIONS: dict[str, Mutation] = {
         "#define DOUBT -0x1p-15f",
         "tests/spatial/test_distance.py",
     ),
+    "fields: rounding of triangles": Mutation(
+        "kernels/adf/levels/narrow.h",
+        "#define DOUBT 0x1p-19f",
+        "#define DOUBT 0x1p-27f",
+        "tests/adf/test_levels.py",
+    ),
     "distance: ties in packets": Mutation(
         "kernels/spatial/nearest_packets.cl",
         "convert_long16(rank < p->rank)",

@@ -1,7 +1,9 @@
 """The stages of each level of a field under construction: sample, constrain, examine, refine.
 
 The list of a cell contains the nearest triangle to every point of the cell. Children inherit the
-part of the list that they need, so lists shrink with the cells, and no tree is searched.
+part of the list that they need, so lists shrink with the cells, and no tree is searched. Sixteen
+triangles are tested side by side in single precision, with a bound on the error; only those that it
+leaves in doubt are tested in double precision.
 
 Kernels: kernels/adf/levels/, a source for each stage.
 """
@@ -19,9 +21,11 @@ from voxtool.adf.plan import FieldPlan
 from voxtool.adf.survey import Survey
 from voxtool.opencl import Array, program
 from voxtool.opencl.primitives import exclusive_scan
+from voxtool.spatial.bvh import TriangleTree
 
 CROSSED = 64.0  # tolerances: the largest edge of a leaf where triangles pass, unless certain
 WALKERS = {"sample_blocks", "examine_children", "pass_lists_on"}  # kernels that walk whole lists
+NARROW = 16  # numbers of a triangle in single precision: a line of the cache
 KEPT = 32  # triangles of a cell that are combined in pairs, at most
 NO_TRIANGLE = OUT_OF_CUBE = 0xFFFFFFFF
 COARSE = OUT_OF_CUBE - 1  # a neighbour that is a leaf, or lies within one
@@ -69,6 +73,7 @@ HEADERS = {
     "adf/levels/level.h": program.c_constants(
         JUMP=JUMP,
         KEPT=KEPT,
+        NARROW=NARROW,
         NO_TRIANGLE=NO_TRIANGLE,
         OUT_OF_CUBE=OUT_OF_CUBE,
         COARSE=COARSE,
@@ -146,6 +151,7 @@ class Construction:
             "band": plan.band * side,
             "thorough": plan.max_bytes is not None,
             "bounds": self.device.put(bound_values()),
+            "narrow": narrow_triangles(survey.tree),
             "steepest": self.steepest,
             "unbalanced": self.unbalanced,
         }
@@ -180,6 +186,15 @@ class Construction:
             "parent_states": np.array([UNKNOWN], np.uint8),
         }
         return Level(0, 1, {name: self.device.put(values) for name, values in arrays.items()})
+
+
+def narrow_triangles(tree: TriangleTree) -> Array:
+    """Return the triangles of a tree in single precision, NARROW float32 a slot: most comparisons
+    of distances need nothing else."""
+    slots, device = tree.face_of.size, tree.leaves.device
+    narrow = device.empty(slots * NARROW, np.float32)
+    device.kernel("adf/levels/narrow.cl", "narrow_triangles")(slots, tree.leaves, narrow)
+    return narrow
 
 
 def sample(work: Construction, level: Level) -> None:

@@ -1,7 +1,7 @@
 // Computes the errors of a level's children and marks the children to refine. Host side:
 // voxtool/adf/levels.py.
 
-#include "adf/levels/lists.h"
+#include "adf/levels/bounds.h"
 
 // voxels = values, in units of the cube's edge.
 __kernel void store_voxels(const uint n, __global const double *values, const double extent,
@@ -44,111 +44,6 @@ bool jumps(const double *corners, double edge, bool passed)
         }
     return false;
 }
-
-// The triangles needed by a child of a block: the entries of the block's list that have the child's
-// bit.
-typedef struct {
-    scene_of_lists scene;
-    __global const uchar *masks;
-    uint begin, end, child;
-} child_list;
-
-// The index of the first such entry at or after a given index; `end` if there is none.
-uint from(const child_list *list, uint place)
-{
-    while (place < list->end && !(list->masks[place] >> list->child & 1))
-        ++place;
-    return place;
-}
-
-// Upper bounds on the error of the interpolated unsigned corner distances in a cell, above and
-// below the distance to the mesh; and the corner distances to the triangle with the best bound from
-// above.
-//
-// The distance is the minimum of convex functions d_t. So it never exceeds the interpolation of any
-// d_t, or of the mean of two. Interpolation is a weighted mean over corners v. With q the nearest
-// point to p, n the direction from q to p, and u, w the components of v - p along and across n:
-// d_t(v) <= |v - q| <= d_t(p) + u + w^2 / (2 (d_t(p) + u)). The mean of u is 0. The mean of w^2 is
-// at most edge^2 / 2; it is at most edge^2 / 4 beside an edge, along which q may slide, and 0 on
-// one side of a face. The mean of |v - q| is also at most the root of its mean square.
-typedef struct {
-    double above, below;
-    double8 best;
-} bounds_apart;
-
-// Updates the bounds with a triangle, from its corner distances.
-void bound_by(bounds_apart *bounds, double8 d, const ways *way, MASKS feature, double8 size,
-              double edge)
-{
-    const double excess = highest(d - size);
-    bounds->best = excess < bounds->above ? d : bounds->best;
-    bounds->above = excess < bounds->above ? excess : bounds->above;
-    const bool one = all(feature == (MASKS)feature.s0), edge_alone = one && feature.s0 < A;
-    double bend = 0;
-    const bool aside = all(way->x * way->x.s0 + way->y * way->y.s0 + way->z * way->z.s0 > 0);
-    if (!(one && feature.s0 == FACE && aside)) {
-        const double squares = edge * edge, low = lowest(d) - edge * HALF_DIAGONAL;
-        const double near = low > 0 ? low : 0, across = edge_alone ? 0.25 : 0.5;
-        bend = sqrt(near * near + (across + 0.25) * squares) - near;
-        const double ahead = low - 2 * edge * HALF_DIAGONAL; // lower bound of d_t(p) + u
-        const double curved = across * squares / (2 * ahead);
-        bend = ahead > 0 && curved < bend ? curved : bend;
-    }
-    const double shortfall = highest(size - d) + bend;
-    bounds->below = shortfall > bounds->below ? shortfall : bounds->below;
-}
-
-double bound_apart(const child_list *list, const ways *at, double8 size, double edge)
-{
-    bounds_apart bounds = {INFINITY, 0, 0};
-    double8 distances[KEPT];
-    uint count = 0;
-    for (uint j = from(list, list->begin); j < list->end; j = from(list, j + 1)) {
-        const triangle t = triangle_at(&list->scene, j);
-        ways way;
-        MASKS feature;
-        const double8 d = sqrt(triangle_ways(&t, at->x, at->y, at->z, &way, &feature));
-        bound_by(&bounds, d, &way, feature, size, edge);
-        if (count < KEPT)
-            distances[count++] = d;
-    }
-    for (uint i = 0; i < count && bounds.above > bounds.below; ++i) {
-        const double excess = highest(0.5 * (bounds.best + distances[i]) - size);
-        bounds.above = excess < bounds.above ? excess : bounds.above;
-    }
-    return bounds.above > bounds.below ? bounds.above : bounds.below;
-}
-
-#ifdef CLOSED
-// The same bounds in cells with triangles, for signed distances of a closed mesh, of magnitude at
-// most `farthest`. If all normals are within an angle of the first, so is the direction to the
-// nearest point. Each distance is then the distance to a triangle's plane, divided by a cosine of
-// at least that of twice the angle.
-double bound_passed(const child_list *list, const ways *at, double8 field, double farthest)
-{
-    double3 axis = 0;
-    double cosine = 1, apart = 0;
-    const scene_of_lists *scene = &list->scene;
-    for (uint j = from(list, list->begin); j < list->end && cosine > 0.75; j = from(list, j + 1)) {
-        const triangle t = triangle_at(scene, j);
-        const uint name = scene->names[scene->items[j]];
-        double3 normal = normal_of(name, FACE, scene->features, scene->normals);
-        const double square = normal.x * normal.x + normal.y * normal.y + normal.z * normal.z;
-        if (square == 0)
-            return INFINITY;
-        normal /= sqrt(square);
-        if (axis.x == 0 && axis.y == 0 && axis.z == 0)
-            axis = normal;
-        const double c = axis.x * normal.x + axis.y * normal.y + axis.z * normal.z;
-        cosine = c < cosine ? c : cosine;
-        const double8 plane =
-            (at->x - t.ax) * normal.x + (at->y - t.ay) * normal.y + (at->z - t.az) * normal.z;
-        const double misses = highest(absolute(plane - field));
-        apart = misses > apart ? misses : apart;
-    }
-    return cosine > 0.75 ? apart + 2 * (1 - cosine * cosine) * farthest : INFINITY;
-}
-#endif
 
 // The refinement parameters, in the frame: tolerance, displacement of points by rounding, and width
 // of the refined band around the surface; whether children can be refined, whether they must be
@@ -237,14 +132,69 @@ void sample_all(const child_list *list, child_cell *c, double tolerance, uint th
     c->bound = between < c->bound ? between : c->bound;
 }
 
+float3 centre_of(const child_cell *c)
+{
+    const double scale = 2.0 / (2ul << c->level);
+    const double3 middle = (double3)(2 * c->cell.x + 1, 2 * c->cell.y + 1, 2 * c->cell.z + 1);
+    return convert_float3(c->extent * (middle * scale - 1.0));
+}
+
+// As sample_all, of a child that no triangle passes, from distances in single precision; returns
+// false if these do not decide.
+bool samples_decide(const child_list *list, child_cell *c, double tolerance)
+{
+    const float3 centre = centre_of(c);
+    const float edge = (float)c->edge;
+    float16 x[2], y[2], z[2];
+    for (uint k = 0; k < 2; ++k) {
+        const ways low = samples_of(c, 2 * k), high = samples_of(c, 2 * k + 1);
+        x[k] = (float16)(convert_float8(low.x - centre.x), convert_float8(high.x - centre.x));
+        y[k] = (float16)(convert_float8(low.y - centre.y), convert_float8(high.y - centre.y));
+        z[k] = (float16)(convert_float8(low.z - centre.z), convert_float8(high.z - centre.z));
+    }
+    float16 least[2] = {INFINITY, INFINITY};
+    float doubt = 0;
+    for (uint j = from(list, list->begin); j < list->end; j = from(list, j + 1)) {
+        const narrow_triangles n = one_narrow(&list->scene, list->scene.items[j], centre, edge);
+        narrow_ways way;
+        int16 feature;
+        for (uint k = 0; k < 2; ++k)
+            least[k] = lesser(least[k], narrow_squares(&n, x[k], y[k], z[k], &way, &feature));
+        doubt = n.doubt.s0 > doubt ? n.doubt.s0 : doubt;
+    }
+    double error = 0;
+    for (uint k = 0; k < POINTS / 8; ++k) {
+        const float8 square = k & 1 ? least[k / 2].hi : least[k / 2].lo;
+        const double8 field = absolute(interpolated_at(c, k));
+        const double miss = highest(absolute(field - convert_double8(sqrt(square))));
+        error = miss > error ? miss : error;
+    }
+    if (!(error + doubt <= tolerance) && !(c->may_refine && error - doubt > tolerance))
+        return false;
+    const double between = error + doubt + c->rounding + c->gap;
+    c->error = error;
+    c->bound = between < c->bound ? between : c->bound;
+    return true;
+}
+
 // Computes the error bound of a child that no triangle passes. If it exceeds the tolerance, samples
 // the error, unless the child lies beyond the band and samples cannot lower the bound.
 void examine_apart(const child_list *list, child_cell *c, double tolerance, uint thorough)
 {
     const double8 size = absolute(vload8(0, c->corners));
     const ways at = lattice_points(c->cell, CELL, 0, c->level, c->extent);
-    c->bound = bound_apart(list, &at, size, c->edge) + c->rounding;
-    if (c->bound > tolerance && !(c->beyond && c->bound <= c->rounding + c->gap))
+    const float3 centre = centre_of(c);
+    float corners[3][8], sizes[8];
+    vstore8(convert_float8(at.x - centre.x), 0, corners[0]);
+    vstore8(convert_float8(at.y - centre.y), 0, corners[1]);
+    vstore8(convert_float8(at.z - centre.z), 0, corners[2]);
+    vstore8(convert_float8(size), 0, sizes);
+    const float2 narrow = narrow_bound_apart(list, corners, centre, sizes, (float)c->edge);
+    c->bound = narrow.x > 16 * narrow.y ? narrow.x : bound_apart(list, &at, size, c->edge);
+    c->bound += c->rounding;
+    if (c->bound <= tolerance || (c->beyond && c->bound <= c->rounding + c->gap))
+        return;
+    if (thorough || !samples_decide(list, c, tolerance))
         sample_all(list, c, tolerance, thorough);
 }
 

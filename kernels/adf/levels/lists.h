@@ -68,7 +68,8 @@ double8 absolute(double8 a)
 // data for signs. BOUNDARY: bounding spheres of the mesh's boundary, and the boundary length in each.
 #define CELLS __global const ulong *identifiers, const uint level, const double extent
 #define LISTS                                                                                          \
-    CELLS, __global const uint *begins, __global const double *leaves, __global const uint *items
+    CELLS, __global const uint *begins, __global const double *leaves,                                 \
+        __global const float *narrow, __global const uint *items
 #ifdef SIGNED
 #ifdef WINDING
 #define FRONT , __global const double *front
@@ -83,16 +84,17 @@ double8 absolute(double8 a)
 #endif
 #define SIDES                                                                                          \
     , __global const uint *names, __global const uint *features, __global const double *normals FRONT
-#define SCENE_VALUES leaves, items, names, features, normals FRONT_VALUE
+#define SCENE_VALUES leaves, narrow, items, names, features, normals FRONT_VALUE
 #define has_side(scene, item) (scene->names[item] != NAMELESS)
 #else
 #define SIDES
-#define SCENE_VALUES leaves, items
+#define SCENE_VALUES leaves, narrow, items
 #define has_side(scene, item) true
 #endif
 
 typedef struct {
     __global const double *leaves;
+    __global const float *narrow;
     __global const uint *items;
 #ifdef SIGNED
     __global const uint *names;
@@ -137,13 +139,6 @@ void look_at(const scene_of_lists *scene, uint place, double8 square, nearest *f
     found->square = nearer ? square : found->square;
 #endif
     found->which = nearer ? (long8)place : found->which;
-}
-
-uint gathered(long8 bits)
-{
-    const long4 halves = bits.lo | bits.hi;
-    const long2 quarters = halves.lo | halves.hi;
-    return (uint)(quarters.x | quarters.y);
 }
 
 double8 squares_to(const triangle *t, const ways *points)

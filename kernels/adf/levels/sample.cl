@@ -2,137 +2,184 @@
 // voxtool/adf/levels.py.
 
 #include "adf/levels/lists.h"
+#include "adf/levels/narrow.h"
 
 // ---- distances
 
-// The distances from the corners of the eight children, one per lane, to up to eight triangles, the
-// rivals of the others. `own` is the distance to the rival nearest to a child's centre, `lowest` the
-// smallest.
-typedef struct {
-    double8 corners[8][8], own[8], lowest[8];
-    uint count;
-} rival_distances;
+#define SIXTEEN (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
 
-// The nearest triangle of a list to the centre of each child.
-nearest nearest_to_middles(const scene_of_lists *scene, uint begin, uint end, const ways *middles)
+// The vertices of a block, relative to its centre; upper bounds of the distances of its rivals, the
+// triangles nearest to the centres of the children, at the vertices, and which rival is which
+// child's; and upper bounds of the least distances at the vertices: with FLAT, to triangles with a
+// side.
+typedef struct {
+    float x[POINTS], y[POINTS], z[POINTS], rivals[8][POINTS], least[POINTS];
+    uint rival_of[8], count;
+} block_vertices;
+
+// The block's triangles from an index of the lists on, sixteen at most; the last one pads them.
+narrow_triangles sixteen_at(const scene_of_lists *scene, uint place, uint end, float3 centre,
+                            float edge)
 {
-    nearest found = nothing_found();
-    for (uint j = begin; j < end; ++j) {
-        const triangle t = triangle_at(scene, j);
-        look_at(scene, j, squares_to(&t, middles), &found);
-    }
-    return found;
+    uint slots[16];
+    for (uint i = 0; i < 16; ++i)
+        slots[i] = scene->items[min(place + i, end - 1)];
+    return sixteen_narrow(scene, slots, centre, edge);
 }
 
-#define SIDES_X (double8)(-1, 1, -1, 1, -1, 1, -1, 1)
-#define SIDES_Y (double8)(-1, -1, 1, 1, -1, -1, 1, 1)
-#define SIDES_Z (double8)(-1, -1, -1, -1, 1, 1, 1, 1)
-
-// Updates the vertices of a block with the triangles nearest to the centres, each triangle once.
-void look_at_rivals(const scene_of_lists *scene, long8 which, const ways *points, nearest *found,
-                    rival_distances *rivals)
+float16 distances_to_middle(const narrow_triangles *n, uint child, float edge, narrow_ways *way)
 {
-    long places[8];
-    vstore8(which, 0, places);
-    rivals->count = 0;
+    const float quarter = 0.25f * edge;
+    int16 feature;
+    return sqrt(narrow_squares(n, child & 1 ? quarter : -quarter, child & 2 ? quarter : -quarter,
+                               child & 4 ? quarter : -quarter, way, &feature));
+}
+
+// The triangles of a list that are nearest to the centres of the children, by distances in single
+// precision, and upper bounds of the least distances.
+void nearest_to_middles(const scene_of_lists *scene, uint begin, uint end, float3 centre, float edge,
+                        uint *nearest_of, float *least_of)
+{
+    float16 least[8];
+    int16 places[8];
     for (uint i = 0; i < 8; ++i) {
-        found[i] = nothing_found();
-        rivals->lowest[i] = INFINITY;
+        least[i] = INFINITY;
+        places[i] = (int16)(int)begin;
     }
-    uint rival_of[8];
-    for (uint k = 0; k < 8; ++k) {
-        bool known = places[k] == NO_TRIANGLE;
-        rival_of[k] = rivals->count;
-        for (uint other = 0; other < k; ++other)
-            if (places[other] == places[k]) {
-                known = true;
-                rival_of[k] = rival_of[other];
-            }
-        if (known)
-            continue;
-        const triangle t = triangle_at(scene, (uint)places[k]);
-        double squares[POINTS];
-        for (uint v = 0; v < POINTS / 8; ++v)
-            vstore8(squares_to(&t, &points[v]), v, squares);
+    for (uint j = begin; j < end; j += 16) {
+        const narrow_triangles n = sixteen_at(scene, j, end, centre, edge);
         for (uint i = 0; i < 8; ++i) {
-            double corners[8], children[8];
-            for (uint j = 0; j < 8; ++j) {
-                corners[j] = squares[CORNERS[8 * i + j]];
-                children[j] = squares[CORNERS[8 * j + i]];
-            }
-            look_at(scene, (uint)places[k], vload8(0, corners), &found[i]);
-            const double8 other = rivals->corners[rivals->count][i] = sqrt(vload8(0, children));
-            rivals->lowest[i] = other < rivals->lowest[i] ? other : rivals->lowest[i];
+            narrow_ways way;
+            const float16 d = distances_to_middle(&n, i, edge, &way) + n.doubt;
+            const int16 nearer = d < least[i];
+            least[i] = nearer ? d : least[i];
+            places[i] = nearer ? (int)j + SIXTEEN : places[i];
         }
-        ++rivals->count;
     }
     for (uint i = 0; i < 8; ++i) {
-        double own[8];
-        for (uint k = 0; k < 8; ++k)
-            own[k] = rivals->count == 0 ? INFINITY : ((double *)&rivals->corners[rival_of[k]][i])[k];
-        rivals->own[i] = vload8(0, own);
+        float distances[16];
+        int place[16];
+        vstore16(least[i], 0, distances);
+        vstore16(places[i], 0, place);
+        uint best = 0;
+        for (uint lane = 1; lane < 16; ++lane)
+            best = distances[lane] < distances[best] ? lane : best;
+        least_of[i] = distances[best];
+        nearest_of[i] = min((uint)place[best], end - 1);
     }
 }
 
-// The tangents of a triangle's distance at the centres of the children, one per lane: the values
-// there, lowered by more than the rounding error, and the changes along half an edge.
+// Updates the bounds of least distances at half of the vertices with the distances to a triangle.
+void lower_least(const scene_of_lists *scene, uint slot, float16 most, uint half_of,
+                 block_vertices *block)
+{
+    if (has_side(scene, slot))
+        vstore16(lesser(most, vload16(half_of, block->least)), half_of, block->least);
+}
+
+float16 distances_to_vertices(const narrow_triangles *n, const block_vertices *block, uint half_of)
+{
+    narrow_ways way;
+    int16 feature;
+    return sqrt(narrow_squares(n, vload16(half_of, block->x), vload16(half_of, block->y),
+                               vload16(half_of, block->z), &way, &feature));
+}
+
+// Sets the rivals, each triangle once.
+void set_rivals(const scene_of_lists *scene, const uint *nearest_of, float3 centre, float edge,
+                block_vertices *block)
+{
+    block->count = 0;
+    for (uint i = 0; i < POINTS; ++i)
+        block->least[i] = INFINITY;
+    for (uint k = 0; k < 8; ++k) {
+        uint same = 0;
+        while (nearest_of[same] != nearest_of[k])
+            ++same;
+        block->rival_of[k] = same < k ? block->rival_of[same] : block->count;
+        if (same < k)
+            continue;
+        const uint slot = scene->items[nearest_of[k]];
+        const narrow_triangles n = one_narrow(scene, slot, centre, edge);
+        for (uint i = 0; i < 2; ++i) {
+            const float16 most = distances_to_vertices(&n, block, i) + n.doubt;
+            vstore16(most, i, block->rivals[block->count]);
+            lower_least(scene, slot, most, i, block);
+        }
+        ++block->count;
+    }
+}
+
+// The tangents of sixteen triangles' distances at the centre of a child: lower bounds of the values
+// there, and the changes along half of the child's edge. The direction of a way is off by 2 doubt / d,
+// and a corner is less than half of the block's edge away. A triangle through the centre is needed
+// whatever its tangent.
 typedef struct {
-    double8 base, x, y, z;
+    float16 base, x, y, z;
 } tangents;
 
-// The children that need a triangle: all bits of a lane are set.
-long8 children_that_need(const tangents *at, const rival_distances *rivals)
+tangents tangents_at(float16 d, const narrow_ways *way, float16 doubt, float edge)
 {
-    double8 corners[8];
-    long8 needs = 0, open = 0;
-    for (uint i = 0; i < 8; ++i) {
-        corners[i] = at->base + (i & 1 ? at->x : -at->x) + (i & 2 ? at->y : -at->y) +
-                     (i & 4 ? at->z : -at->z);
-        needs |= corners[i] <= rivals->lowest[i];
-        open |= corners[i] <= rivals->own[i];
-    }
-    open &= ~needs; // excluded by no rival yet, but nowhere below all of them
-    for (uint other = 0; other < rivals->count && any(open); ++other) {
-        long8 some = 0;
-        for (uint i = 0; i < 8; ++i)
-            some |= corners[i] <= rivals->corners[other][i];
-        open &= some;
-    }
-    return needs | open;
-}
-
-tangents tangents_at(const triangle *t, const ways *middles, double edge)
-{
-    ways way;
-    MASKS feature;
-    const double8 dd = triangle_ways(t, middles->x, middles->y, middles->z, &way, &feature);
-    const double8 d = sqrt(dd), slope = dd > 0.0 ? 0.25 * edge / d : 0.0;
-    const tangents at = {d - SLACK * (edge + d), slope * way.x, slope * way.y, slope * way.z};
+    const int16 apart = d > 0x1p-10f * edge;
+    const float16 share = apart ? edge / d : 0.0f, slope = 0.25f * share;
+    const tangents at = {apart ? d - doubt * (3 + share) : -INFINITY, slope * way->x, slope * way->y,
+                         slope * way->z};
     return at;
 }
 
-// Updates the nearest triangles at the corners of the `needing` children, one per bit, with the
-// triangle at an index of the lists, where its tangents do not exceed the distance so far.
-void look_at_corners(const scene_of_lists *scene, uint place, const triangle *t, uint needing,
-                     const tangents *at, const ways *corners, nearest *found)
+// The triangles that a child needs; and those that may be nearest to one of its corners.
+int16 needed_by(uint child, const tangents *at, const block_vertices *block, int16 *near)
 {
-    double base[8], x[8], y[8], z[8];
-    vstore8(at->base, 0, base);
-    vstore8(at->x, 0, x);
-    vstore8(at->y, 0, y);
-    vstore8(at->z, 0, z);
-    for (uint left = needing; left > 0; left &= left - 1) {
-        const uint child = 31 - clz(left & -left);
-        const double8 tangent = base[child] + x[child] * SIDES_X + y[child] * SIDES_Y +
-                                z[child] * SIDES_Z;
-#ifdef FLAT
-        const double8 least = found[child].sided;
-#else
-        const double8 least = found[child].square;
-#endif
-        if (any(tangent <= 0.0 || tangent * tangent <= least))
-            look_at(scene, place, squares_to(t, &corners[child]), &found[child]);
+    float16 corners[8];
+    int16 nearest_to_one = 0, open = 0;
+    for (uint i = 0; i < 8; ++i) {
+        const uint vertex = CORNERS[8 * child + i];
+        corners[i] = at->base + (i & 1 ? at->x : -at->x) + (i & 2 ? at->y : -at->y) +
+                     (i & 4 ? at->z : -at->z);
+        nearest_to_one |= corners[i] <= block->least[vertex];
+        open |= corners[i] <= block->rivals[block->rival_of[child]][vertex];
     }
+    *near |= nearest_to_one;
+#ifdef FLAT
+    const int16 sure = 0; // `least` is no bound of the distances to all triangles
+#else
+    const int16 sure = nearest_to_one; // it is below all rivals there
+#endif
+    open &= ~sure;
+    for (uint rival = 0; rival < block->count && any(open); ++rival) {
+        int16 some = 0;
+        for (uint i = 0; i < 8; ++i)
+            some |= corners[i] <= block->rivals[rival][CORNERS[8 * child + i]];
+        open &= some;
+    }
+    return sure | open;
+}
+
+// Updates the nearest triangles at the vertices with the triangle at an index of the lists, where it
+// may be nearer.
+void look_at_vertices(const scene_of_lists *scene, uint place, float3 centre, float edge,
+                      const ways *points, block_vertices *block, nearest *found)
+{
+    const uint slot = scene->items[place];
+    const narrow_triangles n = one_narrow(scene, slot, centre, edge);
+    for (uint i = 0; i < 2; ++i) {
+        const float16 d = distances_to_vertices(&n, block, i);
+        const int16 nearer = d - n.doubt <= vload16(i, block->least);
+        lower_least(scene, slot, d + n.doubt, i, block);
+        for (uint k = 2 * i; k < 2 * i + 2; ++k)
+            if (k & 1 ? any(nearer.hi) : any(nearer.lo)) {
+                const triangle t = triangle_at(scene, place);
+                look_at(scene, place, squares_to(&t, &points[k]), &found[k]);
+            }
+    }
+}
+
+uint sum_of(int16 counts)
+{
+    const int8 a = counts.lo + counts.hi;
+    const int4 b = a.lo + a.hi;
+    const int2 c = b.lo + b.hi;
+    return (uint)(c.x + c.y);
 }
 
 // values[27 b + i] = distance at vertex i of block b, of cell identifiers[b]; places[27 b + i] =
@@ -155,43 +202,68 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
     const scene_of_lists scene = {SCENE_VALUES};
     const uint begin = begins[gid], end = begins[gid + 1];
     const uint3 cell = cell_of(identifiers[gid], level);
-    const double edge = extent / (1ul << level) * 2;
+    const float edge = (float)(extent / (1ul << level) * 2);
     const ways middles = lattice_points(4 * cell, MIDDLES, 0, level + 2, extent);
-    ways points[POINTS / 8], corners[8]; // vertices, and those of each child
-    for (uint child = 0; child < 8; ++child)
-        corners[child] = lattice_points(2 * cell + octant(child), CELL, 0, level + 1, extent);
+    ways points[POINTS / 8];
     for (uint k = 0; k < POINTS / 8; ++k)
         points[k] = lattice_points(2 * cell, VERTICES, k, level + 1, extent);
-    nearest found[8]; // at the corners of each child
-    rival_distances rivals;
-    const nearest central = nearest_to_middles(&scene, begin, end, &middles);
-    vstore8(sqrt(central.square), gid, centres);
-    look_at_rivals(&scene, central.which, points, found, &rivals);
-
-    const long8 bits = (long8)(1, 2, 4, 8, 16, 32, 64, 128);
-    long8 total = 0;
-    for (uint j = begin; j < end; ++j) {
-        const triangle t = triangle_at(&scene, j);
-        const tangents at = tangents_at(&t, &middles, edge);
-        const long8 needs = children_that_need(&at, &rivals);
-        total -= needs;
-        masks[j] = (uchar)gathered(needs & bits);
-        look_at_corners(&scene, j, &t, masks[j], &at, corners, found);
+    const float3 centre = (float3)((float)points[MIDDLE / 8].x.s5, (float)points[MIDDLE / 8].y.s5,
+                                   (float)points[MIDDLE / 8].z.s5);
+    block_vertices block;
+    for (uint k = 0; k < POINTS / 8; ++k) {
+        vstore8(convert_float8(points[k].x - centre.x), k, block.x);
+        vstore8(convert_float8(points[k].y - centre.y), k, block.y);
+        vstore8(convert_float8(points[k].z - centre.z), k, block.z);
     }
-    long counted[8];
-    vstore8(total, 0, counted);
-    for (uint child = 0; child < 8; ++child) {
-        needed[8 * (size_t)gid + child] = (uint)counted[child];
-        // a shared vertex has the same value in each child
+    uint nearest_of[8];
+    float least_of[8];
+    nearest_to_middles(&scene, begin, end, centre, edge, nearest_of, least_of);
+    set_rivals(&scene, nearest_of, centre, edge, &block);
+    nearest found[POINTS / 8], central = nothing_found();
+    int16 total[8];
+    for (uint k = 0; k < POINTS / 8; ++k)
+        found[k] = nothing_found();
+    for (uint k = 0; k < 8; ++k)
+        total[k] = 0;
+    for (uint j = begin; j < end; j += 16) {
+        const narrow_triangles sixteen = sixteen_at(&scene, j, end, centre, edge);
+        int16 bits = 0, near = 0, middle = 0;
+        const int16 exist = SIXTEEN < (int)(end - j);
+        for (uint k = 0; k < 8; ++k) {
+            narrow_ways way;
+            const float16 d = distances_to_middle(&sixteen, k, edge, &way);
+            const tangents at = tangents_at(d, &way, sixteen.doubt, edge);
+            const int16 needs = exist & needed_by(k, &at, &block, &near);
+            middle |= d - sixteen.doubt <= least_of[k];
+            bits |= needs & 1 << k;
+            total[k] += needs & 1;
+        }
+        int bit[16], nears[16], central_to[16];
+        vstore16(bits, 0, bit);
+        vstore16(near, 0, nears);
+        vstore16(middle, 0, central_to);
+        for (uint i = 0; i < min(end - j, 16u); ++i) {
+            masks[j + i] = (uchar)bit[i];
+            if (nears[i])
+                look_at_vertices(&scene, j + i, centre, edge, points, &block, found);
+            if (central_to[i]) {
+                const triangle t = triangle_at(&scene, j + i);
+                look_at(&scene, j + i, squares_to(&t, &middles), &central);
+            }
+        }
+    }
+    vstore8(sqrt(central.square), gid, centres);
+    for (uint k = 0; k < 8; ++k)
+        needed[8 * (size_t)gid + k] = sum_of(total[k]);
+    for (uint k = 0; k < POINTS / 8; ++k) {
         double distances[8];
-        long own[8];
-        vstore8(sqrt(found[child].square), 0, distances);
-        vstore8(found[child].which, 0, own);
-        for (uint i = 0; i < 8; ++i) {
-            const size_t vertex = 27 * (size_t)gid + CORNERS[8 * child + i];
-            values[vertex] = distances[i];
+        long which[8];
+        vstore8(sqrt(found[k].square), 0, distances);
+        vstore8(found[k].which, 0, which);
+        for (uint i = 0; i < 8 && 8 * k + i < 27; ++i) {
+            values[27 * (size_t)gid + 8 * k + i] = distances[i];
 #ifdef SIGNED
-            places[vertex] = (uint)own[i];
+            places[27 * (size_t)gid + 8 * k + i] = (uint)which[i];
 #endif
         }
     }

@@ -1,0 +1,203 @@
+// Bounds on the error of a field in the child of a block, from the triangles that may be nearest there.
+
+#include "adf/levels/lists.h"
+#include "adf/levels/narrow.h"
+
+// The triangles needed by a child of a block: the entries of the block's list that have the child's
+// bit.
+typedef struct {
+    scene_of_lists scene;
+    __global const uchar *masks;
+    uint begin, end, child;
+} child_list;
+
+// The index of the first such entry at or after a given index; `end` if there is none.
+uint from(const child_list *list, uint place)
+{
+    while (place < list->end && !(list->masks[place] >> list->child & 1))
+        ++place;
+    return place;
+}
+
+// Upper bounds on the error of the interpolated unsigned corner distances in a cell, above and
+// below the distance to the mesh; and the corner distances to the triangle with the best bound from
+// above.
+//
+// The distance is the minimum of convex functions d_t. So it never exceeds the interpolation of any
+// d_t, or of the mean of two. Interpolation is a weighted mean over corners v. With q the nearest
+// point to p, n the direction from q to p, and u, w the components of v - p along and across n:
+// d_t(v) <= |v - q| <= d_t(p) + u + w^2 / (2 (d_t(p) + u)). The mean of u is 0. The mean of w^2 is
+// at most edge^2 / 2; it is at most edge^2 / 4 beside an edge, along which q may slide, and 0 on
+// one side of a face. The mean of |v - q| is also at most the root of its mean square.
+typedef struct {
+    double above, below;
+    double8 best;
+} bounds_apart;
+
+// Updates the bounds with a triangle, from its corner distances.
+void bound_by(bounds_apart *bounds, double8 d, const ways *way, MASKS feature, double8 size,
+              double edge)
+{
+    const double excess = highest(d - size);
+    bounds->best = excess < bounds->above ? d : bounds->best;
+    bounds->above = excess < bounds->above ? excess : bounds->above;
+    const bool one = all(feature == (MASKS)feature.s0), edge_alone = one && feature.s0 < A;
+    double bend = 0;
+    const bool aside = all(way->x * way->x.s0 + way->y * way->y.s0 + way->z * way->z.s0 > 0);
+    if (!(one && feature.s0 == FACE && aside)) {
+        const double squares = edge * edge, low = lowest(d) - edge * HALF_DIAGONAL;
+        const double near = low > 0 ? low : 0, across = edge_alone ? 0.25 : 0.5;
+        bend = sqrt(near * near + (across + 0.25) * squares) - near;
+        const double ahead = low - 2 * edge * HALF_DIAGONAL; // lower bound of d_t(p) + u
+        const double curved = across * squares / (2 * ahead);
+        bend = ahead > 0 && curved < bend ? curved : bend;
+    }
+    const double shortfall = highest(size - d) + bend;
+    bounds->below = shortfall > bounds->below ? shortfall : bounds->below;
+}
+
+double bound_apart(const child_list *list, const ways *at, double8 size, double edge)
+{
+    bounds_apart bounds = {INFINITY, 0, 0};
+    double8 distances[KEPT];
+    uint count = 0;
+    for (uint j = from(list, list->begin); j < list->end; j = from(list, j + 1)) {
+        const triangle t = triangle_at(&list->scene, j);
+        ways way;
+        MASKS feature;
+        const double8 d = sqrt(triangle_ways(&t, at->x, at->y, at->z, &way, &feature));
+        bound_by(&bounds, d, &way, feature, size, edge);
+        if (count < KEPT)
+            distances[count++] = d;
+    }
+    for (uint i = 0; i < count && bounds.above > bounds.below; ++i) {
+        const double excess = highest(0.5 * (bounds.best + distances[i]) - size);
+        bounds.above = excess < bounds.above ? excess : bounds.above;
+    }
+    return bounds.above > bounds.below ? bounds.above : bounds.below;
+}
+
+// The slots of the next triangles of the list from `place` on, sixteen at most; the last one pads
+// them. Returns the index after them.
+uint next_sixteen(const child_list *list, uint place, uint *slots)
+{
+    uint count = 0;
+    for (; place < list->end && count < 16; ++place) {
+        slots[count] = list->scene.items[place];
+        count += list->masks[place] >> list->child & 1;
+    }
+    const uint last = count < 16 ? slots[count - 1] : 0;
+    for (; count < 16; ++count)
+        slots[count] = last;
+    return from(list, place);
+}
+
+// The growth of the distances to triangles over a cell, as of bound_by, from the least at a corner.
+float16 narrow_bend(float16 least, float16 across, float edge)
+{
+    const float squares = edge * edge, radius = edge * (float)HALF_DIAGONAL;
+    const float16 low = least - radius, near = low > 0.0f ? low : 0.0f, ahead = low - 2 * radius;
+    const float16 bend = sqrt(near * near + (across + 0.25f) * squares) - near;
+    const float16 curved = across * squares / (2 * ahead);
+    return ahead > 0.0f && curved < bend ? curved : bend;
+}
+
+// An upper bound of what bound_apart returns, and the largest doubt. The rows of `at` are the
+// coordinates of the corners.
+//
+// A triangle is no nearer than its plane. So on one side of it, the distance to the triangle grows by
+// no more than its largest excess over that to the plane at a corner: by 0 over the face.
+float2 narrow_bound_apart(const child_list *list, const float (*at)[8], float3 centre,
+                          const float *size, float edge)
+{
+    float16 below = 0, doubt = 0, kept[KEPT / 16][8];
+    float above = INFINITY, best[8];
+    uint count = 0;
+    for (uint j = from(list, list->begin); j < list->end;) {
+        uint slots[16];
+        j = next_sixteen(list, j, slots);
+        const narrow_triangles n = sixteen_narrow(&list->scene, slots, centre, edge);
+        float16 least = INFINITY, excess = -INFINITY, shortfall = -INFINITY, d[8];
+        float16 low = INFINITY, high = -INFINITY, beyond = 0;
+        int16 one = -1, features;
+        const float16 *t = n.t, scale = sqrt(t[11]) * sqrt(t[12]);
+        const float16 nx = (t[4] * t[8] - t[5] * t[7]) * scale;
+        const float16 ny = (t[5] * t[6] - t[3] * t[8]) * scale;
+        const float16 nz = (t[3] * t[7] - t[4] * t[6]) * scale;
+        for (uint i = 0; i < 8; ++i) {
+            narrow_ways way;
+            int16 feature;
+            d[i] = sqrt(narrow_squares(&n, at[0][i], at[1][i], at[2][i], &way, &feature));
+            features = i == 0 ? feature : features;
+            const float16 height =
+                nx * (at[0][i] - t[0]) + ny * (at[1][i] - t[1]) + nz * (at[2][i] - t[2]);
+            low = lesser(low, height);
+            high = greater(high, height);
+            beyond = greater(beyond, d[i] - fabs(height));
+            least = lesser(least, d[i]);
+            excess = greater(excess, d[i] - size[i]);
+            shortfall = greater(shortfall, size[i] - d[i]);
+            one &= feature == features;
+        }
+        const float16 across = one & (features < A) ? (float16)0.25f : (float16)0.5f;
+        const float16 bend = narrow_bend(least - n.doubt, across, edge);
+        const int16 aside = low > -n.doubt | high < n.doubt;
+        shortfall += aside & (beyond < bend) ? beyond : bend;
+        below = greater(below, shortfall);
+        doubt = greater(doubt, n.doubt);
+        const float lowest_excess = -highest_narrow(-excess);
+        if (lowest_excess < above) {
+            float excesses[16];
+            vstore16(excess, 0, excesses);
+            uint lane = 0;
+            while (excesses[lane] != lowest_excess)
+                ++lane;
+            above = lowest_excess;
+            for (uint i = 0; i < 8; ++i)
+                best[i] = ((float *)&d[i])[lane];
+        }
+        for (uint i = 0; i < 8 && count < KEPT / 16; ++i)
+            kept[count][i] = d[i];
+        count += count < KEPT / 16;
+    }
+    for (uint k = 0; k < count; ++k) {
+        float16 excess = -INFINITY;
+        for (uint i = 0; i < 8; ++i)
+            excess = greater(excess, 0.5f * (best[i] + kept[k][i]) - size[i]);
+        const float lowest_excess = -highest_narrow(-excess);
+        above = lowest_excess < above ? lowest_excess : above;
+    }
+    const float most = highest_narrow(doubt), under = highest_narrow(below);
+    return (float2)((above > under ? above : under) + 4 * most, most);
+}
+
+#ifdef CLOSED
+// The same bounds in cells with triangles, for signed distances of a closed mesh, of magnitude at
+// most `farthest`. If all normals are within an angle of the first, so is the direction to the
+// nearest point. Each distance is then the distance to a triangle's plane, divided by a cosine of
+// at least that of twice the angle.
+double bound_passed(const child_list *list, const ways *at, double8 field, double farthest)
+{
+    double3 axis = 0;
+    double cosine = 1, apart = 0;
+    const scene_of_lists *scene = &list->scene;
+    for (uint j = from(list, list->begin); j < list->end && cosine > 0.75; j = from(list, j + 1)) {
+        const triangle t = triangle_at(scene, j);
+        const uint name = scene->names[scene->items[j]];
+        double3 normal = normal_of(name, FACE, scene->features, scene->normals);
+        const double square = normal.x * normal.x + normal.y * normal.y + normal.z * normal.z;
+        if (square == 0)
+            return INFINITY;
+        normal /= sqrt(square);
+        if (axis.x == 0 && axis.y == 0 && axis.z == 0)
+            axis = normal;
+        const double c = axis.x * normal.x + axis.y * normal.y + axis.z * normal.z;
+        cosine = c < cosine ? c : cosine;
+        const double8 plane =
+            (at->x - t.ax) * normal.x + (at->y - t.ay) * normal.y + (at->z - t.az) * normal.z;
+        const double misses = highest(absolute(plane - field));
+        apart = misses > apart ? misses : apart;
+    }
+    return cosine > 0.75 ? apart + 2 * (1 - cosine * cosine) * farthest : INFINITY;
+}
+#endif
