@@ -84,7 +84,7 @@ volume.vtu: examples/make_volume.py | .venv/all.done
 
 # Tools for the scripts of pages: a type checker and a linter, of the npm registry, by pip's node.
 node_modules/lint.done: package.json | .venv/test.done
-	PATH="$$PWD/.venv/bin:$$PATH" npm install --no-package-lock --no-fund --no-audit --silent
+	PATH="$$PWD/.venv/bin:$$PATH" .venv/bin/npm install --no-package-lock --no-fund --no-audit --silent
 	@touch $@
 
 .venv/docs.done: pyproject.toml | .venv/bin/python
