@@ -131,10 +131,12 @@ def plan_render(
     device, max_memory
         As in voxelize.
     **options
-        Of an octree `level` ("voxel", or a level from 0 on) and `colour`; of a field `offset`
+        Of an octree `level` ("voxel", or a level from 0 on), `colour`, and `other` (an octree of
+        the same grid, for a picture of what only one of them has); of a field `offset`
         (world units) and `colour`; of a volume `transfer` (a TransferFunction), `method`
-        ("raycast" or "projection") and `integrator` ("linear", "preintegrated", "average" or
-        "sampled:N").
+        ("raycast" or "projection"), `integrator` ("linear", "preintegrated", "average" or
+        "sampled:N"), `isovalues` (scalars whose surfaces are drawn; alone, if there is no
+        `transfer`), and `opacity` and `colour` of these surfaces.
 
     Returns
     -------
