@@ -44,7 +44,7 @@ def test_each_work_has_its_sizes_and_its_exponent(here: Path) -> None:
     }
     sizes = {kind: [p["size"] for p in points if p["size_of"] == kind] for kind in
              ("dim", "leaves", "pixels")}  # fmt: skip
-    assert sizes["dim"] == [16] * 4 + [32] * 4
+    assert sizes["dim"] == [16] * 5 + [32] * 5
     assert sizes["pixels"] == [64, 64, 256, 256]
     assert len(sizes["leaves"]) == 4
     assert sizes["leaves"][0] < sizes["leaves"][2]

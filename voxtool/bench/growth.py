@@ -18,7 +18,7 @@ from voxtool.adf.query import query_adf
 from voxtool.adf.survey import cube_of
 from voxtool.bench.request import is_volume
 from voxtool.camera import Camera
-from voxtool.choices import MARCHING_CUBES
+from voxtool.choices import MARCHING_CUBES, SURFACE_NETS
 from voxtool.files import read_unstructured
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
@@ -113,7 +113,7 @@ def _of_mesh(mesh: Mesh, bench: Bench) -> Iterator[Point]:
 
 
 def _of_dim(mesh: Mesh, dim: int, bench: Bench) -> Iterator[Point]:
-    """Octrees of a grid, and a surface."""
+    """Octrees of a grid, and surfaces."""
     grid = Grid.fit(mesh, dim)
     octree = voxelize(mesh, grid, fill="parity", device=bench.timed)
     works: Works = {
@@ -121,6 +121,7 @@ def _of_dim(mesh: Mesh, dim: int, bench: Bench) -> Iterator[Point]:
         "solid, parity": lambda device: voxelize(mesh, grid, fill="parity", device=device),
         "solid, auto": lambda device: voxelize(mesh, grid, device=device),
         MARCHING_CUBES: lambda device: extract(octree, style=MARCHING_CUBES, device=device),
+        SURFACE_NETS: lambda device: extract(octree, style=SURFACE_NETS, device=device),
     }
     return _points(
         bench, "finer grids", f"dim {dim}", works, absent=ELSEWHERE,
