@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,9 @@ from helpers_tets import boxes, grid_points, tet_grid, tet_mesh
 
 import voxtool
 from voxtool.camera import Camera
+from voxtool.choices import WHITE
+from voxtool.cli.render import turned
+from voxtool.rendering import camera_for, plan_render
 from voxtool.tets.transfer import named
 
 GOLDEN = Path(__file__).parent / "golden" / "picture.json"
@@ -42,9 +46,13 @@ def surfaces(mesh: voxtool.Mesh, device: Any) -> Iterator[tuple[str, str]]:
     """Name and digest of pictures of a mesh's octree and of its field."""
     octree = voxtool.voxelize(mesh, voxtool.Grid.fit(mesh, 48), fill="parity", device=device)
     field = voxtool.build_adf(mesh, device=device, tolerance=4e-3, max_level=5)
+    moved = replace(mesh, vertices=mesh.vertices + 2.5 * np.array(octree.grid.pitch))
+    other = voxtool.voxelize(moved, octree.grid, "surface6", device=device)
+    yield "turntable", digest(turntable(octree, device))
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     for name, (view, fov) in VIEWS.items():
         rays = Camera.fit(low, high, view, fov=fov).rays(*SIZE)
+        yield f"difference {name}", digest(voxtool.render(octree, rays, other=other, device=device))
         for level in ("voxel", 1):
             yield (
                 f"octree {level} {name}",
@@ -55,6 +63,13 @@ def surfaces(mesh: voxtool.Mesh, device: Any) -> Iterator[tuple[str, str]]:
                 f"field {offset} {name}",
                 digest(voxtool.render(field, rays, offset=offset * field.side, device=device)),
             )
+
+
+def turntable(octree: voxtool.Octree, device: Any) -> np.ndarray:
+    """Four frames of a whole turn, (4, H, W, 3) uint8."""
+    camera = camera_for(octree, size=SIZE, turn=0.0)
+    job = plan_render(octree, camera, size=SIZE, samples=1, device=device)
+    return np.stack(list(turned(job.run(), job, camera, 4, legend=False, paper=WHITE)))
 
 
 def own_volume(name: str) -> voxtool.TetVolume:
