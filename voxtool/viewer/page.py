@@ -31,7 +31,10 @@ if TYPE_CHECKING:
 ASSETS = Path(__file__).parent / "assets"
 SHARED = ("vectors", "data", "gl", "state", "controls", "panel", "view", "main")
 FRAME_HEIGHT = 480  # pixels of a page in a notebook
-EXTRAS = {"volume": ("transfer", "editor")}  # scripts of one kind alone
+EXTRAS = {
+    "field": ("boxes",),
+    "volume": ("transfer", "editor", "isosurfaces"),
+}  # scripts of one kind alone
 # OpenCL C of the kernels' headers, and what GLSL has for it.
 GLSL_FOR = (
     (r"const ints (\w+) = to_ints", r"int \1 = to_ints"),
@@ -44,7 +47,11 @@ GLSL_FOR = (
     (r"\bANY\(", "("),
     (r"&(?=\w)", ""),
 )
-_COMMENT = re.compile(r"^\s*(//[^\n]*|/\*\*((?!\*/).)*\*/)\n", re.MULTILINE | re.DOTALL)
+# Comments on lines of their own, at the end of a line, and types within a line of a script.
+_COMMENT = re.compile(
+    r"^\s*(//[^\n]*|/\*\*((?!\*/).)*\*/)\n| +// [^\n]*|/\*\* @type [^*]*\*/ ?",
+    re.MULTILINE | re.DOTALL,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +108,7 @@ def page_of(
         "title": html.escape(f"{content.kind} {Path(name).name}"),
         "label": html.escape(f"{content.kind} {Path(name).name}, interactive picture"),
         "style": style,
-        "facts": json.dumps(told).replace("<", "\\u003c"),
+        "facts": json.dumps(told, separators=(",", ":")).replace("<", "\\u003c"),
         "vertex": _asset("screen.vert"),
         "fragment": fragment_of(content),
         "blocks": "" if served else "\n".join(map(_block, blocks, blocks.values())),
@@ -146,7 +153,8 @@ def _scripts(kind: str) -> str:
 
 
 def _asset(name: str) -> str:
-    """Return a file of the page without the lines that are comments, and without indentation."""
+    """Return a file of the page without comments and indentation. No text of a script may hold the
+    two slashes of a comment between spaces."""
     text = (ASSETS / name).read_text(encoding="utf-8")
     return re.sub(r"^ +", "", _COMMENT.sub("", text), flags=re.MULTILINE)
 

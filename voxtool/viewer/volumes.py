@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.errors import printable
-from voxtool.tets.transfer import default_transfer
+from voxtool.tets.surfaces import MOST
+from voxtool.tets.transfer import DEFAULT_MAP, default_transfer, scalar_shares
+from voxtool.tets.volume import ON_PLANE
 from voxtool.vector import dot
 from voxtool.viewer.content import PageContent
 
@@ -30,7 +32,6 @@ def volume_content(volume: TetVolume) -> PageContent:
         "cells": volume.cells,
         "vertices": volume.vertices,
     }
-    scalars = volume.gradients[:, 3] if volume.constant else volume.vertices[:, 3]
     facts = {
         "origin": list(volume.origin),
         "scale": volume.scale,
@@ -41,10 +42,19 @@ def volume_content(volume: TetVolume) -> PageContent:
         "units": printable(volume.units),
         "colour": [1.0, 1.0, 1.0],
         "transfer": json.loads(default_transfer(volume).to_json()),
-        "histogram": np.histogram(scalars, BINS, (0.0, 1.0))[0].tolist(),
+        "map": DEFAULT_MAP,
+        "histogram": _histogram(volume),
+        "surfaces": 0 if volume.constant else MOST,  # a page shows at most
     }
-    defines = (f"FACES {len(facts['faces'])}",)
+    defines = (f"FACES {len(facts['faces'])}", f"ON_PLANE {ON_PLANE}")
     return PageContent("volume", facts, arrays, _smaller_by, (), defines, SEGMENT)
+
+
+def _histogram(volume: TetVolume) -> list[float]:
+    """Return the volume at scalars of each bin, the largest 1."""
+    scalars, sizes = scalar_shares(volume)
+    found = np.histogram(scalars, BINS, (0.0, 1.0), weights=sizes)[0]
+    return np.round(found / (found.max() or 1.0), 3).tolist()
 
 
 def _table_5(volume: TetVolume) -> tuple[np.ndarray, np.ndarray]:

@@ -41,11 +41,10 @@ function transferEditor(facts, settings, changed) {
     const pen = canvas.getContext("2d");
     if (!pen) return;
     pen.clearRect(0, 0, EDITOR.width, EDITOR.height);
-    const tallest = Math.max(1, ...facts.histogram);
     const step = (EDITOR.width - 8) / facts.histogram.length;
     pen.fillStyle = "#8886";
-    facts.histogram.forEach((/** @type {number} */ n, /** @type {number} */ i) => {
-      const h = (Math.log1p(n) / Math.log1p(tallest)) * (EDITOR.height - 8);
+    facts.histogram.forEach((/** @type {number} */ share, /** @type {number} */ i) => {
+      const h = Math.sqrt(share) * (EDITOR.height - 8);
       pen.fillRect(4 + i * step, EDITOR.height - 4 - h, step, h);
     });
     pen.strokeStyle = "#888";
@@ -111,7 +110,7 @@ function transferEditor(facts, settings, changed) {
     event.preventDefault();
   });
   colour.addEventListener("input", () => {
-    points[chosen].color = /** @type {Vector} */ ([1, 3, 5].map((i) => Number.parseInt(colour.value.slice(i, i + 2), 16) / 255));
+    points[chosen].color = ofHex(colour.value);
     change();
   });
   number.addEventListener("change", () => {

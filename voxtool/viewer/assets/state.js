@@ -38,7 +38,7 @@ function stateOf(fragment, first, controls) {
 function settingsOf(words, controls) {
   /** @type {Settings} */
   const settings = {};
-  for (const { name, type, options, min = 0, max = 0, start } of controls) {
+  for (const { name, type, options, min = 0, max = 0, start, wrong } of controls) {
     const word = words.get(name);
     settings[name] = start;
     if (word === null) continue;
@@ -46,7 +46,8 @@ function settingsOf(words, controls) {
     if (type === "check") settings[name] = word === "true";
     else if (type === "select" && options?.includes(word)) settings[name] = word;
     else if (type === "range" && number >= min && number <= max) settings[name] = number;
-    else if (type === "custom") settings[name] = word;
+    else if (type === "color" && /^#[0-9a-f]{6}$/.test(word)) settings[name] = word;
+    else if (type === "custom" || (type === "text" && !wrong?.(word))) settings[name] = word;
   }
   return settings;
 }

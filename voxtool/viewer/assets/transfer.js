@@ -25,6 +25,10 @@ function textOfPoints(points) {
   return points.map((p) => [p.scalar, ...p.color, p.extinction].join(",")).join(";");
 }
 
+/** The colour that #ff8000 is. @param {string} text @returns {Vector} */
+const ofHex = (text) =>
+  /** @type {Vector} */ ([1, 3, 5].map((i) => Number.parseInt(text.slice(i, i + 2), 16) / 255));
+
 /** @param {ControlPoint[]} points the JSON that `render --transfer` reads */
 const jsonOf = (points) => JSON.stringify({ points }, null, 1);
 

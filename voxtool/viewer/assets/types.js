@@ -2,8 +2,9 @@
 
 /**
  * @typedef {Record<string, any>} Settings values of the controls, by name
- * @typedef {{name: string, label: string, type: "select" | "range" | "check" | "custom",
+ * @typedef {{name: string, label: string, type: "select" | "range" | "check" | "text" | "color" | "custom",
  *     options?: string[], min?: number, max?: number, step?: number | "any", start: any,
+ *     hint?: string, wrong?: (text: string) => string,
  *     build?: (settings: () => Settings, changed: () => void) => HTMLElement & {show: () => void}}} Control
  * @typedef {{camera: Camera, settings: Settings}} State
  * @typedef {object} Kind what the page knows of octrees, fields or volumes

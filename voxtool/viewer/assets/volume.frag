@@ -1,5 +1,5 @@
 // Ray casting of a volume from cell to cell [TetVol, section 4], with the exact integral of linear
-// segments, as kernels/tets/raycast.cl. Rays enter by boundary faces, which a grid holds.
+// segments and isosurfaces, as kernels/tets/raycast.cl. Rays enter by boundary faces, which a grid holds.
 
 uniform sampler2D planes;        // of face f of cell t at FACES t + f: outward normal, offset
 uniform sampler2D gradients;     // of the scalar, and its term
@@ -7,10 +7,11 @@ uniform isampler2D neighbours;   // of a cell, in NEIGHBOUR_TEXELS texels; -1 ou
 uniform sampler2D corners;       // of boundary triangles, three texels each, wound outward
 uniform usampler2D triangles;    // by box of the grid: triangle, cell
 uniform usampler2D boxes;        // of the grid: first and end of their triangles
-uniform sampler2D rows;          // of the transfer function, three texels an interval
+uniform sampler2D rows;          // of the transfer function, three texels an interval; then the surfaces
 uniform int rowBits;             // of these textures
 uniform int grid;                // boxes along an axis of [-1, 1]
 uniform int points;              // of the transfer function
+uniform int surfaces;            // in ascending order of isovalues, two texels each: isovalue; tint
 uniform int eyeCell;             // that holds the eye, or -1
 
 #ifndef FACES
@@ -19,6 +20,7 @@ uniform int eyeCell;             // that holds the eye, or -1
 const int NEIGHBOUR_TEXELS = FACES == 4 ? 1 : 2;
 const float LEAST_TRANSMITTANCE = 0.0001;
 const float FARTHEST = 1e30;
+const float GAP = 4.0 * ON_PLANE; // between cells that are apart, as in kernels/tets/surfaces.h
 const float SLACK = 1e-5; // of a triangle, by which rays beside it still enter
 const int MOST_STEPS = 1 << 14;
 const int MOST_STILL = 64; // steps without progress after which a ray ends
@@ -171,6 +173,56 @@ void addCell(inout Light light, float from, float to, inout int interval, float 
     }
 }
 
+// ---- isosurfaces, as in kernels/tets/surfaces.h
+
+vec4 surface(int number, int texel_) { return listed(rows, 3 * (points + 1) + 2 * number + texel_); }
+
+float isovalueAt(int number) { return surface(number, 0).x; }
+
+// The number of isovalues at or below s; from that of a scalar nearby.
+int rankOf(float s, int near)
+{
+    while (near < surfaces && s >= isovalueAt(near))
+        ++near;
+    while (near > 0 && s < isovalueAt(near - 1))
+        --near;
+    return near;
+}
+
+// Composites a surface, lit from both sides: its normal is the gradient, towards the viewer.
+void addSurface(inout Light seen, int number, vec3 gradient, vec3 direction)
+{
+    vec4 tint = surface(number, 1);
+    float size = length(gradient);
+    vec3 n = size > 0.0 ? gradient / size : -normalize(direction);
+    n = dot(n, direction) > 0.0 ? -n : n;
+    float weight = tint.a * seen.transmittance;
+    seen.colour += weight * brightness(n.x, n.y, n.z, light.x, light.y, light.z) * tint.rgb;
+    seen.alpha += weight;
+    seen.transmittance *= 1.0 - tint.a;
+}
+
+// Composites the way through a cell up to its last surface; `rank`, or -1 where it is not known, is
+// carried from cell to cell, so that rounding at a face neither loses nor repeats a surface. Leaves the
+// scalar and the way beyond.
+void addToSurfaces(inout Light light, inout int rank, inout float from, float to, inout int interval,
+                   inout float way, vec3 gradient, vec3 direction)
+{
+    if (rank < 0)
+        rank = rankOf(from, 0);
+    int last = rankOf(to, rank);
+    while (rank != last) {
+        int number = rank < last ? rank : rank - 1;
+        float at = isovalueAt(number);
+        float share = clamp((at - from) / (to != from ? to - from : 1.0), 0.0, 1.0);
+        addCell(light, from, at, interval, way * share);
+        addSurface(light, number, gradient, direction);
+        way -= way * share;
+        from = at;
+        rank += rank < last ? 1 : -1;
+    }
+}
+
 void main()
 {
     picture = vec4(0);
@@ -180,7 +232,7 @@ void main()
     float speed = length(direction);
     Light light = Light(vec3(0), 1.0, 0.0);
     float t = nearest;
-    int cell = eyeCell, still = 0, interval = 0;
+    int cell = eyeCell, still = 0, interval = 0, rank = -1;
     if (cell < 0)
         cell = nextEntry(origin, direction, t);
     for (int i = 0; cell >= 0 && i < MOST_STEPS; ++i) {
@@ -194,12 +246,16 @@ void main()
             float slope = dot(gradient.xyz, direction), start = dot(gradient.xyz, origin) + gradient.w;
             float from = clamp(start + slope * t, 0.0, 1.0), to = clamp(start + slope * leaves, 0.0, 1.0);
             interval = intervalOf(from, interval);
-            addCell(light, from, to, interval, (leaves - t) * speed);
+            float length_ = (leaves - t) * speed;
+            if (surfaces > 0)
+                addToSurfaces(light, rank, from, to, interval, length_, gradient.xyz, direction);
+            addCell(light, from, to, interval, length_);
         }
         t = leaves;
         if (light.transmittance < LEAST_TRANSMITTANCE || still > MOST_STILL)
             break;
         cell = beyond >= 0 ? beyond : nextEntry(origin, direction, t);
+        rank = (t - leaves) * speed > GAP ? -1 : rank;
     }
     picture = vec4(light.colour, light.transmittance < 0.5 ? 1.0 - light.transmittance : light.alpha);
 }

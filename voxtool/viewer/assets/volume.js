@@ -66,17 +66,23 @@ function volumeKind(facts) {
   /** @type {any} */
   let kept = {};
   let uploaded = "";
-  let count = 0;
+  let counts = { points: 0, surfaces: 0 };
   /** @type {{place: string, cell: number}} */
   let eye = { place: "", cell: -1 };
 
-  /** @param {WebGL2RenderingContext} gl @param {string} text the transfer function */
-  const upload = (gl, text) => {
-    if (uploaded === text) return;
-    const { rows, count: found } = transferRows(pointsOf(text), range, scale);
+  /** Makes the texture of the transfer function and the surfaces. Surfaces alone have the colours of
+   * the function at the start, as `render` draws them.
+   * @param {WebGL2RenderingContext} gl @param {Settings} settings */
+  const upload = (gl, settings) => {
+    const given = JSON.stringify(settings);
+    if (uploaded === given) return;
+    const points = pointsOf(alone(settings) ? start : settings.transfer);
+    const shown = alone(settings) ? points.slice(0, 1).map((p) => ({ ...p, extinction: 0 })) : points;
+    const { rows, count } = transferRows(shown, range, scale);
+    const texels = surfaceTexels(settings, points, range);
     gl.deleteTexture(kept.textures.rows);
-    kept.textures.rows = listTexture(gl, "f4x4", rows, "transfer function");
-    [uploaded, count] = [text, found];
+    kept.textures.rows = listTexture(gl, "f4x4", new Float32Array([...rows, ...texels]), "transfer function");
+    [uploaded, counts] = [given, { points: count, surfaces: texels.length / 8 }];
   };
   return {
     controls: [
@@ -84,6 +90,7 @@ function volumeKind(facts) {
         name: "transfer", label: "Transfer function", type: "custom", start,
         build: (settings, changed) => transferEditor(facts, settings, changed),
       },
+      ...surfaceControls(facts),
     ],
     textures(gl, arrays) {
       const cells = arrays.gradients.length / 4;
@@ -112,17 +119,21 @@ function volumeKind(facts) {
     origin,
     scale: [scale, scale, scale],
     uniforms(gl, settings, camera) {
-      upload(gl, settings.transfer);
+      upload(gl, settings);
       const place = over(minus(camera.eye, origin), [scale, scale, scale]);
       if (eye.place !== String(place)) {
         const within = camera.fov !== null && place.every((v) => Math.abs(v) <= 1);
         eye = { place: String(place), cell: within ? cellAtPoint(kept.planes, faces.length, place) : -1 };
       }
-      return { rowBits: rowBits(gl), grid: GRID, points: count, eyeCell: eye.cell };
+      return { rowBits: rowBits(gl), grid: GRID, ...counts, eyeCell: eye.cell };
     },
     command(settings) {
+      const surfaces = surfaceOptions(settings);
+      if (alone(settings)) return { options: surfaces, same: true };
       const plain = settings.transfer === start;
-      return { options: plain ? "" : ` --transfer ${quoted(`${facts.name}.transfer.json`)}`, same: plain };
+      const named = surfaces ? ` --map ${facts.map}` : "";
+      const transfer = plain ? named : ` --transfer ${quoted(`${facts.name}.transfer.json`)}`;
+      return { options: surfaces + transfer, same: plain };
     },
     describe([cell, , , met]) {
       return met ? `cell ${cell} of ${facts.noun}, entered first` : "";
