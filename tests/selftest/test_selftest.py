@@ -55,6 +55,13 @@ FAULTS = [  # the case that finds it, and what goes wrong in a kernel
     ("segments of alike and of zero ends", "0.16666542f", "0.16665f"),
     ("step functions", "s >= (floats)t->points[k]", "s >= (floats)t->points[k] + 1e-4f"),
     ("rays along edges of cells", "turn == 0 &&", "turn > 0 &&"),
+    ("isosurfaces through vertices", "last = rank_of(s, to)", "last = rank_of(s, to + 1e-3f)"),
+    (
+        "isosurfaces in slivers and needles",
+        "away = dot3(g, way) > 0 ?",
+        "away = dot3(g, way) < 0 ?",
+    ),
+    ("hardware sampler", "3u * place + (uint3)(octant & 1,", "3u * place + (uint3)(0,"),
 ]
 
 

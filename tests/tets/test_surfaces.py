@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 from functools import cache
 from typing import TYPE_CHECKING
@@ -14,7 +13,7 @@ from helpers_tets import SIX, grid_corners, grid_points, ramp, rays_of, tet_mesh
 from voxtool.choices import METHODS
 from voxtool.errors import VoxtoolError
 from voxtool.rendering import plan_render, render
-from voxtool.selftest.reference import Segments, composite, segments
+from voxtool.selftest.isosurfaces import isosurfaces
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 
@@ -52,50 +51,10 @@ def oracle(
     mesh: UnstructuredMesh, rays: Rays, isovalues: tuple[float, ...], opacity: float,
     transfer: TransferFunction,
 ) -> np.ndarray:  # fmt: skip
-    """Return the picture of orange surfaces within a transfer function, (H, W, 4) float64: the
-    segments of each ray are cut at the isovalues, and composited one after the other."""
-    width, height = rays.size
-    row, column = np.divmod(np.arange(width * height), width)
-    cells, pixels = mesh.cells[0][1], np.stack([column, row], axis=1)
-    (found,) = segments(
-        mesh.points,
-        cells,
-        mesh.scalars,
-        rays,
-        pixels,
-        most=1 << 30,  # pyright: ignore
-    )
-    corners, values = mesh.points[cells], np.asarray(mesh.scalars)[cells]
-    rises = np.linalg.solve(
-        corners[:, 1:] - corners[:, :1], (values[:, 1:] - values[:, :1])[..., None]
-    )
-    pieces, owners, hits = [], [], []
-    for i, (near, far) in enumerate(found.scalars):
-        between = sorted(v for v in isovalues if min(near, far) < v <= max(near, far))
-        stops = [near, *(between if near < far else reversed(between)), far]
-        for k, (a, b) in enumerate(itertools.pairwise(stops)):
-            share = (b - a) / (far - near) if far != near else 1.0
-            pieces.append((found.length[i] * share, a, b))
-            owners.append(i)
-            hits.append(k + 2 < len(stops))
-    lengths, starts, ends = np.array(pieces).T
-    each = np.zeros((len(pieces), 4))
-    index = np.arange(len(pieces))
-    ordered = Segments(index, index, index, index, lengths, np.stack([starts, ends], axis=1))
-    composite(each, ordered, transfer)
-    picture, light = np.zeros((width * height, 4)), rays.light()
-    x, y = (pixels + 0.5 - np.array(rays.size) / 2).T
-    for piece, segment, hit in zip(each, owners, hits, strict=True):
-        pixel = found.pixel[segment]
-        picture[pixel] += (1 - picture[pixel, 3]) * piece
-        if hit:
-            way = rays.direction + rays.perspective * (x[pixel] * rays.right + y[pixel] * rays.down)
-            normal = rises[found.cell[segment], :, 0]
-            normal = normal / -np.linalg.norm(normal) * np.sign(normal @ way)
-            bright = 0.08 + 0.92 * (0.5 + 0.5 * normal @ light) ** 2
-            tint = opacity * np.array([*(bright * np.array(ORANGE)), 1])
-            picture[pixel] += (1 - picture[pixel, 3]) * tint
-    return picture.reshape(height, width, 4)
+    """Return the picture of orange surfaces within a transfer function, (H, W, 4) float64."""
+    scalars, tint = np.asarray(mesh.scalars), (*ORANGE, opacity)
+    found = isosurfaces(mesh.points, mesh.cells[0][1], scalars, transfer, rays, isovalues, tint)
+    return found.reshape(*rays.size[::-1], 4)
 
 
 @both_methods

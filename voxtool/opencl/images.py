@@ -42,7 +42,8 @@ def image_of(texture: np.ndarray, device: Device) -> Image:
     _refuse(texture.shape[::-1], format, device)
     try:
         values = np.ascontiguousarray(texture, np.float32)
-        image = cl.Image(device.context, flags, format, shape=texture.shape[::-1], hostbuf=values)
+        shape = texture.shape[::-1]
+        image = cl.create_image(device.context, flags, format, shape, hostbuf=values)
     except (cl.Error, MemoryError) as error:
         raise MemoryLimitError(
             f"{device.info.name} could not allocate an image of {texture.nbytes} bytes"

@@ -14,8 +14,10 @@ from voxtool.adf.levels import CROSSED
 from voxtool.adf.query import query_adf
 from voxtool.adf.scene import FieldScene
 from voxtool.adf.spatial_hash import SpatialHash
+from voxtool.errors import DeviceError
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.opencl import Device
+from voxtool.opencl.images import FILTER_STEP, check_filter
 from voxtool.selftest import oracles, shapes
 from voxtool.selftest.case import case
 from voxtool.selftest.voxels import SCALES
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
 EXACT = 1e-15  # extents: the largest error of a distance (voxtool/spatial/distance.py)
 WINDING = 1e-3  # of a winding number (voxtool/spatial/winding_number.py: 8e-4 at 8,550 points)
 POINTS = 20_000
+ROUNDED_PLACE = 2.0**-13  # of a texel: places of up to 2048 texels in float32
 DEEPEST = 12  # first level whose identifiers have 64 bits
 
 
@@ -252,5 +255,42 @@ def rays(device: Device, full: bool) -> int:
     return wrong
 
 
+@case("hardware sampler", "exact values; 2^-9 of corners' range an axis; 0 if none", "of the bound",
+      1)  # fmt: skip
+def sampler(device: Device, full: bool) -> float:
+    try:
+        check_filter(device)
+    except DeviceError:
+        return 0.0  # it has no such images, and the sampler is refused
+    error = 0.0
+    for level, tolerance in ((3, 1e-2), (9, 1e-6)) if full else ((3, 1e-2), (7, 1e-5)):
+        mesh = mesh_from_arrays(*shapes.octahedron(np.zeros(3), 1))
+        field = build_adf(mesh, device, tolerance=tolerance, max_level=level, band=0.01)
+        spread = sample_cube(POINTS)
+        near = np.eye(3)[0] + (2 * spread - 1) * 0.5**level  # a vertex, where leaves are small
+        points = np.concatenate([np.array(field.origin) + field.side * spread, near])
+        exact = query_adf(field, points, cell=True, device=device)
+        found = query_adf(field, points, sampler="hardware", device=device)
+        assert exact.level is not None
+        assert exact.cell is not None
+        off = np.abs(found.distance - exact.distance)[~exact.outside]
+        bound = _filter_bound(field, exact.level, exact.cell, device)[~exact.outside]
+        error = max(error, float((off / bound).max()))
+    return error
+
+
+def _filter_bound(
+    field: DistanceField, levels: np.ndarray, cells: np.ndarray, device: Device
+) -> np.ndarray:
+    """The largest correct error of a filter in leaves, world units: FILTER_STEP of the range of the
+    corners an axis, and the rounding of the place in the texture to float32."""
+    edge = field.side * 0.5 ** levels.astype(float)[:, None, None]
+    within = 5e-10 + (1 - 1e-9) * np.indices((2, 2, 2)).reshape(3, 8).T  # of the leaf
+    corners = np.array(field.origin) + edge * (cells[:, None] + within)
+    values = query_adf(field, corners.reshape(-1, 3), device=device).distance.reshape(-1, 2, 2, 2)
+    ranges = sum(np.abs(np.diff(values, axis=axis)).max(axis=(1, 2, 3)) for axis in (1, 2, 3))
+    return (FILTER_STEP + ROUNDED_PLACE) * ranges + 1e-6 * np.abs(values).max(axis=(1, 2, 3))
+
+
 CASES = (needles, coordinates, nearest, winding, walls, scales, nothing_allowed, deepest, hashes,
-         rays)  # fmt: skip
+         rays, sampler)  # fmt: skip

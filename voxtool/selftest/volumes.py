@@ -1,4 +1,5 @@
-"""Volumes of stiff cells, extreme transfer functions: against quadrature and clipping in float64.
+"""Volumes of stiff cells, extreme transfer functions and isosurfaces: against quadrature and
+clipping in float64.
 
 Kernels: kernels/selftest/segments.cl.
 """
@@ -16,6 +17,7 @@ from voxtool.opencl import Device
 from voxtool.rendering import render
 from voxtool.selftest import reference, shapes
 from voxtool.selftest.case import case
+from voxtool.selftest.isosurfaces import isosurfaces
 from voxtool.tets.mesh import UnstructuredMesh
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
@@ -28,6 +30,8 @@ ROUNDED = 2.0**-23  # of the range of scalars: two roundings of a float32 from 1
 SEEN = 1e-30  # light that is let through counts down to this
 SLIVER = 1e-9  # of a cube: a cell's volume
 PICTURES = "pictures: every cell clipped on every ray, float64"
+ISOSURFACES = "pictures: segments cut at the isovalues, float64"
+CLEAR = TransferFunction([0.0], [[0.0, 0.0, 0.0]], [0.0])  # pyright: ignore[reportArgumentType]
 GREY = TransferFunction([0.0], [[0.5, 0.5, 0.5]], [0.7])  # pyright: ignore[reportArgumentType]
 
 
@@ -134,15 +138,24 @@ def steps(device: Device, full: bool) -> float:
     return wavy_error(device, full, 4, at, [0.0, 0.8, 0.8, 0.0, 0.0, 5.0, 5.0, 0.2])
 
 
+def layers(thin: float) -> np.ndarray:
+    """Planes from -1 to 1, two pairs of which are so near each other."""
+    return np.cumsum([-1, 0.7, thin, 0.6, thin, 0.7])
+
+
+def sheared(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> UnstructuredMesh:
+    """The boxes between planes across each axis, cut in six each and sheared."""
+    points, cells = shapes.tetrahedra(x, y, z)
+    x, y, z = points.T
+    moved = np.stack([x + 0.15 * z, y + 0.1 * x, z + 0.2 * y], axis=1)
+    return UnstructuredMesh(moved, [("tetra", cells)], x - y + x * z, "s")
+
+
 @case("slivers of 1e-9 relative volume", PICTURES, "of a colour", NEAR)
 def slivers(device: Device, full: bool) -> float:
-    error = 0.0
+    error, thick = 0.0, np.linspace(-1, 1, 4)
     for thin in (SLIVER, 1e-5, 1e-7) if full else (SLIVER,):
-        thick = np.linspace(-1, 1, 4)
-        points, cells = shapes.tetrahedra(thick, thick, np.cumsum([-1, 0.7, thin, 0.6, thin, 0.7]))
-        x, y, z = points.T
-        sheared = np.stack([x + 0.15 * z, y + 0.1 * x, z + 0.2 * y], axis=1)
-        mesh = UnstructuredMesh(sheared, [("tetra", cells)], x - y + x * z, "s")
+        mesh = sheared(thick, thick, layers(thin))
         colours = np.random.default_rng(5).random((4, 3))
         transfer = TransferFunction(np.linspace(-3, 3, 4), colours, np.array([0.5, 2, 0.1, 1]))
         error = max(error, picture_error(device, mesh, transfer, full))
@@ -169,4 +182,50 @@ def edges(device: Device, full: bool) -> float:
     return error
 
 
-CASES = (segments, ends, control_points, steps, slivers, edges)
+def isosurface_error(device: Device, mesh: UnstructuredMesh, values: list[float]) -> float:
+    """The largest error of a colour in pictures of isosurfaces by both methods; where the hits of a
+    ray change when all scalars move by ROUNDED of their range, any of these is right."""
+    points, cells, scalars = mesh.points, mesh.cells[0][1], np.asarray(mesh.scalars)
+    moved, error = ROUNDED * np.ptp(scalars), 0.0
+    volume, tint = build_tet(mesh, device=device), (1.0, 0.5, 0.25, 0.5)
+    for fov in (None, 30.0):
+        camera = Camera.fit(points.min(axis=0), points.max(axis=0), fov=fov).turned(75.0)
+        rays = camera.rays(40, 32)
+        right = np.stack([
+            isosurfaces(points, cells, scalars + shift, CLEAR, rays, values, tint)
+            for shift in (0, -moved, moved)
+        ])  # fmt: skip
+        if not (right[0, :, 3] > 0).mean() > 0.1:
+            return math.inf  # hardly anything is seen
+        for method in METHODS:
+            picture = render(
+                volume, rays, isovalues=values, opacity=tint[3], colour=tint[:3], method=method,
+                device=device,
+            )  # fmt: skip
+            off = np.abs(picture.reshape(-1, 4) - right).max(axis=2).min(axis=0)
+            error = max(error, float(off.max()))
+    return error
+
+
+@case("isosurfaces through vertices", ISOSURFACES, "of a colour", NEAR)
+def at_vertices(device: Device, full: bool) -> float:
+    error = 0.0
+    for seed in range(5 if full else 1):
+        mesh = wavy_block(seed)
+        values = np.quantile(np.asarray(mesh.scalars), (0.3, 0.5, 0.7), method="nearest").tolist()
+        error = max(error, isosurface_error(device, mesh, values))
+    return error
+
+
+@case("isosurfaces in slivers and needles", ISOSURFACES, "of a colour", NEAR)
+def isosurfaces_of_slivers(device: Device, full: bool) -> float:
+    thick, error = np.linspace(-1, 1, 4), 0.0
+    for thin in (SLIVER, 1e-5, 1e-7) if full else (SLIVER,):
+        sliver = sheared(thick, thick, layers(thin))
+        needle = sheared(thick, *[layers(math.sqrt(thin))] * 2)
+        for mesh in (sliver, needle):
+            error = max(error, isosurface_error(device, mesh, [-0.4321, 0.1234, 0.789]))
+    return error
+
+
+CASES = (segments, ends, control_points, steps, slivers, edges, at_vertices, isosurfaces_of_slivers)
