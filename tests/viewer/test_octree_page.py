@@ -159,6 +159,52 @@ def test_pointer_and_keys_move_the_camera(octree, viewer: Viewer) -> None:
     assert np.dot(flown, way) > 0
 
 
+def test_two_fingers_zoom_and_move(octree, viewer: Viewer) -> None:
+    start = voxtool.camera_for(octree, "front")
+    viewer.set(start)
+    fingers = viewer.context.new_cdp_session(viewer.tab)
+
+    def touch(kind: str, *places: tuple[int, int]) -> Camera:
+        points = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(places)]
+        fingers.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+        return viewer.camera()
+
+    def distance(camera: Camera) -> float:
+        return float(np.linalg.norm(np.subtract(camera.eye, camera.target)))
+
+    assert touch("Start", (50, 100)) == touch("Start", (50, 100), (100, 100)) == start
+    nearer = touch("Move", (50, 100), (150, 100))
+    assert distance(nearer) == pytest.approx(distance(start) / 2)
+    moved = touch("Move", (50, 120), (150, 120))
+    touch("End")
+    assert distance(moved) == pytest.approx(distance(nearer))
+    pixel = distance(moved) * 2 * np.tan(np.radians(15)) / 360
+    shift = np.subtract(moved.target, nearer.target)
+    assert shift == pytest.approx([0, 20 * pixel, 0], abs=0.5 * pixel)
+    turned = touch("Start", (50, 100))
+    turned = touch("Move", (90, 100))
+    touch("End")
+    assert turned.target == moved.target
+    assert turned.eye != moved.eye
+
+
+def test_light_and_dark(viewer: Viewer) -> None:
+    def luminance(name: str) -> float:
+        colour = viewer.tab.evaluate(f"getComputedStyle(document.body).{name}")
+        parts = np.array([int(part) for part in re.findall(r"\d+", colour)[:3]]) / 255
+        linear = np.where(parts > 0.04045, ((parts + 0.055) / 1.055) ** 2.4, parts / 12.92)
+        return float(linear @ [0.2126, 0.7152, 0.0722])
+
+    papers = []
+    for scheme in ("light", "dark"):
+        viewer.tab.emulate_media(color_scheme=scheme)
+        paper, ink = luminance("backgroundColor"), luminance("color")
+        assert (max(paper, ink) + 0.05) / (min(paper, ink) + 0.05) > 7  # WCAG 2, level AAA
+        papers.append(paper)
+    assert papers[0] > 0.9
+    assert papers[1] < 0.1
+
+
 def test_the_copied_command_draws_the_picture(octree, viewer: Viewer, here: Path) -> None:
     viewer.set(voxtool.camera_for(octree, "right", up=(0.0, 0.0, 1.0)), level=1)
     viewer.context.grant_permissions(["clipboard-read", "clipboard-write"])

@@ -17,6 +17,7 @@ from PIL import Image
 
 import voxtool
 from voxtool.camera import Camera
+from voxtool.selftest.reference import segments
 from voxtool.tets.transfer import TransferFunction, default_transfer, named
 from voxtool.viewer.job import plan_view
 
@@ -111,6 +112,26 @@ def test_isosurfaces_are_those_of_render(
     isovalues = [low + (high - low) * share for share in shares]
     transfer = named("turbo", low, high, 2.0, (low, high)) if within else None
     check_picture(viewer, volume, cameras(volume)[name], transfer, isovalues=isovalues, **options)
+
+
+@pytest.mark.parametrize("name", ["iso", "parallel", "within"])
+def test_ids_are_the_cells_that_rays_enter_first(name: str, volume, viewer: Viewer) -> None:
+    camera = cameras(volume)[name]
+    if name == "parallel":
+        camera = camera.turned(7)  # no ray meets a diagonal, which two cells share
+    viewer.set(camera)
+    _, ids = viewer.picture(*SIZE)
+    rows, columns = np.indices(SIZE[::-1]).reshape(2, -1)
+    rays, scalars = camera.rays(*SIZE), volume.vertices[:, 3]
+    pixels = np.stack([columns, rows], axis=1)
+    (found,) = segments(volume.points(), volume.cells, scalars, rays, pixels, most=1 << 30)
+    passed = found.length > 1e-6
+    seen, first = np.unique(found.pixel[passed], return_index=True)  # they are sorted by depth
+    expected = np.full(len(pixels), -1)
+    expected[seen] = found.cell[passed][first]
+    entered = np.where(ids[..., 3] > 0, ids[..., 0], -1).ravel()
+    assert (expected >= 0).mean() > 0.3
+    assert (entered == expected).mean() >= 0.995
 
 
 @pytest.mark.parametrize("name", ["holes", "hexahedra"])
