@@ -171,7 +171,20 @@ int nodeAt(ivec3 place, int k, ivec3 hit, int hitSize, uint mirror, out uvec2 no
     return 1;
 }
 
-// The gradient of the coverage of cells of size 2^k, at a place in such cells.
+// A set of octants, one bit each, mirrored.
+uint mirroredOctants(uint octants, uint mirror)
+{
+    if ((mirror & 1u) != 0u)
+        octants = (octants & 0x55u) << 1 | octants >> 1 & 0x55u;
+    if ((mirror & 2u) != 0u)
+        octants = (octants & 0x33u) << 2 | octants >> 2 & 0x33u;
+    if ((mirror & 4u) != 0u)
+        octants = (octants & 0x0Fu) << 4 | octants >> 4;
+    return octants;
+}
+
+// The gradient of the coverage of cells of size 2^k, at a place in such cells. The inner loop visits
+// only children that hold a voxel and are within reach: rays side by side wait for each other less.
 vec3 coverageGradient(vec3 place, int k, ivec3 hit, int hitSize, uint mirror)
 {
     vec3 before = floor(place - 0.5), f = place - 0.5 - before;
@@ -189,12 +202,14 @@ vec3 coverageGradient(vec3 place, int k, ivec3 hit, int hitSize, uint mirror)
         int kind = nodeAt(at, k + 2, hit, hitSize, mirror, holder);
         if (kind == 0)
             continue;
-        uint held = kind == 2 ? 0xFFu : holder.y;
-        for (uint i = 0u; i < 8u; ++i) {
-            ivec3 n = 2 * at - low + ivec3(i & 1u, i >> 1 & 1u, i >> 2);
+        ivec3 begin = 2 * at - low;
+        uvec3 sides = uvec3(0x55u, 0x33u, 0x0Fu) * uvec3(greaterThanEqual(begin, ivec3(0))) |
+                      uvec3(0xAAu, 0xCCu, 0xF0u) * uvec3(lessThan(begin, last - low));
+        uint held = kind == 2 ? 0xFFu : mirroredOctants(holder.y & 0xFFu, mirror);
+        for (uint rest = held & sides.x & sides.y & sides.z; rest != 0u; rest &= rest - 1u) {
+            uint i = uint(highestBit(int(rest & -rest)));
+            ivec3 n = begin + ivec3(i & 1u, i >> 1 & 1u, i >> 2);
             uint octant = i ^ mirror;
-            if ((held >> octant & 1u) == 0u || any(lessThan(n, ivec3(0))) || any(greaterThan(n, last - low)))
-                continue;
             vec4 even = vec4(1), next = vec4(1);
             if (kind == 1 && k == 1)
                 octantShares(childOf(holder, octant, 3), even, next);
