@@ -172,6 +172,24 @@ MUTATIONS: dict[str, Mutation] = {
         "depth - place->depth;",
         "tests/tets/test_pictures.py",
     ),
+    "isosurfaces: the side that is lit": Mutation(
+        "kernels/tets/surfaces.h",
+        "dot3(g, way) > 0 ? -1.0 : 1.0",
+        "dot3(g, way) > 0 ? -1.0 : -1.0",
+        "tests/tets/test_surfaces.py",
+    ),
+    "isosurfaces: the share in front": Mutation(
+        "kernels/tets/surfaces.h",
+        "(to != from ? to - from : (floats)1)",
+        "(to != from ? from - to : (floats)1)",
+        "tests/tets/test_surfaces.py",
+    ),
+    "sampler: the texels of an octant": Mutation(
+        "kernels/adf/query.cl",
+        "3u * place + (uint3)(octant & 1,",
+        "3u * place + (uint3)(0,",
+        "tests/adf/test_sampler.py",
+    ),
     "scan: the total": Mutation(
         "kernels/opencl/scan.cl",
         "i < ITEMS && start + i <= count",
@@ -196,6 +214,18 @@ MUTATIONS: dict[str, Mutation] = {
         "np.isin(codes, active, assume_unique=True) | ~(empty | full)",
         "~(empty | full)",
         "tests/svo",
+    ),
+    "pages: leaves wholly inside": Mutation(
+        "voxtool/viewer/octrees.py",
+        "held, refined = parents | level.inside, parents",
+        "held, refined = parents, parents",
+        "tests/viewer/test_page.py",
+    ),
+    "pages: bytes plane by plane": Mutation(
+        "voxtool/viewer/page.py",
+        "reshape(-1, little.itemsize).T\n",
+        "reshape(-1, little.itemsize)\n",
+        "tests/viewer/test_page.py",
     ),
     "atomic files: synced before the rename": Mutation(
         "voxtool/files/atomic.py",

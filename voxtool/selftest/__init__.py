@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from voxtool.selftest import arithmetic, digests, fields, volumes, voxels
+from voxtool.selftest import arithmetic, digests, fields, pages, volumes, voxels
 from voxtool.selftest.case import Case, Outcome
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ CASES: tuple[Case, ...] = (
     *voxels.CASES,
     *fields.CASES,
     *volumes.CASES,
+    *pages.CASES,
     *digests.CASES,
 )
 
