@@ -88,8 +88,8 @@ MUTATIONS: dict[str, Mutation] = {
     ),
     "nets: a face pinched on both sides": Mutation(
         "kernels/svo/surface/dual.cl",
-        "PINCHED_FACE[cases[other]] == (face ^ 1)",
-        "PINCHED_FACE[cases[other]] == NO_FACE",
+        "PINCHED_FACE[case_at(THESE_TILES, adjacent)] == (face ^ 1)",
+        "PINCHED_FACE[case_at(THESE_TILES, adjacent)] == NO_FACE",
         "tests/svo/surface",
     ),
     "nets: the shorter diagonal": Mutation(
@@ -100,7 +100,7 @@ MUTATIONS: dict[str, Mutation] = {
     ),
     # kernels: fields and distances
     "field: the bound without its bend": Mutation(
-        "kernels/adf/levels/examine.cl",
+        "kernels/adf/levels/bounds.h",
         "highest(size - d) + bend;",
         "highest(size - d);",
         "tests/adf/test_build.py",
@@ -211,8 +211,8 @@ MUTATIONS: dict[str, Mutation] = {
     ),
     "prune: active nodes stay": Mutation(
         "voxtool/svo/prune.py",
-        "np.isin(codes, active, assume_unique=True) | ~(empty | full)",
-        "~(empty | full)",
+        "            stays[np.searchsorted(codes, active)] = True\n",
+        "",
         "tests/svo",
     ),
     "pages: leaves wholly inside": Mutation(
@@ -265,8 +265,8 @@ MUTATIONS: dict[str, Mutation] = {
     ),
     "OBJ: indices that count back": Mutation(
         "voxtool/files/obj.py",
-        "known + np.cumsum(is_vertex)[is_face]",
-        "known + np.full(is_face.sum(), is_vertex.sum())",
+        "np.cumsum(is_vertex)[is_face]",
+        "np.full(is_face.sum(), is_vertex.sum())",
         "tests/mesh/test_mesh.py",
     ),
 }
