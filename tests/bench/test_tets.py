@@ -61,6 +61,11 @@ def test_points(cube: str) -> None:
     *ours, shown, rays = tets.measure(
         Bench(REQUEST, opened(index), profiled, "tets", cube, GreyTool)
     )
+    surfaces, ours = ours[: len(METHODS)], ours[len(METHODS) :]
+    assert [(p.work, p.method) for p in surfaces] == [("frames of isosurfaces", m) for m in METHODS]
+    for point in surfaces:
+        assert point.errors["max"] < 1e-5
+        assert 0.5 <= point.figures["largest alpha"] < 1
     drawn = [(p.setting["sizes"], p.setting["methods"], p.setting["integrators"]) for p in ours]
     assert drawn == [
         *((6, method, "linear") for method in METHODS),

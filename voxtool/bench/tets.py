@@ -18,6 +18,7 @@ from voxtool.bench.references import ReferencePicture
 from voxtool.camera import Camera
 from voxtool.files import read_unstructured
 from voxtool.rendering import plan_render, render
+from voxtool.selftest.isosurfaces import isosurfaces
 from voxtool.selftest.reference import reference
 from voxtool.tets.conforming import tetrahedra
 from voxtool.tets.mesh import volume_cells
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from voxtool.tets.volume import TetVolume
 
 DEPTH = 4.0  # optical, of the box's diagonal at the largest extinction of x1
+LEVELS = (0.3, 0.5, 0.7)  # quantiles of the scalars, whose isosurfaces are drawn
 SLAB = 0.1  # thickness of each slab of steps, in ranges of the scalar
 
 
@@ -49,6 +51,8 @@ def measure(bench: Bench) -> Iterator[Point | Ablation]:
     }
     box = cells.vertices.min(axis=0), cells.vertices.max(axis=0)
     camera = Camera.fit(*box, asked.view, fov=None)
+    if not cells.constant:
+        yield from _isosurfaces(volumes, cells, camera, bench)
     for name in asked.transfers:
         transfer, work = transfer_of(name, cells), f"frames through {name}"
         exact = reference_picture(cells, transfer, camera, asked)
@@ -79,6 +83,32 @@ def measure(bench: Bench) -> Iterator[Point | Ablation]:
                 volume, exact.rays, transfer=transfer, method=method, device=bench.timed
             )
             yield from ablation.of_picture(job, bench, f"{work}, {method}")
+
+
+def _isosurfaces(
+    volumes: dict[str, TetVolume], cells: ConformingMesh, camera: Camera, bench: Bench
+) -> Iterator[Point]:
+    """The points of frames of isosurfaces, by method, at the largest size."""
+    asked, size = bench.request, max(bench.request.sizes)
+    exact_rays, pixels = camera.rays(size, size), pixels_of(asked)
+    values, tint = np.quantile(cells.scalars, LEVELS).tolist(), (1.0, 0.5, 0.25, 0.5)
+    clear = TransferFunction(np.zeros(1), np.zeros((1, 3)), np.zeros(1))
+    expected = isosurfaces(
+        cells.vertices, cells.cells, cells.scalars, clear, exact_rays, values, tint, pixels
+    )
+    exact = ReferencePicture(exact_rays, pixels, expected)
+    for method, volume in volumes.items():
+        draw = partial(
+            render, volume, exact_rays, isovalues=values, opacity=tint[3], colour=tint[:3],
+            method=method,
+        )  # fmt: skip
+        yield bench.point(
+            "frames of isosurfaces", method, f"{len(values)} surfaces, {size} x {size}",
+            run=lambda device, draw=draw: draw(device=device),
+            asked={"sizes": size, "methods": method, "view": asked.view, "pixels": asked.pixels},
+            bytes=sum(volume.sizes().values()),
+            **exact.compared(exact.of(draw(device=bench.timed))),
+        )  # fmt: skip
 
 
 def _frame(
@@ -128,15 +158,19 @@ def reference_picture(
     cells: ConformingMesh, transfer: TransferFunction, camera: Camera, asked: Request
 ) -> ReferencePicture:
     """The exact colours of `pixels` x `pixels` pixels of the largest picture."""
-    largest = max(asked.sizes)
-    every = max(largest // asked.pixels, 1)
-    middles = np.arange(every // 2, largest, every)  # of squares of pixels
-    pixels = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
-    rays = camera.rays(largest, largest)
+    pixels, rays = pixels_of(asked), camera.rays(*[max(asked.sizes)] * 2)
     expected = reference(
         cells.vertices, cells.cells, cells.scalars, transfer, rays, pixels, constant=cells.constant
     )
     return ReferencePicture(rays, pixels, expected)
+
+
+def pixels_of(asked: Request) -> np.ndarray:
+    """Column and row of `pixels` x `pixels` pixels of the largest picture, (N, 2)."""
+    largest = max(asked.sizes)
+    every = max(largest // asked.pixels, 1)
+    middles = np.arange(every // 2, largest, every)  # of squares of pixels
+    return np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
 
 
 def transfer_of(name: str, mesh: ConformingMesh) -> TransferFunction:
