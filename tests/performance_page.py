@@ -205,6 +205,8 @@ def pictures(points: list[Point]) -> Rows:
 def volumes(points: list[Point]) -> Rows:
     yield ["transfer function", "method", "first, ms", "frame, ms", "beside", "RMS", "largest"]
     for p in points:
+        if p["first"] is None:
+            continue  # isosurfaces have no transfer function
         ours = own(points, work=p["work"], label=p["label"])[0]
         yield [p["work"].removeprefix("frames through "), p["method"],
                digits(1e3 * p["first"]), ms(p), ratio(p, ours) if p["peer"] else "",
