@@ -88,7 +88,8 @@ def area(mesh: Mesh) -> float:
 
 
 def voxels_of_peer(made: Any, grid: Grid) -> Octree:
-    """The voxels of another tool: a vtkImageData, or a VoxelGrid of Open3D or trimesh."""
+    """The voxels of another tool: a vtkImageData, a vtkImageStencilData, or a VoxelGrid of Open3D
+    or trimesh."""
     if hasattr(made, "matrix"):
         pitch = np.asarray(made.pitch, np.float64)
         low = made.translation - pitch / 2
@@ -98,6 +99,14 @@ def voxels_of_peer(made: Any, grid: Grid) -> Octree:
         x, y, z = (cells.max(axis=0, initial=0) + 1).tolist()
         own = Grid((x, y, z), tuple(made.origin), (made.voxel_size,) * 3)
         return Octree.from_voxels(cells, own)
+    if made.IsA("vtkImageStencilData"):
+        image = importlib.import_module("vtk").vtkImageStencilToImage()
+        image.SetInputData(made)
+        image.SetInsideValue(1)
+        image.SetOutsideValue(0)
+        image.SetOutputScalarTypeToUnsignedChar()
+        image.Update()
+        made = image.GetOutput()
     values = _from_vtk(made.GetPointData().GetScalars()).reshape(grid.shape[::-1])
     return Octree.from_dense(values.T, grid.origin, grid.pitch)
 
