@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 import shlex
 from collections.abc import Iterator
@@ -166,7 +167,10 @@ def test_two_fingers_zoom_and_move(octree, viewer: Viewer) -> None:
 
     def touch(kind: str, *places: tuple[int, int]) -> Camera:
         points = [{"x": x, "y": y, "id": i} for i, (x, y) in enumerate(places)]
+        before = json.dumps(viewer.tab.evaluate("JSON.stringify(voxtool.state().camera)"))
         fingers.send("Input.dispatchTouchEvent", {"type": f"touch{kind}", "touchPoints": points})
+        if kind == "Move":  # the browser hands it out with its next frame
+            viewer.wait(f"JSON.stringify(voxtool.state().camera) !== {before}")
         return viewer.camera()
 
     def distance(camera: Camera) -> float:
