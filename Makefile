@@ -54,7 +54,7 @@ lint: .venv/test.done node_modules/lint.done
 	.venv/bin/basedpyright
 	.venv/bin/lint-imports
 	PATH="$$PWD/.venv/bin:$$PATH" node_modules/.bin/tsc -p .
-	PATH="$$PWD/.venv/bin:$$PATH" node_modules/.bin/biome lint --error-on-warnings
+	PATH="$$PWD/.venv/bin:$$PATH" node_modules/.bin/biome lint --error-on-warnings voxtool/viewer/assets
 
 docs: .venv/docs.done
 	NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --clean --quiet
