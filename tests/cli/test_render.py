@@ -6,9 +6,12 @@ import hashlib
 import io
 import json
 import re
+import sys
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import png
 import pytest
@@ -285,6 +288,46 @@ def test_turntables(here: Path) -> None:
     assert Image.open("a.gif").width > 200
 
 
+def test_turntables_as_videos(here: Path) -> None:
+    """A video has the frames of the numbered pictures, an odd side with one line more, and the same
+    bytes each time."""
+    command = f"render {OCTREE} --size 61x48 --samples 2 --turntable 4 -q"
+    run(f"{command} -o spin%d.png")
+    run(f"{command} -o spin.mp4")
+    with av.open("spin.mp4") as film:
+        stream = film.streams.video[0]
+        assert (stream.codec_context.name, stream.codec_context.pix_fmt) == ("h264", "yuv420p")
+        assert (stream.frames, stream.average_rate) == (4, Fraction(4, 6))
+        frames = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
+    assert len(frames) == 4
+    for i, frame in enumerate(frames):
+        drawn = np.asarray(Image.open(f"spin{i}.png"))
+        assert frame.shape == (48, 62, 3)
+        error = ((frame[:, :61].astype(float) - drawn) ** 2).mean()
+        assert 10 * np.log10(255**2 / error) > 38, i
+        assert (np.abs(frame[:, 61].astype(int) - frame[:, 60]) < 16).all()
+    run(f"{command} -o again.mp4 --fps 25")
+    with av.open("again.mp4") as film:
+        assert film.streams.video[0].average_rate == 25
+    run(f"{command} -o again.mp4")
+    assert Path("again.mp4").read_bytes() == Path("spin.mp4").read_bytes()
+    run(f"{command} -o spin.gif --fps 5")
+    assert Image.open("spin.gif").info["duration"] == 200
+
+
+def test_videos_need_pyav(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    message = fail(f"render {OCTREE} --turntable 4 -o spin.mp4")
+    assert "a video as .mp4 needs PyAV: pip install 'voxtool[video]'" in message
+    assert not Path("spin.mp4").exists()
+
+
+def test_frames_too_large_for_a_format(here: Path) -> None:
+    message = fail(f"render {OCTREE} --size 16385x2 --samples 1 --turntable 2 -o spin.mp4")
+    assert "spin.mp4: frames of 16385 x 2 pixels: .mp4 has 16384 along a side" in message
+    assert not Path("spin.mp4").exists()
+
+
 # ---- refusals
 
 
@@ -343,7 +386,10 @@ def test_options_of_other_kinds_are_refused_by_name(kind: str, name: str, here: 
             "'2': write two numbers or percentiles, as 0.5,2 or 75%,99%, or full",
         ),
         ("--opacity-range 75%,101%", "'75%,101%': write two numbers or percentiles"),
-        ("--turntable 4 -o a.mp4", "a.mp4: voxtool has no video encoder: write .webp or .gif, or"),
+        ("--turntable 4 -o a.mp4 --background none", "videos have no transparency: drop"),
+        ("--turntable 4 -o a%d.png --fps 8", "--fps is of animations: a%d.png are single pictures"),
+        ("--fps 8", "--fps is of the frames of --turntable"),
+        ("--turntable 4 --fps 60", "0.1<=x<=50"),
         ("--turntable 4 --float", "--float goes with one picture: --turntable writes frames of 8"),
         ("--turntable 4 --bits 16", "--bits goes with one picture"),
         ("--iso-opacity 0.5", "--iso-opacity is of the surfaces of --isovalue: give one"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -83,7 +84,10 @@ OPTIONS_OF = {
         "Turn the camera around the target by this angle, about --up.",
         metavar="DEG"),
     option("--turntable", click.IntRange(2, 3600),
-        "Draw N frames of a whole turn, as .gif, .webp or spin%03d.png.", metavar="N"),
+        "Draw N frames of a whole turn, as .gif, .webp, .mp4 or spin%03d.png.", metavar="N"),
+    option("--fps", click.FloatRange(0.1, 50),
+        "With --turntable: frames a second.  [default: a turn in six seconds, at most 50]",
+        metavar="F"),
     option("--size", SIZE, "Pixels.  [default: 512x512]", (512, 512), metavar="WxH|N"),
     option("--samples", click.IntRange(1, 16),
         "N x N rays a pixel, whose mean it shows.  [default: 2 for octrees and fields, which have "
@@ -134,7 +138,7 @@ OPTIONS_OF = {
 )
 def command(
     run: Run, file: str, size: tuple[int, int], samples: int | None, background: Any,
-    bits: str | None, as_float: bool, turntable: int | None, **request: Any,
+    bits: str | None, as_float: bool, turntable: int | None, fps: float | None, **request: Any,
 ) -> None:  # fmt: skip
     """Draw a picture of an octree, a distance field or a volume FILE.
 
@@ -152,12 +156,14 @@ def command(
     check_request(request)
     check_rays(size, samples)
     from voxtool.files import read_scene
-    from voxtool.files.animation import write_animation
+    from voxtool.files.animation import rate_of, write_animation
     from voxtool.files.picture import FORMATS, check_writer, write_picture
     from voxtool.rendering import camera_for, plan_render
 
     if turntable is not None:
-        choose_animation(run, file, as_float, bits)
+        choose_animation(run, file, as_float, bits, fps, background)
+    elif fps:
+        raise click.UsageError("--fps is of the frames of --turntable: give N")
     else:
         if run.output in (None, "-"):
             run.file_format = "npy" if as_float else "png"
@@ -181,7 +187,8 @@ def command(
             run.write(write_picture, picture, bits=depth, background=paper)
         else:
             frames = turned(picture, job, camera, turntable, request["legend"], paper)
-            run.write(write_animation, frames, count=turntable)
+            rate = Fraction(fps).limit_denominator(1000) if fps else rate_of(turntable)
+            run.write(write_animation, frames, rate=rate)
     hit = float((drawn[..., 3] != 0).mean())
     text = f"{size[0]} x {size[1]}, {viewpoint(request)}, {100 * hit:.3g} % of pixels hit"
     if turntable is not None:
@@ -189,23 +196,27 @@ def command(
     run.report(text, lambda: summary(job, drawn, hit))
 
 
-def choose_animation(run: Run, file: str, as_float: bool, bits: str | None) -> None:
+def choose_animation(
+    run: Run, file: str, as_float: bool, bits: str | None, fps: float | None, background: Any
+) -> None:
     """Choose the output of a turntable; refuse options and formats that do not go with it."""
-    from voxtool.files.animation import FORMATS, numbered
+    from voxtool.files.animation import FORMATS, check_video, numbered
 
     if as_float or bits:
         raise click.UsageError(f"{'--float' if as_float else '--bits'} goes with one picture: "
                                "--turntable writes frames of 8 bits")  # fmt: skip
-    if str(run.output).lower().endswith(".mp4"):
-        raise click.UsageError(
-            f"{run.output}: voxtool has no video encoder: write .webp or .gif, or spin%03d.png and "
-            "then ffmpeg -i spin%03d.png spin.mp4"
-        )
     if run.output == "-":
         run.file_format = run.file_format or "gif"
     run.to(file, output_of(file, "gif"), FORMATS)
     if run.file_format == "png":
         numbered(run.output or "", 0)
+        if fps:
+            raise click.UsageError(f"--fps is of animations: {run.output} are single pictures")
+    if run.file_format == "mp4":
+        if background == "none":
+            raise click.UsageError("videos have no transparency: drop --background none, or write "
+                                   ".webp")  # fmt: skip
+        check_video()
 
 
 def turned(
