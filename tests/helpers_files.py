@@ -209,7 +209,7 @@ def check_damaged(data: bytes, read: Callable[[bytes], Any], seeds: int, least: 
     """Check that every truncated file is refused, and that each of 200 damaged files a seed is
     refused in one line, or gives valid content.
 
-    least : of 200 damaged files, more than so many are refused.
+    least : more than this number of 200 damaged files are refused.
     """
     step = max(1, len(data) // 60)
     for length in {*range(0, 200, 7), *range(200, len(data) - 3, step), len(data) - 3}:

@@ -359,7 +359,7 @@ def find_faces_that_meet(device) -> None:
 
 
 def wind_a_fan(device) -> None:
-    """Of a fan and of a book two levels of bundles, and a leaf that is not full."""
+    """A fan and a book, each with two levels of bundles and a leaf that is not full."""
     vertices, faces = crowds.fan(70)
     _, q, r = vertices[faces].transpose(1, 0, 2)
     points = np.array([(0, 0, -5), (0.3, 0.2, 0.3), (0, 0, 0.5), (1, 1, 1.0), (0.01, 0, 0)])

@@ -80,7 +80,7 @@ float16 rounded_squares(__global const float *t, float16 x, float16 y, float16 z
     return wx * wx + wy * wy + wz * wz;
 }
 
-// Triangle `slot`, in all lanes.
+// Triangle `slot`, in every lane.
 triangle triangle_of(__global const double *leaves, uint slot)
 {
     return one_triangle(leaves + (size_t)(slot / LEAF) * (FIELDS * LEAF), slot % LEAF);

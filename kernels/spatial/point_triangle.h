@@ -14,7 +14,7 @@ typedef struct {
     LANES x, y, z;
 } ways;
 
-// Triangle i of a leaf, in all lanes.
+// Triangle i of a leaf, in every lane.
 triangle one_triangle(__global const double *leaf, uint i)
 {
     triangle t;

@@ -130,7 +130,7 @@ def test_points_are_recognised_by_content(name: str, block: int, tmp_path: Path)
 
 
 def test_a_header_of_python_2_hides_no_other_warning(tmp_path: Path, monkeypatch) -> None:
-    """As that of another thread, which opens the device."""
+    """Another thread warns while the header is read: that warning is shown."""
     (tmp_path / "points").write_bytes(npy(SMALL).replace(b"(5, 3), }  ", b"(5L, 3L), }"))
     header = np.lib.format.read_array_header_1_0
 

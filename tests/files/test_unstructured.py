@@ -137,7 +137,7 @@ def test_a_warning_of_meshio_is_short(tmp_path: Path) -> None:
 
 
 def test_a_warning_of_another_thread_is_not_the_files(tmp_path: Path, monkeypatch, capsys) -> None:
-    """As of the thread that opens the device while meshio reads."""
+    """Another thread, such as one that opens the device, warns and prints while meshio reads."""
     path = written(tmp_path / "a.vtk", mixed())
 
     def warn() -> None:

@@ -252,7 +252,7 @@ def test_what_exceeds_31_bits_is_refused(device: Device) -> None:
 
 @pytest.mark.parametrize("items", [1, 2, FEW, FEW + 1, 3 * FEW, 1000])
 def test_items_are_sorted_by_bucket_then_key_then_place(device: Device, items: int) -> None:
-    """Of buckets that are empty, and about as full as `items`; among few keys, many are equal."""
+    """Every second bucket is empty, others hold about `items`; among few keys, many are equal."""
     rng, n, size = np.random.default_rng(items), 3001, max(3000 // items, 1)
     buckets = 2 * rng.integers(0, size, n).astype(np.uint32)
     for keys in (rng.integers(0, 7, n), rng.integers(0, 1 << 63, n), -np.arange(n)):

@@ -394,7 +394,7 @@ def test_pseudonormals_of_a_corner() -> None:
 
 @pytest.mark.parametrize("shape", ["torus", "ball", 3001, 1, 2, 3, 4, 5, 31, 32, 33, 257])
 def test_winding_numbers_are_solid_angles(device: Device, shape: str | int) -> None:
-    """Of closed meshes, and of numbers of loose triangles."""
+    """Closed meshes, and any number of loose triangles, against sums of solid angles."""
     rng = np.random.default_rng(18)
     if isinstance(shape, int):
         mesh = mesh_of(*meshes.random_triangles(rng, shape, size=1.0 if shape > 1000 else 2.0))

@@ -34,7 +34,7 @@ def arrangement(n: int) -> tuple[int, int, int]:
 
 
 def most_blocks(max_texture: int) -> int:
-    """Return the number of blocks that fit a texture of so many texels along each axis."""
+    """Return the number of blocks that fit a texture of `max_texture` texels along each axis."""
     return (max_texture // VERTICES) ** 3
 
 

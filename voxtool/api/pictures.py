@@ -136,7 +136,7 @@ def plan_render(
         (world units) and `colour`; of a volume `transfer` (a TransferFunction), `method`
         ("raycast" or "projection"), `integrator` ("linear", "preintegrated", "average" or
         "sampled:N"), `isovalues` (scalars whose surfaces are drawn; alone, if there is no
-        `transfer`), and `opacity` and `colour` of these surfaces.
+        `transfer`), and their `opacity` and `colour`.
 
     Returns
     -------

@@ -71,8 +71,8 @@ def command(run: Run, file: str, no_open: bool, serve: bool, up: tuple[float, ..
         show_served(run, page, no_open)
         return
     run.report(
-        f"{page.content.kind}, {human(page.base_bytes + page.data_bytes)}, of these "
-        f"{human(page.data_bytes)} data",
+        f"{page.content.kind}, {human(page.base_bytes + page.data_bytes)}, "
+        f"{human(page.data_bytes)} of them data",
         lambda: summary(page),
     )
     if not (no_open or run.to_stdout):

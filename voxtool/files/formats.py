@@ -121,7 +121,7 @@ SCENE = Kind(
 
 
 def is_mesh(path: PathLike) -> bool:
-    """Whether a name says that a file holds a mesh of triangles."""
+    """Return True if the name is that of a file of a triangle mesh."""
     return os.fspath(path).lower().removesuffix(".gz").endswith(MESH_EXTENSIONS)
 
 

@@ -100,12 +100,12 @@ VERSION_1 = Schema(
 
 
 def _rows(count: Callable[[Sizes], int]) -> tuple[Callable[[Sizes], int], Callable[[Sizes], int]]:
-    """The sides of a texture of so many items."""
+    """Return the two sides of a texture of `count` items, as functions of the sizes."""
     return (lambda sizes: rows_for(count(sizes))), (lambda sizes: width_for(count(sizes)))
 
 
 def _layered(name: str, numbers: Callable[[Sizes], int]) -> Dataset:
-    """A texture of so many integers a cell."""
+    """Return the dataset of a texture with `numbers` integers for each cell."""
 
     def layers(sizes: Sizes) -> int:
         return layers_for(numbers(sizes))

@@ -106,14 +106,14 @@ def read_mesh(name: str, path: str, kind: str, max_memory: int | None) -> Any:
 
 
 class _OwnText(io.StringIO):
-    """The text that the thread of its making writes; what other threads write goes to a stream."""
+    """Text that the thread which made it writes; other threads write to the given stream."""
 
     def __init__(self, stream: Any) -> None:
         super().__init__()
         self._stream, self._thread = stream, threading.get_ident()
 
     def write(self, text: str, /) -> int:
-        """Write a text; return its length."""
+        """Write text; return its length."""
         own = threading.get_ident() == self._thread
         return super().write(text) if own else self._stream.write(text)
 

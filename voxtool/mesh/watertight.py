@@ -1,5 +1,5 @@
-"""Whether a mesh is watertight, on a device: in linear time, where sorting its edges on the host
-takes several times as long.
+"""A test on a device for watertight meshes, in linear time: sorting the edges on the host takes
+several times as long.
 
 A hash table tells which vertices are at bit-equal positions. Sides that run to the higher one of
 their ends are listed at the lower one; every other side marks the one to which it runs back. If

@@ -278,8 +278,8 @@ def _repeated(device: Device, cells: _Cells, points: int) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Outcomes:
-    """What becomes of each cell, (N,) uint8; on the device too, with the places of those that stay,
-    the exclusive scan of their flags."""
+    """The outcome of each cell, (N,) uint8, on the host and on the device; and the places of those
+    that stay, the exclusive scan of their flags."""
 
     on_host: np.ndarray
     outcomes: Array

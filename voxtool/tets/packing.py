@@ -1,9 +1,9 @@
 """Packing of a volume in 2-D textures, as a GPU takes them [TetVol, section 4.1].
 
 The items of a texture, cells, vertices or blocks of cells, fill rows. A row has the least power of
-two of texels whose square holds them all, so item i is texel (i mod width, i div width), a mask and
-a shift, and the texture fits the limit of a device if any with rows of such a width does. A texture
-has four channels at most: more numbers an item are in two layers.
+two of texels whose square holds them all. So item i is texel (i mod width, i div width), found by a
+mask and a shift, and a texture fits a device's limit if it does with any power of two as its width.
+A texture has four channels at most: items of more numbers have two layers.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import numpy as np
 
 
 def width_for(count: int) -> int:
-    """Return the texels of a row for so many items."""
+    """Return the number of texels in a row of a texture of `count` items."""
     return 1 << (-(-max(count - 1, 0).bit_length() // 2))
 
 
 def rows_for(count: int) -> int:
-    """Return the number of rows of so many items."""
+    """Return the number of rows of a texture of `count` items."""
     return -(-count // width_for(count))
 
 
@@ -50,5 +50,5 @@ def unpack_layers(texture: np.ndarray, count: int) -> np.ndarray:
 
 
 def layers_for(channels: int) -> int:
-    """Return the layers of a texture with so many numbers an item."""
+    """Return the number of layers of a texture whose items have `channels` numbers."""
     return -(-channels // 4)

@@ -25,7 +25,7 @@ ROW = 16  # floats of an interval
 FARTHEST = 1e300  # scalar: differences must not overflow
 LARGEST = 1e30  # extinction that float32 holds with room for products
 TINY = 1e-30  # smaller numbers count as 0 on the device: no denormals
-# Tetrahedra that a cell with so many corners consists of, by its corners.
+# The tetrahedra of a cell, by its number of corners: the corners of each.
 TETRAHEDRA = {
     4: [[0, 1, 2, 3]],
     8: [[0, a, b, 6] for a, b in ((1, 2), (2, 3), (3, 7), (7, 4), (4, 5), (5, 1))],

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class PageContent:
-    """What a page shows.
+    """The kind, facts and arrays of what a page shows, and the shaders that draw them.
 
     kind : "octree", "field" or "volume".
     facts : what the scripts need to know, in JSON types.

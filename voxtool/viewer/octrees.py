@@ -23,8 +23,8 @@ def octree_content(octree: Octree) -> PageContent:
     """Return the content of a page that shows an octree.
 
     The arrays are `children`, (n, 2) uint8: for each refined node above the bricks that holds a
-    voxel, which children hold one, and which of these are refined (bits in Morton order; the
-    children of level 1 are bricks); and `bricks`, (m, 2) uint32: the masks that are not 0.
+    voxel, which children hold one, and which of those that do are refined (bits in Morton order;
+    the children of level 1 are bricks); and `bricks`, (m, 2) uint32: the masks that are not 0.
     """
     counts, children = _children(octree)
     bricks = octree.bricks[octree.bricks != 0].astype("<u8", copy=False).view("<u4").reshape(-1, 2)

@@ -6,13 +6,13 @@
 // components along e and g in units of length are then off by less than 8 u S each, and so are the
 // distances to the lines of the edges, by whose signs the feature is chosen: a feature chosen wrongly
 // is as near within that error. The place that is found lies within 2 S of a, so that the vector from
-// there is off by less than 10 u S more. The sum of these 26 u S is less than DOUBT * S. `moved`
-// bounds the change where a side or height was dropped.
+// there is off by less than 10 u S more. The total, 26 u S, is less than DOUBT * S. `moved` bounds the
+// change where a side or height was dropped.
 
 #define DOUBT 0x1p-19f
 
-// Triangles, one per lane, or one in all lanes: the numbers of frame_triangles, with corner a relative
-// to the centre of the points; `doubt` bounds the errors of distances.
+// One triangle per lane, or the same triangle in every lane: the numbers of frame_triangles, with corner
+// a relative to the centre of the points; `doubt` bounds the errors of distances.
 typedef struct {
     float16 t[FIELDS], doubt;
 } narrow_triangles;
@@ -28,7 +28,7 @@ void set_centre(narrow_triangles *n, float16 moved, float3 centre, float radius)
     n->doubt = DOUBT * (sqrt(xx + yy + zz) + radius) + moved;
 }
 
-// The triangle of a slot, in all lanes, for points within `radius` of a centre.
+// The triangle of a slot, in every lane, for points within `radius` of a centre.
 narrow_triangles one_narrow(const scene_of_lists *scene, uint slot, float3 centre, float radius)
 {
     __global const float *t = scene->narrow + (size_t)slot * NARROW;

@@ -122,8 +122,8 @@ __kernel void sample_tiles(__global const uint *node_codes, const uint n,
 #else
 
 // The coverages of the 64 samples of each active tile; the masks of samples inside, and of samples
-// outside that contain occupied voxels, with the number of these voxels. full_and_inside: the
-// coverage of a full sample, and the least of a sample inside.
+// outside that contain occupied voxels; and the number of occupied voxels in the latter.
+// full_and_inside: the coverage of a full sample, and the least of a sample inside.
 __kernel void sample_tiles(__global const uint *node_codes, const uint n,
                            __global const svo_node *nodes, const uint first,
                            const uint2 full_and_inside, __global const COVERAGE *coverage,

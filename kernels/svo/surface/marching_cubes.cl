@@ -5,7 +5,7 @@
 #include "svo/surface/case_tables.h"
 #include "svo/surface/samples.h"
 
-// For each present tile: the cut cells, the cases of these, and the cut edges that start in it
+// For each present tile: its cut cells and their cases, and the cut edges that start in it
 // along x, y and z; in `first` the numbers of vertices, n further of triangles, 2 n further of cut cells.
 __kernel void classify_tiles(__global const uint *codes, const uint n, TILES, __global ulong *cut,
                              __global uchar *cases, __global ulong *cut_edges,

@@ -5,7 +5,7 @@
 #include "svo/surface/relaxation.h"
 #include "lanes.h"
 
-// LANES vertices halfway to the mean of their neighbours, given the sums of these.
+// LANES vertices moved halfway to the mean of their neighbours, given the neighbours' sums.
 ulongs moved(ulongs packed, ulongs sums, ints about)
 {
     const ints count = about & 15;

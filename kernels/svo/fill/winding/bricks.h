@@ -113,9 +113,9 @@ float16 angles_of(float16 y, float16 x)
 // over the triangle; the second derivatives of this are at most 6 area / r^4, and the squares of the
 // distances from the middle average to a twelfth of their sum over the corners, so that the winding number
 // is wrong by at most area sum / (16 pi r^4). Rounding: as no voxel is nearer than 2 or the triangle's
-// radius, coordinates are at most 5.6 gap. The middle has 24 u gap in each, 42 u in all, which changes
-// n . r / r^3 by 84 u area / gap^2; its own roundings are 20 u area / gap^2 at most. Both are 9 u area / gap^2
-// of a winding number, less than FAR_ERROR.
+// radius, coordinates are at most 5.6 gap. Each coordinate of the middle is off by 24 u gap, the middle by
+// 42 u gap, which changes n . r / r^3 by 84 u area / gap^2; its own roundings are 20 u area / gap^2 at most.
+// Both are 9 u area / gap^2 of a winding number, less than FAR_ERROR.
 bool add_dipole(brick_sums *sums, const float3 *v, float3 n)
 {
     const float3 middle = (v[0] + v[1] + v[2]) / 3.0f, way = middle - (float)SPREAD;
