@@ -25,6 +25,8 @@ NAMES = {
     voxtool.TetVolume: "volume.tet.h5",
 }
 PATIENCE = 60  # seconds; SwiftShader compiles for some
+SMALL = (96, 72)  # pixels of a tab: a page draws them all after every change
+LARGE = (480, 360)  # there is room for the panel beside the pointer
 ARGUMENTS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox")
 
 
@@ -50,8 +52,10 @@ def open_browser() -> Iterator[Any]:
 class Viewer:
     """A page in a tab, and what it logs: errors and requests of the network."""
 
-    def __init__(self, browser: Any, file: Path | str, before: str = "") -> None:
-        self.context = browser.new_context(viewport={"width": 480, "height": 360})
+    def __init__(
+        self, browser: Any, file: Path | str, before: str = "", size: tuple[int, int] = SMALL
+    ) -> None:
+        self.context = browser.new_context(viewport={"width": size[0], "height": size[1]})
         self.tab = self.context.new_page()
         self.tab.set_default_timeout(1e3 * PATIENCE)
         self.errors: list[str] = []
@@ -66,6 +70,14 @@ class Viewer:
 
     def close(self) -> None:
         self.context.close()
+
+    def resize(self, width: int, height: int) -> None:
+        """Give the tab another size; wait until the page is drawn in it."""
+        self.tab.set_viewport_size({"width": width, "height": height})
+        self.wait(
+            f"!voxtool.view.busy && voxtool.view.target.width === {width} &&"
+            f" voxtool.view.target.height === {height}"
+        )
 
     def wait(self, condition: str) -> None:
         """Wait until an expression holds; the page's policy forbids Playwright's own way."""

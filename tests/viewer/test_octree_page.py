@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_browser import Viewer, check_same, opened, written
+from helpers_browser import LARGE, Viewer, check_same, opened, written
 from helpers_cli import run
 from PIL import Image
 
@@ -113,6 +113,7 @@ def test_colours_by_depth_normal_and_level(octree, viewer: Viewer) -> None:
     assert (lit[:, :3].max(axis=1) > lit[:, :3].min(axis=1) + 5).any()
 
 
+@pytest.mark.usefixtures("large")
 def test_keys_step_through_levels(octree, viewer: Viewer) -> None:
     viewer.set(voxtool.camera_for(octree))
     viewer.tab.focus("#picture")
@@ -123,6 +124,7 @@ def test_keys_step_through_levels(octree, viewer: Viewer) -> None:
     assert seen == ["0", "1", "0", "1", "0", "voxel", "voxel"]
 
 
+@pytest.mark.usefixtures("large")
 def test_pointer_and_keys_move_the_camera(octree, viewer: Viewer) -> None:
     start = voxtool.camera_for(octree, "front")
     viewer.set(start)
@@ -160,6 +162,7 @@ def test_pointer_and_keys_move_the_camera(octree, viewer: Viewer) -> None:
     assert np.dot(flown, way) > 0
 
 
+@pytest.mark.usefixtures("large")
 def test_two_fingers_zoom_and_move(octree, viewer: Viewer) -> None:
     start = voxtool.camera_for(octree, "front")
     viewer.set(start)
@@ -209,6 +212,7 @@ def test_light_and_dark(viewer: Viewer) -> None:
     assert papers[1] < 0.1
 
 
+@pytest.mark.usefixtures("large")
 def test_the_copied_command_draws_the_picture(octree, viewer: Viewer, here: Path) -> None:
     viewer.set(voxtool.camera_for(octree, "right", up=(0.0, 0.0, 1.0)), level=1)
     viewer.context.grant_permissions(["clipboard-read", "clipboard-write"])
@@ -228,19 +232,17 @@ def test_the_copied_command_draws_the_picture(octree, viewer: Viewer, here: Path
     check_same(saved, drawn / 255)
 
 
+@pytest.mark.usefixtures("large")
 def test_the_picture_is_seen_after_loading_and_in_another_size(octree, viewer: Viewer) -> None:
     viewer.set(voxtool.camera_for(octree))
-    for width, height in ((480, 360), (300, 240), (480, 360)):
-        viewer.tab.set_viewport_size({"width": width, "height": height})
-        viewer.wait(
-            f"!voxtool.view.busy && voxtool.view.target.width === {width} &&"
-            f" voxtool.view.target.height === {height}"
-        )
+    for width, height in (LARGE, (300, 240), LARGE):
+        viewer.resize(width, height)
         shot = viewer.tab.locator("#picture").screenshot()
         seen = np.asarray(Image.open(io.BytesIO(shot)))[..., :3].astype(int)
         assert np.ptp(seen[height // 2 - 20 : height // 2 + 20, 20 : width // 2 - 20]) > 100
 
 
+@pytest.mark.usefixtures("large")
 def test_the_pointer_names_the_voxel(octree, viewer: Viewer) -> None:
     camera = voxtool.camera_for(octree, "front")
     viewer.set(camera)
@@ -312,8 +314,7 @@ def test_a_lost_context(browser, page: Path) -> None:
 def test_small_octrees_and_markup_in_attributes(shape, browser, tmp_path: Path) -> None:
     evil = "</script><script>document.title = 'evil'</script><b>"
     full = voxtool.Octree.from_dense(np.ones(shape, bool), units=evil, pitch=(1.0, 1.5, 0.5))
-    page = written(full, tmp_path)
-    viewer = Viewer(browser, page)
+    viewer = Viewer(browser, written(full, tmp_path), size=LARGE)
     camera = voxtool.camera_for(full)
     colours, ids = viewer.picture(*SIZE)
     check_same(colours, voxtool.render(full, camera.rays(*SIZE)))

@@ -167,6 +167,7 @@ def test_table_4_becomes_table_5(browser, tmp_path: Path, here: Path) -> None:
         check_picture(viewer, volume, cameras(volume)["iso"], default_transfer(volume))
 
 
+@pytest.mark.usefixtures("large")
 def test_the_editor_of_the_transfer_function(volume, viewer: Viewer, tmp_path: Path) -> None:
     transfer = default_transfer(volume)
     viewer.set(cameras(volume)["iso"], transfer=setting(transfer))
@@ -223,6 +224,7 @@ def voxtool_points(text: str) -> list[dict]:
     return [{"scalar": s, "color": [r, g, b], "extinction": e} for s, r, g, b, e in rows]
 
 
+@pytest.mark.usefixtures("large")
 def test_the_fields_of_isosurfaces(volume, viewer: Viewer) -> None:
     viewer.set(cameras(volume)["iso"])
     before = viewer.picture(*SIZE)[0]
