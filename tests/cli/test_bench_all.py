@@ -19,7 +19,7 @@ from voxtool.bench.request import MESH_BENCHES, VOLUME_BENCHES, benches_for
 from voxtool.cli.main import cli
 
 pytestmark = pytest.mark.slow  # most run whole benches
-BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "tets", "growth")
+BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "tets", "view", "growth")
 
 
 QUICK = f"--quick -q --date today --device {usable_devices()[0][0]}"
@@ -73,7 +73,7 @@ def test_every_bench_has_times_and_errors(report: dict[str, Any]) -> None:
         assert point["errors"] or point["absent"]
         assert point["figures"].keys() <= FIGURES.keys()
         alone = point["bench"] == "growth" or point["method"] == "exact distances"
-        alone |= "hash" in point["work"]
+        alone |= "hash" in point["work"] or point["bench"] == "view"
         if not point["peer"] and not alone:
             assert all(seconds >= 0 for seconds in point["stages"].values())
             assert point["stages"]
@@ -82,6 +82,7 @@ def test_every_bench_has_times_and_errors(report: dict[str, Any]) -> None:
             for point in points]  # fmt: skip
     assert len(set(keys)) == len(keys)
     assert all(p["errors"]["max"] < 1e-13 for p in points if p["bench"] == "distance")
+    assert all(p["errors"] == {"unpacked": 0} for p in points if p["bench"] == "view")
     linear = [p for p in points if p["bench"] == "tets" and "linear" in p["method"]]
     assert max(p["errors"].get("max", 0) for p in linear if not p["peer"]) < 1e-5
 

@@ -36,7 +36,16 @@ WITHOUT = {"outline": "--peers casts rays at the mesh itself"}
 
 def measure(bench: Bench) -> Iterator[Point]:
     """The points of a model."""
-    asked, mesh, device = bench.request, load_mesh(bench.model), bench.timed
+    mesh = load_mesh(bench.model)
+    contents = contents_of(mesh, bench)
+    camera = camera_for(next(iter(contents.values()))[0], bench.request.view, fov=None)
+    for size in bench.request.sizes:
+        yield from _pictures(mesh, contents, camera.rays(size, size), bench)
+
+
+def contents_of(mesh: Mesh, bench: Bench) -> dict[tuple[str, str], tuple[Content, dict]]:
+    """The octrees and the fields of a mesh, and the settings of each, by method and label."""
+    asked, device = bench.request, bench.timed
     contents: dict[tuple[str, str], tuple[Content, dict]] = {}
     for dim in asked.dims:
         octree = voxelize(mesh, Grid.fit(mesh, dim), device=device)
@@ -46,9 +55,7 @@ def measure(bench: Bench) -> Iterator[Point]:
         method = f"field, levels to {level}"
         settings = {"levels": level, "tolerances": tolerance}
         contents[method, f"tolerance {tolerance:g}"] = field, settings
-    camera = camera_for(next(iter(contents.values()))[0], asked.view, fov=None)
-    for size in asked.sizes:
-        yield from _pictures(mesh, contents, camera.rays(size, size), bench)
+    return contents
 
 
 def _pictures(

@@ -31,6 +31,7 @@ MEASURES = {  # of errors, by bench, and their units; the first is drawn in char
     "distance": CUBE,
     "pictures": {"outline": "of the pixels"},
     "tets": dict.fromkeys(("rms", "max"), "of colours from 0 to 1"),
+    "view": {"unpacked": "of the values"},
     "growth": {"rms": "of the cube's side"},
     "degenerate": {"rms": "of the cube's side"},
 }
@@ -40,9 +41,11 @@ _UNITS = {  # of further measures, in the order of their columns
     "rms in voxels": "number", "max in voxels": "number", "lipschitz": "number", "load": "share",
     "within": "share", "within near the surface": "share", "bits a key": "number",
     "max unsigned": "number", "largest alpha": "number", "times a peer": "number",
+    "over the file": "number",
 }  # fmt: skip
 _COUNTS = ("triangles", "vertices", "voxels", "depth", "blocks", "over tolerance", "side of slots",
-           "side of offsets", "w", "break-even", "other sign", "pixels compared")  # fmt: skip
+           "side of offsets", "w", "break-even", "other sign", "pixels compared",
+           "base")  # fmt: skip
 FIGURES = {**dict.fromkeys(_COUNTS, "count"), **_UNITS}  # what else is measured, and in what unit
 
 

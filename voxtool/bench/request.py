@@ -20,13 +20,14 @@ SETTINGS = {  # the fields of a Request that each bench reads
     "pictures": ("sizes", "view", "dims", "levels", "tolerances", "sign"),
     "tets": ("sizes", "pixels", "view", "methods", "integrators", "transfers", "scalar",
              "component"),
+    "view": ("dims", "levels", "tolerances", "sign", "scalar", "component"),
     "degenerate": ("triangles",),
     "growth": ("triangles", "dims", "levels", "tolerances", "sizes", "cells", "scalar",
                "component"),
 }  # fmt: skip
 
-MESH_BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "growth")
-VOLUME_BENCHES = ("tets", "growth")
+MESH_BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "view", "growth")
+VOLUME_BENCHES = ("tets", "view", "growth")
 
 
 @dataclass(frozen=True)

@@ -144,6 +144,16 @@ COMMANDS = {
       voxtool bench tets volume.vtu --scalar density --sizes 128 --peers
       voxtool bench tets volume.vtu --scalar density --sizes 64 --transfers x1 --methods raycast
     """,
+    "view": """Measure pages of MODELS: the time to make them, their size, and what they unpack to.
+
+    Pages of meshes show their octrees and fields. The size is that of the page over that of the
+    content's .h5. An error is a value that the page unpacks to wrongly: there must be none.
+
+    \b
+    Examples:
+      voxtool bench view bunny.obj --dims 128,256 --levels 5 --tolerances 1e-2
+      voxtool bench view volume.vtu --scalar density
+    """,
     "growth": """Measure the growth of time with triangles, dims, leaves, pixels and cells.
 
     MODELS are subdivided for more triangles or cells. The exponent p of time ~ triangles^p is below
@@ -169,8 +179,8 @@ COMMANDS = {
 UNITS = """
     Times are medians after a warm-up, in memory, kernels compiled; ± is their spread. Errors are in
     diagonals of the model (surfaces), sides of the field's cube (distances), colours from 0 to 1
-    (pictures of volumes) or shares of the pixels (other pictures). * marks the Pareto front. With a
-    budget the exit code is 1 if nothing measured meets it.
+    (pictures of volumes) or shares of pixels (other pictures) or values (pages). * marks the Pareto
+    front. With a budget the exit code is 1 if nothing measured meets it.
 """
 
 
