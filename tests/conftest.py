@@ -105,7 +105,8 @@ def model(name: str) -> Path:
 @pytest.fixture(scope="session")
 def models(tmp_path_factory) -> Path:
     """bunny.obj, bunny.svo.h5 (128, solid), bunny.adf.h5 (level 5), points.csv, open.obj, a box
-    without a lid, volume.vtu and volume.tet.h5 (density)."""
+    without a lid, volume.vtu and volume.tet.h5 (density), mask.npy and scan.npz (voxels and
+    coverages of bunny.svo.h5)."""
     folder = tmp_path_factory.mktemp("models")
     spec = importlib.util.spec_from_file_location("make_bunny", ROOT / "examples/make_bunny.py")
     assert spec
@@ -122,6 +123,8 @@ def models(tmp_path_factory) -> Path:
             "voxelize bunny.obj --dim 128 -q",
             "adf-build bunny.obj --max-level 5 -q",
             "tet-build volume.vtu --scalar density -q",
+            "export bunny.svo.h5 -o mask.npy -q",
+            "export bunny.svo.h5 -o scan.npz --level 1 -q",
         ):
             run(words)
     return folder

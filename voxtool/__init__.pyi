@@ -48,6 +48,9 @@ from voxtool.files import write_adf as write_adf
 from voxtool.files import write_mesh as write_mesh
 from voxtool.files import write_svo as write_svo
 from voxtool.files import write_tet as write_tet
+from voxtool.files.exchange import ExportJob as ExportJob
+from voxtool.files.exchange import plan_export as plan_export
+from voxtool.files.exchange import read_voxels as read_voxels
 from voxtool.files.mesh import load_mesh as load_mesh
 from voxtool.files.picture import write_picture as write_picture
 from voxtool.files.transfer import read_transfer as read_transfer

@@ -18,7 +18,7 @@ from voxtool.memory import available_memory
 from voxtool.opencl import default_device
 from voxtool.spatial.distance import POINTS_AT_ONCE
 from voxtool.spatial.signed_distance import SignedDistance, default_sign, distance_bytes
-from voxtool.svo.layers import layers
+from voxtool.svo.image import VoxelImage
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 
 if TYPE_CHECKING:
@@ -181,7 +181,7 @@ class DistanceGridJob(Job[np.ndarray]):
         if octree is None:
             return distances
         least, x = np.finfo(distances.dtype).tiny, 0
-        for voxels in layers(octree):
+        for voxels in VoxelImage.of(octree).slabs():
             part = distances[x : x + len(voxels)]
             np.copyto(part, np.minimum(-part, -least), where=voxels)
             x += len(voxels)

@@ -267,7 +267,7 @@ def refusal(kind: str, path: Path, message: str) -> None:
         ("svo", "bunny.stl", b"\0" * 84, "is a mesh: voxelize it first"),
         ("svo", "a.svo.h5", b"", "is empty"),
         ("svo", "a.svo.h5", b"hello", "is no octree: expected HDF5"),
-        ("svo", "a.npy", b"\x93NUMPY", "is an export: read the .svo.h5"),
+        ("svo", "a.npy", b"\x93NUMPY", "voxels: import it first: voxtool import .*a.npy"),
         ("svo", "a.xml", b'<?xml version="1.0"?><VTKFile/>', "not an octree: its root is VTKFile"),
         ("svo", "a.gz", gzip.compress(b"hello", mtime=0), "no well-formed XML"),
         ("svo", "a.svo.h5", b"\x89HDF\r\n\x1a\n", "damaged HDF5 file"),

@@ -98,7 +98,7 @@ def measure_grid(run: runner.Run, mesh: Mesh, grid: Grid, fill: str, dtype: str)
     import numpy as np
 
     from voxtool.distances import plan_distance_grid
-    from voxtool.files.exports import write_array
+    from voxtool.files.npy import write_array
 
     job = run.plan(plan_distance_grid, mesh, grid, fill=fill, dtype=dtype)
     place: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import click
 
-from voxtool.cli.options import Parsed, format_option, option, output_options, plane_of, together
+from voxtool.cli import options, runner
+from voxtool.cli.options import BYTES, Parsed, flag, option, plane_of, together
+from voxtool.errors import human
+from voxtool.files.formats import EXPORTS
+
+if TYPE_CHECKING:
+    from voxtool.files.exchange import ExportJob
+    from voxtool.svo.octree import Octree
 
 SLICE = Parsed(
     "slice", lambda text: plane_of(text, number_of), " is no plane of voxels: write z=128"
 )
+KNOWN = ", ".join(f".{name}" for name in EXPORTS)
 
 
 def number_of(text: str) -> int:
@@ -20,33 +30,68 @@ def number_of(text: str) -> int:
 @click.command("export")
 @click.argument("file")
 @together(
-    output_options("OUT", "Its ending says the format: .npy, .npz, .vti or .png."),
+    option("--level", click.IntRange(0),
+        "Cells of 2^N voxels a side; 0 is the voxels themselves.", 0, metavar="N"),
+    option("--bbox", float, "Only the cells that this box touches, in world units.", nargs=6,
+        metavar="X0 Y0 Z0 X1 Y1 Z1"),
+    flag("--invert", "Export what is not set instead of what is."),
+    option("--dtype", ("bool", "uint8", "uint16", "uint32", "float32", "float64"),
+        "bool: at least half of a cell is set; whole numbers: how many of its voxels; floats: the "
+        "share of them.  [default: bool; with --level float32]"),
     option("--slice plane", SLICE,
         "For .png: the plane of voxels to draw.  [default: the middle along z]",
         metavar="AXIS=VALUE"),
-    format_option("npy", "npz", "vti", "png"),
+    option("--max-bytes", BYTES, "Refuse a larger output (800M, 8G).", metavar="BYTES"),
 )  # fmt: skip
-def command(
-    file: str, output: str | None, no_clobber: bool, plane: tuple[str, int] | None,
-    file_format: str | None,
-) -> None:  # fmt: skip
-    """Export the set voxels of an octree FILE.
+@runner.run_options(
+    options.output_options("OUT", f"Its ending says the format: {KNOWN}."),
+    options.format_option(*EXPORTS),
+    options.plan_options,
+    options.report_options,
+)
+def command(run: runner.Run, file: str, plane: tuple[str, int] | None, **image: Any) -> None:
+    """Export the voxels of an octree FILE for other programs.
 
-    .npy is the dense bool array [x, y, z]; .npz the coordinates of the set voxels, in voxels, with
-    origin, pitch and shape; .vti cell data for ParaView; .png a slice. In the mesh's own units, the
-    low corner of a voxel is origin + pitch * voxel.
+    docs/exchange.md has a table of the formats and of what each of them keeps. In the mesh's own
+    units, the low corner of a voxel is origin + pitch * voxel.
 
     \b
     Examples:
       voxtool export bunny.svo.h5 -o bunny.vti
-      voxtool export bunny.svo.h5 -o slice.png --slice z=100
+      voxtool export bunny.svo.h5 -o coarse.npy --level 2
     """
-    from voxtool.files import EXPORTS, export, format_of, read_svo
+    from voxtool.files import read_svo
+    from voxtool.files.exchange import plan_export
 
-    if output is None:
-        raise click.UsageError("where to? Give -o OUT.npy, .npz, .vti or .png")
-    chosen = file_format or format_of(output, EXPORTS)
-    if plane and chosen != "png":
-        raise click.UsageError(f"--slice goes with .png: .{chosen} holds all voxels")
-    where = {"axis": plane[0], "value": plane[1]} if plane else {}
-    export(read_svo(file), output, not no_clobber, chosen, **where)
+    if run.output is None:
+        raise click.UsageError(f"where to? Give -o OUT, ending in one of {KNOWN}")
+    run.to(file, run.output, EXPORTS)
+    if plane and run.file_format != "png":
+        raise click.UsageError(f"--slice goes with .png: .{run.file_format} holds all voxels")
+    if plane:
+        image |= {"axis": plane[0], "value": plane[1]}
+    with run:
+        octree = run.stage("read file", read_svo, file)
+        job = run.plan(
+            plan_export, octree, run.output, not run.no_clobber, run.file_format,
+            progress=run.progress.share, **image,
+        )  # fmt: skip
+        size = run.job(job)
+    run.report(report_line(job, size), lambda: facts_of(job, octree, size))
+
+
+def report_line(job: ExportJob, size: int) -> str:
+    """Return the line of the report."""
+    shape = " x ".join(map(str, job.plan.image.shape))
+    return f".{job.plan.name}, {shape} cells" + (f", {human(size)}" if size else "")
+
+
+def facts_of(job: ExportJob, octree: Octree, size: int) -> dict[str, Any]:
+    """Return the facts of the report, in JSON types; the digest is that of the octree."""
+    planned = job.plan.as_dict()
+    names = ("format", "level", "shape", "origin", "pitch", "dtype")
+    return {
+        **{name: planned[name] for name in names},
+        "bytes": size,
+        "digest": octree.digest(),
+    }

@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 COMMANDS = (
     "voxelize", "diagnose", "svo-info", "extract", "distance", "adf-build", "adf-query",
-    "adf-info", "tet-build", "render", "view", "export", "devices", "selftest", "bench",
-    "completion",
+    "adf-info", "tet-build", "render", "view", "export", "import", "devices", "selftest",
+    "bench", "completion",
 )  # fmt: skip
 # The name of an error in JSON, and the exit code; the first that fits.
 ERRORS = (

@@ -181,6 +181,7 @@ bbox_option = option(
     "--bbox", float, "Box that the grid covers, in world units, instead of the mesh's.", nargs=6,
     metavar="X0 Y0 Z0 X1 Y1 Z1",
 )  # fmt: skip
+POINT = Parsed("point", lambda text: numbers_of(text, 3), " is no point: write 0,1.5,-2")
 clobber_option = flag("--no-clobber", "Refuse to replace an existing file.")
 strict_option = flag("--strict", "Exit with 1 if there is a warning of the input or the result.")
 json_option = flag("--json as_json", "Print JSON.")
@@ -302,6 +303,7 @@ class Progress:
         self.stages = list(stages)
         self.done = 0
         self.stage = ""
+        self.percent = 0  # of the stage, where it says so
         self.width = 0  # of what is shown
         self.due = False
         self.lock = threading.Lock()
@@ -324,10 +326,17 @@ class Progress:
     def enter(self, stage: str) -> None:
         """Begin a stage; one that is not in `stages` is shown and does not count."""
         with self.lock:
-            self.stage = stage
+            self.stage, self.percent = stage, 0
             if stage in self.stages:
                 self.done = self.stages.index(stage)
             self._draw()
+
+    def share(self, done: float) -> None:
+        """Show how much of the stage is done, from 0 to 1."""
+        if (percent := int(100 * done)) != self.percent:
+            with self.lock:
+                self.percent = percent
+                self._draw()
 
     def erase(self) -> None:
         """Clear the line, until the next stage begins."""
@@ -346,6 +355,6 @@ class Progress:
             return
         left = len(self.stages) - self.done
         bar = f"[{'#' * self.done}{'.' * left}] " if self.stages else ""
-        text = f"{bar}{self.stage}"
+        text = f"{bar}{self.stage}{f' {self.percent} %' if self.percent else ''}"
         click.echo(f"\r{text:<{self.width}}", err=True, nl=False)
         self.width = len(text)

@@ -38,7 +38,14 @@ import click
 from click.globals import push_context
 
 from voxtool.cli import options
-from voxtool.errors import CheckError, MemoryLimitError, VoxtoolError, VoxtoolWarning, human
+from voxtool.errors import (
+    CheckError,
+    FileError,
+    MemoryLimitError,
+    VoxtoolError,
+    VoxtoolWarning,
+    human,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -94,8 +101,7 @@ class Run:
         click.UsageError : stdout is a terminal, and the format is not text.
         FileError : the file cannot be written, or its name does not say the format.
         """
-        from voxtool.files import check_target, format_of
-        from voxtool.files.formats import TEXT_FORMATS
+        from voxtool.files.formats import TEXT_FORMATS, check_output, format_of
 
         self.source = source
         if self.output is None:
@@ -105,7 +111,7 @@ class Run:
         if self.only_plan:
             return
         if not self.to_stdout:
-            check_target(self.output, not self.no_clobber)
+            check_output(self.output, self.file_format, not self.no_clobber)
         elif self.file_format not in TEXT_FORMATS and sys.stdout.isatty():
             raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
 
@@ -256,7 +262,7 @@ class Run:
                 click.echo(f"{name:<10} {text}")
         try:
             job.refuse()
-        except MemoryLimitError as error:
+        except (FileError, MemoryLimitError) as error:
             options.tell(f"warning: this will be refused: {error}")
         raise click.exceptions.Exit(0)
 

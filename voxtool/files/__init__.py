@@ -7,6 +7,7 @@ content. Modules of formats, and what they import, are loaded when they are firs
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from voxtool.files.atomic import atomic_path, check_target
 from voxtool.files.formats import (
     ADF_FORMATS,
     EXPORTS,
+    IMPORTS,
     MESH_EXTENSIONS,
     MESH_FORMATS,
     NORMAL_FORMATS,
@@ -29,7 +31,6 @@ from voxtool.files.formats import (
     is_mesh,
 )
 from voxtool.files.streams import PathLike
-from voxtool.memory import check_disk
 
 if TYPE_CHECKING:
     import numpy as np
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ADF_FORMATS",
     "EXPORTS",
+    "IMPORTS",
     "MESH_EXTENSIONS",
     "MESH_FORMATS",
     "NORMAL_FORMATS",
@@ -205,35 +207,61 @@ def export(
     path: PathLike,
     clobber: bool = True,
     format: str | None = None,
+    *,
+    level: int = 0,
+    bbox: Sequence[float] | None = None,
+    invert: bool = False,
+    dtype: Any = None,
+    max_bytes: int | None = None,
     **options: Any,
 ) -> None:
-    """Export the set voxels as .npy (dense), .npz (coordinates), .vti (ParaView) or .png (slice).
+    """Export the voxels for other programs: as the format that the name of the file says.
 
     Parameters
     ----------
     octree : Octree or path
         The voxels.
     path : path
-        The file; `-` writes stdout.
+        The file or the folder; `-` writes stdout.
     clobber : bool
         False refuses an existing file.
     format : str, optional
-        "npy", "npz", "vti" or "png"; by default what the name says.
+        A format that `voxtool export -h` lists; by default what the name says.
+    level : int
+        0 for voxels, or N for cells of 2**N voxels a side.
+    bbox : (6,) sequence of float, optional
+        Box X0 Y0 Z0 X1 Y1 Z1 in world units: only the cells that it touches.
+    invert : bool
+        Export the unset voxels of the grid instead of the set ones.
+    dtype : dtype, optional
+        "bool" (at least half of a cell is set), "uint8", "uint16" or "uint32" (the number of its
+        voxels that are set), "float32" or "float64" (the share of them); by default bool for
+        voxels, and float32 above them.
+    max_bytes : int, optional
+        Refuse a larger output.
     **options
         Of a png, `axis` ("x", "y" or "z") and `value` (the index of the slice, in voxels).
 
     Raises
     ------
     FileError
-        If the file cannot be written, is larger than its disk, or its name says no format.
+        If the output cannot be written, is larger than its disk or max_bytes, or its name says no
+        format; or if the package that the format needs is not installed.
     GridError
-        If the slice is outside the grid.
+        If the slice is outside the grid, or the box touches no voxel.
     MemoryLimitError
         If the export does not fit in memory.
+    VoxtoolError
+        If there is no such level or dtype.
     """
+    from voxtool.files.exchange import plan_export
+
     if isinstance(octree, str | os.PathLike):
         octree = read_svo(octree)
-    _write(octree, path, clobber, format, EXPORTS, **options)
+    plan_export(
+        octree, path, clobber, format, level=level, bbox=bbox, invert=invert, dtype=dtype,
+        max_bytes=max_bytes, **options,
+    ).run()  # fmt: skip
 
 
 def write_mesh(
@@ -313,8 +341,5 @@ def _write(
     module = import_module(f"voxtool.files.{writer.module}")
     if path != streams.STREAM:
         check_target(path, clobber)
-        if writer.size:
-            size = getattr(module, writer.size)(content)
-            check_disk(path, size, "choose a smaller dim, or the sparse .npz")
     with streams.open_output(path, writer.text, clobber) as file:
         getattr(module, writer.function)(content, file, **options)

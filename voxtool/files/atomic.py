@@ -14,7 +14,6 @@ import secrets
 import shutil
 import signal
 import socket
-import tempfile
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
+MARK = ".voxtool"  # the empty file in folders that an export wrote
 HINTS = {
     errno.ENOSPC: "the disk is full: free some space, or write to another disk",
     errno.EDQUOT: "the disk quota is used up: free some space, or write to another disk",
@@ -38,20 +38,25 @@ HINTS = {
 }
 
 
-def check_target(target: str | os.PathLike[str], clobber: bool = True) -> None:
-    """Raise FileError, before any work, if a file cannot be written: its folder is missing or
-    read-only, it is a folder, or it exists and clobber is False."""
+def check_target(
+    target: str | os.PathLike[str], clobber: bool = True, folder: bool = False
+) -> None:
+    """Raise FileError, before any work, if a file, or with `folder` a folder, cannot be written:
+    where it lies is missing or read-only, it is the other of the two, or it exists and clobber is
+    False. A folder that holds something else than an export is not replaced."""
     target = Path(target)
-    if os.path.isdir(target):  # a name that is too long raises no error here
+    if folder:
+        _check_replaced(target)
+    elif os.path.isdir(target):  # a name that is too long raises no error here
         raise FileError(f"cannot write {target}: it is a folder: name a file in it")
     if not clobber and os.path.lexists(target):
         raise _refusal(target)
-    folder = Path(os.path.realpath(target)).parent
-    if not os.path.exists(folder):
-        raise FileError(f"cannot write {target}: there is no folder {folder}: create it first")
-    if not os.path.isdir(folder):
-        raise FileError(f"cannot write {target}: {folder} is a file, not a folder")
-    if not _is_device(target) and not os.access(folder, os.W_OK | os.X_OK):
+    above = Path(os.path.realpath(target)).parent
+    if not os.path.exists(above):
+        raise FileError(f"cannot write {target}: there is no folder {above}: create it first")
+    if not os.path.isdir(above):
+        raise FileError(f"cannot write {target}: {above} is a file, not a folder")
+    if not _is_device(target) and not os.access(above, os.W_OK | os.X_OK):
         raise FileError(f"cannot write {target}: {HINTS[errno.EACCES]}")
 
 
@@ -79,6 +84,8 @@ def atomic_path(target: str | os.PathLike[str], clobber: bool = True) -> Iterato
     temporary: Path | None = None
     try:
         if _is_device(target):
+            import tempfile
+
             real, folder = target, Path(tempfile.gettempdir())
         else:
             real = Path(os.path.realpath(target))
@@ -96,6 +103,68 @@ def atomic_path(target: str | os.PathLike[str], clobber: bool = True) -> Iterato
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
             watch.written(temporary)
+
+
+@contextmanager
+def atomic_folder(target: str | os.PathLike[str], clobber: bool = True) -> Iterator[Path]:
+    """Yield an empty temporary folder beside `target`; it becomes the target when the block ends.
+
+    If the block raises any exception, the folder is removed and the target is unchanged. A folder
+    that an export has written, which holds the file MARK, is replaced; any other one is refused,
+    unless it is empty.
+
+    Parameters
+    ----------
+    clobber : False refuses an existing target.
+
+    Raises
+    ------
+    FileError : the target cannot be written, or holds something else.
+    """
+    import tempfile
+
+    target = Path(target)
+    check_target(target, clobber, folder=True)
+    real = Path(os.path.realpath(target))
+    stem = f".{target.name[:40]}.{_machine()}-"
+    temporary = Path(tempfile.mkdtemp(".tmp", f"{stem}{os.getpid()}-", real.parent))
+    watch.writing(temporary)
+    try:
+        yield temporary
+        temporary.chmod(0o777 & ~_umask())
+        (temporary / MARK).touch()
+        for path in temporary.rglob("*"):
+            if path.is_file():
+                _sync(path, os.O_RDWR)
+        if real.exists():
+            check_target(target, clobber, folder=True)
+            with tempfile.TemporaryDirectory(".tmp", stem, real.parent) as aside:
+                real.rename(Path(aside) / "old")
+                temporary.rename(real)
+        else:
+            temporary.rename(real)
+    except OSError as error:
+        raise write_error(target, error) from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        watch.written(temporary)
+
+
+def _check_replaced(target: Path) -> None:
+    """Raise FileError if a folder cannot take the place of what is there."""
+    if os.path.isdir(target):
+        if os.listdir(target) and not (target / MARK).exists():
+            raise FileError(
+                f"cannot write {target}: the folder holds files that no export wrote: name another"
+            )
+    elif os.path.lexists(target):
+        raise FileError(f"cannot write {target}: it is a file, and a folder is to be written")
+
+
+def _umask() -> int:
+    mask = os.umask(0o022)
+    os.umask(mask)
+    return mask
 
 
 def write_error(target: str | os.PathLike[str], error: OSError) -> FileError:

@@ -1,16 +1,20 @@
-"""The table of all formats: names, and the modules that write and read them.
+"""The tables of all formats: names, and the modules that write and read them.
 
-A new format is a module with a `write`, a `read` or both, and a line here.
+A new format is a module with a `write`, a `read` or both, and a line here. Those of other programs'
+voxels are in EXCHANGE; exchange.py says what their modules hold.
 """
 
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass, field
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 from voxtool.errors import FileError
+from voxtool.files.atomic import check_target
 from voxtool.files.streams import STREAM, PathLike
 
 if TYPE_CHECKING:
@@ -25,7 +29,21 @@ class Writer(NamedTuple):
     module: str
     function: str = "write"
     text: bool = False  # whether a terminal can show it
-    size: str = ""  # the function that says how many bytes a large export takes
+
+
+class Exchange(NamedTuple):
+    """A format of other programs' voxels, which a module of voxtool.files reads and writes."""
+
+    module: str
+    keeps: str  # what a file keeps of an image
+    reads: bool = True
+    writes: bool = True
+    kinds: tuple[str, ...] = ("octree",)  # what can be written
+    needs: str = ""  # the package that the module needs
+    extra: str = "formats"  # of voxtool, which installs the package
+    folder: bool = False  # whether it is a folder of files
+    parts: bool = True  # whether it takes --level, --bbox, --invert and --dtype
+    text: bool = False  # whether a terminal can show it
 
 
 # What is written, by the extension that names it.
@@ -39,12 +57,14 @@ SVO_FORMATS = {
 }
 ADF_FORMATS = {"adf.h5": Writer("adf_hdf5"), "h5": Writer("adf_hdf5")}
 TET_FORMATS = {"tet.h5": Writer("tet_hdf5"), "h5": Writer("tet_hdf5")}
-EXPORTS = {
-    "npy": Writer("exports", "write_npy", size="dense_size"),
-    "npz": Writer("exports", "write_npz", size="sparse_size"),
-    "vti": Writer("exports", "write_vti", size="dense_size"),
-    "png": Writer("exports", "write_png"),
+EXCHANGE = {
+    "npy": Exchange("npy", "dtype"),
+    "npz": Exchange("npz", "grid, dtype; of the set cells alone"),
+    "vti": Exchange("vti", "grid, dtype", reads=False),
+    "png": Exchange("slice_png", "one slice, as a picture", reads=False, parts=False),
 }
+EXPORTS = tuple(name for name, format in EXCHANGE.items() if format.writes)
+IMPORTS = tuple(name for name, format in EXCHANGE.items() if format.reads)
 MESH_FORMATS = {
     name: Writer("mesh_writers", f"write_{name}", text=name in ("obj", "off"))
     for name in ("obj", "ply", "stl", "glb", "off")
@@ -86,8 +106,10 @@ class Kind:
 
 
 AN_EXPORT = {
+    tuple(f".{name}" for name in IMPORTS): "holds another program's voxels: import it first: "
+    "voxtool import {name}",
     tuple(f".{name}" for name in EXPORTS): "is an export: read the .svo.h5 or .svo.xml that it was "
-    "made from"
+    "made from",
 }
 OCTREE = Kind(
     hdf5=("svo_hdf5",),
@@ -120,6 +142,23 @@ SCENE = Kind(
 )
 
 
+def folder_of(path: PathLike, name: str) -> Path:
+    """The file or the folder that a format makes: of layers/%04d.png, layers."""
+    is_pattern = is_folder(name) and "%" in os.path.basename(path)
+    return Path(path).parent if is_pattern else Path(path)
+
+
+def is_folder(name: str) -> bool:
+    """Whether a format is a folder of files."""
+    return name in EXCHANGE and EXCHANGE[name].folder
+
+
+def check_output(path: PathLike, name: str, clobber: bool) -> None:
+    """Raise FileError, before any work, if an output of a format cannot be written."""
+    if path != STREAM:
+        check_target(folder_of(path, name), clobber, folder=is_folder(name))
+
+
 def is_mesh(path: PathLike) -> bool:
     """Return True if the name is that of a file of a triangle mesh."""
     return os.fspath(path).lower().removesuffix(".gz").endswith(MESH_EXTENSIONS)
@@ -146,7 +185,7 @@ def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
         return import_module("voxtool.files.svo_xml").read
     for endings, message in kind.endings.items():
         if lower.endswith(endings):
-            raise FileError(f"{name} {message}")
+            raise FileError(f"{name} {message.format(name=name)}")
     raise FileError(f"{name} {kind.other}")
 
 
@@ -164,7 +203,7 @@ def format_of(path: PathLike, formats: Iterable[str]) -> str:
         for default in STREAM_FORMATS:
             if default in formats:
                 return default
-    name = os.fspath(path).lower()
+    name = re.sub(r"%0?\d*d(?=[^/]*$)", "%d", os.fspath(path).lower())  # layers/%04d.png
     endings = {*formats, *SVO_FORMATS, *ADF_FORMATS, *TET_FORMATS}
     for extension in sorted(endings, key=len, reverse=True):
         if name.endswith(f".{extension}"):  # the longest: .svo.h5 is no .h5 of another kind

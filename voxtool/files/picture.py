@@ -18,7 +18,7 @@ import numpy as np
 
 from voxtool.choices import WHITE
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.files import exports
+from voxtool.files import npy
 from voxtool.files.streams import PathLike, open_output
 
 FORMATS = ("png", "npy")
@@ -61,7 +61,7 @@ def write_picture(
         check_writer(bits)
     with open_output(path, clobber=clobber) as file:
         if format == "npy":
-            exports.save(file, picture)
+            npy.save(file, picture)
         else:
             write_png(rounded(picture, bits, background), file)
 

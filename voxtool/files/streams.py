@@ -6,7 +6,6 @@ import io
 import os
 import shutil
 import sys
-import tempfile
 from contextlib import contextmanager, nullcontext, suppress
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -103,6 +102,8 @@ def _standard_output(text: bool) -> Iterator[BinaryIO]:
     """Yield a temporary file, in which a format may seek; stdout gets it when the block ends."""
     if not text and sys.stdout.isatty():
         raise FileError("standard output is a terminal: redirect it, or name a file with -o")
+    import tempfile
+
     try:
         with tempfile.TemporaryFile() as file:
             yield file  # pyright: ignore[reportReturnType]

@@ -1,8 +1,8 @@
-"""The voxels of an octree in layers: dense exports and slices without a dense array in memory."""
+"""The leaves of an octree in layers of voxels: slices and comparisons."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,39 +67,3 @@ def paint(
             chosen = level.inside[here]
             cells[j[chosen], k[chosen]] = SET + level.number
     return slab
-
-
-def layers(octree: Octree, order: tuple[int, int, int] = (0, 1, 2)) -> Iterator[np.ndarray]:
-    """Yield the dense array, transposed to the axes `order`, in pieces of at most four layers."""
-    shape = [octree.grid.shape[axis] for axis in order]
-    check_memory(2 * BRICK_SIDE * (shape[1] + 3) * (shape[2] + 3), "four layers of voxels")
-    leaves = sorted_leaves(octree, order)
-    for first in range(0, shape[0], BRICK_SIDE):
-        slab = paint(leaves, first, order, octree.grid.shape)
-        yield slab[: shape[0] - first, : shape[1], : shape[2]] != OUTSIDE
-
-
-def coordinates(octree: Octree) -> Iterator[np.ndarray]:
-    """Yield the set voxels, (N, 3) int32, in lexicographic order, one layer of bricks at a time."""
-    leaves = sorted_leaves(octree, (0, 1, 2))
-    for first in range(0, octree.grid.shape[0], BRICK_SIDE):
-        keys = np.sort(np.concatenate([_keys(level, first) for level in leaves]))
-        axes = [(keys >> shift) & 0x1FFFFF for shift in (42, 21, 0)]
-        yield np.stack(axes, axis=1).astype("<i4")
-
-
-def _keys(level: Leaves, first: int) -> np.ndarray:
-    """Return the set voxels of a level in four layers as int64 keys of 21 bits for x, y and z."""
-    here = level.touching(first)
-    corners = level.corners[here].astype(np.int64)
-    if level.number == 0:
-        brick, *local = np.nonzero(unpack_bricks(level.bricks[here]))
-        x, y, z = corners[brick].T + np.stack(local)
-    else:
-        corners = corners[level.inside[here]].reshape(-1, 3, 1)
-        if not len(corners):
-            return np.empty(0, np.int64)
-        local = np.indices((BRICK_SIDE, level.side, level.side)).reshape(1, 3, -1)
-        x, y, z = (corners[:, a] + local[:, a] for a in range(3))
-        x += first - corners[:, 0]
-    return ((x << 42) | (y << 21) | z).ravel()

@@ -75,13 +75,19 @@ def levels_of(
 
 
 def octree_of_bricks(
-    side: int, codes: np.ndarray, masks: np.ndarray, *, collapse: bool
+    side: int,
+    codes: np.ndarray,
+    masks: np.ndarray,
+    full: list[np.ndarray] | None = None,
+    *,
+    collapse: bool,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return offsets, nodes and bricks of the canonical octree of occupied bricks, given by their
-    ascending codes and masks. With `collapse`, nodes whose voxels are all set become leaves."""
+    ascending codes and masks, and of FULL leaves, given by their codes for each level from 1 to the
+    root's. With `collapse`, nodes whose voxels are all set become leaves."""
     none = codes[:0]
     top = (side // (2 * BRICK_SIDE)).bit_length()
-    lists, states = levels_of(np.unique(codes >> np.uint64(3)), [none] * top)
+    lists, states = levels_of(np.unique(codes >> np.uint64(3)), full or [none] * top)
     bricks = np.zeros(8 * len(lists[0]), BRICK)
     bricks[child_places(codes, lists[0])] = masks
     return prune(lists, states, bricks, none if collapse else lists[0])

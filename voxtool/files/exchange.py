@@ -1,0 +1,287 @@
+"""Export to and import from the formats of other programs, by the table formats.EXCHANGE.
+
+The module of a format has some of these:
+
+    size(image) -> int                        bytes of the output, or a bound
+    write(image, file, **options)             write a VoxelImage into an empty file that can seek,
+                                              or, of a format that is a folder, into an empty folder
+    read(file, size) -> Stored                the voxels of a file of `size` bytes that can seek,
+                                              or of a folder (a Path), whose files have `size` bytes
+
+A module imports what its extra brings inside these functions.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from voxtool.errors import FileError, MemoryLimitError, VoxtoolError, human, one_line
+from voxtool.files import streams
+from voxtool.files.atomic import atomic_folder
+from voxtool.files.formats import (
+    EXCHANGE,
+    EXPORTS,
+    IMPORTS,
+    Exchange,
+    check_output,
+    folder_of,
+    format_of,
+)
+from voxtool.files.streams import PathLike
+from voxtool.files.voxels import Rule, Stored, octree_of
+from voxtool.grid import Grid
+from voxtool.job import Cost, Job
+from voxtool.memory import check_disk
+from voxtool.svo.image import VoxelImage
+from voxtool.svo.octree import Octree
+
+# Errors in which damage shows while other libraries read.
+DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, ValueError, ArithmeticError)
+WRITE = "write file"
+NODE_BYTES = 40  # of lists of blocks and of counts, a node of the octree
+
+
+def module_of(name: str) -> ModuleType:
+    """Return the module of a format; FileError if the package that it needs is not installed."""
+    format = EXCHANGE[name]
+    if format.needs and find_spec(format.needs) is None:
+        raise FileError(
+            f".{name} needs {format.needs}, which is not installed: pip install "
+            f"'voxtool[{format.extra}]'"
+        )
+    return import_module(f"voxtool.files.{format.module}")
+
+
+# ---- export
+
+
+@dataclass(frozen=True)
+class ExportPlan:
+    """The plan of an export: the image, the format and the bytes to come."""
+
+    image: VoxelImage
+    name: str
+    size: int
+    options: dict[str, Any]
+    stages: tuple[str, ...] = (WRITE,)
+    left_out: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def format(self) -> Exchange:
+        """The line of the table."""
+        return EXCHANGE[self.name]
+
+    @property
+    def cost(self) -> Cost:
+        """On the host the lists of blocks, and some layers of cells."""
+        a, b = sorted(self.image.shape)[1:]
+        layers = 24 * a * b * self.image.dtype.itemsize
+        return Cost(0, host=NODE_BYTES * len(self.image.octree.nodes) + layers)
+
+    def as_dict(self) -> dict[str, Any]:
+        image = self.image
+        return {
+            "format": self.name,
+            "keeps": self.format.keeps,
+            "level": image.level,
+            "shape": list(image.shape),
+            "origin": list(image.origin),
+            "pitch": list(image.pitch),
+            "dtype": image.dtype.name,
+            "bytes": self.size,
+            "stages": list(self.stages),
+            "left_out": self.left_out,
+            "predicted_host_bytes": self.cost.host,
+        }
+
+    def rows(self) -> list[tuple[str, str]]:
+        image = self.image
+        shape = " x ".join(map(str, image.shape))
+        return [
+            ("image", f"{shape} cells of level {image.level}, {image.dtype.name}"),
+            ("file", f".{self.name}, at most {human(self.size)}; it keeps {self.format.keeps}"),
+        ]
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        if self.cost.host > max_memory:
+            raise MemoryLimitError(
+                f"the export would need {human(self.cost.host)} of memory, of {human(max_memory)} "
+                "allowed: choose a higher --level, or a part by --bbox"
+            )
+
+
+@dataclass(eq=False)
+class ExportJob(Job[int]):
+    """A planned export; `run` writes it and returns its bytes, or 0 for stdout."""
+
+    plan: ExportPlan
+    path: PathLike
+    clobber: bool = True
+    max_bytes: int | None = None
+    max_memory: int | None = None
+    device: None = None
+
+    def refuse(self) -> None:
+        """Raise FileError or MemoryLimitError if --max-bytes, the disk or memory are too small."""
+        size, instead = self.plan.size, "choose a higher --level, a part by --bbox, or .npz"
+        if self.max_bytes is not None and size > self.max_bytes:
+            raise FileError(
+                f"{self.path} would take up to {human(size)}, of {human(self.max_bytes)} allowed: "
+                f"{instead}"
+            )
+        if self.path != streams.STREAM:
+            check_disk(folder_of(self.path, self.plan.name), size, instead)
+        super().refuse()
+
+    def _run(self) -> int:
+        plan = self.plan
+        write = module_of(plan.name).write
+        with self.stage(WRITE):
+            if plan.format.folder:
+                target = folder_of(self.path, plan.name)
+                with atomic_folder(target, self.clobber) as folder:
+                    write(plan.image, folder, **plan.options)
+                return folder_size(target)
+            with streams.open_output(self.path, plan.format.text, self.clobber) as file:
+                write(plan.image, file, **plan.options)
+        return 0 if self.path == streams.STREAM else os.path.getsize(self.path)
+
+
+def plan_export(
+    octree: Octree,
+    path: PathLike,
+    clobber: bool = True,
+    format: str | None = None,
+    *,
+    level: int = 0,
+    bbox: Sequence[float] | None = None,
+    invert: bool = False,
+    dtype: Any = None,
+    max_bytes: int | None = None,
+    max_memory: int | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+    **options: Any,
+) -> ExportJob:
+    """Return the job of an export; see voxtool.export."""
+    name = format or format_of(path, EXPORTS)
+    if name not in EXPORTS:
+        raise FileError(f"format {name!r} is unknown: choose one of {', '.join(EXPORTS)}")
+    if path == streams.STREAM and EXCHANGE[name].folder:
+        raise FileError(f".{name} is a folder of files: name it, stdout takes one file")
+    if not EXCHANGE[name].parts and (level or bbox or invert or dtype):
+        raise VoxtoolError(f".{name} takes no level, box, dtype or inversion: leave them out")
+    module = module_of(name)
+    check_output(path, name, clobber)
+    image = VoxelImage.of(octree, level=level, bbox=bbox, invert=invert, dtype=dtype)
+    image = replace(image, progress=progress)
+    if EXCHANGE[name].folder and "%" in os.fspath(path):
+        options["pattern"] = Path(path).name
+    plan = ExportPlan(image, name, module.size(image), options)
+    return ExportJob(plan, path, clobber, max_bytes, max_memory)
+
+
+def folder_size(folder: Path) -> int:
+    """Return the bytes of all files in a folder."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
+
+
+# ---- import
+
+
+def read_voxels(
+    path: PathLike,
+    *,
+    threshold: float | None = None,
+    label: float | None = None,
+    origin: Sequence[float] | None = None,
+    pitch: Sequence[float] | float | None = None,
+    format: str | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Octree:
+    """Read another program's voxels, which become an octree of mode "solid".
+
+    Parameters
+    ----------
+    path : path
+        A file or a folder of a format that `voxtool import -h` lists; `-` is stdin.
+    threshold : float, optional
+        Values from this one on are set, instead of those that are not 0.
+    label : float, optional
+        Values equal to this one are set.
+    origin : (3,) sequence of float, optional
+        World coordinates of the low corner, instead of those in the file.
+    pitch : float or (3,) sequence of float, optional
+        World size of a voxel, instead of that in the file.
+    format : str, optional
+        The format, instead of what the name says.
+    progress : callable, optional
+        Called with the share of the voxels that has been read, from 0 to 1.
+
+    Returns
+    -------
+    Octree
+
+    Raises
+    ------
+    FileError
+        If the file is missing, damaged or hostile, holds no voxels, or its axes are oblique; or if
+        the package that reads it is not installed.
+    GridError
+        If its grid is out of range.
+    VoxtoolError
+        If a threshold and a label are given.
+    """
+    if threshold is not None and label is not None:
+        raise VoxtoolError("a threshold and a label both say what is set: give one of them")
+    with _stored(path, format) as stored:
+        grid = stored.frame.grid
+        pitch = grid.pitch if pitch is None else pitch
+        place = grid.origin if origin is None else origin
+        grid = Grid(grid.shape, place, pitch)  # pyright: ignore[reportArgumentType]
+        stored = stored._replace(frame=stored.frame._replace(grid=grid))
+        return octree_of(stored, Rule(threshold, label), progress)
+
+
+def read_grid(path: PathLike) -> Grid:
+    """Return the grid of a file that holds voxels: an octree, or another program's."""
+    from voxtool.files import read_svo
+
+    if os.fspath(path).lower().endswith(tuple(f".{name}" for name in IMPORTS)):
+        with _stored(path, None) as stored:
+            return stored.frame.grid
+    return read_svo(path).grid
+
+
+@contextmanager
+def _stored(path: PathLike, format: str | None) -> Iterator[Stored]:
+    """Yield the voxels of a file; what a library raises of damage becomes one line."""
+    name, shown = format or format_of(path, IMPORTS), streams.input_name(path)
+    if name not in IMPORTS:
+        raise FileError(f"format {name!r} is unknown: choose one of {', '.join(IMPORTS)}")
+    module = module_of(name)
+    try:
+        if EXCHANGE[name].folder:
+            folder = folder_of(path, name)
+            yield module.read(folder, folder_size(folder))
+            return
+        with streams.open_whole(path) as (file, size):
+            yield module.read(file, size)
+    except VoxtoolError as error:
+        raise type(error)(f"{shown}: {error}") from error
+    except OSError as error:
+        raise streams.read_error(shown, error) from error
+    except MemoryError as error:
+        raise FileError(f"{shown}: more than fits in memory") from error
+    except DAMAGE as error:
+        raise FileError(f"{shown}: is damaged: {one_line(error)}") from error

@@ -1,0 +1,136 @@
+"""The voxels that are set, as .npz, which suits every grid.
+
+voxels : (N, 3) int32, in lexicographic order; shape : (3,) int64; origin and pitch : (3,) float64.
+values : (N,), where the image is not one of bool. Voxel (i, j, k) has its low corner at origin +
+pitch (i, j, k). Of other programs, an array of three axes is read, dense and without a place.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from voxtool.errors import FileError, one_line, printable
+from voxtool.files import npy
+from voxtool.files.streams import PACKED
+from voxtool.files.voxels import (
+    Boxes,
+    Frame,
+    Stored,
+    check_length,
+    check_values,
+    dense_pieces,
+)
+from voxtool.grid import Grid
+from voxtool.svo.image import VoxelImage
+
+EXTRA = 2048  # bytes of headers and of the grid
+ROWS = 1 << 20  # voxels that are read at once
+GRID = {"shape": np.int64, "origin": np.float64, "pitch": np.float64}
+
+
+def size(image: VoxelImage) -> int:
+    """Bytes of the file."""
+    return EXTRA + image.count * (12 + (image.dtype != bool) * image.dtype.itemsize)
+
+
+def write(image: VoxelImage, file: BinaryIO) -> None:
+    """Write the voxels and the grid; the bytes depend on the content alone."""
+    with zipfile.ZipFile(file, "w") as packed:
+        _write(packed, "voxels", np.dtype("<i4"), (image.count, 3), image.coordinates())
+        if image.dtype != bool:
+            values = (values for _, values in image.listed())
+            _write(packed, "values", image.dtype, (image.count,), values)
+        for name, dtype in GRID.items():
+            array = np.array(getattr(image, name), dtype)
+            _write(packed, name, array.dtype, array.shape, iter([array]))
+
+
+def _write(
+    packed: zipfile.ZipFile, name: str, dtype: np.dtype, shape: Any, parts: Iterator[np.ndarray]
+) -> None:
+    """Write an array, given in parts, as an entry of a fixed date and system."""
+    entry = zipfile.ZipInfo(f"{name}.npy")
+    entry.create_system = 3
+    entry.external_attr = 0o644 << 16
+    descr = np.lib.format.dtype_to_descr(dtype.newbyteorder("<"))
+    header = {"descr": descr, "fortran_order": False, "shape": shape}
+    with packed.open(entry, "w", force_zip64=True) as file:
+        np.lib.format.write_array_header_1_0(file, header)
+        for part in parts:
+            file.write(np.ascontiguousarray(part).data)
+
+
+def read(file: BinaryIO, size: int) -> Stored:
+    """Return the voxels of a list with its grid, or of the only array of three axes."""
+    try:
+        packed = zipfile.ZipFile(file)
+        members = {entry.filename.removesuffix(".npy"): entry for entry in packed.infolist()}
+    except Exception as error:  # damage shows in any of the library's errors
+        raise FileError(f"damaged .npz: {one_line(error)}") from None
+    if "voxels" in members and members.keys() >= GRID.keys():
+        grid = Grid(**{name: _small(packed, members[name]) for name in GRID})
+        return Stored(Frame(grid), _listed(packed, members, grid))
+    if len(members) != 1:
+        names = printable(", ".join(members))[:80] or "nothing"
+        raise FileError(f"holds {names}: expected one array, or voxels, shape, origin and pitch")
+    entry = next(iter(members.values()))
+    part = _opened(packed, entry)
+    shape, fortran, dtype = npy.read_header(part)
+    check_values(dtype, shape)
+    a, b, c = shape
+    check_length(a * b * c * dtype.itemsize, entry.file_size)
+    frame = Frame(Grid((a, b, c), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
+    return Stored(frame, dense_pieces(part, dtype, (a, b, c), fortran=fortran))
+
+
+def _opened(packed: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Any:
+    """Return an entry as a stream; FileError if it declares more than it can hold."""
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise FileError(
+            f"is packed by method {entry.compress_type}: write it with numpy.savez or "
+            "numpy.savez_compressed"
+        )
+    check_length(entry.file_size, PACKED * entry.compress_size)
+    return packed.open(entry)
+
+
+def _small(packed: zipfile.ZipFile, entry: zipfile.ZipInfo) -> tuple[Any, ...]:
+    """Return three numbers."""
+    with _opened(packed, entry) as part:
+        shape, _, dtype = npy.read_header(part)
+        if shape != (3,) or dtype.kind not in "iuf":
+            raise FileError(f"{entry.filename}: expected three numbers")
+        return tuple(np.frombuffer(part.read(3 * dtype.itemsize), dtype, 3).tolist())
+
+
+def _listed(
+    packed: zipfile.ZipFile, members: dict[str, zipfile.ZipInfo], grid: Grid
+) -> Iterator[Boxes]:
+    """Yield the voxels of a list, each as a box of one voxel."""
+    part = _opened(packed, members["voxels"])
+    shape, fortran, dtype = npy.read_header(part)
+    if len(shape) != 2 or shape[1] != 3 or fortran or dtype.kind not in "iu":
+        raise FileError("voxels: expected whole numbers, (N, 3) in C order")
+    values, kind = None, np.dtype(np.uint8)
+    if "values" in members:
+        values = _opened(packed, members["values"])
+        count, _, kind = npy.read_header(values)
+        if count != shape[:1] or kind.kind not in "biuf":
+            raise FileError(f"values: expected {shape[0]} numbers, one a voxel")
+    for first in range(0, shape[0], ROWS):
+        rows = min(ROWS, shape[0] - first)
+        data = part.read(3 * rows * dtype.itemsize)
+        check_length(3 * rows * dtype.itemsize, len(data))
+        voxels = np.frombuffer(data, dtype).reshape(rows, 3)
+        if (voxels < 0).any() or (voxels >= grid.shape).any():
+            raise FileError("voxels: one is not in the grid of its shape")
+        found = np.ones(rows, kind)
+        if values:
+            data = values.read(rows * kind.itemsize)
+            check_length(rows * kind.itemsize, len(data))
+            found = np.frombuffer(data, kind)
+        yield Boxes(voxels, found.reshape(rows, 1, 1, 1))

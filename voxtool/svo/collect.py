@@ -1,0 +1,140 @@
+"""An octree of pieces, boxes of voxels and cubes in any order, without a dense array."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from voxtool.errors import GridError
+from voxtool.grid import Grid
+from voxtool.memory import check_memory
+from voxtool.morton import morton_decode, morton_encode
+from voxtool.svo.layout import (
+    BRICK_SIDE,
+    pack_array,
+    pack_voxels,
+    unite_bricks,
+    voxels_within,
+)
+from voxtool.svo.octree import Octree
+from voxtool.svo.prune import ALL_VOXELS, octree_of_bricks
+
+APART = 1 << 22  # bricks that are kept before they are united
+OCTANTS = np.indices((2, 2, 2)).reshape(3, -1).T
+
+
+class Collector:
+    """Collects the voxels of an octree; one that is added twice counts once.
+
+    Parameters
+    ----------
+    grid : Grid
+        The grid of the voxels.
+    """
+
+    def __init__(self, grid: Grid) -> None:
+        self.grid = grid
+        self._bricks: list[tuple[np.ndarray, np.ndarray]] = []  # codes and masks
+        self._apart = 0
+        # Codes of cubes that are wholly set, by level from 1 to the root's.
+        levels = (grid.side // BRICK_SIDE).bit_length() - 1
+        self._full: list[list[np.ndarray]] = [[] for _ in range(levels)]
+
+    def add_boxes(self, corners: np.ndarray, values: np.ndarray) -> None:
+        """Add boxes of one shape.
+
+        Parameters
+        ----------
+        corners : (n, 3) int
+            Their low voxels; none is negative.
+        values : (n, a, b, c) bool
+            Their voxels, indexed [box, x, y, z].
+        """
+        if len(values) == 1:
+            before = corners[0] % BRICK_SIDE
+            box = np.pad(values[0], [(int(n), 0) for n in before]) if before.any() else values[0]
+            codes, masks = pack_array(box)
+            cells = morton_decode(codes) + corners[0] // BRICK_SIDE
+            self._add(morton_encode(cells), masks)
+        else:
+            box, *local = np.nonzero(values)
+            self._add(*pack_voxels(corners[box] + np.stack(local, axis=1)))
+
+    def add_cubes(self, corners: np.ndarray, side: int) -> None:
+        """Add cubes that are wholly set; those whose corners are no multiples of their side are
+        divided.
+
+        Parameters
+        ----------
+        corners : (n, 3) int
+            Their low voxels; none is negative.
+        side : int
+            A power of two.
+        """
+        while len(corners) and side > 1 and (side > self.grid.side or (corners % side).any()):
+            side //= 2
+            check_memory(8 * 24 * len(corners), f"cubes of {side} voxels a side")
+            corners = (corners[:, None] + side * OCTANTS).reshape(-1, 3)
+        if side < BRICK_SIDE:
+            local = np.indices((side,) * 3).reshape(3, -1).T
+            self._add(*pack_voxels((corners[:, None] + local).reshape(-1, 3)))
+            return
+        codes = np.unique(morton_encode(corners // side))
+        if side == BRICK_SIDE:
+            self._add(codes, np.full(len(codes), ALL_VOXELS))
+        else:
+            self._full[(side // BRICK_SIDE).bit_length() - 2].append(codes)
+
+    def octree(self, units: str = "") -> Octree:
+        """Return the octree, with mode "solid" and fill "none".
+
+        Raises
+        ------
+        GridError
+            If a voxel is not in the grid.
+        """
+        self._unite()
+        codes, masks = self._bricks[0]
+        full = [np.unique(np.concatenate([codes[:0], *parts])) for parts in self._full]
+        for level in range(len(full) - 1, -1, -1):  # what lies in a larger cube is there already
+            for finer in range(level):
+                full[finer] = full[finer][_outside(full[finer], full[level], level - finer)]
+            kept = _outside(codes, full[level], level + 1)
+            codes, masks = codes[kept], masks[kept]
+        self._check(codes, masks, full)
+        arrays = octree_of_bricks(self.grid.side, codes, masks, full, collapse=True)
+        return Octree(self.grid, "solid", "none", *arrays, units=units)
+
+    def _add(self, codes: np.ndarray, masks: np.ndarray) -> None:
+        self._bricks.append((codes, masks))
+        self._apart += len(codes)
+        if self._apart > APART:
+            self._unite()
+            self._apart = 0
+
+    def _unite(self) -> None:
+        """Unite the bricks that are equal in code, and make cubes of eight that are wholly set."""
+        codes = np.concatenate([np.empty(0, np.uint64), *(codes for codes, _ in self._bricks)])
+        masks = np.concatenate([np.empty(0, np.uint64), *(masks for _, masks in self._bricks)])
+        order = np.argsort(codes, kind="stable")
+        codes, masks = unite_bricks(codes[order], masks[order])
+        whole, counts = np.unique(codes[masks == ALL_VOXELS] >> np.uint64(3), return_counts=True)
+        whole = whole[counts == 8]
+        self._full[0].append(whole)
+        kept = _outside(codes, whole, 1)
+        self._bricks = [(codes[kept], masks[kept])]
+
+    def _check(self, codes: np.ndarray, masks: np.ndarray, full: list[np.ndarray]) -> None:
+        """Raise GridError if a voxel is not in the grid."""
+        beyond = (masks & ~voxels_within(morton_decode(codes), self.grid.shape)).any()
+        for level, cubes in enumerate(full, 1):
+            side = BRICK_SIDE << level
+            beyond |= ((morton_decode(cubes) + 1) * side > self.grid.shape).any()
+        if beyond:
+            raise GridError(
+                f"a voxel is not in the grid of {' x '.join(map(str, self.grid.shape))}"
+            )
+
+
+def _outside(codes: np.ndarray, cubes: np.ndarray, levels: int) -> np.ndarray:
+    """Return which codes lie in none of the cubes, which are some levels coarser."""
+    return ~np.isin(codes >> np.uint64(3 * levels), cubes)

@@ -1,0 +1,450 @@
+"""An octree as an image: what every export of its voxels is written from.
+
+The cells of an image are voxels, or at level N cubes of 2**N voxels a side, aligned to the grid. A
+cell's count is the number of its voxels that are set. Values follow from counts by the dtype: a
+float holds the coverage, count / 8**N; a whole number the count itself; a bool whether at least
+half of the cell is set. Nothing dense is held: at most four layers of cells, or a few thousand
+blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
+from math import prod
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from voxtool.errors import GridError, VoxtoolError
+from voxtool.memory import check_memory
+from voxtool.morton import gather_bits, morton_decode, morton_encode
+from voxtool.svo.counts import Counts
+from voxtool.svo.layout import descend
+from voxtool.svo.octree import Octree
+
+THICK = 4  # layers of a slab, of blocks of as many cells a side
+CHUNK = 1 << 21  # cells that are unpacked at once
+UNIFORM = -1  # instead of the node of a block: wholly set, or unset where the image is inverted
+DTYPES = ("bool", "uint8", "uint16", "uint32", "float32", "float64")
+Order = tuple[int, int, int]
+EVERY = (0, 1, 2)
+
+
+class Blocks(NamedTuple):
+    """Blocks of cells of one side, in ascending order of their Morton codes."""
+
+    corners: np.ndarray  # (n, 3) int64: the low cells, counted from the grid's corner
+    values: np.ndarray  # (n, side, side, side) of the image's dtype, indexed [block, x, y, z]
+
+
+class Cubes(NamedTuple):
+    """Cubes of one side that are wholly set, in ascending order of their Morton codes."""
+
+    corners: np.ndarray  # (n, 3) int64: the low cells, counted from the grid's corner
+    side: int  # in cells
+
+
+@dataclass(frozen=True, eq=False)
+class VoxelImage:
+    """The voxels of an octree as an image.
+
+    Attributes
+    ----------
+    octree : Octree
+        The voxels.
+    level : int
+        A cell has 2**level voxels a side; 0 for voxels.
+    low, shape : (3,) int
+        The part: its low cell, counted from the grid's corner, and its cells along each axis.
+    invert : bool
+        Whether the unset voxels of the grid count instead of the set ones.
+    dtype : np.dtype
+        The type of the values.
+    progress : callable
+        Called with the share of the image that has been passed on, from 0 to 1.
+    """
+
+    octree: Octree
+    level: int
+    low: tuple[int, int, int]
+    shape: tuple[int, int, int]
+    invert: bool
+    dtype: np.dtype
+    progress: Callable[[float], None] = field(default=lambda share: None)
+
+    @classmethod
+    def of(
+        cls,
+        octree: Octree,
+        *,
+        level: int = 0,
+        bbox: Sequence[float] | None = None,
+        invert: bool = False,
+        dtype: Any = None,
+    ) -> Self:
+        """Return the image of an octree.
+
+        Parameters
+        ----------
+        octree : Octree
+            The voxels.
+        level : int
+            A cell has 2**level voxels a side.
+        bbox : (6,) sequence of float, optional
+            Box X0 Y0 Z0 X1 Y1 Z1 in world units: only the cells that it touches.
+        invert : bool
+            Count the unset voxels of the grid instead of the set ones.
+        dtype : dtype, optional
+            One of DTYPES; by default bool for voxels, and float32 above them.
+
+        Raises
+        ------
+        VoxtoolError
+            If there is no such level or dtype, or the dtype cannot hold a cell's count.
+        GridError
+            If the box touches no cell of the grid.
+        """
+        coarsest = octree.depth + 1
+        if not 0 <= level <= coarsest:
+            raise VoxtoolError(
+                f"level {level}: choose one from 0 (voxels) to {coarsest} (one cell, of "
+                f"{octree.grid.side} voxels a side)"
+            )
+        whole = cls(octree, level, (0, 0, 0), (1, 1, 1), invert, _dtype(dtype, level))
+        low, shape = whole._part(bbox)
+        return replace(whole, low=low, shape=shape)
+
+    def _part(self, bbox: Sequence[float] | None) -> tuple[Any, Any]:
+        """Return the low cell and the shape of the cells that a box touches."""
+        cells = self.all_cells
+        if bbox is None:
+            return self.low, cells
+        box = np.asarray(bbox, np.float64).reshape(2, 3)
+        if not np.isfinite(box).all() or not (box[0] < box[1]).all():
+            raise GridError(f"box {' '.join(f'{v:g}' for v in box.ravel())} is empty or not finite")
+        box = (box - self.corner) / self.pitch
+        low = np.clip(np.floor(box[0]), 0, cells).astype(int)
+        high = np.clip(np.ceil(box[1]), 0, cells).astype(int)
+        if (low >= high).any():
+            raise GridError("the box touches no voxel of the grid: see `voxtool svo-info`")
+        return tuple(low.tolist()), tuple((high - low).tolist())
+
+    # ---- where it lies, and how large it is
+
+    @property
+    def side(self) -> int:
+        """Voxels along a side of a cell."""
+        return 1 << self.level
+
+    @property
+    def pitch(self) -> tuple[float, float, float]:
+        """World size of a cell."""
+        x, y, z = (p * self.side for p in self.octree.grid.pitch)
+        return x, y, z
+
+    @property
+    def corner(self) -> tuple[float, float, float]:
+        """World coordinates of the low corner of the grid's first cell, from which blocks count."""
+        return self.octree.grid.origin
+
+    @property
+    def origin(self) -> tuple[float, float, float]:
+        """World coordinates of the low corner of the part."""
+        grid = self.octree.grid
+        x, y, z = (
+            o + p * (n * self.side)
+            for o, p, n in zip(grid.origin, grid.pitch, self.low, strict=True)
+        )
+        return x, y, z
+
+    @property
+    def units(self) -> str:
+        """Name of the world unit, or ""."""
+        return self.octree.units
+
+    @property
+    def all_cells(self) -> tuple[int, int, int]:
+        """Cells along each axis of the whole grid."""
+        x, y, z = (-(-n // self.side) for n in self.octree.grid.shape)
+        return x, y, z
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return prod(self.shape)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all values, as a dense array."""
+        return self.cells * self.dtype.itemsize
+
+    @property
+    def most(self) -> int:
+        """The count of a cell that is wholly set."""
+        return self.side**3
+
+    def value(self, counts: Any) -> np.ndarray:
+        """Return the values of cells of these counts."""
+        counts = np.asarray(counts)
+        if self.dtype == bool:
+            return counts >= (self.most + 1) // 2
+        if self.dtype.kind == "f":
+            return counts.astype(self.dtype) / self.dtype.type(self.most)
+        return counts.astype(self.dtype)
+
+    def with_dtype(self, dtype: Any) -> VoxelImage:
+        """Return the same image with values of another type."""
+        return replace(self, dtype=_dtype(dtype, self.level))
+
+    # ---- values
+
+    def slabs(self, order: Order = EVERY) -> Iterator[np.ndarray]:
+        """Yield the values transposed to the axes `order`, in pieces of at most four layers.
+
+        Raises
+        ------
+        MemoryLimitError
+            If the layers do not fit in memory.
+        """
+        low, shape = ([size[axis] for axis in order] for size in (self.low, self.shape))
+        first = [n - n % THICK for n in low]
+        sides = [
+            -(-(n + m) // THICK) - f // THICK for n, m, f in zip(low, shape, first, strict=True)
+        ]
+        size = 2 * THICK**3 * sides[1] * sides[2] * self.dtype.itemsize
+        check_memory(size, f"{THICK} layers of {shape[1]} x {shape[2]} cells")
+        whole = self.value(self.most)
+        for start in range(first[0], low[0] + shape[0], THICK):
+            slab = np.zeros((THICK, sides[1], THICK, sides[2], THICK), self.dtype)
+            tiles = slab.transpose(1, 3, 0, 2, 4)
+            blocks, cubes = self._row(order[0], start)
+            j, k = ((blocks.corners[:, order[n]] - first[n]) // THICK for n in (1, 2))
+            tiles[j, k] = blocks.values.transpose(0, *(axis + 1 for axis in order))
+            for corners, side in cubes:
+                steps = np.arange(side // THICK)
+                j, k = ((corners[:, order[n]] - first[n]) // THICK for n in (1, 2))
+                tiles[j[:, None, None] + steps[:, None], k[:, None, None] + steps] = whole
+            slab = slab.reshape(THICK, THICK * sides[1], THICK * sides[2])
+            layers = slice(max(low[0] - start, 0), low[0] + shape[0] - start)
+            j, k = (slice(low[n] - first[n], low[n] - first[n] + shape[n]) for n in (1, 2))
+            self.progress(min((start + THICK - low[0]) / shape[0], 1.0))
+            yield slab[layers, j, k]
+
+    def coordinates(self) -> Iterator[np.ndarray]:
+        """Yield the cells whose value is not zero, (N, 3) int32 counted from the low cell of the
+        part, in lexicographic order, four layers at a time."""
+        return (cells for cells, _ in self.listed())
+
+    def listed(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield the same cells and their values, (N,) of the image's dtype."""
+        low, high = self.low[0], self.low[0] + self.shape[0]
+        for start in range(low - low % THICK, high, THICK):
+            blocks, cubes = self._row(0, start)
+            block, *local = np.nonzero(blocks.values)
+            keys = [_keys(blocks.corners[block] + np.stack(local, axis=1))]
+            for corners, side in cubes:
+                local = np.indices((THICK, side, side)).reshape(3, -1).T
+                corners[:, 0] = start
+                keys.append(_keys((corners[:, None] + local).reshape(-1, 3)))
+            values = np.full(sum(map(len, keys)), self.value(self.most))
+            found = np.concatenate(keys)
+            if self.dtype == bool:
+                found.sort()
+            else:
+                values[: len(keys[0])] = blocks.values[blocks.values != 0]
+                order = np.argsort(found)
+                found, values = found[order], values[order]
+            axes = [(found >> shift) & 0x1FFFFF for shift in (42, 21, 0)]
+            self.progress(min((start + THICK - low) / (high - low), 1.0))
+            yield (np.stack(axes, axis=1) - self.low).astype("<i4"), values
+
+    def blocks(self, side: int = 8) -> Iterator[Blocks]:
+        """Yield the blocks of side**3 cells that are neither empty nor in `cubes(side)`, some
+        thousand at a time, in Morton order. Cells outside the part are zero.
+
+        Parameters
+        ----------
+        side : int
+            A power of two, at least 4.
+        """
+        power = side.bit_length() - 1
+        leaves = self._leaves(power)
+        step = max(CHUNK >> (3 * power), 1)
+        for start in range(0, len(leaves.codes), step):
+            chosen = slice(start, start + step)
+            blocks = self._unpacked(leaves.codes[chosen], leaves.nodes[chosen], power)
+            held = blocks.values.any(axis=(1, 2, 3))
+            self.progress(min((start + step) / len(leaves.codes), 1.0))
+            yield Blocks(blocks.corners[held], blocks.values[held])
+
+    def cubes(self, side: int = 8) -> list[Cubes]:
+        """Return the cubes of `side` or more cells that are wholly set, coarse ones first."""
+        return [
+            Cubes(morton_decode(codes) * width, width)
+            for codes, width in self._leaves(side.bit_length() - 1).cubes
+        ]
+
+    @cached_property
+    def count(self) -> int:
+        """Number of cells whose value is not zero."""
+        if self.level == 0 and self.shape == self.octree.grid.shape:
+            return self.cells - self.octree.count if self.invert else self.octree.count
+        found = sum(len(cubes.corners) * cubes.side**3 for cubes in self.cubes(THICK))
+        return found + sum(int(np.count_nonzero(b.values)) for b in self.blocks(THICK))
+
+    # ---- how they are found
+
+    @cached_property
+    def _counts(self) -> Counts:
+        return Counts(self.octree, self.level)
+
+    @cached_property
+    def _known(self) -> dict[int, _Leaves]:
+        return {}
+
+    @cached_property
+    def _rows(self) -> dict[int, list[_Sorted]]:
+        return {}
+
+    def _leaves(self, power: int) -> _Leaves:
+        """Return the blocks of 2**power cells, and the cubes of that size or more."""
+        if power < THICK.bit_length() - 1:
+            raise ValueError(f"a block has at least {THICK} cells a side")
+        if power not in self._known:
+            self._known[power] = self._found(self._counts.level + power, 1 << power)
+        return self._known[power]
+
+    def _found(self, target: int, side: int) -> _Leaves:
+        """Return the same for the nodes of the octree's level `target`, of `side` cells."""
+        levels = self._counts.levels
+        if target >= len(levels):  # one block holds the whole grid
+            return _Leaves(np.zeros(1, np.uint64), np.zeros(1, np.int64), [])
+        cubes: list[tuple[np.ndarray, int]] = []
+        split = np.empty(0, np.uint64)  # full nodes that the border of the part divides
+        for level in levels[target:][::-1]:
+            width = side << (level.number - target)  # cells along a side of a node
+            full = ~(level.refined | level.inside) if self.invert else level.inside
+            found = np.concatenate([descend(split), level.codes[full & (level.number > 0)]])
+            within, touching = self._placed(found, width)
+            if within.any():
+                cubes.append((np.sort(found[within]), width))
+            split = found[touching & ~within]
+        level, counts = levels[target], self._counts.of_nodes[target]
+        holds = counts < level.side**3 if self.invert else counts > 0
+        mixed = np.flatnonzero(holds & level.refined)
+        mixed = mixed[self._placed(level.codes[mixed], side)[1]]
+        codes = np.concatenate([level.codes[mixed], split])
+        nodes = np.concatenate([mixed, np.full(len(split), UNIFORM)])
+        by_code = np.argsort(codes)
+        return _Leaves(codes[by_code], nodes[by_code], cubes)
+
+    def _placed(self, codes: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return which nodes of a width in cells lie in the part, and which touch it."""
+        corners = morton_decode(codes) * width
+        low, high = np.array(self.low), np.add(self.low, self.shape)
+        within = (corners >= low) & (corners + width <= high)
+        if self.invert and self.level:  # a cell may be only partly in the grid
+            within &= corners + width <= np.array(self.octree.grid.shape) // self.side
+        touching = (corners + width > low) & (corners < high)
+        return np.all(within, axis=1), np.all(touching, axis=1)
+
+    def _row(self, axis: int, start: int) -> tuple[Blocks, list[Cubes]]:
+        """Return the blocks and the cubes of the four layers from `start` on along an axis."""
+        leaves = self._leaves(THICK.bit_length() - 1)
+        if axis not in self._rows:
+            lists = [(leaves.codes, THICK), *leaves.cubes]
+            self._rows[axis] = [_Sorted.along(axis, codes, width) for codes, width in lists]
+        blocks, *cubes = (column.at(start) for column in self._rows[axis])
+        found = self._unpacked(leaves.codes[blocks], leaves.nodes[blocks], THICK.bit_length() - 1)
+        return found, [
+            Cubes(morton_decode(codes[chosen]) * width, width)
+            for (codes, width), chosen in zip(leaves.cubes, cubes, strict=True)
+        ]
+
+    def _unpacked(self, codes: np.ndarray, nodes: np.ndarray, power: int) -> Blocks:
+        """Return blocks of 2**power cells, by their codes and nodes."""
+        side = 1 << power
+        level = min(self._counts.level + power, len(self._counts.levels) - 1)
+        counts = np.zeros((len(nodes), side**3), self._counts.dtype)
+        uniform = nodes == UNIFORM
+        found = self._counts.of_cells(level, nodes[~uniform])
+        counts[~uniform, : found.shape[1]] = found  # of the whole grid, if a block holds it
+        counts[uniform] = 0 if self.invert else self.most
+        counts = counts[:, _places(side)]
+        corners = morton_decode(codes) * side
+        if self.invert:
+            counts = self._volumes(corners, side, self.octree.grid.shape, self.side) - counts
+        if self.low != (0, 0, 0) or self.shape != self.all_cells:
+            part = self._volumes(corners - self.low, side, self.shape, 1)
+            counts *= part.astype(counts.dtype)
+        return Blocks(corners, self.value(counts))
+
+    def _volumes(
+        self, corners: np.ndarray, side: int, shape: tuple[int, int, int], width: int
+    ) -> np.ndarray:
+        """Return the voxels of the cells of blocks that lie in a box [0, shape): (n, side, side,
+        side). A cell has `width` voxels a side."""
+        cells = corners[:, :, None] + np.arange(side)
+        lengths = np.clip(np.array(shape)[:, None] - cells * width, 0, width)
+        lengths[cells < 0] = 0
+        x, y, z = lengths.transpose(1, 0, 2).astype(self._counts.dtype)
+        return x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :]
+
+
+class _Leaves(NamedTuple):
+    """The blocks and the cubes of an image, in Morton order."""
+
+    codes: np.ndarray  # (n,) uint64 of blocks
+    nodes: np.ndarray  # (n,) int64 indices of their nodes, or UNIFORM
+    cubes: list[tuple[np.ndarray, int]]  # codes and side in cells, coarse ones first
+
+
+class _Sorted(NamedTuple):
+    """Nodes of one width, sorted along an axis."""
+
+    by_place: np.ndarray
+    places: np.ndarray
+    width: int
+
+    @classmethod
+    def along(cls, axis: int, codes: np.ndarray, width: int) -> Self:
+        places = gather_bits(codes >> np.uint64(axis)).astype(np.int64) * width
+        by_place = np.argsort(places, kind="stable")
+        return cls(by_place, places[by_place], width)
+
+    def at(self, start: int) -> np.ndarray:
+        """Return the indices of the nodes that contain the cell `start`."""
+        place = start - start % self.width
+        return self.by_place[slice(*np.searchsorted(self.places, [place, place + 1]).tolist())]
+
+
+def _dtype(dtype: Any, level: int) -> np.dtype:
+    """Return the type of an image's values; raise VoxtoolError if it cannot hold them."""
+    if dtype is None:
+        return np.dtype(np.float32 if level else bool)
+    try:
+        found = np.dtype(dtype)
+    except TypeError:
+        found = None
+    if found is None or found.name not in DTYPES:
+        raise VoxtoolError(f"dtype {dtype!r} is unknown: choose one of {', '.join(DTYPES)}")
+    if found.kind == "u" and np.iinfo(found).max < 8**level:
+        raise VoxtoolError(
+            f"a cell of level {level} has {8**level} voxels, more than {found.name} counts: choose "
+            "a wider type, or float32 for the coverage"
+        )
+    return found
+
+
+@cache
+def _places(side: int) -> np.ndarray:
+    """Return the Morton code of each cell of a block, (side, side, side)."""
+    return morton_encode(np.indices((side,) * 3).reshape(3, -1).T).reshape((side,) * 3)
+
+
+def _keys(cells: np.ndarray) -> np.ndarray:
+    """Return (N, 3) cells as int64 keys of 21 bits for x, y and z, in lexicographic order."""
+    x, y, z = cells.T
+    return (x << 42) | (y << 21) | z
