@@ -83,6 +83,21 @@ def test_the_picture_is_that_of_render(name: str, level, octree, viewer: Viewer)
     check_ids(ids, hits(octree, camera, level))
 
 
+def test_a_page_that_ends_at_a_level(octree, browser, tmp_path: Path) -> None:
+    page = tmp_path / "level.html"
+    page.write_text(voxtool.plan_view(octree, "bunny.svo.h5", level=1).run().html, "utf-8")
+    with opened(browser, page) as viewer:
+        camera = voxtool.camera_for(octree, "iso")
+        for level in (1, 3):
+            viewer.set(camera, level=level)
+            assert f"--level {level}" in viewer.tab.evaluate("voxtool.command()")
+            colours, ids = viewer.picture(*SIZE)
+            check_same(colours, voxtool.render(octree, camera.rays(*SIZE), level=level))
+            check_ids(ids, hits(octree, camera, level))
+        viewer.set(camera, level=0)  # which it does not have
+        assert viewer.tab.input_value("#setting-level") == "1"
+
+
 def test_clipping_planes_remove_voxels(octree, viewer: Viewer) -> None:
     camera = voxtool.camera_for(octree, "iso")
     low, high = (50, 3, 0), (110, 60, 64)

@@ -140,14 +140,62 @@ def test_the_notebook_shows_a_frame() -> None:
     assert "allow-same-origin" not in frame.get("sandbox")
 
 
-def test_what_is_too_large_is_refused(here: Path, monkeypatch) -> None:
-    monkeypatch.setattr(job, "MOST_DATA", 10_000)
+def test_octrees_too_large_for_a_page(here: Path, monkeypatch) -> None:
+    """The line names the finest level that fits, a dim, and --serve; and they fit."""
+    monkeypatch.setattr(job, "MOST_DATA", 2_000)
     message = fail("view bunny.svo.h5 --no-open", 4)
-    assert "more than a page holds, 10 kB: voxelize with --dim" in message
-    dim = re.search(r"--dim (\d+)", message)
-    assert dim
-    run(f"voxelize bunny.obj --dim {dim[1]} -q -o small.svo.h5")
+    found = re.search(
+        r"more than a page holds, 2 kB: --level (\d+) shows its nodes instead of voxels, or "
+        r"voxelize with --dim (\d+) or so, or serve them beside the page \(voxtool view --serve",
+        message,
+    )
+    assert found
+    assert "more than a page" in fail(f"view bunny.svo.h5 --no-open --level {int(found[1]) - 1}", 4)
+    said = told(f"view bunny.svo.h5 --no-open --level {found[1]} --json")
+    assert said["base_bytes"] < MOST_BASE
+    run(f"voxelize bunny.obj --dim {found[2]} -q -o small.svo.h5")
     run("view small.svo.h5 --no-open -q")
+
+
+def test_fields_too_large_for_a_page(here: Path, monkeypatch) -> None:
+    ball = voxtool.mesh_from_arrays(*meshes.icosphere(3))
+    field = voxtool.build_adf(ball, tolerance=1e-2, max_level=7)
+    assert not field.reached["missed"]
+    monkeypatch.setattr(job, "MOST_DATA", job.plan_view(field, "a").plan.content.nbytes // 3)
+    with pytest.raises(voxtool.MemoryLimitError) as error:
+        job.plan_view(field, "a").run()
+    found = re.search(
+        r"build it with --max-level (\d) or --tolerance ([\d.e-]+),", str(error.value)
+    )
+    assert found
+    for less in ({"max_level": int(found[1])}, {"tolerance": float(found[2]), "max_level": 7}):
+        smaller = voxtool.build_adf(ball, **{"tolerance": 1e-2, **less})
+        job.plan_view(smaller, "a").run()
+        assert len(smaller.voxels) > len(field.voxels) / 20
+    voxtool.write_adf(field, "ball.adf.h5")
+    assert "is of octrees: this is a field" in fail("view ball.adf.h5 --level 1 --no-open", 3)
+
+
+@pytest.mark.parametrize("level", [0, 1, 3])
+def test_a_page_ends_at_a_level(level: int) -> None:
+    dense = np.random.default_rng(5).random((33, 64, 50)) < 0.002
+    dense[:16, :32, :40] = True
+    octree = voxtool.Octree.from_dense(dense)
+    content = octree_content(octree, level)
+    assert set(content.arrays) == {"children", "shares"}
+    side = 4 << level
+    ends = [-n % side for n in dense.shape]
+    padded = np.pad(dense, [(0, end) for end in ends])
+    shape = [w for n in padded.shape for w in (n // side, side)]
+    shares = padded.reshape(shape).mean(axis=(1, 3, 5))
+    found = content.arrays["shares"]
+    partly = shares[(shares > 0) & (shares < 1)].astype(np.float32)
+    assert sorted(found[found < 1]) == sorted(partly)
+    counts = octree.count_by_level()
+    above = sum(count for number, count in counts.items() if number > level)
+    assert found.sum() * side**3 + above == dense.sum()
+    held = content.arrays["children"][:, 0]
+    assert np.bitwise_count(held[-content.facts["levels"][-1] :]).sum() == len(found)
 
 
 def test_comments_are_left_out_and_nothing_else() -> None:

@@ -25,6 +25,7 @@ def plan_view(
     name: str = "",
     *,
     up: Sequence[float] = (0.0, 1.0, 0.0),
+    level: int | str = "voxel",
     max_memory: int | None = None,
 ) -> ViewJob:
     """Plan a page that shows content in a browser; `run` returns the Page.
@@ -37,6 +38,8 @@ def plan_view(
         The name that the page shows; by default that of the file.
     up : three floats
         What is up: a direction.
+    level : int or "voxel"
+        Of octrees: the finest nodes of the page; those of a level are cubes.
     max_memory : int, optional
         Bytes that the work may take; by default what the machine has.
 
@@ -50,10 +53,13 @@ def plan_view(
         If the file cannot be read.
     MemoryLimitError
         If the data are more than a page holds.
+    VoxtoolError
+        If the octree has no such level, or the content is no octree.
     """
     name = name or (str(content) if isinstance(content, str | FilePath) else "")
     found = shown_content(content)
-    return job.plan_view(found, name or type(found).__name__, up=up, max_memory=max_memory)
+    name = name or type(found).__name__
+    return job.plan_view(found, name, up=up, level=level, max_memory=max_memory)
 
 
 def view(
@@ -61,6 +67,7 @@ def view(
     path: Path | None = None,
     *,
     up: Sequence[float] = (0.0, 1.0, 0.0),
+    level: int | str = "voxel",
 ) -> Page:
     """Show content on an interactive page, in a notebook or in a browser.
 
@@ -76,6 +83,8 @@ def view(
         notebook nowhere.
     up : three floats
         What is up: a direction.
+    level : int or "voxel"
+        Of octrees: the finest nodes of the page; those of a level are cubes.
 
     Returns
     -------
@@ -88,12 +97,14 @@ def view(
         If a file cannot be read or written.
     MemoryLimitError
         If the data are more than a page holds.
+    VoxtoolError
+        If the octree has no such level, or the content is no octree.
 
     Examples
     --------
     >>> voxtool.view("bunny.svo.h5", "bunny.html")
     """
-    page = plan_view(content, up=up).run()
+    page = plan_view(content, up=up, level=level).run()
     notebook = "ipykernel" in sys.modules
     if path is None and not notebook:
         path = FilePath(tempfile.mkdtemp(prefix="voxtool-")) / "view.html"

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
         "data that no page holds."),
     options.option("--up", DIRECTION, "What is up: a direction, or x, y, z, -x, ...  [default: y]",
         metavar="X,Y,Z|AXIS"),
+    options.option("--level", options.LEVEL,
+        "Octrees: show nodes of this level as cubes, and nothing finer: a smaller page.  "
+        "[default: voxel]", metavar="N|voxel"),
 )  # fmt: skip
 @runner.run_options(
     options.output_options("PAGE.html", "Default FILE's name with .html, in this folder."),
@@ -34,7 +37,10 @@ if TYPE_CHECKING:
     options.strict_option,
     options.report_options,
 )
-def command(run: Run, file: str, no_open: bool, serve: bool, up: tuple[float, ...] | None) -> None:
+def command(
+    run: Run, file: str, no_open: bool, serve: bool, up: tuple[float, ...] | None,
+    level: int | str | None,
+) -> None:  # fmt: skip
     """Write a page that shows an octree, a field or a volume FILE in a browser, and open it.
 
     The page is one file with everything inside and reaches nothing else: it can be mailed. FILE is
@@ -62,7 +68,8 @@ def command(run: Run, file: str, no_open: bool, serve: bool, up: tuple[float, ..
     with run:
         content = run.stage("read file", shown_content, file)
         with run.naming(file):
-            given = {"up": up} if up else {}
+            given = {"up": up, "level": level}
+            given = {name: value for name, value in given.items() if value is not None}
             job = run.plan(plan_view, content, file, served=serve, **given)
             page = run.job(job)
         if not serve:

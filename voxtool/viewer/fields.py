@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,7 +42,8 @@ def field_content(field: DistanceField) -> PageContent:
         "colour": list(COLOUR),
         "textures": {name: _described(array) for name, array in arrays.items()},
     }
-    return PageContent("field", facts, arrays, _smaller_by, (LOOKUP,), tuple(defines))
+    smaller_by = partial(_smaller_by, field)
+    return PageContent("field", facts, arrays, smaller_by, (LOOKUP,), tuple(defines))
 
 
 def _described(array: np.ndarray) -> dict[str, object]:
@@ -50,5 +53,18 @@ def _described(array: np.ndarray) -> dict[str, object]:
     return {"format": f"{kind}x{channels}", "size": list(array.shape[2::-1])}
 
 
-def _smaller_by(share: float) -> str:
-    return f"build it with a --tolerance {1 / share:.2g} times as large, or a smaller --max-level"
+def _smaller_by(field: DistanceField, share: float) -> str:
+    """Return the options that build a field of which this share fits."""
+    blocks = np.cumsum(field.cells_by_level())  # of fields that end at each next level
+    level = int(np.searchsorted(blocks, share * blocks[-1], "right"))
+    words = f"build it with --max-level {max(level, 1)}"
+    if field.tolerance and not field.reached.get("missed"):
+        # where the tolerance decides, it is inverse to the number of leaves on a smooth surface
+        words += f" or --tolerance {_rounded_up(field.tolerance / share)}"
+    return words
+
+
+def _rounded_up(value: float) -> str:
+    """Return two digits of a number, rounded up."""
+    unit = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.ceil(value / unit) * unit:.2g}"

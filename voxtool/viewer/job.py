@@ -8,7 +8,7 @@ from typing import Any
 
 from voxtool.adf.field import DistanceField
 from voxtool.camera import Camera
-from voxtool.errors import MemoryLimitError, human
+from voxtool.errors import MemoryLimitError, VoxtoolError, human
 from voxtool.job import Cost, Job
 from voxtool.rendering import Content, camera_for, scene_of
 from voxtool.svo.octree import Octree
@@ -22,7 +22,6 @@ from voxtool.viewer.volumes import volume_content
 # Bytes of data that a page holds: as base64 they stay below the longest text of browsers, 2**29.
 MOST_DATA = 1 << 28
 CONTENTS: dict[type, Callable[[Any], PageContent]] = {
-    Octree: octree_content,
     DistanceField: field_content,
     TetVolume: volume_content,
 }
@@ -107,11 +106,17 @@ def plan_view(
     name: str,
     *,
     up: Sequence[float] = (0.0, 1.0, 0.0),
+    level: int | str = "voxel",
     served: bool = False,
     max_memory: int | None = None,
 ) -> ViewJob:
     """Return the job of a page that shows content; see voxtool.view."""
     scene = scene_of(content)  # refuses what cannot be drawn
     camera = camera_for(scene, up=up)
-    made = CONTENTS[type(content)](content)
+    if isinstance(content, Octree):
+        made = octree_content(content, level)
+    elif level == "voxel":
+        made = CONTENTS[type(content)](content)
+    else:
+        raise VoxtoolError(f"level {level!r} is of octrees: this is a {scene.kind}")
     return ViewJob(ViewPlan(made, name, camera, served), max_memory)

@@ -1,7 +1,8 @@
 """Octrees in pages: the nodes that hold a voxel, as masks of children, and the bricks.
 
 A page has no links: the refined nodes come level by level, root first, so that the script counts
-them. The root stands in a node of twice its size, which also serves a root that is a leaf.
+them. It may end at a level: nodes of that level have the share that is set instead of bricks. The
+root stands in a node of twice its size, which also serves a root that is a leaf.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.rendering import scene_of
+from voxtool.svo.octree import VOXEL, level_number
 from voxtool.svo.raycast import COLOUR
 from voxtool.viewer.content import PageContent
 
@@ -19,15 +21,23 @@ if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
 
 
-def octree_content(octree: Octree) -> PageContent:
-    """Return the content of a page that shows an octree.
+def octree_content(octree: Octree, level: int | str = "voxel") -> PageContent:
+    """Return the content of a page that shows an octree, down to the nodes of a level.
 
-    The arrays are `children`, (n, 2) uint8: for each refined node above the bricks that holds a
-    voxel, which children hold one, and which of those that do are refined (bits in Morton order;
-    the children of level 1 are bricks); and `bricks`, (m, 2) uint32: the masks that are not 0.
+    The arrays are `children`, (n, 2) uint8: for each refined node above the finest that holds a
+    voxel, which children hold one, and which of these are refined (bits in Morton order); and for
+    the finest nodes that hold one `bricks`, (m, 2) uint32, the masks of their voxels, or with a
+    level `shares`, (m,) float32, how much of each is set.
     """
-    counts, children = _children(octree)
-    bricks = octree.bricks[octree.bricks != 0].astype("<u8", copy=False).view("<u4").reshape(-1, 2)
+    finest = level_number(octree, level, octree.depth - 1)
+    masks, shares = _children(octree, max(finest, 0))
+    counts = list(map(len, masks))
+    arrays = {"children": np.concatenate(masks)}
+    if finest == VOXEL:
+        bricks = octree.bricks[octree.bricks != 0].astype("<u8", copy=False)
+        arrays["bricks"] = bricks.view("<u4").reshape(-1, 2)
+    else:
+        arrays["shares"] = shares
     grid, points = octree.grid, scene_of(octree).points()
     facts = {
         "depth": octree.depth,
@@ -40,31 +50,52 @@ def octree_content(octree: Octree) -> PageContent:
         "box": [points.min(axis=0).tolist(), points.max(axis=0).tolist()],
         "colour": list(COLOUR),
         "voxels": octree.count,
+        **({} if finest == VOXEL else {"finest": finest}),
     }
 
-    def smaller_by(share: float) -> str:  # bytes grow as the square of dim
-        return f"voxelize with --dim {max(int(grid.dim * math.sqrt(share)), 8)} or so"
+    def smaller_by(share: float) -> str:
+        most = share * sum(array.nbytes for array in arrays.values())
+        above = range(max(finest, -1) + 1, octree.depth)
+        fits = [n for n in above if _bytes_to(masks[: octree.depth - n]) <= most]
+        dim = max(int(grid.dim * math.sqrt(share)), 8)  # bytes grow as its square
+        shown = f"--level {fits[0]} shows its nodes instead of voxels, or " if fits else ""
+        return f"{shown}voxelize with --dim {dim} or so"
 
-    return PageContent("octree", facts, {"children": children, "bricks": bricks}, smaller_by)
+    return PageContent("octree", facts, arrays, smaller_by)
 
 
-def _children(octree: Octree) -> tuple[list[int], np.ndarray]:
-    """Return the number of nodes of each level that are stored, and their masks of children."""
+def _bytes_to(masks: list[np.ndarray]) -> int:
+    """Return the bytes of a page down to the children of the last of these nodes."""
+    leaves = int(np.bitwise_count(masks[-1][:, 0]).sum())
+    return sum(mask.nbytes for mask in masks) + 4 * leaves
+
+
+def _children(octree: Octree, finest: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return the masks of children of the stored nodes above level `finest`, level by level from
+    the root, and how much is set of the nodes of this level that hold a voxel."""
     masks: list[np.ndarray] = []
     held, refined = octree.bricks != 0, np.zeros(len(octree.bricks), bool)
+    share = np.bitwise_count(octree.bricks) / 64.0
+    shares = share
     for level in reversed(octree.levels()):
         if level.number:
             parents = level.refined.copy()
             groups = held.reshape(-1, 8)
             full = groups.any(axis=1)
             masks.append(_packed(groups, refined.reshape(-1, 8))[full])
+            mean = share.reshape(-1, 8).mean(axis=1)
+            share = level.inside.astype(np.float64)
+            share[parents] = mean
             parents[parents] = full
             held, refined = parents | level.inside, parents
+        if level.number == finest:
+            masks.clear()
+            refined = np.zeros(len(held), bool)
+            shares = share[held]
     root = np.zeros((2, 8), bool)
     root[:, 0] = held[0], refined[0]
     masks.append(_packed(root[:1], root[1:]))
-    masks.reverse()
-    return [len(mask) for mask in masks], np.concatenate(masks)
+    return masks[::-1], shares.astype(np.float32)
 
 
 def _packed(held: np.ndarray, refined: np.ndarray) -> np.ndarray:

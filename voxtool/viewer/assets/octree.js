@@ -12,20 +12,21 @@ function popcount(v) {
 
 /** The arrays of the nodes' textures; octree.frag describes them.
  * @param {number[]} counts of nodes by level, root first @param {Uint8Array} children pairs: which
- * children hold a voxel, which of these are refined @param {Uint32Array} bricks pairs of words */
-function octreeTexels(counts, children, bricks) {
+ * children hold a voxel, which of these are refined
+ * @param {(leaf: number) => number} shareOf how much is set of a child of the last level */
+function octreeTexels(counts, children, shareOf) {
   const total = children.length / 2;
   const nodes = new Uint32Array(2 * total);
   const shares = new Float32Array(8 * total); // of the children, those at x = 0 first
   let next = counts[0]; // the first node of the level below
-  let brick = 0;
+  let leaf = 0;
   for (let i = 0; i < total; ++i) {
     const held = children[2 * i];
     const refined = children[2 * i + 1];
     const last = i >= total - counts[counts.length - 1];
-    nodes[2 * i] = last ? brick : next;
+    nodes[2 * i] = last ? leaf : next;
     nodes[2 * i + 1] = held | (refined << 8);
-    if (last) brick += popcount(held);
+    if (last) leaf += popcount(held);
     else next += popcount(refined);
   }
   const means = new Float32Array(total);
@@ -36,10 +37,8 @@ function octreeTexels(counts, children, bricks) {
     for (let octant = 0, rank = 0; octant < 8; ++octant) {
       if (!((held >> octant) & 1)) continue;
       let share = 1;
-      if (last) {
-        const at = 2 * (first + rank++);
-        share = (popcount(bricks[at]) + popcount(bricks[at + 1])) / 64;
-      } else if ((refined >> octant) & 1) share = means[first + rank++];
+      if (last) share = shareOf(first + rank++);
+      else if ((refined >> octant) & 1) share = means[first + rank++];
       shares[8 * i + 4 * (octant & 1) + (octant >> 1)] = share;
       sum += share;
     }
@@ -50,14 +49,15 @@ function octreeTexels(counts, children, bricks) {
 
 /** @param {any} facts of the page @returns {Kind} */
 function octreeKind(facts) {
-  const levels = ["voxel", ...Array.from({ length: facts.depth }, (_, i) => String(i))];
-  const { shape, origin, pitch } = facts;
+  const { shape, origin, pitch, finest } = facts; // the finest level, if it is not voxels
+  const every = ["voxel", ...Array.from({ length: facts.depth }, (_, i) => String(i))];
+  const levels = every.slice(every.indexOf(String(finest ?? "voxel")));
   const axes = ["x", "y", "z"];
   /** @param {Settings} settings */
   const sizeOf = (settings) => (settings.level === "voxel" ? 0 : Number(settings.level) + BRICK);
   return {
     controls: [
-      { name: "level", label: "Level (+ and −)", type: "select", options: levels, start: "voxel" },
+      { name: "level", label: "Level (+ and −)", type: "select", options: levels, start: levels[0] },
       { name: "paint", label: "Colour by", type: "select", options: PAINTS, start: "light" },
       { name: "edges", label: "Edges", type: "check", start: false },
       ...axes.flatMap((axis, a) =>
@@ -71,10 +71,13 @@ function octreeKind(facts) {
       ),
     ],
     textures(gl, arrays) {
-      const { nodes, shares } = octreeTexels(facts.levels, arrays.children, arrays.bricks);
+      const bricks = arrays.bricks || new Uint32Array(2);
+      const shareOf = (/** @type {number} */ i) =>
+        arrays.shares ? arrays.shares[i] : (popcount(bricks[2 * i]) + popcount(bricks[2 * i + 1])) / 64;
+      const { nodes, shares } = octreeTexels(facts.levels, arrays.children, shareOf);
       return {
         nodes: listTexture(gl, "u4x2", nodes, "nodes"),
-        bricks: listTexture(gl, "u4x2", arrays.bricks, "bricks"),
+        bricks: listTexture(gl, "u4x2", bricks, "bricks"),
         shares: listTexture(gl, "f4x4", shares, "nodes"),
       };
     },
