@@ -54,7 +54,8 @@ __kernel void round_triangles(__global const double *leaves, const uint n, __glo
 
 float16 clamped_float(float16 t)
 {
-    return fmin(fmax(t, 0.0f), 1.0f);
+    t = t > 0.0f ? t : 0.0f;
+    return t < 1.0f ? t : 1.0f;
 }
 
 // As triangle_ways, the squared distances alone, in single precision.
@@ -100,12 +101,19 @@ __global const float *box_of(__global const float *nodes, uint id)
     return nodes + (size_t)((id - 1) / ARITY) * (6 * ARITY) + (id - 1) % ARITY;
 }
 
+float16 gap_to(float low, float high, float16 x)
+{
+    const float16 below = low - x, above = x - high;
+    const float16 outside = below > above ? below : above;
+    return outside > 0.0f ? outside : 0.0f;
+}
+
 // The squared distances of points to a box.
 float16 squares_to(__global const float *box, float16 x, float16 y, float16 z)
 {
-    const float16 dx = fmax(fmax(box[0] - x, x - box[3 * ARITY]), 0.0f);
-    const float16 dy = fmax(fmax(box[ARITY] - y, y - box[4 * ARITY]), 0.0f);
-    const float16 dz = fmax(fmax(box[2 * ARITY] - z, z - box[5 * ARITY]), 0.0f);
+    const float16 dx = gap_to(box[0], box[3 * ARITY], x);
+    const float16 dy = gap_to(box[ARITY], box[4 * ARITY], y);
+    const float16 dz = gap_to(box[2 * ARITY], box[5 * ARITY], z);
     return dx * dx + dy * dy + dz * dz;
 }
 
@@ -173,12 +181,18 @@ bool meet(packet *p, const triangle *t, uint slot, uint rank)
     return any(better);
 }
 
+float8 gap_between(float8 below, float8 above)
+{
+    const float8 outside = below > above ? below : above;
+    return outside > 0.0f ? outside : 0.0f;
+}
+
 // The squared distances of the packet's box to a node's children.
 float8 squares_apart(const packet *p, __global const float *boxes)
 {
-    const float8 dx = fmax(fmax(vload8(0, boxes) - p->high.x, p->low.x - vload8(3, boxes)), 0.0f);
-    const float8 dy = fmax(fmax(vload8(1, boxes) - p->high.y, p->low.y - vload8(4, boxes)), 0.0f);
-    const float8 dz = fmax(fmax(vload8(2, boxes) - p->high.z, p->low.z - vload8(5, boxes)), 0.0f);
+    const float8 dx = gap_between(vload8(0, boxes) - p->high.x, p->low.x - vload8(3, boxes));
+    const float8 dy = gap_between(vload8(1, boxes) - p->high.y, p->low.y - vload8(4, boxes));
+    const float8 dz = gap_between(vload8(2, boxes) - p->high.z, p->low.z - vload8(5, boxes));
     return dx * dx + dy * dy + dz * dz;
 }
 
