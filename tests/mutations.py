@@ -135,6 +135,18 @@ MUTATIONS: dict[str, Mutation] = {
         "#define DOUBT -0x1p-15f",
         "tests/spatial/test_distance.py",
     ),
+    "distance: sides across holes": Mutation(
+        "kernels/spatial/insides.cl",
+        "sqrt(square) * slope < leeway",
+        "leeway < 1",
+        "tests/spatial/test_insides.py",
+    ),
+    "distance: sides across faces": Mutation(
+        "kernels/spatial/insides.cl",
+        "clear * clear * ROUNDED",
+        "4 * clear * clear * ROUNDED",
+        "tests/spatial/test_insides.py",
+    ),
     "fields: rounding of triangles": Mutation(
         "kernels/adf/levels/narrow.h",
         "#define DOUBT 0x1p-19f",

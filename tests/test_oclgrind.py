@@ -47,6 +47,7 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_surface, closed_chain
 from voxtool.opencl import Device, builder, open_device, primitives
 from voxtool.selftest import arithmetic, crowds, volumes
+from voxtool.spatial import signed_distance
 from voxtool.spatial.bvh import build_tree
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.fans import fan_of
@@ -311,6 +312,9 @@ def measure_distances(device) -> None:
         inside = winding(points, vertices[faces]) > 0.5
         for sign in signed:
             assert np.array_equal(sign(points), np.where(inside, -distances, distances))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(signed_distance, "NUMBERED", 0)
+        assert np.array_equal(signed[1](points), signed[0](points))
     many = np.repeat(points, 8, axis=0)  # 560 points are sorted
     located = signed[0](many, gradient=True, nearest=True, face=True)
     assert np.array_equal(located.distance[::8], signed[0](points))

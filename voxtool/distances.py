@@ -16,6 +16,7 @@ from voxtool.errors import MemoryLimitError, VoxtoolError, human
 from voxtool.job import Cost, Job
 from voxtool.memory import available_memory
 from voxtool.opencl import default_device
+from voxtool.spatial import insides
 from voxtool.spatial.distance import POINTS_AT_ONCE
 from voxtool.spatial.signed_distance import SignedDistance, default_sign, distance_bytes
 from voxtool.svo.image import VoxelImage
@@ -58,7 +59,8 @@ class DistancePlan:
 
     @property
     def cost(self) -> Cost:
-        points = self.block * (POINT_BYTES + (LOCATED_BYTES if self.located else 0))
+        signed = insides.BYTES if self.sign == "winding" else 0
+        points = self.block * (POINT_BYTES + signed + (LOCATED_BYTES if self.located else 0))
         size = distance_bytes(self.triangles, self.sign)
         return Cost(size + points, 2 * points, max(120 * self.triangles, 24 * self.block))
 

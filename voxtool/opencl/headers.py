@@ -22,6 +22,7 @@ HOMES = {
     "spatial/arctangent.h": "voxtool.spatial.pseudonormals",
     "spatial/bvh.h": "voxtool.spatial.bvh",
     "spatial/fans.h": "voxtool.spatial.fans",
+    "spatial/insides.h": "voxtool.spatial.insides",
     "spatial/names.h": "voxtool.spatial.bvh",
     "spatial/nearest_packets.h": "voxtool.spatial.distance",
     "spatial/self_intersections.h": "voxtool.spatial.self_intersections",

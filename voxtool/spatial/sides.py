@@ -1,10 +1,9 @@
 """The winding number beside each face of a mesh, which spares most points a sum of their own.
 
 Go from a point to the nearest point of the mesh, and along that face to its centroid. No face is
-passed on the way, so that the winding number changes only with the boundary's shape: by the law of
-Biot and Savart its gradient is at most the sum of dl / (4 pi r^2) over the edges of the boundary.
-Where holes are far enough away, the number near the centroid of a face, on the side of the point,
-therefore decides the point's. It does not where another face intersects this one.
+passed on the way, so that the winding number changes little where holes are far away (boundary.py).
+There the number near the centroid of a face, on the side of the point, decides the point's. It does
+not where another face intersects this one.
 """
 
 from __future__ import annotations
@@ -14,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.mesh.topology import edges_of, net_faces, shells_of
-from voxtool.morton import morton_encode
+from voxtool.mesh.topology import edges_of, shells_of
+from voxtool.spatial.boundary import along_curve, boundary_spheres
 from voxtool.spatial.winding_number import WindingNumber
 from voxtool.vector import cross, length
 
@@ -25,7 +24,6 @@ if TYPE_CHECKING:
     from voxtool.spatial.bvh import TriangleTree
     from voxtool.spatial.pseudonormals import Pseudonormals
 
-SPHERES = 512  # that enclose the boundary, at most
 ABOVE = 2.0**-10  # heights of a face: the distance at which the number in front is computed
 
 
@@ -36,8 +34,7 @@ class Sides:
     front : (F,) float64: on the side to which the face's normal points; behind the face it is 1
         more. NaN where it is not known: the face is flat, has a non-manifold edge, is intersected
         (self_intersections.py), or folds back onto another, so that it is not 1 more.
-    spheres : (S, 5) float64: centre and radius in the tree's local coordinates, and the length of
-        the boundary in each.
+    spheres : (S, 5) float64, of boundary_spheres.
     """
 
     front: np.ndarray
@@ -50,22 +47,16 @@ def find_sides(
     """Return the sides of a mesh's faces; `intersecting` is that of find_self_intersections."""
     edges, forth = edges_of(mesh.positions[mesh.faces])
     faces_of = np.bincount(edges)
-    way, some = np.where(forth, 1.0, -1.0), net_faces(mesh)
+    way, some = np.where(forth, 1.0, -1.0), winding.counted
     if some is not None:
         way *= np.repeat(np.isin(np.arange(len(mesh.faces)), some), 3)
     net = np.bincount(edges, way)
-    triangles = winding.tree.frame.local(mesh.vertices)[mesh.faces]
     odd = ((faces_of != 2) | (net != 0)) & (faces_of != 1)
     known = np.flatnonzero(~(intersecting | odd[edges].reshape(-1, 3).any(axis=1)))
     front = np.full(len(mesh.faces), np.nan)
     ahead, behind = _beside(mesh, known, normals, winding)
     front[known] = np.where(np.abs(behind - ahead - 1) < 0.25, ahead, np.nan)
-    side = np.flatnonzero(net[edges] != 0)
-    _, first = np.unique(edges[side], return_index=True)
-    side = side[first]
-    starts = triangles.reshape(-1, 3)[side]
-    ends = np.roll(triangles, -1, axis=1).reshape(-1, 3)[side]
-    return Sides(front, _spheres(np.stack([starts, ends], axis=1), np.abs(net[edges[side]])))
+    return Sides(front, boundary_spheres(mesh, some, winding.tree.frame))
 
 
 def shells_agree(mesh: Mesh, normals: Pseudonormals, device: Device, tree: TriangleTree) -> bool:
@@ -96,29 +87,9 @@ def _beside(
     with np.errstate(divide="ignore", invalid="ignore"):
         rise = np.where(known, ABOVE * twice_area / longest / size, 0)[:, None] * normal
     middle = (a + b + c) / 3
-    order = _along_curve(middle)
+    order = along_curve(middle)
     numbers = np.full((2, len(faces)), np.nan)
     for number, points in zip(numbers, (middle + rise, middle - rise), strict=True):
         near = winding.device.put(points[order])
         number[order] = winding.at_local(near, len(faces)).take()
     return np.where(known, numbers[0], np.nan), np.where(known, numbers[1], np.nan)
-
-
-def _along_curve(points: np.ndarray) -> np.ndarray:
-    """Return an order of (n, 3) local points in which near ones follow each other."""
-    cells = ((points + 1) * 512).clip(0, 1023).astype(np.int64)
-    return np.argsort(morton_encode(cells), kind="stable")
-
-
-def _spheres(ends: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Return spheres, (S, 5), about runs of (E, 2, 3) edges along a Morton curve."""
-    if not len(ends):
-        return np.empty((0, 5))
-    order, spheres = _along_curve(ends.mean(axis=1)), []
-    for run in np.array_split(order, min(SPHERES, len(order))):
-        points = ends[run].reshape(-1, 3)
-        centre = (points.min(axis=0) + points.max(axis=0)) / 2
-        lengths = weights[run] * length(ends[run, 1] - ends[run, 0])
-        radius = length(points - centre).max()
-        spheres.append([*centre, radius, float(np.cumsum(lengths)[-1])])
-    return np.array(spheres)

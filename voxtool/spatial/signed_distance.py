@@ -17,13 +17,19 @@ from voxtool.errors import VoxtoolError
 from voxtool.mesh.collinear import collinear
 from voxtool.mesh.topology import watertight
 from voxtool.opencl import Device, default_device
+from voxtool.spatial.boundary import boundary_spheres
 from voxtool.spatial.bvh import tree_bytes
 from voxtool.spatial.distance import TriangleDistance, checked_points, rounded_bytes
+from voxtool.spatial.insides import insides
 from voxtool.spatial.pseudonormals import normal_bytes, pseudonormals
 from voxtool.spatial.winding_number import WindingNumber, moment_bytes
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
+    from voxtool.spatial.distance import PointBlock
+
+NUMBERED = 1 << 12  # points: of fewer, each has a winding number of its own
+FACES_PER_POINT = 16  # whose boundary is found in the time of the winding number of a point
 
 
 class DistanceResult(NamedTuple):
@@ -130,11 +136,24 @@ class SignedDistance:
         """Return the columns of a DistanceResult for the points of a block."""
         distances, faces, nearest, directions = self._distance.at_block(block, located)
         if self._winding is not None:
-            inside = (self._winding.at_block(block) > 0.5) & (distances > 0)
+            inside = self._inside(self._winding, block, distances) & (distances > 0)
             distances = np.where(inside, -distances, distances)
         if directions is not None:
             directions = np.where(distances[:, None] < 0, -directions, directions)
         return distances, directions, nearest, faces
+
+    def _inside(
+        self, winding: WindingNumber, block: PointBlock, distances: np.ndarray
+    ) -> np.ndarray:
+        """Return which points of a block have a winding number above 1/2, (n,) bool."""
+        if block.n < max(NUMBERED, len(self.mesh.faces) // FACES_PER_POINT):
+            return winding.at_block(block) > 0.5
+        some, frame = winding.counted, winding.tree.frame
+        spheres = self.device.keep(
+            self.mesh, "boundary", 0,
+            lambda: self.device.put(boundary_spheres(self.mesh, some, frame)),
+        )  # fmt: skip
+        return insides(winding, spheres, block, np.ldexp(distances, -frame.exponent))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return SignedDistance, (self.mesh, self.sign)

@@ -58,9 +58,9 @@ class WindingNumber:
         node farther away than `reach` radii counts through its moments. With `repeats` False, every
         copy of a face counts. Raises as TriangleDistance."""
         self.device = device or default_device()
-        some, self.fans = None, []
+        self.counted = net_faces(mesh) if repeats else None  # faces; None for all
+        some, self.fans = self.counted, []
         if repeats:
-            some = net_faces(mesh)
             self.fans, in_fan = find_fans(mesh, some, self.device)
             if self.fans:
                 some = np.flatnonzero(~in_fan) if some is None else some[~in_fan[some]]
@@ -100,19 +100,24 @@ class WindingNumber:
 
     def at_block(self, block: PointBlock) -> np.ndarray:
         """Return the winding numbers of a block's points, (n,) float64."""
-        return self._wind(block.n, block.local, block.order).take()
+        numbers = self.device.zeros(block.n, np.float64)
+        self.wind(block.n, block.local, block.order, numbers)
+        return numbers.take()
 
     def at_local(self, points: Array, n: int) -> Array:
         """Return the winding numbers of n points on the device, (n, 3) float64, local coordinates;
         fast if consecutive points are near each other."""
-        return self._wind(n, points, self.device.put(np.arange(n, dtype=np.uint32)))
+        numbers = self.device.zeros(n, np.float64)
+        self.wind(n, points, self.device.put(np.arange(n, dtype=np.uint32)), numbers)
+        return numbers
 
-    def _wind(self, n: int, points: Array, order: Array) -> Array:
-        tree, numbers = self.tree, self.device.zeros(n, np.float64)
+    def wind(self, n: int, points: Array, which: Array, numbers: Array) -> None:
+        """Replace the zeros in `numbers` at `which` n points, uint32, by their winding numbers;
+        fast if consecutive ones are near each other."""
+        tree = self.tree
         with self.device.stage("winding number"):
             wind = self.device.kernel(SOURCE, "wind")
             rest = (tree.leaves, tree.count, tree.first_leaf, self.moments)
-            wind(0 if self.all_in_fans else n, points, order, *rest, numbers)
+            wind(0 if self.all_in_fans else n, points, which, *rest, numbers)
             for fan in self.fans:
-                fan.add_numbers(n, points, order, numbers)
-        return numbers
+                fan.add_numbers(n, points, which, numbers)

@@ -3,6 +3,7 @@
 
 #include "adf/levels/lists.h"
 #include "adf/levels/narrow.h"
+#include "spatial/boundary.h"
 
 // ---- distances
 
@@ -276,16 +277,7 @@ __kernel void sample_blocks(const uint n, LISTS SIDES, __global double *values,
 // most `reach` away; see voxtool/spatial/sides.py.
 double sway(double x, double y, double z, double reach, __global const double *spheres, uint count)
 {
-    double sum = 0x1p-6; // exceeds the error of two winding numbers
-    for (uint i = 0; i < count; ++i) {
-        __global const double *sphere = spheres + 5 * i;
-        const double dx = x - sphere[0], dy = y - sphere[1], dz = z - sphere[2];
-        const double gap = sqrt(dx * dx + dy * dy + dz * dz) - sphere[3] - reach;
-        if (!(gap > 0))
-            return INFINITY;
-        sum += sphere[4] * reach / (4 * PI * gap * gap);
-    }
-    return sum;
+    return NUMBER_ERRORS + reach * steepest(x, y, z, reach, spheres, count);
 }
 #endif
 
