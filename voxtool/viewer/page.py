@@ -33,6 +33,7 @@ SHARED = ("vectors", "data", "gl", "state", "controls", "panel", "view", "main")
 FRAME_HEIGHT = 480  # pixels of a page in a notebook
 EXTRAS = {
     "field": ("boxes",),
+    "octree": ("blocks",),
     "volume": ("transfer", "editor", "isosurfaces"),
 }  # scripts of one kind alone
 # OpenCL C of the kernels' headers, and what GLSL has for it.

@@ -28,6 +28,8 @@ const FORMATS = {
   u1x4: { internal: "RGBA8UI", format: "RGBA_INTEGER", type: "UNSIGNED_BYTE", channels: 4 },
   u2x3: { internal: "RGB16UI", format: "RGB_INTEGER", type: "UNSIGNED_SHORT", channels: 3 },
   u2x4: { internal: "RGBA16UI", format: "RGBA_INTEGER", type: "UNSIGNED_SHORT", channels: 4 },
+  n1x4: { internal: "RGBA8", format: "RGBA", type: "UNSIGNED_BYTE", channels: 4 }, // read as 0 to 1
+  u4x1: { internal: "R32UI", format: "RED_INTEGER", type: "UNSIGNED_INT", channels: 1 },
   u4x3: { internal: "RGB32UI", format: "RGB_INTEGER", type: "UNSIGNED_INT", channels: 3 },
   u4x2: { internal: "RG32UI", format: "RG_INTEGER", type: "UNSIGNED_INT", channels: 2 },
   i4x4: { internal: "RGBA32I", format: "RGBA_INTEGER", type: "INT", channels: 4 },

@@ -1,14 +1,19 @@
 // Ray casting of an octree, as kernels/svo/raycast.cl draws it, one ray at a time.
 //
-// A node has size 2^k voxels: k = 0 voxels, 2 bricks. `nodes` has a texel for each refined node above
-// the bricks: the texel of its first refined child, or its first brick; which children hold a voxel;
-// from bit 8 which of these are refined. A child that holds a voxel and is not refined is an inside leaf.
-// Rays are mirrored, so that all their coordinates increase.
+// Tables, blocks and their cells are those of blocks.js: a few fetches find a voxel, or the largest
+// empty node around a place. Sizes are exponents: 2^k voxels. Rays are mirrored, so that all their
+// coordinates increase. Places are floats, which hold them exactly: shifts are slow on processors.
 
-uniform usampler2D nodes, bricks;
-uniform sampler2D shares;         // of a node's children, as octantShares, two texels a node
-uniform int rowBits;             // of the textures
-uniform int root, finest, shaded; // sizes of the root, of what is drawn, of the cells of the shading
+uniform usampler2D entries;      // of the tables
+uniform usampler2D bricks;       // of blocks, by octant
+uniform sampler2D shares;        // of blocks, four cells along x
+uniform int rowBits;             // of these textures
+uniform uint LEAVES, POINTERS;   // first entries of their kinds
+uniform uint EMPTY_BLOCK, FULL_BLOCK;
+uniform float WHOLE;             // a full cell's share, times 255
+uniform int tables;              // from the root to a block
+uniform float fan, cover;        // entries of a table along an axis; voxels of all tables
+uniform int root, finest, shaded; // sizes of the root, of what is drawn, of the cells of blocks
 uniform vec3 pitch;              // relative to the longest
 uniform vec3 clipLow, clipHigh, extent; // voxels: what is shown, and of the grid
 uniform int paint;               // PAINTS of octree.js
@@ -23,29 +28,10 @@ const uvec2 FULL = uvec2(0xFFFFFFFFu);
 
 struct Ray {
     vec3 origin, speed, inverse;
-    uint mirror; // one bit per axis
+    vec3 down; // 1 along the axes that are mirrored
 };
 
-uvec2 stack[20]; // by k, the nodes around the ray
-
-uint octantAt(ivec3 place, int k, uint mirror)
-{
-    ivec3 bit = place >> k & 1;
-    return uint(bit.x | bit.y << 1 | bit.z << 2) ^ mirror;
-}
-
-uint octantByte(uvec2 brick, uint octant)
-{
-    return (octant < 4u ? brick.x : brick.y) >> (8u * (octant & 3u)) & 0xFFu;
-}
-
-// The child of a node above the bricks, by its rank among those that are stored.
-uvec2 childOf(uvec2 node, uint octant, int k)
-{
-    uint stored = k == 3 ? node.y : node.y >> 8;
-    ivec2 at = texel(node.x + popcount(stored & ((1u << octant) - 1u) & 0xFFu), rowBits);
-    return k == 3 ? texelFetch(bricks, at, 0).xy : texelFetch(nodes, at, 0).xy;
-}
+float power(int k) { return intBitsToFloat((127 + k) * 8388608); }
 
 Ray mirrored(vec3 origin, vec3 direction)
 {
@@ -55,60 +41,79 @@ Ray mirrored(vec3 origin, vec3 direction)
     ray.speed = mix(abs(direction), vec3(STILL), still);
     ray.inverse = 1.0 / ray.speed;
     vec3 centred = mix(origin, floor(origin) + 0.5, still);
-    ray.origin = mix(centred, float(1 << root) - centred, down);
-    ray.mirror = uint(down.x) | uint(down.y) << 1 | uint(down.z) << 2;
+    ray.origin = mix(centred, power(root) - centred, down);
+    ray.down = vec3(down);
     return ray;
 }
 
-// The low corner of a node in axes that are not mirrored.
-ivec3 unmirroredLow(ivec3 low, int k, uint mirror)
+vec3 unmirrored(vec3 v, vec3 down) { return v * (1.0 - 2.0 * down); }
+
+// Goes to the half along each axis that holds a place in [0, 1)^3; returns its octant.
+uint halve(inout vec3 place)
 {
-    ivec3 turned = (1 << root) - (1 << k) - low;
-    return ivec3((mirror & 1u) != 0u ? turned.x : low.x, (mirror & 2u) != 0u ? turned.y : low.y,
-                 (mirror & 4u) != 0u ? turned.z : low.z);
+    place *= 2.0;
+    vec3 upper = floor(place);
+    place -= upper;
+    return uint(int(dot(upper, vec3(1, 2, 4))));
 }
 
-vec3 unmirrored(vec3 v, uint mirror)
+// The entry at a place in [0, 1)^3 of the tables. Leaves the place in what it points to.
+uint entryAt(inout vec3 place)
 {
-    return v * vec3((mirror & 1u) != 0u ? -1 : 1, (mirror & 2u) != 0u ? -1 : 1,
-                    (mirror & 4u) != 0u ? -1 : 1);
+    uint found = POINTERS;
+    for (int i = 0; i < tables && found >= POINTERS; ++i) {
+        place *= fan;
+        vec3 cell = floor(place);
+        place -= cell;
+        uint table = (found - POINTERS) * uint(int(fan * fan * fan));
+        uint at = uint(int(cell.x + fan * (cell.y + fan * cell.z)));
+        found = texelFetch(entries, texel(table + at, rowBits), 0).x;
+    }
+    return found;
+}
+
+// The size of the largest empty node around a voxel; less than `finest` where there is something to
+// draw, of this size or, in an inside leaf, of the leaf's.
+int emptyAt(vec3 voxel, out int drawn)
+{
+    drawn = finest;
+    vec3 place = voxel / cover;
+    uint entry = entryAt(place);
+    if (entry < LEAVES)
+        return int(entry);
+    if (entry < POINTERS) {
+        drawn = max(int(entry - LEAVES), finest);
+        return -1;
+    }
+    uint block = 8u * (entry - POINTERS);
+    uvec2 brick = texelFetch(bricks, texel(block + halve(place), rowBits), 0).xy;
+    if (finest > 0 && brick == FULL)
+        drawn = max(shaded + 1, finest);
+    uint at = halve(place), word = at < 4u ? brick.x : brick.y;
+    uint octet = word >> (8u * (at & 3u)) & 0xFFu;
+    if ((octet >> halve(place) & 1u) != 0u)
+        return -1;
+    return octet != 0u ? shaded - 1 : (brick.x | brick.y) != 0u ? shaded : shaded + 1;
 }
 
 // Finds the first node of the drawn size, or inside leaf, from depth t to `end`, starting in the
 // voxel `p`; `low` and `k` are its corner and size.
-bool follow(Ray ray, ivec3 p, float end, inout float t, out ivec3 low, out int k)
+bool follow(Ray ray, vec3 p, float end, inout float t, out vec3 low, out int k)
 {
-    int at = root;
-    uvec2 node = texelFetch(nodes, ivec2(0), 0).xy;
-    stack[root] = node;
+    vec3 turn = ray.down * (power(root) - 1.0);
     for (int i = 0; i < MOST_STEPS; ++i) {
-        k = at - 1;
-        uint octant = octantAt(p, k, ray.mirror);
-        uint held = at > 2 ? node.y >> octant & 1u
-                           : at == 2 ? octantByte(node, octant) : node.x >> octant & 1u;
-        low = p >> k << k;
-        if (held != 0u) {
-            if (k == finest || (at > 3 && (node.y >> (8u + octant) & 1u) == 0u))
-                return true;
-            node = at == 2 ? uvec2(held, 0u) : childOf(node, octant, at);
-            at = k;
-            stack[at] = node;
-            continue;
-        }
-        ivec3 high = low + (1 << k);
-        vec3 outs = (vec3(high) - ray.origin) * ray.inverse;
+        int drawn, empty = emptyAt(abs(p - turn), drawn);
+        k = empty < finest ? drawn : empty;
+        float size = power(k);
+        low = floor(p * power(-k)) * size;
+        if (empty < finest)
+            return true;
+        vec3 high = low + size, outs = (high - ray.origin) * ray.inverse;
         t = smallest(outs);
         if (t >= end)
             return false;
-        ivec3 inner = clamp(ivec3(floor(ray.origin + t * ray.speed)), low, high - 1);
-        ivec3 q = ivec3(outs.x <= t ? high.x : inner.x, outs.y <= t ? high.y : inner.y,
-                        outs.z <= t ? high.z : inner.z);
-        ivec3 changed = p ^ q;
-        at = highestBit(changed.x | changed.y | changed.z) + 1;
-        if (at > root)
-            return false;
-        node = stack[at];
-        p = q;
+        vec3 inner = clamp(floor(ray.origin + t * ray.speed), low, high - 1.0);
+        p = mix(inner, high, lessThanEqual(outs, vec3(t)));
     }
     return false;
 }
@@ -116,146 +121,103 @@ bool follow(Ray ray, ivec3 p, float end, inout float t, out ivec3 low, out int k
 // ---- shading
 
 // Weights of four cells along an axis, and their derivatives, at f in [0, 1] between the centres of
-// the two middle cells: a quadratic B-spline of the means of adjacent cells. Each vector has those of
-// both cells of a node, in unmirrored order; `odd`: the first cell is the second of its node.
-void spline(float f, bool odd, bool turned, out vec4 pairs[3])
+// the two middle cells: a quadratic B-spline of the means of adjacent cells.
+void spline(float f, out vec4 weights, out vec4 slopes)
 {
     float first = 0.5 * (1.0 - f) * (1.0 - f), last = 0.5 * f * f;
-    vec4 w = vec4(0.5 * first, 0.5 - 0.5 * last, 0.5 - 0.5 * first, 0.5 * last);
-    vec4 s = vec4(0.5 * f - 0.5, -0.5 * f, 0.5 - 0.5 * f, 0.5 * f);
-    pairs[0] = odd ? vec4(0, w.x, 0, s.x) : vec4(w.xy, s.xy);
-    pairs[1] = odd ? vec4(w.yz, s.yz) : vec4(w.zw, s.zw);
-    pairs[2] = odd ? vec4(w.w, 0, s.w, 0) : vec4(0);
-    if (turned)
-        for (int i = 0; i < 3; ++i)
-            pairs[i] = pairs[i].yxwz;
+    weights = vec4(0.5 * first, 0.5 - 0.5 * last, 0.5 - 0.5 * first, 0.5 * last);
+    slopes = vec4(0.5 * f - 0.5, -0.5 * f, 0.5 - 0.5 * f, 0.5 * f);
 }
 
-// The number of bits that are set in each byte.
-uint byteCounts(uint v)
+// Moves four weights on by 0 to 3 cells, into the next four.
+void moveOn(float by, inout vec4 here, out vec4 there)
 {
-    v = v - (v >> 1 & 0x55555555u);
-    v = (v & 0x33333333u) + (v >> 2 & 0x33333333u);
-    return v + (v >> 4) & 0x0F0F0F0Fu;
+    bool one = by == 1.0 || by == 3.0, two = by >= 2.0;
+    there = vec4(one ? here.w : 0.0, 0, 0, 0);
+    here = one ? vec4(0, here.xyz) : here;
+    there = two ? vec4(here.zw, there.x, 0) : there;
+    here = two ? vec4(0, 0, here.xy) : here;
 }
 
-// The shares of the eight octants of a brick: those at x = 0 and at x = 1, by y, then z.
-void octantShares(uvec2 brick, out vec4 even, out vec4 odd)
+// The block at a place in units of blocks.
+uint blockAt(vec3 at)
 {
-    uint low = byteCounts(brick.x), high = byteCounts(brick.y);
-    even = vec4(low & 0xFFu, low >> 16 & 0xFFu, high & 0xFFu, high >> 16 & 0xFFu) / 8.0;
-    odd = vec4(low >> 8 & 0xFFu, low >> 24, high >> 8 & 0xFFu, high >> 24) / 8.0;
+    float most = cover * power(-shaded - 2);
+    if (smallest(at) < 0.0 || largest(at) >= most)
+        return EMPTY_BLOCK;
+    vec3 place = at / most;
+    uint entry = entryAt(place);
+    return entry >= POINTERS ? entry - POINTERS : entry >= LEAVES ? FULL_BLOCK : EMPTY_BLOCK;
 }
 
-// The node of size 2^k at a position in units of such nodes: 0 nothing, 1 a node, 2 inside.
-int nodeAt(ivec3 place, int k, ivec3 hit, int hitSize, uint mirror, out uvec2 node)
+// The gradient of the coverage of the cells, at a place in such cells: of the 4^3 around it, row by
+// row along x, each in two blocks. Weights are rotated: lists at variable places are slow.
+vec3 coverageGradient(vec3 place)
 {
-    node = uvec2(0);
-    if (any(lessThan(place, ivec3(0))) || any(greaterThanEqual(place, ivec3(1 << (root - k)))))
-        return 0;
-    ivec3 changed = place ^ (hit >> k);
-    int bits = changed.x | changed.y | changed.z;
-    int at = max(k + (bits == 0 ? 0 : highestBit(bits) + 1), hitSize);
-    if (at == hitSize && hitSize > 2)
-        return 2;
-    node = stack[at];
-    while (at > k) {
-        uint octant = octantAt(place, at - 1 - k, mirror);
-        if ((node.y >> octant & 1u) == 0u)
-            return 0;
-        if (at > 3 && (node.y >> (8u + octant) & 1u) == 0u)
-            return 2;
-        node = childOf(node, octant, at);
-        --at;
-    }
-    return 1;
-}
-
-// A set of octants, one bit each, mirrored.
-uint mirroredOctants(uint octants, uint mirror)
-{
-    if ((mirror & 1u) != 0u)
-        octants = (octants & 0x55u) << 1 | octants >> 1 & 0x55u;
-    if ((mirror & 2u) != 0u)
-        octants = (octants & 0x33u) << 2 | octants >> 2 & 0x33u;
-    if ((mirror & 4u) != 0u)
-        octants = (octants & 0x0Fu) << 4 | octants >> 4;
-    return octants;
-}
-
-// The gradient of the coverage of cells of size 2^k, at a place in such cells. The inner loop visits
-// only children that hold a voxel and are within reach: rays side by side wait for each other less.
-vec3 coverageGradient(vec3 place, int k, ivec3 hit, int hitSize, uint mirror)
-{
-    vec3 before = floor(place - 0.5), f = place - 0.5 - before;
-    ivec3 first = ivec3(before) - 1, low = first >> 1, odd = first & 1, last = low + 1 + odd;
-    vec4 xs[3], ys[3], zs[3];
-    spline(f.x, odd.x == 1, (mirror & 1u) != 0u, xs);
-    spline(f.y, odd.y == 1, (mirror & 2u) != 0u, ys);
-    spline(f.z, odd.z == 1, (mirror & 4u) != 0u, zs);
-    ivec3 holders = (last >> 1) - (low >> 1) + 1;
+    vec3 before = floor(place - 0.5), f = place - 0.5 - before, first = before - 1.0;
+    vec3 block = floor(0.25 * first), within = first - 4.0 * block;
+    vec4 x, xSlope, xThere, xSlopeThere, y, ySlope, z, zSlope;
+    spline(f.x, x, xSlope);
+    spline(f.y, y, ySlope);
+    spline(f.z, z, zSlope);
+    moveOn(within.x, x, xThere);
+    moveOn(within.x, xSlope, xSlopeThere);
+    uvec4 here = uvec4(blockAt(block), blockAt(block + vec3(0, 1, 0)), blockAt(block + vec3(0, 0, 1)),
+                       blockAt(block + vec3(0, 1, 1)));
+    block.x += 1.0;
+    uvec4 there = uvec4(blockAt(block), blockAt(block + vec3(0, 1, 0)), blockAt(block + vec3(0, 0, 1)),
+                        blockAt(block + vec3(0, 1, 1)));
     vec3 gradient = vec3(0);
-    for (int h = 0; h < holders.x * holders.y * holders.z; ++h) {
-        ivec3 at = (low >> 1) + ivec3(h % holders.x, h / holders.x % holders.y,
-                                      h / (holders.x * holders.y));
-        uvec2 holder;
-        int kind = nodeAt(at, k + 2, hit, hitSize, mirror, holder);
-        if (kind == 0)
-            continue;
-        ivec3 begin = 2 * at - low;
-        uvec3 sides = uvec3(0x55u, 0x33u, 0x0Fu) * uvec3(greaterThanEqual(begin, ivec3(0))) |
-                      uvec3(0xAAu, 0xCCu, 0xF0u) * uvec3(lessThan(begin, last - low));
-        uint held = kind == 2 ? 0xFFu : mirroredOctants(holder.y & 0xFFu, mirror);
-        for (uint rest = held & sides.x & sides.y & sides.z; rest != 0u; rest &= rest - 1u) {
-            uint i = uint(highestBit(int(rest & -rest)));
-            ivec3 n = begin + ivec3(i & 1u, i >> 1 & 1u, i >> 2);
-            uint octant = i ^ mirror;
-            vec4 even = vec4(1), next = vec4(1);
-            if (kind == 1 && k == 1)
-                octantShares(childOf(holder, octant, 3), even, next);
-            else if (kind == 1 && (holder.y >> (8u + octant) & 1u) != 0u) {
-                uint rank = popcount(holder.y >> 8 & ((1u << octant) - 1u));
-                uint node = 2u * (holder.x + rank);
-                even = texelFetch(shares, texel(node, rowBits), 0);
-                next = texelFetch(shares, texel(node + 1u, rowBits), 0);
-            }
-            vec4 x = xs[n.x], y = ys[n.y], z = zs[n.z];
-            vec4 mean = even * x.x + next * x.y, change = even * x.z + next * x.w;
-            vec4 wy = y.xyxy, wz = z.xxyy;
-            gradient += vec3(dot(change, wy * wz), dot(mean, y.zwzw * wz), dot(mean, wy * z.zzww));
+    for (int i = 0; i < 16; ++i) {
+        bool nextY = within.y >= 4.0, nextZ = within.z >= 4.0;
+        uvec2 near = nextZ ? here.zw : here.xy, far = nextZ ? there.zw : there.xy;
+        uvec2 pair = nextY ? uvec2(near.y, far.y) : uvec2(near.x, far.x);
+        if (pair != uvec2(EMPTY_BLOCK)) {
+            float row = within.y + 4.0 * within.z - (nextY ? 4.0 : 0.0) - (nextZ ? 16.0 : 0.0);
+            uvec2 at = 16u * pair + uint(int(row));
+            vec4 cells = texelFetch(shares, texel(at.x, rowBits), 0);
+            vec4 others = texelFetch(shares, texel(at.y, rowBits), 0);
+            float mean = dot(cells, x) + dot(others, xThere);
+            float change = dot(cells, xSlope) + dot(others, xSlopeThere);
+            gradient += vec3(change * y.x * z.x, mean * ySlope.x * z.x, mean * y.x * zSlope.x);
         }
+        bool last = (i & 3) == 3;
+        within.y += last ? -3.0 : 1.0;
+        y = y.yzwx, ySlope = ySlope.yzwx;
+        if (last)
+            within.z += 1.0, z = z.yzwx, zSlope = zSlope.yzwx;
     }
-    return gradient;
+    return gradient * (255.0 / WHOLE);
 }
 
 // The unit normal at a hit, towards the viewer: opposite to the gradient of the coverage. A normal
 // that points away from the viewer is turned until it is perpendicular to the view. Where the
 // gradient vanishes, and on clipping planes, it is the face's.
-vec3 normalAt(Ray ray, vec3 direction, float t, bool clipped, ivec3 low, int k, vec3 face)
+vec3 normalAt(Ray ray, vec3 direction, float t, bool clipped, vec3 low, int k, vec3 face)
 {
-    vec3 view = direction * pitch;
-    float cell = float(1 << shaded);
-    vec3 hit = clamp(ray.origin + t * ray.speed, vec3(low), vec3(low + (1 << k)));
-    vec3 place = (hit - AHEAD * cell * normalize(ray.speed)) / cell;
-    vec3 into = vec3(0);
-    if (!clipped)
-        into = unmirrored(coverageGradient(place, shaded, low, k, ray.mirror), ray.mirror) / pitch;
+    vec3 view = direction * pitch, into = vec3(0);
+    if (!clipped) {
+        vec3 hit = clamp(ray.origin + t * ray.speed, low, low + power(k));
+        vec3 place = hit - AHEAD * power(shaded) * normalize(ray.speed);
+        place += ray.down * (power(root) - 2.0 * place);
+        into = coverageGradient(place * power(-shaded)) / pitch;
+    }
     float along = dot(into, view);
     if (along < 0.0)
         into -= along / dot(view, view) * view;
     if (dot(into, into) < VANISHES * VANISHES)
-        into = unmirrored(face, ray.mirror);
+        into = unmirrored(face, ray.down);
     return -normalize(into);
 }
 
 vec3 hue(float h) { return clamp(abs(mod(h * 6.0 + vec3(0, 4, 2), 6.0) - 3.0) - 1.0, 0.0, 1.0); }
 
 // Whether a hit is within a pixel of an edge of its face.
-bool onEdge(Ray ray, float t, ivec3 low, int k, vec3 face)
+bool onEdge(Ray ray, float t, vec3 low, int k, vec3 face)
 {
-    vec3 within = (ray.origin + t * ray.speed - vec3(low)) / float(1 << k);
+    vec3 within = (ray.origin + t * ray.speed - low) * power(-k);
     vec3 margin = min(within, 1.0 - within) + face;
-    vec3 pixel = max(abs(startRight + t * wayRight), abs(startDown + t * wayDown)) / float(1 << k);
+    vec3 pixel = max(abs(startRight + t * wayRight), abs(startDown + t * wayDown)) * power(-k);
     return any(lessThan(margin, 0.75 * vec3(largest(pixel)))) && largest(pixel) < 0.2;
 }
 
@@ -266,20 +228,19 @@ void main()
     vec3 origin, direction;
     rayOfPixel(origin, direction);
     Ray ray = mirrored(origin, direction);
-    vec3 down = vec3(ray.mirror & 1u, ray.mirror >> 1 & 1u, ray.mirror >> 2);
-    vec3 side = vec3(1 << root);
-    vec3 low = mix(clipLow, side - clipHigh, down), high = mix(clipHigh, side - clipLow, down);
+    vec3 side = vec3(power(root));
+    vec3 low = mix(clipLow, side - clipHigh, ray.down), high = mix(clipHigh, side - clipLow, ray.down);
     vec3 ins = (low - ray.origin) * ray.inverse, outs = (high - ray.origin) * ray.inverse;
     float enters = max(largest(ins), nearest), end = smallest(outs);
     if (!(enters < end))
         return;
     float t = enters;
-    ivec3 p = clamp(ivec3(floor(ray.origin + t * ray.speed)), ivec3(low), ivec3(high) - 1), node;
+    vec3 p = clamp(floor(ray.origin + t * ray.speed), low, high - 1.0), node;
     int k;
     if (!follow(ray, p, end, t, node, k))
         return;
-    vec3 begins = (vec3(node) - ray.origin) * ray.inverse;
-    vec3 cut = mix(vec3(greaterThan(clipLow, vec3(0))), vec3(lessThan(clipHigh, extent)), down);
+    vec3 begins = (node - ray.origin) * ray.inverse;
+    vec3 cut = mix(vec3(greaterThan(clipLow, vec3(0))), vec3(lessThan(clipHigh, extent)), ray.down);
     bool clipped = t == enters && dot(vec3(equal(ins, vec3(t))), cut) > 0.0;
     vec3 planes = clipped ? ins : begins;
     float last = largest(planes);
@@ -293,6 +254,7 @@ void main()
                               : bright * mix(vec3(1), hue(float(k) * 0.13), 0.6);
     if (edges && onEdge(ray, t, node, k, face))
         shown *= 0.5;
+    node += ray.down * (side - power(k) - 2.0 * node);
     picture = vec4(shown, 1);
-    id = uvec4(unmirroredLow(node, k, ray.mirror), k + 1);
+    id = uvec4(uvec3(node), k + 1);
 }

@@ -3,50 +3,6 @@
 const PAINTS = ["light", "depth", "normal", "level"];
 const BRICK = 2; // size of a brick, 2^2 voxels
 
-/** @param {number} v */
-function popcount(v) {
-  let count = 0;
-  for (let rest = v; rest; rest &= rest - 1) ++count;
-  return count;
-}
-
-/** The arrays of the nodes' textures; octree.frag describes them.
- * @param {number[]} counts of nodes by level, root first @param {Uint8Array} children pairs: which
- * children hold a voxel, which of these are refined
- * @param {(leaf: number) => number} shareOf how much is set of a child of the last level */
-function octreeTexels(counts, children, shareOf) {
-  const total = children.length / 2;
-  const nodes = new Uint32Array(2 * total);
-  const shares = new Float32Array(8 * total); // of the children, those at x = 0 first
-  let next = counts[0]; // the first node of the level below
-  let leaf = 0;
-  for (let i = 0; i < total; ++i) {
-    const held = children[2 * i];
-    const refined = children[2 * i + 1];
-    const last = i >= total - counts[counts.length - 1];
-    nodes[2 * i] = last ? leaf : next;
-    nodes[2 * i + 1] = held | (refined << 8);
-    if (last) leaf += popcount(held);
-    else next += popcount(refined);
-  }
-  const means = new Float32Array(total);
-  for (let i = total - 1; i >= 0; --i) {
-    const [first, held, refined] = [nodes[2 * i], children[2 * i], children[2 * i + 1]];
-    const last = i >= total - counts[counts.length - 1];
-    let sum = 0;
-    for (let octant = 0, rank = 0; octant < 8; ++octant) {
-      if (!((held >> octant) & 1)) continue;
-      let share = 1;
-      if (last) share = shareOf(first + rank++);
-      else if ((refined >> octant) & 1) share = means[first + rank++];
-      shares[8 * i + 4 * (octant & 1) + (octant >> 1)] = share;
-      sum += share;
-    }
-    means[i] = sum / 8;
-  }
-  return { nodes, shares };
-}
-
 /** @param {any} facts of the page @returns {Kind} */
 function octreeKind(facts) {
   const { shape, origin, pitch, finest } = facts; // the finest level, if it is not voxels
@@ -55,6 +11,24 @@ function octreeKind(facts) {
   const axes = ["x", "y", "z"];
   /** @param {Settings} settings */
   const sizeOf = (settings) => (settings.level === "voxel" ? 0 : Number(settings.level) + BRICK);
+  /** The size of the cells of the shading: two voxels at least. @param {Settings} settings */
+  const cellOf = (settings) => Math.min(Math.max(sizeOf(settings), 1), facts.root - 2);
+  /** @type {any} */
+  let kept = {};
+
+  /** Makes the textures of the level that is drawn. @param {WebGL2RenderingContext} gl
+   * @param {Settings} settings */
+  const upload = (gl, settings) => {
+    if (kept.level === settings.level) return kept.told;
+    const { textures, links } = kept;
+    const { entries, words, cells, ...told } = blocksOf(links, cellOf(settings), sizeOf(settings) ? null : kept.bricks);
+    for (const name of ["entries", "bricks", "shares"]) gl.deleteTexture(textures[name]);
+    textures.entries = listTexture(gl, "u4x1", entries, "nodes");
+    textures.bricks = listTexture(gl, "u4x2", words, "bricks");
+    textures.shares = listTexture(gl, "n1x4", cells, "bricks");
+    Object.assign(kept, { level: settings.level, told });
+    return told;
+  };
   return {
     controls: [
       { name: "level", label: "Level (+ and −)", type: "select", options: levels, start: levels[0] },
@@ -70,16 +44,13 @@ function octreeKind(facts) {
         ),
       ),
     ],
-    textures(gl, arrays) {
-      const bricks = arrays.bricks || new Uint32Array(2);
+    textures(_, arrays) {
+      const { children, bricks } = arrays;
       const shareOf = (/** @type {number} */ i) =>
         arrays.shares ? arrays.shares[i] : (popcount(bricks[2 * i]) + popcount(bricks[2 * i + 1])) / 64;
-      const { nodes, shares } = octreeTexels(facts.levels, arrays.children, shareOf);
-      return {
-        nodes: listTexture(gl, "u4x2", nodes, "nodes"),
-        bricks: listTexture(gl, "u4x2", bricks, "bricks"),
-        shares: listTexture(gl, "f4x4", shares, "nodes"),
-      };
+      const links = linksOf(facts.root, facts.levels, children, shareOf);
+      kept = { textures: { entries: null, bricks: null, shares: null }, links, bricks };
+      return kept.textures;
     },
     origin,
     scale: pitch,
@@ -95,7 +66,9 @@ function octreeKind(facts) {
         rowBits: rowBits(gl),
         root: facts.root,
         finest: sizeOf(settings),
-        shaded: Math.min(Math.max(sizeOf(settings), 1), facts.root - 2),
+        shaded: cellOf(settings),
+        ...upload(gl, settings),
+        ...LAYOUT,
         pitch: pitch.map((/** @type {number} */ p) => p / longest),
         clipLow: axes.map((axis) => Number(settings[`${axis}-from`])),
         clipHigh: axes.map((axis) => Number(settings[`${axis}-to`])),

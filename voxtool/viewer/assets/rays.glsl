@@ -34,14 +34,6 @@ ivec2 texel(uint i, int rowBits)
     return ivec2(int(i) & ((1 << rowBits) - 1), int(i) >> rowBits);
 }
 
-// The number of bits that are set.
-uint popcount(uint v)
-{
-    v = v - (v >> 1 & 0x55555555u);
-    v = (v & 0x33333333u) + (v >> 2 & 0x33333333u);
-    return ((v + (v >> 4) & 0x0F0F0F0Fu) * 0x01010101u) >> 24;
-}
-
 // The position of the highest bit that is set in v, 0 < v < 2^24.
 int highestBit(int v) { return (floatBitsToInt(float(v)) >> 23) - 127; }
 
