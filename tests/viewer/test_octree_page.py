@@ -195,14 +195,22 @@ def test_two_fingers_zoom_and_move(octree, viewer: Viewer) -> None:
         return float(np.linalg.norm(np.subtract(camera.eye, camera.target)))
 
     assert touch("Start", (50, 100)) == touch("Start", (50, 100), (100, 100)) == start
+
+    def under(camera: Camera, x: float, y: float) -> np.ndarray:
+        """The point under a pixel, in the plane of the target; the view is along -z."""
+        pixel = distance(camera) * 2 * np.tan(np.radians(15)) / 360
+        return np.add(camera.target, [pixel * (x - 240), pixel * (180 - y), 0])
+
     nearer = touch("Move", (50, 100), (150, 100))
     assert distance(nearer) == pytest.approx(distance(start) / 2)
-    moved = touch("Move", (50, 120), (150, 120))
+    assert under(nearer, 100, 100) == pytest.approx(under(start, 75, 100))
+    aside = touch("Move", (50, 120), (150, 120))
+    assert under(aside, 100, 120) == pytest.approx(under(start, 75, 100))
+    moved = touch("Move", (80, 120), (180, 120))  # along the line of the fingers
     touch("End")
     assert distance(moved) == pytest.approx(distance(nearer))
-    pixel = distance(moved) * 2 * np.tan(np.radians(15)) / 360
-    shift = np.subtract(moved.target, nearer.target)
-    assert shift == pytest.approx([0, 20 * pixel, 0], abs=0.5 * pixel)
+    assert under(moved, 130, 120) == pytest.approx(under(start, 75, 100))
+    assert np.subtract(moved.target, moved.eye) == pytest.approx([0, 0, -distance(moved)])
     turned = touch("Start", (50, 100))
     turned = touch("Move", (90, 100))
     touch("End")
@@ -245,6 +253,9 @@ def test_the_copied_command_draws_the_picture(octree, viewer: Viewer, here: Path
     download.value.save_as("saved.png")
     drawn, saved = (np.asarray(Image.open(f"{name}.png")) for name in ("drawn", "saved"))
     check_same(saved, drawn / 255)
+    viewer.set(voxtool.camera_for(octree), edges="true")
+    viewer.tab.click("#copy")
+    viewer.wait("document.getElementById('message').textContent.includes('no clipping, edges or')")
 
 
 @pytest.mark.usefixtures("large")

@@ -270,8 +270,26 @@ def test_the_copied_command(settings: dict[str, str], volume, viewer: Viewer, he
     assert (np.abs(over_white - expected) > 2).any(axis=2).mean() <= 1 - SHARE
 
 
-def test_the_copied_command_names_the_saved_file(volume, viewer: Viewer) -> None:
+@pytest.mark.usefixtures("large")
+def test_the_copied_command_names_the_saved_file(volume, viewer: Viewer, here: Path) -> None:
+    """The line says to save the transfer function first; then the command draws the picture."""
     changed = setting(named("gray", *volume.scalar_range, 1.0))
     viewer.set(cameras(volume)["iso"], transfer=changed)
-    command = viewer.tab.evaluate("voxtool.command()")
+    viewer.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    viewer.tab.click("#copy")
+    viewer.wait("document.getElementById('message').textContent.startsWith('Copied')")
+    note, _, command = viewer.message.partition(": voxtool ")
+    assert note == "Copied (first save its transfer function: Save JSON)"
     assert command.endswith(" --transfer volume.transfer.json")
+    with viewer.tab.expect_download() as download:
+        viewer.tab.click("#transfer-save")
+    download.value.save_as("volume.transfer.json")
+    words = shlex.split(command)
+    words[words.index("--size") + 1] = f"{SIZE[0]}x{SIZE[1]}"
+    place = words.index("--background")
+    run(f"{shlex.join(words[:place] + words[place + 2 :])} -q --float -o drawn.npy")
+    colours, _ = viewer.picture(*SIZE)
+    check_same(colours, np.load("drawn.npy"), SHARE)
+    viewer.set(cameras(volume)["iso"])
+    viewer.tab.click("#copy")
+    viewer.wait("document.getElementById('message').textContent.startsWith('Copied: voxtool')")

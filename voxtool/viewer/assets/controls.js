@@ -1,5 +1,7 @@
 // The camera under the pointer, touches and keys.
 
+/** @typedef {{x: number, y: number}} Finger pixels from the middle of the picture */
+
 const CLICKS_A_TURN = 2 * Math.PI; // radians that a drag along the shorter side turns
 const KEY_STEP = 0.02; // of the distance to the target, for each frame that a key is down
 const WHEEL = 0.001; // of the logarithm of the distance, for a pixel of the wheel
@@ -40,6 +42,17 @@ function zoom(camera, factor) {
     camera.eye = plus(camera.target, times(factor, minus(camera.eye, camera.target)));
 }
 
+/** Zooms and pans so that what was under the middle of two fingers stays under it.
+ * @param {Camera} camera @param {Finger[]} before @param {Finger[]} after
+ * @param {number} side pixels of the shorter side of the picture */
+function pinch(camera, before, after, side) {
+  const [gap, wider] = [before, after].map(([a, b]) => Math.hypot(a.x - b.x, a.y - b.y));
+  const factor = gap > 0 && wider > 0 ? gap / wider : 1;
+  const [from, to] = [before, after].map(([a, b]) => [(a.x + b.x) / 2, (a.y + b.y) / 2]);
+  pan(camera, factor * to[0] - from[0], factor * to[1] - from[1], side);
+  zoom(camera, factor);
+}
+
 /** Flies by the keys that are down. @param {Camera} camera @param {Set<string>} keys
  * @returns {boolean} whether the camera moved */
 function fly(camera, keys) {
@@ -64,17 +77,20 @@ function fly(camera, keys) {
  * @param {HTMLCanvasElement} canvas @param {() => Camera} camera @param {() => void} moved
  * @param {(x: number, y: number) => void} pointed @param {(key: string) => void} pressed */
 function listen(canvas, camera, moved, pointed, pressed) {
-  /** @type {Map<number, {x: number, y: number}>} */
+  /** @type {Map<number, Finger>} */
   const pointers = new Map();
   /** @type {Set<string>} */
   const keys = new Set();
   const side = () => Math.min(canvas.clientWidth, canvas.clientHeight);
+  /** @param {PointerEvent} event @returns {Finger} */
+  const fingerOf = ({ offsetX, offsetY }) =>
+    ({ x: offsetX - canvas.clientWidth / 2, y: offsetY - canvas.clientHeight / 2 });
   /** @param {number} x @param {number} y */
   const turn = (x, y) => orbit(camera(), (CLICKS_A_TURN * x) / side(), (CLICKS_A_TURN * y) / side());
 
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
-    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    pointers.set(event.pointerId, fingerOf(event));
   });
   for (const end of /** @type {const} */ (["pointerup", "pointercancel"]))
     canvas.addEventListener(end, (event) => pointers.delete(event.pointerId));
@@ -82,16 +98,14 @@ function listen(canvas, camera, moved, pointed, pressed) {
   canvas.addEventListener("pointermove", (event) => {
     const before = pointers.get(event.pointerId);
     if (!before) return pointed(event.offsetX, event.offsetY);
-    const [x, y] = [event.clientX - before.x, event.clientY - before.y];
+    const now = fingerOf(event);
+    const [x, y] = [now.x - before.x, now.y - before.y];
     if (pointers.size === 2) {
       const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1] || before;
-      const gap = Math.hypot(before.x - other.x, before.y - other.y);
-      const wider = Math.hypot(event.clientX - other.x, event.clientY - other.y);
-      if (gap > 0 && wider > 0) zoom(camera(), gap / wider);
-      pan(camera(), x / 2, y / 2, side());
+      pinch(camera(), [before, other], [now, other], side());
     } else if (event.buttons & 2 || event.buttons & 4 || event.shiftKey) pan(camera(), x, y, side());
     else turn(x, y);
-    pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    pointers.set(event.pointerId, now);
     moved();
   });
   canvas.addEventListener("wheel", (event) => {

@@ -82,7 +82,10 @@ function fieldKind(facts) {
     },
     command(settings) {
       const offset = Number(settings.offset);
-      return { options: offset ? ` --offset ${offset}` : "", same: settings.plane === "none" };
+      return {
+        options: offset ? ` --offset ${offset}` : "",
+        note: settings.plane === "none" ? "" : "render has no cutting plane",
+      };
     },
     describe([x, y, z, size]) {
       if (!size) return "";

@@ -126,13 +126,12 @@ async function start(kindOf) {
     changed();
   });
   const command = () => {
-    const { options, same } = kind.command(state.settings);
+    const { options, note } = kind.command(state.settings);
     const text = commandOf(facts.file, state.camera, options, canvas.width, canvas.height);
-    return { text, same };
+    return { text, beside: note && ` (${note})` };
   };
   element("copy").addEventListener("click", async () => {
-    const { text, same } = command();
-    const beside = same ? "" : " (without colours, edges, clipping or planes that render does not have)";
+    const { text, beside } = command();
     try {
       await navigator.clipboard.writeText(text);
       say(`Copied${beside}: ${text}`);

@@ -84,7 +84,7 @@ function octreeKind(facts) {
       const whole = axes.every(
         (axis, a) => Number(settings[`${axis}-from`]) <= 0 && Number(settings[`${axis}-to`]) >= shape[a],
       );
-      return { options: level, same: plain && whole };
+      return { options: level, note: plain && whole ? "" : "render has no clipping, edges or other colours" };
     },
     describe([x, y, z, size]) {
       if (!size) return "";

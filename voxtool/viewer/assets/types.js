@@ -15,8 +15,8 @@
  * @property {Vector} scale of these coordinates, by axis
  * @property {(gl: WebGL2RenderingContext, settings: Settings, camera: Camera) =>
  *     Record<string, any>} uniforms
- * @property {(settings: Settings) => {options: string, same: boolean}} command the options of
- *     `voxtool render`, and whether its picture is the same
+ * @property {(settings: Settings) => {options: string, note: string}} command the options of
+ *     `voxtool render`, and what it lacks or needs for the same picture
  * @property {(id: number[]) => string} describe what a pixel with this id shows
  * @property {Record<string, (settings: Settings) => void>} keys
  */

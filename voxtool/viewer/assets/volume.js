@@ -129,11 +129,11 @@ function volumeKind(facts) {
     },
     command(settings) {
       const surfaces = surfaceOptions(settings);
-      if (alone(settings)) return { options: surfaces, same: true };
+      if (alone(settings)) return { options: surfaces, note: "" };
       const plain = settings.transfer === start;
       const named = surfaces ? ` --map ${facts.map}` : "";
       const transfer = plain ? named : ` --transfer ${quoted(`${facts.name}.transfer.json`)}`;
-      return { options: surfaces + transfer, same: plain };
+      return { options: surfaces + transfer, note: plain ? "" : "first save its transfer function: Save JSON" };
     },
     describe([cell, , , met]) {
       return met ? `cell ${cell} of ${facts.noun}, entered first` : "";
