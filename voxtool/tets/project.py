@@ -21,7 +21,8 @@ pictures of both methods differ by the rounding of depths and scalars at entries
 excludes cells that overlap in space, and constant cells on rays in the plane of a face between
 them, where either cell is right.
 
-Kernels: kernels/tets/project.cl.
+Kernels: kernels/tets/project.cl lists the cells, and is the same for every integrator;
+kernels/tets/composite.cl draws them.
 """
 
 from __future__ import annotations
@@ -42,7 +43,8 @@ if TYPE_CHECKING:
     from voxtool.tets.integrate import Integral
     from voxtool.tets.view import DeviceVolume, ShownCells, Viewpoint
 
-SOURCE = "tets/project.cl"
+LISTS = "tets/project.cl"
+PICTURES = "tets/composite.cl"
 TILE = 8  # pixels along the side of a tile; a multiple of 4
 PENDING = 32  # fragments of a ray that the buffer holds
 MAX_PAIRS = (1 << 31) - 1  # pairs of a cell and a tile
@@ -88,7 +90,7 @@ class CellProjection:
         self.device, self.max_pairs = volume.device, max_pairs
         width, height = view.rays.size
         self.tiles_across, self.tiles_down = -(-width // TILE), -(-height // TILE)
-        self.options = {**volume.options, **integral.options, **view.options, "PENDING": pending}
+        self.pending = pending
 
     def run(self) -> Projection:
         """Project the cells, list them by tile, and composite each ray's fragments.
@@ -109,7 +111,8 @@ class CellProjection:
         return Projection(picture, cells.size, pair_cells.size, total, int(passes.max()))
 
     def _kernel(self, name: str) -> Callable[..., None]:
-        return self.device.kernel(SOURCE, name, **self.options)
+        """Return a kernel that lists cells."""
+        return self.device.kernel(LISTS, name, **self.volume.options, **self.view.options)
 
     def _project_cells(self) -> tuple[Array, Array]:
         """Return the cells' records, and the cells that may be in the picture, by depth."""
@@ -175,7 +178,9 @@ class CellProjection:
         picture = device.empty(4 * width * height, np.float32)
         tallies = device.empty(2 * items, np.uint32)
         # writes: picture, tallies
-        self._kernel("composite")(
+        options = {**self.integral.options, **self.view.options, "PENDING": self.pending}
+        composite = device.kernel(PICTURES, "composite", FACES=self.volume.faces, **options)
+        composite(
             items,
             **self.integral.arguments,
             **self.view.arguments,
