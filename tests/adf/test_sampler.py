@@ -89,7 +89,8 @@ def test_the_filter_is_within_its_weights(name: str, device: Device) -> None:
         if getattr(exact, values) is not None:
             one, other = (getattr(answer, values)[inside] for answer in (found, exact))
             assert np.array_equal(one, other), values
-    few = query_adf(field, points[:3], sampler="hardware", device=device)  # not by the host
+    # not by the host
+    few = query_adf(field, points[:3], sampler="hardware", device=device, **asked)
     assert np.array_equal(few.distance, found.distance[:3])
 
 

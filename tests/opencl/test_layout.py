@@ -58,21 +58,26 @@ def test_records_of_the_device_are_those_of_the_host(
     assert report(device, [head, *lines], len(expected), parameters, device.put(values)) == expected
 
 
-@pytest.mark.parametrize("header", headers.HOMES)
-def test_the_constants_of_the_device_are_those_of_the_host(device: Device, header: str) -> None:
-    """Every header compiles alone, and each whole number in it has the value, and the sign, of the
-    host module's constant of the same name."""
-    home = import_module(headers.HOMES[header])
-    numbers = {name.upper(): i for i, name in enumerate(ENUMERATIONS.get(header, ()))}
-    names = re.findall(r"(?m)^#define (\w+) -?\w+$", headers.generated(header))
-    expected = [int(numbers[n] if n in numbers else getattr(home, n)) for n in names]
-    assert numbers.keys() <= set(names)
-    lines = [f'#include "{header}"']
-    for i, name in enumerate(names):
-        lines += [f"out[{2 * i}] = {name};", f"out[{2 * i + 1}] = {name} > 0;"]
-    found = report(device, lines, max(2 * len(names), 1))
-    assert found[: 2 * len(names) : 2] == expected
-    assert found[1 : 2 * len(names) : 2] == [int(value > 0) for value in expected]
+def test_the_constants_of_the_device_are_those_of_the_host(device: Device) -> None:
+    """Each whole number in each header has the value, and the sign, of the host module's constant
+    of the same name. One program has those of all headers, and forgets one's before the next."""
+    head, body, expected = [], [], {}
+    for header, module in headers.HOMES.items():
+        home = import_module(module)
+        numbers = {name.upper(): i for i, name in enumerate(ENUMERATIONS.get(header, ()))}
+        defined = re.findall(r"(?m)^(#define (\w+) -?\w+)$", headers.generated(header))
+        names = [name for _, name in defined]
+        assert numbers.keys() <= set(names)
+        function, start = f"report_{re.sub(r'[^a-z]', '_', header)}", 2 * len(expected)
+        head += [*(line for line, _ in defined), f"void {function}(__global ulong *out) {{"]
+        for i, name in enumerate(names):
+            head += [f"out[{start + 2 * i}] = {name};", f"out[{start + 2 * i + 1}] = {name} > 0;"]
+            value = int(numbers[name] if name in numbers else getattr(home, name))
+            expected[header, name] = value, int(value > 0)
+        head += ["}", *(f"#undef {name}" for name in names)]
+        body.append(f"{function}(out);")
+    found = report(device, ["\n".join(head), *body], 2 * len(expected))
+    assert dict(zip(expected, zip(*[iter(found)] * 2, strict=True), strict=True)) == expected
 
 
 # ---- includes

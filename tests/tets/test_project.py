@@ -114,7 +114,7 @@ def test_more_cells_than_may_wait_and_all_out_of_order(device) -> None:
     assert np.abs(found.picture - wanted).max() < 1e-4
 
 
-@pytest.mark.parametrize("pending", [1, 2, 4])
+@pytest.mark.parametrize("pending", [1, 3])
 def test_any_number_may_wait(device, pending) -> None:
     volume, transfer = build_tet(mesh_with_holes(6, 0.1)), ramp(-1.5, 1.5, 5.0)
     passes = []
