@@ -6,6 +6,7 @@ Where there is a default, it is the first name, or a constant of its own, or dep
 from __future__ import annotations
 
 MIN_DIM, MAX_DIM, DEFAULT_DIM = 8, 65536, 256  # voxels along the longest side of a grid
+LENGTH_UNITS = ("um", "mm", "cm", "m", "in", "ft")  # those that a format of meshes defines
 FITS = ("uniform", "stretch")  # of grids to meshes
 MODES = ("surface26", "surface6", "solid")  # of voxelization
 DEFAULT_MODE = "solid"

@@ -13,6 +13,7 @@ import json
 import random
 import re
 import struct
+import zipfile
 from collections.abc import Callable
 from typing import Any
 
@@ -62,6 +63,8 @@ def changes_for(format: str, data: bytes) -> list[Change]:
         return [change_json, change_numbers]
     if format == "glb":
         return [change_glb, change_binary]
+    if format == "3mf":
+        return [change_zip, change_zip, change_binary]
     if b"\0" in data or format.endswith((".gz", "npz", "npy")):
         return [change_binary, change_numbers, change_lines]
     return [change_numbers, change_numbers, change_lines]
@@ -252,6 +255,22 @@ def change_glb(data: bytes, rng: random.Random) -> bytes:
     rest = data[20 + length :]
     head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(text) + len(rest), len(text), b"JSON")
     return head + text + rest
+
+
+def change_zip(data: bytes, rng: random.Random) -> bytes:
+    """A file of XML in a zip archive changed, packed again."""
+    out = io.BytesIO()
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(out, "w") as new:
+            names = old.namelist()
+            for name in names:
+                text = old.read(name)
+                if rng.random() < 1 / len(names):
+                    text = rng.choice((change_xml, change_numbers, change_bytes))(text, rng)
+                new.writestr(zipfile.ZipInfo(name), text, zipfile.ZIP_DEFLATED)
+    except Exception:  # another change damaged it before
+        return change_bytes(data, rng)
+    return out.getvalue()
 
 
 # ---- HDF5

@@ -7,6 +7,7 @@ import gzip
 import io
 import json
 import re
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,13 @@ from click.testing import CliRunner
 
 import voxtool
 from voxtool.cli.main import cli
-from voxtool.files import write_mesh
+from voxtool.files import threemf, write_mesh
 
 OCTREES = ("svo.h5", "svo.xml", "svo.xml.gz")
 FIELDS = ("adf.h5",)
 VOLUMES = ("raycast.tet.h5", "projection.tet.h5", "hexahedra.tet.h5")
-MESHES = ("obj", "ply", "stl", "off", "glb", "gltf", "text.ply", "text.stl", "obj.gz", "ply.gz")
+MESHES = ("obj", "ply", "stl", "off", "glb", "gltf", "text.ply", "text.stl", "obj.gz", "ply.gz",
+          "3mf")  # fmt: skip
 CELLS = ("vtu", "text.vtu", "vtk", "text.vtk", "msh", "text.msh", "old.msh", "mesh", "inp",
          "ucd.inp", "exo", "e")  # fmt: skip
 POINTS = ("npy", "columns.npy", "npz", "packed.npz", "csv", "xyz", "points.ply", "text.points.ply")
@@ -94,9 +96,34 @@ def write_meshes(folder: Path, ball: Any) -> None:
         (folder / f"a.{kind}").write_bytes(
             content if isinstance(content, bytes) else content.encode()
         )
+    write_3mf(folder / "a.3mf", ball)
     for kind in ("obj", "ply"):
         packed = gzip.compress((folder / f"a.{kind}").read_bytes(), mtime=0)
         (folder / f"a.{kind}.gz").write_bytes(packed)
+
+
+def write_3mf(path: Path, ball: Any) -> None:
+    """A 3MF of a mesh, and of a component that turns it."""
+    vertices = "".join(
+        f'<vertex x="{x!r}" y="{y!r}" z="{z!r}"/>' for x, y, z in ball.vertices.tolist()
+    )
+    triangles = "".join(
+        f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in ball.faces.tolist()
+    )
+    model = (
+        f'<model unit="inch" xmlns="{threemf.CORE}"><resources><object id="1"><mesh><vertices>'
+        f"{vertices}</vertices><triangles>{triangles}</triangles></mesh></object>"
+        '<object id="2"><components><component objectid="1" transform="0 1 0 -1 0 0 0 0 1 2 0 0"/>'
+        '</components></object></resources><build><item objectid="1"/><item objectid="2"/></build>'
+        "</model>"
+    )
+    relation = (
+        f'<Relationships xmlns="{threemf.RELATION.split()[0]}"><Relationship Target="/3D/a.model" '
+        f'Id="a" Type="{threemf.ROOT_MODEL}"/></Relationships>'
+    )
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for part, text in ((threemf.RELATIONS, relation), ("3D/a.model", model)):
+            archive.writestr(zipfile.ZipInfo(part), text, zipfile.ZIP_DEFLATED)
 
 
 def embedded(files: dict[str, bytes]) -> str:

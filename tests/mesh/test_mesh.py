@@ -267,7 +267,8 @@ def test_obj_refusals(text, parts, tmp_path):
     ("name", "data", "parts"),
     [
         ("m.foo", b"hello", ["unknown mesh format .foo", ".obj .stl .ply .off .glb .gltf"]),
-        ("m.3mf", b"PK", ["unknown mesh format .3mf"]),
+        ("m.3mf", b"PK", ["not readable as 3MF", "File is not a zip file"]),
+        ("m.dae", b"<COLLADA/>", ["unknown mesh format .dae"]),
         ("m.svo.h5", b"\x89HDF\r\n\x1a\n", ["voxtool output", "not a mesh"]),
         ("m.svo.xml", b"<?xml version='1.0'?>", ["XML", "not a mesh"]),
         ("m.vtu", b"<VTKFile>", ["VTK", "not a mesh"]),

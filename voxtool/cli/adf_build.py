@@ -51,18 +51,19 @@ if TYPE_CHECKING:
         True),
     option("--bounds/--no-bounds", bool, "Store a bound of each leaf's error, or not.", True,
         show_default=False),
+    options.length_options,
 )  # fmt: skip
 @runner.job_options("FILE", "Default MESH's name with .adf.h5, in this folder.", "adf.h5")
 def command(
     run: runner.Run, mesh: str, tolerance: float | None, tolerance_world: float | None,
-    **request: Any,
+    units: str | None, scale: float, **request: Any,
 ) -> None:  # fmt: skip
     """Build the adaptively sampled distance field of a triangle MESH.
 
-    MESH is an OBJ, STL, PLY, OFF or GLB file, .gz too, or - for stdin. The field fills a cube whose
-    side is 8/7 of the mesh's longest side. Its place is given in the mesh's own units, errors in
-    sides of the cube. The report ends with the errors of the field. --strict counts leaves over the
-    tolerance, too.
+    MESH is an OBJ, STL, PLY, OFF, GLB or 3MF file, .gz too, or - for stdin. The field fills a cube
+    whose side is 8/7 of the mesh's longest side. Its place is given in the mesh's own units, errors
+    in sides of the cube. The report ends with the errors of the field. --strict counts leaves over
+    the tolerance, too.
 
     \b
     Examples:
@@ -80,7 +81,9 @@ def command(
 
     run.to(mesh, options.output_of(mesh, "adf.h5"), ADF_FORMATS)
     with run:
-        loaded = run.stage("read mesh", load_mesh, mesh, max_memory=run.max_memory)
+        loaded = run.stage(
+            "read mesh", load_mesh, mesh, max_memory=run.max_memory, units=units, scale=scale
+        )
         if tolerance_world is not None:
             tolerance = tolerance_world / cube_of(loaded)[1]
         request["tolerance"] = DEFAULT_TOLERANCE if tolerance is None else tolerance

@@ -26,8 +26,8 @@ TUBE = 2e-3  # radius of a tube about a loop, of the mesh's longest side
 def command(run: runner.Run, mesh: str, dim: int, obj: str | None, faults_fail: bool) -> None:
     """Report what is wrong with a triangle MESH, where, and what to do about it.
 
-    MESH is an OBJ, STL, PLY, OFF or GLB file, .gz too, or - for stdin. Lengths and places are in
-    the mesh's own units; sizes also in voxels of a grid of --dim, on which the fill rules of
+    MESH is an OBJ, STL, PLY, OFF, GLB or 3MF file, .gz too, or - for stdin. Lengths and places are
+    in the mesh's own units; sizes also in voxels of a grid of --dim, on which the fill rules of
     voxelize are compared. Vertices at one position are one; faces are counted from 0.
 
     \b

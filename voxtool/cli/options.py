@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from voxtool.choices import FITS, MAX_DIM, MIN_DIM
+from voxtool.choices import FITS, LENGTH_UNITS, MAX_DIM, MIN_DIM
 from voxtool.errors import printable
 
 if TYPE_CHECKING:
@@ -176,6 +176,11 @@ device_option = option(
     "Number, kind (cpu, gpu) or part of a name, as `voxtool devices` lists them.  "
     "[default: $VOXTOOL_DEVICE, or the first that works, GPUs first]",
     metavar="DEVICE",
+)  # fmt: skip
+length_options = together(
+    option("--units", LENGTH_UNITS,
+        "What the mesh's numbers mean, once scaled.  [default: what the file says]"),
+    option("--scale", float, "Factor of the mesh's coordinates.", 1.0),
 )  # fmt: skip
 bbox_option = option(
     "--bbox", float, "Box that the grid covers, in world units, instead of the mesh's.", nargs=6,

@@ -40,18 +40,19 @@ if TYPE_CHECKING:
     option("--fit", FITS,
         "uniform: one pitch for all axes; stretch: each axis scaled apart, as eq. (5.1) of "
         "[voCCeL].", FITS[0]),
+    options.length_options,
 )  # fmt: skip
 @runner.job_options(
     "FILE", "Default MESH's name with .svo.h5, in this folder.", "svo.h5", "svo.xml", "svo.xml.gz"
 )  # fmt: skip
 def command(
     run: runner.Run, mesh: str, mode: str, fill: str, gap: int, with_surface: bool,
-    like: str | None, **placing: Any,
+    like: str | None, units: str | None, scale: float, **placing: Any,
 ) -> None:  # fmt: skip
     """Voxelize a triangle MESH directly into a sparse voxel octree.
 
-    MESH is an OBJ, STL, PLY, OFF or GLB file, .gz too, or - for stdin. Sizes are in the mesh's own
-    units; a voxel (i, j, k) is the cube from origin + pitch (i, j, k).
+    MESH is an OBJ, STL, PLY, OFF, GLB or 3MF file, .gz too, or - for stdin. Sizes are in the mesh's
+    own units, once scaled; a voxel (i, j, k) is the cube from origin + pitch (i, j, k).
 
     \b
     Examples:
@@ -72,7 +73,9 @@ def command(
 
     run.to(mesh, options.output_of(mesh, "svo.h5"), SVO_FORMATS)
     with run:
-        loaded = run.stage("read mesh", load_mesh, mesh, max_memory=run.max_memory)
+        loaded = run.stage(
+            "read mesh", load_mesh, mesh, max_memory=run.max_memory, units=units, scale=scale
+        )
         grid = read_svo(like).grid if like else Grid.fit(loaded, **placing)
         request = {"fill": fill, "gap": gap, "with_surface": with_surface}
         job = run.plan(plan_voxelize, loaded, grid, mode, **request)

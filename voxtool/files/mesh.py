@@ -1,14 +1,11 @@
-"""Reading triangle meshes: OBJ, OFF, PLY and STL by modules of their names, glTF by trimesh.
-
-trimesh reads from memory. Nothing is welded or moved.
-"""
+"""Reading triangle meshes, each format by the module of its name. Nothing is welded or moved."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
 import io
-import json
+import math
 import os
 import re
 import sys
@@ -17,21 +14,20 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from voxtool.errors import MeshError, VoxtoolError, one_line, printable
-from voxtool.files import obj, off, ply, stl
+from voxtool.choices import LENGTH_UNITS
+from voxtool.errors import MeshError, one_line, printable
+from voxtool.files import gltf, obj, off, ply, stl, threemf
 from voxtool.files.formats import GZIP, HDF5
 from voxtool.files.streams import STREAM, read_at_most, read_error
-from voxtool.memory import available_memory, check_memory
-from voxtool.mesh.mesh import Mesh, check_indices, check_promised, mesh_from_arrays
+from voxtool.memory import available_memory
+from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 
-KINDS = ("obj", "stl", "ply", "off", "glb", "gltf")  # what we, and trimesh with numpy alone, read
-OWN = {"obj": obj.parse, "off": off.parse, "ply": ply.parse, "stl": stl.parse}
+PLAIN = {"obj": obj.parse, "stl": stl.parse, "ply": ply.parse, "off": off.parse}  # no units
+KINDS = (*PLAIN, "glb", "gltf", "3mf")
 MAX_BYTES = 8 << 30  # of one file, unpacked
-# A .gz may unpack to this many times its size, and some bytes more. Of a plane of equal triangles,
-# ASCII STL packs best: 17 times. Deflate packs zeros 1032 times.
+# A .gz or .3mf may unpack to this many times its size, and some bytes more. Of a plane of equal
+# triangles, ASCII STL packs best: 17 times. Deflate packs zeros 1032 times.
 MOST_PACKED, ANY_SIZE = 100, 1 << 24
-ITEM_BYTES = 120  # of memory that each vertex or index of a glTF scene takes at most
-DEEPEST = 64  # nodes inside nodes of a scene
 
 
 def load_mesh(
@@ -39,8 +35,11 @@ def load_mesh(
     file_type: str | None = None,
     max_bytes: int = MAX_BYTES,
     max_memory: int | None = None,
+    *,
+    units: str | None = None,
+    scale: float = 1.0,
 ) -> Mesh:
-    """Read a triangle mesh from OBJ, STL, PLY, OFF, GLB or glTF, compressed with gzip or not.
+    """Read a triangle mesh from OBJ, STL, PLY, OFF, GLB, glTF or 3MF, also compressed with gzip.
 
     Polygons become fans of triangles. Objects and groups are merged into one mesh, and the meshes
     of a scene are placed by its transforms. Materials, textures and other files are not read.
@@ -55,6 +54,10 @@ def load_mesh(
         The largest file that is read, unpacked; never more than half of the free memory.
     max_memory : int, optional
         Bytes of memory that unpacking a .gz, or placing the meshes of a scene, may take.
+    units : str, optional
+        One of LENGTH_UNITS: what the scaled numbers mean, instead of what the file says.
+    scale : float, optional
+        Factor of all coordinates.
 
     Returns
     -------
@@ -66,6 +69,10 @@ def load_mesh(
         If the file cannot be read or contains no usable mesh; one line that names the file, the
         place (line, face or vertex) and a remedy.
     """
+    if not 0 < scale < math.inf:
+        raise MeshError(f"scale {scale:g}: give a positive number")
+    if units is not None and units not in LENGTH_UNITS:
+        raise MeshError(f"units {units!r} are unknown: choose one of {', '.join(LENGTH_UNITS)}")
     if isinstance(path, os.PathLike):
         path = os.fsdecode(path)
     name = printable(path if isinstance(path, str) else getattr(path, "name", "stream"))
@@ -89,9 +96,14 @@ def load_mesh(
     with ThreadPoolExecutor(1) as beside:  # hashing does not hold the interpreter's lock
         digest = beside.submit(hashlib.sha256, data)
         limit = most if max_memory is None else min(most, max_memory)
-        vertices, faces, units = _parsed(name, kind, data, limit, max_memory)
-    source = digest.result().hexdigest()
-    return mesh_from_arrays(vertices, faces, source_sha256=source, name=name, units=units)
+        vertices, faces, own_units = _parsed(name, kind, data, limit, max_memory)
+    if scale != 1:
+        with np.errstate(over="ignore"):  # infinity is refused with the vertex
+            vertices = vertices * scale
+    return mesh_from_arrays(
+        vertices, faces, source_sha256=digest.result().hexdigest(), name=name,
+        units=units or own_units,
+    )  # fmt: skip
 
 
 def as_mesh(thing: Any, max_memory: int | None = None) -> Mesh:
@@ -119,11 +131,13 @@ def _parsed(
     most."""
     data = _unpacked(name, data, limit)
     kind = kind or _kind_of_content(data)
-    if kind not in OWN:
-        return *_through_trimesh(name, kind, data, max_memory), "m"  # the units of glTF
+    if kind in ("glb", "gltf"):
+        return *gltf.parse(name, kind, data, max_memory), gltf.UNITS
+    if kind == "3mf":
+        return threemf.parse(name, data, most_unpacked(data, limit), max_memory)
     if kind == "obj":
         _refuse_binary(name, data)
-    return *OWN[kind](name, data), ""
+    return *PLAIN[kind](name, data), ""
 
 
 # --- bytes ---------------------------------------------------------------------------------------
@@ -136,6 +150,11 @@ def _too_large(name: str, most: int) -> MeshError:
     )
 
 
+def most_unpacked(data: bytes, limit: int) -> int:
+    """Return the bytes that packed data may unpack to."""
+    return min(limit, MOST_PACKED * len(data) + ANY_SIZE)
+
+
 def _unpacked(name: str, data: bytes, limit: int) -> bytes:
     """Return the data, decompressed if it is gzip; its size is known before memory is taken."""
     if not data.startswith(GZIP):
@@ -145,7 +164,7 @@ def _unpacked(name: str, data: bytes, limit: int) -> bytes:
     import gzip
     import zlib
 
-    most = min(limit, MOST_PACKED * len(data) + ANY_SIZE)
+    most = most_unpacked(data, limit)
     size = 0
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as packed:
@@ -209,6 +228,8 @@ def _kind_of_content(data: bytes) -> str:
         return "ply"
     if data.startswith(b"glTF"):
         return "glb"
+    if data.startswith(threemf.ZIP):
+        return "3mf"
     if re.match(rb"\s*(?:ST)?C?N?4?n?OFF\b", data):
         return "off"
     if data.lstrip().startswith(b"{"):
@@ -216,94 +237,3 @@ def _kind_of_content(data: bytes) -> str:
     if stl.binary_size(data) == len(data) or re.match(rb"\s*solid\b", data):
         return "stl"
     return "obj"
-
-
-# --- trimesh -------------------------------------------------------------------------------------
-
-
-def _through_trimesh(
-    name: str, kind: str, data: bytes, max_memory: int | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices and faces that trimesh reads from memory: no other file, no texture,
-    nothing moved."""
-    import logging
-
-    import trimesh
-
-    logging.getLogger("trimesh").addHandler(logging.NullHandler())
-    try:
-        _check_scene(name, kind, data, max_memory)
-        scene = trimesh.load_scene(
-            io.BytesIO(data),
-            file_type=kind,
-            process=False,
-            maintain_order=True,
-            skip_materials=True,
-        )
-        return _merged(name, scene)
-    except VoxtoolError:
-        raise
-    except (Exception, SystemExit) as error:
-        reason = one_line(error) or type(error).__name__
-        raise MeshError(
-            f"{name}: not readable as {kind.upper()}: {reason}: it may be truncated or damaged, "
-            "export it again"
-        ) from None
-
-
-def _merged(name: str, scene: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices and faces of all meshes of a scene, placed by its transforms."""
-    parents = {b: (a, attributes) for a, b, attributes in scene.graph.to_edgelist()}
-    all_points, all_corners, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
-    for node, (_, attributes) in parents.items():
-        mesh = scene.geometry.get(attributes.get("geometry"))
-        if mesh is None:
-            continue
-        points = np.asarray(mesh.vertices, np.float64)
-        corners = np.asarray(getattr(mesh, "faces", all_corners[0]))
-        check_indices(name, corners, len(points))
-        matrix = _placement(name, node, parents)
-        if not (matrix == np.eye(4)).all():
-            points = _product(matrix, [*points.T, np.ones(len(points))])[:3].T
-            (a, b, c), (d, e, f), (g, h, i) = matrix[:3, :3]
-            if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0:
-                corners = corners[:, ::-1]  # a mirror image keeps its outside
-        all_points.append(points)
-        all_corners.append(corners + count)
-        count += len(points)
-    return np.concatenate(all_points), np.concatenate(all_corners)
-
-
-def _placement(name: str, node: Any, parents: dict[Any, Any]) -> np.ndarray:
-    """Return the (4, 4) transform from the node's coordinates to the scene's."""
-    matrix = np.eye(4)
-    for _ in range(DEEPEST):
-        if node not in parents:
-            return matrix
-        node, attributes = parents[node]
-        matrix = _product(np.asarray(attributes.get("matrix", np.eye(4))), matrix)
-    raise MeshError(f"{name}: a scene of nodes inside more than {DEEPEST} others: flatten it")
-
-
-def _product(matrix: np.ndarray, rows: Any) -> np.ndarray:
-    """Return matrix @ rows, written out: results of BLAS differ between machines."""
-    m = matrix[:, :, None]
-    return m[:, 0] * rows[0] + m[:, 1] * rows[1] + m[:, 2] * rows[2] + m[:, 3] * rows[3]
-
-
-def _check_scene(name: str, kind: str, data: bytes, max_memory: int | None) -> None:
-    """Refuse a glTF scene with counts that its bytes cannot hold, or whose meshes do not fit in
-    memory: many may share the same bytes."""
-    text = data[20 : 20 + int.from_bytes(data[12:16], "little")] if kind == "glb" else data
-    tree: dict[str, Any] = json.loads(text)
-    counts = [int(accessor["count"]) for accessor in tree.get("accessors", [])]
-    check_promised(name, max(counts, default=0), 0, len(data))
-
-    def items(primitive: dict[str, Any]) -> int:
-        used = primitive["attributes"].get("POSITION"), primitive.get("indices")
-        return sum(counts[accessor] for accessor in used if accessor is not None)
-
-    meshes = [sum(map(items, mesh["primitives"])) for mesh in tree.get("meshes", [])]
-    placed = sum(meshes[node["mesh"]] for node in tree.get("nodes", []) if "mesh" in node)
-    needed = ITEM_BYTES * (sum(counts) + sum(meshes) + placed)
-    check_memory(needed, f"{name}: its meshes", "split the scene", max_memory)

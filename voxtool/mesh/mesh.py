@@ -38,7 +38,7 @@ class Mesh(Data):
     name : str
         File name for messages, or "".
     units : str
-        Name of the world unit if the format defines it, or "".
+        Name of the world unit if the format or the caller defines it, or "".
     """
 
     vertices: np.ndarray
