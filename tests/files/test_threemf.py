@@ -152,7 +152,7 @@ def test_components_of_another_part_of_the_archive() -> None:
         (rb'v1="0"', b'v1="99"', "face 0 names vertex 99 where there are 8"),
         (rb'v1="0"', b'v1="-1"', "names vertex -1"),
         (rb'v1="0"', b'v1="9999999999999999999999"', r"line \d+: "),
-        (rb'objectid="1"', b'objectid="7"', "has no object 7, which is built"),
+        (rb'objectid="1"', b'objectid="7"', "has no object 7 to build"),
         (rb'objectid="1"', b'objectid="2"', "objects inside more than 64 others"),
         (rb'transform="[^"]*"', b'transform="1 0"', "a transform is no 12 finite numbers"),
         (rb'transform="\S+ ', b'transform="nan ', "a transform is no 12 finite numbers"),

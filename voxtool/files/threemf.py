@@ -104,7 +104,7 @@ class _Package:
         try:
             info = self.archive.getinfo(part)
         except KeyError:
-            raise MeshError(f"{self.name}: not readable as 3MF: {_name(part)} is missing in it") from None
+            raise MeshError(f"{self.name}: no 3MF: {_name(part)} is missing in it") from None
         with self.archive.open(info) as file:
             while chunk := file.read(CHUNK):
                 self.left -= len(chunk)
@@ -138,7 +138,7 @@ class _Package:
         part, number = key
         found = self.model(part).objects.get(number)
         if found is None:
-            raise MeshError(f"{self.name}: {_name(part)} has no object {_name(number)}, which is built")
+            raise MeshError(f"{self.name}: {_name(part)} has no object {_name(number)} to build")
         return found
 
     def size(self, key: Key, depth: int = 0) -> int:
