@@ -61,6 +61,7 @@ EXCHANGE = {
     "npy": Exchange("npy", "dtype"),
     "npz": Exchange("npz", "grid, dtype; of the set cells alone"),
     "vti": Exchange("vti", "grid, dtype", reads=False),
+    "vdb": Exchange("vdb", "grid, coverage; dtype bool or float32; cubes as tiles", reads=False),
     "png": Exchange("slice_png", "one slice, as a picture", reads=False, parts=False),
 }
 EXPORTS = tuple(name for name, format in EXCHANGE.items() if format.writes)

@@ -279,6 +279,12 @@ class VoxelImage:
             self.progress(min((start + step) / len(leaves.codes), 1.0))
             yield Blocks(blocks.corners[held], blocks.values[held])
 
+    def block_nodes(self, side: int = 8) -> tuple[np.ndarray, np.ndarray]:
+        """Return the low cells of the blocks of `blocks(side)` and some that are empty, (n, 3)
+        int64, and the indices of their nodes in their level, or UNIFORM."""
+        leaves = self._leaves(side.bit_length() - 1)
+        return morton_decode(leaves.codes) * side, leaves.nodes
+
     def cubes(self, side: int = 8) -> list[Cubes]:
         """Return the cubes of `side` or more cells that are wholly set, coarse ones first."""
         return [

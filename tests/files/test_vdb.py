@@ -1,0 +1,139 @@
+"""OpenVDB's trees against OpenVDB's own library and against tinyvdb."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from helpers_octree import WORLD, ball
+
+import voxtool
+from voxtool.errors import VoxtoolError
+from voxtool.svo.image import VoxelImage
+
+tinyvdb: Any = pytest.importorskip("tinyvdb")
+SCRIPT = Path(__file__).parent.parent / "openvdb_script.py"
+PYTHON = "/usr/bin/python3"
+RANDOM = np.random.default_rng(0)
+FLAT = {"origin": (-1.5, 0.1, 1e-3), "pitch": (0.1, 0.25, 0.5)}
+SHAPES = {
+    "ball": ball((40, 33, 21)),
+    "large": ball((140, 136, 21), 0.6),  # with tiles, in two lower nodes along an axis
+    "noise": RANDOM.random((17, 30, 9)) < 0.3,
+    "one voxel": np.arange(8 * 9 * 10).reshape(8, 9, 10) == 123,
+    "all": np.ones((8, 16, 9), bool),
+    "cube": np.ones((136, 136, 136), bool),  # a tile of a lower node
+    "nothing": np.zeros((8, 9, 10), bool),
+}
+OPTIONS: dict[str, dict[str, Any]] = {
+    "voxels": {},
+    "coverage": {"dtype": "float32"},
+    "coarse": {"level": 1},
+    "halves": {"level": 1, "dtype": "bool"},
+    "unset": {"invert": True},
+    "part": {"bbox": (-1.2, 0.6, 0.2, 1.2, 2.1, 1.7), "dtype": "float32"},
+}
+
+
+class Case(NamedTuple):
+    octree: voxtool.Octree
+    image: VoxelImage
+    path: Path
+
+
+def openvdb(lines: list[tuple[Any, ...]]) -> None:
+    """Run the lines with OpenVDB's library."""
+    has = (
+        shutil.which(PYTHON)
+        and not subprocess.run([PYTHON, "-c", "import pyopenvdb"], capture_output=True).returncode
+    )
+    if not has:
+        pytest.skip("needs OpenVDB's library for the system's Python: apt install python3-openvdb")
+    text = "\n".join("\t".join(map(str, line)) for line in lines)
+    subprocess.run([PYTHON, SCRIPT], input=text.encode(), check=True)
+
+
+@pytest.fixture(scope="module")
+def cases(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], Case]:
+    folder, found = tmp_path_factory.mktemp("vdb"), {}
+    for shape, dense in SHAPES.items():
+        octree = voxtool.Octree.from_dense(dense, **(FLAT if shape == "noise" else WORLD))
+        for name, options in OPTIONS.items():
+            few = ("voxels", "coverage") if shape in ("large", "cube") else tuple(OPTIONS)
+            if name not in few or (name == "part" and shape not in ("ball", "noise")):
+                continue
+            path = folder / f"{shape} {name}.vdb"
+            voxtool.export(octree, path, **options)
+            found[shape, name] = Case(octree, VoxelImage.of(octree, **options), path)
+    return found
+
+
+def dense_of(image: VoxelImage) -> np.ndarray:
+    """The values of an image from the low corner of its grid on."""
+    found = np.zeros(np.add(image.low, image.shape), image.dtype)
+    part = tuple(slice(n, None) for n in image.low)
+    found[part] = np.concatenate(list(image.slabs()))
+    return found
+
+
+def test_openvdb_reads_the_same(cases: dict[tuple[str, str], Case], tmp_path: Path) -> None:
+    """Every cell, the world's positions of three corners, the class and the statistics."""
+    wanted = {key: dense_of(case.image) for key, case in cases.items()}
+    outs = {key: tmp_path / f"{' '.join(key)}.npz" for key in cases}
+    openvdb([("read", cases[key].path, outs[key], *wanted[key].shape) for key in cases])
+    for key, (_, image, path) in cases.items():
+        read = np.load(outs[key])
+        facts, dense = json.loads(str(read["facts"])), wanted[key]
+        assert np.array_equal(read["values"], dense), key
+        assert facts["type"] == ("BoolGrid" if image.dtype == bool else "FloatGrid")
+        assert (facts["name"], facts["class"], facts["background"]) == ("voxels", "fog volume", 0)
+        assert facts["active"] == np.count_nonzero(dense)
+        assert facts["metadata"]["file_voxel_count"] == facts["active"]
+        assert facts["leaves"] == facts["pruned"], key
+        if dense.any():
+            cells = np.argwhere(dense)
+            assert facts["box"] == [cells.min(0).tolist(), cells.max(0).tolist()]
+        corner, pitch = np.array(image.corner), np.array(image.pitch)
+        for k, found in zip((0, 1, 3), facts["corners"], strict=True):
+            index = np.array(dense.shape) * (np.arange(3) < k)
+            assert np.allclose(found, corner + pitch * (index + 0.5), rtol=0, atol=1e-14)
+        assert (
+            path.stat().st_size
+            <= voxtool.plan_export(*cases[key][:1], path, **OPTIONS[key[1]]).plan.size
+        )
+
+
+def test_tinyvdb_reads_the_same(cases: dict[tuple[str, str], Case]) -> None:
+    """Cells that are in leaves; it does not list tiles."""
+    for shape in ("ball", "noise", "one voxel"):
+        _, image, path = cases[shape, "coarse"]
+        with tinyvdb.open(str(path)) as file:
+            file.read_grids()
+            sparse = file.grid(0).to_sparse()
+        dense = dense_of(image)
+        cells = np.frombuffer(sparse["coords"], "<i4").reshape(-1, 3)
+        found = np.zeros_like(dense)
+        found[tuple(cells.T)] = np.frombuffer(sparse["values"], "<f4")
+        for cubes in image.cubes():
+            for corner in cubes.corners:
+                found[tuple(slice(n, n + cubes.side) for n in corner)] = 1
+        assert np.array_equal(found, dense)
+
+
+def test_equal_content_makes_equal_bytes(
+    cases: dict[tuple[str, str], Case], tmp_path: Path
+) -> None:
+    octree, _, path = cases["ball", "coarse"]
+    voxtool.export(octree, tmp_path / "a.vdb", level=1)
+    assert (tmp_path / "a.vdb").read_bytes() == path.read_bytes()
+
+
+def test_types_are_refused(tmp_path: Path) -> None:
+    octree = voxtool.Octree.from_dense(SHAPES["ball"])
+    with pytest.raises(VoxtoolError, match=r"\.vdb holds bool or float32, not uint8"):
+        voxtool.export(octree, tmp_path / "a.vdb", dtype="uint8")

@@ -1,0 +1,39 @@
+"""What OpenVDB's own library reads and writes; run by the system's Python, which has pyopenvdb.
+
+read FILE OUT.npz NX NY NZ [NAME]  values of active cells of [0, shape), and facts of the grid
+"""
+
+import json
+import sys
+
+import numpy as np
+import pyopenvdb
+
+
+def read(path, out, nx, ny, nz, *name):
+    grid = pyopenvdb.read(path, *name) if name else pyopenvdb.readAll(path)[0][0]
+    shape = (int(nx), int(ny), int(nz))
+    values = np.zeros(shape, type(grid.background))
+    grid.copyToArray(values)
+    facts = {
+        "type": type(grid).__name__,
+        "name": grid.name,
+        "class": str(grid.gridClass),
+        "active": grid.activeVoxelCount(),
+        "leaves": grid.leafCount(),
+        "box": grid.evalActiveVoxelBoundingBox(),
+        "background": grid.background,
+        "corners": [
+            grid.transform.indexToWorld(c)
+            for c in ((0, 0, 0), (shape[0], 0, 0), (shape[0], shape[1], shape[2]))
+        ],
+        "metadata": {k: v for k, v in grid.metadata.items() if isinstance(v, (str, int))},
+    }
+    grid.prune()
+    facts["pruned"] = grid.leafCount()
+    np.savez(out, values=values, facts=json.dumps(facts))
+
+
+for line in sys.stdin.read().splitlines():
+    verb, *words = line.split("\t")
+    globals()[verb](*words)
