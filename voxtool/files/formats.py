@@ -60,7 +60,7 @@ TET_FORMATS = {"tet.h5": Writer("tet_hdf5"), "h5": Writer("tet_hdf5")}
 EXCHANGE = {
     "npy": Exchange("npy", "dtype"),
     "npz": Exchange("npz", "grid, dtype; of the set cells alone"),
-    "vti": Exchange("vti", "grid, dtype", reads=False),
+    "vti": Exchange("vti", "grid, dtype"),
     "vdb": Exchange("vdb", "grid, coverage; dtype bool or float32; cubes as tiles", reads=False),
     "png": Exchange("slice_png", "one slice, as a picture", reads=False, parts=False),
 }

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import prod
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -37,6 +37,14 @@ class Frame(NamedTuple):
         """Voxels along the array's own axes."""
         a, b, c = (self.grid.shape[axis] for axis in self.axes)
         return a, b, c
+
+
+class Readable(Protocol):
+    """A file, or a stream of bytes."""
+
+    def read(self, size: int, /) -> bytes:
+        """Return the next `size` bytes, fewer at the end."""
+        ...
 
 
 class Boxes(NamedTuple):
@@ -150,7 +158,7 @@ def frame_of(shape: Sequence[int], matrix: np.ndarray, center: np.ndarray) -> Fr
 
 
 def dense_pieces(
-    file: BinaryIO, dtype: np.dtype, shape: tuple[int, int, int], *, fortran: bool
+    file: Readable, dtype: np.dtype, shape: tuple[int, int, int], *, fortran: bool
 ) -> Iterator[Boxes]:
     """Yield an array that lies in a file, from where the file is, in pieces of some layers.
 

@@ -1,7 +1,8 @@
 """VTK ImageData, .vti, which ParaView opens: the cells as cell data, XML with appended raw bytes.
 
 The array `occupancy` of an image of bool is UInt8, 1 where set; `count` and `coverage` are those of
-the other types. x runs fastest; header_type UInt64, little-endian.
+the other types. x runs fastest; header_type UInt64, little-endian. Files of other programs may have
+their arrays inline or appended, raw, as base64 or as text, compressed by zlib or not.
 https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html
 """
 
@@ -12,6 +13,17 @@ from typing import BinaryIO
 
 import numpy as np
 
+from voxtool.files import vtk_xml
+from voxtool.files.streams import PACKED
+from voxtool.files.voxels import (
+    Frame,
+    Stored,
+    check_length,
+    check_values,
+    dense_pieces,
+    frame_of,
+)
+from voxtool.grid import Grid
 from voxtool.svo.image import VoxelImage
 
 VTI = """<?xml version="1.0"?>
@@ -56,3 +68,31 @@ def write(image: VoxelImage, file: BinaryIO) -> None:
     for slab in image.slabs((2, 1, 0)):
         file.write(np.ascontiguousarray(slab).view(np.uint8).data)
     file.write(VTI_END)
+
+
+def read(file: BinaryIO, size: int) -> Stored:
+    """Return the active scalars of an image, or its first array of one number a cell or point.
+
+    Values at cells are voxels; a value at a point is that of a voxel around it.
+    """
+    image = vtk_xml.read_image(file, size)
+    low, high = image.extent[::2], image.extent[1::2]
+    at_cells = image.place == "CellData"
+    a, b, c = (h - n + (not at_cells) for n, h in zip(low, high, strict=True))
+    check_values(image.dtype, (a, b, c))
+    needed = a * b * c * image.dtype.itemsize
+    text = image.dtype.itemsize if image.format == "ascii" else 1  # of a digit
+    check_length(needed, size * (PACKED if image.packed else text))
+    pieces = dense_pieces(image.stream(needed), image.dtype, (a, b, c), fortran=True)
+    return Stored(_frame(image, (a, b, c), 0.0 if at_cells else -0.5), pieces)
+
+
+def _frame(image: vtk_xml.Image, shape: tuple[int, int, int], shift: float) -> Frame:
+    """Return the place of the voxels; the first one begins `shift` voxels after the first point."""
+    direction = np.array(image.direction).reshape(3, 3)
+    first = np.array(image.extent[::2]) + shift
+    if (direction == np.eye(3)).all():
+        origin = np.array(image.origin) + np.array(image.spacing) * first
+        return Frame(Grid(shape, tuple(origin.tolist()), image.spacing))  # pyright: ignore
+    matrix = direction * image.spacing
+    return frame_of(shape, matrix, image.origin + (matrix * (first + 0.5)).sum(axis=1))
