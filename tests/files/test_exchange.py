@@ -21,7 +21,7 @@ SHAPES = {
     "one voxel": np.arange(8 * 9 * 10).reshape(8, 9, 10) == 123,
     "all": np.ones((8, 16, 9), bool),
 }
-PLACED = ("npz", "vti")  # formats that keep the grid
+PLACED = ("npz", "vti", "nii", "nii.gz", "nrrd")  # formats that keep the grid
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -29,6 +29,9 @@ PLACED = ("npz", "vti")  # formats that keep the grid
 def test_round_trip(name: str, shape: str, tmp_path: Path) -> None:
     """What is exported comes back, bit for bit, and where it was."""
     octree = voxtool.Octree.from_dense(SHAPES[shape], **WORLD)
+    if name == "binvox":  # a cube
+        cube = [(0, octree.grid.dim - n) for n in octree.grid.shape]
+        octree = voxtool.Octree.from_dense(np.pad(SHAPES[shape], cube), **WORLD)
     path = tmp_path / f"a.{name}"
     voxtool.export(octree, path)
     more = {} if name in PLACED else WORLD
@@ -37,7 +40,7 @@ def test_round_trip(name: str, shape: str, tmp_path: Path) -> None:
         assert exchange.read_grid(path) == octree.grid
 
 
-@pytest.mark.parametrize("name", formats.IMPORTS)
+@pytest.mark.parametrize("name", sorted({*formats.IMPORTS} - {"binvox"}))
 def test_coverage(name: str, tmp_path: Path) -> None:
     """Coverages come back, and a threshold says what is set."""
     octree = voxtool.Octree.from_dense(BALL, **WORLD)

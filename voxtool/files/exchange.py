@@ -8,7 +8,8 @@ The module of a format has some of these:
     read(file, size) -> Stored                the voxels of a file of `size` bytes that can seek,
                                               or of a folder (a Path), whose files have `size` bytes
 
-A module imports what its extra brings inside these functions.
+A module of several formats has such functions for each of them, whose names end in the format's
+suffix. It imports what its extra brings inside these functions.
 """
 
 from __future__ import annotations
@@ -23,7 +24,6 @@ from dataclasses import dataclass, field, replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from voxtool.errors import FileError, MemoryLimitError, VoxtoolError, human, one_line
@@ -52,15 +52,16 @@ WRITE = "write file"
 NODE_BYTES = 40  # of lists of blocks and of counts, a node of the octree
 
 
-def module_of(name: str) -> ModuleType:
-    """Return the module of a format; FileError if the package that it needs is not installed."""
+def function_of(name: str, verb: str) -> Callable[..., Any]:
+    """Return the function of a format that is `size`, `write` or `read`; FileError if the package
+    that it needs is not installed."""
     format = EXCHANGE[name]
     if format.needs and find_spec(format.needs) is None:
         raise FileError(
             f".{name} needs {format.needs}, which is not installed: pip install "
             f"'voxtool[{format.extra}]'"
         )
-    return import_module(f"voxtool.files.{format.module}")
+    return getattr(import_module(f"voxtool.files.{format.module}"), verb + format.suffix)
 
 
 # ---- export
@@ -146,7 +147,7 @@ class ExportJob(Job[int]):
 
     def _run(self) -> int:
         plan = self.plan
-        write = module_of(plan.name).write
+        write = function_of(plan.name, "write")
         with self.stage(WRITE):
             if plan.format.folder:
                 target = folder_of(self.path, plan.name)
@@ -181,13 +182,13 @@ def plan_export(
         raise FileError(f".{name} is a folder of files: name it, stdout takes one file")
     if not EXCHANGE[name].parts and (level or bbox or invert or dtype):
         raise VoxtoolError(f".{name} takes no level, box, dtype or inversion: leave them out")
-    module = module_of(name)
+    size = function_of(name, "size")
     check_output(path, name, clobber)
     image = VoxelImage.of(octree, level=level, bbox=bbox, invert=invert, dtype=dtype)
     image = replace(image, progress=progress)
     if EXCHANGE[name].folder and "%" in os.fspath(path):
         options["pattern"] = Path(path).name
-    plan = ExportPlan(image, name, module.size(image), options)
+    plan = ExportPlan(image, name, size(image), options)
     return ExportJob(plan, path, clobber, max_bytes, max_memory)
 
 
@@ -269,14 +270,14 @@ def _stored(path: PathLike, format: str | None) -> Iterator[Stored]:
     name, shown = format or format_of(path, IMPORTS), streams.input_name(path)
     if name not in IMPORTS:
         raise FileError(f"format {name!r} is unknown: choose one of {', '.join(IMPORTS)}")
-    module = module_of(name)
+    read = function_of(name, "read")
     try:
         if EXCHANGE[name].folder:
             folder = folder_of(path, name)
-            yield module.read(folder, folder_size(folder))
+            yield read(folder, folder_size(folder))
             return
         with streams.open_whole(path) as (file, size):
-            yield module.read(file, size)
+            yield read(file, size)
     except VoxtoolError as error:
         raise type(error)(f"{shown}: {error}") from error
     except OSError as error:

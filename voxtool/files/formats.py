@@ -36,6 +36,7 @@ class Exchange(NamedTuple):
 
     module: str
     keeps: str  # what a file keeps of an image
+    suffix: str = ""  # of the names of the module's functions, where it has several formats
     reads: bool = True
     writes: bool = True
     kinds: tuple[str, ...] = ("octree",)  # what can be written
@@ -61,6 +62,12 @@ EXCHANGE = {
     "npy": Exchange("npy", "dtype"),
     "npz": Exchange("npz", "grid, dtype; of the set cells alone"),
     "vti": Exchange("vti", "grid, dtype"),
+    "nii": Exchange("nifti", "grid, dtype, unit", needs="nibabel"),
+    "nii.gz": Exchange("nifti", "grid, dtype, unit", "_packed", needs="nibabel"),
+    "nrrd": Exchange("nrrd", "grid, dtype, unit"),
+    "binvox": Exchange("binvox", "the grid as a cube, with cubic voxels; bool"),
+    "ply": Exchange("centers", "centres of the set cells, and their values", "_ply", reads=False),
+    "xyz": Exchange("centers", "centres of the set cells", "_xyz", reads=False, text=True),
     "vdb": Exchange("vdb", "grid, coverage; dtype bool or float32; cubes as tiles", reads=False),
     "png": Exchange("slice_png", "one slice, as a picture", reads=False, parts=False),
 }

@@ -7,16 +7,18 @@ they are, otherwise by the reader.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import prod
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from voxtool.errors import FileError, human
+from voxtool.errors import FileError, GridError, human
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.memory import check_memory
 from voxtool.svo.collect import Collector
+from voxtool.svo.image import VoxelImage
 from voxtool.svo.octree import Octree
 
 PIECE = 1 << 24  # bytes of a piece of a dense array
@@ -196,3 +198,33 @@ def check_values(dtype: np.dtype, shape: Sequence[int]) -> None:
     if len(shape) != 3 or min(shape) < 1:
         size = " x ".join(map(str, shape))[:60] or "no axes"
         raise FileError(f"an array of {size}: voxels have three axes: choose one volume of it")
+
+
+# ---- the exact grid, for formats whose own numbers are rounded or count from centres
+
+
+def grid_text(image: VoxelImage) -> str:
+    """Return shape, origin and pitch of an image as JSON, without rounding."""
+    place = {name: [v.hex() for v in getattr(image, name)] for name in ("origin", "pitch")}
+    return json.dumps({"shape": list(image.shape), **place})
+
+
+def grid_of_text(text: str) -> Grid | None:
+    """Return the grid of such a text; None if it is another one."""
+    try:
+        found = json.loads(text)
+        place = [tuple(map(float.fromhex, found[name])) for name in ("origin", "pitch")]
+        return Grid(tuple(map(int, found["shape"])), *place)  # pyright: ignore
+    except (ValueError, TypeError, KeyError, OverflowError, GridError):
+        return None
+
+
+def exactly(frame: Frame, grid: Grid | None) -> Frame:
+    """Return a frame with the exact grid in place of the rounded one; an exact grid that is not
+    near the other, since another program has changed the numbers beside it, is left."""
+    if grid is None or grid.shape != frame.grid.shape:
+        return frame
+    near = np.array(grid.pitch) / 256
+    off = np.abs(np.subtract(grid.origin, frame.grid.origin)) > near
+    wide = np.abs(np.subtract(grid.pitch, frame.grid.pitch)) * grid.shape > near
+    return frame if off.any() or wide.any() else frame._replace(grid=grid)

@@ -176,6 +176,11 @@ class VoxelImage:
         return prod(self.shape)
 
     @property
+    def mixed(self) -> int:
+        """Number of cells in the blocks of 4 x 4 x 4 that are neither empty nor wholly set."""
+        return THICK**3 * len(self._leaves(THICK.bit_length() - 1).codes)
+
+    @property
     def nbytes(self) -> int:
         """Bytes of all values, as a dense array."""
         return self.cells * self.dtype.itemsize

@@ -1,0 +1,160 @@
+"""NIfTI images, .nii and .nii.gz; nibabel reads and writes the header, and the array is streamed.
+
+World coordinates are those of the affine: x to the right, y to the front, z up (RAS). The affine is
+float32; an extension of code 6 (a comment) has the exact grid. Images that other programs write may
+have any axes along those of the world; `scl_slope` and `scl_inter` apply before a threshold.
+https://nifti.nimh.nih.gov/nifti-1/documentation
+"""
+
+from __future__ import annotations
+
+import gzip
+import io
+import struct
+from collections.abc import Iterator
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from voxtool.errors import FileError, one_line
+from voxtool.files.streams import PACKED
+from voxtool.files.voxels import (
+    Boxes,
+    Stored,
+    check_length,
+    check_values,
+    dense_pieces,
+    exactly,
+    frame_of,
+    grid_of_text,
+    grid_text,
+)
+from voxtool.svo.image import VoxelImage
+
+HEADER = 1024  # bytes before the array, at most
+MOST_SIDE = 32767  # int16
+MARK = "voxtool grid "  # before the exact grid in the comment
+UNITS = {"m": "meter", "mm": "mm", "um": "micron"}
+LEVEL = 6  # of gzip
+# Where the size of the header and the offset of the array lie, by version.
+SIZES, OFFSETS = {348: 1, 540: 2}, {1: (108, "f"), 2: (168, "q")}
+MOST_OFFSET = 1 << 22  # bytes of a header and its extensions
+
+
+def size(image: VoxelImage) -> int:
+    """Bytes of the file; FileError if a side is too long."""
+    if max(image.shape) > MOST_SIDE:
+        raise FileError(
+            f"a side of {max(image.shape)} cells is more than a .nii can have, {MOST_SIDE}: choose "
+            "a higher --level, or a part by --bbox"
+        )
+    return HEADER + image.nbytes
+
+
+def size_packed(image: VoxelImage) -> int:
+    """Bytes of the compressed file: of cells that are neither far inside nor far outside, and of
+    the other ones at a high compression."""
+    return image.mixed * image.dtype.itemsize + size(image) // (PACKED // 4) + HEADER
+
+
+def write(image: VoxelImage, file: BinaryIO) -> None:
+    """Write the image."""
+    _header(image).write_to(file)
+    for slab in image.slabs((2, 1, 0)):
+        file.write(np.ascontiguousarray(slab).view(_dtype(image)).data)
+
+
+def write_packed(image: VoxelImage, file: BinaryIO) -> None:
+    """Write the image, compressed by gzip."""
+    with gzip.GzipFile("", "wb", LEVEL, file, mtime=0) as packed:
+        write(image, packed)  # pyright: ignore[reportArgumentType]
+
+
+def _dtype(image: VoxelImage) -> np.dtype:
+    return np.dtype(np.uint8) if image.dtype == bool else image.dtype
+
+
+def _header(image: VoxelImage) -> Any:
+    """Return the header, with the exact grid as its extension."""
+    from nibabel.nifti1 import Nifti1Extension, Nifti1Header
+
+    header = Nifti1Header(endianness="<")
+    header.set_data_dtype(_dtype(image))
+    header.set_data_shape(image.shape)
+    affine = np.diag([*image.pitch, 1.0])
+    affine[:3, 3] = np.add(image.origin, np.array(image.pitch) / 2)
+    header.set_sform(affine, "scanner")
+    header.set_qform(affine, "scanner")
+    header.set_xyzt_units(UNITS.get(image.units, "unknown"))
+    header.extensions.append(Nifti1Extension(6, (MARK + grid_text(image)).encode()))
+    return header
+
+
+def read(file: BinaryIO, size: int) -> Stored:
+    """Return the voxels of an image."""
+    return _read(file, size)
+
+
+def read_packed(file: BinaryIO, size: int) -> Stored:
+    """Return the voxels of a compressed image."""
+    return _read(gzip.GzipFile(fileobj=file), size * PACKED)
+
+
+def _read(file: BinaryIO | gzip.GzipFile, size: int) -> Stored:
+    header = _read_header(file)
+    shape = list(map(int, header.get_data_shape()))
+    while len(shape) > 3 and shape[-1] == 1:
+        shape.pop()
+    dtype = header.get_data_dtype()
+    check_values(dtype, shape)
+    a, b, c = shape
+    check_length(a * b * c * dtype.itemsize, size)
+    affine = np.asarray(header.get_best_affine(), np.float64)
+    frame = exactly(frame_of((a, b, c), affine[:3, :3], affine[:3, 3]), _exact(header))
+    pieces = dense_pieces(file, dtype, (a, b, c), fortran=True)
+    slope, inter = header.get_slope_inter()
+    if (slope, inter) not in ((None, None), (1.0, 0.0)):
+        pieces = _scaled(pieces, slope, inter)
+    names = {name: unit for unit, name in UNITS.items()}
+    return Stored(frame, pieces, names.get(header.get_xyzt_units()[0], ""))
+
+
+def _read_header(file: BinaryIO | gzip.GzipFile) -> Any:
+    """Return the header; the file is then at the array."""
+    from nibabel.nifti1 import Nifti1Header
+    from nibabel.nifti2 import Nifti2Header
+
+    opening = file.read(max(SIZES))
+    order, version = next(
+        ((o, SIZES[n]) for o in "<>" for n in struct.unpack(f"{o}i", opening[:4]) if n in SIZES),
+        ("", 0),
+    )
+    place, kind = OFFSETS.get(version, (0, ""))
+    if not version or len(opening) < place + 8:
+        raise FileError("is no NIfTI image of version 1 or 2, or ends in its header")
+    (offset,) = struct.unpack_from(order + kind, opening, place)
+    if not min(SIZES) < offset <= MOST_OFFSET:
+        raise FileError(f"its array begins at byte {offset:g}: it must lie in the same file")
+    file.seek(0)
+    head = file.read(int(offset))
+    try:
+        header = {1: Nifti1Header, 2: Nifti2Header}[version].from_fileobj(io.BytesIO(head))
+    except Exception as error:  # damage shows in any of the library's errors
+        raise FileError(f"a damaged header: {one_line(error)}") from None
+    return header
+
+
+def _exact(header: Any) -> Any:
+    """Return the grid in the header's comments, or None."""
+    for extension in header.extensions:
+        content = extension.get_content()
+        if isinstance(content, str):
+            content = content.encode()
+        if isinstance(content, bytes) and content.startswith(MARK.encode()):
+            return grid_of_text(content.decode("utf-8", "replace").rstrip("\0")[len(MARK) :])
+    return None
+
+
+def _scaled(pieces: Iterator[Boxes], slope: float, inter: float) -> Iterator[Boxes]:
+    for corners, values in pieces:
+        yield Boxes(corners, values.astype(np.float64) * slope + inter)
