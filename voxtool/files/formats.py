@@ -78,7 +78,7 @@ MESH_FORMATS = {
     for name in ("obj", "ply", "stl", "glb", "off")
 }
 TEXT_FORMATS = (  # fit for a terminal
-    *(name for name, writer in {**SVO_FORMATS, **MESH_FORMATS}.items() if writer.text),
+    *(name for name, f in {**SVO_FORMATS, **MESH_FORMATS, **EXCHANGE}.items() if f.text),
     "csv",
 )
 NORMAL_FORMATS = ("obj", "ply", "glb")  # those of meshes that hold a normal a vertex
