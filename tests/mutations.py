@@ -135,6 +135,12 @@ MUTATIONS: dict[str, Mutation] = {
         "#define DOUBT -0x1p-15f",
         "tests/spatial/test_distance.py",
     ),
+    "distance: rounding of oriented boxes": Mutation(
+        "kernels/spatial/oriented_boxes.h",
+        "#define WIDER 0x1p-17",
+        "#define WIDER -0x1p-9",
+        "tests/spatial/test_distance.py",
+    ),
     "distance: sides across holes": Mutation(
         "kernels/spatial/insides.cl",
         "sqrt(square) * slope < leeway",

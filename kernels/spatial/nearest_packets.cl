@@ -1,12 +1,13 @@
-// The nearest triangle of a mesh to each of many points: a work-item follows POINTS points that are
-// near each other, one per lane, so that they share the traversal. Host side:
-// voxtool/spatial/distance.py. The results are those of nearest_triangles in distance.cl.
+// The nearest triangle of a mesh to each of many points: POINTS points that are near each other, one
+// per lane, share a traversal. A work-item follows RUN packets of them, one after the other. Host
+// side: voxtool/spatial/distance.py. The results are those of nearest_triangles in distance.cl.
 //
 // Options: RANKED: the nearest triangle is returned in addition to its distance.
 
 #include "spatial/bvh.h"
 #include "spatial/names.h"
 #include "spatial/nearest_packets.h"
+#include "spatial/oriented_boxes.h"
 
 #define LANES double16 // one lane per point: POINTS
 #define MASKS long16
@@ -52,6 +53,17 @@ __kernel void round_triangles(__global const double *leaves, const uint n, __glo
         rounded[FIELDS * (size_t)gid + i] = (float)t[i];
 }
 
+// boxes[i] = the box of node i of a level, which holds `span` of `count` triangles.
+__kernel void orient_boxes(__global const double *leaves, const uint count, const uint span,
+                           const uint n, __global float *boxes, const uint first)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const uint begin = gid * span;
+    store_oriented(leaves, begin, min(begin + span, count), boxes + ORIENTED * (size_t)(first + gid));
+}
+
 float16 clamped_float(float16 t)
 {
     t = t > 0.0f ? t : 0.0f;
@@ -95,28 +107,6 @@ float largest(float16 v)
     return fmax(c.x, c.y);
 }
 
-// The box of a node: low x, y, z and high x, y, z, ARITY apart.
-__global const float *box_of(__global const float *nodes, uint id)
-{
-    return nodes + (size_t)((id - 1) / ARITY) * (6 * ARITY) + (id - 1) % ARITY;
-}
-
-float16 gap_to(float low, float high, float16 x)
-{
-    const float16 below = low - x, above = x - high;
-    const float16 outside = below > above ? below : above;
-    return outside > 0.0f ? outside : 0.0f;
-}
-
-// The squared distances of points to a box.
-float16 squares_to(__global const float *box, float16 x, float16 y, float16 z)
-{
-    const float16 dx = gap_to(box[0], box[3 * ARITY], x);
-    const float16 dy = gap_to(box[ARITY], box[4 * ARITY], y);
-    const float16 dz = gap_to(box[2 * ARITY], box[5 * ARITY], z);
-    return dx * dx + dy * dy + dz * dz;
-}
-
 // The points of a packet, in both precisions, and their box; the nearest triangles found so far, as
 // of nearest_triangles; and the squares beyond which no box and no rounded triangle changes them.
 typedef struct {
@@ -131,14 +121,14 @@ typedef struct {
     float16 reach, doubtful;
 } packet;
 
-// Packet `gid` of `count` points; the last point pads the last packet.
-packet points_of(__global const double *points, __global const uint *order, uint count, uint gid)
+// The packet of points from `start` on; the last of `count` pads the last packet.
+packet points_of(__global const double *points, __global const uint *order, uint count, uint start)
 {
     double xs[POINTS], ys[POINTS], zs[POINTS];
     packet p;
     p.low = INFINITY, p.high = -INFINITY;
     for (uint i = 0; i < POINTS; ++i) {
-        const double3 point = vload3(order[min(POINTS * gid + i, count - 1)], points);
+        const double3 point = vload3(order[min(start + i, count - 1)], points);
         xs[i] = point.x, ys[i] = point.y, zs[i] = point.z;
         p.low = fmin(p.low, convert_float3(point));
         p.high = fmax(p.high, convert_float3(point));
@@ -196,22 +186,33 @@ float8 squares_apart(const packet *p, __global const float *boxes)
     return dx * dx + dy * dy + dz * dz;
 }
 
-// distances[i] and slots[i] as of nearest_triangles, for `count` points within NEAR extents in n
-// packets.
-__kernel void nearest_in_packets(__global const double *points, __global const uint *order,
-                                 const uint count, const uint n, __global const float *nodes,
-                                 __global const double *leaves, __global const float *rounded,
-                                 const uint triangles, const uint first_leaf,
+// The tree over the triangles: boxes of nodes and triangles in both precisions. Nodes from
+// first_oriented on have an oriented box.
+typedef struct {
+    __global const float *nodes, *oriented, *rounded;
+    __global const double *leaves;
+    uint triangles, first_leaf, first_oriented;
 #ifdef RANKED
-                                 __global const uint *ranks, __global uint *slots,
+    __global const uint *ranks;
 #endif
-                                 __global double *distances)
+} tree;
+
+bool meet_slot(packet *p, const tree *t, uint slot)
 {
-    const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-    packet p = points_of(points, order, count, gid);
-    float furthest = INFINITY, bounds[STACK];
+    const triangle exact = triangle_of(t->leaves, slot);
+#ifdef RANKED
+    return meet(p, &exact, slot, t->ranks[slot]);
+#else
+    return meet(p, &exact, slot, 0);
+#endif
+}
+
+// Finds the nearest triangles. `hint` is the slot of a triangle that may be near; returns one for
+// the points that follow.
+uint search(packet *p, const tree *t, uint hint)
+{
+    meet_slot(p, t, hint);
+    float furthest = largest(p->reach), bounds[STACK];
     uint ids[STACK];
     uint top = 1;
     bounds[0] = 0;
@@ -220,41 +221,69 @@ __kernel void nearest_in_packets(__global const double *points, __global const u
         const uint id = ids[--top];
         if (bounds[top] >= furthest)
             continue;
-        if (id > 0 && !any(squares_to(box_of(nodes, id), p.fx, p.fy, p.fz) < p.reach))
-            continue;
-        if (id < first_leaf) {
+        if (id >= t->first_oriented) {
+            __global const float *box = t->oriented + ORIENTED * (size_t)(id - t->first_oriented);
+            if (!any(squares_to(box, p->fx, p->fy, p->fz) < p->reach))
+                continue;
+        }
+        if (id < t->first_leaf) {
             float found[ARITY];
-            vstore8(squares_apart(&p, nodes + (size_t)id * (6 * ARITY)), 0, found);
+            vstore8(squares_apart(p, t->nodes + (size_t)id * (6 * ARITY)), 0, found);
             top = push_nearest(id, found, furthest, bounds, ids, top);
             continue;
         }
-        const uint first = (id - first_leaf) * LEAF;
+        const uint first = (id - t->first_leaf) * LEAF;
         bool changed = false;
-        for (uint slot = first; slot < min(first + LEAF, triangles); ++slot) {
-            __global const float *t = rounded + FIELDS * (size_t)slot;
-            if (!any(rounded_squares(t, p.fx, p.fy, p.fz) < p.doubtful))
+        for (uint slot = first; slot < min(first + LEAF, t->triangles); ++slot) {
+            __global const float *rounded = t->rounded + FIELDS * (size_t)slot;
+            if (!any(rounded_squares(rounded, p->fx, p->fy, p->fz) < p->doubtful))
                 continue;
-            const triangle exact = triangle_of(leaves, slot);
-#ifdef RANKED
-            changed |= meet(&p, &exact, slot, ranks[slot]);
-#else
-            changed |= meet(&p, &exact, slot, 0);
-#endif
+            const bool nearer = meet_slot(p, t, slot);
+            changed |= nearer;
+            hint = nearer ? slot : hint;
         }
         if (changed)
-            furthest = largest(p.reach);
+            furthest = largest(p->reach);
     }
-    double least[POINTS];
-    vstore16(sqrt(p.least), 0, least);
+    return hint;
+}
+
+// distances[i] and slots[i] as of nearest_triangles, for `count` points within NEAR extents in n
+// runs of packets.
+__kernel void nearest_in_packets(__global const double *points, __global const uint *order,
+                                 const uint count, const uint n, __global const float *nodes,
+                                 __global const double *leaves, __global const float *rounded,
+                                 __global const float *oriented, const uint triangles,
+                                 const uint first_leaf, const uint first_oriented,
 #ifdef RANKED
-    uint slot[POINTS];
-    vstore16(p.slot, 0, slot);
+                                 __global const uint *ranks, __global uint *slots,
 #endif
-    for (uint i = 0; i < POINTS && POINTS * gid + i < count; ++i) {
-        const uint own = order[POINTS * gid + i];
-        distances[own] = least[i];
+                                 __global double *distances)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const tree t = {nodes, oriented, rounded, leaves, triangles, first_leaf, first_oriented,
 #ifdef RANKED
-        slots[own] = slot[i];
+                    ranks
 #endif
+    };
+    uint hint = 0;
+    for (uint start = gid * (RUN * POINTS); start < min((gid + 1) * (RUN * POINTS), count); start += POINTS) {
+        packet p = points_of(points, order, count, start);
+        hint = search(&p, &t, hint);
+        double least[POINTS];
+        vstore16(sqrt(p.least), 0, least);
+#ifdef RANKED
+        uint slot[POINTS];
+        vstore16(p.slot, 0, slot);
+#endif
+        for (uint i = 0; i < POINTS && start + i < count; ++i) {
+            const uint own = order[start + i];
+            distances[own] = least[i];
+#ifdef RANKED
+            slots[own] = slot[i];
+#endif
+        }
     }
 }

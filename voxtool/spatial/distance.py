@@ -7,8 +7,9 @@ against rational arithmetic was at most 6e-16 of the mesh's extent, or of the di
 larger. Degenerate faces count as the segments and points that they are. If pseudo-normals are
 given, distances are negative inside.
 
-Many points go in packets: a work-item follows 16 neighbours, which share the traversal, and
-computes distances in single precision, with a bound on the error, before those that can be least.
+Many points go in packets: 16 neighbours share the traversal, for which nodes have oriented boxes
+[Gottschalk 1996], and distances are computed in single precision, with a bound on the error, before
+those that can be least. A triangle that is nearest in one packet is tested first in the next.
 
 Kernels: distance.cl and nearest_packets.cl in kernels/spatial.
 """
@@ -26,6 +27,7 @@ from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.device import VECTOR
 from voxtool.opencl.primitives import radix_sort
 from voxtool.spatial.bvh import (
+    ARITY,
     FIELDS,
     LEAF,
     MAX_EXPONENT,
@@ -48,12 +50,20 @@ NEAR = 8.0  # extents within which single precision bounds distances to boxes; s
 POINTS = VECTOR  # of a packet, which are near each other and share a traversal
 PACKETS_FROM = 1 << 13  # points: fewer are too far apart
 
-HEADERS = {"spatial/nearest_packets.h": program.c_constants(POINTS=POINTS)}
+RUN = 8  # packets of a work-item
+RUNS_TOGETHER = 8  # work-items of a group, which have much to do
+ORIENTED = 15  # numbers of an oriented box: centre, three axes, half of the extents
+ORIENTED_LEVELS = 4  # of the tree, leaves included: packets are small beside larger boxes
+
+HEADERS = {
+    "spatial/nearest_packets.h": program.c_constants(POINTS=POINTS, RUN=RUN, ORIENTED=ORIENTED)
+}
 
 
 def rounded_bytes(faces: int) -> int:
-    """Return the bytes on the device of a number of faces in single precision."""
-    return 4 * FIELDS * LEAF * -(-faces // LEAF)
+    """Return the bytes on the device of what packets need of a number of faces."""
+    leaves = -(-faces // LEAF)
+    return 4 * (FIELDS * LEAF * leaves + ORIENTED * (leaves * 8 // 7 + ARITY * ORIENTED_LEVELS))
 
 
 class Nearest(NamedTuple):
@@ -70,6 +80,19 @@ class Nearest(NamedTuple):
     faces: np.ndarray | None = None
     points: np.ndarray | None = None
     directions: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Rounded:
+    """A tree in single precision, for packets.
+
+    triangles : float32, FIELDS of each slot; boxes : float32, ORIENTED of each node from `first`
+    on, of the lowest levels.
+    """
+
+    triangles: Array
+    boxes: Array
+    first: int
 
 
 @dataclass(frozen=True)
@@ -106,7 +129,7 @@ class TriangleDistance:
         self.block, self.near = block, near
         suits = self.device.lanes == POINTS
         self._packets_from = packets_from or (PACKETS_FROM if suits else math.inf)
-        self._rounded: Array | None = None  # triangles
+        self._rounded: Rounded | None = None
         if normals is not None and normals.flat.all():  # no face has a side
             normals = None
         flat = normals.flat if normals else None
@@ -168,11 +191,12 @@ class TriangleDistance:
         distances = device.empty(block.n, np.float64)
         slots = device.empty(block.n, np.uint32) if ranks else None
         if block.box == "float" and block.n >= self._packets_from:
+            rounded = self._rounded = self._rounded or _round(device, tree)
             nearest_in_packets = device.kernel(PACKETS, "nearest_in_packets", **options)
             nearest_in_packets(
-                -(-block.n // POINTS), block.local, block.order, block.n, tree.nodes, tree.leaves,
-                self._rounded_triangles(), tree.count, tree.first_leaf,
-                ranks=ranks, slots=slots, distances=distances,
+                -(-block.n // (RUN * POINTS)), block.local, block.order, block.n, tree.nodes,
+                tree.leaves, rounded.triangles, rounded.boxes, tree.count, tree.first_leaf,
+                rounded.first, ranks=ranks, slots=slots, distances=distances, local=RUNS_TOGETHER,
             )  # fmt: skip
             return distances, slots
         nearest_triangles = device.kernel(SOURCE, "nearest_triangles", BOX=block.box, **options)
@@ -182,13 +206,20 @@ class TriangleDistance:
         )  # fmt: skip
         return distances, slots
 
-    def _rounded_triangles(self) -> Array:
-        """Return the triangles in single precision: of most, packets need nothing else."""
-        if self._rounded is None:
-            slots = self.tree.face_of.size
-            self._rounded = self.device.empty(slots * FIELDS, np.float32)
-            self.device.kernel(PACKETS, "round_triangles")(slots, self.tree.leaves, self._rounded)
-        return self._rounded
+
+def _round(device: Device, tree: TriangleTree) -> Rounded:
+    """Return what packets need of a tree."""
+    slots = tree.face_of.size
+    triangles = device.empty(slots * FIELDS, np.float32)
+    device.kernel(PACKETS, "round_triangles")(slots, tree.leaves, triangles)
+    levels = [*tree.parts(), (tree.first_leaf, slots // LEAF)][1:][-ORIENTED_LEVELS:]
+    first = levels[0][0]
+    boxes = device.empty((tree.first_leaf + slots // LEAF - first) * ORIENTED, np.float32)
+    orient_boxes = device.kernel(PACKETS, "orient_boxes")
+    for height, (node, count) in enumerate(levels[::-1]):
+        span = LEAF * ARITY**height
+        orient_boxes(count, tree.leaves, tree.count, span, boxes, node - first)
+    return Rounded(triangles, boxes, first)
 
 
 def checked_points(points: Any) -> np.ndarray:
