@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from voxtool.adf.packing import arrangement, most_blocks, pack_blocks, pointers_
 from voxtool.adf.plan import PILOT_LEVEL, FieldPlan
 from voxtool.errors import MemoryLimitError, MeshWarning, VoxtoolError
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
+from voxtool.opencl import open_device
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device
@@ -49,6 +51,24 @@ def test_levels_are_built_once(device: Device) -> None:
     assert set(begun) <= {*job.stages, "upload"}
     assert "errors" not in job.stages
     assert "errors" in job.with_(measure=True).stages
+
+
+@pytest.mark.parametrize(
+    ("mesh", "request_"),
+    [
+        (ball, {"measure": True}),
+        (ball, {"sign": "none", "continuous": False}),
+        (box_without_lid, {"measure": True}),
+        (box_without_lid, {"max_level": 1}),
+    ],
+)
+def test_the_programs_that_a_build_uses_are_prepared(device, mesh, request_, monkeypatch) -> None:
+    fresh, prepared = open_device(str(device.info.index)), []
+    monkeypatch.setattr(fresh.builder, "prepare", prepared.extend)
+    with warnings.catch_warnings(action="ignore"):
+        plan(mesh(), device=fresh, **request_).run()
+    keys = {(source, *sorted(defines.items())) for source, defines in prepared}
+    assert fresh.builder.requests == keys
 
 
 @pytest.mark.parametrize(

@@ -17,15 +17,28 @@ import numpy as np
 from voxtool.adf.accuracy import measure_errors
 from voxtool.adf.cells import NO_LEAF, cell_of, identifier_type, key_of
 from voxtool.adf.field import DistanceField, assemble
+from voxtool.adf.hashing import SOURCE as HASHING
 from voxtool.adf.hashing import build_hash
-from voxtool.adf.levels import Construction, Examined, constrain, examine, refine, sample
+from voxtool.adf.levels import (
+    Construction,
+    Examined,
+    constrain,
+    examine,
+    programs,
+    refine,
+    sample,
+)
 from voxtool.adf.plan import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
 from voxtool.adf.survey import Survey, cube_of
 from voxtool.job import Job
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_topology
 from voxtool.opencl import Device, default_device
+from voxtool.opencl.builder import Request
+from voxtool.opencl.primitives import RADIX_SORT
 from voxtool.spatial.signed_distance import default_sign
+from voxtool.spatial.signed_distance import programs as of_distances
+from voxtool.spatial.winding_number import SOURCE as WINDING
 
 
 def build_adf(mesh: Mesh, device: Device | None = None, **request: Any) -> DistanceField:
@@ -156,10 +169,22 @@ class FieldJob(Job["DistanceField"]):
         return f"{mesh.name or 'mesh'} {' and '.join(wrong)}; {done}"
 
 
+def _programs(survey: Survey, plan: FieldPlan) -> list[Request]:
+    """Return the programs that a build uses beyond those of its survey, in order."""
+    found: list[Request] = [(WINDING, {})] if plan.sign == "winding" else []
+    found += [*programs(plan), (HASHING, {})]
+    if plan.max_level > 1:  # one block needs no sort
+        found.append((RADIX_SORT, {"KEY": "uint"}))
+    if plan.measure:
+        found += of_distances(survey.device, plan.sign)
+    return found
+
+
 class _Build:
     """A field under construction: the blocks of the levels built so far, and the next level."""
 
     def __init__(self, survey: Survey, plan: FieldPlan, memory: tuple[int, int]) -> None:
+        survey.device.prepare(*_programs(survey, plan))
         self.work, self.memory = Construction(survey, plan), memory
         self.level = self.work.root()
         self.more = True

@@ -20,11 +20,13 @@ from voxtool.adf.cells import JUMP, bound_values
 from voxtool.adf.plan import FieldPlan
 from voxtool.adf.survey import Survey
 from voxtool.opencl import Array, program
+from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.spatial.bvh import TriangleTree
 
 CROSSED = 64.0  # tolerances: the largest edge of a leaf where triangles pass, unless certain
 WALKERS = {"sample_blocks", "examine_children", "pass_lists_on"}  # kernels that walk whole lists
+NARROWING = "adf/levels/narrow.cl"
 NARROW = 16  # numbers of a triangle in single precision: a line of the cache
 KEPT = 32  # triangles of a cell that are combined in pairs, at most
 NO_TRIANGLE = OUT_OF_CUBE = 0xFFFFFFFF
@@ -130,6 +132,26 @@ class Level:
             self.arrays[name] = device.empty(width * self.count, dtype)
 
 
+def programs(plan: FieldPlan) -> list[Request]:
+    """Return the programs that the stages of the levels use, in order."""
+    options = _options(plan)
+    stages = ["sample", *["constrain"] * (plan.continuous and plan.max_level > 1), "examine"]
+    stages += ["refine"] * (plan.max_level > 1)
+    return [(NARROWING, {}), *((f"adf/levels/{stage}.cl", options) for stage in stages)]
+
+
+def _options(plan: FieldPlan) -> dict[str, int | str]:
+    signed = plan.sign != "none"
+    options = {
+        "SIGNED": signed,
+        "WINDING": plan.sign == "winding",
+        "CLOSED": plan.certain,
+        "JUMPS": signed and not plan.certain,
+        "FLAT": signed and plan.flat > 0,
+    }
+    return {name: 1 for name, on in options.items() if on}
+
+
 class Construction:
     """The data that the stages of all levels share.
 
@@ -155,15 +177,7 @@ class Construction:
             "steepest": self.steepest,
             "unbalanced": self.unbalanced,
         }
-        signed = plan.sign != "none"
-        options = {
-            "SIGNED": signed,
-            "WINDING": plan.sign == "winding",
-            "CLOSED": plan.certain,
-            "JUMPS": signed and not plan.certain,
-            "FLAT": signed and plan.flat > 0,
-        }
-        self.options = {name: 1 for name, on in options.items() if on}
+        self.options = _options(plan)
 
     def run(self, stage: str, kernel: str, level: Level, size: int = 0, **more: Any) -> None:
         """Run a kernel of kernels/adf/levels/ for each cell of a level, or with `size` work-items;
@@ -193,7 +207,7 @@ def narrow_triangles(tree: TriangleTree) -> Array:
     of distances need nothing else."""
     slots, device = tree.face_of.size, tree.leaves.device
     narrow = device.empty(slots * NARROW, np.float32)
-    device.kernel("adf/levels/narrow.cl", "narrow_triangles")(slots, tree.leaves, narrow)
+    device.kernel(NARROWING, "narrow_triangles")(slots, tree.leaves, narrow)
     return narrow
 
 

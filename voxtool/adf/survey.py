@@ -13,8 +13,12 @@ from voxtool.adf.host_query import POINT_BITS
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import twins_of
 from voxtool.opencl import Device
+from voxtool.opencl.builder import Request
+from voxtool.opencl.primitives import RADIX_SORT, SCAN
+from voxtool.spatial.bvh import SOURCE as TREE
 from voxtool.spatial.bvh import Frame, build_tree, distinct_faces
 from voxtool.spatial.pseudonormals import Pseudonormals, pseudonormals
+from voxtool.spatial.self_intersections import SOURCE as SELF_INTERSECTIONS
 from voxtool.spatial.self_intersections import UNDECIDED, find_self_intersections
 from voxtool.spatial.sides import find_sides, shells_agree
 from voxtool.spatial.signed_distance import default_sign
@@ -39,6 +43,8 @@ class Survey:
         self.mesh, self.device, self.signed = mesh, device, signed
         self.crossed = np.zeros(len(mesh.faces), bool)
         self.flat, self.undecided, self.closed = 0, 0, False
+        programs: list[Request] = [(TREE, {}), (RADIX_SORT, {"KEY": "ulong"}), (SCAN, {})]
+        device.prepare(*programs, *[(SELF_INTERSECTIONS, {})] * signed)
         if signed:
             normals = self._normals
             self.flat = int(np.count_nonzero(normals.flat))

@@ -17,9 +17,19 @@ from voxtool.errors import VoxtoolError
 from voxtool.mesh.collinear import collinear
 from voxtool.mesh.topology import watertight
 from voxtool.opencl import Device, default_device
+from voxtool.opencl.builder import Request
+from voxtool.opencl.primitives import COMPACTION
 from voxtool.spatial.boundary import boundary_spheres
 from voxtool.spatial.bvh import tree_bytes
-from voxtool.spatial.distance import TriangleDistance, checked_points, rounded_bytes
+from voxtool.spatial.distance import (
+    PACKETS,
+    POINTS,
+    TriangleDistance,
+    checked_points,
+    rounded_bytes,
+)
+from voxtool.spatial.distance import SOURCE as DISTANCE
+from voxtool.spatial.insides import SOURCE as INSIDES
 from voxtool.spatial.insides import insides
 from voxtool.spatial.pseudonormals import normal_bytes, pseudonormals
 from voxtool.spatial.winding_number import WindingNumber, moment_bytes
@@ -62,6 +72,17 @@ def default_sign(mesh: Mesh) -> str:
     area, otherwise "winding"."""
     smooth = watertight(mesh) and not collinear(mesh.vertices[mesh.faces]).any()
     return "pseudonormal" if smooth else "winding"
+
+
+def programs(device: Device, sign: str) -> list[Request]:
+    """Return the programs that distances of many points near a mesh use, beyond those of its tree
+    and its winding number, in order."""
+    found: list[Request] = [(DISTANCE, {"BOX": "float"})]
+    if device.lanes == POINTS:
+        found.append((PACKETS, {}))
+        if sign == "pseudonormal":
+            found.append((PACKETS, {"RANKED": 1}))
+    return found + ([(INSIDES, {}), (COMPACTION, {"KEY": "uint"})] if sign == "winding" else [])
 
 
 def distance_bytes(faces: int, sign: str) -> int:
