@@ -21,7 +21,7 @@ SHAPES = {
     "one voxel": np.arange(8 * 9 * 10).reshape(8, 9, 10) == 123,
     "all": np.ones((8, 16, 9), bool),
 }
-PLACED = ("npz", "vti", "nii", "nii.gz", "nrrd")  # formats that keep the grid
+PLACED = ("npz", "vti", "nii", "nii.gz", "nrrd", "vox")  # formats that keep the grid
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -40,7 +40,7 @@ def test_round_trip(name: str, shape: str, tmp_path: Path) -> None:
         assert exchange.read_grid(path) == octree.grid
 
 
-@pytest.mark.parametrize("name", sorted({*formats.IMPORTS} - {"binvox"}))
+@pytest.mark.parametrize("name", sorted({*formats.IMPORTS} - {"binvox", "vox"}))
 def test_coverage(name: str, tmp_path: Path) -> None:
     """Coverages come back, and a threshold says what is set."""
     octree = voxtool.Octree.from_dense(BALL, **WORLD)
