@@ -137,6 +137,13 @@ def test_start_up_imports_nothing_heavy(arguments) -> None:
             "--like sets the grid: drop --pitch and --margin",
         ),
         ("voxelize bunny.obj --like bunny.svo.h5 --fit stretch", "drop --fit"),
+        ("voxelize bunny.obj --shape 8,8,8", "--origin, --shape and --spacing go together"),
+        (
+            "voxelize bunny.obj --shape 8,8,8 --origin 0,0,0 --spacing 1 --dim 8",
+            "--origin, --shape and --spacing set the grid: drop --dim",
+        ),
+        ("voxelize bunny.obj --shape 8,8", "'8,8' is no shape: write 256,256,128"),
+        ("import mask.npy --label 1 --threshold 1", "--threshold and --label both say what is set"),
         ("voxelize bunny.obj --fit stretch --margin 2", "--fit stretch goes with --dim alone"),
         ("voxelize bunny.obj --mode surface6 --with-surface", "surface6 is a surface"),
         ("export bunny.svo.h5", "where to? Give -o OUT, ending in one of .npy"),
@@ -167,6 +174,9 @@ def test_usage_errors(command: str, message: str, here: Path) -> None:
         ("voxelize bunny.obj --device 99", "choose one of 0: "),
         ("svo-info bunny.obj", "is a mesh: voxelize it first (voxtool voxelize bunny.obj)"),
         ("svo-info .", "is a folder"),
+        ("voxelize bunny.obj --shape 0,8,8 --origin 0,0,0 --spacing 1", "grid of 0 x 8 x 8 voxels"),
+        ("import bunny.obj", "end it in one of .npy, "),
+        ("import none.npy", "none.npy: there is no such file"),
         ("export bunny.obj -o a.npy", "bunny.obj is a mesh: voxelize it first"),
         ("export bunny.svo.h5 -o a.foo", "end it in one of .npy, "),
         ("export bunny.svo.h5 -o -", "name the format, one of .npy"),
@@ -471,6 +481,46 @@ def test_export(here: Path) -> None:
     assert (here / "a.png").read_bytes() != (here / "z.png").read_bytes()
     svo = (here / "bunny.svo.h5").read_bytes()
     assert run("export - -o - --format npy", svo).stdout_bytes == (here / "a.npy").read_bytes()
+
+
+def test_import(here: Path) -> None:
+    """What is exported comes back with its digest; --json has it, too."""
+    told = json.loads(run("export bunny.svo.h5 -o a.npz --json").stdout)
+    assert told["digest"] == run("svo-info bunny.svo.h5 --digest").stdout.strip()
+    assert told["bytes"] == (here / "a.npz").stat().st_size
+    back = json.loads(run("import a.npz -o b.svo.h5 --json").stdout)
+    assert np.array_equal(read_svo("b.svo.h5").to_dense(), read_svo("bunny.svo.h5").to_dense())
+    assert back["digest"] == run("svo-info b.svo.h5 --digest").stdout.strip()
+    run("import mask.npy -o c.svo.h5 --origin 1,2,3 --spacing 0.5,0.25,1")
+    assert read_svo("c.svo.h5").grid == Grid((128,) * 3, (1, 2, 3), (0.5, 0.25, 1))
+    mask = (here / "mask.npy").read_bytes()
+    assert run("import - --from npy -o - --format svo.xml", mask).stdout.startswith("<?xml")
+
+
+def test_plan_of_an_export(here: Path) -> None:
+    plan = json.loads(run("export bunny.svo.h5 -o a.npy --level 1 --plan --json").stdout)
+    assert plan["shape"] == [64, 64, 64]
+    assert plan["bytes"] >= 64**3 * 4
+    assert not (here / "a.npy").exists()
+    assert (
+        "this will be refused: a.npy would take"
+        in run("export bunny.svo.h5 -o a.npy --plan --max-bytes 1M").stderr
+    )
+    assert "1 MB allowed" in fail("export bunny.svo.h5 -o a.npy --max-bytes 1000000")
+
+
+def test_voxelize_on_the_grid_of_a_file_or_of_numbers(here: Path) -> None:
+    """In one step to an export, on a grid that is no cube."""
+    lattice = "--origin -1.5,-0.25,-1 --shape 40,30,20 --spacing 0.0625,0.0625,0.125"
+    run(f"voxelize bunny.obj {lattice} -o a.npz")
+    run("voxelize bunny.obj --like a.npz -o b.svo.h5")
+    octree = read_svo("b.svo.h5")
+    assert octree.grid == Grid((40, 30, 20), (-1.5, -0.25, -1), (0.0625, 0.0625, 0.125))
+    run("import a.npz -o c.svo.h5")
+    assert octree.count
+    assert np.array_equal(read_svo("c.svo.h5").to_dense(), octree.to_dense())
+    run("distance bunny.obj --like a.npz -o d.npy")
+    assert np.load("d.npy").shape == (40, 30, 20)
 
 
 # ---- as the user runs it

@@ -37,7 +37,7 @@ COLUMNS = {
     option("--pitch", float, "Measure a grid of voxels of this size."),
     bbox_option,
     option("--margin", click.IntRange(0), "Empty voxels on each side of the grid."),
-    option("--like", str, "Measure the grid of an octree.", metavar="FILE.svo.h5"),
+    options.lattice_options,
     flag("--float32", "Write a grid as float32 rather than float64."),
 )  # fmt: skip
 @runner.job_options(
@@ -74,9 +74,7 @@ def command(
         raise click.UsageError("--fill and --float32 go with a grid: give --dim")
     else:
         points = options.points_of(points, "MESH", mesh, "name a file, pipe them in, or give --dim")
-    from voxtool.files import read_svo
     from voxtool.files.mesh import load_mesh
-    from voxtool.grid import Grid
 
     if on_grid:
         run.to(mesh, options.output_of(mesh, "sdf.npy"), ("npy",))
@@ -85,7 +83,7 @@ def command(
     with run:
         loaded = run.stage("read mesh", load_mesh, mesh, max_memory=run.max_memory)
         if on_grid:
-            grid = read_svo(like).grid if like else Grid.fit(loaded, **placing)
+            grid = options.grid_from(loaded, like, placing)
             facts = measure_grid(run, loaded, grid, fill, "float32" if float32 else "float64")
         else:
             facts = measure_points(run, loaded, points or "-", sign, asked)

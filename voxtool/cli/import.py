@@ -7,18 +7,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli import options, runner
-from voxtool.cli.options import POINT, Parsed, numbers_of, option, together
+from voxtool.cli.options import POINT, SPACING, option, together
 from voxtool.files.formats import IMPORTS, SVO_FORMATS
 
 if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
 
 KNOWN = ", ".join(f".{name}" for name in IMPORTS)
-SPACING = Parsed(
-    "spacing",
-    lambda text: numbers_of(text, 3) if "," in text else numbers_of(text, 1)[0],
-    " is no size of a voxel: write 0.5, or 0.5,0.5,2",
-)
 
 
 @click.command("import")

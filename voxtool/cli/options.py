@@ -20,6 +20,9 @@ from voxtool.errors import printable
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
+    from voxtool.grid import Grid
+    from voxtool.mesh.mesh import Mesh
+
     Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 DIM = click.IntRange(MIN_DIM, MAX_DIM)
@@ -76,6 +79,14 @@ def numbers_of(text: str, count: int) -> tuple[float, ...]:
     """Return this many finite numbers, which commas separate."""
     numbers = tuple(map(float, text.split(",")))
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise ValueError
+    return numbers
+
+
+def whole_numbers_of(text: str) -> tuple[int, ...]:
+    """Return three whole numbers, which commas separate."""
+    numbers = tuple(map(int, text.split(",")))
+    if len(numbers) != 3:
         raise ValueError
     return numbers
 
@@ -187,6 +198,23 @@ bbox_option = option(
     metavar="X0 Y0 Z0 X1 Y1 Z1",
 )  # fmt: skip
 POINT = Parsed("point", lambda text: numbers_of(text, 3), " is no point: write 0,1.5,-2")
+SPACING = Parsed(
+    "spacing",
+    lambda text: numbers_of(text, 3) if "," in text else numbers_of(text, 1)[0],
+    " is no size of a voxel: write 0.5, or 0.5,0.5,2",
+)
+LATTICE = ("origin", "shape", "spacing")  # options that give a grid by its own numbers
+lattice_options = together(
+    option("--like", str,
+        "Use the grid of another octree, or of an image or array that `voxtool import` reads.",
+        metavar="FILE"),
+    option("--origin", POINT, "With --shape and --spacing: the low corner of the grid.",
+        metavar="X,Y,Z"),
+    option("--shape", Parsed("shape", whole_numbers_of, " is no shape: write 256,256,128"),
+        "Voxels along each axis.", metavar="NX,NY,NZ"),
+    option("--spacing", SPACING, "Size of a voxel, in world units: one number or three.",
+        metavar="S"),
+)  # fmt: skip
 clobber_option = flag("--no-clobber", "Refuse to replace an existing file.")
 strict_option = flag("--strict", "Exit with 1 if there is a warning of the input or the result.")
 json_option = flag("--json as_json", "Print JSON.")
@@ -214,6 +242,12 @@ def output_options(metavar: str, default: str) -> Decorator:
 def check_placing(like: str | None, placing: Mapping[str, Any]) -> None:
     """Refuse options that place the grid in two ways."""
     given = [f"--{name}" for name, value in placing.items() if value not in (None, FITS[0])]
+    own = [name for name in given if name[2:] in LATTICE]
+    if own and len(own) < len(LATTICE):
+        raise click.UsageError("--origin, --shape and --spacing go together: give all three")
+    if own and not like and len(given) > len(LATTICE):
+        others = " and ".join(name for name in given if name not in own)
+        raise click.UsageError(f"--origin, --shape and --spacing set the grid: drop {others}")
     if like and given:
         raise click.UsageError(f"--like sets the grid: drop {' and '.join(given)}")
     if {"--dim", "--pitch"} <= set(given):
@@ -222,6 +256,20 @@ def check_placing(like: str | None, placing: Mapping[str, Any]) -> None:
         raise click.UsageError(
             "--fit stretch goes with --dim alone: drop --pitch, --bbox, --margin"
         )
+
+
+def grid_from(mesh: Mesh, like: str | None, placing: Mapping[str, Any]) -> Grid:
+    """Return the grid that the options place, around a mesh where they do not say."""
+    from voxtool.grid import Grid
+
+    if like:
+        from voxtool.files.exchange import read_grid
+
+        return read_grid(like)
+    rest = {name: value for name, value in placing.items() if name not in LATTICE}
+    if placing["shape"]:
+        return Grid(placing["shape"], placing["origin"], placing["spacing"])
+    return Grid.fit(mesh, **rest)
 
 
 def input_twice(one: str, other: str) -> click.UsageError:

@@ -10,6 +10,7 @@ from voxtool.choices import DEFAULT_DIM, DEFAULT_MODE, FILLS, FITS, MODES
 from voxtool.cli import options, runner
 from voxtool.cli.options import DIM, bbox_option, flag, option, together
 from voxtool.errors import human
+from voxtool.files.formats import EXPORTS
 
 if TYPE_CHECKING:
     from voxtool.grid import Grid
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     option("--dim", DIM, f"Voxels along the longest side.  [default: {DEFAULT_DIM}]"),
     option("--pitch", float, "Voxel size in world units, instead of --dim."),
     bbox_option,
-    option("--like", str, "Use the grid of another octree.", metavar="FILE.svo.h5"),
+    options.lattice_options,
     option("--margin", click.IntRange(0),
         "Empty voxels on each side.  [default: min(4, dim // 8), 0 with --bbox]"),
     option("--fit", FITS,
@@ -43,7 +44,10 @@ if TYPE_CHECKING:
     options.length_options,
 )  # fmt: skip
 @runner.job_options(
-    "FILE", "Default MESH's name with .svo.h5, in this folder.", "svo.h5", "svo.xml", "svo.xml.gz"
+    "FILE",
+    "Its ending says the format, of an octree or of an export (voxtool export -h).  Default MESH's "
+    "name with .svo.h5, in this folder.",
+    "svo.h5", "svo.xml", "svo.xml.gz", *EXPORTS,
 )  # fmt: skip
 def command(
     run: runner.Run, mesh: str, mode: str, fill: str, gap: int, with_surface: bool,
@@ -60,27 +64,27 @@ def command(
       voxtool voxelize bunny.obj --pitch 0.01 --mode surface26 -o bunny.svo.xml
       voxtool voxelize open.obj --fill winding
       voxtool voxelize open.obj --fill flood --gap 3
+      voxtool voxelize bunny.obj --like mask.npy -o bunny.npy
     """
     options.check_placing(like, placing)
     if with_surface and mode != "solid":
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
     if gap and (fill != "flood" or mode != "solid"):
         raise click.UsageError("--gap goes with --mode solid --fill flood")
-    from voxtool.files import SVO_FORMATS, read_svo, write_svo
+    from voxtool.files import SVO_FORMATS, export, write_svo
     from voxtool.files.mesh import load_mesh
-    from voxtool.grid import Grid
     from voxtool.svo.voxelize import plan_voxelize
 
-    run.to(mesh, options.output_of(mesh, "svo.h5"), SVO_FORMATS)
+    run.to(mesh, options.output_of(mesh, "svo.h5"), (*SVO_FORMATS, *EXPORTS))
     with run:
         loaded = run.stage(
             "read mesh", load_mesh, mesh, max_memory=run.max_memory, units=units, scale=scale
         )
-        grid = read_svo(like).grid if like else Grid.fit(loaded, **placing)
+        grid = options.grid_from(loaded, like, placing)
         request = {"fill": fill, "gap": gap, "with_surface": with_surface}
         job = run.plan(plan_voxelize, loaded, grid, mode, **request)
         octree = run.job(job, origin=list(grid.origin), pitch=list(grid.pitch))
-        run.write(write_svo, octree)
+        run.write(export if run.file_format in EXPORTS else write_svo, octree)
     run.report(report_line(octree), lambda: facts_of(octree))
 
 

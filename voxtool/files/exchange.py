@@ -22,7 +22,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +34,7 @@ from voxtool.files.formats import (
     IMPORTS,
     Exchange,
     check_output,
+    check_package,
     folder_of,
     format_of,
 )
@@ -55,12 +55,8 @@ NODE_BYTES = 40  # of lists of blocks and of counts, a node of the octree
 def function_of(name: str, verb: str) -> Callable[..., Any]:
     """Return the function of a format that is `size`, `write` or `read`; FileError if the package
     that it needs is not installed."""
+    check_package(name)
     format = EXCHANGE[name]
-    if format.needs and find_spec(format.needs) is None:
-        raise FileError(
-            f".{name} needs {format.needs}, which is not installed: pip install "
-            f"'voxtool[{format.extra}]'"
-        )
     return getattr(import_module(f"voxtool.files.{format.module}"), verb + format.suffix)
 
 

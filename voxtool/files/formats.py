@@ -10,6 +10,7 @@ import os
 import re
 from dataclasses import dataclass, field
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
@@ -164,8 +165,19 @@ def is_folder(name: str) -> bool:
 
 def check_output(path: PathLike, name: str, clobber: bool) -> None:
     """Raise FileError, before any work, if an output of a format cannot be written."""
+    check_package(name)
     if path != STREAM:
         check_target(folder_of(path, name), clobber, folder=is_folder(name))
+
+
+def check_package(name: str) -> None:
+    """Raise FileError if the package that a format needs is not installed."""
+    needed = EXCHANGE[name].needs if name in EXCHANGE else ""
+    if needed and find_spec(needed) is None:
+        raise FileError(
+            f".{name} needs {needed}, which is not installed: pip install "
+            f"'voxtool[{EXCHANGE[name].extra}]'"
+        )
 
 
 def is_mesh(path: PathLike) -> bool:
