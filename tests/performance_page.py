@@ -49,7 +49,7 @@ def main() -> int:
         if not Path(name).exists():
             shutil.copy(models / source, name)
     commands = {f"python -m {words} -o {name}": name for name, (words, _) in TABLES.items()}
-    commands[SMALL] = "small"
+    commands |= {command: name for name, command in SCRIPTS.items()}
     results = run_stages(list(commands), Path("kept"), given.seconds, given.only, limit=LIMIT)
     info = voxtool.open_device().info
     where = f"{info.name}, {info.platform} {info.driver}, {datetime.date.today()}"
@@ -68,7 +68,7 @@ def main() -> int:
 
 def with_table(page: str, name: str, command: str, where: str, found: Result) -> str:
     """The page with another table of this name."""
-    if name == "small":
+    if name in SCRIPTS:
         body = found.output[found.output.index("|") :].rstrip()
     else:
         points = json.loads(Path(name, "report.json").read_text("utf-8"))["points"]
@@ -223,7 +223,10 @@ def growth(points: list[Point]) -> Rows:
                "" if p is None else f"{p:.2f}"]  # fmt: skip
 
 
-SMALL = f"python {ROOT / 'examples/call_costs.py'} bunny.obj"
+SCRIPTS = {  # which print a table
+    "small": f"python {ROOT / 'examples/call_costs.py'} bunny.obj",
+    "frames": "python -m tests.frame_rates bunny.obj bluntfin.vtu",
+}
 BENCH = "voxtool bench"
 TABLES: dict[str, tuple[str, Callable[[list[Point]], Rows]]] = {
     "voxels": (f"{BENCH} voxelize bunny.obj --dims 64,256,512,1024,2048,4096 --fills parity "
