@@ -7,7 +7,11 @@ import json
 import sys
 
 import numpy as np
-import pyopenvdb
+
+try:
+    import pyopenvdb
+except ImportError:  # its name since OpenVDB 12
+    import openvdb as pyopenvdb
 
 
 def read(path, out, nx, ny, nz, *name):

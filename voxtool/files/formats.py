@@ -71,6 +71,7 @@ EXCHANGE = {
     "xyz": Exchange("centers", "centres of the set cells", "_xyz", reads=False, text=True),
     "vdb": Exchange("vdb", "grid, coverage; dtype bool or float32; cubes as tiles", reads=False),
     "vox": Exchange("vox", "grid; which cells are set"),
+    "vtkhdf": Exchange("vtkhdf", "grid, levels, coverage"),
     "png": Exchange("slice_png", "one slice, as a picture", reads=False, parts=False),
 }
 EXPORTS = tuple(name for name, format in EXCHANGE.items() if format.writes)

@@ -68,7 +68,7 @@ def read(schemas: Sequence[Schema], file: BinaryIO, size: int) -> Any:
                 stored, found = _checked(schema, h5, size)
             needed = sum(array.dtype.itemsize * math.prod(array.shape) for array in found.values())
             check_memory(needed, "its datasets", "choose a smaller file")
-            return schema.decode(stored, {name: _load(array) for name, array in found.items()})
+            return schema.decode(stored, {name: load(array) for name, array in found.items()})
     except VoxtoolError:
         raise
     except Exception as error:  # of the library: the file is damaged
@@ -194,7 +194,7 @@ def _suits(found: int, expected: Any) -> bool:
     return expected is None or found in (expected if isinstance(expected, tuple) else (expected,))
 
 
-def _load(dataset: Any) -> np.ndarray:
+def load(dataset: Any) -> np.ndarray:
     """The content of a checked dataset."""
     array = np.empty(dataset.shape, dataset.dtype)
     if array.size:
