@@ -21,7 +21,17 @@ SHAPES = {
     "one voxel": np.arange(8 * 9 * 10).reshape(8, 9, 10) == 123,
     "all": np.ones((8, 16, 9), bool),
 }
-PLACED = ("npz", "vti", "nii", "nii.gz", "nrrd", "vox", "vtkhdf")  # formats that keep the grid
+PLACED = (
+    "npz",
+    "vti",
+    "nii",
+    "nii.gz",
+    "nrrd",
+    "vox",
+    "vtkhdf",
+    "tif",
+    "tiff",
+)  # formats that keep the grid
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -7,21 +7,25 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli import options, runner
-from voxtool.cli.options import BYTES, Parsed, flag, option, plane_of, together
+from voxtool.cli.options import BYTES, POSITIVE, Parsed, flag, option, plane_of, together
 from voxtool.errors import human
-from voxtool.files.formats import EXPORTS
+from voxtool.files.formats import EXPORTS, ending
 
 if TYPE_CHECKING:
     from voxtool.files.exchange import ExportJob
     from voxtool.svo.octree import Octree
 
 SLICE = Parsed(
-    "slice", lambda text: plane_of(text, number_of), " is no plane of voxels: write z=128"
+    "slice", lambda text: plane_of(text, number_of), " is no plane of voxels: write z=128, or z=all"
 )
-KNOWN = ", ".join(f".{name}" for name in EXPORTS)
+KNOWN = ", ".join(map(ending, EXPORTS))
+ALL = "all"
+LAYERED = ("tif", "tiff", "%d.png")  # formats of layers along an axis
 
 
-def number_of(text: str) -> int:
+def number_of(text: str) -> int | str:
+    if text == ALL:
+        return text
     if not text.isdecimal():
         raise ValueError
     return int(text)
@@ -39,8 +43,12 @@ def number_of(text: str) -> int:
         "bool: at least half of a cell is set; whole numbers: how many of its voxels; floats: the "
         "share of them.  [default: bool; with --level float32]"),
     option("--slice plane", SLICE,
-        "For .png: the plane of voxels to draw.  [default: the middle along z]",
+        "For .png: the plane of voxels to draw, or all for the layers of %04d.png.  [default: the "
+        "middle along z]",
         metavar="AXIS=VALUE"),
+    option("--axis", ("x", "y", "z"),
+        "For .tif and %04d.png: the axis along which the layers follow each other.  [default: z]"),
+    option("--dpi", POSITIVE, "For .tif and %04d.png: pixels an inch."),
     option("--max-bytes", BYTES, "Refuse a larger output (800M, 8G).", metavar="BYTES"),
 )  # fmt: skip
 @runner.run_options(
@@ -49,7 +57,10 @@ def number_of(text: str) -> int:
     options.plan_options,
     options.report_options,
 )
-def command(run: runner.Run, file: str, plane: tuple[str, int] | None, **image: Any) -> None:
+def command(
+    run: runner.Run, file: str, plane: tuple[str, int | str] | None, axis: str | None,
+    dpi: float | None, **image: Any,
+) -> None:  # fmt: skip
     """Export the voxels of an octree FILE for other programs.
 
     docs/exchange.md has a table of the formats and of what each of them keeps. In the mesh's own
@@ -66,10 +77,7 @@ def command(run: runner.Run, file: str, plane: tuple[str, int] | None, **image: 
     if run.output is None:
         raise click.UsageError(f"where to? Give -o OUT, ending in one of {KNOWN}")
     run.to(file, run.output, EXPORTS)
-    if plane and run.file_format != "png":
-        raise click.UsageError(f"--slice goes with .png: .{run.file_format} holds all voxels")
-    if plane:
-        image |= {"axis": plane[0], "value": plane[1]}
+    image |= layers_of(run.file_format or "", plane, axis, dpi)
     with run:
         octree = run.stage("read file", read_svo, file)
         job = run.plan(
@@ -80,10 +88,30 @@ def command(run: runner.Run, file: str, plane: tuple[str, int] | None, **image: 
     run.report(report_line(job, size), lambda: facts_of(job, octree, size))
 
 
+def layers_of(
+    name: str, plane: tuple[str, int | str] | None, axis: str | None, dpi: float | None
+) -> dict[str, Any]:
+    """Return the options of a format that say which layers are written, and how."""
+    layered = name in LAYERED
+    if (axis or dpi) and not layered:
+        raise click.UsageError("--axis and --dpi go with .tif and %04d.png")
+    if plane is None:
+        given = {"axis": axis, "dpi": dpi}
+        return {option: value for option, value in given.items() if value is not None}
+    if plane[1] == ALL and layered and axis in (None, plane[0]):
+        return {"axis": plane[0], "dpi": dpi}
+    if plane[1] == ALL or name != "png":
+        raise click.UsageError(
+            "--slice z=128 goes with .png, and z=all with .tif and layers/%04d.png: the other "
+            "formats hold all voxels"
+        )
+    return {"axis": plane[0], "value": plane[1]}
+
+
 def report_line(job: ExportJob, size: int) -> str:
     """Return the line of the report."""
     shape = " x ".join(map(str, job.plan.image.shape))
-    return f".{job.plan.name}, {shape} cells" + (f", {human(size)}" if size else "")
+    return f"{ending(job.plan.name)}, {shape} cells" + (f", {human(size)}" if size else "")
 
 
 def facts_of(job: ExportJob, octree: Octree, size: int) -> dict[str, Any]:

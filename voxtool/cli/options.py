@@ -155,6 +155,7 @@ def colour_of(text: str) -> tuple[float, ...]:
     return numbers
 
 
+POSITIVE = Parsed("number", positive_of, " is no positive number")
 BYTES = Parsed("bytes", bytes_of, " is no number of bytes: write 800M or 8G")
 LEVEL = Parsed(
     "level",

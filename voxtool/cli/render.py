@@ -12,6 +12,7 @@ from voxtool.choices import METHODS, VIEWS, WHITE
 from voxtool.cli import options, runner
 from voxtool.cli.options import (
     LEVEL,
+    POSITIVE,
     List,
     Parsed,
     flag,
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from voxtool.tets.volume import TetVolume
 
 NUMBER = Parsed("number", lambda text: numbers_of(text, 1)[0], " is no finite number")
-POSITIVE = Parsed("number", options.positive_of, " is no positive number")
 VECTOR = Parsed("vector", lambda text: numbers_of(text, 3), ": write three numbers, as 1,2.5,-3")
 DIRECTION = Parsed("vector", options.direction_of, ": write 0,0,1, z or -z")
 RANGE = Parsed(

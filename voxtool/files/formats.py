@@ -72,6 +72,9 @@ EXCHANGE = {
     "vdb": Exchange("vdb", "grid, coverage; dtype bool or float32; cubes as tiles", reads=False),
     "vox": Exchange("vox", "grid; which cells are set"),
     "vtkhdf": Exchange("vtkhdf", "grid, levels, coverage"),
+    "tif": Exchange("tiff", "grid, dtype, unit", needs="tifffile"),
+    "tiff": Exchange("tiff", "grid, dtype, unit", needs="tifffile"),
+    "%d.png": Exchange("layers", "which cells are set", reads=False, folder=True),
     "png": Exchange("slice_png", "one slice, as a picture", reads=False, parts=False),
 }
 EXPORTS = tuple(name for name, format in EXCHANGE.items() if format.writes)
@@ -153,6 +156,11 @@ SCENE = Kind(
 )
 
 
+def ending(name: str) -> str:
+    """The ending of names of a format: .vti, or %d.png of pictures with numbers."""
+    return name if name.startswith("%") else f".{name}"
+
+
 def folder_of(path: PathLike, name: str) -> Path:
     """The file or the folder that a format makes: of layers/%04d.png, layers."""
     is_pattern = is_folder(name) and "%" in os.path.basename(path)
@@ -225,7 +233,7 @@ def format_of(path: PathLike, formats: Iterable[str]) -> str:
         for default in STREAM_FORMATS:
             if default in formats:
                 return default
-    name = re.sub(r"%0?\d*d(?=[^/]*$)", "%d", os.fspath(path).lower())  # layers/%04d.png
+    name = re.sub(r"%0?\d*d(?=[^/]*$)", ".%d", os.fspath(path).lower())  # layers/%04d.png
     endings = {*formats, *SVO_FORMATS, *ADF_FORMATS, *TET_FORMATS}
     for extension in sorted(endings, key=len, reverse=True):
         if name.endswith(f".{extension}"):  # the longest: .svo.h5 is no .h5 of another kind
@@ -233,7 +241,7 @@ def format_of(path: PathLike, formats: Iterable[str]) -> str:
                 return extension
             break
     known = ", ".join(
-        f".{e}" for e in formats if not any(other.endswith(f".{e}") for other in formats)
+        ending(e) for e in formats if not any(other.endswith(f".{e}") for other in formats)
     )
     if path == STREAM:
         raise FileError(f"standard output has no extension: name the format, one of {known}")

@@ -8,19 +8,18 @@ https://github.com/ephtracy/voxel-model, MagicaVoxel-file-format-vox.txt and -ex
 
 from __future__ import annotations
 
-import json
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import groupby
-from typing import Any, BinaryIO, NamedTuple, Self
+from typing import BinaryIO, NamedTuple, Self
 
 import numpy as np
 
 from voxtool.choices import MIN_DIM
 from voxtool.errors import FileError
 from voxtool.files.streams import PACKED
-from voxtool.files.voxels import Boxes, Frame, Stored
+from voxtool.files.voxels import Boxes, Frame, Stored, grid_of_text, grid_text
 from voxtool.grid import Grid
 from voxtool.svo.image import VoxelImage
 
@@ -31,7 +30,8 @@ WORLD_SIDE = 2000  # voxels along a side of MagicaVoxel's world
 MOST_BYTES = (1 << 31) - 1  # that a chunk counts
 NODE_BYTES = 200  # of the two nodes and the chunks of a model, at most
 COLOUR, PALETTE = 1, bytes((204, 204, 204, 255)) * 256
-GRID = "voxtool"  # attribute of the root node
+# Attributes of the root node: the grid, its low voxel in the scene, and the unit.
+GRID, LOW, UNITS = "voxtool_grid", "voxtool_low", "voxtool_units"
 DEEPEST = 64  # nodes inside nodes
 
 
@@ -151,14 +151,9 @@ class _Scene:
 
     def write_nodes(self) -> None:
         image = self.image
-        grid = {
-            "shape": image.shape,
-            "low": self.low.tolist(),
-            "origin": image.origin,
-            "pitch": image.pitch,
-            "units": image.units,
-        }
-        self.chunk(b"nTRN", _transform(0, 1, _dict({GRID: json.dumps(grid)}), {}))
+        low = " ".join(map(str, self.low.tolist()))
+        about = {GRID: grid_text(image), LOW: low, UNITS: image.units}
+        self.chunk(b"nTRN", _transform(0, 1, _dict(about), {}))
         shapes = [2 + 2 * n for n in range(len(self.placed))]
         group = struct.pack(f"<{2 + len(shapes)}i", 0, len(shapes), *shapes)
         self.chunk(b"nGRP", struct.pack("<i", 1) + group)
@@ -305,14 +300,10 @@ def _grid(content: Content, low: np.ndarray, high: np.ndarray) -> tuple[Grid, np
     """Return the grid of an export, or of the box around all models, its low voxel in the scene,
     and the units."""
     attributes = content.transforms[0][0] if 0 in content.transforms else {}
-    if GRID in attributes:
-        try:
-            stored: dict[str, Any] = json.loads(attributes[GRID])
-            place = [tuple(stored[name]) for name in ("shape", "origin", "pitch")]
-            grid = Grid(*place)  # pyright: ignore[reportArgumentType]
-            return grid, np.array([int(n) for n in stored["low"]]), str(stored["units"])[:64]
-        except (KeyError, TypeError, RecursionError) as error:
-            raise FileError(f"the grid that voxtool stored is damaged: {error!r}"[:99]) from None
+    grid = grid_of_text(attributes.get(GRID, ""))
+    if grid is not None and LOW in attributes:
+        stored = Placing.of({"_t": attributes[LOW]})
+        return grid, np.array(stored.moved), attributes.get(UNITS, "")[:64]
     shape = (high - low).tolist()
     if max(shape) < MIN_DIM:
         shape[0] = MIN_DIM

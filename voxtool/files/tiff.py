@@ -1,0 +1,182 @@
+"""TIFF stacks, .tif: one page a layer of cells, [z, y, x] without mirroring, deflated.
+
+Cells of bool have one bit. The description is OME-XML, which says the spacing; a private tag has
+the exact grid. BigTIFF where 4 GiB may not do.
+https://docs.openmicroscopy.org/ome-model/6.3.1/ome-tiff/specification.html
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import prod
+from typing import Any, BinaryIO
+from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from voxtool.errors import FileError, GridError, VoxtoolError, one_line
+from voxtool.files.streams import PACKED
+from voxtool.files.voxels import (
+    Boxes,
+    Frame,
+    Stored,
+    check_length,
+    check_values,
+    dense_pieces,
+    exactly,
+    grid_of_text,
+    grid_text,
+)
+from voxtool.grid import Grid
+from voxtool.memory import check_memory
+from voxtool.svo.image import Order, VoxelImage
+
+# Axes of pages, of rows and of columns, by the axis along which the layers follow each other.
+ORDERS: dict[str, Order] = {"x": (0, 2, 1), "y": (1, 2, 0), "z": (2, 1, 0)}
+GRID, PAGE_BYTES = 65123, 400  # a private tag; bytes of a page's directory, at most
+CLASSIC_BYTES = (1 << 32) - (1 << 24)
+XMLNS = "http://www.openmicroscopy.org/Schemas/OME/2016-06"
+OME = (
+    '<?xml version="1.0" encoding="UTF-8"?><OME xmlns="{xmlns}"><Image ID="Image:0">'
+    '<Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="{type}" SizeX="{x}" SizeY="{y}" '
+    'SizeZ="{z}" SizeC="1" SizeT="1"{spacing}><Channel ID="Channel:0:0" SamplesPerPixel="1"/>'
+    '<TiffData IFD="0" PlaneCount="{z}"/></Pixels></Image></OME>'
+)
+TYPES = {"bool": "bit", "float32": "float", "float64": "double"}
+
+
+def size(image: VoxelImage) -> int:
+    """Bytes of the file: of cells that are neither far inside nor far outside, and of the other
+    ones at a high compression."""
+    mixed = image.mixed // 4 if image.dtype == bool else image.mixed * image.dtype.itemsize
+    return mixed + _raw(image) // (PACKED // 4) + PAGE_BYTES * max(image.shape)
+
+
+def _raw(image: VoxelImage) -> int:
+    """Bytes of all pages, unpacked."""
+    return image.nbytes // 4 if image.dtype == bool else image.nbytes
+
+
+def write(image: VoxelImage, file: BinaryIO, axis: str = "z", dpi: float | None = None) -> None:
+    """Write the image as layers along `axis`, "x", "y" or "z"; `dpi`: pixels an inch on paper.
+
+    Raises
+    ------
+    GridError
+        If there is no such axis.
+    """
+    import tifffile
+
+    order = order_of(axis)
+    z, y, x = shape = tuple(image.shape[a] for a in order)
+    spacing = "".join(
+        f' PhysicalSize{name}="{image.pitch[a]!r}"'
+        + (f" PhysicalSize{name}Unit={quoteattr(image.units)}" if image.units else "")
+        for name, a in zip("ZYX", order, strict=True)
+    )
+    kind = TYPES.get(image.dtype.name, image.dtype.name)
+    text = OME.format(xmlns=XMLNS, type=kind, x=x, y=y, z=z, spacing=spacing)
+    # tifffile wants one page at a time, and one strip a page
+    tifffile.imwrite(
+        file,
+        (layer for slab in image.slabs(order) for layer in slab),
+        shape=shape, dtype=image.dtype, photometric="minisblack", compression="zlib",
+        rowsperstrip=y, metadata=None, description=text.encode(), software="voxtool",
+        bigtiff=_raw(image) + PAGE_BYTES * z > CLASSIC_BYTES,
+        resolution=(dpi, dpi) if dpi else None, resolutionunit="INCH" if dpi else None,
+        extratags=[(GRID, "s", 0, f"{axis} {grid_text(image)}", True)],
+    )  # fmt: skip
+
+
+def order_of(axis: str) -> Order:
+    """Return the axes of layers, rows and columns; GridError if there is no such axis."""
+    if axis not in ORDERS:
+        raise GridError(f"axis {axis!r} is unknown: choose x, y or z")
+    return ORDERS[axis]
+
+
+# ---- in
+
+
+def read(file: BinaryIO, size: int) -> Stored:
+    """Return the voxels of a stack of pages, in grey."""
+    try:
+        return _read(file, size)
+    except (VoxtoolError, OSError, MemoryError):
+        raise
+    except Exception as error:  # damage shows in any of tifffile's errors
+        raise _damaged(error) from error
+
+
+def _damaged(error: Exception) -> FileError:
+    return FileError(f"is no TIFF, or damaged: {one_line(error) or type(error).__name__}")
+
+
+def _read(file: BinaryIO, size: int) -> Stored:
+    import tifffile
+
+    tif = tifffile.TiffFile(file)
+    if not tif.series:
+        raise FileError("holds no images")
+    series = tif.series[0]
+    shape, dtype = tuple(series.shape), np.dtype(series.dtype)
+    if len(shape) == 2:
+        shape = (1, *shape)
+    check_values(dtype, shape)
+    if not series.axes.endswith("YX"):
+        raise FileError(f"axes {series.axes}: voxels are a stack of grey pages: choose one channel")
+    check_length(prod(shape) // 8, PACKED * size)
+    check_memory(4 * prod(shape[1:]) * dtype.itemsize, "a page of its stack")
+    tag = tif.pages[0].tags.get(GRID)  # pyright: ignore[reportAttributeAccessIssue]
+    axis, _, text = str(tag.value).partition(" ") if tag else ("z", "", "")
+    order = ORDERS.get(axis, ORDERS["z"])
+    pitch, units = _spacing(tif)
+    placed = np.empty(3, int), np.empty(3)
+    placed[0][list(order)], placed[1][list(order)] = shape, pitch
+    grid = Grid(*(tuple(v.tolist()) for v in (placed[0], np.zeros(3), placed[1])))  # pyright: ignore
+    exact = grid_of_text(text)
+    if exact is not None:  # the origin is nowhere else
+        grid = Grid(grid.shape, exact.origin, grid.pitch)
+    frame = exactly(Frame(grid, order), exact)
+    whole = (shape[0], shape[1], shape[2])
+    if series.dataoffset is not None and dtype.kind != "b":  # of ImageJ, without a directory a page
+        check_length(prod(shape) * dtype.itemsize, size - series.dataoffset)
+        file.seek(series.dataoffset)
+        raw = dtype.newbyteorder(tif.byteorder)
+        return Stored(frame, dense_pieces(file, raw, whole, fortran=False), units)
+    return Stored(frame, _pieces(series, whole), units)
+
+
+def _pieces(series: Any, shape: tuple[int, int, int]) -> Iterator[Boxes]:
+    """Yield each page as a box; a page that is missing holds nothing."""
+    for number in range(shape[0]):
+        try:
+            page = series.pages[number]
+            values = None if page is None else page.asarray()
+        except (OSError, MemoryError):
+            raise
+        except Exception as error:
+            raise _damaged(error) from error
+        if values is not None:
+            if values.shape != shape[1:]:
+                raise FileError(f"page {number} has {values.shape} pixels, not {shape[1:]}")
+            yield Boxes(np.array([[number, 0, 0]]), values[None, None])
+
+
+def _spacing(tif: Any) -> tuple[list[float], str]:
+    """Return the sizes of a voxel along pages, rows and columns, and their unit; 1 if unknown."""
+    found, units = dict.fromkeys("ZYX", 1.0), ""
+    if tif.is_ome:
+        pixels = ElementTree.fromstring(tif.ome_metadata).find(".//{*}Pixels")
+        if pixels is not None:
+            found = {name: float(pixels.get(f"PhysicalSize{name}", 1)) for name in found}
+            units = pixels.get("PhysicalSizeXUnit", "")[:64]
+    elif tif.is_imagej:
+        about = tif.imagej_metadata or {}
+        found["Z"] = float(about.get("spacing", 1))
+        units = str(about.get("unit", ""))[:64].replace("\\u00B5", "µ")
+        for name, tag in (("X", "XResolution"), ("Y", "YResolution")):
+            if (resolution := tif.pages[0].tags.get(tag)) and min(resolution.value) > 0:
+                found[name] = resolution.value[1] / resolution.value[0]
+    return list(found.values()), units
