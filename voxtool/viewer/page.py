@@ -33,9 +33,10 @@ SHARED = ("vectors", "data", "gl", "state", "controls", "panel", "view", "main")
 FRAME_HEIGHT = 480  # pixels of a page in a notebook
 EXTRAS = {
     "field": ("boxes",),
-    "octree": ("blocks",),
+    "octree": ("blocks", "tiles"),
     "volume": ("transfer", "editor", "isosurfaces"),
 }  # scripts of one kind alone
+PASSES = {"octree": ("tiles.vert", "tiles.frag", "spots.vert")}  # shaders of one kind alone
 # OpenCL C of the kernels' headers, and what GLSL has for it.
 GLSL_FOR = (
     (r"const ints (\w+) = to_ints", r"int \1 = to_ints"),
@@ -112,6 +113,7 @@ def page_of(
         "facts": json.dumps(told, separators=(",", ":")).replace("<", "\\u003c"),
         "vertex": _asset("screen.vert"),
         "fragment": fragment_of(content),
+        "shaders": "\n".join(map(_shader, PASSES.get(content.kind, ()))),
         "blocks": "" if served else "\n".join(map(_block, blocks, blocks.values())),
         "script": script,
     }
@@ -171,6 +173,11 @@ def _policy(script: str, style: str, served: bool) -> str:
         f"default-src 'none'; {reach}img-src blob: data:; script-src {source(script)}; "
         f"style-src {source(style)}"
     )
+
+
+def _shader(name: str) -> str:
+    """Return the element of a shader."""
+    return f'<script type="x-shader" id="{name}">{_asset(name)}</script>'
 
 
 def _block(name: str, block: bytes) -> str:

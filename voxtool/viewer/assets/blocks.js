@@ -1,14 +1,23 @@
 // Octrees as the shader reads them at one drawn level: tables of cells, and blocks of 4^3 cells.
 
-const ONE_TABLE = 7; // bits of a coordinate that a single table may resolve
+const BLOCK = 3; // size of blocks where voxels are drawn
+const ONE_TABLE = 7; // bits of a place that a single table may resolve: 8 MiB
 const TABLE_BITS = 3; // of each table where there are several
+
+/** The number of tables that lead from the root to a block. @param {number} root its size
+ * @param {number} level the finest that the page has, from 0 */
+function tablesOf(root, level) {
+  const bits = root - 1 - BLOCK - level;
+  return bits <= ONE_TABLE ? 1 : Math.ceil(bits / TABLE_BITS);
+}
+
 // What the script and the shader agree on, each a uniform of this name.
 const LAYOUT = {
   LEAVES: 32, // entries from here on: inside leaves, by size
   POINTERS: 64, // entries from here on: a table, or a block
   EMPTY_BLOCK: 0, FULL_BLOCK: 1,
-  WHOLE: 192, // the share of a cell that is full: a multiple of 64, so that those of voxels are exact
 };
+const EIGHTH = 31; // the byte of a cell of which one voxel of eight is set
 
 /** @param {number} v */
 function popcount(v) {
@@ -67,21 +76,22 @@ function linksOf(root, counts, children, shareOf) {
  * from there the size of an inside leaf; from POINTERS the number of a table one step below, or of a
  * block. Block 0 is empty and block 1 full. A block has the words of 8 octants, like bricks, of which
  * each byte is a cell: its voxels where these are drawn, else not 0 where it holds a voxel, and all
- * ones where the octant is an inside leaf; and the shares of its cells, of WHOLE, by x, y, z.
- * @param {Links} links @param {number} cell @param {Uint32Array | null} bricks where voxels are drawn */
-function blocksOf({ root, counts, held, refined, child, share }, cell, bricks) {
-  const { LEAVES, POINTERS, FULL_BLOCK, WHOLE } = LAYOUT;
+ * ones where the octant is an inside leaf; and the shares of its cells, by x, y, z, of which `whole` is
+ * what the shader reads where all is set.
+ * @param {Links} links @param {number} tables from the root to a block @param {number} cell @param {Uint32Array | null} bricks where voxels are drawn */
+function blocksOf({ root, counts, held, refined, child, share }, tables, cell, bricks) {
+  const { LEAVES, POINTERS, FULL_BLOCK } = LAYOUT;
   const size = cell + 2; // of blocks
   const inner = root > size && refined(0) & 1; // the root stands in a node of twice its size
   const top = inner ? root - 1 : root;
-  const bits = top - size > ONE_TABLE ? TABLE_BITS : Math.max(top - size, 1);
-  const tables = Math.max(Math.ceil((top - size) / bits), 1);
+  const bits = Math.max(Math.ceil((top - size) / tables), 1);
   const fan = 1 << bits;
   const most = counts[root - size] + 2;
   const words = new Uint32Array(16 * most);
-  const cells = new Uint8Array(64 * most);
+  const cells = bricks ? new Uint8Array(64 * most) : new Float32Array(64 * most);
+  const full = bricks ? 8 * EIGHTH : 1;
   words.fill(0xffffffff, 16 * FULL_BLOCK, 16 * (FULL_BLOCK + 1));
-  cells.fill(WHOLE, 64 * FULL_BLOCK, 64 * (FULL_BLOCK + 1));
+  cells.fill(full, 64 * FULL_BLOCK, 64 * (FULL_BLOCK + 1));
   let entries = new Uint32Array(fan ** 3);
   let [used, block] = [1, FULL_BLOCK + 1];
 
@@ -90,7 +100,7 @@ function blocksOf({ root, counts, held, refined, child, share }, cell, bricks) {
   const setCell = (octant, at, octet, set) => {
     words[16 * block + 2 * octant + (at >> 2)] |= octet << (8 * (at & 3));
     const [x, y, z] = [0, 1, 2].map((a) => 2 * ((octant >> a) & 1) + ((at >> a) & 1));
-    cells[64 * block + x + 4 * (y + 4 * z)] = Math.round(WHOLE * set);
+    cells[64 * block + x + 4 * (y + 4 * z)] = full * set;
   };
   /** @param {number} node of the size of a block @param {number} octant that holds a voxel */
   const setOctant = (node, octant) => {
@@ -145,5 +155,5 @@ function blocksOf({ root, counts, held, refined, child, share }, cell, bricks) {
   const start = inner ? child(0, 0) : 0;
   if (top > unit) visit(start, top, [0, 0, 0], 0, unit);
   else entries[0] = pointerTo(start, top);
-  return { entries: entries.subarray(0, used * fan ** 3), words, cells, tables, fan, cover: 2 ** (size + bits * tables) };
+  return { entries: entries.subarray(0, used * fan ** 3), words, cells, whole: bricks ? full / 255 : 1, fan, cover: 2 ** (size + bits * tables) };
 }

@@ -81,6 +81,7 @@ const boxes = new WeakSet();
  * @param {WebGL2RenderingContext} gl @param {WebGLProgram} program
  * @param {Record<string, any>} values */
 function setUniforms(gl, program, values) {
+  gl.useProgram(program);
   const count = gl.getProgramParameter(program, gl.ACTIVE_UNIFORMS) || 0;
   for (let i = 0; i < count; ++i) {
     const info = gl.getActiveUniform(program, i);
@@ -125,13 +126,18 @@ class Target {
     this.gl.deleteFramebuffer(this.frame);
   }
 
-  /** Draws a program into it. @param {WebGLProgram} program */
-  draw(program) {
+  /** Draws a program into it: a triangle that covers it, or points of tiles that may show something.
+   * @param {WebGLProgram} program @param {number} tile side of a tile in pixels, or 0 */
+  draw(program, tile) {
     const gl = this.gl;
+    const [width, height] = [this.width, this.height].map((n) => (tile ? tile * Math.ceil(n / tile) : n));
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.frame);
-    gl.viewport(0, 0, this.width, this.height);
+    gl.viewport(0, 0, width, height);
+    gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
+    gl.clearBufferuiv(gl.COLOR, 1, [0, 0, 0, 0]);
     gl.useProgram(program);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    if (tile) gl.drawArrays(gl.POINTS, 0, (width / tile) * (height / tile));
+    else gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 
   /** Shows it on the canvas. */

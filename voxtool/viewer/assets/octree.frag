@@ -2,16 +2,20 @@
 //
 // Tables, blocks and their cells are those of blocks.js: a few fetches find a voxel, or the largest
 // empty node around a place. Sizes are exponents: 2^k voxels. Rays are mirrored, so that all their
-// coordinates increase. Places are floats, which hold them exactly: shifts are slow on processors.
+// coordinates increase.
+//
+// SwiftShader, on a processor, runs all branches of four pixels, for none of them if need be, and shifts
+// them one by one: places are floats, which hold them exactly, and little is left to branches.
 
 uniform usampler2D entries;      // of the tables
 uniform usampler2D bricks;       // of blocks, by octant
 uniform sampler2D shares;        // of blocks, four cells along x
-uniform int rowBits;             // of these textures
+uniform int rowBits, rowMask;    // of these textures
+uniform usampler2D begins;       // by tile, the bits of the depth at which its rays begin
+uniform float tile;              // side of a tile, in pixels
 uniform uint LEAVES, POINTERS;   // first entries of their kinds
 uniform uint EMPTY_BLOCK, FULL_BLOCK;
-uniform float WHOLE;             // a full cell's share, times 255
-uniform int tables;              // from the root to a block
+uniform float whole;             // a full cell's share
 uniform float fan, cover;        // entries of a table along an axis; voxels of all tables
 uniform int root, finest, shaded; // sizes of the root, of what is drawn, of the cells of blocks
 uniform vec3 pitch;              // relative to the longest
@@ -23,6 +27,7 @@ uniform vec2 depths;             // of the nearest and the farthest corner
 const float STILL = 1e-30;   // speed along an axis below which a ray stays in its layer of voxels
 const float AHEAD = 0.5;     // distance before the hit, in cells, where the coverage is sampled
 const float VANISHES = 1e-6; // smaller gradients are rounding errors
+const float EARLY = 4e-6;    // of the range of depths, by which rays begin before their tile says
 const int MOST_STEPS = 1 << 15;
 const uvec2 FULL = uvec2(0xFFFFFFFFu);
 
@@ -57,18 +62,26 @@ uint halve(inout vec3 place)
     return uint(int(dot(upper, vec3(1, 2, 4))));
 }
 
-// The entry at a place in [0, 1)^3 of the tables. Leaves the place in what it points to.
+ivec2 texel(uint i) { return ivec2(int(i) & rowMask, int(i) >> rowBits); }
+
+// The entry of a table at a place in [0, 1)^3 of it. Leaves the place in what it points to.
+uint entryOf(uint table, inout vec3 place)
+{
+    place *= fan;
+    vec3 cell = floor(place);
+    place -= cell;
+    uint at = table * uint(int(fan * fan * fan)) + uint(int(cell.x + fan * (cell.y + fan * cell.z)));
+    return texelFetch(entries, texel(at), 0).x;
+}
+
+// The entry at a place in [0, 1)^3 of all tables, likewise.
 uint entryAt(inout vec3 place)
 {
-    uint found = POINTERS;
-    for (int i = 0; i < tables && found >= POINTERS; ++i) {
-        place *= fan;
-        vec3 cell = floor(place);
-        place -= cell;
-        uint table = (found - POINTERS) * uint(int(fan * fan * fan));
-        uint at = uint(int(cell.x + fan * (cell.y + fan * cell.z)));
-        found = texelFetch(entries, texel(table + at, rowBits), 0).x;
-    }
+    uint found = entryOf(0u, place);
+#if TABLES > 1
+    for (int i = 1; i < TABLES && found >= POINTERS; ++i)
+        found = entryOf(found - POINTERS, place);
+#endif
     return found;
 }
 
@@ -86,7 +99,7 @@ int emptyAt(vec3 voxel, out int drawn)
         return -1;
     }
     uint block = 8u * (entry - POINTERS);
-    uvec2 brick = texelFetch(bricks, texel(block + halve(place), rowBits), 0).xy;
+    uvec2 brick = texelFetch(bricks, texel(block + halve(place)), 0).xy;
     if (finest > 0 && brick == FULL)
         drawn = max(shaded + 1, finest);
     uint at = halve(place), word = at < 4u ? brick.x : brick.y;
@@ -150,44 +163,59 @@ uint blockAt(vec3 at)
     return entry >= POINTERS ? entry - POINTERS : entry >= LEAVES ? FULL_BLOCK : EMPTY_BLOCK;
 }
 
-// The gradient of the coverage of the cells, at a place in such cells: of the 4^3 around it, row by
-// row along x, each in two blocks. Weights are rotated: lists at variable places are slow.
+// Weights of the 4^3 cells around a place, by axis, and their slopes; along x those of two blocks.
+struct Weights {
+    vec4 x, xSlope, xThere, xSlopeThere, y, ySlope, z, zSlope;
+};
+
+// The row of cells along x at y and z, weighted along x: mean, and change.
+vec2 rowOf(Weights w, ivec4 row)
+{
+    vec4 cells = texelFetch(shares, row.xy, 0), others = texelFetch(shares, row.zw, 0);
+    return vec2(dot(cells, w.x) + dot(others, w.xThere), dot(cells, w.xSlope) + dot(others, w.xSlopeThere));
+}
+
+// The slice of cells at z, weighted along x and y: changes along x and y, and mean. `here` and `next`:
+// the first texels at z of the two blocks along x, and of those beyond y; `y`: of the first cell.
+vec3 sliceOf(Weights w, ivec4 here, ivec4 next, int y)
+{
+    ivec4 step = ivec4(1, 0, 1, 0);
+    here += y * step, next += (y - 4) * step;
+    vec2 a = rowOf(w, here), b = rowOf(w, (y < 3 ? here : next) + step);
+    vec2 c = rowOf(w, (y < 2 ? here : next) + 2 * step), d = rowOf(w, (y < 1 ? here : next) + 3 * step);
+    vec4 means = vec4(a.x, b.x, c.x, d.x), changes = vec4(a.y, b.y, c.y, d.y);
+    return vec3(dot(changes, w.y), dot(means, w.ySlope), dot(means, w.y));
+}
+
+// The first texels of the block at a place in units of blocks, and of the next along x.
+ivec4 pairAt(vec3 at)
+{
+    return ivec4(texel(16u * blockAt(at)), texel(16u * blockAt(at + vec3(1, 0, 0))));
+}
+
+// The gradient of the coverage of the cells, at a place in such cells.
 vec3 coverageGradient(vec3 place)
 {
     vec3 before = floor(place - 0.5), f = place - 0.5 - before, first = before - 1.0;
     vec3 block = floor(0.25 * first), within = first - 4.0 * block;
-    vec4 x, xSlope, xThere, xSlopeThere, y, ySlope, z, zSlope;
-    spline(f.x, x, xSlope);
-    spline(f.y, y, ySlope);
-    spline(f.z, z, zSlope);
-    moveOn(within.x, x, xThere);
-    moveOn(within.x, xSlope, xSlopeThere);
-    uvec4 here = uvec4(blockAt(block), blockAt(block + vec3(0, 1, 0)), blockAt(block + vec3(0, 0, 1)),
-                       blockAt(block + vec3(0, 1, 1)));
-    block.x += 1.0;
-    uvec4 there = uvec4(blockAt(block), blockAt(block + vec3(0, 1, 0)), blockAt(block + vec3(0, 0, 1)),
-                        blockAt(block + vec3(0, 1, 1)));
+    Weights w;
+    spline(f.x, w.x, w.xSlope);
+    spline(f.y, w.y, w.ySlope);
+    spline(f.z, w.z, w.zSlope);
+    moveOn(within.x, w.x, w.xThere);
+    moveOn(within.x, w.xSlope, w.xSlopeThere);
+    ivec4 here = pairAt(block), up = pairAt(block + vec3(0, 1, 0));
+    ivec4 beyond = pairAt(block + vec3(0, 0, 1)), both = pairAt(block + vec3(0, 1, 1));
     vec3 gradient = vec3(0);
-    for (int i = 0; i < 16; ++i) {
-        bool nextY = within.y >= 4.0, nextZ = within.z >= 4.0;
-        uvec2 near = nextZ ? here.zw : here.xy, far = nextZ ? there.zw : there.xy;
-        uvec2 pair = nextY ? uvec2(near.y, far.y) : uvec2(near.x, far.x);
-        if (pair != uvec2(EMPTY_BLOCK)) {
-            float row = within.y + 4.0 * within.z - (nextY ? 4.0 : 0.0) - (nextZ ? 16.0 : 0.0);
-            uvec2 at = 16u * pair + uint(int(row));
-            vec4 cells = texelFetch(shares, texel(at.x, rowBits), 0);
-            vec4 others = texelFetch(shares, texel(at.y, rowBits), 0);
-            float mean = dot(cells, x) + dot(others, xThere);
-            float change = dot(cells, xSlope) + dot(others, xSlopeThere);
-            gradient += vec3(change * y.x * z.x, mean * ySlope.x * z.x, mean * y.x * zSlope.x);
-        }
-        bool last = (i & 3) == 3;
-        within.y += last ? -3.0 : 1.0;
-        y = y.yzwx, ySlope = ySlope.yzwx;
-        if (last)
-            within.z += 1.0, z = z.yzwx, zSlope = zSlope.yzwx;
+    int y = int(within.y), z = int(within.z);
+    for (int i = 0; i < 4; ++i) {
+        ivec4 at = 4 * (z & 3) * ivec4(1, 0, 1, 0);
+        vec3 slice = sliceOf(w, (z < 4 ? here : beyond) + at, (z < 4 ? up : both) + at, y);
+        gradient += slice * vec3(w.z.x, w.z.x, w.zSlope.x);
+        w.z = w.z.yzwx, w.zSlope = w.zSlope.yzwx; // a list at a variable place is slow
+        ++z;
     }
-    return gradient * (255.0 / WHOLE);
+    return gradient / whole;
 }
 
 // The unit normal at a hit, towards the viewer: opposite to the gradient of the coverage. A normal
@@ -234,7 +262,10 @@ void main()
     float enters = max(largest(ins), nearest), end = smallest(outs);
     if (!(enters < end))
         return;
-    float t = enters;
+    float begin = uintBitsToFloat(texelFetch(begins, ivec2(gl_FragCoord.xy / tile), 0).x);
+    float t = max(enters, begin - EARLY * (depths.y - depths.x));
+    if (!(t < end))
+        return;
     vec3 p = clamp(floor(ray.origin + t * ray.speed), low, high - 1.0), node;
     int k;
     if (!follow(ray, p, end, t, node, k))

@@ -13,6 +13,7 @@ function octreeKind(facts) {
   const sizeOf = (settings) => (settings.level === "voxel" ? 0 : Number(settings.level) + BRICK);
   /** The size of the cells of the shading: two voxels at least. @param {Settings} settings */
   const cellOf = (settings) => Math.min(Math.max(sizeOf(settings), 1), facts.root - 2);
+  const tables = tablesOf(facts.root, finest ?? 0);
   /** @type {any} */
   let kept = {};
 
@@ -21,11 +22,11 @@ function octreeKind(facts) {
   const upload = (gl, settings) => {
     if (kept.level === settings.level) return kept.told;
     const { textures, links } = kept;
-    const { entries, words, cells, ...told } = blocksOf(links, cellOf(settings), sizeOf(settings) ? null : kept.bricks);
+    const { entries, words, cells, ...told } = blocksOf(links, tables, cellOf(settings), sizeOf(settings) ? null : kept.bricks);
     for (const name of ["entries", "bricks", "shares"]) gl.deleteTexture(textures[name]);
     textures.entries = listTexture(gl, "u4x1", entries, "nodes");
     textures.bricks = listTexture(gl, "u4x2", words, "bricks");
-    textures.shares = listTexture(gl, "n1x4", cells, "bricks");
+    textures.shares = listTexture(gl, sizeOf(settings) ? "f4x4" : "n1x4", cells, "bricks");
     Object.assign(kept, { level: settings.level, told });
     return told;
   };
@@ -44,16 +45,23 @@ function octreeKind(facts) {
         ),
       ),
     ],
-    textures(_, arrays) {
+    textures(gl, arrays) {
       const { children, bricks } = arrays;
       const shareOf = (/** @type {number} */ i) =>
         arrays.shares ? arrays.shares[i] : (popcount(bricks[2 * i]) + popcount(bricks[2 * i + 1])) / 64;
       const links = linksOf(facts.root, facts.levels, children, shareOf);
-      kept = { textures: { entries: null, bricks: null, shares: null }, links, bricks };
+      const tiles = new Tiles(gl, nodeList(links));
+      kept = { textures: { entries: null, bricks: null, shares: null, begins: null }, links, bricks, tiles };
       return kept.textures;
     },
     origin,
     scale: pitch,
+    vertex: "spots.vert",
+    define: `#define TABLES ${tables}`,
+    before(values) {
+      kept.tiles.find(values, pitch);
+      kept.textures.begins = kept.tiles.texture;
+    },
     uniforms(gl, settings, camera) {
       const { direction } = frameOf(camera);
       const corners = Array.from({ length: 8 }, (_, i) =>
@@ -64,6 +72,7 @@ function octreeKind(facts) {
       const longest = Math.max(...pitch);
       return {
         rowBits: rowBits(gl),
+        rowMask: (1 << rowBits(gl)) - 1,
         root: facts.root,
         finest: sizeOf(settings),
         shaded: cellOf(settings),
@@ -75,6 +84,7 @@ function octreeKind(facts) {
         extent: shape,
         paint: PAINTS.indexOf(String(settings.paint)),
         edges: settings.edges,
+        tile: TILE,
         depths: [Math.min(...corners), Math.max(...corners)],
       };
     },

@@ -15,7 +15,8 @@ class View {
     this.gl = gl;
     this.kind = kind;
     this.colour = facts.colour;
-    this.program = programOf(gl, shaders[0], shaders[1]);
+    const fragment = shaders[1].replace("\n", `\n${kind.define || ""}\n`); // after its version
+    this.program = programOf(gl, kind.vertex ? textOf(kind.vertex) : shaders[0], fragment);
     this.textures = kind.textures(gl, arrays);
     this.scale = 1; // of a moving picture
     this.milliseconds = 0; // of the last frame
@@ -32,7 +33,6 @@ class View {
   paint(target, camera, settings) {
     const { gl, kind } = this;
     const rays = localRays(raysOf(camera, target.width, target.height), kind.origin, kind.scale);
-    gl.useProgram(this.program);
     /** @type {Record<string, any>} */
     const values = {
       ...rays,
@@ -40,13 +40,14 @@ class View {
       colour: this.colour,
       ...kind.uniforms(gl, settings, camera),
     };
+    kind.before?.(values);
     Object.entries(this.textures).forEach(([name, texture], unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(texture && boxes.has(texture) ? gl.TEXTURE_3D : gl.TEXTURE_2D, texture);
       values[name] = unit;
     });
     setUniforms(gl, this.program, values);
-    target.draw(this.program);
+    target.draw(this.program, values.tile || 0);
   }
 
   /** Draws the next frame, coarse while the camera moves and whole when it stays. */
