@@ -7,6 +7,7 @@ import functools
 import shutil
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
@@ -134,6 +135,12 @@ def opened(browser: Any, file: Path) -> Iterator[Viewer]:
     assert viewer.errors == []
     assert {url.partition(":")[0] for url in viewer.requests} <= {"file", "blob"}
     viewer.close()
+
+
+def nearer(camera: Camera, share: float) -> Camera:
+    """Return a camera whose eye has this share of the distance from its target."""
+    ends = zip(camera.eye, camera.target, strict=True)
+    return replace(camera, eye=tuple(t + share * (e - t) for e, t in ends))
 
 
 def beside(mask: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from helpers_browser import Viewer, check_same, opened, written
+from helpers_browser import Viewer, check_same, nearer, opened, written
 
 import voxtool
 from voxtool.camera import Camera
@@ -41,12 +41,10 @@ def places(camera: Camera, t: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("offset", [0.0, 0.08, -0.05])
 @pytest.mark.parametrize(
-    ("view", "fov", "nearer"), [("iso", 30, 1), ("front", None, 1), ("left", 60, 0.1)]
+    ("view", "fov", "share"), [("iso", 30, 1), ("front", None, 1), ("left", 60, 0.1)]
 )
-def test_the_picture_is_that_of_render(offset, view, fov, nearer, field, viewer: Viewer) -> None:
-    camera = voxtool.camera_for(field, view, fov=fov)
-    eye = tuple(t + nearer * (e - t) for e, t in zip(camera.eye, camera.target, strict=True))
-    camera = Camera(eye, camera.target, camera.up, fov, camera.height)
+def test_the_picture_is_that_of_render(offset, view, fov, share, field, viewer: Viewer) -> None:
+    camera = nearer(voxtool.camera_for(field, view, fov=fov), share)
     viewer.set(camera, offset=offset)
     colours, ids = viewer.picture(*SIZE)
     check_same(colours, voxtool.render(field, camera.rays(*SIZE), offset=offset))

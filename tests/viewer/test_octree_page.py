@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_browser import LARGE, Viewer, check_same, opened, written
+from helpers_browser import LARGE, Viewer, check_same, nearer, opened, written
 from helpers_cli import run
 from PIL import Image
 
@@ -73,10 +73,8 @@ CAMERAS = {
 @pytest.mark.parametrize("level", ["voxel", 0, 1, 3])
 @pytest.mark.parametrize("name", CAMERAS)
 def test_the_picture_is_that_of_render(name: str, level, octree, viewer: Viewer) -> None:
-    view, fov, nearer = CAMERAS[name]
-    camera = voxtool.camera_for(octree, view, fov=fov)
-    eye = tuple(t + nearer * (e - t) for e, t in zip(camera.eye, camera.target, strict=True))
-    camera = Camera(eye, camera.target, camera.up, fov, camera.height)
+    view, fov, share = CAMERAS[name]
+    camera = nearer(voxtool.camera_for(octree, view, fov=fov), share)
     viewer.set(camera, level=level)
     colours, ids = viewer.picture(*SIZE)
     check_same(colours, voxtool.render(octree, camera.rays(*SIZE), level=level))
