@@ -143,8 +143,11 @@ def bombs() -> Iterator[Entry]:
         ("a.ply.gz", b"\0" * 8),
         ("a.svo.xml.gz", b" " * 8),
     ):
-        part = gzip.compress(line * (1 << 21), mtime=0)
-        yield Entry(f"bomb of gzip in {file}", file, lambda p=part: 32 * p)
+        yield Entry(f"bomb of gzip in {file}", file, partial(gzip_bomb, line))
+
+
+def gzip_bomb(line: bytes) -> bytes:
+    return 32 * gzip.compress(line * (1 << 21), mtime=0)
 
 
 def exodus_bomb() -> bytes:
