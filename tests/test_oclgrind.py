@@ -38,7 +38,7 @@ from helpers_tets import (
     tet_mesh,
 )
 
-from voxtool.adf import build, query
+from voxtool.adf import build, query, textures
 from voxtool.adf.scene import FieldScene
 from voxtool.camera import Camera
 from voxtool.choices import METHODS
@@ -422,7 +422,7 @@ def query_fields(device) -> None:
 
     points = np.random.default_rng(1).uniform(-0.1, 1.1, (40, 3))
     points[3] = np.nan
-    shapes = query.GPU, query.Shape(16, 32, 2, 2), query.Shape(1, 1, 3, 4)
+    shapes = textures.GPU, textures.Shape(16, 32, 2, 2), textures.Shape(1, 1, 3, 4)
     deep = plain_field(lambda p: spike(p) / 32, 0.2 / 32, 13)  # of less than 2 sides
     fields = [plain_field(sphere, 1e-2, 4), with_w(deep, 40)]
     for shape in shapes:

@@ -18,17 +18,10 @@ from hypothesis import strategies as st
 from voxtool.adf.cells import key_of
 from voxtool.adf.field import DistanceField, assemble
 from voxtool.adf.host_query import CHUNK, POINT_BITS, QueryResult, to_fixed
-from voxtool.adf.query import (
-    BLOCK,
-    GPU,
-    GPU_COHERENT,
-    HOST_POINTS,
-    SEARCHES,
-    FieldQuery,
-    levels_to_search,
-    query_adf,
-)
+from voxtool.adf.query import BLOCK, HOST_POINTS, FieldQuery, query_adf
 from voxtool.adf.spatial_hash import SpatialHash
+from voxtool.adf.textures import GPU, GPU_COHERENT, levels_to_search
+from voxtool.choices import SEARCHES
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import open_device
 

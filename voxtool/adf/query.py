@@ -18,14 +18,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from voxtool.adf.cells import bound_values, half_diagonals
 from voxtool.adf.field import DistanceField
 from voxtool.adf.host_query import (
-    POINT_BITS,
     QueryResult,
     checked_points,
     extend,
@@ -33,16 +32,22 @@ from voxtool.adf.host_query import (
     query_on_host,
     to_fixed,
 )
-from voxtool.adf.packing import arrangement, pack_blocks
+from voxtool.adf.textures import (
+    CPU,
+    GPU,
+    GPU_COHERENT,
+    SOURCE,
+    Shape,
+    bounds_of,
+    filtered_of,
+    textures_of,
+)
 from voxtool.choices import EXACT, SAMPLERS, SEARCHES
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.device import ALIGNMENT
-from voxtool.opencl.images import Image, check_filter, image_of
 
-SOURCE = "adf/query.cl"
 HOST_POINTS = 128  # up to this number the host is faster than a launch
-TOP_LEVEL = 5  # down to which a table has the cells of points: it fits caches
 BLOCK = 1 << 18  # points that are on the device at once
 
 OUTPUTS: dict[str, dict[str, tuple[type, int]]] = {  # of the kernel, besides distances
@@ -56,29 +61,6 @@ HEADERS = {
         **{search.upper(): number for number, search in enumerate(SEARCHES)}
     )
 }
-
-
-@dataclass(frozen=True)
-class Shape:
-    """The assignment of points to work-items: options of query.cl, and the size of a work-group."""
-
-    lanes: int
-    batch: int
-    run: int
-    group: int
-
-    def padded(self, n: int) -> int:
-        """Return n rounded up to whole work-groups."""
-        whole = self.batch * self.run * self.group
-        return -(-n // whole) * whole
-
-    def options(self) -> dict[str, int]:
-        return {"LANES": self.lanes, "BATCH": self.batch, "RUN": self.run}
-
-
-CPU = Shape(lanes=16, batch=64, run=16, group=4)
-GPU = Shape(lanes=1, batch=1, run=1, group=64)
-GPU_COHERENT = Shape(lanes=1, batch=1, run=16, group=64)
 
 
 def query_adf(
@@ -178,7 +160,7 @@ class FieldQuery:
         points : (N, 3) or (3,) array_like
             World units; (3,) is one point, for which the arrays of the result have no leading axis.
         search : str
-            Among the levels below TOP_LEVEL, to which a table has the cells: "linear", from the
+            Below the levels of which a table has the cells: "linear", from the
             coarsest down; "binary", between that and the deepest; or "coherent", from the level of
             the previous point, for points that are near the previous one, as along rays.
         gradient, bounds, cell : bool
@@ -289,112 +271,6 @@ class FieldQuery:
         if self.device.lanes > 1:
             return CPU
         return GPU_COHERENT if search == "coherent" else GPU
-
-
-# --- textures ------------------------------------------------------------------------------------
-
-
-class Textures(NamedTuple):
-    """Arguments, by name, and -D options of kernels that include kernels/adf/search.h."""
-
-    arguments: dict[str, Any]
-    options: dict[str, int | str]
-
-
-def textures_of(field: DistanceField, device: Device) -> Textures:
-    """Return the textures of a field on a device: uploaded by the first call, then kept."""
-
-    def upload() -> Textures:
-        table, (full, deepest) = field.hash, levels_to_search(field)
-        options: dict[str, int | str] = {
-            "OFFSET": {1: "uchar", 2: "ushort"}[table.offsets.dtype.itemsize],
-            **({"W": 1} if table.has_w else {}),
-            **({"WIDE": 1} if field.cells.shape[-1] == 3 else {}),
-        }
-        top = min(TOP_LEVEL, deepest)
-        arguments: dict[str, Any] = {
-            "voxels": voxels_of(field, device),
-            "cells": _upload(field.cells, device),
-            "offsets": _upload(table.offsets, device),
-            "inverses": device.put(inverses(max(table.m, table.r))),
-            "m": table.m,
-            "r": table.r,
-            "full": full,
-            "deepest": deepest,
-            "top": top,
-        }
-        return Textures(arguments | {"tops": _tops(device, top, arguments, options)}, options)
-
-    nbytes = field.cells.nbytes + field.hash.nbytes + 8 * 8**TOP_LEVEL
-    return device.keep(field, "textures", nbytes, upload)
-
-
-def _tops(
-    device: Device, top: int, arguments: dict[str, Any], options: dict[str, int | str]
-) -> Array:
-    """Return the block and the level of the deepest cell down to level `top` that has a block, for
-    each cell of this level, (8**top, 2) uint32 by x, y, z."""
-    shape, n = CPU if device.lanes > 1 else GPU, 8**top
-    padded = shape.padded(n)
-    points = np.zeros((padded, 3), np.uint32)
-    for axis in range(3):
-        cells = np.arange(n) >> top * axis & (1 << top) - 1
-        points[:n, axis] = cells << (POINT_BITS - top)
-    tops = device.empty(2 * padded, np.uint32)
-    find_tops = device.kernel(SOURCE, "find_tops", SEARCH="BINARY", **shape.options(), **options)
-    size = padded // (shape.batch * shape.run)
-    find_tops(size, points=device.put(points), tops=tops, local=shape.group, **arguments)
-    return tops
-
-
-def voxels_of(field: DistanceField, device: Device) -> Array:
-    """Return the blocks of a field on a device: uploaded by the first call, then kept."""
-    voxels = field.voxels
-    return device.keep(field, "voxels", voxels.nbytes, lambda: _upload(voxels, device))
-
-
-def bounds_of(field: DistanceField, device: Device) -> Array:
-    """Return the bounds texture of a field on a device: uploaded by the first call, then kept."""
-    bounds = field.bounds
-    assert bounds is not None
-    return device.keep(field, "bounds", bounds.nbytes, lambda: _upload(bounds, device))
-
-
-def filtered_of(field: DistanceField, device: Device) -> dict[str, Any]:
-    """Return the arguments of the kernel for distances by the device's filter: the image of the
-    voxels, uploaded by the first call and then kept, and its blocks along x and y."""
-    across = arrangement(len(field.voxels))[:2]
-    nbytes = field.voxels.nbytes
-
-    def upload() -> Image:
-        check_filter(device)
-        return image_of(pack_blocks(field.voxels), device)
-
-    return {"image": device.keep(field, "image", nbytes, upload), "across": across}
-
-
-def _upload(texture: np.ndarray, device: Device) -> Array:
-    """Return a texture on the device; on a CPU in large pages, which suit random reads."""
-    with device.stage("upload"):
-        array = device.empty(texture.size, texture.dtype)
-        device.write(array, texture)
-    return array
-
-
-def levels_to_search(field: DistanceField) -> tuple[int, int]:
-    """Return the level down to which all cells have blocks, and the deepest with a block."""
-    counts = field.cells_by_level()
-    partial = next(level for level, count in enumerate(counts) if count < 8**level)
-    return partial - 1, field.depth - 1
-
-
-def inverses(most: int) -> np.ndarray:
-    """Return the inverse of each number up to `most`, rounded to nearest; 0 for 0."""
-    numbers = np.arange(1, most + 1, dtype=np.float32)
-    return np.concatenate([np.zeros(1, np.float32), 1 / numbers])
-
-
-# --- blocks of points ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.adf.field import FAR
-from voxtool.adf.query import voxels_of
+from voxtool.adf.textures import voxels_of
 from voxtool.camera import checked_colour
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import program
