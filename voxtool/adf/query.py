@@ -160,9 +160,9 @@ class FieldQuery:
         points : (N, 3) or (3,) array_like
             World units; (3,) is one point, for which the arrays of the result have no leading axis.
         search : str
-            Below the levels of which a table has the cells: "linear", from the
-            coarsest down; "binary", between that and the deepest; or "coherent", from the level of
-            the previous point, for points that are near the previous one, as along rays.
+            Below the levels of which a table has the cells: "linear", from the coarsest down;
+            "binary", between that and the deepest; or "coherent", from the level of the previous
+            point, for points that are near the previous one, as along rays.
         gradient, bounds, cell : bool
             Whether these are returned as well.
 
