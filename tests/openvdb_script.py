@@ -38,6 +38,27 @@ def read(path, out, nx, ny, nz, *name):
     np.savez(out, values=values, facts=json.dumps(facts))
 
 
+def write(path, source, kind, half, matrix):
+    values = np.load(source)
+    grid = getattr(pyopenvdb, kind)(values.dtype.type(0).item())
+    grid.copyFromArray(values, ijk=(-3, 5, 130))
+    grid.fill((128, 0, 0), (135, 7, 7), values.dtype.type(1).item())
+    grid.prune()
+    grid.saveFloatAsHalf = half == "half"
+    grid.name, grid.gridClass = "a", pyopenvdb.GridClass.FOG_VOLUME
+    grid.transform = pyopenvdb.createLinearTransform(json.loads(matrix))
+    pyopenvdb.write(path, grid)
+
+
+def several(path):
+    sphere = pyopenvdb.createLevelSetSphere(9.0, (1.0, 2.0, 3.0), 0.25)
+    sphere.name = "sphere"
+    grids = [sphere, pyopenvdb.BoolGrid(), pyopenvdb.Vec3SGrid()]
+    for grid, name in zip(grids[1:], ("nothing", "velocity"), strict=True):
+        grid.name = name
+    pyopenvdb.write(path, grids)
+
+
 for line in sys.stdin.read().splitlines():
     verb, *words = line.split("\t")
     globals()[verb](*words)

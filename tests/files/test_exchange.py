@@ -28,6 +28,7 @@ PLACED = (
     "nii.gz",
     "nrrd",
     "vox",
+    "vdb",
     "vtkhdf",
     "tif",
     "tiff",

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import shutil
+import struct
 import subprocess
+import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +15,7 @@ import pytest
 from helpers_octree import WORLD, ball
 
 import voxtool
-from voxtool.errors import VoxtoolError
+from voxtool.errors import FileError, VoxtoolError
 from voxtool.svo.image import VoxelImage
 
 tinyvdb: Any = pytest.importorskip("tinyvdb")
@@ -131,6 +133,110 @@ def test_equal_content_makes_equal_bytes(
     octree, _, path = cases["ball", "coarse"]
     voxtool.export(octree, tmp_path / "a.vdb", level=1)
     assert (tmp_path / "a.vdb").read_bytes() == path.read_bytes()
+
+
+# ---- files of OpenVDB's library
+
+
+DIAGONAL = np.diag([0.5, 0.5, 0.25, 1])
+DIAGONAL[3, :3] = 1, 2, 3  # world = index @ matrix
+TURNED = DIAGONAL[[1, 2, 0, 3]] * np.array([[-1], [1], [1], [1]])
+CENTERED = ball((21, 17, 19))
+KINDS = {  # type, values, whether half floats
+    "blosc": ("FloatGrid", np.where(CENTERED, RANDOM.random(CENTERED.shape), 0), ""),
+    "half": ("FloatGrid", np.where(CENTERED, RANDOM.random(CENTERED.shape), 0), "half"),
+    "bool": ("BoolGrid", CENTERED, ""),
+}
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of files that OpenVDB's library wrote."""
+    folder, lines = tmp_path_factory.mktemp("openvdb"), []
+    for name, (kind, values, half) in KINDS.items():
+        values = values.astype(bool if kind == "BoolGrid" else np.float32)
+        np.save(folder / f"{name}.npy", values)
+        for matrix, place in {"plain": DIAGONAL, "turned": TURNED}.items():
+            path = folder / f"{name} {matrix}.vdb"
+            words = (folder / f"{name}.npy", kind, half, json.dumps(place.tolist()))
+            lines.append(("write", path, *words))
+    oblique = DIAGONAL.copy()
+    oblique[0, 1] = 0.1
+    words = (folder / "bool.npy", "BoolGrid", "", json.dumps(oblique.tolist()))
+    lines += [("write", folder / "oblique.vdb", *words), ("several", folder / "several.vdb")]
+    openvdb(lines)
+    return folder
+
+
+@pytest.mark.parametrize("matrix", ["plain", "turned"])
+@pytest.mark.parametrize("name", KINDS)
+def test_openvdb_writes_what_is_read(name: str, matrix: str, written: Path) -> None:
+    """Leaves and tiles, at negative indices, and with turned and mirrored axes."""
+    octree = voxtool.read_voxels(written / f"{name} {matrix}.vdb")
+    cells = np.argwhere(np.load(written / f"{name}.npy")) + np.array([-3, 5, 130])
+    place = DIAGONAL if matrix == "plain" else TURNED
+    wanted = cells @ place[:3, :3] + place[3, :3]
+    in_tile = np.sort(
+        np.array([[127.5, -0.5, -0.5], [135.5, 7.5, 7.5]]) @ place[:3, :3] + place[3, :3], 0
+    )
+    found = (octree.occupied() + 0.5) * octree.grid.pitch + octree.grid.origin
+    is_tile = ((found > in_tile[0]) & (found < in_tile[1])).all(axis=1)
+    assert np.count_nonzero(is_tile) == 8**3
+    assert np.array_equal(found[~is_tile], wanted[np.lexsort(wanted.T[::-1])])
+
+
+def test_values_of_openvdb(written: Path) -> None:
+    values = np.load(written / "half.npy").astype(np.float16)
+    octree = voxtool.read_voxels(written / "half plain.vdb", threshold=0.5)
+    assert octree.count - 8**3 == np.count_nonzero(values >= 0.5)
+    values = np.load(written / "blosc.npy")
+    octree = voxtool.read_voxels(written / "blosc plain.vdb", label=float(values.max()))
+    assert octree.count == np.count_nonzero(values == values.max())
+
+
+def test_several_grids(written: Path) -> None:
+    """A level set is set inside, where it is inactive, too; grids are chosen by name."""
+    path = written / "several.vdb"
+    octree = voxtool.read_voxels(path, grid="sphere")
+    centers = (octree.occupied() + 0.5) * octree.grid.pitch + octree.grid.origin
+    assert (np.linalg.norm(centers - (1, 2, 3), axis=1) < 9).all()
+    steps = np.indices((76, 76, 76)).reshape(3, -1).T - 38
+    inside = np.linalg.norm(0.25 * steps + (0, 0, 0), axis=1) < 9 - 1e-6
+    assert octree.count >= np.count_nonzero(inside)
+    for name, message in {
+        None: "holds 3 grids: choose one of sphere, nothing, velocity",
+        "nothing": "grid nothing has no active voxel",
+        "velocity": "grid velocity is a Tree_vec3s_5_4_3: voxels are bool",
+        "smoke": "holds no grid smoke",
+    }.items():
+        with pytest.raises(FileError, match=message):
+            voxtool.read_voxels(path, grid=name)
+    with pytest.raises(VoxtoolError, match=r"\.npy holds one grid"):
+        voxtool.read_voxels("a.npy", grid="a")
+
+
+def test_oblique_grids_are_refused(written: Path) -> None:
+    with pytest.raises(FileError, match="its axes are oblique"):
+        voxtool.read_voxels(written / "oblique.vdb")
+
+
+def test_bombs_are_refused(cases: dict[tuple[str, str], Case], tmp_path: Path) -> None:
+    """Counts beyond the file, and values that unpack to more than their node holds."""
+    whole = cases["ball", "coarse"].path.read_bytes()
+    tree = whole.index(b"ScaleTranslateMap") + len("ScaleTranslateMap") + 18 * 8
+    counts = tree + 4 + 4
+    packed = zlib.compress(bytes(1 << 20))
+    leaf = whole.rindex(bytes([0x78, 0x9C])) - 8
+    for lie, message in {
+        whole[:counts] + b"\xff" * 8 + whole[counts + 8 :]: "beyond its end",
+        whole[:leaf] + struct.pack("<q", len(packed)) + packed + whole: "bytes of values where",
+        whole[:leaf] + struct.pack("<q", 1 << 60) + whole: "beyond its end",
+        whole.replace(b"Tree_float", b"Tree_fl0at"): "is a Tree_fl0at_5_4_3",
+        whole[:8] + struct.pack("<I", 213) + whole[12:]: "of version 213",
+    }.items():
+        (tmp_path / "a.vdb").write_bytes(lie)
+        with pytest.raises(FileError, match=message):
+            voxtool.read_voxels(tmp_path / "a.vdb")
 
 
 def test_types_are_refused(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ KNOWN = ", ".join(f".{name}" for name in IMPORTS)
         metavar="X,Y,Z"),
     option("--spacing pitch", SPACING, "Size of a voxel, in world units, instead of the file's.",
         metavar="S"),
+    option("--grid", str, "The grid of a .vdb that holds several.", metavar="NAME"),
     option("--from from_format", IMPORTS, "Format of FILE, instead of what its name says."),
 )  # fmt: skip
 @runner.run_options(

@@ -204,6 +204,7 @@ def read_voxels(
     origin: Sequence[float] | None = None,
     pitch: Sequence[float] | float | None = None,
     format: str | None = None,
+    grid: str | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Octree:
     """Read another program's voxels, which become an octree of mode "solid".
@@ -222,6 +223,8 @@ def read_voxels(
         World size of a voxel, instead of that in the file.
     format : str, optional
         The format, instead of what the name says.
+    grid : str, optional
+        The grid of a file that can hold several.
     progress : callable, optional
         Called with the share of the voxels that has been read, from 0 to 1.
 
@@ -241,13 +244,14 @@ def read_voxels(
     """
     if threshold is not None and label is not None:
         raise VoxtoolError("a threshold and a label both say what is set: give one of them")
-    with _stored(path, format) as stored:
-        grid = stored.frame.grid
-        pitch = grid.pitch if pitch is None else pitch
-        place = grid.origin if origin is None else origin
-        grid = Grid(grid.shape, place, pitch)  # pyright: ignore[reportArgumentType]
-        stored = stored._replace(frame=stored.frame._replace(grid=grid))
-        return octree_of(stored, Rule(threshold, label), progress)
+    with _stored(path, format, grid) as stored:
+        own = stored.frame.grid
+        pitch = own.pitch if pitch is None else pitch
+        place = own.origin if origin is None else origin
+        placed = Grid(own.shape, place, pitch)  # pyright: ignore[reportArgumentType]
+        stored = stored._replace(frame=stored.frame._replace(grid=placed))
+        rule = stored.rule if threshold is None and label is None else Rule(threshold, label)
+        return octree_of(stored, rule, progress)
 
 
 def read_grid(path: PathLike) -> Grid:
@@ -261,19 +265,22 @@ def read_grid(path: PathLike) -> Grid:
 
 
 @contextmanager
-def _stored(path: PathLike, format: str | None) -> Iterator[Stored]:
+def _stored(path: PathLike, format: str | None, grid: str | None = None) -> Iterator[Stored]:
     """Yield the voxels of a file; what a library raises of damage becomes one line."""
     name, shown = format or format_of(path, IMPORTS), streams.input_name(path)
     if name not in IMPORTS:
         raise FileError(f"format {name!r} is unknown: choose one of {', '.join(IMPORTS)}")
     read = function_of(name, "read")
+    if grid is not None and not EXCHANGE[name].grids:
+        raise VoxtoolError(f".{name} holds one grid: leave out its name")
+    options = {} if grid is None else {"grid": grid}
     try:
         if EXCHANGE[name].folder:
             folder = folder_of(path, name)
             yield read(folder, folder_size(folder))
             return
         with streams.open_whole(path) as (file, size):
-            yield read(file, size)
+            yield read(file, size, **options)
     except VoxtoolError as error:
         raise type(error)(f"{shown}: {error}") from error
     except OSError as error:

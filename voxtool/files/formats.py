@@ -46,6 +46,7 @@ class Exchange(NamedTuple):
     folder: bool = False  # whether it is a folder of files
     parts: bool = True  # whether it takes --level, --bbox, --invert and --dtype
     text: bool = False  # whether a terminal can show it
+    grids: bool = False  # whether a file can hold several, by name
 
 
 # What is written, by the extension that names it.
@@ -69,7 +70,7 @@ EXCHANGE = {
     "binvox": Exchange("binvox", "the grid as a cube, with cubic voxels; bool"),
     "ply": Exchange("centers", "centres of the set cells, and their values", "_ply", reads=False),
     "xyz": Exchange("centers", "centres of the set cells", "_xyz", reads=False, text=True),
-    "vdb": Exchange("vdb", "grid, coverage; dtype bool or float32; cubes as tiles", reads=False),
+    "vdb": Exchange("vdb", "grid, coverage; bool or float32; cubes as tiles", grids=True),
     "vox": Exchange("vox", "grid; which cells are set"),
     "vtkhdf": Exchange("vtkhdf", "grid, levels, coverage"),
     "tif": Exchange("tiff", "grid, dtype, unit", needs="tifffile"),

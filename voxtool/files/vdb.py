@@ -36,11 +36,12 @@ from voxtool.files.vdb_encode import (
     values_of,
     write_tree,
 )
+from voxtool.files.vdb_read import MAGIC
+from voxtool.files.vdb_read import read as read
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.masks import block_masks
 from voxtool.version import __version__
 
-MAGIC = 0x56444220
 FILE_VERSION, LIBRARY = 224, (10, 0)  # of the library whose files these are like
 GRID_NAME = "voxels"
 NAMES = {"bool": "Tree_bool_5_4_3", "float32": "Tree_float_5_4_3"}

@@ -64,19 +64,12 @@ class Cubes(NamedTuple):
     value: float
 
 
-class Stored(NamedTuple):
-    """The voxels of a file. What no piece holds is unset."""
-
-    frame: Frame
-    pieces: Iterable[Boxes | Cubes]
-    units: str = ""
-
-
 class Rule(NamedTuple):
     """The rule that says which voxels are set; by default those that are neither 0 nor NaN."""
 
     threshold: float | None = None  # or those of this value and more
     label: float | None = None  # or those of this value
+    below: float | None = None  # or those less than this value
 
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """Return which of the values are set, bool of the same shape."""
@@ -84,7 +77,18 @@ class Rule(NamedTuple):
             return values >= self.threshold
         if self.label is not None:
             return values == self.label
+        if self.below is not None:
+            return values < self.below
         return (values != 0) & (values == values)
+
+
+class Stored(NamedTuple):
+    """The voxels of a file. What no piece holds is unset."""
+
+    frame: Frame
+    pieces: Iterable[Boxes | Cubes]
+    units: str = ""
+    rule: Rule = Rule()  # unless the caller has one
 
 
 def octree_of(stored: Stored, rule: Rule, progress: Callable[[float], None]) -> Octree:

@@ -9,7 +9,9 @@ from voxtool.grid import Grid
 from voxtool.memory import check_memory
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.svo.layout import (
+    BRICK,
     BRICK_SIDE,
+    BRICK_VOXELS,
     pack_array,
     pack_voxels,
     unite_bricks,
@@ -55,6 +57,10 @@ class Collector:
             codes, masks = pack_array(box)
             cells = morton_decode(codes) + corners[0] // BRICK_SIDE
             self._add(morton_encode(cells), masks)
+        elif (
+            not (np.array(values.shape[1:]) % BRICK_SIDE).any() and not (corners % BRICK_SIDE).any()
+        ):
+            self._add(*_bricks_of(np.asarray(corners) // BRICK_SIDE, values))
         else:
             box, *local = np.nonzero(values)
             self._add(*pack_voxels(corners[box] + np.stack(local, axis=1)))
@@ -133,6 +139,18 @@ class Collector:
             raise GridError(
                 f"a voxel is not in the grid of {' x '.join(map(str, self.grid.shape))}"
             )
+
+
+def _bricks_of(cells: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the codes and masks of the bricks of boxes of whole bricks, from the brick cells."""
+    shape = [size // BRICK_SIDE for size in values.shape[1:]]
+    parts = [size for side in shape for size in (side, BRICK_SIDE)]
+    blocks = values.reshape(-1, *parts).transpose(0, 1, 3, 5, 2, 4, 6).reshape(-1, BRICK_SIDE**3)
+    places = np.ravel_multi_index(tuple(BRICK_VOXELS.T), (BRICK_SIDE,) * 3)
+    masks = np.packbits(blocks.take(places, axis=1), axis=1, bitorder="little").view(BRICK).ravel()
+    steps = np.indices(shape).reshape(3, -1).T
+    held = np.flatnonzero(masks)
+    return morton_encode((cells[:, None] + steps).reshape(-1, 3)[held]), masks[held]
 
 
 def _outside(codes: np.ndarray, cubes: np.ndarray, levels: int) -> np.ndarray:
