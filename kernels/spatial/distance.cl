@@ -206,3 +206,47 @@ __kernel void describe_nearest(__global const double *points, const uint n,
     vstore3(at, gid, nearest);
     vstore3(direction, gid, directions);
 }
+
+// found[i] = 1 if a triangle of another face than faces[i] is within reaches[i] of point i, which lies
+// in the mesh's box; otherwise 0.
+__kernel void others_within(const uint n, __global const double *points,
+                            __global const double *reaches, __global const uint *faces,
+                            __global const float *nodes, __global const double *leaves,
+                            __global const uint *face_of, const uint first_leaf,
+                            __global uchar *found)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const double3 p = vload3(gid, points);
+    const BOX x = (BOX)p.x, y = (BOX)p.y, z = (BOX)p.z, reach = (BOX)reaches[gid] * SLACK;
+    uint ids[STACK];
+    uint top = 1;
+    ids[0] = 0;
+    found[gid] = 0;
+    while (top > 0) {
+        const uint id = ids[--top];
+        if (id >= first_leaf) {
+            const uint leaf = id - first_leaf;
+            const triangle t = leaf_triangles(leaves + (size_t)leaf * (FIELDS * LEAF));
+            ways way;
+            long4 feature;
+            const double4 dd = triangle_ways(&t, p.x, p.y, p.z, &way, &feature);
+            const long4 other = convert_long4(vload4(leaf, face_of) != faces[gid]);
+            if (any(other & (dd <= reaches[gid] * reaches[gid]))) {
+                found[gid] = 1;
+                return;
+            }
+            continue;
+        }
+        __global const float *boxes = nodes + (size_t)id * (6 * ARITY);
+        const BOXES dx = gap(vload8(0, boxes), vload8(3, boxes), x);
+        const BOXES dy = gap(vload8(1, boxes), vload8(4, boxes), y);
+        const BOXES dz = gap(vload8(2, boxes), vload8(5, boxes), z);
+        BOX apart[ARITY];
+        vstore8(dx * dx + dy * dy + dz * dz, 0, apart);
+        for (uint i = 0; i < ARITY; ++i)
+            if (apart[i] <= reach * reach)
+                ids[top++] = ARITY * id + 1 + i;
+    }
+}

@@ -20,7 +20,8 @@ from voxtool.errors import DeviceError, MeshError, VoxtoolError
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
 from voxtool.spatial import bvh
-from voxtool.spatial.distance import TriangleDistance
+from voxtool.spatial.bvh import Frame, build_tree, distinct_faces
+from voxtool.spatial.distance import TriangleDistance, others_within
 from voxtool.spatial.pseudonormals import pseudonormals
 
 if TYPE_CHECKING:
@@ -190,6 +191,30 @@ def test_packets_find_the_same_faces(device: Device) -> None:
 
 
 @cache
+@pytest.mark.parametrize("thin", [1.0, 2.0**-30])
+def test_other_faces_within_reach(device: Device, thin: float) -> None:
+    """Also of faces that lie upon each other; copies of a face are not in the tree."""
+    rng = np.random.default_rng(25)
+    triangles = rng.uniform(-1, 1, (300, 1, 3)) + rng.normal(0, 0.1, (300, 3, 3)) * [1, 1, thin]
+    triangles[200:] = triangles[:100] + np.array([0, 0, 2e-3])
+    triangles[1:3] = triangles[0]
+    mesh = Mesh(triangles.reshape(-1, 3), np.arange(900, dtype=np.int32).reshape(-1, 3))
+    some = distinct_faces(mesh)
+    assert some is not None
+    tree, local = build_tree(device, mesh, some=some), Frame.of(mesh).local(triangles)
+    faces = rng.choice(some, 200)
+    points = (rng.dirichlet(np.ones(3), 200)[:, :, None] * local[faces]).sum(axis=1)
+    reaches = np.exp2(rng.uniform(-30, -2, 200)) * (rng.random(200) < 0.9)
+    others = [local[some[some != face]] for face in faces]
+    nearest = np.array([brute(p[None], t)[0] for p, t in zip(points, others, strict=True)])
+    found = others_within(device, tree, points, reaches, faces)
+    clear = np.abs(nearest - reaches) > 1e-12
+    assert clear.mean() > 0.8
+    assert 20 < np.count_nonzero(found) < 180
+    assert np.array_equal(found[clear], (nearest <= reaches)[clear])
+    assert not len(others_within(device, tree, points[:0], reaches[:0], faces[:0]))
+
+
 def _bunny() -> tuple[Mesh, np.ndarray]:
     mesh = load_mesh(model("stanford-bunny.obj"))
     rng = np.random.default_rng(9)

@@ -85,7 +85,7 @@ class Survey:
     def winding_arguments(self) -> dict[str, Any]:
         """Kernel arguments by name: winding numbers beside faces, and spheres about the boundary;
         see Sides."""
-        sides = find_sides(self.mesh, self._normals, self.winding, self.crossed)
+        sides = find_sides(self.mesh, self._normals, self.winding, self.tree, self.crossed)
         put = self.device.put
         return {
             "front": put(sides.front),

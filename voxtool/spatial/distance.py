@@ -222,6 +222,21 @@ def _round(device: Device, tree: TriangleTree) -> Rounded:
     return Rounded(triangles, boxes, first)
 
 
+def others_within(
+    device: Device, tree: TriangleTree, points: np.ndarray, reaches: np.ndarray, faces: np.ndarray
+) -> np.ndarray:
+    """Return whether other faces than its own are within reach of each point, (n,) bool.
+
+    points : (n, 3), in the mesh's box, reaches : (n,) float64, local coordinates; faces : (n,),
+        those of the points.
+    """
+    n, found = len(points), device.empty(len(points), np.uint8)
+    find = device.kernel(SOURCE, "others_within", BOX="float")
+    own = tuple(map(device.put, (points, reaches, faces.astype(np.uint32))))
+    find(n, *own, tree.nodes, tree.leaves, tree.face_of, tree.first_leaf, found)
+    return found.take().astype(bool)
+
+
 def checked_points(points: Any) -> np.ndarray:
     """Return points as (N, 3) float64; raise VoxtoolError if they are no such array."""
     try:

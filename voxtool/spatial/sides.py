@@ -15,16 +15,19 @@ import numpy as np
 
 from voxtool.mesh.topology import edges_of, shells_of
 from voxtool.spatial.boundary import along_curve, boundary_spheres
+from voxtool.spatial.distance import others_within
 from voxtool.spatial.winding_number import WindingNumber
 from voxtool.vector import cross, length
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
-    from voxtool.spatial.bvh import TriangleTree
+    from voxtool.spatial.bvh import Frame, TriangleTree
     from voxtool.spatial.pseudonormals import Pseudonormals
 
 ABOVE = 2.0**-10  # heights of a face: the distance at which the number in front is computed
+CLEAR = 8.0  # such distances: within them, other faces are found
+THIN = 2.0**-32  # a smaller such distance, in local coordinates, may be lost in rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,9 +45,14 @@ class Sides:
 
 
 def find_sides(
-    mesh: Mesh, normals: Pseudonormals, winding: WindingNumber, intersecting: np.ndarray
+    mesh: Mesh,
+    normals: Pseudonormals,
+    winding: WindingNumber,
+    tree: TriangleTree,
+    intersecting: np.ndarray,
 ) -> Sides:
-    """Return the sides of a mesh's faces; `intersecting` is that of find_self_intersections."""
+    """Return the sides of a mesh's faces; tree : of its distinct faces; intersecting : of
+    find_self_intersections."""
     edges, forth = edges_of(mesh.positions[mesh.faces])
     faces_of = np.bincount(edges)
     way, some = np.where(forth, 1.0, -1.0), winding.counted
@@ -53,9 +61,15 @@ def find_sides(
     net = np.bincount(edges, way)
     odd = ((faces_of != 2) | (net != 0)) & (faces_of != 1)
     known = np.flatnonzero(~(intersecting | odd[edges].reshape(-1, 3).any(axis=1)))
+    middle, rise = _centroids(mesh, known, normals, winding.tree.frame)
+    ahead, height = _numbers(winding, middle + rise), length(rise)
+    # beside a single layer of faces, the number behind need not be computed
+    folded = height < THIN
+    folded |= others_within(winding.device, tree, middle, CLEAR * height, known)
+    behind = _numbers(winding, middle[folded] - rise[folded])
+    ahead[folded] = np.where(np.abs(behind - ahead[folded] - 1) < 0.25, ahead[folded], np.nan)
     front = np.full(len(mesh.faces), np.nan)
-    ahead, behind = _beside(mesh, known, normals, winding)
-    front[known] = np.where(np.abs(behind - ahead - 1) < 0.25, ahead, np.nan)
+    front[known] = ahead
     return Sides(front, boundary_spheres(mesh, some, winding.tree.frame))
 
 
@@ -66,17 +80,19 @@ def shells_agree(mesh: Mesh, normals: Pseudonormals, device: Device, tree: Trian
     faces = np.unique(shells, return_index=True)[1]
     if len(faces) == 1:
         return True
-    front, _ = _beside(mesh, faces, normals, WindingNumber(mesh, device, tree=tree))
+    middle, rise = _centroids(mesh, faces, normals, tree.frame)
+    front = _numbers(WindingNumber(mesh, device, tree=tree), middle + rise)
+    front[(rise == 0).all(axis=1)] = np.nan
     outside = 0.0 if front[0] > -0.5 else -1.0
     return bool((np.abs(front - outside) < 0.25).all())
 
 
-def _beside(
-    mesh: Mesh, faces: np.ndarray, normals: Pseudonormals, winding: WindingNumber
+def _centroids(
+    mesh: Mesh, faces: np.ndarray, normals: Pseudonormals, frame: Frame
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the winding number above and below the centroid of each of (n,) faces, (n,) float64
-    each; NaN where one is flat."""
-    triangles = winding.tree.frame.local(mesh.vertices)[mesh.faces[faces]]
+    """Return the centroid of each of (n,) faces, and the way from there to the point in front of
+    it, (n, 3) float64 each, local coordinates; 0 where a face is flat."""
+    triangles = frame.local(mesh.vertices)[mesh.faces[faces]]
     normal = normals.normals[normals.features[faces, 0]]
     size = length(normal)
     a, b, c = (triangles[:, i] for i in range(3))
@@ -86,10 +102,12 @@ def _beside(
     known = (normals.flat[faces] == 0) & (size > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         rise = np.where(known, ABOVE * twice_area / longest / size, 0)[:, None] * normal
-    middle = (a + b + c) / 3
-    order = along_curve(middle)
-    numbers = np.full((2, len(faces)), np.nan)
-    for number, points in zip(numbers, (middle + rise, middle - rise), strict=True):
-        near = winding.device.put(points[order])
-        number[order] = winding.at_local(near, len(faces)).take()
-    return np.where(known, numbers[0], np.nan), np.where(known, numbers[1], np.nan)
+    return (a + b + c) / 3, rise
+
+
+def _numbers(winding: WindingNumber, points: np.ndarray) -> np.ndarray:
+    """Return the winding number at each of (n, 3) local points, (n,) float64."""
+    order, numbers = along_curve(points), np.empty(len(points))
+    near = winding.device.put(points[order])
+    numbers[order] = winding.at_local(near, len(points)).take()
+    return numbers
