@@ -158,22 +158,60 @@ double3 way_from(__global const double *leaves, uint slot, double3 p, triangle *
     return (double3)(way.x.x, way.y.x, way.z.x);
 }
 
+#define LANES_OF(i) (double4)(own[0][(i) * LEAF], own[1][(i) * LEAF], own[2][(i) * LEAF], own[3][(i) * LEAF])
+
+// The triangles of four slots, one per lane.
+triangle triangles_of(__global const double *leaves, const uint *slots)
+{
+    __global const double *own[4];
+    for (uint i = 0; i < 4; ++i)
+        own[i] = leaves + (size_t)(slots[i] / LEAF) * (FIELDS * LEAF) + slots[i] % LEAF;
+    const triangle t = {LANES_OF(0),  LANES_OF(1),  LANES_OF(2),  LANES_OF(3),  LANES_OF(4),
+                        LANES_OF(5),  LANES_OF(6),  LANES_OF(7),  LANES_OF(8),  LANES_OF(9),
+                        LANES_OF(10), LANES_OF(11), LANES_OF(12), LANES_OF(13), LANES_OF(14)};
+    return t;
+}
+
 // Negates the distances of points inside: the vector from the nearest triangle has a negative dot
-// product with the pseudo-normal of the nearest feature [Baerentzen 2005].
-__kernel void sign_distances(__global const double *points, const uint n,
-                             __global const double *leaves, __global const uint *slots,
-                             __global const uint *names, __global const uint *features,
-                             __global const double *normals, __global double *distances)
+// product with the pseudo-normal of the nearest feature [Baerentzen 2005]. A work-item has four of
+// `count` points, one per lane.
+__kernel void sign_distances(__global const double *points, __global const uint *order,
+                             const uint count, const uint n, __global const double *leaves,
+                             __global const uint *nearest, __global const uint *names,
+                             __global const uint *features, __global const double *normals,
+                             __global double *distances)
 {
     const uint gid = get_global_id(0);
-    if (gid >= n || slots[gid] == NAMELESS || !(distances[gid] > 0))
+    if (gid >= n)
         return;
-    triangle t;
-    uint feature;
-    const double3 way = way_from(leaves, slots[gid], vload3(gid, points), &t, &feature);
-    const double3 normal = normal_of(names[slots[gid]], feature, features, normals);
-    if (way.x * normal.x + way.y * normal.y + way.z * normal.z < 0)
-        distances[gid] = -distances[gid];
+    double x[4], y[4], z[4];
+    uint own[4], slots[4];
+    bool named[4];
+    for (uint i = 0; i < 4; ++i) {
+        own[i] = order[min(4 * gid + i, count - 1)];
+        named[i] = nearest[own[i]] != NAMELESS;
+        slots[i] = named[i] ? nearest[own[i]] : 0;
+        x[i] = points[3 * (size_t)own[i]];
+        y[i] = points[3 * (size_t)own[i] + 1];
+        z[i] = points[3 * (size_t)own[i] + 2];
+    }
+    const triangle t = triangles_of(leaves, slots);
+    ways way;
+    long4 feature;
+    triangle_ways(&t, vload4(0, x), vload4(0, y), vload4(0, z), &way, &feature);
+    long feature_of[4];
+    vstore4(feature, 0, feature_of);
+    for (uint i = 0; i < 4; ++i) {
+        double3 normal = 0;
+        if (named[i])
+            normal = normal_of(names[slots[i]], (uint)feature_of[i], features, normals);
+        x[i] = normal.x, y[i] = normal.y, z[i] = normal.z;
+    }
+    double along[4];
+    vstore4(way.x * vload4(0, x) + way.y * vload4(0, y) + way.z * vload4(0, z), 0, along);
+    for (uint i = 0; i < 4 && 4 * gid + i < count; ++i)
+        if (distances[own[i]] > 0 && along[i] < 0)
+            distances[own[i]] = -distances[own[i]];
 }
 
 // The nearest face of each point, the nearest point on it, and the unit direction from there to the

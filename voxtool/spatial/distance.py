@@ -165,8 +165,9 @@ class TriangleDistance:
             if self._sides:
                 sign_distances = device.kernel(SOURCE, "sign_distances", BOX="float")
                 sign_distances(
-                    block.n, block.local, tree.leaves, slots, tree.names, *self._sides, distances
-                )
+                    -(-block.n // LEAF), block.local, block.order, block.n, tree.leaves, slots,
+                    tree.names, *self._sides, distances,
+                )  # fmt: skip
             if not located:
                 return Nearest(np.ldexp(distances.take(), scale))
             if self._has_flat:  # flat faces have no sides, but may be nearest
