@@ -19,6 +19,7 @@ from click.testing import CliRunner
 import voxtool
 from voxtool.cli.main import cli
 from voxtool.files import threemf, write_mesh
+from voxtool.files.formats import EXCHANGE
 
 OCTREES = ("svo.h5", "svo.xml", "svo.xml.gz")
 FIELDS = ("adf.h5",)
@@ -28,9 +29,12 @@ MESHES = ("obj", "ply", "stl", "off", "glb", "gltf", "text.ply", "text.stl", "ob
 CELLS = ("vtu", "text.vtu", "vtk", "text.vtk", "msh", "text.msh", "old.msh", "mesh", "inp",
          "ucd.inp", "exo", "e")  # fmt: skip
 POINTS = ("npy", "columns.npy", "npz", "packed.npz", "csv", "xyz", "points.ply", "text.points.ply")
+IMAGES = tuple(
+    f"image.{name}" for name, format in EXCHANGE.items() if format.reads and not format.folder
+)
 TRANSFERS = ("json",)
 REPORTS = ("report.json",)
-FORMATS = (*OCTREES, *FIELDS, *VOLUMES, *MESHES, *CELLS, *POINTS, *TRANSFERS, *REPORTS)
+FORMATS = (*OCTREES, *FIELDS, *VOLUMES, *MESHES, *CELLS, *POINTS, *IMAGES, *TRANSFERS, *REPORTS)
 # meshio's format and options of each file of volume cells.
 MESHIO: dict[str, tuple[str, dict[str, Any]]] = {
     "vtu": ("vtu", {}),
@@ -54,6 +58,8 @@ def write_all(folder: Path, device: Any) -> None:
     octree = voxtool.voxelize(ball, dim=16, device=device)
     for kind in OCTREES:
         voxtool.write_svo(octree, folder / f"a.{kind}")
+    for kind in IMAGES:
+        voxtool.export(octree, folder / f"a.{kind}")
     field = voxtool.build_adf(ball, max_level=3, device=device)
     voxtool.write_adf(field, folder / "a.adf.h5")
     helpers_tets.write_vtu(folder / "volume.vtu")

@@ -35,9 +35,11 @@ HEADER = 1024  # bytes before the array, at most
 MOST_SIDE = 32767  # int16
 MARK = "voxtool grid "  # before the exact grid in the comment
 UNITS = {"m": "meter", "mm": "mm", "um": "micron"}
+UNIT_CODES = {1: "m", 2: "mm", 3: "um"}
 LEVEL = 6  # of gzip
 # Where the size of the header and the offset of the array lie, by version.
 SIZES, OFFSETS = {348: 1, 540: 2}, {1: (108, "f"), 2: (168, "q")}
+MAGICS = {1: (344, b"n+1"), 2: (4, b"n+2")}  # of headers whose array is in the same file
 MOST_OFFSET = 1 << 22  # bytes of a header and its extensions
 
 
@@ -102,21 +104,23 @@ def read_packed(file: BinaryIO, size: int) -> Stored:
 
 def _read(file: BinaryIO | gzip.GzipFile, size: int) -> Stored:
     header = _read_header(file)
-    shape = list(map(int, header.get_data_shape()))
+    try:
+        shape = list(map(int, header.get_data_shape()))
+        dtype = header.get_data_dtype()
+        affine = np.asarray(header.get_best_affine(), np.float64)
+        slope, inter = header.get_slope_inter()
+    except Exception as error:  # damage shows in any of the library's errors
+        raise FileError(f"a damaged header: {one_line(error)}") from None
     while len(shape) > 3 and shape[-1] == 1:
         shape.pop()
-    dtype = header.get_data_dtype()
     check_values(dtype, shape)
     a, b, c = shape
     check_length(a * b * c * dtype.itemsize, size)
-    affine = np.asarray(header.get_best_affine(), np.float64)
     frame = exactly(frame_of((a, b, c), affine[:3, :3], affine[:3, 3]), _exact(header))
     pieces = dense_pieces(file, dtype, (a, b, c), fortran=True)
-    slope, inter = header.get_slope_inter()
     if (slope, inter) not in ((None, None), (1.0, 0.0)):
         pieces = _scaled(pieces, slope, inter)
-    names = {name: unit for unit, name in UNITS.items()}
-    return Stored(frame, pieces, names.get(header.get_xyzt_units()[0], ""))
+    return Stored(frame, pieces, UNIT_CODES.get(int(header["xyzt_units"]) & 7, ""))
 
 
 def _read_header(file: BinaryIO | gzip.GzipFile) -> Any:
@@ -132,13 +136,18 @@ def _read_header(file: BinaryIO | gzip.GzipFile) -> Any:
     place, kind = OFFSETS.get(version, (0, ""))
     if not version or len(opening) < place + 8:
         raise FileError("is no NIfTI image of version 1 or 2, or ends in its header")
+    start, magic = MAGICS[version]
+    if opening[start : start + len(magic)] != magic:
+        raise FileError("is half of a NIfTI image: save header and array as one .nii")
     (offset,) = struct.unpack_from(order + kind, opening, place)
     if not min(SIZES) < offset <= MOST_OFFSET:
         raise FileError(f"its array begins at byte {offset:g}: it must lie in the same file")
     file.seek(0)
     head = file.read(int(offset))
     try:
-        header = {1: Nifti1Header, 2: Nifti2Header}[version].from_fileobj(io.BytesIO(head))
+        header = {1: Nifti1Header, 2: Nifti2Header}[version].from_fileobj(
+            io.BytesIO(head), check=False
+        )
     except Exception as error:  # damage shows in any of the library's errors
         raise FileError(f"a damaged header: {one_line(error)}") from None
     return header

@@ -248,22 +248,26 @@ class VoxelImage:
         for start in range(low - low % THICK, high, THICK):
             blocks, cubes = self._row(0, start)
             block, *local = np.nonzero(blocks.values)
-            keys = [_keys(blocks.corners[block] + np.stack(local, axis=1))]
+            keys = [_keys(blocks.corners[block].T + np.stack(local))]
             for corners, side in cubes:
                 local = np.indices((THICK, side, side)).reshape(3, -1).T
                 corners[:, 0] = start
-                keys.append(_keys((corners[:, None] + local).reshape(-1, 3)))
-            values = np.full(sum(map(len, keys)), self.value(self.most))
+                keys.append(_keys((corners[:, None] + local).reshape(-1, 3).T))
             found = np.concatenate(keys)
             if self.dtype == bool:
                 found.sort()
+                values = np.broadcast_to(True, len(found))
             else:
+                values = np.full(len(found), self.value(self.most))
                 values[: len(keys[0])] = blocks.values[blocks.values != 0]
                 order = np.argsort(found)
                 found, values = found[order], values[order]
-            axes = [(found >> shift) & 0x1FFFFF for shift in (42, 21, 0)]
+            found -= _keys(np.array(self.low))
+            cells = np.empty((len(found), 3), "<i4")
+            for axis, shift in enumerate((42, 21, 0)):
+                cells[:, axis] = (found >> shift) & 0x1FFFFF
             self.progress(min((start + THICK - low) / (high - low), 1.0))
-            yield (np.stack(axes, axis=1) - self.low).astype("<i4"), values
+            yield cells, values
 
     def blocks(self, side: int = 8) -> Iterator[Blocks]:
         """Yield the blocks of side**3 cells that are neither empty nor in `cubes(side)`, some
@@ -456,6 +460,6 @@ def _places(side: int) -> np.ndarray:
 
 
 def _keys(cells: np.ndarray) -> np.ndarray:
-    """Return (N, 3) cells as int64 keys of 21 bits for x, y and z, in lexicographic order."""
-    x, y, z = cells.T
+    """Return (3, N) cells as int64 keys of 21 bits for x, y and z, in lexicographic order."""
+    x, y, z = cells
     return (x << 42) | (y << 21) | z
