@@ -102,8 +102,8 @@ def layers_of(
         return {"axis": plane[0], "dpi": dpi}
     if plane[1] == ALL or name != "png":
         raise click.UsageError(
-            "--slice z=128 goes with .png, and z=all with .tif and layers/%04d.png: the other "
-            "formats hold all voxels"
+            "--slice goes with .png, and z=all with .tif and layers/%04d.png: the other formats "
+            "hold all voxels"
         )
     return {"axis": plane[0], "value": plane[1]}
 

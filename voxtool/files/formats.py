@@ -75,6 +75,9 @@ EXCHANGE = {
     "vtkhdf": Exchange("vtkhdf", "grid, levels, coverage"),
     "tif": Exchange("tiff", "grid, dtype, unit", needs="tifffile"),
     "tiff": Exchange("tiff", "grid, dtype, unit", needs="tifffile"),
+    "ome.zarr": Exchange(
+        "ome_zarr", "grid, coverage, a pyramid of it, unit", needs="zarr", folder=True
+    ),
     "%d.png": Exchange("layers", "which cells are set", reads=False, folder=True),
     "png": Exchange("slice_png", "one slice, as a picture", reads=False, parts=False),
 }

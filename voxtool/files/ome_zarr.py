@@ -1,0 +1,213 @@
+"""OME-Zarr (OME-NGFF 0.4): a pyramid of coverages, each an array of chunks, indexed [z, y, x].
+
+Array 0 has the cells of the image, each further one cells twice as large, until one chunk holds
+them all. Values are the share of a cell's voxels that are set; chunks of zeros are not stored. A
+transformation places the centre of a cell; the group's attribute GRID has the exact grid.
+https://ngff.openmicroscopy.org/0.4/
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import product
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from voxtool.errors import FileError, VoxtoolError, human, one_line
+from voxtool.files.streams import PACKED
+from voxtool.files.voxels import (
+    Boxes,
+    Stored,
+    check_values,
+    exactly,
+    frame_of,
+    grid_of_text,
+    grid_text,
+)
+from voxtool.memory import check_memory
+from voxtool.svo.image import VoxelImage
+
+CHUNK = 64  # cells along a side
+MOST_CHUNKS = 1 << 22  # that are looked for
+GRID = "voxtool_grid"
+CHUNK_BYTES, ARRAY_BYTES = 4096, 8192  # of the disk, beyond the values
+# What stores numbers and runs no code; others, such as pickle, are refused.
+CODECS = {"blosc", "zstd", "zlib", "gzip", "lz4", "bz2", "lzma", "bytes", "transpose", "crc32c",
+          "sharding_indexed", "endian", "shuffle", "bitround", "delta"}  # fmt: skip
+UNITS = {"um": "micrometer", "mm": "millimeter", "cm": "centimeter", "m": "meter", "in": "inch",
+         "ft": "foot"}  # fmt: skip
+
+
+def size(image: VoxelImage) -> int:
+    """Bytes of the folder: of cells that are neither far inside nor far outside, and of the other
+    ones at a high compression; coarser arrays take a seventh of that."""
+    each = 8 if image.dtype == np.float64 else 4
+    chunks = prod(-(-n // CHUNK) for n in image.shape)
+    finest = each * (image.mixed + image.cells // (PACKED // 4)) + CHUNK_BYTES * chunks
+    return finest * 8 // 7 + ARRAY_BYTES * 20
+
+
+def write(image: VoxelImage, folder: Path) -> None:
+    """Write the coverages, in float64 if that is the image's dtype, otherwise in float32."""
+    import zarr
+
+    dtype = np.float64 if image.dtype == np.float64 else np.float32
+    images = list(_pyramid(image.with_dtype(dtype)))
+    group: Any = zarr.open_group(str(folder), mode="w", zarr_format=2)
+    for number, level in enumerate(images):
+        array: Any = group.create_array(
+            str(number), shape=level.shape[::-1], chunks=(CHUNK,) * 3, dtype=dtype, fill_value=0,
+            chunk_key_encoding={"name": "v2", "separator": "/"},
+        )  # fmt: skip
+        _fill(array, level)
+    unit = {"unit": UNITS[image.units]} if image.units in UNITS else {}
+    datasets = [
+        {
+            "path": str(number),
+            "coordinateTransformations": [
+                {"type": "scale", "scale": list(level.pitch[::-1])},
+                {"type": "translation", "translation": _center(level)[::-1]},
+            ],
+        }
+        for number, level in enumerate(images)
+    ]
+    axes = [{"name": name, "type": "space", **unit} for name in "zyx"]
+    scales = {"version": "0.4", "name": "coverage", "axes": axes, "datasets": datasets}
+    group.attrs.update({"multiscales": [scales], GRID: grid_text(image)})
+
+
+def _pyramid(image: VoxelImage) -> Iterator[VoxelImage]:
+    """Yield the image, then cells twice as large, each of all its voxels, until one chunk holds
+    them."""
+    yield image
+    while max(image.shape) > CHUNK and image.level <= image.octree.depth:
+        low = tuple(n // 2 for n in image.low)
+        high = tuple(-(-(n + m) // 2) for n, m in zip(image.low, image.shape, strict=True))
+        shape = tuple(b - a for a, b in zip(low, high, strict=True))
+        image = replace(image, level=image.level + 1, low=low, shape=shape)
+        image = replace(image, progress=lambda share: None)
+        yield image
+
+
+def _center(image: VoxelImage) -> list[float]:
+    """Return the world coordinates of the centre of the first cell."""
+    return [o + p / 2 for o, p in zip(image.origin, image.pitch, strict=True)]
+
+
+def _fill(array: Any, image: VoxelImage) -> None:
+    """Write the cells that are not zero."""
+    low, high = np.array(image.low), np.add(image.low, image.shape)
+    for cubes in image.cubes(CHUNK):
+        for corner in cubes.corners - low:
+            array[tuple(slice(n, n + cubes.side) for n in corner[::-1].tolist())] = 1
+    for blocks in image.blocks(CHUNK):
+        for corner, values in zip(*blocks, strict=True):
+            start, stop = np.maximum(corner, low), np.minimum(corner + CHUNK, high)
+            part = values[tuple(map(slice, start - corner, stop - corner))]
+            places = zip((start - low)[::-1].tolist(), (stop - low)[::-1].tolist(), strict=True)
+            array[tuple(slice(a, b) for a, b in places)] = part.transpose(2, 1, 0)
+
+
+# ---- in
+
+
+def read(folder: Path, size: int) -> Stored:
+    """Return the voxels of the finest array of the first image."""
+    try:
+        return _read(folder)
+    except (VoxtoolError, OSError, MemoryError):
+        raise
+    except Exception as error:  # damage shows in any of zarr's errors
+        raise _damaged(error) from error
+
+
+def _damaged(error: Exception) -> FileError:
+    return FileError(f"is no OME-Zarr, or damaged: {one_line(error) or type(error).__name__}")
+
+
+def _read(folder: Path) -> Stored:
+    import zarr
+
+    group: Any = zarr.open_group(str(folder), mode="r")
+    attributes = dict(group.attrs)
+    scales = dict(attributes.get("ome", attributes))["multiscales"][0]
+    array: Any = group[scales["datasets"][0]["path"]]
+    axes = [axis["name"] for axis in scales.get("axes", [{"name": n} for n in "tczyx"])]
+    if len(axes) != array.ndim or not {*"xyz"} <= {*axes}:
+        raise FileError(f"axes {axes}: voxels have x, y and z".replace("'", "")[:99])
+    space = [axes.index(name) for name in axes if name in "xyz"]
+    if any(n != 1 for axis, n in enumerate(array.shape) if axis not in space):
+        raise FileError("it has several times or channels: choose one volume of it")
+    shape = tuple(array.shape[axis] for axis in space)
+    check_values(array.dtype, shape)
+    _check_codecs(array.metadata.to_dict())
+    chunks = tuple(array.chunks[axis] for axis in space)
+    each = prod(array.chunks) * array.dtype.itemsize
+    check_memory(4 * each, f"a chunk of {human(each)}")
+    if prod(-(-n // c) for n, c in zip(shape, chunks, strict=True)) > MOST_CHUNKS:
+        raise FileError(f"it has more than {MOST_CHUNKS:,} chunks: store larger ones")
+    scale, move = _placing(scales, array.ndim)
+    matrix = np.zeros((3, 3))
+    for column, axis in enumerate(space):
+        matrix["xyz".index(axes[axis]), column] = scale[axis]
+    center = np.array([move[axes.index(name)] for name in "xyz"])
+    frame = exactly(frame_of(shape, matrix, center), grid_of_text(str(attributes.get(GRID, ""))))
+    return Stored(frame, _pieces(array, space, shape, chunks), _unit(scales))
+
+
+def _placing(scales: dict[str, Any], count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the scale and the translation of the first array, along its axes."""
+    scale, move = np.ones(count), np.zeros(count)
+    steps = [
+        *scales["datasets"][0].get("coordinateTransformations", []),
+        *scales.get("coordinateTransformations", []),
+    ]
+    for step in steps:
+        if step["type"] == "scale":
+            scale, move = scale * step["scale"], move * step["scale"]
+        elif step["type"] == "translation":
+            move = move + step["translation"]
+        elif step["type"] != "identity":
+            raise FileError("a transformation that is no scale or translation")
+    return scale, move
+
+
+def _unit(scales: dict[str, Any]) -> str:
+    """Return the unit of the last axis, by its short name if it has one."""
+    unit = str(scales.get("axes", [{}])[-1].get("unit", ""))
+    return next((short for short, name in UNITS.items() if name == unit), unit)[:64]
+
+
+def _check_codecs(about: Any) -> None:
+    """Raise FileError if a chunk would be decoded by something else than CODECS."""
+    found: list[Any] = [about.get("compressor"), *(about.get("filters") or [])]
+    found += about.get("codecs") or []
+    for codec in found:
+        if codec is None:
+            continue
+        codec = codec if isinstance(codec, dict) else codec.get_config()
+        name = str(codec.get("id", codec.get("name", "")))
+        if name not in CODECS:
+            raise FileError(f"its chunks are coded as {name[:40]!r}, which is not decoded here")
+        _check_codecs(codec.get("configuration") or {})
+
+
+def _pieces(
+    array: Any, space: list[int], shape: tuple[int, ...], chunks: tuple[int, ...]
+) -> Iterator[Boxes]:
+    """Yield each chunk that holds something as a box."""
+    for start in product(*(range(0, n, c) for n, c in zip(shape, chunks, strict=True))):
+        chosen: list[Any] = [0] * array.ndim
+        for axis, low, side in zip(space, start, chunks, strict=True):
+            chosen[axis] = slice(low, low + side)
+        try:
+            values = np.asarray(array[tuple(chosen)])
+        except (OSError, MemoryError):
+            raise
+        except Exception as error:
+            raise _damaged(error) from error
+        yield Boxes(np.array([start]), values[None])
