@@ -82,6 +82,17 @@ def test_any_triangles_agree_with_the_oracles(device: Device, reach, data, shape
         assert_contract(octree, triangles, mode == "solid")
 
 
+def test_ties_agree_with_the_oracles(device: Device) -> None:
+    """Single triangles with corners at corners and centres of voxels and of their sides, one edge
+    along an axis: planes and edges in many directions pass through centres."""
+    rng = np.random.default_rng(11)
+    for axis in 16 * [0, 1, 2]:
+        vertices = 128 * rng.integers(0, 9, (3, 3))
+        vertices[2, np.arange(3) != axis] = vertices[0, np.arange(3) != axis]
+        octree = run(device, (vertices, np.array([[0, 1, 2]])), (8, 5, 5), "surface6")
+        assert_voxels(octree, "surface6", vertices[None])
+
+
 @given(data=st.data(), shape=SHAPES)
 @settings(max_examples=60)
 def test_closed_meshes_agree_with_the_oracles(device: Device, data, shape) -> None:
