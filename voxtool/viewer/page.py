@@ -156,10 +156,10 @@ def _scripts(kind: str) -> str:
 
 
 def _asset(name: str) -> str:
-    """Return a file of the page without comments and indentation. No text of a script may hold the
-    two slashes of a comment between spaces."""
+    """Return a file of the page without comments, indentation and empty lines. No text of a script
+    may hold the two slashes of a comment between spaces."""
     text = (ASSETS / name).read_text(encoding="utf-8")
-    return re.sub(r"^ +", "", _COMMENT.sub("", text), flags=re.MULTILINE)
+    return re.sub(r"^\s+", "", _COMMENT.sub("", text), flags=re.MULTILINE)
 
 
 def _policy(script: str, style: str, served: bool) -> str:

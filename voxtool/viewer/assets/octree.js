@@ -57,7 +57,7 @@ function octreeKind(facts) {
     origin,
     scale: pitch,
     vertex: "spots.vert",
-    define: `#define TABLES ${tables}`,
+    define: () => `#define TABLES ${tables}`,
     before(values) {
       kept.tiles.find(values, pitch);
       kept.textures.begins = kept.tiles.texture;

@@ -16,7 +16,7 @@
  * @property {(gl: WebGL2RenderingContext, settings: Settings, camera: Camera) =>
  *     Record<string, any>} uniforms
  * @property {string} [vertex] the vertex shader, where it is not that of all pixels
- * @property {string} [define] a line before the fragment shader
+ * @property {(settings: Settings) => string} [define] a line before the fragment shader
  * @property {(values: Record<string, any>) => void} [before] draws what the picture needs, with the
  *     values of its uniforms, before the textures are used
  * @property {(settings: Settings) => {options: string, note: string}} command the options of

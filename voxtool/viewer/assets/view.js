@@ -15,8 +15,9 @@ class View {
     this.gl = gl;
     this.kind = kind;
     this.colour = facts.colour;
-    const fragment = shaders[1].replace("\n", `\n${kind.define || ""}\n`); // after its version
-    this.program = programOf(gl, kind.vertex ? textOf(kind.vertex) : shaders[0], fragment);
+    this.shaders = [kind.vertex ? textOf(kind.vertex) : shaders[0], shaders[1]];
+    /** @type {Record<string, WebGLProgram>} */
+    this.programs = {}; // by what is defined
     this.textures = kind.textures(gl, arrays);
     this.scale = 1; // of a moving picture
     this.milliseconds = 0; // of the last frame
@@ -46,8 +47,12 @@ class View {
       gl.bindTexture(texture && boxes.has(texture) ? gl.TEXTURE_3D : gl.TEXTURE_2D, texture);
       values[name] = unit;
     });
-    setUniforms(gl, this.program, values);
-    target.draw(this.program, values.tile || 0);
+    const define = kind.define?.(settings) || "";
+    const [vertex, fragment] = this.shaders;
+    this.programs[define] ||= programOf(gl, vertex, fragment.replace("\n", `\n${define}\n`)); // after its version
+    const program = this.programs[define];
+    setUniforms(gl, program, values);
+    target.draw(program, values.tile || 0);
   }
 
   /** Draws the next frame, coarse while the camera moves and whole when it stays. */

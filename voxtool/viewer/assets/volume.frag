@@ -25,12 +25,6 @@ const float SLACK = 1e-5; // of a triangle, by which rays beside it still enter
 const int MOST_STEPS = 1 << 14;
 const int MOST_STILL = 64; // steps without progress after which a ray ends
 
-// Colour and extinction.
-struct Transferred {
-    vec3 colour;
-    float tau;
-};
-
 vec4 listed(sampler2D list, int i) { return texelFetch(list, texel(uint(i), rowBits), 0); }
 
 // The scalar at control point k.
@@ -44,14 +38,6 @@ int intervalOf(float s, int near)
     while (near > 0 && s < pointAt(near - 1))
         --near;
     return near;
-}
-
-Transferred transferred(int interval, float s)
-{
-    vec4 first = listed(rows, 3 * interval), second = listed(rows, 3 * interval + 1);
-    vec4 third = listed(rows, 3 * interval + 2);
-    float w = clamp((s - first.x) * first.y, 0.0, 1.0);
-    return Transferred(vec3(first.zw, second.x) + vec3(second.zw, third.x) * w, second.y + third.y * w);
 }
 
 // ---- entries
@@ -116,17 +102,15 @@ float exitOf(int cell, vec3 origin, vec3 direction, float t, out int beyond)
 {
     float leaves = FARTHEST;
     int face = -1;
-    for (int f = 0; f < FACES; ++f) {
+    int f = 0;
+    do {
         vec4 plane = listed(planes, FACES * cell + f);
-        float along = dot(plane.xyz, direction);
-        if (along <= 0.0)
-            continue;
-        float meets = -(dot(plane.xyz, origin) + plane.w) / along;
-        if (meets < leaves) {
+        float along = dot(plane.xyz, direction), meets = -(dot(plane.xyz, origin) + plane.w) / along;
+        if (along > 0.0 && meets < leaves) {
             leaves = meets;
             face = f;
         }
-    }
+    } while (++f < FACES);
     beyond = -1;
     if (face >= 0) {
         int at = NEIGHBOUR_TEXELS * cell + face / 4;
@@ -145,34 +129,30 @@ struct Light {
 // Composites the way through a cell: the pieces between control points [TetVol, section 4.2].
 void addCell(inout Light light, float from, float to, inout int interval, float way)
 {
-    int last = intervalOf(to, interval);
-    float whole = to - from, s = from, began = from;
-    for (int i = 0; i < 2 * 255; ++i) {
-        float end = to;
-        int own = interval;
-        if (interval < last) {
-            end = min(pointAt(interval), to);
-            ++interval;
-        } else if (interval > last) {
-            end = max(pointAt(interval - 1), to);
-            --interval;
-        }
-        bool ends = own == last;
-        float piece = whole == 0.0 ? (ends ? way : 0.0) : way * abs((end - s) / whole);
+    float whole = to - from, s = from;
+    bool up, down;
+    do {
+        int row = 3 * interval;
+        vec4 first = listed(rows, row), second = listed(rows, row + 1), third = listed(rows, row + 2);
+        float high = pointAt(interval);
+        down = interval > 0 && to < first.x, up = interval < points && to >= high;
+        float end = clamp(down ? first.x : up ? high : to, min(from, to), max(from, to));
+        float piece = whole == 0.0 ? (up || down ? 0.0 : way) : way * abs((end - s) / whole);
         if (piece > 0.0) {
-            Transferred front = transferred(own, s), back = transferred(own, end);
+            vec2 w = clamp((vec2(s, end) - first.x) * first.y, 0.0, 1.0), tau = piece * (second.y + third.y * w);
+            vec3 colour = vec3(first.zw, second.x), change = vec3(second.zw, third.x);
             float w_f, w_b, zeta;
-            segment_weights(front.tau * piece, back.tau * piece, w_f, w_b, zeta);
-            light.colour += light.transmittance * (w_f * front.colour + w_b * back.colour);
+            segment_weights(tau.x, tau.y, w_f, w_b, zeta);
+            light.colour += light.transmittance * (w_f * (colour + change * w.x) + w_b * (colour + change * w.y));
             light.alpha += light.transmittance * (w_f + w_b);
             light.transmittance *= zeta;
         }
-        if (ends)
-            return;
         s = end;
-    }
+        interval += up ? 1 : down ? -1 : 0;
+    } while (up || down);
 }
 
+#ifdef SURFACES
 // ---- isosurfaces, as in kernels/tets/surfaces.h
 
 vec4 surface(int number, int texel_) { return listed(rows, 3 * (points + 1) + 2 * number + texel_); }
@@ -222,7 +202,10 @@ void addToSurfaces(inout Light light, inout int rank, inout float from, float to
         rank += rank < last ? 1 : -1;
     }
 }
+#endif
 
+// SwiftShader runs all branches, for no pixel if need be, and `for` and `while` once more than they go
+// round: what is rare, entering, is outside of the loop from cell to cell.
 void main()
 {
     picture = vec4(0);
@@ -232,30 +215,38 @@ void main()
     float speed = length(direction);
     Light light = Light(vec3(0), 1.0, 0.0);
     float t = nearest;
-    int cell = eyeCell, still = 0, interval = 0, rank = -1;
-    if (cell < 0)
-        cell = nextEntry(origin, direction, t);
-    for (int i = 0; cell >= 0 && i < MOST_STEPS; ++i) {
+    int cell = eyeCell, still = 0, rank = -1, i = 0;
+    do {
+        float entry = t;
+        int entered = nextEntry(origin, direction, entry);
+        if (cell < 0) {
+            rank = (entry - t) * speed > GAP ? -1 : rank;
+            cell = entered, t = entry;
+        }
+        if (cell < 0)
+            break;
         if (id.w == 0u)
             id = uvec4(cell, 0, 0, 1);
-        int beyond;
-        float leaves = exitOf(cell, origin, direction, t, beyond);
-        still = leaves > t ? 0 : still + 1;
-        if (leaves > t) {
-            vec4 gradient = listed(gradients, cell);
-            float slope = dot(gradient.xyz, direction), start = dot(gradient.xyz, origin) + gradient.w;
-            float from = clamp(start + slope * t, 0.0, 1.0), to = clamp(start + slope * leaves, 0.0, 1.0);
-            interval = intervalOf(from, interval);
-            float length_ = (leaves - t) * speed;
-            if (surfaces > 0)
+        vec4 entering = listed(gradients, cell);
+        int interval = intervalOf(dot(entering.xyz, origin + t * direction) + entering.w, 0);
+        do {
+            int beyond;
+            float leaves = exitOf(cell, origin, direction, t, beyond);
+            still = leaves > t ? 0 : still + 1;
+            if (leaves > t) {
+                vec4 gradient = listed(gradients, cell);
+                float slope = dot(gradient.xyz, direction), start = dot(gradient.xyz, origin) + gradient.w;
+                float from = clamp(start + slope * t, 0.0, 1.0), to = clamp(start + slope * leaves, 0.0, 1.0);
+                float length_ = (leaves - t) * speed;
+#ifdef SURFACES
                 addToSurfaces(light, rank, from, to, interval, length_, gradient.xyz, direction);
-            addCell(light, from, to, interval, length_);
-        }
-        t = leaves;
-        if (light.transmittance < LEAST_TRANSMITTANCE || still > MOST_STILL)
-            break;
-        cell = beyond >= 0 ? beyond : nextEntry(origin, direction, t);
-        rank = (t - leaves) * speed > GAP ? -1 : rank;
-    }
+#endif
+                addCell(light, from, to, interval, length_);
+            }
+            t = leaves;
+            cell = beyond;
+            i = light.transmittance < LEAST_TRANSMITTANCE || still > MOST_STILL ? MOST_STEPS : i + 1;
+        } while (cell >= 0 && i < MOST_STEPS);
+    } while (i < MOST_STEPS);
     picture = vec4(light.colour, light.transmittance < 0.5 ? 1.0 - light.transmittance : light.alpha);
 }

@@ -118,6 +118,7 @@ function volumeKind(facts) {
     },
     origin,
     scale: [scale, scale, scale],
+    define: (settings) => (settings.isovalues ? "#define SURFACES" : ""),
     uniforms(gl, settings, camera) {
       upload(gl, settings);
       const place = over(minus(camera.eye, origin), [scale, scale, scale]);
