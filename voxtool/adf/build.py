@@ -36,6 +36,7 @@ from voxtool.mesh.topology import check_topology
 from voxtool.opencl import Device, default_device
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import RADIX_SORT
+from voxtool.spatial.distance import SOURCE as DISTANCE
 from voxtool.spatial.signed_distance import default_sign
 from voxtool.spatial.signed_distance import programs as of_distances
 from voxtool.spatial.winding_number import SOURCE as WINDING
@@ -171,7 +172,9 @@ class FieldJob(Job["DistanceField"]):
 
 def _programs(survey: Survey, plan: FieldPlan) -> list[Request]:
     """Return the programs that a build uses beyond those of its survey, in order."""
-    found: list[Request] = [(WINDING, {})] if plan.sign == "winding" else []
+    found: list[Request] = []
+    if plan.sign == "winding":
+        found += [(WINDING, {}), (DISTANCE, {"BOX": "float"})]
     found += [*programs(plan), (HASHING, {})]
     if plan.max_level > 1:  # one block needs no sort
         found.append((RADIX_SORT, {"KEY": "uint"}))
