@@ -72,6 +72,7 @@ EXCHANGE = {
     "xyz": Exchange("centers", "centres of the set cells", "_xyz", reads=False, text=True),
     "vdb": Exchange("vdb", "grid, coverage; bool or float32; cubes as tiles", grids=True),
     "vox": Exchange("vox", "grid; which cells are set"),
+    "nvdb": Exchange("nvdb", "place, coverage as float32; cubes as tiles", reads=False),
     "vtkhdf": Exchange("vtkhdf", "grid, levels, coverage"),
     "tif": Exchange("tiff", "grid, dtype, unit", needs="tifffile"),
     "tiff": Exchange("tiff", "grid, dtype, unit", needs="tifffile"),

@@ -91,12 +91,15 @@ def write(image: VoxelImage, file: BinaryIO) -> None:
     """Write one grid of bool or float32."""
     _check_type(image)
     leaves, cubes = tree_of(image)
+    low, high, count = extent_of(leaves, cubes)
     flags = ACTIVE_MASK if image.dtype == bool else ACTIVE_MASK | ZIP
     corner, pitch = image.corner, image.pitch
     metadata = {
         "class": Meta.text("fog volume"),
         "creator": Meta.text(f"voxtool {__version__}"),
-        **statistics_of(leaves, cubes),
+        "file_bbox_max": Meta.whole(*high.tolist()),
+        "file_bbox_min": Meta.whole(*low.tolist()),
+        "file_voxel_count": Meta.whole(count),
         "name": Meta.text(GRID_NAME),
         "voxtool_low": Meta.whole(*image.low),
         "voxtool_origin": Meta.real(*corner),
@@ -115,9 +118,10 @@ def _check_type(image: VoxelImage) -> None:
         raise VoxtoolError(f".vdb holds bool or float32, not {image.dtype.name}: choose --dtype")
 
 
-def tree_of(image: VoxelImage) -> tuple[Leaves, list[tuple[np.ndarray, int]]]:
+def tree_of(image: VoxelImage, pack: bool = True) -> tuple[Leaves, list[tuple[np.ndarray, int]]]:
     """Return the leaves of an image, which hold the cells that are not zero and their values, and
-    the cubes that are wholly set."""
+    the cubes that are wholly set. Without `pack`, the values are the bytes of the active cells, or
+    None where all are one."""
     keys, masks, values = [np.empty(0, np.int64)], [np.empty((0, MASK_BYTES), np.uint8)], []
     cubes: list[tuple[np.ndarray, int]] = [*image.cubes(LEAF_SIDE)]
     ones = [bytes(1) + values_of(n, Inside(1, True), image.dtype) for n in range(CELLS + 1)]
@@ -130,17 +134,21 @@ def tree_of(image: VoxelImage) -> tuple[Leaves, list[tuple[np.ndarray, int]]]:
         masks.append(blocks.bits[~whole])
         if blocks.values is not None:
             rows = blocks.values[~whole]
-            values += (bytes(1) + packed(row[row != 0].tobytes()) for row in rows)
-        elif image.dtype != bool:
+            data = (row[row != 0].tobytes() for row in rows)
+            values += (bytes(1) + packed(part) for part in data) if pack else data
+        elif pack and image.dtype != bool:
             counts = np.bitwise_count(masks[-1]).sum(axis=1, dtype=np.int64)
             values += [ones[n] for n in counts.tolist()]
-    found = None if image.dtype == bool else values
+    found = values if image.dtype != bool and (pack or image.level) else None
     leaves = Leaves.ordered(np.concatenate(keys), np.concatenate(masks), found)
     return leaves, cubes
 
 
-def statistics_of(leaves: Leaves, cubes: list[tuple[np.ndarray, int]]) -> dict[str, Meta]:
-    """Return the count and the box of the active cells, as metadata."""
+def extent_of(
+    leaves: Leaves, cubes: list[tuple[np.ndarray, int]]
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return the first and the last cell of the box of the active cells, (3,) int, and their
+    number."""
     count = int(np.bitwise_count(leaves.masks).sum(dtype=np.int64))
     low, high = np.full(3, BEYOND), np.full(3, -1)
     for corners, side in cubes:
@@ -151,11 +159,7 @@ def statistics_of(leaves: Leaves, cubes: list[tuple[np.ndarray, int]]) -> dict[s
     for axis in range(3 if len(corners) else 0):
         least, most = (_held(leaves, corners, axis, pick) for pick in (np.min, np.max))
         low[axis], high[axis] = min(low[axis], least[0]), max(high[axis], most[-1])
-    return {
-        "file_bbox_max": Meta.whole(*high.tolist()),
-        "file_bbox_min": Meta.whole(*(low if count else 0 * low).tolist()),
-        "file_voxel_count": Meta.whole(count),
-    }
+    return (low if count else 0 * low), high, count
 
 
 def _held(

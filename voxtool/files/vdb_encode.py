@@ -170,13 +170,13 @@ def write_tree(
         file.write(corner.tobytes() + value + bytes([inside.active]))
     tops = zip(
         upper_corners(upper),
-        _groups(upper, lower, 3 * UPPER),
-        _groups(upper, tiles["lower"], 3 * UPPER),
+        groups_of(upper, lower, 3 * UPPER),
+        groups_of(upper, tiles["lower"], 3 * UPPER),
         strict=True,
     )
     below = zip(
-        _groups(lower, leaves.keys, 3 * LOWER),
-        _groups(lower, tiles["leaf"], 3 * LOWER),
+        groups_of(lower, leaves.keys, 3 * LOWER),
+        groups_of(lower, tiles["leaf"], 3 * LOWER),
         strict=True,
     )
     for corner, children, flat in tops:
@@ -201,7 +201,7 @@ def upper_corners(keys: np.ndarray) -> np.ndarray:
     return corners_of(keys << KEY_SHIFTS["upper"][0])
 
 
-def _groups(parents: np.ndarray, keys: np.ndarray, shift: int) -> Sequence[slice]:
+def groups_of(parents: np.ndarray, keys: np.ndarray, shift: int) -> Sequence[slice]:
     """Return which keys lie in each parent."""
     starts = np.searchsorted(keys >> shift, parents).tolist()
     ends = np.searchsorted(keys >> shift, parents, side="right").tolist()

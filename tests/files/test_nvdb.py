@@ -1,0 +1,61 @@
+"""NanoVDB's grids against NanoVDB's own code, in Warp."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers_octree import WORLD, ball
+
+import voxtool
+from voxtool.errors import VoxtoolError
+from voxtool.svo.image import VoxelImage
+
+wp: Any = pytest.importorskip("warp")
+wp.config.quiet = True
+LARGE = np.zeros((264, 16, 16), bool)
+LARGE[:, 3:] = ball((264, 13, 16), 0.03) | (np.arange(264) > 200)[:, None, None]
+SHAPES = {
+    "ball": ball((40, 33, 21)),
+    "noise": np.random.default_rng(0).random((17, 30, 9)) < 0.3,
+    "several nodes": LARGE,
+    "one voxel": np.arange(8 * 9 * 10).reshape(8, 9, 10) == 123,
+    "all": np.ones((8, 16, 9), bool),
+    "nothing": np.zeros((8, 9, 10), bool),
+}
+
+
+@wp.kernel
+def look_up(volume: wp.uint64, cells: wp.array(dtype=wp.vec3i), found: wp.array(dtype=float)):  # pyright: ignore
+    i = wp.tid()
+    c = cells[i]
+    found[i] = wp.volume_lookup_f(volume, c[0], c[1], c[2])
+
+
+@pytest.mark.parametrize("options", [{}, {"level": 1}], ids=str)
+@pytest.mark.parametrize("shape", SHAPES)
+def test_warp_reads_the_same(shape: str, options: dict[str, Any], tmp_path: Path) -> None:
+    """Every cell and those around, and the map to the world."""
+    octree = voxtool.Octree.from_dense(SHAPES[shape], **WORLD)
+    image = VoxelImage.of(octree, **options)
+    path = tmp_path / "a.nvdb"
+    job = voxtool.plan_export(octree, path, **options)
+    assert job.run() <= job.plan.size
+    wanted = np.pad(np.concatenate(list(image.slabs())), 1)
+    volume = wp.Volume.load_from_nvdb(path.read_bytes(), device="cpu")
+    info = volume.get_grid_info()
+    pitch, corner = np.array(image.pitch), np.array(image.origin)
+    assert info.name == "voxels"
+    assert np.array_equal(np.reshape(info.transform_matrix, (3, 3)), np.diag(pitch.astype("f4")))
+    assert np.allclose(info.translation, corner + pitch / 2, rtol=1e-6, atol=0)
+    cells = np.argwhere(np.ones_like(wanted)).astype(np.int32) - 1
+    found = wp.zeros(len(cells), dtype=float, device="cpu")
+    inputs = [volume.id, wp.array(cells, dtype=wp.vec3i, device="cpu"), found]
+    wp.launch(look_up, len(cells), inputs, device="cpu")
+    assert info.type_str == "float"
+    assert np.array_equal(found.numpy().reshape(wanted.shape), wanted)
+
+
+def test_types_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(VoxtoolError, match=r"\.nvdb holds float32, not bool"):
+        voxtool.export(voxtool.Octree.from_dense(LARGE), tmp_path / "a.nvdb", level=1, dtype="bool")

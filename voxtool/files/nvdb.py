@@ -1,0 +1,190 @@
+"""Grids of NanoVDB, .nvdb, uncompressed: the tree of a .vdb, laid out for reading in place.
+
+The grid is that of vdb.py: the same cells, tiles and map, of float32. A file has a header, a table
+of one grid, and the grid: grid, tree, root, then all upper nodes, lower nodes and leaves.
+An entry of a node's table is a tile's value or the distance in bytes to a child.
+[NanoVDB: Museth 2021, doi 10.1145/3450623.3464653; files of version 32.6]
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import BinaryIO
+
+import numpy as np
+
+from voxtool.errors import VoxtoolError
+from voxtool.files import vdb
+from voxtool.files.vdb_encode import (
+    CELLS,
+    KEY_SHIFTS,
+    LEAF_SIDE,
+    LOWER,
+    LOWER_SIDE,
+    UPPER,
+    UPPER_SIDE,
+    Leaves,
+    bits_of,
+    corners_of,
+    groups_of,
+    keys_of,
+    parents_of,
+    tiles_of,
+    upper_corners,
+)
+from voxtool.svo.image import VoxelImage
+
+MAGIC, GRID_MAGIC = b"NanoVDB0", b"NanoVDB1"  # of version 32.6: of files, and of grids in new ones
+VERSION = 32 << 21 | 6 << 10
+FOG_VOLUME, BREADTH_FIRST, HAS_BOX = 2, 1 << 5, 2
+FLOAT = 1  # the type of the values
+ONE = int.from_bytes(np.ones(1, "<f4").tobytes(), "little")  # a tile in a table
+HEADER, TABLE, GRID, TREE, ROOT, TILE = 16, 176, 672, 64, 64, 32  # bytes
+UNCHECKED = (1 << 64) - 1  # instead of a checksum
+CHUNK = 1 << 14  # leaves that are written at once
+BOX = [("low", "<i4", 3), ("high", "<i4", 3), ("flags", "<u8")]
+LEAF_HEAD = [("low", "<i4", 3), ("extent", "u1", 3), ("flags", "u1"), ("mask", "u1", 64)]
+
+
+def node_type(power: int) -> np.dtype:
+    """Return the layout of an upper or a lower node."""
+    count = 8**power
+    masks = [("active", "u1", count // 8), ("child", "u1", count // 8)]
+    return np.dtype([*BOX, *masks, ("statistics", "u1", 32), ("table", "<i8", count)])
+
+
+LEAF_TYPE = np.dtype([*LEAF_HEAD, ("statistics", "u1", 16), ("values", "<f4", CELLS)])
+
+
+def _floats(image: VoxelImage) -> VoxelImage:
+    """Return an image of float32, whose voxels are 1 where they are set."""
+    if image.dtype == np.float32:
+        return image
+    if image.level or image.dtype != bool:
+        raise VoxtoolError(f".nvdb holds float32, not {image.dtype.name}: leave out --dtype")
+    return image.with_dtype("float32")
+
+
+def size(image: VoxelImage) -> int:
+    """A bound of the bytes of the file."""
+    image = _floats(image)
+    corners, _ = image.block_nodes(LEAF_SIDE)
+    tiles = tiles_of(image.cubes(LEAF_SIDE))
+    lower, upper = parents_of(np.sort(keys_of(corners)), tiles)
+    nodes = len(lower) * node_type(LOWER).itemsize + len(upper) * (TILE + node_type(UPPER).itemsize)
+    fixed = HEADER + TABLE + len(vdb.GRID_NAME) + 1 + GRID + TREE + ROOT
+    leaves = len(corners) * LEAF_TYPE.itemsize
+    return fixed + nodes + leaves + TILE * len(tiles["upper"])
+
+
+def write(image: VoxelImage, file: BinaryIO) -> None:
+    """Write one grid of bool or float32."""
+    image = _floats(image)
+    leaves, cubes = vdb.tree_of(image, pack=False)
+    tiles = tiles_of(cubes)
+    lower, upper = parents_of(leaves.keys, tiles)
+    roots = np.sort(np.concatenate([upper, tiles["upper"]]))
+    counts = (len(leaves.keys), len(lower), len(upper))
+    sizes = (LEAF_TYPE.itemsize, node_type(LOWER).itemsize, node_type(UPPER).itemsize)
+    first_upper = TREE + ROOT + TILE * len(roots)  # bytes from the start of the tree
+    first_lower = first_upper + counts[2] * sizes[2]
+    first_leaf = first_lower + counts[1] * sizes[1]
+    total = GRID + first_leaf + counts[0] * sizes[0]
+    low, high, count = vdb.extent_of(leaves, cubes)
+    flat = [len(tiles[name]) for name in KEY_SHIFTS]
+    tree = struct.pack("<4Q", first_leaf, first_lower, first_upper, TREE)
+    tree += struct.pack("<6IQ", *counts, *flat, count)
+    _write_head(image, file, total, (low, high), tree)
+    file.write(
+        tree + struct.pack("<7I", *_signed(low), *_signed(high), len(roots)) + bytes(ROOT - 28)
+    )
+    _write_roots(file, roots, upper, first_upper - TREE)
+    step = (first_lower - first_upper, sizes[2], sizes[1])
+    _write_nodes(file, UPPER, (upper, lower, tiles["lower"]), step)
+    step = (first_leaf - first_lower, sizes[1], sizes[0])
+    _write_nodes(file, LOWER, (lower, leaves.keys, tiles["leaf"]), step)
+    _write_leaves(file, leaves)
+
+
+def _signed(cells: np.ndarray) -> list[int]:
+    return [int(n) & 0xFFFFFFFF for n in cells]
+
+
+def _write_head(
+    image: VoxelImage, file: BinaryIO, total: int, box: tuple[np.ndarray, np.ndarray], tree: bytes
+) -> None:
+    """Write the header, the table of one grid and the grid, up to its tree."""
+    name = vdb.GRID_NAME.encode() + b"\0"
+    pitch = np.array(image.pitch)
+    center = np.array(image.corner) + pitch / 2
+    world = np.array([center + pitch * box[0], center + pitch * (box[1] + 1)], "<f8")
+    counts, flat, count = tree[32:44], tree[44:56], tree[56:64]
+    file.write(struct.pack("<8sIHH", MAGIC, VERSION, 1, 0))
+    file.write(struct.pack("<3Q", total, total, 0) + count + struct.pack("<2I", FLOAT, FOG_VOLUME))
+    file.write(world.tobytes() + np.array(box, "<i4").tobytes() + pitch.astype("<f8").tobytes())
+    file.write(struct.pack("<I", len(name)) + counts + struct.pack("<I", 1) + flat)
+    file.write(struct.pack("<HHI", 0, 0, VERSION) + name)
+    file.write(struct.pack("<8sQIIIIQ", MAGIC, UNCHECKED, VERSION, BREADTH_FIRST, 0, 1, total))
+    file.write(name.ljust(256, b"\0"))
+    for dtype in ("<f4", "<f8"):  # the map: matrix, its inverse, translation, taper
+        parts = [np.diag(pitch).ravel(), np.diag(1 / pitch).ravel(), center, [1.0]]
+        file.write(np.concatenate(parts).astype(dtype).tobytes())
+    file.write(world.tobytes() + pitch.astype("<f8").tobytes())
+    file.write(struct.pack("<2IqI", FOG_VOLUME, FLOAT, total, 0))
+    file.write(bytes(12) + GRID_MAGIC)
+
+
+def _write_roots(file: BinaryIO, roots: np.ndarray, upper: np.ndarray, first: int) -> None:
+    """Write the table of the root; `first` counts the bytes from the root to the upper nodes."""
+    places = dict(zip(upper.tolist(), range(len(upper)), strict=True))
+    each = node_type(UPPER).itemsize
+    for key, corner in zip(roots.tolist(), upper_corners(roots).tolist(), strict=True):
+        x, y, z = (n // UPPER_SIDE for n in corner)
+        place = places.get(key)
+        child = 0 if place is None else first + place * each
+        row = struct.pack("<QqII", x << 42 | y << 21 | z, child, place is None, ONE * (not child))
+        file.write(row.ljust(TILE, b"\0"))
+
+
+def _write_nodes(
+    file: BinaryIO,
+    power: int,
+    keys: tuple[np.ndarray, np.ndarray, np.ndarray],
+    step: tuple[int, int, int],
+) -> None:
+    """Write the upper or the lower nodes.
+
+    `keys` are the places of the nodes, their children and their tiles; `step` the bytes from the
+    first node to the first child, of a node and of a child.
+    """
+    parents, children, tiles = keys
+    first, own, each = step
+    unit = "upper" if power == UPPER else "lower"
+    side = UPPER_SIDE if power == UPPER else LOWER_SIDE
+    low = corners_of(parents << KEY_SHIFTS[unit][0])
+    mask = 8**power - 1
+    parts = (groups_of(parents, places, 3 * power) for places in (children, tiles))
+    for i, (held, flat) in enumerate(zip(*parts, strict=True)):
+        node = np.zeros(1, node_type(power))
+        node["low"], node["high"] = low[i], low[i] + side - 1
+        node["child"][0] = np.frombuffer(bits_of(children[held] & mask, power), np.uint8)
+        node["active"][0] = np.frombuffer(bits_of(tiles[flat] & mask, power), np.uint8)
+        distances = first - i * own + each * np.arange(held.start, held.stop)
+        node["table"][0, children[held] & mask] = distances
+        node["table"][0, tiles[flat] & mask] = ONE
+        file.write(node.tobytes())
+
+
+def _write_leaves(file: BinaryIO, leaves: Leaves) -> None:
+    """Write the leaves."""
+    for first in range(0, len(leaves.keys), CHUNK):
+        chosen = slice(first, first + CHUNK)
+        rows = np.zeros(len(leaves.keys[chosen]), LEAF_TYPE)
+        rows["low"] = corners_of(leaves.keys[chosen])
+        rows["extent"], rows["flags"] = LEAF_SIDE - 1, HAS_BOX
+        rows["mask"] = leaves.masks[chosen]
+        active = np.unpackbits(leaves.masks[chosen], axis=1, bitorder="little") != 0
+        rows["values"] = active
+        if leaves.values is not None:
+            rows["values"][active] = np.frombuffer(b"".join(leaves.values[chosen]), "<f4")
+        file.write(rows.tobytes())
