@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from voxtool.selftest import arithmetic, digests, fields, pages, volumes, voxels
+from voxtool.selftest import arithmetic, digests, exchange, fields, pages, volumes, voxels
 from voxtool.selftest.case import Case, Outcome
 
 if TYPE_CHECKING:
@@ -22,6 +22,7 @@ CASES: tuple[Case, ...] = (
     *fields.CASES,
     *volumes.CASES,
     *pages.CASES,
+    *exchange.CASES,
     *digests.CASES,
 )
 
