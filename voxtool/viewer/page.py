@@ -132,7 +132,8 @@ def fragment_of(content: PageContent) -> str:
     defined = "".join(f"#define {name}\n" for name in content.defines)
     kernels = ["shading.h", *([content.kernel] if content.kernel else [])]
     parts = [_asset(name) for name in (*content.shaders, f"{content.kind}.frag")]
-    return "".join([_asset("rays.glsl"), defined, *map(glsl_of, kernels), *parts])
+    whole = "".join([_asset("rays.glsl"), defined, *map(glsl_of, kernels), *parts])
+    return whole.replace(", ", ",")
 
 
 @functools.cache

@@ -49,8 +49,8 @@ class View {
     });
     const define = kind.define?.(settings) || "";
     const [vertex, fragment] = this.shaders;
-    this.programs[define] ||= programOf(gl, vertex, fragment.replace("\n", `\n${define}\n`)); // after its version
-    const program = this.programs[define];
+    // what is defined comes after the version
+    const program = (this.programs[define] ||= programOf(gl, vertex, fragment.replace("\n", `\n${define}\n`)));
     setUniforms(gl, program, values);
     target.draw(program, values.tile || 0);
   }
