@@ -168,3 +168,9 @@ def test_an_unknown_axis_is_refused(tmp_path: Path) -> None:
     for name in ("a.tif", "layers/%d.png"):
         with pytest.raises(GridError, match="axis 'w' is unknown: choose x, y or z"):
             voxtool.export(voxtool.Octree.from_dense(BALL, **WORLD), tmp_path / name, axis="w")
+
+
+def test_directories_that_repeat_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "a.tif").write_bytes(b"II*\0" + bytes([8, 0, 0, 0, 0, 0, 8, 0, 0, 0]))
+    with pytest.raises(FileError, match="the directories of its pages overlap"):
+        voxtool.read_voxels(tmp_path / "a.tif")

@@ -7,6 +7,7 @@ https://docs.openmicroscopy.org/ome-model/6.3.1/ome-tiff/specification.html
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from math import prod
 from typing import Any, BinaryIO
@@ -114,8 +115,12 @@ def _damaged(error: Exception) -> FileError:
 
 
 def _read(file: BinaryIO, size: int) -> Stored:
+    import logging
+
     import tifffile
 
+    logging.getLogger("tifffile").addHandler(logging.NullHandler())  # errors say what is wrong
+    _check_directories(file, size)
     tif = tifffile.TiffFile(file)
     if not tif.series:
         raise FileError("holds no images")
@@ -146,6 +151,25 @@ def _read(file: BinaryIO, size: int) -> Stored:
         raw = dtype.newbyteorder(tif.byteorder)
         return Stored(frame, dense_pieces(file, raw, whole, fortran=False), units)
     return Stored(frame, _pieces(series, whole), units)
+
+
+def _check_directories(file: BinaryIO, size: int) -> None:
+    """Refuse pages whose directories overlap or repeat, which would be read again and again."""
+    head = file.read(16)
+    order = ">" if head.startswith(b"MM") else "<"
+    big = head[2:4] in (b"+\0", b"\0+")
+    count, entry, link = ("Q", 20, "Q") if big else ("H", 12, "I")
+    (at,) = struct.unpack_from(order + link, head, 8 if big else 4)
+    held = 0
+    while at:
+        file.seek(at)
+        (entries,) = struct.unpack(order + count, file.read(struct.calcsize(count)))
+        held += entries * entry + struct.calcsize(count) + struct.calcsize(link)
+        if held > size:
+            raise FileError("the directories of its pages overlap: it is damaged")
+        file.seek(entries * entry, 1)
+        (at,) = struct.unpack(order + link, file.read(struct.calcsize(link)))
+    file.seek(0)
 
 
 def _pieces(series: Any, shape: tuple[int, int, int]) -> Iterator[Boxes]:
