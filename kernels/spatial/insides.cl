@@ -67,7 +67,7 @@ __kernel void pass_on(const uint n, const uint count, const uint size, __global 
         farthest = square < INFINITY && square > farthest ? square : farthest;
     }
     const double reach = sqrt(farthest);
-    const double slope = steepest(at.x, at.y, at.z, reach, spheres, sphere_count);
+    const double slope = reach > 0 ? steepest(at.x, at.y, at.z, reach, spheres, sphere_count) : 0;
     const double number = numbers[own];
     const double leeway = (number > 0.5 ? number - 0.5 : 0.5 - number) - NUMBER_ERRORS;
     const uchar side = number > 0.5 ? INSIDE : OUTSIDE;
