@@ -50,7 +50,8 @@ class View {
     const define = kind.define?.(settings) || "";
     const [vertex, fragment] = this.shaders;
     // what is defined comes after the version
-    const program = (this.programs[define] ||= programOf(gl, vertex, fragment.replace("\n", `\n${define}\n`)));
+    this.programs[define] ||= programOf(gl, vertex, fragment.replace("\n", `\n${define}\n`));
+    const program = this.programs[define];
     setUniforms(gl, program, values);
     target.draw(program, values.tile || 0);
   }
