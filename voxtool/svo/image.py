@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cached_property
 from math import prod
 from typing import Any, NamedTuple, Self
 
@@ -19,7 +19,8 @@ import numpy as np
 
 from voxtool.errors import GridError, VoxtoolError
 from voxtool.memory import check_memory
-from voxtool.morton import gather_bits, morton_decode, morton_encode
+from voxtool.morton import morton_decode
+from voxtool.svo.blocks import Leaves, Sorted, keys_of, places_in
 from voxtool.svo.counts import Counts
 from voxtool.svo.layout import descend
 from voxtool.svo.octree import Octree
@@ -248,11 +249,11 @@ class VoxelImage:
         for start in range(low - low % THICK, high, THICK):
             blocks, cubes = self._row(0, start)
             block, *local = np.nonzero(blocks.values)
-            keys = [_keys(blocks.corners[block].T + np.stack(local))]
+            keys = [keys_of(blocks.corners[block].T + np.stack(local))]
             for corners, side in cubes:
                 local = np.indices((THICK, side, side)).reshape(3, -1).T
                 corners[:, 0] = start
-                keys.append(_keys((corners[:, None] + local).reshape(-1, 3).T))
+                keys.append(keys_of((corners[:, None] + local).reshape(-1, 3).T))
             found = np.concatenate(keys)
             if self.dtype == bool:
                 found.sort()
@@ -262,7 +263,7 @@ class VoxelImage:
                 values[: len(keys[0])] = blocks.values[blocks.values != 0]
                 order = np.argsort(found)
                 found, values = found[order], values[order]
-            found -= _keys(np.array(self.low))
+            found -= keys_of(np.array(self.low))
             cells = np.empty((len(found), 3), "<i4")
             for axis, shift in enumerate((42, 21, 0)):
                 cells[:, axis] = (found >> shift) & 0x1FFFFF
@@ -316,14 +317,14 @@ class VoxelImage:
         return Counts(self.octree, self.level)
 
     @cached_property
-    def _known(self) -> dict[int, _Leaves]:
+    def _known(self) -> dict[int, Leaves]:
         return {}
 
     @cached_property
-    def _rows(self) -> dict[int, list[_Sorted]]:
+    def _rows(self) -> dict[int, list[Sorted]]:
         return {}
 
-    def _leaves(self, power: int) -> _Leaves:
+    def _leaves(self, power: int) -> Leaves:
         """Return the blocks of 2**power cells, and the cubes of that size or more."""
         if power < THICK.bit_length() - 1:
             raise ValueError(f"a block has at least {THICK} cells a side")
@@ -331,11 +332,11 @@ class VoxelImage:
             self._known[power] = self._found(self._counts.level + power, 1 << power)
         return self._known[power]
 
-    def _found(self, target: int, side: int) -> _Leaves:
+    def _found(self, target: int, side: int) -> Leaves:
         """Return the same for the nodes of the octree's level `target`, of `side` cells."""
         levels = self._counts.levels
         if target >= len(levels):  # one block holds the whole grid
-            return _Leaves(np.zeros(1, np.uint64), np.zeros(1, np.int64), [])
+            return Leaves(np.zeros(1, np.uint64), np.zeros(1, np.int64), [])
         cubes: list[tuple[np.ndarray, int]] = []
         split = np.empty(0, np.uint64)  # full nodes that the border of the part divides
         for level in levels[target:][::-1]:
@@ -353,7 +354,7 @@ class VoxelImage:
         codes = np.concatenate([level.codes[mixed], split])
         nodes = np.concatenate([mixed, np.full(len(split), UNIFORM)])
         by_code = np.argsort(codes)
-        return _Leaves(codes[by_code], nodes[by_code], cubes)
+        return Leaves(codes[by_code], nodes[by_code], cubes)
 
     def _placed(self, codes: np.ndarray, width: int) -> tuple[np.ndarray, np.ndarray]:
         """Return which nodes of a width in cells lie in the part, and which touch it."""
@@ -370,7 +371,7 @@ class VoxelImage:
         leaves = self._leaves(THICK.bit_length() - 1)
         if axis not in self._rows:
             lists = [(leaves.codes, THICK), *leaves.cubes]
-            self._rows[axis] = [_Sorted.along(axis, codes, width) for codes, width in lists]
+            self._rows[axis] = [Sorted.along(axis, codes, width) for codes, width in lists]
         blocks, *cubes = (column.at(start) for column in self._rows[axis])
         found = self._unpacked(leaves.codes[blocks], leaves.nodes[blocks], THICK.bit_length() - 1)
         return found, [
@@ -387,7 +388,7 @@ class VoxelImage:
         found = self._counts.of_cells(level, nodes[~uniform])
         counts[~uniform, : found.shape[1]] = found  # of the whole grid, if a block holds it
         counts[uniform] = 0 if self.invert else self.most
-        counts = counts[:, _places(side)]
+        counts = counts[:, places_in(side)]
         corners = morton_decode(codes) * side
         if self.invert:
             counts = self._volumes(corners, side, self.octree.grid.shape, self.side) - counts
@@ -408,33 +409,6 @@ class VoxelImage:
         return x[:, :, None, None] * y[:, None, :, None] * z[:, None, None, :]
 
 
-class _Leaves(NamedTuple):
-    """The blocks and the cubes of an image, in Morton order."""
-
-    codes: np.ndarray  # (n,) uint64 of blocks
-    nodes: np.ndarray  # (n,) int64 indices of their nodes, or UNIFORM
-    cubes: list[tuple[np.ndarray, int]]  # codes and side in cells, coarse ones first
-
-
-class _Sorted(NamedTuple):
-    """Nodes of one width, sorted along an axis."""
-
-    by_place: np.ndarray
-    places: np.ndarray
-    width: int
-
-    @classmethod
-    def along(cls, axis: int, codes: np.ndarray, width: int) -> Self:
-        places = gather_bits(codes >> np.uint64(axis)).astype(np.int64) * width
-        by_place = np.argsort(places, kind="stable")
-        return cls(by_place, places[by_place], width)
-
-    def at(self, start: int) -> np.ndarray:
-        """Return the indices of the nodes that contain the cell `start`."""
-        place = start - start % self.width
-        return self.by_place[slice(*np.searchsorted(self.places, [place, place + 1]).tolist())]
-
-
 def _dtype(dtype: Any, level: int) -> np.dtype:
     """Return the type of an image's values; raise VoxtoolError if it cannot hold them."""
     if dtype is None:
@@ -451,15 +425,3 @@ def _dtype(dtype: Any, level: int) -> np.dtype:
             "a wider type, or float32 for the coverage"
         )
     return found
-
-
-@cache
-def _places(side: int) -> np.ndarray:
-    """Return the Morton code of each cell of a block, (side, side, side)."""
-    return morton_encode(np.indices((side,) * 3).reshape(3, -1).T).reshape((side,) * 3)
-
-
-def _keys(cells: np.ndarray) -> np.ndarray:
-    """Return (3, N) cells as int64 keys of 21 bits for x, y and z, in lexicographic order."""
-    x, y, z = cells
-    return (x << 42) | (y << 21) | z
