@@ -24,14 +24,15 @@
 // rounded[i] = the numbers of frame_triangles of slot i, in single precision.
 //
 // The distance from a point within NEAR extents, computed in single precision by rounded_squares,
-// exceeds the exact one by less than DOUBT: With coordinates of at most 8 + 1 and roundings of 2^-24,
-// the vector from corner a to the point is off by less than 2^-19 in each coordinate, and so are its
-// components along e and g, which are perpendicular, in units of length. So are then the distances
-// to the lines of the edges, by whose signs the feature is chosen. A feature that is chosen wrongly
-// is thus less than 2^-18 from the right one at the place that is nearest to the point. The vector
-// from the place that is found, which is always in the triangle, is again off by less than 2^-19 in
-// each coordinate. The sum is less than 2^-16; DOUBT is twice that.
-#define DOUBT 0x1p-15f
+// exceeds the exact one by less than DOUBT. With u = 2^-24 and coordinates below 9:
+// - The vector from corner a to the point is off by 17 u a coordinate, 30 u in all; it is shorter
+//   than 16. Its components along e and g, which are perpendicular, are off by 30 u, by 48 u of the
+//   dot product and by 16 u of e, and the place along an edge by 32 u of the quotient: 126 u.
+// - The place that is found is off by 126 u along both, less than 180 u. A feature that is chosen
+//   wrongly has its nearest place within another 180 u, or else the distance is too short.
+// - The vector from the place to the point is off by 40 u a coordinate, 70 u in all.
+// The sum is 430 u; DOUBT is more than twice that.
+#define DOUBT 0x1p-14f
 
 __kernel void round_triangles(__global const double *leaves, const uint n, __global float *rounded)
 {
