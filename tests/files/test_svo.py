@@ -21,7 +21,7 @@ from voxtool import files
 from voxtool.errors import FileError
 from voxtool.files import hdf5, svo_hdf5, svo_xml
 from voxtool.grid import Grid
-from voxtool.svo import layers
+from voxtool.svo.image import VoxelImage
 from voxtool.svo.layout import INSIDE, VALID
 from voxtool.svo.octree import Octree
 
@@ -60,13 +60,14 @@ def dense_arrays(draw) -> np.ndarray:
 
 @given(dense=dense_arrays())
 @settings(max_examples=40)
-def test_layers_are_the_dense_array(dense: np.ndarray) -> None:
+def test_slabs_are_the_dense_array(dense: np.ndarray) -> None:
     for mode in ("solid", "surface26"):
         octree = octree_from_dense(dense, mode, "none")
+        image = VoxelImage.of(octree)
         for order in ((0, 1, 2), (2, 1, 0), (1, 2, 0)):
-            found = np.concatenate(list(layers.layers(octree, order)))
+            found = np.concatenate(list(image.slabs(order)))
             assert np.array_equal(found, dense.transpose(order))
-        found = np.concatenate(list(layers.coordinates(octree)))
+        found = np.concatenate(list(image.coordinates()))
         assert np.array_equal(found, np.argwhere(dense))
         assert octree.count == len(found)
 
