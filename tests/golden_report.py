@@ -15,6 +15,7 @@ from typing import Any
 
 import golden_adf
 import golden_distance
+import golden_exchange
 import golden_mesh
 import golden_page
 import golden_picture
@@ -39,6 +40,8 @@ WINGS: dict[str, dict[str, Callable[[Any], Digests]]] = {
     "page": {n: lambda d, n=n: golden_page.digests(own(n), d) for n in golden_page.OWN}
     | {n: lambda d, n=n: golden_page.volume_digests(golden_picture.own_volume(n))
        for n in golden_page.VOLUMES},
+    "exchange": {n: lambda d, n=n: golden_exchange.digests(n, d)
+                 for n in golden_exchange.OWN},
 }  # fmt: skip
 
 

@@ -19,7 +19,8 @@ from voxtool.bench.request import MESH_BENCHES, VOLUME_BENCHES, benches_for
 from voxtool.cli.main import cli
 
 pytestmark = pytest.mark.slow  # most run whole benches
-BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "tets", "view", "growth")
+BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "tets", "view", "exchange",
+           "growth")  # fmt: skip
 
 
 QUICK = f"--quick -q --date today --device {usable_devices()[0][0]}"
@@ -73,7 +74,7 @@ def test_every_bench_has_times_and_errors(report: dict[str, Any]) -> None:
         assert point["errors"] or point["absent"]
         assert point["figures"].keys() <= FIGURES.keys()
         alone = point["bench"] == "growth" or point["method"] == "exact distances"
-        alone |= "hash" in point["work"] or point["bench"] == "view"
+        alone |= "hash" in point["work"] or point["bench"] in ("view", "exchange")
         if not point["peer"] and not alone:
             assert all(seconds >= 0 for seconds in point["stages"].values())
             assert point["stages"]
@@ -83,6 +84,7 @@ def test_every_bench_has_times_and_errors(report: dict[str, Any]) -> None:
     assert len(set(keys)) == len(keys)
     assert all(p["errors"]["max"] < 1e-13 for p in points if p["bench"] == "distance")
     assert all(p["errors"] == {"unpacked": 0} for p in points if p["bench"] == "view")
+    assert {p["errors"].get("returned", 0) for p in points if p["bench"] == "exchange"} == {0}
     linear = [p for p in points if p["bench"] == "tets" and "linear" in p["method"]]
     assert max(p["errors"].get("max", 0) for p in linear if not p["peer"]) < 1e-5
 

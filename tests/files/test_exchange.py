@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from pathlib import Path
 
 import numpy as np
@@ -154,6 +155,17 @@ def test_declared_arrays_are_compared_with_the_file(tmp_path: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"(8, 8, 8), }", b"(8000, 8000, 8000)}", 1))
     with pytest.raises(FileError, match=r"its array needs|its header is damaged"):
         voxtool.read_voxels(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"), [("a.nii.gz", gzip.compress(b"scan")), ("a.vti", b"<VTKFile/>")]
+)
+def test_readers_of_octrees_name_the_import(name: str, content: bytes, tmp_path: Path) -> None:
+    """Also of files that are gzip or XML, as octrees may be."""
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(FileError, match=f"import it first: voxtool import {path}"):
+        voxtool.read_svo(path)
 
 
 # ---- folders

@@ -32,6 +32,7 @@ MEASURES = {  # of errors, by bench, and their units; the first is drawn in char
     "pictures": {"outline": "of the pixels"},
     "tets": dict.fromkeys(("rms", "max"), "of colours from 0 to 1"),
     "view": {"unpacked": "of the values"},
+    "exchange": {"returned": "of the voxels"},
     "growth": {"rms": "of the cube's side"},
     "degenerate": {"rms": "of the cube's side"},
 }

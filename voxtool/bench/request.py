@@ -21,12 +21,14 @@ SETTINGS = {  # the fields of a Request that each bench reads
     "tets": ("sizes", "pixels", "view", "methods", "integrators", "transfers", "scalar",
              "component"),
     "view": ("dims", "levels", "tolerances", "sign", "scalar", "component"),
+    "exchange": ("dims",),
     "degenerate": ("triangles",),
     "growth": ("triangles", "dims", "levels", "tolerances", "sizes", "cells", "scalar",
                "component"),
 }  # fmt: skip
 
-MESH_BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "view", "growth")
+MESH_BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "view", "exchange",
+                "growth")  # fmt: skip
 VOLUME_BENCHES = ("tets", "view", "growth")
 
 

@@ -10,7 +10,7 @@ import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from voxtool.bench import adf, degenerate, distance, growth, pictures, tets, view, voxels
+from voxtool.bench import adf, degenerate, distance, exchange, growth, pictures, tets, view, voxels
 from voxtool.bench.request import benches_for, is_volume
 from voxtool.bench.timing import Bench
 from voxtool.errors import MeshWarning
@@ -32,6 +32,7 @@ BENCHES = {
     "pictures": pictures.measure,
     "tets": tets.measure,
     "view": view.measure,
+    "exchange": exchange.measure,
     "growth": growth.measure,
     "degenerate": degenerate.measure,
 }

@@ -125,7 +125,7 @@ def _figures_note(points: Sequence[Point]) -> str:
         "command": "the whole command in its own process",
         "peak memory": "resident, of that command",
         "nodes": "cubes that the algorithm of [voCCeL] visits, of the grid's samples",
-        "over the file": "bytes of the page over those of the content's .h5",
+        "over the file": "bytes of the page, or of the export, over those of the content's .h5",
         "base": "bytes of the page without its data",
         "break-even": "points from which the field takes less time than exact distances",
     }

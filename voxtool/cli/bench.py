@@ -154,6 +154,17 @@ COMMANDS = {
       voxtool bench view bunny.obj --dims 128,256 --levels 5 --tolerances 1e-2
       voxtool bench view volume.vtu --scalar density
     """,
+    "exchange": """Measure exports of the octrees of MODELS to every format, and imports of them.
+
+    The size is that of the file over that of the octree's .svo.h5. An error is a voxel that comes
+    back otherwise: there must be none. Times are of files on disk, flushed. A format whose package
+    is not installed is left out, and so is a file that could have over 256 MB, with a warning.
+
+    \b
+    Examples:
+      voxtool bench exchange bunny.obj --dims 128,512
+      voxtool bench exchange bunny.obj --quick -o report
+    """,
     "growth": """Measure the growth of time with triangles, dims, leaves, pixels and cells.
 
     MODELS are subdivided for more triangles or cells. The exponent p of time ~ triangles^p is below
@@ -179,8 +190,8 @@ COMMANDS = {
 UNITS = """
     Times are medians after a warm-up, in memory, kernels compiled; ± is their spread. Errors are in
     diagonals of the model (surfaces), sides of the field's cube (distances), colours from 0 to 1
-    (pictures of volumes) or shares of pixels (other pictures) or values (pages). * marks the Pareto
-    front. With a budget the exit code is 1 if nothing measured meets it.
+    (pictures of volumes) or shares of pixels (other pictures), values (pages) or voxels (files). *
+    marks the Pareto front. With a budget the exit code is 1 if nothing measured meets it.
 """
 
 

@@ -20,7 +20,7 @@ SLICE = Parsed(
 )
 KNOWN = ", ".join(map(ending, EXPORTS))
 ALL = "all"
-LAYERED = ("tif", "tiff", "%d.png")  # formats of layers along an axis
+LAYERED = ("tif", "tiff", "%04d.png")  # formats of layers along an axis
 
 
 def number_of(text: str) -> int | str:

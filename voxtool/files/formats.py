@@ -79,7 +79,7 @@ EXCHANGE = {
     "ome.zarr": Exchange(
         "ome_zarr", "grid, coverage, a pyramid of it, unit", needs="zarr", folder=True
     ),
-    "%d.png": Exchange("layers", "which cells are set", reads=False, folder=True),
+    "%04d.png": Exchange("layers", "which cells are set", reads=False, folder=True),
     "png": Exchange("slice_png", "one slice, as a picture", reads=False, parts=False),
 }
 EXPORTS = tuple(name for name, format in EXCHANGE.items() if format.writes)
@@ -162,7 +162,7 @@ SCENE = Kind(
 
 
 def ending(name: str) -> str:
-    """The ending of names of a format: .vti, or %d.png of pictures with numbers."""
+    """The ending of names of a format: .vti, or %04d.png of pictures with numbers."""
     return name if name.startswith("%") else f".{name}"
 
 
@@ -211,16 +211,16 @@ def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
 
         schemas = [import_module(f"voxtool.files.{module}").SCHEMA for module in kind.hdf5]
         return lambda file, size: hdf5.read(schemas, file, size)
-    if kind.xml and opening.startswith(GZIP):
-        return import_module("voxtool.files.svo_xml").read_gz
     lower = name.lower()
     if lower.endswith(MESH_EXTENSIONS) or opening.startswith(MESH_OPENINGS):
         raise FileError(f"{name} {kind.mesh.format(name=name)}")
-    if kind.xml and opening.removeprefix(BOM).lstrip().startswith(b"<"):
-        return import_module("voxtool.files.svo_xml").read
-    for endings, message in kind.endings.items():
+    for endings, message in kind.endings.items():  # before XML: some of these are XML or gzip, too
         if lower.endswith(endings):
             raise FileError(f"{name} {message.format(name=name)}")
+    if kind.xml and opening.startswith(GZIP):
+        return import_module("voxtool.files.svo_xml").read_gz
+    if kind.xml and opening.removeprefix(BOM).lstrip().startswith(b"<"):
+        return import_module("voxtool.files.svo_xml").read
     raise FileError(f"{name} {kind.other}")
 
 
@@ -238,7 +238,7 @@ def format_of(path: PathLike, formats: Iterable[str]) -> str:
         for default in STREAM_FORMATS:
             if default in formats:
                 return default
-    name = re.sub(r"%0?\d*d(?=[^/]*$)", ".%d", os.fspath(path).lower())  # layers/%04d.png
+    name = re.sub(r"%0?\d*d(?=[^/]*$)", ".%04d", os.fspath(path).lower())  # layers/%d.png
     endings = {*formats, *SVO_FORMATS, *ADF_FORMATS, *TET_FORMATS}
     for extension in sorted(endings, key=len, reverse=True):
         if name.endswith(f".{extension}"):  # the longest: .svo.h5 is no .h5 of another kind

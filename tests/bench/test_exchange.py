@@ -1,0 +1,67 @@
+"""Benchmarks of exports and imports: a row for each format, and what is counted as an error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import meshes
+import pytest
+from conftest import opened, usable_devices
+from helpers_cli import write_obj
+
+from voxtool.bench import exchange
+from voxtool.bench.request import Request
+from voxtool.bench.timing import Bench
+from voxtool.errors import VoxtoolWarning
+from voxtool.files import formats
+from voxtool.svo.octree import Octree
+
+REQUEST = Request(dims=(16,), repeat=1, seconds=0)
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    write_obj(tmp_path / "ball.obj", *meshes.icosphere(1))
+    device = opened(usable_devices()[0][0])
+    return Bench(REQUEST, device, device, "exchange", str(tmp_path / "ball.obj"))
+
+
+def test_every_format_comes_back(bench: Bench) -> None:
+    points = list(exchange.measure(bench))
+    written = {p.method: p for p in points if p.work == "octree to file"}
+    read = {p.method: p for p in points if p.work == "file to octree"}
+    assert list(written) == [formats.ending(name) for name in exchange.FORMATS]
+    assert list(read) == [f".{name}" for name in formats.IMPORTS]
+    for method, point in written.items():
+        assert point.errors == ({"returned": 0} if method in read else {})
+        assert point.bytes
+        assert point.figures["over the file"]
+    assert written[".npy"].bytes == 128 + 16**3
+
+
+def test_voxels_that_come_back_otherwise_are_counted(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def one_less(path: Path, **place) -> Octree:
+        found = read(path, **place)
+        return Octree.from_voxels(found.occupied()[1:], found.grid)
+
+    read = exchange.read_voxels
+    monkeypatch.setattr(exchange, "read_voxels", one_less)
+    monkeypatch.setattr(exchange, "FORMATS", ("npy",))
+    for point in exchange.measure(bench):
+        assert point.errors == {"returned": 1 / point.size}  # type: ignore[operator]
+
+
+def test_formats_that_cannot_be_written_are_left_out(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = formats.EXCHANGE["nii"]._replace(needs="no_such_package")
+    monkeypatch.setitem(formats.EXCHANGE, "nii", line)
+    monkeypatch.setattr(exchange, "FORMATS", ("nii", "npy"))
+    monkeypatch.setattr(exchange, "MOST_BYTES", 5000)
+    with pytest.warns(VoxtoolWarning, match=r"\.nii at dim 16 is left out: .*no_such_package"):
+        assert {point.method for point in exchange.measure(bench)} == {".npy"}
+    monkeypatch.setattr(exchange, "MOST_BYTES", 4000)
+    with pytest.warns(VoxtoolWarning, match=r"\.npy at dim 16 is left out: .* of 4 kB allowed"):
+        assert list(exchange.measure(bench)) == []

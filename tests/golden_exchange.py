@@ -1,0 +1,95 @@
+"""The golden digests of exports and imports; run as a script, this writes them anew.
+
+A format whose bytes are all of voxtool's making has the digest of its bytes, pictures that of their
+pixels, and every other format that of its grid and values, as its reader here returns them: what
+other libraries pack may change. Digests change only together with a line in CHANGELOG.md that says
+why:
+    python tests/golden_exchange.py
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import golden_svo
+import numpy as np
+
+import voxtool
+from voxtool.files.exchange import _stored
+from voxtool.files.formats import EXCHANGE, EXPORTS, ending, folder_of
+from voxtool.files.voxels import Boxes, Stored
+
+GOLDEN = Path(__file__).parent / "golden" / "exchange.json"
+OWN = {"sphere": "solid", "needles": "surface26"}  # modes
+DIM = 24
+OWN_BYTES = ("npy", "vti", "binvox", "vox", "nvdb", "ply", "xyz")
+
+
+def digest(*parts: bytes | np.ndarray) -> str:
+    """Return the SHA-256 of bytes and arrays."""
+    sha = hashlib.sha256()
+    for part in parts:
+        sha.update(part if isinstance(part, bytes) else np.ascontiguousarray(part).data)
+    return sha.hexdigest()
+
+
+def digest_of(stored: Stored) -> str:
+    """Return the SHA-256 of the grid, the axes and the values that a reader returns."""
+    grid, axes, flips = stored.frame
+    values = np.zeros(stored.frame.shape)
+    for piece in stored.pieces:
+        boxes = isinstance(piece, Boxes)
+        sides = piece.values.shape[1:] if boxes else (piece.side,) * 3
+        for i, low in enumerate(np.asarray(piece.corners)):
+            # a block may reach beyond the grid
+            part = values[tuple(slice(n, n + side) for n, side in zip(low, sides, strict=True))]
+            whole = piece.values[i] if boxes else np.full(sides, piece.value)
+            part[...] = whole[tuple(map(slice, part.shape))]
+    place = np.array([grid.origin, grid.pitch], "<f8")
+    return digest(place, repr((grid.shape, axes, flips)).encode(), values.astype("<f8"))
+
+
+def digest_of_pictures(path: Path) -> str:
+    """Return the SHA-256 of the pixels of a picture, or of all pictures in a folder."""
+    from PIL import Image
+
+    paths = sorted(path.glob("*.png")) if path.is_dir() else [path]
+    return digest(*(np.asarray(Image.open(each).convert("RGBA")) for each in paths))
+
+
+def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
+    """Yield the digests of every export of the octree of a mesh, of voxels and of cells of two, and
+    of the octree that each becomes again."""
+    mesh = golden_svo.own_mesh(own)
+    grid = voxtool.Grid.fit(mesh, DIM)
+    octree = voxtool.voxelize(mesh, grid, OWN[own], fill="parity", device=device)
+    for name in EXPORTS:
+        for level in (0, 1) if EXCHANGE[name].parts else (0,):
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder, "layers" if "%" in name else "", f"a{ending(name)}")
+                voxtool.export(octree, path, level=level)
+                label = f"{name} level {level}"
+                if name in OWN_BYTES:
+                    yield label, digest(path.read_bytes())
+                elif not EXCHANGE[name].reads:
+                    yield label, digest_of_pictures(folder_of(path, name))
+                else:
+                    with _stored(path, name) as stored:
+                        yield label, digest_of(stored)
+                if EXCHANGE[name].reads:
+                    yield f"{label} imported", voxtool.read_voxels(path).digest()
+
+
+def main() -> None:
+    device = voxtool.open_device()
+    golden = {name: dict(digests(name, device)) for name in OWN}
+    GOLDEN.write_text(json.dumps(golden, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
