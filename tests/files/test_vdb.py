@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import shutil
 import struct
-import subprocess
 import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,14 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 from helpers_octree import WORLD, ball
+from helpers_openvdb import openvdb
 
 import voxtool
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.svo.image import VoxelImage
 
 tinyvdb: Any = pytest.importorskip("tinyvdb")
-SCRIPT = Path(__file__).parent.parent / "openvdb_script.py"
-PYTHON = "/usr/bin/python3"
 RANDOM = np.random.default_rng(0)
 FLAT = {"origin": (-1.5, 0.1, 1e-3), "pitch": (0.1, 0.25, 0.5)}
 SHAPES = {
@@ -46,18 +43,6 @@ class Case(NamedTuple):
     octree: voxtool.Octree
     image: VoxelImage
     path: Path
-
-
-def openvdb(lines: list[tuple[Any, ...]]) -> None:
-    """Run the lines with OpenVDB's library."""
-    has = (
-        shutil.which(PYTHON)
-        and not subprocess.run([PYTHON, "-c", "import pyopenvdb"], capture_output=True).returncode
-    )
-    if not has:
-        pytest.skip("needs OpenVDB's library for the system's Python: apt install python3-openvdb")
-    text = "\n".join("\t".join(map(str, line)) for line in lines)
-    subprocess.run([PYTHON, SCRIPT], input=text.encode(), check=True)
 
 
 @pytest.fixture(scope="module")

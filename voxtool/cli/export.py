@@ -1,4 +1,4 @@
-"""voxtool export: an octree's voxels for other programs."""
+"""voxtool export: an octree's voxels, or a field's level set, for other programs."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from voxtool.errors import human
 from voxtool.files.formats import EXPORTS, ending
 
 if TYPE_CHECKING:
+    from voxtool.adf.field import DistanceField
     from voxtool.files.exchange import ExportJob
     from voxtool.svo.octree import Octree
 
@@ -42,6 +43,10 @@ def number_of(text: str) -> int | str:
     option("--dtype", ("bool", "uint8", "uint16", "uint32", "float32", "float64"),
         "bool: at least half of a cell is set; whole numbers: how many of its voxels; floats: the "
         "share of them.  [default: bool; with --level float32]"),
+    option("--band", POSITIVE,
+        "Of a field: half-width of the level set, in voxels.  [default: 3]", metavar="VOXELS"),
+    option("--spacing", POSITIVE,
+        "Of a field: edge of a voxel, in world units.  [default: of its finest leaves]"),
     option("--slice plane", SLICE,
         "For .png: the plane of voxels to draw, or all for the layers of %04d.png.  [default: the "
         "middle along z]",
@@ -61,8 +66,9 @@ def command(
     run: runner.Run, file: str, plane: tuple[str, int | str] | None, axis: str | None,
     dpi: float | None, **image: Any,
 ) -> None:  # fmt: skip
-    """Export the voxels of an octree FILE for other programs.
+    """Export the voxels of an octree FILE, or the level set of a field, for other programs.
 
+    A field (.adf.h5) becomes a .vdb of the signed distances near its surface.
     docs/exchange.md has a table of the formats and of what each of them keeps. In the mesh's own
     units, the low corner of a voxel is origin + pitch * voxel.
 
@@ -70,8 +76,9 @@ def command(
     Examples:
       voxtool export bunny.svo.h5 -o bunny.vti
       voxtool export bunny.svo.h5 -o coarse.npy --level 2
+      voxtool export bunny.adf.h5 -o bunny.vdb --band 3
     """
-    from voxtool.files import read_svo
+    from voxtool.files import read_exported
     from voxtool.files.exchange import plan_export
 
     if run.output is None:
@@ -79,13 +86,13 @@ def command(
     run.to(file, run.output, EXPORTS)
     image |= layers_of(run.file_format or "", plane, axis, dpi)
     with run:
-        octree = run.stage("read file", read_svo, file)
+        content = run.stage("read file", read_exported, file)
         job = run.plan(
-            plan_export, octree, run.output, not run.no_clobber, run.file_format,
+            plan_export, content, run.output, not run.no_clobber, run.file_format,
             progress=run.progress.share, **image,
         )  # fmt: skip
         size = run.job(job)
-    run.report(report_line(job, size), lambda: facts_of(job, octree, size))
+    run.report(report_line(job, size), lambda: facts_of(job, content, size))
 
 
 def layers_of(
@@ -114,12 +121,12 @@ def report_line(job: ExportJob, size: int) -> str:
     return f"{ending(job.plan.name)}, {shape} cells" + (f", {human(size)}" if size else "")
 
 
-def facts_of(job: ExportJob, octree: Octree, size: int) -> dict[str, Any]:
-    """Return the facts of the report, in JSON types; the digest is that of the octree."""
+def facts_of(job: ExportJob, content: Octree | DistanceField, size: int) -> dict[str, Any]:
+    """Return the facts of the report, in JSON types; the digest is that of the content."""
     planned = job.plan.as_dict()
     names = ("format", "level", "shape", "origin", "pitch", "dtype")
     return {
         **{name: planned[name] for name in names},
         "bytes": size,
-        "digest": octree.digest(),
+        "digest": content.digest(),
     }

@@ -58,6 +58,7 @@ __all__ = [
     "format_of",
     "is_mesh",
     "read_adf",
+    "read_exported",
     "read_scene",
     "read_svo",
     "read_tet",
@@ -202,8 +203,13 @@ def read_scene(path: PathLike) -> Octree | DistanceField | TetVolume:
     return _read(path, formats.SCENE)
 
 
+def read_exported(path: PathLike) -> Octree | DistanceField:
+    """Read what `export` takes, as read_svo does."""
+    return _read(path, formats.EXPORTED)
+
+
 def export(
-    octree: Octree | PathLike,
+    content: Octree | DistanceField | PathLike,
     path: PathLike,
     clobber: bool = True,
     format: str | None = None,
@@ -212,15 +218,17 @@ def export(
     bbox: Sequence[float] | None = None,
     invert: bool = False,
     dtype: Any = None,
+    band: float | None = None,
+    spacing: float | None = None,
     max_bytes: int | None = None,
     **options: Any,
 ) -> None:
-    """Export the voxels for other programs: as the format that the name of the file says.
+    """Export voxels, or a field, for other programs: as the format that the name of the file says.
 
     Parameters
     ----------
-    octree : Octree or path
-        The voxels.
+    content : Octree, DistanceField or path
+        The voxels; or a field with signs, which becomes a level set in a .vdb.
     path : path
         The file or the folder; `-` writes stdout.
     clobber : bool
@@ -237,6 +245,10 @@ def export(
         "bool" (at least half of a cell is set), "uint8", "uint16" or "uint32" (the number of its
         voxels that are set), "float32" or "float64" (the share of them); by default bool for
         voxels, and float32 above them.
+    band : float, optional
+        Of a field: half-width of the level set, in voxels; by default 3.
+    spacing : float, optional
+        Of a field: edge of a voxel in world units; by default that of its finest leaves.
     max_bytes : int, optional
         Refuse a larger output.
     **options
@@ -252,15 +264,15 @@ def export(
     MemoryLimitError
         If the export does not fit in memory.
     VoxtoolError
-        If there is no such level or dtype.
+        If there is no such level, dtype, band or spacing, or the field has no signs.
     """
     from voxtool.files.exchange import plan_export
 
-    if isinstance(octree, str | os.PathLike):
-        octree = read_svo(octree)
+    if isinstance(content, str | os.PathLike):
+        content = read_exported(content)
     plan_export(
-        octree, path, clobber, format, level=level, bbox=bbox, invert=invert, dtype=dtype,
-        max_bytes=max_bytes, **options,
+        content, path, clobber, format, level=level, bbox=bbox, invert=invert, dtype=dtype,
+        band=band, spacing=spacing, max_bytes=max_bytes, **options,
     ).run()  # fmt: skip
 
 

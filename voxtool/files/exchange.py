@@ -8,6 +8,7 @@ The module of a format has some of these:
     read(file, size) -> Stored                the voxels of a file of `size` bytes that can seek,
                                               or of a folder (a Path), whose files have `size` bytes
 
+The module that writes distance fields (Exchange.fields) has `size` and `write` of a LevelSet.
 A module of several formats has such functions for each of them, whose names end in the format's
 suffix. It imports what its extra brings inside these functions.
 """
@@ -25,6 +26,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from voxtool.adf.field import DistanceField
+from voxtool.adf.narrow_band import LevelSet
 from voxtool.errors import FileError, MemoryLimitError, VoxtoolError, human, one_line
 from voxtool.files import streams
 from voxtool.files.atomic import atomic_folder
@@ -52,11 +55,15 @@ WRITE = "write file"
 NODE_BYTES = 40  # of lists of blocks and of counts, a node of the octree
 
 
-def function_of(name: str, verb: str) -> Callable[..., Any]:
+def function_of(
+    name: str, verb: str, image: VoxelImage | LevelSet | None = None
+) -> Callable[..., Any]:
     """Return the function of a format that is `size`, `write` or `read`; FileError if the package
     that it needs is not installed."""
     check_package(name)
     format = EXCHANGE[name]
+    if isinstance(image, LevelSet):
+        return getattr(import_module(f"voxtool.files.{format.fields}"), verb)
     return getattr(import_module(f"voxtool.files.{format.module}"), verb + format.suffix)
 
 
@@ -67,7 +74,7 @@ def function_of(name: str, verb: str) -> Callable[..., Any]:
 class ExportPlan:
     """The plan of an export: the image, the format and the bytes to come."""
 
-    image: VoxelImage
+    image: VoxelImage | LevelSet
     name: str
     size: int
     options: dict[str, Any]
@@ -80,8 +87,17 @@ class ExportPlan:
         return EXCHANGE[self.name]
 
     @property
+    def smaller(self) -> str:
+        """Options that make the output smaller."""
+        if isinstance(self.image, LevelSet):
+            return "a larger --spacing, or a narrower --band"
+        return "a higher --level, or a part by --bbox"
+
+    @property
     def cost(self) -> Cost:
-        """On the host the lists of blocks, and some layers of cells."""
+        """On the host the lists of blocks, and some layers of cells or the values of the blocks."""
+        if isinstance(self.image, LevelSet):
+            return Cost(0, host=self.image.host_bytes)
         a, b = sorted(self.image.shape)[1:]
         layers = 24 * a * b * self.image.dtype.itemsize
         return Cost(0, host=NODE_BYTES * len(self.image.octree.nodes) + layers)
@@ -114,7 +130,7 @@ class ExportPlan:
         if self.cost.host > max_memory:
             raise MemoryLimitError(
                 f"the export would need {human(self.cost.host)} of memory, of {human(max_memory)} "
-                "allowed: choose a higher --level, or a part by --bbox"
+                f"allowed: choose {self.smaller}"
             )
 
 
@@ -131,7 +147,9 @@ class ExportJob(Job[int]):
 
     def refuse(self) -> None:
         """Raise FileError or MemoryLimitError if --max-bytes, the disk or memory are too small."""
-        size, instead = self.plan.size, "choose a higher --level, a part by --bbox, or .npz"
+        size, instead = self.plan.size, f"choose {self.plan.smaller}"
+        if isinstance(self.plan.image, VoxelImage):
+            instead += ", or .npz"
         if self.max_bytes is not None and size > self.max_bytes:
             raise FileError(
                 f"{self.path} would take up to {human(size)}, of {human(self.max_bytes)} allowed: "
@@ -143,7 +161,7 @@ class ExportJob(Job[int]):
 
     def _run(self) -> int:
         plan = self.plan
-        write = function_of(plan.name, "write")
+        write = function_of(plan.name, "write", plan.image)
         with self.stage(WRITE):
             if plan.format.folder:
                 target = folder_of(self.path, plan.name)
@@ -156,7 +174,7 @@ class ExportJob(Job[int]):
 
 
 def plan_export(
-    octree: Octree,
+    content: Octree | DistanceField,
     path: PathLike,
     clobber: bool = True,
     format: str | None = None,
@@ -165,6 +183,8 @@ def plan_export(
     bbox: Sequence[float] | None = None,
     invert: bool = False,
     dtype: Any = None,
+    band: float | None = None,
+    spacing: float | None = None,
     max_bytes: int | None = None,
     max_memory: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
@@ -178,14 +198,31 @@ def plan_export(
         raise FileError(f".{name} is a folder of files: name it, stdout takes one file")
     if not EXCHANGE[name].parts and (level or bbox or invert or dtype):
         raise VoxtoolError(f".{name} takes no level, box, dtype or inversion: leave them out")
-    size = function_of(name, "size")
+    check_package(name)
     check_output(path, name, clobber)
-    image = VoxelImage.of(octree, level=level, bbox=bbox, invert=invert, dtype=dtype)
-    image = replace(image, progress=progress)
+    if isinstance(content, DistanceField):
+        check_field(name, part=bool(level or bbox or invert or dtype or options))
+        image = LevelSet.of(content, band, spacing, progress)
+    elif band is not None or spacing is not None:
+        raise VoxtoolError("a band and a spacing go with a distance field: this is an octree")
+    else:
+        image = VoxelImage.of(content, level=level, bbox=bbox, invert=invert, dtype=dtype)
+        image = replace(image, progress=progress)
     if EXCHANGE[name].folder and "%" in os.fspath(path):
         options["pattern"] = Path(path).name
-    plan = ExportPlan(image, name, size(image), options)
+    plan = ExportPlan(image, name, function_of(name, "size", image)(image), options)
     return ExportJob(plan, path, clobber, max_bytes, max_memory)
+
+
+def check_field(name: str, part: bool) -> None:
+    """Raise VoxtoolError if a format holds no distance field, or a part of one is requested."""
+    if not EXCHANGE[name].fields:
+        names = ", ".join(f".{key}" for key, format in EXCHANGE.items() if format.fields)
+        raise VoxtoolError(f".{name} holds no distance field: choose {names}")
+    if part:
+        raise VoxtoolError(
+            "a distance field takes no level, box, dtype or inversion: leave them out"
+        )
 
 
 def folder_size(folder: Path) -> int:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -40,7 +40,7 @@ class Exchange(NamedTuple):
     suffix: str = ""  # of the names of the module's functions, where it has several formats
     reads: bool = True
     writes: bool = True
-    kinds: tuple[str, ...] = ("octree",)  # what can be written
+    fields: str = ""  # the module that writes distance fields
     needs: str = ""  # the package that the module needs
     extra: str = "formats"  # of voxtool, which installs the package
     folder: bool = False  # whether it is a folder of files
@@ -70,7 +70,9 @@ EXCHANGE = {
     "binvox": Exchange("binvox", "the grid as a cube, with cubic voxels; bool"),
     "ply": Exchange("centers", "centres of the set cells, and their values", "_ply", reads=False),
     "xyz": Exchange("centers", "centres of the set cells", "_xyz", reads=False, text=True),
-    "vdb": Exchange("vdb", "grid, coverage; bool or float32; cubes as tiles", grids=True),
+    "vdb": Exchange(
+        "vdb", "grid, coverage; bool or float32; cubes as tiles", fields="vdb_levels", grids=True
+    ),
     "vox": Exchange("vox", "grid; which cells are set"),
     "nvdb": Exchange("nvdb", "place, coverage as float32; cubes as tiles", reads=False),
     "vtkhdf": Exchange("vtkhdf", "grid, levels, coverage"),
@@ -137,6 +139,7 @@ OCTREE = Kind(
     other="is no octree: expected HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz)",
     endings=AN_EXPORT,
 )
+EXPORTED = replace(OCTREE, hdf5=("svo_hdf5", "adf_hdf5"))
 FIELD = Kind(
     hdf5=("adf_hdf5",),
     mesh="is a mesh: build a field first: voxtool adf-build {name}",
