@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import sys
+import threading
 from pathlib import Path
 
 import pytest
+from helpers_files import run_python
 
 from voxtool import limits, memory
 
@@ -104,3 +107,42 @@ def test_the_address_space_counts_as_memory() -> None:
         assert 0 <= memory.available_memory() <= 64 << 20
     finally:
         resource.setrlimit(resource.RLIMIT_AS, before)
+
+
+OPENING = """
+import threading
+from voxtool.limits import bounded_memory
+from voxtool.opencl import shared_device
+found = []
+thread = threading.Thread(target=lambda: found.append(shared_device().info.units > 0))
+with bounded_memory(1 << 26):
+    thread.start()
+    thread.join(0.5)
+    print(thread.is_alive())
+thread.join()
+print(found)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux bounds memory")
+def test_a_device_is_opened_after_a_bound_of_another_thread() -> None:
+    done = run_python(OPENING)
+    assert done.stdout.split() == [b"True", b"[True]"], done.stderr
+
+
+def test_a_bound_waits_for_work_without_one() -> None:
+    """Two blocks without a bound run side by side; one with a bound waits for both."""
+    order = []
+
+    def bound() -> None:
+        with limits.bounded_memory(GIB):
+            order.append("bound")
+
+    with limits.unbounded_memory():
+        with limits.unbounded_memory():
+            thread = threading.Thread(target=bound)
+            thread.start()
+        thread.join(0.05)
+        order.append("free")
+    thread.join()
+    assert order == ["free", "bound"]

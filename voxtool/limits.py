@@ -20,7 +20,9 @@ MEMORY_FILES = (
 )
 UNLIMITED = 1 << 60  # version 1 writes almost 2**63 for no limit
 
-_lock = threading.Lock()  # of the limit of the process
+_changed = threading.Condition()  # of the two below
+_bounded = False  # whether a block of bounded_memory runs
+_unbounded = 0  # blocks of unbounded_memory that run
 
 
 @functools.cache
@@ -80,24 +82,54 @@ def mapped_memory() -> int:
 @contextmanager
 def bounded_memory(size: int) -> Iterator[None]:
     """Let this process map at most `size` bytes more while the block runs: a request beyond that is
-    a MemoryError. Only Linux has such a limit; it is one of the process, so threads share it, and
-    one block runs at a time."""
-    with _lock:
-        mapped = mapped_memory() if sys.platform == "linux" else 0
-        if not mapped:  # or /proc is not there
+    a MemoryError. Only Linux has such a limit; it is one of the process, so threads share it: one
+    block runs at a time, and none beside a block of `unbounded_memory`."""
+    global _bounded
+    with _changed:
+        _changed.wait_for(lambda: not (_bounded or _unbounded))
+        _bounded = True
+    try:
+        with _limited(size):
             yield
-            return
-        import resource
+    finally:
+        with _changed:
+            _bounded = False
+            _changed.notify_all()
 
-        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-        limit = mapped + size
-        if soft != resource.RLIM_INFINITY:
-            limit = min(limit, soft)
-        resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
-        try:
-            yield
-        finally:
-            resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
+
+@contextmanager
+def unbounded_memory() -> Iterator[None]:
+    """Keep blocks of `bounded_memory` in other threads from running beside this block, such as one
+    that loads a driver: without memory, drivers crash or find no device."""
+    global _unbounded
+    with _changed:
+        _changed.wait_for(lambda: not _bounded)
+        _unbounded += 1
+    try:
+        yield
+    finally:
+        with _changed:
+            _unbounded -= 1
+            _changed.notify_all()
+
+
+@contextmanager
+def _limited(size: int) -> Iterator[None]:
+    mapped = mapped_memory() if sys.platform == "linux" else 0
+    if not mapped:  # or /proc is not there
+        yield
+        return
+    import resource
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    limit = mapped + size
+    if soft != resource.RLIM_INFINITY:
+        limit = min(limit, soft)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def processors(root: str = "/") -> int | None:

@@ -186,7 +186,14 @@ def _vtk_flying_edges(octree: Octree, isovalue: float) -> Callable[[], object]:
 def _skimage_marching_cubes(octree: Octree, isovalue: float) -> Callable[[], object]:
     """skimage.measure.marching_cubes, of Lewiner."""
     measure = _module("skimage.measure")
-    return lambda: measure.marching_cubes(coverage_grid(octree), BRICK_SIDE**3 * isovalue)
+
+    def run() -> object:
+        grid, level = coverage_grid(octree), BRICK_SIDE**3 * isovalue
+        if not grid.min() <= level <= grid.max():  # no surface, which is an error there
+            return np.empty((0, 3)), np.empty((0, 3), np.int32)
+        return measure.marching_cubes(grid, level)
+
+    return run
 
 
 # --- distances -----------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import numpy as np
 
 from voxtool import watch
 from voxtool.errors import DeviceError, DeviceWarning
+from voxtool.limits import unbounded_memory
 from voxtool.opencl import driver, program
 from voxtool.opencl.device import Device
 
@@ -115,7 +116,8 @@ def shared_device(choice: str | None = None, *, profile: bool = False) -> Device
     key = os.getpid(), choice, profile
     with _opening:
         if key not in _shared:
-            _shared[key] = open_device(choice, profile=profile)
+            with unbounded_memory():  # another thread may read a file meanwhile
+                _shared[key] = open_device(choice, profile=profile)
         return _shared[key]
 
 

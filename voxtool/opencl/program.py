@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, SupportsInt
 import numpy as np
 
 from voxtool.errors import DeviceError, count_of
+from voxtool.limits import unbounded_memory
 from voxtool.opencl import cache, headers
 
 if TYPE_CHECKING:
@@ -105,7 +106,8 @@ def build(
         options.append(ROUNDED)
     try:
         change = _change.get() or str
-        return compiled(cl, context, change(flatten(source)), options)
+        with unbounded_memory():
+            return compiled(cl, context, change(flatten(source)), options)
     except cl.RuntimeError as error:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         log = [line for line in lines[1:] if "error" in line.lower()]
