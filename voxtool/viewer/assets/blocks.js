@@ -154,6 +154,9 @@ function blocksOf({ root, counts, held, refined, child, share }, tables, cell, b
   const unit = size + bits * (tables - 1);
   const start = inner ? child(0, 0) : 0;
   if (top > unit) visit(start, top, [0, 0, 0], 0, unit);
-  else entries[0] = pointerTo(start, top);
+  else {
+    const entry = pointerTo(start, top); // may replace `entries`
+    entries[0] = entry;
+  }
   return { entries: entries.subarray(0, used * fan ** 3), words, cells, whole: bricks ? full / 255 : 1, fan, cover: 2 ** (size + bits * tables) };
 }
