@@ -62,6 +62,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         items[:] = [item for item in items if item not in gone]
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Fail in CI if a test was skipped: everything that tests need is installed there, but for the
+    real models, which may be absent."""
+    reporter = session.config.pluginmanager.get_plugin("terminalreporter")
+    if reporter is None:  # a worker
+        return
+    skipped = reporter.stats.get("skipped", [])
+    if skipped and os.environ.get("CI") == "true" and MODELS.exists():
+        reporter.write_line(f"{len(skipped)} skipped, the first: {skipped[0].longrepr}", red=True)
+        session.exitstatus = pytest.ExitCode.TESTS_FAILED
+
+
 SLOW_FOLDERS = {"bench", "selftest"}  # reports, and every case of the self-test
 
 

@@ -1,4 +1,4 @@
-"""What OpenVDB's own library reads and writes; run by the system's Python, which has pyopenvdb.
+"""Reads and writes files with OpenVDB's own library; run by the system's Python, which has it.
 
 read FILE OUT.npz NX NY NZ [NAME]  values of active cells of [0, shape), and facts of the grid
 """

@@ -25,12 +25,12 @@
 //
 // The distance from a point within NEAR extents, computed in single precision by rounded_squares,
 // exceeds the exact one by less than DOUBT. With u = 2^-24 and coordinates below 9:
-// - The vector from corner a to the point is off by 17 u a coordinate, 30 u in all; it is shorter
-//   than 16. Its components along e and g, which are perpendicular, are off by 30 u, by 48 u of the
+// - The vector from corner a to the point is off by 17 u a coordinate, so by less than 30 u; it is
+//   shorter than 16. Its components along e and g, which are perpendicular, are off by 30 u, by 48 u of the
 //   dot product and by 16 u of e, and the place along an edge by 32 u of the quotient: 126 u.
 // - The place that is found is off by 126 u along both, less than 180 u. A feature that is chosen
 //   wrongly has its nearest place within another 180 u, or else the distance is too short.
-// - The vector from the place to the point is off by 40 u a coordinate, 70 u in all.
+// - The vector from the place to the point is off by 40 u a coordinate, so by less than 70 u.
 // The sum is 430 u; DOUBT is more than twice that.
 #define DOUBT 0x1p-14f
 

@@ -484,7 +484,7 @@ def test_export(here: Path) -> None:
 
 
 def test_import(here: Path) -> None:
-    """What is exported comes back with its digest; --json has it, too."""
+    """An export comes back by import with the same digest, which --json has, too."""
     told = json.loads(run("export bunny.svo.h5 -o a.npz --json").stdout)
     assert told["digest"] == run("svo-info bunny.svo.h5 --digest").stdout.strip()
     assert told["bytes"] == (here / "a.npz").stat().st_size

@@ -40,7 +40,7 @@ PLACED = (
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("name", formats.IMPORTS)
 def test_round_trip(name: str, shape: str, tmp_path: Path) -> None:
-    """What is exported comes back, bit for bit, and where it was."""
+    """An export comes back by import, bit for bit, and where it was."""
     octree = voxtool.Octree.from_dense(SHAPES[shape], **WORLD)
     if name == "binvox":  # a cube
         cube = [(0, octree.grid.dim - n) for n in octree.grid.shape]

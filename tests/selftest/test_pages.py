@@ -1,4 +1,4 @@
-"""What pages unpack to: values that are wrong are counted, one by one."""
+"""Wrong values in pages are counted one by one."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Animations as GIF, WebP, MP4 or numbered pictures.
 
 Pillow encodes GIF and WebP, and x264 (through PyAV) the video of MP4, so their bytes depend on the
-versions of these; numbered pictures are PNG.
+versions of these libraries. Numbered pictures are PNG.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Export to and import from the formats of other programs, by the table formats.EXCHANGE.
 
-The module of a format has some of these:
+The module of a format has some of these functions:
 
     size(image) -> int                        bytes of the output, or a bound
     write(image, file, **options)             write a VoxelImage into an empty file that can seek,

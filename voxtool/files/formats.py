@@ -176,7 +176,7 @@ def folder_of(path: PathLike, name: str) -> Path:
 
 
 def is_folder(name: str) -> bool:
-    """Whether a format is a folder of files."""
+    """Return True if a format is a folder of files."""
     return name in EXCHANGE and EXCHANGE[name].folder
 
 
@@ -217,7 +217,7 @@ def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
     lower = name.lower()
     if lower.endswith(MESH_EXTENSIONS) or opening.startswith(MESH_OPENINGS):
         raise FileError(f"{name} {kind.mesh.format(name=name)}")
-    for endings, message in kind.endings.items():  # before XML: some of these are XML or gzip, too
+    for endings, message in kind.endings.items():  # before XML and gzip, which exports can be
         if lower.endswith(endings):
             raise FileError(f"{name} {message.format(name=name)}")
     if kind.xml and opening.startswith(GZIP):

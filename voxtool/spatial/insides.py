@@ -1,4 +1,4 @@
-"""Which points the winding number puts inside, from the winding numbers of few of them.
+"""Points on the inside by the winding number, from the winding numbers of few of them.
 
 A ball about a point that reaches to the nearest face holds no face, so that the winding number
 changes in it with the boundary's shape alone (boundary.py). Points in the ball are therefore on the
