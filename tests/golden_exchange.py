@@ -1,4 +1,5 @@
-"""The golden digests of exports and imports; run as a script, this writes them anew.
+"""The golden digests of exports and imports, of octrees and of fields; run as a
+script, this writes them anew.
 
 A format whose bytes are all of voxtool's making has the digest of its bytes, pictures that of their
 pixels, and every other format that of its grid and values, as its reader here returns them: what
@@ -12,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tempfile
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -64,7 +66,7 @@ def digest_of_pictures(path: Path) -> str:
 
 def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
     """Yield the digests of every export of the octree of a mesh, of voxels and of cells of two, and
-    of the octree that each becomes again."""
+    of the octree that each becomes again; then those of the mesh's field."""
     mesh = golden_svo.own_mesh(own)
     grid = voxtool.Grid.fit(mesh, DIM)
     octree = voxtool.voxelize(mesh, grid, OWN[own], fill="parity", device=device)
@@ -83,6 +85,23 @@ def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
                         yield label, digest_of(stored)
                 if EXCHANGE[name].reads:
                     yield f"{label} imported", voxtool.read_voxels(path).digest()
+    warnings.simplefilter("ignore", voxtool.MeshWarning)  # a mesh of needles has no inside
+    yield from digests_of_field(voxtool.build_adf(mesh, max_level=5, device=device), device)
+
+
+def digests_of_field(field: voxtool.DistanceField, device: Any) -> Iterator[tuple[str, str]]:
+    """Yield the digests of every export of a field: of its bytes, or of what is read of it."""
+    for name, format in EXCHANGE.items():
+        if format.dense or format.levels:
+            with tempfile.TemporaryDirectory() as folder:
+                path = Path(folder, f"a{ending(name)}")
+                spacing = field.side / 20.3
+                voxtool.export(field, path, spacing=spacing, device=device)
+                if name in OWN_BYTES:
+                    yield f"field {name}", digest(path.read_bytes())
+                else:
+                    with _stored(path, name) as stored:
+                        yield f"field {name}", digest_of(stored)
 
 
 def main() -> None:

@@ -21,8 +21,10 @@ from voxtool.adf.field import DistanceField
 from voxtool.adf.levels import OCTANTS
 from voxtool.adf.query import FieldQuery
 from voxtool.adf.raycast import refined_children
+from voxtool.adf.samples import cells_along
 from voxtool.errors import VoxtoolError
 from voxtool.grid import MAX_DIM, MIN_DIM, Grid
+from voxtool.opencl import Device
 
 BAND = 3.0  # voxels, OpenVDB's own half-width
 BLOCK_SIDE = 8
@@ -60,17 +62,21 @@ class LevelSet:
         The half-width of the band, world units.
     corners : (n, 3) int64
         The low samples of all blocks of 8 a side that can hold such samples.
+    device : Device, optional
+        Where to compute; the default device if None.
     progress : callable
         Called with the share of the blocks that has been sampled.
     """
 
     level: ClassVar[int] = 0
     dtype: ClassVar[np.dtype] = np.dtype(np.float32)
+    smaller: ClassVar[str] = "a larger --spacing, or a narrower --band"
 
     source: DistanceField
     grid: Grid
     background: float
     corners: np.ndarray = field(repr=False)
+    device: Device | None = None
     progress: Callable[[float], None] = lambda share: None
 
     @classmethod
@@ -79,7 +85,6 @@ class LevelSet:
         source: DistanceField,
         band: float | None = None,
         spacing: float | None = None,
-        progress: Callable[[float], None] = lambda share: None,
     ) -> LevelSet:
         """Return the level set of a field.
 
@@ -99,7 +104,7 @@ class LevelSet:
         """
         band = BAND if band is None else band
         if spacing is None:
-            spacing = source.side / min(max(1 << source.depth, MIN_DIM), MAX_DIM)
+            spacing = source.side / cells_along(source, MAX_DIM)
         if source.sign == "none":
             raise VoxtoolError(
                 "a level set has an inside, and this field has none: build it with --sign winding"
@@ -114,7 +119,7 @@ class LevelSet:
         samples = math.floor(source.side / spacing + 0.5)  # those in the cube
         grid = Grid((samples, samples, samples), source.origin, (spacing, spacing, spacing))
         blocks = near_blocks(source, spacing, band * spacing)
-        return cls(source, grid, band * spacing, BLOCK_SIDE * blocks, progress)
+        return cls(source, grid, band * spacing, BLOCK_SIDE * blocks)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -143,8 +148,8 @@ class LevelSet:
 
     @cached_property
     def query(self) -> FieldQuery:
-        """The field on the default device."""
-        return FieldQuery(self.source)
+        """The field on the device."""
+        return FieldQuery(self.source, self.device)
 
     def distances(self, samples: np.ndarray) -> np.ndarray:
         """Return the distances at (n, 3) samples, (n,) float32, world units; outside the cube the

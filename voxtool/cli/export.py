@@ -7,7 +7,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli import options, runner
-from voxtool.cli.options import BYTES, POSITIVE, Parsed, flag, option, plane_of, together
+from voxtool.cli.options import (
+    BYTES,
+    POINT,
+    POSITIVE,
+    SPACING,
+    Parsed,
+    flag,
+    option,
+    plane_of,
+    together,
+    whole_numbers_of,
+)
 from voxtool.errors import human
 from voxtool.files.formats import EXPORTS, ending
 
@@ -18,6 +29,11 @@ if TYPE_CHECKING:
 
 SLICE = Parsed(
     "slice", lambda text: plane_of(text, number_of), " is no plane of voxels: write z=128, or z=all"
+)
+SHAPE = Parsed(
+    "shape",
+    lambda text: whole_numbers_of(text) if "," in text else int(text),
+    " is no shape: write 128, or 256,256,128",
 )
 KNOWN = ", ".join(map(ending, EXPORTS))
 ALL = "all"
@@ -44,9 +60,16 @@ def number_of(text: str) -> int | str:
         "bool: at least half of a cell is set; whole numbers: how many of its voxels; floats: the "
         "share of them.  [default: bool; with --level float32]"),
     option("--band", POSITIVE,
-        "Of a field: half-width of the level set, in voxels.  [default: 3]", metavar="VOXELS"),
-    option("--spacing", POSITIVE,
-        "Of a field: edge of a voxel, in world units.  [default: of its finest leaves]"),
+        "Of a field as a level set: its half-width, in voxels.  [default: 3]", metavar="VOXELS"),
+    option("--like", str,
+        "Of a field: sample it on the grid of an octree, or of an image or array that `voxtool "
+        "import` reads.", metavar="FILE"),
+    option("--origin", POINT, "Of a field: with --shape and --spacing, the low corner of the grid.",
+        metavar="X,Y,Z"),
+    option("--shape", SHAPE, "Of a field: samples along each axis.", metavar="N|NX,NY,NZ"),
+    option("--spacing", SPACING,
+        "Of a field: distance of the samples, in world units: one number or three.  [default: edge "
+        "of its finest leaves, at most 256 samples a side]", metavar="S"),
     option("--slice plane", SLICE,
         "For .png: the plane of voxels to draw, or all for the layers of %04d.png.  [default: the "
         "middle along z]",
@@ -64,11 +87,12 @@ def number_of(text: str) -> int | str:
 )
 def command(
     run: runner.Run, file: str, plane: tuple[str, int | str] | None, axis: str | None,
-    dpi: float | None, **image: Any,
+    dpi: float | None, like: str | None, origin: tuple[float, ...] | None, **image: Any,
 ) -> None:  # fmt: skip
-    """Export the voxels of an octree FILE, or the level set of a field, for other programs.
+    """Export the voxels of an octree FILE, or the distances of a field, for other programs.
 
-    A field (.adf.h5) becomes a .vdb of the signed distances near its surface.
+    A field (.adf.h5) becomes signed distances at the centres of a grid, by default one over its
+    cube; in a .vdb those near its surface.
     docs/exchange.md has a table of the formats and of what each of them keeps. In the mesh's own
     units, the low corner of a voxel is origin + pitch * voxel.
 
@@ -76,6 +100,7 @@ def command(
     Examples:
       voxtool export bunny.svo.h5 -o bunny.vti
       voxtool export bunny.svo.h5 -o coarse.npy --level 2
+      voxtool export bunny.adf.h5 -o bunny.nii.gz --shape 128
       voxtool export bunny.adf.h5 -o bunny.vdb --band 3
     """
     from voxtool.files import read_exported
@@ -85,6 +110,7 @@ def command(
         raise click.UsageError(f"where to? Give -o OUT, ending in one of {KNOWN}")
     run.to(file, run.output, EXPORTS)
     image |= layers_of(run.file_format or "", plane, axis, dpi)
+    image |= grid_of(like, origin, image)
     with run:
         content = run.stage("read file", read_exported, file)
         job = run.plan(
@@ -113,6 +139,26 @@ def layers_of(
             "hold all voxels"
         )
     return {"axis": plane[0], "value": plane[1]}
+
+
+def grid_of(like: str | None, origin: Any, image: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of a grid that --like names, or that its own numbers give."""
+    shape, spacing = image["shape"], image["spacing"]
+    given = [name for name in ("origin", "shape", "spacing") if {**image, "origin": origin}[name]]
+    if like:
+        if given:
+            raise click.UsageError(f"--like sets the grid: drop --{' and --'.join(given)}")
+        return {"grid": like}
+    if len(given) < 2 and origin is None:
+        return {}
+    if len(given) < 3:
+        raise click.UsageError(
+            "--origin, --shape and --spacing give a grid by its own numbers: give all three, or "
+            "only --shape or --spacing"
+        )
+    from voxtool.grid import Grid
+
+    return {"grid": Grid(shape, origin, spacing), "shape": None, "spacing": None}
 
 
 def report_line(job: ExportJob, size: int) -> str:

@@ -36,7 +36,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from voxtool.adf.field import DistanceField
+    from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
+    from voxtool.opencl import Device
     from voxtool.svo.octree import Octree
     from voxtool.tets.mesh import UnstructuredMesh
     from voxtool.tets.volume import TetVolume
@@ -219,8 +221,11 @@ def export(
     invert: bool = False,
     dtype: Any = None,
     band: float | None = None,
-    spacing: float | None = None,
+    shape: int | Sequence[int] | None = None,
+    spacing: float | Sequence[float] | None = None,
+    grid: Grid | PathLike | None = None,
     max_bytes: int | None = None,
+    device: Device | None = None,
     **options: Any,
 ) -> None:
     """Export voxels, or a field, for other programs: as the format that the name of the file says.
@@ -228,7 +233,8 @@ def export(
     Parameters
     ----------
     content : Octree, DistanceField or path
-        The voxels; or a field with signs, which becomes a level set in a .vdb.
+        The voxels; or a field, whose signed distances are sampled at the centres of the cells of
+        a grid, in float32; in a .vdb as a level set, for which it needs signs.
     path : path
         The file or the folder; `-` writes stdout.
     clobber : bool
@@ -247,10 +253,17 @@ def export(
         voxels, and float32 above them.
     band : float, optional
         Of a field: half-width of the level set, in voxels; by default 3.
-    spacing : float, optional
-        Of a field: edge of a voxel in world units; by default that of its finest leaves.
+    shape : int or (3,) sequence of int, optional
+        Of a field: cells along each axis of a grid over the field's cube.
+    spacing : float or (3,) sequence of float, optional
+        Of a field: size of a cell of that grid in world units; by default that of the finest
+        leaves, and at most 256 cells along a side. Of a level set one number, without that limit.
+    grid : Grid or path, optional
+        Of a field: the grid itself, or that of a file which read_voxels reads.
     max_bytes : int, optional
         Refuse a larger output.
+    device : Device, optional
+        Of a field: where it is sampled; the default device if None.
     **options
         Of a png, `axis` ("x", "y" or "z") and `value` (the index of the slice, in voxels).
 
@@ -260,11 +273,12 @@ def export(
         If the output cannot be written, is larger than its disk or max_bytes, or its name says no
         format; or if the package that the format needs is not installed.
     GridError
-        If the slice is outside the grid, or the box touches no voxel.
+        If the slice is outside the grid, the box touches no voxel, or a grid is out of range.
     MemoryLimitError
         If the export does not fit in memory.
     VoxtoolError
-        If there is no such level, dtype, band or spacing, or the field has no signs.
+        If there is no such level, dtype, band, shape or spacing, or a level set is to be made of a
+        field without signs.
     """
     from voxtool.files.exchange import plan_export
 
@@ -272,7 +286,8 @@ def export(
         content = read_exported(content)
     plan_export(
         content, path, clobber, format, level=level, bbox=bbox, invert=invert, dtype=dtype,
-        band=band, spacing=spacing, max_bytes=max_bytes, **options,
+        band=band, shape=shape, spacing=spacing, grid=grid, max_bytes=max_bytes,
+        device=device, **options,
     ).run()  # fmt: skip
 
 

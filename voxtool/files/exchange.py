@@ -3,12 +3,13 @@
 The module of a format has some of these functions:
 
     size(image) -> int                        bytes of the output, or a bound
-    write(image, file, **options)             write a VoxelImage into an empty file that can seek,
-                                              or, of a format that is a folder, into an empty folder
+    write(image, file, **options)             write a VoxelImage, or of a dense format FieldSamples,
+                                              into an empty file that can seek, or, of a format that
+                                              is a folder, into an empty folder
     read(file, size) -> Stored                the voxels of a file of `size` bytes that can seek,
                                               or of a folder (a Path), whose files have `size` bytes
 
-The module that writes distance fields (Exchange.fields) has `size` and `write` of a LevelSet.
+The module that writes level sets (Exchange.levels) has `size` and `write` of a LevelSet.
 A module of several formats has such functions for each of them, whose names end in the format's
 suffix. It imports what its extra brings inside these functions.
 """
@@ -24,10 +25,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
+
+import numpy as np
 
 from voxtool.adf.field import DistanceField
 from voxtool.adf.narrow_band import LevelSet
+from voxtool.adf.samples import FieldSamples, grid_over
 from voxtool.errors import FileError, MemoryLimitError, VoxtoolError, human, one_line
 from voxtool.files import streams
 from voxtool.files.atomic import atomic_folder
@@ -46,24 +50,23 @@ from voxtool.files.voxels import Rule, Stored, octree_of
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.memory import check_disk
+from voxtool.opencl import Device
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.octree import Octree
 
 # Errors in which damage shows while other libraries read.
 DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, ValueError, ArithmeticError)
 WRITE = "write file"
-NODE_BYTES = 40  # of lists of blocks and of counts, a node of the octree
+Image: TypeAlias = VoxelImage | LevelSet | FieldSamples
 
 
-def function_of(
-    name: str, verb: str, image: VoxelImage | LevelSet | None = None
-) -> Callable[..., Any]:
+def function_of(name: str, verb: str, image: Image | None = None) -> Callable[..., Any]:
     """Return the function of a format that is `size`, `write` or `read`; FileError if the package
     that it needs is not installed."""
     check_package(name)
     format = EXCHANGE[name]
     if isinstance(image, LevelSet):
-        return getattr(import_module(f"voxtool.files.{format.fields}"), verb)
+        return getattr(import_module(f"voxtool.files.{format.levels}"), verb)
     return getattr(import_module(f"voxtool.files.{format.module}"), verb + format.suffix)
 
 
@@ -74,7 +77,7 @@ def function_of(
 class ExportPlan:
     """The plan of an export: the image, the format and the bytes to come."""
 
-    image: VoxelImage | LevelSet
+    image: Image
     name: str
     size: int
     options: dict[str, Any]
@@ -87,20 +90,9 @@ class ExportPlan:
         return EXCHANGE[self.name]
 
     @property
-    def smaller(self) -> str:
-        """Options that make the output smaller."""
-        if isinstance(self.image, LevelSet):
-            return "a larger --spacing, or a narrower --band"
-        return "a higher --level, or a part by --bbox"
-
-    @property
     def cost(self) -> Cost:
-        """On the host the lists of blocks, and some layers of cells or the values of the blocks."""
-        if isinstance(self.image, LevelSet):
-            return Cost(0, host=self.image.host_bytes)
-        a, b = sorted(self.image.shape)[1:]
-        layers = 24 * a * b * self.image.dtype.itemsize
-        return Cost(0, host=NODE_BYTES * len(self.image.octree.nodes) + layers)
+        """The memory of what is held of the image at once."""
+        return Cost(0, host=self.image.host_bytes)
 
     def as_dict(self) -> dict[str, Any]:
         image = self.image
@@ -121,8 +113,10 @@ class ExportPlan:
     def rows(self) -> list[tuple[str, str]]:
         image = self.image
         shape = " x ".join(map(str, image.shape))
+        cells = f"cells of level {image.level}" if isinstance(image, VoxelImage) else "samples"
+        sizes = " x ".join(f"{size:.6g}" for size in image.pitch)
         return [
-            ("image", f"{shape} cells of level {image.level}, {image.dtype.name}"),
+            ("image", f"{shape} {cells}, {image.dtype.name}; a cell is {sizes}"),
             ("file", f".{self.name}, at most {human(self.size)}; it keeps {self.format.keeps}"),
         ]
 
@@ -130,7 +124,7 @@ class ExportPlan:
         if self.cost.host > max_memory:
             raise MemoryLimitError(
                 f"the export would need {human(self.cost.host)} of memory, of {human(max_memory)} "
-                f"allowed: choose {self.smaller}"
+                f"allowed: choose {self.image.smaller}"
             )
 
 
@@ -147,7 +141,7 @@ class ExportJob(Job[int]):
 
     def refuse(self) -> None:
         """Raise FileError or MemoryLimitError if --max-bytes, the disk or memory are too small."""
-        size, instead = self.plan.size, f"choose {self.plan.smaller}"
+        size, instead = self.plan.size, f"choose {self.plan.image.smaller}"
         if isinstance(self.plan.image, VoxelImage):
             instead += ", or .npz"
         if self.max_bytes is not None and size > self.max_bytes:
@@ -184,9 +178,12 @@ def plan_export(
     invert: bool = False,
     dtype: Any = None,
     band: float | None = None,
-    spacing: float | None = None,
+    shape: Any = None,
+    spacing: Any = None,
+    grid: Grid | PathLike | None = None,
     max_bytes: int | None = None,
     max_memory: int | None = None,
+    device: Device | None = None,
     progress: Callable[[float], None] = lambda share: None,
     **options: Any,
 ) -> ExportJob:
@@ -201,10 +198,18 @@ def plan_export(
     check_package(name)
     check_output(path, name, clobber)
     if isinstance(content, DistanceField):
-        check_field(name, part=bool(level or bbox or invert or dtype or options))
-        image = LevelSet.of(content, band, spacing, progress)
-    elif band is not None or spacing is not None:
-        raise VoxtoolError("a band and a spacing go with a distance field: this is an octree")
+        if level or bbox or invert or dtype:
+            raise VoxtoolError(
+                "a distance field takes no level, box, dtype or inversion: leave them out"
+            )
+        if isinstance(grid, str | os.PathLike):
+            grid = read_grid(grid)
+        image = image_of(content, name, band, shape, spacing, grid)
+        image = replace(image, device=device, progress=progress)
+    elif not (band is shape is spacing is grid is None):
+        raise VoxtoolError(
+            "a band, a spacing, a shape and a grid go with a distance field: this is an octree"
+        )
     else:
         image = VoxelImage.of(content, level=level, bbox=bbox, invert=invert, dtype=dtype)
         image = replace(image, progress=progress)
@@ -214,15 +219,29 @@ def plan_export(
     return ExportJob(plan, path, clobber, max_bytes, max_memory)
 
 
-def check_field(name: str, part: bool) -> None:
-    """Raise VoxtoolError if a format holds no distance field, or a part of one is requested."""
-    if not EXCHANGE[name].fields:
-        names = ", ".join(f".{key}" for key, format in EXCHANGE.items() if format.fields)
+def image_of(
+    source: DistanceField,
+    name: str,
+    band: float | None,
+    shape: Any,
+    spacing: Any,
+    grid: Grid | None,
+) -> LevelSet | FieldSamples:
+    """Return what a format holds of a field: a level set, or samples on a grid; VoxtoolError if it
+    holds none, or not as requested."""
+    format = EXCHANGE[name]
+    if format.levels:
+        if not (shape is grid is None) or np.ndim(spacing):
+            raise VoxtoolError(f".{name} holds a level set: choose it by a band and one spacing")
+        return LevelSet.of(source, band, spacing)
+    if not format.dense:
+        names = ", ".join(f".{key}" for key, each in EXCHANGE.items() if each.levels or each.dense)
         raise VoxtoolError(f".{name} holds no distance field: choose {names}")
-    if part:
-        raise VoxtoolError(
-            "a distance field takes no level, box, dtype or inversion: leave them out"
-        )
+    if band is not None:
+        raise VoxtoolError(f".{name} holds all samples of a grid: a band goes with level sets")
+    if grid is not None and not (shape is spacing is None):
+        raise VoxtoolError("a grid has its own shape and spacing: leave them out")
+    return FieldSamples(source, grid or grid_over(source, shape, spacing))
 
 
 def folder_size(folder: Path) -> int:

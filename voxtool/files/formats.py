@@ -40,7 +40,8 @@ class Exchange(NamedTuple):
     suffix: str = ""  # of the names of the module's functions, where it has several formats
     reads: bool = True
     writes: bool = True
-    fields: str = ""  # the module that writes distance fields
+    levels: str = ""  # the module that writes level sets of fields
+    dense: bool = False  # whether it is a dense array, which can hold the samples of a field
     needs: str = ""  # the package that the module needs
     extra: str = "formats"  # of voxtool, which installs the package
     folder: bool = False  # whether it is a folder of files
@@ -61,23 +62,23 @@ SVO_FORMATS = {
 ADF_FORMATS = {"adf.h5": Writer("adf_hdf5"), "h5": Writer("adf_hdf5")}
 TET_FORMATS = {"tet.h5": Writer("tet_hdf5"), "h5": Writer("tet_hdf5")}
 EXCHANGE = {
-    "npy": Exchange("npy", "dtype"),
-    "npz": Exchange("npz", "grid, dtype; of the set cells alone"),
-    "vti": Exchange("vti", "grid, dtype"),
-    "nii": Exchange("nifti", "grid, dtype, unit", needs="nibabel"),
-    "nii.gz": Exchange("nifti", "grid, dtype, unit", "_packed", needs="nibabel"),
-    "nrrd": Exchange("nrrd", "grid, dtype, unit"),
+    "npy": Exchange("npy", "dtype", dense=True),
+    "npz": Exchange("npz", "grid, dtype; of the set cells alone", dense=True),
+    "vti": Exchange("vti", "grid, dtype", dense=True),
+    "nii": Exchange("nifti", "grid, dtype, unit", needs="nibabel", dense=True),
+    "nii.gz": Exchange("nifti", "grid, dtype, unit", "_packed", needs="nibabel", dense=True),
+    "nrrd": Exchange("nrrd", "grid, dtype, unit", dense=True),
     "binvox": Exchange("binvox", "the grid as a cube, with cubic voxels; bool"),
     "ply": Exchange("centers", "centres of the set cells, and their values", "_ply", reads=False),
     "xyz": Exchange("centers", "centres of the set cells", "_xyz", reads=False, text=True),
     "vdb": Exchange(
-        "vdb", "grid, coverage; bool or float32; cubes as tiles", fields="vdb_levels", grids=True
+        "vdb", "grid, coverage; bool or float32; cubes as tiles", levels="vdb_levels", grids=True
     ),
     "vox": Exchange("vox", "grid; which cells are set"),
     "nvdb": Exchange("nvdb", "place, coverage as float32; cubes as tiles", reads=False),
     "vtkhdf": Exchange("vtkhdf", "grid, levels, coverage"),
-    "tif": Exchange("tiff", "grid, dtype, unit", needs="tifffile"),
-    "tiff": Exchange("tiff", "grid, dtype, unit", needs="tifffile"),
+    "tif": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True),
+    "tiff": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True),
     "ome.zarr": Exchange(
         "ome_zarr", "grid, coverage, a pyramid of it, unit", needs="zarr", folder=True
     ),

@@ -20,6 +20,7 @@ from voxtool.errors import FileError, one_line
 from voxtool.files.streams import PACKED
 from voxtool.files.voxels import (
     Boxes,
+    Dense,
     Stored,
     check_length,
     check_values,
@@ -29,7 +30,6 @@ from voxtool.files.voxels import (
     grid_of_text,
     grid_text,
 )
-from voxtool.svo.image import VoxelImage
 
 HEADER = 1024  # bytes before the array, at most
 MOST_SIDE = 32767  # int16
@@ -43,40 +43,40 @@ MAGICS = {1: (344, b"n+1"), 2: (4, b"n+2")}  # of headers whose array is in the 
 MOST_OFFSET = 1 << 22  # bytes of a header and its extensions
 
 
-def size(image: VoxelImage) -> int:
+def size(image: Dense) -> int:
     """Bytes of the file; FileError if a side is too long."""
     if max(image.shape) > MOST_SIDE:
         raise FileError(
             f"a side of {max(image.shape)} cells is more than a .nii can have, {MOST_SIDE}: choose "
-            "a higher --level, or a part by --bbox"
+            f"{image.smaller}"
         )
     return HEADER + image.nbytes
 
 
-def size_packed(image: VoxelImage) -> int:
+def size_packed(image: Dense) -> int:
     """Bytes of the compressed file: of cells that are neither far inside nor far outside, and of
     the other ones at a high compression."""
     return image.mixed * image.dtype.itemsize + size(image) // (PACKED // 4) + HEADER
 
 
-def write(image: VoxelImage, file: BinaryIO) -> None:
+def write(image: Dense, file: BinaryIO) -> None:
     """Write the image."""
     _header(image).write_to(file)
     for slab in image.slabs((2, 1, 0)):
         file.write(np.ascontiguousarray(slab).view(_dtype(image)).data)
 
 
-def write_packed(image: VoxelImage, file: BinaryIO) -> None:
+def write_packed(image: Dense, file: BinaryIO) -> None:
     """Write the image, compressed by gzip."""
     with gzip.GzipFile("", "wb", LEVEL, file, mtime=0) as packed:
         write(image, packed)  # pyright: ignore[reportArgumentType]
 
 
-def _dtype(image: VoxelImage) -> np.dtype:
+def _dtype(image: Dense) -> np.dtype:
     return np.dtype(np.uint8) if image.dtype == bool else image.dtype
 
 
-def _header(image: VoxelImage) -> Any:
+def _header(image: Dense) -> Any:
     """Return the header, with the exact grid as its extension."""
     from nibabel.nifti1 import Nifti1Extension, Nifti1Header
 

@@ -11,19 +11,18 @@ import numpy as np
 
 from voxtool.errors import FileError
 from voxtool.files.streams import PathLike, open_output
-from voxtool.files.voxels import Frame, Stored, check_length, check_values, dense_pieces
+from voxtool.files.voxels import Dense, Frame, Stored, check_length, check_values, dense_pieces
 from voxtool.grid import Grid
-from voxtool.svo.image import VoxelImage
 
 HEADER = 128  # bytes of a usual header
 
 
-def size(image: VoxelImage) -> int:
+def size(image: Dense) -> int:
     """Bytes of the file."""
     return HEADER + image.nbytes
 
 
-def write(image: VoxelImage, file: BinaryIO) -> None:
+def write(image: Dense, file: BinaryIO) -> None:
     """Write the dense array."""
     descr = np.lib.format.dtype_to_descr(image.dtype)
     header = {"descr": descr, "fortran_order": False, "shape": image.shape}

@@ -1,8 +1,9 @@
-"""The voxels that are set, as .npz, which suits every grid.
+"""The voxels that are set, or the samples of a field, as .npz with the grid.
 
 voxels : (N, 3) int32, in lexicographic order; shape : (3,) int64; origin and pitch : (3,) float64.
 values : (N,), where the image is not one of bool. Voxel (i, j, k) has its low corner at origin +
-pitch (i, j, k). Of other programs, an array of three axes is read, dense and without a place.
+pitch (i, j, k). The samples of a field are a dense array `distance` instead of the list. Of other
+programs, an array of three axes is read, dense; without a grid beside it, it has no place.
 """
 
 from __future__ import annotations
@@ -13,11 +14,13 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from voxtool.adf.samples import FieldSamples
 from voxtool.errors import FileError, one_line, printable
 from voxtool.files import npy
 from voxtool.files.streams import PACKED
 from voxtool.files.voxels import (
     Boxes,
+    Dense,
     Frame,
     Stored,
     check_length,
@@ -32,16 +35,21 @@ ROWS = 1 << 20  # voxels that are read at once
 GRID = {"shape": np.int64, "origin": np.float64, "pitch": np.float64}
 
 
-def size(image: VoxelImage) -> int:
+def size(image: Dense) -> int:
     """Bytes of the file."""
+    if isinstance(image, FieldSamples):
+        return EXTRA + image.nbytes
     return EXTRA + image.count * (12 + (image.dtype != bool) * image.dtype.itemsize)
 
 
-def write(image: VoxelImage, file: BinaryIO) -> None:
-    """Write the voxels and the grid; the bytes depend on the content alone."""
+def write(image: Dense, file: BinaryIO) -> None:
+    """Write the values and the grid; the bytes depend on the content alone."""
     with zipfile.ZipFile(file, "w") as packed:
-        _write(packed, "voxels", np.dtype("<i4"), (image.count, 3), image.coordinates())
-        if image.dtype != bool:
+        if isinstance(image, FieldSamples):
+            _write(packed, image.quantity, image.dtype, image.shape, image.slabs())
+        else:
+            _write(packed, "voxels", np.dtype("<i4"), (image.count, 3), image.coordinates())
+        if isinstance(image, VoxelImage) and image.dtype != bool:
             values = (values for _, values in image.listed())
             _write(packed, "values", image.dtype, (image.count,), values)
         for name, dtype in GRID.items():
@@ -65,26 +73,32 @@ def _write(
 
 
 def read(file: BinaryIO, size: int) -> Stored:
-    """Return the voxels of a list with its grid, or of the only array of three axes."""
+    """Return the voxels of a list with its grid, or of the only array of three axes, which may
+    have a grid beside it."""
     try:
         packed = zipfile.ZipFile(file)
         members = {entry.filename.removesuffix(".npy"): entry for entry in packed.infolist()}
     except Exception as error:  # damage shows in any of the library's errors
         raise FileError(f"damaged .npz: {one_line(error)}") from None
-    if "voxels" in members and members.keys() >= GRID.keys():
+    grid = None
+    if members.keys() >= GRID.keys():
         grid = Grid(**{name: _small(packed, members[name]) for name in GRID})
+    if grid and "voxels" in members:
         return Stored(Frame(grid), _listed(packed, members, grid))
-    if len(members) != 1:
+    arrays = [entry for name, entry in members.items() if not grid or name not in GRID]
+    if len(arrays) != 1:
         names = printable(", ".join(members))[:80] or "nothing"
         raise FileError(f"holds {names}: expected one array, or voxels, shape, origin and pitch")
-    entry = next(iter(members.values()))
+    entry = arrays[0]
     part = _opened(packed, entry)
     shape, fortran, dtype = npy.read_header(part)
     check_values(dtype, shape)
     a, b, c = shape
     check_length(a * b * c * dtype.itemsize, entry.file_size)
-    frame = Frame(Grid((a, b, c), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
-    return Stored(frame, dense_pieces(part, dtype, (a, b, c), fortran=fortran))
+    grid = grid or Grid((a, b, c), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    if grid.shape != (a, b, c):
+        raise FileError(f"an array of {a} x {b} x {c}, where shape says {grid.shape}")
+    return Stored(Frame(grid), dense_pieces(part, dtype, (a, b, c), fortran=fortran))
 
 
 def _opened(packed: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Any:

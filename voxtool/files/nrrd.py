@@ -18,6 +18,7 @@ import numpy as np
 from voxtool.errors import FileError, shown
 from voxtool.files.streams import PACKED
 from voxtool.files.voxels import (
+    Dense,
     Readable,
     Stored,
     check_length,
@@ -29,7 +30,6 @@ from voxtool.files.voxels import (
     grid_text,
 )
 from voxtool.memory import check_memory
-from voxtool.svo.image import VoxelImage
 
 HEADER = 1024  # bytes before the array, at most
 MOST_HEADER = 1 << 20
@@ -61,13 +61,13 @@ SPACES = {
 DIRECTIONS, ORIGIN = "space directions", "space origin"
 
 
-def size(image: VoxelImage) -> int:
+def size(image: Dense) -> int:
     """Bytes of the file: of cells that are neither far inside nor far outside, and of the other
     ones at a high compression."""
     return HEADER + image.mixed * image.dtype.itemsize + image.nbytes // (PACKED // 4)
 
 
-def write(image: VoxelImage, file: BinaryIO) -> None:
+def write(image: Dense, file: BinaryIO) -> None:
     """Write the image."""
     steps = " ".join(_vector(row) for row in np.diag(image.pitch).tolist())
     center = np.add(image.origin, np.array(image.pitch) / 2)

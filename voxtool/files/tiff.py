@@ -20,6 +20,7 @@ from voxtool.errors import FileError, GridError, VoxtoolError, one_line
 from voxtool.files.streams import PACKED
 from voxtool.files.voxels import (
     Boxes,
+    Dense,
     Frame,
     Stored,
     check_length,
@@ -31,7 +32,7 @@ from voxtool.files.voxels import (
 )
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
-from voxtool.svo.image import Order, VoxelImage
+from voxtool.svo.image import Order
 
 # Axes of pages, of rows and of columns, by the axis along which the layers follow each other.
 ORDERS: dict[str, Order] = {"x": (0, 2, 1), "y": (1, 2, 0), "z": (2, 1, 0)}
@@ -47,19 +48,19 @@ OME = (
 TYPES = {"bool": "bit", "float32": "float", "float64": "double"}
 
 
-def size(image: VoxelImage) -> int:
+def size(image: Dense) -> int:
     """Bytes of the file: of cells that are neither far inside nor far outside, and of the other
     ones at a high compression."""
     mixed = image.mixed // 4 if image.dtype == bool else image.mixed * image.dtype.itemsize
     return mixed + _raw(image) // (PACKED // 4) + PAGE_BYTES * max(image.shape)
 
 
-def _raw(image: VoxelImage) -> int:
+def _raw(image: Dense) -> int:
     """Bytes of all pages, unpacked."""
     return image.nbytes // 4 if image.dtype == bool else image.nbytes
 
 
-def write(image: VoxelImage, file: BinaryIO, axis: str = "z", dpi: float | None = None) -> None:
+def write(image: Dense, file: BinaryIO, axis: str = "z", dpi: float | None = None) -> None:
     """Write the image as layers along `axis`, "x", "y" or "z"; `dpi`: pixels an inch on paper.
 
     Raises

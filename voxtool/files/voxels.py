@@ -10,10 +10,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from math import prod
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeAlias
 
 import numpy as np
 
+from voxtool.adf.samples import FieldSamples
 from voxtool.errors import FileError, GridError, human
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.memory import check_memory
@@ -22,6 +23,7 @@ from voxtool.svo.image import VoxelImage
 from voxtool.svo.octree import Octree
 
 PIECE = 1 << 24  # bytes of a piece of a dense array
+Dense: TypeAlias = VoxelImage | FieldSamples  # what is written as a dense array, slab by slab
 
 
 class Frame(NamedTuple):
@@ -207,7 +209,7 @@ def check_values(dtype: np.dtype, shape: Sequence[int]) -> None:
 # ---- the exact grid, for formats whose own numbers are rounded or count from centres
 
 
-def grid_text(image: VoxelImage) -> str:
+def grid_text(image: Dense) -> str:
     """Return shape, origin and pitch of an image as JSON, without rounding."""
     place = {name: [v.hex() for v in getattr(image, name)] for name in ("origin", "pitch")}
     return json.dumps({"shape": list(image.shape), **place})

@@ -1,8 +1,9 @@
 """VTK ImageData, .vti, which ParaView opens: the cells as cell data, XML with appended raw bytes.
 
 The array `occupancy` of an image of bool is UInt8, 1 where set; `count` and `coverage` are those of
-the other types. x runs fastest; header_type UInt64, little-endian. Files of other programs may have
-their arrays inline or appended, raw, as base64 or as text, compressed by zlib or not.
+the other types, and `distance` of a field. x runs fastest; header_type UInt64, little-endian. Files
+of other programs may have their arrays inline or appended, raw, as base64 or as text, compressed by
+zlib or not.
 https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html
 """
 
@@ -16,6 +17,7 @@ import numpy as np
 from voxtool.files import vtk_xml
 from voxtool.files.streams import PACKED
 from voxtool.files.voxels import (
+    Dense,
     Frame,
     Stored,
     check_length,
@@ -24,7 +26,6 @@ from voxtool.files.voxels import (
     frame_of,
 )
 from voxtool.grid import Grid
-from voxtool.svo.image import VoxelImage
 
 VTI = """<?xml version="1.0"?>
 <VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64">
@@ -47,21 +48,20 @@ TYPES = {
     "float32": "Float32",
     "float64": "Float64",
 }
-NAMES = {"b": "occupancy", "u": "count", "f": "coverage"}
 
 
-def size(image: VoxelImage) -> int:
+def size(image: Dense) -> int:
     """Bytes of the file."""
     return EXTRA + image.nbytes
 
 
-def write(image: VoxelImage, file: BinaryIO) -> None:
+def write(image: Dense, file: BinaryIO) -> None:
     """Write the values as cell data."""
     head = VTI.format(
         extent=" ".join(f"0 {n}" for n in image.shape),
         origin=" ".join(map(repr, image.origin)),
         pitch=" ".join(map(repr, image.pitch)),
-        name=NAMES[image.dtype.kind],
+        name=image.quantity,
         type=TYPES[image.dtype.name],
     )
     file.write(head.encode() + struct.pack("<Q", image.nbytes))

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import prod
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -27,6 +27,9 @@ from voxtool.svo.octree import Octree
 
 THICK = 4  # layers of a slab, of blocks of as many cells a side
 CHUNK = 1 << 21  # cells that are unpacked at once
+NODE_BYTES = 40  # of lists of blocks and of counts, a node of the octree
+LAYERS = 24  # of cells, more than an export holds
+QUANTITIES = {"b": "occupancy", "u": "count", "f": "coverage"}  # by the kind of the dtype
 UNIFORM = -1  # instead of the node of a block: wholly set, or unset where the image is inverted
 DTYPES = ("bool", "uint8", "uint16", "uint32", "float32", "float64")
 Order = tuple[int, int, int]
@@ -66,6 +69,8 @@ class VoxelImage:
     progress : callable
         Called with the share of the image that has been passed on, from 0 to 1.
     """
+
+    smaller: ClassVar[str] = "a higher --level, or a part by --bbox"
 
     octree: Octree
     level: int
@@ -185,6 +190,18 @@ class VoxelImage:
     def nbytes(self) -> int:
         """Bytes of all values, as a dense array."""
         return self.cells * self.dtype.itemsize
+
+    @property
+    def host_bytes(self) -> int:
+        """A bound of the memory of the lists of blocks, and of some layers of cells or the values
+        of the blocks."""
+        a, b = sorted(self.shape)[1:]
+        return NODE_BYTES * len(self.octree.nodes) + LAYERS * a * b * self.dtype.itemsize
+
+    @property
+    def quantity(self) -> str:
+        """Name of what the values are."""
+        return QUANTITIES[self.dtype.kind]
 
     @property
     def most(self) -> int:
