@@ -16,6 +16,7 @@ from voxtool.api.octrees import MeshLike as MeshLike
 from voxtool.api.octrees import deviation as deviation
 from voxtool.api.octrees import diagnose as diagnose
 from voxtool.api.octrees import extract as extract
+from voxtool.api.octrees import normalize as normalize
 from voxtool.api.octrees import plan_extract as plan_extract
 from voxtool.api.octrees import plan_voxelize as plan_voxelize
 from voxtool.api.octrees import voxelize as voxelize

@@ -8,6 +8,7 @@ from __future__ import annotations
 MIN_DIM, MAX_DIM, DEFAULT_DIM = 8, 65536, 256  # voxels along the longest side of a grid
 LENGTH_UNITS = ("um", "mm", "cm", "m", "in", "ft")  # those that a format of meshes defines
 FITS = ("uniform", "stretch")  # of grids to meshes
+NORMALIZED = ("unit", "sphere")  # where meshes are placed: a unit cube, a unit ball
 MODES = ("surface26", "surface6", "solid")  # of voxelization
 DEFAULT_MODE = "solid"
 FILLS = ("auto", "parity", "nonzero", "winding", "flood")  # rules that decide what is inside

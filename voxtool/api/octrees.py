@@ -7,12 +7,13 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, TypeVar
 
 from voxtool import report
-from voxtool.choices import DEFAULT_MODE, FILLS, STYLES
+from voxtool.choices import DEFAULT_MODE, FILLS, NORMALIZED, STYLES
 from voxtool.errors import GridError
 from voxtool.files import read_svo
 from voxtool.files.mesh import as_mesh
 from voxtool.grid import Grid
 from voxtool.job import one_call
+from voxtool.mesh import normalize as normalized
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
 from voxtool.report import Report
@@ -231,6 +232,39 @@ def diagnose(
     """
     found = as_mesh(mesh)
     return report.diagnose(found, grid_of(found, grid, dim, None), device=device, progress=progress)
+
+
+def normalize(mesh: MeshLike, into: str = NORMALIZED[0]) -> Mesh:
+    """Place a mesh in a unit cube or a unit ball; the result keeps the transform.
+
+    Parameters
+    ----------
+    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
+        The triangle mesh.
+    into : {"unit", "sphere"}
+        "unit" is the cube [0, 1]^3: the longest side of the bounding box becomes 1, and its centre
+        (0.5, 0.5, 0.5). "sphere" is the ball of radius 1 at 0: the centre of the bounding box
+        becomes 0, and the farthest vertex gets the distance 1.
+
+    Returns
+    -------
+    Mesh
+        Its vertices are `vertices * scale + offset`, its `transform` is (scale, offset x, offset y,
+        offset z), which octrees made of it keep, and it has no unit.
+
+    Raises
+    ------
+    MeshError
+        If the mesh cannot be read, has been normalized before, or has an extent beyond 1e±150.
+    VoxtoolError
+        If `into` is unknown.
+
+    Examples
+    --------
+    >>> octree = voxtool.voxelize(voxtool.normalize("bunny.obj", "sphere"), dim=128)
+    >>> scale, *offset = octree.transform
+    """
+    return normalized.normalize(as_mesh(mesh), into)
 
 
 def deviation(

@@ -31,6 +31,13 @@ def command(file: str, **asked: bool) -> None:
     describe(file, read_svo(file), text_of, **asked)
 
 
+def normalized(*transform: float) -> Iterator[tuple[str, str]]:
+    """Yield the line of the transform of a normalized mesh, if there is one."""
+    if transform:
+        scale, *offset = transform
+        yield "normalized", f"original * {scale:.9g} + ({place(offset)})"
+
+
 def text_of(info: dict[str, Any]) -> Iterator[str]:
     """The lines of a summary."""
     unit = f" {info['units']}" if info["units"] else ""
@@ -40,6 +47,7 @@ def text_of(info: dict[str, Any]) -> Iterator[str]:
         ("mode", info["mode"] + ("" if info["fill"] == "none" else f", filled by {info['fill']}")),
         ("origin", f"{place(info['origin'])}{unit}"),
         ("pitch", f"{place(info['pitch'])}{unit}"),
+        *normalized(*info["transform"]),
         ("set voxels", f"{info['voxels']:,} ({100 * info['occupancy']:.3g} % of the grid)"),
         ("volume", f"{info['volume']:.9g}{unit and unit + '^3'}"),
         ("bricks", f"{info['bricks']:,}"),

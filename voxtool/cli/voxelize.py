@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import DEFAULT_DIM, DEFAULT_MODE, FILLS, FITS, MODES
+from voxtool.choices import DEFAULT_DIM, DEFAULT_MODE, FILLS, FITS, MODES, NORMALIZED
 from voxtool.cli import options, runner
 from voxtool.cli.options import DIM, bbox_option, flag, option, together
 from voxtool.errors import human
@@ -42,6 +42,9 @@ if TYPE_CHECKING:
         "uniform: one pitch for all axes; stretch: each axis scaled apart, as eq. (5.1) of "
         "[voCCeL].", FITS[0]),
     options.length_options,
+    option("--normalize", NORMALIZED,
+        "Place the mesh first: unit: in the cube [0,1]^3, centred, its longest side 1; sphere: in "
+        "the ball of radius 1 at 0, its bounding box centred.  The transform is stored."),
 )  # fmt: skip
 @runner.job_options(
     "FILE",
@@ -51,7 +54,7 @@ if TYPE_CHECKING:
 )  # fmt: skip
 def command(
     run: runner.Run, mesh: str, mode: str, fill: str, gap: int, with_surface: bool,
-    like: str | None, units: str | None, scale: float, **placing: Any,
+    like: str | None, normalize: str | None, units: str | None, scale: float, **placing: Any,
 ) -> None:  # fmt: skip
     """Voxelize a triangle MESH directly into a sparse voxel octree.
 
@@ -65,14 +68,20 @@ def command(
       voxtool voxelize open.obj --fill winding
       voxtool voxelize open.obj --fill flood --gap 3
       voxtool voxelize bunny.obj --like mask.npy -o bunny.npy
+      voxtool voxelize bunny.obj --normalize unit --dim 64 --bbox 0 0 0 1 1 1 -o bunny.npy
     """
     options.check_placing(like, placing)
     if with_surface and mode != "solid":
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
     if gap and (fill != "flood" or mode != "solid"):
         raise click.UsageError("--gap goes with --mode solid --fill flood")
+    if normalize and (units or scale != 1):
+        raise click.UsageError(
+            "--normalize sets the scale and leaves no unit: drop --units and --scale"
+        )
     from voxtool.files import SVO_FORMATS, export, write_svo
     from voxtool.files.mesh import load_mesh
+    from voxtool.mesh.normalize import normalize as place
     from voxtool.svo.voxelize import plan_voxelize
 
     run.to(mesh, options.output_of(mesh, "svo.h5"), (*SVO_FORMATS, *EXPORTS))
@@ -80,6 +89,8 @@ def command(
         loaded = run.stage(
             "read mesh", load_mesh, mesh, max_memory=run.max_memory, units=units, scale=scale
         )
+        if normalize:
+            loaded = run.stage("normalize", place, loaded, normalize)
         grid = options.grid_from(loaded, like, placing)
         request = {"fill": fill, "gap": gap, "with_surface": with_surface}
         job = run.plan(plan_voxelize, loaded, grid, mode, **request)
@@ -96,6 +107,7 @@ def facts_of(octree: Octree) -> dict[str, Any]:
         "dim": grid.dim,
         "mode": octree.mode,
         "fill": octree.fill,
+        "transform": list(octree.transform),
         "voxels": octree.count,
         "nodes": len(octree.nodes),
         "bricks": len(octree.bricks),

@@ -38,7 +38,7 @@ def write(schema: Schema, content: Any, file: BinaryIO) -> None:
     """
     stored = {"format": schema.format, **schema.encode(content)}
     with h5py.File(file, "w", track_order=False) as h5:
-        for attribute in (FORMAT, *schema.attributes):
+        for attribute in (FORMAT, *schema.held(stored)):
             _write_attribute(h5, attribute, stored[attribute.name])
         for dataset in schema.datasets:
             array = dataset.encode(content, stored)
@@ -98,7 +98,8 @@ def _schema_of(h5: Any, schemas: Sequence[Schema]) -> Schema:
 
 def _checked(schema: Schema, h5: Any, size: int) -> tuple[dict[str, Any], dict[str, Any]]:
     """The attributes and the datasets of a file, by name."""
-    stored = {attribute.name: read_attribute(h5, attribute) for attribute in schema.attributes}
+    names = {attribute.name for attribute in schema.attributes if attribute.name in h5.attrs}
+    stored = {attribute.name: read_attribute(h5, attribute) for attribute in schema.held(names)}
     schema.check(stored)
     found, sizes = {}, dict(stored)
     for dataset in schema.datasets:

@@ -1,9 +1,10 @@
 """The voxels that are set, or the samples of a field, as .npz with the grid.
 
 voxels : (N, 3) int32, in lexicographic order; shape : (3,) int64; origin and pitch : (3,) float64.
-values : (N,), where the image is not one of bool. Voxel (i, j, k) has its low corner at origin +
-pitch (i, j, k). The samples of a field are a dense array `distance` instead of the list. Of other
-programs, an array of three axes is read, dense; without a grid beside it, it has no place.
+values : (N,), where the image is not one of bool. transform : (4,) float64, scale and offset of a
+normalized mesh. Voxel (i, j, k) has its low corner at origin + pitch (i, j, k). The samples of a
+field are a dense array `distance` instead of the list. Of other programs, an array of three axes is
+read, dense; without a grid beside it, it has no place.
 """
 
 from __future__ import annotations
@@ -55,6 +56,9 @@ def write(image: Dense, file: BinaryIO) -> None:
         for name, dtype in GRID.items():
             array = np.array(getattr(image, name), dtype)
             _write(packed, name, array.dtype, array.shape, iter([array]))
+        if isinstance(image, VoxelImage) and image.octree.transform:
+            array = np.array(image.octree.transform)
+            _write(packed, "transform", array.dtype, array.shape, iter([array]))
 
 
 def _write(

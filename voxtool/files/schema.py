@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from operator import attrgetter
 from typing import Any, NamedTuple, NoReturn
@@ -47,6 +47,7 @@ class Attribute:
     at: str = ""  # path of the value in the content, such as "hash.m"; by default the name
     choices: tuple[Any, ...] = ()  # the allowed values; empty: any
     rule: Rule | None = None  # what else the value must satisfy
+    since: str = ""  # the minor version that a file needs for it; the others leave it out
 
     @property
     def stored(self) -> type:
@@ -169,17 +170,24 @@ class Schema:
         """All attributes but the format's name, in the order in which they are stored."""
         return (FORMAT_VERSION, CREATOR, *self.own)
 
+    def held(self, names: Container[str]) -> list[Attribute]:
+        """The attributes that a file with these names holds: all but those that may be left out."""
+        return [a for a in self.attributes if a.name in names or not a.since]
+
     def encode(self, content: Any) -> dict[str, Any]:
         """The stored attributes of some content; FileError names one that is out of range."""
-        stored = {"format_version": self.version, "creator": f"voxtool {__version__}"}
-        stored |= {attribute.name: attribute.encode(content) for attribute in self.own}
+        own = {attribute: attribute.encode(content) for attribute in self.own}
+        own = {attribute: value for attribute, value in own.items() if value or not attribute.since}
+        version = max((attribute.since for attribute in own), default="") or self.version
+        stored = {"format_version": version, "creator": f"voxtool {__version__}"}
+        stored |= {attribute.name: value for attribute, value in own.items()}
         self.check(stored)
         return stored
 
     def check(self, stored: Mapping[str, Any]) -> None:
         """Check stored attributes of the right types and counts, of this major version; FileError
         names the attribute."""
-        for attribute in self.attributes:
+        for attribute in self.held(stored):
             attribute.check(stored[attribute.name])
         if self.agree:
             self.agree(stored)
@@ -187,7 +195,9 @@ class Schema:
     def decode(self, stored: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Any:
         """The validated content of checked attributes and arrays; FileError if it is not sound."""
         values = {
-            attribute.name: attribute.decode(stored[attribute.name]) for attribute in self.own
+            attribute.name: attribute.decode(stored[attribute.name])
+            for attribute in self.held(stored)
+            if attribute in self.own
         }
         found = {d.name: d.decode(arrays[d.name]) for d in self.datasets if d.name in arrays}
         content = self.build(values, found)
@@ -217,7 +227,8 @@ class Schema:
 
     def is_newer(self, version: str) -> bool:
         """True if an accepted version has a newer minor number, so that it may hold more."""
-        return int(version.split(".")[1]) > int(self.version.split(".")[1])
+        known = (self.version, *(a.since for a in self.own if a.since))
+        return int(version.split(".")[1]) > max(int(v.split(".")[1]) for v in known)
 
 
 def without(values: Mapping[str, Any], *names: str) -> dict[str, Any]:

@@ -5,6 +5,7 @@ The XML of svo_xml.py has the same attributes.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from functools import partial
@@ -39,6 +40,15 @@ FILL = (
     "`none` for a surface; matches `[a-z][a-z0-9+-]*`"
 )
 
+SCALED = Rule(
+    lambda numbers: len(numbers) == 4 and all(map(math.isfinite, numbers)) and numbers[0] > 0,
+    "is {value}: a scale above 0 and three offsets are expected, all finite",
+)
+TRANSFORM = (
+    "of a normalized mesh, scale and offset x, y, z: world = original · scale + offset; "
+    "left out of other files, which are `1.0`"
+)
+
 
 def grid_of(stored: Mapping[str, Any]) -> Grid:
     """The grid of stored attributes; FileError or GridError if they give none."""
@@ -69,6 +79,7 @@ SCHEMA = Schema(
         UNITS,
         SOURCE,
         PLAN,
+        Attribute("transform", float, TRANSFORM, 4, rule=SCALED, since="1.1"),
     ),
     datasets=(
         Dataset("offsets", "<u4", (lambda sizes: sizes["depth"] + 1,)),

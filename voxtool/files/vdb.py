@@ -106,6 +106,8 @@ def write(image: VoxelImage, file: BinaryIO) -> None:
         "voxtool_shape": Meta.whole(*image.shape),
         "voxtool_units": Meta.text(image.units),
     }
+    if image.octree.transform:
+        metadata["voxtool_transform"] = Meta.text(" ".join(map(repr, image.octree.transform)))
     middle = tuple(c + p / 2 for c, p in zip(corner, pitch, strict=True))
     head = header_of(NAMES[image.dtype.name], content_id(image))
     write_grid(

@@ -210,8 +210,11 @@ def check_values(dtype: np.dtype, shape: Sequence[int]) -> None:
 
 
 def grid_text(image: Dense) -> str:
-    """Return shape, origin and pitch of an image as JSON, without rounding."""
+    """Return shape, origin and pitch of an image as JSON, without rounding; of a normalized mesh
+    the transform, too."""
     place = {name: [v.hex() for v in getattr(image, name)] for name in ("origin", "pitch")}
+    if isinstance(image, VoxelImage) and image.octree.transform:
+        place["transform"] = [v.hex() for v in image.octree.transform]
     return json.dumps({"shape": list(image.shape), **place})
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -106,7 +107,7 @@ def _octree_of(image: VoxelImage) -> Octree:
     collector = Collector(Grid(image.shape, image.origin, image.pitch))
     for cells in image.coordinates():
         collector.add_cubes(cells.astype(np.int64), 1)
-    return collector.octree(image.units)
+    return replace(collector.octree(image.units), transform=image.octree.transform)
 
 
 def _describe(group: Any, octree: Octree, level: int, sizes: list[int]) -> None:
@@ -127,6 +128,8 @@ def _describe(group: Any, octree: Octree, level: int, sizes: list[int]) -> None:
     group.attrs.create("voxtool_shape", shape, dtype="<i8")
     group.attrs.create("voxtool_origin", grid.origin, dtype="<f8")
     group.attrs.create("voxtool_pitch", [p * side for p in grid.pitch], dtype="<f8")
+    if octree.transform:
+        group.attrs.create("voxtool_transform", octree.transform, dtype="<f8")
 
 
 # ---- the cells

@@ -39,6 +39,8 @@ class Mesh(Data):
         File name for messages, or "".
     units : str
         Name of the world unit if the format or the caller defines it, or "".
+    transform : tuple of float
+        Scale and offset x, y, z of a normalized mesh: vertices = original * scale + offset; ().
     """
 
     vertices: np.ndarray
@@ -46,6 +48,7 @@ class Mesh(Data):
     source_sha256: str = ""
     name: str = ""
     units: str = ""
+    transform: tuple[float, ...] = ()
 
     def __repr__(self) -> str:
         name = f"{self.name!r}, " if self.name else ""

@@ -76,8 +76,8 @@ class Level:
 class Octree(Data):
     """A set of voxels of a grid.
 
-    Two octrees are equal if their digests are equal; plan, source and units do not count. Octrees
-    are hashed by identity, so that the device can keep data for one of them.
+    Two octrees are equal if their digests are equal; plan, source, units and transform do not
+    count. Octrees are hashed by identity, so that the device can keep data for one of them.
 
     Parameters
     ----------
@@ -100,6 +100,9 @@ class Octree(Data):
         Hex digest of the bytes that the mesh was read from.
     units : str, optional
         Name of the world unit.
+    transform : (4,) tuple of float, optional
+        Scale and offset x, y, z of the normalized mesh it was made from: world coordinates are
+        original * scale + offset.
 
     Raises
     ------
@@ -118,6 +121,7 @@ class Octree(Data):
     plan: dict[str, Any] = field(default_factory=dict, compare=False)
     source_sha256: str = field(default="", compare=False)
     units: str = field(default="", compare=False)
+    transform: tuple[float, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         if self.mode not in OCTREE_MODES:
@@ -289,6 +293,7 @@ class Octree(Data):
             **{name: getattr(self, name) for name in ("depth", "mode", "fill")},
             **{name: list(getattr(self.grid, name)) for name in ("shape", "origin", "pitch")},
             **{name: getattr(self, name) for name in ("units", "source_sha256")},
+            "transform": list(self.transform),
             "voxels": below,
             "occupancy": below / size,
             "volume": below * self.grid.voxel_volume,

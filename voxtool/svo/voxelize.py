@@ -295,7 +295,8 @@ class VoxelizeJob(Job[Octree]):
 
     def _octree(self, offsets: np.ndarray, nodes: np.ndarray, bricks: np.ndarray) -> Octree:
         mode, rule, scene = self.plan.mode, self.plan.rule, self.plan.scene()
-        arrays, origin = (offsets, nodes, bricks), (self.mesh.source_sha256, self.mesh.units)
+        mesh, arrays = self.mesh, (offsets, nodes, bricks)
+        origin = (mesh.source_sha256, mesh.units, mesh.transform)
         return Octree(self.grid, mode, rule, *arrays, scene, *origin)
 
     def notes(self, octree: Octree) -> list[str]:
