@@ -40,7 +40,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.performance_page", description=__doc__)
     parser.add_argument("models", type=Path)
     parser.add_argument("--seconds", type=float, default=3600, help="start no stage later")
-    parser.add_argument("--only", default="", help="a pattern: tables to measure")
+    parser.add_argument("--only", default="", help="a pattern: commands to run")
     given = parser.parse_args()
     models = given.models.resolve()
     HERE.mkdir(parents=True, exist_ok=True)
