@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import model
 from helpers_browser import LARGE, Viewer, check_same, nearer, opened, written
 from helpers_cli import run
 from PIL import Image
@@ -79,6 +80,35 @@ def test_the_picture_is_that_of_render(name: str, level, octree, viewer: Viewer)
     colours, ids = viewer.picture(*SIZE)
     check_same(colours, voxtool.render(octree, camera.rays(*SIZE), level=level))
     check_ids(ids, hits(octree, camera, level))
+
+
+def check_levels(octree: voxtool.Octree, levels, name: str, browser, folder: Path) -> None:
+    """Check the pictures of some levels, from one page."""
+    view, fov, share = CAMERAS[name]
+    camera = nearer(voxtool.camera_for(octree, view, fov=fov), share)
+    with opened(browser, written(octree, folder)) as viewer:
+        for level in levels:
+            viewer.set(camera, level=level)
+            colours, ids = viewer.picture(*SIZE)
+            check_same(colours, voxtool.render(octree, camera.rays(*SIZE), level=level))
+            check_ids(ids, hits(octree, camera, level))
+
+
+def test_cubes_reach_beyond_the_grid(browser, tmp_path: Path) -> None:
+    """More than 1,024 voxels along one side: the page has several tables."""
+    x, y, z = np.ogrid[:1100, :330, :8]
+    plate = z < (x + y) % 100 / 10
+    octree = voxtool.Octree.from_dense(plate)
+    check_levels(octree, (5, 8), "iso", browser, tmp_path)
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("dim", [600, 1500])
+@pytest.mark.parametrize("name", CAMERAS)
+def test_every_level_of_large_octrees(name: str, dim: int, browser, tmp_path: Path) -> None:
+    mesh = voxtool.load_mesh(model("stanford-bunny.obj"))
+    octree = voxtool.voxelize(mesh, dim=dim, mode="solid", fill="winding")
+    check_levels(octree, ("voxel", *range(octree.depth)), name, browser, tmp_path)
 
 
 def test_a_page_that_ends_at_a_level(octree, browser, tmp_path: Path) -> None:

@@ -113,17 +113,17 @@ function blocksOf({ root, counts, held, refined, child, share }, tables, cell, b
       else if ((held(below) >> at) & 1) setCell(octant, at, 1, share(below, at));
     }
   };
-  /** The entry of a refined node of the size of a table's cells. @param {number} node
-   * @param {number} side its size */
-  const pointerTo = (node, side) => {
-    if (side > size) {
+  /** The entry of a refined node, in a table whose cells are as large or larger.
+   * @param {number} node @param {number} side its size @param {number} unit size of the cells */
+  const pointerTo = (node, side, unit) => {
+    if (unit > size) {
       const table = used++;
       if (entries.length < used * fan ** 3) {
         const longer = new Uint32Array(2 * entries.length);
         longer.set(entries);
         entries = longer;
       }
-      visit(node, side, [0, 0, 0], table, side - bits);
+      enter(node, side, table, unit - bits);
       return POINTERS + table;
     }
     for (let octant = 0; octant < 8; ++octant) if ((held(node) >> octant) & 1) setOctant(node, octant);
@@ -143,7 +143,7 @@ function blocksOf({ root, counts, held, refined, child, share }, tables, cell, b
         visit(child(node, octant), below, at, table, unit);
         continue;
       }
-      const entry = isRefined ? pointerTo(child(node, octant), below) : isHeld ? LEAVES + below : below;
+      const entry = isRefined ? pointerTo(child(node, octant), below, unit) : isHeld ? LEAVES + below : below;
       for (let z = at[2]; z < at[2] + span; ++z)
         for (let y = at[1]; y < at[1] + span; ++y) {
           const row = table * fan ** 3 + fan * (y + fan * z);
@@ -151,12 +151,16 @@ function blocksOf({ root, counts, held, refined, child, share }, tables, cell, b
         }
     }
   };
-  const unit = size + bits * (tables - 1);
-  const start = inner ? child(0, 0) : 0;
-  if (top > unit) visit(start, top, [0, 0, 0], 0, unit);
-  else {
-    const entry = pointerTo(start, top); // may replace `entries`
-    entries[0] = entry;
-  }
+  /** Enters a refined node into a table of its own. @param {number} node @param {number} side its size
+   * @param {number} table @param {number} unit size of its cells */
+  const enter = (node, side, table, unit) => {
+    if (side > unit) {
+      visit(node, side, [0, 0, 0], table, unit);
+      return;
+    }
+    const entry = pointerTo(node, side, unit); // may replace `entries`
+    entries[table * fan ** 3] = entry;
+  };
+  enter(inner ? child(0, 0) : 0, top, 0, size + bits * (tables - 1));
   return { entries: entries.subarray(0, used * fan ** 3), words, cells, whole: bricks ? full / 255 : 1, fan, cover: 2 ** (size + bits * tables) };
 }

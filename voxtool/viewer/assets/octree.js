@@ -70,6 +70,7 @@ function octreeKind(facts) {
         ), camera.target)),
       );
       const longest = Math.max(...pitch);
+      const side = 2 ** sizeOf(settings);
       return {
         rowBits: rowBits(gl),
         rowMask: (1 << rowBits(gl)) - 1,
@@ -80,7 +81,10 @@ function octreeKind(facts) {
         ...LAYOUT,
         pitch: pitch.map((/** @type {number} */ p) => p / longest),
         clipLow: axes.map((axis) => Number(settings[`${axis}-from`])),
-        clipHigh: axes.map((axis) => Number(settings[`${axis}-to`])),
+        clipHigh: axes.map((axis, a) => {
+          const to = Number(settings[`${axis}-to`]);
+          return to < shape[a] ? to : Math.ceil(shape[a] / side) * side; // cubes reach beyond the grid
+        }),
         extent: shape,
         paint: PAINTS.indexOf(String(settings.paint)),
         edges: settings.edges,
