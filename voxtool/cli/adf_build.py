@@ -51,7 +51,7 @@ if TYPE_CHECKING:
         True),
     option("--bounds/--no-bounds", bool, "Store a bound of each leaf's error, or not.", True,
         show_default=False),
-    options.length_options,
+    options.length_options(),
 )  # fmt: skip
 @runner.job_options("FILE", "Default MESH's name with .adf.h5, in this folder.", "adf.h5")
 def command(

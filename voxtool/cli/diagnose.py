@@ -19,16 +19,20 @@ TUBE = 2e-3  # radius of a tube about a loop, of the mesh's longest side
         "Voxels along the longest side, for the rows that leak and the fill rules.", DEFAULT_DIM),
     option("--obj", str, "Write the boundary loops as thin tubes, a mesh that any viewer shows.",
         metavar="FILE.obj"),
+    options.length_options(),
     options.clobber_option,
     flag("--strict faults_fail", "Exit 1 if something is wrong."),
 )  # fmt: skip
 @runner.run_options(options.device_option, options.report_options)  # fmt: skip
-def command(run: runner.Run, mesh: str, dim: int, obj: str | None, faults_fail: bool) -> None:
+def command(
+    run: runner.Run, mesh: str, dim: int, units: str | None, scale: float, obj: str | None,
+    faults_fail: bool,
+) -> None:  # fmt: skip
     """Report what is wrong with a triangle MESH, where, and what to do about it.
 
     MESH is an OBJ, STL, PLY, OFF, GLB or 3MF file, .gz too, or - for stdin. Lengths and places are
-    in the mesh's own units; sizes also in voxels of a grid of --dim, on which the fill rules of
-    voxelize are compared. Vertices at one position are one; faces are counted from 0.
+    in the mesh's own units, once scaled; sizes also in voxels of a grid of --dim, on which the fill
+    rules of voxelize are compared. Vertices at one position are one; faces are counted from 0.
 
     \b
     Examples:
@@ -51,7 +55,7 @@ def command(run: runner.Run, mesh: str, dim: int, obj: str | None, faults_fail: 
             raise click.UsageError(f"{obj} is MESH itself: name another file")
     with run:
         run.progress.stages = ["read mesh", *STAGES]
-        loaded = run.stage("read mesh", load_mesh, mesh)
+        loaded = run.stage("read mesh", load_mesh, mesh, units=units, scale=scale)
         grid = Grid.fit(loaded, dim)
         report = diagnose(loaded, grid, device=run.device, progress=run.progress.enter)
         if obj is not None:

@@ -38,6 +38,7 @@ COLUMNS = {
     bbox_option,
     option("--margin", click.IntRange(0), "Empty voxels on each side of the grid."),
     options.lattice_options,
+    options.length_options(),
     flag("--float32", "Write a grid as float32 rather than float64."),
 )  # fmt: skip
 @runner.job_options(
@@ -47,13 +48,14 @@ COLUMNS = {
 )  # fmt: skip
 def command(
     run: runner.Run, mesh: str, points: str | None, sign: str | None, fill: str,
-    like: str | None, float32: bool, gradient: bool, nearest: bool, face: bool, **placing: Any,
+    like: str | None, units: str | None, scale: float, float32: bool, gradient: bool,
+    nearest: bool, face: bool, **placing: Any,
 ) -> None:  # fmt: skip
     """Measure exact signed distances from POINTS, or from the voxel centres of a grid, to a MESH.
 
-    Distances are negative inside, in the mesh's own units. POINTS is a .npy, .npz, .csv, .xyz or
-    .ply file, or - for stdin. With --dim, --pitch, --bbox or --like the result is an array
-    [x, y, z], negative exactly where voxelize sets the voxel on the same grid.
+    Distances are negative inside, in the mesh's own units, once scaled. POINTS is a .npy, .npz,
+    .csv, .xyz or .ply file, or - for stdin. With --dim, --pitch, --bbox or --like the result is an
+    array [x, y, z], negative exactly where voxelize sets the voxel on the same grid.
 
     \b
     Examples:
@@ -81,13 +83,15 @@ def command(
     else:
         run.to_table(points or "-")
     with run:
-        loaded = run.stage("read mesh", load_mesh, mesh, max_memory=run.max_memory)
+        loaded = run.stage(
+            "read mesh", load_mesh, mesh, max_memory=run.max_memory, units=units, scale=scale
+        )
         if on_grid:
             grid = options.grid_from(loaded, like, placing)
             facts = measure_grid(run, loaded, grid, fill, "float32" if float32 else "float64")
         else:
             facts = measure_points(run, loaded, points or "-", sign, asked)
-    count = facts["points"]
+    count, facts["units"] = facts["points"], loaded.units
     run.report(f"{count_of(count, 'distance')}, {facts['negative']:,} negative", lambda: facts)
 
 

@@ -83,6 +83,7 @@ def number_of(text: str) -> int | str:
     options.output_options("OUT", f"Its ending says the format: {KNOWN}."),
     options.format_option(*EXPORTS),
     options.plan_options,
+    options.device_option,
     options.report_options,
 )
 def command(
@@ -103,6 +104,7 @@ def command(
       voxtool export bunny.adf.h5 -o bunny.nii.gz --shape 128
       voxtool export bunny.adf.h5 -o bunny.vdb --band 3
     """
+    from voxtool.adf.field import DistanceField
     from voxtool.files import read_exported
     from voxtool.files.exchange import plan_export
 
@@ -111,8 +113,10 @@ def command(
     run.to(file, run.output, EXPORTS)
     image |= layers_of(run.file_format or "", plane, axis, dpi)
     image |= grid_of(like, origin, image)
+    run.on_device = False  # an octree needs none
     with run:
         content = run.stage("read file", read_exported, file)
+        run.on_device = isinstance(content, DistanceField)
         job = run.plan(
             plan_export, content, run.output, not run.no_clobber, run.file_format,
             progress=run.progress.share, **image,

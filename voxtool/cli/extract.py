@@ -9,9 +9,10 @@ import click
 from voxtool.choices import MARCHING_CUBES, STYLE_ALIASES, STYLES, VOXEL_FACES
 from voxtool.cli import options, runner
 from voxtool.cli.options import LEVEL, flag, option, output_of, together
-from voxtool.errors import CheckError
+from voxtool.errors import CheckError, MeshError
 
 if TYPE_CHECKING:
+    from voxtool.mesh.mesh import Mesh
     from voxtool.svo.octree import Octree
     from voxtool.svo.surface.extract import Isosurface
 SAMPLES = 100_000  # points on each surface at which distances are measured
@@ -39,6 +40,7 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
         "does not count for --max-memory.", metavar="MESH"),
     option("--samples", click.IntRange(1, 100_000_000),
         f"With --against: points on each surface.  [default: {SAMPLES}]"),
+    options.length_options("the mesh of --against"),
 )  # fmt: skip
 @runner.job_options(
     "FILE", "Default OCTREE's name with the style, and .obj or --format, in this folder.",
@@ -46,7 +48,7 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
 )  # fmt: skip
 def command(
     run: runner.Run, octree: str, normals: bool, check: bool, against: str | None,
-    samples: int | None, **request: Any,
+    samples: int | None, units: str | None, scale: float, **request: Any,
 ) -> None:  # fmt: skip
     """Extract a closed triangle mesh from an OCTREE, visiting only the cubes that matter.
 
@@ -64,6 +66,8 @@ def command(
         raise click.UsageError(f"--merge goes with --style {VOXEL_FACES}: {style} has no squares")
     if samples is not None and against is None:
         raise click.UsageError("--samples goes with --against MESH: there is nothing to measure")
+    if (units or scale != 1) and against is None:
+        raise click.UsageError("--units and --scale are those of the mesh of --against: name one")
     if octree == against == "-":
         raise options.input_twice("OCTREE", "--against")
     from voxtool.files import MESH_FORMATS, NORMAL_FORMATS, read_svo, write_mesh
@@ -78,7 +82,10 @@ def command(
     more: dict[str, Any] = {}
     with run:
         source = run.stage("read octree", read_svo, octree)
-        reference = load_mesh(against) if against is not None else None
+        reference = None
+        if against is not None:
+            reference = load_mesh(against, units=units, scale=scale)
+            check_units(source, reference)
         after = ["check"] * check + ["measure"] * bool(against)
         with run.naming(octree):
             job = run.plan(plan_extract, source, **request)
@@ -104,6 +111,15 @@ def command(
     )
     if check and not more["check"]["closed"]:
         raise CheckError(f"{run.output}: the surface is not closed: report this octree")
+
+
+def check_units(octree: Octree, mesh: Mesh) -> None:
+    """Raise MeshError if an octree and the mesh that it is compared with have different units."""
+    if octree.units and mesh.units and octree.units != mesh.units:
+        raise MeshError(
+            f"{mesh.name}: in {mesh.units}, and the octree in {octree.units}: give --scale, and "
+            f"--units {octree.units}"
+        )
 
 
 def facts_of(octree: Octree, surface: Isosurface) -> dict[str, Any]:

@@ -189,11 +189,6 @@ device_option = option(
     "[default: $VOXTOOL_DEVICE, or the first that works, GPUs first]",
     metavar="DEVICE",
 )  # fmt: skip
-length_options = together(
-    option("--units", LENGTH_UNITS,
-        "What the mesh's numbers mean, once scaled.  [default: what the file says]"),
-    option("--scale", float, "Factor of the mesh's coordinates.", 1.0),
-)  # fmt: skip
 bbox_option = option(
     "--bbox", float, "Box that the grid covers, in world units, instead of the mesh's.", nargs=6,
     metavar="X0 Y0 Z0 X1 Y1 Z1",
@@ -227,6 +222,15 @@ plan_options = together(
     option("--max-memory", BYTES,
         "Refuse to use more on the device (800M, 8G).  [default: what it has]", metavar="BYTES"),
 )  # fmt: skip
+
+
+def length_options(mesh: str = "the mesh") -> Decorator:
+    """--units and --scale."""
+    return together(
+        option("--units", LENGTH_UNITS,
+            f"What the numbers of {mesh} mean, once scaled.  [default: what the file says]"),
+        option("--scale", float, f"Factor of the coordinates of {mesh}.", 1.0),
+    )  # fmt: skip
 
 
 def format_option(*formats: str) -> Decorator:

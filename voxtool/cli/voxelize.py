@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     option("--fit", FITS,
         "uniform: one pitch for all axes; stretch: each axis scaled apart, as eq. (5.1) of "
         "[voCCeL].", FITS[0]),
-    options.length_options,
+    options.length_options(),
     option("--normalize", NORMALIZED,
         "Place the mesh first: unit: in the cube [0,1]^3, centred, its longest side 1; sphere: in "
         "the ball of radius 1 at 0, its bounding box centred.  The transform is stored."),

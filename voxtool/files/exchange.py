@@ -36,14 +36,18 @@ from voxtool.errors import FileError, MemoryLimitError, VoxtoolError, human, one
 from voxtool.files import streams
 from voxtool.files.atomic import atomic_folder
 from voxtool.files.formats import (
+    ADF_FORMATS,
     EXCHANGE,
     EXPORTS,
     IMPORTS,
+    SVO_FORMATS,
+    TET_FORMATS,
     Exchange,
     check_output,
     check_package,
     folder_of,
     format_of,
+    is_mesh,
 )
 from voxtool.files.streams import PathLike
 from voxtool.files.voxels import Rule, Stored, octree_of
@@ -57,6 +61,7 @@ from voxtool.svo.octree import Octree
 # Errors in which damage shows while other libraries read.
 DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, ValueError, ArithmeticError)
 WRITE = "write file"
+OWN = tuple(f".{name}" for name in (*SVO_FORMATS, *ADF_FORMATS, *TET_FORMATS) if "." in name)
 Image: TypeAlias = VoxelImage | LevelSet | FieldSamples
 
 
@@ -320,10 +325,22 @@ def read_grid(path: PathLike) -> Grid:
     return read_svo(path).grid
 
 
+def input_format(path: PathLike) -> str:
+    """Return the format that the name of a file of other programs says; FileError if none."""
+    shown = streams.input_name(path)
+    if is_mesh(path):
+        raise FileError(f"{shown} is a mesh: voxelize it: voxtool voxelize {shown}")
+    if os.fspath(path).lower().endswith(OWN):
+        raise FileError(f"{shown} is a file of voxtool, which needs no import")
+    if path == streams.STREAM:
+        raise FileError(f"{shown} has no name: say its format, one of {', '.join(IMPORTS)}")
+    return format_of(path, IMPORTS)
+
+
 @contextmanager
 def _stored(path: PathLike, format: str | None, grid: str | None = None) -> Iterator[Stored]:
     """Yield the voxels of a file; what a library raises of damage becomes one line."""
-    name, shown = format or format_of(path, IMPORTS), streams.input_name(path)
+    name, shown = format or input_format(path), streams.input_name(path)
     if name not in IMPORTS:
         raise FileError(f"format {name!r} is unknown: choose one of {', '.join(IMPORTS)}")
     read = function_of(name, "read")

@@ -252,6 +252,9 @@ def format_of(path: PathLike, formats: Iterable[str]) -> str:
     known = ", ".join(
         ending(e) for e in formats if not any(other.endswith(f".{e}") for other in formats)
     )
+    surfaces = "obj" in formats  # are what is written
+    if not surfaces and name.endswith(tuple(f".{mesh}" for mesh in MESH_FORMATS)):
+        raise FileError(f"{path} would be a surface: voxtool extract OCTREE -o {path} writes it")
     if path == STREAM:
         raise FileError(f"standard output has no extension: name the format, one of {known}")
     raise FileError(f"{path}: the name says no format: end it in one of {known}")

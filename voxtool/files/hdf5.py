@@ -87,6 +87,8 @@ def _schema_of(h5: Any, schemas: Sequence[Schema]) -> Schema:
     what = " or ".join(schema.what for schema in schemas)
     names = " or ".join(schema.format for schema in schemas)
     if not h5py.h5a.exists(h5.id, b"format"):
+        if h5.id.links.exists(b"VTKHDF"):
+            raise FileError("holds data of VTK: voxtool import makes an octree of its voxels")
         raise FileError(f"an HDF5 file, but no {what}: attribute format={names} is missing")
     format = read_attribute(h5, FORMAT)
     for schema in schemas:

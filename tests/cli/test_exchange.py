@@ -1,0 +1,74 @@
+"""Export and import on the command line: fields, what is no format here, and units of meshes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers_cli import fail, run, told
+
+import voxtool
+from voxtool.files.vdb_read import read as read_vdb
+
+
+def test_band_and_spacing_of_a_level_set(here: Path) -> None:
+    """The values in the file end at the band, and are as far apart as --spacing says."""
+    spacing = voxtool.read_adf("bunny.adf.h5").side / 24
+    run(f"export bunny.adf.h5 -o a.vdb --band 2 --spacing {spacing!r}")
+    voxtool.export("bunny.adf.h5", "b.vdb", band=2, spacing=spacing)
+    assert Path("a.vdb").read_bytes() == Path("b.vdb").read_bytes()
+    with open("a.vdb", "rb") as file:
+        stored = read_vdb(file, Path("a.vdb").stat().st_size)
+        assert stored.frame.grid.pitch == (spacing,) * 3
+        values = np.concatenate([np.ravel(getattr(p, "values", 0)) for p in stored.pieces])
+    assert 1.9 * spacing < np.abs(values).max() <= np.float32(2 * spacing)
+    message = fail("export bunny.svo.h5 -o a.vdb --band 2")
+    assert "go with a distance field: this is an octree" in message
+
+
+@pytest.mark.parametrize("name", ["bunny.svo.h5", "bunny.adf.h5"])
+def test_a_device_is_used_by_fields_alone(name: str, here: Path) -> None:
+    command = f"export {name} -o a.npy --device nowhere"
+    if "adf" in name:
+        assert "no OpenCL device matches 'nowhere'" in fail(command)
+    else:
+        run(command)
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("export bunny.svo.h5 -o a.stl", "voxtool extract OCTREE -o a.stl writes it"),
+        ("export bunny.svo.h5 -o a.glb", "voxtool extract OCTREE -o a.glb writes it"),
+        ("svo-info a.vtkhdf", "holds data of VTK: voxtool import makes an octree of its voxels"),
+        ("import bunny.obj", "bunny.obj is a mesh: voxelize it: voxtool voxelize bunny.obj"),
+        ("import bunny.svo.h5", "bunny.svo.h5 is a file of voxtool, which needs no import"),
+        ("import -", "stdin has no name: say its format, one of npy, npz,"),
+        ("extract bunny.svo.h5 --scale 2", "those of the mesh of --against: name one"),
+        ("extract mm.svo.h5 --against bunny.obj --units m", "in m, and the octree in mm: give"),
+    ],
+)
+def test_the_missing_step_is_named(command: str, message: str, here: Path) -> None:
+    if "vtkhdf" in command:
+        run("export bunny.svo.h5 -o a.vtkhdf")
+    if "mm.svo" in command:
+        run("voxelize bunny.obj --units mm --dim 16 -o mm.svo.h5")
+    assert message in fail(command, code=2 if "--scale" in command else None)
+
+
+def test_units_and_scale_of_meshes_that_are_read(here: Path) -> None:
+    lengths = "--units mm --scale 1000"
+    mesh = voxtool.load_mesh("bunny.obj", units="mm", scale=1000)
+    report = told(f"diagnose bunny.obj --dim 16 {lengths} --json")
+    assert report["units"] == "mm"
+    assert report == voxtool.diagnose(mesh, dim=16).as_dict() | {"mesh": "bunny.obj"}
+    facts = told(f"distance bunny.obj points.csv {lengths} -o d.npy --json")
+    assert facts["units"] == "mm"
+    points = [[0, 1, 0], [0.5, 2, 0.25]]
+    assert np.load("d.npy").tolist() == voxtool.distance(mesh, points).tolist()
+    run(f"voxelize bunny.obj --dim 32 {lengths} -o mm.svo.h5")
+    result = run(f"extract mm.svo.h5 --style surface-nets --against bunny.obj {lengths}")
+    found = json.loads(result.stdout)["against"]
+    assert found["voxels"]["hausdorff"] < 2  # 15 without the scale
