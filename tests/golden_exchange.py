@@ -50,7 +50,7 @@ def digest_of(stored: Stored) -> str:
         for i, low in enumerate(np.asarray(piece.corners)):
             # a block may reach beyond the grid
             part = values[tuple(slice(n, n + side) for n, side in zip(low, sides, strict=True))]
-            whole = piece.values[i] if boxes else np.full(sides, piece.value)
+            whole = np.broadcast_to(piece.values[i], sides)
             part[...] = whole[tuple(map(slice, part.shape))]
     place = np.array([grid.origin, grid.pitch], "<f8")
     return digest(place, repr((grid.shape, axes, flips)).encode(), values.astype("<f8"))

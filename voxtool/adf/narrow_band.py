@@ -24,6 +24,7 @@ from voxtool.adf.raycast import refined_children
 from voxtool.adf.samples import cells_along
 from voxtool.errors import VoxtoolError
 from voxtool.grid import MAX_DIM, MIN_DIM, Grid
+from voxtool.morton import distinct
 from voxtool.opencl import Device
 
 BAND = 3.0  # voxels, OpenVDB's own half-width
@@ -183,7 +184,7 @@ def near_blocks(source: DistanceField, spacing: float, reach: float) -> np.ndarr
                 f"{BLOCK_SIDE}^3 samples: choose a larger --spacing, or a narrower --band"
             )
         boxes = _halved(boxes)
-    keys = np.unique(np.concatenate(found))
+    keys = distinct(np.concatenate(found))
     bits = (1 << KEY_BITS) - 1
     return np.stack([keys >> 2 * KEY_BITS, keys >> KEY_BITS & bits, keys & bits], axis=1)
 
@@ -220,4 +221,4 @@ def _overlapped(boxes: Boxes, block: float) -> np.ndarray:
     last = np.ceil((boxes.low + boxes.edge[:, None]) / block).astype(np.int64) - 1
     ends = (np.where(octant, last, first) for octant in OCTANTS.T)
     keys = [(x << KEY_BITS | y) << KEY_BITS | z for x, y, z in (end.T for end in ends)]
-    return np.unique(np.concatenate(keys))
+    return distinct(np.concatenate(keys))

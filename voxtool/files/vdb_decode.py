@@ -17,7 +17,7 @@ import numpy as np
 from voxtool.errors import FileError
 from voxtool.files.vdb_encode import (
     ACTIVE_MASK,
-    ALL_PLUS,
+    ALL_MINUS,
     BLOSC,
     CELLS,
     EVERY_VALUE,
@@ -39,6 +39,7 @@ BLOSC_HEADER = struct.Struct("<4B3I")  # versions, flags, size of a value; sizes
 TRANSLATED = ("UniformScaleTranslateMap", "ScaleTranslateMap")
 SCALED = ("UniformScaleMap", "ScaleMap")
 MATRICES = ("AffineMap", "UnitaryMap")
+LENGTH = struct.Struct("<q")  # of packed values, negative if they are not packed
 MOST_TEXT = 1 << 16  # bytes of a text
 
 
@@ -161,14 +162,16 @@ class Tree:
         """Read a node; return the low cells of its children, (n, 3), which have this side."""
         count = 1 << 3 * power
         child, active = (
-            np.unpackbits(np.frombuffer(source.take(count // 8), np.uint8), bitorder="little")
+            np.unpackbits(np.frombuffer(source.take(count // 8), np.uint8), bitorder="little").view(
+                bool
+            )
             for _ in range(2)
         )
-        values = self.values(source, active)
-        tiles = np.flatnonzero(~child.astype(bool) & (active.astype(bool) | (values != 0)))
+        (values,) = self.values(source, active[None])
+        tiles = np.flatnonzero(~child & (active | (values != 0)))
         if len(tiles):
             held = self._corners(corner, tiles, power, side)
-            self.tiles.append((held, side, values[tiles], active[tiles] != 0))
+            self.tiles.append((held, side, values[tiles], active[tiles]))
         return self._corners(corner, np.flatnonzero(child), power, side)
 
     @staticmethod
@@ -179,63 +182,73 @@ class Tree:
     def _one(self, source: Source) -> Any:
         return np.frombuffer(source.take(self.dtype.itemsize), self.dtype)[0]
 
-    def values(self, source: Source, active: np.ndarray) -> np.ndarray:
-        """Return the values of a node, whose active ones are given as (n,) uint8."""
-        how = source.number("B")
-        if how > EVERY_VALUE or (how != EVERY_VALUE and not self.flags & ACTIVE_MASK):
-            raise FileError(f"the values of a node are stored in a way {how} that is unknown")
-        if how == EVERY_VALUE:
-            return self._unpacked(source, len(active))
-        plus, minus = self.background, self._negative()
-        first, second = (plus if how == ALL_PLUS else minus), plus
-        if how in (ONE_VALUE, PLUS_OR_VALUE, TWO_VALUES):
-            first = self._one(source)
-        if how == TWO_VALUES:
-            second = self._one(source)
-        found = np.full(len(active), first, self.dtype)
-        if how in (PLUS_OR_MINUS, PLUS_OR_VALUE, TWO_VALUES):
-            bits = np.frombuffer(source.take(len(active) // 8), np.uint8)
-            found[np.unpackbits(bits, bitorder="little") != 0] = second
-        held = active != 0
-        found[held] = self._unpacked(source, int(np.count_nonzero(held)))
+    def values(self, source: Source, active: np.ndarray, skip: int = 0) -> np.ndarray:
+        """Return the values of nodes, (n, cells), whose active ones are given as (n, cells) bool;
+        `skip` bytes before those of each node are passed over."""
+        active = active.copy()  # of the cells whose values follow
+        first, second = np.full((2, len(active)), self.background, self.dtype)
+        chosen, bits, parts = [], [], []
+        for row, count in enumerate(np.count_nonzero(active, axis=1).tolist()):
+            how = source.take(skip + 1)[-1]
+            if how:  # otherwise inactive values are the background
+                if how > EVERY_VALUE or (how != EVERY_VALUE and not self.flags & ACTIVE_MASK):
+                    raise FileError(f"the values of a node are stored in an unknown way, {how}")
+                if how == EVERY_VALUE:
+                    active[row] = True
+                    count = active.shape[1]
+                if how in (ALL_MINUS, PLUS_OR_MINUS):
+                    first[row] = self._negative()
+                if how in (ONE_VALUE, PLUS_OR_VALUE, TWO_VALUES):
+                    first[row] = self._one(source)
+                if how == TWO_VALUES:
+                    second[row] = self._one(source)
+                if how in (PLUS_OR_MINUS, PLUS_OR_VALUE, TWO_VALUES):
+                    chosen.append(row)
+                    bits.append(source.take(active.shape[1] // 8))
+            parts.append(self._unpacked(source, count))
+        found = np.repeat(first[:, None], active.shape[1], axis=1)
+        if chosen:
+            which = np.unpackbits(np.frombuffer(b"".join(bits), np.uint8), bitorder="little")
+            found[chosen] = np.where(
+                which.reshape(len(chosen), -1), second[chosen, None], found[chosen]
+            )
+        found[active] = np.frombuffer(b"".join(parts), self._stored)
         return found
 
     def _negative(self) -> Any:
         return ~self.background if self.dtype.kind == "b" else -self.background
 
-    def _unpacked(self, source: Source, count: int) -> np.ndarray:
-        """Return the next values."""
-        dtype = np.dtype("<f2") if self.half else self.dtype
+    @property
+    def _stored(self) -> np.dtype:
+        """The type of the values of active cells in the file."""
+        return np.dtype("<f2") if self.half else self.dtype
+
+    def _unpacked(self, source: Source, count: int) -> bytes:
+        """Return the bytes of the next values."""
         if self.half and not count:
-            return np.empty(0, self.dtype)
-        needed = count * dtype.itemsize
+            return b""
+        needed = count * self._stored.itemsize
         if not self.flags & (ZIP | BLOSC):
-            data = source.take(needed)
-        else:
-            length = source.number("q")
-            data = source.take(abs(length))
-            if length > 0:
-                data = unpack_blosc(data, needed) if self.flags & BLOSC else unzip(data, needed)
+            return source.take(needed)
+        (length,) = LENGTH.unpack(source.take(LENGTH.size))
+        data = source.take(abs(length))
+        if length > 0:
+            data = unpack_blosc(data, needed) if self.flags & BLOSC else unzip(data, needed)
         if len(data) != needed:
             raise FileError(f"{len(data)} bytes of values where {needed} are expected")
-        if dtype.kind == "b":
-            return np.frombuffer(data, np.uint8) != 0
-        return np.frombuffer(data, dtype).astype(self.dtype, copy=False)
+        return data
 
     def leaves(self, source: Source) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield the low cells, the values (n, 512) and the active cells (n, 512) of leaves."""
         for corners, masks in zip(self.corners, self.masks, strict=True):
             for first in range(0, len(corners), LEAVES):
                 chosen = slice(first, first + LEAVES)
-                active = np.unpackbits(masks[chosen], axis=1, bitorder="little")
+                active = np.unpackbits(masks[chosen], axis=1, bitorder="little").view(bool)
                 if self.dtype.kind == "b":
                     values = self._bits_of_leaves(source, len(active))
                 else:
-                    values = np.empty(active.shape, self.dtype)
-                    for row, bits in zip(values, active, strict=True):
-                        source.take(MASK_BYTES)  # the mask again
-                        row[:] = self.values(source, bits)
-                yield corners[chosen], values, active != 0
+                    values = self.values(source, active, MASK_BYTES)  # the mask again
+                yield corners[chosen], values, active
 
     @staticmethod
     def _bits_of_leaves(source: Source, count: int) -> np.ndarray:

@@ -16,6 +16,8 @@ from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
+from voxtool.morton import distinct
+
 LEAF, LOWER, UPPER = 3, 4, 5  # powers of two: children along a side of a node
 LEAF_SIDE = 1 << LEAF
 CELLS = 1 << 3 * LEAF  # of a leaf
@@ -105,14 +107,8 @@ def tiles_of(cubes: Iterable[tuple[np.ndarray, int]]) -> dict[str, np.ndarray]:
 
 def parents_of(leaves: np.ndarray, tiles: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Return the places of the lower and of the upper nodes, ascending; `leaves` is ascending."""
-    parts = [_distinct(keys >> 3 * LOWER) for keys in (leaves, tiles["leaf"])]
-    lower = _distinct(np.sort(np.concatenate(parts)))
-    parts = [_distinct(keys >> 3 * UPPER) for keys in (lower, tiles["lower"])]
-    return lower, _distinct(np.sort(np.concatenate(parts)))
-
-
-def _distinct(ascending: np.ndarray) -> np.ndarray:
-    return ascending[np.diff(ascending, prepend=-1) != 0]
+    lower = distinct(np.concatenate([leaves, tiles["leaf"]]) >> 3 * LOWER)
+    return lower, distinct(np.concatenate([lower, tiles["lower"]]) >> 3 * UPPER)
 
 
 # ---- values

@@ -169,11 +169,11 @@ def _pieces(
     set."""
     for corners, side, values, active in tree.tiles:
         chosen = values < 0 if is_level_set else active
-        for value in np.unique(values[chosen]):
-            yield Cubes(_inside(corners[chosen & (values == value)] - low), side, value)
+        yield Cubes(_inside(corners[chosen] - low), side, values[chosen])
     for corners, values, active in tree.leaves(source):
-        found = values if is_level_set else np.where(active, values, 0).astype(values.dtype)
-        boxes = found.reshape(-1, *[LEAF_SIDE] * 3)
+        if not is_level_set:
+            values[~active] = 0
+        boxes = values.reshape(-1, *[LEAF_SIDE] * 3)
         if not (low % LEAF_SIDE).any():
             yield Boxes(_inside(corners - low), boxes)
             continue

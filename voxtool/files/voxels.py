@@ -59,11 +59,11 @@ class Boxes(NamedTuple):
 
 
 class Cubes(NamedTuple):
-    """Cubes of one value."""
+    """Cubes, each of one value."""
 
     corners: np.ndarray  # (n, 3) int: their low voxels, by the array's axes
     side: int  # a power of two
-    value: float
+    values: np.ndarray  # (n,)
 
 
 class Rule(NamedTuple):
@@ -81,7 +81,8 @@ class Rule(NamedTuple):
             return values == self.label
         if self.below is not None:
             return values < self.below
-        return (values != 0) & (values == values)
+        found = values != 0
+        return found & (values == values) if values.dtype.kind == "f" else found
 
 
 class Stored(NamedTuple):
@@ -99,9 +100,8 @@ def octree_of(stored: Stored, rule: Rule, progress: Callable[[float], None]) -> 
     collector, done = Collector(frame.grid), 0
     for piece in stored.pieces:
         if isinstance(piece, Cubes):
-            if rule(np.array(piece.value)):
-                size = np.full(3, piece.side)
-                collector.add_cubes(_turned(piece.corners, size, frame), piece.side)
+            corners = piece.corners[rule(piece.values)]
+            collector.add_cubes(_turned(corners, np.full(3, piece.side), frame), piece.side)
             continue
         corners = _turned(piece.corners, np.array(piece.values.shape[1:]), frame)
         collector.add_boxes(corners, _transposed(rule(piece.values), frame))

@@ -207,8 +207,7 @@ def _pieces(tree: Tree) -> Iterator[Boxes | Cubes]:
 def _leaves(corners: np.ndarray, values: np.ndarray, side: int) -> Iterator[Boxes | Cubes]:
     """Yield leaves of one size, given by their low voxels."""
     if side > SMALL:
-        for value in np.unique(values):
-            yield Cubes(corners[values == value], side, value)
+        yield Cubes(corners, side, values)
         return
     for first in range(0, len(corners), BOXES):
         chosen = slice(first, first + BOXES)

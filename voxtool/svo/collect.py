@@ -7,7 +7,7 @@ import numpy as np
 from voxtool.errors import GridError
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
-from voxtool.morton import morton_decode, morton_encode
+from voxtool.morton import distinct, morton_decode, morton_encode
 from voxtool.svo.layout import (
     BRICK,
     BRICK_SIDE,
@@ -37,6 +37,7 @@ class Collector:
         self.grid = grid
         self._bricks: list[tuple[np.ndarray, np.ndarray]] = []  # codes and masks
         self._apart = 0
+        self._reaches_beyond = False  # whether a box or cube does, set or not
         # Codes of cubes that are wholly set, by level from 1 to the root's.
         levels = (grid.side // BRICK_SIDE).bit_length() - 1
         self._full: list[list[np.ndarray]] = [[] for _ in range(levels)]
@@ -51,6 +52,7 @@ class Collector:
         values : (n, a, b, c) bool
             Their voxels, indexed [box, x, y, z].
         """
+        self._look(corners, values.shape[1:])
         if len(values) == 1:
             before = corners[0] % BRICK_SIDE
             box = np.pad(values[0], [(int(n), 0) for n in before]) if before.any() else values[0]
@@ -76,7 +78,10 @@ class Collector:
         side : int
             A power of two.
         """
-        while len(corners) and side > 1 and (side > self.grid.side or (corners % side).any()):
+        if not len(corners):
+            return
+        self._look(corners, (side,) * 3)
+        while side > 1 and (side > self.grid.side or (corners % side).any()):
             side //= 2
             check_memory(8 * 24 * len(corners), f"cubes of {side} voxels a side")
             corners = (corners[:, None] + side * OCTANTS).reshape(-1, 3)
@@ -84,7 +89,7 @@ class Collector:
             local = np.indices((side,) * 3).reshape(3, -1).T
             self._add(*pack_voxels((corners[:, None] + local).reshape(-1, 3)))
             return
-        codes = np.unique(morton_encode(corners // side))
+        codes = distinct(morton_encode(corners // side))
         if side == BRICK_SIDE:
             self._add(codes, np.full(len(codes), ALL_VOXELS))
         else:
@@ -100,15 +105,21 @@ class Collector:
         """
         self._unite()
         codes, masks = self._bricks[0]
-        full = [np.unique(np.concatenate([codes[:0], *parts])) for parts in self._full]
+        full = [distinct(np.concatenate([codes[:0], *parts])) for parts in self._full]
         for level in range(len(full) - 1, -1, -1):  # what lies in a larger cube is there already
             for finer in range(level):
                 full[finer] = full[finer][_outside(full[finer], full[level], level - finer)]
             kept = _outside(codes, full[level], level + 1)
             codes, masks = codes[kept], masks[kept]
-        self._check(codes, masks, full)
+        if self._reaches_beyond:
+            self._check(codes, masks, full)
         arrays = octree_of_bricks(self.grid.side, codes, masks, full, collapse=True)
         return Octree(self.grid, "solid", "none", *arrays, units=units)
+
+    def _look(self, corners: np.ndarray, size: tuple[int, ...]) -> None:
+        """Take note whether a box reaches beyond the grid."""
+        if len(corners):
+            self._reaches_beyond |= bool((corners.max(axis=0) + size > self.grid.shape).any())
 
     def _add(self, codes: np.ndarray, masks: np.ndarray) -> None:
         self._bricks.append((codes, masks))
@@ -123,8 +134,8 @@ class Collector:
         masks = np.concatenate([np.empty(0, np.uint64), *(masks for _, masks in self._bricks)])
         order = np.argsort(codes, kind="stable")
         codes, masks = unite_bricks(codes[order], masks[order])
-        whole, counts = np.unique(codes[masks == ALL_VOXELS] >> np.uint64(3), return_counts=True)
-        whole = whole[counts == 8]
+        whole = codes[masks == ALL_VOXELS] >> np.uint64(3)
+        whole = whole[:-7][whole[:-7] == whole[7:]] if len(whole) > 7 else whole[:0]
         self._full[0].append(whole)
         kept = _outside(codes, whole, 1)
         self._bricks = [(codes[kept], masks[kept])]
@@ -154,5 +165,12 @@ def _bricks_of(cells: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def _outside(codes: np.ndarray, cubes: np.ndarray, levels: int) -> np.ndarray:
-    """Return which codes lie in none of the cubes, which are some levels coarser."""
-    return ~np.isin(codes >> np.uint64(3 * levels), cubes)
+    """Return which codes lie in none of the cubes, which are some levels coarser; both ascend."""
+    shift = np.uint64(3 * levels)
+    starts = np.searchsorted(codes, cubes << shift)
+    ends = np.searchsorted(codes, (cubes + np.uint64(1)) << shift)
+    held = starts < ends
+    steps = np.zeros(len(codes) + 1, np.int8)
+    steps[starts[held]] += 1
+    steps[ends[held]] -= 1
+    return np.cumsum(steps[:-1], dtype=np.int8) == 0

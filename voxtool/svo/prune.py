@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from voxtool.morton import distinct
 from voxtool.svo.layout import BRICK, BRICK_SIDE, INSIDE, NODE, VALID
 
 EMPTY, FULL, REFINED = range(3)  # states of nodes
@@ -62,7 +63,7 @@ def levels_of(
     leaves, given by their codes, for each level up to the root's."""
     lists, states = [codes], []
     for leaves in full[:-1]:
-        lists.append(np.unique(np.concatenate([lists[-1], leaves]) >> np.uint64(3)))
+        lists.append(distinct(np.concatenate([lists[-1], leaves]) >> np.uint64(3)))
     for refined, leaves, parents in zip(lists, full, [*lists[1:], None], strict=True):
         if parents is None:
             state, places = np.full(1, EMPTY, np.uint8), (refined.astype(int), leaves.astype(int))
@@ -87,7 +88,7 @@ def octree_of_bricks(
     root's. With `collapse`, nodes whose voxels are all set become leaves."""
     none = codes[:0]
     top = (side // (2 * BRICK_SIDE)).bit_length()
-    lists, states = levels_of(np.unique(codes >> np.uint64(3)), full or [none] * top)
+    lists, states = levels_of(distinct(codes >> np.uint64(3)), full or [none] * top)
     bricks = np.zeros(8 * len(lists[0]), BRICK)
     bricks[child_places(codes, lists[0])] = masks
     return prune(lists, states, bricks, none if collapse else lists[0])

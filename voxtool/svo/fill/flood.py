@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from voxtool.mesh.topology import components
-from voxtool.morton import gather_bits, morton_decode, morton_encode
+from voxtool.morton import distinct, gather_bits, morton_decode, morton_encode
 from voxtool.opencl import Array, Device
 from voxtool.svo.fill.pieces import Pieces, Region, clip_bricks, find_pieces
 from voxtool.svo.plan import CELL, flood_block, flood_steps
@@ -158,7 +158,7 @@ def _outside(slabs: Iterator[Pieces]) -> list[np.ndarray]:
         beyond.append(first + pieces.beyond)
         starts.append(first + pieces.roots.size)
     u, v = np.concatenate(links, axis=1)
-    numbers = np.unique(np.concatenate([u, v, beyond]))
+    numbers = distinct(np.concatenate([u, v, beyond]))
     u, v = np.searchsorted(numbers, u), np.searchsorted(numbers, v)
     least = components(u, v, len(numbers))
     outside = numbers[np.isin(least, least[np.searchsorted(numbers, beyond)])]
