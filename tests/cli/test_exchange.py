@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import meshes
 import numpy as np
 import pytest
-from helpers_cli import fail, run, told
+from helpers_cli import fail, run, told, write_obj
 
 import voxtool
 from voxtool.files.vdb_read import read as read_vdb
@@ -72,3 +73,33 @@ def test_units_and_scale_of_meshes_that_are_read(here: Path) -> None:
     result = run(f"extract mm.svo.h5 --style surface-nets --against bunny.obj {lengths}")
     found = json.loads(result.stdout)["against"]
     assert found["voxels"]["hausdorff"] < 2  # 15 without the scale
+
+
+@pytest.mark.parametrize("name", ["nrrd", "nii.gz"])
+@pytest.mark.parametrize("direction", [(1, 0, 0, 0, 1, 0, 0, 0, 1), (0, 0, -1, 1, 0, 0, 0, 1, 0)])
+def test_a_mask_lies_on_its_image(name: str, direction: tuple[int, ...], here: Path) -> None:
+    """On a grid of ITK's (LPS) that is no cube: a voxel of the image is set where its centre is in
+    the box, by its physical point, and the centres of both images are the same points."""
+    itk = pytest.importorskip("SimpleITK")
+    scan = itk.Image(20, 13, 9, itk.sitkInt16)
+    scan.SetSpacing((0.75, 0.5, 1.25))
+    scan.SetOrigin((-3.0, 4.0, 10.0))
+    scan.SetDirection(direction)
+    itk.WriteImage(scan, f"scan.{name}")
+    cells = np.indices(scan.GetSize()).reshape(3, -1).T
+    points = np.array([scan.TransformIndexToPhysicalPoint(cell.tolist()) for cell in cells])
+    world = points * (-1, -1, 1)  # in voxtool's RAS
+    size = np.ptp(world, axis=0)
+    low = world.min(axis=0) + 0.21 * size
+    high = world.max(axis=0) - 0.33 * size
+    write_obj(here / "box.obj", *meshes.box(low, high))
+    run(f"voxelize box.obj --like scan.{name} -o mask.{name}")
+    mask = itk.ReadImage(f"mask.{name}")
+    found = [mask.TransformPhysicalPointToContinuousIndex(point.tolist()) for point in points]
+    places = np.rint(found).astype(int)
+    assert np.abs(found - places).max() < 1e-4  # the numbers of .nii are float32
+    values = itk.GetArrayFromImage(mask).transpose(2, 1, 0)
+    assert values.size == len(cells)
+    expected = ((world > low) & (world < high)).all(axis=1)
+    assert 0 < expected.sum() < len(cells)
+    assert np.array_equal(values[tuple(places.T)] != 0, expected)

@@ -94,6 +94,10 @@ class _Package:
         if not relations.target:
             raise MeshError(f"{self.name}: no 3MF: its {RELATIONS} names no 3D model")
         root = self.model(relations.target)
+        if not root.build:
+            raise MeshError(
+                f"{self.name}: its build names no object, so nothing is placed: export it again"
+            )
         items = sum(self.size(use.key) for use in root.build)
         check_placed(self.name, items, max_memory)
         parts = (part for use in root.build for part in self.placed(use))
