@@ -43,6 +43,7 @@ def test_a_device_is_used_by_fields_alone(name: str, here: Path) -> None:
     [
         ("export bunny.svo.h5 -o a.stl", "voxtool extract OCTREE -o a.stl writes it"),
         ("export bunny.svo.h5 -o a.glb", "voxtool extract OCTREE -o a.glb writes it"),
+        ("export bunny.svo.h5 -o a.vti --normals", ".vti holds no normals: choose .ply, .xyz"),
         ("svo-info a.vtkhdf", "holds data of VTK: voxtool import makes an octree of its voxels"),
         ("import bunny.obj", "bunny.obj is a mesh: voxelize it: voxtool voxelize bunny.obj"),
         ("import bunny.svo.h5", "bunny.svo.h5 is a file of voxtool, which needs no import"),

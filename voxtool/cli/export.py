@@ -59,6 +59,9 @@ def number_of(text: str) -> int | str:
     option("--dtype", ("bool", "uint8", "uint16", "uint32", "float32", "float64"),
         "bool: at least half of a cell is set; whole numbers: how many of its voxels; floats: the "
         "share of them.  [default: bool; with --level float32]"),
+    flag("--normals",
+        "For .ply and .xyz: unit normals of the cells, to where less is set; 0 where there is no "
+        "such direction, as deep inside."),
     option("--band", POSITIVE,
         "Of a field as a level set: its half-width, in voxels.  [default: 3]", metavar="VOXELS"),
     option("--like", str,

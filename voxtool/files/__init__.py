@@ -220,6 +220,7 @@ def export(
     bbox: Sequence[float] | None = None,
     invert: bool = False,
     dtype: Any = None,
+    normals: bool = False,
     band: float | None = None,
     shape: int | Sequence[int] | None = None,
     spacing: float | Sequence[float] | None = None,
@@ -251,6 +252,9 @@ def export(
         "bool" (at least half of a cell is set), "uint8", "uint16" or "uint32" (the number of its
         voxels that are set), "float32" or "float64" (the share of them); by default bool for
         voxels, and float32 above them.
+    normals : bool
+        Of a ply or xyz: write the unit normals of the cells, too, pointing to where less is set; 0
+        where there is no such direction.
     band : float, optional
         Of a field: half-width of the level set, in voxels; by default 3.
     shape : int or (3,) sequence of int, optional
@@ -286,7 +290,7 @@ def export(
         content = read_exported(content)
     plan_export(
         content, path, clobber, format, level=level, bbox=bbox, invert=invert, dtype=dtype,
-        band=band, shape=shape, spacing=spacing, grid=grid, max_bytes=max_bytes,
+        normals=normals, band=band, shape=shape, spacing=spacing, grid=grid, max_bytes=max_bytes,
         device=device, **options,
     ).run()  # fmt: skip
 

@@ -2,7 +2,8 @@
 
 The module of a format has some of these functions:
 
-    size(image) -> int                        bytes of the output, or a bound
+    size(image) -> int                        bytes of the output, or a bound; of a format of points
+                                              size(image, normals=True), too
     write(image, file, **options)             write a VoxelImage, or of a dense format FieldSamples,
                                               into an empty file that can seek, or, of a format that
                                               is a folder, into an empty folder
@@ -182,6 +183,7 @@ def plan_export(
     bbox: Sequence[float] | None = None,
     invert: bool = False,
     dtype: Any = None,
+    normals: bool = False,
     band: float | None = None,
     shape: Any = None,
     spacing: Any = None,
@@ -200,6 +202,9 @@ def plan_export(
         raise FileError(f".{name} is a folder of files: name it, stdout takes one file")
     if not EXCHANGE[name].parts and (level or bbox or invert or dtype):
         raise VoxtoolError(f".{name} takes no level, box, dtype or inversion: leave them out")
+    if normals and not EXCHANGE[name].normals:
+        names = ", ".join(f".{key}" for key, each in EXCHANGE.items() if each.normals)
+        raise VoxtoolError(f".{name} holds no normals: choose {names}")
     check_package(name)
     check_output(path, name, clobber)
     if isinstance(content, DistanceField):
@@ -220,7 +225,9 @@ def plan_export(
         image = replace(image, progress=progress)
     if EXCHANGE[name].folder and "%" in os.fspath(path):
         options["pattern"] = Path(path).name
-    plan = ExportPlan(image, name, function_of(name, "size", image)(image), options)
+    more = {"normals": True} if normals else {}
+    size = function_of(name, "size", image)(image, **more)
+    plan = ExportPlan(image, name, size, {**options, **more})
     return ExportJob(plan, path, clobber, max_bytes, max_memory)
 
 

@@ -48,6 +48,7 @@ class Exchange(NamedTuple):
     parts: bool = True  # whether it takes --level, --bbox, --invert and --dtype
     text: bool = False  # whether a terminal can show it
     grids: bool = False  # whether a file can hold several, by name
+    normals: bool = False  # whether its points can have normals
 
 
 # What is written, by the extension that names it.
@@ -69,8 +70,12 @@ EXCHANGE = {
     "nii.gz": Exchange("nifti", "grid, dtype, unit", "_packed", needs="nibabel", dense=True),
     "nrrd": Exchange("nrrd", "grid, dtype, unit", dense=True),
     "binvox": Exchange("binvox", "the grid as a cube, with cubic voxels; bool"),
-    "ply": Exchange("centers", "centres of the set cells, and their values", "_ply", reads=False),
-    "xyz": Exchange("centers", "centres of the set cells", "_xyz", reads=False, text=True),
+    "ply": Exchange(
+        "centers", "centres of the set cells, and their values", "_ply", reads=False, normals=True
+    ),
+    "xyz": Exchange(
+        "centers", "centres of the set cells", "_xyz", reads=False, text=True, normals=True
+    ),
     "vdb": Exchange(
         "vdb", "grid, coverage; bool or float32; cubes as tiles", levels="vdb_levels", grids=True
     ),
