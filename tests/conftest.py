@@ -118,8 +118,8 @@ def model(name: str) -> Path:
 @pytest.fixture(scope="session")
 def models(tmp_path_factory) -> Path:
     """bunny.obj, bunny.svo.h5 (128, solid), bunny.adf.h5 (level 5), points.csv, open.obj, a box
-    without a lid, volume.vtu and volume.tet.h5 (density), mask.npy and scan.npz (voxels and
-    coverages of bunny.svo.h5)."""
+    without a lid, box.svo.h5, its voxels in the grid of the bunny, volume.vtu and volume.tet.h5
+    (density), mask.npy and scan.npz (voxels and coverages of bunny.svo.h5)."""
     folder = tmp_path_factory.mktemp("models")
     spec = importlib.util.spec_from_file_location("make_bunny", ROOT / "examples/make_bunny.py")
     assert spec
@@ -134,6 +134,7 @@ def models(tmp_path_factory) -> Path:
         patch.chdir(folder)
         for words in (
             "voxelize bunny.obj --dim 128 -q",
+            "voxelize open.obj --like bunny.svo.h5 -o box.svo.h5 -q",
             "adf-build bunny.obj --max-level 5 -q",
             "tet-build volume.vtu --scalar density -q",
             "export bunny.svo.h5 -o mask.npy -q",

@@ -54,6 +54,7 @@ from voxtool.spatial.fans import fan_of
 from voxtool.spatial.pseudonormals import pseudonormals
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.spatial.signed_distance import SignedDistance
+from voxtool.svo.booleans import combine
 from voxtool.svo.raycast import cast, depths
 from voxtool.svo.surface.extract import extract
 from voxtool.svo.surface.isosurface import LATTICE
@@ -195,6 +196,7 @@ def main() -> None:
     wind_a_fan(device)
     build_fields(device)
     query_fields(device)
+    combine_octrees(device)
     render_octrees(device)
     render_fields(device)
     render_volumes(device)
@@ -450,6 +452,17 @@ def check_device(device) -> None:
         assert arithmetic.differing(found[rows], expected[rows]) == 0
     ends = np.geomspace(1e-3, 10, 8).astype(np.float32)
     volumes.weights(device, ends, ends, lanes=1)  # as above
+
+
+def combine_octrees(device) -> None:
+    """Octrees of three levels, by or and by exclusive or."""
+    rng = np.random.default_rng(3)
+    arrays = [np.kron(rng.random((4, 4, 4)) < 0.4, np.ones((4, 4, 4), bool)) for _ in range(3)]
+    arrays[0] ^= rng.random(arrays[0].shape) < 0.01
+    octrees = [octree_from_dense(array) for array in arrays]
+    a, b, c = arrays
+    assert np.array_equal(combine(octrees, "difference", device=device), a & ~(b | c))
+    assert np.array_equal(combine(octrees, "xor", device=device), a ^ b ^ c)
 
 
 def render_octrees(device) -> None:

@@ -12,6 +12,7 @@ NORMALIZED = ("unit", "sphere")  # where meshes are placed: a unit cube, a unit 
 MODES = ("surface26", "surface6", "solid")  # of voxelization
 DEFAULT_MODE = "solid"
 FILLS = ("auto", "parity", "nonzero", "winding", "flood")  # rules that decide what is inside
+OPERATIONS = ("union", "intersection", "difference", "xor")  # on sets of voxels
 STYLES = ("marching-cubes", "voxel-faces", "surface-nets")  # of extracted surfaces
 MARCHING_CUBES, VOXEL_FACES, SURFACE_NETS = STYLES
 # Names of version 0.1, which are still taken, and which digests still hold.

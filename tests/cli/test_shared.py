@@ -17,6 +17,7 @@ from helpers_cli import ENVIRONMENT, MODULE, fail, run, told
 JOBS = {
     "voxelize bunny.obj --dim 16": "bunny.svo.h5",
     "voxelize open.obj --dim 16 --mode surface6": "open.svo.h5",
+    "combine bunny.svo.h5 box.svo.h5": "bunny.union.svo.h5",
     "extract bunny.svo.h5 --level 1": "bunny.marching-cubes.obj",
     "extract bunny.svo.h5 --style surface-nets": "bunny.surface-nets.obj",
     "extract bunny.svo.h5 --style voxel-faces --merge": "bunny.voxel-faces.obj",
@@ -37,8 +38,9 @@ QUERIES = {
     "adf-query bunny.adf.h5 --slice z=0 --size 200": "bunny.slice.png",
 }
 INPUTS = {
-    "voxelize": "bunny.obj", "extract": "bunny.svo.h5", "distance": "bunny.obj points.csv",
-    "adf-build": "bunny.obj", "adf-query": "bunny.adf.h5 points.csv",
+    "voxelize": "bunny.obj", "combine": "bunny.svo.h5 box.svo.h5", "extract": "bunny.svo.h5",
+    "distance": "bunny.obj points.csv", "adf-build": "bunny.obj",
+    "adf-query": "bunny.adf.h5 points.csv",
     "tet-build": "volume.vtu --scalar density", "render": "bunny.svo.h5",
     "view": "bunny.svo.h5",
 }  # fmt: skip
@@ -101,6 +103,7 @@ def test_verbose_names_the_device_and_the_stages_of_the_plan(command: str, here:
     "command",
     [
         "voxelize bunny.obj --dim 32 --mode surface26 -o a.svo.h5",
+        "combine bunny.svo.h5 box.svo.h5 --op xor -o a.svo.h5",
         "extract bunny.svo.h5 --normals -o a.ply",
         "extract bunny.svo.h5 --style surface-nets -o a.ply",
         "extract bunny.svo.h5 --style voxel-faces --merge -o a.ply",

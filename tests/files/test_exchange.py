@@ -48,7 +48,7 @@ def test_round_trip(name: str, shape: str, tmp_path: Path) -> None:
     path = tmp_path / f"a.{name}"
     voxtool.export(octree, path)
     more = {} if name in PLACED else WORLD
-    assert voxtool.read_voxels(path, **more) == octree
+    assert voxtool.read_voxels(path, **more).digest() == octree.digest()
     if name in PLACED:
         assert exchange.read_grid(path) == octree.grid
 
@@ -158,7 +158,7 @@ def test_declared_arrays_are_compared_with_the_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "content"), [("a.nii.gz", gzip.compress(b"scan")), ("a.vti", b"<VTKFile/>")]
+    ("name", "content"), [("a.nii.gz", gzip.compress(b"scan", mtime=0)), ("a.vti", b"<VTKFile/>")]
 )
 def test_readers_of_octrees_name_the_import(name: str, content: bytes, tmp_path: Path) -> None:
     """Also of files that are gzip or XML, as octrees may be."""

@@ -57,7 +57,7 @@ def test_full_and_empty_chunks(tmp_path: Path) -> None:
     voxtool.export(octree, tmp_path / "a.ome.zarr")
     chunks = [path for path in (tmp_path / "a.ome.zarr" / "0").glob("*/*/*") if path.is_file()]
     assert len(chunks) == 2
-    assert voxtool.read_voxels(tmp_path / "a.ome.zarr") == octree
+    assert voxtool.read_voxels(tmp_path / "a.ome.zarr").digest() == octree.digest()
 
 
 def test_parts_of_coarser_cells(tmp_path: Path) -> None:

@@ -618,4 +618,4 @@ def test_the_limit_of_memory_is_not_one_of_the_data(tmp_path: Path, monkeypatch)
     monkeypatch.setattr(hdf5, "METADATA", 1 << 22)
     assert octree.nbytes > hdf5.METADATA
     files.write_svo(octree, tmp_path / "a.svo.h5")
-    assert files.read_svo(tmp_path / "a.svo.h5") == octree
+    assert files.read_svo(tmp_path / "a.svo.h5").digest() == octree.digest()

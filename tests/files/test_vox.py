@@ -76,7 +76,7 @@ def test_full_blocks_are_one_model(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     octree = voxtool.Octree.from_dense(np.ones((256, 128, 70), bool), **WORLD)
     voxtool.export(octree, tmp_path / "a.vox")
     assert (tmp_path / "a.vox").stat().st_size < 4 * (64**3 + 256 * 128 * 6) + 4000
-    assert voxtool.read_voxels(tmp_path / "a.vox") == octree
+    assert voxtool.read_voxels(tmp_path / "a.vox").digest() == octree.digest()
 
 
 def test_what_midvoxio_writes_is_read(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, TypeVar
 
 from voxtool import report
-from voxtool.choices import DEFAULT_MODE, FILLS, NORMALIZED, STYLES
+from voxtool.choices import DEFAULT_MODE, FILLS, NORMALIZED, OPERATIONS, STYLES
 from voxtool.errors import GridError
 from voxtool.files import read_svo
 from voxtool.files.mesh import as_mesh
@@ -18,7 +18,9 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
 from voxtool.report import Report
 from voxtool.spatial import deviation as deviations
+from voxtool.svo import booleans
 from voxtool.svo import voxelize as svo
+from voxtool.svo.booleans import CombineJob
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface import extract as surfaces
 from voxtool.svo.surface.extract import ExtractJob
@@ -194,6 +196,56 @@ def plan_extract(
 
 
 extract = one_call(plan_extract, "extract", Isosurface)
+
+
+def plan_combine(
+    octrees: Sequence[Octree | Path],
+    operation: str = OPERATIONS[0],
+    *,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> CombineJob:
+    """Combine the sets of voxels of octrees of one lattice.
+
+    The grid of the result is the smallest one that holds all their grids. The result is pruned: it
+    has a leaf wherever all voxels of a node are set, or none, so that equal sets are equal octrees.
+    Its mode is "solid" and its fill "none".
+
+    Parameters
+    ----------
+    octrees
+        one or more Octrees or paths; their voxels have one size, and their origins are whole
+        numbers of voxels apart.
+    operation
+        "union" (set in one), "intersection" (set in all), "difference" (set in the first and in no
+        other) or "xor" (set in an odd number of them).
+    device, max_memory
+        as voxelize.
+
+    Returns
+    -------
+    Octree
+        plan_combine returns the job, whose `run` returns the octree.
+
+    Raises
+    ------
+    GridError
+        the octrees are of different lattices or units.
+    MemoryLimitError
+        the result might not fit.
+    DeviceError
+        no usable device.
+
+    Examples
+    --------
+    >>> both = voxtool.combine([one, other], "intersection")
+    >>> both == one & other
+    """
+    found = [opened(octree, read_svo) for octree in octrees]
+    return booleans.plan_combine(found, operation, device=device, max_memory=max_memory)
+
+
+combine = one_call(plan_combine, "combine", Octree)
 
 
 def diagnose(

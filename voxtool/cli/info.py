@@ -27,21 +27,22 @@ info_options = together(
 
 def describe(
     file: str, content: Octree | DistanceField, text: Callable[[dict[str, Any]], Iterable[str]],
-    *, check: bool, digest: bool, as_json: bool,
+    *, check: bool, as_json: bool, **asked: bool,
 ) -> None:  # fmt: skip
-    """Print the summary of the content of a file, as the lines of `text` or as JSON."""
+    """Print the summary of the content of a file, as the lines of `text` or as JSON; or only the
+    digests that are asked for, by the names of their methods, if there are any and no JSON."""
     if check:
         content.validate()
-    if digest and not as_json:
-        click.echo(content.digest())
+    digests = {name: getattr(content, name)() for name in asked if asked[name]}
+    if digests and not as_json:
+        click.echo("\n".join(digests.values()))
         return
     info = content.summary()
     if os.path.isfile(file):  # neither stdin nor a pipe
         info["file_bytes"] = os.path.getsize(file)
     if check:
         info["check"] = "ok"
-    if digest:
-        info["digest"] = content.digest()
+    info |= digests
     if as_json:
         print_json(info)
         return

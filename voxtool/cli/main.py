@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 COMMANDS = (
-    "voxelize", "diagnose", "svo-info", "extract", "distance", "adf-build", "adf-query",
+    "voxelize", "diagnose", "svo-info", "combine", "extract", "distance", "adf-build", "adf-query",
     "adf-info", "tet-build", "render", "view", "export", "import", "devices", "selftest",
     "bench", "completion",
 )  # fmt: skip

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli.info import describe, info_options, on_disk, place, table
+from voxtool.cli.options import flag
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -15,11 +16,13 @@ if TYPE_CHECKING:
 @click.command("svo-info")
 @click.argument("file")
 @info_options
+@flag("--set-digest", "Print the SHA-256 of the set of voxels, however it was made.")
 def command(file: str, **asked: bool) -> None:
     """Describe an octree FILE (.svo.h5, .svo.xml, or - for stdin).
 
     Lengths and volumes are in the mesh's own units. The digest covers the content, not the
-    container: it is the same for HDF5 and XML, on every device.
+    container: it is the same for HDF5 and XML, on every device. The set digest is the same for
+    equal sets of voxels of one grid, whatever their mode, fill and refinement.
 
     \b
     Examples:

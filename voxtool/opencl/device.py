@@ -187,9 +187,11 @@ class Device:
             self, values.dtype, values.size, self._buffer(flags, values.nbytes, values), values
         )
 
-    def write(self, array: Array, values: np.ndarray) -> None:
-        """Overwrite the beginning of an array."""
-        self._enqueue(self._cl.enqueue_copy, array.buffer, np.ascontiguousarray(values))
+    def write(self, array: Array, values: np.ndarray, start: int = 0) -> None:
+        """Overwrite the elements of an array from `start` on."""
+        if values.size:
+            offset, values = start * array.dtype.itemsize, np.ascontiguousarray(values)
+            self._enqueue(self._cl.enqueue_copy, array.buffer, values, dst_offset=offset)
 
     def read(self, values: np.ndarray, buffer: Any, offset: int) -> None:
         """Copy from a buffer; waits for all that was enqueued."""

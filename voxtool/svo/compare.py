@@ -7,10 +7,9 @@ import numpy as np
 from voxtool.errors import GridError
 from voxtool.memory import check_memory
 from voxtool.svo.layers import OUTSIDE, paint, sorted_leaves
-from voxtool.svo.layout import BRICK, BRICK_SIDE, INSIDE, LINK, VALID
+from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import Octree
-
-EMPTY, FULL = -1, -2  # in place of a node: a uniform block of voxels
+from voxtool.svo.placing import EMPTY, FULL, first_children, masks_of
 
 
 def count_differences(one: Octree, other: Octree) -> tuple[int, int]:
@@ -27,7 +26,8 @@ def count_differences(one: Octree, other: Octree) -> tuple[int, int]:
     nodes = np.zeros(1, np.int64), np.zeros(1, np.int64)
     for d in range(one.depth - 1):
         a, b = (
-            _children(octree, d, node) for octree, node in zip((one, other), nodes, strict=True)
+            first_children(octree.child_words(d), node)
+            for octree, node in zip((one, other), nodes, strict=True)
         )
         leaves = (a < 0) & (b < 0)
         volume = (BRICK_SIDE << (one.depth - 1 - d)) ** 3
@@ -37,22 +37,10 @@ def count_differences(one: Octree, other: Octree) -> tuple[int, int]:
             np.where(child < 0, child, child + np.arange(8)[:, None])[:, ~leaves].T.ravel()
             for child in (a, b)
         )
-    a, b = (_masks(octree, node) for octree, node in zip((one, other), nodes, strict=True))
+    a, b = (masks_of(octree.bricks, node) for octree, node in zip((one, other), nodes, strict=True))
     first += int(np.bitwise_count(a & ~b).sum(dtype=np.int64))
     second += int(np.bitwise_count(b & ~a).sum(dtype=np.int64))
     return first, second
-
-
-def _children(octree: Octree, d: int, nodes: np.ndarray) -> np.ndarray:
-    """Return the first child of each node of a level, or EMPTY or FULL for a leaf."""
-    words = np.append(octree.child_words(d), [INSIDE, np.uint32(0)])  # FULL is -2, EMPTY -1
-    child = words[nodes]
-    leaf = np.where(child & INSIDE, FULL, EMPTY)
-    return np.where(child & VALID, (child & LINK).astype(np.int64), leaf)
-
-
-def _masks(octree: Octree, nodes: np.ndarray) -> np.ndarray:
-    return np.append(octree.bricks, [~BRICK.type(0), BRICK.type(0)])[nodes]
 
 
 def leaking_rows(octree: Octree) -> np.ndarray:

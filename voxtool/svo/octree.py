@@ -37,13 +37,14 @@ from voxtool.svo.layout import (
     pack_voxels,
     unpack_bricks,
 )
-from voxtool.svo.prune import octree_of_bricks
+from voxtool.svo.prune import octree_of_bricks, prune, states_of
 from voxtool.svo.validate import check_sizes, check_structure
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 OCTREE_MODES = (*MODES, "solid+surface26")
+ARRAYS = ("offsets", "nodes", "bricks")
 VOXEL = -2  # the level of voxels: a node of level n has 2**(n + 2) voxels along a side
 
 
@@ -76,8 +77,10 @@ class Level:
 class Octree(Data):
     """A set of voxels of a grid.
 
-    Two octrees are equal if their digests are equal; plan, source, units and transform do not
-    count. Octrees are hashed by identity, so that the device can keep data for one of them.
+    Two octrees are equal if they have one grid and set the same voxels, whatever their mode, fill
+    and refinement: their set digests are equal. Octrees are hashed by identity, so that the device
+    can keep data for one of them. `a | b`, `a & b`, `a - b` and `a ^ b` are octrees of the combined
+    sets; see `voxtool.combine`.
 
     Parameters
     ----------
@@ -87,7 +90,7 @@ class Octree(Data):
         The kind of voxel set.
     fill : str
         Rule that decided what is inside: "parity", "nonzero", "winding", "flood" or "flood+gapN";
-        "none" for surfaces and for octrees made from arrays.
+        "none" for surfaces, for octrees made from arrays and for combinations.
     offsets : (depth + 1,) uint32
         Index of the first node of each level, root first, and the number of nodes.
     nodes : (N,) NODE
@@ -128,7 +131,7 @@ class Octree(Data):
             raise VoxtoolError(
                 f"octree mode {self.mode!r} is unknown: choose one of {', '.join(OCTREE_MODES)}"
             )
-        for name, dtype in (("offsets", np.dtype("<u4")), ("nodes", NODE), ("bricks", BRICK)):
+        for name, dtype in zip(ARRAYS, (np.dtype("<u4"), NODE, BRICK), strict=True):
             array = getattr(self, name)
             if not isinstance(array, np.ndarray) or array.dtype != dtype or array.ndim != 1:
                 raise VoxtoolError(f"octree {name}: give a one-dimensional array of {dtype}")
@@ -358,6 +361,47 @@ class Octree(Data):
         little-endian order. Equal content has an equal digest on every device and platform."""
         head = {**self.grid.exact, "mode": self.mode, "fill": self.fill}
         return digest_of(head, self.offsets, self.nodes, self.bricks)
+
+    def pruned(self) -> Octree:
+        """Return the pruned octree of the same voxels, with mode "solid" and fill "none": it has a
+        leaf wherever all voxels of a node are set, or none. A set has one pruned octree."""
+        codes = [np.empty(0, np.uint64)] * (self.depth - 1)  # no node stays refined by its code
+        arrays = prune(codes, states_of(self.offsets, self.nodes), self.bricks, codes[0])
+        return Octree(self.grid, "solid", "none", *arrays, units=self.units)
+
+    def set_digest(self) -> str:
+        """Return the SHA-256 of shape, origin, pitch, and of the offsets, nodes and bricks of the
+        pruned octree. Equal sets of voxels have equal set digests, however they were made."""
+        pruned = self.pruned()
+        return digest_of(self.grid.exact, pruned.offsets, pruned.nodes, pruned.bricks)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Octree) or self.grid != other.grid:
+            return False
+        return self._same_arrays(other) or self.pruned()._same_arrays(other.pruned())
+
+    __hash__ = Data.__hash__
+
+    def _same_arrays(self, other: Octree) -> bool:
+        pairs = ((getattr(self, name), getattr(other, name)) for name in ARRAYS)
+        return all(np.array_equal(a, b) for a, b in pairs)
+
+    def _combined(self, other: object, operation: str) -> Octree:
+        from voxtool.svo.booleans import combine  # which imports this module
+
+        return combine([self, other], operation) if isinstance(other, Octree) else NotImplemented
+
+    def __or__(self, other: object) -> Octree:
+        return self._combined(other, "union")
+
+    def __and__(self, other: object) -> Octree:
+        return self._combined(other, "intersection")
+
+    def __sub__(self, other: object) -> Octree:
+        return self._combined(other, "difference")
+
+    def __xor__(self, other: object) -> Octree:
+        return self._combined(other, "xor")
 
     def validate(self) -> None:
         """Check every invariant of the structure.

@@ -1,0 +1,72 @@
+"""voxtool combine: union, intersection, difference and exclusive or of octrees."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from voxtool.choices import OPERATIONS
+from voxtool.cli import options, runner
+from voxtool.cli.options import option
+from voxtool.errors import human
+from voxtool.files.formats import EXPORTS
+
+if TYPE_CHECKING:
+    from voxtool.svo.octree import Octree
+
+
+@click.command("combine")
+@click.argument("octrees", nargs=-1, required=True)
+@option("--op operation", OPERATIONS,
+    "union: set in one; intersection: set in all; difference: set in the first and in no other; "
+    "xor: set in an odd number of them.", OPERATIONS[0])  # fmt: skip
+@runner.job_options(
+    "FILE",
+    "Its ending says the format, of an octree or of an export (voxtool export -h).  Default the "
+    "first name with the operation and .svo.h5, in this folder.",
+    "svo.h5", "svo.xml", "svo.xml.gz", *EXPORTS,
+)  # fmt: skip
+def command(run: runner.Run, octrees: tuple[str, ...], operation: str) -> None:
+    """Combine the voxels of OCTREES of one lattice.
+
+    OCTREES are files that voxelize wrote; one of them may be - for stdin. Their voxels must have
+    one size, and their origins be whole numbers of voxels apart: voxelize one of them --like the
+    other. The grid of the result holds all of theirs, and its octree has a leaf wherever a block is
+    wholly set or empty.
+
+    \b
+    Examples:
+      voxtool combine bunny.svo.h5 box.svo.h5 --op difference -o part.svo.h5
+      voxtool voxelize open.obj --like bunny.svo.h5 -o - | voxtool combine bunny.svo.h5 -
+    """
+    from voxtool.files import SVO_FORMATS, export, read_svo, write_svo
+    from voxtool.svo.booleans import plan_combine
+
+    if octrees.count("-") > 1:
+        raise click.UsageError("only one of OCTREES can be stdin: name files for the others")
+    default = options.output_of(octrees[0], f"{operation}.svo.h5")
+    run.to(", ".join(octrees), default, (*SVO_FORMATS, *EXPORTS))
+    with run:
+        content = [run.stage("read octrees", read_svo, name) for name in octrees]
+        job = run.plan(plan_combine, content, operation)
+        octree = run.job(job)
+        run.write(export if run.file_format in EXPORTS else write_svo, octree)
+    run.report(
+        f"{operation}, {octree.count:,} voxels in {human(octree.nbytes)}",
+        lambda: facts_of(octree, operation),
+    )
+
+
+def facts_of(octree: Octree, operation: str) -> dict[str, Any]:
+    """Return the facts of the report, in JSON types."""
+    grid = octree.grid
+    return {
+        "operation": operation,
+        **{name: list(getattr(grid, name)) for name in ("shape", "origin", "pitch")},
+        "voxels": octree.count,
+        "volume": octree.count * grid.voxel_volume,
+        "bricks": len(octree.bricks),
+        "digest": octree.digest(),
+        "set_digest": octree.set_digest(),
+    }
