@@ -89,11 +89,11 @@ def test_the_laws_of_sets(device: Device, seed: int) -> None:
     shape = rng.integers((8, 3, 3), 30)
     a, b, c = (octree_from_dense(dense_set(rng, shape)) for _ in range(3))
     box = octree_from_dense(np.ones(shape, bool))
-    with_device = {"device": device}
-    assert combine([a, b, c], **with_device) == a | (b | c) == (a | b) | c
-    assert combine([a, b, c], "xor", **with_device) == a ^ (b ^ c) == (a ^ b) ^ c
-    assert combine([a, b, c], "intersection", **with_device) == a & (b & c) == (a & b) & c
-    assert combine([a, b, c], "difference", **with_device) == a - (b | c) == (a - b) - c
+    together = functools.partial(combine, [a, b, c], device=device)
+    assert together() == a | (b | c) == (a | b) | c
+    assert together("xor") == a ^ (b ^ c) == (a ^ b) ^ c
+    assert together("intersection") == a & (b & c) == (a & b) & c
+    assert together("difference") == a - (b | c) == (a - b) - c
     assert a | a == a & a == a == a - (box ^ a)
     assert box - (a | b) == (box - a) & (box - b)  # De Morgan
     assert box ^ (a & b) == (box - a) | (box - b)
@@ -123,12 +123,12 @@ def test_a_small_and_a_large_grid(device: Device) -> None:
     small = Octree.from_dense(np.ones((8, 8, 8)))
     corner, far = np.array([[7, 7, 7]]), np.array([[32_000, 1, 40_000]])
     large = Octree.from_voxels(
-        np.concatenate([corner, far]), Grid((40_960,) * 3, (0,) * 3, (1,) * 3)
+        np.concatenate([corner, far]), Grid((40_960, 40_960, 40_960), (0, 0, 0), (1, 1, 1))
     )
     union = combine([small, large], device=device)
     assert union.count == 513
     assert combine([small, large], "intersection", device=device).occupied().tolist() == [[7, 7, 7]]
-    moved = Octree.from_voxels(far % 7, Grid((9, 9, 9), (39_000, -3, 0.0), (1,) * 3))
+    moved = Octree.from_voxels(far % 7, Grid((9, 9, 9), (39_000, -3, 0), (1, 1, 1)))
     found = combine([moved, large], "xor", device=device)
     assert found.count == 3
     expected = np.concatenate([corner, far, np.add(far % 7, (39_000, -3, 0))])
@@ -157,7 +157,7 @@ def test_real_models(device: Device) -> None:
 
 def test_boxes_that_are_combined_as_voxels_or_as_meshes(device: Device) -> None:
     """The voxels of a box with a hole, whose inner faces are turned, are a difference."""
-    grid = Grid((40, 40, 40), (0.0,) * 3, (1.0,) * 3)
+    grid = Grid((40, 40, 40), (0, 0, 0), (1, 1, 1))
     outer, inner = (meshes.box(a, b) for a, b in ((3, 37), (9, 21)))
     both = (
         np.concatenate([outer[0], inner[0]]),
@@ -182,7 +182,7 @@ def test_operators_and_equality() -> None:
     assert solid != octree_from_dense(~array)
     assert solid.set_digest() != octree_from_dense(~array).set_digest()
     with pytest.raises(TypeError, match="unsupported operand"):
-        solid | array.tolist()  # pyright: ignore[reportOperatorIssue]
+        _ = solid | array.tolist()  # pyright: ignore[reportOperatorIssue]
 
 
 def test_what_a_combination_keeps() -> None:
