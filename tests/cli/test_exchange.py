@@ -26,7 +26,7 @@ def test_band_and_spacing_of_a_level_set(here: Path) -> None:
         values = np.concatenate([np.ravel(getattr(p, "values", 0)) for p in stored.pieces])
     assert 1.9 * spacing < np.abs(values).max() <= np.float32(2 * spacing)
     message = fail("export bunny.svo.h5 -o a.vdb --band 2")
-    assert "go with a distance field: this is an octree" in message
+    assert "go with a distance field: this is none" in message
 
 
 @pytest.mark.parametrize("name", ["bunny.svo.h5", "bunny.adf.h5"])

@@ -177,7 +177,7 @@ def test_usage_errors(command: str, message: str, here: Path) -> None:
         ("voxelize bunny.obj --shape 0,8,8 --origin 0,0,0 --spacing 1", "grid of 0 x 8 x 8 voxels"),
         ("import bunny.obj", "end it in one of .npy, "),
         ("import none.npy", "none.npy: there is no such file"),
-        ("export bunny.obj -o a.npy", "bunny.obj is a mesh: voxelize it first"),
+        ("export bunny.obj -o a.npy", "bunny.obj is a mesh: make an octree or a field of it first"),
         ("export bunny.svo.h5 -o a.foo", "end it in one of .npy, "),
         ("export bunny.svo.h5 -o -", "name the format, one of .npy"),
         ("export bunny.svo.h5 -o a.png --slice z=128", "lies outside the grid: choose 0 to 127"),

@@ -1,4 +1,4 @@
-"""voxtool export: an octree's voxels, or a field's level set, for other programs."""
+"""voxtool export: voxels, distances of fields and cells of volumes, for other programs."""
 
 from __future__ import annotations
 
@@ -23,9 +23,7 @@ from voxtool.errors import human
 from voxtool.files.formats import EXPORTS, ending
 
 if TYPE_CHECKING:
-    from voxtool.adf.field import DistanceField
-    from voxtool.files.exchange import ExportJob
-    from voxtool.svo.octree import Octree
+    from voxtool.files.exchange import Content, ExportJob
 
 SLICE = Parsed(
     "slice", lambda text: plane_of(text, number_of), " is no plane of voxels: write z=128, or z=all"
@@ -93,10 +91,10 @@ def command(
     run: runner.Run, file: str, plane: tuple[str, int | str] | None, axis: str | None,
     dpi: float | None, like: str | None, origin: tuple[float, ...] | None, **image: Any,
 ) -> None:  # fmt: skip
-    """Export the voxels of an octree FILE, or the distances of a field, for other programs.
+    """Export the voxels of an octree FILE, the distances of a field, or the cells of a volume.
 
     A field (.adf.h5) becomes signed distances at the centres of a grid, by default one over its
-    cube; in a .vdb those near its surface.
+    cube; in a .vdb those near its surface. A volume (.tet.h5) becomes a .vtkhdf of its cells.
     docs/exchange.md has a table of the formats and of what each of them keeps. In the mesh's own
     units, the low corner of a voxel is origin + pitch * voxel.
 
@@ -108,7 +106,7 @@ def command(
       voxtool export bunny.adf.h5 -o bunny.vdb --band 3
     """
     from voxtool.adf.field import DistanceField
-    from voxtool.files import read_exported
+    from voxtool.files import read_scene
     from voxtool.files.exchange import plan_export
 
     if run.output is None:
@@ -118,7 +116,7 @@ def command(
     image |= grid_of(like, origin, image)
     run.on_device = False  # an octree needs none
     with run:
-        content = run.stage("read file", read_exported, file)
+        content = run.stage("read file", read_scene, file)
         run.on_device = isinstance(content, DistanceField)
         job = run.plan(
             plan_export, content, run.output, not run.no_clobber, run.file_format,
@@ -170,16 +168,14 @@ def grid_of(like: str | None, origin: Any, image: dict[str, Any]) -> dict[str, A
 
 def report_line(job: ExportJob, size: int) -> str:
     """Return the line of the report."""
-    shape = " x ".join(map(str, job.plan.image.shape))
-    return f"{ending(job.plan.name)}, {shape} cells" + (f", {human(size)}" if size else "")
+    return f"{ending(job.plan.name)}, {job.plan.text}" + (f", {human(size)}" if size else "")
 
 
-def facts_of(job: ExportJob, content: Octree | DistanceField, size: int) -> dict[str, Any]:
+def facts_of(job: ExportJob, content: Content, size: int) -> dict[str, Any]:
     """Return the facts of the report, in JSON types; the digest is that of the content."""
-    planned = job.plan.as_dict()
-    names = ("format", "level", "shape", "origin", "pitch", "dtype")
     return {
-        **{name: planned[name] for name in names},
+        "format": job.plan.name,
+        **job.plan.facts,
         "bytes": size,
         "digest": content.digest(),
     }

@@ -60,7 +60,6 @@ __all__ = [
     "format_of",
     "is_mesh",
     "read_adf",
-    "read_exported",
     "read_scene",
     "read_svo",
     "read_tet",
@@ -205,13 +204,8 @@ def read_scene(path: PathLike) -> Octree | DistanceField | TetVolume:
     return _read(path, formats.SCENE)
 
 
-def read_exported(path: PathLike) -> Octree | DistanceField:
-    """Read what `export` takes, as read_svo does."""
-    return _read(path, formats.EXPORTED)
-
-
 def export(
-    content: Octree | DistanceField | PathLike,
+    content: Octree | DistanceField | TetVolume | PathLike,
     path: PathLike,
     clobber: bool = True,
     format: str | None = None,
@@ -229,13 +223,14 @@ def export(
     device: Device | None = None,
     **options: Any,
 ) -> None:
-    """Export voxels, or a field, for other programs: as the format that the name of the file says.
+    """Export voxels, a field or a volume for other programs, as the name of the file says.
 
     Parameters
     ----------
-    content : Octree, DistanceField or path
+    content : Octree, DistanceField, TetVolume or path
         The voxels; or a field, whose signed distances are sampled at the centres of the cells of
-        a grid, in float32; in a .vdb as a level set, for which it needs signs.
+        a grid, in float32; in a .vdb as a level set, for which it needs signs; or a volume, whose
+        cells a .vtkhdf holds with their scalar.
     path : path
         The file or the folder; `-` writes stdout.
     clobber : bool
@@ -287,7 +282,7 @@ def export(
     from voxtool.files.exchange import plan_export
 
     if isinstance(content, str | os.PathLike):
-        content = read_exported(content)
+        content = read_scene(content)
     plan_export(
         content, path, clobber, format, level=level, bbox=bbox, invert=invert, dtype=dtype,
         normals=normals, band=band, shape=shape, spacing=spacing, grid=grid, max_bytes=max_bytes,

@@ -10,7 +10,8 @@ The module of a format has some of these functions:
     read(file, size) -> Stored                the voxels of a file of `size` bytes that can seek,
                                               or of a folder (a Path), whose files have `size` bytes
 
-The module that writes level sets (Exchange.levels) has `size` and `write` of a LevelSet.
+The module that writes level sets (Exchange.levels) has `size` and `write` of a LevelSet, the one
+that writes volumes (Exchange.volumes) of VolumeCells.
 A module of several formats has such functions for each of them, whose names end in the format's
 suffix. It imports what its extra brings inside these functions.
 """
@@ -52,18 +53,21 @@ from voxtool.files.formats import (
 )
 from voxtool.files.streams import PathLike
 from voxtool.files.voxels import Rule, Stored, octree_of
+from voxtool.files.vtkhdf_volume import VolumeCells
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.memory import check_disk
 from voxtool.opencl import Device
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.octree import Octree
+from voxtool.tets.volume import TetVolume
 
 # Errors in which damage shows while other libraries read.
 DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, ValueError, ArithmeticError)
 WRITE = "write file"
 OWN = tuple(f".{name}" for name in (*SVO_FORMATS, *ADF_FORMATS, *TET_FORMATS) if "." in name)
-Image: TypeAlias = VoxelImage | LevelSet | FieldSamples
+Image: TypeAlias = VoxelImage | LevelSet | FieldSamples | VolumeCells
+Content: TypeAlias = Octree | DistanceField | TetVolume
 
 
 def function_of(name: str, verb: str, image: Image | None = None) -> Callable[..., Any]:
@@ -73,6 +77,8 @@ def function_of(name: str, verb: str, image: Image | None = None) -> Callable[..
     format = EXCHANGE[name]
     if isinstance(image, LevelSet):
         return getattr(import_module(f"voxtool.files.{format.levels}"), verb)
+    if isinstance(image, VolumeCells):
+        return getattr(import_module(f"voxtool.files.{format.volumes}"), verb)
     return getattr(import_module(f"voxtool.files.{format.module}"), verb + format.suffix)
 
 
@@ -101,28 +107,42 @@ class ExportPlan:
         return Cost(0, host=self.image.host_bytes)
 
     def as_dict(self) -> dict[str, Any]:
-        image = self.image
         return {
             "format": self.name,
             "keeps": self.format.keeps,
-            "level": image.level,
-            "shape": list(image.shape),
-            "origin": list(image.origin),
-            "pitch": list(image.pitch),
-            "dtype": image.dtype.name,
+            **self.facts,
             "bytes": self.size,
             "stages": list(self.stages),
             "left_out": self.left_out,
             "predicted_host_bytes": self.cost.host,
         }
 
-    def rows(self) -> list[tuple[str, str]]:
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What the image holds, in JSON types."""
         image = self.image
-        shape = " x ".join(map(str, image.shape))
-        cells = f"cells of level {image.level}" if isinstance(image, VoxelImage) else "samples"
-        sizes = " x ".join(f"{size:.6g}" for size in image.pitch)
+        if isinstance(image, VolumeCells):
+            return image.facts
+        place = {name: list(getattr(image, name)) for name in ("shape", "origin", "pitch")}
+        return {"level": image.level, **place, "dtype": image.dtype.name}
+
+    @property
+    def text(self) -> str:
+        """The size of the image, for people."""
+        image = self.image
+        if isinstance(image, VolumeCells):
+            return image.text
+        cells = "cells" if isinstance(image, VoxelImage) else "samples"
+        cells += f" of level {image.level}" if image.level else ""
+        return f"{' x '.join(map(str, image.shape))} {cells}"
+
+    def rows(self) -> list[tuple[str, str]]:
+        image, about = self.image, self.text
+        if not isinstance(image, VolumeCells):
+            sizes = " x ".join(f"{size:.6g}" for size in image.pitch)
+            about += f", {image.dtype.name}; a cell is {sizes}"
         return [
-            ("image", f"{shape} {cells}, {image.dtype.name}; a cell is {sizes}"),
+            ("image", about),
             ("file", f".{self.name}, at most {human(self.size)}; it keeps {self.format.keeps}"),
         ]
 
@@ -174,7 +194,7 @@ class ExportJob(Job[int]):
 
 
 def plan_export(
-    content: Octree | DistanceField,
+    content: Content,
     path: PathLike,
     clobber: bool = True,
     format: str | None = None,
@@ -207,19 +227,24 @@ def plan_export(
         raise VoxtoolError(f".{name} holds no normals: choose {names}")
     check_package(name)
     check_output(path, name, clobber)
+    if not isinstance(content, Octree) and (level or bbox or invert or dtype):
+        raise VoxtoolError(
+            "a field or a volume takes no level, box, dtype or inversion: leave them out"
+        )
     if isinstance(content, DistanceField):
-        if level or bbox or invert or dtype:
-            raise VoxtoolError(
-                "a distance field takes no level, box, dtype or inversion: leave them out"
-            )
         if isinstance(grid, str | os.PathLike):
             grid = read_grid(grid)
         image = image_of(content, name, band, shape, spacing, grid)
         image = replace(image, device=device, progress=progress)
     elif not (band is shape is spacing is grid is None):
         raise VoxtoolError(
-            "a band, a spacing, a shape and a grid go with a distance field: this is an octree"
+            "a band, a spacing, a shape and a grid go with a distance field: this is none"
         )
+    elif isinstance(content, TetVolume):
+        if not EXCHANGE[name].volumes:
+            names = ", ".join(f".{key}" for key, each in EXCHANGE.items() if each.volumes)
+            raise VoxtoolError(f".{name} holds no tetrahedral volume: choose {names}")
+        image = VolumeCells(content)
     else:
         image = VoxelImage.of(content, level=level, bbox=bbox, invert=invert, dtype=dtype)
         image = replace(image, progress=progress)

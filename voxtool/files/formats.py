@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -40,6 +40,7 @@ class Exchange(NamedTuple):
     suffix: str = ""  # of the names of the module's functions, where it has several formats
     reads: bool = True
     writes: bool = True
+    volumes: str = ""  # the module that writes tetrahedral volumes
     levels: str = ""  # the module that writes level sets of fields
     dense: bool = False  # whether it is a dense array, which can hold the samples of a field
     needs: str = ""  # the package that the module needs
@@ -81,7 +82,7 @@ EXCHANGE = {
     ),
     "vox": Exchange("vox", "grid; which cells are set"),
     "nvdb": Exchange("nvdb", "place, coverage as float32; cubes as tiles", reads=False),
-    "vtkhdf": Exchange("vtkhdf", "grid, levels, coverage"),
+    "vtkhdf": Exchange("vtkhdf", "grid, levels, coverage", volumes="vtkhdf_volume"),
     "tif": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True),
     "tiff": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True),
     "ome.zarr": Exchange(
@@ -145,7 +146,6 @@ OCTREE = Kind(
     other="is no octree: expected HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz)",
     endings=AN_EXPORT,
 )
-EXPORTED = replace(OCTREE, hdf5=("svo_hdf5", "adf_hdf5"))
 FIELD = Kind(
     hdf5=("adf_hdf5",),
     mesh="is a mesh: build a field first: voxtool adf-build {name}",

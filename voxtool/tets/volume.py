@@ -143,6 +143,12 @@ class TetVolume(Data):
         """(V, 3) float64: the positions of the vertices, world units."""
         return np.array(self.origin) + self.scale * self.vertices[:, :3].astype(np.float64)
 
+    def scalars(self) -> np.ndarray:
+        """(V,) float64: the scalars of the vertices; where constant, (T,) those of the cells."""
+        low, high = self.scalar_range
+        stored = self.gradients if self.constant else self.vertices
+        return low + (high - low) * stored[:, 3].astype(np.float64)
+
     def arrays(self) -> dict[str, np.ndarray]:
         """Every texture by its name."""
         names = ("vertices", "cells", "neighbours", "normals", "gradients", "ranges", "anchors")
