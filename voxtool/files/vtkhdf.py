@@ -30,6 +30,7 @@ from voxtool.svo.prune import ALL_VOXELS
 
 VERSION = (2, 4)
 CHUNK = 1 << 20  # values of a chunk of a dataset
+DEFLATE = 4  # zlib's level: a tenth more bytes than by VTK's 5, in two thirds of the time
 BRICKS = 1 << 18  # bricks that are unpacked at once
 EXTRA = 1 << 16  # bytes of the structure of the file
 FULL = 255  # the coverage of a cell that is wholly set
@@ -76,9 +77,9 @@ def write(image: VoxelImage, file: BinaryIO) -> None:
         for array in arrays:
             array.close()
         inner = total - sizes[-1]  # the last depth has no children
-        group["Descriptors"] = _joined(refined, inner)
+        _pack(group, "Descriptors", _joined(refined, inner))
         group["DescriptorsSize"] = np.array([inner], "<i8")
-        group["Mask"] = _joined(masked, total)
+        _pack(group, "Mask", _joined(masked, total))
 
 
 class _Source(NamedTuple):
@@ -212,13 +213,19 @@ def _joined(parts: list[bytes], count: int) -> np.ndarray:
     return (packed << 7 | np.roll(packed, -1) >> 1)[: -(-count // 8)]
 
 
+def _pack(group: Any, name: str, values: np.ndarray) -> None:
+    """Write a dataset of one axis, deflated unless it is empty."""
+    packed = {"compression": "gzip", "compression_opts": DEFLATE} if len(values) else {}
+    group.create_dataset(name, data=values, **packed)
+
+
 class _Stream:
     """A dataset of one axis whose chunks are packed by other threads while others are made."""
 
     def __init__(self, group: Any, name: str, count: int, dtype: Any) -> None:
         self.chunk = min(CHUNK, count)
         self.dataset = group.create_dataset(
-            name, (count,), dtype, chunks=(self.chunk,), compression="gzip", compression_opts=1
+            name, (count,), dtype, chunks=(self.chunk,), compression="gzip", compression_opts=DEFLATE
         )
         self._kept: list[np.ndarray] = []
         self._length = 0
@@ -247,7 +254,7 @@ class _Stream:
         self._pool.shutdown()
 
     def _pack(self, values: np.ndarray) -> None:
-        self._packing.append(self._pool.submit(zlib.compress, values.tobytes(), 1))
+        self._packing.append(self._pool.submit(zlib.compress, values.tobytes(), DEFLATE))
 
     def _write(self) -> None:
         for packing in self._packing:
