@@ -119,7 +119,8 @@ def first(about: Any) -> Any:
          "a transformation that is no scale or translation"),
         (".zattrs", lambda a: first(a)["coordinateTransformations"][0].update(scale=[1, 0, 1]),
          "pitch|directions"),
-        ("0/.zarray", lambda a: a.update(shape=[1 << 16] * 3, chunks=[8] * 3), "more than 4,194"),
+        ("0/.zarray", lambda a: a.update(shape=[1 << 16] * 3, chunks=[8] * 3, fill_value=1),
+         "more than 4,194"),
         ("0/.zarray", lambda a: a.update(chunks=[1 << 20] * 3), "a chunk of"),
         ("0/.zarray", lambda a: a.update(compressor={"id": "base64"}), "coded as 'base64'"),
         ("0/.zarray", lambda a: a.update(dtype="<c8"), "values of type|is no OME-Zarr"),
@@ -134,6 +135,19 @@ def test_refusals(name: str, change: Any, message: str, tmp_path: Path) -> None:
     changed(folder, name, change)
     with pytest.raises(VoxtoolError, match=message):
         voxtool.read_voxels(folder)
+
+
+def test_missing_chunks(tmp_path: Path) -> None:
+    """They are not looked for, unless they mean something else than 0."""
+    folder, octree = tmp_path / "a.ome.zarr", voxtool.Octree.from_dense(ball((9, 9, 9)), **WORLD)
+    voxtool.export(octree, folder)
+    changed(folder, "0/.zarray", lambda about: about.update(shape=[1 << 16] * 3))
+    assert np.array_equal(voxtool.read_voxels(folder).occupied(), octree.occupied())
+    changed(folder, "0/.zarray", lambda about: about.update(shape=[64, 64, 128], fill_value=1))
+    dense = voxtool.read_voxels(folder).to_dense()
+    assert np.array_equal(dense[:9, :9, :9], octree.to_dense())
+    assert np.count_nonzero(dense[:64]) == octree.count
+    assert dense[64:].all()
 
 
 def test_damaged_chunks_are_refused(tmp_path: Path) -> None:

@@ -8,7 +8,8 @@ https://ngff.openmicroscopy.org/0.4/
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import product
 from math import prod
@@ -33,6 +34,7 @@ from voxtool.svo.image import VoxelImage
 
 CHUNK = 64  # cells along a side
 MOST_CHUNKS = 1 << 22  # that are looked for
+CHUNK_FILE = re.compile(r"(/c)?([/.]\d{1,9})+")  # in the folder of an array
 GRID = "voxtool_grid"
 CHUNK_BYTES, ARRAY_BYTES = 4096, 8192  # of the disk, beyond the values
 # What stores numbers and runs no code; others, such as pickle, are refused.
@@ -148,15 +150,14 @@ def _read(folder: Path) -> Stored:
     chunks = tuple(array.chunks[axis] for axis in space)
     each = prod(array.chunks) * array.dtype.itemsize
     check_memory(4 * each, f"a chunk of {human(each)}")
-    if prod(-(-n // c) for n, c in zip(shape, chunks, strict=True)) > MOST_CHUNKS:
-        raise FileError(f"it has more than {MOST_CHUNKS:,} chunks: store larger ones")
+    starts = _starts(folder / array.path, array, space)
     scale, move = _placing(scales, array.ndim)
     matrix = np.zeros((3, 3))
     for column, axis in enumerate(space):
         matrix["xyz".index(axes[axis]), column] = scale[axis]
     center = np.array([move[axes.index(name)] for name in "xyz"])
     frame = exactly(frame_of(shape, matrix, center), grid_of_text(str(attributes.get(GRID, ""))))
-    return Stored(frame, _pieces(array, space, shape, chunks), _unit(scales))
+    return Stored(frame, _pieces(array, space, starts, chunks), _unit(scales))
 
 
 def _placing(scales: dict[str, Any], count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -196,11 +197,37 @@ def _check_codecs(about: Any) -> None:
         _check_codecs(codec.get("configuration") or {})
 
 
+def _starts(folder: Path, array: Any, space: list[int]) -> Iterable[tuple[int, ...]]:
+    """Return the low cells of the chunks that may hold something: those of the files in the
+    array's folder, or all chunks if missing ones are not 0."""
+    shape, chunks = ([sizes[axis] for axis in space] for sizes in (array.shape, array.chunks))
+    whole = [array.shards[axis] for axis in space] if array.shards else chunks  # of a file
+    if array.fill_value:
+        files, whole = [(0,) * len(shape)], shape
+    else:
+        indices = (
+            CHUNK_FILE.fullmatch(f"/{path.relative_to(folder)}") for path in folder.rglob("*")
+        )
+        found = (re.findall(r"\d+", index[0]) for index in indices if index)
+        places = [[int(i[axis]) for axis in space] for i in found if len(i) == array.ndim]
+        files = sorted(tuple(np.multiply(place, whole).tolist()) for place in places)
+    if len(files) * prod(-(-n // c) for n, c in zip(whole, chunks, strict=True)) > MOST_CHUNKS:
+        raise FileError(f"it has more than {MOST_CHUNKS:,} chunks: store larger ones")
+    sizes = list(zip(whole, shape, chunks, strict=True))
+    return (
+        start
+        for low in files
+        for start in product(
+            *(range(a, min(a + w, n), c) for a, (w, n, c) in zip(low, sizes, strict=True))
+        )
+    )
+
+
 def _pieces(
-    array: Any, space: list[int], shape: tuple[int, ...], chunks: tuple[int, ...]
+    array: Any, space: list[int], starts: Iterable[tuple[int, ...]], chunks: tuple[int, ...]
 ) -> Iterator[Boxes]:
-    """Yield each chunk that holds something as a box."""
-    for start in product(*(range(0, n, c) for n, c in zip(shape, chunks, strict=True))):
+    """Yield each chunk as a box."""
+    for start in starts:
         chosen: list[Any] = [0] * array.ndim
         for axis, low, side in zip(space, start, chunks, strict=True):
             chosen[axis] = slice(low, low + side)

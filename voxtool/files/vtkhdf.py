@@ -225,7 +225,12 @@ class _Stream:
     def __init__(self, group: Any, name: str, count: int, dtype: Any) -> None:
         self.chunk = min(CHUNK, count)
         self.dataset = group.create_dataset(
-            name, (count,), dtype, chunks=(self.chunk,), compression="gzip", compression_opts=DEFLATE
+            name,
+            (count,),
+            dtype,
+            chunks=(self.chunk,),
+            compression="gzip",
+            compression_opts=DEFLATE,
         )
         self._kept: list[np.ndarray] = []
         self._length = 0
