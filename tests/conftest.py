@@ -1,4 +1,5 @@
-"""The devices under test: every one that is found and passes the probe; models for commands."""
+"""The devices under test: every one that is found and passes the probe; models for commands; the
+browser that all tests of pages share."""
 
 from __future__ import annotations
 
@@ -7,11 +8,13 @@ import importlib.util
 import os
 import shlex
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import helpers_tets
 import meshes
 import pytest
+from helpers_browser import LARGE, SMALL, Viewer, open_browser
 from helpers_cli import ENVIRONMENT, MODULE, ROOT, run, write_obj
 from hypothesis import HealthCheck, Phase, settings
 
@@ -161,3 +164,17 @@ def shell(tmp_path_factory) -> dict[str, str]:
     script.write_text(f'#!/bin/sh\nexec {shlex.join(MODULE)} "$@"\n')
     script.chmod(0o755)
     return {**ENVIRONMENT, "PATH": f"{folder}{os.pathsep}{os.environ['PATH']}"}
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator:
+    with open_browser() as browser:
+        yield browser
+
+
+@pytest.fixture
+def large(viewer: Viewer) -> Iterator[None]:
+    """The tab of `viewer` has room for the pointer and the panel."""
+    viewer.resize(*LARGE)
+    yield
+    viewer.resize(*SMALL)

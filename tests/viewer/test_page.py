@@ -198,13 +198,22 @@ def test_a_page_ends_at_a_level(level: int) -> None:
     assert np.bitwise_count(held[-content.facts["levels"][-1] :]).sum() == len(found)
 
 
-def test_comments_are_left_out_and_nothing_else() -> None:
-    octree = voxtool.Octree.from_dense(np.ones((8, 8, 8)))
-    made = page.fragment_of(octree_content(octree)) + page._scripts("octree")
-    assert "/**" not in made.replace("/** @type", "")
-    assert not re.search(r"^\s*//", made, re.MULTILINE)
-    assert "function start(" in made
-    assert "float brightness(" in made
+def test_comments_and_spaces_are_left_out_and_nothing_else() -> None:
+    shader = page.fragment_of(octree_content(voxtool.Octree.from_dense(np.ones((8, 8, 8)))))
+    for made in (shader, *map(page._scripts, ("octree", "field", "volume"))):
+        assert "/**" not in made.replace("/** @type", "")
+        assert not re.search(r"^\s*//", made, re.MULTILINE)
+    assert "float brightness(" in shader
+    for name in ("octree", "field", "volume"):
+        files = (*page.SHARED, *page.EXTRAS[name], name)
+        whole = "".join((page.ASSETS / f"{file}.js").read_text(encoding="utf-8") for file in files)
+        code = re.sub(r"/\*(?s:.*?)\*/|^\s*//.*$| // .*$", "", whole, flags=re.MULTILINE)
+        assert tokens(page._scripts(name)) == tokens(code)
+
+
+def tokens(code: str) -> list[str]:
+    """Return the words, texts and punctuation marks of a script, signs with the space before."""
+    return re.findall(r'"(?:[^"\\\n]|\\.)*"|`[^`]*`|(?<=[-+])\s+[-+]|\w+|\S', code)
 
 
 @pytest.mark.parametrize("notebook", [False, True])

@@ -54,6 +54,11 @@ _COMMENT = re.compile(
     r"^\s*(//[^\n]*|/\*\*((?!\*/).)*\*/)\n| +// [^\n]*|/\*\* @type [^*]*\*/ ?",
     re.MULTILINE | re.DOTALL,
 )
+# Texts of a script, which stay as they are, and directives of a shader; or a punctuation mark with
+# spaces. A sign after another keeps its space.
+_SPACED = re.compile(
+    r'("(?:[^"\\\n]|\\.)*"|`[^`]*`|^#.*$)| *([-+*/%<>=!&|^?:;,(){}\[\]]) *(?![-+])', re.MULTILINE
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +116,7 @@ def page_of(
         "label": html.escape(f"{content.kind} {Path(name).name}, interactive picture"),
         "style": style,
         "facts": json.dumps(told, separators=(",", ":")).replace("<", "\\u003c"),
-        "vertex": _asset("screen.vert"),
+        "vertex": _squeezed(_asset("screen.vert")),
         "fragment": fragment_of(content),
         "shaders": "\n".join(map(_shader, PASSES.get(content.kind, ()))),
         "blocks": "" if served else "\n".join(map(_block, blocks, blocks.values())),
@@ -132,15 +137,14 @@ def fragment_of(content: PageContent) -> str:
     defined = "".join(f"#define {name}\n" for name in content.defines)
     kernels = ["shading.h", *([content.kernel] if content.kernel else [])]
     parts = [_asset(name) for name in (*content.shaders, f"{content.kind}.frag")]
-    whole = "".join([_asset("rays.glsl"), defined, *map(glsl_of, kernels), *parts])
-    return whole.replace(", ", ",")
+    return _squeezed("".join([_asset("rays.glsl"), defined, *map(glsl_of, kernels), *parts]))
 
 
 @functools.cache
 def glsl_of(header: str) -> str:
     """Return a header of the kernels as GLSL: one lane, results by `out`, no constant variables."""
     text = (kernel_folder() / header).read_text(encoding="utf-8")
-    text = re.sub(r'^#include "lanes.h"\n', "", _COMMENT.sub("", text), flags=re.MULTILINE)
+    text = re.sub(r'^#include "lanes.h"\n', "", _bare(text), flags=re.MULTILINE)
     results = set(re.findall(r"floats \*(\w+)", text))
     for name in results:
         text = re.sub(rf"floats \*{name}\b", f"out floats {name}", text)
@@ -153,14 +157,25 @@ def glsl_of(header: str) -> str:
 @functools.cache
 def _scripts(kind: str) -> str:
     """Return the script of a kind of content."""
-    return "".join(_asset(f"{name}.js") for name in (*SHARED, *EXTRAS.get(kind, ()), kind))
+    names = *SHARED, *EXTRAS.get(kind, ()), kind
+    return _squeezed("".join(_asset(f"{name}.js") for name in names))
 
 
 def _asset(name: str) -> str:
-    """Return a file of the page without comments, indentation and empty lines. No text of a script
-    may hold the two slashes of a comment between spaces."""
-    text = (ASSETS / name).read_text(encoding="utf-8")
+    """Return a file of the page, bare. No text of a script may hold the two slashes of a comment
+    between spaces."""
+    return _bare((ASSETS / name).read_text(encoding="utf-8"))
+
+
+def _bare(text: str) -> str:
+    """Return a text without comments, indentation and empty lines."""
     return re.sub(r"^\s+", "", _COMMENT.sub("", text), flags=re.MULTILINE)
+
+
+def _squeezed(code: str) -> str:
+    """Return a script or shader without spaces around punctuation. No template of a script may be
+    within another, and no regular expression may hold a quote or a space."""
+    return _SPACED.sub(lambda match: match[1] or match[2], code)
 
 
 def _policy(script: str, style: str, served: bool) -> str:
@@ -178,7 +193,7 @@ def _policy(script: str, style: str, served: bool) -> str:
 
 def _shader(name: str) -> str:
     """Return the element of a shader."""
-    return f'<script type="x-shader" id="{name}">{_asset(name)}</script>'
+    return f'<script type="x-shader" id="{name}">{_squeezed(_asset(name))}</script>'
 
 
 def _block(name: str, block: bytes) -> str:

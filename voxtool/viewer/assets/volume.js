@@ -133,7 +133,8 @@ function volumeKind(facts) {
       if (alone(settings)) return { options: surfaces, note: "" };
       const plain = settings.transfer === start;
       const named = surfaces ? ` --map ${facts.map}` : "";
-      const transfer = plain ? named : ` --transfer ${quoted(`${facts.name}.transfer.json`)}`;
+      const file = quoted(`${facts.name}.transfer.json`);
+      const transfer = plain ? named : ` --transfer ${file}`;
       return { options: surfaces + transfer, note: plain ? "" : "first save its transfer function: Save JSON" };
     },
     describe([cell, , , met]) {
