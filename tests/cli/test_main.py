@@ -175,7 +175,7 @@ def test_usage_errors(command: str, message: str, here: Path) -> None:
         ("svo-info bunny.obj", "is a mesh: voxelize it first (voxtool voxelize bunny.obj)"),
         ("svo-info .", "is a folder"),
         ("voxelize bunny.obj --shape 0,8,8 --origin 0,0,0 --spacing 1", "grid of 0 x 8 x 8 voxels"),
-        ("import bunny.obj", "end it in one of .npy, "),
+        ("import bunny.obj", "bunny.obj is a mesh: voxelize it: voxtool voxelize bunny.obj"),
         ("import none.npy", "none.npy: there is no such file"),
         ("export bunny.obj -o a.npy", "bunny.obj is a mesh: make an octree or a field of it first"),
         ("export bunny.svo.h5 -o a.foo", "end it in one of .npy, "),
