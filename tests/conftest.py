@@ -122,7 +122,8 @@ def model(name: str) -> Path:
 def models(tmp_path_factory) -> Path:
     """bunny.obj, bunny.svo.h5 (128, solid), bunny.adf.h5 (level 5), points.csv, open.obj, a box
     without a lid, box.svo.h5, its voxels in the grid of the bunny, volume.vtu and volume.tet.h5
-    (density), mask.npy and scan.npz (voxels and coverages of bunny.svo.h5)."""
+    (density), mask.npy and scan.npz (voxels and coverages of bunny.svo.h5), distances.nii.gz
+    (samples of bunny.adf.h5)."""
     folder = tmp_path_factory.mktemp("models")
     spec = importlib.util.spec_from_file_location("make_bunny", ROOT / "examples/make_bunny.py")
     assert spec
@@ -142,6 +143,7 @@ def models(tmp_path_factory) -> Path:
             "tet-build volume.vtu --scalar density -q",
             "export bunny.svo.h5 -o mask.npy -q",
             "export bunny.svo.h5 -o scan.npz --level 1 -q",
+            "export bunny.adf.h5 -o distances.nii.gz --shape 20 -q",
         ):
             run(words)
     return folder

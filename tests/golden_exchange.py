@@ -22,8 +22,8 @@ import golden_svo
 import numpy as np
 
 import voxtool
-from voxtool.files.exchange import _stored
-from voxtool.files.formats import EXCHANGE, EXPORTS, ending, folder_of
+from voxtool.files.formats import EXCHANGE, EXPORTS, IMAGES, ending, folder_of
+from voxtool.files.imports import Source
 from voxtool.files.voxels import Boxes, Stored
 
 GOLDEN = Path(__file__).parent / "golden" / "exchange.json"
@@ -81,7 +81,7 @@ def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
                 elif not EXCHANGE[name].reads:
                     yield label, digest_of_pictures(folder_of(path, name))
                 else:
-                    with _stored(path, name) as stored:
+                    with Source.of(path, name).stored() as stored:
                         yield label, digest_of(stored)
                 if EXCHANGE[name].reads:
                     yield f"{label} imported", voxtool.read_voxels(path).digest()
@@ -90,7 +90,8 @@ def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
 
 
 def digests_of_field(field: voxtool.DistanceField, device: Any) -> Iterator[tuple[str, str]]:
-    """Yield the digests of every export of a field: of its bytes, or of what is read of it."""
+    """Yield the digests of every export of a field: of its bytes, or of what is read of it; and of
+    the field that it becomes again."""
     for name, format in EXCHANGE.items():
         if format.dense or format.levels:
             with tempfile.TemporaryDirectory() as folder:
@@ -100,8 +101,11 @@ def digests_of_field(field: voxtool.DistanceField, device: Any) -> Iterator[tupl
                 if name in OWN_BYTES:
                     yield f"field {name}", digest(path.read_bytes())
                 else:
-                    with _stored(path, name) as stored:
+                    with Source.of(path, name).stored() as stored:
                         yield f"field {name}", digest_of(stored)
+                if name in IMAGES:
+                    found = voxtool.read_field(path, tolerance=1e-3, device=device)
+                    yield f"field {name} imported", found.digest()
 
 
 def main() -> None:

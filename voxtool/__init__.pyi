@@ -53,7 +53,10 @@ from voxtool.files import write_svo as write_svo
 from voxtool.files import write_tet as write_tet
 from voxtool.files.exchange import ExportJob as ExportJob
 from voxtool.files.exchange import plan_export as plan_export
-from voxtool.files.exchange import read_voxels as read_voxels
+from voxtool.files.imports import ImportJob as ImportJob
+from voxtool.files.imports import plan_import as plan_import
+from voxtool.files.imports import read_field as read_field
+from voxtool.files.imports import read_voxels as read_voxels
 from voxtool.files.mesh import load_mesh as load_mesh
 from voxtool.files.picture import write_picture as write_picture
 from voxtool.files.transfer import read_transfer as read_transfer

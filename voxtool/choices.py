@@ -22,6 +22,7 @@ DEFAULT_TOLERANCE = 1e-3  # of a distance field, in sides of its cube
 # 21 bits and whose identifier has 61.
 DEFAULT_MAX_LEVEL, MAX_LEVEL = 9, 21
 SIGNS = ("pseudonormal", "winding", "none")  # what decides the sign of a distance
+GIVEN = "given"  # of a field whose distances were an image's, signs included
 # Texels along an axis of a field's 3-D textures: every device with WebGL 2 has the fewest.
 MIN_TEXTURE_3D, MAX_TEXTURE_3D, DEFAULT_TEXTURE_3D = 256, 3072, 2048
 SEARCHES = ("linear", "binary", "coherent")  # for the leaf of a field that holds a point

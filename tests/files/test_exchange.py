@@ -10,10 +10,11 @@ import pytest
 from helpers_octree import WORLD, ball, octree_from_dense
 
 import voxtool
-from voxtool.errors import FileError, VoxtoolError
-from voxtool.files import exchange, formats, npy
+from voxtool.errors import FileError, MemoryLimitError, VoxtoolError
+from voxtool.files import formats, imports, npy
 from voxtool.files.atomic import MARK, atomic_folder
 from voxtool.files.voxels import frame_of
+from voxtool.svo.collect import Collector
 
 BALL = ball((40, 33, 21))
 SHAPES = {
@@ -50,7 +51,7 @@ def test_round_trip(name: str, shape: str, tmp_path: Path) -> None:
     more = {} if name in PLACED else WORLD
     assert voxtool.read_voxels(path, **more).digest() == octree.digest()
     if name in PLACED:
-        assert exchange.read_grid(path) == octree.grid
+        assert imports.read_grid(path) == octree.grid
 
 
 @pytest.mark.parametrize("name", sorted({*formats.IMPORTS} - {"binvox", "vox"}))
@@ -91,7 +92,7 @@ def test_pieces_are_turned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(voxels, "PIECE", 400)
     matrix = np.array([[0, 0, -1], [1, 0, 0], [0, 1, 0]], float)
     frame = frame_of((8, 9, 10), matrix, np.zeros(3))
-    with exchange._stored(tmp_path / "a.npy", None) as stored:
+    with imports.Source.of(tmp_path / "a.npy").stored() as stored:
         found = voxels.octree_of(
             stored._replace(frame=frame), voxels.Rule(), lambda share: None
         ).to_dense()
@@ -194,3 +195,23 @@ def test_exports_can_be_planned() -> None:
     job = voxtool.plan_export(octree, "-", format="npy", level=1, dtype="uint8")
     assert job.plan.size == npy.HEADER + 20 * 17 * 11
     assert job.describe()["shape"] == [20, 17, 11]
+
+
+def test_import_is_planned_and_limited(tmp_path: Path) -> None:
+    """The plan is that of the header; bricks that do not fit are refused, and cubes are small."""
+    grid = np.indices((64, 64, 64)).sum(axis=0)
+    np.save(tmp_path / "checks.npy", grid % 2 == 0)
+    np.save(tmp_path / "solid.npy", grid >= 0)
+    plan = voxtool.plan_import(tmp_path / "checks.npy", pitch=0.5).plan
+    assert (plan.grid.shape, plan.grid.pitch, plan.as_dict()["becomes"]) == (
+        (64, 64, 64), (0.5, 0.5, 0.5), "octree",
+    )  # fmt: skip
+    with pytest.raises(MemoryLimitError, match=r"import would need 50\.3 MB of memory, of 50 MB"):
+        voxtool.read_voxels(tmp_path / "solid.npy", max_memory=50_000_000)
+    low, cube = np.zeros((1, 3), int), voxtool.Grid((64, 64, 64), (0, 0, 0), (1, 1, 1))
+    collector = Collector(cube, max_memory=10_000)
+    collector.add_boxes(low, (grid >= 0)[None])  # cubes, once they are united
+    assert collector.octree().count == 64**3
+    assert voxtool.read_voxels(tmp_path / "checks.npy", max_memory=51_000_000).count == 64**3 // 2
+    with pytest.raises(MemoryLimitError, match=r"4,096 bricks of 4\^3 voxels .* choose fewer"):
+        Collector(cube, max_memory=10_000).add_boxes(low, (grid % 2 == 0)[None])

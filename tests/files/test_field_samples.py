@@ -13,8 +13,8 @@ from helpers_octree import ball
 import voxtool
 from voxtool.adf import samples
 from voxtool.errors import FileError, GridError, VoxtoolError
-from voxtool.files.exchange import read_grid
 from voxtool.files.formats import EXCHANGE, ending
+from voxtool.files.imports import read_grid
 
 SIDE = 2.3
 FIELD = plain_field(origin=(-3.7, 0.1, 12.0), side=SIDE, units="mm")

@@ -16,6 +16,7 @@ from voxtool.camera import Camera, Rays
 from voxtool.choices import LAYOUTS, MAX_TEXTURE_2D
 from voxtool.files import read_unstructured
 from voxtool.files.picture import rounded, write_png
+from voxtool.grid import Grid
 from voxtool.job import one_call
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
@@ -31,9 +32,8 @@ PICTURE_SIZE = (256, 256)  # pixels of a picture in a notebook
 PICTURE_DIM = 128  # voxels along the longest side of a mesh that is shown
 
 # files imports the types of its functions for type checkers only; get_type_hints needs them too.
-files.__dict__.update(
-    {type_.__name__: type_ for type_ in (DistanceField, Octree, TetVolume, UnstructuredMesh)}, np=np
-)
+TYPES = (Device, DistanceField, Grid, Octree, TetVolume, UnstructuredMesh)
+files.__dict__.update({type_.__name__: type_ for type_ in TYPES}, np=np)
 
 
 def plan_tet(

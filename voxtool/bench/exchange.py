@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 from voxtool.bench.timing import by_turns
 from voxtool.bench.view import bytes_of_file
 from voxtool.errors import VoxtoolError, VoxtoolWarning
-from voxtool.files.exchange import plan_export, read_voxels
+from voxtool.files.exchange import plan_export
 from voxtool.files.formats import EXCHANGE, EXPORTS, ending
+from voxtool.files.imports import read_voxels
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.svo.compare import count_differences

@@ -1,4 +1,4 @@
-"""voxtool import: other programs' voxels as an octree."""
+"""voxtool import: other programs' voxels as an octree, or distances as a field."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli import options, runner
-from voxtool.cli.options import POINT, SPACING, option, together
-from voxtool.files.formats import IMPORTS, SVO_FORMATS
+from voxtool.cli.options import POINT, SPACING, flag, option, together
+from voxtool.errors import human
+from voxtool.files.formats import ADF_FORMATS, IMPORTS, SVO_FORMATS
 
 if TYPE_CHECKING:
-    from voxtool.svo.octree import Octree
+    from voxtool.adf.field import DistanceField
 
 KNOWN = ", ".join(f".{name}" for name in IMPORTS)
 
@@ -21,6 +22,13 @@ KNOWN = ", ".join(f".{name}" for name in IMPORTS)
 @together(
     option("--threshold", float, "Set what has this value or more.  [default: what is not 0]"),
     option("--label", float, "Set what has this value alone."),
+    flag("--as-field", "Make a distance field: the values are signed distances, in world units."),
+    option("--tolerance", float,
+        "Of a field: error at which a cell is no longer refined, in sides of its cube.  "
+        "[default: 0.001]"),
+    option("--max-level", int,
+        "Of a field: level at which leaves are no longer refined.  [default: that of the samples, "
+        "2 more where voxels are no cubes]"),
     option("--origin", POINT, "Low corner, in world units, instead of the file's.",
         metavar="X,Y,Z"),
     option("--spacing pitch", SPACING, "Size of a voxel, in world units, instead of the file's.",
@@ -29,33 +37,61 @@ KNOWN = ", ".join(f".{name}" for name in IMPORTS)
     option("--from from_format", IMPORTS, "Format of FILE, instead of what its name says."),
 )  # fmt: skip
 @runner.run_options(
-    options.output_options("OUT", "Default FILE's name with .svo.h5, in this folder."),
-    options.format_option("svo.h5", "svo.xml", "svo.xml.gz"),
+    options.output_options(
+        "OUT", "Default FILE's name with .svo.h5, or .adf.h5 of a field, in this folder."
+    ),
+    options.format_option("svo.h5", "svo.xml", "svo.xml.gz", "adf.h5"),
+    options.plan_options,
     options.report_options,
 )
-def command(run: runner.Run, file: str, from_format: str | None, **rule: Any) -> None:
-    """Make an octree of another program's voxels.
+def command(
+    run: runner.Run, file: str, from_format: str | None, as_field: bool, **request: Any
+) -> None:
+    """Make an octree of another program's voxels, or a field of an image of distances.
 
     docs/exchange.md has a table of the formats. Origin, spacing and axes are kept; a file without
-    them lies at 0, with voxels of side 1.
+    them lies at 0, with voxels of side 1. With --as-field the values at the centres of the voxels
+    are distances, negative inside, and the field is their trilinear interpolation.
 
     \b
     Examples:
       voxtool import mask.npy -o mask.svo.h5
       voxtool import scan.npz --threshold 0.5 --spacing 0.7,0.7,1.5
+      voxtool import distances.nii.gz --as-field -o distances.adf.h5
     """
-    from voxtool.files import write_svo
-    from voxtool.files.exchange import read_voxels
+    from voxtool.files import write_adf, write_svo
+    from voxtool.files.imports import plan_import
 
-    if rule["threshold"] is not None and rule["label"] is not None:
+    if request["threshold"] is not None and request["label"] is not None:
         raise click.UsageError("--threshold and --label both say what is set: drop one of them")
-    run.to(file, options.output_of(file, "svo.h5"), SVO_FORMATS)
+    own = ("threshold", "label", "grid") if as_field else ("tolerance", "max_level")
+    if given := [f"--{name.replace('_', '-')}" for name in own if request[name] is not None]:
+        goes = "go without" if as_field else "goes with"
+        raise click.UsageError(f"{' and '.join(given)} {goes} --as-field")
+    formats, extension = (ADF_FORMATS, "adf.h5") if as_field else (SVO_FORMATS, "svo.h5")
+    run.to(file, options.output_of(file, extension), formats)
     with run:
-        octree: Octree = run.stage(
-            "read voxels", read_voxels, file, format=from_format, progress=run.progress.share,
-            **rule,
+        job = run.plan(
+            plan_import, file, as_field=as_field, format=from_format, progress=run.progress.share,
+            **request,
         )  # fmt: skip
-        run.write(write_svo, octree)
-    from voxtool.cli.voxelize import facts_of, report_line
+        found: Any = run.job(job)
+        run.write(write_adf if as_field else write_svo, found)
+    if as_field:
+        from voxtool.cli.adf_build import facts_of
 
-    run.report(report_line(octree), lambda: facts_of(octree))
+        run.report(line_of(found), lambda: facts_of(found))
+    else:
+        from voxtool.cli.voxelize import facts_of, report_line
+
+        run.report(report_line(found), lambda: facts_of(found))
+
+
+def line_of(field: DistanceField) -> str:
+    """Return the line of the report of a field."""
+    leaves, missed = field.reached["leaves"], field.reached["missed"]
+    return (
+        f"tolerance {field.tolerance:.3g}, sign {field.sign}; {leaves:,} leaves in "
+        f"{human(sum(field.sizes().values()))}"
+        + (f", of which {missed:,} miss the tolerance" if missed else "")
+    )

@@ -268,7 +268,7 @@ def grid_from(mesh: Mesh, like: str | None, placing: Mapping[str, Any]) -> Grid:
     from voxtool.grid import Grid
 
     if like:
-        from voxtool.files.exchange import read_grid
+        from voxtool.files.imports import read_grid
 
         return read_grid(like)
     rest = {name: value for name, value in placing.items() if name not in LATTICE}

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from voxtool.adf.field import DistanceField
 from voxtool.adf.packing import CHILDREN, VERTICES, pack_blocks, pack_cells, unpack
 from voxtool.adf.spatial_hash import SpatialHash
-from voxtool.choices import MAX_LEVEL, SIGNS
+from voxtool.choices import GIVEN, MAX_LEVEL, SIGNS
 from voxtool.files import hdf5
 from voxtool.files.schema import (
     FINITE,
@@ -40,7 +40,10 @@ LEVEL = Rule(
     lambda level: 1 <= level <= MAX_LEVEL, f"is {{value}}: leaves have levels 1 to {MAX_LEVEL}"
 )
 BAND = Rule(lambda x: x >= 0, "is {value}: a number from 0 is expected")
-SIGN = "rule of the sign: `pseudonormal`, `winding`, or `none` (no distance is negative)"
+SIGN = (
+    "rule of the sign: `pseudonormal`, `winding`, `none` (no distance is negative), or `given` (by "
+    "the image that the field was made of)"
+)
 WITHIN = "distance, in sides, up to which the tolerance holds; infinite: everywhere"
 CONTINUOUS = (
     "1 if neighbours of different levels agree on shared faces and edges, to 2 ulp of the largest "
@@ -80,7 +83,7 @@ OWN = (
     Attribute("r", int, "entries along each axis of `hash`", at="hash.r"),
     Attribute("origin", float, "low corner of the cube, in world units", 3, rule=FINITE),
     Attribute("side", float, "side of the cube, in world units", rule=POSITIVE),
-    Attribute("sign", str, SIGN, 32, choices=SIGNS),
+    Attribute("sign", str, SIGN, 32, choices=(*SIGNS, GIVEN)),
     Attribute("tolerance", float, "error asked for, in sides", rule=FROM_ZERO),
     Attribute(
         "max_level", int, f"deepest level allowed for a leaf, at most {MAX_LEVEL}", rule=LEVEL

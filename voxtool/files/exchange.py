@@ -1,4 +1,4 @@
-"""Export to and import from the formats of other programs, by the table formats.EXCHANGE.
+"""Export to the formats of other programs, by the table formats.EXCHANGE.
 
 The module of a format has some of these functions:
 
@@ -7,8 +7,7 @@ The module of a format has some of these functions:
     write(image, file, **options)             write a VoxelImage, or of a dense format FieldSamples,
                                               into an empty file that can seek, or, of a format that
                                               is a folder, into an empty folder
-    read(file, size) -> Stored                the voxels of a file of `size` bytes that can seek,
-                                              or of a folder (a Path), whose files have `size` bytes
+    read(file, size) -> Stored                see imports.py
 
 The module that writes level sets (Exchange.levels) has `size` and `write` of a LevelSet, the one
 that writes volumes (Exchange.volumes) of VolumeCells.
@@ -19,11 +18,7 @@ suffix. It imports what its extra brings inside these functions.
 from __future__ import annotations
 
 import os
-import struct
-import zipfile
-import zlib
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
@@ -34,25 +29,21 @@ import numpy as np
 from voxtool.adf.field import DistanceField
 from voxtool.adf.narrow_band import LevelSet
 from voxtool.adf.samples import FieldSamples, grid_over
-from voxtool.errors import FileError, MemoryLimitError, VoxtoolError, human, one_line
+from voxtool.errors import FileError, MemoryLimitError, VoxtoolError, human
 from voxtool.files import streams
 from voxtool.files.atomic import atomic_folder
 from voxtool.files.formats import (
-    ADF_FORMATS,
     EXCHANGE,
     EXPORTS,
-    IMPORTS,
-    SVO_FORMATS,
-    TET_FORMATS,
     Exchange,
     check_output,
     check_package,
     folder_of,
     format_of,
-    is_mesh,
+    function_of,
 )
+from voxtool.files.imports import read_grid
 from voxtool.files.streams import PathLike
-from voxtool.files.voxels import Rule, Stored, octree_of
 from voxtool.files.vtkhdf_volume import VolumeCells
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job
@@ -62,27 +53,18 @@ from voxtool.svo.image import VoxelImage
 from voxtool.svo.octree import Octree
 from voxtool.tets.volume import TetVolume
 
-# Errors in which damage shows while other libraries read.
-DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, ValueError, ArithmeticError)
 WRITE = "write file"
-OWN = tuple(f".{name}" for name in (*SVO_FORMATS, *ADF_FORMATS, *TET_FORMATS) if "." in name)
 Image: TypeAlias = VoxelImage | LevelSet | FieldSamples | VolumeCells
 Content: TypeAlias = Octree | DistanceField | TetVolume
 
 
-def function_of(name: str, verb: str, image: Image | None = None) -> Callable[..., Any]:
-    """Return the function of a format that is `size`, `write` or `read`; FileError if the package
-    that it needs is not installed."""
-    check_package(name)
-    format = EXCHANGE[name]
+def writer_of(name: str, verb: str, image: Image) -> Callable[..., Any]:
+    """Return the function of a format, `size` or `write`, that takes an image."""
     if isinstance(image, LevelSet):
-        return getattr(import_module(f"voxtool.files.{format.levels}"), verb)
+        return getattr(import_module(f"voxtool.files.{EXCHANGE[name].levels}"), verb)
     if isinstance(image, VolumeCells):
-        return getattr(import_module(f"voxtool.files.{format.volumes}"), verb)
-    return getattr(import_module(f"voxtool.files.{format.module}"), verb + format.suffix)
-
-
-# ---- export
+        return getattr(import_module(f"voxtool.files.{EXCHANGE[name].volumes}"), verb)
+    return function_of(name, verb)
 
 
 @dataclass(frozen=True)
@@ -181,13 +163,13 @@ class ExportJob(Job[int]):
 
     def _run(self) -> int:
         plan = self.plan
-        write = function_of(plan.name, "write", plan.image)
+        write = writer_of(plan.name, "write", plan.image)
         with self.stage(WRITE):
             if plan.format.folder:
                 target = folder_of(self.path, plan.name)
                 with atomic_folder(target, self.clobber) as folder:
                     write(plan.image, folder, **plan.options)
-                return folder_size(target)
+                return streams.folder_size(target)
             with streams.open_output(self.path, plan.format.text, self.clobber) as file:
                 write(plan.image, file, **plan.options)
         return 0 if self.path == streams.STREAM else os.path.getsize(self.path)
@@ -251,7 +233,7 @@ def plan_export(
     if EXCHANGE[name].folder and "%" in os.fspath(path):
         options["pattern"] = Path(path).name
     more = {"normals": True} if normals else {}
-    size = function_of(name, "size", image)(image, **more)
+    size = writer_of(name, "size", image)(image, **more)
     plan = ExportPlan(image, name, size, {**options, **more})
     return ExportJob(plan, path, clobber, max_bytes, max_memory)
 
@@ -279,118 +261,3 @@ def image_of(
     if grid is not None and not (shape is spacing is None):
         raise VoxtoolError("a grid has its own shape and spacing: leave them out")
     return FieldSamples(source, grid or grid_over(source, shape, spacing))
-
-
-def folder_size(folder: Path) -> int:
-    """Return the bytes of all files in a folder."""
-    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
-
-
-# ---- import
-
-
-def read_voxels(
-    path: PathLike,
-    *,
-    threshold: float | None = None,
-    label: float | None = None,
-    origin: Sequence[float] | None = None,
-    pitch: Sequence[float] | float | None = None,
-    format: str | None = None,
-    grid: str | None = None,
-    progress: Callable[[float], None] = lambda share: None,
-) -> Octree:
-    """Read another program's voxels, which become an octree of mode "solid".
-
-    Parameters
-    ----------
-    path : path
-        A file or a folder of a format that `voxtool import -h` lists; `-` is stdin.
-    threshold : float, optional
-        Values from this one on are set, instead of those that are not 0.
-    label : float, optional
-        Values equal to this one are set.
-    origin : (3,) sequence of float, optional
-        World coordinates of the low corner, instead of those in the file.
-    pitch : float or (3,) sequence of float, optional
-        World size of a voxel, instead of that in the file.
-    format : str, optional
-        The format, instead of what the name says.
-    grid : str, optional
-        The grid of a file that can hold several.
-    progress : callable, optional
-        Called with the share of the voxels that has been read, from 0 to 1.
-
-    Returns
-    -------
-    Octree
-
-    Raises
-    ------
-    FileError
-        If the file is missing, damaged or hostile, holds no voxels, or its axes are oblique; or if
-        the package that reads it is not installed.
-    GridError
-        If its grid is out of range.
-    VoxtoolError
-        If a threshold and a label are given.
-    """
-    if threshold is not None and label is not None:
-        raise VoxtoolError("a threshold and a label both say what is set: give one of them")
-    with _stored(path, format, grid) as stored:
-        own = stored.frame.grid
-        pitch = own.pitch if pitch is None else pitch
-        place = own.origin if origin is None else origin
-        placed = Grid(own.shape, place, pitch)  # pyright: ignore[reportArgumentType]
-        stored = stored._replace(frame=stored.frame._replace(grid=placed))
-        rule = stored.rule if threshold is None and label is None else Rule(threshold, label)
-        return octree_of(stored, rule, progress)
-
-
-def read_grid(path: PathLike) -> Grid:
-    """Return the grid of a file that holds voxels: an octree, or another program's."""
-    from voxtool.files import read_svo
-
-    if os.fspath(path).lower().endswith(tuple(f".{name}" for name in IMPORTS)):
-        with _stored(path, None) as stored:
-            return stored.frame.grid
-    return read_svo(path).grid
-
-
-def input_format(path: PathLike) -> str:
-    """Return the format that the name of a file of other programs says; FileError if none."""
-    shown = streams.input_name(path)
-    if is_mesh(path):
-        raise FileError(f"{shown} is a mesh: voxelize it: voxtool voxelize {shown}")
-    if os.fspath(path).lower().endswith(OWN):
-        raise FileError(f"{shown} is a file of voxtool, which needs no import")
-    if path == streams.STREAM:
-        raise FileError(f"{shown} has no name: say its format, one of {', '.join(IMPORTS)}")
-    return format_of(path, IMPORTS)
-
-
-@contextmanager
-def _stored(path: PathLike, format: str | None, grid: str | None = None) -> Iterator[Stored]:
-    """Yield the voxels of a file; what a library raises of damage becomes one line."""
-    name, shown = format or input_format(path), streams.input_name(path)
-    if name not in IMPORTS:
-        raise FileError(f"format {name!r} is unknown: choose one of {', '.join(IMPORTS)}")
-    read = function_of(name, "read")
-    if grid is not None and not EXCHANGE[name].grids:
-        raise VoxtoolError(f".{name} holds one grid: leave out its name")
-    options = {} if grid is None else {"grid": grid}
-    try:
-        if EXCHANGE[name].folder:
-            folder = folder_of(path, name)
-            yield read(folder, folder_size(folder))
-            return
-        with streams.open_whole(path) as (file, size):
-            yield read(file, size, **options)
-    except VoxtoolError as error:
-        raise type(error)(f"{shown}: {error}") from error
-    except OSError as error:
-        raise streams.read_error(shown, error) from error
-    except MemoryError as error:
-        raise FileError(f"{shown}: more than fits in memory") from error
-    except DAMAGE as error:
-        raise FileError(f"{shown}: is damaged: {one_line(error)}") from error

@@ -93,6 +93,7 @@ EXCHANGE = {
 }
 EXPORTS = tuple(name for name, format in EXCHANGE.items() if format.writes)
 IMPORTS = tuple(name for name, format in EXCHANGE.items() if format.reads)
+IMAGES = tuple(name for name in IMPORTS if EXCHANGE[name].dense)  # what can become a field
 MESH_FORMATS = {
     name: Writer("mesh_writers", f"write_{name}", text=name in ("obj", "off"))
     for name in ("obj", "ply", "stl", "glb", "off")
@@ -151,7 +152,9 @@ FIELD = Kind(
     mesh="is a mesh: build a field first: voxtool adf-build {name}",
     other="is no distance field: expected HDF5 (.adf.h5)",
     endings={
-        (".svo.xml", ".svo.xml.gz"): "is an octree: build a field first: voxtool adf-build MESH"
+        tuple(f".{name}" for name in IMAGES): "holds another program's image: if its values are "
+        "signed distances, import it first: voxtool import --as-field {name}",
+        (".svo.xml", ".svo.xml.gz"): "is an octree: build a field first: voxtool adf-build MESH",
     },
 )
 VOLUME = Kind(
@@ -191,6 +194,14 @@ def check_output(path: PathLike, name: str, clobber: bool) -> None:
     check_package(name)
     if path != STREAM:
         check_target(folder_of(path, name), clobber, folder=is_folder(name))
+
+
+def function_of(name: str, verb: str) -> Callable[..., Any]:
+    """Return the function of an export that is `size`, `write` or `read`; FileError if the package
+    that it needs is not installed."""
+    check_package(name)
+    format = EXCHANGE[name]
+    return getattr(import_module(f"voxtool.files.{format.module}"), verb + format.suffix)
 
 
 def check_package(name: str) -> None:

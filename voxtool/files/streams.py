@@ -15,6 +15,7 @@ from voxtool.memory import available_memory
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+    from pathlib import Path
 
 PathLike = str | os.PathLike[str]
 PACKED = 1032  # bytes that a byte of deflate can become, at most
@@ -25,6 +26,11 @@ OPENING = 64  # bytes by which a format is recognised
 def input_name(path: PathLike) -> str:
     """The name of an input in messages."""
     return "stdin" if path == STREAM else os.fspath(path)
+
+
+def folder_size(folder: Path) -> int:
+    """Return the bytes of all files in a folder."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 def read_error(name: str, error: Exception) -> FileError:

@@ -94,10 +94,16 @@ class Stored(NamedTuple):
     rule: Rule = Rule()  # unless the caller has one
 
 
-def octree_of(stored: Stored, rule: Rule, progress: Callable[[float], None]) -> Octree:
-    """Return the octree of the voxels that are set."""
+def octree_of(
+    stored: Stored,
+    rule: Rule,
+    progress: Callable[[float], None] = lambda share: None,
+    most: int | None = None,
+) -> Octree:
+    """Return the octree of the voxels that are set; MemoryLimitError if collecting them takes more
+    than `most` bytes, or than are free."""
     frame = stored.frame
-    collector, done = Collector(frame.grid), 0
+    collector, done = Collector(frame.grid, most), 0
     for piece in stored.pieces:
         if isinstance(piece, Cubes):
             corners = piece.corners[rule(piece.values)]
@@ -108,6 +114,41 @@ def octree_of(stored: Stored, rule: Rule, progress: Callable[[float], None]) -> 
         done += piece.values.size
         progress(min(done / prod(frame.shape), 1.0))
     return collector.octree(stored.units)
+
+
+def array_of(stored: Stored, most: int | None, progress: Callable[[float], None]) -> np.ndarray:
+    """Return the values of an image as an array in world axes, float32 or float64.
+
+    Parameters
+    ----------
+    most : int, optional
+        Bytes that it may have.
+
+    Raises
+    ------
+    FileError
+        If the file does not hold a value for each voxel.
+    MemoryLimitError
+        If the array has more bytes, or does not fit in memory.
+    """
+    frame, values, done = stored.frame, np.empty(0), 0
+    for piece in stored.pieces:
+        if isinstance(piece, Cubes) or len(piece.values) > 1:
+            break
+        if not done:
+            kind = np.result_type(piece.values.dtype, np.float32)
+            needed = prod(frame.shape) * kind.itemsize
+            check_memory(needed, "the samples of the image", "import a coarser one", most)
+            values = np.empty(frame.grid.shape, kind)
+        size = np.array(piece.values.shape[1:])
+        low = _turned(piece.corners, size, frame)[0]
+        box = _transposed(piece.values, frame)[0]
+        values[tuple(map(slice, low, low + box.shape))] = box
+        done += box.size
+        progress(done / prod(frame.shape))
+    if done != prod(frame.shape):
+        raise FileError("does not hold a value for each voxel: a field is made of a dense image")
+    return values
 
 
 def _turned(corners: np.ndarray, size: np.ndarray, frame: Frame) -> np.ndarray:

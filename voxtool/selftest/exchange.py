@@ -52,7 +52,7 @@ def returned(image: VoxelImage) -> Octree:
     file = io.BytesIO()
     npz.write(image, file)
     file.seek(0)
-    return octree_of(npz.read(file, file.getbuffer().nbytes), Rule(), lambda share: None)
+    return octree_of(npz.read(file, file.getbuffer().nbytes), Rule())
 
 
 def differing(one: Octree, other: Octree) -> int:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from voxtool.errors import GridError
+from voxtool.errors import GridError, MemoryLimitError, human
 from voxtool.grid import Grid
-from voxtool.memory import check_memory
+from voxtool.memory import available_memory, check_memory
 from voxtool.morton import distinct, morton_decode, morton_encode
 from voxtool.svo.layout import (
     BRICK,
@@ -21,6 +21,7 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.prune import ALL_VOXELS, octree_of_bricks
 
 APART = 1 << 22  # bricks that are kept before they are united
+BRICK_BYTES = 384  # while the octree is made: of a brick that is alone among its siblings
 OCTANTS = np.indices((2, 2, 2)).reshape(3, -1).T
 
 
@@ -31,12 +32,15 @@ class Collector:
     ----------
     grid : Grid
         The grid of the voxels.
+    max_memory : int, optional
+        Bytes that it may take; by default those that are free at the beginning.
     """
 
-    def __init__(self, grid: Grid) -> None:
+    def __init__(self, grid: Grid, max_memory: int | None = None) -> None:
         self.grid = grid
+        self.most = available_memory() if max_memory is None else max_memory
         self._bricks: list[tuple[np.ndarray, np.ndarray]] = []  # codes and masks
-        self._apart = 0
+        self._united = self._apart = 0  # bricks that have been united, and the others
         self._reaches_beyond = False  # whether a box or cube does, set or not
         # Codes of cubes that are wholly set, by level from 1 to the root's.
         levels = (grid.side // BRICK_SIDE).bit_length() - 1
@@ -124,9 +128,20 @@ class Collector:
     def _add(self, codes: np.ndarray, masks: np.ndarray) -> None:
         self._bricks.append((codes, masks))
         self._apart += len(codes)
-        if self._apart > APART:
+        if self._apart > APART or self._held * BRICK_BYTES > self.most:
             self._unite()
-            self._apart = 0
+        if self._held * BRICK_BYTES > self.most:
+            held = self._held
+            raise MemoryLimitError(
+                f"{held:,} bricks of {BRICK_SIDE}^3 voxels hold some that are set, which need "
+                f"{human(held * BRICK_BYTES)} of memory, of {human(self.most)} allowed: choose "
+                "fewer voxels by --threshold or --label (see --max-memory)"
+            )
+
+    @property
+    def _held(self) -> int:
+        """Number of bricks."""
+        return self._united + self._apart
 
     def _unite(self) -> None:
         """Unite the bricks that are equal in code, and make cubes of eight that are wholly set."""
@@ -139,6 +154,7 @@ class Collector:
         self._full[0].append(whole)
         kept = _outside(codes, whole, 1)
         self._bricks = [(codes[kept], masks[kept])]
+        self._united, self._apart = int(np.count_nonzero(kept)), 0
 
     def _check(self, codes: np.ndarray, masks: np.ndarray, full: list[np.ndarray]) -> None:
         """Raise GridError if a voxel is not in the grid."""
