@@ -190,7 +190,6 @@ def test_packets_find_the_same_faces(device: Device) -> None:
                 assert np.array_equal(one, other)
 
 
-@cache
 @pytest.mark.parametrize("thin", [1.0, 2.0**-30])
 def test_other_faces_within_reach(device: Device, thin: float) -> None:
     """Also of faces that lie upon each other; copies of a face are not in the tree."""
@@ -215,6 +214,7 @@ def test_other_faces_within_reach(device: Device, thin: float) -> None:
     assert not len(others_within(device, tree, points[:0], reaches[:0], faces[:0]))
 
 
+@cache
 def _bunny() -> tuple[Mesh, np.ndarray]:
     mesh = load_mesh(model("stanford-bunny.obj"))
     rng = np.random.default_rng(9)
