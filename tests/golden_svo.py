@@ -27,6 +27,7 @@ MODES = ("surface26", "surface6", "solid", "solid+surface26")  # solid by parity
 FILLS = (("nonzero", 0), ("winding", 0), ("flood", 0), ("flood", 3))
 FILL_DIM = 128  # the largest
 OWN = ("bunny", "sphere", "torus", "open-box", "needles")
+MORPHS = {50: ("dilate", 2.5), 128: ("close", 4.0)}  # of the solid, by dim
 DIMS = (8, 50, 64, 200, 512)
 REAL = ("stanford-bunny", "armadillo", "dragon", "nefertiti", "fandisk", "rocker-arm", "spot",
         "suzanne", "teapot")  # fmt: skip
@@ -66,6 +67,10 @@ def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterat
         for fill, gap in FILLS if dim <= FILL_DIM else ():
             octree = voxtool.voxelize(mesh, grid, fill=fill, gap=gap, device=device)
             yield f"{octree.fill} {dim}", octree.digest()
+        if dim in MORPHS:
+            solid = voxtool.voxelize(mesh, grid, fill="parity", device=device)
+            changed = voxtool.morph(solid, *MORPHS[dim], device=device)
+            yield f"{' '.join(map(str, MORPHS[dim]))} {dim}", changed.digest()
 
 
 def main() -> None:

@@ -37,6 +37,7 @@ from helpers_tets import (
     reference_picture,
     tet_mesh,
 )
+from scipy import ndimage
 
 from voxtool.adf import build, query, textures
 from voxtool.adf.scene import FieldScene
@@ -55,6 +56,8 @@ from voxtool.spatial.pseudonormals import pseudonormals
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.spatial.signed_distance import SignedDistance
 from voxtool.svo.booleans import combine
+from voxtool.svo.morphology import plan_morph
+from voxtool.svo.octree import Octree
 from voxtool.svo.raycast import cast, depths
 from voxtool.svo.surface.extract import extract
 from voxtool.svo.surface.isosurface import LATTICE
@@ -190,6 +193,7 @@ def main() -> None:
     device = open_device()
     voxelize_all(device)
     extract_surfaces(device)
+    dilate_voxels(device)
     measure_distances(device)
     find_faces_that_meet(device)
     wind_a_fan(device)
@@ -307,6 +311,17 @@ def voxelize_all(device) -> None:
     mesh, grid = Mesh(vertices, faces.astype(np.int32)), Grid((8, 8, 72), (0, 0, 0), (1, 1, 1))
     tall = plan_voxelize(mesh, grid, fill="flood", device=device)
     assert tall.with_(slabs=2).run().count == tall.run().count
+
+
+def dilate_voxels(device) -> None:
+    """A dilation of voxels that are no cubes, over two tiles along x, a few tiles at a time."""
+    dense = np.zeros((35, 5, 5), bool)
+    dense[[2, 32], 4, 4] = dense[20, 2:4, 2] = True
+    octree = Octree.from_dense(dense, pitch=(0.0625, 1, 1))
+    job = plan_morph(octree, "dilate", 1.125, world=True, device=device).with_(batch=7)
+    padded = np.pad(dense, 18)
+    distance = np.asarray(ndimage.distance_transform_edt(~padded, sampling=octree.grid.pitch))
+    assert job.run().count == np.count_nonzero(distance <= 1.125)
 
 
 def measure_distances(device) -> None:

@@ -17,9 +17,11 @@ from voxtool.api.octrees import combine as combine
 from voxtool.api.octrees import deviation as deviation
 from voxtool.api.octrees import diagnose as diagnose
 from voxtool.api.octrees import extract as extract
+from voxtool.api.octrees import morph as morph
 from voxtool.api.octrees import normalize as normalize
 from voxtool.api.octrees import plan_combine as plan_combine
 from voxtool.api.octrees import plan_extract as plan_extract
+from voxtool.api.octrees import plan_morph as plan_morph
 from voxtool.api.octrees import plan_voxelize as plan_voxelize
 from voxtool.api.octrees import voxelize as voxelize
 from voxtool.api.pictures import build_tet as build_tet
@@ -74,6 +76,7 @@ from voxtool.rendering import camera_for as camera_for
 from voxtool.report import Report as Report
 from voxtool.spatial.signed_distance import DistanceResult as DistanceResult
 from voxtool.svo.booleans import CombineJob as CombineJob
+from voxtool.svo.morphology import MorphJob as MorphJob
 from voxtool.svo.octree import Octree as Octree
 from voxtool.svo.surface.extract import ExtractJob as ExtractJob
 from voxtool.svo.surface.isosurface import Isosurface as Isosurface

@@ -13,6 +13,8 @@ MODES = ("surface26", "surface6", "solid")  # of voxelization
 DEFAULT_MODE = "solid"
 FILLS = ("auto", "parity", "nonzero", "winding", "flood")  # rules that decide what is inside
 OPERATIONS = ("union", "intersection", "difference", "xor")  # on sets of voxels
+MORPHOLOGY = ("dilate", "erode", "open", "close", "shell")  # operations
+ELEMENTS = ("ball", "cube", "cross")  # by which voxels are dilated
 STYLES = ("marching-cubes", "voxel-faces", "surface-nets")  # of extracted surfaces
 MARCHING_CUBES, VOXEL_FACES, SURFACE_NETS = STYLES
 # Names of version 0.1, which are still taken, and which digests still hold.

@@ -61,6 +61,7 @@ BASES = {
     "voxelize": ("a.obj", "--dim", "16"),
     "diagnose": ("a.obj", "--dim", "16"),
     "svo-info": ("a.svo.h5",),
+    "morph": ("a.svo.h5", "--dilate", "1"),
     "extract": ("a.svo.h5",),
     "distance": ("a.obj", "a.csv"),
     "adf-build": ("a.obj", "--max-level", "3"),

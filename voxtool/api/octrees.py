@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, TypeVar
 
 from voxtool import report
-from voxtool.choices import DEFAULT_MODE, FILLS, NORMALIZED, OPERATIONS, STYLES
+from voxtool.choices import DEFAULT_MODE, ELEMENTS, FILLS, NORMALIZED, OPERATIONS, STYLES
 from voxtool.errors import GridError
 from voxtool.files import read_svo
 from voxtool.files.mesh import as_mesh
@@ -18,9 +18,10 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
 from voxtool.report import Report
 from voxtool.spatial import deviation as deviations
-from voxtool.svo import booleans
+from voxtool.svo import booleans, morphology
 from voxtool.svo import voxelize as svo
 from voxtool.svo.booleans import CombineJob
+from voxtool.svo.morphology import MorphJob
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface import extract as surfaces
 from voxtool.svo.surface.extract import ExtractJob
@@ -246,6 +247,74 @@ def plan_combine(
 
 
 combine = one_call(plan_combine, "combine", Octree)
+
+
+def plan_morph(
+    octree: Octree | Path,
+    operation: str,
+    radius: float,
+    *,
+    world: bool = False,
+    shape: str = ELEMENTS[0],
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> MorphJob:
+    """Dilate, erode, open, close or hollow a set of voxels, exactly.
+
+    Parameters
+    ----------
+    octree
+        an Octree or a path.
+    operation
+        "dilate" (the voxels within the radius of a set one), "erode" (without those within the
+        radius of an unset one), "open" (eroded, then dilated), "close" (dilated, then eroded), or
+        "shell" (only those within the radius of an unset one). All beyond the grid is unset.
+    radius
+        in voxels, from centre to centre; up to 128 voxels. Squares are compared exactly, of the
+        number as it is given.
+    world
+        the radius is in world units; voxels need not be cubes.
+    shape
+        what is within the radius: "ball" (by Euclidean distance), "cube" (by the largest distance
+        along an axis), or "cross" (along the axes only).
+    device, max_memory
+        as voxelize.
+
+    Returns
+    -------
+    Octree
+        of mode "solid" and fill "none"; plan_morph returns the job, whose `run` returns it. Its
+        grid is the octree's; a dilation that reaches beyond it grows it on that side, at the low
+        sides by multiples of 16 voxels.
+
+    Raises
+    ------
+    VoxtoolError
+        an argument is out of range.
+    MemoryLimitError
+        the result would not fit. DeviceError : no usable device.
+
+    Warns
+    -----
+    MeshWarning
+        no voxel is left.
+
+    References
+    ----------
+    [Serra 1982]
+
+    Examples
+    --------
+    >>> closed = voxtool.morph(octree, "close", 8)
+    >>> wall = voxtool.morph(octree, "shell", 1.5, world=True)
+    """
+    return morphology.plan_morph(
+        opened(octree, read_svo), operation, radius, world=world, shape=shape, device=device,
+        max_memory=max_memory,
+    )  # fmt: skip
+
+
+morph = one_call(plan_morph, "morph", Octree)
 
 
 def diagnose(

@@ -108,6 +108,13 @@ def positive_of(text: str) -> float:
     return number
 
 
+def radius_of(text: str) -> float:
+    """Return a number that is not negative."""
+    if (number := numbers_of(text, 1)[0]) < 0:
+        raise ValueError
+    return number
+
+
 def bytes_of(text: str) -> int:
     """Return the number of bytes in 800000000, 800M or 8G."""
     text = text.upper().removesuffix("B").removesuffix("I")
@@ -156,6 +163,7 @@ def colour_of(text: str) -> tuple[float, ...]:
 
 
 POSITIVE = Parsed("number", positive_of, " is no positive number")
+RADIUS = Parsed("radius", radius_of, " is no radius: give 0 or more")
 BYTES = Parsed("bytes", bytes_of, " is no number of bytes: write 800M or 8G")
 LEVEL = Parsed(
     "level",

@@ -32,6 +32,7 @@ HOMES = {
     "svo/fill/flood.h": "voxtool.svo.fill.pieces",
     "svo/fill/rows.h": "voxtool.svo.fill.rows",
     "svo/fill/winding.h": "voxtool.svo.fill.winding",
+    "svo/morphology.h": "voxtool.svo.morphology",
     "svo/octree.h": "voxtool.svo.layout",
     "svo/raycast.h": "voxtool.svo.raycast",
     "svo/scan.h": "voxtool.svo.scan",

@@ -1,0 +1,284 @@
+"""Morphology: dilation, erosion, opening, closing and shells of sets of voxels ([Serra 1982]).
+
+A set is dilated by a structuring element: a ball, a cube or a cross around each of its voxels. The
+element is a table of widths: of its rows along x, the steps that they reach to either side. They
+follow from the squares of the radius and the pitch as rational numbers, so an element is exact.
+Rows of tiles are grown along x by every width that the element has, then the rows around each row
+are united. Only tiles that the boundary can reach are examined; FULL and empty nodes stay leaves.
+
+An erosion is the dilation of the complement, to which all that lies beyond the grid belongs.
+Kernels: kernels/svo/morphology.cl.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+
+from voxtool.choices import ELEMENTS, MORPHOLOGY
+from voxtool.errors import LESS, MemoryLimitError, VoxtoolError
+from voxtool.grid import Grid
+from voxtool.job import Cost, Job
+from voxtool.opencl import Device, default_device, program
+from voxtool.svo.layout import BRICK, BRICK_BYTES
+from voxtool.svo.octree import Octree
+from voxtool.svo.tiling import BRICKS, TILE, Tiling
+
+SOURCE = "svo/morphology.cl"
+NONE = 0xFFFFFFFF  # instead of the index of a tile
+MAX_REACH = 128  # voxels
+SCRATCH = 1 << 25  # bytes of grown rows at once
+TILE_BYTES = 2 * BRICK_BYTES * BRICKS  # bricks and rows
+HEADERS = {"svo/morphology.h": program.c_constants(TILE=TILE, NONE=NONE)}
+
+
+@dataclass(frozen=True)
+class Element:
+    """A structuring element.
+
+    Attributes
+    ----------
+    reach : (3,) int
+        The farthest voxel along each axis.
+    widths : (reach[2] + 1, reach[1] + 1) int32
+        By steps along z and y: the steps that a row reaches along x, -1 where there is none.
+    """
+
+    reach: tuple[int, int, int]
+    widths: np.ndarray
+
+    @classmethod
+    def of(cls, shape: str, radius: float, pitch: tuple[float, ...]) -> Element:
+        """Return the element of a shape and a radius; a voxel belongs to it if its centre is within
+        the radius, which is in the unit of the pitch.
+
+        "ball": by Euclidean distance. "cube": by the largest distance along an axis. "cross": the
+        voxels along the axes.
+
+        Raises
+        ------
+        VoxtoolError
+            If the shape is unknown, or the radius is negative, not finite, or beyond MAX_REACH.
+        """
+        if shape not in ELEMENTS:
+            raise VoxtoolError(f"shape {shape!r} is unknown: choose one of {', '.join(ELEMENTS)}")
+        if not (math.isfinite(radius) and radius >= 0):
+            raise VoxtoolError(f"radius {radius:g} is no length: give 0 or more")
+        r, (px, py, pz) = Fraction(radius), map(Fraction, pitch)
+        nx, ny, nz = reach = tuple(math.floor(r / p) for p in (px, py, pz))
+        if max(reach) > MAX_REACH:
+            raise VoxtoolError(
+                f"radius {radius:g} reaches {max(reach):,} voxels, of {MAX_REACH} allowed: "
+                "choose a smaller radius, or voxelize with a smaller dim"
+            )
+        widths = np.full((nz + 1, ny + 1), -1, np.int32)
+        if shape == "cube":
+            widths[:] = nx
+        elif shape == "cross":
+            widths[0], widths[:, 0], widths[0, 0] = 0, 0, nx
+        else:
+            for k in range(nz + 1):
+                for j in range(ny + 1):
+                    left = r * r - (py * j) ** 2 - (pz * k) ** 2
+                    if left >= 0:
+                        widths[k, j] = math.isqrt(math.floor(left / (px * px)))
+        return cls((nx, ny, nz), widths)
+
+    @property
+    def halo(self) -> tuple[int, int, int]:
+        """The farthest tile along each axis."""
+        x, y, z = (-(-n // TILE) for n in self.reach)
+        return x, y, z
+
+    @property
+    def scratch(self) -> int:
+        """Bytes that the dilation of a tile takes for a while."""
+        (nx, ny, nz), around = self.reach, math.prod(2 * n + 1 for n in self.halo)
+        return 2 * (nx + 1) * (TILE + 2 * ny) * (TILE + 2 * nz) + 4 * around + TILE_BYTES
+
+
+def dilate(device: Device, voxels: Tiling, element: Element, batch: int) -> Tiling:
+    """Return a set of voxels dilated by an element, `batch` tiles at a time."""
+    codes = voxels.boundary()
+    wanted = voxels.reached(codes, element.halo)
+    bricks = np.empty((len(wanted), BRICKS), BRICK)
+    rows = device.empty(TILE**2 * len(codes), np.uint16)
+    near, kernel = device.put(codes), device.kernel
+    kernel(SOURCE, "rows_of_bricks", CODE="ulong")(
+        rows.size, device.put(voxels.bricks_of(codes)), rows
+    )
+    widths, (_, ny, nz) = device.put(element.widths), element.reach
+    around = math.prod(2 * n + 1 for n in element.halo)
+    for first in range(0, len(wanted), batch):
+        chosen = wanted[first : first + batch]
+        n, lines = len(chosen), (TILE + 2 * ny) * (TILE + 2 * nz)
+        beside = device.empty(around * n, np.uint32)
+        kernel(SOURCE, "find_beside", CODE="ulong")(
+            beside.size, near, len(codes), device.put(chosen), element.halo, beside
+        )
+        grown = device.empty((element.reach[0] + 1) * lines * n, np.uint16)
+        grow = kernel(SOURCE, "grow_rows", CODE="ulong")
+        grow(lines * n, rows, beside, element.halo, element.reach, grown)
+        united, found = device.empty(TILE**2 * n, np.uint16), device.empty(BRICKS * n, BRICK)
+        kernel(SOURCE, "unite_rows", CODE="ulong")(TILE * n, grown, widths, element.reach, united)
+        kernel(SOURCE, "bricks_of_rows", CODE="ulong")(found.size, united, found)
+        bricks[first : first + n] = found.take().reshape(n, BRICKS)
+    return Tiling(voxels.corner, wanted, bricks, voxels.full).normal()
+
+
+def erode(device: Device, voxels: Tiling, element: Element, batch: int) -> Tiling:
+    """Return a set of voxels eroded by an element, `batch` tiles at a time."""
+    return dilate(device, voxels.complement(), element, batch).complement()
+
+
+@dataclass(frozen=True)
+class MorphPlan:
+    """The decisions of a morphological operation."""
+
+    operation: str
+    radius: float
+    world: bool  # whether the radius is in world units
+    shape: str
+    element: Element
+    grid: Grid  # of the result
+    low: tuple[int, int, int]  # where it begins, counted from the octree's grid
+    tiles: int  # that hold the boundary
+    batch: int  # tiles that are dilated at once
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages that will run, in order."""
+        passes = {"dilate": 1, "erode": 1, "shell": 1, "open": 2, "close": 2}[self.operation]
+        first = {"dilate": "dilate", "close": "dilate"}.get(self.operation, "erode")
+        second = "erode" if first == "dilate" else "dilate"
+        return [*(first, second)[:passes], "build"]
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """The parts that are not compiled, allocated or run, each with the reason."""
+        out = {"nodes away from the boundary": "they stay leaves"}
+        if self.low == (0, 0, 0):
+            out["voxels before the grid"] = "the result does not reach them"
+        return out
+
+    @property
+    def cost(self) -> Cost:
+        """The predicted bytes."""
+        reached = self.tiles * (1 + 2 * max(self.element.halo))
+        batch = min(self.batch, max(reached, 1)) * self.element.scratch
+        held = self.tiles * TILE_BYTES
+        return Cost(
+            device=held + batch, host=3 * reached * TILE_BYTES, largest=max(held // 2, batch)
+        )
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Raise MemoryLimitError if the operation needs more bytes."""
+        if shortage := self.cost.shortage(max_memory, max_allocation):
+            raise MemoryLimitError(f"to {self.operation} by {self.radius:g} {shortage}: {LESS}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """The whole plan in JSON types."""
+        return {
+            **{name: getattr(self, name) for name in ("operation", "radius", "world", "shape")},
+            "reach": list(self.element.reach),
+            "grid": list(self.grid.shape),
+            "low": list(self.low),
+            "stages": self.stages,
+            "left_out": self.left_out,
+            "predicted_tiles": self.tiles,
+            "predicted_device_bytes": self.cost.device,
+        }
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Names and texts that `--plan` prints before the stages."""
+        unit = "in world units" if self.world else "voxels"
+        shape = " x ".join(map(str, self.grid.shape))
+        return [
+            ("operation", f"{self.operation} by a {self.shape} of radius {self.radius:g} {unit}"),
+            ("tiles", f"{self.tiles:,} of {TILE} x {TILE} x {TILE} voxels hold the boundary"),
+            ("grid", f"{shape} voxels, from voxel {', '.join(map(str, self.low))} on"),
+        ]
+
+
+def plan_morph(
+    octree: Octree,
+    operation: str,
+    radius: float,
+    *,
+    world: bool = False,
+    shape: str = ELEMENTS[0],
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> MorphJob:
+    """Return the planned job of `morph`; see `voxtool.morph`."""
+    if operation not in MORPHOLOGY:
+        raise VoxtoolError(
+            f"operation {operation!r} is unknown: choose one of {', '.join(MORPHOLOGY)}"
+        )
+    element = Element.of(shape, float(radius), octree.grid.pitch if world else (1.0, 1.0, 1.0))
+    voxels = Tiling.of(octree, max(element.reach))
+    low = high = np.zeros(3, np.int64)
+    bounds = voxels.bounds()
+    if operation == "dilate" and bounds is not None:
+        low = np.minimum(bounds[0] - element.reach, 0) // TILE * TILE
+        high = np.maximum(bounds[1] + element.reach - octree.grid.shape, 0)
+    grid = octree.grid.window(low.tolist(), (octree.grid.shape + high - low).tolist())
+    x, y, z = low.tolist()
+    plan = MorphPlan(
+        operation, float(radius), world, shape, element, grid, (x, y, z),
+        len(voxels.boundary()), max(SCRATCH // element.scratch, 1),
+    )  # fmt: skip
+    return MorphJob(octree, voxels, plan, device or default_device(), max_memory)
+
+
+class MorphJob(Job[Octree]):
+    """A planned morphological operation.
+
+    Attributes
+    ----------
+    octree : Octree
+        The voxels that are changed.
+    plan : MorphPlan
+        The decisions.
+    """
+
+    plan: MorphPlan
+    device: Device
+
+    def __init__(
+        self,
+        octree: Octree,
+        voxels: Tiling,
+        plan: MorphPlan,
+        device: Device,
+        max_memory: int | None,
+    ) -> None:
+        self.octree, self._voxels = octree, voxels
+        self.plan, self.device, self.max_memory = plan, device, max_memory
+
+    def _run(self) -> Octree:
+        plan, voxels = self.plan, self._voxels
+        for stage in plan.stages[:-1]:
+            with self.device.stage(stage):
+                change = dilate if stage == "dilate" else erode
+                voxels = change(self.device, voxels, plan.element, plan.batch)
+        with self.device.stage("build"):
+            if plan.operation == "shell":
+                voxels = self._voxels.intersection(voxels.complement())
+            octree = self.octree
+            return voxels.octree(plan.grid, np.array(plan.low), octree.units, octree.transform)
+
+    def findings(self, result: Octree) -> Iterator[str]:
+        """Yield why the result is empty."""
+        if not self.octree.count:
+            yield "no voxel is set, so none is changed: see `voxtool svo-info`"
+        elif not result.count:
+            yield (
+                f"no voxel is left: every one lies within {self.plan.radius:g} of the outside: "
+                "choose a smaller radius"
+            )

@@ -1,0 +1,217 @@
+"""Sets of voxels as tiles of 16 x 16 x 16, in a frame around a grid: what morphology works on.
+
+The frame is a cube four times as wide as the cube around the grid, which lies at a quarter of it
+along each axis, so that a set can grow beyond the grid and its complement has a place. A tile is a
+node of level 2. A set is its mixed tiles, as bricks, and its FULL leaves, nodes of level 2 and
+above that are wholly set.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from voxtool.grid import Grid
+from voxtool.memory import check_memory
+from voxtool.morton import morton_decode, morton_encode
+from voxtool.svo.layout import BRICK, BRICK_SIDE, descend, unpack_bricks
+from voxtool.svo.octree import Octree
+from voxtool.svo.prune import ALL_VOXELS, octree_of_bricks
+
+LEVEL = 2  # of tiles
+TILE = BRICK_SIDE << LEVEL  # voxels along a side
+BRICKS = 8**LEVEL  # of a tile
+AXES = np.eye(3, dtype=np.int64)
+BRICK_CELLS = morton_decode(np.arange(BRICKS, dtype=np.uint64))
+
+
+@dataclass(frozen=True)
+class Tiling:
+    """A set of voxels.
+
+    Attributes
+    ----------
+    corner : int
+        Where the grid begins along each axis of the frame, in voxels: a power of two.
+    codes : (n,) uint64
+        Ascending Morton codes of the mixed tiles.
+    bricks : (n, 64) uint64
+        Their bricks, in Morton order.
+    full : list of (m,) uint64
+        Morton codes of the FULL leaves, by level from the tiles' to that of the frame.
+    """
+
+    corner: int
+    codes: np.ndarray
+    bricks: np.ndarray
+    full: list[np.ndarray]
+
+    @property
+    def side(self) -> int:
+        """Tiles along a side of the frame."""
+        return 1 << (len(self.full) - 1)
+
+    @classmethod
+    def of(cls, octree: Octree, reach: int) -> Self:
+        """Return the set of an octree, in a frame with room for it to grow by `reach` voxels."""
+        room = TILE * (-(-reach // TILE) + 1)
+        corner = max(octree.grid.side, 1 << (room - 1).bit_length())
+        levels = (4 * corner // TILE).bit_length()
+        full = [np.empty(0, np.uint64) for _ in range(levels)]
+        bricks, masks = [], []
+        for level in octree.levels():
+            place = np.uint64(morton_encode(np.full((1, 3), corner // level.side))[0])
+            if level.number >= LEVEL:
+                full[level.number - LEVEL] = level.codes[level.inside] | place
+                continue
+            chosen = level.inside if level.number else octree.bricks != 0
+            bricks.append(descend(level.codes[chosen] | place, level.number))
+            masks.append(
+                np.full(len(bricks[-1]), ALL_VOXELS) if level.number else octree.bricks[chosen]
+            )
+        found = np.concatenate(bricks)
+        codes = np.unique(found >> np.uint64(3 * LEVEL))
+        tiles = np.zeros((len(codes), BRICKS), BRICK)
+        places = np.searchsorted(codes, found >> np.uint64(3 * LEVEL))
+        tiles[places, (found & np.uint64(BRICKS - 1)).astype(np.int64)] = np.concatenate(masks)
+        return cls(corner, codes, tiles, full).normal()
+
+    def normal(self) -> Self:
+        """Return the same set without tiles that are empty or FULL among the mixed ones."""
+        empty, whole = (self.bricks == 0).all(axis=1), (self.bricks == ALL_VOXELS).all(axis=1)
+        mixed = ~(empty | whole)
+        if mixed.all():
+            return self
+        full = [np.sort(np.concatenate([self.full[0], self.codes[whole]])), *self.full[1:]]
+        return type(self)(self.corner, self.codes[mixed], self.bricks[mixed], full)
+
+    def complement(self) -> Self:
+        """Return the set of the frame's other voxels."""
+        held, full = self.codes, []
+        for leaves in self.full[:-1]:
+            held = np.concatenate([held, leaves])
+            parents = np.unique(held >> np.uint64(3))
+            children = descend(parents)
+            full.append(children[~np.isin(children, held)])
+            held = parents
+        root = np.zeros(0 if len(held) or len(self.full[-1]) else 1, np.uint64)
+        return type(self)(self.corner, self.codes, ~self.bricks, [*full, root])
+
+    def is_full(self, codes: np.ndarray, level: int = 0) -> np.ndarray:
+        """Return which nodes, `level` levels above the tiles, lie in a FULL leaf."""
+        found = np.zeros(len(codes), bool)
+        for above, leaves in enumerate(self.full[level:]):
+            found |= np.isin(codes >> np.uint64(3 * above), leaves)
+        return found
+
+    def bricks_of(self, codes: np.ndarray) -> np.ndarray:
+        """Return the bricks of tiles, (n, 64) uint64."""
+        bricks = np.zeros((len(codes), BRICKS), BRICK)
+        places = np.searchsorted(self.codes, codes)
+        mixed = np.append(self.codes, ~np.uint64(0))[places] == codes
+        bricks[mixed] = self.bricks[places[mixed]]
+        bricks[self.is_full(codes)] = ALL_VOXELS
+        return bricks
+
+    def boundary(self) -> np.ndarray:
+        """Return the ascending codes of the tiles that hold every voxel of the set with an unset
+        voxel beside a face: mixed ones, and FULL ones beside a tile that is not."""
+        kept = np.empty(0, np.uint64)
+        for level in range(len(self.full) - 1, -1, -1):
+            nodes = np.concatenate([descend(kept), self.full[level]])
+            cells, side = morton_decode(nodes), self.side >> level
+            bare = np.zeros(len(nodes), bool)
+            for step in (*AXES, *-AXES):
+                beside = cells + step
+                within = ((beside >= 0) & (beside < side)).all(axis=1)
+                bare[within] |= ~self.is_full(morton_encode(beside[within]), level)
+            kept = nodes[bare]
+        return np.sort(np.concatenate([self.codes, kept]))
+
+    def reached(self, codes: np.ndarray, halo: tuple[int, ...]) -> np.ndarray:
+        """Return the ascending codes of the tiles that are not FULL, up to `halo` tiles along each
+        axis from those of the codes."""
+        for axis in range(3):
+            steps = np.arange(-halo[axis], halo[axis] + 1)[:, None, None] * AXES[axis]
+            cells = (morton_decode(codes) + steps).reshape(-1, 3)
+            within = (cells[:, axis] >= 0) & (cells[:, axis] < self.side)
+            codes = np.unique(morton_encode(cells[within]))
+        return codes[~self.is_full(codes)]
+
+    def intersection(self, other: Self) -> Self:
+        """Return the voxels that are in both sets."""
+        codes = np.union1d(self.codes, other.codes)
+        full = [
+            np.union1d(own[other.is_full(own, level)], others[self.is_full(others, level)])
+            for level, (own, others) in enumerate(zip(self.full, other.full, strict=True))
+        ]
+        bricks = self.bricks_of(codes) & other.bricks_of(codes)
+        return type(self)(self.corner, codes, bricks, full).normal()
+
+    def bounds(self) -> np.ndarray | None:
+        """Return the low and the high corner of the box around the set, (2, 3) int64 voxels counted
+        from the grid's corner; None for an empty set."""
+        boxes = []
+        for level, leaves in enumerate(self.full):
+            if len(leaves):
+                cells, side = morton_decode(leaves), TILE << level
+                boxes.append((cells.min(axis=0) * side, (cells.max(axis=0) + 1) * side))
+        if len(self.codes):
+            cells = morton_decode(self.codes)
+            ends = [(self._end(cells, axis, 0), self._end(cells, axis, -1)) for axis in range(3)]
+            boxes.append(np.transpose(ends))
+        if not boxes:
+            return None
+        low, high = np.transpose(boxes, (1, 0, 2))
+        return np.stack([low.min(axis=0), high.max(axis=0)]) - self.corner
+
+    def _end(self, cells: np.ndarray, axis: int, end: int) -> int:
+        """Return the first voxel of the mixed tiles along an axis, or behind the last one."""
+        at = cells[:, axis].min() if end == 0 else cells[:, axis].max()
+        held = np.bitwise_or.reduce(self.bricks[cells[:, axis] == at], axis=0)
+        brick, *local = np.nonzero(unpack_bricks(held))
+        places = TILE * at + BRICK_SIDE * BRICK_CELLS[brick, axis] + local[axis]
+        return int(places.min() if end == 0 else places.max() + 1)
+
+    def octree(
+        self, grid: Grid, low: np.ndarray, units: str = "", transform: tuple[float, ...] = ()
+    ) -> Octree:
+        """Return the set as an octree, with mode "solid" and fill "none".
+
+        Parameters
+        ----------
+        grid : Grid
+            The grid of the result, which holds the whole set.
+        low : (3,) int
+            Where it begins, in voxels counted from this set's grid: multiples of TILE.
+        units, transform : str, tuple
+            As in Octree.
+
+        Raises
+        ------
+        MemoryLimitError
+            If the leaves, divided because they no longer lie at multiples of their side, do not fit
+            in memory.
+        """
+        first = (self.corner + np.asarray(low)) // TILE
+        full, split = [], np.empty(0, np.uint64)
+        for level in range(len(self.full) - 1, -1, -1):
+            check_memory(8 * 24 * len(split), f"leaves of {TILE << level} voxels a side")
+            leaves = np.concatenate([self.full[level], descend(split)])
+            if (first % (1 << level)).any():
+                split = leaves
+                continue
+            full.append(np.sort(morton_encode(morton_decode(leaves) - (first >> level))))
+            split = leaves[:0]
+        codes = morton_encode(morton_decode(self.codes) - first)
+        order = np.argsort(codes)
+        masks = self.bricks[order].ravel()
+        held = np.flatnonzero(masks)
+        bricks = descend(codes[order], LEVEL)[held]
+        top = (grid.side // BRICK_SIDE).bit_length() - 1
+        none = codes[:0]
+        by_level = [none, *full[::-1], *[none] * top][:top]
+        arrays = octree_of_bricks(grid.side, bricks, masks[held], by_level, collapse=True)
+        return Octree(grid, "solid", "none", *arrays, units=units, transform=transform)
