@@ -13,7 +13,7 @@ from helpers_tets import SIX, grid_corners, grid_points, ramp, rays_of, tet_mesh
 from voxtool.choices import METHODS
 from voxtool.errors import VoxtoolError
 from voxtool.rendering import plan_render, render
-from voxtool.selftest.isosurfaces import isosurfaces
+from voxtool.selftest.isosurfaces import brightness, isosurfaces, rises
 from voxtool.tets.textures import build_tet
 from voxtool.tets.transfer import TransferFunction
 
@@ -103,6 +103,35 @@ def test_surfaces_have_no_cracks(lanes: int, method: str, device: Device) -> Non
             assert (found[inside, 3] == 0.5).all()
             # a convex outline: each row is one run without a gap
             assert (np.abs(np.diff(inside.astype(int), axis=1)).sum(axis=1) <= 2).all()
+
+
+@both_methods
+@pytest.mark.parametrize("fov", [None, 30])
+def test_a_ray_through_edges_that_have_the_isovalue(fov, method: str, device: Device) -> None:
+    """The middle ray enters and leaves the box by edges, whose scalar there is the isovalue. It may
+    meet the surface in any cell at these edges, or miss it, as rays do that differ by rounding; the
+    two ends are rounded apart."""
+    mesh, cells = shaken(), shaken().cells[0][1]
+    rays = rays_of(mesh, "front", fov, (31, 23))
+    found = render(
+        volume_of(False, "raycast", device), rays, isovalues=(0.3,), opacity=0.5, colour=ORANGE,
+        method=method, device=device,
+    )  # fmt: skip
+    ends = []
+    for z in (1, -1):
+        x, y = mesh.points[:, 0], mesh.points[:, 1]
+        edge = (mesh.points[:, 2] == z) & (np.abs(x) < 1e-9) & (np.abs(y) < 0.3)
+        beside = cells[edge[cells].sum(axis=1) == 2]
+        gradients = rises(mesh.points[beside], np.asarray(mesh.scalars)[beside])
+        shades = brightness(gradients, np.tile(rays.direction, (len(beside), 1)), rays)
+        ends.append([(0.0, 0.0), *((shade, 0.5) for shade in shades)])
+        assert len(beside) == 3
+    right = [
+        (near_alpha * near + (1 - near_alpha) * alpha * far, 1 - (1 - near_alpha) * (1 - alpha))
+        for near, near_alpha in ends[0]
+        for far, alpha in ends[1]
+    ]
+    assert np.abs(found[11, 15, [0, 3]] - right).max(axis=1).min() < 2e-5
 
 
 @both_methods
