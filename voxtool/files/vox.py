@@ -25,6 +25,7 @@ from voxtool.svo.image import VoxelImage
 
 MAGIC, VERSION = b"VOX ", 150
 MODEL_SIDE = 256  # voxels along a side of a model, at most
+LAYERS = 16  # of a model that are listed at once
 BLOCK = 32  # cells along a side of what a model is put together from
 WORLD_SIDE = 2000  # voxels along a side of MagicaVoxel's world
 MOST_BYTES = (1 << 31) - 1  # that a chunk counts
@@ -139,9 +140,14 @@ class _Scene:
     def model(self, values: np.ndarray) -> int:
         """Write a model of the set values, and return its number."""
         self.chunk(b"SIZE", struct.pack("<3i", *values.shape))
-        voxels = np.full((np.count_nonzero(values), 4), COLOUR, np.uint8)
-        voxels[:, :3] = np.stack(np.nonzero(values), axis=1)
-        self.chunk(b"XYZI", struct.pack("<i", len(voxels)), voxels.tobytes())
+        count = np.count_nonzero(values)
+        self.open_chunk(b"XYZI", 4 + 4 * count)
+        self.file.write(struct.pack("<i", count))
+        for first in range(0, len(values), LAYERS):
+            x, y, z = np.nonzero(values[first : first + LAYERS])
+            voxels = np.full((len(x), 4), COLOUR, np.uint8)
+            voxels[:, 0], voxels[:, 1], voxels[:, 2] = x + first, y, z
+            self.file.write(voxels.data)
         self.models += 1
         return self.models - 1
 
@@ -163,8 +169,11 @@ class _Scene:
             self.chunk(b"nSHP", struct.pack("<5i", node + 1, 0, 1, model, 0))
         self.chunk(b"RGBA", PALETTE)
 
+    def open_chunk(self, name: bytes, size: int) -> None:
+        self.file.write(struct.pack("<4sii", name, size, 0))
+
     def chunk(self, name: bytes, *content: bytes) -> None:
-        self.file.write(struct.pack("<4sii", name, sum(map(len, content)), 0))
+        self.open_chunk(name, sum(map(len, content)))
         for part in content:
             self.file.write(part)
 
