@@ -8,7 +8,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from voxtool.selftest import arithmetic, digests, exchange, fields, pages, volumes, voxels
+from voxtool.selftest import (
+    arithmetic,
+    digests,
+    exchange,
+    fields,
+    morphology,
+    pages,
+    volumes,
+    voxels,
+)
 from voxtool.selftest.case import Case, Outcome
 
 if TYPE_CHECKING:
@@ -19,6 +28,7 @@ if TYPE_CHECKING:
 CASES: tuple[Case, ...] = (
     *arithmetic.CASES,
     *voxels.CASES,
+    *morphology.CASES,
     *fields.CASES,
     *volumes.CASES,
     *pages.CASES,
