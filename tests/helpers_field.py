@@ -90,3 +90,15 @@ def cells_of(field: DistanceField) -> tuple[np.ndarray, np.ndarray]:
     levels = cell_of(codes)[0]
     leading = np.uint64(1) << (3 * levels).astype(np.uint64)
     return levels, morton_decode(codes ^ leading)
+
+
+def level_sets() -> dict[str, tuple[DistanceField, dict[str, Any], tuple[int, int, int]]]:
+    """Return fields, the options of their level sets, and the shape of the samples to compare."""
+    place: dict[str, Any] = {"origin": (-3.7, 0.1, 12.0), "side": 2.3}
+    sphere_field = plain_field(**place, units="mm")
+    half = plain_field(lambda points: points[:, 0] - 0.9, **place)  # few leaves, and large tiles
+    return {
+        "default": (sphere_field, {}, (32, 32, 32)),
+        "fine": (sphere_field, {"spacing": 2.3 / 75.3, "band": 1.5}, (75, 75, 75)),
+        "half": (half, {"spacing": 2.3 / 280, "band": 4}, (280, 20, 20)),  # a part of it
+    }

@@ -1,10 +1,12 @@
 """NanoVDB's grids against NanoVDB's own code, in Warp."""
 
+import struct
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers_field import level_sets
 from helpers_octree import WORLD, ball
 
 import voxtool
@@ -13,6 +15,7 @@ from voxtool.svo.image import VoxelImage
 
 wp: Any = pytest.importorskip("warp")
 wp.config.quiet = True
+CASES = level_sets()
 LARGE = np.zeros((264, 16, 16), bool)
 LARGE[:, 3:] = ball((264, 13, 16), 0.03) | (np.arange(264) > 200)[:, None, None]
 SHAPES = {
@@ -59,3 +62,30 @@ def test_warp_reads_the_same(shape: str, options: dict[str, Any], tmp_path: Path
 def test_types_are_refused(tmp_path: Path) -> None:
     with pytest.raises(VoxtoolError, match=r"\.nvdb holds float32, not bool"):
         voxtool.export(voxtool.Octree.from_dense(LARGE), tmp_path / "a.nvdb", level=1, dtype="bool")
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_warp_reads_level_sets(name: str, tmp_path: Path) -> None:
+    """Every sample: the distance, and beyond the band the background with its sign."""
+    field, options, shape = CASES[name]
+    path = tmp_path / "a.nvdb"
+    job = voxtool.plan_export(field, path, **options)
+    assert job.run() <= job.plan.size
+    spacing = options.get("spacing", field.side / 32)
+    background = np.float32(options.get("band", 3) * spacing)
+    steps = np.indices(shape).reshape(3, -1).T
+    first = np.array(field.origin) + spacing / 2
+    distances = voxtool.query_adf(field, first + spacing * steps).distance.astype(np.float32)
+    volume = wp.Volume.load_from_nvdb(path.read_bytes(), device="cpu")
+    info = volume.get_grid_info()
+    assert np.allclose(info.translation, first, rtol=1e-6, atol=0)
+    active, kind = struct.unpack_from("<Q4xI", path.read_bytes(), 40)
+    assert kind == 1  # level set
+    if name != "half":  # of which a part is looked at
+        assert active == np.count_nonzero(abs(distances) < background)
+    cells = np.concatenate([steps, [[-5, 0, 0], [5000, 7, 7]]]).astype(np.int32)
+    found = wp.zeros(len(cells), dtype=float, device="cpu")
+    inputs = [volume.id, wp.array(cells, dtype=wp.vec3i, device="cpu"), found]
+    wp.launch(look_up, len(cells), inputs, device="cpu")
+    wanted = distances.clip(-background, background)
+    assert np.array_equal(found.numpy(), [*wanted, background, background])

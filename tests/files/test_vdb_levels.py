@@ -8,23 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers_field import plain_field
+from helpers_field import level_sets, plain_field
 from helpers_octree import ball
 from helpers_openvdb import openvdb
 
 import voxtool
 from voxtool.adf import narrow_band
-from voxtool.adf.field import DistanceField
 from voxtool.errors import VoxtoolError
 
-PLACE = {"origin": (-3.7, 0.1, 12.0), "side": 2.3}
-SPHERE = plain_field(**PLACE, units="mm")
-HALF = plain_field(lambda points: points[:, 0] - 0.9, **PLACE)  # few leaves, and large tiles
-CASES: dict[str, tuple[DistanceField, dict[str, Any], tuple[int, int, int]]] = {
-    "default": (SPHERE, {}, (32, 32, 32)),
-    "fine": (SPHERE, {"spacing": PLACE["side"] / 75.3, "band": 1.5}, (75, 75, 75)),
-    "half": (HALF, {"spacing": PLACE["side"] / 280, "band": 4}, (280, 20, 20)),  # a part of it
-}
+CASES = level_sets()
+SPHERE, SIDE = CASES["default"][0], CASES["default"][0].side
 
 
 def test_every_sample(tmp_path: Path) -> None:
@@ -62,7 +55,7 @@ def test_every_sample(tmp_path: Path) -> None:
     [
         ({"band": 0.5}, "a band of 0.5 voxels"),
         ({"spacing": 1.0}, "a spacing of 1: for this field"),
-        ({"spacing": PLACE["side"] / 300}, "takes more than 64 blocks"),
+        ({"spacing": SIDE / 300}, "takes more than 64 blocks"),
         ({"level": 1}, "takes no level"),
         ({"spacing": (0.1, 0.1, 0.2)}, "choose it by a band and one spacing"),
     ],

@@ -94,7 +94,8 @@ def command(
     """Export the voxels of an octree FILE, the distances of a field, or the cells of a volume.
 
     A field (.adf.h5) becomes signed distances at the centres of a grid, by default one over its
-    cube; in a .vdb those near its surface. A volume (.tet.h5) becomes a .vtkhdf of its cells.
+    cube; in a .vdb or .nvdb those near its surface. A volume (.tet.h5) becomes a .vtkhdf of its
+    cells.
     docs/exchange.md has a table of the formats and of what each of them keeps. In the mesh's own
     units, the low corner of a voxel is origin + pitch * voxel.
 

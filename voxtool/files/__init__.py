@@ -229,8 +229,8 @@ def export(
     ----------
     content : Octree, DistanceField, TetVolume or path
         The voxels; or a field, whose signed distances are sampled at the centres of the cells of
-        a grid, in float32; in a .vdb as a level set, for which it needs signs; or a volume, whose
-        cells a .vtkhdf holds with their scalar.
+        a grid, in float32; in a .vdb or .nvdb as a level set, for which it needs signs; or a
+        volume, whose cells a .vtkhdf holds with their scalar.
     path : path
         The file or the folder; `-` writes stdout.
     clobber : bool

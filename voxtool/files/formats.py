@@ -81,7 +81,9 @@ EXCHANGE = {
         "vdb", "grid, coverage; bool or float32; cubes as tiles", levels="vdb_levels", grids=True
     ),
     "vox": Exchange("vox", "grid; which cells are set"),
-    "nvdb": Exchange("nvdb", "place, coverage as float32; cubes as tiles", reads=False),
+    "nvdb": Exchange(
+        "nvdb", "place, coverage as float32; cubes as tiles", levels="nvdb_levels", reads=False
+    ),
     "vtkhdf": Exchange("vtkhdf", "grid, levels, coverage", volumes="vtkhdf_volume"),
     "tif": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True),
     "tiff": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True),

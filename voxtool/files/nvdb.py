@@ -1,6 +1,7 @@
 """Grids of NanoVDB, .nvdb, uncompressed: the tree of a .vdb, laid out for reading in place.
 
-The grid is that of vdb.py: the same cells, tiles and map, of float32. A file has a header, a table
+The grid is that of vdb.py: the same cells, tiles and map, of float32; nvdb_levels.py writes that of
+vdb_levels.py. A file has a header, a table
 of one grid, and the grid: grid, tree, root, then all upper nodes, lower nodes and leaves.
 An entry of a node's table is a tile's value or the distance in bytes to a child.
 [NanoVDB: Museth 2021, doi 10.1145/3450623.3464653; files of version 32.6]
@@ -9,7 +10,7 @@ An entry of a node's table is a tile's value or the distance in bytes to a child
 from __future__ import annotations
 
 import struct
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
 import numpy as np
 
@@ -23,6 +24,7 @@ from voxtool.files.vdb_encode import (
     LOWER_SIDE,
     UPPER,
     UPPER_SIDE,
+    Inside,
     Leaves,
     bits_of,
     corners_of,
@@ -36,9 +38,9 @@ from voxtool.svo.image import VoxelImage
 
 MAGIC, GRID_MAGIC = b"NanoVDB0", b"NanoVDB1"  # of version 32.6: of files, and of grids in new ones
 VERSION = 32 << 21 | 6 << 10
-FOG_VOLUME, BREADTH_FIRST, HAS_BOX = 2, 1 << 5, 2
+LEVEL_SET, FOG_VOLUME = 1, 2  # classes of grids
+BREADTH_FIRST, HAS_BOX = 1 << 5, 2
 FLOAT = 1  # the type of the values
-ONE = int.from_bytes(np.ones(1, "<f4").tobytes(), "little")  # a tile in a table
 HEADER, TABLE, GRID, TREE, ROOT, TILE = 16, 176, 672, 64, 64, 32  # bytes
 UNCHECKED = (1 << 64) - 1  # instead of a checksum
 CHUNK = 1 << 14  # leaves that are written at once
@@ -56,6 +58,25 @@ def node_type(power: int) -> np.dtype:
 LEAF_TYPE = np.dtype([*LEAF_HEAD, ("statistics", "u1", 16), ("values", "<f4", CELLS)])
 
 
+class Content(NamedTuple):
+    """A grid: its class, its place in the world, and its tree.
+
+    The values of the leaves are the bytes of their active cells, or of all with `whole`; None where
+    all active ones are one. What neither a leaf nor a tile holds has the background.
+    """
+
+    kind: int
+    middle: np.ndarray  # (3,) world coordinates of the sample of index 0
+    pitch: np.ndarray  # (3,) world units
+    leaves: Leaves
+    tiles: dict[str, np.ndarray]
+    box: tuple[np.ndarray, np.ndarray]  # first and last of the active cells, (3,) int each
+    active: int  # number of active cells
+    inside: Inside = Inside(1, True)
+    background: float = 0.0
+    whole: bool = False
+
+
 def _floats(image: VoxelImage) -> VoxelImage:
     """Return an image of float32, whose voxels are 1 where they are set."""
     if image.dtype == np.float32:
@@ -69,7 +90,11 @@ def size(image: VoxelImage) -> int:
     """A bound of the bytes of the file."""
     image = _floats(image)
     corners, _ = image.block_nodes(LEAF_SIDE)
-    tiles = tiles_of(image.cubes(LEAF_SIDE))
+    return size_of(corners, tiles_of(image.cubes(LEAF_SIDE)))
+
+
+def size_of(corners: np.ndarray, tiles: dict[str, np.ndarray]) -> int:
+    """Return the bytes of a grid with leaves at these low cells, (n, 3), and these tiles."""
     lower, upper = parents_of(np.sort(keys_of(corners)), tiles)
     nodes = len(lower) * node_type(LOWER).itemsize + len(upper) * (TILE + node_type(UPPER).itemsize)
     fixed = HEADER + TABLE + len(vdb.GRID_NAME) + 1 + GRID + TREE + ROOT
@@ -81,7 +106,16 @@ def write(image: VoxelImage, file: BinaryIO) -> None:
     """Write one grid of bool or float32."""
     image = _floats(image)
     leaves, cubes = vdb.tree_of(image, pack=False)
-    tiles = tiles_of(cubes)
+    pitch, (low, high, count) = np.array(image.pitch), vdb.extent_of(leaves, cubes)
+    middle = np.array(image.corner) + pitch / 2
+    write_grid(
+        Content(FOG_VOLUME, middle, pitch, leaves, tiles_of(cubes), (low, high), count), file
+    )
+
+
+def write_grid(content: Content, file: BinaryIO) -> None:
+    """Write a file of one grid."""
+    leaves, tiles, (low, high) = content.leaves, content.tiles, content.box
     lower, upper = parents_of(leaves.keys, tiles)
     roots = np.sort(np.concatenate([upper, tiles["upper"]]))
     counts = (len(leaves.keys), len(lower), len(upper))
@@ -90,37 +124,39 @@ def write(image: VoxelImage, file: BinaryIO) -> None:
     first_lower = first_upper + counts[2] * sizes[2]
     first_leaf = first_lower + counts[1] * sizes[1]
     total = GRID + first_leaf + counts[0] * sizes[0]
-    low, high, count = vdb.extent_of(leaves, cubes)
     flat = [len(tiles[name]) for name in KEY_SHIFTS]
     tree = struct.pack("<4Q", first_leaf, first_lower, first_upper, TREE)
-    tree += struct.pack("<6IQ", *counts, *flat, count)
-    _write_head(image, file, total, (low, high), tree)
-    file.write(
-        tree + struct.pack("<7I", *_signed(low), *_signed(high), len(roots)) + bytes(ROOT - 28)
-    )
-    _write_roots(file, roots, upper, first_upper - TREE)
+    tree += struct.pack("<6IQ", *counts, *flat, content.active)
+    _write_head(content, file, total, tree)
+    root = struct.pack("<7I", *_signed(low), *_signed(high), len(roots))
+    file.write(tree + (root + struct.pack("<f", content.background)).ljust(ROOT, b"\0"))
+    _write_roots(content, file, roots, upper, first_upper - TREE)
     step = (first_lower - first_upper, sizes[2], sizes[1])
-    _write_nodes(file, UPPER, (upper, lower, tiles["lower"]), step)
+    _write_nodes(content, file, UPPER, (upper, lower, tiles["lower"]), step)
     step = (first_leaf - first_lower, sizes[1], sizes[0])
-    _write_nodes(file, LOWER, (lower, leaves.keys, tiles["leaf"]), step)
-    _write_leaves(file, leaves)
+    _write_nodes(content, file, LOWER, (lower, leaves.keys, tiles["leaf"]), step)
+    _write_leaves(content, file)
+
+
+def _word(value: float) -> int:
+    """Return the bits of a value in the table of a node."""
+    return int.from_bytes(np.array(value, "<f4").tobytes(), "little")
 
 
 def _signed(cells: np.ndarray) -> list[int]:
     return [int(n) & 0xFFFFFFFF for n in cells]
 
 
-def _write_head(
-    image: VoxelImage, file: BinaryIO, total: int, box: tuple[np.ndarray, np.ndarray], tree: bytes
-) -> None:
+def _write_head(content: Content, file: BinaryIO, total: int, tree: bytes) -> None:
     """Write the header, the table of one grid and the grid, up to its tree."""
     name = vdb.GRID_NAME.encode() + b"\0"
-    pitch = np.array(image.pitch)
-    center = np.array(image.corner) + pitch / 2
+    pitch, center, box = content.pitch, content.middle, content.box
     world = np.array([center + pitch * box[0], center + pitch * (box[1] + 1)], "<f8")
     counts, flat, count = tree[32:44], tree[44:56], tree[56:64]
     file.write(struct.pack("<8sIHH", MAGIC, VERSION, 1, 0))
-    file.write(struct.pack("<3Q", total, total, 0) + count + struct.pack("<2I", FLOAT, FOG_VOLUME))
+    file.write(
+        struct.pack("<3Q", total, total, 0) + count + struct.pack("<2I", FLOAT, content.kind)
+    )
     file.write(world.tobytes() + np.array(box, "<i4").tobytes() + pitch.astype("<f8").tobytes())
     file.write(struct.pack("<I", len(name)) + counts + struct.pack("<I", 1) + flat)
     file.write(struct.pack("<HHI", 0, 0, VERSION) + name)
@@ -130,11 +166,13 @@ def _write_head(
         parts = [np.diag(pitch).ravel(), np.diag(1 / pitch).ravel(), center, [1.0]]
         file.write(np.concatenate(parts).astype(dtype).tobytes())
     file.write(world.tobytes() + pitch.astype("<f8").tobytes())
-    file.write(struct.pack("<2IqI", FOG_VOLUME, FLOAT, total, 0))
+    file.write(struct.pack("<2IqI", content.kind, FLOAT, total, 0))
     file.write(bytes(12) + GRID_MAGIC)
 
 
-def _write_roots(file: BinaryIO, roots: np.ndarray, upper: np.ndarray, first: int) -> None:
+def _write_roots(
+    content: Content, file: BinaryIO, roots: np.ndarray, upper: np.ndarray, first: int
+) -> None:
     """Write the table of the root; `first` counts the bytes from the root to the upper nodes."""
     places = dict(zip(upper.tolist(), range(len(upper)), strict=True))
     each = node_type(UPPER).itemsize
@@ -142,11 +180,14 @@ def _write_roots(file: BinaryIO, roots: np.ndarray, upper: np.ndarray, first: in
         x, y, z = (n // UPPER_SIDE for n in corner)
         place = places.get(key)
         child = 0 if place is None else first + place * each
-        row = struct.pack("<QqII", x << 42 | y << 21 | z, child, place is None, ONE * (not child))
+        flat = place is None
+        state, value = flat and content.inside.active, flat * _word(content.inside.value)
+        row = struct.pack("<QqII", x << 42 | y << 21 | z, child, state, value)
         file.write(row.ljust(TILE, b"\0"))
 
 
 def _write_nodes(
+    content: Content,
     file: BinaryIO,
     power: int,
     keys: tuple[np.ndarray, np.ndarray, np.ndarray],
@@ -168,15 +209,18 @@ def _write_nodes(
         node = np.zeros(1, node_type(power))
         node["low"], node["high"] = low[i], low[i] + side - 1
         node["child"][0] = np.frombuffer(bits_of(children[held] & mask, power), np.uint8)
-        node["active"][0] = np.frombuffer(bits_of(tiles[flat] & mask, power), np.uint8)
+        if content.inside.active:
+            node["active"][0] = np.frombuffer(bits_of(tiles[flat] & mask, power), np.uint8)
         distances = first - i * own + each * np.arange(held.start, held.stop)
+        node["table"] = _word(content.background)
         node["table"][0, children[held] & mask] = distances
-        node["table"][0, tiles[flat] & mask] = ONE
+        node["table"][0, tiles[flat] & mask] = _word(content.inside.value)
         file.write(node.tobytes())
 
 
-def _write_leaves(file: BinaryIO, leaves: Leaves) -> None:
+def _write_leaves(content: Content, file: BinaryIO) -> None:
     """Write the leaves."""
+    leaves = content.leaves
     for first in range(0, len(leaves.keys), CHUNK):
         chosen = slice(first, first + CHUNK)
         rows = np.zeros(len(leaves.keys[chosen]), LEAF_TYPE)
@@ -186,5 +230,7 @@ def _write_leaves(file: BinaryIO, leaves: Leaves) -> None:
         active = np.unpackbits(leaves.masks[chosen], axis=1, bitorder="little") != 0
         rows["values"] = active
         if leaves.values is not None:
-            rows["values"][active] = np.frombuffer(b"".join(leaves.values[chosen]), "<f4")
+            rows["values"][active | content.whole] = np.frombuffer(
+                b"".join(leaves.values[chosen]), "<f4"
+            )
         file.write(rows.tobytes())

@@ -8,7 +8,7 @@ are active. The others hold the background, negative inside, and so do inactive 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import BinaryIO
 from uuid import UUID
 
@@ -55,9 +55,8 @@ def size(image: LevelSet) -> int:
 
 def write(image: LevelSet, file: BinaryIO) -> None:
     """Write one grid of float32."""
-    leaves, inside = tree_of(image)
-    held = leaves.masks.any(axis=1)  # a leaf where the sign jumps may have no active sample
-    low, high, count = vdb.extent_of(Leaves(leaves.keys[held], leaves.masks[held]), [])
+    leaves, inside = tree_of(image, leaf_values)
+    low, high, count = extent_of(leaves)
     metadata = {
         "class": vdb.Meta.text("level set"),
         "creator": vdb.Meta.text(f"voxtool {__version__}"),
@@ -83,8 +82,11 @@ def content_id(image: LevelSet) -> UUID:
     return UUID(bytes=hashlib.sha256(repr(part).encode()).digest()[:16])
 
 
-def tree_of(image: LevelSet) -> tuple[Leaves, list[tuple[np.ndarray, int]]]:
-    """Return the leaves, and the cubes inside: low samples and sides."""
+def tree_of(
+    image: LevelSet, encoded: Callable[[np.ndarray, np.ndarray, np.ndarray], bytes]
+) -> tuple[Leaves, list[tuple[np.ndarray, int]]]:
+    """Return the leaves, and the cubes inside: low samples and sides. `encoded` makes the values
+    of a leaf of its distances, and of which are active and which far inside, (512,) each."""
     keys, masks, values = [np.empty(0, np.int64)], [np.empty((0, MASK_BYTES), np.uint8)], []
     cubes = []
     for corners, distances in image.sampled():
@@ -95,9 +97,15 @@ def tree_of(image: LevelSet) -> tuple[Leaves, list[tuple[np.ndarray, int]]]:
         kept = np.flatnonzero(~flat)
         keys.append(keys_of(corners[kept]))
         masks.append(np.packbits(active[kept], axis=1, bitorder="little"))
-        values += [leaf_values(distances[i], active[i], is_minus[i]) for i in kept]
+        values += [encoded(distances[i], active[i], is_minus[i]) for i in kept]
     leaves = Leaves.ordered(np.concatenate(keys), np.concatenate(masks), values)
     return leaves, [*cubes, *far_inside(image)]
+
+
+def extent_of(leaves: Leaves) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return the first and the last active sample, (3,) int, and their number."""
+    held = leaves.masks.any(axis=1)  # a leaf where the sign jumps may have no active sample
+    return vdb.extent_of(Leaves(leaves.keys[held], leaves.masks[held]), [])
 
 
 def leaf_values(distances: np.ndarray, active: np.ndarray, is_minus: np.ndarray) -> bytes:
