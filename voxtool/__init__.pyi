@@ -14,12 +14,14 @@ from voxtool.api.distances import plan_distance_grid as plan_distance_grid
 from voxtool.api.distances import query_adf as query_adf
 from voxtool.api.octrees import MeshLike as MeshLike
 from voxtool.api.octrees import combine as combine
+from voxtool.api.octrees import compare as compare
 from voxtool.api.octrees import deviation as deviation
 from voxtool.api.octrees import diagnose as diagnose
 from voxtool.api.octrees import extract as extract
 from voxtool.api.octrees import morph as morph
 from voxtool.api.octrees import normalize as normalize
 from voxtool.api.octrees import plan_combine as plan_combine
+from voxtool.api.octrees import plan_compare as plan_compare
 from voxtool.api.octrees import plan_extract as plan_extract
 from voxtool.api.octrees import plan_morph as plan_morph
 from voxtool.api.octrees import plan_voxelize as plan_voxelize
@@ -76,6 +78,8 @@ from voxtool.rendering import camera_for as camera_for
 from voxtool.report import Report as Report
 from voxtool.spatial.signed_distance import DistanceResult as DistanceResult
 from voxtool.svo.booleans import CombineJob as CombineJob
+from voxtool.svo.compare import CompareJob as CompareJob
+from voxtool.svo.compare import Comparison as Comparison
 from voxtool.svo.morphology import MorphJob as MorphJob
 from voxtool.svo.octree import Octree as Octree
 from voxtool.svo.surface.extract import ExtractJob as ExtractJob

@@ -207,7 +207,7 @@ def test_what_is_refused(device: Device) -> None:
     with pytest.raises(VoxtoolError, match="there is no octree"):
         combine([])
     b = octree_from_dense(ball((30, 30, 30)))
-    with pytest.raises(MemoryLimitError, match="a combination of 2 octrees would need"):
+    with pytest.raises(MemoryLimitError, match="union of 2 octrees would need"):
         combine([b, b], device=device, max_memory=1000)
 
 

@@ -12,7 +12,7 @@ from svo.test_voxelize import lattice_grid
 from voxtool.errors import GridError
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
-from voxtool.svo.compare import count_differences, leaking_rows
+from voxtool.svo.compare import bounding_box, compare, count_differences, leaking_rows
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import voxelize
 
@@ -67,3 +67,49 @@ def test_grids_must_be_the_same() -> None:
     one, other = (Octree.from_dense(np.ones((8, 8, n))) for n in (8, 9))
     with pytest.raises(GridError, match="of different grids"):
         count_differences(one, other)
+
+
+@given(seed=st.integers(0, 1 << 32))
+@settings(max_examples=15)
+def test_comparison_against_dense_arrays(device: Device, seed: int) -> None:
+    """Random sets and boxes, of grids whose origins are some voxels apart."""
+    rng = np.random.default_rng(seed)
+    low = tuple((rng.integers(-9, 10, 3) * rng.integers(2)).tolist())
+    arrays = []
+    for _ in range(2):
+        shape, share = rng.integers((8, 3, 3), 30), rng.choice([0.0, 0.001, 0.5, 1.0])
+        arrays.append(rng.random(shape) < share)
+    a, b = (
+        Octree.from_dense(array, o, 1.0) for array, o in zip(arrays, ((0, 0, 0), low), strict=True)
+    )
+    found = compare(a, b, device=device)
+    first, second = (
+        {tuple(v) for v in np.argwhere(x) + o} for x, o in zip(arrays, (0, low), strict=True)
+    )
+    summary, shift = found.summary(), found.both.grid.origin
+    for name, expected in (
+        ("only_first", first - second), ("only_second", second - first), ("both", first & second),
+    ):  # fmt: skip
+        part = summary[name]
+        assert part["voxels"] == part["volume"] == len(expected)
+        if expected:
+            voxels = np.array(sorted(expected))
+            box = np.stack([voxels.min(axis=0), voxels.max(axis=0) + 1])
+            assert part["bounds"] == box.tolist()
+            assert part["box"] == (box - shift).tolist()
+        else:
+            assert part["bounds"] is part["box"] is None
+    assert summary["equal"] == found.equal == (first == second)
+    assert summary["jaccard"] == (
+        len(first & second) / len(first | second) if first | second else 1
+    )
+    assert (found.first | found.second) == a ^ b
+
+
+def test_a_bounding_box_across_levels() -> None:
+    voxels = np.zeros((64, 64, 64), bool)
+    voxels[32:64, :32, :32] = True  # a leaf of 32 voxels
+    voxels[30, 40, 63] = True
+    box = bounding_box(Octree.from_dense(voxels))
+    assert box is not None
+    assert box.tolist() == [[30, 0, 0], [64, 41, 64]]

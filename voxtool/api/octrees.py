@@ -19,8 +19,10 @@ from voxtool.opencl import Device
 from voxtool.report import Report
 from voxtool.spatial import deviation as deviations
 from voxtool.svo import booleans, morphology
+from voxtool.svo import compare as comparing
 from voxtool.svo import voxelize as svo
 from voxtool.svo.booleans import CombineJob
+from voxtool.svo.compare import CompareJob, Comparison
 from voxtool.svo.morphology import MorphJob
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface import extract as surfaces
@@ -247,6 +249,49 @@ def plan_combine(
 
 
 combine = one_call(plan_combine, "combine", Octree)
+
+
+def plan_compare(
+    one: Octree | Path,
+    other: Octree | Path,
+    *,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> CompareJob:
+    """Compare the sets of voxels of two octrees of one lattice.
+
+    Parameters
+    ----------
+    one, other
+        Octrees or paths, as combine takes them; what lies beyond a grid is not set.
+    device, max_memory
+        as voxelize.
+
+    Returns
+    -------
+    Comparison
+        what is set only in the first, only in the second, and in both. plan_compare returns the
+        job, whose `run` returns it.
+
+    Raises
+    ------
+    GridError
+        the octrees are of different lattices or units.
+    MemoryLimitError
+        the comparison might not fit.
+    DeviceError
+        no usable device.
+
+    Examples
+    --------
+    >>> found = voxtool.compare(one, other)
+    >>> found.equal, found.first.count, found.summary()["jaccard"]
+    """
+    octrees = (opened(octree, read_svo) for octree in (one, other))
+    return comparing.plan_compare(*octrees, device=device, max_memory=max_memory)
+
+
+compare = one_call(plan_compare, "compare", Comparison)
 
 
 def plan_morph(

@@ -22,10 +22,11 @@ from typing import Any
 import numpy as np
 
 from voxtool.choices import OPERATIONS
-from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
+from voxtool.errors import GridError, MemoryLimitError, VoxtoolError, count_of
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job, one_call
 from voxtool.opencl import Array, Device, default_device, program
+from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import SCAN, exclusive_scan
 from voxtool.svo.layout import (
     BRICK,
@@ -44,6 +45,7 @@ from voxtool.svo.prune import EMPTY, FULL, REFINED
 
 SOURCE = "svo/booleans.cl"
 HEADERS = {"svo/booleans.h": program.c_constants(EMPTY=EMPTY, FULL=FULL, REFINED=REFINED)}
+PROGRAMS: list[Request] = [(SOURCE, {}), (SCAN, {})]
 STAGES = ("place", "open nodes", "bricks", "settle", "link", "read back")
 # Bytes on the device of an open node, with its eight children, without bricks and nodes, and of an
 # entry: a refined operand of an open node.
@@ -115,16 +117,20 @@ class CombinePlan:
         """Return what `--plan` prints before the stages."""
         shape = " x ".join(map(str, self.grid.shape))
         return [
-            ("combine", f"{self.operation} of {self.operands} octrees, {self.moved} of them moved"),
+            ("operation", f"{self.operation}, of {count_of(self.operands, 'octree')}"),
+            (
+                "octrees",
+                f"{8 * self.refined[0]:,} bricks, {sum(self.refined):,} refined nodes; "
+                f"{self.moved} moved",
+            ),
             ("grid", f"{shape} voxels"),
-            ("operands", f"{8 * self.refined[0]:,} bricks, {sum(self.refined):,} refined nodes"),
         ]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError if the combination needs more bytes, in total or in one buffer."""
         if shortage := self.cost.shortage(max_memory, max_allocation):
             raise MemoryLimitError(
-                f"a combination of {self.operands} octrees {shortage}: combine fewer at once, "
+                f"{self.operation} of {self.operands} octrees {shortage}: combine fewer at once, "
                 "voxelize at a smaller dim, or allow more (see --max-memory)"
             )
 
@@ -176,12 +182,17 @@ class CombineJob(Job[Octree]):
     max_memory: int | None = None
 
     def _run(self) -> Octree:
-        self.device.prepare((SOURCE, {}), (SCAN, {}))
+        self.device.prepare(*PROGRAMS)
         with self.stage("place"):
-            operands = upload(self.device, self.octrees, self.plan.grid, self.lows)
-        return self._octree(*combined(operands, Terms.of(self.plan.operation, operands.n)))
+            operands = self.upload()
+        return self.octree(*combined(operands, Terms.of(self.plan.operation, operands.n)))
 
-    def _octree(self, *arrays: np.ndarray) -> Octree:
+    def upload(self) -> Operands:
+        """Return the operands on the device, in the grid of the result."""
+        return upload(self.device, self.octrees, self.plan.grid, self.lows)
+
+    def octree(self, *arrays: np.ndarray) -> Octree:
+        """Return the octree of a combination's offsets, nodes and bricks."""
         units = next((octree.units for octree in self.octrees if octree.units), "")
         transforms = {octree.transform for octree in self.octrees}
         return Octree(
