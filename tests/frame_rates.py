@@ -5,22 +5,27 @@
 The octree of dim 512 and the field of level 7 of the mesh, and the volume, are drawn whole at
 512 x 512 pixels, and then for some seconds while the camera turns, at the size that the page
 chooses. Processor time is that of all processes of the browser: other work disturbs it less than
-it disturbs the time of the fastest picture.
+it disturbs the time of the fastest picture. Fetches are the texels that the fragment shader reads,
+which counts them, as a mean over the pixels of a smaller picture.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
+import re
 import tempfile
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 import voxtool
 from tests.helpers_browser import Viewer, open_browser, written
 from tests.performance_page import markdown
 
 SIDE = 512  # pixels
+COUNTED_SIDE = 128  # pixels of the picture whose fetches are counted
 PICTURES = 5
 TURNING = 4.0  # seconds
 DRAW = """async ([pictures, seconds]) => {
@@ -42,6 +47,11 @@ DRAW = """async ([pictures, seconds]) => {
   }
   return { times, frames, side: view.target.width };
 }"""
+COUNTER = """
+highp uint fetches = 0u;
+#define texelFetch(list, at, level) (++fetches, texelFetch(list, at, level))
+"""
+TOLD = "void main() { uncounted(); id = uvec4(fetches, 0, 0, id.w); }"
 
 
 def main() -> None:
@@ -56,7 +66,15 @@ def main() -> None:
         ),
         f"volume {given.volume.stem}": voxtool.build_tet(given.volume),
     }
-    heads = "page", "processor, s", "fastest, ms", "a second", "turning: pixels", "a second"
+    heads = (
+        "page",
+        "processor, s",
+        "fastest, ms",
+        "a second",
+        "turning: pixels",
+        "a second",
+        "fetches a pixel",
+    )
     with open_browser() as browser, tempfile.TemporaryDirectory() as folder:
         rows = [
             [name, *row(browser, written(content, Path(folder)))]
@@ -77,7 +95,22 @@ def row(browser: Any, page: Path) -> list[str]:
     viewer.close()
     rate, moving = 1e3 / min(times), turning["frames"] / TURNING
     side = turning["side"]
-    return [f"{spent:.2f}", f"{min(times):.0f}", f"{rate:.2g}", f"{side} x {side}", f"{moving:.2g}"]
+    cells = f"{spent:.2f}", f"{min(times):.0f}", f"{rate:.2g}", f"{side} x {side}", f"{moving:.2g}"
+    return [*cells, f"{fetches(browser, page, COUNTED_SIDE).mean():.1f}"]
+
+
+def fetches(browser: Any, page: Path, side: int) -> np.ndarray:
+    """The texels that the fragment shader of a page fetches for each pixel."""
+    html = page.read_text(encoding="utf-8")
+    shader = re.search(r'(?<=id="fragment">#version 300 es\n).*?(?=</script>)', html, re.DOTALL)
+    assert shader
+    counted = COUNTER + shader[0].replace("void main()", "void uncounted()") + TOLD
+    copy = page.with_name("counted.html")
+    copy.write_text(html.replace(shader[0], counted), encoding="utf-8")
+    viewer = Viewer(browser, copy)
+    ids = viewer.picture(side, side)[1]
+    viewer.close()
+    return ids[..., 0]
 
 
 def processor_seconds() -> float:
