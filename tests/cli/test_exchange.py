@@ -45,9 +45,12 @@ def test_a_device_is_used_by_fields_alone(name: str, here: Path) -> None:
         ("export bunny.svo.h5 -o a.glb", "voxtool extract OCTREE -o a.glb writes it"),
         ("export bunny.svo.h5 -o a.vti --normals", ".vti holds no normals: choose .ply, .xyz"),
         ("svo-info a.vtkhdf", "holds data of VTK: voxtool import makes an octree of its voxels"),
+        ("import a.png", "a.png: its name says no format that is read: give --from, one of npy,"),
+        ("export bunny.svo.h5 -o a.vox --dtype uint8", ".vox holds bool, not uint8: leave out --d"),
+        ("export bunny.svo.h5 -o a.ome.zarr --dtype uint8", "holds float32 or float64, not uint8"),
         ("import bunny.obj", "bunny.obj is a mesh: voxelize it: voxtool voxelize bunny.obj"),
         ("import bunny.svo.h5", "bunny.svo.h5 is a file of voxtool, which needs no import"),
-        ("import -", "stdin has no name: say its format, one of npy, npz,"),
+        ("import -", "stdin has no name: give --from, one of npy, npz,"),
         ("extract bunny.svo.h5 --scale 2", "those of the mesh of --against: name one"),
         ("extract mm.svo.h5 --against bunny.obj --units m", "in m, and the octree in mm: give"),
     ],
@@ -74,6 +77,20 @@ def test_units_and_scale_of_meshes_that_are_read(here: Path) -> None:
     result = run(f"extract mm.svo.h5 --style surface-nets --against bunny.obj {lengths}")
     found = json.loads(result.stdout)["against"]
     assert found["voxels"]["hausdorff"] < 2  # 15 without the scale
+
+
+@pytest.mark.parametrize(
+    ("rule", "said"),
+    [
+        ("--label 7", "no value is 7"),
+        ("--threshold 2", "no value is 2 or more"),
+        ("", "no value is neither 0 nor NaN"),
+    ],
+)
+def test_an_import_without_a_voxel_warns(rule: str, said: str, here: Path) -> None:
+    np.save("a.npy", np.full((8, 8, 8), 1 if rule else 0))
+    result = run(f"import a.npy {rule} -o a.svo.h5")
+    assert f"voxtool: warning: a.npy sets no voxel: {said}\n" in result.stderr
 
 
 @pytest.mark.parametrize("name", ["nrrd", "nii.gz"])

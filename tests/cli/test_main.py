@@ -179,7 +179,7 @@ def test_usage_errors(command: str, message: str, here: Path) -> None:
         ("import none.npy", "none.npy: there is no such file"),
         ("export bunny.obj -o a.npy", "bunny.obj is a mesh: make an octree or a field of it first"),
         ("export bunny.svo.h5 -o a.foo", "end it in one of .npy, "),
-        ("export bunny.svo.h5 -o -", "name the format, one of .npy"),
+        ("export bunny.svo.h5 -o -", "give --format, one of .npy"),
         ("export bunny.svo.h5 -o a.png --slice z=128", "lies outside the grid: choose 0 to 127"),
         ("bench voxelize none.obj --dims 16", "none.obj: there is no such file"),
     ],

@@ -229,6 +229,11 @@ def plan_export(
         image = VolumeCells(content)
     else:
         image = VoxelImage.of(content, level=level, bbox=bbox, invert=invert, dtype=dtype)
+        held = EXCHANGE[name].dtypes
+        if dtype is not None and held and image.dtype.name not in held:
+            raise VoxtoolError(
+                f".{name} holds {' or '.join(held)}, not {image.dtype.name}: leave out --dtype"
+            )
         image = replace(image, progress=progress)
     if EXCHANGE[name].folder and "%" in os.fspath(path):
         options["pattern"] = Path(path).name

@@ -40,6 +40,7 @@ class Exchange(NamedTuple):
     suffix: str = ""  # of the names of the module's functions, where it has several formats
     reads: bool = True
     writes: bool = True
+    dtypes: tuple[str, ...] = ()  # of voxels, those that may be requested; (): all
     volumes: str = ""  # the module that writes tetrahedral volumes
     levels: str = ""  # the module that writes level sets of fields
     dense: bool = False  # whether it is a dense array, which can hold the samples of a field
@@ -70,7 +71,7 @@ EXCHANGE = {
     "nii": Exchange("nifti", "grid, dtype, unit", needs="nibabel", dense=True),
     "nii.gz": Exchange("nifti", "grid, dtype, unit", "_packed", needs="nibabel", dense=True),
     "nrrd": Exchange("nrrd", "grid, dtype, unit", dense=True),
-    "binvox": Exchange("binvox", "the grid as a cube, with cubic voxels; bool"),
+    "binvox": Exchange("binvox", "the grid as a cube, with cubic voxels; bool", dtypes=("bool",)),
     "ply": Exchange(
         "centers", "centres of the set cells, and their values", "_ply", reads=False, normals=True
     ),
@@ -80,7 +81,7 @@ EXCHANGE = {
     "vdb": Exchange(
         "vdb", "grid, coverage; bool or float32; cubes as tiles", levels="vdb_levels", grids=True
     ),
-    "vox": Exchange("vox", "grid; which cells are set"),
+    "vox": Exchange("vox", "grid; which cells are set", dtypes=("bool",)),
     "nvdb": Exchange(
         "nvdb", "place, coverage as float32; cubes as tiles", levels="nvdb_levels", reads=False
     ),
@@ -88,9 +89,15 @@ EXCHANGE = {
     "tif": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True),
     "tiff": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True),
     "ome.zarr": Exchange(
-        "ome_zarr", "grid, coverage, a pyramid of it, unit", needs="zarr", folder=True
+        "ome_zarr",
+        "grid, coverage, a pyramid of it, unit",
+        needs="zarr",
+        folder=True,
+        dtypes=("float32", "float64"),
     ),
-    "%04d.png": Exchange("layers", "which cells are set", reads=False, folder=True),
+    "%04d.png": Exchange(
+        "layers", "which cells are set", reads=False, folder=True, dtypes=("bool",)
+    ),
     "png": Exchange("slice_png", "one slice, as a picture", reads=False, parts=False),
 }
 EXPORTS = tuple(name for name, format in EXCHANGE.items() if format.writes)
@@ -274,5 +281,5 @@ def format_of(path: PathLike, formats: Iterable[str]) -> str:
     if not surfaces and name.endswith(tuple(f".{mesh}" for mesh in MESH_FORMATS)):
         raise FileError(f"{path} would be a surface: voxtool extract OCTREE -o {path} writes it")
     if path == STREAM:
-        raise FileError(f"standard output has no extension: name the format, one of {known}")
+        raise FileError(f"standard output has no extension: give --format, one of {known}")
     raise FileError(f"{path}: the name says no format: end it in one of {known}")

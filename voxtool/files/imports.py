@@ -18,7 +18,7 @@ import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from math import prod
 from pathlib import Path
@@ -236,6 +236,12 @@ class ImportJob(Job[Octree | DistanceField]):
         most = available_memory() if self.max_memory is None else self.max_memory
         self.plan.refuse_beyond(most, most)
 
+    def findings(self, result: Octree | DistanceField) -> Iterator[str]:
+        """Yield a warning if no voxel is set."""
+        if isinstance(result, Octree) and not result.count:
+            shown = streams.input_name(self.source.path)
+            yield f"{shown} sets no voxel: no value {self.plan.rule.text}"
+
     def _run(self) -> Octree | DistanceField:
         plan, most = self.plan, self.max_memory
         with self.stage(READ), self.source.stored() as stored:
@@ -413,13 +419,17 @@ def read_field(
 def format_of_input(path: PathLike) -> str:
     """Return the format that the name of a file of other programs says; FileError if none."""
     shown = streams.input_name(path)
-    if is_mesh(path):
+    if is_mesh(path) and not shown.lower().endswith(".xyz"):
         raise FileError(f"{shown} is a mesh: voxelize it: voxtool voxelize {shown}")
     if os.fspath(path).lower().endswith(OWN):
         raise FileError(f"{shown} is a file of voxtool, which needs no import")
     if path == streams.STREAM:
-        raise FileError(f"{shown} has no name: say its format, one of {', '.join(IMPORTS)}")
-    return format_of(path, IMPORTS)
+        raise FileError(f"{shown} has no name: give --from, one of {', '.join(IMPORTS)}")
+    with suppress(FileError):
+        return format_of(path, IMPORTS)
+    raise FileError(
+        f"{shown}: its name says no format that is read: give --from, one of {', '.join(IMPORTS)}"
+    )
 
 
 def read_grid(path: PathLike) -> Grid:

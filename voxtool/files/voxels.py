@@ -73,6 +73,15 @@ class Rule(NamedTuple):
     label: float | None = None  # or those of this value
     below: float | None = None  # or those less than this value
 
+    @property
+    def text(self) -> str:
+        """What is said of the values that are set."""
+        if self.threshold is not None:
+            return f"is {self.threshold:g} or more"
+        if self.label is not None:
+            return f"is {self.label:g}"
+        return "is neither 0 nor NaN" if self.below is None else f"is below {self.below:g}"
+
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """Return which of the values are set, bool of the same shape."""
         if self.threshold is not None:
