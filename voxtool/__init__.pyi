@@ -18,11 +18,15 @@ from voxtool.api.octrees import compare as compare
 from voxtool.api.octrees import deviation as deviation
 from voxtool.api.octrees import diagnose as diagnose
 from voxtool.api.octrees import extract as extract
+from voxtool.api.octrees import fill_cavities as fill_cavities
+from voxtool.api.octrees import keep_components as keep_components
 from voxtool.api.octrees import morph as morph
 from voxtool.api.octrees import normalize as normalize
 from voxtool.api.octrees import plan_combine as plan_combine
 from voxtool.api.octrees import plan_compare as plan_compare
 from voxtool.api.octrees import plan_extract as plan_extract
+from voxtool.api.octrees import plan_fill_cavities as plan_fill_cavities
+from voxtool.api.octrees import plan_keep_components as plan_keep_components
 from voxtool.api.octrees import plan_morph as plan_morph
 from voxtool.api.octrees import plan_voxelize as plan_voxelize
 from voxtool.api.octrees import voxelize as voxelize
@@ -80,6 +84,7 @@ from voxtool.spatial.signed_distance import DistanceResult as DistanceResult
 from voxtool.svo.booleans import CombineJob as CombineJob
 from voxtool.svo.compare import CompareJob as CompareJob
 from voxtool.svo.compare import Comparison as Comparison
+from voxtool.svo.components import ComponentsJob as ComponentsJob
 from voxtool.svo.morphology import MorphJob as MorphJob
 from voxtool.svo.octree import Octree as Octree
 from voxtool.svo.surface.extract import ExtractJob as ExtractJob

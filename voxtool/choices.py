@@ -15,6 +15,7 @@ FILLS = ("auto", "parity", "nonzero", "winding", "flood")  # rules that decide w
 OPERATIONS = ("union", "intersection", "difference", "xor")  # on sets of voxels
 MORPHOLOGY = ("dilate", "erode", "open", "close", "shell")  # operations
 ELEMENTS = ("ball", "cube", "cross")  # by which voxels are dilated
+NEIGHBOURS = (6, 26)  # of a voxel: across faces; also across edges and corners
 STYLES = ("marching-cubes", "voxel-faces", "surface-nets")  # of extracted surfaces
 MARCHING_CUBES, VOXEL_FACES, SURFACE_NETS = STYLES
 # Names of version 0.1, which are still taken, and which digests still hold.
