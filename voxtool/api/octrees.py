@@ -7,15 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, TypeVar
 
 from voxtool import report
-from voxtool.choices import (
-    DEFAULT_MODE,
-    ELEMENTS,
-    FILLS,
-    NEIGHBOURS,
-    NORMALIZED,
-    OPERATIONS,
-    STYLES,
-)
+from voxtool.choices import DEFAULT_MODE, FILLS, NORMALIZED, OPERATIONS, STYLES
 from voxtool.errors import GridError
 from voxtool.files import read_svo
 from voxtool.files.mesh import as_mesh
@@ -26,13 +18,11 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
 from voxtool.report import Report
 from voxtool.spatial import deviation as deviations
-from voxtool.svo import booleans, components, morphology
+from voxtool.svo import booleans
 from voxtool.svo import compare as comparing
 from voxtool.svo import voxelize as svo
 from voxtool.svo.booleans import CombineJob
 from voxtool.svo.compare import CompareJob, Comparison
-from voxtool.svo.components import ComponentsJob
-from voxtool.svo.morphology import MorphJob
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface import extract as surfaces
 from voxtool.svo.surface.extract import ExtractJob
@@ -301,163 +291,6 @@ def plan_compare(
 
 
 compare = one_call(plan_compare, "compare", Comparison)
-
-
-def plan_morph(
-    octree: Octree | Path,
-    operation: str,
-    radius: float,
-    *,
-    world: bool = False,
-    shape: str = ELEMENTS[0],
-    device: Device | None = None,
-    max_memory: int | None = None,
-) -> MorphJob:
-    """Dilate, erode, open, close or hollow a set of voxels, exactly.
-
-    Parameters
-    ----------
-    octree
-        an Octree or a path.
-    operation
-        "dilate" (the voxels within the radius of a set one), "erode" (without those within the
-        radius of an unset one), "open" (eroded, then dilated), "close" (dilated, then eroded), or
-        "shell" (only those within the radius of an unset one). All beyond the grid is unset.
-    radius
-        in voxels, from centre to centre; up to 128 voxels. Squares are compared exactly, of the
-        number as it is given.
-    world
-        the radius is in world units; voxels need not be cubes.
-    shape
-        what is within the radius: "ball" (by Euclidean distance), "cube" (by the largest distance
-        along an axis), or "cross" (along the axes only).
-    device, max_memory
-        as voxelize.
-
-    Returns
-    -------
-    Octree
-        of mode "solid" and fill "none"; plan_morph returns the job, whose `run` returns it. Its
-        grid is the octree's; a dilation that reaches beyond it grows it on that side, at the low
-        sides by multiples of 16 voxels.
-
-    Raises
-    ------
-    VoxtoolError
-        an argument is out of range.
-    MemoryLimitError
-        the result would not fit. DeviceError : no usable device.
-
-    Warns
-    -----
-    MeshWarning
-        no voxel is left.
-
-    References
-    ----------
-    [Serra 1982]
-
-    Examples
-    --------
-    >>> closed = voxtool.morph(octree, "close", 8)
-    >>> wall = voxtool.morph(octree, "shell", 1.5, world=True)
-    """
-    return morphology.plan_morph(
-        opened(octree, read_svo), operation, radius, world=world, shape=shape, device=device,
-        max_memory=max_memory,
-    )  # fmt: skip
-
-
-morph = one_call(plan_morph, "morph", Octree)
-
-
-def plan_keep_components(
-    octree: Octree | Path,
-    largest: int | None = None,
-    *,
-    min_size: int = 1,
-    neighbours: int = NEIGHBOURS[0],
-    max_memory: int | None = None,
-) -> ComponentsJob:
-    """Keep the largest connected components of a set of voxels.
-
-    Parameters
-    ----------
-    octree
-        an Octree or a path.
-    largest
-        how many components stay at most; of two of one size the one whose first voxel is earlier
-        in Morton order. By default all that are large enough.
-    min_size
-        voxels that a component has at least, or it goes.
-    neighbours
-        voxels that are connected: 6 (across faces) or 26 (also across edges and corners).
-    max_memory
-        bytes that may be used; by default what the machine has. The work is done on the host.
-
-    Returns
-    -------
-    Octree
-        of mode "solid" and fill "none", on the same grid; plan_keep_components returns the job,
-        whose `run` returns it, and whose `sizes` then are the voxels of each component.
-
-    Raises
-    ------
-    VoxtoolError
-        an argument is out of range.
-    MemoryLimitError
-        it would not fit.
-
-    Warns
-    -----
-    MeshWarning
-        no component is left.
-
-    Examples
-    --------
-    >>> body = voxtool.keep_components(octree, 1)
-    >>> job = voxtool.plan_keep_components("scan.svo.h5", min_size=1000)
-    >>> cleaned = job.run()
-    >>> job.sizes
-    """
-    return components.plan_keep_components(
-        opened(octree, read_svo), largest, min_size=min_size, neighbours=neighbours,
-        max_memory=max_memory,
-    )  # fmt: skip
-
-
-keep_components = one_call(plan_keep_components, "keep_components", Octree)
-
-
-def plan_fill_cavities(octree: Octree | Path, *, max_memory: int | None = None) -> ComponentsJob:
-    """Fill the cavities of a set of voxels: what the outside does not reach across faces.
-
-    Parameters
-    ----------
-    octree
-        an Octree or a path.
-    max_memory
-        bytes that may be used; by default what the machine has. The work is done on the host.
-
-    Returns
-    -------
-    Octree
-        of mode "solid" and fill "none", on the same grid; plan_fill_cavities returns the job, whose
-        `run` returns it.
-
-    Raises
-    ------
-    MemoryLimitError
-        it would not fit.
-
-    Examples
-    --------
-    >>> filled = voxtool.fill_cavities(octree)
-    """
-    return components.plan_fill_cavities(opened(octree, read_svo), max_memory=max_memory)
-
-
-fill_cavities = one_call(plan_fill_cavities, "fill_cavities", Octree)
 
 
 def diagnose(
