@@ -37,6 +37,12 @@ def test_every_format_comes_back(bench: Bench) -> None:
         assert point.bytes
         assert point.figures["over the file"]
     assert written[".npy"].bytes == 128 + 16**3
+    samples = {p.method: p for p in points if p.work == "field to file"}
+    assert list(samples) == [formats.ending(name) for name in exchange.FIELD_FORMATS]
+    assert samples[".npy"].bytes == 128 + 4 * 16**3
+    images = [p for p in points if p.work == "file to field"]
+    assert [p.method for p in images] == [f".{name}" for name in formats.IMAGES]
+    assert all(p.errors == {"returned": 0} for p in images)
 
 
 def test_voxels_that_come_back_otherwise_are_counted(
@@ -49,6 +55,7 @@ def test_voxels_that_come_back_otherwise_are_counted(
     read = exchange.read_voxels
     monkeypatch.setattr(exchange, "read_voxels", one_less)
     monkeypatch.setattr(exchange, "FORMATS", ("npy",))
+    monkeypatch.setattr(exchange, "FIELD_FORMATS", ())
     for point in exchange.measure(bench):
         assert point.size
         assert point.errors == {"returned": 1 / point.size}
@@ -60,6 +67,7 @@ def test_formats_that_cannot_be_written_are_left_out(
     line = formats.EXCHANGE["nii"]._replace(needs="no_such_package")
     monkeypatch.setitem(formats.EXCHANGE, "nii", line)
     monkeypatch.setattr(exchange, "FORMATS", ("nii", "npy"))
+    monkeypatch.setattr(exchange, "FIELD_FORMATS", ())
     monkeypatch.setattr(exchange, "MOST_BYTES", 5000)
     with pytest.warns(VoxtoolWarning, match=r"\.nii at dim 16 is left out: .*no_such_package"):
         assert {point.method for point in exchange.measure(bench)} == {".npy"}

@@ -1,20 +1,24 @@
-"""Exports and imports of the octree of a mesh by every format: the time to write and to read a
-file, its size beside that of the octree's own, and the voxels that come back otherwise."""
+"""Exports and imports of the octree and the field of a mesh by every format: the time to write and
+to read a file, its size beside that of voxtool's own, and the values that come back otherwise."""
 
 from __future__ import annotations
 
 import warnings
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
+from voxtool.adf.build import build_adf
+from voxtool.adf.samples import FieldSamples, grid_over
 from voxtool.bench.timing import by_turns
 from voxtool.bench.view import bytes_of_file
 from voxtool.errors import VoxtoolError, VoxtoolWarning
 from voxtool.files.exchange import plan_export
-from voxtool.files.formats import EXCHANGE, EXPORTS, ending
-from voxtool.files.imports import read_voxels
+from voxtool.files.formats import EXCHANGE, EXPORTS, IMAGES, ending, format_of
+from voxtool.files.imports import Source, read_voxels
 from voxtool.files.mesh import load_mesh
+from voxtool.files.voxels import array_of
 from voxtool.grid import Grid
 from voxtool.svo.compare import count_differences
 from voxtool.svo.voxelize import voxelize
@@ -27,47 +31,96 @@ if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
 
 FORMATS = tuple(name for name in EXPORTS if EXCHANGE[name].parts)  # the others hold one slice
+FIELD_FORMATS = tuple(name for name in EXPORTS if EXCHANGE[name].dense or EXCHANGE[name].levels)
 MOST_BYTES = 256_000_000  # of a file that is measured: a list of points may be very long
+TOLERANCE = 1e-2  # of the field, in sides: its files are measured, not its making
 WITHOUT = {"returned": "voxtool does not read it"}
+
+
+class Content(NamedTuple):
+    """An octree or a field: what goes into files, and how it comes back."""
+
+    name: str
+    write: Callable[[Path], int]
+    read: Callable[[Path], Any]
+    differing: Callable[[Any], int]  # of what was read: the values that are others
+    count: int  # of its values
+    what: str  # they are
+    own: int  # bytes of voxtool's own file
 
 
 def measure(bench: Bench) -> Iterator[Point]:
     """The points of a model."""
     mesh = load_mesh(bench.model)
+    field = build_adf(mesh, bench.timed, tolerance=TOLERANCE, measure=False)
+    own = bytes_of_file(field)
     for dim in bench.request.dims:
-        octree = voxelize(mesh, Grid.fit(mesh, dim), device=bench.timed)
-        size = bytes_of_file(octree)
+        octree = octree_content(voxelize(mesh, Grid.fit(mesh, dim), device=bench.timed))
         for name in FORMATS:
-            yield from _both_ways(octree, name, size, bench)
+            yield from _both_ways(octree, name, EXCHANGE[name].reads, dim, bench)
+        samples = field_content(FieldSamples(field, grid_over(field, dim), bench.timed), own)
+        for name in FIELD_FORMATS:
+            yield from _both_ways(samples, name, name in IMAGES, dim, bench)
 
 
-def _both_ways(octree: Octree, name: str, own: int, bench: Bench) -> Iterator[Point]:
-    """The points of a format: writing a file, and reading it where voxtool can; none, and a
-    warning, where it cannot be written. `own` is the size of the octree's own file."""
+def octree_content(octree: Octree) -> Content:
+    """Return an octree, whose values are its voxels."""
+    grid = octree.grid
+    return Content(
+        "octree",
+        lambda path: plan_export(octree, path, max_bytes=MOST_BYTES).run(),
+        # .npy and .binvox do not say where the voxels lie
+        lambda path: read_voxels(path, origin=grid.origin, pitch=grid.pitch),
+        lambda found: sum(count_differences(octree, found)),
+        octree.count, "voxels", bytes_of_file(octree),
+    )  # fmt: skip
+
+
+def field_content(samples: FieldSamples, own: int) -> Content:
+    """Return a field, whose values are samples on a grid; it comes back as an array."""
+    source, device = samples.source, samples.device
+
+    def write(path: Path) -> int:
+        levels = EXCHANGE[format_of(path, EXPORTS)].levels
+        place: dict[str, Any] = {"spacing": samples.pitch[0]} if levels else {"grid": samples.grid}
+        return plan_export(source, path, max_bytes=MOST_BYTES, device=device, **place).run()
+
+    def read(path: Path) -> np.ndarray:
+        with Source.of(path).stored() as stored:
+            return array_of(stored, None, lambda share: None)
+
+    expected = np.concatenate(list(samples.slabs()))
+    return Content(
+        "field", write, read, lambda found: int(np.count_nonzero(found != expected)),
+        samples.cells, "samples", own,
+    )  # fmt: skip
+
+
+def _both_ways(content: Content, name: str, reads: bool, dim: int, bench: Bench) -> Iterator[Point]:
+    """The points of a format: writing a file, and reading it where that is possible; none, and a
+    warning, where it cannot be written."""
     import tempfile  # slow to import, and the help of bench imports this module
 
-    grid, format = octree.grid, EXCHANGE[name]
     with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
         path = Path(folder, "layers" if "%" in name else "", f"a{ending(name)}")
         works: dict[str, Callable[[], Any]] = {
-            "octree to file": lambda: plan_export(octree, path, max_bytes=MOST_BYTES).run()
+            f"{content.name} to file": lambda: content.write(path)
         }
         try:
-            size = works["octree to file"]()  # the warm-up
+            size = content.write(path)  # the warm-up
         except VoxtoolError as error:
-            what = f"{ending(name)} at dim {grid.dim} is left out: {error}"
+            what = f"{ending(name)} at dim {dim} is left out: {error}"
             warnings.warn(what, VoxtoolWarning, stacklevel=2)
             return
         fields: dict[str, Any] = {"absent": WITHOUT}
-        if format.reads:  # .npy and .binvox do not say where the voxels lie
-            place = {"origin": grid.origin, "pitch": grid.pitch}
-            works["file to octree"] = read = partial(read_voxels, path, **place)
-            differing = sum(count_differences(octree, read()))
-            fields = {"errors": {"returned": differing / max(octree.count, 1)}}
+        if reads:
+            works[f"file to {content.name}"] = lambda: content.read(path)
+            differing = content.differing(content.read(path))
+            fields = {"errors": {"returned": differing / max(content.count, 1)}}
         runs = by_turns(bench.request, *works.values())
         for work, seconds in zip(works, runs, strict=True):
             yield bench.point(
-                work, ending(name), f"dim {grid.dim}", runs=seconds, asked={"dims": grid.dim},
-                size=octree.count, size_of="voxels", bytes=size,
-                figures={"over the file": size / own}, **fields,
+                work, ending(name), f"dim {dim}", runs=seconds, asked={"dims": dim},
+                size=content.count, size_of=content.what, bytes=size,
+                figures={"over the file": size / content.own}, **fields,
             )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Voxels that go out to other programs' formats and come back, without a disk."""
+"""Voxels that go out to other programs' formats and come back, without a disk; fields of images."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from voxtool.adf.from_image import field_of_image
+from voxtool.adf.query import query_adf
 from voxtool.files import npz
 from voxtool.files.voxels import Rule, octree_of
 from voxtool.grid import Grid
@@ -14,6 +16,7 @@ from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.morton import morton_encode
 from voxtool.selftest import shapes
 from voxtool.selftest.case import case
+from voxtool.spatial.sampling import sample_cube
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import voxelize
@@ -60,4 +63,22 @@ def differing(one: Octree, other: Octree) -> int:
     return len(np.setxor1d(morton_encode(one.occupied()), morton_encode(other.occupied())))
 
 
-CASES = (round_trips,)
+@case("fields of images", "noise in oblong voxels: its interpolation, numpy", "of the bound", 1)
+def images(device: Device, full: bool) -> float:
+    """Answers in leaves that the planes of samples cut, and beyond the samples."""
+    grid = Grid((11, 9, 8), (-1.5, 0.1, 1e3), (0.1, 0.3, 0.7))
+    values = np.random.default_rng(6).normal(size=grid.shape)
+    field = field_of_image(values, grid, tolerance=1e-2, max_level=6 if full else 4, device=device)
+    points = np.array(field.origin) + field.side * sample_cube(1 << (16 if full else 12))
+    found = query_adf(field, points, bounds=True, device=device)
+    at = ((points - grid.origin) / grid.pitch - 0.5).clip(0, np.array(grid.shape) - 1)
+    low = np.minimum(at.astype(int), np.array(grid.shape) - 2)
+    expected = np.zeros(len(points))
+    for corner in np.indices((2, 2, 2)).reshape(3, 8).T:
+        weights = np.where(corner, at - low, 1 - (at - low)).prod(axis=1)
+        expected += weights * values[tuple((low + corner).T)]
+    assert found.bound is not None
+    return float((abs(found.distance - expected) / found.bound).max())
+
+
+CASES = (round_trips, images)
