@@ -93,6 +93,14 @@ def test_an_import_without_a_voxel_warns(rule: str, said: str, here: Path) -> No
     assert f"voxtool: warning: a.npy sets no voxel: {said}\n" in result.stderr
 
 
+def test_an_import_of_every_voxel_says_so(here: Path) -> None:
+    """As of an image of distances, none of which is 0."""
+    np.save("a.npy", np.linspace(-2, 2, 512).reshape(8, 8, 8))
+    text = run("import a.npy -o a.svo.h5").stderr
+    assert "a.npy sets every voxel, since every value is neither 0 nor NaN: --threshold and" in text
+    assert "every" not in run("import a.npy --threshold 0 -o a.svo.h5").stderr
+
+
 @pytest.mark.parametrize("name", ["nrrd", "nii.gz"])
 @pytest.mark.parametrize("direction", [(1, 0, 0, 0, 1, 0, 0, 0, 1), (0, 0, -1, 1, 0, 0, 0, 1, 0)])
 def test_a_mask_lies_on_its_image(name: str, direction: tuple[int, ...], here: Path) -> None:

@@ -242,6 +242,15 @@ class ImportJob(Job[Octree | DistanceField]):
             shown = streams.input_name(self.source.path)
             yield f"{shown} sets no voxel: no value {self.plan.rule.text}"
 
+    def notes(self, result: Octree | DistanceField) -> Iterator[str]:
+        """Yield a remark if every voxel is set, as those of an image of distances are."""
+        if isinstance(result, Octree) and result.count == prod(result.grid.shape):
+            shown = streams.input_name(self.source.path)
+            yield (
+                f"{shown} sets every voxel, since every value {self.plan.rule.text}: --threshold "
+                "and --label choose some, --as-field reads distances"
+            )
+
     def _run(self) -> Octree | DistanceField:
         plan, most = self.plan, self.max_memory
         with self.stage(READ), self.source.stored() as stored:

@@ -191,7 +191,7 @@ def _unpacked(name: str, data: bytes, limit: int) -> bytes:
 
 def _refuse_other_files(name: str, data: bytes) -> None:
     if data.startswith(HDF5):
-        what, other = "a voxtool output (HDF5)", " or extract one (voxtool extract)"
+        what, other = "HDF5, such as a voxtool output", " or extract one (voxtool extract)"
     elif data[:64].lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<?xml", b"<!DOCTYPE", b"<octree")):
         what, other = "XML, such as a voxtool output", " or extract one (voxtool extract)"
     elif data.startswith(b"<VTKFile"):
