@@ -141,7 +141,7 @@ def test_tilings_are_sets() -> None:
         ("grow", 1, "ball", "operation 'grow' is unknown"),
         ("dilate", -1, "ball", "radius -1 is no length"),
         ("dilate", float("nan"), "ball", "radius nan is no length"),
-        ("dilate", 129, "ball", "reaches 129 voxels, of 128 allowed"),
+        ("dilate", 129, "ball", "reaches more than the 128 voxels"),
         ("dilate", 1, "disc", "shape 'disc' is unknown"),
     ],
 )

@@ -73,7 +73,7 @@ class Element:
         nx, ny, nz = reach = tuple(math.floor(r / p) for p in (px, py, pz))
         if max(reach) > MAX_REACH:
             raise VoxtoolError(
-                f"radius {radius:g} reaches {max(reach):,} voxels, of {MAX_REACH} allowed: "
+                f"radius {radius:g} reaches more than the {MAX_REACH} voxels that are allowed: "
                 "choose a smaller radius, or voxelize with a smaller dim"
             )
         widths = np.full((nz + 1, ny + 1), -1, np.int32)
