@@ -273,6 +273,8 @@ def voxelize_all(device) -> None:
         }
         numbers = oracles.numbers(triangles, shape)
         for variant, decisions in VARIANTS.items():
+            if variant == "blocked" and scene != "open":
+                continue  # "all" has the blocks of the other scenes
 
             def voxelize(
                 mode="solid", fill="parity", mesh=mesh, grid=grid, forced=decisions, **more

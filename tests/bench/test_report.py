@@ -467,7 +467,9 @@ def test_missing_tools_are_those_of_the_benches() -> None:
 # ---- ablation
 
 
-def test_forced_decisions_change_nothing(device) -> None:
+def test_forced_decisions_change_nothing() -> None:
+    """On one device: tests of the voxelizer and of fields force decisions on every one."""
+    device = opened(usable_devices()[0][0])
     mesh = mesh_from_arrays(*meshes.icosphere(2))
     bench = timing.Bench(Request(repeat=1, seconds=0), device, device, "voxelize", "a/ball.obj")
     job = plan_voxelize(mesh, Grid.fit(mesh, 64), "solid", device=device)

@@ -254,7 +254,7 @@ def test_the_outside_never_reaches_the_inside_through_faces(device: Device, data
 
 @pytest.mark.slow
 @given(data=st.data())
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_windows_make_up_the_whole(device: Device, data) -> None:
     """A window holds the voxels of the whole, the parity before its low-x side included."""
     shape = (20, 16, 12)
