@@ -63,7 +63,7 @@ def changes_for(format: str, data: bytes) -> list[Change]:
         return [change_json, change_numbers]
     if format == "glb":
         return [change_glb, change_binary]
-    if format == "3mf":
+    if format in ("3mf", "image.ome.zarr"):
         return [change_zip, change_zip, change_binary]
     if b"\0" in data or format.endswith((".gz", "npz", "npy")):
         return [change_binary, change_numbers, change_lines]
@@ -258,7 +258,7 @@ def change_glb(data: bytes, rng: random.Random) -> bytes:
 
 
 def change_zip(data: bytes, rng: random.Random) -> bytes:
-    """A file of XML in a zip archive changed, packed again."""
+    """A file of XML, JSON or other bytes in a zip archive changed, packed again."""
     out = io.BytesIO()
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(out, "w") as new:
@@ -266,7 +266,8 @@ def change_zip(data: bytes, rng: random.Random) -> bytes:
             for name in names:
                 text = old.read(name)
                 if rng.random() < 1 / len(names):
-                    text = rng.choice((change_xml, change_numbers, change_bytes))(text, rng)
+                    known = change_json if text.startswith(b"{") else change_xml
+                    text = rng.choice((known, change_numbers, change_bytes))(text, rng)
                 new.writestr(zipfile.ZipInfo(name), text, zipfile.ZIP_DEFLATED)
     except Exception:  # another change damaged it before
         return change_bytes(data, rng)

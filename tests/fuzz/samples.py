@@ -7,6 +7,7 @@ import gzip
 import io
 import json
 import re
+import tempfile
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -32,9 +33,13 @@ POINTS = ("npy", "columns.npy", "npz", "packed.npz", "csv", "xyz", "points.ply",
 IMAGES = tuple(
     f"image.{name}" for name, format in EXCHANGE.items() if format.reads and not format.folder
 )
+FOLDERS = tuple(  # their samples are archives of what is in them
+    f"image.{name}" for name, format in EXCHANGE.items() if format.reads and format.folder
+)
 TRANSFERS = ("json",)
 REPORTS = ("report.json",)
-FORMATS = (*OCTREES, *FIELDS, *VOLUMES, *MESHES, *CELLS, *POINTS, *IMAGES, *TRANSFERS, *REPORTS)
+FORMATS = (*OCTREES, *FIELDS, *VOLUMES, *MESHES, *CELLS, *POINTS, *IMAGES, *FOLDERS, *TRANSFERS,
+           *REPORTS)  # fmt: skip
 # meshio's format and options of each file of volume cells.
 MESHIO: dict[str, tuple[str, dict[str, Any]]] = {
     "vtu": ("vtu", {}),
@@ -60,6 +65,10 @@ def write_all(folder: Path, device: Any) -> None:
         voxtool.write_svo(octree, folder / f"a.{kind}")
     for kind in IMAGES:
         voxtool.export(octree, folder / f"a.{kind}")
+    for kind in FOLDERS:
+        with tempfile.TemporaryDirectory() as inside:
+            voxtool.export(octree, Path(inside) / f"a.{kind}")
+            (folder / f"a.{kind}").write_bytes(archive_of(Path(inside) / f"a.{kind}"))
     field = voxtool.build_adf(ball, max_level=3, device=device)
     voxtool.write_adf(field, folder / "a.adf.h5")
     helpers_tets.write_vtu(folder / "volume.vtu")
@@ -77,6 +86,25 @@ def write_all(folder: Path, device: Any) -> None:
     (folder / "a.report.json").write_text(report(folder / "a.obj", device))
     write_cells(folder)
     write_points(folder, vertices)
+
+
+def archive_of(folder: Path) -> bytes:
+    """The files of a folder in one archive."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+            archive.writestr(zipfile.ZipInfo(str(path.relative_to(folder))), path.read_bytes())
+    return packed.getvalue()
+
+
+def put(path: Path, format: str, content: bytes) -> None:
+    """Write the file of a case, or its folder as far as the archive can be unpacked."""
+    if format not in FOLDERS:
+        path.write_bytes(content)
+        return
+    path.mkdir()
+    with contextlib.suppress(Exception), zipfile.ZipFile(io.BytesIO(content)) as archive:
+        archive.extractall(path)
 
 
 def report(mesh: Path, device: Any) -> str:

@@ -43,7 +43,7 @@ COMMANDS: dict[tuple[str, ...], tuple[str, ...]] = {
     ),
     samples.CELLS: ("tet-build FILE --json -o out.tet.h5",),
     samples.POINTS: ("adf-query ../../a.adf.h5 FILE --gradient -o out.csv --device DEVICE",),
-    samples.IMAGES: (
+    (*samples.IMAGES, *samples.FOLDERS): (
         "import FILE --json -o out.svo.h5", "import FILE --threshold 0.5 -o out.svo.xml",
         "voxelize ../../a.obj --like FILE --mode surface6 -o out.npz --device DEVICE",
     ),
@@ -184,6 +184,6 @@ WAYS: dict[tuple[str, ...], tuple[Callable[[str], Any], list[Use]]] = {
     samples.MESHES: (voxtool.load_mesh, [voxelize, measure, build_field, write_mesh]),
     samples.CELLS: (read_cells, [build_volume]),
     samples.POINTS: (read_all_points, [query]),
-    samples.IMAGES: (voxtool.read_voxels, [use_octree]),
+    (*samples.IMAGES, *samples.FOLDERS): (voxtool.read_voxels, [use_octree]),
     samples.TRANSFERS: (voxtool.read_transfer, [render_through]),
 }

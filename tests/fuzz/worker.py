@@ -134,7 +134,7 @@ def serve(pipe: Any, folder: Path, log: Path, device: str, limit: float) -> None
 def try_case(case: Case, tools: Tools, limit: float, temporary: Path) -> list[Finding]:
     """The findings of a case, which may take `limit` seconds of processor time."""
     if case.name:
-        Path(case.name).write_bytes(case.content)
+        samples.put(Path(case.name), case.format, case.content)
     signal.setitimer(signal.ITIMER_PROF, limit)
     faulthandler.dump_traceback_later(WAIT * limit, exit=True)
     findings = run(case, tools)
@@ -144,16 +144,21 @@ def try_case(case: Case, tools: Tools, limit: float, temporary: Path) -> list[Fi
         findings.append(Finding("temporary file left", "the folder for them", name))
         (temporary / name).unlink()
     if case.name:
-        Path(case.name).unlink(missing_ok=True)
+        remove(Path(case.name))
     return findings
+
+
+def remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there."""
+    shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
 
 
 def fill_folder(contents: dict[str, bytes]) -> None:
     """Make the current folder one of the samples and some odd names, and of nothing else."""
     for path in Path().iterdir():
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
+        remove(path)
     for format, content in contents.items():
-        Path(f"a.{format}").write_bytes(content)
+        samples.put(Path(f"a.{format}"), format, content)
     Path("folder").mkdir()
     Path("empty").touch()
     with suppress(OSError):  # where the file system takes such names
