@@ -53,7 +53,10 @@ from voxtool.svo.octree import Octree
 DAMAGE = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, ValueError, ArithmeticError)
 READ, SAMPLE = "read voxels", "sample"
 OWN = tuple(f".{name}" for name in (*SVO_FORMATS, *ADF_FORMATS, *TET_FORMATS) if "." in name)
-NO_SHARE: Callable[[float], None] = lambda share: None  # noqa: E731
+
+
+def no_progress(share: float) -> None:
+    """Show nothing of the share that is done."""
 
 
 @dataclass
@@ -229,7 +232,7 @@ class ImportJob(Job[Octree | DistanceField]):
     source: Source
     device: Device | None = None
     max_memory: int | None = None
-    progress: Callable[[float], None] = field(default=NO_SHARE)
+    progress: Callable[[float], None] = field(default=no_progress)
 
     def refuse(self) -> None:
         """Raise MemoryLimitError if the import would take more memory of the host than it may."""
@@ -280,7 +283,7 @@ def plan_import(
     grid: str | None = None,
     max_memory: int | None = None,
     device: Device | None = None,
-    progress: Callable[[float], None] = NO_SHARE,
+    progress: Callable[[float], None] = no_progress,
 ) -> ImportJob:
     """Return the job of read_voxels, or with `as_field` that of read_field; it reads the header."""
     if threshold is not None and label is not None:
@@ -315,7 +318,7 @@ def read_voxels(
     format: str | None = None,
     grid: str | None = None,
     max_memory: int | None = None,
-    progress: Callable[[float], None] = NO_SHARE,
+    progress: Callable[[float], None] = no_progress,
 ) -> Octree:
     """Read another program's voxels, which become an octree of mode "solid".
 
@@ -375,7 +378,7 @@ def read_field(
     format: str | None = None,
     max_memory: int | None = None,
     device: Device | None = None,
-    progress: Callable[[float], None] = NO_SHARE,
+    progress: Callable[[float], None] = no_progress,
 ) -> DistanceField:
     """Read an image of signed distances, which becomes a field.
 
