@@ -289,7 +289,8 @@ def test_the_copied_command_draws_the_picture(octree, viewer: Viewer, here: Path
 @pytest.mark.usefixtures("large")
 def test_the_picture_is_seen_after_loading_and_in_another_size(octree, viewer: Viewer) -> None:
     viewer.set(voxtool.camera_for(octree))
-    for width, height in (LARGE, (300, 240), LARGE):
+    viewer.tab.evaluate("document.getElementById('panel').open = false")
+    for width, height in (LARGE, LARGE, (300, 240), LARGE):
         viewer.resize(width, height)
         shot = viewer.tab.locator("#picture").screenshot()
         seen = np.asarray(Image.open(io.BytesIO(shot)))[..., :3].astype(int)

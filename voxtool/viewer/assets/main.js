@@ -65,7 +65,8 @@ async function start(kindOf) {
   const facts = JSON.parse(textOf("facts"));
   const kind = kindOf(facts);
   const canvas = /** @type {HTMLCanvasElement} */ (element("picture"));
-  const gl = canvas.getContext("webgl2", { antialias: false });
+  // preserved, because a browser that puts the page together again may find an empty picture
+  const gl = canvas.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true });
   if (!gl)
     throw new PageError(
       "This browser has no WebGL 2: use a newer one, or turn hardware acceleration on. " +
