@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import golden_adf
+import golden_combine
 import golden_distance
 import golden_exchange
 import golden_mesh
@@ -40,6 +41,7 @@ WINGS: dict[str, dict[str, Callable[[Any], Digests]]] = {
     "page": {n: lambda d, n=n: golden_page.digests(own(n), d) for n in golden_page.OWN}
     | {n: lambda d, n=n: golden_page.volume_digests(golden_picture.own_volume(n))
        for n in golden_page.VOLUMES},
+    "combine": {n: lambda d, n=n: golden_combine.digests(n, d) for n in golden_combine.OWN},
     "exchange": {n: lambda d, n=n: golden_exchange.digests(n, d)
                  for n in golden_exchange.OWN},
 }  # fmt: skip

@@ -33,6 +33,7 @@ MEASURES = {  # of errors, by bench, and their units; the first is drawn in char
     "tets": dict.fromkeys(("rms", "max"), "of colours from 0 to 1"),
     "view": {"unpacked": "of the values"},
     "exchange": {"returned": "of the voxels"},
+    "combine": {"wrong": "of the grid's voxels"},
     "growth": {"rms": "of the cube's side"},
     "degenerate": {"rms": "of the cube's side"},
 }

@@ -22,13 +22,14 @@ SETTINGS = {  # the fields of a Request that each bench reads
              "component"),
     "view": ("dims", "levels", "tolerances", "sign", "scalar", "component"),
     "exchange": ("dims",),
+    "combine": ("dims",),
     "degenerate": ("triangles",),
     "growth": ("triangles", "dims", "levels", "tolerances", "sizes", "cells", "scalar",
                "component"),
 }  # fmt: skip
 
 MESH_BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "view", "exchange",
-                "growth")  # fmt: skip
+                "combine", "growth")  # fmt: skip
 VOLUME_BENCHES = ("tets", "view", "growth")
 
 

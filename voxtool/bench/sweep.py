@@ -10,7 +10,18 @@ import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from voxtool.bench import adf, degenerate, distance, exchange, growth, pictures, tets, view, voxels
+from voxtool.bench import (
+    adf,
+    combine,
+    degenerate,
+    distance,
+    exchange,
+    growth,
+    pictures,
+    tets,
+    view,
+    voxels,
+)
 from voxtool.bench.request import benches_for, is_volume
 from voxtool.bench.timing import Bench
 from voxtool.errors import MeshWarning
@@ -33,6 +44,7 @@ BENCHES = {
     "tets": tets.measure,
     "view": view.measure,
     "exchange": exchange.measure,
+    "combine": combine.measure,
     "growth": growth.measure,
     "degenerate": degenerate.measure,
 }

@@ -165,6 +165,16 @@ COMMANDS = {
       voxtool bench exchange bunny.obj --dims 128,512
       voxtool bench exchange bunny.obj --quick -o report
     """,
+    "combine": """Measure set operations on the octrees of MODELS and of their mirror images.
+
+    An error is a voxel that differs from numpy on dense arrays, up to dim 256: there must be none.
+    The time of numpy is shown beside; that of voxelizing counts for neither.
+
+    \b
+    Examples:
+      voxtool bench combine bunny.obj --dims 128,512
+      voxtool bench combine bunny.obj --quick -o report
+    """,
     "growth": """Measure the growth of time with triangles, dims, leaves, pixels and cells.
 
     MODELS are subdivided for more triangles or cells. The exponent p of time ~ triangles^p is below

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from voxtool.selftest import (
     arithmetic,
+    booleans,
     digests,
     exchange,
     fields,
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 CASES: tuple[Case, ...] = (
     *arithmetic.CASES,
     *voxels.CASES,
+    booleans.operations,
     *morphology.CASES,
     *fields.CASES,
     *volumes.CASES,

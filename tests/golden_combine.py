@@ -1,0 +1,55 @@
+"""The golden digests of set operations; run as a script, this writes them anew.
+
+Digests change only together with a line in CHANGELOG.md that says why:
+    python tests/golden_combine.py
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import golden_svo
+
+import voxtool
+from voxtool.choices import OPERATIONS
+
+GOLDEN = golden_svo.GOLDEN.with_name("combine.json")
+OWN = {"bunny": "torus", "needles": "open-box"}  # the second operand
+DIMS = (24, 130)
+
+
+def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
+    """Yield the digests of every operation on the octree of a mesh, that of another mesh in its
+    place, and a part of the first, whose origin is no corner of its nodes."""
+    warnings.simplefilter("ignore", voxtool.MeshWarning)  # the meshes are bad on purpose
+    mesh, other = golden_svo.own_mesh(own), golden_svo.own_mesh(OWN[own])
+    low, other_low = mesh.bounds[0], other.bounds[0]
+    scale = (mesh.bounds[1] - low).max() / (other.bounds[1] - other_low).max()
+    placed = voxtool.mesh_from_arrays((other.vertices - other_low) * scale + low, other.faces)
+    for dim in DIMS:
+        grid = voxtool.Grid.fit(mesh, dim)
+        octrees = [
+            voxtool.voxelize(mesh, grid, "surface26", device=device),
+            voxtool.voxelize(placed, grid, fill="parity", device=device),
+            voxtool.voxelize(
+                mesh, grid, fill="parity", window=((3, 5, 1), (20, 18, 16)), device=device
+            ),
+        ]
+        for operation in OPERATIONS:
+            yield f"{operation} {dim}", voxtool.combine(octrees, operation, device=device).digest()
+        found = voxtool.compare(*octrees[:2], device=device)
+        yield f"both {dim}", found.both.digest()
+        yield f"only second {dim}", found.second.set_digest()
+
+
+def main() -> None:
+    device = voxtool.open_device()
+    golden = {name: dict(digests(name, device)) for name in OWN}
+    GOLDEN.write_text(json.dumps(golden, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
