@@ -140,7 +140,7 @@ class _Scene:
     def model(self, values: np.ndarray) -> int:
         """Write a model of the set values, and return its number."""
         self.chunk(b"SIZE", struct.pack("<3i", *values.shape))
-        count = np.count_nonzero(values)
+        count = int(np.count_nonzero(values))
         self.open_chunk(b"XYZI", 4 + 4 * count)
         self.file.write(struct.pack("<i", count))
         for first in range(0, len(values), LAYERS):
