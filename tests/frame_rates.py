@@ -113,8 +113,10 @@ def fetches(browser: Any, page: Path, side: int) -> np.ndarray:
     return ids[..., 0]
 
 
-def processor_seconds() -> float:
-    """Seconds that the processes begun by this one, and by those, have run; of Linux."""
+def processor_seconds(root: int | None = None) -> float:
+    """Seconds that the processes begun by `root`, this one by default, and by those, have run; of
+    Linux."""
+    root = root or os.getpid()
     parents: dict[int, int] = {}
     spent: dict[int, int] = {}
     for path in Path("/proc").glob("[0-9]*/stat"):
@@ -124,10 +126,10 @@ def processor_seconds() -> float:
             continue
         number = int(path.parent.name)
         parents[number], spent[number] = int(words[1]), int(words[11]) + int(words[12])
-    found = {os.getpid()}
+    found = {root}
     while more := {n for n, parent in parents.items() if parent in found} - found:
         found |= more
-    return sum(spent[n] for n in found - {os.getpid()}) / os.sysconf("SC_CLK_TCK")
+    return sum(spent[n] for n in found - {root}) / os.sysconf("SC_CLK_TCK")
 
 
 if __name__ == "__main__":
