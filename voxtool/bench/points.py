@@ -34,6 +34,7 @@ MEASURES = {  # of errors, by bench, and their units; the first is drawn in char
     "view": {"unpacked": "of the values"},
     "exchange": {"returned": "of the voxels"},
     "combine": {"wrong": "of the grid's voxels"},
+    "morph": {"wrong": "of the grid's voxels"},
     "growth": {"rms": "of the cube's side"},
     "degenerate": {"rms": "of the cube's side"},
 }

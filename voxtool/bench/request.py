@@ -23,13 +23,14 @@ SETTINGS = {  # the fields of a Request that each bench reads
     "view": ("dims", "levels", "tolerances", "sign", "scalar", "component"),
     "exchange": ("dims",),
     "combine": ("dims",),
+    "morph": ("dims",),
     "degenerate": ("triangles",),
     "growth": ("triangles", "dims", "levels", "tolerances", "sizes", "cells", "scalar",
                "component"),
 }  # fmt: skip
 
 MESH_BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "view", "exchange",
-                "combine", "growth")  # fmt: skip
+                "combine", "morph", "growth")  # fmt: skip
 VOLUME_BENCHES = ("tets", "view", "growth")
 
 

@@ -17,6 +17,7 @@ from voxtool.bench import (
     distance,
     exchange,
     growth,
+    morph,
     pictures,
     tets,
     view,
@@ -45,6 +46,7 @@ BENCHES = {
     "view": view.measure,
     "exchange": exchange.measure,
     "combine": combine.measure,
+    "morph": morph.measure,
     "growth": growth.measure,
     "degenerate": degenerate.measure,
 }
