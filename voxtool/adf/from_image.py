@@ -83,10 +83,9 @@ class ImageCube:
     def natural(self) -> int:
         """The level of cells as large as the least spacing."""
         extent = max((n - 1) * p for p, n in zip(self.grid.pitch, self.grid.shape, strict=True))
+        least = extent * (1 + 2.0**-20)  # so that no sample is on the far side
         level = 1
-        while math.ldexp(self.spacing, level) < extent * (
-            1 + 2.0**-20
-        ):  # no sample on the far side
+        while math.ldexp(self.spacing, level) < least:
             level += 1
         return level
 
