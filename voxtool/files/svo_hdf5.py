@@ -37,7 +37,8 @@ RULE_NAME = Rule(  # any name will do: it changes nothing here
 MODE = "`surface26`, `surface6`, `solid` or `solid+surface26`"
 FILL = (
     "rule that decided what is inside: `parity`, `nonzero`, `winding`, `flood`, `flood+gapN`; "
-    "`none` for a surface; matches `[a-z][a-z0-9+-]*`"
+    "`none` for a surface, for other programs' voxels and for combinations; matches "
+    "`[a-z][a-z0-9+-]*`"
 )
 
 SCALED = Rule(
@@ -46,7 +47,7 @@ SCALED = Rule(
 )
 TRANSFORM = (
     "of a normalized mesh, scale and offset x, y, z: world = original · scale + offset; "
-    "left out of other files, which are `1.0`"
+    "files with it are `1.1`, others `1.0`"
 )
 
 
