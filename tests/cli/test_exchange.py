@@ -94,7 +94,7 @@ def test_an_import_without_a_voxel_warns(rule: str, said: str, here: Path) -> No
 
 
 def test_an_import_of_every_voxel_says_so(here: Path) -> None:
-    """As of an image of distances, none of which is 0."""
+    """An image of distances has no value of 0, so every voxel would be set."""
     np.save("a.npy", np.linspace(-2, 2, 512).reshape(8, 8, 8))
     text = run("import a.npy -o a.svo.h5").stderr
     assert "a.npy sets every voxel, since every value is neither 0 nor NaN: --threshold and" in text

@@ -37,7 +37,7 @@ def test_the_farthest_vertex_comes_to_the_sphere() -> None:
 
 @pytest.mark.parametrize("into", ["unit", "sphere"])
 def test_the_transform_gives_the_vertices_exactly(into: str) -> None:
-    """And the grid around a normalized mesh is the transformed grid, up to rounding."""
+    """Normalized vertices are scale times vertex plus offset; so is the grid, up to rounding."""
     rng = np.random.default_rng(7)
     mesh = voxtool.mesh_from_arrays(rng.normal(5, 3, (60, 3)), np.arange(60).reshape(20, 3))
     placed = voxtool.normalize(mesh, into)

@@ -91,7 +91,7 @@ class ImageCube:
 
     @property
     def side(self) -> float:
-        """Of the cube, world units."""
+        """The side of the cube, world units."""
         return math.ldexp(self.spacing, self.natural)
 
     @cached_property

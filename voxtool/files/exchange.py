@@ -101,7 +101,7 @@ class ExportPlan:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What the image holds, in JSON types."""
+        """The shape, place and types of the image, in JSON types."""
         image = self.image
         if isinstance(image, VolumeCells):
             return image.facts

@@ -75,7 +75,7 @@ class Rule(NamedTuple):
 
     @property
     def text(self) -> str:
-        """What is said of the values that are set."""
+        """The rule in words, after "a voxel is set if its value"."""
         if self.threshold is not None:
             return f"is {self.threshold:g} or more"
         if self.label is not None:

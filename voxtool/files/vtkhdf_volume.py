@@ -36,7 +36,7 @@ class VolumeCells:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What the export holds, in JSON types."""
+        """The counts and the scalar of the export, in JSON types."""
         volume = self.source
         counts = {volume.noun: len(volume.cells), "points": len(volume.vertices)}
         return {**counts, "scalar": volume.scalar, "constant": volume.constant}

@@ -30,7 +30,7 @@ COMPARE = "compare"  # in place of an operation, in plans
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """What two octrees have in common, as pruned octrees of the grid that holds both.
+    """The voxels of only one octree, only the other, and both, on the grid that holds both.
 
     Attributes
     ----------
