@@ -21,6 +21,7 @@ from hypothesis import HealthCheck, Phase, settings
 from voxtool.opencl import Device, list_devices, open_device
 
 MODELS = Path(__file__).parents[2] / "shared" / "models"
+LONG = 600  # seconds of a soak run that has the tests marked long
 
 settings.register_profile(
     "voxtool",
@@ -52,7 +53,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Leave out what the tier does not run: slow tests in --quick, soak tests without --soak. The
     longest file comes first, so that no worker is left alone with it."""
     items.sort(key=lambda item: item.path.name != "test_oclgrind.py")
-    left_out = set() if config.getoption("soak") else {"soak"}
+    soak = config.getoption("soak") or 0
+    left_out = {name for name, least in (("soak", 1), ("long", LONG)) if soak < least}
     if config.getoption("quick"):
         left_out.add("slow")
         for item in items:

@@ -29,15 +29,7 @@ SHAPES = {  # a grid that is no cube with voxels that are none, nothing, one vox
     "one voxel": (np.arange(9**3).reshape(9, 9, 9) == 123, WORLD),
     "all": (np.ones((9, 9, 9), bool), WORLD),
 }
-LONG = 600  # seconds of a run in which all models are tried
 MODEL_NAMES = [f"{path.stem} {dim}" for dim in (64, 200) for path in sorted(MODELS.glob("*.obj"))]
-
-
-def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Try the shapes and one model, or in a long run nine models in two sizes."""
-    if metafunc.function is test_round_trips:
-        is_long = (metafunc.config.getoption("soak") or 0) >= LONG
-        metafunc.parametrize("name", [*SHAPES, *MODEL_NAMES[: None if is_long else 1]])
 
 
 def octree_of(name: str) -> voxtool.Octree:
@@ -48,6 +40,14 @@ def octree_of(name: str) -> voxtool.Octree:
     return voxtool.voxelize(voxtool.load_mesh(MODELS / f"{model}.obj"), dim=int(dim))
 
 
+@pytest.mark.parametrize(
+    "name",
+    [
+        *SHAPES,
+        *MODEL_NAMES[:1],
+        *(pytest.param(name, marks=pytest.mark.long) for name in MODEL_NAMES[1:]),
+    ],
+)
 def test_round_trips(name: str, tmp_path: Path) -> None:
     """Another project reads every voxel and the world's positions of three corners, and the import
     gives the octree back; what another project writes is imported."""
@@ -80,7 +80,7 @@ def test_round_trips(name: str, tmp_path: Path) -> None:
 
 
 LAYERS = """
-import sys, numpy as np, resource, voxtool
+import sys, numpy as np, voxtool
 from voxtool.svo.collect import Collector
 count, path = int(sys.argv[1]), sys.argv[2]
 grid = voxtool.Grid((3840, 2160, count), (0, 0, 0), (1, 1, 1))
@@ -88,7 +88,8 @@ collector = Collector(grid)
 places = [[i * 8 % 3000, i * 5 % 2000, i % count] for i in range(9 * count)]
 collector.add_cubes(np.array(places) // 8 * 8, 8)
 voxtool.export(collector.octree(), path)
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+status = open("/proc/self/status").read()  # rusage has the peak of the process that began it
+print(status.partition("VmHWM:")[2].split()[0])
 """
 
 

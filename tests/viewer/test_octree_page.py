@@ -103,6 +103,7 @@ def test_cubes_reach_beyond_the_grid(browser, tmp_path: Path) -> None:
 
 
 @pytest.mark.soak
+@pytest.mark.long
 @pytest.mark.parametrize("dim", [600, 1500])
 @pytest.mark.parametrize("name", CAMERAS)
 def test_every_level_of_large_octrees(name: str, dim: int, browser, tmp_path: Path) -> None:
