@@ -12,6 +12,7 @@ from helpers_distance import around
 from helpers_signs import winding
 from meshes import mesh_of
 
+from voxtool.adf.survey import Survey
 from voxtool.spatial.signed_distance import NUMBERED, SignedDistance
 from voxtool.spatial.winding_number import WindingNumber
 
@@ -101,3 +102,12 @@ def test_few_points_need_a_number(device: Device, monkeypatch: pytest.MonkeyPatc
     assert sum(counts) < len(points) / 3
     measure(points[: NUMBERED - 1])
     assert counts[4:] == [NUMBERED - 1]
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_a_face_that_is_a_point_beside_a_huge_one_has_no_side(device: Device) -> None:
+    """In local coordinates its vertices are one, so its normal has no length to rise by."""
+    small, huge = np.eye(3), 1e38 * np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
+    mesh = mesh_of(np.concatenate([small, huge]), [(0, 1, 2), (3, 4, 5), (3, 5, 6)])
+    front = Survey(mesh, device, signed=True).winding_arguments["front"].get()
+    assert np.isnan(front).tolist() == [True, False, False]

@@ -91,7 +91,7 @@ def _centroids(
     mesh: Mesh, faces: np.ndarray, normals: Pseudonormals, frame: Frame
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the centroid of each of (n,) faces, and the way from there to the point in front of
-    it, (n, 3) float64 each, local coordinates; 0 where a face is flat."""
+    it, (n, 3) float64 each, local coordinates; 0 where a face is flat, or a point in this frame."""
     triangles = frame.local(mesh.vertices)[mesh.faces[faces]]
     normal = normals.normals[normals.features[faces, 0]]
     size = length(normal)
@@ -99,7 +99,7 @@ def _centroids(
     edges = np.stack([b - a, c - a, (c - a) - (b - a)])
     longest = length(edges).max(axis=0)
     twice_area = length(cross(edges[0], edges[1]))
-    known = (normals.flat[faces] == 0) & (size > 0)
+    known = (normals.flat[faces] == 0) & (size > 0) & (longest > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         rise = np.where(known, ABOVE * twice_area / longest / size, 0)[:, None] * normal
     return (a + b + c) / 3, rise
