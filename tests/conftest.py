@@ -69,8 +69,8 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(trylast=True)
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Fail in CI if a test was skipped: everything that tests need is installed there, but for the
-    real models, which may be absent."""
+    """Fail in CI if a test was skipped and the real models are there: all else that tests need is
+    installed."""
     reporter = session.config.pluginmanager.get_plugin("terminalreporter")
     if reporter is None:  # a worker
         return

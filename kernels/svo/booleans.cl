@@ -42,7 +42,7 @@ __kernel void close_children(const uint n, __global const uint *starts,
     child_states[gid] = count ? state : state ^ complement;
 }
 
-// The entries of the open ones of these children; `places` and `ranks` are the scans of `counts` and
+// The entries of the open children; `places` and `ranks` are the scans of `counts` and
 // `open`, `bases` the index of the first node or brick of each operand two levels below the nodes.
 __kernel void list_entries(const uint n, __global const uint *starts,
                            __global const uint *operands, __global const uint *firsts,

@@ -59,7 +59,7 @@ def test_refusals() -> None:
 
 @pytest.mark.parametrize("extension", ["svo.h5", "svo.xml", "svo.xml.gz"])
 def test_the_transform_is_stored(extension: str, here: Path) -> None:
-    """It shows in svo-info, but not in the digest; in all files of the same content."""
+    """svo-info shows the transform, and every format stores it; the digest leaves it out."""
     name = f"box.{extension}"
     run(f"voxelize bunny.obj --dim 16 --normalize sphere -o {name}")
     octree = voxtool.voxelize(voxtool.normalize("bunny.obj", "sphere"), dim=16)

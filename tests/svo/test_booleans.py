@@ -58,7 +58,7 @@ def in_common(arrays: list[np.ndarray], lows: np.ndarray) -> list[np.ndarray]:
 @given(seed=st.integers(0, 1 << 32), spread=st.sampled_from([0, 0, 4, 8, 40]))
 @settings(max_examples=25)
 def test_against_dense_arrays(device: Device, seed: int, spread: int) -> None:
-    """One to four octrees of several modes and depths; of a spread, apart by so many voxels."""
+    """One to four octrees of several modes and depths, up to `spread` voxels from the origin."""
     rng = np.random.default_rng(seed)
     lows = rng.integers(-spread, spread + 1, (rng.integers(1, 5), 3))
     if spread == 8:

@@ -283,7 +283,7 @@ class _Build:
 
     def _errors(self, cells: Cells, few: int | None = None) -> np.ndarray:
         """Return the largest difference of cells from the image's interpolation, (n,), in sides;
-        with `few` that of about so many points along each axis."""
+        `few` limits the points that are examined along each axis to about that number."""
         edge = self.cube.edge(cells.level)
         low = self.cube.places(cells.level, cells.ijk)
         at = [_planes(low[:, a], edge[a], self.values.shape[a]) for a in range(3)]

@@ -171,7 +171,7 @@ class Schema:
         return (FORMAT_VERSION, CREATOR, *self.own)
 
     def held(self, names: Container[str]) -> list[Attribute]:
-        """The attributes that a file with these names holds: all but those that may be left out."""
+        """Return the attributes of a file with these names, optional ones only if it has them."""
         return [a for a in self.attributes if a.name in names or not a.since]
 
     def encode(self, content: Any) -> dict[str, Any]:

@@ -12,22 +12,8 @@ from voxtool.mesh.mesh import Mesh
 
 
 def normalize(mesh: Mesh, into: str) -> Mesh:
-    """Return a mesh scaled and moved into a unit cube or a unit ball.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        The mesh. Vertices that no face uses are moved with it, but do not count.
-    into : {"unit", "sphere"}
-        "unit" is the cube [0, 1]^3: the longest side of the bounding box becomes 1, and its centre
-        (0.5, 0.5, 0.5). "sphere" is the ball of radius 1 at 0: the centre of the bounding box
-        becomes 0, and the farthest vertex gets the distance 1.
-
-    Returns
-    -------
-    Mesh
-        Its vertices are `vertices * scale + offset` in float64, its `transform` is (scale, offset
-        x, offset y, offset z), and it has no unit.
+    """Return a mesh scaled and moved into a unit cube or a unit ball; see voxtool.normalize.
+    Vertices that no face uses are moved with it, but do not count.
 
     Raises
     ------
