@@ -20,6 +20,7 @@ import golden_exchange
 import golden_mesh
 import golden_page
 import golden_picture
+import golden_repair
 import golden_svo
 
 import voxtool
@@ -42,6 +43,7 @@ WINGS: dict[str, dict[str, Callable[[Any], Digests]]] = {
     | {n: lambda d, n=n: golden_page.volume_digests(golden_picture.own_volume(n))
        for n in golden_page.VOLUMES},
     "combine": {n: lambda d, n=n: golden_combine.digests(n, d) for n in golden_combine.OWN},
+    "repair": {n: lambda d, n=n: golden_repair.digests(n, d) for n in golden_repair.OWN},
     "exchange": {n: lambda d, n=n: golden_exchange.digests(n, d)
                  for n in golden_exchange.OWN},
 }  # fmt: skip

@@ -34,6 +34,8 @@ from voxtool.api.pictures import build_tet as build_tet
 from voxtool.api.pictures import plan_render as plan_render
 from voxtool.api.pictures import plan_tet as plan_tet
 from voxtool.api.pictures import render as render
+from voxtool.api.repair import plan_repair as plan_repair
+from voxtool.api.repair import repair as repair
 from voxtool.api.views import plan_view as plan_view
 from voxtool.api.views import view as view
 from voxtool.camera import Camera as Camera
@@ -79,6 +81,8 @@ from voxtool.opencl import list_devices as list_devices
 from voxtool.opencl import open_device as open_device
 from voxtool.rendering import RenderJob as RenderJob
 from voxtool.rendering import camera_for as camera_for
+from voxtool.repairing.job import Repaired as Repaired
+from voxtool.repairing.job import RepairJob as RepairJob
 from voxtool.report import Report as Report
 from voxtool.spatial.signed_distance import DistanceResult as DistanceResult
 from voxtool.svo.booleans import CombineJob as CombineJob

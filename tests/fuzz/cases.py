@@ -60,6 +60,7 @@ def case_of(kind: str, seed: int, number: int, samples: dict[str, bytes]) -> Cas
 BASES = {
     "voxelize": ("a.obj", "--dim", "16"),
     "diagnose": ("a.obj", "--dim", "16"),
+    "repair": ("a.obj", "--dim", "16"),
     "svo-info": ("a.svo.h5",),
     "morph": ("a.svo.h5", "--dilate", "1"),
     "extract": ("a.svo.h5",),

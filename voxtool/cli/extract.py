@@ -70,15 +70,14 @@ def command(
         raise click.UsageError("--units and --scale are those of the mesh of --against: name one")
     if octree == against == "-":
         raise options.input_twice("OCTREE", "--against")
-    from voxtool.files import MESH_FORMATS, NORMAL_FORMATS, read_svo, write_mesh
+    from voxtool.files import MESH_FORMATS, read_svo, write_mesh
     from voxtool.files.mesh import load_mesh
     from voxtool.svo.surface.extract import plan_extract
 
     # named after its style: bunny.obj is the mesh that the octree was made from
     run.to(octree, output_of(octree, f"{style}.{run.file_format or 'obj'}"), MESH_FORMATS)
-    if normals and run.file_format not in NORMAL_FORMATS:
-        held = ", ".join(f".{name}" for name in NORMAL_FORMATS)
-        raise click.UsageError(f"--normals: .{run.file_format} holds none: write one of {held}")
+    if normals:
+        options.check_normals(run.file_format)
     more: dict[str, Any] = {}
     with run:
         source = run.stage("read octree", read_svo, octree)

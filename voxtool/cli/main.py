@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 COMMANDS = (
-    "voxelize", "diagnose", "svo-info", "combine", "compare", "morph", "extract", "distance",
+    "voxelize", "diagnose", "repair", "svo-info", "combine", "compare", "morph", "extract",
+    "distance",
     "adf-build", "adf-query", "adf-info", "tet-build", "render", "view", "export", "import",
     "devices", "selftest", "bench", "completion",
 )  # fmt: skip

@@ -8,7 +8,7 @@ import click
 
 from voxtool.choices import ELEMENTS, MORPHOLOGY, NEIGHBOURS
 from voxtool.cli import runner
-from voxtool.cli.options import RADIUS, Parsed, flag, option, output_of, together
+from voxtool.cli.options import COMPONENTS, RADIUS, flag, option, output_of, together
 
 if TYPE_CHECKING:
     from voxtool.svo.components import ComponentsJob
@@ -16,18 +16,6 @@ if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
 
 EXTENSION = "svo.h5"
-
-
-def number_to_keep(text: str) -> int:
-    """Return a number of components, or 1 for "largest"."""
-    if text == "largest":
-        return 1
-    if not text.isdecimal() or not int(text):
-        raise ValueError
-    return int(text)
-
-
-KEEP = Parsed("keep", number_to_keep, " is no number of components: write largest, or 3")
 
 
 @click.command("morph")
@@ -48,7 +36,7 @@ KEEP = Parsed("keep", number_to_keep, " is no number of components: write larges
     option("--shape", ELEMENTS,
         "What is within R: by Euclidean distance; by the largest distance along an axis; along the "
         f"axes only.  [default: {ELEMENTS[0]}]"),
-    option("--keep", KEEP, "Keep the N largest connected components.", metavar="largest|N"),
+    option("--keep", COMPONENTS, "Keep the N largest connected components.", metavar="largest|N"),
     option("--min-size", click.IntRange(1), "Keep the components of at least this many voxels.",
         metavar="VOXELS"),
     option("--neighbours", tuple(map(str, NEIGHBOURS)),

@@ -115,6 +115,15 @@ def radius_of(text: str) -> float:
     return number
 
 
+def number_to_keep(text: str) -> int:
+    """Return a number of components, or 1 for "largest"."""
+    if text == "largest":
+        return 1
+    if not text.isdecimal() or not int(text):
+        raise ValueError
+    return int(text)
+
+
 def bytes_of(text: str) -> int:
     """Return the number of bytes in 800000000, 800M or 8G."""
     text = text.upper().removesuffix("B").removesuffix("I")
@@ -164,6 +173,9 @@ def colour_of(text: str) -> tuple[float, ...]:
 
 POSITIVE = Parsed("number", positive_of, " is no positive number")
 RADIUS = Parsed("radius", radius_of, " is no radius: give 0 or more")
+COMPONENTS = Parsed(
+    "components", number_to_keep, " is no number of components: write largest, or 3"
+)
 BYTES = Parsed("bytes", bytes_of, " is no number of bytes: write 800M or 8G")
 LEVEL = Parsed(
     "level",
@@ -283,6 +295,15 @@ def grid_from(mesh: Mesh, like: str | None, placing: Mapping[str, Any]) -> Grid:
     if placing["shape"]:
         return Grid(placing["shape"], placing["origin"], placing["spacing"])
     return Grid.fit(mesh, **rest)
+
+
+def check_normals(format: str | None) -> None:
+    """Refuse --normals for a mesh format that holds none."""
+    from voxtool.files import NORMAL_FORMATS
+
+    if format not in NORMAL_FORMATS:
+        held = ", ".join(f".{name}" for name in NORMAL_FORMATS)
+        raise click.UsageError(f"--normals: .{format} holds none: write one of {held}")
 
 
 def input_twice(one: str, other: str) -> click.UsageError:

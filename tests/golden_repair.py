@@ -1,0 +1,42 @@
+"""The golden digests of repaired meshes; run as a script, this writes them anew.
+
+Digests change only together with a line in CHANGELOG.md that says why:
+    python tests/golden_repair.py
+"""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import golden_svo
+
+import voxtool
+
+GOLDEN = golden_svo.GOLDEN.with_name("repair.json")
+OWN = ("bunny", "open-box", "torus")
+REQUESTS: dict[str, dict[str, Any]] = {
+    "auto 24": {"dim": 24},
+    "auto 60": {"dim": 60},
+    "flood 40": {"dim": 40, "fill": "flood", "gap": 1, "keep_components": 1},
+}
+
+
+def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
+    """Yield the digest of every repair of a mesh."""
+    warnings.simplefilter("ignore", voxtool.MeshWarning)  # the meshes are bad on purpose
+    mesh = golden_svo.own_mesh(own)
+    for name, request in REQUESTS.items():
+        yield name, voxtool.repair(mesh, device=device, **request).digest()
+
+
+def main() -> None:
+    device = voxtool.open_device()
+    golden = {name: dict(digests(name, device)) for name in OWN}
+    GOLDEN.write_text(json.dumps(golden, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

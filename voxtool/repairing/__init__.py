@@ -1,0 +1,2 @@
+"""Any mesh made closed, consistently wound and manifold (a package `voxtool.repair` would hide the
+function)."""

@@ -1,0 +1,114 @@
+"""The plan of a repair, from the plan of its voxels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from voxtool.errors import MemoryLimitError, human
+from voxtool.job import Cost
+from voxtool.spatial.bvh import tree_bytes
+from voxtool.spatial.distance import POINTS_AT_ONCE, rounded_bytes
+from voxtool.svo.layout import BRICK_BYTES
+from voxtool.svo.surface.plan import EDGE_BYTES, MAX_SAMPLES, TILE_BYTES
+
+if TYPE_CHECKING:
+    from voxtool.svo.plan import VoxelizePlan
+
+STYLE = "surface-nets"
+NET_STAGES = (
+    "tiles",
+    "samples",
+    "classify",
+    "vertices",
+    "relax",
+    "quads",
+    "triangles",
+    "read back",
+)
+POINT_BYTES = 104  # of a point whose nearest one is found, on the device
+VERTEX_HOST_BYTES = 400  # of a vertex of the result and its two faces, at peak
+
+
+@dataclass(frozen=True)
+class RepairPlan:
+    """The decisions of a repair."""
+
+    voxels: VoxelizePlan
+    triangles: int  # of the mesh
+    pitch: float
+    keep: int | None  # components of the voxels that stay; None: all
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages that will run, in order."""
+        components = ["components", "build"] if self.keep is not None else []
+        after = ["tree", "fit", "self-intersections", "check", "distances"]
+        return [*self.voxels.stages, *components, *NET_STAGES, *after]
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """The parts that are not compiled, allocated or run, each with the reason."""
+        out = dict(self.voxels.left_out)
+        if self.keep is None:
+            out["components"] = "all of them are kept"
+        return out
+
+    @property
+    def vertices(self) -> int:
+        """Predicted vertices of the result; it has twice as many faces. A surface crosses as many
+        links between the centres of voxels as its projections along the axes have pixels, and a
+        quad belongs to each."""
+        return max(round(sum(self.voxels.survey.areas)), 1)
+
+    @property
+    def cost(self) -> Cost:
+        """The predicted bytes: of the stage that needs most."""
+        n, voxels = self.vertices, self.voxels.cost
+        net = BRICK_BYTES * self.voxels.bricks + 2 * TILE_BYTES * self.voxels.bricks
+        net += EDGE_BYTES[STYLE] * n
+        fit = tree_bytes(self.triangles) + rounded_bytes(self.triangles)
+        fit += POINT_BYTES * min(n, POINTS_AT_ONCE)
+        crossed = tree_bytes(2 * n) + 80 * n
+        return Cost(
+            device=max(voxels.device, net, fit, crossed),
+            host=voxels.host + VERTEX_HOST_BYTES * n,
+            largest=max(voxels.largest, 240 * n),
+        )
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Raise MemoryLimitError, which names a dim that fits, if the repair needs more bytes than
+        these, or a net of more samples along a side than are extracted."""
+        self.voxels.refuse_beyond(max_memory, max_allocation)
+        if self.voxels.side > MAX_SAMPLES:
+            raise MemoryLimitError(
+                f"dim {max(self.voxels.shape)}: surfaces are extracted up to dim {MAX_SAMPLES}: "
+                f"choose --dim {MAX_SAMPLES}"
+            )
+        if shortage := self.cost.shortage(max_memory, max_allocation):
+            share = min(max_memory / self.cost.device, max_allocation / self.cost.largest)
+            fits = int(max(self.voxels.shape) * math.sqrt(share))
+            raise MemoryLimitError(f"the repair {shortage}: choose --dim {fits} (see --max-memory)")
+
+    def as_dict(self) -> dict[str, Any]:
+        """The whole plan in JSON types."""
+        return {
+            **self.voxels.as_dict(),
+            "pitch": self.pitch,
+            "keep_components": self.keep,
+            "stages": self.stages,
+            "left_out": self.left_out,
+            "predicted_vertices": self.vertices,
+            "predicted_triangles": 2 * self.vertices,
+            "predicted_device_bytes": self.cost.device,
+            "predicted_host_bytes": self.cost.host,
+        }
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Names and texts that `--plan` prints before the stages."""
+        return [
+            *self.voxels.rows(),
+            ("surface", f"about {self.vertices:,} vertices, {2 * self.vertices:,} triangles"),
+            ("host", f"about {human(self.cost.host)}"),
+        ]
