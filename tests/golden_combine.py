@@ -43,6 +43,11 @@ def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
         found = voxtool.compare(*octrees[:2], device=device)
         yield f"both {dim}", found.both.digest()
         yield f"only second {dim}", found.second.set_digest()
+        hollow = voxtool.morph(octrees[1], "shell", 1.5, device=device)
+        wall = hollow - octrees[0]
+        yield f"components {dim}", voxtool.components(wall, 26).digest()
+        yield f"largest {dim}", voxtool.keep_components(wall, 1).digest()
+        yield f"filled {dim}", voxtool.fill_cavities(hollow).digest()
 
 
 def main() -> None:

@@ -12,9 +12,11 @@ from voxtool.api.distances import plan_adf as plan_adf
 from voxtool.api.distances import plan_distance as plan_distance
 from voxtool.api.distances import plan_distance_grid as plan_distance_grid
 from voxtool.api.distances import query_adf as query_adf
+from voxtool.api.morphology import components as components
 from voxtool.api.morphology import fill_cavities as fill_cavities
 from voxtool.api.morphology import keep_components as keep_components
 from voxtool.api.morphology import morph as morph
+from voxtool.api.morphology import plan_components as plan_components
 from voxtool.api.morphology import plan_fill_cavities as plan_fill_cavities
 from voxtool.api.morphology import plan_keep_components as plan_keep_components
 from voxtool.api.morphology import plan_morph as plan_morph
@@ -89,6 +91,8 @@ from voxtool.svo.booleans import CombineJob as CombineJob
 from voxtool.svo.compare import CompareJob as CompareJob
 from voxtool.svo.compare import Comparison as Comparison
 from voxtool.svo.components import ComponentsJob as ComponentsJob
+from voxtool.svo.labels import LabelJob as LabelJob
+from voxtool.svo.labels import Labels as Labels
 from voxtool.svo.morphology import MorphJob as MorphJob
 from voxtool.svo.octree import Octree as Octree
 from voxtool.svo.surface.extract import ExtractJob as ExtractJob

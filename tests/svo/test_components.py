@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from conftest import model
+from helpers_morphology import scenes, sizes_of
 from scipy import ndimage
 
 import voxtool
@@ -14,30 +15,6 @@ from voxtool.svo.octree import Octree
 
 RNG = np.random.default_rng(3)
 pytestmark = pytest.mark.filterwarnings("ignore::voxtool.MeshWarning")
-
-
-def sizes_of(dense: np.ndarray, neighbours: int) -> np.ndarray:
-    """The voxels of each component by scipy, the largest first."""
-    reach = 1 if neighbours == 6 else 3
-    labels = np.asarray(ndimage.label(dense, ndimage.generate_binary_structure(3, reach))[0])  # pyright: ignore
-    return np.sort(np.bincount(labels.ravel())[1:])[::-1]
-
-
-def scenes() -> dict[str, np.ndarray]:
-    blobs = ndimage.gaussian_filter(RNG.random((24, 20, 17)), 1.5) > 0.5
-    leaves = np.zeros((70, 40, 40), bool)  # FULL leaves of two levels that share a corner
-    leaves[:32, :32, :32] = leaves[32:48, 32:40, 32:40] = leaves[60, 5, 5] = True
-    return {
-        "sparse": RNG.random((9, 20, 33)) < 0.1,
-        "dense": RNG.random((20, 18, 9)) < 0.31,
-        "checkerboard": np.indices((8, 12, 9)).sum(axis=0) % 2 == 0,
-        "blobs": blobs,
-        "coarse": np.repeat(blobs[:8, :8, :8], 8, axis=0).repeat(8, axis=1).repeat(8, axis=2),
-        "leaves": leaves,
-        "shells": ~leaves,
-        "none": np.zeros((8, 8, 8), bool),
-        "all": np.ones((16, 16, 16), bool),
-    }
 
 
 @pytest.mark.parametrize("neighbours", NEIGHBOURS)

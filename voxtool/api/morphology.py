@@ -7,8 +7,10 @@ from voxtool.choices import ELEMENTS, NEIGHBOURS
 from voxtool.files import read_svo
 from voxtool.job import one_call
 from voxtool.opencl import Device
-from voxtool.svo import components, morphology
+from voxtool.svo import components as parts
+from voxtool.svo import labels, morphology
 from voxtool.svo.components import ComponentsJob
+from voxtool.svo.labels import LabelJob, Labels
 from voxtool.svo.morphology import MorphJob
 from voxtool.svo.octree import Octree
 
@@ -81,6 +83,47 @@ def plan_morph(
 morph = one_call(plan_morph, "morph", Octree)
 
 
+def plan_components(
+    octree: Octree | Path, neighbours: int = NEIGHBOURS[0], *, max_memory: int | None = None
+) -> LabelJob:
+    """Label the connected components of a set of voxels.
+
+    Parameters
+    ----------
+    octree
+        an Octree or a path.
+    neighbours
+        voxels that are connected: 6 (across faces) or 26 (also across edges and corners).
+    max_memory
+        bytes that may be used; by default what the machine has. The work is done on the host.
+
+    Returns
+    -------
+    Labels
+        the sizes, boxes and centres of the components, the largest first; of two of one size, the
+        first one has the first voxel in Morton order. `voxtool.export` writes them as an image of
+        whole numbers, 1 for the largest component, 0 where no voxel is set. plan_components returns
+        the job, whose `run` returns them.
+
+    Raises
+    ------
+    VoxtoolError
+        an argument is out of range.
+    MemoryLimitError
+        it would not fit.
+
+    Examples
+    --------
+    >>> found = voxtool.components(octree)
+    >>> len(found), found.sizes[0], found.centers[0], found.boxes[0]
+    >>> voxtool.export(found, "labels.nii.gz")
+    """
+    return labels.plan_components(opened(octree, read_svo), neighbours, max_memory=max_memory)
+
+
+components = one_call(plan_components, "components", Labels)
+
+
 def plan_keep_components(
     octree: Octree | Path,
     largest: int | None = None,
@@ -130,7 +173,7 @@ def plan_keep_components(
     >>> cleaned = job.run()
     >>> job.sizes
     """
-    return components.plan_keep_components(
+    return parts.plan_keep_components(
         opened(octree, read_svo), largest, min_size=min_size, neighbours=neighbours,
         max_memory=max_memory,
     )  # fmt: skip
@@ -164,7 +207,7 @@ def plan_fill_cavities(octree: Octree | Path, *, max_memory: int | None = None) 
     --------
     >>> filled = voxtool.fill_cavities(octree)
     """
-    return components.plan_fill_cavities(opened(octree, read_svo), max_memory=max_memory)
+    return parts.plan_fill_cavities(opened(octree, read_svo), max_memory=max_memory)
 
 
 fill_cavities = one_call(plan_fill_cavities, "fill_cavities", Octree)

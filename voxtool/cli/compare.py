@@ -52,9 +52,7 @@ def command(run: runner.Run, first: str, second: str) -> None:
             run.write(export if run.file_format in EXPORTS else write_svo, apart)
     summary = found.summary()
     if run.as_json:
-        options.print_json(
-            {"output": run.output, **summary, "seconds": round(run.seconds, 3)}, err=run.to_stdout
-        )
+        run.print_facts(summary)
     elif not run.quiet:
         for line in lines_of(summary, octrees[0].units):
             click.echo(line, err=run.to_stdout)

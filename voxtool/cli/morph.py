@@ -7,15 +7,21 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.choices import ELEMENTS, MORPHOLOGY, NEIGHBOURS
-from voxtool.cli import runner
-from voxtool.cli.options import COMPONENTS, RADIUS, flag, option, output_of, together
+from voxtool.cli import options, runner
+from voxtool.cli.info import place, table
+from voxtool.cli.options import COMPONENTS, RADIUS, flag, option, together
+from voxtool.files.formats import EXPORTS
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from voxtool.svo.components import ComponentsJob
+    from voxtool.svo.labels import Labels
     from voxtool.svo.morphology import MorphJob
     from voxtool.svo.octree import Octree
 
 EXTENSION = "svo.h5"
+SHOWN = 20  # components in a report as text
 
 
 @click.command("morph")
@@ -39,14 +45,20 @@ EXTENSION = "svo.h5"
     option("--keep", COMPONENTS, "Keep the N largest connected components.", metavar="largest|N"),
     option("--min-size", click.IntRange(1), "Keep the components of at least this many voxels.",
         metavar="VOXELS"),
+    flag("--components",
+        "Report the connected components, the largest first; -o writes their labels."),
     option("--neighbours", tuple(map(str, NEIGHBOURS)),
-        "With --keep or --min-size: connected across faces, or also across edges and corners.  "
+        "Of components: connected across faces, or also across edges and corners.  "
         f"[default: {NEIGHBOURS[0]}]"),
     flag("--fill-cavities", "Set what the outside does not reach across faces."),
 )  # fmt: skip
 @runner.job_options(
-    "FILE", f"Default OCTREE's name with .morph.{EXTENSION}, in this folder.", "svo.h5", "svo.xml"
-)
+    "FILE",
+    "Its ending says the format, of an octree or of an export (voxtool export -h); with "
+    f"--components of a dense array.  Default OCTREE's name with .morph.{EXTENSION}, in this "
+    "folder; with --components nowhere.",
+    "svo.h5", "svo.xml", "svo.xml.gz", *EXPORTS,
+)  # fmt: skip
 def command(run: runner.Run, octree: str, **request: Any) -> None:
     """Dilate, erode, open, close or hollow an OCTREE exactly, or keep its components.
 
@@ -58,17 +70,22 @@ def command(run: runner.Run, octree: str, **request: Any) -> None:
       voxtool morph bunny.svo.h5 --close 8 -o closed.svo.h5
       voxtool morph bunny.svo.h5 --shell 0.002 --world -o hollow.svo.h5
       voxtool morph bunny.svo.h5 --keep largest -o body.svo.h5
+      voxtool morph bunny.svo.h5 --components -o labels.npy
     """
     check_request(request)
-    from voxtool.files import SVO_FORMATS, read_svo, write_svo
+    if request["components"]:
+        report_components(run, octree, neighbours_of(request))
+        return
+    from voxtool.files import SVO_FORMATS, export, read_svo, write_svo
 
-    run.to(octree, output_of(octree, f"morph.{EXTENSION}"), SVO_FORMATS)
+    default = options.output_of(octree, f"morph.{EXTENSION}")
+    run.to(octree, default, (*SVO_FORMATS, *EXPORTS))
     with run:
         source = run.stage("read octree", read_svo, octree)
         with run.naming(octree):
             job = planned(run, source, request)
             result = run.job(job)
-        run.write(write_svo, result)
+        run.write(export if run.file_format in EXPORTS else write_svo, result)
     run.report(
         f"{source.count:,} voxels became {result.count:,}", lambda: facts_of(job, source, result)
     )
@@ -78,16 +95,61 @@ def check_request(request: dict[str, Any]) -> None:
     """Refuse a request of no operation, of several, or with options of another one."""
     by_radius = [f"--{name}" for name in MORPHOLOGY if request[name] is not None]
     by_size = ["--keep", "--min-size"] if request["keep"] or request["min_size"] else []
-    cavities = ["--fill-cavities"] * request["fill_cavities"]
-    if len(by_radius) + bool(by_size) + len(cavities) != 1:
+    others = [name for name in ("components", "fill_cavities") if request[name]]
+    if len(by_radius) + bool(by_size) + len(others) != 1:
         every = ", ".join(f"--{name}" for name in MORPHOLOGY)
         raise click.UsageError(
-            f"what is to be done? Give one of {every}, --keep or --min-size, --fill-cavities"
+            f"what is to be done? Give one of {every}, --keep or --min-size, --components, "
+            "--fill-cavities"
         )
     if not by_radius and (request["world"] or request["shape"]):
         raise click.UsageError("--world and --shape go with a radius, as of --close")
-    if not by_size and request["neighbours"]:
-        raise click.UsageError("--neighbours goes with --keep and --min-size")
+    if request["neighbours"] and not (by_size or request["components"]):
+        raise click.UsageError("--neighbours goes with --keep, --min-size and --components")
+
+
+def neighbours_of(request: dict[str, Any]) -> int:
+    """Return which voxels are connected."""
+    return int(request["neighbours"] or NEIGHBOURS[0])
+
+
+def report_components(run: runner.Run, octree: str, neighbours: int) -> None:
+    """Report the components of an octree, and write their labels if there is an output."""
+    from voxtool.files import export, read_svo
+    from voxtool.files.formats import IMAGES
+    from voxtool.svo.labels import plan_components
+
+    if run.output:
+        run.to(octree, run.output, IMAGES)
+    run.on_device = False
+    with run:
+        source = run.stage("read octree", read_svo, octree)
+        found = run.job(run.plan(plan_components, source, neighbours))
+        if run.output:
+            run.write(export, found)
+    if run.as_json:
+        run.print_facts(found.summary())
+    elif not run.quiet:
+        for line in lines_of(found):
+            click.echo(line, err=run.to_stdout)
+    run.finish()
+
+
+def lines_of(found: Labels) -> Iterator[str]:
+    """Yield the lines of a report of components, in world units."""
+    summary, units = found.summary(), found.units
+    rows = [("components", f"{len(found):,}, by {found.neighbours} neighbours")]
+    for part in summary["components"][:SHOWN]:
+        low, high = part["bounds"]
+        volume = f"{part['volume']:.9g}{f' {units}^3' if units else ''}"
+        rows.append((
+            str(part["label"]),
+            f"{part['voxels']:,} voxels, volume {volume}, centre ({place(part['center'])}), from "
+            f"({place(low)}) to ({place(high)})",
+        ))  # fmt: skip
+    yield from table(rows)
+    if len(found) > SHOWN:
+        yield f"and {len(found) - SHOWN:,} smaller ones: --json lists all"
 
 
 def planned(run: runner.Run, octree: Octree, request: dict[str, Any]) -> MorphJob | ComponentsJob:
@@ -101,12 +163,12 @@ def planned(run: runner.Run, octree: Octree, request: dict[str, Any]) -> MorphJo
             return run.plan(
                 plan_morph, octree, operation, radius, world=request["world"], shape=shape
             )
+    run.on_device = False
     if request["fill_cavities"]:
-        return run.stage(runner.PLAN, plan_fill_cavities, octree, max_memory=run.max_memory)
-    return run.stage(
-        runner.PLAN, plan_keep_components, octree, request["keep"],
-        min_size=request["min_size"] or 1, neighbours=int(request["neighbours"] or NEIGHBOURS[0]),
-        max_memory=run.max_memory,
+        return run.plan(plan_fill_cavities, octree)
+    return run.plan(
+        plan_keep_components, octree, request["keep"], min_size=request["min_size"] or 1,
+        neighbours=neighbours_of(request),
     )  # fmt: skip
 
 
@@ -117,10 +179,10 @@ def facts_of(job: MorphJob | ComponentsJob, source: Octree, result: Octree) -> d
     if isinstance(job, MorphJob):
         names = ("operation", "radius", "world", "shape", "grid", "low")
         found = {name: job.describe()[name] for name in names}
-    elif job.plan.cavities:
-        found = {"operation": "fill-cavities"}
     else:
-        found = {"operation": "keep", "component_sizes": job.sizes.tolist()}
+        found: dict[str, Any] = {"operation": job.plan.operation}
+        if len(job.sizes):
+            found["component_sizes"] = job.sizes.tolist()
     return {
         **found,
         "voxels_before": source.count,

@@ -302,6 +302,11 @@ class Run:
                 options.tell(line)
         self.finish()
 
+    def print_facts(self, facts: Mapping[str, Any]) -> None:
+        """Print facts that are the result of a command, beside a file or without one, as JSON."""
+        result = {"output": self.output, **facts, "seconds": round(self.seconds, 3)}
+        options.print_json(result, err=self.to_stdout)
+
     def finish(self) -> None:
         """Print, on a terminal or with -v, how long kernels compiled, if it was long; with -v the
         device and the time of each stage. Pipelines compare what is printed, and the first run of a

@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
+    from voxtool.svo.labels import Labels
     from voxtool.svo.octree import Octree
     from voxtool.tets.mesh import UnstructuredMesh
     from voxtool.tets.volume import TetVolume
@@ -205,7 +206,7 @@ def read_scene(path: PathLike) -> Octree | DistanceField | TetVolume:
 
 
 def export(
-    content: Octree | DistanceField | TetVolume | PathLike,
+    content: Octree | DistanceField | TetVolume | Labels | PathLike,
     path: PathLike,
     clobber: bool = True,
     format: str | None = None,
@@ -227,10 +228,11 @@ def export(
 
     Parameters
     ----------
-    content : Octree, DistanceField, TetVolume or path
+    content : Octree, DistanceField, TetVolume, Labels or path
         The voxels; or a field, whose signed distances are sampled at the centres of the cells of
         a grid, in float32; in a .vdb or .nvdb as a level set, for which it needs signs; or a
-        volume, whose cells a .vtkhdf holds with their scalar.
+        volume, whose cells a .vtkhdf holds with their scalar; or the labels of components, as
+        whole numbers.
     path : path
         The file or the folder; `-` writes stdout.
     clobber : bool

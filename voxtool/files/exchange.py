@@ -50,12 +50,13 @@ from voxtool.job import Cost, Job
 from voxtool.memory import check_disk
 from voxtool.opencl import Device
 from voxtool.svo.image import VoxelImage
+from voxtool.svo.labels import Labels
 from voxtool.svo.octree import Octree
 from voxtool.tets.volume import TetVolume
 
 WRITE = "write file"
-Image: TypeAlias = VoxelImage | LevelSet | FieldSamples | VolumeCells
-Content: TypeAlias = Octree | DistanceField | TetVolume
+Image: TypeAlias = VoxelImage | LevelSet | FieldSamples | Labels | VolumeCells
+Content: TypeAlias = Octree | DistanceField | TetVolume | Labels
 
 
 def writer_of(name: str, verb: str, image: Image) -> Callable[..., Any]:
@@ -114,7 +115,7 @@ class ExportPlan:
         image = self.image
         if isinstance(image, VolumeCells):
             return image.text
-        cells = "cells" if isinstance(image, VoxelImage) else "samples"
+        cells = "samples" if isinstance(image, LevelSet | FieldSamples) else "cells"
         cells += f" of level {image.level}" if image.level else ""
         return f"{' x '.join(map(str, image.shape))} {cells}"
 
@@ -211,7 +212,7 @@ def plan_export(
     check_output(path, name, clobber)
     if not isinstance(content, Octree) and (level or bbox or invert or dtype):
         raise VoxtoolError(
-            "a field or a volume takes no level, box, dtype or inversion: leave them out"
+            "a field, a volume or labels take no level, box, dtype or inversion: leave them out"
         )
     if isinstance(content, DistanceField):
         if isinstance(grid, str | os.PathLike):
@@ -227,6 +228,11 @@ def plan_export(
             names = ", ".join(f".{key}" for key, each in EXCHANGE.items() if each.volumes)
             raise VoxtoolError(f".{name} holds no tetrahedral volume: choose {names}")
         image = VolumeCells(content)
+    elif isinstance(content, Labels):
+        if not EXCHANGE[name].dense:
+            names = ", ".join(f".{key}" for key, each in EXCHANGE.items() if each.dense)
+            raise VoxtoolError(f".{name} holds no labels: choose {names}")
+        image = content
     else:
         image = VoxelImage.of(content, level=level, bbox=bbox, invert=invert, dtype=dtype)
         held = EXCHANGE[name].dtypes

@@ -3,8 +3,8 @@
 voxels : (N, 3) int32, in lexicographic order; shape : (3,) int64; origin and pitch : (3,) float64.
 values : (N,), where the image is not one of bool. transform : (4,) float64, scale and offset of a
 normalized mesh. Voxel (i, j, k) has its low corner at origin + pitch (i, j, k). The samples of a
-field are a dense array `distance` instead of the list. Of other programs, an array of three axes is
-read, dense; without a grid beside it, it has no place.
+field are a dense array `distance` instead of the list, labels an array `label`. Of other programs,
+an array of three axes is read, dense; without a grid beside it, it has no place.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from voxtool.adf.samples import FieldSamples
 from voxtool.errors import FileError, one_line, printable
 from voxtool.files import npy
 from voxtool.files.streams import PACKED
@@ -38,7 +37,7 @@ GRID = {"shape": np.int64, "origin": np.float64, "pitch": np.float64}
 
 def size(image: Dense) -> int:
     """Bytes of the file."""
-    if isinstance(image, FieldSamples):
+    if not isinstance(image, VoxelImage):
         return EXTRA + image.nbytes
     return EXTRA + image.count * (12 + (image.dtype != bool) * image.dtype.itemsize)
 
@@ -46,7 +45,7 @@ def size(image: Dense) -> int:
 def write(image: Dense, file: BinaryIO) -> None:
     """Write the values and the grid; the bytes depend on the content alone."""
     with zipfile.ZipFile(file, "w") as packed:
-        if isinstance(image, FieldSamples):
+        if not isinstance(image, VoxelImage):
             _write(packed, image.quantity, image.dtype, image.shape, image.slabs())
         else:
             _write(packed, "voxels", np.dtype("<i4"), (image.count, 3), image.coordinates())

@@ -20,10 +20,11 @@ from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.memory import check_memory
 from voxtool.svo.collect import Collector
 from voxtool.svo.image import VoxelImage
+from voxtool.svo.labels import Labels
 from voxtool.svo.octree import Octree
 
 PIECE = 1 << 24  # bytes of a piece of a dense array
-Dense: TypeAlias = VoxelImage | FieldSamples  # what is written as a dense array, slab by slab
+Dense: TypeAlias = VoxelImage | FieldSamples | Labels  # what is written as a dense array
 
 
 class Frame(NamedTuple):

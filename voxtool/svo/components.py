@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from voxtool.choices import NEIGHBOURS
-from voxtool.errors import LESS, MemoryLimitError, VoxtoolError, count_of, human
+from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
 from voxtool.job import Cost, Job
 from voxtool.mesh.topology import components
 from voxtool.morton import morton_decode, morton_encode
@@ -27,6 +27,9 @@ from voxtool.svo.tiling import BRICK_CELLS, BRICKS, LEVEL, TILE, Tiling
 LOW = np.array([0x0055005500550055, 0x0000333300003333, 0x000000000F0F0F0F], np.uint64)
 BRICK_HOST_BYTES = {6: 200, 26: 400}  # of a brick of a mixed tile, at peak, by neighbours
 SHOWN = 10  # sizes in a note
+KEEP, FILL, LABEL = "keep", "fill-cavities", "components"  # operations
+STAGES = {KEEP: ["components", "build"], FILL: ["fill cavities", "build"], LABEL: ["components"]}
+FEWER = "voxelize at a smaller dim, or allow more (see --max-memory)"
 
 
 def spilled_along(axis: int, masks: np.ndarray, step: int) -> np.ndarray:
@@ -183,10 +186,13 @@ class Pieces:
         leaves = [
             codes << np.uint64(3 * (bits + level)) for level, codes in enumerate(self.voxels.full)
         ]
-        tiles = self.voxels.codes[self.owners // BRICKS] << np.uint64(3 * bits)
-        bricks = (self.owners % BRICKS).astype(np.uint64) * np.uint64(BRICK_SIDE**3)
         lowest = np.bitwise_count((self.parts & (~self.parts + np.uint64(1))) - np.uint64(1))
-        return np.concatenate([*leaves, tiles | bricks | lowest])
+        return np.concatenate([*leaves, self.brick_codes() * np.uint64(BRICK_SIDE**3) + lowest])
+
+    def brick_codes(self) -> np.ndarray:
+        """Return the Morton code of the brick of each part."""
+        tiles = self.voxels.codes[self.owners // BRICKS] * np.uint64(BRICKS)
+        return tiles + (self.owners % BRICKS).astype(np.uint64)
 
 
 @dataclass(frozen=True)
@@ -239,20 +245,28 @@ def without_cavities(voxels: Tiling) -> Tiling:
     return outside.chosen(np.arange(len(outside.sizes)) == outside.of_pieces[corner]).complement()
 
 
+def check_neighbours(neighbours: int) -> None:
+    """Raise VoxtoolError if voxels are not connected in this way."""
+    if neighbours not in NEIGHBOURS:
+        raise VoxtoolError(
+            f"neighbours {neighbours}: choose one of {', '.join(map(str, NEIGHBOURS))}"
+        )
+
+
 @dataclass(frozen=True)
 class ComponentsPlan:
-    """The decisions of a choice of components, or of filling cavities."""
+    """The decisions of work on components."""
 
-    largest: int | None  # components that stay at most; None: all
-    min_size: int  # voxels of a component that stays
+    operation: str  # KEEP, FILL or LABEL
     neighbours: int
-    cavities: bool  # fill cavities instead
     tiles: int
+    largest: int | None = None  # components that stay at most; None: all
+    min_size: int = 1  # voxels of a component that stays
 
     @property
     def stages(self) -> list[str]:
         """The stages that will run, in order."""
-        return ["fill cavities" if self.cavities else "components", "build"]
+        return STAGES[self.operation]
 
     @property
     def left_out(self) -> dict[str, str]:
@@ -269,14 +283,14 @@ class ComponentsPlan:
         if self.cost.host > max_memory:
             raise MemoryLimitError(
                 f"components would need {human(self.cost.host)} of memory, of "
-                f"{human(max_memory)} allowed: {LESS}"
+                f"{human(max_memory)} allowed: {FEWER}"
             )
 
     def as_dict(self) -> dict[str, Any]:
         """The whole plan in JSON types."""
+        names = ("operation", "largest", "min_size", "neighbours")
         return {
-            **{name: getattr(self, name) for name in ("largest", "min_size", "neighbours")},
-            "cavities": self.cavities,
+            **{name: getattr(self, name) for name in names},
             "stages": self.stages,
             "left_out": self.left_out,
             "predicted_tiles": self.tiles,
@@ -315,7 +329,7 @@ class ComponentsJob(Job[Octree]):
     def _run(self) -> Octree:
         plan, octree = self.plan, self.octree
         with self.stage(plan.stages[0]):
-            if plan.cavities:
+            if plan.operation == FILL:
                 voxels = without_cavities(self._voxels)
             else:
                 found = Components.of(self._voxels, plan.neighbours)
@@ -355,21 +369,18 @@ def plan_keep_components(
     max_memory: int | None = None,
 ) -> ComponentsJob:
     """Return the planned job of `keep_components`; see `voxtool.keep_components`."""
-    if neighbours not in NEIGHBOURS:
-        raise VoxtoolError(
-            f"neighbours {neighbours}: choose one of {', '.join(map(str, NEIGHBOURS))}"
-        )
+    check_neighbours(neighbours)
     if largest is not None and largest < 1:
         raise VoxtoolError(f"{largest} components: keep 1 or more")
     if min_size < 1:
         raise VoxtoolError(f"least size {min_size}: give 1 or more voxels")
     voxels = Tiling.of(octree, 0)
-    plan = ComponentsPlan(largest, min_size, neighbours, False, len(voxels.codes))
+    plan = ComponentsPlan(KEEP, neighbours, len(voxels.codes), largest, min_size)
     return ComponentsJob(octree, voxels, plan, max_memory)
 
 
 def plan_fill_cavities(octree: Octree, *, max_memory: int | None = None) -> ComponentsJob:
     """Return the planned job of `fill_cavities`; see `voxtool.fill_cavities`."""
     voxels = Tiling.of(octree, 0)
-    plan = ComponentsPlan(None, 1, 6, True, len(voxels.codes))
+    plan = ComponentsPlan(FILL, 6, len(voxels.codes))
     return ComponentsJob(octree, voxels, plan, max_memory)

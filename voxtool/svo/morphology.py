@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from voxtool.choices import ELEMENTS, MORPHOLOGY
-from voxtool.errors import LESS, MemoryLimitError, VoxtoolError
+from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.opencl import Device, default_device, program
@@ -179,7 +179,10 @@ class MorphPlan:
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError if the operation needs more bytes."""
         if shortage := self.cost.shortage(max_memory, max_allocation):
-            raise MemoryLimitError(f"to {self.operation} by {self.radius:g} {shortage}: {LESS}")
+            raise MemoryLimitError(
+                f"to {self.operation} by {self.radius:g} {shortage}: choose a smaller radius, "
+                "voxelize at a smaller dim, or allow more (see --max-memory)"
+            )
 
     def as_dict(self) -> dict[str, Any]:
         """The whole plan in JSON types."""
