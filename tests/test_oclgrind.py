@@ -52,6 +52,7 @@ from voxtool.spatial import signed_distance
 from voxtool.spatial.bvh import build_tree
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.fans import fan_of
+from voxtool.spatial.hausdorff import hausdorff
 from voxtool.spatial.pseudonormals import pseudonormals
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.spatial.signed_distance import SignedDistance
@@ -225,6 +226,7 @@ def main() -> None:
     extract_surfaces(device)
     dilate_voxels(device)
     measure_distances(device)
+    bound_distances_of_meshes(device)
     find_faces_that_meet(device)
     wind_a_fan(device)
     build_fields(device)
@@ -378,6 +380,18 @@ def measure_distances(device) -> None:
     many = np.repeat(points, 8, axis=0)  # 560 points are sorted
     located = signed[0](many, gradient=True, nearest=True, face=True)
     assert np.array_equal(located.distance[::8], signed[0](points))
+
+
+def bound_distances_of_meshes(device) -> None:
+    """A square, and another above it that is cut otherwise: pieces are within reach of a triangle,
+    or are cut about one corner or two, or are halved."""
+    corners = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0.4, 0.3, 0)])
+    fan = np.array([(i, (i + 1) % 4, 4) for i in range(4)], np.int32)
+    two = Mesh(corners[:4], np.array([(0, 1, 2), (0, 2, 3)], np.int32))
+    four = Mesh(corners + np.array([0, 0, 0.0625]), fan)
+    found = hausdorff(two, four, 1e-6, device)
+    assert found.a_to_b.pieces > 10
+    assert found.upper - 1e-6 <= found.lower <= 0.0625 <= found.upper
 
 
 def extract_surfaces(device) -> None:

@@ -6,8 +6,10 @@ from voxtool.adf.host_query import QueryResult as QueryResult
 from voxtool.adf.query import FieldQuery as FieldQuery
 from voxtool.api.distances import SignedDistance as SignedDistance
 from voxtool.api.distances import build_adf as build_adf
+from voxtool.api.distances import directed_hausdorff as directed_hausdorff
 from voxtool.api.distances import distance as distance
 from voxtool.api.distances import distance_grid as distance_grid
+from voxtool.api.distances import hausdorff as hausdorff
 from voxtool.api.distances import plan_adf as plan_adf
 from voxtool.api.distances import plan_distance as plan_distance
 from voxtool.api.distances import plan_distance_grid as plan_distance_grid
@@ -86,6 +88,8 @@ from voxtool.rendering import camera_for as camera_for
 from voxtool.repairing.job import Repaired as Repaired
 from voxtool.repairing.job import RepairJob as RepairJob
 from voxtool.report import Report as Report
+from voxtool.spatial.hausdorff import DirectedHausdorff as DirectedHausdorff
+from voxtool.spatial.hausdorff import Hausdorff as Hausdorff
 from voxtool.spatial.signed_distance import DistanceResult as DistanceResult
 from voxtool.svo.booleans import CombineJob as CombineJob
 from voxtool.svo.compare import CompareJob as CompareJob

@@ -17,7 +17,7 @@ from voxtool.job import Cost, Job
 from voxtool.memory import available_memory
 from voxtool.opencl import default_device
 from voxtool.spatial import insides
-from voxtool.spatial.distance import POINTS_AT_ONCE
+from voxtool.spatial.distance import POINT_BYTES, POINTS_AT_ONCE
 from voxtool.spatial.signed_distance import SignedDistance, default_sign, distance_bytes
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
 
-POINT_BYTES = 48  # a point on the device: position, order, codes, distance
 LOCATED_BYTES = 56  # further bytes a point for its nearest point
 SIGN_STAGES = {"pseudonormal": ["pseudo-normals"], "winding": ["moments"], "none": []}
 SIGN_NAMES = {"pseudonormal": "pseudo-normals", "winding": "winding numbers"}

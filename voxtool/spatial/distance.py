@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
 SOURCE, PACKETS = "spatial/distance.cl", "spatial/nearest_packets.cl"
 POINTS_AT_ONCE = 1 << 20  # on the device: the more there are, the nearer is the next
+POINT_BYTES = 48  # of a point on the device: position, order, codes, distance
 SORTED_FROM = 1 << 9  # points: fewer are not sorted
 NEAR = 8.0  # extents within which single precision bounds distances to boxes; see MARGIN_BITS
 POINTS = VECTOR  # of a packet, which are near each other and share a traversal
@@ -161,7 +162,7 @@ class TriangleDistance:
         device, tree, scale = self.device, self.tree, self.tree.frame.exponent
         with device.stage("distance"):
             ranks = tree.names if self._sides else tree.face_of if located else None
-            distances, slots = self._search(block, ranks)
+            distances, slots = self.search(block, ranks)
             if self._sides:
                 sign_distances = device.kernel(SOURCE, "sign_distances", BOX="float")
                 sign_distances(
@@ -171,7 +172,7 @@ class TriangleDistance:
             if not located:
                 return Nearest(np.ldexp(distances.take(), scale))
             if self._has_flat:  # flat faces have no sides, but may be nearest
-                _, slots = self._search(block, tree.face_of)
+                _, slots = self.search(block, tree.face_of)
             faces = device.empty(block.n, np.uint32)
             nearest, directions = (device.empty(3 * block.n, np.float64) for _ in range(2))
             describe_nearest = device.kernel(SOURCE, "describe_nearest", BOX="float")
@@ -185,8 +186,9 @@ class TriangleDistance:
                 directions.take().reshape(-1, 3),
             )
 
-    def _search(self, block: PointBlock, ranks: Array | None) -> tuple[Array, Array | None]:
-        """Return local distances of a block's points, and the slots of the nearest triangles."""
+    def search(self, block: PointBlock, ranks: Array | None) -> tuple[Array, Array | None]:
+        """Return local distances of a block's points, (n,) float64, and with ranks (TriangleTree)
+        the slots of the nearest triangles, (n,) uint32."""
         device, tree = self.device, self.tree
         options = {"RANKED": 1} if ranks else {}
         distances = device.empty(block.n, np.float64)
@@ -268,9 +270,17 @@ def point_blocks(
             raise VoxtoolError(
                 f"point {first}, ({place}), is not finite or too far from the mesh: remove it"
             )
-        n, box = len(local), "float" if reach.max() <= near else "double"
-        points = device.put(local)
-        yield PointBlock(slice(start, start + n), n, points, _order(device, points, n), box)
+        yield local_block(device, local, start, near)
+
+
+def local_block(
+    device: Device, local: np.ndarray, start: int = 0, near: float = NEAR
+) -> PointBlock:
+    """Return (n, 3) points in local coordinates on the device; `start` is the number of the first
+    among all."""
+    n, box = len(local), "float" if np.abs(local).max() <= near else "double"
+    points = device.put(local)
+    return PointBlock(slice(start, start + n), n, points, _order(device, points, n), box)
 
 
 def _order(device: Device, points: Array, n: int) -> Array:
