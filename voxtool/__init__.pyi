@@ -85,8 +85,8 @@ from voxtool.opencl import list_devices as list_devices
 from voxtool.opencl import open_device as open_device
 from voxtool.rendering import RenderJob as RenderJob
 from voxtool.rendering import camera_for as camera_for
-from voxtool.repairing.job import Repaired as Repaired
 from voxtool.repairing.job import RepairJob as RepairJob
+from voxtool.repairing.result import Repaired as Repaired
 from voxtool.report import Report as Report
 from voxtool.spatial.hausdorff import DirectedHausdorff as DirectedHausdorff
 from voxtool.spatial.hausdorff import Hausdorff as Hausdorff

@@ -57,7 +57,7 @@ class DeviceWarning(VoxtoolWarning):
 
 def count_of(count: int, noun: str) -> str:
     """1 vertex, 2 vertices."""
-    plural = {"vertex": "vertices", "patch": "patches"}.get(noun, noun + "s")
+    plural = {"vertex": "vertices", "patch": "patches", "cavity": "cavities"}.get(noun, noun + "s")
     return f"{count} {noun if count == 1 else plural}"
 
 

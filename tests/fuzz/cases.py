@@ -61,6 +61,7 @@ BASES = {
     "voxelize": ("a.obj", "--dim", "16"),
     "diagnose": ("a.obj", "--dim", "16"),
     "repair": ("a.obj", "--dim", "16"),
+    "hollow": ("a.obj", "--dim", "16", "--wall", "0.3"),
     "svo-info": ("a.svo.h5",),
     "morph": ("a.svo.h5", "--dilate", "1"),
     "extract": ("a.svo.h5",),

@@ -10,7 +10,8 @@ from conftest import model
 
 import voxtool
 from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
-from voxtool.repairing.fit import cells_of, fit_to_mesh, onto_planes
+from voxtool.repairing.fit import cells_of, fit, onto_planes
+from voxtool.repairing.targets import Level
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.svo.surface.isosurface import LATTICE
 
@@ -41,7 +42,7 @@ def test_wrecks(device, fault: str, shape: str) -> None:
     # on the mesh means on the mesh: all that is within a step of the lattice
     distance = TriangleDistance(voxtool.mesh_from_arrays(*wrecks.wreck(fault, shape)), device)
     step = fixed.grid.pitch[0] / LATTICE
-    assert np.count_nonzero(distance(fixed.vertices) <= step) >= fixed.on_mesh > 0
+    assert np.count_nonzero(distance(fixed.vertices) <= step) >= fixed.on_target > 0
 
 
 @pytest.mark.soak
@@ -57,7 +58,7 @@ def test_all_wrecks(fault: str, shape: str, seed: int) -> None:
 def test_bad_models(name: str) -> None:
     fixed = voxtool.repair(model(f"{name}.obj"), dim=64)
     assert fixed.faults == ""
-    assert fixed.on_mesh > 0.95 * len(fixed.vertices)
+    assert fixed.on_target > 0.95 * len(fixed.vertices)
     assert fixed.distances["voxels"]["surface_to_reference"]["mean"] < 0.1
 
 
@@ -73,7 +74,7 @@ def test_closed_meshes_are_followed(device) -> None:
     ball = meshes.icosphere(4)
     fixed = voxtool.repair(ball, dim=40, device=device)
     assert fixed.fill == "nonzero"
-    assert fixed.on_mesh > 0.98 * len(fixed.vertices)
+    assert fixed.on_target > 0.98 * len(fixed.vertices)
     assert fixed.distances["voxels"]["hausdorff"] < 0.2
     volume = voxtool.repair(ball, dim=80, device=device).checked["volume"]
     assert abs(fixed.checked["volume"] / volume - 1) < 0.005
@@ -93,7 +94,7 @@ def test_vertices_stay_in_their_cells(device) -> None:
     mesh = voxtool.mesh_from_arrays(*wrecks.wreck("noisy", "torus"))
     octree = voxtool.voxelize(mesh, dim=24, fill="winding", device=device)
     net = voxtool.extract(octree, style="surface-nets", device=device)
-    fitted = fit_to_mesh(net, mesh, device)
+    fitted = fit(net, [Level(TriangleDistance(mesh, device))], device)
     low, high = cells_of(net.points)
     assert ((fitted.surface.points >= low) & (fitted.surface.points <= high)).all()
     assert (fitted.surface.points != net.points).any()
@@ -150,5 +151,5 @@ def test_the_plan_predicts_the_result() -> None:
     job = voxtool.plan_repair(meshes.icosphere(4), dim=64)
     found = job.run()
     assert 0.8 < job.plan.vertices / len(found.vertices) < 1.25
-    assert list(job.stages)[-1] == "distances"
+    assert list(job.stages)[-2:] == ["distances", "check"]
     assert job.describe()["predicted_triangles"] == 2 * job.plan.vertices

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from voxtool.api.octrees import MeshLike
 from voxtool.choices import FILLS
 from voxtool.files.mesh import as_mesh
@@ -9,7 +11,8 @@ from voxtool.grid import Grid
 from voxtool.job import one_call
 from voxtool.opencl import Device
 from voxtool.repairing import job as repairs
-from voxtool.repairing.job import Repaired, RepairJob
+from voxtool.repairing.job import RepairJob
+from voxtool.repairing.result import Repaired
 
 
 def plan_repair(
@@ -21,6 +24,10 @@ def plan_repair(
     fill: str = FILLS[0],
     gap: int = 0,
     keep_components: int | None = None,
+    offset: float = 0.0,
+    shell: float = 0.0,
+    thicken: float = 0.0,
+    drains: Sequence[Sequence[float]] = (),
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> RepairJob:
@@ -46,6 +53,18 @@ def plan_repair(
         parts that overlap are united.
     keep_components
         connected components of voxels that are kept, the largest first; by default all.
+    offset
+        distance in world units by which the repaired surface is moved, outward or, if negative,
+        inward.
+    shell
+        wall in world units, at least 2 voxels: the solid is hollow, with the repaired surface
+        outside. Cavities smaller than a cube of the wall's side stay solid.
+    thicken
+        wall in world units, at least 2 voxels: the result is what lies within half of it of the
+        mesh, whatever is inside; for open surfaces. Excludes offset and shell, as they do.
+    drains
+        with shell, holes from outside to the cavity: x, y, z and a radius each, in world units, at
+        least 1.5 voxels. A hole goes along the normal at the surface's nearest point.
     device, max_memory
         as voxelize.
 
@@ -59,7 +78,7 @@ def plan_repair(
     MeshError, GridError
         the mesh cannot be read, or the grid not be placed.
     VoxtoolError
-        an argument is out of range, or no voxel is inside.
+        an argument is out of range, no voxel is inside, or a wall leaves no cavity.
     MemoryLimitError
         it would not fit.
     DeviceError
@@ -68,7 +87,7 @@ def plan_repair(
     Warns
     -----
     MeshWarning
-        faces of the result pass through others.
+        faces of the result pass through others, or a cavity has no drain where others have one.
 
     References
     ----------
@@ -83,7 +102,8 @@ def plan_repair(
     found = as_mesh(mesh, max_memory)
     return repairs.plan_repair(
         found, grid or repairs.grid_for(found, dim, tolerance), fill=fill, gap=gap,
-        keep_components=keep_components, device=device, max_memory=max_memory,
+        keep_components=keep_components, offset=offset, shell=shell, thicken=thicken,
+        drains=drains, device=device, max_memory=max_memory,
     )  # fmt: skip
 
 

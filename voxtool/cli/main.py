@@ -31,10 +31,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 COMMANDS = (
-    "voxelize", "diagnose", "repair", "svo-info", "combine", "compare", "morph", "extract",
-    "distance",
-    "adf-build", "adf-query", "adf-info", "tet-build", "render", "view", "export", "import",
-    "devices", "selftest", "bench", "completion",
+    "voxelize", "diagnose", "repair", "hollow", "svo-info", "combine", "compare", "morph",
+    "extract", "distance", "adf-build", "adf-query", "adf-info", "tet-build", "render", "view",
+    "export", "import", "devices", "selftest", "bench", "completion",
 )  # fmt: skip
 # The name of an error in JSON, and the exit code; the first that fits.
 ERRORS = (

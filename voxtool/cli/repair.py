@@ -12,12 +12,12 @@ from voxtool.cli.options import COMPONENTS, DIM, POSITIVE, flag, option, togethe
 from voxtool.errors import CheckError, count_of
 
 if TYPE_CHECKING:
-    from voxtool.repairing.job import Repaired
+    from voxtool.repairing.result import Repaired
+
+WALLS = ("offset", "shell", "thicken")
 
 
-@click.command("repair")
-@click.argument("mesh")
-@together(
+mesh_options = together(
     option("--dim", DIM, f"Voxels along the longest side.  [default: {DEFAULT_DIM}]"),
     option("--tolerance", POSITIVE,
         "Instead of --dim: the diagonal of a voxel in world units.  Where the mesh passes a voxel "
@@ -29,20 +29,41 @@ if TYPE_CHECKING:
         show_default=False),
     option("--keep-components", COMPONENTS, "Keep the N largest connected components.",
         metavar="largest|N"),
+)  # fmt: skip
+result_options = together(
     flag("--normals", "Write vertex normals, too (.obj, .ply, .glb)."),
     flag("--check",
         "Print the result's counts as JSON; exit with 1 if it is not closed and manifold, or if "
         "faces pass through others."),
     options.length_options(),
 )  # fmt: skip
-@runner.job_options(
-    "FILE", "Default MESH's name with .repaired.obj or --format, in this folder.",
-    "obj", "ply", "stl", "glb", "off",
+
+
+def file_options(name: str) -> options.Decorator:
+    """Return the options of a command whose result is a mesh of this name."""
+    return runner.job_options(
+        "FILE", f"Default MESH's name with .{name}.obj or --format, in this folder.",
+        "obj", "ply", "stl", "glb", "off",
+    )  # fmt: skip
+
+
+@click.command("repair")
+@click.argument("mesh")
+@together(
+    mesh_options,
+    option("--offset", float,
+        "Move the surface by this distance in world units: outward, or inward if negative.",
+        metavar="LENGTH"),
+    option("--shell", POSITIVE,
+        "Hollow the solid: a wall of this thickness inside the surface, in world units; see also "
+        "voxtool hollow.", metavar="LENGTH"),
+    option("--thicken", POSITIVE,
+        "A wall of this thickness in the middle of which MESH lies, whatever is inside: for open "
+        "surfaces.", metavar="LENGTH"),
+    result_options,
 )  # fmt: skip
-def command(
-    run: runner.Run, mesh: str, dim: int | None, tolerance: float | None, fill: str, gap: int,
-    keep_components: int | None, normals: bool, check: bool, units: str | None, scale: float,
-) -> None:  # fmt: skip
+@file_options("repaired")
+def command(run: runner.Run, mesh: str, **request: Any) -> None:
     """Make a closed, consistently wound, manifold mesh of any triangle MESH.
 
     MESH is an OBJ, STL, PLY, OFF, GLB or 3MF file, .gz too, or - for stdin. It may have holes,
@@ -55,26 +76,36 @@ def command(
       voxtool repair open.obj -o closed.ply
       voxtool repair bunny.obj --dim 512 --keep-components largest --check -o fixed.stl
     """
+    if sum(request[name] is not None for name in WALLS) > 1:
+        raise click.UsageError("--offset, --shell and --thicken exclude each other: choose one")
+    if request["thicken"] and (request["fill"] != FILLS[0] or request["gap"]):
+        raise click.UsageError("--thicken asks for no inside: drop --fill and --gap")
+    execute(run, mesh, "repaired", **request)
+
+
+def execute(
+    run: runner.Run, mesh: str, name: str, *, dim: int | None, tolerance: float | None,
+    normals: bool, check: bool, units: str | None, scale: float, **request: Any,
+) -> None:  # fmt: skip
+    """Repair a mesh as requested, write the result, and report."""
     if dim is not None and tolerance is not None:
         raise click.UsageError("--dim and --tolerance both set the voxel size: drop one of them")
-    if gap and fill != "flood":
+    if request["gap"] and request["fill"] != "flood":
         raise click.UsageError("--gap goes with --fill flood")
     from voxtool.files import MESH_FORMATS, write_mesh
     from voxtool.files.mesh import load_mesh
     from voxtool.repairing.job import grid_for, plan_repair
 
-    run.to(mesh, options.output_of(mesh, f"repaired.{run.file_format or 'obj'}"), MESH_FORMATS)
+    run.to(mesh, options.output_of(mesh, f"{name}.{run.file_format or 'obj'}"), MESH_FORMATS)
     if normals:
         options.check_normals(run.file_format)
     with run:
         loaded = run.stage(
             "read mesh", load_mesh, mesh, max_memory=run.max_memory, units=units, scale=scale
         )
-        grid = grid_for(loaded, dim, tolerance)
+        given = {name: value for name, value in request.items() if value is not None}
         with run.naming(mesh):
-            job = run.plan(
-                plan_repair, loaded, grid, fill=fill, gap=gap, keep_components=keep_components
-            )
+            job = run.plan(plan_repair, loaded, grid_for(loaded, dim, tolerance), **given)
             result = run.job(job)
         run.write(write_mesh, result.mesh(), normals=result.normals if normals else None)
     run.report(
@@ -98,8 +129,8 @@ def distance_lines(result: Repaired) -> list[str]:
     """Return the lines on the distances between the mesh and the result."""
     units, voxels = result.distances, result.distances["voxels"]
     return [
-        f"from {name}: mean {units[way]['mean']:.3g} ({voxels[way]['mean']:.2f} voxels), at least "
-        f"{units[way]['max']:.3g} ({voxels[way]['max']:.2f}) at most"
+        f"from {name}: mean {units[way]['mean']:.3g} ({voxels[way]['mean']:.2g} voxels), largest "
+        f"found {units[way]['max']:.3g} ({voxels[way]['max']:.2g})"
         for name, way in (
             ("the result to the mesh", "surface_to_reference"),
             ("the mesh to the result", "reference_to_surface"),
@@ -118,7 +149,8 @@ def facts_of(result: Repaired) -> dict[str, Any]:
         "components": result.components,
         "vertices": len(result.vertices),
         "triangles": len(result.faces),
-        "vertices_on_mesh": result.on_mesh,
+        "vertices_on_target": result.on_target,
+        "wall": result.wall,
         "check": result.checked,
         "distances": result.distances,
         "digest": result.digest(),

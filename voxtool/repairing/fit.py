@@ -1,11 +1,11 @@
-"""A surface net laid onto a mesh: each vertex moves to a point of the mesh within its own cell.
+"""A surface net laid onto targets: each vertex moves to a point of a target within its own cell.
 
 The net separates the set voxels from the others, with a vertex in each cell, the cube between the
 centres of eight voxels [Gibson 1998]. Its connections are closed and manifold, and do not depend on
-where the vertices lie. A vertex moves to the nearest point of the mesh; if that lies outside its
-cell, the search goes on from where the mesh's tangent plane passes the cell, a few times. Where the
-mesh misses the cell, as over a hole that the fill rule closed, the vertex stays where the net has
-it.
+where the vertices lie. A vertex moves to the nearest point of a target, such as a mesh; if that
+lies outside its cell, the search goes on from where the tangent plane passes the cell, a few times.
+Where the target misses the cell, as over a hole that the fill rule closed, the vertex stays where
+the net has it. Of several targets the nearest point counts.
 
 Faces that then pass through others get their vertices back from the net, in rounds.
 
@@ -20,39 +20,42 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.spatial.bvh import build_tree
-from voxtool.spatial.distance import POINTS_AT_ONCE, TriangleDistance
+from voxtool.spatial.distance import POINTS_AT_ONCE
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.svo.surface.isosurface import LATTICE, NEAREST, Isosurface
+from voxtool.vector import dot
 
 if TYPE_CHECKING:
-    from voxtool.mesh.mesh import Mesh
+    from collections.abc import Sequence
+
     from voxtool.opencl import Device
+    from voxtool.repairing.targets import Target
 
 PROJECTIONS = 4  # onto the mesh, of each vertex
 HALVINGS = 24  # of a range of a few cells: 2**-8 of a step of the lattice
+NONE = -1  # in place of a target
 ROUNDS = 4  # in which faces that pass through others get the net's vertices back
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A surface whose vertices were moved, (V,) bool which of them lie on the mesh, and (F,) uint8
-    which faces others pass through, as find_self_intersections says."""
+    """A surface whose vertices were moved, (V,) int64 the target on which each of them lies, or
+    NONE, and (F,) uint8 which faces others pass through, as find_self_intersections says."""
 
     surface: Isosurface
-    on_mesh: np.ndarray
+    targets: np.ndarray
     crossed: np.ndarray
 
 
-def fit_to_mesh(net: Isosurface, mesh: Mesh, device: Device) -> Fitted:
-    """Return the net with its vertices on the mesh, where the mesh passes their cells."""
-    points, on_mesh = net.points.copy(), np.zeros(len(net.points), bool)
-    distance = TriangleDistance(mesh, device)
+def fit(net: Isosurface, targets: Sequence[Target], device: Device) -> Fitted:
+    """Return the net with its vertices on the nearest of the targets that pass their cells."""
+    points, on = net.points.copy(), np.full(len(net.points), NONE)
     with device.stage("fit"):
         for start in range(0, len(points), POINTS_AT_ONCE):
             block = slice(start, start + POINTS_AT_ONCE)
-            points[block], on_mesh[block] = _project(net, points[block], distance)
+            points[block], on[block] = _laid(net, points[block], targets)
     with device.stage("self-intersections"):
-        return _untangle(net, points, on_mesh, device)
+        return _untangle(net, points, on, device)
 
 
 def cells_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -62,19 +65,29 @@ def cells_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return low + NEAREST, low + LATTICE - NEAREST
 
 
-def _project(
-    net: Isosurface, points: np.ndarray, distance: TriangleDistance
+def _laid(
+    net: Isosurface, points: np.ndarray, targets: Sequence[Target]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return points of the mesh in the cells of vertices, (n, 3) int32, or the vertices themselves;
-    and which are of the mesh, (n,) bool."""
+    """Return the points of targets in the cells of vertices, (n, 3) int32, of several the nearest,
+    or the vertices themselves; and whose they are, (n,) int64."""
+    best, on, least = points.copy(), np.full(len(points), NONE), np.full(len(points), np.inf)
+    for number, target in enumerate(targets):
+        found, held = _project(net, points, target)
+        moved = (found - points).astype(np.float64)
+        far = dot(moved, moved)
+        nearer = held & (far < least)
+        best[nearer], on[nearer], least[nearer] = found[nearer], number, far[nearer]
+    return best, on
+
+
+def _project(net: Isosurface, points: np.ndarray, target: Target) -> tuple[np.ndarray, np.ndarray]:
+    """Return the points of a target in the cells of vertices, (n, 3) int32, and for which there is
+    one, (n,) bool."""
     step, origin = np.array(net.grid.pitch) * (net.side / LATTICE), np.array(net.grid.origin)
     low, high = cells_of(points)
     found, left, tried = points.copy(), np.arange(len(points)), points.astype(np.float64)
     for _ in range(PROJECTIONS):
-        near, normals = (np.empty((len(left), 3)) for _ in range(2))
-        for block in distance.blocks(tried * step + origin):
-            nearest = distance.at_block(block, located=True)
-            near[block.where], normals[block.where] = nearest.points, nearest.directions
+        near, normals = target(tried * step + origin)
         near = np.rint((near - origin) / step)
         held = ((near >= low[left]) & (near <= high[left])).all(axis=1)
         found[left[held]] = near[held]
@@ -83,9 +96,9 @@ def _project(
         tried = onto_planes(points[left], near[beyond], normals[beyond], low[left], high[left])
         if not len(left):
             break
-    on_mesh = np.ones(len(points), bool)
-    on_mesh[left] = False
-    return found, on_mesh
+    laid = np.ones(len(points), bool)
+    laid[left] = False
+    return found, laid
 
 
 def onto_planes(
@@ -104,34 +117,28 @@ def onto_planes(
     for _ in range(HALVINGS):
         middle = 0.5 * (first + last)
         moved = np.clip(points - middle[:, None] * normals, low, high)
-        x, y, z = ((moved - on_planes) * normals).T
-        above = x + y + z > 0
+        above = dot(moved - on_planes, normals) > 0
         first, last = np.where(above, middle, first), np.where(above, last, middle)
     return np.clip(points - last[:, None] * normals, low, high)
 
 
-def _untangle(net: Isosurface, points: np.ndarray, on_mesh: np.ndarray, device: Device) -> Fitted:
-    """Return the surface of these points; faces without area, or that pass through others, get the
-    net's points."""
+def _untangle(net: Isosurface, points: np.ndarray, on: np.ndarray, device: Device) -> Fitted:
+    """Return the surface of these points. The corners of faces that have no area, or pass through
+    others, and vertices in one place get the net's points."""
     for turn in range(ROUNDS + 1):
         surface = replace(net, points=points)
-        flat = flat_faces(surface)
-        crossed = crossed_faces(surface, flat, device)
-        if turn == ROUNDS or not (crossed.any() or flat.any()):
+        mesh, flat = surface.mesh(), flat_faces(surface)
+        tree = build_tree(device, mesh, flat.astype(np.uint8))
+        crossed = find_self_intersections(device, mesh, tree)
+        back = np.bincount(mesh.positions)[mesh.positions] > 1
+        back[net.faces[(crossed > 0) | flat]] = True
+        if turn == ROUNDS or not back.any():
             break
-        back = net.faces[(crossed > 0) | flat]
-        points = points.copy()
-        points[back], on_mesh[back] = net.points[back], False
-    return Fitted(surface, on_mesh, crossed)
+        points, on = np.where(back[:, None], net.points, points), np.where(back, NONE, on)
+    return Fitted(surface, on, crossed)
 
 
 def flat_faces(surface: Isosurface) -> np.ndarray:
     """Return which faces have no area, (F,) bool, exactly: corners are a few cells apart."""
     a, b, c = (surface.points[surface.faces[:, i]].astype(np.int64) for i in range(3))
     return (np.cross(b - a, c - a) == 0).all(axis=1)
-
-
-def crossed_faces(surface: Isosurface, flat: np.ndarray, device: Device) -> np.ndarray:
-    """Return find_self_intersections of a surface, (F,) uint8; `flat` faces have no area."""
-    mesh = surface.mesh()
-    return find_self_intersections(device, mesh, build_tree(device, mesh, flat.astype(np.uint8)))

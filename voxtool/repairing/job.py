@@ -6,32 +6,45 @@ The stages:
    but for closed meshes "nonzero", which unites parts that overlap, and fills shells inside out.
 2. Components that are not wanted are dropped (svo/components.py).
 3. A surface net separates the voxels from the others: closed and manifold (svo/surface).
-4. Its vertices move onto the mesh, where it passes their cells (fit.py).
-5. The result is checked, and its distances to the mesh are measured.
+4. Its vertices move onto the mesh, where it passes their cells (fit.py), and the distances between
+   the two are measured.
+5. For an offset, or a hollow solid, the voxels are chosen anew, by their exact distance to that
+   surface (walls.py), and steps 3 and 4 are repeated with the points at that distance as the mesh.
+6. The result is checked.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.arrays import Data
 from voxtool.errors import VoxtoolError, count_of
 from voxtool.grid import Grid
 from voxtool.job import Job
+from voxtool.mesh.topology import components
 from voxtool.opencl import default_device
-from voxtool.repairing.fit import fit_to_mesh
+from voxtool.repairing.fit import NONE, Fitted, fit
 from voxtool.repairing.plan import STYLE, RepairPlan
+from voxtool.repairing.result import Repaired
+from voxtool.repairing.targets import Level, Target
+from voxtool.repairing.walls import (
+    beyond,
+    cavities,
+    check_walls,
+    drain_of,
+    plate,
+    thinnest,
+    within,
+)
 from voxtool.spatial.deviation import deviation
+from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.self_intersections import UNDECIDED
+from voxtool.svo.booleans import combine
 from voxtool.svo.components import plan_keep_components
 from voxtool.svo.surface.extract import plan_extract
-from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 
 if TYPE_CHECKING:
@@ -41,90 +54,6 @@ if TYPE_CHECKING:
 
 UNITING = "nonzero"  # in place of parity, which cuts out where parts of a mesh overlap
 SAMPLES = 100_000  # on each surface, for mean and RMS distances
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class Repaired(Data):
-    """A closed, consistently wound, manifold mesh.
-
-    Attributes
-    ----------
-    surface
-        The mesh: a net whose vertices were moved.
-    fill
-        Rule that decided what is inside.
-    voxels, components
-        Set voxels whose surface it is; their connected components before any were dropped, 0 where
-        they were not counted.
-    on_mesh
-        Vertices that lie on the input, within half a step of the lattice.
-    checked
-        Counts of edges and vertices, shells, genus, volume; whether it is closed; faces that
-        others pass through, and those of which that is undecided.
-    distances
-        To the input and back: see voxtool.deviation.
-    """
-
-    surface: Isosurface
-    fill: str
-    voxels: int
-    components: int
-    on_mesh: int
-    checked: dict[str, Any]
-    distances: dict[str, Any]
-
-    def __repr__(self) -> str:
-        return (
-            f"<Repaired mesh, {len(self.vertices):,} vertices, {len(self.faces):,} faces, "
-            f"{count_of(self.checked['shells'], 'shell')}>"
-        )
-
-    @property
-    def grid(self) -> Grid:
-        """The grid of the voxels."""
-        return self.surface.grid
-
-    @property
-    def units(self) -> str:
-        """Name of the world unit if known, or ""."""
-        return self.surface.units
-
-    @cached_property
-    def vertices(self) -> np.ndarray:
-        """(V, 3) float64, world units."""
-        return self.surface.vertices
-
-    @property
-    def faces(self) -> np.ndarray:
-        """(F, 3) int32, triangles, counter-clockwise seen from outside."""
-        return self.surface.faces
-
-    @property
-    def normals(self) -> np.ndarray:
-        """(V, 3) float64: unit normals of the vertices."""
-        return self.surface.normals
-
-    @property
-    def faults(self) -> str:
-        """What keeps the result from being certified: "" for a closed manifold in which no face
-        passes through another."""
-        if not self.checked["closed"]:
-            return "the result is not closed and manifold: report this mesh"
-        crossed = self.checked["self_intersecting_faces"] + self.checked["undecided_faces"]
-        if crossed:
-            return (
-                f"{count_of(crossed, 'face')} of {len(self.faces)} may pass through others: choose "
-                "another dim"
-            )
-        return ""
-
-    def mesh(self) -> Mesh:
-        """Return the result as a triangle mesh in world units."""
-        return self.surface.mesh()
-
-    def digest(self) -> str:
-        """Return the SHA-256 of the surface; see Isosurface.digest."""
-        return self.surface.digest()
 
 
 def grid_for(mesh: Mesh, dim: int | None = None, tolerance: float | None = None) -> Grid:
@@ -142,6 +71,10 @@ def plan_repair(
     fill: str = "auto",
     gap: int = 0,
     keep_components: int | None = None,
+    offset: float = 0.0,
+    shell: float = 0.0,
+    thicken: float = 0.0,
+    drains: Sequence[Sequence[float]] = (),
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> RepairJob:
@@ -150,13 +83,21 @@ def plan_repair(
         raise VoxtoolError(f"voxels of {grid.pitch}: repair needs cubes: give one pitch")
     if keep_components is not None and keep_components < 1:
         raise VoxtoolError(f"{keep_components} components: keep 1 or more")
+    holes = tuple(tuple(map(float, drain)) for drain in drains)
+    check_walls(grid.pitch[0], float(offset), float(shell), float(thicken), holes)
     device = device or default_device()
     device.require_float64("exact distances")
-    request = {"gap": gap, "device": device, "max_memory": max_memory}
-    voxels = plan_voxelize(mesh, grid, fill=fill, **request)
-    if fill == "auto" and voxels.plan.fill == "parity":
-        voxels = plan_voxelize(mesh, grid, fill=UNITING, **request)
-    plan = RepairPlan(voxels.plan, len(mesh.faces), grid.pitch[0], keep_components)
+    request: dict[str, Any] = {"device": device, "max_memory": max_memory}
+    if thicken:
+        voxels = plan_voxelize(mesh, grid, "surface26", **request)
+    else:
+        voxels = plan_voxelize(mesh, grid, fill=fill, gap=gap, **request)
+        if fill == "auto" and voxels.plan.fill == "parity":
+            voxels = plan_voxelize(mesh, grid, fill=UNITING, **request)
+    plan = RepairPlan(
+        voxels.plan, len(mesh.faces), grid.pitch[0], keep_components, float(offset), float(shell),
+        float(thicken), holes,
+    )  # fmt: skip
     return RepairJob(mesh, voxels, plan, device, max_memory)
 
 
@@ -186,36 +127,92 @@ class RepairJob(Job[Repaired]):
         self.plan, self.device, self.max_memory = plan, device, max_memory
 
     def _run(self) -> Repaired:
-        octree = self._voxels.run()
-        kept, components = self._kept(octree)
-        if not kept.count:
-            raise VoxtoolError(
-                f"{self.mesh.name or 'mesh'}: no voxel of dim {kept.grid.dim} is inside by "
-                f"{octree.fill}, so there is no surface: fill by flood, or choose a larger dim"
-            )
-        net = plan_extract(kept, style=STYLE, device=self.device, max_memory=self.max_memory).run()
-        fitted = fit_to_mesh(net, self.mesh, self.device)
-        with self.stage("check"):
-            checked = fitted.surface.check()
-        crossed, undecided = (int(np.count_nonzero(fitted.crossed == n)) for n in (1, UNDECIDED))
+        plan, onto_mesh = self.plan, TriangleDistance(self.mesh, self.device)
+        found = self._voxels.run()
+        target = Level(onto_mesh, plan.thicken / 2)
+        if plan.thicken:
+            with self.stage("plate"):
+                found = plate(found, onto_mesh, target.reach, self.device)
+        octree, number = self._kept(found)
+        fitted = self._fitted(octree, [target])
         with self.stage("distances"):
             distances = deviation(
-                fitted.surface.mesh(), self.mesh, SAMPLES, self.plan.pitch, self.device
+                fitted.surface.mesh(), self.mesh, SAMPLES, plan.pitch, self.device
             )
+        wall: dict[str, Any] = {}
+        if plan.offset:
+            octree, fitted = self._offset(octree, fitted)
+        elif plan.shell:
+            octree, fitted, wall = self._hollow(octree, fitted, target)
+        with self.stage("check"):
+            checked = fitted.surface.check()
+        for name, state in (("self_intersecting", 1), ("undecided", UNDECIDED)):
+            checked[f"{name}_faces"] = int(np.count_nonzero(fitted.crossed == state))
         return Repaired(
             surface=fitted.surface,
-            fill=octree.fill,
-            voxels=kept.count,
-            components=components,
-            on_mesh=int(np.count_nonzero(fitted.on_mesh)),
-            checked={
-                **checked, "self_intersecting_faces": crossed, "undecided_faces": undecided,
-            },
+            fill=found.fill,
+            voxels=octree.count,
+            components=number,
+            on_target=int(np.count_nonzero(fitted.targets != NONE)),
+            checked=checked,
             distances=distances,
-        )  # fmt: skip
+            wall=wall,
+        )
+
+    def _fitted(self, octree: Octree, targets: Sequence[Target]) -> Fitted:
+        """Return the surface of an octree, laid onto targets."""
+        request = {"device": self.device, "max_memory": self.max_memory}
+        return fit(plan_extract(octree, style=STYLE, **request).run(), targets, self.device)
+
+    def _offset(self, octree: Octree, fitted: Fitted) -> tuple[Octree, Fitted]:
+        """Return the octree and the surface at the offset from a surface."""
+        reach = self.plan.offset
+        with self.stage("offset"):
+            distance = TriangleDistance(fitted.surface.mesh(), self.device)
+            change = within if reach > 0 else beyond
+            moved = change(octree, distance, abs(reach), self.device)
+        if not moved.count:
+            raise VoxtoolError(f"offset {reach:g}: nothing is left: choose a smaller one")
+        return moved, self._fitted(moved, [Level(distance, abs(reach))])
+
+    def _hollow(
+        self, octree: Octree, fitted: Fitted, outer: Target
+    ) -> tuple[Octree, Fitted, dict[str, Any]]:
+        """Return the octree and the surface of a hollow solid, and what its wall is like."""
+        wall, device, shells = self.plan.shell, self.device, _shells(fitted)
+        with self.stage("cavities"):
+            surface = fitted.surface.mesh()
+            distance = TriangleDistance(surface, device)
+            cavity, count = cavities(octree, distance, wall, device)
+            if not count:
+                raise VoxtoolError(
+                    f"a wall of {wall:g} leaves no cavity: no part is thick enough: choose a "
+                    "thinner wall"
+                )
+        with self.stage("drains"):
+            drains = [
+                drain_of(drain, wall, cavity, surface, distance, device)
+                for drain in self.plan.drains
+            ]
+            holes = [hole for hole, _ in drains]
+            gone = [cavity, *(voxels for _, voxels in drains)]
+            hollow = combine([octree, *gone], "difference", device=device)
+        fitted = self._fitted(hollow, [outer, Level(distance, wall), *holes])
+        facts = {
+            "wanted": wall,
+            "thinnest": thinnest(fitted.surface, distance, wall, holes),
+            "cavities": count,
+            "closed": _shells(fitted) - shells,
+        }
+        return hollow, fitted, facts
 
     def _kept(self, octree: Octree) -> tuple[Octree, int]:
-        """Return the components that are wanted, and how many there were."""
+        """Return the components that are wanted, and how many there were, 0 if all are wanted."""
+        if not octree.count:
+            raise VoxtoolError(
+                f"{self.mesh.name or 'mesh'}: no voxel of dim {octree.grid.dim} is inside by "
+                f"{octree.fill}, so there is no surface: fill by flood, or choose a larger dim"
+            )
         if self.plan.keep is None:
             return octree, 0
         chosen = plan_keep_components(octree, self.plan.keep)
@@ -223,16 +220,34 @@ class RepairJob(Job[Repaired]):
 
     def notes(self, result: Repaired) -> Iterator[str]:
         """Yield what was done."""
-        away = len(result.vertices) - result.on_mesh
+        away = len(result.vertices) - result.on_target
+        filled = "" if self.plan.thicken else f"filled by {result.fill}; "
         yield (
-            f"filled by {result.fill}; {count_of(away, 'vertex')} of {len(result.vertices)} away "
-            "from the mesh: over holes, or where voxels are too coarse for it"
+            f"{filled}{count_of(away, 'vertex')} of {len(result.vertices)} away from the mesh or "
+            "from the distance asked: over holes, or where voxels are too coarse"
         )
         if result.components > (self.plan.keep or 0) > 0:
             dropped = result.components - (self.plan.keep or 0)
             yield f"{count_of(dropped, 'component')} of {result.components} dropped"
+        if result.wall:
+            yield (
+                f"{count_of(result.wall['cavities'], 'cavity')}, {result.wall['closed']} of them "
+                f"closed; the thinnest wall found is {result.wall['thinnest']:.4g}"
+            )
 
     def findings(self, result: Repaired) -> Iterator[str]:
         """Yield what is wrong with the result."""
         if result.faults:
             yield result.faults
+        if self.plan.drains and result.wall["closed"] > 0:
+            yield (
+                f"{result.wall['closed']} of {count_of(result.wall['cavities'], 'cavity')} without "
+                "a drain: add drains, or choose a thicker wall"
+            )
+
+
+def _shells(fitted: Fitted) -> int:
+    """Return the number of shells of a surface."""
+    a, b, c = fitted.surface.faces.T
+    roots = components(np.append(a, b), np.append(b, c), len(fitted.surface.points))
+    return len(np.unique(roots))

@@ -39,13 +39,21 @@ class RepairPlan:
     triangles: int  # of the mesh
     pitch: float
     keep: int | None  # components of the voxels that stay; None: all
+    # world units, 0 for none: outward, the wall of a hollow solid, that of a thick surface
+    offset: float
+    shell: float
+    thicken: float
+    drains: tuple[tuple[float, ...], ...]  # x, y, z and radius
 
     @property
     def stages(self) -> list[str]:
         """The stages that will run, in order."""
         components = ["components", "build"] if self.keep is not None else []
-        after = ["tree", "fit", "self-intersections", "check", "distances"]
-        return [*self.voxels.stages, *components, *NET_STAGES, *after]
+        plate = ["plate"] if self.thicken else []
+        fit = ["tree", "fit", "self-intersections", "distances"]
+        shape = {"offset": self.offset, "cavities": self.shell, "drains": self.drains}
+        shaped = [name for name, wanted in shape.items() if wanted]
+        return [*self.voxels.stages, *plate, *components, *NET_STAGES, *fit, *shaped, "check"]
 
     @property
     def left_out(self) -> dict[str, str]:
@@ -53,6 +61,8 @@ class RepairPlan:
         out = dict(self.voxels.left_out)
         if self.keep is None:
             out["components"] = "all of them are kept"
+        if not (self.offset or self.shell or self.thicken):
+            out["sets of voxels by distance"] = "the surface is that of the mesh"
         return out
 
     @property
@@ -60,7 +70,8 @@ class RepairPlan:
         """Predicted vertices of the result; it has twice as many faces. A surface crosses as many
         links between the centres of voxels as its projections along the axes have pixels, and a
         quad belongs to each."""
-        return max(round(sum(self.voxels.survey.areas)), 1)
+        sides = 2 if self.shell or self.thicken else 1
+        return max(sides * round(sum(self.voxels.survey.areas)), 1)
 
     @property
     def cost(self) -> Cost:
@@ -96,6 +107,8 @@ class RepairPlan:
         return {
             **self.voxels.as_dict(),
             "pitch": self.pitch,
+            **{name: getattr(self, name) for name in ("offset", "shell", "thicken")},
+            "drains": list(map(list, self.drains)),
             "keep_components": self.keep,
             "stages": self.stages,
             "left_out": self.left_out,
