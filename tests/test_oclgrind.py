@@ -53,6 +53,7 @@ from voxtool.spatial.bvh import build_tree
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.fans import fan_of
 from voxtool.spatial.hausdorff import hausdorff
+from voxtool.spatial.orientation import orient
 from voxtool.spatial.pseudonormals import pseudonormals
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.spatial.signed_distance import SignedDistance
@@ -228,6 +229,7 @@ def main() -> None:
     measure_distances(device)
     bound_distances_of_meshes(device)
     find_faces_that_meet(device)
+    orient_shells(device)
     wind_a_fan(device)
     build_fields(device)
     query_fields(device)
@@ -434,6 +436,13 @@ def find_faces_that_meet(device) -> None:
     ]
     assert np.array_equal(found, met)
     assert 0 < np.count_nonzero(found) < len(faces)
+
+
+def orient_shells(device) -> None:
+    inner = meshes.box(8, 9)
+    mesh = meshes.mesh_of(*meshes.join(meshes.octahedron(8, 8), (inner[0], inner[1][:, ::-1])))
+    mesh = replace(mesh, faces=np.concatenate([mesh.faces[:5, ::-1], mesh.faces[5:]]))
+    assert np.flatnonzero(orient(mesh, device).reversed).tolist() == [0, 1, 2, 3, 4]
 
 
 def wind_a_fan(device) -> None:

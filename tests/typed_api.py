@@ -42,7 +42,7 @@ def distances() -> float:
 
 def meshes() -> str:
     mesh: voxtool.Mesh = voxtool.mesh_from_arrays([[0, 0, 0]], [[0, 0, 0]])
-    report: voxtool.Report = voxtool.diagnose(mesh, dim=64, progress=print)
+    report: voxtool.Report = voxtool.diagnose(voxtool.orient(mesh), dim=64, progress=print)
     apart: float = voxtool.deviation(mesh, "bunny.obj")["hausdorff"]
     return f"{report.text()} {apart}"
 

@@ -29,6 +29,7 @@ from voxtool.api.octrees import deviation as deviation
 from voxtool.api.octrees import diagnose as diagnose
 from voxtool.api.octrees import extract as extract
 from voxtool.api.octrees import normalize as normalize
+from voxtool.api.octrees import orient as orient
 from voxtool.api.octrees import plan_combine as plan_combine
 from voxtool.api.octrees import plan_compare as plan_compare
 from voxtool.api.octrees import plan_extract as plan_extract

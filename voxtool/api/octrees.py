@@ -18,6 +18,7 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
 from voxtool.report import Report
 from voxtool.spatial import deviation as deviations
+from voxtool.spatial import orientation
 from voxtool.svo import booleans
 from voxtool.svo import compare as comparing
 from voxtool.svo import voxelize as svo
@@ -329,6 +330,37 @@ def diagnose(
     """
     found = as_mesh(mesh)
     return report.diagnose(found, grid_of(found, grid, dim, None), device=device, progress=progress)
+
+
+def orient(mesh: MeshLike, *, device: Device | None = None) -> Mesh:
+    """Turn the faces of a mesh outward, by what is seen from outside and by parity
+    [Takayama 2014].
+
+    Parameters
+    ----------
+    mesh : Mesh, path, trimesh.Trimesh, or pair of arrays
+        The triangle mesh.
+    device : Device, optional
+        Where to compute; the default device if None.
+
+    Returns
+    -------
+    Mesh
+        With the same vertices, and the same faces in the same order, some of them reversed; the
+        given mesh if none is.
+
+    Raises
+    ------
+    MeshError
+        If the mesh cannot be read, or its extent is beyond 2^±500.
+    DeviceError
+        If there is no device, or it has no double precision.
+
+    Examples
+    --------
+    >>> octree = voxtool.voxelize(voxtool.orient("parts.stl"), fill="winding")
+    """
+    return orientation.orient(as_mesh(mesh), device).mesh
 
 
 def normalize(mesh: MeshLike, into: str = NORMALIZED[0]) -> Mesh:

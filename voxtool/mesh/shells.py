@@ -33,6 +33,20 @@ class Patches:
 
 
 @dataclass(frozen=True, eq=False)
+class Sheets:
+    """The sheets of a mesh: faces that edges of two faces connect, whatever their winding.
+
+    of : (n,) int64: the first face of each face's sheet, of the faces on three positions.
+    alike : (n,) bool: wound consistently with that face.
+    one_sided : (n,) bool: of a sheet with one side, such as a Moebius band.
+    """
+
+    of: np.ndarray
+    alike: np.ndarray
+    one_sided: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Shells:
     """The shells of a mesh, by falling number of faces.
 
@@ -63,10 +77,26 @@ class Shells:
 def find_patches(mesh: Mesh, topology: Topology) -> Patches:
     """Return the patches of a mesh, with the result of topology_of."""
     n = len(topology.corners)
-    pairs = topology.pairs[:, topology.count[topology.edge[topology.pairs[0]]] == 2]
-    agree = topology.forward[pairs[0]] != topology.forward[pairs[1]]
-    one, other = pairs // 3
+    (one, other), agree = _neighbours(topology)
     root = components(one[agree], other[agree], n)
+    sheets = find_sheets(topology)
+    a, b, c = mesh.vertices[mesh.faces[topology.proper]].transpose(1, 0, 2)
+    areas = length(cross(b - a, c - a)) / 2
+    surplus = np.bincount(sheets.of, np.where(sheets.alike, areas, -areas), n)
+    flipped = sheets.alike != (surplus[sheets.of] >= 0)
+
+    numbers, area = _numbered(root, areas)
+    patches = np.full(len(mesh.faces), -1)
+    patches[topology.proper] = numbers
+    first = np.unique(numbers, return_index=True)[1]
+    one_sided = sheets.one_sided[first]
+    return Patches(patches, area, flipped[first] & ~one_sided, one_sided)
+
+
+def find_sheets(topology: Topology) -> Sheets:
+    """Return the sheets of a mesh, with the result of topology_of."""
+    n = len(topology.corners)
+    (one, other), agree = _neighbours(topology)
     # Nodes f and f + n are a face and its reverse; consistent ones are linked. A face linked to its
     # reverse is one-sided; otherwise the least node shows the direction of the first face.
     turned = np.where(agree, 0, n)
@@ -74,19 +104,14 @@ def find_patches(mesh: Mesh, topology: Topology) -> Patches:
         np.concatenate([one, one + n]), np.concatenate([other + turned, other + n - turned]), 2 * n
     )
     as_it_is, over = both[:n], both[n:]
-    a, b, c = mesh.vertices[mesh.faces[topology.proper]].transpose(1, 0, 2)
-    areas = length(cross(b - a, c - a)) / 2
-    piece = np.minimum(as_it_is, over)
-    with_first = as_it_is < over
-    surplus = np.bincount(piece, np.where(with_first, areas, -areas), n)
-    flipped = with_first != (surplus[piece] >= 0)
+    return Sheets(np.minimum(as_it_is, over), as_it_is < over, as_it_is == over)
 
-    numbers, area = _numbered(root, areas)
-    patches = np.full(len(mesh.faces), -1)
-    patches[topology.proper] = numbers
-    first = np.unique(numbers, return_index=True)[1]
-    one_sided = (as_it_is == over)[first]
-    return Patches(patches, area, flipped[first] & ~one_sided, one_sided)
+
+def _neighbours(topology: Topology) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pairs of faces that share an edge of two faces, (2, P) int64, and whether they
+    traverse it in opposite directions, (P,) bool."""
+    pairs = topology.pairs[:, topology.count[topology.edge[topology.pairs[0]]] == 2]
+    return pairs // 3, topology.forward[pairs[0]] != topology.forward[pairs[1]]
 
 
 def find_shells(mesh: Mesh, topology: Topology, loops: Loops) -> Shells:

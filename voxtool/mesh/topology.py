@@ -268,9 +268,7 @@ def net_faces(mesh: Mesh) -> np.ndarray | None:
     if twins is None:
         return None
     corners = mesh.positions[mesh.faces]
-    a, b, c = corners.T
-    proper = (a != b) & (b != c) & (c != a)
-    way = np.where(proper, 2 * ((a < b) * 1 + (b < c) + (c < a)) - 3, 1)
+    proper, way = ways_of(corners)
     net = np.bincount(twins, way).astype(np.int64)
     net[twins[~proper]] = 1
     order = np.lexsort([way, twins])  # stable
@@ -282,6 +280,14 @@ def net_faces(mesh: Mesh) -> np.ndarray | None:
     if len(boundary_of(corners[once])) > len(boundary_of(corners)):
         once = (rank < np.maximum(np.abs(net), 1)) & (net * way >= 0)
     return np.flatnonzero(once)
+
+
+def ways_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return whether (F, 3) positions are distinct, and the direction in which each face names
+    them: 1 or -1, opposite for opposite faces; 1 where they are not distinct."""
+    a, b, c = corners.T
+    proper = (a != b) & (b != c) & (c != a)
+    return proper, np.where(proper, 2 * ((a < b) * 1 + (b < c) + (c < a)) - 3, 1)
 
 
 def boundary_of(corners: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ HOMES = {
     "opencl/primitives.h": "voxtool.opencl.primitives",
     "spatial/arctangent.h": "voxtool.spatial.pseudonormals",
     "spatial/bvh.h": "voxtool.spatial.bvh",
+    "spatial/crossings.h": "voxtool.spatial.crossings",
     "spatial/fans.h": "voxtool.spatial.fans",
     "spatial/insides.h": "voxtool.spatial.insides",
     "spatial/names.h": "voxtool.spatial.bvh",

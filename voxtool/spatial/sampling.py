@@ -32,6 +32,14 @@ def sample_cube(count: int) -> np.ndarray:
     return np.stack([(0.5 + i * step) % 1.0 for step in steps], axis=1)
 
 
+def sample_triangles(a: np.ndarray, b: np.ndarray, c: np.ndarray, i: np.ndarray) -> np.ndarray:
+    """Return the point of R2 number i, (n,), in each triangle of corners a, b, c, (n, 3) each."""
+    u, v = (0.5 + i / PLASTIC) % 1.0, (0.5 + i / (PLASTIC * PLASTIC)) % 1.0
+    beyond = u + v > 1.0  # the other half of the parallelogram
+    u, v = np.where(beyond, 1.0 - u, u)[:, None], np.where(beyond, 1.0 - v, v)[:, None]
+    return a + u * (b - a) + v * (c - a)
+
+
 class SurfaceSampler:
     """Samples of a mesh's surface, by area."""
 
@@ -53,11 +61,8 @@ class SurfaceSampler:
             i = np.arange(start, min(start + block, count), dtype=np.float64)
             along = (i + 0.5) / count * self.area[-1]
             faces = np.minimum(np.searchsorted(self.area, along, side="right"), last)
-            u, v = (0.5 + i / PLASTIC) % 1.0, (0.5 + i / (PLASTIC * PLASTIC)) % 1.0
-            beyond = u + v > 1.0  # the other half of the parallelogram
-            u, v = np.where(beyond, 1.0 - u, u)[:, None], np.where(beyond, 1.0 - v, v)[:, None]
             a, b, c = (self.mesh.vertices[self.mesh.faces[faces, corner]] for corner in range(3))
-            yield a + u * (b - a) + v * (c - a)
+            yield sample_triangles(a, b, c, i)
 
     def vertices(self) -> np.ndarray:
         """Return the vertices that faces use, (n, 3) float64."""
