@@ -7,6 +7,7 @@
 #define MASKS long4
 #include "spatial/point_triangle.h"
 
+#define BY_ROOT_3 0.5774 // exceeds 1 / sqrt(3)
 #define STEPS 40 // halvings of an edge, at most
 // A cut is worth its while if it takes this share of both edges, so that what remains is shorter; or
 // this share of the area, and what remains is no sliver: its area, doubled, is at least FAT squares of
@@ -106,6 +107,21 @@ uint cut_off(const triangle *t, double reach, double slack, const double3 *v, co
     store_part(parts, p, out[0], across ? out[1] : q);
     store_part(parts + 9, across ? p : out[0], out[1], q);
     return 2;
+}
+
+// uppers[i] = a bound of the distances of face i's points from a mesh, those of the vertices given: no
+// point of a triangle is further from the nearest corner than the longest edge by the root of 3.
+__kernel void bound_faces(__global const double *vertices, __global const double *distances,
+                          __global const int *faces, const uint n, __global double *uppers)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const int3 face = vload3(gid, faces);
+    const double3 a = vload3(face.x, vertices), b = vload3(face.y, vertices), c = vload3(face.z, vertices);
+    const double longest = sqrt(fmax(square(b - a), fmax(square(c - b), square(a - c))));
+    const double distance = fmax(distances[face.x], fmax(distances[face.y], distances[face.z]));
+    uppers[gid] = distance + BY_ROOT_3 * longest;
 }
 
 // What remains of piece i, a triangle: the counts[i] triangles from parts[2 i] on. The rest is at most

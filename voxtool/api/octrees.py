@@ -402,12 +402,12 @@ def deviation(
     samples: int = 100_000,
     pitch: float | None = None,
     device: Device | None = None,
+    tolerance: float | None = None,
 ) -> dict[str, Any]:
     """Return the distances between two surfaces, in both directions: mean, RMS and maximum.
 
-    Mean and RMS are over quasi-random points, uniform by area. The maximum is over these and the
-    vertices that faces use. It is a lower bound of the one-sided Hausdorff distance, because the
-    surface may be farther away between the samples.
+    Mean and RMS are over quasi-random points, uniform by area. The maximum, which is the directed
+    Hausdorff distance, is over all points: it lies between two bounds, as of voxtool.hausdorff.
 
     Parameters
     ----------
@@ -420,25 +420,31 @@ def deviation(
     device : Device, optional
         Where to compute; the default device if None.
 
+    tolerance : float, optional
+        As in hausdorff: how far apart the two bounds may be.
+
     Returns
     -------
     dict
-        JSON types, world units: "samples"; "surface_to_reference" and "reference_to_surface", each
-        with "mean", "rms", "max" and "vertices", the number of vertices that the maximum includes;
-        "hausdorff", the larger of the two maxima; "maximum_is": "lower bound". With a pitch also
-        "pitch", and "voxels", the distances in voxels.
+        JSON types, world units: "samples"; "tolerance"; "surface_to_reference" and
+        "reference_to_surface", each with "mean", "rms", "max" and "max_upper", between which the
+        maximum lies, "point", where the distance is "max", and "nearest", the nearest point of the
+        other; "hausdorff" and "hausdorff_upper", the larger ones of the two directions. With a
+        pitch also "pitch", and "voxels", the distances in voxels.
 
     Raises
     ------
     MeshError
         If a mesh cannot be read, has no area, or has an extent beyond 2^±500.
     VoxtoolError
-        If samples or pitch is not positive, or the meshes are 2^500 extents apart.
+        If samples, pitch or tolerance is not positive, or the meshes are 2^500 extents apart.
     DeviceError
         If there is no device, or it has no double precision.
 
     References
     ----------
-    [Cignoni 1998], [Roberts 2018]
+    [Cignoni 1998], [Roberts 2018], [Guthe 2005], [Sacht 2024]
     """
-    return deviations.deviation(as_mesh(surface), as_mesh(reference), samples, pitch, device)
+    return deviations.deviation(
+        as_mesh(surface), as_mesh(reference), samples, pitch, device, tolerance
+    )

@@ -1,7 +1,8 @@
-"""The deviation between two surfaces: distances from samples of each to the other [Cignoni 1998].
+"""The deviation between two surfaces: mean and RMS of the distances from samples of each to the
+other [Cignoni 1998], and bounds of the largest distance.
 
 Samples are quasi-random, uniform by area, and the same every time (sampling.py). Distances are
-exact up to rounding (distance.py).
+exact up to rounding (distance.py). The bounds hold for all points (hausdorff.py).
 """
 
 from __future__ import annotations
@@ -14,11 +15,16 @@ import numpy as np
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import default_device
 from voxtool.spatial.distance import TriangleDistance
+from voxtool.spatial.hausdorff import bound, tolerance_of
 from voxtool.spatial.sampling import SurfaceSampler
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
+
+
+MEASURES = ("mean", "rms", "max", "max_upper")  # of a direction, all lengths
+WAYS = ("surface_to_reference", "reference_to_surface")
 
 
 def deviation(
@@ -27,6 +33,7 @@ def deviation(
     samples: int = 100_000,
     pitch: float | None = None,
     device: Device | None = None,
+    tolerance: float | None = None,
 ) -> dict[str, Any]:
     """Return the deviation between two surfaces, in both directions; see voxtool.deviation."""
     if isinstance(samples, bool) or not isinstance(samples, int | np.integer) or samples < 1:
@@ -37,38 +44,42 @@ def deviation(
         SurfaceSampler(mesh, name)
         for mesh, name in ((surface, "surface"), (reference, "reference"))
     ]
-    device = device or default_device()
-    there = _one_way(samplers[0], TriangleDistance(reference, device), int(samples))
-    back = _one_way(samplers[1], TriangleDistance(surface, device), int(samples))
+    device, tolerance = device or default_device(), tolerance_of(surface, reference, tolerance)
+    there = _one_way(samplers[0], TriangleDistance(reference, device), int(samples), tolerance)
+    back = _one_way(samplers[1], TriangleDistance(surface, device), int(samples), tolerance)
+    ways = dict(zip(WAYS, (there, back), strict=True))
     result: dict[str, Any] = {
         "samples": int(samples),
-        "surface_to_reference": there,
-        "reference_to_surface": back,
+        "tolerance": tolerance,
+        **ways,
         "hausdorff": max(there["max"], back["max"]),
-        "maximum_is": "lower bound",
+        "hausdorff_upper": max(there["max_upper"], back["max_upper"]),
     }
     if pitch is not None:
         result["pitch"] = float(pitch)
         result["voxels"] = {
-            **{
-                way: {name: result[way][name] / float(pitch) for name in ("mean", "rms", "max")}
-                for way in ("surface_to_reference", "reference_to_surface")
-            },
-            "hausdorff": result["hausdorff"] / float(pitch),
+            way: {name: found[name] / float(pitch) for name in MEASURES}
+            for way, found in ways.items()
         }
+        for name in ("hausdorff", "hausdorff_upper"):
+            result["voxels"][name] = result[name] / float(pitch)
     return result
 
 
-def _one_way(sampler: SurfaceSampler, to: TriangleDistance, samples: int) -> dict[str, Any]:
-    """Return mean, RMS and maximum of the distances from samples and vertices to a mesh."""
+def _one_way(
+    sampler: SurfaceSampler, to: TriangleDistance, samples: int, tolerance: float
+) -> dict[str, Any]:
+    """Return mean and RMS of the distances from samples to a mesh, and bounds of the largest."""
     distances = np.concatenate([to(points) for points in sampler.samples(samples)])
-    vertices = sampler.vertices()
-    farthest = float(distances.max())
+    largest = float(distances.max())
     # math.fsum rounds once, whatever the order; the squares are of numbers up to 1
-    relative = distances / farthest if farthest > 0 else distances
+    relative = distances / largest if largest > 0 else distances
+    bounds = bound(sampler.mesh, sampler.mesh.faces, to, tolerance)
     return {
         "mean": math.fsum(distances) / samples,
-        "rms": farthest * math.sqrt(math.fsum(relative * relative) / samples),
-        "max": max(farthest, float(to(vertices).max())),
-        "vertices": len(vertices),
+        "rms": largest * math.sqrt(math.fsum(relative * relative) / samples),
+        "max": bounds.lower,
+        "max_upper": bounds.upper,
+        "point": bounds.point.tolist(),
+        "nearest": bounds.nearest.tolist(),
     }

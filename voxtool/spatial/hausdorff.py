@@ -2,13 +2,14 @@
 
 The directed distance from a mesh to another is the largest distance from a point of the one to the
 other. The distances at vertices, and at the centroids of pieces of faces, are lower bounds of it
-[Guthe 2005]. The largest of them plus the tolerance is the reach. The distance to a single triangle
-is convex [Sacht 2024]: where corners of a piece, and points on its edges, are within reach of a
-triangle, so is their hull, and it is cut off. Each round does so with the triangles nearest to the
-centroids of all pieces. A piece of which little would be cut off is halved. In the end nothing is
-left, so no point is beyond the reach. Cuts follow the edges of the other mesh. So where surfaces
-coincide the number of pieces grows as the logarithm of 1 / tolerance; by halving alone it would
-grow as 1 / tolerance.
+[Guthe 2005]. The largest of them plus the tolerance is the reach. Most faces are within reach by
+the distances of their corners and their size. Of the others, all that is within reach of single
+triangles is cut off. The distance to a triangle is convex [Sacht 2024]: where corners of a piece,
+and points on its edges, are within reach of it, so is their hull. Each round cuts by the triangles
+nearest to the centroids of all pieces. A piece of which little would be cut off is halved. In the
+end nothing is left, so no point is beyond the reach. Cuts follow the edges of the other mesh. So
+where surfaces coincide the number of pieces grows as the logarithm of 1 / tolerance; by halving
+alone it would grow as 1 / tolerance.
 
 No result depends on the size of batches: pieces keep their order, and the reach is that of a round.
 
@@ -41,7 +42,7 @@ from voxtool.spatial.distance import (
     local_block,
     rounded_bytes,
 )
-from voxtool.vector import length, triple
+from voxtool.vector import length
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
@@ -80,7 +81,7 @@ class DirectedHausdorff(Data):
 
     def as_dict(self) -> dict[str, Any]:
         """Return the attributes by name, of JSON types."""
-        ends = {"point": triple(self.point), "nearest": triple(self.nearest)}
+        ends = {"point": self.point.tolist(), "nearest": self.nearest.tolist()}
         return {"lower": self.lower, "upper": self.upper, **ends, "pieces": self.pieces}
 
 
@@ -187,14 +188,15 @@ def bound(
     They are at most `tolerance` apart, or 3 ERROR R if that is more; further apart if more than
     `most` pieces would be left after a round.
     """
-    frame, used = to.tree.frame, np.unique(faces)
-    at_vertices = [to.search(block, None)[0].take() for block in to.blocks(mesh.vertices[used])]
-    local = frame.local(mesh.vertices)
-    lower, furthest = _furthest(np.concatenate(at_vertices), local[used])
-    pieces, uppers = local[faces], np.full(len(faces), np.inf)
-    error = ERROR * max(1.0, float(np.abs(pieces).max()))
+    frame, local = to.tree.frame, to.tree.frame.local(mesh.vertices)
+    at_vertices = _at_vertices(to, mesh.vertices, faces)
+    lower, furthest = _furthest(at_vertices, local)
+    error = ERROR * max(1.0, float(np.abs(local[at_vertices >= 0]).max()))
     gap = max(math.ldexp(tolerance, -frame.exponent) - 2 * error, error)
-    covered, count = 0.0, 0
+    uppers = _at_faces(to.device, local, at_vertices, faces)
+    far = uppers > lower + gap
+    covered, count = float(uppers[~far].max(initial=0)), 0
+    pieces, uppers = local[faces[far]], uppers[far]
     for _ in range(ROUNDS):
         if not len(pieces):
             break
@@ -220,6 +222,25 @@ def bound(
         nearest[0],
         count,
     )
+
+
+def _at_vertices(to: TriangleDistance, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return the local distances of the vertices that faces use, -1 for others, (V,) float64."""
+    used, distances = np.zeros(len(vertices), bool), np.full(len(vertices), -1.0)
+    used[faces] = True
+    found = [to.search(block, None)[0].take() for block in to.blocks(vertices[used])]
+    distances[used] = np.concatenate(found)
+    return distances
+
+
+def _at_faces(
+    device: Device, vertices: np.ndarray, distances: np.ndarray, faces: np.ndarray
+) -> np.ndarray:
+    """Return upper bounds of the distances of faces whose vertices have these distances."""
+    uppers = device.empty(len(faces), np.float64)
+    own = map(device.put, (vertices, distances, faces))
+    device.kernel(SOURCE, "bound_faces")(len(faces), *own, uppers)
+    return uppers.take()
 
 
 def _furthest(distances: np.ndarray, points: np.ndarray) -> tuple[float, np.ndarray]:

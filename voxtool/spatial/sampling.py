@@ -63,9 +63,3 @@ class SurfaceSampler:
             faces = np.minimum(np.searchsorted(self.area, along, side="right"), last)
             a, b, c = (self.mesh.vertices[self.mesh.faces[faces, corner]] for corner in range(3))
             yield sample_triangles(a, b, c, i)
-
-    def vertices(self) -> np.ndarray:
-        """Return the vertices that faces use, (n, 3) float64."""
-        used = np.zeros(len(self.mesh.vertices), bool)
-        used[self.mesh.faces] = True
-        return self.mesh.vertices[used]
