@@ -42,6 +42,30 @@ def distinct(codes: np.ndarray) -> np.ndarray:
     return ascending[np.diff(ascending, prepend=~ascending[:1]) != 0]
 
 
+def among(ascending: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return which of (n,) whole numbers are among (m,) ascending ones of their type, (n,) bool."""
+    if not len(ascending):
+        return np.zeros(len(values), bool)
+    places = np.searchsorted(ascending, values)
+    return ascending[np.minimum(places, len(ascending) - 1)] == values
+
+
+def morton_step(
+    codes: np.ndarray, axis: int, step: int, side: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the Morton codes of the cells a step away along an axis in a cube of `side` cells, a
+    power of two, (n,) uint64, and which of them lie in the cube, (n,) bool.
+
+    The bits of the other axes are set before an addition, so that it carries across them.
+    """
+    mask = spread_bits(np.array(side - 1)) << np.uint64(axis)
+    by = spread_bits(np.array(abs(step))) << np.uint64(axis)
+    own, others = codes & mask, codes & ~mask
+    moved = (((own | ~mask) + by) if step >= 0 else own - by) & mask
+    within = (moved >= own if step >= 0 else moved <= own) & (abs(step) < side)
+    return moved | others, within
+
+
 def morton_encode(points: np.ndarray) -> np.ndarray:
     """Return the (N,) uint64 Morton codes of (N, 3) cells."""
     x, y, z = (spread_bits(points[:, a]) << np.uint64(a) for a in range(3))

@@ -28,23 +28,6 @@ __kernel void rows_of_bricks(__global const ulong *bricks, const uint n, __globa
     rows[gid] = (ushort)row;
 }
 
-// bricks[64 i + b] = the voxels of brick b of tile i.
-__kernel void bricks_of_rows(__global const ushort *rows, const uint n, __global ulong *bricks)
-{
-    const uint gid = get_global_id(0);
-    if (gid >= n)
-        return;
-    const uint b = gid & 63, x = (b & 1) | (b >> 2 & 2), y = (b >> 1 & 1) | (b >> 3 & 2),
-               z = (b >> 2 & 1) | (b >> 4 & 2);
-    ulong brick = 0;
-    for (uint i = 0; i < 16; ++i) {
-        const uint row = rows[256 * (size_t)(gid >> 6) + 16 * (4 * z + (i >> 2)) + 4 * y + (i & 3)];
-        const uint four = row >> 4 * x & 15;
-        brick |= (ulong)((four & 3) | (four & 12) << 6) << row_shift(i & 3, i >> 2);
-    }
-    bricks[gid] = brick;
-}
-
 // The index of a code among `count` ascending ones, or NONE.
 uint find_code(__global const CODE *codes, uint count, CODE code)
 {
@@ -74,59 +57,103 @@ __kernel void find_beside(__global const CODE *codes, const uint count, __global
     beside[gid] = any(cell < 0) ? NONE : find_code(codes, count, morton_encode(convert_uint3(cell)));
 }
 
-// grown = the rows of each wanted tile and of its surroundings up to `reach`, grown along x by 0, 1, ...
-// reach.x voxels: of tile 0, all rows grown by 0, then by 1; y runs fastest, then z.
-__kernel void grow_rows(__global const ushort *rows, __global const uint *beside, const int3 halo,
-                        const int3 reach, const uint n, __global ushort *grown)
+// Load the 16 rows of plane z of a tile, or none.
+ushort16 plane_of(__global const ushort *rows, uint tile, uint z)
+{
+    return tile == NONE ? (ushort16)0 : vload16(16 * (size_t)tile + z, rows);
+}
+
+// sections[(16 i + z) (reach.z + 1) + k] = the 16 rows of plane z of tile i, dilated within the plane by the
+// section of the element that is k steps away along z. steps[starts[w]] .. steps[starts[w + 1] - 1] are the
+// rows, as steps along y and z, that the element covers to w voxels on either side.
+__kernel __attribute__((vec_type_hint(ushort16))) void dilate_planes(
+    __global const ushort *rows, __global const uint *beside, const int3 halo, __global const uint *starts,
+    __global const ushort2 *steps, const int3 reach, const uint n, __global ushort *sections)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const int ny = TILE + 2 * reach.y, nz = TILE + 2 * reach.z, sx = 2 * halo.x + 1;
-    const uint plane = ny * nz, tile = gid / plane, place = gid % plane;
-    const int y = (int)(place % ny) - reach.y, z = (int)(place / ny) - reach.z;
-    const size_t line = ((size_t)tile * (2 * halo.z + 1) + (z >> 4) + halo.z) * (2 * halo.y + 1) +
-                        (y >> 4) + halo.y;
-    __global const uint *own = beside + line * sx + halo.x;
-    const uint at = 16 * (z & 15) + (y & 15);
-    uint row = own[0] == NONE ? 0 : rows[256 * (size_t)own[0] + at];
-    // steps from the tile to the nearest voxel before it, and after it
-    int before = reach.x + 1, after = reach.x + 1;
-    for (int i = 1; i <= halo.x && before > reach.x; ++i) {
-        const uint word = own[-i] == NONE ? 0 : rows[256 * (size_t)own[-i] + at];
-        if (word)
-            before = 16 * i - (31 - (int)clz(word));
+    const uint side = 2 * halo.x + 1, tall = 2 * halo.y + 1, z = gid & 15, depth = reach.z + 1;
+    __global const uint *around = beside + (size_t)(gid >> 4) * tall * side;
+    __global ushort *out = sections + 16 * (size_t)gid * depth;
+    const ushort16 own = plane_of(rows, around[(halo.y * side) + halo.x], z);
+    if (all(own == (ushort16)0xffff)) {
+        for (uint k = 0; k < depth; ++k)
+            vstore16(own, k, out);
+        return;
     }
-    for (int i = 1; i <= halo.x && after > reach.x; ++i) {
-        const uint word = own[i] == NONE ? 0 : rows[256 * (size_t)own[i] + at];
-        if (word)
-            after = 16 * (i - 1) + 1 + (int)popcount((word & -word) - 1u);
+    // the rows of the tiles side by side along y, and the steps to the nearest voxel before and after each
+    ushort lines[16 * (2 * MAX_HALO + 1)];
+    ushort16 before[2 * MAX_HALO + 1], after[2 * MAX_HALO + 1];
+    ushort16 some = 0;
+    for (uint j = 0; j < tall; ++j) {
+        __global const uint *tiles = around + j * side + halo.x;
+        const ushort16 row = plane_of(rows, tiles[0], z);
+        ushort16 low = reach.x + 1, high = reach.x + 1;
+        for (int i = halo.x; i > 0; --i) {
+            const ushort16 left = plane_of(rows, tiles[-i], z), right = plane_of(rows, tiles[i], z);
+            low = select(low, (ushort16)(16 * i - 15) + clz(left), left != (ushort16)0);
+            high = select(high, (ushort16)(16 * i) - clz(right & -right), right != (ushort16)0);
+        }
+        vstore16(row, j, lines);
+        before[j] = low;
+        after[j] = high;
+        some |= row | as_ushort16(low <= (ushort16)reach.x) | as_ushort16(high <= (ushort16)reach.x);
     }
-    __global ushort *out = grown + (size_t)tile * (reach.x + 1) * plane + place;
+    for (uint k = 0; k < depth; ++k)
+        vstore16((ushort16)0, k, out);
+    if (all(some == (ushort16)0))
+        return;
+    const ushort *middle = lines + 16 * halo.y;
     for (int width = 0; width <= reach.x; ++width) {
-        out[(size_t)width * plane] = (ushort)row;
-        row |= row << 1 | row >> 1 | (uint)(before <= width + 1) | (uint)(after <= width + 1) << 15;
-        row &= 0xffff;
+        for (uint j = 0; j < tall && width > 0; ++j) {
+            const ushort16 row = vload16(j, lines);
+            const ushort16 reached = (as_ushort16(before[j] <= (ushort16)width) & (ushort16)1) |
+                                     (as_ushort16(after[j] <= (ushort16)width) & (ushort16)0x8000);
+            vstore16(row | row << (ushort16)1 | row >> (ushort16)1 | reached, j, lines);
+        }
+        for (uint s = starts[width]; s < starts[width + 1]; ++s) {
+            const ushort2 step = steps[s];
+            const ushort16 found = vload16(0, middle + step.x) | vload16(0, middle - step.x);
+            vstore16(found | vload16(step.y, out), step.y, out);
+        }
     }
 }
 
-// rows[256 i + 16 z + y] = the union of the rows around row (y, z) of wanted tile i, each grown along x by
-// its width: widths[|dz| (reach.y + 1) + |dy|], or none where that is negative.
-__kernel void unite_rows(__global const ushort *grown, __global const int *widths, const int3 reach,
-                         const uint n, __global ushort *rows)
+// bricks[64 i + b] = brick b of wanted tile i: the union of the sections of the planes around each of its
+// planes; above = the tiles of the sections, from -halo to halo along z from each wanted tile, or NONE.
+__kernel __attribute__((vec_type_hint(ushort16))) void unite_planes(
+    __global const ushort *sections, __global const uint *above, const int halo, const int reach,
+    const uint n, __global ulong *bricks)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const int ny = TILE + 2 * reach.y, nz = TILE + 2 * reach.z, z = gid & 15;
-    const size_t plane = ny * nz;
-    __global const ushort *of_tile = grown + (size_t)(gid >> 4) * (reach.x + 1) * plane;
-    ushort16 found = 0;
-    for (int dz = -reach.z; dz <= reach.z; ++dz)
-        for (int dy = -reach.y; dy <= reach.y; ++dy) {
-            const int width = widths[abs(dz) * (reach.y + 1) + abs(dy)];
-            if (width >= 0)
-                found |= vload16(0, of_tile + width * plane + (z + dz + reach.z) * ny + dy + reach.y);
+    const uint tile = gid >> 2, layer = gid & 3;
+    ushort16 rows[4];
+    for (int z = 0; z < 4; ++z) {
+        rows[z] = 0;
+        for (int dz = -reach; dz <= reach; ++dz) {
+            const int at = 4 * (int)layer + z + dz;
+            const uint from = above[tile * (2 * halo + 1) + halo + (at >> 4)];
+            if (from != NONE)
+                rows[z] |= vload16((16 * (size_t)from + (at & 15)) * (reach + 1) + abs(dz), sections);
         }
-    vstore16(found, 0, rows + 16 * (size_t)gid);
+    }
+    for (uint x = 0; x < 4; ++x) {
+        ulong4 column = 0; // the bricks of one x, by y
+        for (uint z = 0; z < 4; ++z) {
+            const ushort16 four = rows[z] >> (ushort16)(4 * x);
+            const ushort16 spread = (four & (ushort16)3) | (four & (ushort16)12) << (ushort16)6;
+            const uint4 slice = convert_uint4(spread.s048c) | convert_uint4(spread.s159d) << row_shift(1, 0) |
+                                convert_uint4(spread.s26ae) << row_shift(2, 0) |
+                                convert_uint4(spread.s37bf) << row_shift(3, 0);
+            column |= convert_ulong4(slice) << (ulong)row_shift(0, z);
+        }
+        __global ulong *out = bricks + 64 * (size_t)tile;
+        out[brick_place(x, 0, layer)] = column.s0;
+        out[brick_place(x, 1, layer)] = column.s1;
+        out[brick_place(x, 2, layer)] = column.s2;
+        out[brick_place(x, 3, layer)] = column.s3;
+    }
 }

@@ -3,8 +3,10 @@
 A set is dilated by a structuring element: a ball, a cube or a cross around each of its voxels. The
 element is a table of widths: of its rows along x, the steps that they reach to either side. They
 follow from the squares of the radius and the pitch as rational numbers, so an element is exact.
-Rows of tiles are grown along x by every width that the element has, then the rows around each row
-are united. Only tiles that the boundary can reach are examined; FULL and empty nodes stay leaves.
+Each plane of a tile is dilated by every section of the element along z: its rows, 16 voxels in a
+word, are grown along x a step at a time, and united where the element has that width. Then the
+sections of the planes around each plane are united. Only tiles that the boundary can reach are
+examined; FULL and empty nodes stay leaves.
 
 An erosion is the dilation of the complement, to which all that lies beyond the grid belongs.
 Kernels: kernels/svo/morphology.cl.
@@ -24,7 +26,8 @@ from voxtool.choices import ELEMENTS, MORPHOLOGY
 from voxtool.errors import MemoryLimitError, VoxtoolError
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job
-from voxtool.opencl import Device, default_device, program
+from voxtool.morton import among, spread_bits
+from voxtool.opencl import Array, Device, default_device, program
 from voxtool.svo.layout import BRICK, BRICK_BYTES
 from voxtool.svo.octree import Octree
 from voxtool.svo.tiling import BRICKS, TILE, Tiling
@@ -32,9 +35,11 @@ from voxtool.svo.tiling import BRICKS, TILE, Tiling
 SOURCE = "svo/morphology.cl"
 NONE = 0xFFFFFFFF  # instead of the index of a tile
 MAX_REACH = 128  # voxels
-SCRATCH = 1 << 25  # bytes of grown rows at once
+SCRATCH = 1 << 26  # bytes of dilated planes at once
+Z_BITS = spread_bits(np.array((1 << 21) - 1)) << np.uint64(2)  # of a Morton code
 TILE_BYTES = 2 * BRICK_BYTES * BRICKS  # bricks and rows
-HEADERS = {"svo/morphology.h": program.c_constants(TILE=TILE, NONE=NONE)}
+MAX_HALO = -(-MAX_REACH // TILE)  # tiles
+HEADERS = {"svo/morphology.h": program.c_constants(MAX_HALO=MAX_HALO, NONE=NONE)}
 
 
 @dataclass(frozen=True)
@@ -96,39 +101,65 @@ class Element:
         return x, y, z
 
     @property
+    def steps(self) -> tuple[np.ndarray, np.ndarray]:
+        """The steps along y and z to the rows of the element, (n, 2) uint16 by ascending width, and
+        the first row of each width, (reach[0] + 2,) uint32."""
+        z, y = np.nonzero(self.widths >= 0)
+        widths = self.widths[z, y]
+        order = np.argsort(widths, kind="stable")
+        firsts = np.searchsorted(widths[order], np.arange(self.reach[0] + 2))
+        return np.stack([y, z], axis=1)[order].astype(np.uint16), firsts.astype(np.uint32)
+
+    @property
     def scratch(self) -> int:
         """Bytes that the dilation of a tile takes for a while."""
-        (nx, ny, nz), around = self.reach, math.prod(2 * n + 1 for n in self.halo)
-        return 2 * (nx + 1) * (TILE + 2 * ny) * (TILE + 2 * nz) + 4 * around + TILE_BYTES
+        across, along = (2 * self.halo[0] + 1) * (2 * self.halo[1] + 1), 2 * self.halo[2] + 1
+        planes = 2 * TILE**2 * (self.reach[2] + 1) + 4 * across  # of a tile above or below
+        return (planes + 4) * along + TILE_BYTES
 
 
 def dilate(device: Device, voxels: Tiling, element: Element, batch: int) -> Tiling:
     """Return a set of voxels dilated by an element, `batch` tiles at a time."""
     codes = voxels.boundary()
-    wanted = voxels.reached(codes, element.halo)
+    hx, hy, hz = element.halo
+    wanted, planes = voxels.around(codes, element.halo), voxels.around(codes, (hx, hy, 0))
+    wanted = wanted[~voxels.is_full(wanted)]
+    planes = planes[~voxels.is_full(planes) | among(codes, planes)]
+    columns = np.lexsort([wanted & Z_BITS, wanted & ~Z_BITS])  # so that a batch shares planes
     bricks = np.empty((len(wanted), BRICKS), BRICK)
     rows = device.empty(TILE**2 * len(codes), np.uint16)
-    near, kernel = device.put(codes), device.kernel
+    kernel = device.kernel
     kernel(SOURCE, "rows_of_bricks", CODE="ulong")(
         rows.size, device.put(voxels.bricks_of(codes)), rows
     )
-    widths, (_, ny, nz) = device.put(element.widths), element.reach
-    around = math.prod(2 * n + 1 for n in element.halo)
+    steps, starts = map(device.put, element.steps)
     for first in range(0, len(wanted), batch):
-        chosen = wanted[first : first + batch]
-        n, lines = len(chosen), (TILE + 2 * ny) * (TILE + 2 * nz)
-        beside = device.empty(around * n, np.uint32)
-        kernel(SOURCE, "find_beside", CODE="ulong")(
-            beside.size, near, len(codes), device.put(chosen), element.halo, beside
+        places = columns[first : first + batch]
+        chosen = wanted[places]
+        near = voxels.around(chosen, (0, 0, hz))
+        near = near[among(planes, near)]
+        n, depth = len(chosen), element.reach[2] + 1
+        beside = _find(device, codes, near, (hx, hy, 0))
+        sections = device.empty(TILE**2 * depth * len(near), np.uint16)
+        kernel(SOURCE, "dilate_planes", CODE="ulong")(
+            TILE * len(near), rows, beside, element.halo, starts, steps, element.reach, sections
         )
-        grown = device.empty((element.reach[0] + 1) * lines * n, np.uint16)
-        grow = kernel(SOURCE, "grow_rows", CODE="ulong")
-        grow(lines * n, rows, beside, element.halo, element.reach, grown)
-        united, found = device.empty(TILE**2 * n, np.uint16), device.empty(BRICKS * n, BRICK)
-        kernel(SOURCE, "unite_rows", CODE="ulong")(TILE * n, grown, widths, element.reach, united)
-        kernel(SOURCE, "bricks_of_rows", CODE="ulong")(found.size, united, found)
-        bricks[first : first + n] = found.take().reshape(n, BRICKS)
+        above = _find(device, near, chosen, (0, 0, hz))
+        found = device.empty(BRICKS * n, BRICK)
+        kernel(SOURCE, "unite_planes", CODE="ulong")(
+            4 * n, sections, above, hz, element.reach[2], bricks=found
+        )
+        bricks[places] = found.take().reshape(n, BRICKS)
     return Tiling(voxels.corner, wanted, bricks, voxels.full).normal()
+
+
+def _find(device: Device, codes: np.ndarray, around: np.ndarray, halo: tuple[int, ...]) -> Array:
+    """Return the index among ascending codes of each tile up to `halo` tiles from others."""
+    found = device.empty(len(around) * math.prod(2 * n + 1 for n in halo), np.uint32)
+    device.kernel(SOURCE, "find_beside", CODE="ulong")(
+        found.size, device.put(codes), len(codes), device.put(around), halo, found
+    )
+    return found
 
 
 def erode(device: Device, voxels: Tiling, element: Element, batch: int) -> Tiling:

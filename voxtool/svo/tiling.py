@@ -9,13 +9,15 @@ above that are wholly set.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
 from typing import Self
 
 import numpy as np
 
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
-from voxtool.morton import morton_decode, morton_encode
+from voxtool.morton import among, distinct, morton_decode, morton_encode, morton_step
 from voxtool.svo.layout import BRICK, BRICK_SIDE, descend, unpack_bricks
 from voxtool.svo.octree import Octree
 from voxtool.svo.prune import ALL_VOXELS, octree_of_bricks
@@ -23,7 +25,6 @@ from voxtool.svo.prune import ALL_VOXELS, octree_of_bricks
 LEVEL = 2  # of tiles
 TILE = BRICK_SIDE << LEVEL  # voxels along a side
 BRICKS = 8**LEVEL  # of a tile
-AXES = np.eye(3, dtype=np.int64)
 BRICK_CELLS = morton_decode(np.arange(BRICKS, dtype=np.uint64))
 
 
@@ -72,7 +73,7 @@ class Tiling:
                 np.full(len(bricks[-1]), ALL_VOXELS) if level.number else octree.bricks[chosen]
             )
         found = np.concatenate(bricks)
-        codes = np.unique(found >> np.uint64(3 * LEVEL))
+        codes = distinct(found >> np.uint64(3 * LEVEL))
         tiles = np.zeros((len(codes), BRICKS), BRICK)
         places = np.searchsorted(codes, found >> np.uint64(3 * LEVEL))
         tiles[places, (found & np.uint64(BRICKS - 1)).astype(np.int64)] = np.concatenate(masks)
@@ -91,20 +92,31 @@ class Tiling:
         """Return the set of the frame's other voxels."""
         held, full = self.codes, []
         for leaves in self.full[:-1]:
-            held = np.concatenate([held, leaves])
-            parents = np.unique(held >> np.uint64(3))
+            held = np.sort(np.concatenate([held, leaves]))
+            parents = distinct(held >> np.uint64(3))
             children = descend(parents)
-            full.append(children[~np.isin(children, held)])
+            full.append(children[~among(held, children)])
             held = parents
         root = np.zeros(0 if len(held) or len(self.full[-1]) else 1, np.uint64)
         return type(self)(self.corner, self.codes, ~self.bricks, [*full, root])
 
+    @cached_property
+    def _leaves(self) -> tuple[np.ndarray, np.ndarray]:
+        """The first tile of each FULL leaf, ascending, and the leaf's level."""
+        levels = np.repeat(np.arange(len(self.full)), [len(codes) for codes in self.full])
+        firsts = np.concatenate(self.full) << (3 * levels).astype(np.uint64)
+        order = np.argsort(firsts)
+        return firsts[order], levels[order]
+
     def is_full(self, codes: np.ndarray, level: int = 0) -> np.ndarray:
         """Return which nodes, `level` levels above the tiles, lie in a FULL leaf."""
-        found = np.zeros(len(codes), bool)
-        for above, leaves in enumerate(self.full[level:]):
-            found |= np.isin(codes >> np.uint64(3 * above), leaves)
-        return found
+        firsts, levels = self._leaves
+        if not len(firsts):
+            return np.zeros(len(codes), bool)
+        own = codes << np.uint64(3 * level)
+        at = np.maximum(np.searchsorted(firsts, own, side="right") - 1, 0)
+        held = own - firsts[at] < np.uint64(1) << (3 * levels[at]).astype(np.uint64)
+        return held & (levels[at] >= level)
 
     def bricks_of(self, codes: np.ndarray) -> np.ndarray:
         """Return the bricks of tiles, (n, 64) uint64."""
@@ -121,30 +133,35 @@ class Tiling:
         kept = np.empty(0, np.uint64)
         for level in range(len(self.full) - 1, -1, -1):
             nodes = np.concatenate([descend(kept), self.full[level]])
-            cells, side = morton_decode(nodes), self.side >> level
             bare = np.zeros(len(nodes), bool)
-            for step in (*AXES, *-AXES):
-                beside = cells + step
-                within = ((beside >= 0) & (beside < side)).all(axis=1)
-                bare[within] |= ~self.is_full(morton_encode(beside[within]), level)
+            for axis, step in product(range(3), (-1, 1)):
+                beside, within = morton_step(nodes, axis, step, self.side >> level)
+                bare |= within & ~self.is_full(beside, level)
             kept = nodes[bare]
         return np.sort(np.concatenate([self.codes, kept]))
 
-    def reached(self, codes: np.ndarray, halo: tuple[int, ...]) -> np.ndarray:
-        """Return the ascending codes of the tiles that are not FULL, up to `halo` tiles along each
-        axis from those of the codes."""
+    def around(self, codes: np.ndarray, halo: tuple[int, ...]) -> np.ndarray:
+        """Return the ascending codes of the tiles up to `halo` tiles along each axis from those of
+        the codes."""
         for axis in range(3):
-            steps = np.arange(-halo[axis], halo[axis] + 1)[:, None, None] * AXES[axis]
-            cells = (morton_decode(codes) + steps).reshape(-1, 3)
-            within = (cells[:, axis] >= 0) & (cells[:, axis] < self.side)
-            codes = np.unique(morton_encode(cells[within]))
-        return codes[~self.is_full(codes)]
+            found = [codes]
+            for step in range(1, halo[axis] + 1):
+                for moved, within in (
+                    morton_step(codes, axis, sign * step, self.side) for sign in (-1, 1)
+                ):
+                    found.append(moved[within])
+            codes = distinct(np.concatenate(found))
+        return codes
 
     def intersection(self, other: Self) -> Self:
         """Return the voxels that are in both sets."""
-        codes = np.union1d(self.codes, other.codes)
+        codes = distinct(np.concatenate([self.codes, other.codes]))
         full = [
-            np.union1d(own[other.is_full(own, level)], others[self.is_full(others, level)])
+            distinct(
+                np.concatenate(
+                    [own[other.is_full(own, level)], others[self.is_full(others, level)]]
+                )
+            )
             for level, (own, others) in enumerate(zip(self.full, other.full, strict=True))
         ]
         bricks = self.bricks_of(codes) & other.bricks_of(codes)
