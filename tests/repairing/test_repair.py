@@ -11,8 +11,10 @@ from conftest import model
 import voxtool
 from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
 from voxtool.repairing.fit import cells_of, fit, onto_planes
+from voxtool.repairing.measure import outer_faces
 from voxtool.repairing.targets import Level
 from voxtool.spatial.distance import TriangleDistance
+from voxtool.spatial.sampling import SurfaceSampler
 from voxtool.svo.surface.isosurface import LATTICE
 
 # What each fault needs; for the others, auto takes a rule that suits.
@@ -39,10 +41,20 @@ def test_wrecks(device, fault: str, shape: str) -> None:
     whole = voxtool.mesh_from_arrays(*wrecks.SHAPES[shape][0])
     volume = voxtool.repair(whole, fixed.grid, device=device).checked["volume"]
     assert abs(fixed.checked["volume"] / volume - 1) < 0.25  # flood adds half a voxel all around
+    mesh = voxtool.mesh_from_arrays(*wrecks.wreck(fault, shape))
+    to_mesh, to_result = (TriangleDistance(m, device) for m in (mesh, fixed.mesh()))
     # on the mesh means on the mesh: all that is within a step of the lattice
-    distance = TriangleDistance(voxtool.mesh_from_arrays(*wrecks.wreck(fault, shape)), device)
     step = fixed.grid.pitch[0] / LATTICE
-    assert np.count_nonzero(distance(fixed.vertices) <= step) >= fixed.on_target > 0
+    assert np.count_nonzero(to_mesh(fixed.vertices) <= step) >= fixed.on_target > 0
+    # no sample is beyond the bounds, which are close to each other
+    for one, other, way in ((fixed.mesh(), to_mesh, "result_to_mesh"),
+                            (mesh, to_result, "mesh_to_result")):  # fmt: skip
+        found = fixed.distances[way]
+        samples = np.concatenate([*SurfaceSampler(one, "").samples(5000), one.vertices])
+        assert other(samples).max() <= found["max_upper"]
+        assert 0 <= found["max_upper"] - found["max"] <= 1.001 * fixed.distances["tolerance"]
+    outer = fixed.distances["outer_mesh_to_result"]
+    assert outer["max"] <= fixed.distances["mesh_to_result"]["max_upper"]
 
 
 @pytest.mark.soak
@@ -51,7 +63,7 @@ def test_wrecks(device, fault: str, shape: str) -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_all_wrecks(fault: str, shape: str, seed: int) -> None:
     fixed = certified(fault, shape, seed, 64)
-    assert fixed.distances["voxels"]["surface_to_reference"]["mean"] < 1
+    assert fixed.distances["result_to_mesh"]["mean"] < fixed.grid.pitch[0]
 
 
 @pytest.mark.parametrize("name", ["suzanne", "teapot"])
@@ -59,7 +71,7 @@ def test_bad_models(name: str) -> None:
     fixed = voxtool.repair(model(f"{name}.obj"), dim=64)
     assert fixed.faults == ""
     assert fixed.on_target > 0.95 * len(fixed.vertices)
-    assert fixed.distances["voxels"]["surface_to_reference"]["mean"] < 0.1
+    assert fixed.distances["result_to_mesh"]["mean"] < 0.1 * fixed.grid.pitch[0]
 
 
 @pytest.mark.soak
@@ -75,7 +87,8 @@ def test_closed_meshes_are_followed(device) -> None:
     fixed = voxtool.repair(ball, dim=40, device=device)
     assert fixed.fill == "nonzero"
     assert fixed.on_target > 0.98 * len(fixed.vertices)
-    assert fixed.distances["voxels"]["hausdorff"] < 0.2
+    for way in ("result_to_mesh", "mesh_to_result", "outer_mesh_to_result"):
+        assert fixed.distances[way]["max_upper"] < 0.2 * fixed.grid.pitch[0]
     volume = voxtool.repair(ball, dim=80, device=device).checked["volume"]
     assert abs(fixed.checked["volume"] / volume - 1) < 0.005
 
@@ -88,6 +101,23 @@ def test_inside_out_and_cavities(device) -> None:
     found = voxtool.repair(hollow, dim=32, device=device).checked
     assert found["shells"] == 2
     assert abs(found["volume"] / (4 / 3 * np.pi * 7 / 8) - 1) < 0.1
+
+
+def test_the_outer_surface_is_measured_apart(device) -> None:
+    """A sheet and a ball inside a box, whose large faces are divided, are no outer surface."""
+    mesh = voxtool.mesh_from_arrays(*meshes.join(
+        meshes.box((0, 0, 0), (4, 4, 4)), meshes.icosphere(1, (2.0, 2.0, 2.0), 0.8)
+    ))  # fmt: skip
+    fixed = voxtool.repair(mesh, dim=32, device=device)
+    pitch, found = fixed.grid.pitch[0], fixed.distances
+    pieces, outer = outer_faces(mesh, voxtool.voxelize(mesh, fixed.grid, device=device), device)
+    corners = pieces.vertices[pieces.faces]
+    edges = corners - np.roll(corners, 1, axis=1)
+    assert np.sqrt((edges**2).sum(axis=2)).max() <= 4 * pitch
+    on_box = ((corners == 0) | (corners == 4)).any(axis=2).all(axis=1)
+    assert np.array_equal(outer, on_box)
+    assert found["outer_mesh_to_result"]["max_upper"] < 1.2 * pitch
+    assert found["mesh_to_result"]["max"] > 1.1
 
 
 def test_vertices_stay_in_their_cells(device) -> None:

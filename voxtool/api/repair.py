@@ -96,7 +96,7 @@ def plan_repair(
     Examples
     --------
     >>> fixed = voxtool.repair("bunny.obj", dim=512, keep_components=1)
-    >>> fixed.checked["genus"], fixed.distances["hausdorff"]
+    >>> fixed.checked["genus"], fixed.distances["outer_mesh_to_result"]
     >>> voxtool.write_mesh(fixed, "fixed.ply")
     """
     found = as_mesh(mesh, max_memory)

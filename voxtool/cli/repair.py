@@ -14,6 +14,11 @@ from voxtool.errors import CheckError, count_of
 if TYPE_CHECKING:
     from voxtool.repairing.result import Repaired
 
+WAYS = {
+    "the result to the mesh": "result_to_mesh",
+    "the mesh's outer surface": "outer_mesh_to_result",
+    "all of the mesh": "mesh_to_result",
+}
 WALLS = ("offset", "shell", "thicken")
 
 
@@ -127,15 +132,16 @@ def report_line(result: Repaired) -> str:
 
 def distance_lines(result: Repaired) -> list[str]:
     """Return the lines on the distances between the mesh and the result."""
-    units, voxels = result.distances, result.distances["voxels"]
-    return [
-        f"from {name}: mean {units[way]['mean']:.3g} ({voxels[way]['mean']:.2g} voxels), largest "
-        f"found {units[way]['max']:.3g} ({voxels[way]['max']:.2g})"
-        for name, way in (
-            ("the result to the mesh", "surface_to_reference"),
-            ("the mesh to the result", "reference_to_surface"),
-        )
-    ]
+    found, lines = result.distances, []
+    for name, way in WAYS.items():
+        if way := found[way]:
+            mean = f"mean {way['mean']:.3g}, " if "mean" in way else ""
+            low, high = (way[end] / found["pitch"] for end in ("max", "max_upper"))
+            lines.append(
+                f"from {name}: {mean}largest {way['max']:.3g}, between {low:.2f} and {high:.2f} "
+                "voxels"
+            )
+    return lines
 
 
 def facts_of(result: Repaired) -> dict[str, Any]:

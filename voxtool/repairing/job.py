@@ -27,6 +27,7 @@ from voxtool.job import Job
 from voxtool.mesh.topology import components
 from voxtool.opencl import default_device
 from voxtool.repairing.fit import NONE, Fitted, fit
+from voxtool.repairing.measure import measure
 from voxtool.repairing.plan import STYLE, RepairPlan
 from voxtool.repairing.result import Repaired
 from voxtool.repairing.targets import Level, Target
@@ -39,7 +40,6 @@ from voxtool.repairing.walls import (
     thinnest,
     within,
 )
-from voxtool.spatial.deviation import deviation
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.self_intersections import UNDECIDED
 from voxtool.svo.booleans import combine
@@ -53,7 +53,6 @@ if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
 
 UNITING = "nonzero"  # in place of parity, which cuts out where parts of a mesh overlap
-SAMPLES = 100_000  # on each surface, for mean and RMS distances
 
 
 def grid_for(mesh: Mesh, dim: int | None = None, tolerance: float | None = None) -> Grid:
@@ -135,15 +134,15 @@ class RepairJob(Job[Repaired]):
                 found = plate(found, onto_mesh, target.reach, self.device)
         octree, number = self._kept(found)
         fitted = self._fitted(octree, [target])
+        surface = fitted.surface.mesh()
+        onto_surface = TriangleDistance(surface, self.device)
         with self.stage("distances"):
-            distances = deviation(
-                fitted.surface.mesh(), self.mesh, SAMPLES, plan.pitch, self.device
-            )
+            distances = measure(surface, onto_surface, self.mesh, onto_mesh, octree)
         wall: dict[str, Any] = {}
         if plan.offset:
-            octree, fitted = self._offset(octree, fitted)
+            octree, fitted = self._offset(octree, onto_surface)
         elif plan.shell:
-            octree, fitted, wall = self._hollow(octree, fitted, target)
+            octree, fitted, wall = self._hollow(octree, fitted, onto_surface, target)
         with self.stage("check"):
             checked = fitted.surface.check()
         for name, state in (("self_intersecting", 1), ("undecided", UNDECIDED)):
@@ -164,11 +163,10 @@ class RepairJob(Job[Repaired]):
         request = {"device": self.device, "max_memory": self.max_memory}
         return fit(plan_extract(octree, style=STYLE, **request).run(), targets, self.device)
 
-    def _offset(self, octree: Octree, fitted: Fitted) -> tuple[Octree, Fitted]:
+    def _offset(self, octree: Octree, distance: TriangleDistance) -> tuple[Octree, Fitted]:
         """Return the octree and the surface at the offset from a surface."""
         reach = self.plan.offset
         with self.stage("offset"):
-            distance = TriangleDistance(fitted.surface.mesh(), self.device)
             change = within if reach > 0 else beyond
             moved = change(octree, distance, abs(reach), self.device)
         if not moved.count:
@@ -176,13 +174,11 @@ class RepairJob(Job[Repaired]):
         return moved, self._fitted(moved, [Level(distance, abs(reach))])
 
     def _hollow(
-        self, octree: Octree, fitted: Fitted, outer: Target
+        self, octree: Octree, fitted: Fitted, distance: TriangleDistance, outer: Target
     ) -> tuple[Octree, Fitted, dict[str, Any]]:
         """Return the octree and the surface of a hollow solid, and what its wall is like."""
         wall, device, shells = self.plan.shell, self.device, _shells(fitted)
         with self.stage("cavities"):
-            surface = fitted.surface.mesh()
-            distance = TriangleDistance(surface, device)
             cavity, count = cavities(octree, distance, wall, device)
             if not count:
                 raise VoxtoolError(
@@ -190,6 +186,7 @@ class RepairJob(Job[Repaired]):
                     "thinner wall"
                 )
         with self.stage("drains"):
+            surface = fitted.surface.mesh()
             drains = [
                 drain_of(drain, wall, cavity, surface, distance, device)
                 for drain in self.plan.drains

@@ -37,7 +37,10 @@ class Repaired(Data):
         Counts of edges and vertices, shells, genus, volume; whether it is closed; faces that
         others pass through, and those of which that is undecided.
     distances
-        To the input and back, before an offset or a cavity: see voxtool.deviation.
+        To the input and back, world units, before an offset or a cavity: "result_to_mesh" and
+        "mesh_to_result", each with "mean" and "rms" of samples, and "max" and "max_upper",
+        between which the largest distance lies; "outer_mesh_to_result", from the input's outer
+        surface alone, None if it has none; "pitch", "samples", "tolerance".
     wall
         Of a hollow solid: "wanted", "thinnest" (between the surface of a cavity and the outer one,
         at vertices and centres of faces), "cavities", and how many of them are "closed".

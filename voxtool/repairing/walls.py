@@ -71,8 +71,8 @@ def within(octree: Octree, distance: TriangleDistance, reach: float, device: Dev
     """Return the set voxels, and those whose centre is within `reach` world units of the surface
     around them."""
     radius = reach / octree.grid.pitch[0]
-    sure = _morphed(octree, "dilate", radius, device)
-    most = _morphed(octree, "dilate", radius + SLACK, device)
+    sure = morphed(octree, "dilate", radius, device)
+    most = morphed(octree, "dilate", radius + SLACK, device)
     return _sifted(sure, most, distance, lambda far: far <= reach, device)
 
 
@@ -80,8 +80,8 @@ def beyond(octree: Octree, distance: TriangleDistance, reach: float, device: Dev
     """Return the set voxels whose centre is farther than `reach` world units from the surface
     around them."""
     radius = reach / octree.grid.pitch[0]
-    sure = _morphed(octree, "erode", radius + SLACK, device)
-    most = _morphed(octree, "erode", radius, device)
+    sure = morphed(octree, "erode", radius + SLACK, device)
+    most = morphed(octree, "erode", radius, device)
     return _sifted(sure, most, distance, lambda far: far > reach, device)
 
 
@@ -89,8 +89,8 @@ def plate(touched: Octree, distance: TriangleDistance, reach: float, device: Dev
     """Return the voxels whose centre is within `reach` world units of a mesh, at least half the
     diagonal of a voxel; touched : those that the mesh touches."""
     radius, half = reach / touched.grid.pitch[0], SLACK / 2
-    sure = _morphed(touched, "dilate", max(radius - half, 0.0), device)
-    most = _morphed(touched, "dilate", radius + half, device)
+    sure = morphed(touched, "dilate", max(radius - half, 0.0), device)
+    most = morphed(touched, "dilate", radius + half, device)
     return _sifted(sure, most, distance, lambda far: far <= reach, device)
 
 
@@ -105,7 +105,7 @@ def cavities(
         return found.run(), int(np.count_nonzero(found.sizes >= size))
 
 
-def _morphed(octree: Octree, operation: str, voxels: float, device: Device) -> Octree:
+def morphed(octree: Octree, operation: str, voxels: float, device: Device) -> Octree:
     """Return an octree dilated or eroded by a ball, empty if no voxel is left."""
     with warnings.catch_warnings(action="ignore", category=MeshWarning):
         return plan_morph(octree, operation, voxels, device=device).run()

@@ -45,8 +45,8 @@ def deviation(
         for mesh, name in ((surface, "surface"), (reference, "reference"))
     ]
     device, tolerance = device or default_device(), tolerance_of(surface, reference, tolerance)
-    there = _one_way(samplers[0], TriangleDistance(reference, device), int(samples), tolerance)
-    back = _one_way(samplers[1], TriangleDistance(surface, device), int(samples), tolerance)
+    there = one_way(samplers[0], TriangleDistance(reference, device), int(samples), tolerance)
+    back = one_way(samplers[1], TriangleDistance(surface, device), int(samples), tolerance)
     ways = dict(zip(WAYS, (there, back), strict=True))
     result: dict[str, Any] = {
         "samples": int(samples),
@@ -66,7 +66,7 @@ def deviation(
     return result
 
 
-def _one_way(
+def one_way(
     sampler: SurfaceSampler, to: TriangleDistance, samples: int, tolerance: float
 ) -> dict[str, Any]:
     """Return mean and RMS of the distances from samples to a mesh, and bounds of the largest."""
