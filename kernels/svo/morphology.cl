@@ -63,6 +63,13 @@ ushort16 plane_of(__global const ushort *rows, uint tile, uint z)
     return tile == NONE ? (ushort16)0 : vload16(16 * (size_t)tile + z, rows);
 }
 
+// 1 where a number of steps is at most a width, 0 elsewhere: without a comparison, as Oclgrind widens a
+// vector of comparisons wrongly.
+ushort16 is_within(ushort16 steps, int width)
+{
+    return (ushort16)1 - min(sub_sat(steps, (ushort16)width), (ushort16)1);
+}
+
 // sections[(16 i + z) (reach.z + 1) + k] = the 16 rows of plane z of tile i, dilated within the plane by the
 // section of the element that is k steps away along z. steps[starts[w]] .. steps[starts[w + 1] - 1] are the
 // rows, as steps along y and z, that the element covers to w voxels on either side.
@@ -108,9 +115,8 @@ __kernel __attribute__((vec_type_hint(ushort16))) void dilate_planes(
     for (int width = 0; width <= reach.x; ++width) {
         for (uint j = 0; j < tall && width > 0; ++j) {
             const ushort16 row = vload16(j, lines);
-            const ushort16 reached = (as_ushort16(before[j] <= (ushort16)width) & (ushort16)1) |
-                                     (as_ushort16(after[j] <= (ushort16)width) & (ushort16)0x8000);
-            vstore16(row | row << (ushort16)1 | row >> (ushort16)1 | reached, j, lines);
+            const ushort16 first = is_within(before[j], width), last = is_within(after[j], width) << (ushort16)15;
+            vstore16(row | row << (ushort16)1 | row >> (ushort16)1 | first | last, j, lines);
         }
         for (uint s = starts[width]; s < starts[width + 1]; ++s) {
             const ushort2 step = steps[s];
