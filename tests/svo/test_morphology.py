@@ -104,6 +104,20 @@ def test_a_small_batch_changes_nothing(device) -> None:
     assert job.with_(batch=2).run() == job.run()
 
 
+def test_less_memory_makes_smaller_batches() -> None:
+    octree = Octree.from_dense(RNG.random((40, 40, 40)) < 0.3)
+    job = voxtool.plan_morph(octree, "close", 3)
+    scratch = job.plan.element.scratch
+    least = job.with_(batch=1).cost.device
+    for more in (0, 2):
+        short = voxtool.plan_morph(octree, "close", 3, max_memory=least + more * scratch)
+        assert short.plan.batch == 1 + more < job.plan.batch
+        assert short.cost.device == least + more * scratch
+        assert short.run() == job.run()
+    with pytest.raises(voxtool.MemoryLimitError, match="to close by 3 would need"):
+        voxtool.plan_morph(octree, "close", 3, max_memory=least - 1).run()
+
+
 def test_model(device) -> None:
     octree = voxtool.voxelize(model("spot.obj"), dim=48, device=device)
     dense = octree.to_dense()

@@ -263,9 +263,11 @@ def plan_morph(
         high = np.maximum(bounds[1] + element.reach - octree.grid.shape, 0)
     grid = octree.grid.window(low.tolist(), (octree.grid.shape + high - low).tolist())
     x, y, z = low.tolist()
+    tiles = len(voxels.boundary())
+    room = SCRATCH if max_memory is None else min(SCRATCH, max_memory - tiles * TILE_BYTES)
     plan = MorphPlan(
-        operation, float(radius), world, shape, element, grid, (x, y, z),
-        len(voxels.boundary()), max(SCRATCH // element.scratch, 1),
+        operation, float(radius), world, shape, element, grid, (x, y, z), tiles,
+        max(room // element.scratch, 1),
     )  # fmt: skip
     return MorphJob(octree, voxels, plan, device or default_device(), max_memory)
 
