@@ -24,6 +24,7 @@ REQUESTS = {
     "blocks merged": {"style": "voxel-faces", "merge": True},
     "nets": {"style": "surface-nets"},
     "nets level 0": {"style": "surface-nets", "level": 0},
+    "sharp": {"style": "sharp"},
 }
 DIMS = (50, 128)
 REAL_DIMS = (200,)
@@ -35,7 +36,9 @@ def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterat
         grid = voxtool.Grid.fit(mesh, dim)
         octree = voxtool.voxelize(mesh, grid, fill="parity", device=device)
         for name, request in REQUESTS.items():
-            yield f"{name} {dim}", voxtool.extract(octree, device=device, **request).digest()
+            source = mesh if name == "sharp" else None
+            surface = voxtool.extract(octree, source=source, device=device, **request)
+            yield f"{name} {dim}", surface.digest()
 
 
 def main() -> None:

@@ -410,6 +410,8 @@ def extract_surfaces(device) -> None:
         {"style": "surface-nets"},
         {"style": "surface-nets", "level": 0},
     )
+    source = Mesh(*meshes.box((1.25, 1.5, 1.75), (13.5, 6.25, 7.25)))
+    requests += ({"style": "sharp", "source": source},)  # not where all voxels are
     for request in requests:
         surface = extract(octree, device=device, **request)
         mesh = Mesh(surface.points / LATTICE, surface.faces)

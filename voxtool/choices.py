@@ -16,8 +16,8 @@ OPERATIONS = ("union", "intersection", "difference", "xor")  # on sets of voxels
 MORPHOLOGY = ("dilate", "erode", "open", "close", "shell")  # operations
 ELEMENTS = ("ball", "cube", "cross")  # by which voxels are dilated
 NEIGHBOURS = (6, 26)  # of a voxel: across faces; also across edges and corners
-STYLES = ("marching-cubes", "voxel-faces", "surface-nets")  # of extracted surfaces
-MARCHING_CUBES, VOXEL_FACES, SURFACE_NETS = STYLES
+STYLES = ("marching-cubes", "voxel-faces", "surface-nets", "sharp")  # of extracted surfaces
+MARCHING_CUBES, VOXEL_FACES, SURFACE_NETS, SHARP = STYLES
 # Names of version 0.1, which are still taken, and which digests still hold.
 STYLE_ALIASES = {"smooth": MARCHING_CUBES, "blocks": VOXEL_FACES, "nets": SURFACE_NETS}
 DEFAULT_TOLERANCE = 1e-3  # of a distance field, in sides of its cube

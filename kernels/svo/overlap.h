@@ -6,11 +6,15 @@
 #define VOXEL (1 << FIXED_POINT_BITS) // units of the lattice in a voxel
 #define HALF (VOXEL / 2)
 
-typedef struct { int3 v[3]; } triangle;
+typedef struct {
+    int3 v[3];
+    uint face;
+} triangle;
 
 triangle fetch_triangle(__global const int *vertices, __global const int *faces, uint index)
 {
     triangle t;
+    t.face = index;
     for (int i = 0; i < 3; ++i)
         t.v[i] = vload3(faces[3 * (size_t)index + i], vertices);
     return t;

@@ -28,6 +28,7 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.surface import extract as surfaces
 from voxtool.svo.surface.extract import ExtractJob
 from voxtool.svo.surface.isosurface import Isosurface
+from voxtool.svo.surface.sharp import source_of
 from voxtool.svo.voxelize import VoxelizeJob
 
 Path: TypeAlias = str | os.PathLike[str]
@@ -149,6 +150,7 @@ def plan_extract(
     level: int | str | None = None,
     isovalue: float = 0.5,
     merge: bool = False,
+    source: Mesh | Path | None = None,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> ExtractJob:
@@ -159,7 +161,8 @@ def plan_extract(
     octree
         an Octree or a path.
     style
-        "marching-cubes", "voxel-faces" (two triangles a square) or "surface-nets".
+        "marching-cubes", "voxel-faces" (two triangles a square), "surface-nets", or "sharp",
+        which keeps the edges and corners of the source.
     level
         level of the nodes that are samples, from 0 (bricks), or "voxel"; by default 0 for
         marching cubes, otherwise "voxel".
@@ -167,6 +170,8 @@ def plan_extract(
         in (0, 1): a sample is inside if at least this share of its voxels is set.
     merge
         join coplanar squares of voxel faces (greedy meshing); leaves T-junctions.
+    source
+        the mesh, or a path of it, that the octree was made from; for "sharp".
     device, max_memory
         as voxelize.
 
@@ -192,8 +197,11 @@ def plan_extract(
     >>> surface = voxtool.extract(octree, style="surface-nets")
     >>> voxtool.write_mesh(surface, "bunny.ply")
     """
+    found = opened(octree, read_svo)
+    if source is not None:
+        source = source_of(found, as_mesh(source, max_memory))
     return surfaces.plan_extract(
-        opened(octree, read_svo), style=style, level=level, isovalue=isovalue, merge=merge,
+        found, style=style, level=level, isovalue=isovalue, merge=merge, source=source,
         device=device, max_memory=max_memory,
     )  # fmt: skip
 

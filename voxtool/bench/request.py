@@ -7,7 +7,7 @@ import shlex
 from dataclasses import dataclass
 from typing import Any
 
-from voxtool.choices import MARCHING_CUBES, METHODS, MODES, SEARCHES, SURFACE_NETS
+from voxtool.choices import MARCHING_CUBES, METHODS, MODES, SEARCHES, SHARP, SURFACE_NETS
 
 KINDS = ("random", "rays")  # of points: quasi-random ones, and those along rays, in order
 INTEGRATORS = ("linear", "average", "preintegrated", "sampled:1", "sampled:4", "sampled:16")
@@ -51,7 +51,7 @@ class Request:
     modes: tuple[str, ...] = MODES
     fills: tuple[str, ...] = ("auto", "parity")
     fit: str = "uniform"
-    styles: tuple[str, ...] = (MARCHING_CUBES, SURFACE_NETS)
+    styles: tuple[str, ...] = (MARCHING_CUBES, SURFACE_NETS, SHARP)
     isovalue: float = 0.5
     samples: int = 20_000
     tolerances: tuple[float, ...] = (1e-2, 3e-3, 1e-3)

@@ -25,7 +25,7 @@ from voxtool.bench.references import (
     surface_of_peer,
     voxels_of_peer,
 )
-from voxtool.choices import MARCHING_CUBES, VOXEL_FACES
+from voxtool.choices import MARCHING_CUBES, SHARP, VOXEL_FACES
 from voxtool.files import write_svo
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
@@ -131,7 +131,8 @@ def measure_extract(bench: Bench) -> Iterator[Point]:
     for dim, style in product(asked.dims, asked.styles):
         grid, fill = Grid.fit(mesh, dim), asked.fills[0]
         octree = voxelize(mesh, grid, "solid", fill=fill, device=bench.timed)
-        plan = partial(plan_extract, octree, style=style, isovalue=asked.isovalue)
+        source = mesh if style == SHARP else None
+        plan = partial(plan_extract, octree, style=style, isovalue=asked.isovalue, source=source)
         job = plan(device=bench.timed)
         made = job.run()
         found = against.errors_of(made.mesh())
@@ -151,10 +152,11 @@ def measure_extract(bench: Bench) -> Iterator[Point]:
             **found,
         )
         with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
-            source = str(Path(folder, "in.svo.h5"))
-            write_svo(octree, source)
-            options = ("--style", style, "--isovalue", str(asked.isovalue))
-            yield _with_command(point, bench, "extract", source, *options, output="out.ply")
+            voxels = str(Path(folder, "in.svo.h5"))
+            write_svo(octree, voxels)
+            options = ["--style", style, "--isovalue", str(asked.isovalue)]
+            options += ["--source", str(bench.model)] if source else []
+            yield _with_command(point, bench, "extract", voxels, *options, output="out.ply")
         if not asked.peers or style != MARCHING_CUBES:
             continue
         for peer, run in bench.tools.of_octree(octree, asked.isovalue).items():

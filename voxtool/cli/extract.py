@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import MARCHING_CUBES, STYLE_ALIASES, STYLES, VOXEL_FACES
+from voxtool.choices import MARCHING_CUBES, SHARP, STYLE_ALIASES, STYLES, VOXEL_FACES
 from voxtool.cli import options, runner
 from voxtool.cli.options import LEVEL, flag, option, output_of, together
 from voxtool.errors import CheckError, MeshError
@@ -24,12 +24,14 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
     option("--style", options.Alias(STYLES, STYLE_ALIASES),
         "marching-cubes: smooth, from the shares of set voxels of bricks; voxel-faces: the exact "
         "boundary of the voxels; surface-nets: smooth at full resolution, with every vertex inside "
-        "its cell.  Coarser samples round off more.", MARCHING_CUBES),
+        "its cell; sharp: with the edges and corners of --source.  Coarser samples round off more.",
+        MARCHING_CUBES),
     option("--level", LEVEL,
         "What a sample is: a node of level N (0: a brick of 4 x 4 x 4 voxels; higher: coarser), "
         "or a voxel.  [default: 0 for marching-cubes, otherwise voxel]", metavar="N|voxel"),
     option("--isovalue", float,
         "A sample is inside if at least this share of its voxels is set, between 0 and 1.", 0.5),
+    option("--source", str, "sharp: the mesh that the octree was voxelized from.", metavar="MESH"),
     flag("--merge", "voxel-faces: join coplanar squares (greedy meshing); leaves T-junctions."),
     flag("--normals", "Write vertex normals, too (.obj, .ply, .glb)."),
     flag("--check",
@@ -40,15 +42,15 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
         "does not count for --max-memory.", metavar="MESH"),
     option("--samples", click.IntRange(1, 100_000_000),
         f"With --against: points on each surface.  [default: {SAMPLES}]"),
-    options.length_options("the mesh of --against"),
+    options.length_options("the meshes of --against and --source"),
 )  # fmt: skip
 @runner.job_options(
     "FILE", "Default OCTREE's name with the style, and .obj or --format, in this folder.",
     "obj", "ply", "stl", "glb", "off",
 )  # fmt: skip
 def command(
-    run: runner.Run, octree: str, normals: bool, check: bool, against: str | None,
-    samples: int | None, units: str | None, scale: float, **request: Any,
+    run: runner.Run, octree: str, source: str | None, normals: bool, check: bool,
+    against: str | None, samples: int | None, units: str | None, scale: float, **request: Any,
 ) -> None:  # fmt: skip
     """Extract a closed triangle mesh from an OCTREE, visiting only the cubes that matter.
 
@@ -60,19 +62,32 @@ def command(
     Examples:
       voxtool voxelize bunny.obj --dim 512 -o - | voxtool extract - -o smooth.obj
       voxtool extract bunny.svo.h5 --style surface-nets --check --against bunny.obj
+      voxtool extract part.svo.h5 --style sharp --source part.obj -o part-closed.ply
     """
     style = request["style"]
     if request["merge"] and style != VOXEL_FACES:
         raise click.UsageError(f"--merge goes with --style {VOXEL_FACES}: {style} has no squares")
     if samples is not None and against is None:
         raise click.UsageError("--samples goes with --against MESH: there is nothing to measure")
-    if (units or scale != 1) and against is None:
-        raise click.UsageError("--units and --scale are those of the mesh of --against: name one")
-    if octree == against == "-":
-        raise options.input_twice("OCTREE", "--against")
+    if (source is None) == (style == SHARP):
+        raise click.UsageError(
+            f"--style {SHARP} keeps the edges of --source MESH: name the mesh that was voxelized"
+            if style == SHARP
+            else f"--source goes with --style {SHARP}: {style} takes its surface from voxels alone"
+        )
+    if (units or scale != 1) and against is None and source is None:
+        raise click.UsageError(
+            "--units and --scale are those of the meshes of --against and --source: name one"
+        )
+    for name, other in (("--against", against), ("--source", source)):
+        if octree == other == "-":
+            raise options.input_twice("OCTREE", name)
+    if against == source == "-":
+        raise options.input_twice("--source", "--against")
     from voxtool.files import MESH_FORMATS, read_svo, write_mesh
     from voxtool.files.mesh import load_mesh
     from voxtool.svo.surface.extract import plan_extract
+    from voxtool.svo.surface.sharp import source_of
 
     # named after its style: bunny.obj is the mesh that the octree was made from
     run.to(octree, output_of(octree, f"{style}.{run.file_format or 'obj'}"), MESH_FORMATS)
@@ -80,18 +95,21 @@ def command(
         options.check_normals(run.file_format)
     more: dict[str, Any] = {}
     with run:
-        source = run.stage("read octree", read_svo, octree)
+        voxels = run.stage("read octree", read_svo, octree)
+        if source is not None:
+            model = run.stage("read source", load_mesh, source, units=units, scale=scale)
+            request["source"] = source_of(voxels, model)
         reference = None
         if against is not None:
             reference = load_mesh(against, units=units, scale=scale)
-            check_units(source, reference)
+            check_units(voxels, reference)
         after = ["check"] * check + ["measure"] * bool(against)
         with run.naming(octree):
-            job = run.plan(plan_extract, source, **request)
+            job = run.plan(plan_extract, voxels, **request)
             surface = run.job(job, after, empty=lambda surface: not len(surface.faces))
         if check:
             found = run.stage("check", surface.check)
-            set_volume = source.count * source.grid.voxel_volume
+            set_volume = voxels.count * voxels.grid.voxel_volume
             ratio = {"octree_volume": set_volume, "volume_ratio": found["volume"] / set_volume}
             more["check"] = found | ratio
         if reference is not None:
@@ -105,7 +123,7 @@ def command(
     run.report(
         f"{style}, level {surface.level}, isovalue {surface.isovalue:g}; "
         f"{len(surface.points):,} vertices, {len(surface.faces):,} triangles",
-        lambda: {**facts_of(source, surface), **more},
+        lambda: {**facts_of(voxels, surface), **more},
         json_too=bool(more),
     )
     if check and not more["check"]["closed"]:
@@ -123,6 +141,7 @@ def check_units(octree: Octree, mesh: Mesh) -> None:
 
 def facts_of(octree: Octree, surface: Isosurface) -> dict[str, Any]:
     """Return the facts of the report, in JSON types."""
+    features = surface.features
     return {
         "dim": octree.grid.dim,
         "style": surface.style,
@@ -134,5 +153,13 @@ def facts_of(octree: Octree, surface: Isosurface) -> dict[str, Any]:
         "voxels": octree.count,
         "voxels_below_isovalue": surface.lost.below,
         "voxels_vanished": surface.lost.vanished,
+        **(
+            {}
+            if features is None
+            else {
+                "vertices_constrained": features.constrained,
+                "vertices_without_crossing": features.open,
+            }
+        ),
         "digest": surface.digest(),
     }

@@ -41,6 +41,7 @@ HOMES = {
     "svo/surface/dual_case_tables.h": "voxtool.svo.surface.case_tables",
     "svo/surface/greedy_meshing.h": "voxtool.svo.surface.dual",
     "svo/surface/lattice.h": "voxtool.svo.surface.isosurface",
+    "svo/surface/sharp.h": "voxtool.svo.surface.sharp",
     "tets/cells.h": "voxtool.tets.cells",
     "tets/conforming.h": "voxtool.tets.conforming",
     "tets/integrators.h": "voxtool.tets.integrate",

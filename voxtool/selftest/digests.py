@@ -15,7 +15,7 @@ import numpy as np
 
 from voxtool.adf.build import build_adf
 from voxtool.camera import Camera
-from voxtool.choices import FILLS, METHODS, STYLES
+from voxtool.choices import FILLS, METHODS, SHARP, STYLES
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.opencl import Device
@@ -61,7 +61,8 @@ def octrees(device: Device) -> Digests:
 def surfaces(device: Device) -> Digests:
     octree = voxelize(solid(), Grid.fit(solid(), 50), device=device)
     for style in STYLES:
-        yield style, extract(octree, style=style, device=device).digest()
+        source = solid() if style == SHARP else None
+        yield style, extract(octree, style=style, source=source, device=device).digest()
 
 
 def fields(device: Device) -> Digests:

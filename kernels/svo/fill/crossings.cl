@@ -1,5 +1,5 @@
-// The crossings of rows of voxel centres along x with triangles. Host side:
-// voxtool/svo/fill/rows.py. Options: those of columns.h; LISTED, for crossings with directions.
+// The crossings of rows of voxel centres with triangles. Rows are along x; those along y and z are
+// found in a grid and a mesh whose coordinates are rotated. Host side: voxtool/svo/fill/rows.py. Options: those of columns.h; LISTED, for crossings with directions.
 
 #include "svo/columns.h"
 #include "svo/fill/crossings.h"
@@ -7,12 +7,13 @@
 // Actions at the crossings of rows with a triangle.
 #define FLIP 0  // flip the first voxel at or beyond each
 #define COUNT 1 // count them
-#define LIST 2  // write row, voxel and direction of each
+#define LIST 2  // write row, voxel and direction of each, and its triangle
 
 typedef struct {
     sink out;
     volatile __global uint *entry;
     __global ulong *crossings;
+    __global uint *crossed;
     uint count, x_bits;
 } visitor;
 
@@ -30,9 +31,10 @@ void flip_row(sink *out, volatile __global uint *entry, ACTIVE_SET_PARAMETERS, i
 
 // Visit the crossings of rows with a triangle ([voCCeL], eq. 3.5), each at the first voxel at or
 // beyond it. A row crosses the triangle if its shifted centre lies in the triangle's projection. A
-// centre on the triangle is beyond the crossing. Crossings before x = 0 are visited at voxel -1.
-void visit_crossings(const triangle *t, const columns *c, int3 shape, int what, visitor *v,
-                     ACTIVE_SET_PARAMETERS)
+// centre on the triangle is beyond the crossing. Crossings before x = 0 are visited at voxel -1. The
+// coordinates were rotated so that `axis` came first: the shift of centres is still least along z.
+void visit_crossings(const triangle *t, const columns *c, int3 shape, uint axis, int what,
+                     visitor *v, ACTIVE_SET_PARAMETERS)
 {
     const int3 u = t->v[0], a = t->v[1] - u, b = t->v[2] - u;
     long3 n = cross_of(a, b);
@@ -41,7 +43,10 @@ void visit_crossings(const triangle *t, const columns *c, int3 shape, int what, 
     const int sign = n.x < 0 ? -1 : 1;
     n *= sign;
     const edge_functions e = project(CROSSED, (int3)(t->v[0].y, t->v[1].y, t->v[2].y),
-                                     (int3)(t->v[0].z, t->v[1].z, t->v[2].z), sign, VOXEL, 0, 0, true);
+                                     (int3)(t->v[0].z, t->v[1].z, t->v[2].z), sign, VOXEL, 0, 0, axis != 1);
+    const int tie = axis == 0   ? 1
+                    : axis == 1 ? shift_sign(n.z, n.x, n.y)
+                                : shift_sign(n.y, n.z, n.x);
     const int last = c->high.z - c->low.z; // the axis is x
     const wide right = wide_product(n.y, VOXEL), up = wide_product(n.x, VOXEL);
     for (int k = c->low.y; k <= c->high.y; ++k) {
@@ -54,6 +59,7 @@ void visit_crossings(const triangle *t, const columns *c, int3 shape, int what, 
         // n . (centre - v0) of the first candidate voxel; it increases along x
         wide low = wide_dot(n.x, n.y, n.z, (long)c->low.z * VOXEL + HALF - u.x,
                             (long)j * VOXEL + HALF - u.y, (long)k * VOXEL + HALF - u.z);
+        low = wide_sum(low, wide_product(tie < 0, -1));
         for (; j <= c->high.x && none_negative(yz); ++j, yz += e.p, low = wide_sum(low, right)) {
             wide first = low;
             const int r = first_not_before(&first, n.x, VOXEL, up, last);
@@ -62,10 +68,13 @@ void visit_crossings(const triangle *t, const columns *c, int3 shape, int what, 
                 continue; // beyond the high-x side
             if (what == FLIP)
                 flip_row(&v->out, v->entry, ACTIVE_SET, shape, i, j, k);
-            else if (what == LIST)
-                v->crossings[v->count++] =
+            else if (what == LIST) {
+                v->crossings[v->count] =
                     ((ulong)k * shape.y + j) << v->x_bits | (ulong)(i + 1) << 2 | (sign < 0 ? ENTERS : 0);
-            else
+                if (v->crossed)
+                    v->crossed[v->count] = t->face;
+                ++v->count;
+            } else
                 ++v->count;
         }
     }
@@ -83,7 +92,7 @@ __kernel void flip_crossings(TRIANGLES, ACTIVE_SET_PARAMETERS, volatile __global
     visitor v;
     v.out = open_sink(bricks, true);
     v.entry = entry;
-    visit_crossings(&t, &c, shape, FLIP, &v, ACTIVE_SET);
+    visit_crossings(&t, &c, shape, 0, FLIP, &v, ACTIVE_SET);
     flush(&v.out);
 }
 
@@ -93,9 +102,9 @@ __kernel void flip_crossings(TRIANGLES, ACTIVE_SET_PARAMETERS, volatile __global
 
 // Without `crossings`, firsts[i] = the number of crossings of work-item i. Otherwise the work-item
 // writes them from firsts[i] on: the row, the voxel in x_bits - 2 bits, counted from -1, and ENTERS if
-// the row, towards high x, enters the solid.
-__kernel void list_crossings(TRIANGLES, __global uint *firsts, const uint x_bits,
-                             __global ulong *crossings)
+// the row, towards high x, enters the solid; and, where they are asked for, the triangles crossed.
+__kernel void list_crossings(TRIANGLES, __global uint *firsts, const uint x_bits, const uint axis,
+                             __global ulong *crossings, __global uint *crossed)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -104,10 +113,11 @@ __kernel void list_crossings(TRIANGLES, __global uint *firsts, const uint x_bits
     v.count = crossings ? firsts[gid] : 0;
     v.x_bits = x_bits;
     v.crossings = crossings;
+    v.crossed = crossed;
     triangle t;
     columns c;
     if (take_share(THESE_TRIANGLES, CROSSED, &t, &c))
-        visit_crossings(&t, &c, shape, crossings ? LIST : COUNT, &v, 0, 0, 0, 0);
+        visit_crossings(&t, &c, shape, axis, crossings ? LIST : COUNT, &v, 0, 0, 0, 0);
     if (!crossings)
         firsts[gid] = v.count;
 }

@@ -2,22 +2,10 @@
 // for each tile. Host side: voxtool/svo/surface/dual.py. Options: VOXELS, or SAMPLE, the type of
 // coverages.
 
-#include "svo/surface/dual_case_tables.h"
+#include "svo/surface/cubes.h"
 #include "svo/surface/samples.h"
+#include "svo/surface/splits.h"
 #include "svo/surface/relaxation.h"
-
-// The arguments that describe the cut cells of tiles: the host's CutCubes.arguments.
-#define CUBES                                                                                      \
-    __global const ulong *cut, __global const uchar *cases, __global const ulong *joined,          \
-        __global const ulong *several, __global const uint *first
-#define THESE_CUBES cut, cases, joined, several, first
-
-// The case of cut cell k of a tile, which is at `bit`; or its alternative.
-uint resolved_case(__global const uchar *cases, __global const ulong *joined, uint slot, uint k,
-                   uint bit)
-{
-    return cases[64 * (size_t)slot + k] + (joined[slot] >> bit & 1 ? ALTERNATIVE : 0);
-}
 
 uint case_at(TILES, ulong cell)
 {
@@ -319,14 +307,6 @@ __kernel void list_quads(__global const uint *codes, const uint n, TILES, CUBES,
     }
 }
 
-bool is_flat(long3 a, long3 b, long3 c)
-{
-    const long3 p = b - a, q = c - a;
-    return p.y * q.z == p.z * q.y && p.z * q.x == p.x * q.z && p.x * q.y == p.y * q.x;
-}
-
-long squared(long3 v) { return v.x * v.x + v.y * v.y + v.z * v.z; }
-
 // Splits a quad into two triangles along its shorter diagonal, or along the other if a triangle
 // would have zero area. The corners lie in four cells around an edge, so they are never all
 // collinear.
@@ -336,18 +316,7 @@ __kernel void split_quads(__global const uint *quads, const uint n, __global con
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    uint vertex[4];
-    long3 point[4];
-    for (uint i = 0; i < 4; ++i) {
-        vertex[i] = quads[4 * (size_t)gid + i];
-        point[i] = convert_long3(vload3(vertex[i], points));
-    }
-    const bool even = squared(point[2] - point[0]) <= squared(point[3] - point[1]);
-    uint first = even ? 0 : 1; // one end of the diagonal; the other is the opposite corner
-    if (is_flat(point[first], point[first + 1], point[first + 2]) ||
-        is_flat(point[first], point[first + 2], point[(first + 3) % 4]))
-        first = 1 - first;
-    const uint begin = vertex[first], end = vertex[first + 2];
-    vstore3((uint3)(begin, vertex[first + 1], end), 2 * (size_t)gid, triangles);
-    vstore3((uint3)(begin, end, vertex[(first + 3) % 4]), 2 * (size_t)gid + 1, triangles);
+    const quad q = quad_at(quads, points, gid);
+    const uint first = shorter_diagonal(&q);
+    store_split(&q, is_flat_split(&q, first) ? 1 - first : first, gid, triangles);
 }

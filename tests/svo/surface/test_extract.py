@@ -27,7 +27,7 @@ from voxtool.svo.surface.plan import MAX_SAMPLES
 
 pytestmark = pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")
 
-CUBES, FACES, NETS = choices.STYLES
+CUBES, FACES, NETS, _ = choices.STYLES
 STYLES = ((CUBES, 0), (CUBES, 1), (CUBES, 2), (CUBES, "voxel"), (FACES, "voxel"),
           (FACES, 0), (NETS, "voxel"), (NETS, 0), (NETS, 1), (NETS, 2))  # fmt: skip
 ISOVALUES = (0.5, 0.25, 1 / 64, 0.01, 0.3, 63 / 64, 0.99, 1e-9, 1 - 1e-12)

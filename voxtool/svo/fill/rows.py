@@ -45,7 +45,7 @@ ALL_ROWS = ~np.uint64(0)
 
 @dataclass(frozen=True)
 class Crossings:
-    """The sorted crossings of rows with a closed mesh.
+    """The sorted crossings of rows with a mesh.
 
     A key holds the row, then in x_bits - 2 bits the first voxel at or beyond the crossing, counted
     from -1, and ENTERS if the row enters the mesh there.
@@ -54,6 +54,7 @@ class Crossings:
     keys: Array  # (n,) uint64
     n: int
     x_bits: int
+    faces: Array | None  # (n,) uint32 faces crossed, if they were asked for
 
 
 @dataclass(frozen=True)
@@ -91,19 +92,25 @@ def flip_crossings(scan: Scan, active: ActiveNodes) -> Flips:
     return flips
 
 
-def list_crossings(scan: Scan) -> Crossings:
-    """Return the crossings with the mesh and its caps."""
+def list_crossings(scan: Scan, *, axis: int = 0, with_faces: bool = False) -> Crossings:
+    """Return the crossings with the mesh and its caps; those of equal keys in the order of the
+    faces. The coordinates of the mesh and its grid were rotated so that `axis` comes first."""
     nx, ny, nz = scan.plan.shape
     x_bits = nx.bit_length() + 2
     n, triangles = scan.shares(CROSSED, faces=scan.mesh.closed)
     firsts = scan.device.empty(n + 1, np.uint32)
     list_crossings = scan.kernel(CROSSINGS, "list_crossings", LISTED=1)
-    list_crossings(n, firsts, x_bits, None, **triangles)
+    list_crossings(n, firsts, x_bits, axis, None, None, **triangles)
     count = exclusive_scan(firsts, n)
     keys = scan.device.empty(count, np.uint64)
-    list_crossings(n, firsts, x_bits, keys, **triangles)
-    keys, _ = radix_sort(keys, count, (ny * nz - 1).bit_length() + x_bits)
-    return Crossings(keys, count, x_bits)
+    faces = scan.device.empty(count, np.uint32) if with_faces else None
+    list_crossings(n, firsts, x_bits, axis, keys, faces, **triangles)
+    bits = (ny * nz - 1).bit_length() + x_bits
+    if faces is None:
+        keys, _ = radix_sort(keys, count, bits)
+    else:
+        keys, faces = radix_sort(keys, count, bits, faces)
+    return Crossings(keys, count, x_bits, faces)
 
 
 def flip_changes(scan: Scan, active: ActiveNodes, crossings: Crossings) -> Flips:

@@ -26,7 +26,7 @@ from voxtool.opencl import Array, Device
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.svo.layout import BRICK_SIDE, BRICK_VOXELS, INSIDE, LINK, NODE, VALID
 from voxtool.svo.octree import VOXEL, Octree
-from voxtool.svo.surface.isosurface import Lost
+from voxtool.svo.surface.isosurface import Features, Lost
 
 SOURCE = "svo/surface/cut_cells.cl"
 MAX_PRESENT = 1 << 24  # tiles: 32 bits count their 192 edges each
@@ -184,12 +184,14 @@ class Extracted:
     lost : as of count_lost.
     points : (3 V,) int32 as Isosurface.points.
     triangles : (3 F,) uint32 vertices, counter-clockwise seen from outside.
+    features : of a sharp surface.
     """
 
     cubes: int
     lost: Array | None
     points: Array
     triangles: Array
+    features: Features | None = None
 
 
 def find_tiles(

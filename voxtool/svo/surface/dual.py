@@ -8,6 +8,8 @@ samples. Vertices of surface nets [Gibson 1998] begin at the mean of the loop's 
 samples are voxels, which are only inside or not, they then move towards the mean of their
 neighbours and never leave their cube; coverages need no such relaxation.
 
+Vertices of sharp surfaces lie where the planes of the source mesh meet (sharp.py).
+
 Greedy meshing joins coplanar unit squares to rectangles, first in rows, then rows in columns.
 Squares side by side in a row have sorted keys that rise by one; so have rows of equal beginning and
 length in a column. The side of a rectangle may have vertices of others on it: T-junctions.
@@ -30,6 +32,12 @@ from voxtool.svo.octree import VOXEL
 from voxtool.svo.surface.case_tables import CASES, MAX_LOOPS
 from voxtool.svo.surface.cut_cells import Extracted, Tiles, check_edges, count_lost
 from voxtool.svo.surface.plan import MAX_SAMPLES
+from voxtool.svo.surface.sharp import (
+    Vertices,
+    hold_features,
+    place_features,
+    split_along_features,
+)
 
 DUAL, RELAX, MERGE = (f"svo/surface/{n}.cl" for n in ("dual", "relax", "greedy_meshing"))
 COORDINATE_BITS = MAX_SAMPLES.bit_length()  # of a corner of a square
@@ -65,19 +73,25 @@ def dual_surface(
     relaxations: int,
     lanes: int,
     merge: bool,
+    crossings: dict[str, Any] | None = None,
 ) -> Extracted:
     """Return the surface of the tiles. Before memory is taken for it, `counted` is called with
     `tiles=`, `cubes=` and `edges=`. `relaxations`: of surface nets, in vertices of which a
     work-item moves `lanes` side by side; `merge`: of voxel faces, whether coplanar squares are
-    joined. MemoryLimitError is raised if there are MAX_EDGES edges or more."""
+    joined; `crossings`: of find_crossings, of a sharp surface. MemoryLimitError is raised if there
+    are MAX_EDGES edges or more."""
     device = tiles.device
     with device.stage("classify"):
         cubes = _classify(tiles)
         lost = count_lost(tiles, cubes.arguments["cut"])
     check_edges(cubes.quads)
     counted(tiles=tiles.n, cubes=cubes.n, edges=cubes.quads)
+    features = None
     with device.stage("vertices"):
-        if style == SURFACE_NETS and tiles.sampling.level == VOXEL:
+        if crossings is not None:
+            features = place_features(tiles, crossings, cubes.vertices, cubes.arguments)
+            points = _between(tiles, cubes, relaxations, lanes, features)
+        elif style == SURFACE_NETS and tiles.sampling.level == VOXEL:
             points = _relaxed(tiles, cubes, relaxations, lanes)
         else:
             points = _placed(tiles, cubes, style)
@@ -88,8 +102,11 @@ def dual_surface(
         with device.stage("merge"):
             points, quads = join_squares(device, points, quads)
     with device.stage("triangles"):
-        triangles = split_quads(tiles, points, quads)
-    return Extracted(cubes.n, lost, points, triangles)
+        if features is None:
+            triangles = split_quads(tiles, points, quads)
+        else:
+            triangles = split_along_features(tiles, features, points, quads)
+    return Extracted(cubes.n, lost, points, triangles, features and features.found)
 
 
 def _classify(tiles: Tiles) -> CutCubes:
@@ -117,9 +134,25 @@ def _placed(tiles: Tiles, cubes: CutCubes, style: str) -> Array:
     return points
 
 
-def _relaxed(tiles: Tiles, cubes: CutCubes, relaxations: int, lanes: int) -> Array:
+def _between(
+    tiles: Tiles, cubes: CutCubes, relaxations: int, lanes: int, features: Vertices
+) -> Array:
+    """Return the vertices of a sharp surface, (3 V,) int32: those without planes relax between
+    those on features."""
+    if features.found.open:
+        return _relaxed(tiles, cubes, relaxations, lanes, features)
+    return _unpacked(tiles, cubes, features.held)
+
+
+def _relaxed(
+    tiles: Tiles,
+    cubes: CutCubes,
+    relaxations: int,
+    lanes: int,
+    features: Vertices | None = None,
+) -> Array:
     """Return the vertices of surface nets of voxels, (3 V,) int32, moved towards the mean of their
-    neighbours in several rounds."""
+    neighbours in several rounds; those on features stay there."""
     device, n = tiles.device, cubes.vertices
     cases = 2 * CASES  # with their alternatives
     means = device.empty(MAX_LOOPS * cases, np.uint64)
@@ -136,14 +169,23 @@ def _relaxed(tiles: Tiles, cubes: CutCubes, relaxations: int, lanes: int) -> Arr
     tiles.kernel(DUAL, "link_vertices")(
         tiles.n, means=means, packed=packed, batch=batch, **links, **cubes.arguments
     )
+    if features is not None:
+        hold_features(tiles, features, packed)
     if relaxations:
         with device.stage("relax"):
             relax = device.kernel(RELAX, "relax", LANES=lanes, BATCH=batch)
             for _ in range(relaxations):
                 relax(padded // batch, packed, relaxed=moved, **links)
                 packed, moved = moved, packed
+                if features is not None:
+                    hold_features(tiles, features, packed)
     del links, moved  # frees memory
-    points = device.empty(3 * n, np.int32)
+    return _unpacked(tiles, cubes, packed)
+
+
+def _unpacked(tiles: Tiles, cubes: CutCubes, packed: Array) -> Array:
+    """Return the vertices, (3 V,) int32, that are packed in their cells."""
+    points = tiles.device.empty(3 * cubes.vertices, np.int32)
     tiles.kernel(DUAL, "unpack")(tiles.n, packed=packed, points=points, **cubes.arguments)
     return points
 

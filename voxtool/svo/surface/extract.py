@@ -1,4 +1,4 @@
-"""Extraction of a triangle mesh from an octree: marching cubes, voxel faces or surface nets.
+"""Extraction of a triangle mesh from an octree: marching cubes, or a dual style.
 
 The stages, on the device [voCCeL, chapter 4 and sections 5.1 and 6.3]:
 
@@ -17,9 +17,17 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, Self
 
-from voxtool.choices import MARCHING_CUBES, STYLE_ALIASES, STYLES, SURFACE_NETS, VOXEL_FACES
-from voxtool.errors import VoxtoolError
+from voxtool.choices import (
+    MARCHING_CUBES,
+    SHARP,
+    STYLE_ALIASES,
+    STYLES,
+    SURFACE_NETS,
+    VOXEL_FACES,
+)
+from voxtool.errors import VoxtoolError, count_of
 from voxtool.job import Job, one_call
+from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device, default_device
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import VOXEL, Octree, level_number
@@ -35,6 +43,7 @@ from voxtool.svo.surface.dual import dual_surface
 from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.svo.surface.marching_cubes import march_cubes
 from voxtool.svo.surface.plan import MAX_SAMPLES, RELAXATIONS, ExtractionPlan, active_tiles
+from voxtool.svo.surface.sharp import find_crossings
 
 # Shares of the set voxels from which on their loss is a warning: in samples below the isovalue,
 # and, of them, away from the surface.
@@ -48,10 +57,12 @@ def plan_extract(
     level: int | str | None = None,
     isovalue: float = 0.5,
     merge: bool = False,
+    source: Mesh | None = None,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> ExtractJob:
-    """Return the planned job of `extract`; see `voxtool.extract`."""
+    """Return the planned job of `extract`; see `voxtool.extract`. `source` may be any mesh in the
+    place of the octree: links that it does not cross are closed smoothly."""
     style = STYLE_ALIASES.get(style, style)
     if style not in STYLES:
         raise VoxtoolError(f"style {style!r} is unknown: choose one of {', '.join(STYLES)}")
@@ -67,13 +78,23 @@ def plan_extract(
         raise VoxtoolError(f"isovalue {isovalue!r}: choose a share of set voxels between 0 and 1")
     if merge and style != VOXEL_FACES:
         raise VoxtoolError(f"{style} has no coplanar squares to merge: choose {VOXEL_FACES}")
+    if (source is None) == (style == SHARP):
+        raise VoxtoolError(
+            f"style {SHARP} takes the mesh that the octree was made from: give its source"
+            if style == SHARP
+            else f"a source goes with style {SHARP}, not {style}"
+        )
+    if style == SHARP and level != "voxel":
+        raise VoxtoolError(f"level {level}: a {SHARP} surface has voxels as samples")
     if "solid" not in octree.mode and (style, level) != (VOXEL_FACES, "voxel"):
         raise VoxtoolError(
             f"an octree of mode {octree.mode} has no inside to extract a {style} surface from: "
             f"voxelize with --mode solid, or extract --style {VOXEL_FACES} --level voxel"
         )
     tree, plan = _plan(octree, style, level, share, merge)
-    return ExtractJob(octree, tree, plan, device or default_device(), max_memory)
+    if source is not None:
+        plan = replace(plan, corners=len(source.vertices), faces=len(source.faces))
+    return ExtractJob(octree, source, tree, plan, device or default_device(), max_memory)
 
 
 extract = one_call(plan_extract, "extract", Isosurface)
@@ -93,7 +114,8 @@ def _plan(
 
     def coarser() -> Iterator[ExtractionPlan]:
         first = 0 if isinstance(level, str) else level + 1
-        for other in range(first, _coarsest(octree) + 1 if solid else 0):
+        last = _coarsest(octree) if solid and style != SHARP else -1
+        for other in range(first, last + 1):
             yield _plan(octree, style, other, isovalue, merge)[1]
 
     return tree, ExtractionPlan(
@@ -101,7 +123,7 @@ def _plan(
         level=level,
         isovalue=isovalue,
         merge=merge,
-        relaxations=RELAXATIONS if style == SURFACE_NETS and voxels else 0,
+        relaxations=RELAXATIONS if style in (SURFACE_NETS, SHARP) and voxels else 0,
         lanes=None,
         nodes=nodes,
         rooted=tree.shift > 0,
@@ -124,6 +146,8 @@ class ExtractJob(Job[Isosurface]):
     ----------
     octree : Octree
         The octree whose surface is extracted.
+    source : Mesh or None
+        The mesh whose features a sharp surface keeps.
     plan : ExtractionPlan
         The decisions.
     """
@@ -134,12 +158,13 @@ class ExtractJob(Job[Isosurface]):
     def __init__(
         self,
         octree: Octree,
+        source: Mesh | None,
         tree: Tree,
         plan: ExtractionPlan,
         device: Device,
         max_memory: int | None,
     ) -> None:
-        self.octree, self._tree = octree, tree
+        self.octree, self.source, self._tree = octree, source, tree
         self.plan, self.device, self.max_memory = plan, device, max_memory
 
     def with_(self, **decisions: Any) -> Self:
@@ -161,9 +186,14 @@ class ExtractJob(Job[Isosurface]):
         if plan.style == MARCHING_CUBES:
             found = march_cubes(tiles, counted)
         else:
+            crossings = None
+            if self.source is not None:
+                with device.stage("crossings"):
+                    crossings = find_crossings(device, self.source, self.octree.grid)
             found = dual_surface(
-                tiles, counted, plan.style, plan.relaxations, plan.lanes or device.lanes, plan.merge
-            )
+                tiles, counted, plan.style, plan.relaxations, plan.lanes or device.lanes,
+                plan.merge, crossings,
+            )  # fmt: skip
         with device.stage("read back"):
             return Isosurface(
                 grid=self.octree.grid,
@@ -178,6 +208,7 @@ class ExtractJob(Job[Isosurface]):
                 cubes=found.cubes,
                 lost=lost_of(found.lost),
                 merged=plan.merge,
+                features=found.features,
             )
 
     def findings(self, result: Isosurface) -> Iterator[str]:
@@ -195,6 +226,11 @@ class ExtractJob(Job[Isosurface]):
 
     def notes(self, result: Isosurface) -> Iterator[str]:
         """Yield what the samples lose if that is little."""
+        if result.features and result.features.open:
+            yield (
+                f"{count_of(result.features.open, 'vertex')} of {len(result.points):,} have no "
+                "crossing with the source and are placed as in surface nets"
+            )
         if result.lost.below and not list(self.findings(result)):
             yield self._losses(result)
 

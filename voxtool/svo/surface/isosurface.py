@@ -37,6 +37,15 @@ class Lost:
     vanished: int  # those of them in samples that no cut cube touches
 
 
+@dataclass(frozen=True)
+class Features:
+    """Numbers of vertices of a sharp surface that are not where the planes of their crossings meet
+    best."""
+
+    constrained: int  # that would lie outside their cell, and are at the best place within it
+    open: int  # whose links the source does not cross: placed as those of surface nets
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Isosurface(Data):
     """A closed, manifold triangle surface around the inside of an octree.
@@ -65,6 +74,8 @@ class Isosurface(Data):
         set voxels that the samples do not show.
     merged
         coplanar squares are joined (greedy meshing), which leaves T-junctions.
+    features
+        numbers of vertices of a sharp surface, or None.
     """
 
     grid: Grid
@@ -79,6 +90,7 @@ class Isosurface(Data):
     cubes: int
     lost: Lost
     merged: bool = False
+    features: Features | None = None
 
     def __repr__(self) -> str:
         return (
@@ -138,9 +150,10 @@ class Isosurface(Data):
     def digest(self) -> str:
         """Return the SHA-256 of grid, style, level, isovalue, points and faces, in little-endian
         order. Equal content has an equal digest on every device and platform."""
+        old_names = {style: old for old, style in STYLE_ALIASES.items()}
         head = {
             **self.grid.exact,
-            "style": next(old for old, style in STYLE_ALIASES.items() if style == self.style),
+            "style": old_names.get(self.style, self.style),
             "level": self.level,
             "isovalue": self.isovalue.hex(),
             "merged": self.merged,

@@ -6,15 +6,16 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from voxtool.choices import MARCHING_CUBES, SURFACE_NETS, VOXEL_FACES
+from voxtool.choices import MARCHING_CUBES, SHARP, SURFACE_NETS, VOXEL_FACES
 from voxtool.errors import MemoryLimitError
 from voxtool.job import Cost
 from voxtool.svo.layout import BRICK_BYTES
 
 MAX_SAMPLES = 4096  # along a side: tiles of four have Morton codes of 30 bits
 TILE_BYTES = 124  # on the device: of a tile,
-EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 52, SURFACE_NETS: 96}  # a cut edge,
+EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 52, SURFACE_NETS: 96, SHARP: 240}  # a cut edge,
 MERGE_BYTES = 64  # and one of voxel faces that are merged
+SOURCE_BYTES = 60, 24  # of a sharp surface: of a vertex of the source, and of a face
 RELAXATIONS = 16  # of surface nets of voxels, as in VTK
 
 
@@ -36,6 +37,8 @@ class ExtractionPlan:
     cubes: int
     edges: int
     coarser: Callable[[], Iterable[ExtractionPlan]] = field(compare=False, repr=False)
+    corners: int = 0  # vertices and faces of the source of a sharp surface
+    faces: int = 0
 
     @property
     def voxels(self) -> bool:
@@ -48,6 +51,7 @@ class ExtractionPlan:
         stages = {
             "tiles": True,
             "samples": True,
+            "crossings": self.style == SHARP,
             "classify": True,
             "lost voxels": not self.voxels,
             "vertices": self.style != MARCHING_CUBES,
@@ -75,9 +79,11 @@ class ExtractionPlan:
         sample = 0 if self.voxels else 1 if self.level == 0 else 4
         tiles = 28 * max(self.samples**3 // 4096, 1) + TILE_BYTES * self.tiles
         tiles += (64 * sample + 12 * (sample > 0)) * active_tiles(self.nodes, self.level)
+        corner, face = SOURCE_BYTES
+        source = corner * self.corners + face * self.faces
         edge = EDGE_BYTES[self.style] + (MERGE_BYTES if self.merge else 0)
         return Cost(
-            device=octree + tiles + edge * self.edges,
+            device=octree + tiles + edge * self.edges + source,
             largest=max(bricks, self.samples**3 // 512, 64 * self.tiles, 28 * self.edges),
         )
 
@@ -119,6 +125,8 @@ class ExtractionPlan:
             out["loops and quads"] = "marching cubes need none"
         elif self.style == VOXEL_FACES:
             out["crossings and relaxation"] = "voxel faces lie on the corners of samples"
+        elif self.style == SHARP:
+            out["relaxation of vertices that have planes"] = "they lie where these meet"
         elif not self.relaxations:
             out["relaxation"] = "coverages are smooth as they are"
         if not self.merge:

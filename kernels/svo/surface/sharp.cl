@@ -1,0 +1,173 @@
+// Vertices of a dual surface of voxels where the planes of the source mesh at the crossings meet
+// [Ju 2002], and quads split along features. Host side: voxtool/svo/surface/sharp.py. Option: VOXELS.
+
+#include "qef.h"
+#include "svo/fill/crossings.h"
+#include "svo/surface/cubes.h"
+#include "svo/surface/samples.h"
+#include "svo/surface/relaxation.h"
+#include "svo/surface/sharp.h"
+#include "svo/surface/splits.h"
+
+// The source in the grid's coordinates, and its crossings with rows along x, y and z: the host's
+// Crossed.arguments.
+#define SOURCE                                                                                     \
+    __global const double *corners, __global const int *faces, __global const ulong *keys_x,       \
+        __global const ulong *keys_y, __global const ulong *keys_z, __global const uint *crossed_x, \
+        __global const uint *crossed_y, __global const uint *crossed_z, const uint4 counts,        \
+        const uint4 key_bits, const int3 sides
+#define THIS_SOURCE                                                                                \
+    corners, faces, keys_x, keys_y, keys_z, crossed_x, crossed_y, crossed_z, counts, key_bits, sides
+
+// The place of a link's crossing, from 0 at its lower end to 1, and the plane of the triangle there:
+// its unit normal and a point on it.
+typedef struct {
+    double place;
+    double3 normal, on;
+} plane;
+
+double product(double3 a, double3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+double along(double3 v, uint axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
+int step_of(int3 v, uint axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
+uint count_of(uint4 v, uint axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
+
+// The plane of a face, from the centre of a voxel on; false if it has no area.
+bool plane_of(__global const double *corners, __global const int *faces, uint face, int3 voxel,
+              uint axis, plane *found)
+{
+    const double3 centre = convert_double3(voxel) + 0.5;
+    const double3 u = vload3(faces[3 * (size_t)face], corners) - centre,
+                  a = vload3(faces[3 * (size_t)face + 1], corners) - centre - u,
+                  b = vload3(faces[3 * (size_t)face + 2], corners) - centre - u;
+    const double3 n = {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+    const double squares = product(n, n);
+    if (!(squares > LEAST_SQUARE))
+        return false;
+    found->normal = n / sqrt(squares);
+    found->on = u;
+    const double slope = along(found->normal, axis);
+    const double place = product(found->normal, u) / (slope == 0 ? 1 : slope);
+    found->place = slope == 0 ? 0.5 : fmin(fmax(place, 0.0), 1.0);
+    return true;
+}
+
+// The crossing of the link from a voxel to the next along an axis, of which one is inside; false if
+// the source does not cross it. Of several, one whose face looks from the inside voxel to the outside
+// one, if there is one; of these the nearest to the inside voxel; of these the first face.
+bool crossing_of_link(SOURCE, int3 voxel, uint axis, bool is_inside, plane *best)
+{
+    __global const ulong *keys = axis == 0 ? keys_x : axis == 1 ? keys_y : keys_z;
+    __global const uint *crossed = axis == 0 ? crossed_x : axis == 1 ? crossed_y : crossed_z;
+    const uint p = (axis + 1) % 3, q = (axis + 2) % 3, n = count_of(counts, axis);
+    const ulong row = (ulong)step_of(voxel, q) * (uint)step_of(sides, p) + (uint)step_of(voxel, p);
+    const ulong first = row << count_of(key_bits, axis) | (ulong)(step_of(voxel, axis) + 2) << 2;
+    uint begin = 0, end = n;
+    while (begin < end) {
+        const uint middle = begin + (end - begin) / 2;
+        if (keys[middle] < first)
+            begin = middle + 1;
+        else
+            end = middle;
+    }
+    bool found = false, agreed = false;
+    for (; begin < n && keys[begin] >> 2 == first >> 2; ++begin) {
+        const bool agrees = ((keys[begin] & ENTERS) != 0) != is_inside;
+        plane other;
+        if ((agreed && !agrees) || !plane_of(corners, faces, crossed[begin], voxel, axis, &other))
+            continue;
+        const bool nearer = is_inside ? other.place < best->place : other.place > best->place;
+        if (!found || (agrees && !agreed) || nearer)
+            *best = other;
+        found = true;
+        agreed = agrees;
+    }
+    return found;
+}
+
+int to_lattice(double t) { return within((int)(t * LATTICE + 0.5)); }
+
+// Places the vertex of each loop: kinds[i] says how it was found. `packed` holds the vertices in
+// their cells, and `errors` the squared distances to their planes, from the corner of the cell.
+__kernel void place_features(__global const uint *codes, const uint n, CUBES, SOURCE,
+                             const int shift, __global ulong *packed, __global uchar *kinds,
+                             __global qef *errors)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const int3 corner = cell_coordinates((ulong)codes[gid] << 6) - shift;
+    const double3 low = (double)NEAREST / LATTICE, high = 1 - low;
+    size_t vertex = first[gid];
+    uint k = 0;
+    for (ulong left = cut[gid]; left; left &= left - 1) {
+        const uint bit = lowest_bit(left), found = resolved_case(cases, joined, gid, k++, bit);
+        const int3 cell = corner + place_in_tile(bit);
+        qef sum = empty_qef();
+        bool any = false;
+        for (uint i = 0; i < EDGE_COUNT[found]; ++i) {
+            const uint step = LOOP_STEPS[12 * found + i], edge = step & STEP_EDGE;
+            const uint j = EDGE_CORNER[edge], axis = edge >> 2;
+            const double3 start = convert_double3(place_in_tile(j));
+            plane at;
+            at.place = 0.5;
+            if (crossing_of_link(THIS_SOURCE, cell + place_in_tile(j), axis, found >> j & 1, &at)) {
+                add_plane(&sum, start + at.on, at.normal);
+                any = true;
+            }
+            add_point(&sum, start + convert_double3(unit_of(axis)) * at.place);
+            if (step & STEP_LAST) {
+                bool inside;
+                const double3 t = minimum_of_qef(&sum, low, high, &inside);
+                packed[vertex] = pack(to_lattice(t.x), to_lattice(t.y), to_lattice(t.z));
+                kinds[vertex] = any ? inside ? FREE : CONSTRAINED : OPEN;
+                errors[vertex++] = sum;
+                sum = empty_qef();
+                any = false;
+            }
+        }
+    }
+}
+
+// Puts back the vertices that have planes.
+__kernel void hold_features(__global const ulong *held, const uint n, __global const uchar *kinds,
+                            __global ulong *packed)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n && kinds[gid] != OPEN)
+        packed[gid] = held[gid];
+}
+
+// ---- quads
+
+// The mean squared distance of a point to the planes of a vertex.
+double error_at(__global const qef *errors, const quad *q, uint corner, double3 at)
+{
+    const qef sum = errors[q->vertex[corner]];
+    const int3 cell = (convert_int3(q->point[corner]) - LATTICE / 2) >> LATTICE_BITS;
+    return fmax(error_of_qef(&sum, at - convert_double3(cell) - 0.5), 0.0) / sum.count;
+}
+
+// The error of a diagonal: that of its middle from the planes of its two ends.
+double error_of_diagonal(__global const qef *errors, const quad *q, uint first)
+{
+    const double3 middle = convert_double3(q->point[first] + q->point[first + 2]) / (2.0 * LATTICE);
+    return error_at(errors, q, first, middle) + error_at(errors, q, first + 2, middle);
+}
+
+// Splits a quad along the diagonal that is nearer to the planes of its ends, as a diagonal along a
+// feature is; along the shorter one where both are near; along the other if a triangle would have
+// zero area.
+__kernel void split_along_features(__global const uint *quads, const uint n,
+                                   __global const int *points, __global const qef *errors,
+                                   __global uint *triangles)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const quad q = quad_at(quads, points, gid);
+    const double even = error_of_diagonal(errors, &q, 0), odd = error_of_diagonal(errors, &q, 1);
+    uint first = shorter_diagonal(&q);
+    if (fmax(even, odd) > NEAR_PLANES)
+        first = even <= odd ? 0 : 1;
+    store_split(&q, is_flat_split(&q, first) ? 1 - first : first, gid, triangles);
+}

@@ -1,0 +1,137 @@
+"""Vertices on the features of the mesh that an octree was made from: dual contouring [Ju 2002].
+
+Each cut edge is a link between the centres of a set and an unset voxel. The source crosses a link
+of a solid an odd number of times, by the integers and the tie rule that voxelized it: crossings are
+listed for the rows along each axis, of a mesh and a grid whose coordinates are rotated. The plane
+of a crossing is that of the face, in double precision and not rounded to the lattice. The vertex of
+a loop minimises the squared distances to the planes of its crossings within its cell.
+
+A link without a crossing (of a hole that a fill rule closed, or of a changed octree) has no plane,
+and its middle counts for the mean. Loops without any plane relax as in surface nets, between the
+vertices that have planes.
+
+Kernels: kernels/svo/surface/sharp.cl.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from voxtool.errors import MeshError
+from voxtool.grid import Grid
+from voxtool.mesh.mesh import Mesh
+from voxtool.opencl import Array, Device, program
+from voxtool.svo.fill.rows import list_crossings
+from voxtool.svo.lattice import place_mesh
+from voxtool.svo.octree import Octree
+from voxtool.svo.plan import plan_of
+from voxtool.svo.scan import Scan
+from voxtool.svo.surface.cut_cells import Tiles
+from voxtool.svo.surface.isosurface import Features
+
+SOURCE = "svo/surface/sharp.cl"
+OPEN, FREE, CONSTRAINED = range(3)  # vertices without a plane, at a minimum, and beside one
+QEF_NUMBERS = 14  # of float64 in a `qef` of kernels/qef.h
+HEADERS = {
+    "svo/surface/sharp.h": program.c_constants(OPEN=OPEN, FREE=FREE, CONSTRAINED=CONSTRAINED)
+    + """
+#define LEAST_SQUARE 0x1p-200 // of a normal, in voxels: a face with less has no plane
+#define NEAR_PLANES 0x1p-20   // mean squared distance, in voxels, up to which a diagonal is near"""
+}
+
+
+@dataclass(frozen=True)
+class Vertices:
+    """Vertices on features, on the device.
+
+    held : (V,) uint64, in their cells, packed; kinds : (V,) uint8; errors : (14 V,) float64, the
+    squared distances to the planes of each.
+    """
+
+    held: Array
+    kinds: Array
+    errors: Array
+    count: int
+    found: Features
+
+
+def source_of(octree: Octree, mesh: Mesh) -> Mesh:
+    """Return the mesh in the place where the octree was made from it; raise MeshError if the
+    octree was not made from it."""
+    if mesh.source_sha256 != octree.source_sha256:
+        name = mesh.name or "mesh"
+        raise MeshError(
+            f"{name}: the octree was not voxelized from it: its SHA-256 is "
+            f"{mesh.source_sha256[:12] or 'unknown'}, and the octree's source has "
+            f"{octree.source_sha256[:12] or 'none'}: give the source, or voxelize this mesh"
+        )
+    if not octree.transform or mesh.transform:
+        return mesh
+    scale, *offset = octree.transform
+    return Mesh(mesh.vertices * scale + np.array(offset), mesh.faces, mesh.source_sha256, mesh.name)
+
+
+def find_crossings(device: Device, mesh: Mesh, grid: Grid) -> dict[str, Any]:
+    """Return the arguments of kernels, by name, that describe a mesh in a grid's coordinates and
+    the faces that links cross: a face for each key, as in `rows.Crossings`, along x, y and z."""
+    device.require_float64("sharp surfaces")
+    corners = (mesh.vertices - np.array(grid.origin)) / np.array(grid.pitch)
+    found: dict[str, Any] = {
+        "corners": device.put(corners),
+        "faces": device.put(mesh.faces),
+        "sides": grid.shape,
+    }
+    counts, bits = [], []
+    for axis, name in enumerate("xyz"):
+        crossings = list_crossings(
+            _scan_along(device, mesh, grid, axis), axis=axis, with_faces=True
+        )
+        found |= {f"keys_{name}": crossings.keys, f"crossed_{name}": crossings.faces}
+        counts.append(crossings.n)
+        bits.append(crossings.x_bits)
+    return {**found, "counts": (*counts, 0), "key_bits": (*bits, 0)}
+
+
+def _scan_along(device: Device, mesh: Mesh, grid: Grid, axis: int) -> Scan:
+    """Return the scan of a mesh whose coordinates are rotated so that an axis comes first, with a
+    voxel more along it: the last link ends beyond the grid."""
+    order = [(axis + i) % 3 for i in range(3)]
+    nx, ny, nz = (grid.shape[i] for i in order)
+    origin, pitch = (tuple(values[i] for i in order) for values in (grid.origin, grid.pitch))
+    rotated = Grid((nx + 1, ny, nz), origin, pitch)  # pyright: ignore[reportArgumentType]
+    turned = Mesh(np.ascontiguousarray(mesh.vertices[:, order]), mesh.faces)
+    lattice = place_mesh(turned, rotated, None, None, None, device)
+    request: dict[str, Any] = {"mode": "solid", "fill": "nonzero", "gap": 0, "holes": 0, "caps": 0}
+    return Scan(lattice, plan_of(lattice.survey(), rotated.shape, **request))
+
+
+def place_features(
+    tiles: Tiles, crossings: dict[str, Any], count: int, cubes: dict[str, Any]
+) -> Vertices:
+    """Return the `count` vertices of the cut cubes."""
+    device = tiles.device
+    held, kinds = device.empty(count, np.uint64), device.empty(count, np.uint8)
+    errors = device.empty(QEF_NUMBERS * count, np.float64)
+    tiles.kernel(SOURCE, "place_features")(
+        tiles.n, packed=held, kinds=kinds, errors=errors, **cubes, **crossings
+    )
+    number = np.bincount(kinds.get(), minlength=3)
+    found = Features(constrained=int(number[CONSTRAINED]), open=int(number[OPEN]))
+    return Vertices(held, kinds, errors, count, found)
+
+
+def hold_features(tiles: Tiles, vertices: Vertices, packed: Array) -> None:
+    """Put the vertices that have planes back to their places."""
+    hold = tiles.kernel(SOURCE, "hold_features")
+    hold(vertices.count, held=vertices.held, kinds=vertices.kinds, packed=packed)
+
+
+def split_along_features(tiles: Tiles, vertices: Vertices, points: Array, quads: Array) -> Array:
+    """Return two triangles for each of (4 Q,) quads, (6 Q,) uint32, split along features."""
+    n = quads.size // 4
+    triangles = tiles.device.empty(6 * n, np.uint32)
+    tiles.kernel(SOURCE, "split_along_features")(n, quads, points, vertices.errors, triangles)
+    return triangles
