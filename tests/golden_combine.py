@@ -48,6 +48,10 @@ def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
         yield f"components {dim}", voxtool.components(wall, 26).digest()
         yield f"largest {dim}", voxtool.keep_components(wall, 1).digest()
         yield f"filled {dim}", voxtool.fill_cavities(hollow).digest()
+        for pitch in (1.5, 3**0.5):  # exact, and with rounded planes
+            size = pitch * grid.pitch[0]
+            coarse = voxtool.resample(wall, pitch=size, threshold=0.3, device=device)
+            yield f"resampled {pitch:.3g} {dim}", coarse.digest()
 
 
 def main() -> None:

@@ -61,6 +61,7 @@ from voxtool.svo.booleans import combine
 from voxtool.svo.morphology import plan_morph
 from voxtool.svo.octree import Octree
 from voxtool.svo.raycast import cast, depths
+from voxtool.svo.resample import plan_resample
 from voxtool.svo.surface.extract import extract
 from voxtool.svo.surface.isosurface import LATTICE
 from voxtool.svo.voxelize import plan_voxelize
@@ -226,6 +227,7 @@ def main() -> None:
     voxelize_all(device)
     extract_surfaces(device)
     dilate_voxels(device)
+    resample_voxels(device)
     measure_distances(device)
     bound_distances_of_meshes(device)
     find_faces_that_meet(device)
@@ -358,6 +360,17 @@ def dilate_voxels(device) -> None:
     padded = np.pad(dense, 18)
     distance = np.asarray(ndimage.distance_transform_edt(~padded, sampling=octree.grid.pitch))
     assert job.run().count == np.count_nonzero(distance <= 1.125)
+
+
+def resample_voxels(device) -> None:
+    """Voxels of 3/2 over a full leaf, bricks, and what lies beyond the grid."""
+    dense = np.random.default_rng(1).random((12, 9, 8)) < 0.5
+    dense[:8, :8, :8] = True
+    grid = Grid((8, 9, 5), (-1.5, 0, 1), (1.5, 1, 1.5))
+    found = plan_resample(Octree.from_dense(dense), grid, threshold=1, device=device).run()
+    inner = dense[:, :, 1:7].repeat(2, axis=0).repeat(2, axis=2)  # in halves of a voxel
+    whole = inner.reshape(8, 3, 9, 4, 3).all(axis=(1, 4))
+    assert np.array_equal(found.to_dense()[1:, :, :4], whole[:7])
 
 
 def measure_distances(device) -> None:

@@ -22,6 +22,8 @@ from voxtool.api.morphology import plan_components as plan_components
 from voxtool.api.morphology import plan_fill_cavities as plan_fill_cavities
 from voxtool.api.morphology import plan_keep_components as plan_keep_components
 from voxtool.api.morphology import plan_morph as plan_morph
+from voxtool.api.morphology import plan_resample as plan_resample
+from voxtool.api.morphology import resample as resample
 from voxtool.api.octrees import MeshLike as MeshLike
 from voxtool.api.octrees import combine as combine
 from voxtool.api.octrees import compare as compare
@@ -100,6 +102,7 @@ from voxtool.svo.labels import LabelJob as LabelJob
 from voxtool.svo.labels import Labels as Labels
 from voxtool.svo.morphology import MorphJob as MorphJob
 from voxtool.svo.octree import Octree as Octree
+from voxtool.svo.resample import ResampleJob as ResampleJob
 from voxtool.svo.surface.extract import ExtractJob as ExtractJob
 from voxtool.svo.surface.isosurface import Isosurface as Isosurface
 from voxtool.svo.voxelize import VoxelizeJob as VoxelizeJob

@@ -70,7 +70,7 @@ class Grid:
     @classmethod
     def fit(
         cls,
-        mesh: Mesh,
+        mesh: Mesh | None,
         dim: int | None = None,
         *,
         pitch: float | None = None,
@@ -82,7 +82,7 @@ class Grid:
 
         Parameters
         ----------
-        mesh : Mesh
+        mesh : Mesh, optional
             The mesh that the grid covers, unless a box is given.
         dim : int, optional
             Voxels along the longest side, margins included; 256 without dim and pitch.
@@ -122,7 +122,7 @@ class Grid:
             extent = high - low
         longest = float(extent.max())
         if not 1 / MOST <= longest <= MOST:
-            where = "bbox" if bbox is not None else mesh.name or "mesh"
+            where = "bbox" if bbox is not None or mesh is None else mesh.name or "mesh"
             raise GridError(
                 f"{where}: an extent of {longest:g} is not within 1e±90, where volumes can be "
                 "computed: scale it"
@@ -216,8 +216,10 @@ class Grid:
         return np.asarray(points, np.float64) * self.pitch + self.origin
 
 
-def _bounds(mesh: Mesh, bbox: Sequence[float] | None) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(mesh: Mesh | None, bbox: Sequence[float] | None) -> tuple[np.ndarray, np.ndarray]:
     if bbox is None:
+        if mesh is None:
+            raise GridError("there is nothing that the grid is to cover: give a mesh or a box")
         return mesh.bounds[0], mesh.bounds[1]
     box = np.asarray(bbox, np.float64).reshape(2, 3)
     if not np.isfinite(box).all() or not (box[0] < box[1]).all():

@@ -83,3 +83,19 @@ def test_a_refusal_says_what_helps(here: Path) -> None:
         message = fail(f"morph bunny.svo.h5 {words} --max-memory 1K")
         assert "would need" in message
         assert message.endswith(small)
+
+
+def test_resampling(crumbs: np.ndarray) -> None:
+    found = told("morph crumbs.svo.h5 --resample --pitch 0.25 -o fine.npy --json")
+    assert (found["operation"], found["shape"], found["exact"]) == ("resample", [24, 20, 16], True)
+    fine = crumbs.repeat(2, axis=0).repeat(2, axis=1).repeat(2, axis=2)
+    assert np.array_equal(np.load("fine.npy"), fine)
+    run("morph crumbs.svo.h5 --resample --like bunny.svo.h5 -o like.svo.h5 -q")
+    assert read_svo("like.svo.h5").grid == read_svo("bunny.svo.h5").grid
+    for words, message in (
+        ("--resample", "resample to what? Give --dim"),
+        ("--resample --dim 9 --pitch 1", "--dim and --pitch both set"),
+        ("--resample --like bunny.svo.h5 --dim 9", "--like sets the grid: drop --dim"),
+        ("--close 1 --threshold 0.3", "--threshold goes with --resample"),
+    ):
+        assert message in fail(f"morph crumbs.svo.h5 {words}", 2)

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from voxtool.api.octrees import Path, opened
 from voxtool.choices import ELEMENTS, NEIGHBOURS
 from voxtool.files import read_svo
+from voxtool.files.imports import read_grid
+from voxtool.grid import Grid
 from voxtool.job import one_call
 from voxtool.opencl import Device
 from voxtool.svo import components as parts
 from voxtool.svo import labels, morphology
+from voxtool.svo import resample as resampling
 from voxtool.svo.components import ComponentsJob
 from voxtool.svo.labels import LabelJob, Labels
 from voxtool.svo.morphology import MorphJob
 from voxtool.svo.octree import Octree
+from voxtool.svo.resample import DEFAULT_THRESHOLD, ResampleJob
 
 
 def plan_morph(
@@ -211,3 +217,74 @@ def plan_fill_cavities(octree: Octree | Path, *, max_memory: int | None = None) 
 
 
 fill_cavities = one_call(plan_fill_cavities, "fill_cavities", Octree)
+
+
+def plan_resample(
+    octree: Octree | Path,
+    grid: Grid | Path | None = None,
+    *,
+    dim: int | None = None,
+    pitch: float | None = None,
+    bbox: Sequence[float] | None = None,
+    threshold: float = DEFAULT_THRESHOLD,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> ResampleJob:
+    """Resample a set of voxels to another grid, by coverage.
+
+    A voxel of the new grid is set if at least a share of its volume is covered by set voxels. That
+    is decided by whole numbers. Pitches and origins are taken as the simplest fractions of one
+    another that the rounding of floating point allows. Where these have no small denominator, the
+    planes between new voxels are rounded once, to 2**-20 of a new voxel.
+
+    Parameters
+    ----------
+    octree
+        an Octree or a path.
+    grid
+        the new Grid, or the path of a file whose grid it is, as `voxtool import` reads it.
+    dim
+        voxels along the longest side, without a grid.
+    pitch
+        voxel size in world units, without a grid.
+    bbox
+        the box X0 Y0 Z0 X1 Y1 Z1 in world units that the grid covers, instead of the octree's; with
+        neither dim nor pitch at the octree's pitch.
+    threshold
+        the share of a voxel that is to be covered, above 0, up to 1; taken as the decimal number
+        that it is written as.
+    device, max_memory
+        as voxelize.
+
+    Returns
+    -------
+    Octree
+        of mode "solid" and fill "none"; plan_resample returns the job, whose `run` returns it.
+
+    Raises
+    ------
+    VoxtoolError
+        the threshold is no share.
+    GridError
+        the grid is not said, or out of range.
+    MemoryLimitError
+        the result would not fit. DeviceError : no usable device.
+
+    Warns
+    -----
+    MeshWarning
+        no voxel is set.
+
+    Examples
+    --------
+    >>> coarse = voxtool.resample(octree, dim=128)
+    >>> placed = voxtool.resample(octree, other.grid, threshold=1)
+    """
+    found = grid if isinstance(grid, Grid | None) else read_grid(grid)
+    return resampling.plan_resample(
+        opened(octree, read_svo), found, dim=dim, pitch=pitch, bbox=bbox, threshold=threshold,
+        device=device, max_memory=max_memory,
+    )  # fmt: skip
+
+
+resample = one_call(plan_resample, "resample", Octree)

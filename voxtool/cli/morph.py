@@ -1,4 +1,4 @@
-"""voxtool morph: morphology, components and cavities of the voxels of an octree."""
+"""voxtool morph: morphology, components and cavities of the voxels of an octree; resampling."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import click
 from voxtool.choices import ELEMENTS, MORPHOLOGY, NEIGHBOURS
 from voxtool.cli import options, runner
 from voxtool.cli.info import place, table
-from voxtool.cli.options import COMPONENTS, RADIUS, flag, option, together
+from voxtool.cli.options import COMPONENTS, DIM, RADIUS, flag, option, together
 from voxtool.files.formats import EXPORTS
 
 if TYPE_CHECKING:
@@ -19,8 +19,10 @@ if TYPE_CHECKING:
     from voxtool.svo.labels import Labels
     from voxtool.svo.morphology import MorphJob
     from voxtool.svo.octree import Octree
+    from voxtool.svo.resample import ResampleJob
 
 EXTENSION = "svo.h5"
+PLACING = ("dim", "pitch", "bbox")  # options of a grid
 SHOWN = 20  # components in a report as text
 
 
@@ -51,6 +53,18 @@ SHOWN = 20  # components in a report as text
         "Of components: connected across faces, or also across edges and corners.  "
         f"[default: {NEIGHBOURS[0]}]"),
     flag("--fill-cavities", "Set what the outside does not reach across faces."),
+    flag("--resample", "Resample to another grid, of --dim, --pitch, --bbox or --like."),
+    option("--threshold", float,
+        "With --resample: the share of a voxel that is covered, at least, if it is set.  [default: "
+        "0.5]"),
+    option("--dim", DIM, "With --resample: voxels along the longest side."),
+    option("--pitch", float, "With --resample: voxel size in world units."),
+    option("--bbox", float,
+        "With --resample: box that the grid covers, in world units, instead of the octree's.",
+        nargs=6, metavar="X0 Y0 Z0 X1 Y1 Z1"),
+    option("--like", str,
+        "With --resample: the grid of another octree, or of an image or array that `voxtool "
+        "import` reads.", metavar="FILE"),
 )  # fmt: skip
 @runner.job_options(
     "FILE",
@@ -60,7 +74,7 @@ SHOWN = 20  # components in a report as text
     "svo.h5", "svo.xml", "svo.xml.gz", *EXPORTS,
 )  # fmt: skip
 def command(run: runner.Run, octree: str, **request: Any) -> None:
-    """Dilate, erode, open, close or hollow an OCTREE exactly, or keep its components.
+    """Dilate, erode, open, close, hollow or resample an OCTREE exactly, or keep its components.
 
     OCTREE is a file that voxelize wrote, or - for stdin. One operation a call. R is in voxels, from
     centre to centre, and need not be whole. What lies beyond the grid is unset.
@@ -71,6 +85,7 @@ def command(run: runner.Run, octree: str, **request: Any) -> None:
       voxtool morph bunny.svo.h5 --shell 0.002 --world -o hollow.svo.h5
       voxtool morph bunny.svo.h5 --keep largest -o body.svo.h5
       voxtool morph bunny.svo.h5 --components -o labels.npy
+      voxtool morph bunny.svo.h5 --resample --dim 64 -o coarse.svo.h5
     """
     check_request(request)
     if request["components"]:
@@ -95,17 +110,24 @@ def check_request(request: dict[str, Any]) -> None:
     """Refuse a request of no operation, of several, or with options of another one."""
     by_radius = [f"--{name}" for name in MORPHOLOGY if request[name] is not None]
     by_size = ["--keep", "--min-size"] if request["keep"] or request["min_size"] else []
-    others = [name for name in ("components", "fill_cavities") if request[name]]
+    others = [name for name in ("components", "fill_cavities", "resample") if request[name]]
     if len(by_radius) + bool(by_size) + len(others) != 1:
         every = ", ".join(f"--{name}" for name in MORPHOLOGY)
         raise click.UsageError(
             f"what is to be done? Give one of {every}, --keep or --min-size, --components, "
-            "--fill-cavities"
+            "--fill-cavities, --resample"
         )
     if not by_radius and (request["world"] or request["shape"]):
         raise click.UsageError("--world and --shape go with a radius, as of --close")
     if request["neighbours"] and not (by_size or request["components"]):
         raise click.UsageError("--neighbours goes with --keep, --min-size and --components")
+    given = [f"--{name}" for name in (*PLACING, "like", "threshold") if request[name] is not None]
+    if given and not request["resample"]:
+        raise click.UsageError(f"{given[0]} goes with --resample")
+    if request["resample"]:
+        if not {*given} - {"--threshold"}:
+            raise click.UsageError("resample to what? Give --dim, --pitch, --bbox or --like")
+        options.check_placing(request["like"], {name: request[name] for name in PLACING})
 
 
 def neighbours_of(request: dict[str, Any]) -> int:
@@ -152,11 +174,20 @@ def lines_of(found: Labels) -> Iterator[str]:
         yield f"and {len(found) - SHOWN:,} smaller ones: --json lists all"
 
 
-def planned(run: runner.Run, octree: Octree, request: dict[str, Any]) -> MorphJob | ComponentsJob:
+def planned(
+    run: runner.Run, octree: Octree, request: dict[str, Any]
+) -> MorphJob | ComponentsJob | ResampleJob:
     """Return the planned job of a request."""
+    from voxtool.files.imports import read_grid
     from voxtool.svo.components import plan_fill_cavities, plan_keep_components
     from voxtool.svo.morphology import plan_morph
+    from voxtool.svo.resample import DEFAULT_THRESHOLD, plan_resample
 
+    if request["resample"]:
+        grid = read_grid(request["like"]) if request["like"] else None
+        threshold = DEFAULT_THRESHOLD if request["threshold"] is None else request["threshold"]
+        placing = {name: request[name] for name in PLACING}
+        return run.plan(plan_resample, octree, grid, threshold=threshold, **placing)
     for operation in MORPHOLOGY:
         if (radius := request[operation]) is not None:
             shape = request["shape"] or ELEMENTS[0]
@@ -172,12 +203,18 @@ def planned(run: runner.Run, octree: Octree, request: dict[str, Any]) -> MorphJo
     )  # fmt: skip
 
 
-def facts_of(job: MorphJob | ComponentsJob, source: Octree, result: Octree) -> dict[str, Any]:
+def facts_of(
+    job: MorphJob | ComponentsJob | ResampleJob, source: Octree, result: Octree
+) -> dict[str, Any]:
     """Return the facts of the report, in JSON types."""
     from voxtool.svo.morphology import MorphJob
+    from voxtool.svo.resample import ResampleJob
 
     if isinstance(job, MorphJob):
         names = ("operation", "radius", "world", "shape", "grid", "low")
+        found = {name: job.describe()[name] for name in names}
+    elif isinstance(job, ResampleJob):
+        names = ("operation", "shape", "origin", "pitch", "threshold", "exact")
         found = {name: job.describe()[name] for name in names}
     else:
         found: dict[str, Any] = {"operation": job.plan.operation}

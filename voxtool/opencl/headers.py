@@ -36,6 +36,7 @@ HOMES = {
     "svo/morphology.h": "voxtool.svo.morphology",
     "svo/octree.h": "voxtool.svo.layout",
     "svo/raycast.h": "voxtool.svo.raycast",
+    "svo/resample.h": "voxtool.svo.resample",
     "svo/scan.h": "voxtool.svo.scan",
     "svo/surface/case_tables.h": "voxtool.svo.surface.case_tables",
     "svo/surface/dual_case_tables.h": "voxtool.svo.surface.case_tables",
