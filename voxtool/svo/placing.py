@@ -100,7 +100,7 @@ def _moved(placed: Placed, low: np.ndarray) -> Placed:
     side = BRICK_SIDE << len(placed.words)
     q = -low // side
     at_root = (OCTANTS * (low % side > 0) + q == 0).all(axis=1)
-    nodes = np.where(at_root, 0, EMPTY)[None]
+    nodes = np.where(at_root, 0, EMPTY)[None].astype(np.int32)
     for given in placed.words:
         firsts = first_children(given, nodes)
         uniform = (firsts == firsts[:, :1]).all(axis=1) & (firsts[:, 0] < 0)
@@ -112,24 +112,30 @@ def _moved(placed: Placed, low: np.ndarray) -> Placed:
         below = -low // side
         cells = OCTANTS[:, None] + OCTANTS * (low % side > 0) + (below - 2 * q)  # [child, corner]
         corners, octants = ((part << np.arange(3)).sum(axis=2) for part in (cells >> 1, cells & 1))
-        firsts = firsts[kept][:, corners]
-        nodes = np.where(firsts < 0, firsts, firsts + octants).reshape(-1, 8)
+        firsts = firsts[kept[:, None, None], corners]
+        firsts += np.where(firsts < 0, np.int32(0), octants.astype(np.int32))
+        nodes = firsts.reshape(-1, 8)
         q = below
     masks = masks_of(placed.bricks, nodes)
     for axis, start in enumerate((-low % BRICK_SIDE).tolist()):
-        masks = _moved_masks(masks[:, ::2], masks[:, 1::2], axis, start)
-    return Placed(words, masks[:, 0])
+        one, other = masks[:, ::2], masks[:, 1::2]
+        masks = _moved_masks(one, other, axis, start) if start else one
+    return Placed(words, np.ascontiguousarray(masks[:, 0]))
 
 
 def _moved_masks(one: np.ndarray, other: np.ndarray, axis: int, start: int) -> np.ndarray:
     """Return the masks of the four layers from `start` on, of two bricks side by side."""
     layer = BRICK.type(np.sum(1 << np.flatnonzero(BRICK_VOXELS[:, axis] == 0), dtype=np.uint64))
-    shifts = morton_encode(np.eye(3, dtype=int)[axis] * np.arange(BRICK_SIDE)[:, None])
-    moved = np.zeros(one.shape, BRICK)
-    for to, shift in enumerate(shifts):
+    shifts = morton_encode(np.eye(3, dtype=int)[axis] * np.arange(BRICK_SIDE)[:, None]).astype(int)
+    wanted: dict[tuple[int, int], np.uint64] = {}  # the layers of one brick that move as far
+    for to, shift in enumerate(shifts.tolist()):
         beyond, layer_of = divmod(start + to, BRICK_SIDE)
-        source = other if beyond else one
-        moved |= (source >> shifts[layer_of] & layer) << shift
+        key = beyond, shift - int(shifts[layer_of])
+        wanted[key] = wanted.get(key, BRICK.type(0)) | layer << BRICK.type(shift)
+    moved = np.zeros(one.shape, BRICK)
+    for (beyond, by), layers in wanted.items():
+        source, far = other if beyond else one, BRICK.type(abs(by))
+        moved |= (source << far if by > 0 else source >> far) & layers
     return moved
 
 
@@ -137,8 +143,8 @@ def first_children(words: np.ndarray, nodes: np.ndarray) -> np.ndarray:
     """Return the first child of each node, from the `child` words of its level, or EMPTY or FULL
     for a leaf; a node may be EMPTY or FULL itself."""
     child = np.append(words, [INSIDE, np.uint32(0)])[nodes]  # FULL is -2, EMPTY -1
-    leaf = np.where(child & INSIDE, FULL, EMPTY)
-    return np.where(child & VALID, (child & LINK).astype(np.int64), leaf)
+    leaf = np.where(child & INSIDE, np.int32(FULL), np.int32(EMPTY))
+    return np.where(child & VALID, (child & LINK).astype(np.int32), leaf)
 
 
 def masks_of(bricks: np.ndarray, nodes: np.ndarray) -> np.ndarray:
