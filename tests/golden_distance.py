@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,12 +39,17 @@ def digest(*arrays: np.ndarray) -> str:
 
 
 def digests(mesh: voxtool.Mesh, device: Any) -> Iterator[tuple[str, str]]:
-    """Yield the digests of the distances at points with every sign, and on a grid."""
+    """Yield the digests of the distances at points with every sign, on a grid, and to another
+    mesh."""
     options = {"gradient": True, "nearest": True, "face": True, "device": device}
     for sign in SIGNS:
         yield sign, digest(*voxtool.distance(mesh, points_of(mesh), sign=sign, **options))
     grid = voxtool.Grid.fit(mesh, DIM)
     yield "grid", digest(voxtool.distance_grid(mesh, grid, device=device))
+    other = replace(mesh, vertices=1.125 * mesh.vertices[:, [1, 2, 0]])
+    apart = voxtool.hausdorff(mesh, other, tolerance=1e-4, device=device)
+    ways = ((w.lower, w.upper, *w.point, *w.nearest) for w in (apart.a_to_b, apart.b_to_a))
+    yield "hausdorff", digest(np.array([*ways]))
 
 
 def main() -> None:

@@ -17,7 +17,13 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
 from voxtool.spatial import hausdorff as module
 from voxtool.spatial.distance import TriangleDistance
-from voxtool.spatial.hausdorff import DirectedHausdorff, bound, directed_hausdorff, hausdorff
+from voxtool.spatial.hausdorff import (
+    DirectedHausdorff,
+    _cut,
+    bound,
+    directed_hausdorff,
+    hausdorff,
+)
 
 ROUNDING = 2.0**-40  # of the extents
 
@@ -135,6 +141,37 @@ def test_another_algorithm_agrees(device: Device, seed: int) -> None:
             assert found.upper - found.lower <= tolerance
             exact = brute(found.point[None], other.vertices[other.faces])[0]
             assert found.lower <= exact <= found.lower + 4 * ROUNDING
+
+
+def lies_in(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Whether each of (n, 3) points is in any of (m, 3, 3) triangles, up to rounding."""
+    a, b, c = triangles.transpose(1, 0, 2)
+    e, f, p = b - a, c - a, points[:, None] - a
+    ee, ef, ff = (e * e).sum(-1), (e * f).sum(-1), (f * f).sum(-1)
+    pe, pf = (p * e).sum(-1), (p * f).sum(-1)
+    size = ee * ff - ef * ef
+    u, v = (ff * pe - ef * pf) / size, (ee * pf - ef * pe) / size
+    away = np.linalg.norm(p - u[..., None] * e - v[..., None] * f, axis=-1)
+    return ((u > -1e-9) & (v > -1e-9) & (u + v < 1 + 1e-9) & (away < 1e-9)).any(axis=1)
+
+
+@pytest.mark.parametrize("reach", [0.1, 0.3, 0.6])
+def test_cuts_lose_nothing(device: Device, reach: float) -> None:
+    rng = np.random.default_rng(5)
+    one = mesh_of(rng.uniform(-1, 1, (3, 3)), [(0, 1, 2)])
+    to = TriangleDistance(one, device)
+    corners = to.tree.frame.local(one.vertices)
+    pieces = corners.mean(axis=0) + 0.4 * rng.normal(size=(200, 3, 3))
+    slots, uppers = np.zeros(200, np.uint32), np.full(200, np.inf)
+    parts, bounds, covered = _cut(to, pieces, slots, uppers, reach, 1e-3)
+    grid = np.array([(i, j, 8 - i - j) for i in range(9) for j in range(9 - i)]) / 8
+    points = np.einsum("gi,pij->gpj", grid, pieces).reshape(-1, 3)
+    left, distances = lies_in(points, parts), brute(points, corners[None])
+    assert distances[~left].max() <= covered + 1e-9
+    assert 0.9 * reach < covered <= reach
+    assert 0.05 < left.mean() < 1
+    assert lies_in(parts.reshape(-1, 3), pieces).all()
+    assert (bounds >= brute(parts.mean(axis=1), corners[None])).all()
 
 
 # ---- extremes

@@ -1,10 +1,13 @@
-"""Exact distances: their error against the time of asking at points, and on dense grids.
+"""Exact distances: their error against the time of asking at points, on dense grids, and between
+meshes.
 
-Errors are those of the magnitudes, against rational arithmetic at a few of the points.
+Errors are those of the magnitudes, against rational arithmetic at a few of the points; between
+meshes they are the width of the bounds, and how far the largest distance of samples may be off.
 """
 
 from __future__ import annotations
 
+import math
 import statistics
 from dataclasses import replace
 from functools import partial
@@ -16,12 +19,17 @@ import numpy as np
 from voxtool.adf.survey import cube_of
 from voxtool.bench import timing
 from voxtool.bench.references import distance_errors
+from voxtool.choices import SURFACE_NETS
 from voxtool.distances import plan_distance_grid
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.selftest.oracles import distances
-from voxtool.spatial.sampling import sample_cube
+from voxtool.spatial.distance import TriangleDistance
+from voxtool.spatial.hausdorff import hausdorff
+from voxtool.spatial.sampling import SurfaceSampler, sample_cube
 from voxtool.spatial.signed_distance import SignedDistance, default_sign
+from voxtool.svo.surface.extract import plan_extract
+from voxtool.svo.voxelize import plan_voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -29,7 +37,11 @@ if TYPE_CHECKING:
     from voxtool.bench.points import Point
     from voxtool.bench.timing import Bench
     from voxtool.mesh.mesh import Mesh
+    from voxtool.opencl import Device
 
+SURFACE_DIM = 64  # of the voxels whose surface a model is compared with
+TOLERANCES = (1e-2, 1e-4, 1e-6)  # of bounds, in sides of the cube
+SAMPLES = (1000, 100_000)  # of each mesh
 CHECKED = 32  # points at which errors are measured
 ROUNDING = 1e-9  # relative error that the filter of triangles allows for
 LOCATED = {"gradient": True, "nearest": True, "face": True}
@@ -40,6 +52,7 @@ def measure(bench: Bench) -> Iterator[Point]:
     mesh = load_mesh(bench.model)
     yield from _at_points(mesh, bench)
     yield from _grids(mesh, bench)
+    yield from _between_meshes(mesh, bench)
 
 
 def build_seconds(mesh: Mesh, sign: str | None, bench: Bench) -> float:
@@ -92,6 +105,39 @@ def _grids(mesh: Mesh, bench: Bench) -> Iterator[Point]:
             errors=distance_errors(np.abs(made[cells]), exact, cube_of(mesh)[1]),
             left_out=job.left_out, bytes=made.nbytes,
         )  # fmt: skip
+
+
+def _between_meshes(mesh: Mesh, bench: Bench) -> Iterator[Point]:
+    """The Hausdorff distance to the surface of the model's voxels, by bounds and by samples."""
+    octree = plan_voxelize(mesh, Grid.fit(mesh, SURFACE_DIM), device=bench.timed).run()
+    surface = plan_extract(octree, style=SURFACE_NETS, device=bench.timed).run().mesh()
+    work, side = f"Hausdorff distance to the surface of dim {SURFACE_DIM}", cube_of(mesh)[1]
+    figures = {"triangles": len(mesh.faces) + len(surface.faces)}
+    best = math.inf
+    for tolerance in sorted(TOLERANCES):
+        found = hausdorff(mesh, surface, tolerance * side, bench.timed)
+        best = min(best, found.upper)
+        yield bench.point(
+            work, "two bounds", f"tolerance {tolerance:g}",
+            run=lambda device, most=tolerance * side: hausdorff(mesh, surface, most, device),
+            setting={"tolerance": tolerance}, figures=figures,
+            errors={"max": (found.upper - found.lower) / side},
+        )  # fmt: skip
+    for count in SAMPLES:
+        run = partial(_largest_of_samples, mesh, surface, count)
+        yield bench.point(
+            work, "samples alone", f"{count:,} samples", run=run, setting={"samples": count},
+            figures=figures, errors={"max": (best - run(bench.timed)) / side},
+        )  # fmt: skip
+
+
+def _largest_of_samples(a: Mesh, b: Mesh, count: int, device: Device) -> float:
+    """The largest distance from samples of either mesh to the other."""
+    return max(
+        float(TriangleDistance(other, device)(points).max())
+        for mesh, other in ((a, b), (b, a))
+        for points in SurfaceSampler(mesh, "mesh").samples(count, count)
+    )
 
 
 def exact_distances(mesh: Mesh, points: np.ndarray) -> np.ndarray:

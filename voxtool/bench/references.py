@@ -71,7 +71,7 @@ class Reference:
         ways = found["surface_to_reference"], found["reference_to_surface"]
         errors = {
             "rms": max(way["rms"] for way in ways) / self.diagonal,
-            "hausdorff": found["hausdorff_upper"] / self.diagonal,
+            "hausdorff": found["hausdorff"] / self.diagonal,
             "volume": abs(abs(volume(surface)) / self.volume - 1) if self.volume else math.inf,
             "area": abs(area(surface) / self.area - 1),
         }

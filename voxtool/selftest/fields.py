@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING
 
@@ -18,10 +19,11 @@ from voxtool.errors import DeviceError
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.opencl import Device
 from voxtool.opencl.images import FILTER_STEP, check_filter
-from voxtool.selftest import oracles, shapes
+from voxtool.selftest import crowds, oracles, shapes
 from voxtool.selftest.case import case
 from voxtool.selftest.voxels import SCALES
 from voxtool.spatial.distance import TriangleDistance
+from voxtool.spatial.hausdorff import hausdorff
 from voxtool.spatial.sampling import sample_cube
 from voxtool.spatial.signed_distance import SignedDistance
 from voxtool.spatial.winding_number import WindingNumber
@@ -116,6 +118,23 @@ def nearest(device: Device, full: bool) -> float:
         extent = float(np.ptp(mesh.bounds, axis=0).max())
         error = max(error, *(float(values.max()) / extent for values in wrong))
     return error
+
+
+@case("bounds between discs of slivers", "their height, 0 too; 1e12, 1e-12, 1e8 off", "extents", 0)
+def bounds(device: Device, full: bool) -> float:
+    """How far a known distance is outside its bounds, or they are too far apart."""
+    worst, (cone, faces) = 0.0, crowds.fan(250 if full else 100)
+    disc = cone * np.array([1, 1, 0])
+    for (factor, offset), height in itertools.product(SCALES, (0.125, 0.0)):
+        other = disc + np.array([0, 0, height])
+        other[0, :2] = 0.75, 0.25  # the slivers' common corner
+        a, b = (mesh_from_arrays(v * factor + offset, faces) for v in (disc, other))
+        known, size = abs(b.vertices[0, 2] - a.vertices[0, 2]), 2 * abs(factor)
+        apart = hausdorff(a, b, 1e-3 * size, device)
+        for way in (apart.a_to_b, apart.b_to_a):
+            beyond = way.lower - known, known - way.upper, way.upper - way.lower - 1e-3 * size
+            worst = max(worst, *(float(x / size) for x in beyond))
+    return worst
 
 
 @case("winding numbers", "of a ball with a hole: solid angles one by one, numpy", "turns", WINDING)
@@ -292,5 +311,5 @@ def _filter_bound(
     return (FILTER_STEP + ROUNDED_PLACE) * ranges + 1e-6 * np.abs(values).max(axis=(1, 2, 3))
 
 
-CASES = (needles, coordinates, nearest, winding, walls, scales, nothing_allowed, deepest, hashes,
-         rays, sampler)  # fmt: skip
+CASES = (needles, coordinates, nearest, bounds, winding, walls, scales, nothing_allowed, deepest,
+         hashes, rays, sampler)  # fmt: skip

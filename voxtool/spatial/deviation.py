@@ -74,7 +74,8 @@ def one_way(
     largest = float(distances.max())
     # math.fsum rounds once, whatever the order; the squares are of numbers up to 1
     relative = distances / largest if largest > 0 else distances
-    bounds = bound(sampler.mesh, sampler.mesh.faces, to, tolerance)
+    with to.device.stage("bounds"):
+        bounds = bound(sampler.mesh, sampler.mesh.faces, to, tolerance)
     return {
         "mean": math.fsum(distances) / samples,
         "rms": largest * math.sqrt(math.fsum(relative * relative) / samples),

@@ -150,7 +150,9 @@ def directed_hausdorff(
     instead = "simplify the meshes"
     check_memory(fixed + PIECE_BYTES * len(chosen), "distances of meshes", instead, max_memory)
     most = PIECES if max_memory is None else min(PIECES, (max_memory - fixed) // PIECE_BYTES)
-    return bound(mesh, chosen, TriangleDistance(other, device or default_device()), tolerance, most)
+    to = TriangleDistance(other, device or default_device())
+    with to.device.stage("bounds"):
+        return bound(mesh, chosen, to, tolerance, most)
 
 
 def tolerance_of(a: Mesh, b: Mesh, tolerance: float | None) -> float:
