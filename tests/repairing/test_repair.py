@@ -18,7 +18,7 @@ from voxtool.spatial.sampling import SurfaceSampler
 from voxtool.svo.surface.isosurface import LATTICE
 
 # What each fault needs; for the others, auto takes a rule that suits.
-FILLS = {"flipped": "flood", "sheets": "flood"}
+FILLS = {"sheets": "flood"}
 FEW = [("holes", "torus"), ("flipped", "sphere"), ("overlapped", "torus"), ("apart", "box"),
        ("sheets", "sphere"), ("noisy", "two")]  # fmt: skip
 
@@ -40,7 +40,8 @@ def test_wrecks(device, fault: str, shape: str) -> None:
     fixed = certified(fault, shape, 0, 32, device)
     whole = voxtool.mesh_from_arrays(*wrecks.SHAPES[shape][0])
     volume = voxtool.repair(whole, fixed.grid, device=device).checked["volume"]
-    assert abs(fixed.checked["volume"] / volume - 1) < 0.25  # flood adds half a voxel all around
+    added = 0.25 if fixed.fill == "flood" else 0.05  # half a voxel all around
+    assert abs(fixed.checked["volume"] / volume - 1) < added
     mesh = voxtool.mesh_from_arrays(*wrecks.wreck(fault, shape))
     to_mesh, to_result = (TriangleDistance(m, device) for m in (mesh, fixed.mesh()))
     # on the mesh means on the mesh: all that is within a step of the lattice
