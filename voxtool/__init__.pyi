@@ -4,12 +4,15 @@ from voxtool.adf.build import FieldJob as FieldJob
 from voxtool.adf.field import DistanceField as DistanceField
 from voxtool.adf.host_query import QueryResult as QueryResult
 from voxtool.adf.query import FieldQuery as FieldQuery
+from voxtool.adf.surface.extract import FieldSurfaceJob as FieldSurfaceJob
+from voxtool.adf.surface.field_surface import FieldSurface as FieldSurface
+from voxtool.api.deviations import deviation as deviation
+from voxtool.api.deviations import directed_hausdorff as directed_hausdorff
+from voxtool.api.deviations import hausdorff as hausdorff
 from voxtool.api.distances import SignedDistance as SignedDistance
 from voxtool.api.distances import build_adf as build_adf
-from voxtool.api.distances import directed_hausdorff as directed_hausdorff
 from voxtool.api.distances import distance as distance
 from voxtool.api.distances import distance_grid as distance_grid
-from voxtool.api.distances import hausdorff as hausdorff
 from voxtool.api.distances import plan_adf as plan_adf
 from voxtool.api.distances import plan_distance as plan_distance
 from voxtool.api.distances import plan_distance_grid as plan_distance_grid
@@ -27,7 +30,6 @@ from voxtool.api.morphology import resample as resample
 from voxtool.api.octrees import MeshLike as MeshLike
 from voxtool.api.octrees import combine as combine
 from voxtool.api.octrees import compare as compare
-from voxtool.api.octrees import deviation as deviation
 from voxtool.api.octrees import diagnose as diagnose
 from voxtool.api.octrees import extract as extract
 from voxtool.api.octrees import normalize as normalize

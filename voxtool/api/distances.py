@@ -28,9 +28,7 @@ from voxtool.files.mesh import as_mesh
 from voxtool.grid import Grid
 from voxtool.job import one_call
 from voxtool.opencl import Device
-from voxtool.spatial import hausdorff as bounds
 from voxtool.spatial import signed_distance
-from voxtool.spatial.hausdorff import DirectedHausdorff, Hausdorff
 from voxtool.spatial.signed_distance import DistanceResult
 
 
@@ -349,96 +347,3 @@ def plan_distance_grid(
 
 
 distance_grid = one_call(plan_distance_grid, "distance_grid", np.ndarray)
-
-
-def hausdorff(
-    a: MeshLike,
-    b: MeshLike,
-    *,
-    tolerance: float | None = None,
-    device: Device | None = None,
-    max_memory: int | None = None,
-) -> Hausdorff:
-    """Return two bounds of the Hausdorff distance between meshes, by branch and bound.
-
-    It is the largest distance from a point of either mesh to the other. The bounds hold: no point
-    between samples is missed, and rounding, about 2^-41 of the extents, is included.
-
-    Parameters
-    ----------
-    a, b : Mesh, path, trimesh.Trimesh, pair of arrays, or Isosurface
-        The two meshes; they need not be closed, and faces without area count.
-    tolerance : float, optional
-        How far apart the bounds of each direction may be, world units; by default 1e-5 of the
-        diagonal of the box around both meshes. They are further apart if it is less than the
-        rounding, or if more than 2,097,152 pieces of faces, or those that fit in max_memory,
-        are undecided at once.
-    device, max_memory
-        As in voxelize.
-
-    Returns
-    -------
-    Hausdorff
-        With `lower` and `upper`, and as `a_to_b` and `b_to_a` those of each direction.
-
-    Raises
-    ------
-    MeshError
-        If a mesh cannot be read, or its extent is beyond 2^±500.
-    VoxtoolError
-        If the tolerance is not positive, or the meshes are 2^500 extents apart.
-    MemoryLimitError
-        If the meshes do not fit.
-    DeviceError
-        If there is no device, or it has no double precision.
-
-    References
-    ----------
-    [Guthe 2005], [Tang 2009], [Sacht 2024]
-
-    Examples
-    --------
-    >>> apart = voxtool.hausdorff("bunny.obj", "simplified.obj")
-    >>> apart.lower, apart.upper, apart.a_to_b.point
-    """
-    return bounds.hausdorff(
-        as_mesh(a, max_memory), as_mesh(b, max_memory), tolerance, device, max_memory
-    )
-
-
-def directed_hausdorff(
-    mesh: MeshLike,
-    other: MeshLike,
-    *,
-    tolerance: float | None = None,
-    faces: Any = None,
-    device: Device | None = None,
-    max_memory: int | None = None,
-) -> DirectedHausdorff:
-    """Return two bounds of the largest distance from a point of a mesh to another mesh.
-
-    Parameters
-    ----------
-    mesh, other, tolerance, device, max_memory
-        As in hausdorff.
-    faces : (F,) array_like of bool, or (N,) of int, optional
-        The faces of `mesh` whose points count; by default all.
-
-    Returns
-    -------
-    DirectedHausdorff
-
-    Raises
-    ------
-    MeshError
-        As hausdorff, and if `faces` are not faces of the mesh, or none.
-    VoxtoolError, MemoryLimitError, DeviceError
-        As hausdorff.
-
-    References
-    ----------
-    [Guthe 2005], [Tang 2009], [Sacht 2024]
-    """
-    return bounds.directed_hausdorff(
-        as_mesh(mesh, max_memory), as_mesh(other, max_memory), tolerance, faces, device, max_memory
-    )

@@ -7,9 +7,12 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, TypeVar
 
 from voxtool import report
+from voxtool.adf.field import DistanceField
+from voxtool.adf.surface.extract import plan_field_surface
+from voxtool.adf.surface.field_surface import FieldSurface
 from voxtool.choices import DEFAULT_MODE, FILLS, NORMALIZED, OPERATIONS, STYLES
-from voxtool.errors import GridError
-from voxtool.files import read_svo
+from voxtool.errors import GridError, VoxtoolError
+from voxtool.files import read_shape, read_svo
 from voxtool.files.mesh import as_mesh
 from voxtool.grid import Grid
 from voxtool.job import one_call
@@ -17,7 +20,6 @@ from voxtool.mesh import normalize as normalized
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
 from voxtool.report import Report
-from voxtool.spatial import deviation as deviations
 from voxtool.spatial import orientation
 from voxtool.svo import booleans
 from voxtool.svo import compare as comparing
@@ -26,7 +28,6 @@ from voxtool.svo.booleans import CombineJob
 from voxtool.svo.compare import CompareJob, Comparison
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface import extract as surfaces
-from voxtool.svo.surface.extract import ExtractJob
 from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.svo.surface.sharp import source_of
 from voxtool.svo.voxelize import VoxelizeJob
@@ -144,22 +145,24 @@ voxelize = one_call(plan_voxelize, "voxelize", Octree)
 
 
 def plan_extract(
-    octree: Octree | Path,
+    octree: Octree | DistanceField | Path,
     *,
     style: str = STYLES[0],
     level: int | str | None = None,
     isovalue: float = 0.5,
     merge: bool = False,
     source: Mesh | Path | None = None,
+    offset: float = 0.0,
+    shell: float | None = None,
     device: Device | None = None,
     max_memory: int | None = None,
-) -> ExtractJob:
-    """Extract the surface between the inside and the outside of an octree, closed at the border.
+) -> Any:
+    """Extract the surface of an octree or of a distance field, closed at the border.
 
     Parameters
     ----------
     octree
-        an Octree or a path.
+        an Octree, a DistanceField or a path.
     style
         "marching-cubes", "voxel-faces" (two triangles a square), "surface-nets", or "sharp",
         which keeps the edges and corners of the source.
@@ -172,18 +175,23 @@ def plan_extract(
         join coplanar squares of voxel faces (greedy meshing); leaves T-junctions.
     source
         the mesh, or a path of it, that the octree was made from; for "sharp".
+    offset
+        of a field: distance of the surface, world units, negative inside.
+    shell
+        of a field: thickness of a wall inward of that surface; by default all within is solid.
     device, max_memory
         as voxelize.
 
     Returns
     -------
-    Isosurface
-        plan_extract returns the job, whose `run` returns the surface.
+    Isosurface, or FieldSurface of a field
+        plan_extract returns the job, ExtractJob or FieldSurfaceJob, whose `run` returns it.
 
     Raises
     ------
     VoxtoolError
-        an argument is out of range, or the octree is of a surface and has no inside.
+        an argument is out of range, or the octree is of a surface and has no inside, or the
+        field does not reach the distance.
     MemoryLimitError
         the surface would not fit. DeviceError : no usable device.
 
@@ -197,7 +205,17 @@ def plan_extract(
     >>> surface = voxtool.extract(octree, style="surface-nets")
     >>> voxtool.write_mesh(surface, "bunny.ply")
     """
-    found = opened(octree, read_svo)
+    found = opened(octree, read_shape)
+    if isinstance(found, DistanceField):
+        if (style, level, isovalue, merge, source) != (STYLES[0], None, 0.5, False, None):
+            raise VoxtoolError(
+                "style, level, isovalue, merge and source are of octrees: this is a field"
+            )
+        return plan_field_surface(
+            found, offset=offset, shell=shell, device=device, max_memory=max_memory
+        )
+    if offset or shell is not None:
+        raise VoxtoolError("offset and shell are of distance fields: morph offsets an octree")
     if source is not None:
         source = source_of(found, as_mesh(source, max_memory))
     return surfaces.plan_extract(
@@ -206,7 +224,8 @@ def plan_extract(
     )  # fmt: skip
 
 
-extract = one_call(plan_extract, "extract", Isosurface)
+SURFACE: Any = Isosurface | FieldSurface  # by the kind of what it is extracted from
+extract = one_call(plan_extract, "extract", SURFACE)
 
 
 def plan_combine(
@@ -402,57 +421,3 @@ def normalize(mesh: MeshLike, into: str = NORMALIZED[0]) -> Mesh:
     >>> scale, *offset = octree.transform
     """
     return normalized.normalize(as_mesh(mesh), into)
-
-
-def deviation(
-    surface: MeshLike,
-    reference: MeshLike,
-    samples: int = 100_000,
-    pitch: float | None = None,
-    device: Device | None = None,
-    tolerance: float | None = None,
-) -> dict[str, Any]:
-    """Return the distances between two surfaces, in both directions: mean, RMS and maximum.
-
-    Mean and RMS are over quasi-random points, uniform by area. The maximum, which is the directed
-    Hausdorff distance, is over all points: it lies between two bounds, as of voxtool.hausdorff.
-
-    Parameters
-    ----------
-    surface, reference : Mesh, path, trimesh.Trimesh, pair of arrays, or Isosurface
-        The two surfaces.
-    samples : int
-        Points on each of the two.
-    pitch : float, optional
-        Side of a voxel, world units, to have the distances in voxels as well.
-    device : Device, optional
-        Where to compute; the default device if None.
-
-    tolerance : float, optional
-        As in hausdorff: how far apart the two bounds may be.
-
-    Returns
-    -------
-    dict
-        JSON types, world units: "samples"; "tolerance"; "surface_to_reference" and
-        "reference_to_surface", each with "mean", "rms", "max" and "max_upper", between which the
-        maximum lies, "point", where the distance is "max", and "nearest", the nearest point of the
-        other; "hausdorff" and "hausdorff_upper", the larger ones of the two directions. With a
-        pitch also "pitch", and "voxels", the distances in voxels.
-
-    Raises
-    ------
-    MeshError
-        If a mesh cannot be read, has no area, or has an extent beyond 2^±500.
-    VoxtoolError
-        If samples, pitch or tolerance is not positive, or the meshes are 2^500 extents apart.
-    DeviceError
-        If there is no device, or it has no double precision.
-
-    References
-    ----------
-    [Cignoni 1998], [Roberts 2018], [Guthe 2005], [Sacht 2024]
-    """
-    return deviations.deviation(
-        as_mesh(surface), as_mesh(reference), samples, pitch, device, tolerance
-    )

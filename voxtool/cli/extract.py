@@ -1,4 +1,4 @@
-"""voxtool extract: octree to triangle mesh."""
+"""voxtool extract: octree or distance field to triangle mesh."""
 
 from __future__ import annotations
 
@@ -6,15 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import MARCHING_CUBES, SHARP, STYLE_ALIASES, STYLES, VOXEL_FACES
+from voxtool.choices import MARCHING_CUBES, STYLE_ALIASES, STYLES, VOXEL_FACES
 from voxtool.cli import options, runner
-from voxtool.cli.options import LEVEL, flag, option, output_of, together
+from voxtool.cli.options import LEVEL, POSITIVE, flag, option, output_of, together
 from voxtool.errors import CheckError, MeshError
 
 if TYPE_CHECKING:
+    from voxtool.adf.field import DistanceField
+    from voxtool.job import Job
     from voxtool.mesh.mesh import Mesh
     from voxtool.svo.octree import Octree
-    from voxtool.svo.surface.extract import Isosurface
 SAMPLES = 100_000  # points on each surface at which distances are measured
 
 
@@ -32,6 +33,10 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
     option("--isovalue", float,
         "A sample is inside if at least this share of its voxels is set, between 0 and 1.", 0.5),
     option("--source", str, "sharp: the mesh that the octree was voxelized from.", metavar="MESH"),
+    option("--offset", float,
+        "Fields: the surface at this distance, in world units; negative inside.", metavar="D"),
+    option("--shell", POSITIVE,
+        "Fields: hollow, with a wall of this thickness inward of the surface.", metavar="T"),
     flag("--merge", "voxel-faces: join coplanar squares (greedy meshing); leaves T-junctions."),
     flag("--normals", "Write vertex normals, too (.obj, .ply, .glb)."),
     flag("--check",
@@ -52,30 +57,103 @@ def command(
     run: runner.Run, octree: str, source: str | None, normals: bool, check: bool,
     against: str | None, samples: int | None, units: str | None, scale: float, **request: Any,
 ) -> None:  # fmt: skip
-    """Extract a closed triangle mesh from an OCTREE, visiting only the cubes that matter.
+    """Extract a closed triangle mesh from an OCTREE or a distance field, visiting only the cubes
+    that matter.
 
-    OCTREE is a file that voxelize wrote, or - for stdin. The mesh is in world units, where the
-    voxels lie; write it as .obj, .ply, .stl, .glb or .off. Distances of --against are in world
-    units and in voxels.
+    OCTREE is a file that voxelize or adf-build wrote, or - for stdin. The mesh is in world units,
+    where the voxels or the field lie; write it as .obj, .ply, .stl, .glb or .off. Distances of
+    --against are in world units and in voxels, or edges of the field's deepest leaves.
 
     \b
     Examples:
       voxtool voxelize bunny.obj --dim 512 -o - | voxtool extract - -o smooth.obj
       voxtool extract bunny.svo.h5 --style surface-nets --check --against bunny.obj
       voxtool extract part.svo.h5 --style sharp --source part.obj -o part-closed.ply
+      voxtool extract bunny.adf.h5 --offset 0.002 --shell 0.001 --check -o hollow.stl
     """
     style = request["style"]
     if request["merge"] and style != VOXEL_FACES:
         raise click.UsageError(f"--merge goes with --style {VOXEL_FACES}: {style} has no squares")
     if samples is not None and against is None:
         raise click.UsageError("--samples goes with --against MESH: there is nothing to measure")
+    check_names(style, octree, source, against, bool(units or scale != 1))
+    from voxtool.files import MESH_FORMATS, read_shape, write_mesh
+    from voxtool.files.mesh import load_mesh
+
+    # named after its style: bunny.obj is the mesh that the octree was made from
+    kind = "surface" if octree.endswith(".adf.h5") else style
+    run.to(octree, output_of(octree, f"{kind}.{run.file_format or 'obj'}"), MESH_FORMATS)
+    if normals:
+        options.check_normals(run.file_format)
+    more: dict[str, Any] = {}
+    with run:
+        content = run.stage("read file", read_shape, octree)
+        if source is not None:
+            request["source"] = run.stage(
+                "read source", load_mesh, source, units=units, scale=scale
+            )
+        reference = None
+        if against is not None:
+            reference = load_mesh(against, units=units, scale=scale)
+            check_units(content, reference)
+        after = ["check"] * check + ["measure"] * bool(against)
+        with run.naming(octree):
+            job = planned(run, content, request)
+            surface = run.job(job, after, empty=lambda surface: not len(surface.faces))
+        if check:
+            found = run.stage("check", surface.check)
+            more["check"] = found | volumes_of(content, found["volume"])
+        if reference is not None:
+            from voxtool.spatial.deviation import deviation
+
+            more["against"] = run.stage(
+                "measure", deviation, surface.mesh(), reference, samples or SAMPLES,
+                pitch=surface.pitch, device=run.device,
+            )  # fmt: skip
+        run.write(write_mesh, surface.mesh(), normals=surface.normals if normals else None)
+    run.report(
+        f"{surface.text}; {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles",
+        lambda: {**facts_of(content, surface), **more},
+        json_too=bool(more),
+    )
+    if check and not more["check"]["closed"]:
+        raise CheckError(f"{run.output}: the surface is not closed: report this file")
+
+
+def planned(run: runner.Run, source: Octree | DistanceField, request: dict[str, Any]) -> Job[Any]:
+    """Return the job for an octree or a field; refuse options of the other."""
+    from voxtool.adf.field import DistanceField
+    from voxtool.adf.surface.extract import plan_field_surface
+    from voxtool.svo.surface.extract import plan_extract
+    from voxtool.svo.surface.sharp import source_of
+
+    of_field = {name: request.pop(name) for name in ("offset", "shell")}
+    if isinstance(source, DistanceField):
+        usual = {"style": MARCHING_CUBES, "level": None, "isovalue": 0.5, "merge": False}
+        for name, value in request.items():
+            if value != usual.get(name):
+                raise click.UsageError(f"--{name} is of octrees: a field has leaves, no samples")
+        of_field["offset"] = of_field["offset"] or 0.0
+        return run.plan(plan_field_surface, source, **of_field)
+    for name, value in of_field.items():
+        if value is not None:
+            raise click.UsageError(f"--{name} is of fields: build one with voxtool adf-build")
+    if "source" in request:
+        request["source"] = source_of(source, request["source"])
+    return run.plan(plan_extract, source, **request)
+
+
+def check_names(
+    style: str, octree: str, source: str | None, against: str | None, scaled: bool
+) -> None:
+    """Refuse names of meshes that do not go with the style, or units without such a mesh."""
     if (source is None) == (style == SHARP):
         raise click.UsageError(
             f"--style {SHARP} keeps the edges of --source MESH: name the mesh that was voxelized"
             if style == SHARP
             else f"--source goes with --style {SHARP}: {style} takes its surface from voxels alone"
         )
-    if (units or scale != 1) and against is None and source is None:
+    if scaled and against is None and source is None:
         raise click.UsageError(
             "--units and --scale are those of the meshes of --against and --source: name one"
         )
@@ -84,73 +162,46 @@ def command(
             raise options.input_twice("OCTREE", name)
     if against == source == "-":
         raise options.input_twice("--source", "--against")
-    from voxtool.files import MESH_FORMATS, read_svo, write_mesh
-    from voxtool.files.mesh import load_mesh
-    from voxtool.svo.surface.extract import plan_extract
-    from voxtool.svo.surface.sharp import source_of
-
-    # named after its style: bunny.obj is the mesh that the octree was made from
-    run.to(octree, output_of(octree, f"{style}.{run.file_format or 'obj'}"), MESH_FORMATS)
-    if normals:
-        options.check_normals(run.file_format)
-    more: dict[str, Any] = {}
-    with run:
-        voxels = run.stage("read octree", read_svo, octree)
-        if source is not None:
-            model = run.stage("read source", load_mesh, source, units=units, scale=scale)
-            request["source"] = source_of(voxels, model)
-        reference = None
-        if against is not None:
-            reference = load_mesh(against, units=units, scale=scale)
-            check_units(voxels, reference)
-        after = ["check"] * check + ["measure"] * bool(against)
-        with run.naming(octree):
-            job = run.plan(plan_extract, voxels, **request)
-            surface = run.job(job, after, empty=lambda surface: not len(surface.faces))
-        if check:
-            found = run.stage("check", surface.check)
-            set_volume = voxels.count * voxels.grid.voxel_volume
-            ratio = {"octree_volume": set_volume, "volume_ratio": found["volume"] / set_volume}
-            more["check"] = found | ratio
-        if reference is not None:
-            from voxtool.spatial.deviation import deviation
-
-            more["against"] = run.stage(
-                "measure", deviation, surface.mesh(), reference, samples or SAMPLES,
-                pitch=max(surface.grid.pitch), device=run.device,
-            )  # fmt: skip
-        run.write(write_mesh, surface.mesh(), normals=surface.normals if normals else None)
-    run.report(
-        f"{style}, level {surface.level}, isovalue {surface.isovalue:g}; "
-        f"{len(surface.points):,} vertices, {len(surface.faces):,} triangles",
-        lambda: {**facts_of(voxels, surface), **more},
-        json_too=bool(more),
-    )
-    if check and not more["check"]["closed"]:
-        raise CheckError(f"{run.output}: the surface is not closed: report this octree")
 
 
-def check_units(octree: Octree, mesh: Mesh) -> None:
-    """Raise MeshError if an octree and the mesh that it is compared with have different units."""
-    if octree.units and mesh.units and octree.units != mesh.units:
+def check_units(source: Octree | DistanceField, mesh: Mesh) -> None:
+    """Raise MeshError if an octree or a field and the mesh that it is compared with have different
+    units."""
+    if source.units and mesh.units and source.units != mesh.units:
+        what = "octree" if hasattr(source, "grid") else "field"
         raise MeshError(
-            f"{mesh.name}: in {mesh.units}, and the octree in {octree.units}: give --scale, and "
-            f"--units {octree.units}"
+            f"{mesh.name}: in {mesh.units}, and the {what} in {source.units}: give --scale, and "
+            f"--units {source.units}"
         )
 
 
-def facts_of(octree: Octree, surface: Isosurface) -> dict[str, Any]:
+def volumes_of(source: Octree | DistanceField, within: float) -> dict[str, float]:
+    """Return the volume of an octree, and that within its surface as a share of it; of a field
+    nothing."""
+    from voxtool.adf.field import DistanceField
+
+    if isinstance(source, DistanceField):
+        return {}
+    set_volume = source.count * source.grid.voxel_volume
+    return {"octree_volume": set_volume, "volume_ratio": within / set_volume}
+
+
+def facts_of(source: Octree | DistanceField, surface: Any) -> dict[str, Any]:
     """Return the facts of the report, in JSON types."""
+    from voxtool.adf.field import DistanceField
+
+    if isinstance(source, DistanceField):
+        return surface.facts
     features = surface.features
     return {
-        "dim": octree.grid.dim,
+        "dim": source.grid.dim,
         "style": surface.style,
         "level": surface.level,
         "isovalue": surface.isovalue,
         "vertices": len(surface.points),
         "triangles": len(surface.faces),
         "cubes_cut": surface.cubes,
-        "voxels": octree.count,
+        "voxels": source.count,
         "voxels_below_isovalue": surface.lost.below,
         "voxels_vanished": surface.lost.vanished,
         **(

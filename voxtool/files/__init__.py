@@ -62,6 +62,7 @@ __all__ = [
     "is_mesh",
     "read_adf",
     "read_scene",
+    "read_shape",
     "read_svo",
     "read_tet",
     "read_unstructured",
@@ -198,6 +199,11 @@ def read_unstructured(
     from voxtool.files.unstructured import read
 
     return read(path, scalar, component, max_memory)
+
+
+def read_shape(path: PathLike) -> Octree | DistanceField:
+    """Read an octree or a distance field, as read_svo does."""
+    return _read(path, formats.SHAPE)
 
 
 def read_scene(path: PathLike) -> Octree | DistanceField | TetVolume:

@@ -172,6 +172,13 @@ VOLUME = Kind(
     "MESH.vtu",
     other="is no tetrahedral volume: expected HDF5 (.tet.h5)",
 )
+SHAPE = Kind(
+    hdf5=("svo_hdf5", "adf_hdf5"),
+    xml=True,
+    mesh="is a mesh: voxelize it first (voxtool voxelize {name}), or voxtool adf-build {name}",
+    other=OCTREE.other,
+    endings=AN_EXPORT,
+)
 SCENE = Kind(
     hdf5=("svo_hdf5", "adf_hdf5", "tet_hdf5"),
     xml=True,
@@ -279,7 +286,7 @@ def format_of(path: PathLike, formats: Iterable[str]) -> str:
     )
     surfaces = "obj" in formats  # are what is written
     if not surfaces and name.endswith(tuple(f".{mesh}" for mesh in MESH_FORMATS)):
-        raise FileError(f"{path} would be a surface: voxtool extract OCTREE -o {path} writes it")
+        raise FileError(f"{path} would be a surface: voxtool extract FILE -o {path} writes it")
     if path == STREAM:
         raise FileError(f"standard output has no extension: give --format, one of {known}")
     raise FileError(f"{path}: the name says no format: end it in one of {known}")

@@ -98,6 +98,16 @@ class Isosurface(Data):
             f"{len(self.faces):,} triangles)"
         )
 
+    @property
+    def pitch(self) -> float:
+        """The longest side of a voxel, world units."""
+        return max(self.grid.pitch)
+
+    @property
+    def text(self) -> str:
+        """What the surface is, for people."""
+        return f"{self.style}, level {self.level}, isovalue {self.isovalue:g}"
+
     @cached_property
     def vertices(self) -> np.ndarray:
         """(V, 3) float64: the vertices, in world units."""

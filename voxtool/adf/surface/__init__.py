@@ -1,0 +1,1 @@
+"""Surfaces of distance fields as triangle meshes."""

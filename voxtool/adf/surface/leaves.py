@@ -1,0 +1,152 @@
+"""The leaves that a surface of a field may pass, and the vertices of these.
+
+A vertex is inside where its value is below the offset. Leaves that share a vertex may have
+different values there: hanging vertices are rounded, and a field may have cracks. The finest leaf
+decides; of several, the last along the Morton curve. Vertices on the sides of the cube are outside,
+so that a surface that leaves the cube is closed there.
+
+A leaf is near the surface if it lies in a cell of a coarse grid, or beside one, where some value is
+inside and some is not. All leaves at a vertex whose values disagree are near, and all leaves at an
+edge that the surface crosses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from voxtool.adf.cells import cell_of
+from voxtool.adf.field import DistanceField
+from voxtool.adf.raycast import refined_children
+from voxtool.morton import morton_decode
+
+GRID_LEVEL = 8  # of the coarse grid, at most
+COORDINATE_BITS = 21  # of a vertex, in edges of the deepest leaves
+CORNERS = np.indices((2, 2, 2)).reshape(3, 8)[::-1].T  # x, y, z of the corners; x changes fastest
+
+
+@dataclass(frozen=True)
+class Leaves:
+    """All leaves of a field, along the Morton curve.
+
+    codes : (n,) uint64, the Morton codes of their low corners, in edges of the deepest leaves.
+    levels : (n,) int64; blocks : (n,) int64, the blocks they are children of; octants : (n,) int64.
+    """
+
+    depth: int
+    codes: np.ndarray
+    levels: np.ndarray
+    blocks: np.ndarray
+    octants: np.ndarray
+
+    @classmethod
+    def of(cls, field: DistanceField) -> Leaves:
+        """Return the leaves of a field."""
+        parents, depth = field.blocks.astype(np.uint64), field.depth
+        bits = np.unpackbits(refined_children(field)[:, None], axis=1, bitorder="little")
+        blocks, octants = np.nonzero(bits == 0)
+        levels = cell_of(parents)[0] + 1
+        leading = np.uint64(1) << (3 * levels - 3).astype(np.uint64)
+        shift = (3 * (depth - levels)).astype(np.uint64)
+        codes = (parents ^ leading)[blocks] << np.uint64(3) | octants.astype(np.uint64)
+        codes <<= shift[blocks]
+        order = np.argsort(codes)  # all differ
+        blocks, octants = blocks[order], octants[order]
+        return cls(depth, codes[order], levels[blocks], blocks, octants)
+
+    def at(self, codes: np.ndarray) -> np.ndarray:
+        """Return the leaves that contain the cells of the deepest level with these codes."""
+        return np.searchsorted(self.codes, codes, side="right") - 1
+
+    def cells(self, some: np.ndarray) -> np.ndarray:
+        """Return the cells of some leaves at their levels, (k, 3) int64."""
+        return morton_decode(self.codes[some]) >> (self.depth - self.levels[some])[:, None]
+
+
+@dataclass(frozen=True)
+class Vertices:
+    """The vertices of the leaves near a surface.
+
+    leaves : (k,) int64, these leaves; corners : (k, 8) int64, their vertices, x changes fastest.
+    places : (v, 3) int64, in edges of the deepest leaves; values : (v,) float64, less the offset;
+    inside : (v,) bool.
+    """
+
+    leaves: np.ndarray
+    corners: np.ndarray
+    places: np.ndarray
+    values: np.ndarray
+    inside: np.ndarray
+
+
+def vertices_near(field: DistanceField, leaves: Leaves, offset: np.float32) -> Vertices:
+    """Return the vertices of the leaves near the surface at an offset, in sides."""
+    near = _near(field, leaves, offset)
+    near = near[np.argsort(leaves.levels[near], kind="stable")]  # of equal ones, the last decides
+    depth, x, y, z = leaves.depth, *CORNERS[leaves.octants[near]].T
+    values = np.stack(
+        [field.voxels[leaves.blocks[near], z + k, y + j, x + i] for i, j, k in CORNERS], axis=1
+    )
+    shift = depth - leaves.levels[near]
+    places = (leaves.cells(near)[:, None] + CORNERS) << shift[:, None, None]
+    keys = (places[..., 2] << COORDINATE_BITS | places[..., 1]) << COORDINATE_BITS | places[..., 0]
+    order = np.argsort(keys.ravel())
+    first = np.diff(keys.ravel()[order], prepend=-1) != 0
+    numbers = np.empty(keys.size, np.int64)
+    numbers[order] = np.cumsum(first) - 1
+    if not len(near):
+        return Vertices(near, keys, places[:, 0], values[:, 0].astype(np.float64), values[:, 0] < 0)
+    chosen = np.maximum.reduceat(order, np.flatnonzero(first))
+    places, found = places.reshape(-1, 3)[chosen], values.ravel()[chosen]
+    inner = ((places > 0) & (places < 1 << depth)).all(axis=1)
+    inside = (found < offset) & inner
+    less = found.astype(np.float64) - np.float64(offset)
+    return Vertices(near, numbers.reshape(-1, 8), places, less, inside)
+
+
+def _near(field: DistanceField, leaves: Leaves, offset: np.float32) -> np.ndarray:
+    """Return the leaves near the surface, ascending."""
+    flags = _sides(field.voxels < offset)[:, leaves.blocks, leaves.octants]
+    top = min(leaves.depth, GRID_LEVEL)
+    cells = leaves.cells(np.arange(len(leaves.codes)))
+    down = np.maximum(leaves.levels - top, 0)
+    places = tuple((cells >> down[:, None]).T)
+    some = np.zeros((2, 1, 1, 1), bool)  # inside, and outside
+    for level in range(top + 1):
+        if level:
+            for axis in (1, 2, 3):
+                some = some.repeat(2, axis)
+        own = leaves.levels >= level if level == top else leaves.levels == level
+        x, y, z = (place[own] for place in places)
+        for side in range(2):
+            chosen = flags[side, own]
+            some[side, x[chosen], y[chosen], z[chosen]] = True
+    for axis in (1, 2, 3):
+        ends = np.moveaxis(some, axis, 0)[:, 1]
+        ends[0] = ends[-1] = True  # the sides of the cube are outside
+    for axis in (1, 2, 3):
+        spread = np.moveaxis(some.copy(), axis, 0)
+        one = np.moveaxis(some, axis, 0)
+        spread[1:] |= one[:-1]
+        spread[:-1] |= one[1:]
+        some = np.moveaxis(spread, 0, axis)
+    near, found = some[0] & some[1], np.zeros(len(leaves.codes), bool)
+    for level in range(top, 0, -1):
+        own = leaves.levels >= level if level == top else leaves.levels == level
+        found[own] = near[tuple(place[own] for place in places)]
+        half = near.shape[0] // 2
+        near = near.reshape(half, 2, half, 2, half, 2).any(axis=(1, 3, 5))
+    return np.flatnonzero(found)
+
+
+def _sides(inside: np.ndarray) -> np.ndarray:
+    """Return whether some corner of each child of (n, 3, 3, 3) blocks is inside, and outside,
+    (2, n, 8) bool."""
+    found = []
+    for part in (inside, ~inside):
+        for axis in (1, 2, 3):
+            part = np.moveaxis(part, axis, 0)
+            part = np.moveaxis(part[:-1] | part[1:], 0, axis)
+        found.append(part.reshape(-1, 8))
+    return np.stack(found)
