@@ -141,10 +141,14 @@ def test_a_shell_has_two_surfaces() -> None:
 
 
 def test_the_surface_is_closed_at_the_cube() -> None:
-    field = plain_field(lambda p: sphere(p + (0.5, 0, 0)), 1e-3, 6)
+    edge = 1 / 32
+    field = plain_field(lambda p: sphere(p + np.array([0.5, 0, 0])), 1e-9, 5)
     with pytest.warns(MeshWarning, match="leaves the field's cube"):
         surface = extract_field_surface(field)
-    assert check_sound(surface)["volume"] == pytest.approx(2 / 3 * np.pi * 0.027, rel=0.02)
+    volume = check_sound(surface)["volume"]
+    assert isinstance(volume, float)
+    lost = 2 / 3 * np.pi * 0.3**3 - volume  # the rim of the half ball is cut off within a leaf
+    assert 0 < lost < 2 * np.pi * 0.3 * edge**2 + np.pi * 0.3**2 * edge / 256
 
 
 def test_refusals() -> None:

@@ -1,8 +1,8 @@
 """Places of the vertices of a field's surface, in sides of the cube.
 
-A vertex begins at the mean of the crossings of its loop. If its leaf has no other loop, it then
-moves along the gradient of the leaf's interpolation, by Newton's method, to the surface; it stays
-within its leaf.
+A vertex begins at the mean of the crossings of its loop. If its leaf has no other loop, and is not
+at a side of the cube, it then moves along the gradient of the leaf's interpolation, by Newton's
+method, to the surface; it stays within its leaf.
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ def place_loops(
     of = np.empty(count, np.int64)
     of[each] = crossings.around.ravel()
     alone = np.bincount(of, minlength=len(leaves.codes))[of] == 1
+    cells = leaves.cells(of)
+    alone &= ((cells > 0) & (cells + 1 < 1 << leaves.levels[of, None])).all(axis=1)
     for start in range(0, count, AT_ONCE):
         some = slice(start, start + AT_ONCE)
         points[some] = _moved(field, leaves, of[some], points[some], alone[some], offset)
