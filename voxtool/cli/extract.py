@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import MARCHING_CUBES, STYLE_ALIASES, STYLES, VOXEL_FACES
+from voxtool.choices import MARCHING_CUBES, SHARP, STYLE_ALIASES, STYLES, VOXEL_FACES
 from voxtool.cli import options, runner
 from voxtool.cli.options import LEVEL, POSITIVE, flag, option, output_of, together
 from voxtool.errors import CheckError, MeshError
