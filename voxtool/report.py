@@ -14,7 +14,7 @@ from voxtool.grid import Grid
 from voxtool.mesh.collinear import collinear
 from voxtool.mesh.loops import Loops, find_loops
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.shells import find_patches, find_shells
+from voxtool.mesh.shells import FLAT, find_patches, find_shells
 from voxtool.mesh.topology import (
     SurfaceCheck,
     Topology,
@@ -30,7 +30,8 @@ from voxtool.spatial.bvh import Frame, build_tree
 from voxtool.spatial.nesting import nest
 from voxtool.spatial.self_intersections import UNDECIDED, find_self_intersections
 from voxtool.svo.compare import count_differences, leaking_rows
-from voxtool.svo.voxelize import fill_for, voxelize
+from voxtool.svo.shares import Share, outer_surface, share_of
+from voxtool.svo.voxelize import plan_voxelize, voxelize
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -38,11 +39,9 @@ if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
 
 RULES = tuple(fill for fill in FILLS if fill != "auto")
-STAGES = ("topology", "self-intersections", "nesting", *RULES)
+STAGES = ("topology", "self-intersections", "nesting", *RULES, "auto", "outer surface")
 
 MAX_EXPONENT = 250  # of an extent: squares of areas, and cubes of lengths, are in float64
-FLAT = 1e-12  # a shell is flat if its volume is less than this times its longest side cubed
-FEW = 10  # if winding sets this many times fewer voxels than flood, faces define no inside
 LISTED = 1000  # faces, edges or rows in a list
 REMOVE_INSIDE = "remove the faces inside, or fill by winding"
 UNITE = "unite the parts, or fill by winding or nonzero"
@@ -93,10 +92,14 @@ class Report:
     leaking_rows : dict
         Rows of voxels along x that leak by parity.
     auto : str
-        The fill rule that `fill="auto"` takes.
+        The fill rule that `fill="auto"` takes, with its gap.
+    choice : str
+        Why, if it compared rules; "" for consistent meshes.
+    outer_surface : int
+        Voxels of the outer surface: those that touch a face, beside what a flood reaches.
     fills : dict
-        For each fill rule its voxels, and those missing and extra compared with the recommended
-        one.
+        For each fill rule, and "auto" if it compared rules, its voxels, those missing and extra
+        compared with the recommended one, and the share of the outer surface that it keeps.
     recommended : dict
         Fill rule, sign, and why.
     faults : list of Fault
@@ -124,7 +127,9 @@ class Report:
     patches: dict[str, Any]
     leaking_rows: dict[str, Any]
     auto: str
-    fills: dict[str, dict[str, int]]
+    choice: str
+    outer_surface: int
+    fills: dict[str, dict[str, Any]]
     recommended: dict[str, str]
     faults: list[Fault]
     boundary: Loops
@@ -191,12 +196,21 @@ def diagnose(
     found["shells"] = _shell_rows(mesh, topology, loops, device)
     found["patches"] = _patch_rows(mesh, topology)
     octrees = {}
-    for rule in RULES:
-        enter(rule)
-        with warnings.catch_warnings(action="ignore", category=MeshWarning):  # the report says more
+    with warnings.catch_warnings(action="ignore", category=MeshWarning):  # the report says more
+        for rule in RULES:
+            enter(rule)
             octrees[rule] = voxelize(mesh, grid, fill=rule, device=device)
-    found["auto"] = fill_for(counts.watertight)
-    found |= _compared(octrees, found)
+        enter("auto")
+        job = plan_voxelize(mesh, grid, device=device)
+        if job.choice:
+            octrees["auto"] = job.run()
+        found |= {"auto": job.plan.rule, "choice": job.plan.choice}
+        enter("outer surface")
+        surface = voxelize(mesh, grid, "surface26", device=device)
+        outer = outer_surface(surface, octrees["flood"], device)
+    found["outer_surface"] = outer.count
+    shares = {rule: share_of(outer, octree, device) for rule, octree in octrees.items()}
+    found |= _compared(octrees, shares, found)
     return Report(**found, faults=list(_faults(found)), boundary=loops)
 
 
@@ -303,14 +317,16 @@ def _patch_rows(mesh: Mesh, topology: Topology) -> dict[str, Any]:
 # ---- fill rules, advice and faults
 
 
-def _compared(octrees: dict[str, Octree], found: dict[str, Any]) -> dict[str, Any]:
+def _compared(
+    octrees: dict[str, Octree], shares: dict[str, Share], found: dict[str, Any]
+) -> dict[str, Any]:
     """Return the voxels of each fill rule, the recommended one, and the rows that leak."""
-    counts = {rule: octree.count for rule, octree in octrees.items()}
-    fill, why = _recommended_fill(found, counts)
+    fill, why = _recommended_fill(found, shares)
     rules = {}
     for rule, octree in octrees.items():
         extra, missing = count_differences(octree, octrees[fill])
-        rules[rule] = {"voxels": counts[rule], "missing": missing, "extra": extra}
+        rules[rule] = {"voxels": octree.count, "missing": missing, "extra": extra}
+        rules[rule]["share"] = shares[rule].permille / 1000
     certain = (
         found["diagnosis"].watertight
         and not found["degenerate_faces"]["count"]
@@ -341,22 +357,21 @@ def _roles(found: dict[str, Any]) -> list[str]:
     return [shell["is"] for shell in found["shells"]]
 
 
-def _recommended_fill(found: dict[str, Any], counts: dict[str, int]) -> tuple[str, str]:
+def _recommended_fill(found: dict[str, Any], shares: dict[str, Share]) -> tuple[str, str]:
     """Return the fill rule that suits a mesh, and why."""
-    if not found["diagnosis"].watertight and FEW * counts["winding"] < counts["flood"]:
-        if sum(shell["volume"] or 0 for shell in found["shells"]) < 0:
-            return "flood", (
-                "its faces point inwards: reverse them and fill by winding, or find a --gap that "
-                "closes its holes"
-            )
-        return "flood", (
-            "its faces do not define an inside: flood sets the surface and what it encloses"
-        )
-    if found["auto"] != "parity":
-        return found["auto"], "it suits meshes that are open, doubled or wound inconsistently"
-    if _overlaps(found):
-        return "nonzero", "overlapping and nested parts are united; parity would cut them out"
-    return found["auto"], "the mesh is closed, and the rules agree on it"
+    if found["choice"]:
+        return "auto", found["choice"]
+    fill, why = found["auto"], "the mesh is closed, and the rules agree on it"
+    if fill != "parity":
+        why = "it suits meshes that are open, or doubled"
+    elif _overlaps(found):
+        fill, why = "nonzero", "overlapping and nested parts are united; parity would cut them out"
+    if shares[fill].enough:
+        return fill, why
+    return "flood", (
+        f"{fill} keeps {shares[fill]} of the outer surface; flood sets the surface and what it "
+        "encloses"
+    )
 
 
 def _faults(found: dict[str, Any]) -> Iterator[Fault]:
@@ -373,7 +388,7 @@ def _faults(found: dict[str, Any]) -> Iterator[Fault]:
     for count, noun, more, hint in (
         (len(found["loops"]), "boundary loop", "", holes),
         (crowded, "edge", " of more than two faces", REMOVE_INSIDE),
-        (flipped, "face", " flipped", "reverse them, or fill by flood"),
+        (flipped, "face", " flipped", "reverse them, or fill by auto"),
         (patches["one_sided"], "patch", " with one side only", "voxelize it as a surface"),
         (repeated, "duplicate face", "", "remove them"),
         (flat, "degenerate face", "", "remove them, or keep them: voxels do not depend on them"),

@@ -55,6 +55,8 @@ def lines(report: Report) -> Iterator[str]:
         yield _row("wrong", "nothing")
     best = report.recommended
     chosen = ", as auto does" if best["fill"] == report.auto else ""
+    if best["fill"] == "auto":
+        chosen = f", which takes {report.auto}"
     yield _row("advice", f"voxelize --fill {best['fill']}{chosen}: {best['why']}")
     yield _row("", f"adf-build --sign {best['sign']}")
 
@@ -106,9 +108,12 @@ def _fill_lines(report: Report) -> Iterator[str]:
         place = f", in y {y0:,} to {y1:,} and z {z0:,} to {z1:,}"
     yield _row("rows", f"{leaking['count']:,} of {leaking['of']:,} along x leak by parity{place}")
     best = report.recommended["fill"]
-    yield f"fill               voxels       missing         extra   beside {best}"
+    kept = f"surface kept, of {report.outer_surface:,}"
+    yield f"fill               voxels       missing         extra   beside {best}; {kept}"
     for rule, row in report.fills.items():
-        yield f"  {rule:<8} {row['voxels']:>14,} {row['missing']:>13,} {row['extra']:>13,}"
+        share = f"{100 * row['share']:.1f} %"
+        columns = f"{row['voxels']:>14,} {row['missing']:>13,} {row['extra']:>13,}"
+        yield f"  {rule:<8} {columns} {share:>9}"
 
 
 def _row(name: str, text: str) -> str:

@@ -60,7 +60,7 @@ def report(pair, options: str = "--dim 32") -> dict[str, Any]:
         assert fault["what"] in text
         assert fault["mend"] in text
     assert f"voxelize --fill {found['recommended']['fill']}" in text
-    assert list(found["fills"]) == RULES
+    assert list(found["fills"]) == RULES + ["auto"] * (found["choice"] != "")
     best = found["fills"][found["recommended"]["fill"]]
     assert best["missing"] == best["extra"] == 0
     for row in found["fills"].values():
@@ -186,20 +186,22 @@ def test_what_has_no_inside(here: Path) -> None:
     found = report((band, faces))
     assert found["patches"]["one_sided"] == 1
     assert faults(found) == ["1 boundary loop", "1 patch with one side only"]
-    assert found["recommended"]["fill"] == "flood"
+    assert found["recommended"]["fill"] == "auto"
+    assert found["fills"]["auto"]["share"] >= 0.98 > found["fills"]["winding"]["share"]
 
     sheet = report(([[0, 0, 0], [4, 0, 0], [4, 4, 0], [0, 4, 0]], [[0, 1, 2], [0, 2, 3]]))
     assert faults(sheet) == ["1 boundary loop"]
-    assert sheet["recommended"]["fill"] == "flood"
-    assert "do not define an inside" in sheet["recommended"]["why"]
+    assert (sheet["recommended"]["fill"], sheet["auto"]) == ("auto", "flood+gap1")
+    assert sheet["recommended"]["why"] == sheet["choice"]
 
 
 def test_an_open_mesh_that_faces_inwards(here: Path) -> None:
     vertices, faces = turned(meshes.icosphere(3, 0, 1.0))
     found = report((vertices, faces[1:]))
     assert found["fills"]["winding"]["voxels"] == 0
-    assert found["recommended"]["fill"] == "flood"
-    assert "inwards" in found["recommended"]["why"]
+    assert (found["recommended"]["fill"], found["auto"]) == ("auto", "winding")
+    assert "1279 faces turned outward" in found["recommended"]["why"]
+    assert found["fills"]["winding"]["share"] == 0 < found["fills"]["auto"]["share"]
 
 
 def test_t_junctions_are_no_holes(here: Path) -> None:

@@ -92,7 +92,8 @@ def plan_voxelize(
         what is inside, for "solid": "parity" (an odd number of crossings along x), "nonzero"
         (crossings that enter and leave do not cancel), "winding" (a winding number of 1/2 or more),
         "flood" (everything that the outside cannot reach), or "auto": parity if the mesh is closed
-        and consistently wound, otherwise winding.
+        and consistently wound, winding if it is consistent but open, otherwise what keeps its outer
+        surface.
     gap
         for "flood", openings of up to this many voxels are closed first.
     with_surface

@@ -16,6 +16,8 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import Topology, boxes_of, components
 from voxtool.vector import cross, dot, length
 
+FLAT = 1e-12  # a shell is flat if its volume is less than this times its longest side cubed
+
 
 @dataclass(frozen=True, eq=False)
 class Patches:

@@ -22,7 +22,8 @@ FLOOD_BYTES = 176  # of a brick in the graph of free space that a flood unites
 FLOOD_BLOCK = 64  # voxels along a side of the blocks of which slabs consist, at least
 COLUMN_TILE = 64  # columns along a side of a work-item's share of a triangle
 
-REQUEST = ("mode", "fill", "gap", "holes", "caps", "flooded")  # fields of a plan that are given
+REQUEST = ("mode", "fill", "gap", "holes", "caps", "flooded", "choice")  # fields that are given
+COMPARISON = "comparison of fill rules"  # a stage
 
 
 @dataclass(frozen=True)
@@ -58,6 +59,7 @@ class VoxelizePlan:
     tiled_nodes: bool  # a triangle's level-1 nodes are divided among work-items
     active: tuple[int, ...]  # predicted refined nodes by level, from level 1 up
     flooded: tuple[int, int, int] | None = None  # shape of the grid that is flooded
+    choice: str = ""  # why the rule was chosen, if rules were compared
     slabs: int = 1  # in which it is flooded, one after the other
     column_tile: int = COLUMN_TILE  # columns along a side of a work-item's share of a triangle
     crowd: int = CROWD  # leaves of caps that may be near a voxel
@@ -82,6 +84,7 @@ class VoxelizePlan:
         """The stages that will run, in order."""
         by_rows = self.fill not in ("none", "flood")
         stages = {
+            COMPARISON: self.choice != "",
             "survey": True,
             "active nodes": True,
             "holes": self.caps > 0,
@@ -209,6 +212,7 @@ class VoxelizePlan:
         """The part of the plan that is stored in the octree, in JSON types."""
         return {
             "fill": self.rule,
+            **({"choice": self.choice} if self.choice else {}),
             **({"holes": self.holes, "cap_triangles": self.caps} if self.fill == "winding" else {}),
             "triangles": self.survey.triangles - self.caps,
             "triangles_outside": self.survey.outside,
@@ -244,6 +248,8 @@ class VoxelizePlan:
         elif self.solid:
             slabs = f"; in {self.slabs} slabs, as memory allows" if self.slabs > 1 else ""
             rows.append(("fill", self.rule + slabs))
+        if self.choice:
+            rows.append(("chosen", self.choice))
         size = human(self.cost.host)
         rows.append(("octree", f"about {self.bricks:,} bricks, {self.nodes:,} nodes, {size}"))
         rows.append(("work", f"about {self.work:,} voxels and crossings visited"))

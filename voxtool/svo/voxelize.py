@@ -41,6 +41,7 @@ from voxtool.opencl.primitives import COMPACTION, RADIX_SORT
 from voxtool.opencl.primitives import SCAN as PREFIX_SUMS
 from voxtool.svo.build import SOURCE as BUILD
 from voxtool.svo.build import build_octree
+from voxtool.svo.choosing import Choice, choose, consistent
 from voxtool.svo.fill.caps import Boundary, find_boundary
 from voxtool.svo.fill.dilation import SOURCE as DILATION
 from voxtool.svo.fill.flood import flood, frame_of
@@ -58,7 +59,7 @@ from voxtool.svo.fill.winding import NearHoles
 from voxtool.svo.fill.winding import programs as near_holes
 from voxtool.svo.lattice import place_mesh
 from voxtool.svo.octree import Octree
-from voxtool.svo.plan import REQUEST, Survey, VoxelizePlan, plan_of
+from voxtool.svo.plan import COMPARISON, REQUEST, Survey, VoxelizePlan, plan_of
 from voxtool.svo.prune import prune, states_of
 from voxtool.svo.scan import SOURCE as SCAN
 from voxtool.svo.scan import Scan, add_nodes, find_active_nodes
@@ -95,19 +96,13 @@ def plan_voxelize(
         if min(low) < 0 or any(a + n > m for a, n, m in zip(low, shape, grid.shape, strict=True)):
             raise GridError(f"window {low}, {shape} reaches beyond the grid's {grid.shape}")
     job = VoxelizeJob(mesh, grid, window, device or default_device(), max_memory)
-    job.chosen = fill == "auto" and mode == "solid"
-    if job.chosen:
-        fill = fill_for(job.watertight)
+    if fill == "auto" and mode == "solid":
+        fill, gap = job.choose()
     job.place(mode + "+surface26" * with_surface, fill if mode == "solid" else "none", gap)
     return job
 
 
 voxelize = one_call(plan_voxelize, "voxelize", Octree)
-
-
-def fill_for(closed: bool) -> str:
-    """The fill rule for a mesh: "parity" if it is closed and consistently wound, or "winding"."""
-    return "parity" if closed else "winding"
 
 
 Found = TypeVar("Found")
@@ -128,13 +123,23 @@ def _boundary(mesh: Mesh) -> Boundary:
     return find_boundary(mesh, _once(net_faces, mesh))
 
 
+def _choice(mesh: Mesh, device: Device) -> Choice | None:
+    """Return the rule that "auto" takes for a mesh that is not watertight; None if it is
+    consistent."""
+    boundary = _once(_boundary, mesh)
+    if consistent(mesh, boundary):
+        return None
+    with device.stage(COMPARISON):
+        return choose(mesh, boundary, device, voxelize)
+
+
 class VoxelizeJob(Job[Octree]):
     """The voxelization of a mesh, surveyed and planned.
 
     Attributes
     ----------
     mesh : Mesh
-        The mesh that is voxelized.
+        The mesh that is voxelized; faces are reversed where the fill rule that was chosen needs it.
     grid : Grid
         The grid of the octree: the window, if there is one.
     lattice : LatticeMesh
@@ -143,17 +148,21 @@ class VoxelizeJob(Job[Octree]):
         The decisions.
     chosen : bool
         True if fill "auto" chose the fill rule.
+    choice : Choice or None
+        The fill rule and why, if rules were compared.
     """
 
     device: Device
     plan: VoxelizePlan
     chosen: bool = False
+    choice: Choice | None = None
     _crowded: bool = False  # known once it has run
 
     def __init__(
         self, mesh: Mesh, grid: Grid, window: Window | None, device: Device, max_memory: int | None
     ) -> None:
         self.mesh, self.device, self.max_memory = mesh, device, max_memory
+        self._given = mesh
         self._whole, self._window = grid, window
         self._forced: dict[str, Any] = {}
 
@@ -161,6 +170,17 @@ class VoxelizeJob(Job[Octree]):
     def watertight(self) -> bool:
         """True if every edge has exactly two faces, which traverse it in opposite directions."""
         return _once(watertight, self.mesh, self.device)
+
+    def choose(self) -> tuple[str, int]:
+        """Return the fill rule of "auto" and its gap; the mesh becomes the one that it fills."""
+        self.chosen = True
+        if self.watertight:
+            return "parity", 0
+        self.choice = _once(_choice, self.mesh, self.device)
+        if not self.choice:
+            return "winding", 0
+        self.mesh = self.choice.oriented or self.mesh
+        return self.choice.fill, self.choice.gap_in(self._whole)
 
     def place(self, mode: str, fill: str, gap: int) -> None:
         """Upload the mesh, survey it and make the plan."""
@@ -177,6 +197,7 @@ class VoxelizeJob(Job[Octree]):
         request: dict[str, Any] = {"mode": mode, "fill": fill, "gap": gap}
         flooded = self._whole.shape if fill == "flood" else None
         request |= {"holes": holes, "caps": faces, "flooded": flooded}
+        request["choice"] = self.choice.why if self.choice else ""
         plan = plan_of(survey, self.grid.shape, **request)
         self.plan = plan.in_slabs(self._limit, self.device.info.max_allocation)
 
@@ -301,11 +322,13 @@ class VoxelizeJob(Job[Octree]):
 
     def notes(self, octree: Octree) -> list[str]:
         """Return lines about the fill rule chosen for an open mesh; they are not warnings."""
-        if not (self.chosen and octree.fill == "winding") or self.watertight:
+        if not self.chosen or (not self.choice and self.watertight):
             return []
+        summary = f"{self._name} is {_once(check_topology, self._given).summary()}"
+        if self.choice:
+            return [f"{summary}; {self.choice.why}"]
         holes = f"{count_of(self.plan.holes, 'hole')}, " if self.plan.holes else ""
-        rule = "filled where its winding number is 1/2 or more"
-        return [f"{self._name} is {_once(check_topology, self.mesh).summary()}; {holes}{rule}"]
+        return [f"{summary}; {holes}filled where its winding number is 1/2 or more"]
 
     def findings(self, octree: Octree) -> Iterator[str]:
         """Yield warnings: the fill may leak, or the octree is empty."""
@@ -332,10 +355,10 @@ class VoxelizeJob(Job[Octree]):
         if self.plan.fill == "winding" and volume(self.mesh) < 0:
             return (
                 "it is inside out, so that its winding numbers are negative and nothing is inside: "
-                "turn its faces, or choose fill parity or nonzero"
+                "choose fill auto, which turns its faces outward, parity or nonzero"
             )
         if np.ptp(self.mesh.bounds, axis=0).min() == 0:
-            return "it is flat and encloses nothing: choose mode surface26"
+            return "it is flat and encloses nothing: choose fill flood, or mode surface26"
         if self.plan.solid:
             return (
                 "no voxel's centre is inside it: choose smaller voxels, mode surface26, or "

@@ -1,0 +1,135 @@
+"""The fill rule that "auto" takes for a mesh that is not watertight.
+
+A mesh is consistent if edges of two faces agree, and if every shell, its holes closed, encloses a
+volume with its faces outward. It is filled by winding numbers, and nothing is compared. For any
+other mesh rules are tried in order, on a grid of DIM voxels around it whatever grid is asked for:
+winding numbers of the mesh as it is, if its edges agree, and of the oriented mesh
+(spatial/orientation.py); then floods with smaller and smaller gaps. The first rule that keeps
+enough of the outer surface (shares.py) is taken; a flood without a gap keeps all of it.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from voxtool.errors import MeshWarning, count_of
+from voxtool.grid import Grid
+from voxtool.mesh.loops import find_loops
+from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.shells import FLAT, find_shells
+from voxtool.mesh.topology import topology_of
+from voxtool.opencl import Device
+from voxtool.spatial.bvh import Frame
+from voxtool.spatial.orientation import orient
+from voxtool.svo.fill.caps import Boundary
+from voxtool.svo.octree import Octree
+from voxtool.svo.shares import Share, outer_surface, share_of
+
+DIM = 128  # of the grid on which rules are compared
+MOVED = 37 / 256, 53 / 256, 91 / 256  # voxels
+GAPS = 3, 1, 0  # voxels of that grid, of floods
+LARGEST = 1000  # exponent of an extent: volumes are computed in local coordinates
+LAST = "flood", GAPS[-1]
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """A fill rule, and why it was taken.
+
+    oriented : Mesh or None, the mesh to fill, if faces of the given one are reversed.
+    fill, gap : the rule, and its gap in voxels of the grid on which rules were compared.
+    pitch : float, the side of such a voxel, world units.
+    why : str, a line.
+    """
+
+    oriented: Mesh | None
+    fill: str
+    gap: int
+    pitch: float
+    why: str
+
+    def gap_in(self, grid: Grid) -> int:
+        """Return the voxels of a grid that are at least as long as the gap."""
+        return min(math.ceil(self.gap * (self.pitch / min(grid.pitch))), grid.dim)
+
+
+def consistent(mesh: Mesh, boundary: Boundary) -> bool:
+    """Return whether a mesh defines an inside by the directions of its faces."""
+    if not _agree(boundary):
+        return False
+    local = replace(mesh, vertices=Frame.of(mesh, LARGEST).local(mesh.vertices))
+    topology = topology_of(local)
+    shells = find_shells(local, topology, find_loops(local, topology))
+    side = (shells.high - shells.low).max(axis=1, initial=0)
+    return bool((shells.volumes > FLAT * side * side * side).all())
+
+
+def _agree(boundary: Boundary) -> bool:
+    """Return whether no edge is traversed twice or more in one direction than in the other."""
+    edges = boundary.edges
+    return not (edges[1:] == edges[:-1]).all(axis=1).any()
+
+
+def choose(
+    mesh: Mesh, boundary: Boundary, device: Device, voxelized: Callable[..., Octree]
+) -> Choice:
+    """Return the fill rule for a mesh that is not consistent.
+
+    voxelized(mesh, grid, mode, fill=, gap=, device=) returns an octree.
+    """
+    grid = _grid(mesh)
+    surface = voxelized(mesh, grid, "surface26", device=device)
+    flooded = voxelized(mesh, grid, "solid", fill="flood", device=device)
+    outer = outer_surface(surface, flooded, device)
+    lost: Share | None = None
+    for oriented, fill, gap, turned in _candidates(mesh, boundary, device):
+        with warnings.catch_warnings(action="ignore", category=MeshWarning):  # nothing is taken yet
+            result = voxelized(oriented or mesh, grid, "solid", fill=fill, gap=gap, device=device)
+        share = share_of(outer, result, device)
+        if share.enough or (fill, gap) == LAST:
+            why = _reason(fill, gap, turned, share, lost)
+            return Choice(oriented, fill, gap, grid.pitch[0], why)
+        lost = lost or share
+    raise AssertionError("the last rule is taken")
+
+
+def _grid(mesh: Mesh) -> Grid:
+    """Return the grid on which rules are compared: on either side of a sheet through voxel centres
+    winding numbers are 1/2, so it is moved, by which symmetric sheets and slopes avoid them."""
+    fitted = Grid.fit(mesh, DIM)
+    moved = (a - p * by for a, p, by in zip(fitted.origin, fitted.pitch, MOVED, strict=True))
+    x, y, z = moved
+    return Grid(fitted.shape, (x, y, z), fitted.pitch)
+
+
+def _candidates(
+    mesh: Mesh, boundary: Boundary, device: Device
+) -> Iterator[tuple[Mesh | None, str, int, int]]:
+    """Yield oriented meshes if faces are reversed, rules and gaps, and the number of such faces."""
+    agree = _agree(boundary)
+    if agree:
+        yield None, "winding", 0, 0
+    with device.stage("orientation"):
+        oriented = orient(mesh, device)
+    turned = int(np.count_nonzero(oriented.reversed))
+    if turned:
+        yield oriented.mesh, "winding", 0, turned
+    elif not agree:
+        yield None, "winding", 0, 0
+    for gap in GAPS:
+        yield None, "flood", gap, 0
+
+
+def _reason(fill: str, gap: int, turned: int, share: Share, lost: Share | None) -> str:
+    """Return why a rule was taken; `lost` is the share of the first one that was not."""
+    kept = f"keep {share} of its outer surface"
+    if fill == "winding":
+        faces = f"{count_of(turned, 'face')} turned outward; " if turned else ""
+        return f"{faces}winding numbers {kept}"
+    rule = f"flood with a gap of {gap} of {DIM} voxels" if gap else "flood"
+    return f"winding numbers keep {lost} of its outer surface, {rule} keeps {share}"
