@@ -332,8 +332,11 @@ def test_a_mesh_that_is_inside_out(here: Path) -> None:
     turned = ["f " + " ".join(line.split()[:0:-1]) if line[0] == "f" else line for line in text]
     (here / "turned.obj").write_text("\n".join(turned) + "\n")
     said = run("voxelize turned.obj --dim 16 -o a.svo.h5").stderr
+    assert "faces turned outward; winding numbers keep 100.0 % of its outer surface" in said
+    assert read_svo("a.svo.h5").count > 0
+    said = run("voxelize turned.obj --dim 16 --fill winding -o a.svo.h5").stderr
     assert "turned.obj sets no voxel: it is inside out" in said
-    assert "choose fill parity or nonzero" in said
+    assert "choose fill auto, which turns its faces outward, parity or nonzero" in said
     assert read_svo("a.svo.h5").count == 0
 
 

@@ -171,7 +171,7 @@ def test_refusals() -> None:
     sheet = ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 1, 2)])
     none = pytest.raises(VoxtoolError, match="no voxel of dim 16 is inside by winding")
     with none, pytest.warns(voxtool.MeshWarning, match="encloses nothing"):
-        voxtool.repair(sheet, dim=16)
+        voxtool.repair(sheet, dim=16, fill="winding")
     with pytest.raises(MemoryLimitError, match="choose --dim"):
         voxtool.repair(ball, dim=1024, max_memory=150_000_000)
     with pytest.raises(MemoryLimitError, match="choose --dim 4096"):

@@ -129,7 +129,7 @@ def _choice(mesh: Mesh, device: Device) -> Choice | None:
     boundary = _once(_boundary, mesh)
     if consistent(mesh, boundary):
         return None
-    with device.stage(COMPARISON):
+    with device.stage(COMPARISON), device.reporting(lambda _: None):  # not the stages within
         return choose(mesh, boundary, device, voxelize)
 
 
@@ -169,7 +169,7 @@ class VoxelizeJob(Job[Octree]):
     @property
     def watertight(self) -> bool:
         """True if every edge has exactly two faces, which traverse it in opposite directions."""
-        return _once(watertight, self.mesh, self.device)
+        return _once(watertight, self._given, self.device)
 
     def choose(self) -> tuple[str, int]:
         """Return the fill rule of "auto" and its gap; the mesh becomes the one that it fills."""
@@ -322,7 +322,8 @@ class VoxelizeJob(Job[Octree]):
 
     def notes(self, octree: Octree) -> list[str]:
         """Return lines about the fill rule chosen for an open mesh; they are not warnings."""
-        if not self.chosen or (not self.choice and self.watertight):
+        rule = self.choice.fill if self.choice else "winding"
+        if not self.chosen or self.watertight or not octree.fill.startswith(rule):
             return []
         summary = f"{self._name} is {_once(check_topology, self._given).summary()}"
         if self.choice:
