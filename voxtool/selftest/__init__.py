@@ -16,6 +16,7 @@ from voxtool.selftest import (
     fields,
     morphology,
     pages,
+    repairs,
     volumes,
     voxels,
 )
@@ -31,6 +32,7 @@ CASES: tuple[Case, ...] = (
     *voxels.CASES,
     booleans.operations,
     *morphology.CASES,
+    repairs.soup,
     *fields.CASES,
     *volumes.CASES,
     *pages.CASES,
