@@ -1,5 +1,5 @@
-"""Set operations on the octree of a mesh and that of its mirror image, beside numpy on dense
-arrays."""
+"""Set operations on the octree of a mesh and that of its mirror image, and their comparison, beside
+numpy on dense arrays."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.svo.booleans import combine
+from voxtool.svo.compare import COMPARE, compare
 from voxtool.svo.voxelize import voxelize
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
     from voxtool.bench.points import Point
     from voxtool.bench.timing import Bench
+    from voxtool.svo.octree import Octree
 
 WORK = "two octrees to one"
 DENSE_DIM = 256  # up to which numpy has dense arrays
@@ -64,9 +66,32 @@ def measure(bench: Bench) -> Iterator[Point]:
                     bytes=expected.nbytes, peer=True, **fields,
                 )  # fmt: skip
 
+        yield compared(bench, octrees, dense, dim)
+
 
 def mirrored(mesh: Mesh) -> Mesh:
     """The mirror image of a mesh in its box, along z; most models are symmetric along x."""
     vertices = mesh.vertices.copy()
     vertices[:, 2] = mesh.bounds[:, 2].sum() - vertices[:, 2]
     return mesh_from_arrays(vertices, mesh.faces[:, ::-1])
+
+
+def compared(bench: Bench, octrees: list[Octree], dense: list[np.ndarray], dim: int) -> Point:
+    """The comparison of two octrees; `wrong` counts the voxels of all three parts."""
+    found = compare(*octrees, device=bench.timed)
+    errors = {}
+    if dense:
+        one, other = dense
+        parts = (
+            (found.first, one & ~other),
+            (found.second, other & ~one),
+            (found.both, one & other),
+        )
+        wrong = sum(np.count_nonzero(part.to_dense() != expected) for part, expected in parts)
+        errors["wrong"] = wrong / one.size
+    return bench.point(
+        WORK, COMPARE, f"dim {dim}", bytes=sum(octree.nbytes for octree in octrees), errors=errors,
+        absent={} if dense else WITHOUT, asked={"dims": dim}, setting={"operation": COMPARE},
+        size=sum(octree.count for octree in octrees), size_of="voxels",
+        run=lambda device: compare(*octrees, device=device),
+    )  # fmt: skip

@@ -1,4 +1,5 @@
-"""Set operations on octrees in the largest grid, compared with sets of Python's numbers."""
+"""Set operations on octrees in the largest grid and their comparison, beside sets of Python's
+numbers."""
 
 from __future__ import annotations
 
@@ -12,6 +13,7 @@ from voxtool.grid import Grid
 from voxtool.selftest.case import case
 from voxtool.svo.booleans import combine
 from voxtool.svo.collect import Collector
+from voxtool.svo.compare import compare
 from voxtool.svo.octree import Octree
 
 if TYPE_CHECKING:
@@ -41,6 +43,8 @@ def operations(device: Device, full: bool) -> int:
     wrong = abs(MAX_DIM**3 - 8 - without.count)
     wrong += _apart(combine([without, whole], "xor", device=device), _voxels(corners, (0, 0, 0)))
     wrong += combine([without, corners], device=device) != whole
+    found = compare(corners, without, device=device)
+    wrong += found.both.count + (found.first != corners) + (found.second != without)
     rng = np.random.default_rng(7)
     octrees, sets = [], []
     for _ in range(60 if full else 12):
