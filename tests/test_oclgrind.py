@@ -45,6 +45,7 @@ from voxtool.camera import Camera
 from voxtool.choices import METHODS
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.parts import find_parts
 from voxtool.mesh.topology import check_surface, closed_chain
 from voxtool.opencl import Device, builder, open_device, primitives, program
 from voxtool.selftest import arithmetic, crowds, volumes
@@ -58,6 +59,7 @@ from voxtool.spatial.pseudonormals import pseudonormals
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.spatial.signed_distance import SignedDistance
 from voxtool.svo.booleans import combine
+from voxtool.svo.fill.caps import find_boundary
 from voxtool.svo.morphology import plan_morph
 from voxtool.svo.octree import Octree
 from voxtool.svo.raycast import cast, depths
@@ -347,6 +349,7 @@ def voxelize_all(device) -> None:
     assert np.array_equal(flooded.to_dense(), oracles.flood(surface, 2))
     vertices, faces = meshes.open_box((2.5, 2.5, 2.5), (6, 6, 68), missing=5)
     mesh, grid = Mesh(vertices, faces.astype(np.int32)), Grid((8, 8, 72), (0, 0, 0), (1, 1, 1))
+    assert find_parts(mesh, mesh.vertices, find_boundary(mesh).edges, device).volumes > 0
     tall = plan_voxelize(mesh, grid, fill="flood", device=device)
     assert tall.with_(slabs=2).run().count == tall.run().count
 

@@ -121,7 +121,7 @@ def watertight(mesh: Mesh) -> bool:
     corners = mesh.positions[mesh.faces]
     a, b, c = corners.T
     proper = (a != b) & (b != c) & (c != a)
-    start, end = _sides(corners[proper])
+    start, end = sides_of(corners[proper])
     sides = np.minimum(start, end) << 33 | np.maximum(start, end) << 1 | (start < end)
     sides.sort()
     one, other = sides[::2], sides[1::2]
@@ -292,7 +292,7 @@ def ways_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def boundary_of(corners: np.ndarray) -> np.ndarray:
     """Return net_edges of the sides of (F, 3) corners: the boundary of these faces."""
-    return net_edges(*_sides(corners.astype(np.int64)))
+    return net_edges(*sides_of(corners.astype(np.int64)))
 
 
 def net_edges(start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -349,7 +349,7 @@ def topology_of(mesh: Mesh, weld: bool = True) -> Topology:
     a, b, c = corners.T
     proper = (a != b) & (b != c) & (c != a)
     corners = corners[proper]
-    key, forward = _edge_keys(corners)
+    key, forward = edge_keys(*sides_of(corners))
     order = np.argsort(key, kind="stable")
     same = key[order[1:]] == key[order[:-1]]
     edge = np.zeros(len(order), np.int64)
@@ -401,17 +401,16 @@ def next_sides(sides: np.ndarray) -> np.ndarray:
 
 def edges_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the edge, (3F,), and direction, (3F,) bool, of the sides ab, bc, ca of faces."""
-    key, forward = _edge_keys(corners)
+    key, forward = edge_keys(*sides_of(corners))
     return np.unique(key, return_inverse=True)[1].reshape(-1), forward
 
 
-def _edge_keys(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def edge_keys(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return a number for the two ends of each side, in any order, and edges_of's directions."""
-    start, end = _sides(corners)
     return np.minimum(start, end) << 32 | np.maximum(start, end), start < end
 
 
-def _sides(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def sides_of(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the start and the end of the sides ab, bc, ca of (F, 3) corners, (3F,) each."""
     return corners.ravel(), np.roll(corners, -1, axis=1).ravel()
 

@@ -1,11 +1,12 @@
 """The fill rule that "auto" takes for a mesh that is not watertight.
 
-A mesh is consistent if edges of two faces agree, and if every shell, its holes closed, encloses a
-volume with its faces outward. It is filled by winding numbers, and nothing is compared. For any
-other mesh rules are tried in order, on a grid of DIM voxels around it whatever grid is asked for:
-winding numbers of the mesh as it is, if its edges agree, and of the oriented mesh
-(spatial/orientation.py); then floods with smaller and smaller gaps. The first rule that keeps
-enough of the outer surface (shares.py) is taken; a flood without a gap keeps all of it.
+A mesh is consistent if edges of two faces agree, none of the boundary has more than one face, and
+every part that vertices connect, its holes closed, encloses a volume with its faces outward. It is
+filled by winding numbers, and nothing is compared. For any other mesh rules are tried in order, on
+a grid of DIM voxels around it whatever grid is asked for: winding numbers of the mesh as it is, if
+its edges agree, and of the oriented mesh (spatial/orientation.py); then floods with smaller and
+smaller gaps. The first rule that keeps enough of the outer surface (shares.py) is taken; a flood
+without a gap keeps all of it.
 """
 
 from __future__ import annotations
@@ -13,16 +14,16 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from voxtool.errors import MeshWarning, count_of
 from voxtool.grid import Grid
-from voxtool.mesh.loops import find_loops
 from voxtool.mesh.mesh import Mesh
-from voxtool.mesh.shells import FLAT, find_shells
-from voxtool.mesh.topology import topology_of
+from voxtool.mesh.parts import find_parts
+from voxtool.mesh.shells import FLAT
+from voxtool.mesh.topology import edge_keys, sides_of
 from voxtool.opencl import Device
 from voxtool.spatial.bvh import Frame
 from voxtool.spatial.orientation import orient
@@ -58,21 +59,31 @@ class Choice:
         return min(math.ceil(self.gap * (self.pitch / min(grid.pitch))), grid.dim)
 
 
-def consistent(mesh: Mesh, boundary: Boundary) -> bool:
+def consistent(mesh: Mesh, boundary: Boundary, device: Device) -> bool:
     """Return whether a mesh defines an inside by the directions of its faces."""
-    if not _agree(boundary):
+    if not _agree(boundary) or _fins(mesh, boundary):
         return False
-    local = replace(mesh, vertices=Frame.of(mesh, LARGEST).local(mesh.vertices))
-    topology = topology_of(local)
-    shells = find_shells(local, topology, find_loops(local, topology))
-    side = (shells.high - shells.low).max(axis=1, initial=0)
-    return bool((shells.volumes > FLAT * side * side * side).all())
+    points = Frame.of(mesh, LARGEST).local(mesh.vertices)
+    parts = find_parts(mesh, points, boundary.edges, device)
+    side = (parts.high - parts.low).max(axis=1, initial=0)
+    return bool((parts.volumes > FLAT * side * side * side).all())
 
 
 def _agree(boundary: Boundary) -> bool:
     """Return whether no edge is traversed twice or more in one direction than in the other."""
     edges = boundary.edges
     return not (edges[1:] == edges[:-1]).all(axis=1).any()
+
+
+def _fins(mesh: Mesh, boundary: Boundary) -> bool:
+    """Return whether an edge of the boundary has more than one face."""
+    on_boundary = np.zeros(len(mesh.vertices), bool)
+    places = mesh.positions[boundary.edges]
+    on_boundary[places] = True
+    corners = mesh.positions[mesh.faces]
+    near = np.count_nonzero(on_boundary[corners], axis=1) > 1
+    sides, _ = edge_keys(*sides_of(corners[near]))
+    return int(np.count_nonzero(np.isin(sides, edge_keys(*places.T)[0]))) > len(places)
 
 
 def choose(

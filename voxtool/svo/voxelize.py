@@ -127,7 +127,7 @@ def _choice(mesh: Mesh, device: Device) -> Choice | None:
     """Return the rule that "auto" takes for a mesh that is not watertight; None if it is
     consistent."""
     boundary = _once(_boundary, mesh)
-    if consistent(mesh, boundary):
+    if consistent(mesh, boundary, device):
         return None
     with device.stage(COMPARISON), device.reporting(lambda _: None):  # not the stages within
         return choose(mesh, boundary, device, voxelize)
