@@ -48,6 +48,7 @@ FAULTS = [  # the case that finds it, and what goes wrong in a kernel
     ("integers of 64 bits", "mul_hi(a, b)", "mul_hi(a, b) + (a >> 63 & b >> 63)"),
     ("integers of 64 bits", "convert_long(xs[i])", "convert_long_rte(xs[i])"),
     ("scan, sort, unique", "sorted[to] = key;", "sorted[to] = key + (i == 77777);"),
+    ("faces turned and doubled", "found[1] += side < 0;", "found[1] += side > 0;"),
     ("distances to needles", "px - u * t->ex", "px - u * t->ex * (1 + 1e-14)"),
     ("nearest points of slivers", "at = p - way;", "at = p - way * (1 + 1e-13);"),
     ("winding numbers", "7.5 * s * three", "7.0 * s * three"),

@@ -15,6 +15,7 @@ from voxtool.opencl import Device
 from voxtool.selftest import oracles, shapes
 from voxtool.selftest.case import case
 from voxtool.selftest.crowds import CROWDS
+from voxtool.spatial.orientation import orient
 from voxtool.svo.raycast import depths
 from voxtool.svo.voxelize import voxelize
 
@@ -172,6 +173,32 @@ def _on_lattice(grid: Grid, point: list[float]) -> list[int]:
     ]
 
 
+@case("faces turned and doubled", "by auto, a ball in a hollow one, 1e8 off: rational arithmetic",
+      "wrong", 0)  # fmt: skip
+def turned(device: Device, full: bool) -> int:
+    """Of a mesh that is closed but for the directions of its faces and its copies of them: the
+    faces that are not turned back, and the voxels that differ from those of the closed mesh."""
+    random, found = np.random.default_rng(8), 0
+    points, faces = shapes.ball(2 if full else 1)
+    points, faces = shapes.join(
+        (points, faces), (0.75 * points, faces[:, ::-1]), (0.375 * points, faces)
+    )
+    for factor, offset in SCALES if full else SCALES[-1:]:
+        closed = mesh_from_arrays(points * factor + offset, faces)
+        grid = Grid.fit(closed, 24)
+        vertices = np.array([_on_lattice(grid, vertex) for vertex in closed.vertices.tolist()])
+        expected = list(oracles.solid(vertices[faces], grid.shape))
+        for copies in (1, 2):
+            every = np.tile(faces, (copies, 1))
+            wrong_way = random.random(len(every)) < 0.5
+            every = np.where(wrong_way[:, None], every[:, ::-1], every)
+            mesh = mesh_from_arrays(closed.vertices, every)
+            found += wrong(set_voxels(device, mesh, grid, "solid", fill="auto"), expected)
+            back = orient(mesh, device).reversed == (wrong_way ^ (factor < 0))
+            found += int(np.count_nonzero(~back))
+    return found
+
+
 @case("a triangle over 65,536 voxels", "windows at corners, edges and within: rational arithmetic",
       "voxels wrong", 0)  # fmt: skip
 def wide(device: Device, full: bool) -> int:
@@ -298,4 +325,5 @@ def rays(device: Device, full: bool) -> float:
     return error
 
 
-CASES = (needles, flat_faces, crowds, boundaries, coordinates, wide, crowd, dims, open_box, rays)
+CASES = (needles, flat_faces, crowds, boundaries, coordinates, turned, wide, crowd, dims,
+         open_box, rays)  # fmt: skip
