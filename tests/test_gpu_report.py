@@ -59,8 +59,8 @@ def test_a_digest_that_differs_is_shown(tmp_path: Path) -> None:
     words = [sys.executable, ROOT / "tests/golden_report.py", "distance", "--golden", golden]
     done = subprocess.run(words, env=ENVIRONMENT, capture_output=True, text=True, check=False)
     assert done.returncode == 1, done.stderr
-    assert "sphere: 4 of 4 digests are equal" in done.stdout
-    assert "torus: 3 of 4 digests are equal\n    differs: grid\n" in done.stdout
+    assert "sphere: 5 of 5 digests are equal" in done.stdout
+    assert "torus: 4 of 5 digests are equal\n    differs: grid\n" in done.stdout
 
 
 def test_results_say_how_they_ended() -> None:

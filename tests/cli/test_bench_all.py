@@ -209,7 +209,7 @@ def test_budgets(ball: str) -> None:
     assert said.startswith("extract, ball.obj: solid voxels to surface: ")
     assert said.count("\n") == 1
     best = run(f"{words} --budget-time 1000").stdout
-    assert ": surface-nets, dim 32: " in best
+    assert ": sharp, dim 32: " in best
     assert "volume error" in run(f"{words} --budget-error 1:volume").stdout
     result = invoke(f"{words} --budget-error 1e-12")
     assert (result.exit_code, result.stdout) == (1, "")

@@ -41,8 +41,8 @@ def test_a_device_is_used_by_fields_alone(name: str, here: Path) -> None:
 @pytest.mark.parametrize(
     ("command", "message"),
     [
-        ("export bunny.svo.h5 -o a.stl", "voxtool extract OCTREE -o a.stl writes it"),
-        ("export bunny.svo.h5 -o a.glb", "voxtool extract OCTREE -o a.glb writes it"),
+        ("export bunny.svo.h5 -o a.stl", "voxtool extract FILE -o a.stl writes it"),
+        ("export bunny.svo.h5 -o a.glb", "voxtool extract FILE -o a.glb writes it"),
         ("export bunny.svo.h5 -o a.vti --normals", ".vti holds no normals: choose .ply, .xyz"),
         ("svo-info a.vtkhdf", "holds data of VTK: voxtool import makes an octree of its voxels"),
         ("import a.png", "a.png: its name says no format that is read: give --from, one of npy,"),
@@ -51,7 +51,10 @@ def test_a_device_is_used_by_fields_alone(name: str, here: Path) -> None:
         ("import bunny.obj", "bunny.obj is a mesh: voxelize it: voxtool voxelize bunny.obj"),
         ("import bunny.svo.h5", "bunny.svo.h5 is a file of voxtool, which needs no import"),
         ("import -", "stdin has no name: give --from, one of npy, npz,"),
-        ("extract bunny.svo.h5 --scale 2", "those of the mesh of --against: name one"),
+        (
+            "extract bunny.svo.h5 --scale 2",
+            "those of the meshes of --against and --source: name one",
+        ),
         ("extract mm.svo.h5 --against bunny.obj --units m", "in m, and the octree in mm: give"),
     ],
 )

@@ -100,7 +100,7 @@ def test_grids(tmp_path: Path) -> None:
         ({"band": 3}, VoxtoolError, "a band goes with level sets"),
         ({"shape": 8, "spacing": 0.1}, VoxtoolError, "give one of them"),
         ({"grid": GRID, "shape": 8}, VoxtoolError, "has its own shape and spacing"),
-        ({"level": 1}, VoxtoolError, "takes no level"),
+        ({"level": 1}, VoxtoolError, "take no level"),
         ({"shape": (8, 0, 8)}, GridError, "at least 1 cell"),
         ({"spacing": -1.0}, GridError, "a spacing of -1.0"),
         ({"spacing": 1e-9}, GridError, "for this field choose one from"),

@@ -56,7 +56,7 @@ def test_every_sample(tmp_path: Path) -> None:
         ({"band": 0.5}, "a band of 0.5 voxels"),
         ({"spacing": 1.0}, "a spacing of 1: for this field"),
         ({"spacing": SIDE / 300}, "takes more than 64 blocks"),
-        ({"level": 1}, "takes no level"),
+        ({"level": 1}, "take no level"),
         ({"spacing": (0.1, 0.1, 0.2)}, "choose it by a band and one spacing"),
     ],
 )

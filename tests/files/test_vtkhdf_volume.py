@@ -95,5 +95,5 @@ def test_on_the_command_line(here: Path) -> None:
     assert f"image      {len(volume.cells):,} tetrahedra, {len(volume.vertices):,} points" in text
     assert fail("export volume.tet.h5 -o a.vdb").startswith(".vdb holds no tetrahedral volume: cho")
     assert "go with a distance field" in fail("export volume.tet.h5 -o a.vtkhdf --band 3")
-    with pytest.raises(VoxtoolError, match="takes no level"):
+    with pytest.raises(VoxtoolError, match="take no level"):
         voxtool.export(volume, "a.vtkhdf", level=1)
