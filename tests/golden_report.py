@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import golden_adf
+import golden_auto
 import golden_combine
 import golden_distance
 import golden_exchange
@@ -43,6 +44,7 @@ WINGS: dict[str, dict[str, Callable[[Any], Digests]]] = {
     | {n: lambda d, n=n: golden_page.volume_digests(golden_picture.own_volume(n))
        for n in golden_page.VOLUMES},
     "combine": {n: lambda d, n=n: golden_combine.digests(n, d) for n in golden_combine.OWN},
+    "auto": {n: lambda d, n=n: golden_auto.digests(n, d) for n in golden_auto.OWN},
     "repair": {n: lambda d, n=n: golden_repair.digests(n, d) for n in golden_repair.OWN},
     "exchange": {n: lambda d, n=n: golden_exchange.digests(n, d)
                  for n in golden_exchange.OWN},

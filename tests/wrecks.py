@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import meshes
 import numpy as np
@@ -104,3 +104,32 @@ def wreck(fault: str, shape: str, seed: int = 0) -> Mesh:
     """A shape with a fault."""
     vertices, faces = SHAPES[shape][0]
     return FAULTS[fault](np.random.default_rng([seed, len(fault), len(shape)]), vertices, faces)
+
+
+# ---- models of open parts
+
+
+def sheet(corner: Sequence, u: Sequence, v: Sequence, n: int = 4) -> Mesh:
+    """A parallelogram of n by n cells."""
+    i, j = (a.ravel()[:, None] / n for a in np.indices((n + 1, n + 1)))
+    k = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
+    one, other = np.stack([k, k + n + 1, k + n + 2], 1), np.stack([k, k + n + 2, k + 1], 1)
+    return np.asarray(corner) + i * np.array(u) + j * np.array(v), np.concatenate([one, other])
+
+
+def wheel(centre: Sequence, n: int = 24) -> Mesh:
+    """A cylinder about the y axis without its ends."""
+    turn = 2 * np.pi * np.arange(n) / n
+    rim = np.asarray(centre) + np.stack([np.cos(turn), 0 * turn, np.sin(turn)], axis=1)
+    i, j = np.arange(n), (np.arange(n) + 1) % n
+    sides = np.concatenate([np.stack([i, j, j + n], 1), np.stack([i, j + n, i + n], 1)])
+    return np.concatenate([rim, rim + np.array((0, 0.5, 0))]), sides
+
+
+def car() -> Mesh:
+    """Boxes without a face, a sheet, and wheels."""
+    body = meshes.open_box((0, 0, 1), (12, 5, 3), 4)
+    cabin = meshes.open_box((3, 1, 3), (9, 4, 5), 4)
+    hood = sheet((0.0, 0.0, 3.3), (3, 0, 0.3), (0, 5, 0))
+    wheels = [wheel((x, y, 1.0)) for x in (2.5, 9.5) for y in (-0.5, 5.0)]
+    return meshes.join(body, cabin, hood, *wheels)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import meshes
 import numpy as np
 import pytest
+import wrecks
 
 import voxtool
 from voxtool.grid import Grid
@@ -31,30 +32,6 @@ SHELLS = (
 def closed() -> Mesh:
     """A sphere with a cavity, and a torus that overlaps neither."""
     return meshes.mesh_of(*meshes.join(*SHELLS))
-
-
-def sheet(corner, u, v, n: int = 4):
-    i, j = (a.ravel()[:, None] / n for a in np.indices((n + 1, n + 1)))
-    k = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
-    one, other = np.stack([k, k + n + 1, k + n + 2], 1), np.stack([k, k + n + 2, k + 1], 1)
-    return np.asarray(corner) + i * np.array(u) + j * np.array(v), np.concatenate([one, other])
-
-
-def wheel(centre, n: int = 24):
-    turn = 2 * np.pi * np.arange(n) / n
-    rim = np.asarray(centre) + np.stack([np.cos(turn), 0 * turn, np.sin(turn)], axis=1)
-    i, j = np.arange(n), (np.arange(n) + 1) % n
-    sides = np.concatenate([np.stack([i, j, j + n], 1), np.stack([i, j + n, i + n], 1)])
-    return np.concatenate([rim, rim + np.array((0, 0.5, 0))]), sides
-
-
-def car() -> Mesh:
-    """Boxes without a face, sheets, and wheels as open cylinders."""
-    body = meshes.open_box((0, 0, 1), (12, 5, 3), 4)
-    cabin = meshes.open_box((3, 1, 3), (9, 4, 5), 4)
-    hood = sheet((0.0, 0.0, 3.3), (3, 0, 0.3), (0, 5, 0))
-    wheels = [wheel((x, y, 1.0)) for x in (2.5, 9.5) for y in (-0.5, 5.0)]
-    return meshes.mesh_of(*meshes.join(body, cabin, hood, *wheels), name="car")
 
 
 def turned(mesh: Mesh, wrong: np.ndarray) -> Mesh:
@@ -105,7 +82,7 @@ def test_consistent_meshes_pay_nothing(device: Device) -> None:
 
 @pytest.mark.parametrize("share", [0.0, 0.4])
 def test_a_car_keeps_its_surface(share: float, device: Device) -> None:
-    mesh = car()
+    mesh = meshes.mesh_of(*wrecks.car(), name="car")
     mesh = turned(mesh, np.random.default_rng(1).random(len(mesh.faces)) < share)
     grid = Grid.fit(mesh, 128)
     flooded, wound = (voxelize(mesh, grid, fill=f, device=device) for f in ("flood", "winding"))
@@ -120,7 +97,7 @@ def test_a_car_keeps_its_surface(share: float, device: Device) -> None:
 
 def test_the_choice_does_not_depend_on_the_grid(device: Device) -> None:
     """A gap is as long in the world at any dim; windows, as of tiles, have the choice of all."""
-    mesh = meshes.mesh_of(*sheet((0.0, 0.0, 0.0), (6, 0, 2), (0, 5, 1)), name="sheet")
+    mesh = meshes.mesh_of(*wrecks.sheet((0.0, 0.0, 0.0), (6, 0, 2), (0, 5, 1)), name="sheet")
     jobs = {dim: plan_voxelize(mesh, Grid.fit(mesh, dim), device=device) for dim in (30, 128, 400)}
     assert len({job.plan.choice for job in jobs.values()}) == 1
     assert {dim: job.plan.rule for dim, job in jobs.items()} == {
@@ -132,7 +109,7 @@ def test_the_choice_does_not_depend_on_the_grid(device: Device) -> None:
 
 
 def test_an_empty_result_names_a_rule(device: Device) -> None:
-    flat = meshes.mesh_of(*sheet((0.0, 0.0, 0.0), (6, 0, 0), (0, 5, 0)))
+    flat = meshes.mesh_of(*wrecks.sheet((0.0, 0.0, 0.0), (6, 0, 0), (0, 5, 0)))
     with pytest.warns(voxtool.MeshWarning, match="choose fill flood"):
         voxelize(flat, Grid.fit(flat, 16), fill="winding", device=device)
     vertices, faces = meshes.open_box(0, 5)
