@@ -190,6 +190,25 @@ def test_rules_of_solids(ball: str) -> None:
     volumes = [point["errors"].get("volume") for point in points]
     assert volumes[0] < volumes[1]  # flood has the voxels of the surface
     assert volumes[2] is None
+    shares = [point["figures"].get("outer surface") for point in points]
+    assert shares == [1, 1, None]
+    assert [point["first"] for point in points] == [None] * 3
+
+
+def test_rules_of_a_wreck(tmp_path: Path, monkeypatch) -> None:
+    """Winding numbers lose what is wound inside out, unless auto turns it: both are measured."""
+    monkeypatch.chdir(tmp_path)
+    vertices, faces = meshes.open_box((7, 0, 0), (12, 5, 5))
+    wreck = meshes.join(meshes.open_box(0, 5), (vertices, faces[:, ::-1]))
+    write_obj(tmp_path / "wreck.obj", *wreck)
+    words = "bench voxelize wreck.obj --dims 64 --modes solid --fills winding,auto --samples 500"
+    points = json.loads(run(f"{words} --repeat 1 --json --budget-error 1").stdout)["points"]
+    assert [point["method"] for point in points] == ["solid, auto (winding)", "solid, winding"]
+    kept, half = (point["figures"]["outer surface"] for point in points)
+    assert kept > 0.98
+    assert abs(half - 0.5) < 0.05
+    assert points[0]["first"] > 0
+    assert points[1]["first"] is None
 
 
 def test_open_models_are_compared_with_their_caps(tmp_path: Path, monkeypatch) -> None:

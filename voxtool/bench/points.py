@@ -42,9 +42,9 @@ _UNITS = {  # of further measures, in the order of their columns
     "host": "s", "command": "s", "build": "s", "upload": "s", "ns a point": "ns",
     "samples a side": "count", "nodes": "share", "looked at": "share", "cut": "share",
     "rms in voxels": "number", "max in voxels": "number", "lipschitz": "number", "load": "share",
-    "within": "share", "within near the surface": "share", "bits a key": "number",
-    "max unsigned": "number", "largest alpha": "number", "times a peer": "number",
-    "over the file": "number",
+    "outer surface": "share", "within": "share", "within near the surface": "share",
+    "bits a key": "number", "max unsigned": "number", "largest alpha": "number",
+    "times a peer": "number", "over the file": "number",
 }  # fmt: skip
 _COUNTS = ("triangles", "vertices", "voxels", "depth", "blocks", "over tolerance", "side of slots",
            "side of offsets", "w", "break-even", "other sign", "pixels compared",
@@ -62,7 +62,8 @@ class Point:
     method, label : name of a line of a chart, and the setting in words.
     runs : seconds of each repeat, after a warm-up.
     command : measures the point again.
-    first : seconds of the first run, if later runs reuse data that it made, as frames do.
+    first : seconds of the first run, if later runs reuse data that it made, as frames and
+        fill "auto" do.
     size, size_of : the number that the cost is drawn against, and the name of that number.
     errors, figures : numbers by the names in MEASURES and FIGURES; a break-even of None is never
         reached.
