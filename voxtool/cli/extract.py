@@ -68,7 +68,7 @@ def command(
     Examples:
       voxtool voxelize bunny.obj --dim 512 -o - | voxtool extract - -o smooth.obj
       voxtool extract bunny.svo.h5 --style surface-nets --check --against bunny.obj
-      voxtool extract part.svo.h5 --style sharp --source part.obj -o part-closed.ply
+      voxtool extract bunny.svo.h5 --style sharp --source bunny.obj -o sharp.ply
       voxtool extract bunny.adf.h5 --offset 0.002 --shell 0.001 --check -o hollow.stl
     """
     style = request["style"]
