@@ -21,6 +21,8 @@ SECONDS ?= 3600
 SEED ?=
 ARGS ?=
 DEVICE ?= gpu
+# With it each process of the tests, hundreds, would compile the package and the tests anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo quick test soak fuzz gpu-report lint docs headers clean
 
