@@ -20,17 +20,14 @@ import numpy as np
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Sequence
-    from typing import Any
 
     Cell = tuple[int, int, int]
-    Point = Sequence[Any]  # whole numbers, or fractions
+    Point = Sequence[int]
     Polygon = list[Point]
     Slab = tuple[int, int]
 
 UNIT = 256  # a voxel
 HALF = UNIT // 2
-ZERO = (0, 0, 0, 0)
-ONE = (1, 0, 0, 0)
 
 
 def surface26(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
@@ -43,11 +40,16 @@ def surface6(triangles: Iterable, shape: Sequence[int]) -> set[Cell]:
     """The 6-separating set of [Schwarz 2010], with the centres moved by (ex, ey, ez)."""
     found = set()
     for triangle in polygons(triangles):
-        forms = _thin_forms(*triangle)
-        for cell in product(*(_overlapped(triangle, a, shape[a]) for a in range(3))):
-            x, y, z = (UNIT * i + HALF for i in cell)
-            if all((d + a * x + b * y + c * z, a, b, c) >= ZERO for d, a, b, c in forms):
-                found.add(cell)
+        layers = [_overlapped(triangle, axis, shape[axis]) for axis in range(3)]
+        passed = np.ones([len(some) for some in layers], bool)
+        for d, *normal in _thin_forms(*triangle):
+            largest = abs(d) + sum(map(abs, normal)) * UNIT * max(shape)
+            kind = np.int64 if largest < 1 << 63 else object  # beyond, Python's integers
+            x, y, z = np.ix_(*(np.array([UNIT * i + HALF for i in some], kind) for some in layers))
+            a, b, c = normal
+            value = d + a * x + b * y + c * z
+            passed &= value >= 0 if (a, b, c) >= (0, 0, 0) else value > 0
+        found |= {cell for cell, is_in in zip(product(*layers), passed.flat, strict=True) if is_in}
     return found
 
 
@@ -68,17 +70,16 @@ def crossings(triangles: Iterable, shape: Sequence[int]) -> Iterator[tuple]:
         det = ay * bz - az * by
         if det == 0:
             continue
+        front, whole = (1 if det > 0 else -1), [abs(det), 0, 0, 0]
         for j, k in product(*(_spanned(triangle, a, shape[a]) for a in (1, 2))):
             y, z = UNIT * j + HALF - y0, UNIT * k + HALF - z0
-            # (y + ey, z + ez) = s a + t b, by Cramer's rule
-            s = [Fraction(v, det) for v in (y * bz - z * by, 0, bz, -by)]
-            t = [Fraction(v, det) for v in (z * ay - y * az, 0, -az, ay)]
-            if min(s, t) < [Fraction(0)] * 4 or [u + v for u, v in zip(s, t, strict=True)] > list(
-                map(Fraction, ONE)
-            ):
+            # |det| (y + ey, z + ez) = s a + t b, by Cramer's rule
+            s = [front * v for v in (y * bz - z * by, 0, bz, -by)]
+            t = [front * v for v in (z * ay - y * az, 0, -az, ay)]
+            if min(s, t) < [0] * 4 or [u + v for u, v in zip(s, t, strict=True)] > whole:
                 continue
-            x = [u * ax + v * bx for u, v in zip(s, t, strict=True)]
-            yield j, k, (x[0] + x0, *x[1:]), -1 if det > 0 else 1
+            x = [Fraction(u * ax + v * bx, abs(det)) for u, v in zip(s, t, strict=True)]
+            yield j, k, (x[0] + x0, *x[1:]), -front
 
 
 def to_dense(voxels: set[Cell], shape: Sequence[int]) -> np.ndarray:
@@ -115,10 +116,16 @@ def polygons(triangles: Iterable) -> Iterator[Polygon]:
         yield [tuple(int(v) for v in point) for point in triangle]
 
 
-def touched(polygon: Polygon, slabs: Sequence[Sequence[Slab]], axis: int = 0) -> Iterator[tuple]:
-    """Cells of a product of closed slabs that a convex polygon touches, which may be a segment or a
-    point: clip it to each slab of one axis, then the rest to those of the next."""
-    low, high = min(p[axis] for p in polygon), max(p[axis] for p in polygon)
+def touched(polygon: Polygon, slabs: Sequence[Sequence[Slab]]) -> Iterator[tuple]:
+    """Cells of a product of closed slabs that a convex polygon of whole numbers touches, which may
+    be a segment or a point."""
+    return _touched([(*point, 1) for point in polygon], slabs, 0)
+
+
+def _touched(polygon: Polygon, slabs: Sequence[Sequence[Slab]], axis: int) -> Iterator[tuple]:
+    """Clip a polygon to each slab of one axis, then the rest to those of the next. Its points are
+    homogeneous: (x, y, z, w) with w > 0 stands for (x / w, y / w, z / w)."""
+    low, high = min(p[axis] // p[3] for p in polygon), max(-(-p[axis] // p[3]) for p in polygon)
     for index, (start, end) in enumerate(slabs[axis]):
         if end < low or high < start:
             continue
@@ -128,19 +135,18 @@ def touched(polygon: Polygon, slabs: Sequence[Sequence[Slab]], axis: int = 0) ->
         if axis == 2:
             yield (index,)
         else:
-            for rest in touched(part, slabs, axis + 1):
+            for rest in _touched(part, slabs, axis + 1):
                 yield (index, *rest)
 
 
 def _clip(polygon: Polygon, axis: int, sign: int, bound: int) -> Polygon:
     """Sutherland and Hodgman: the part of a convex polygon with sign * (p[axis] - bound) >= 0."""
     kept = []
-    sides = [sign * (p[axis] - bound) for p in polygon]
+    sides = [sign * (p[axis] - bound * p[3]) for p in polygon]
     for i, (p, d) in enumerate(zip(polygon, sides, strict=True)):
         q, e = polygon[i - 1], sides[i - 1]
         if d * e < 0:
-            t = Fraction(d, d - e)
-            kept.append(tuple(u + t * (v - u) for u, v in zip(p, q, strict=True)))
+            kept.append(tuple(abs(e) * u + abs(d) * v for u, v in zip(p, q, strict=True)))
         if d >= 0:
             kept.append(p)
     return kept
@@ -155,7 +161,7 @@ def _edges(v0: Point, v1: Point, v2: Point) -> tuple[Point, Point, Point]:
     )
 
 
-def _thin_forms(v0: Point, v1: Point, v2: Point) -> list[tuple[int, int, int, int]]:
+def _thin_forms(v0: Point, v1: Point, v2: Point) -> list[tuple[int, ...]]:
     """Linear forms (d, a, b, c) such that the thin test passes at a centre where none of
     d + a x + b y + c z is negative: the plane's two sides and three edges in each projection."""
     _, a, b = _edges(v0, v1, v2)
