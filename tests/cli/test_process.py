@@ -180,14 +180,14 @@ def test_an_output_that_cannot_be_written(limit, target, said, device, cube) -> 
 
 @pytest.mark.parametrize("device", DRIVERS)
 def test_without_a_cache_folder_there_is_one_warning(device: str, cube) -> None:
-    command = f"$V voxelize cube.obj --dim 16 --device {device} -o a.svo.h5"
+    command = f"$V voxelize cube.obj --dim 16 --mode surface6 --device {device} -o a.svo.h5"
     done = shell(command, XDG_CACHE_HOME="/proc/none", HOME="/proc/none")
     assert (done.returncode, done.stderr.count("\n")) == (0, 2), done.stderr
     assert done.stderr.startswith("voxtool: warning: kernels are compiled anew")
 
 
 def test_a_damaged_cache_is_compiled_anew_and_locks_do_not_matter(cube) -> None:
-    command = "$V voxelize cube.obj --dim 16 -q -o a.svo.h5 --device Intel"
+    command = "$V voxelize cube.obj --dim 16 --mode surface6 -q -o a.svo.h5 --device Intel"
     assert shell(command, XDG_CACHE_HOME=str(cube / "cache")).stderr == ""
     kept = list((cube / "cache" / "voxtool").iterdir())
     assert len(kept) > 3
@@ -208,7 +208,8 @@ def test_a_damaged_cache_is_compiled_anew_and_locks_do_not_matter(cube) -> None:
 def test_a_cache_that_others_can_write_to_is_not_used(cube) -> None:
     (cube / "cache/voxtool").mkdir(parents=True)
     (cube / "cache/voxtool").chmod(0o777)
-    done = shell("$V voxelize cube.obj --dim 16 -o a.svo.h5", XDG_CACHE_HOME=str(cube / "cache"))
+    command = "$V voxelize cube.obj --dim 16 --mode surface6 -o a.svo.h5"
+    done = shell(command, XDG_CACHE_HOME=str(cube / "cache"))
     assert "compiled anew" in done.stderr
     assert not os.listdir(cube / "cache/voxtool")
 
