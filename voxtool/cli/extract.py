@@ -210,6 +210,7 @@ def facts_of(source: Octree | DistanceField, surface: Any) -> dict[str, Any]:
             else {
                 "vertices_constrained": features.constrained,
                 "vertices_without_crossing": features.open,
+                "vertices_moved": features.moved,
             }
         ),
         "digest": surface.digest(),

@@ -7,7 +7,8 @@ lies outside its cell, the search goes on from where the tangent plane passes th
 Where the target misses the cell, as over a hole that the fill rule closed, the vertex stays where
 the net has it. Of several targets the nearest point counts.
 
-Faces that then pass through others get their vertices back from the net, in rounds.
+Faces that then pass through others are split anew, or get their vertices back from the net
+(svo/surface/untangle.py).
 
 All positions are whole numbers of the lattice of the net's points.
 """
@@ -19,10 +20,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.spatial.bvh import build_tree
 from voxtool.spatial.distance import POINTS_AT_ONCE
-from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.svo.surface.isosurface import LATTICE, NEAREST, Isosurface
+from voxtool.svo.surface.untangle import Untangled, untangle
 from voxtool.vector import dot
 
 if TYPE_CHECKING:
@@ -34,17 +34,20 @@ if TYPE_CHECKING:
 PROJECTIONS = 4  # onto the mesh, of each vertex
 HALVINGS = 24  # of a range of a few cells: 2**-8 of a step of the lattice
 NONE = -1  # in place of a target
-ROUNDS = 4  # in which faces that pass through others get the net's vertices back
 
 
 @dataclass(frozen=True)
 class Fitted:
-    """A surface whose vertices were moved, (V,) int64 the target on which each of them lies, or
-    NONE, and (F,) uint8 which faces others pass through, as find_self_intersections says."""
+    """A surface whose vertices were moved, with the faces that others still pass through, and (V,)
+    int64 the target on which each vertex lies, or NONE."""
 
-    surface: Isosurface
+    found: Untangled
     targets: np.ndarray
-    crossed: np.ndarray
+
+    @property
+    def surface(self) -> Isosurface:
+        """The surface."""
+        return self.found.surface
 
 
 def fit(net: Isosurface, targets: Sequence[Target], device: Device) -> Fitted:
@@ -55,7 +58,8 @@ def fit(net: Isosurface, targets: Sequence[Target], device: Device) -> Fitted:
             block = slice(start, start + POINTS_AT_ONCE)
             points[block], on[block] = _laid(net, points[block], targets)
     with device.stage("self-intersections"):
-        return _untangle(net, points, on, device)
+        found = untangle(replace(net, points=points), net.points, device)
+    return Fitted(found, np.where(found.moved, NONE, on))
 
 
 def cells_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -120,25 +124,3 @@ def onto_planes(
         above = dot(moved - on_planes, normals) > 0
         first, last = np.where(above, middle, first), np.where(above, last, middle)
     return np.clip(points - last[:, None] * normals, low, high)
-
-
-def _untangle(net: Isosurface, points: np.ndarray, on: np.ndarray, device: Device) -> Fitted:
-    """Return the surface of these points. The corners of faces that have no area, or pass through
-    others, and vertices in one place get the net's points."""
-    for turn in range(ROUNDS + 1):
-        surface = replace(net, points=points)
-        mesh, flat = surface.mesh(), flat_faces(surface)
-        tree = build_tree(device, mesh, flat.astype(np.uint8))
-        crossed = find_self_intersections(device, mesh, tree)
-        back = np.bincount(mesh.positions)[mesh.positions] > 1
-        back[net.faces[(crossed > 0) | flat]] = True
-        if turn == ROUNDS or not back.any():
-            break
-        points, on = np.where(back[:, None], net.points, points), np.where(back, NONE, on)
-    return Fitted(surface, on, crossed)
-
-
-def flat_faces(surface: Isosurface) -> np.ndarray:
-    """Return which faces have no area, (F,) bool, exactly: corners are a few cells apart."""
-    a, b, c = (surface.points[surface.faces[:, i]].astype(np.int64) for i in range(3))
-    return (np.cross(b - a, c - a) == 0).all(axis=1)

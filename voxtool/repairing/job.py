@@ -43,7 +43,6 @@ from voxtool.repairing.walls import (
 )
 from voxtool.spatial.distance import TriangleDistance
 from voxtool.spatial.orientation import orient
-from voxtool.spatial.self_intersections import UNDECIDED
 from voxtool.svo.booleans import combine
 from voxtool.svo.components import plan_keep_components
 from voxtool.svo.surface.extract import plan_extract
@@ -158,8 +157,8 @@ class RepairJob(Job[Repaired]):
             octree, fitted, wall = self._hollow(octree, fitted, onto_surface, target)
         with self.stage("check"):
             checked = fitted.surface.check()
-        for name, state in (("self_intersecting", 1), ("undecided", UNDECIDED)):
-            checked[f"{name}_faces"] = int(np.count_nonzero(fitted.crossed == state))
+        checked["self_intersecting_faces"] = fitted.found.crossed
+        checked["undecided_faces"] = fitted.found.undecided
         return Repaired(
             surface=fitted.surface,
             fill=found.fill,

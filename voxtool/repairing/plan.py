@@ -11,7 +11,7 @@ from voxtool.job import Cost
 from voxtool.spatial.bvh import tree_bytes
 from voxtool.spatial.distance import POINTS_AT_ONCE, rounded_bytes
 from voxtool.svo.layout import BRICK_BYTES
-from voxtool.svo.surface.plan import EDGE_BYTES, MAX_SAMPLES, TILE_BYTES
+from voxtool.svo.surface.plan import EDGE_BYTES, MAX_SAMPLES, TILE_BYTES, untangling_bytes
 
 if TYPE_CHECKING:
     from voxtool.svo.plan import VoxelizePlan
@@ -81,9 +81,8 @@ class RepairPlan:
         net += EDGE_BYTES[STYLE] * n
         fit = tree_bytes(self.triangles) + rounded_bytes(self.triangles)
         fit += POINT_BYTES * min(n, POINTS_AT_ONCE)
-        crossed = tree_bytes(2 * n) + 80 * n
         return Cost(
-            device=max(voxels.device, net, fit, crossed),
+            device=max(voxels.device, net, fit, untangling_bytes(n)),
             host=voxels.host + VERTEX_HOST_BYTES * n,
             largest=max(voxels.largest, 240 * n),
         )

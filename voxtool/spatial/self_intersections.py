@@ -27,22 +27,31 @@ if TYPE_CHECKING:
 
 SOURCE = "spatial/self_intersections.cl"
 UNDECIDED = 2
+LEFT_OUT = 3  # of faces that are not examined, while kernels run
 NEAR = 128  # faces that are tested against each face
 TESTS = 1 << 23  # shared by the faces that NEAR leaves undecided; more in large meshes
 HEADERS = {"spatial/self_intersections.h": program.c_constants(UNDECIDED=UNDECIDED)}
 
 
 def find_self_intersections(
-    device: Device, mesh: Mesh, tree: TriangleTree, tests: int = TESTS
+    device: Device,
+    mesh: Mesh,
+    tree: TriangleTree,
+    tests: int = TESTS,
+    some: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return whether another face meets each face outside their common corners and edges, (F,)
     uint8: 0, 1, or UNDECIDED where too many faces are near to test them all.
 
     Faces without area, and those that are not in the tree, do not count. The tree has names.
+    `some` are the faces that are tested against all, (F,) bool, with 0 for the others; None for
+    all.
     """
     vertices, faces = device.put(tree.frame.local(mesh.vertices)), device.put(mesh.faces)
     corners = device.put(mesh.positions[mesh.faces].astype(np.int32))
     found = device.zeros(len(mesh.faces), np.uint8)
+    if some is not None:
+        found = device.put(np.where(some, 0, LEFT_OUT).astype(np.uint8))
     with device.stage("self-intersections"):
         find = device.kernel(SOURCE, "find_self_intersections")
         shared = (tree.names, vertices, faces, corners, tree.nodes, tree.first_leaf)
@@ -51,4 +60,6 @@ def find_self_intersections(
         most = max(tests, NEAR * tree.count) // max(undecided, 1)
         if undecided and most > 2 * NEAR:
             find(tree.count, *shared, min(most, 1 << 31), UNDECIDED, found)
-        return found.take()
+        result = found.take()
+    result[result == LEFT_OUT] = 0
+    return result

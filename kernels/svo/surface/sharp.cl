@@ -86,11 +86,14 @@ bool crossing_of_link(SOURCE, int3 voxel, uint axis, bool is_inside, plane *best
 
 int to_lattice(double t) { return within((int)(t * LATTICE + 0.5)); }
 
+ulong pack_point(double3 at) { return pack(to_lattice(at.x), to_lattice(at.y), to_lattice(at.z)); }
+
 // Places the vertex of each loop: kinds[i] says how it was found. `packed` holds the vertices in
-// their cells, and `errors` the squared distances to their planes, from the corner of the cell.
+// their cells, `means` those of their crossings, and `errors` the squared distances to their planes,
+// from the corner of the cell.
 __kernel void place_features(__global const uint *codes, const uint n, CUBES, SOURCE,
-                             const int shift, __global ulong *packed, __global uchar *kinds,
-                             __global qef *errors)
+                             const int shift, __global ulong *packed, __global ulong *means,
+                             __global uchar *kinds, __global qef *errors)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -118,7 +121,9 @@ __kernel void place_features(__global const uint *codes, const uint n, CUBES, SO
             if (step & STEP_LAST) {
                 bool inside;
                 const double3 t = minimum_of_qef(&sum, low, high, &inside);
-                packed[vertex] = pack(to_lattice(t.x), to_lattice(t.y), to_lattice(t.z));
+                packed[vertex] = pack_point(t);
+                means[vertex] = pack_point(
+                    (double3)(sum.points[0], sum.points[1], sum.points[2]) / sum.count);
                 kinds[vertex] = any ? inside ? FREE : CONSTRAINED : OPEN;
                 errors[vertex++] = sum;
                 sum = empty_qef();

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from conftest import model
 from helpers_cli import fail, run, write_obj
+from helpers_octree import octree_from_dense
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from svo.test_voxelize import lattice_grid, lattice_mesh
@@ -22,6 +23,7 @@ from voxtool.opencl import Device
 from voxtool.svo.surface.extract import extract
 from voxtool.svo.surface.isosurface import LATTICE, NEAREST, Isosurface
 from voxtool.svo.surface.sharp import find_crossings
+from voxtool.svo.surface.untangle import untangle, wrong_faces
 
 SHAPES = st.sampled_from([(16, 16, 16), (9, 17, 12)])
 SHARP_EDGE = np.cos(np.radians(30))
@@ -34,6 +36,8 @@ def sharp(device: Device, mesh: Mesh, dim: int) -> tuple[Isosurface, float]:
     found = surface.check()
     assert found["closed"]
     assert found["degenerate_faces"] == 0
+    assert found["self_intersecting_faces"] == found["undecided_faces"] == 0
+    assert not wrong_faces(surface, device).any()
     return surface, octree.grid.pitch[0]
 
 
@@ -188,6 +192,52 @@ def test_an_apex_of_many_faces_and_a_thin_sheet(device: Device) -> None:
     thin = extract(octree, style="sharp", source=sheet, device=device)
     assert thin.check()["closed"]
     np.testing.assert_allclose(np.unique(thin.vertices[:, 2].round(3)), [7.4, 7.7], atol=1e-3)
+
+
+# ---- self-intersections
+
+
+def test_tangled_surfaces_come_apart(device: Device) -> None:
+    """A net of random voxels whose vertices lie anywhere in their cells: what is moved is nearer to
+    home, and quads have one of their two diagonals."""
+    rng = np.random.default_rng(1)
+    octree = octree_from_dense(rng.random((12, 12, 12)) < 0.1)
+    net = voxtool.extract(octree, style="surface-nets", device=device)
+    cells = (net.points - LATTICE // 2) // LATTICE * LATTICE + LATTICE // 2
+    anywhere = rng.integers(NEAREST, LATTICE - NEAREST, net.points.shape)
+    tangled = replace(net, points=(cells + anywhere).astype(np.int32))
+    before = wrong_faces(tangled, device)
+    found = untangle(tangled, net.points, device)
+    assert found.crossed == found.undecided == 0
+    assert not wrong_faces(found.surface, device).any()
+    assert found.surface.check()["closed"]
+    assert 0 < np.count_nonzero(found.moved) < np.count_nonzero(before > 0)
+    far, left = (np.abs(s.points - net.points).sum(axis=1) for s in (tangled, found.surface))
+    assert (left[found.moved] <= 0.8 * far[found.moved]).all()
+    assert np.array_equal(found.surface.points[~found.moved], tangled.points[~found.moved])
+    diagonal = np.sort(found.surface.faces[::2, [0, 2]], axis=1)
+    a, b, c, d = *net.faces[::2].T, net.faces[1::2, 2]
+    same, other = (
+        (diagonal == np.sort(np.stack(ends, axis=1), axis=1)).all(axis=1)
+        for ends in ((a, c), (b, d))
+    )
+    assert (same ^ other).all()
+    assert same.any()
+    assert other.any()
+
+
+def test_what_cannot_be_mended_is_counted(device: Device) -> None:
+    """All homes of a ball in one place of their cells, through each other: the number of faces is
+    that of a test of all."""
+    ball = meshes.mesh_of(*meshes.icosphere(2))
+    net = voxtool.extract(
+        voxtool.voxelize(ball, dim=16, device=device), style="surface-nets", device=device
+    )
+    mirrored = net.points[::-1].copy()
+    found = untangle(replace(net, points=mirrored), mirrored, device)
+    wrong = wrong_faces(found.surface, device)
+    assert found.crossed == np.count_nonzero(wrong == 1) > 0
+    assert not found.moved.any()
 
 
 # ---- links without crossings

@@ -184,7 +184,7 @@ class Extracted:
     lost : as of count_lost.
     points : (3 V,) int32 as Isosurface.points.
     triangles : (3 F,) uint32 vertices, counter-clockwise seen from outside.
-    features : of a sharp surface.
+    features, home : of a sharp surface; home: (3 V,) int32, the means of crossings.
     """
 
     cubes: int
@@ -192,6 +192,7 @@ class Extracted:
     points: Array
     triangles: Array
     features: Features | None = None
+    home: Array | None = None
 
 
 def find_tiles(

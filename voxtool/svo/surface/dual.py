@@ -103,10 +103,10 @@ def dual_surface(
             points, quads = join_squares(device, points, quads)
     with device.stage("triangles"):
         if features is None:
-            triangles = split_quads(tiles, points, quads)
-        else:
-            triangles = split_along_features(tiles, features, points, quads)
-    return Extracted(cubes.n, lost, points, triangles, features and features.found)
+            return Extracted(cubes.n, lost, points, split_quads(tiles, points, quads))
+        triangles = split_along_features(tiles, features, points, quads)
+    home = _unpacked(tiles, cubes, features.means)
+    return Extracted(cubes.n, lost, points, triangles, features.found, home)
 
 
 def _classify(tiles: Tiles) -> CutCubes:

@@ -5,9 +5,10 @@ The stages, on the device [voCCeL, chapter 4 and sections 5.1 and 6.3]:
 1. tiles, samples: the cubes that the surface may cross, and the scalars at their corners.
 2. classify: the case of each cut cube.
 3. vertices, triangles: by marching cubes (marching_cubes.py) or a dual style (dual.py).
+4. self-intersections, of sharp surfaces: removed as far as that can be had (untangle.py).
 
-All of it is integer arithmetic: the crossing of an edge is rounded once, to 2**-14 of a sample's
-side, so the mesh is the same on every device.
+All of it but sharp surfaces is integer arithmetic: the crossing of an edge is rounded once, to
+2**-14 of a sample's side, so the mesh is the same on every device.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, Self
+
+import numpy as np
 
 from voxtool.choices import (
     MARCHING_CUBES,
@@ -44,6 +47,7 @@ from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.svo.surface.marching_cubes import march_cubes
 from voxtool.svo.surface.plan import MAX_SAMPLES, RELAXATIONS, ExtractionPlan, active_tiles
 from voxtool.svo.surface.sharp import find_crossings
+from voxtool.svo.surface.untangle import untangle
 
 # Shares of the set voxels from which on their loss is a warning: in samples below the isovalue,
 # and, of them, away from the surface.
@@ -195,7 +199,7 @@ class ExtractJob(Job[Isosurface]):
                 plan.merge, crossings,
             )  # fmt: skip
         with device.stage("read back"):
-            return Isosurface(
+            surface = Isosurface(
                 grid=self.octree.grid,
                 units=self.octree.units,
                 style=plan.style,
@@ -210,6 +214,22 @@ class ExtractJob(Job[Isosurface]):
                 merged=plan.merge,
                 features=found.features,
             )
+        if found.home is None or not len(surface.faces):
+            return surface
+        return self._untangled(surface, found.home.take().reshape(-1, 3))
+
+    def _untangled(self, surface: Isosurface, home: np.ndarray) -> Isosurface:
+        """Return a sharp surface whose faces do not intersect, as far as that can be had."""
+        with self.device.stage("self-intersections"):
+            found = untangle(surface, home, self.device)
+        assert surface.features is not None
+        features = replace(
+            surface.features,
+            moved=int(np.count_nonzero(found.moved)),
+            crossed=found.crossed,
+            undecided=found.undecided,
+        )
+        return replace(found.surface, features=features)
 
     def findings(self, result: Isosurface) -> Iterator[str]:
         """Yield why the surface is empty, or what the samples lose if that is much."""
@@ -223,6 +243,11 @@ class ExtractJob(Job[Isosurface]):
             )
         elif lost.below > MUCH_BELOW * count or lost.vanished > MUCH_VANISHED * count:
             yield self._losses(result)
+        if result.features and (tangled := result.features.crossed + result.features.undecided):
+            yield (
+                f"{count_of(tangled, 'face')} of {len(result.faces):,} may pass through others: "
+                "choose another dim"
+            )
 
     def notes(self, result: Isosurface) -> Iterator[str]:
         """Yield what the samples lose if that is little."""

@@ -40,10 +40,13 @@ class Lost:
 @dataclass(frozen=True)
 class Features:
     """Numbers of vertices of a sharp surface that are not where the planes of their crossings meet
-    best."""
+    best, and of its faces that others pass through."""
 
     constrained: int  # that would lie outside their cell, and are at the best place within it
     open: int  # whose links the source does not cross: placed as those of surface nets
+    moved: int = 0  # towards the mean of their crossings, so that faces do not intersect
+    crossed: int = 0  # faces that others pass through
+    undecided: int = 0  # faces too near to too many others to tell
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -141,13 +144,18 @@ class Isosurface(Data):
 
     def check(self) -> dict[str, Any]:
         """Return whether the surface is closed, its volume in cubic world units, and the counts of
-        check_surface; of a merged surface, whose edges end within others, no counts."""
+        check_surface; of a merged surface, whose edges end within others, no counts. Of a sharp
+        surface also the numbers of faces that others pass through, and where that is undecided."""
         mesh = self.mesh()
         if self.merged:
             return {"closed": closed_chain(mesh), "t_junctions": True, "volume": volume(mesh)}
         found = check_surface(mesh, weld=False)
         closed = found.watertight and found.manifold
-        return {**found.as_dict(), "closed": closed, "volume": volume(mesh)}
+        apart = {}
+        if self.features is not None:
+            apart["self_intersecting_faces"] = self.features.crossed
+            apart["undecided_faces"] = self.features.undecided
+        return {**found.as_dict(), "closed": closed, "volume": volume(mesh), **apart}
 
     def to_trimesh(self) -> trimesh.Trimesh:
         """Return the surface as a `trimesh.Trimesh` in world units, in the same order."""

@@ -9,11 +9,12 @@ from typing import Any
 from voxtool.choices import MARCHING_CUBES, SHARP, SURFACE_NETS, VOXEL_FACES
 from voxtool.errors import MemoryLimitError
 from voxtool.job import Cost
+from voxtool.spatial.bvh import tree_bytes
 from voxtool.svo.layout import BRICK_BYTES
 
 MAX_SAMPLES = 4096  # along a side: tiles of four have Morton codes of 30 bits
 TILE_BYTES = 124  # on the device: of a tile,
-EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 52, SURFACE_NETS: 96, SHARP: 240}  # a cut edge,
+EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 52, SURFACE_NETS: 96, SHARP: 260}  # a cut edge,
 MERGE_BYTES = 64  # and one of voxel faces that are merged
 SOURCE_BYTES = 60, 24  # of a sharp surface: of a vertex of the source, and of a face
 RELAXATIONS = 16  # of surface nets of voxels, as in VTK
@@ -60,6 +61,8 @@ class ExtractionPlan:
             "merge": self.merge,
             "triangles": True,
             "read back": True,
+            "self-intersections": self.style == SHARP,
+            "tree": self.style == SHARP,
         }
         return [stage for stage, runs in stages.items() if runs]
 
@@ -82,8 +85,9 @@ class ExtractionPlan:
         corner, face = SOURCE_BYTES
         source = corner * self.corners + face * self.faces
         edge = EDGE_BYTES[self.style] + (MERGE_BYTES if self.merge else 0)
+        apart = untangling_bytes(self.edges) if self.style == SHARP else 0
         return Cost(
-            device=octree + tiles + edge * self.edges + source,
+            device=octree + tiles + max(edge * self.edges + source, apart),
             largest=max(bricks, self.samples**3 // 512, 64 * self.tiles, 28 * self.edges),
         )
 
@@ -151,6 +155,12 @@ class ExtractionPlan:
         surface = f"{self.style}, level {self.level}: {self.samples} samples along the root"
         cubes = f"about {self.cubes:,}, in {self.tiles:,} tiles"
         return [("surface", surface), ("cut cubes", cubes)]
+
+
+def untangling_bytes(edges: int) -> int:
+    """Return the bytes on the device of the test for self-intersections, of two faces and about one
+    vertex for each cut edge."""
+    return tree_bytes(2 * edges) + 80 * edges
 
 
 def active_tiles(nodes: tuple[int, ...], level: int | str) -> int:

@@ -47,11 +47,12 @@ HEADERS = {
 class Vertices:
     """Vertices on features, on the device.
 
-    held : (V,) uint64, in their cells, packed; kinds : (V,) uint8; errors : (14 V,) float64, the
-    squared distances to the planes of each.
+    held, means : (V,) uint64, in their cells, packed: they, and the means of their crossings;
+    kinds : (V,) uint8; errors : (14 V,) float64, the squared distances to the planes of each.
     """
 
     held: Array
+    means: Array
     kinds: Array
     errors: Array
     count: int
@@ -113,14 +114,15 @@ def place_features(
 ) -> Vertices:
     """Return the `count` vertices of the cut cubes."""
     device = tiles.device
-    held, kinds = device.empty(count, np.uint64), device.empty(count, np.uint8)
+    held, means = (device.empty(count, np.uint64) for _ in range(2))
+    kinds = device.empty(count, np.uint8)
     errors = device.empty(QEF_NUMBERS * count, np.float64)
     tiles.kernel(SOURCE, "place_features")(
-        tiles.n, packed=held, kinds=kinds, errors=errors, **cubes, **crossings
+        tiles.n, packed=held, means=means, kinds=kinds, errors=errors, **cubes, **crossings
     )
     number = np.bincount(kinds.get(), minlength=3)
     found = Features(constrained=int(number[CONSTRAINED]), open=int(number[OPEN]))
-    return Vertices(held, kinds, errors, count, found)
+    return Vertices(held, means, kinds, errors, count, found)
 
 
 def hold_features(tiles: Tiles, vertices: Vertices, packed: Array) -> None:
