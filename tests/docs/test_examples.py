@@ -1,8 +1,12 @@
-"""The examples as a user runs them: in processes of their own, with small grids."""
+"""The examples with small grids: in processes of their own, as a user runs them, or, where a test
+calls one several times, in this process."""
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -70,7 +74,24 @@ def golden(folder):
 
 
 def regression(*words, cwd, status=0):
-    return run(sys.executable, EXAMPLES / "regression.py", *words, cwd=cwd, status=status)
+    """What regression.py prints, run in this process."""
+    said = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
+        patch.chdir(cwd)
+        patch.setattr(sys, "argv", ["regression.py", *map(str, words)])
+        try:
+            runpy.run_path(str(EXAMPLES / "regression.py"), run_name="__main__")
+            code = 0
+        except SystemExit as end:
+            code = int(bool(end.code))  # a message is a 1
+    assert code == status
+    return said.getvalue()
+
+
+def test_regression_is_a_program(golden):
+    script = EXAMPLES / "regression.py"
+    assert "3 of 3 updated" in run(sys.executable, script, golden, "--update", cwd=golden.parent)
+    run(sys.executable, script, golden.parent / "none.json", cwd=golden.parent, status=1)
 
 
 def test_regression_accepts_what_it_wrote(golden, tmp_path_factory):
