@@ -1,13 +1,11 @@
-"""Inside or outside by plain oracles: rational crossings, and solid angles in numpy."""
+"""Inside or outside by plain oracles: crossings in whole numbers, and solid angles in numpy."""
 
 from __future__ import annotations
-
-from fractions import Fraction
 
 import numpy as np
 
 # a way to infinity that meets no edge of meshes of small whole numbers
-AWAY = [Fraction(1), Fraction(1, 10007), Fraction(1, 100000007)]
+AWAY = [10007 * 100000007, 100000007, 10007]
 
 
 def winding(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -24,16 +22,21 @@ def winding(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def inside(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(N,) bool: an odd number of triangles lies in the direction AWAY, in rational arithmetic."""
-    corners = [[_rational(corner) for corner in triangle] for triangle in triangles]
-    return np.array([_odd(_rational(p), corners) for p in points])
+    """(N,) bool: an odd number of triangles lies in the direction AWAY, in whole numbers."""
+    n = len(points)
+    places = whole(np.concatenate([points, np.reshape(triangles, (-1, 3))]))
+    corners = [places[i : i + 3] for i in range(n, len(places), 3)]
+    return np.array([_odd(p, corners) for p in places[:n]])
 
 
-def _rational(point: np.ndarray) -> list[Fraction]:
-    return [Fraction(float(x)) for x in point]
+def whole(points: np.ndarray) -> list[list[int]]:
+    """The points times the least power of two that makes all their coordinates whole."""
+    ratios = [[float(x).as_integer_ratio() for x in point] for point in points]
+    most = max(over for point in ratios for _, over in point)
+    return [[x * (most // over) for x, over in point] for point in ratios]
 
 
-def _determinant(a, b, c) -> Fraction:
+def _determinant(a, b, c) -> int:
     return (
         a[0] * (b[1] * c[2] - b[2] * c[1])
         + a[1] * (b[2] * c[0] - b[0] * c[2])

@@ -9,6 +9,7 @@ import meshes
 import numpy as np
 import pytest
 from conftest import model
+from helpers_signs import whole
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from voxtool.opencl import Device
 
 CLOSE = Fraction(1, 10**12)  # of the longest side: how far from meeting what counts as it may be
-Point = tuple[Fraction, ...]
+Point = tuple[Any, ...]  # whole numbers, or fractions
 
 
 def crossings(device: Device, vertices, faces=None, tests: int = TESTS) -> np.ndarray:
@@ -44,15 +45,15 @@ def minus(a: Sequence, b: Sequence) -> Point:
     return tuple(x - y for x, y in zip(a, b, strict=True))
 
 
-def dot(a: Sequence, b: Sequence) -> Fraction:
-    return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
+def dot(a: Sequence, b: Sequence) -> Any:
+    return sum(x * y for x, y in zip(a, b, strict=True))
 
 
 def cross(a: Sequence, b: Sequence) -> Point:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-def turn(a: Sequence, b: Sequence, c: Sequence) -> Fraction:
+def turn(a: Sequence, b: Sequence, c: Sequence) -> Any:
     """Twice the area of a triangle in the plane."""
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
@@ -89,8 +90,8 @@ def segment_meets(p: Sequence, q: Sequence, triangle: Sequence[Sequence]) -> boo
         return within(seen(p), flat) or any(segments_meet(seen(p), seen(q), *e) for e in edges)
     if at_p * at_q > 0:
         return False
-    t = Fraction(at_p) / (at_p - at_q)
-    return within(seen([x + t * (y - x) for x, y in zip(p, q, strict=True)]), flat)
+    crossed = [at_p * y - at_q * x for x, y in zip(p, q, strict=True)]  # times at_p - at_q
+    return within(seen(crossed), [[(at_p - at_q) * x for x in corner] for corner in flat])
 
 
 def has_area(t: Sequence) -> bool:
@@ -105,7 +106,8 @@ def meet(t: Any, u: Any) -> bool:
     """Return whether two triangles meet outside the corners that they share. If they share one, a
     ray from it in both triangles leaves one of them first, across its opposite edge; if they share
     two, they fold back onto each other."""
-    t, u = rational(t), rational(u)
+    corners = [tuple(corner) for corner in whole(np.concatenate([t, u]))]
+    t, u = corners[:3], corners[3:]
     shared = set(t) & set(u)
     if not (has_area(t) and has_area(u)):
         return False
