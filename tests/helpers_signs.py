@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from voxtool.selftest.oracles import whole
+
 # a way to infinity that meets no edge of meshes of small whole numbers
 AWAY = [10007 * 100000007, 100000007, 10007]
 
@@ -24,16 +26,9 @@ def winding(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 def inside(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(N,) bool: an odd number of triangles lies in the direction AWAY, in whole numbers."""
     n = len(points)
-    places = whole(np.concatenate([points, np.reshape(triangles, (-1, 3))]))
+    places, _ = whole(np.concatenate([points, np.reshape(triangles, (-1, 3))]))
     corners = [places[i : i + 3] for i in range(n, len(places), 3)]
     return np.array([_odd(p, corners) for p in places[:n]])
-
-
-def whole(points: np.ndarray) -> list[list[int]]:
-    """The points times the least power of two that makes all their coordinates whole."""
-    ratios = [[float(x).as_integer_ratio() for x in point] for point in points]
-    most = max(over for point in ratios for _, over in point)
-    return [[x * (most // over) for x, over in point] for point in ratios]
 
 
 def _determinant(a, b, c) -> int:

@@ -9,12 +9,12 @@ import meshes
 import numpy as np
 import pytest
 from conftest import model
-from helpers_signs import whole
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from voxtool.files.mesh import load_mesh
 from voxtool.mesh.mesh import Mesh
+from voxtool.selftest.oracles import whole
 from voxtool.spatial.bvh import build_tree
 from voxtool.spatial.pseudonormals import pseudonormals
 from voxtool.spatial.self_intersections import TESTS, UNDECIDED, find_self_intersections
@@ -106,7 +106,7 @@ def meet(t: Any, u: Any) -> bool:
     """Return whether two triangles meet outside the corners that they share. If they share one, a
     ray from it in both triangles leaves one of them first, across its opposite edge; if they share
     two, they fold back onto each other."""
-    corners = [tuple(corner) for corner in whole(np.concatenate([t, u]))]
+    corners = [tuple(corner) for corner in whole(np.concatenate([t, u]))[0]]
     t, u = corners[:3], corners[3:]
     shared = set(t) & set(u)
     if not (has_area(t) and has_area(u)):

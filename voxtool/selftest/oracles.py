@@ -93,8 +93,19 @@ def to_dense(voxels: set[Cell], shape: Sequence[int]) -> np.ndarray:
 def distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(N,) float64: the distances of (N, 3) points to the nearest of (F, 3, 3) triangles, computed
     exactly and rounded once."""
-    corners = [[_rational(c) for c in triangle] for triangle in triangles]
-    return np.array([_root(min(_squared(_rational(p), *t) for t in corners)) for p in points])
+    n = len(points)
+    places, scale = whole(np.concatenate([points, np.reshape(triangles, (-1, 3))]))
+    corners = [places[i : i + 3] for i in range(n, len(places), 3)]
+    return np.array(
+        [_root(min(_squared(p, *t) for t in corners) / scale**2) for p in places[:n]], np.float64
+    )
+
+
+def whole(points: np.ndarray) -> tuple[list[list[int]], int]:
+    """The points times the least power of two that makes all their coordinates whole, and it."""
+    ratios = [[float(x).as_integer_ratio() for x in point] for point in points]
+    scale = max((over for point in ratios for _, over in point), default=1)
+    return [[x * (scale // over) for x, over in point] for point in ratios], scale
 
 
 def winding_numbers(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
@@ -192,38 +203,32 @@ def _spanned(polygon: Polygon, axis: int, count: int) -> list[int]:
     return [i for i in range(count) if low <= UNIT * i + HALF <= high]
 
 
-def _rational(point: np.ndarray) -> list[Fraction]:
-    return [Fraction(float(x)) for x in point]
+def _dot(a: Point, b: Point) -> int:
+    return sum(x * y for x, y in zip(a, b, strict=True))
 
 
-def _dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
-    return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
-
-
-def _minus(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
+def _minus(a: Point, b: Point) -> list[int]:
     return [x - y for x, y in zip(a, b, strict=True)]
 
 
-def _to_segment(p: list[Fraction], a: list[Fraction], b: list[Fraction]) -> Fraction:
+def _to_segment(p: Point, a: Point, b: Point) -> Fraction:
     e, w = _minus(b, a), _minus(p, a)
-    ee = _dot(e, e)
-    t = min(max(_dot(w, e) / ee, Fraction(0)), Fraction(1)) if ee else Fraction(0)
-    r = [wi - t * ei for wi, ei in zip(w, e, strict=True)]
-    return _dot(r, r)
+    ee, we = _dot(e, e), _dot(w, e)
+    if 0 < we < ee:
+        return Fraction(_dot(w, w) * ee - we * we, ee)
+    r = w if we <= 0 else _minus(p, b)
+    return Fraction(_dot(r, r))
 
 
-def _squared(p: list[Fraction], *corners: list[Fraction]) -> Fraction:
-    a, b, c = corners
-    least = min(_to_segment(p, a, b), _to_segment(p, b, c), _to_segment(p, c, a))
+def _squared(p: Point, a: Point, b: Point, c: Point) -> Fraction:
+    """The square of the distance of a point from a triangle of whole numbers."""
     e, f, w = _minus(b, a), _minus(c, a), _minus(p, a)
     ee, ef, ff, we, wf = _dot(e, e), _dot(e, f), _dot(f, f), _dot(w, e), _dot(w, f)
-    area = ee * ff - ef * ef
-    if area:
-        u, v = (we * ff - wf * ef) / area, (wf * ee - we * ef) / area
-        if u >= 0 and v >= 0 and u + v <= 1:
-            r = [wi - u * ei - v * fi for wi, ei, fi in zip(w, e, f, strict=True)]
-            least = min(least, _dot(r, r))
-    return least
+    area = ee * ff - ef * ef  # the square of that of a parallelogram
+    u, v = we * ff - wf * ef, wf * ee - we * ef
+    if area and u >= 0 and v >= 0 and u + v <= area:
+        return Fraction(_dot(w, w) * area - u * we - v * wf, area)
+    return min(_to_segment(p, a, b), _to_segment(p, b, c), _to_segment(p, c, a))
 
 
 def _root(square: Fraction) -> float:
