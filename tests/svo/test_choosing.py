@@ -80,6 +80,23 @@ def test_consistent_meshes_pay_nothing(device: Device) -> None:
         assert "choice" not in job.plan.scene()
 
 
+@pytest.mark.parametrize("fin", [False, True])
+def test_parts_that_overlap_are_not_flooded_to_a_crust(fin: bool, device: Device) -> None:
+    """Through holes the flood reaches walls between the parts: a crust keeps them, a solid loses
+    them. Edges of three faces are no reason to take the crust."""
+    vertices, faces = meshes.join(meshes.icosphere(2), meshes.icosphere(2, (1.0, 0.2, 0.1), 0.9))
+    faces = np.delete(faces, np.arange(0, len(faces), 17), axis=0)
+    if fin:
+        faces = np.concatenate([faces, [[*faces[100, 1::-1], faces[101, 2]]]])
+    proper = meshes.mesh_of(vertices, faces)
+    mesh = turned(proper, np.arange(len(faces)) % 5 == 0)
+    grid = Grid.fit(mesh, 24)
+    job = plan_voxelize(mesh, grid, device=device)
+    octree = job.run()
+    assert octree == voxelize(proper, grid, fill="winding", device=device)
+    assert "the rest is inside" in job.plan.choice
+
+
 @pytest.mark.parametrize("share", [0.0, 0.4])
 def test_a_car_keeps_its_surface(share: float, device: Device) -> None:
     mesh = meshes.mesh_of(*wrecks.car(), name="car")

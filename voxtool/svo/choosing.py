@@ -7,6 +7,10 @@ a grid of DIM voxels around it whatever grid is asked for: winding numbers of th
 its edges agree, and of the oriented mesh (spatial/orientation.py); then floods with smaller and
 smaller gaps. The first rule that keeps enough of the outer surface (shares.py) is taken; a flood
 without a gap keeps all of it.
+
+Holes let the flood in, so that walls between overlapping parts count as outer surface too: solids
+lose those walls, and crusts keep them. Winding numbers are therefore taken as well where edges
+agree, every part encloses a volume, and what they lose of the outer surface is inside the solid.
 """
 
 from __future__ import annotations
@@ -23,19 +27,20 @@ from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.parts import find_parts
 from voxtool.mesh.shells import FLAT
-from voxtool.mesh.topology import edge_keys, sides_of
+from voxtool.mesh.topology import edge_keys, net_faces, sides_of
 from voxtool.opencl import Device
 from voxtool.spatial.bvh import Frame
 from voxtool.spatial.orientation import orient
-from voxtool.svo.fill.caps import Boundary
+from voxtool.svo.fill.caps import Boundary, find_boundary
 from voxtool.svo.octree import Octree
-from voxtool.svo.shares import Share, outer_surface, share_of
+from voxtool.svo.shares import Share, outer_surface, share_of, share_within
 
 DIM = 128  # of the grid on which rules are compared
 MOVED = 37 / 256, 53 / 256, 91 / 256  # voxels
 GAPS = 3, 1, 0  # voxels of that grid, of floods
 LARGEST = 1000  # exponent of an extent: volumes are computed in local coordinates
 LAST = "flood", GAPS[-1]
+HELD = ", and the rest is inside"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +68,23 @@ def consistent(mesh: Mesh, boundary: Boundary, device: Device) -> bool:
     """Return whether a mesh defines an inside by the directions of its faces."""
     if not _agree(boundary) or _fins(mesh, boundary):
         return False
+    volumes, flat = _volumes(mesh, boundary, device)
+    return bool((volumes > flat).all())
+
+
+def _encloses(mesh: Mesh, device: Device) -> bool:
+    """Return whether edges agree and every part encloses a volume, or is a cavity."""
+    boundary = find_boundary(mesh, net_faces(mesh))
+    volumes, flat = _volumes(mesh, boundary, device)
+    return _agree(boundary) and bool((np.abs(volumes) > flat).all())
+
+
+def _volumes(mesh: Mesh, boundary: Boundary, device: Device) -> tuple[np.ndarray, np.ndarray]:
+    """Return the volume of each part, its holes closed, and that up to which it is flat."""
     points = Frame.of(mesh, LARGEST).local(mesh.vertices)
     parts = find_parts(mesh, points, boundary.edges, device)
     side = (parts.high - parts.low).max(axis=1, initial=0)
-    return bool((parts.volumes > FLAT * side * side * side).all())
+    return parts.volumes, FLAT * side * side * side
 
 
 def _agree(boundary: Boundary) -> bool:
@@ -102,8 +120,14 @@ def choose(
         with warnings.catch_warnings(action="ignore", category=MeshWarning):  # nothing is taken yet
             result = voxelized(oriented or mesh, grid, "solid", fill=fill, gap=gap, device=device)
         share = share_of(outer, result, device)
-        if share.enough or (fill, gap) == LAST:
-            why = _reason(fill, gap, turned, share, lost)
+        held = (
+            fill == "winding"
+            and not share.enough
+            and share_within(outer, result, device).enough
+            and _encloses(oriented or mesh, device)
+        )
+        if share.enough or held or (fill, gap) == LAST:
+            why = _reason(fill, gap, turned, share, lost) + HELD * held
             return Choice(oriented, fill, gap, grid.pitch[0], why)
         lost = lost or share
     raise AssertionError("the last rule is taken")

@@ -49,11 +49,17 @@ def outer_surface(surface: Octree, flooded: Octree, device: Device) -> Octree:
 
 def share_of(outer: Octree, result: Octree, device: Device) -> Share:
     """Return the share of the outer surface that the result of a fill rule keeps."""
+    within = share_within(outer, result, device)
+    deep = _changed(result, "erode", BOUNDARY_REACH, "ball", device)
+    return within._replace(kept=within.kept - (outer & deep).count)
+
+
+def share_within(outer: Octree, result: Octree, device: Device) -> Share:
+    """Return the share of the outer surface that a result keeps or has inside."""
     if not result.count:
         return Share(0, outer.count)
     near = _changed(result, "dilate", BOUNDARY_REACH, "ball", device)
-    deep = _changed(result, "erode", BOUNDARY_REACH, "ball", device)
-    return Share(((outer & near) - deep).count, outer.count)
+    return Share((outer & near).count, outer.count)
 
 
 def _changed(octree: Octree, operation: str, radius: int, shape: str, device: Device) -> Octree:
