@@ -8,19 +8,24 @@ from voxtool.selftest.oracles import whole
 
 # a way to infinity that meets no edge of meshes of small whole numbers
 AWAY = [10007 * 100000007, 100000007, 10007]
+AT_ONCE = 1 << 12  # pairs of points and triangles that fit caches
 
 
 def winding(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """(N,) the sum of all solid angles, by 4 pi."""
-    numbers = []
-    for p in np.asarray(points, np.float64):
-        a, b, c = (triangles[:, i] - p for i in range(3))
-        x, y, z = (np.sqrt((v * v).sum(axis=1)) for v in (a, b, c))
-        volume = (a * np.cross(b, c)).sum(axis=1)
-        rest = x * y * z + (a * b).sum(axis=1) * z + (b * c).sum(axis=1) * x
-        angles = np.arctan2(volume, rest + (c * a).sum(axis=1) * y)
-        numbers.append(angles[volume != 0].sum() / (2 * np.pi))
-    return np.array(numbers)
+    points = np.asarray(points, np.float64)
+    count = min(1 + len(points) * len(triangles) // AT_ONCE, max(len(points), 1))
+    parts = np.array_split(points, count)
+    return np.concatenate([_winding(part, triangles) for part in parts])
+
+
+def _winding(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    a, b, c = (triangles[:, i] - points[:, None] for i in range(3))
+    x, y, z = (np.sqrt((v * v).sum(axis=-1)) for v in (a, b, c))
+    volume = (a * np.cross(b, c)).sum(axis=-1)
+    rest = x * y * z + (a * b).sum(axis=-1) * z + (b * c).sum(axis=-1) * x
+    angles = np.arctan2(volume, rest + (c * a).sum(axis=-1) * y)
+    return np.where(volume != 0, angles, 0.0).sum(axis=-1) / (2 * np.pi)
 
 
 def inside(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
