@@ -20,7 +20,7 @@ from voxtool.cli.main import cli
 
 pytestmark = pytest.mark.slow  # most run whole benches
 BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "tets", "view", "exchange",
-           "combine", "morph", "growth")  # fmt: skip
+           "combine", "morph", "repair", "growth")  # fmt: skip
 
 
 QUICK = f"--quick -q --date today --device {usable_devices()[0][0]}"
@@ -90,6 +90,8 @@ def test_every_bench_has_times_and_errors(report: dict[str, Any]) -> None:
     assert {p["errors"].get("returned", 0) for p in points if p["bench"] == "exchange"} == {0}
     assert {p["errors"]["wrong"] for p in points if p["bench"] == "combine"} == {0}
     assert {p["errors"]["wrong"] for p in points if p["bench"] == "morph"} == {0}
+    ours = [p for p in points if p["bench"] == "repair" and not p["peer"]]
+    assert {p["errors"]["not closed"] for p in ours} == {0}
     linear = [p for p in points if p["bench"] == "tets" and "linear" in p["method"]]
     assert max(p["errors"].get("max", 0) for p in linear if not p["peer"]) < 1e-5
 

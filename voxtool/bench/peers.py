@@ -1,5 +1,5 @@
 """Other tools on the same work, if they are installed: mesh to voxels, octree to surface, distances
-from points to a mesh, and pictures of volumes, all in memory."""
+from points to a mesh, closed meshes, and pictures of volumes, all in memory."""
 
 from __future__ import annotations
 
@@ -24,10 +24,13 @@ if TYPE_CHECKING:
     from voxtool.tets.transfer import TransferFunction
 
     Distance = Callable[[np.ndarray], np.ndarray]
+    Arrays = tuple[np.ndarray, np.ndarray]  # vertices and faces
 
 TOOLS = {  # imported name, name on the package index, and the benches that use it
     "VTK": ("vtk", "vtk", {"voxelize", "extract", "tets"}),
     "Open3D": ("open3d", "open3d", {"voxelize", "adf", "pictures"}),
+    "PyMeshLab": ("pymeshlab", "pymeshlab", {"repair"}),
+    "MeshLib": ("meshlib.mrmeshnumpy", "meshlib", {"repair"}),
     "libigl": ("igl", "libigl", {"adf"}),
     "scikit-image": ("skimage", "scikit-image", {"extract"}),
     "trimesh": ("scipy", "scipy", {"voxelize"}),  # trimesh is always there, and needs SciPy here
@@ -192,6 +195,47 @@ def _skimage_marching_cubes(octree: Octree, isovalue: float) -> Callable[[], obj
         if not grid.min() <= level <= grid.max():  # no surface, which is an error there
             return np.empty((0, 3)), np.empty((0, 3), np.int32)
         return measure.marching_cubes(grid, level)
+
+    return run
+
+
+# --- closed meshes -------------------------------------------------------------------------------
+
+
+def of_repair(mesh: Mesh, grid: Grid) -> dict[str, Callable[[], Arrays]]:
+    """The tools that make a closed mesh of any triangles, at the voxels of a grid."""
+    makers = {"PyMeshLab": _meshlab_wrap, "MeshLib": _meshlib_rebuild}
+    methods = {"PyMeshLab": ", alpha wrap", "MeshLib": ", voxels"}
+    return {
+        name + methods[name.split()[0]]: work for name, work in _made(makers, mesh, grid.pitch[0])
+    }
+
+
+def _meshlab_wrap(mesh: Mesh, pitch: float) -> Callable[[], Arrays]:
+    """CGAL's alpha wrap, shrunk into openings wider than two voxels, half a voxel outside."""
+    lab = _module("pymeshlab")
+
+    def run() -> Arrays:
+        work = lab.MeshSet()
+        work.add_mesh(lab.Mesh(mesh.vertices, mesh.faces))
+        size, away = lab.PureValue(2 * pitch), lab.PureValue(pitch / 2)
+        work.generate_alpha_wrap(alpha=size, offset=away)
+        found = work.current_mesh()
+        return found.vertex_matrix(), found.face_matrix()
+
+    return run
+
+
+def _meshlib_rebuild(mesh: Mesh, pitch: float) -> Callable[[], Arrays]:
+    """Signed distances at voxels, signs as the tool chooses them, and their isosurface."""
+    arrays, lib = _module("meshlib.mrmeshnumpy"), _module("meshlib.mrmeshpy")
+
+    def run() -> Arrays:
+        settings = lib.RebuildMeshSettings()
+        settings.voxelSize, settings.decimate = pitch, False
+        part = lib.MeshPart(arrays.meshFromFacesVerts(mesh.faces, mesh.vertices))
+        found = lib.rebuildMesh(part, settings)
+        return arrays.getNumpyVerts(found), arrays.getNumpyFaces(found.topology)
 
     return run
 

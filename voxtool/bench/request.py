@@ -24,13 +24,14 @@ SETTINGS = {  # the fields of a Request that each bench reads
     "exchange": ("dims",),
     "combine": ("dims",),
     "morph": ("dims",),
+    "repair": ("dims", "samples"),
     "degenerate": ("triangles",),
     "growth": ("triangles", "dims", "levels", "tolerances", "sizes", "cells", "scalar",
                "component"),
 }  # fmt: skip
 
 MESH_BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "view", "exchange",
-                "combine", "morph", "growth")  # fmt: skip
+                "combine", "morph", "repair", "growth")  # fmt: skip
 VOLUME_BENCHES = ("tets", "view", "growth")
 
 

@@ -19,6 +19,7 @@ from voxtool.bench import (
     growth,
     morph,
     pictures,
+    repair,
     tets,
     view,
     voxels,
@@ -47,6 +48,7 @@ BENCHES = {
     "exchange": exchange.measure,
     "combine": combine.measure,
     "morph": morph.measure,
+    "repair": repair.measure,
     "growth": growth.measure,
     "degenerate": degenerate.measure,
 }

@@ -185,6 +185,17 @@ COMMANDS = {
       voxtool bench morph bunny.obj --dims 128,512
       voxtool bench morph bunny.obj --quick -o report
     """,
+    "repair": """Measure the repair of MODELS with faces missing and reversed.
+
+    Every seventeenth face is removed, and every fifth of the others reversed. Errors are those of
+    the result against the model as it was: distances do not tell a solid from a crust, but volume
+    and area do.
+
+    \b
+    Examples:
+      voxtool bench repair bunny.obj --dims 128,256
+      voxtool bench repair bunny.obj --quick --peers
+    """,
     "growth": """Measure the growth of time with triangles, dims, leaves, pixels and cells.
 
     MODELS are subdivided for more triangles or cells. The exponent p of time ~ triangles^p is below
@@ -283,7 +294,7 @@ def bench_command(bench: str) -> click.Command:
         option("--repeat", click.IntRange(1, 1000), "Runs after a warm-up.  [default: 3, and up "
                "to 9 of short work; 2 with --quick]", metavar="N"),
         flag("--peers", "Other tools on the same work, those that are installed: VTK, Open3D, "
-             "libigl, scikit-image, trimesh."),
+             "libigl, scikit-image, trimesh, MeshLab, MeshLib."),
         *map(request_option, names),
         report_options,
         options.device_option,
