@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +35,9 @@ REAL = ("stanford-bunny", "armadillo", "dragon", "nefertiti", "fandisk", "rocker
 REAL_DIMS = (128, 512)
 
 
+@cache
 def own_mesh(name: str) -> voxtool.Mesh:
-    """A mesh of the project's own making."""
+    """A mesh of the project's own making, made once."""
     if name == "bunny":
         return voxtool.mesh_from_arrays(*make_bunny.make_bunny())
     if name == "sphere":
