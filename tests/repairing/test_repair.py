@@ -106,6 +106,24 @@ def test_inside_out_and_cavities(device) -> None:
     found = voxtool.repair(hollow, dim=32, device=device).checked
     assert found["shells"] == 2
     assert abs(found["volume"] / (4 / 3 * np.pi * 7 / 8) - 1) < 0.1
+    reversed_ = hollow[0], hollow[1][:, ::-1]
+    assert voxtool.repair(reversed_, dim=32, device=device).checked == found
+
+
+def test_parts_that_overlap_are_united_whichever_way_they_point(device) -> None:
+    """One part inside out, one part with a cavity: the voxels are those of parts that agree."""
+    vertices, faces = meshes.icosphere(2)
+    core, other = (0.5 * vertices, faces[:, ::-1]), vertices + np.array((1.3, 0.1, 0.2))
+    proper = meshes.join((vertices, faces), core, (other, faces))
+    one = meshes.join((vertices, faces), core, (other, faces[:, ::-1]))
+    first = meshes.join((vertices, faces[:, ::-1]), (core[0], faces), (other, faces))
+    wanted = voxtool.repair(proper, dim=32, device=device)
+    assert (wanted.checked["shells"], wanted.checked["genus"]) == (2, 0)
+    for mesh in (one, first):
+        found = voxtool.repair(mesh, dim=32, device=device)
+        assert found.voxels == wanted.voxels
+        assert (found.checked["shells"], found.checked["genus"]) == (2, 0)
+        assert abs(found.checked["volume"] / wanted.checked["volume"] - 1) < 1e-4
 
 
 def test_the_outer_surface_is_measured_apart(device) -> None:

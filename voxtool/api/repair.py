@@ -49,8 +49,8 @@ def plan_repair(
     tolerance
         diagonal of a voxel in world units, instead of dim.
     fill, gap
-        what is inside, as voxelize; "auto" turns faces outward first, as orient, and takes
-        "nonzero" for closed meshes, so that parts that overlap are united.
+        what is inside, as voxelize; but "auto" takes "nonzero" for watertight meshes, with their
+        outermost shells turned outward, so that parts that overlap are united.
     keep_components
         connected components of voxels that are kept, the largest first; by default all.
     offset

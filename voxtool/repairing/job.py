@@ -2,9 +2,9 @@
 
 The stages:
 
-1. The fill rule decides which voxels of a grid are inside (svo/voxelize.py). "auto" turns faces
-   outward first (spatial/orientation.py) and takes the rule of `voxelize`, but for closed meshes
-   "nonzero", which unites parts that overlap.
+1. The fill rule decides which voxels of a grid are inside (svo/voxelize.py). "auto" is that of
+   `voxelize`, but for watertight meshes "nonzero", which unites parts that overlap, once their
+   outermost shells point outward (spatial/nesting.py).
 2. Components that are not wanted are dropped (svo/components.py).
 3. A surface net separates the voxels from the others: closed and manifold (svo/surface).
 4. Its vertices move onto the mesh, where it passes their cells (fit.py), and the distances between
@@ -42,7 +42,7 @@ from voxtool.repairing.walls import (
     within,
 )
 from voxtool.spatial.distance import TriangleDistance
-from voxtool.spatial.orientation import orient
+from voxtool.spatial.nesting import turn_shells
 from voxtool.svo.booleans import combine
 from voxtool.svo.components import plan_keep_components
 from voxtool.svo.surface.extract import plan_extract
@@ -92,24 +92,13 @@ def plan_repair(
         voxels = plan_voxelize(mesh, grid, "surface26", **request)
     else:
         voxels = plan_voxelize(mesh, grid, fill=fill, gap=gap, **request)
-        if fill == "auto":
-            voxels = _chosen(voxels, grid, request)
+        if fill == "auto" and voxels.watertight:
+            voxels = plan_voxelize(turn_shells(mesh, device), grid, fill=UNITING, **request)
     plan = RepairPlan(
         voxels.plan, len(mesh.faces), grid.pitch[0], keep_components, float(offset), float(shell),
         float(thicken), holes,
     )  # fmt: skip
     return RepairJob(mesh, voxels, plan, device, max_memory)
-
-
-def _chosen(voxels: VoxelizeJob, grid: Grid, request: dict[str, Any]) -> VoxelizeJob:
-    """Return the voxelization by auto of a mesh whose faces point outward; if it is closed, parts
-    that overlap are united."""
-    if not voxels.watertight:
-        turned = orient(voxels.mesh, voxels.device).mesh
-        voxels = plan_voxelize(turned, grid, **request) if turned is not voxels.mesh else voxels
-    if voxels.watertight:
-        return plan_voxelize(voxels.mesh, grid, fill=UNITING, **request)
-    return voxels
 
 
 class RepairJob(Job[Repaired]):

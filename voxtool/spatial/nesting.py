@@ -1,4 +1,4 @@
-"""The nesting of the closed shells of a mesh.
+"""The nesting of the closed shells of a mesh, and their directions.
 
 A shell contains another if its box contains the other's, and its winding number is not 0 at the
 other's outermost vertices, those of the least and the greatest x, y and z. Shells that intersect
@@ -10,19 +10,21 @@ each shell takes those of them that no other has taken: its children.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from voxtool.mesh.loops import find_loops
 from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.shells import Shells, find_shells
+from voxtool.mesh.topology import topology_of
 from voxtool.spatial.bvh import Frame
 from voxtool.spatial.pseudonormals import PI, angle_of
 from voxtool.spatial.winding_number import WindingNumber
 from voxtool.vector import cross, dot, length
 
 if TYPE_CHECKING:
-    from voxtool.mesh.shells import Shells
     from voxtool.opencl import Device
 
 FEW = 1 << 16  # products of faces and points up to which winding numbers are summed on the host
@@ -73,6 +75,23 @@ def nest(mesh: Mesh, shells: Shells, device: Device) -> Nesting:
         if parent >= 0:
             depths[shell] = depths[parent] + 1
     return Nesting(parents, depths)
+
+
+def turn_shells(mesh: Mesh, device: Device) -> Mesh:
+    """Return a mesh whose outermost closed shells point outward: those that enclose a negative
+    volume are reversed, with all shells within them, so that cavities stay cavities."""
+    topology = topology_of(mesh)
+    shells = find_shells(mesh, topology, find_loops(mesh, topology))
+    nesting = nest(mesh, shells, device)
+    outermost = np.arange(len(nesting.parents))
+    for _ in range(int(nesting.depths.max(initial=0))):
+        around = nesting.parents[outermost]
+        outermost = np.where(around >= 0, around, outermost)
+    wrong = (shells.closed & (shells.volumes < 0))[outermost]
+    flipped = (shells.of >= 0) & wrong[shells.of]
+    if not flipped.any():
+        return mesh
+    return replace(mesh, faces=np.where(flipped[:, None], mesh.faces[:, ::-1], mesh.faces))
 
 
 def _winding(mesh: Mesh, faces: np.ndarray, points: np.ndarray, device: Device) -> np.ndarray:
