@@ -18,6 +18,7 @@ import golden_auto
 import golden_combine
 import golden_distance
 import golden_exchange
+import golden_field_surface
 import golden_mesh
 import golden_page
 import golden_picture
@@ -37,6 +38,8 @@ WINGS: dict[str, dict[str, Callable[[Any], Digests]]] = {
                  for n in golden_distance.OWN},
     "adf": {n: lambda d, n=n: golden_adf.digests(own(n), golden_adf.REQUESTS, d)
             for n in golden_adf.OWN},
+    "field_surface": {n: lambda d, n=n: golden_field_surface.digests(n, d)
+                      for n in golden_field_surface.OWN},
     "picture": {n: lambda d, n=n: golden_picture.surfaces(own(n), d) for n in golden_picture.OWN}
     | {n: lambda d, n=n: golden_picture.volume_pictures(golden_picture.own_volume(n), d)
        for n in golden_picture.VOLUMES},

@@ -15,6 +15,7 @@ from voxtool.adf.levels import CROSSED
 from voxtool.adf.query import query_adf
 from voxtool.adf.scene import FieldScene
 from voxtool.adf.spatial_hash import SpatialHash
+from voxtool.adf.surface.extract import extract_field_surface
 from voxtool.errors import DeviceError
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.opencl import Device
@@ -274,6 +275,27 @@ def rays(device: Device, full: bool) -> int:
     return wrong
 
 
+@case("surfaces of fields", "around a sheet at 1e12, 1e-12, 1e8 off: its formula; closed",
+      "tolerances", 1)  # fmt: skip
+def surfaces(device: Device, full: bool) -> float:
+    """The largest distance of vertices from the surface around a box of slivers; infinite if it is
+    not closed and of one piece without handles, or if the field misses its tolerance."""
+    worst = 0.0
+    for factor, offset in SCALES:
+        ends = np.array([np.zeros(3), [1.0, 0.75, 1e-3]])
+        low, high = np.sort(ends * factor + offset, axis=0)
+        mesh, tolerance = mesh_from_arrays(*shapes.box(low, high)), 2e-3 if full else 4e-3
+        field = build_adf(mesh, device, tolerance=tolerance, max_level=8 if full else 7)
+        for far in (0.03, 0.05):
+            surface = extract_field_surface(field, offset=far * field.side)
+            found = surface.check()
+            if not found["closed"] or (found["shells"], found["genus"]) != (1, 0):
+                return math.inf
+            error = np.abs(to_box(surface.vertices, low, high) - far * field.side).max()
+            worst = max(worst, float(error) / (tolerance * field.side))
+    return worst
+
+
 @case("hardware sampler", "exact values; 2^-9 of corners' range an axis; 0 if none", "of the bound",
       1)  # fmt: skip
 def sampler(device: Device, full: bool) -> float:
@@ -312,4 +334,4 @@ def _filter_bound(
 
 
 CASES = (needles, coordinates, nearest, bounds, winding, walls, scales, nothing_allowed, deepest,
-         hashes, rays, sampler)  # fmt: skip
+         hashes, rays, surfaces, sampler)  # fmt: skip
