@@ -9,13 +9,14 @@ its corners and its centre are.
 from __future__ import annotations
 
 import math
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from voxtool.mesh.mesh import Mesh
 from voxtool.repairing.walls import morphed
-from voxtool.spatial.deviation import one_way
+from voxtool.spatial.deviation import averages, largest, one_way
 from voxtool.spatial.hausdorff import bound
 from voxtool.spatial.sampling import SurfaceSampler
 from voxtool.svo.booleans import combine
@@ -42,20 +43,24 @@ def measure(
     """Return the distances from a surface to a mesh, and back from all of it and from its outer
     surface, in JSON types, world units; octree : whose surface it is."""
     pitch = octree.grid.pitch[0]
+    tolerance = APART * pitch
     pieces, outside = outer_faces(mesh, octree, onto_mesh.device)
-    ways = {"result_to_mesh": (surface, onto_mesh), "mesh_to_result": (mesh, onto_surface)}
-    outer = None
-    if outside.any():
-        found = bound(pieces, pieces.faces[outside], onto_surface, APART * pitch)
-        ends = {"point": found.point.tolist(), "nearest": found.nearest.tolist()}
-        outer = {"max": found.lower, "max_upper": found.upper, **ends}
+    there = one_way(SurfaceSampler(surface, "mesh"), onto_mesh, SAMPLES, tolerance)
+    outer, inner = (
+        largest(bound(pieces, pieces.faces[some], onto_surface, tolerance)) if some.any() else None
+        for some in (outside, ~outside)
+    )
+    ways = [way for way in (outer, inner) if way]
+    back = max(ways, key=itemgetter("max"))
     return {
         "pitch": pitch,
         "samples": SAMPLES,
-        "tolerance": APART * pitch,
-        **{
-            way: one_way(SurfaceSampler(one, "mesh"), other, SAMPLES, APART * pitch)
-            for way, (one, other) in ways.items()
+        "tolerance": tolerance,
+        "result_to_mesh": there,
+        "mesh_to_result": {
+            **averages(SurfaceSampler(mesh, "mesh"), onto_surface, SAMPLES),
+            **back,
+            "max_upper": max(way["max_upper"] for way in ways),
         },
         "outer_mesh_to_result": outer,
     }

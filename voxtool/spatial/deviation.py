@@ -21,6 +21,7 @@ from voxtool.spatial.sampling import SurfaceSampler
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
+    from voxtool.spatial.hausdorff import DirectedHausdorff
 
 
 MEASURES = ("mean", "rms", "max", "max_upper")  # of a direction, all lengths
@@ -70,15 +71,26 @@ def one_way(
     sampler: SurfaceSampler, to: TriangleDistance, samples: int, tolerance: float
 ) -> dict[str, Any]:
     """Return mean and RMS of the distances from samples to a mesh, and bounds of the largest."""
-    distances = np.concatenate([to(points) for points in sampler.samples(samples)])
-    largest = float(distances.max())
-    # math.fsum rounds once, whatever the order; the squares are of numbers up to 1
-    relative = distances / largest if largest > 0 else distances
     with to.device.stage("bounds"):
         bounds = bound(sampler.mesh, sampler.mesh.faces, to, tolerance)
+    return {**averages(sampler, to, samples), **largest(bounds)}
+
+
+def averages(sampler: SurfaceSampler, to: TriangleDistance, samples: int) -> dict[str, float]:
+    """Return mean and RMS of the distances from samples to a mesh."""
+    distances = np.concatenate([to(points) for points in sampler.samples(samples)])
+    furthest = float(distances.max())
+    # math.fsum rounds once, whatever the order; the squares are of numbers up to 1
+    relative = distances / furthest if furthest > 0 else distances
     return {
         "mean": math.fsum(distances) / samples,
-        "rms": largest * math.sqrt(math.fsum(relative * relative) / samples),
+        "rms": furthest * math.sqrt(math.fsum(relative * relative) / samples),
+    }
+
+
+def largest(bounds: DirectedHausdorff) -> dict[str, Any]:
+    """Return the bounds of the largest distance, and where it is, in JSON types."""
+    return {
         "max": bounds.lower,
         "max_upper": bounds.upper,
         "point": bounds.point.tolist(),
