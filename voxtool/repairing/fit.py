@@ -58,7 +58,7 @@ def fit(net: Isosurface, targets: Sequence[Target], device: Device) -> Fitted:
             block = slice(start, start + POINTS_AT_ONCE)
             points[block], on[block] = _laid(net, points[block], targets)
     with device.stage("self-intersections"):
-        found = untangle(replace(net, points=points), net.points, device)
+        found = untangle(replace(net, points=points), [net.points], device)
     return Fitted(found, np.where(found.moved, NONE, on))
 
 

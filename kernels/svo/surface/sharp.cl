@@ -88,12 +88,18 @@ int to_lattice(double t) { return within((int)(t * LATTICE + 0.5)); }
 
 ulong pack_point(double3 at) { return pack(to_lattice(at.x), to_lattice(at.y), to_lattice(at.z)); }
 
-// Places the vertex of each loop: kinds[i] says how it was found. `packed` holds the vertices in
-// their cells, `means` those of their crossings, and `errors` the squared distances to their planes,
-// from the corner of the cell.
+// The steps of the lattice from the corner of a cell to a point at most REACH beyond it.
+int3 steps_to(double3 at)
+{
+    return convert_int3(at * LATTICE + (REACH * LATTICE + 0.5)) - REACH * LATTICE;
+}
+
+// Places the vertex of each loop, within REACH of its cell: kinds[i] says how it was found. `packed`
+// holds the best places in the cells, `means` those of the crossings, and `errors` the squared
+// distances to the planes, from the corner of the cell.
 __kernel void place_features(__global const uint *codes, const uint n, CUBES, SOURCE,
-                             const int shift, __global ulong *packed, __global ulong *means,
-                             __global uchar *kinds, __global qef *errors)
+                             const int shift, __global int *points, __global ulong *packed,
+                             __global ulong *means, __global uchar *kinds, __global qef *errors)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
@@ -119,12 +125,17 @@ __kernel void place_features(__global const uint *codes, const uint n, CUBES, SO
             }
             add_point(&sum, start + convert_double3(unit_of(axis)) * at.place);
             if (step & STEP_LAST) {
-                bool inside;
-                const double3 t = minimum_of_qef(&sum, low, high, &inside);
-                packed[vertex] = pack_point(t);
+                bool inside, near = true;
+                const double3 within_cell = minimum_of_qef(&sum, low, high, &inside);
+                double3 at = within_cell;
+                if (!inside)
+                    at = minimum_of_qef(&sum, low - REACH, high + REACH, &near);
+                kinds[vertex] = any ? near ? FREE : CONSTRAINED : OPEN;
+                vstore3(cell * LATTICE + LATTICE / 2 + steps_to(near ? at : within_cell), vertex,
+                        points);
+                packed[vertex] = pack_point(within_cell);
                 means[vertex] = pack_point(
                     (double3)(sum.points[0], sum.points[1], sum.points[2]) / sum.count);
-                kinds[vertex] = any ? inside ? FREE : CONSTRAINED : OPEN;
                 errors[vertex++] = sum;
                 sum = empty_qef();
                 any = false;
@@ -142,35 +153,48 @@ __kernel void hold_features(__global const ulong *held, const uint n, __global c
         packed[gid] = held[gid];
 }
 
+// Puts the vertices without planes where they relaxed to.
+__kernel void put_open(__global const int *relaxed, const uint n, __global const uchar *kinds,
+                       __global int *points)
+{
+    const uint gid = get_global_id(0);
+    if (gid < n && kinds[gid] == OPEN)
+        vstore3(vload3(gid, relaxed), gid, points);
+}
+
 // ---- quads
 
-// The mean squared distance of a point to the planes of a vertex.
-double error_at(__global const qef *errors, const quad *q, uint corner, double3 at)
+// The mean squared distance of a point to the planes of a vertex; places: vertices in their cells.
+double error_at(__global const qef *errors, __global const int *places, const quad *q, uint corner,
+                double3 at)
 {
     const qef sum = errors[q->vertex[corner]];
-    const int3 cell = (convert_int3(q->point[corner]) - LATTICE / 2) >> LATTICE_BITS;
+    const int3 cell = (vload3(q->vertex[corner], places) - LATTICE / 2) >> LATTICE_BITS;
     return fmax(error_of_qef(&sum, at - convert_double3(cell) - 0.5), 0.0) / sum.count;
 }
 
 // The error of a diagonal: that of its middle from the planes of its two ends.
-double error_of_diagonal(__global const qef *errors, const quad *q, uint first)
+double error_of_diagonal(__global const qef *errors, __global const int *places, const quad *q,
+                         uint first)
 {
     const double3 middle = convert_double3(q->point[first] + q->point[first + 2]) / (2.0 * LATTICE);
-    return error_at(errors, q, first, middle) + error_at(errors, q, first + 2, middle);
+    return error_at(errors, places, q, first, middle) +
+           error_at(errors, places, q, first + 2, middle);
 }
 
 // Splits a quad along the diagonal that is nearer to the planes of its ends, as a diagonal along a
 // feature is; along the shorter one where both are near; along the other if a triangle would have
 // zero area.
 __kernel void split_along_features(__global const uint *quads, const uint n,
-                                   __global const int *points, __global const qef *errors,
-                                   __global uint *triangles)
+                                   __global const int *points, __global const int *places,
+                                   __global const qef *errors, __global uint *triangles)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
     const quad q = quad_at(quads, points, gid);
-    const double even = error_of_diagonal(errors, &q, 0), odd = error_of_diagonal(errors, &q, 1);
+    const double even = error_of_diagonal(errors, places, &q, 0),
+                 odd = error_of_diagonal(errors, places, &q, 1);
     uint first = shorter_diagonal(&q);
     if (fmax(even, odd) > NEAR_PLANES)
         first = even <= odd ? 0 : 1;

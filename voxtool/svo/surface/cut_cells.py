@@ -184,7 +184,8 @@ class Extracted:
     lost : as of count_lost.
     points : (3 V,) int32 as Isosurface.points.
     triangles : (3 F,) uint32 vertices, counter-clockwise seen from outside.
-    features, home : of a sharp surface; home: (3 V,) int32, the means of crossings.
+    features, homes : of a sharp surface; homes: (3 V,) int32, where vertices may move to: their
+        best places in their cells, and the means of their crossings.
     """
 
     cubes: int
@@ -192,7 +193,7 @@ class Extracted:
     points: Array
     triangles: Array
     features: Features | None = None
-    home: Array | None = None
+    homes: tuple[Array, ...] = ()
 
 
 def find_tiles(

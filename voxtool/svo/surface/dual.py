@@ -36,6 +36,7 @@ from voxtool.svo.surface.sharp import (
     Vertices,
     hold_features,
     place_features,
+    put_open,
     split_along_features,
 )
 
@@ -104,9 +105,10 @@ def dual_surface(
     with device.stage("triangles"):
         if features is None:
             return Extracted(cubes.n, lost, points, split_quads(tiles, points, quads))
+        put_open(tiles, features, points)
         triangles = split_along_features(tiles, features, points, quads)
-    home = _unpacked(tiles, cubes, features.means)
-    return Extracted(cubes.n, lost, points, triangles, features.found, home)
+    homes = points, _unpacked(tiles, cubes, features.means)
+    return Extracted(cubes.n, lost, features.points, triangles, features.found, homes)
 
 
 def _classify(tiles: Tiles) -> CutCubes:

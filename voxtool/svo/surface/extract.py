@@ -46,7 +46,7 @@ from voxtool.svo.surface.dual import dual_surface
 from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.svo.surface.marching_cubes import march_cubes
 from voxtool.svo.surface.plan import MAX_SAMPLES, RELAXATIONS, ExtractionPlan, active_tiles
-from voxtool.svo.surface.sharp import find_crossings
+from voxtool.svo.surface.sharp import crosses_all, find_crossings
 from voxtool.svo.surface.untangle import untangle
 
 # Shares of the set voxels from which on their loss is a warning: in samples below the isovalue,
@@ -96,9 +96,12 @@ def plan_extract(
             f"voxelize with --mode solid, or extract --style {VOXEL_FACES} --level voxel"
         )
     tree, plan = _plan(octree, style, level, share, merge)
+    device = device or default_device()
     if source is not None:
         plan = replace(plan, corners=len(source.vertices), faces=len(source.faces))
-    return ExtractJob(octree, source, tree, plan, device or default_device(), max_memory)
+        if crosses_all(octree, source, device):
+            plan = replace(plan, relaxations=0)
+    return ExtractJob(octree, source, tree, plan, device, max_memory)
 
 
 extract = one_call(plan_extract, "extract", Isosurface)
@@ -214,14 +217,13 @@ class ExtractJob(Job[Isosurface]):
                 merged=plan.merge,
                 features=found.features,
             )
-        if found.home is None or not len(surface.faces):
-            return surface
-        return self._untangled(surface, found.home.take().reshape(-1, 3))
+            homes = [home.take().reshape(-1, 3) for home in found.homes]
+        return self._untangled(surface, homes) if homes and len(surface.faces) else surface
 
-    def _untangled(self, surface: Isosurface, home: np.ndarray) -> Isosurface:
+    def _untangled(self, surface: Isosurface, homes: list[np.ndarray]) -> Isosurface:
         """Return a sharp surface whose faces do not intersect, as far as that can be had."""
         with self.device.stage("self-intersections"):
-            found = untangle(surface, home, self.device)
+            found = untangle(surface, homes, self.device)
         assert surface.features is not None
         features = replace(
             surface.features,

@@ -42,9 +42,9 @@ class Features:
     """Numbers of vertices of a sharp surface that are not where the planes of their crossings meet
     best, and of its faces that others pass through."""
 
-    constrained: int  # that would lie outside their cell, and are at the best place within it
+    constrained: int  # that would lie far outside their cell, and are at the best place within it
     open: int  # whose links the source does not cross: placed as those of surface nets
-    moved: int = 0  # towards the mean of their crossings, so that faces do not intersect
+    moved: int = 0  # towards their cell or the mean of their crossings, for faces not to intersect
     crossed: int = 0  # faces that others pass through
     undecided: int = 0  # faces too near to too many others to tell
 

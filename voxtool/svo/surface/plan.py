@@ -14,7 +14,7 @@ from voxtool.svo.layout import BRICK_BYTES
 
 MAX_SAMPLES = 4096  # along a side: tiles of four have Morton codes of 30 bits
 TILE_BYTES = 124  # on the device: of a tile,
-EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 52, SURFACE_NETS: 96, SHARP: 260}  # a cut edge,
+EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 52, SURFACE_NETS: 96, SHARP: 280}  # a cut edge,
 MERGE_BYTES = 64  # and one of voxel faces that are merged
 SOURCE_BYTES = 60, 24  # of a sharp surface: of a vertex of the source, and of a face
 RELAXATIONS = 16  # of surface nets of voxels, as in VTK
@@ -129,6 +129,8 @@ class ExtractionPlan:
             out["loops and quads"] = "marching cubes need none"
         elif self.style == VOXEL_FACES:
             out["crossings and relaxation"] = "voxel faces lie on the corners of samples"
+        elif self.style == SHARP and not self.relaxations:
+            out["relaxation"] = "the source is closed, so that all vertices lie where planes meet"
         elif self.style == SHARP:
             out["relaxation of vertices that have planes"] = "they lie where these meet"
         elif not self.relaxations:

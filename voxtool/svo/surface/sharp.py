@@ -4,7 +4,8 @@ Each cut edge is a link between the centres of a set and an unset voxel. The sou
 of a solid an odd number of times, by the integers and the tie rule that voxelized it: crossings are
 listed for the rows along each axis, of a mesh and a grid whose coordinates are rotated. The plane
 of a crossing is that of the face, in double precision and not rounded to the lattice. The vertex of
-a loop minimises the squared distances to the planes of its crossings within its cell.
+a loop minimises the squared distances to the planes of its crossings, in its cell or up to REACH
+beside it: a corner or an edge may pass a cell whose voxels are all alike.
 
 A link without a crossing (of a hole that a fill rule closed, or of a changed octree) has no plane,
 and its middle counts for the mean. Loops without any plane relax as in surface nets, between the
@@ -23,6 +24,7 @@ import numpy as np
 from voxtool.errors import MeshError
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.watertight import watertight
 from voxtool.opencl import Array, Device, program
 from voxtool.svo.fill.rows import list_crossings
 from voxtool.svo.lattice import place_mesh
@@ -34,9 +36,13 @@ from voxtool.svo.surface.isosurface import Features
 
 SOURCE = "svo/surface/sharp.cl"
 OPEN, FREE, CONSTRAINED = range(3)  # vertices without a plane, at a minimum, and beside one
+CROSSED = ("parity", "nonzero")  # fill rules whose voxels differ only across a closed mesh
+REACH = 1  # cells beyond its own that a vertex may be
 QEF_NUMBERS = 14  # of float64 in a `qef` of kernels/qef.h
 HEADERS = {
-    "svo/surface/sharp.h": program.c_constants(OPEN=OPEN, FREE=FREE, CONSTRAINED=CONSTRAINED)
+    "svo/surface/sharp.h": program.c_constants(
+        OPEN=OPEN, FREE=FREE, CONSTRAINED=CONSTRAINED, REACH=REACH
+    )
     + """
 #define LEAST_SQUARE 0x1p-200 // of a normal, in voxels: a face with less has no plane
 #define NEAR_PLANES 0x1p-20   // mean squared distance, in voxels, up to which a diagonal is near"""
@@ -47,10 +53,12 @@ HEADERS = {
 class Vertices:
     """Vertices on features, on the device.
 
-    held, means : (V,) uint64, in their cells, packed: they, and the means of their crossings;
-    kinds : (V,) uint8; errors : (14 V,) float64, the squared distances to the planes of each.
+    points : (3 V,) int32; held, means : (V,) uint64, packed: the best places in their cells, and
+    the means of their crossings; kinds : (V,) uint8; errors : (14 V,) float64, the squared
+    distances to the planes of each.
     """
 
+    points: Array
     held: Array
     means: Array
     kinds: Array
@@ -73,6 +81,16 @@ def source_of(octree: Octree, mesh: Mesh) -> Mesh:
         return mesh
     scale, *offset = octree.transform
     return Mesh(mesh.vertices * scale + np.array(offset), mesh.faces, mesh.source_sha256, mesh.name)
+
+
+def crosses_all(octree: Octree, source: Mesh, device: Device) -> bool:
+    """Return whether the source is known to cross every link, so that all vertices have planes: it
+    is closed and in the grid, and the octree is what a rule for closed meshes made from it."""
+    if not source.source_sha256 or octree.source_sha256 != source.source_sha256:
+        return False
+    low, high = (source.bounds - np.array(octree.grid.origin)) / np.array(octree.grid.pitch)
+    inside = bool((low >= 0).all() and (high <= octree.grid.shape).all())
+    return octree.fill in CROSSED and inside and watertight(source, device)
 
 
 def find_crossings(device: Device, mesh: Mesh, grid: Grid) -> dict[str, Any]:
@@ -114,15 +132,23 @@ def place_features(
 ) -> Vertices:
     """Return the `count` vertices of the cut cubes."""
     device = tiles.device
+    points = device.empty(3 * count, np.int32)
     held, means = (device.empty(count, np.uint64) for _ in range(2))
     kinds = device.empty(count, np.uint8)
     errors = device.empty(QEF_NUMBERS * count, np.float64)
     tiles.kernel(SOURCE, "place_features")(
-        tiles.n, packed=held, means=means, kinds=kinds, errors=errors, **cubes, **crossings
+        tiles.n,
+        points=points,
+        packed=held,
+        means=means,
+        kinds=kinds,
+        errors=errors,
+        **cubes,
+        **crossings,
     )
     number = np.bincount(kinds.get(), minlength=3)
     found = Features(constrained=int(number[CONSTRAINED]), open=int(number[OPEN]))
-    return Vertices(held, means, kinds, errors, count, found)
+    return Vertices(points, held, means, kinds, errors, count, found)
 
 
 def hold_features(tiles: Tiles, vertices: Vertices, packed: Array) -> None:
@@ -131,9 +157,17 @@ def hold_features(tiles: Tiles, vertices: Vertices, packed: Array) -> None:
     hold(vertices.count, held=vertices.held, kinds=vertices.kinds, packed=packed)
 
 
-def split_along_features(tiles: Tiles, vertices: Vertices, points: Array, quads: Array) -> Array:
-    """Return two triangles for each of (4 Q,) quads, (6 Q,) uint32, split along features."""
+def put_open(tiles: Tiles, vertices: Vertices, relaxed: Array) -> None:
+    """Put the vertices that have no planes where they relaxed to."""
+    put = tiles.kernel(SOURCE, "put_open")
+    put(vertices.count, relaxed=relaxed, kinds=vertices.kinds, points=vertices.points)
+
+
+def split_along_features(tiles: Tiles, vertices: Vertices, places: Array, quads: Array) -> Array:
+    """Return two triangles for each of (4 Q,) quads, (6 Q,) uint32, split along features; places :
+    (3 V,) int32, of vertices in their cells."""
     n = quads.size // 4
     triangles = tiles.device.empty(6 * n, np.uint32)
-    tiles.kernel(SOURCE, "split_along_features")(n, quads, points, vertices.errors, triangles)
+    split = tiles.kernel(SOURCE, "split_along_features")
+    split(n, quads, vertices.points, places, vertices.errors, triangles)
     return triangles

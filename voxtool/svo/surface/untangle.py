@@ -3,8 +3,8 @@
 The two triangles of a quad fold onto each other where the quad is not convex and its diagonal runs
 outside, and triangles about features pass through others. So quads with such triangles get their
 other diagonal where it leaves fewer of them, and then the corners of what is left move towards
-their homes, places in the same cells where surfaces seldom intersect: a quarter of the way, then
-half, then all of it. A round is of all such quads and corners at once, so that no order shows. The
+their homes, places where surfaces intersect less often: a quarter of the way, then half, then all
+of it. A round is of all such quads and corners at once, so that no order shows. The
 surface stays closed and manifold: the vertices of a diagonal lie in cells that share an edge of the
 grid only, and no other quad links them.
 
@@ -14,6 +14,7 @@ so it need not be tested again.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -23,10 +24,13 @@ from voxtool.spatial.bvh import build_tree
 from voxtool.spatial.self_intersections import UNDECIDED, find_self_intersections
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from voxtool.opencl import Device
     from voxtool.svo.surface.isosurface import Isosurface
 
-STEPS = (4, 2, 1, 1)  # of each round: the share of the way that vertices move, as its divisor
+STEPS = (4, 2, 1)  # of the rounds for a home: the share of the way to go, as its divisor
+MORE = 12  # rounds at most in which vertices move to their last home, after these
 FLAT = 3  # of wrong_faces, beside the states of find_self_intersections
 
 
@@ -41,21 +45,22 @@ class Untangled:
     undecided: int
 
 
-def untangle(surface: Isosurface, home: np.ndarray, device: Device) -> Untangled:
+def untangle(surface: Isosurface, homes: Sequence[np.ndarray], device: Device) -> Untangled:
     """Return the surface with the diagonals and the vertices that keep its faces apart.
 
-    home : (V, 3) int32 as Isosurface.points, in the cells of the vertices. Triangles 2 i and
-    2 i + 1 of the surface are those of a quad.
+    homes : places of the vertices, in the order in which they are tried, each (V, 3) int32 as
+    Isosurface.points. Triangles 2 i and 2 i + 1 of the surface are those of a quad.
     """
     moved = np.zeros(len(surface.points), bool)
     wrong = wrong_faces(surface, device)
-    for step in STEPS:
+    last = homes[-1], STEPS[-1]
+    for home, step in (*itertools.product(homes, STEPS), *[last] * MORE):
         surface, wrong = _split_anew(surface, wrong, device)
         back = np.zeros(len(moved), bool)
         back[surface.faces[wrong > 0]] = True
         back &= (surface.points != home).any(axis=1)
         if not back.any():
-            break
+            continue
         moved |= back
         towards = surface.points + (home - surface.points) // step
         surface = replace(surface, points=np.where(back[:, None], towards, surface.points))
