@@ -123,7 +123,7 @@ def test_start_up_imports_nothing_heavy(arguments) -> None:
     ("command", "message"),
     [
         ("nope", "No such command 'nope' (see voxtool -h)"),
-        ("voxelize", "Missing argument 'MESH' (see voxtool voxelize -h)"),
+        ("voxelize", "Missing argument 'MESH...' (see voxtool voxelize -h)"),
         ("voxelize bunny.obj --dim 7", "7 is not in the range 8<=x<=65536"),
         ("voxelize bunny.obj --dim 65537", "65537 is not in the range 8<=x<=65536"),
         ("voxelize bunny.obj --dim x", "'x' is not a valid integer"),

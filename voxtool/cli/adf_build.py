@@ -17,6 +17,7 @@ from voxtool.choices import (
     SIGNS,
 )
 from voxtool.cli import options, runner
+from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import BYTES, option, together
 from voxtool.errors import CheckError, human
 
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @click.command("adf-build")
-@click.argument("mesh")
+@mesh_argument("", "adf.h5")
 @together(
     option("--tolerance", float,
         f"Error that leaves may have, in sides of the cube.  [default: {DEFAULT_TOLERANCE}]"),

@@ -6,6 +6,7 @@ import click
 
 from voxtool.choices import DEFAULT_DIM
 from voxtool.cli import options, runner
+from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import DIM, flag, option, together
 from voxtool.errors import CheckError, count_of
 
@@ -13,7 +14,7 @@ TUBE = 2e-3  # radius of a tube about a loop, of the mesh's longest side
 
 
 @click.command("diagnose")
-@click.argument("mesh")
+@mesh_argument()
 @together(
     option("--dim", DIM,
         "Voxels along the longest side, for the rows that leak and the fill rules.", DEFAULT_DIM),
@@ -47,6 +48,8 @@ def command(
     from voxtool.report import STAGES, diagnose
 
     if obj is not None:
+        if run.item:
+            raise click.UsageError("--obj is of one mesh: leave it out, or name one MESH")
         if obj == "-":
             raise click.UsageError("stdout has the report: name a file for --obj")
         format_of(obj, ("obj",))
@@ -63,10 +66,7 @@ def command(
             edges = loaded.vertices[report.boundary.edges]
             drawn = tubes(edges, TUBE * float((high - low).max()))
             run.stage("write file", write_mesh, drawn, obj, not run.no_clobber, "obj")
-    if run.as_json:
-        options.print_json(report.as_dict())
-    else:
-        click.echo(report.text())
+    run.answer(report.as_dict(), report.text())
     if obj is not None:
         what = count_of(len(report.boundary.closed), "boundary loop")
         options.tell(f"{options.shown(mesh)} -> {obj}: {what} as tubes")

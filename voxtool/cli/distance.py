@@ -8,13 +8,17 @@ import click
 
 from voxtool.choices import FILLS, SIGNS
 from voxtool.cli import options, runner
+from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import DIM, bbox_option, flag, option, together
 from voxtool.errors import count_of
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
 
+TABLES = (".npy", ".npz", ".csv", ".xyz")  # POINTS, and no meshes
 COLUMNS = {
     "gradient": [("gx", "f8"), ("gy", "f8"), ("gz", "f8")],
     "nearest": [("nearest_x", "f8"), ("nearest_y", "f8"), ("nearest_z", "f8")],
@@ -22,9 +26,25 @@ COLUMNS = {
 }
 
 
+def on_grid(values: Mapping[str, Any]) -> bool:
+    """Return whether the options ask for the distances of a grid."""
+    names = ("like", "dim", "pitch", "bbox", "margin", *options.LATTICE)
+    return any(values[name] is not None for name in names)
+
+
+def arranged(words: Sequence[str], values: dict[str, Any]) -> tuple[Sequence[str], dict[str, Any]]:
+    """Return the meshes among the arguments, and the options with the points."""
+    if on_grid(values):
+        if found := [word for word in words[1:] if word == "-" or word.endswith(TABLES)]:
+            raise click.UsageError(f"POINTS ({found[0]}) and a grid: give one of them")
+        return words, {**values, "points": None}
+    if len(words) > 2:
+        raise click.UsageError("many meshes go with a grid: give --dim, or one MESH and POINTS")
+    return words[:1], {**values, "points": words[1] if len(words) == 2 else None}
+
+
 @click.command("distance")
-@click.argument("mesh")
-@click.argument("points", required=False)
+@mesh_argument("sdf", "npy", arranged)
 @together(
     flag("--gradient", "Write the gradient, too: gx, gy, gz."),
     flag("--nearest", "Write the nearest point: nearest_x, _y, _z."),
@@ -63,11 +83,9 @@ def command(
       voxtool distance bunny.obj --dim 64 -o sdf.npy
     """
     options.check_placing(like, placing)
-    on_grid = bool(like) or any(value is not None for value in placing.values())
+    whole_grid = on_grid({"like": like, **placing})
     asked = {"gradient": gradient, "nearest": nearest, "face": face}
-    if on_grid:
-        if points:
-            raise click.UsageError("POINTS and a grid: give one of them")
+    if whole_grid:
         if sign not in (None, "none"):
             raise click.UsageError("a grid has the signs of voxelize: give --fill, not --sign")
         if any(asked.values()):
@@ -75,10 +93,12 @@ def command(
     elif fill != FILLS[0] or float32:
         raise click.UsageError("--fill and --float32 go with a grid: give --dim")
     else:
+        if run.item:
+            raise click.UsageError("--workers and --shard go with a grid: give --dim")
         points = options.points_of(points, "MESH", mesh, "name a file, pipe them in, or give --dim")
     from voxtool.files.mesh import load_mesh
 
-    if on_grid:
+    if whole_grid:
         run.to(mesh, options.output_of(mesh, "sdf.npy"), ("npy",))
     else:
         run.to_table(points or "-")
@@ -86,7 +106,7 @@ def command(
         loaded = run.stage(
             "read mesh", load_mesh, mesh, max_memory=run.max_memory, units=units, scale=scale
         )
-        if on_grid:
+        if whole_grid:
             grid = options.grid_from(loaded, like, placing)
             facts = measure_grid(run, loaded, grid, fill, "float32" if float32 else "float64")
         else:

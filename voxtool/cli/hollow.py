@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from voxtool.cli import runner
+from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import POSITIVE, Parsed, numbers_of, option, together
 from voxtool.cli.repair import execute, file_options, mesh_options, result_options
 
@@ -16,7 +17,7 @@ DRAIN = Parsed(
 
 
 @click.command("hollow")
-@click.argument("mesh")
+@mesh_argument("hollow", "obj")
 @together(
     option("--wall", POSITIVE, "Thickness of the wall, in world units; 2 voxels at least.",
         metavar="LENGTH", required=True),

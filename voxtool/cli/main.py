@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import signal
 import sys
 import warnings
@@ -12,19 +11,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
+from voxtool.cli.failures import FAILURES, STREAM_ERRORS, failure_of
 from voxtool.cli.options import PRINTED, TO_STDOUT, print_json, tell, warn
-from voxtool.errors import (
-    LESS,
-    CheckError,
-    DeviceError,
-    FileError,
-    GridError,
-    MemoryLimitError,
-    MeshError,
-    VoxtoolError,
-    VoxtoolWarning,
-    printable,
-)
+from voxtool.errors import FileError, VoxtoolWarning
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
@@ -35,23 +24,6 @@ COMMANDS = (
     "extract", "distance", "adf-build", "adf-query", "adf-info", "tet-build", "render", "view",
     "export", "import", "devices", "selftest", "bench", "completion",
 )  # fmt: skip
-# The name of an error in JSON, and the exit code; the first that fits.
-ERRORS = (
-    (CheckError, "check", 1),
-    (click.ClickException, "usage", 2),
-    (DeviceError, "device", 4),
-    ((MemoryLimitError, MemoryError), "memory", 4),
-    (MeshError, "mesh", 3),
-    (GridError, "grid", 3),
-    (FileError, "file", 3),
-    (VoxtoolError, "value", 3),
-    (OSError, "file", 3),
-    (ImportError, "memory", 4),  # of an extra that is missing, a VoxtoolError says so
-)
-
-
-# Errors of a stream that is written; an error of a file names it.
-STREAM_ERRORS = (errno.EBADF, errno.ENOSPC, errno.EIO, errno.EFBIG, errno.EDQUOT)
 
 
 class Voxtool(click.Group):
@@ -60,6 +32,7 @@ class Voxtool(click.Group):
     2 usage; 3 input or output; 4 device or memory; 128 and the signal's number."""
 
     context: click.Context | None = None  # of the call that runs
+    words: tuple[str, ...] = ()  # of its command line
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -81,7 +54,7 @@ class Voxtool(click.Group):
     def main(self, args: list[str] | None = None, *more: Any, **extra: Any) -> NoReturn:
         extra.update(standalone_mode=False)
         words = list(sys.argv[1:] if args is None else args)
-        self.context = None
+        self.context, self.words = None, tuple(words)
         try:
             with library_warnings():
                 # a subcommand returns None; --help and the like return an exit code
@@ -89,7 +62,7 @@ class Voxtool(click.Group):
             sys.stdout.flush()
         except (click.Abort, KeyboardInterrupt):
             code = 128 + signal.SIGINT
-        except (click.ClickException, VoxtoolError, MemoryError, OSError, ImportError) as error:
+        except FAILURES as error:
             gone = reader_has_gone(error)
             code = 0 if gone else self.report(error, "--json" in words)
             if gone or (isinstance(error, OSError) and error.errno in STREAM_ERRORS):
@@ -100,41 +73,17 @@ class Voxtool(click.Group):
 
     def report(self, error: Exception, as_json: bool) -> int:
         """Print an error, and return its exit code."""
-        kind, code = next((kind, code) for kinds, kind, code in ERRORS if isinstance(error, kinds))
-        message = message_of(error)
+        failure = failure_of(error)
+        message, code = failure["message"], failure["exit_code"]
         if message.startswith("Usage:"):  # the help, where a command stands alone
             click.echo(message, err=True)
             return code
         tell(f"error: {message}")
         done = self.context.meta if self.context else {}
         if as_json and PRINTED not in done:  # stdout holds one JSON document
-            found = {"kind": kind, "message": message, "exit_code": code}
             with suppress(OSError):
-                print_json({"error": found}, err=done.get(TO_STDOUT, False))
+                print_json({"error": failure}, err=done.get(TO_STDOUT, False))
         return code
-
-
-def message_of(error: Exception) -> str:
-    """Return the message of an error, on one line."""
-    if isinstance(error, click.ClickException):
-        message = error.format_message()
-        context = error.ctx if isinstance(error, click.UsageError) else None
-        if message.startswith("Usage:"):
-            return message
-        hint = f" (see {context.command_path} -h)" if context else ""
-        return f"{' '.join(message.split()).removesuffix('.')}{hint}"
-    if isinstance(error, MemoryError):
-        return f"this machine has not enough memory: {LESS}"
-    if isinstance(error, ImportError):
-        return f"a library cannot be loaded ({error}): free memory, or raise the limit of ulimit -v"
-    if isinstance(error, OSError):
-        if not error.filename and error.errno in STREAM_ERRORS:
-            from voxtool.files.atomic import write_error
-
-            return str(write_error("standard output", error))
-        where = f"{printable(error.filename)}: " if error.filename else ""
-        return f"{where}{error.strerror or error}"
-    return str(error)
 
 
 @contextmanager

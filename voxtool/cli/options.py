@@ -9,6 +9,7 @@ import os
 import re
 import sys
 import threading
+from contextlib import contextmanager
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Self
 
@@ -18,7 +19,7 @@ from voxtool.choices import FITS, LENGTH_UNITS, MAX_DIM, MIN_DIM
 from voxtool.errors import printable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
@@ -30,10 +31,11 @@ AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 COLOURS = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0)}
 UNITS = {"": 1, "K": 1 << 10, "M": 1 << 20, "G": 1 << 30, "T": 1 << 40}
 PROGRESS_AFTER = 1.0  # seconds
-# Keys of a context's `meta`: the Progress that is shown, the warnings so far, whether stdout takes
-# the result of the command, and whether JSON has been printed.
-BAR, WARNINGS, TO_STDOUT, PRINTED = (
-    f"voxtool.{name}" for name in ("bar", "warnings", "to_stdout", "printed")
+# Keys of a context's `meta`: the Progress that is shown, the warnings so far, those of the job that
+# runs, whether stdout takes the result of the command, whether JSON has been printed, and the list
+# that takes the lines for stderr.
+BAR, WARNINGS, HELD, TO_STDOUT, PRINTED, LINES = (
+    f"voxtool.{name}" for name in ("bar", "warnings", "held", "to_stdout", "printed", "lines")
 )
 
 
@@ -356,10 +358,24 @@ def issued_warnings() -> list[str]:
     return _meta().setdefault(WARNINGS, [])
 
 
+@contextmanager
+def holding_warnings() -> Iterator[list[str]]:
+    """Yield a list that takes the warnings of this block, which are not printed."""
+    meta = _meta()
+    outer, meta[HELD] = meta.get(HELD), []
+    try:
+        yield meta[HELD]
+    finally:
+        meta[HELD] = outer
+
+
 def warn(message: str) -> None:
     """Print `voxtool: warning: ...` on stderr, each message once."""
+    held = _meta().get(HELD)
     issued = issued_warnings()
-    if message not in issued:
+    if held is not None:
+        held.append(message)
+    elif message not in issued:
         issued.append(message)
         tell(f"warning: {message}")
 
@@ -374,7 +390,11 @@ def tell(message: str) -> None:
     """Print a line on stderr, unless -q is given; errors are printed at the end of the command."""
     if is_quiet():
         return
-    if bar := _meta().get(BAR):
+    meta = _meta()
+    if (lines := meta.get(LINES)) is not None:
+        lines.append(message)
+        return
+    if bar := meta.get(BAR):
         bar.erase()
     click.echo(f"voxtool: {printable(message)}", err=True)
 

@@ -8,6 +8,7 @@ import click
 
 from voxtool.choices import DEFAULT_DIM, FILLS
 from voxtool.cli import options, runner
+from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import COMPONENTS, DIM, POSITIVE, flag, option, together
 from voxtool.errors import CheckError, count_of
 
@@ -53,7 +54,7 @@ def file_options(name: str) -> options.Decorator:
 
 
 @click.command("repair")
-@click.argument("mesh")
+@mesh_argument("repaired", "obj")
 @together(
     mesh_options,
     option("--offset", float,

@@ -28,8 +28,7 @@ import functools
 import sys
 import threading
 import time
-import warnings
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NoReturn, Self, TypeVar
@@ -43,13 +42,11 @@ from voxtool.errors import (
     FileError,
     MemoryLimitError,
     VoxtoolError,
-    VoxtoolWarning,
     human,
 )
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-    from contextlib import AbstractContextManager
 
     from voxtool.files.answers import Answers
     from voxtool.job import Job
@@ -60,6 +57,14 @@ if TYPE_CHECKING:
 
 PLAN, WRITE = "plan", "write file"  # the stages before and after a job's own
 JOB = "job"  # stands for the stages of a job on the device
+
+
+@dataclass
+class Item:
+    """One of many meshes: the lock of the device that they share, and what the report says."""
+
+    lock: AbstractContextManager[Any]
+    facts: dict[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -77,6 +82,7 @@ class Run:
     quiet: bool = False
     verbose: bool = False
     strict: bool = False
+    item: Item | None = None  # if the mesh is one of many
     source: str = "-"
     progress: options.Progress = field(default_factory=options.Progress)
     started: float = field(default_factory=time.perf_counter)
@@ -150,13 +156,15 @@ class Run:
     def device(self) -> Device:
         """The device of --device, opened at the first use."""
         device = self._shared_device()
-        device.stage_times()  # of the command before, where one process runs several
+        if not self.item:
+            device.stage_times()  # of the command before, where one process runs several
         return device
 
     def _shared_device(self) -> Device:
         from voxtool.opencl import shared_device
 
-        return shared_device(self.device_name, profile=self.verbose or self.as_json)
+        profile = (self.verbose or self.as_json) and not self.item
+        return shared_device(self.device_name, profile=profile)
 
     def _open_device(self, context: click.Context) -> None:
         """Open the device in a thread of its own, in the context of the command."""
@@ -165,7 +173,8 @@ class Run:
             self._shared_device()
 
     def __enter__(self) -> Self:
-        self.progress.__enter__()
+        if not self.item:
+            self.progress.__enter__()
         if self.on_device:  # the device is opened while the input is read
             context = click.get_current_context()
             threading.Thread(target=self._open_device, args=(context,)).start()
@@ -173,8 +182,11 @@ class Run:
 
     def __exit__(self, *_: object) -> None:
         self.enter(None)
-        self.progress.__exit__()
+        if not self.item:
+            self.progress.__exit__()
         self.seconds = time.perf_counter() - self.started
+        if self.item:  # without the time that it waited for others
+            self.seconds = sum(self._times.values())
 
     def enter(self, stage: str | None) -> None:
         """Begin a stage, which ends when the next one begins; None begins none."""
@@ -208,7 +220,7 @@ class Run:
         request["max_memory"] = self.max_memory
         if not self.on_device:
             return self.stage(PLAN, plan, *args, **request)
-        with self.device.reporting(self.progress.enter):
+        with self._turn, self.device.reporting(self.progress.enter):
             return self.stage(PLAN, plan, *args, device=self.device, **request)
 
     def job(
@@ -229,11 +241,10 @@ class Run:
         if self.only_plan:
             self.print_plan(job, facts)
         self.progress.stages = [*self._times, *job.stages, *after, WRITE]
-        began = time.perf_counter()
-        with warnings.catch_warnings(record=True) as caught:
+        with self._turn, options.holding_warnings() as found:
+            began = time.perf_counter()
             result = job.run(self.enter if job.device is None else self.progress.enter)
         self.enter(None)
-        found = [str(w.message) for w in caught if issubclass(w.category, VoxtoolWarning)]
         if empty(result):
             raise VoxtoolError(found[0])
         for message in found:
@@ -243,10 +254,17 @@ class Run:
         self.notes += job.notes(result)
         return result
 
+    @property
+    def _turn(self) -> AbstractContextManager[Any]:
+        """The lock of the device that many meshes share."""
+        return self.item.lock if self.item else nullcontext()
+
     def print_plan(self, job: Job[Any], facts: Mapping[str, Any]) -> NoReturn:
         """Print the plan and the predicted memory of a job; end the command."""
         self.progress.erase()
-        if self.as_json:
+        if self.item:
+            self.item.facts |= {"plan": {**job.describe(), **facts}, "cost": vars(job.cost)}
+        elif self.as_json:
             options.print_json({**job.describe(), **facts})
         else:
             cost = job.cost
@@ -284,23 +302,35 @@ class Run:
         facts : returns the JSON, without output, notes, warnings, stages and seconds.
         json_too : print the JSON beside the line even without --json.
         """
-        if self.as_json or json_too:
+        if self.item or self.as_json or json_too:
             result = {
                 "output": self.output,
                 **facts(),
                 "notes": self.notes,
                 "warnings": options.issued_warnings(),
-                "stages": self.times if self.as_json else {},
+                "stages": self.times if self.item or self.as_json else {},
                 "seconds": round(self.seconds, 3),
             }
-            if not (self.to_stdout and self.quiet):
+            if self.item:
+                self.item.facts |= result
+            elif not (self.to_stdout and self.quiet):
                 options.print_json(result, err=self.to_stdout)
         if not self.as_json:
             target = "stdout" if self.to_stdout else self.output
             options.tell(f"{options.shown(self.source)} -> {target}: {text}, {self.seconds:.2f} s")
-            for line in (*(f"  {detail}" for detail in details), *self.notes):
+            lines = () if self.item else (f"  {detail}" for detail in details)
+            for line in (*lines, *self.notes):
                 options.tell(line)
         self.finish()
+
+    def answer(self, facts: Mapping[str, Any], text: str) -> None:
+        """Print a report that is the result of a command: the text, or the facts as JSON."""
+        if self.item:
+            self.item.facts |= {"report": facts, "text": text}
+        elif self.as_json:
+            options.print_json(facts)
+        else:
+            click.echo(text)
 
     def print_facts(self, facts: Mapping[str, Any]) -> None:
         """Print facts that are the result of a command, beside a file or without one, as JSON."""
@@ -317,7 +347,7 @@ class Run:
         CheckError : with --strict, the library has issued a warning.
         """
         on_terminal = sys.stderr and sys.stderr.isatty()
-        if "device" in self.__dict__ and (on_terminal or self.verbose):
+        if "device" in self.__dict__ and not self.item and (on_terminal or self.verbose):
             from voxtool.opencl.program import compile_report
 
             if line := compile_report():
@@ -333,7 +363,10 @@ class Run:
     @cached_property
     def times(self) -> dict[str, float]:
         """Seconds by stage, in order: those of kernels and copies for what ran on the device, those
-        of the clock for the rest; "other" is the time that no stage has."""
+        of the clock for the rest; "other" is the time that no stage has. Of one of many meshes, the
+        job is one stage, and all times are those of the clock."""
+        if self.item:
+            return self._times
         on_device = self.device.stage_times() if "device" in self.__dict__ else {}
         times: dict[str, float] = {}
         for name, seconds in self._times.items():

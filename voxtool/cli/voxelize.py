@@ -8,6 +8,7 @@ import click
 
 from voxtool.choices import DEFAULT_DIM, DEFAULT_MODE, FILLS, FITS, MODES, NORMALIZED
 from voxtool.cli import options, runner
+from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import DIM, bbox_option, flag, option, together
 from voxtool.errors import human
 from voxtool.files.formats import EXPORTS
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @click.command("voxelize")
-@click.argument("mesh")
+@mesh_argument("", "svo.h5")
 @together(
     option("--mode", MODES,
         "surface26: every voxel that touches a triangle; surface6: the thinner 6-separating set; "
@@ -59,7 +60,8 @@ def command(
 ) -> None:  # fmt: skip
     """Voxelize a triangle MESH directly into a sparse voxel octree.
 
-    MESH is an OBJ, STL, PLY, OFF, GLB or 3MF file, .gz too, or - for stdin. Sizes are in the mesh's
+    MESH is an OBJ, STL, PLY, OFF, GLB or 3MF file, .gz too, or - for stdin; of many, -o names the
+    folder for an output each (docs/many.md). Sizes are in the mesh's
     own units, once scaled; a voxel (i, j, k) is the cube from origin + pitch (i, j, k).
 
     \b
@@ -67,6 +69,7 @@ def command(
       voxtool voxelize bunny.obj --dim 512 --mode solid
       voxtool voxelize bunny.obj --pitch 0.01 --mode surface26 -o bunny.svo.xml
       voxtool voxelize open.obj --fill winding
+      voxtool voxelize bunny.obj open.obj -o octrees/ --dim 64
       voxtool voxelize open.obj --fill flood --gap 3
       voxtool voxelize bunny.obj --like mask.npy -o bunny.npy
       voxtool voxelize bunny.obj --normalize unit --dim 64 --bbox 0 0 0 1 1 1 -o bunny.npy
@@ -85,7 +88,7 @@ def command(
     from voxtool.mesh.normalize import normalize as place
     from voxtool.svo.voxelize import plan_voxelize
 
-    run.to(mesh, options.output_of(mesh, "svo.h5"), (*SVO_FORMATS, *EXPORTS))
+    run.to(mesh, options.output_of(mesh, run.file_format or "svo.h5"), (*SVO_FORMATS, *EXPORTS))
     with run:
         loaded = run.stage(
             "read mesh", load_mesh, mesh, max_memory=run.max_memory, units=units, scale=scale

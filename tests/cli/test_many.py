@@ -1,0 +1,180 @@
+"""Many meshes in one call: outputs, the manifest, what is up to date, workers that die."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from helpers_cli import ENVIRONMENT, MODULE, fail, invoke, run, told
+
+from voxtool.files import read_svo
+from voxtool.files.manifest import Manifest
+from voxtool.files.mesh import load_mesh
+from voxtool.grid import Grid
+from voxtool.svo.voxelize import voxelize
+
+# Kills the process that opens crash.obj.
+CRASH = """
+import os, signal, sys
+def hook(event, arguments):
+    if event == "open" and str(arguments[0]).endswith("crash.obj"):
+        os.kill(os.getpid(), signal.SIGKILL)
+sys.addaudithook(hook)
+"""
+
+
+@pytest.fixture
+def balls(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The current folder has three balls, in two folders."""
+    monkeypatch.chdir(tmp_path)
+    names = ["a/one.obj", "a/two.obj", "b/three.obj"]
+    for n, name in enumerate(names):
+        Path(name).parent.mkdir(exist_ok=True)
+        trimesh.creation.icosphere(subdivisions=1, radius=1 + n).export(name)
+    return names
+
+
+def lines(folder: str = "out", name: str = "manifest.jsonl") -> list[dict]:
+    return [json.loads(line) for line in Path(folder, name).read_text().splitlines()]
+
+
+def test_each_mesh_becomes_what_it_becomes_alone(balls) -> None:
+    Path("b/bad.obj").write_text("v 0 0 0\n")
+    result = invoke(f"voxelize {balls[0]} b/bad.obj {balls[2]} -o out --dim 20")
+    assert result.exit_code == 1
+    assert result.stderr.splitlines()[-1] == (
+        "voxtool: error: 1 of 3 meshes failed: see out/manifest.jsonl"
+    )
+    one, bad, three = lines()
+    for line, name in ((one, balls[0]), (three, balls[2])):
+        mesh = load_mesh(name)
+        alone = voxelize(mesh, Grid.fit(mesh, 20))
+        assert line["mesh"] == name
+        assert line["digest"] == alone.digest() == read_svo(line["output"]).digest()
+        assert line["options"]["dim"] == 20
+        assert line["size"] == os.path.getsize(line["output"])
+    assert bad["error"]["kind"] == "mesh"
+    assert bad["error"]["exit_code"] == 3
+    assert not Path(bad["output"]).exists()
+
+
+def test_what_is_up_to_date_is_left(balls) -> None:
+    command = f"voxelize {' '.join(balls)} -o out --dim 16 --json"
+
+    def counts(command: str) -> tuple[int, int]:
+        found = told(command)
+        return found["made"], found["up_to_date"]
+
+    assert counts(command) == (3, 0)
+    assert counts(command) == (0, 3)
+    assert counts(f"{command} -q --workers 2") == (0, 3)  # how it is done is no matter
+    assert counts(command.replace("16", "17")) == (3, 0)
+    assert counts(command.replace("16", "17")) == (0, 3)
+    os.utime(balls[1])
+    Path("out/one.svo.h5").write_bytes(b"")
+    Path("out/three.svo.h5").unlink()
+    assert counts(command.replace("16", "17")) == (3, 0)
+    assert [line["mesh"] for line in lines()] == balls
+
+
+def test_shards_are_all_meshes_and_each_once(balls) -> None:
+    for part in (1, 2):
+        run(f"voxelize {' '.join(balls)} -o out --dim 8 --shard {part}/2")
+    parts = [[x["mesh"] for x in lines(name=f"manifest.{part}-of-2.jsonl")] for part in (1, 2)]
+    assert parts == [balls[::2], balls[1::2]]
+    whole = told(f"voxelize {' '.join(balls)} -o out --dim 8 --json")
+    assert (whole["made"], whole["up_to_date"]) == (0, 3)
+    assert told(f"voxelize {balls[0]} -o out --dim 8 --json --shard 2/2")["made"] == 0
+    for wrong in ("0/2", "3/2", "half", "1/0"):
+        assert "is no shard" in fail(f"voxelize {balls[0]} --shard {wrong}", 2)
+
+
+def test_names_that_meet(balls) -> None:
+    for folder in "ab":
+        trimesh.creation.box().export(f"{folder}/model.off")
+    both = "a/model.off b/model.off"
+    message = fail(f"voxelize {both} -o out", 2)
+    assert "would both become out/model.svo.h5: rename one, or give --keep-folders" in message
+    run(f"adf-build {both} -o out --keep-folders --max-level 2 --format adf.h5")
+    assert Path("out/a/model.adf.h5").is_file()
+    assert Path("out/b/model.adf.h5").is_file()
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("voxelize - M -o out", "stdin is one mesh"),
+        ("voxelize M -o -", "no place on stdout"),
+        ("voxelize M -o out --gap 3", "--gap goes with"),
+        ("distance M", "many meshes go with a grid"),
+        ("diagnose M --obj loops.obj", "--obj is of one mesh"),
+    ],
+)
+def test_refusals(command: str, message: str, balls) -> None:
+    assert message in fail(command.replace("M", " ".join(balls)), 2)
+
+
+def test_a_folder_that_is_a_file(balls) -> None:
+    Path("out").write_text("")
+    assert "it is a file, not a folder" in fail(f"voxelize {' '.join(balls)} -o out")
+
+
+def test_other_commands(balls) -> None:
+    meshes = " ".join(balls)
+    run(f"distance {meshes} -o out --dim 8 --float32")
+    assert np.load("out/two.sdf.npy").shape == (8, 8, 8)
+    run(f"repair {balls[0]} {balls[1]} -o out/ --dim 16 --format ply")
+    run(f"hollow {balls[0]} -o hollowed/ --wall 0.4 --dim 16")
+    assert Path("out/one.repaired.ply").is_file()
+    assert Path("hollowed/one.hollow.obj").is_file()
+    texts = run(f"diagnose {meshes} --dim 8").stdout
+    boxes = [texts.index(f"{size} x {size}") for size in (2, 4, 6)]  # in the order of the meshes
+    assert boxes == sorted(boxes)
+    reports: Any = told(f"diagnose {meshes} --dim 8 --json")
+    assert [report["mesh"] for report in reports] == balls
+    assert all(report["report"]["diagnosis"]["closed"] for report in reports)
+
+
+def test_plans_write_nothing(balls) -> None:
+    text = run(f"voxelize {' '.join(balls)} -o out --dim 16 --plan").stdout
+    assert [line.split(" -> ")[0] for line in text.splitlines()] == balls
+    plans: Any = told(f"voxelize {' '.join(balls)} -o out --dim 16 --plan --json")
+    assert plans[1]["plan"]["stages"]
+    assert plans[1]["cost"]["device"] > 0
+    assert not Path("out").exists()
+
+
+def test_a_crash_costs_one_mesh(balls) -> None:
+    Path("sitecustomize.py").write_text(CRASH)
+    Path("crash.obj").write_text("v 0 0 0\n")
+    folders = os.pathsep.join([os.getcwd(), ENVIRONMENT["PYTHONPATH"]])
+    words = [*MODULE, "voxelize", balls[0], "crash.obj", *balls[1:], "-o", "out", "--dim", "8"]
+    done = subprocess.run(
+        words, env={**ENVIRONMENT, "PYTHONPATH": folders}, capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert "1 of 4 meshes failed" in done.stderr
+    found = {line["mesh"]: line.get("error", {}).get("kind") for line in lines()}
+    assert found == {balls[0]: None, "crash.obj": "crash", balls[1]: None, balls[2]: None}
+    assert "crash.obj: its process ended with signal SIGKILL" in done.stderr
+
+
+def test_a_manifest_that_was_cut_off(tmp_path: Path) -> None:
+    manifest = Manifest(str(tmp_path), None)
+    manifest.add({"output": "one", "n": 1})
+    manifest.add({"output": "two", "n": 2})
+    path = tmp_path / "manifest.jsonl"
+    path.write_text(path.read_text()[:-6])  # killed in the middle of a line
+    again = Manifest(str(tmp_path), None)
+    assert again.line_of("one") == {"output": "one", "n": 1}
+    assert again.line_of("two") == {}
+    again.add({"output": "two", "n": 3})
+    again.add({"output": "two", "n": 4})
+    again.finish(["two", "one"])
+    assert [json.loads(line)["n"] for line in path.read_text().splitlines()] == [4, 1]

@@ -1,0 +1,273 @@
+"""Commands that read one mesh, and take many: an output each, in a folder.
+
+`mesh_argument` stands for `click.argument("mesh")` at the top of such a command. One mesh is done
+here; many are done by worker processes (workers.py), and a manifest in the folder says what became
+of each.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+import os
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from voxtool.cli import options
+from voxtool.cli.options import Parsed, flag, option, together
+from voxtool.cli.runner import SHARED
+from voxtool.cli.workers import Task, Workers, serve
+from voxtool.errors import CheckError, DeviceError, human, printable
+from voxtool.version import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from voxtool.cli.workers import Answer
+    from voxtool.files.manifest import Manifest
+
+    Values = dict[str, Any]
+
+
+def shard_of(text: str) -> tuple[int, int]:
+    """Return the number of a shard, from 1, and the number of shards: 3/16."""
+    part, _, whole = text.partition("/")
+    number, count = int(part), int(whole)
+    if not 1 <= number <= count:
+        raise ValueError
+    return number, count
+
+
+SHARD = Parsed("shard", shard_of, " is no shard: write 1/16 to 16/16")
+# Options that say how many meshes are done, not what they become.
+WAYS = SHARED | {"mesh", "workers", "shard", "keep_folders", "fail_fast", "as_worker"}
+
+
+def mesh_argument(
+    kind: str = "", form: str = "", arrange: Callable[..., Any] = lambda *given: given
+) -> options.Decorator:
+    """Add the argument MESH..., and what many meshes need, to a command of one mesh.
+
+    Parameters
+    ----------
+    kind, form : the outputs are called NAME.KIND.FORM, where --format may say another form; both
+        are empty if there is no output.
+    arrange : takes the meshes and the values of the options, and returns them.
+    """
+
+    def decorate(call: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(call)
+        def command(mesh: tuple[str, ...], **values: Any) -> None:
+            own = {name: values.pop(name) for name in (WAYS - SHARED) & values.keys()}
+            meshes, values = arrange(mesh, values)
+            if own["as_worker"]:
+                serve(call, values)
+            elif is_one(meshes, values.get("output"), own):
+                call(mesh=meshes[0], **values)
+            else:
+                Many(meshes, values, (kind, form), **own).run()
+
+        added: list[click.Parameter] = []  # in the reverse order of the help
+        vars(command)["__click_params__"] = added
+        decorated = together(*OPTIONS)(command)
+        added += vars(call)["__click_params__"]
+        return click.argument("mesh", nargs=-1, required=True, metavar="MESH...")(decorated)
+
+    return decorate
+
+
+OPTIONS = (
+    option("--workers", click.IntRange(1),
+        "Processes that do many meshes.  [default: 1]", metavar="N"),
+    option("--shard", SHARD,
+        "Do only part I of N of the meshes: one command for each of N machines.", metavar="I/N"),
+    flag("--keep-folders", "Of many meshes: keep their folders, below the one that all have."),
+    flag("--fail-fast", "Of many meshes: stop at the first that fails."),
+    click.option("--as-worker", is_flag=True, hidden=True, help="Read tasks from stdin."),
+)  # fmt: skip
+
+
+def is_one(meshes: Sequence[str], output: str | None, own: Mapping[str, Any]) -> bool:
+    """Return whether a command line is of one mesh and its output."""
+    into_folder = output is not None and output.endswith(("/", os.sep))
+    return len(meshes) == 1 and not own["shard"] and not own["workers"] and not into_folder
+
+
+class Many:
+    """Many meshes, their outputs, and the options of the command."""
+
+    def __init__(
+        self, meshes: Sequence[str], values: Values, name: tuple[str, str], *,
+        workers: int | None, shard: tuple[int, int] | None, keep_folders: bool, fail_fast: bool,
+        as_worker: bool,
+    ) -> None:  # fmt: skip
+        if "-" in meshes:
+            raise click.UsageError("stdin is one mesh: name files, if there are many")
+        if values.get("output") == "-":
+            raise click.UsageError("many meshes have no place on stdout: name a folder with -o")
+        self.values, self.shard, self.fail_fast = values, shard, fail_fast
+        self.workers = workers or 1
+        self.folder = (values.get("output") or ".") if name[1] else None
+        self.outputs = outputs_of(meshes, self.folder, name, values, keep_folders)
+        part = slice(shard[0] - 1, None, shard[1]) if shard else slice(None)
+        self.meshes = list(meshes)[part]
+        self.counts = dict.fromkeys(("made", "up to date", "failed"), 0)
+
+    def run(self) -> None:
+        """Do the meshes, and report.
+
+        Raises
+        ------
+        CheckError
+            If a mesh failed.
+        """
+        began = time.perf_counter()
+        manifest = None
+        if self.folder is not None and not self.values["only_plan"]:
+            from voxtool.files.manifest import Manifest, make_folder
+
+            manifest = Manifest(self.folder, self.shard)
+            for below in {os.path.dirname(self.outputs[mesh]) for mesh in self.meshes} - {""}:
+                make_folder(below)
+        tasks = [Task(mesh, self.outputs.get(mesh)) for mesh in self.meshes]
+        todo = [task for task in tasks if not (manifest and self.is_current(manifest, task))]
+        self.counts["up to date"] = len(tasks) - len(todo)
+        answers = self.do(todo, manifest)
+        if manifest:
+            manifest.finish(str(task.output) for task in tasks)
+            self.summarize(manifest, time.perf_counter() - began)
+        elif self.values["as_json"]:
+            options.print_json([{"mesh": mesh, **answers[mesh]} for mesh in self.meshes])
+        if failed := self.counts["failed"]:
+            where = f": see {manifest.path}" if manifest else ""
+            raise CheckError(f"{failed:,} of {len(tasks):,} meshes failed{where}")
+
+    def do(self, tasks: Sequence[Task], manifest: Manifest | None) -> dict[str, Answer]:
+        """Do the tasks, print what workers say, and return the answers by their mesh."""
+        context = click.get_current_context()
+        words = list(context.find_root().command.words)  # pyright: ignore[reportAttributeAccessIssue]
+        words.insert(words.index(str(context.info_name)) + 1, "--as-worker")
+        found: dict[str, Answer] = {}
+        shown = 0
+        with options.Progress() as progress:
+            workers = Workers(words, tasks, self.workers)
+            for done, (task, answer) in enumerate(workers.answers()):
+                progress.enter(f"{done + 1:,} of {len(tasks):,} meshes")
+                self.take(task, answer, manifest)
+                found[task.mesh] = answer
+                while shown < len(self.meshes) and self.meshes[shown] in found:
+                    self.show(self.meshes[shown], found[self.meshes[shown]])
+                    shown += 1
+        return found
+
+    def show(self, mesh: str, answer: Answer) -> None:
+        """Print the plan of a mesh, or its report, on stdout."""
+        text = answer.pop("text", "")
+        if self.values["as_json"]:
+            return
+        if "cost" in answer:
+            device, host = (human(answer["cost"][where]) for where in ("device", "host"))
+            target = self.outputs[mesh]
+            text = f"{printable(mesh)} -> {target}: {device} on the device, {host} on the host"
+        if text:
+            click.echo(text)
+
+    def ends_all(self, failure: Mapping[str, Any]) -> bool:
+        """Return whether no other mesh need be tried, as the options or the device are wrong."""
+        wrong = failure["kind"] == "usage"
+        wrong |= failure["kind"] == "device" and not self.counts["made"]
+        return wrong or self.fail_fast
+
+    def take(self, task: Task, answer: Answer, manifest: Manifest | None) -> None:
+        """Count and print an answer, and put it into the manifest."""
+        for line in answer.pop("lines"):
+            options.tell(line)
+        if failure := answer.get("error"):
+            message = failure["message"]
+            if task.mesh not in message:
+                message = f"{printable(task.mesh)}: {message}"
+            if self.ends_all(failure):
+                raise error_of(failure["kind"], message)
+            options.tell(f"error: {message}")
+        self.counts["failed" if failure else "made"] += 1
+        if manifest:
+            line = {"mesh": task.mesh, "output": task.output, "voxtool": __version__}
+            manifest.add({**line, "options": self.request, **size_of(task.output), **answer})
+
+    @functools.cached_property
+    def request(self) -> Values:
+        """The options that decide what a mesh becomes, in JSON types."""
+        given = {name: value for name, value in self.values.items() if value is not None}
+        chosen = {name: given[name] for name in sorted(given.keys() - WAYS)}
+        chosen["format"] = self.values.get("file_format")
+        return {name: in_json(value) for name, value in chosen.items()}
+
+    def is_current(self, manifest: Manifest, task: Task) -> bool:
+        """Return whether an output is newer than its mesh, and was made with these options."""
+        line = manifest.line_of(str(task.output))
+        same = "error" not in line and line.get("voxtool") == __version__
+        if not same or line.get("options") != self.request:
+            return False
+        others = [x for x in self.values.values() if isinstance(x, str) and os.path.isfile(x)]
+        try:
+            made = os.stat(str(task.output)).st_mtime_ns
+            read = max(os.stat(name).st_mtime_ns for name in (task.mesh, *others))
+        except OSError:
+            return False
+        return made >= read and size_of(task.output) == {"size": line.get("size")}
+
+    def summarize(self, manifest: Manifest, seconds: float) -> None:
+        """Print how many meshes were made, were up to date, or failed."""
+        if self.values["as_json"]:
+            facts = {name.replace(" ", "_"): count for name, count in self.counts.items()}
+            result = {"output": self.folder, "manifest": str(manifest.path), **facts}
+            options.print_json({**result, "seconds": round(seconds, 3)})
+            return
+        counts = ", ".join(f"{count:,} {name}" for name, count in self.counts.items() if count)
+        total = f"{len(self.meshes):,} meshes"
+        options.tell(f"{total} -> {self.folder}: {counts}, {seconds:.2f} s; {manifest.path}")
+
+
+def outputs_of(
+    meshes: Sequence[str], folder: str | None, name: tuple[str, str], values: Values, nested: bool
+) -> dict[str, str]:
+    """Return the outputs of meshes by the mesh; raise UsageError if two are one."""
+    if folder is None:
+        return {}
+    kind, form = name
+    ending = ".".join(filter(None, (kind, values.get("file_format") or form)))
+    places = [os.path.dirname(os.path.abspath(mesh)) for mesh in meshes]
+    above = os.path.commonpath(places) if nested else ""
+    outputs: dict[str, str] = {}
+    taken: dict[str, str] = {}
+    for mesh, place in zip(meshes, places, strict=True):
+        below = os.path.relpath(place, above) if nested else "."
+        output = str(Path(folder, below, options.output_of(mesh, ending)))
+        if (other := taken.setdefault(output, mesh)) != mesh:
+            hint = "rename one" if nested else "rename one, or give --keep-folders"
+            raise click.UsageError(f"{other} and {mesh} would both become {output}: {hint}")
+        outputs[mesh] = output
+    return outputs
+
+
+def error_of(kind: str, message: str) -> Exception:
+    """Return the error of a failure."""
+    if kind == "usage":
+        return click.UsageError(message)
+    return DeviceError(message) if kind == "device" else CheckError(message)
+
+
+def size_of(output: str | None) -> Values:
+    """Return the bytes of an output that is a file."""
+    known = output is not None and os.path.isfile(output)
+    return {"size": os.path.getsize(str(output)) if known else None}
+
+
+def in_json(value: Any) -> Any:
+    """Return a value of an option as JSON has it."""
+    if isinstance(value, list | tuple):
+        return [in_json(x) for x in value]
+    return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,100 @@
+"""A manifest: what many meshes became, a line of JSON each, in the folder of the outputs.
+
+`manifest.jsonl`, or `manifest.3-of-16.jsonl` of one of several shards. A line is added when a mesh
+is done, so that a killed run leaves the lines of the meshes that it did; at the end of a run the
+file is replaced by one that has the last line of each output.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TextIO
+
+from voxtool.errors import FileError
+from voxtool.files.atomic import atomic_path, write_error
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+
+class Manifest:
+    """The manifest of a folder, which is made if it does not exist.
+
+    Attributes
+    ----------
+    path : Path
+        The file that this run writes.
+
+    Raises
+    ------
+    FileError
+        If the folder or the file cannot be written.
+    """
+
+    def __init__(self, folder: str, shard: tuple[int, int] | None) -> None:
+        name = "manifest.{}-of-{}.jsonl".format(*shard) if shard else "manifest.jsonl"
+        self.path = Path(folder, name)
+        self._own: dict[str, dict[str, Any]] = {}
+        self._known: dict[str, dict[str, Any]] = {}
+        self._file: TextIO | None = None
+        make_folder(folder)
+        for other in sorted(Path(folder).glob("manifest*.jsonl")):
+            self._known |= _lines_of(other)
+        if self.path.exists():
+            self._own = _lines_of(self.path)
+            self._known |= self._own
+
+    def line_of(self, output: str) -> dict[str, Any]:
+        """Return the last line of an output, of this shard or another; {} if there is none."""
+        return self._known.get(output, {})
+
+    def add(self, line: dict[str, Any]) -> None:
+        """Add the line of an output."""
+        self._own[line["output"]] = line
+        try:
+            if self._file is None:
+                self._file = open(self.path, "a", encoding="utf-8")  # noqa: SIM115
+                if self._file.tell():
+                    self._file.write("\n")  # ends a line that a killed run left
+            self._file.write(json.dumps(line) + "\n")
+            self._file.flush()
+        except OSError as error:
+            raise write_error(self.path, error) from error
+
+    def finish(self, order: Iterable[str]) -> None:
+        """Replace the file by the last line of each output, in this order; others come first."""
+        if self._file is None:
+            return
+        self._file.close()
+        given = [output for output in order if output in self._own]
+        others = [output for output in self._own if output not in set(given)]
+        with atomic_path(self.path) as path:
+            text = "".join(json.dumps(self._own[output]) + "\n" for output in [*others, *given])
+            path.write_text(text, encoding="utf-8")
+
+
+def make_folder(folder: str | os.PathLike[str]) -> None:
+    """Make a folder, and those above it, unless they exist."""
+    try:
+        os.makedirs(folder, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise FileError(f"cannot write into {folder}: it is a file, not a folder") from error
+    except OSError as error:
+        raise write_error(folder, error) from error
+
+
+def _lines_of(path: Path) -> dict[str, dict[str, Any]]:
+    """Return the lines of a manifest by their output; lines that are no JSON are left out."""
+    found: dict[str, dict[str, Any]] = {}
+    try:
+        with open(path, encoding="utf-8") as file:
+            for text in file:
+                with suppress(ValueError, TypeError, KeyError):
+                    line = json.loads(text)
+                    found[line["output"]] = line
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(f"{path}: is no manifest ({error}): remove it") from error
+    return found
