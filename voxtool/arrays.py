@@ -5,10 +5,23 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """A one-dimensional array that is not in memory: its blocks come one after the other."""
+
+    size: int
+    dtype: np.dtype
+    blocks: Iterator[np.ndarray]
+
+    def __len__(self) -> int:
+        return self.size
 
 
 def read_only(array: np.ndarray) -> np.ndarray:

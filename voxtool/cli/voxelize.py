@@ -16,6 +16,8 @@ from voxtool.files.formats import EXPORTS
 if TYPE_CHECKING:
     from voxtool.grid import Grid
     from voxtool.svo.octree import Octree
+    from voxtool.svo.voxelize import VoxelizeJob
+    from voxtool.tiles.octree import BlockOctree
 
 
 @click.command("voxelize")
@@ -44,6 +46,11 @@ if TYPE_CHECKING:
         "uniform: one pitch for all axes; stretch: each axis scaled apart, as eq. (5.1) of "
         "[voCCeL].", FITS[0]),
     options.length_options(),
+    option("--windows", ("auto", "never"),
+        "auto: if the octree would take more than --max-memory, make it in windows, with the same "
+        "content; never: refuse.", "auto"),
+    flag("--resume", "Go on with the windows that a killed run left in FILE.windows."),
+    flag("--no-keep", "Leave no windows if the run is killed or fails."),
     option("--normalize", NORMALIZED,
         "Place the mesh first: unit: in the cube [0,1]^3, centred, its longest side 1; sphere: in "
         "the ball of radius 1 at 0, its bounding box centred.  The transform is stored."),
@@ -56,7 +63,8 @@ if TYPE_CHECKING:
 )  # fmt: skip
 def command(
     run: runner.Run, mesh: str, mode: str, fill: str, gap: int, with_surface: bool,
-    like: str | None, normalize: str | None, units: str | None, scale: float, **placing: Any,
+    like: str | None, normalize: str | None, units: str | None, scale: float, windows: str,
+    resume: bool, no_keep: bool, **placing: Any,
 ) -> None:  # fmt: skip
     """Voxelize a triangle MESH directly into a sparse voxel octree.
 
@@ -98,12 +106,35 @@ def command(
         grid = options.grid_from(loaded, like, placing)
         request = {"fill": fill, "gap": gap, "with_surface": with_surface}
         job = run.plan(plan_voxelize, loaded, grid, mode, **request)
-        octree = run.job(job, origin=list(grid.origin), pitch=list(grid.pitch))
-        run.write(export if run.file_format in EXPORTS else write_svo, octree)
+        place = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
+        if windows != "never" and run.file_format == "svo.h5" and not job.fits:
+            octree = make_in_windows(run, job, resume, not no_keep, **place)
+        else:
+            octree = run.job(job, **place)
+            run.write(export if run.file_format in EXPORTS else write_svo, octree)
     run.report(report_line(octree), lambda: facts_of(octree))
 
 
-def facts_of(octree: Octree) -> dict[str, Any]:
+def make_in_windows(
+    run: runner.Run, whole: VoxelizeJob, resume: bool, keep: bool, **place: Any
+) -> BlockOctree:
+    """Voxelize in windows, and write the octree that they make together."""
+    from voxtool.files import write_svo
+    from voxtool.files.windows import Windows
+    from voxtool.tiles.voxelize import WindowsJob
+
+    job = run.stage("plan windows", WindowsJob, whole)
+    if run.only_plan:
+        run.job(job, **place)
+    if run.to_stdout:
+        raise click.UsageError("windows wait beside the output: name a file with -o")
+    with Windows(str(run.output), job.request, resume, keep) as job.store:
+        octree = run.job(job, **place)
+        run.write(write_svo, octree)
+    return octree
+
+
+def facts_of(octree: Octree | BlockOctree) -> dict[str, Any]:
     """Return the facts of the report, in JSON types."""
     grid = octree.grid
     return {
@@ -120,7 +151,7 @@ def facts_of(octree: Octree) -> dict[str, Any]:
     }
 
 
-def report_line(octree: Octree) -> str:
+def report_line(octree: Octree | BlockOctree) -> str:
     """Return the line of the report."""
     filled = "" if octree.fill == "none" else f" by {octree.fill}"
     return (

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
+from voxtool.arrays import Blocks
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.files.schema import FORMAT, FORMAT_VERSION, Attribute, Dataset, Schema
 from voxtool.limits import bounded_memory
@@ -42,8 +43,19 @@ def write(schema: Schema, content: Any, file: BinaryIO) -> None:
             _write_attribute(h5, attribute, stored[attribute.name])
         for dataset in schema.datasets:
             array = dataset.encode(content, stored)
-            if array is not None:
+            if isinstance(array, Blocks):
+                _write_blocks(h5, dataset, array)
+            elif array is not None:
                 h5.create_dataset(dataset.name, data=array, track_times=False)
+
+
+def _write_blocks(h5: Any, dataset: Dataset, array: Blocks) -> None:
+    row = () if dataset.rows is None else (len(dataset.rows.names or ()),)
+    stored = h5.create_dataset(dataset.name, (array.size, *row), array.dtype, track_times=False)
+    start = 0
+    for block in array.blocks:
+        stored[start : start + len(block)] = block
+        start += len(block)
 
 
 def _write_attribute(h5: Any, attribute: Attribute, value: Any) -> None:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
+from voxtool.arrays import Blocks
 from voxtool.errors import FileError
 from voxtool.version import __version__
 
@@ -134,13 +135,20 @@ class Dataset:
             for side in self.shape
         )
 
-    def encode(self, content: Any, sizes: Sizes) -> np.ndarray | None:
+    def encode(self, content: Any, sizes: Sizes) -> np.ndarray | Blocks | None:
         """The array of some content, as it is stored; None where there is none."""
         array = attrgetter(self.at or self.name)(content)
         if array is None:
             return None
         if self.pack is not None:
             array = self.pack(array)
+        if isinstance(array, Blocks):
+            blocks = (self._stored(block, sizes) for block in array.blocks)
+            return Blocks(array.size, self.type_for(sizes), blocks)
+        return self._stored(array, sizes)
+
+    def _stored(self, array: np.ndarray, sizes: Sizes) -> np.ndarray:
+        """An array as it is stored."""
         if self.rows is not None:
             array = np.ascontiguousarray(array, self.rows).view(self.type_for(sizes))
             return array.reshape(-1, len(self.rows.names or ()))

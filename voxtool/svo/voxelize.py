@@ -202,6 +202,11 @@ class VoxelizeJob(Job[Octree]):
         self.plan = plan.in_slabs(self._limit, self.device.info.max_allocation)
 
     @property
+    def fits(self) -> bool:
+        """True if the job takes no more memory than it may."""
+        return self.plan.fits(self._limit, self.device.info.max_allocation)
+
+    @property
     def _limit(self) -> int:
         """Bytes that the job may take on the device."""
         return self.device.max_memory if self.max_memory is None else self.max_memory
@@ -347,7 +352,7 @@ class VoxelizeJob(Job[Octree]):
                 f"{self._name} has more boundary loops near one voxel than winding numbers are "
                 "computed for; caps close them there: see voxtool diagnose, or fill by flood"
             )
-        if not octree.bricks.any() and not octree.count:
+        if not octree.count:
             yield f"{self._name} sets no voxel: {self._why_empty()}"
 
     def _why_empty(self) -> str:

@@ -1,0 +1,1 @@
+"""Work larger than one memory: windows of an octree, in Morton order, and what joins them."""

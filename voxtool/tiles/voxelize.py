@@ -1,0 +1,262 @@
+"""Voxelization in windows: an octree that is larger than the memory that it may take.
+
+A window is a subtree of the octree (subtree.py). The grid is halved along its axes until each
+window's plan fits; windows without a triangle that matters to them cost nothing. They are voxelized
+one after the other, in Morton order, each from the faces that can change it, and wait on disk
+(files/windows.py) until the number of nodes of each level is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from voxtool.arrays import digest_of
+from voxtool.errors import MemoryLimitError, count_of, human
+from voxtool.files.windows import Key, Windows
+from voxtool.grid import FIXED_POINT_BITS
+from voxtool.job import Cost, Job
+from voxtool.morton import morton_decode
+from voxtool.opencl import Device
+from voxtool.svo.layout import BRICK_BYTES, MAX_LINK, NODE_BYTES
+from voxtool.svo.plan import NODE_BLOCK, VoxelizePlan
+from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
+from voxtool.tiles.octree import BlockOctree
+from voxtool.tiles.subtree import Subtree, empty_subtree, joined, subtree_of
+
+LEAST = NODE_BLOCK  # voxels along a side of a window
+MARGIN = 8  # voxels around a window whose faces may reach into its nodes
+CORNERS = morton_decode(np.arange(8, dtype=np.uint64))  # of the eight halves of a cube, in order
+
+
+@dataclass(frozen=True)
+class Part:
+    """A cube of the grid: a window with its plan, or the eight that it consists of."""
+
+    key: Key
+    plan: VoxelizePlan | None = None  # of a window; None if nothing touches it
+    parts: tuple[Part, ...] = ()
+
+    def windows(self) -> Iterator[Part]:
+        """Yield the windows, in Morton order."""
+        if self.plan:
+            yield self
+        for part in self.parts:
+            yield from part.windows()
+
+
+@dataclass(frozen=True)
+class WindowsPlan:
+    """The windows of a voxelization."""
+
+    whole: VoxelizePlan
+    root: Part
+
+    @property
+    def plans(self) -> list[VoxelizePlan]:
+        """The plans of the windows."""
+        return [part.plan for part in self.root.windows() if part.plan]
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages that will run, in order."""
+        return list(dict.fromkeys(stage for plan in self.plans for stage in plan.stages))
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """What is not compiled, allocated or run, with the reason."""
+        return self.whole.left_out
+
+    @property
+    def cost(self) -> Cost:
+        """The predicted bytes of the largest window, and of the states of all nodes."""
+        costs = [plan.cost for plan in self.plans]
+        states = sum(plan.nodes - plan.bricks for plan in self.plans)
+        return Cost(
+            device=max((cost.device for cost in costs), default=0),
+            host=max((cost.host for cost in costs), default=0) + 2 * states,
+            largest=max((cost.largest for cost in costs), default=0),
+        )
+
+    @property
+    def disk(self) -> int:
+        """Predicted bytes of the file, and at most of the windows that wait for it."""
+        return sum(NODE_BYTES * plan.nodes + BRICK_BYTES * plan.bricks for plan in self.plans)
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of the plan in JSON types."""
+        facts = {"windows": len(self.plans), "predicted_disk_bytes": self.disk}
+        costs = {"predicted_device_bytes": self.cost.device}
+        return {**self.whole.as_dict(), **facts, **costs}
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Names and texts, which `--plan` prints before the stages."""
+        sides = sorted({part.key[3] for part in self.root.windows()})
+        wide = f"of {' to '.join(str(side) for side in sorted({sides[0], sides[-1]}))} voxels"
+        count = count_of(len(self.plans), "window")
+        return [
+            *(row for row in self.whole.rows() if row[0] not in ("octree", "work")),
+            ("windows", f"{count} {wide} a side, one after the other"),
+            ("disk", f"about {human(self.disk)}, of the file and of windows that wait for it"),
+        ]
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Raise MemoryLimitError if a window does not fit, or the octree has too many nodes."""
+        nodes = sum(plan.nodes for plan in self.plans)
+        if nodes >= MAX_LINK:
+            raise MemoryLimitError(
+                f"an octree of about {nodes:,} nodes exceeds links of 30 bits: choose a smaller dim"
+            )
+        if short := self.cost.shortage(max_memory, max_allocation):
+            raise MemoryLimitError(
+                f"the smallest window {short}: allow more, or choose a smaller dim"
+            )
+
+
+class WindowsJob(Job[BlockOctree]):
+    """A voxelization that runs window by window.
+
+    Attributes
+    ----------
+    store : Windows
+        Where windows wait; to be set before it runs.
+    """
+
+    device: Device
+    plan: WindowsPlan
+    store: Windows
+
+    def __init__(self, whole: VoxelizeJob) -> None:
+        self.whole, self.device, self.max_memory = whole, whole.device, whole.max_memory
+        self.grid, self.mesh = whole.grid, whole.mesh
+        del whole.lattice  # frees the memory of the whole mesh on the device
+        self._ranges = None if whole.plan.fill == "winding" else self._voxels_of_faces()
+        faces = np.arange(len(self.mesh.faces))
+        self.plan = WindowsPlan(whole.plan, self._divide((0, 0, 0, self.grid.side), faces))
+
+    @property
+    def request(self) -> dict[str, Any]:
+        """What is made, in JSON types."""
+        plan = self.whole.plan
+        content = digest_of(self.grid.exact, self.mesh.vertices, self.mesh.faces)
+        return {"content": content, "mode": plan.mode, "fill": plan.rule}
+
+    # ---- the windows
+
+    def _voxels_of_faces(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the (F, 3) least and greatest voxels of each face."""
+        voxels = self.grid.to_fixed(self.mesh.vertices) >> FIXED_POINT_BITS
+        corners = voxels[self.mesh.faces]
+        return corners.min(axis=1), corners.max(axis=1)
+
+    def _faces_of(self, key: Key, faces: np.ndarray) -> np.ndarray:
+        """Return those of some faces that can change a window: for a solid also those before it
+        along x, as their crossings decide where its rows begin."""
+        if self._ranges is None:
+            return faces
+        low, high = (ends[faces] for ends in self._ranges)
+        corner, side = np.array(key[:3]), key[3]
+        reached = high >= corner - MARGIN
+        if self.whole.plan.solid:
+            reached[:, 0] = True
+        return faces[(reached & (low <= corner + side + MARGIN)).all(axis=1)]
+
+    def _job(self, key: Key, faces: np.ndarray) -> VoxelizeJob:
+        """Return the job of a window."""
+        mesh, plan = self.mesh, self.whole.plan
+        if len(faces) < len(mesh.faces):
+            used = np.zeros(len(mesh.vertices), bool)
+            used[mesh.faces[faces]] = True
+            index = np.cumsum(used, dtype=np.int32) - 1
+            mesh = replace(mesh, vertices=mesh.vertices[used], faces=index[mesh.faces[faces]])
+        mode, _, added = plan.mode.partition("+")
+        shape = self._shape(key)
+        return plan_voxelize(
+            mesh,
+            self.grid,
+            mode,
+            fill=plan.fill if plan.solid else "auto",
+            with_surface=bool(added),
+            window=(key[:3], shape),
+            device=self.device,
+            max_memory=self.max_memory,
+        )
+
+    def _shape(self, key: Key) -> tuple[int, int, int]:
+        """Return the voxels of a window along each axis."""
+        x, y, z = (min(key[3], n - a) for a, n in zip(key[:3], self.grid.shape, strict=True))
+        return x, y, z
+
+    def _divide(self, key: Key, faces: np.ndarray) -> Part:
+        """Return a cube as a window if its plan fits, or in eight."""
+        if min(self._shape(key)) <= 0:
+            return Part(key)
+        faces = self._faces_of(key, faces)
+        if not len(faces):
+            return Part(key)
+        job = self._job(key, faces)
+        if job.plan.survey.triangles == job.plan.survey.outside and not job.plan.entry:
+            return Part(key)
+        most, largest = self._limits
+        if job.plan.fits(most, largest) or key[3] <= LEAST:
+            return Part(key, job.plan)
+        return Part(key, parts=tuple(self._divide(half, faces) for half in halves_of(key)))
+
+    @property
+    def _limits(self) -> tuple[int, int]:
+        """Bytes that a window may take on the device, in total and in one buffer."""
+        most = self.device.max_memory if self.max_memory is None else self.max_memory
+        return most, self.device.info.max_allocation
+
+    # ---- the work
+
+    def _run(self) -> BlockOctree:
+        tree = self._made(self.plan.root, np.arange(len(self.mesh.faces)))
+        mesh, plan = self.mesh, self.whole.plan
+        origin = (mesh.source_sha256, mesh.units, mesh.transform)
+        result = (self.grid, plan.mode, plan.rule, tree, self.store.voxels, self._bricks)
+        return BlockOctree(*result, plan.scene(), *origin)
+
+    def _bricks(self) -> Iterator[np.ndarray]:
+        """Yield the bricks of all windows, which are then removed from the disk."""
+        for part in self.plan.root.windows():
+            yield from self.store.take(part.key)
+
+    def notes(self, octree: BlockOctree) -> list[str]:
+        """Return lines about the fill rule; they are not warnings."""
+        return self.whole.notes(octree)
+
+    def findings(self, octree: BlockOctree) -> Iterator[str]:
+        """Yield warnings: the fill may leak, or the octree is empty."""
+        return self.whole.findings(octree)
+
+    def _made(self, part: Part, faces: np.ndarray) -> Subtree:
+        """Return the subtree of a cube; its bricks wait on disk."""
+        side = part.key[3]
+        if not part.plan and not part.parts:
+            return empty_subtree(side)
+        faces = self._faces_of(part.key, faces)
+        if part.parts:
+            return joined([self._made(half, faces) for half in part.parts])
+        if part.key not in self.store:
+            self._report()
+            with self.device.reporting(lambda _: None):  # not the stages within
+                octree = self._job(part.key, faces)._run()
+            tree = subtree_of(octree, side)
+            self.store.put(part.key, tree.levels, octree.bricks, octree.count)
+        return Subtree(*self.store.get(part.key))
+
+    def _report(self) -> None:
+        """Say which window is being made."""
+        if self._progress:
+            self._progress(f"window {len(self.store) + 1} of {len(self.plan.plans)}")
+
+
+def halves_of(key: Key) -> list[Key]:
+    """Return the eight cubes of a cube, in Morton order."""
+    x, y, z, side = key
+    half = side // 2
+    return [(x + half * i, y + half * j, z + half * k, half) for i, j, k in CORNERS.tolist()]
