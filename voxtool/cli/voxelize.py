@@ -106,17 +106,18 @@ def command(
         grid = options.grid_from(loaded, like, placing)
         request = {"fill": fill, "gap": gap, "with_surface": with_surface}
         job = run.plan(plan_voxelize, loaded, grid, mode, **request)
-        place = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
-        if windows != "never" and run.file_format == "svo.h5" and not job.fits:
-            octree = make_in_windows(run, job, resume, not no_keep, **place)
+        placed: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
+        windowed = windows != "never" and run.file_format == "svo.h5" and job.plan.fill != "flood"
+        if windowed and not job.fits:
+            octree = make_in_windows(run, job, resume, not no_keep, **placed)
         else:
-            octree = run.job(job, **place)
+            octree = run.job(job, **placed)
             run.write(export if run.file_format in EXPORTS else write_svo, octree)
     run.report(report_line(octree), lambda: facts_of(octree))
 
 
 def make_in_windows(
-    run: runner.Run, whole: VoxelizeJob, resume: bool, keep: bool, **place: Any
+    run: runner.Run, whole: VoxelizeJob, resume: bool, keep: bool, **placed: Any
 ) -> BlockOctree:
     """Voxelize in windows, and write the octree that they make together."""
     from voxtool.files import write_svo
@@ -125,11 +126,13 @@ def make_in_windows(
 
     job = run.stage("plan windows", WindowsJob, whole)
     if run.only_plan:
-        run.job(job, **place)
+        run.job(job, **placed)
     if run.to_stdout:
         raise click.UsageError("windows wait beside the output: name a file with -o")
-    with Windows(str(run.output), job.request, resume, keep) as job.store:
-        octree = run.job(job, **place)
+    with Windows(
+        str(run.output), job.request, job.plan.disk, resume=resume, keep=keep
+    ) as job.store:
+        octree = run.job(job, **placed)
         run.write(write_svo, octree)
     return octree
 

@@ -20,7 +20,7 @@ from typing import Any, Self
 import numpy as np
 
 from voxtool import watch
-from voxtool.errors import FileError
+from voxtool.errors import FileError, human
 from voxtool.files.atomic import atomic_path, write_error
 from voxtool.svo.layout import BRICK
 
@@ -36,17 +36,25 @@ class Windows:
     ----------
     target : the file that they become.
     request : what is made, in JSON types.
+    needed : bytes on the disk that they and the file are predicted to take.
     resume : take the windows of an earlier run with the same request; otherwise they are removed.
     keep : leave the folder if this run fails.
 
     Raises
     ------
     FileError
-        If the folder cannot be written, or with `resume` is of another request.
+        If the folder cannot be written, the disk has too little room, or with `resume` the folder
+        is of another request.
     """
 
     def __init__(
-        self, target: str, request: dict[str, Any], resume: bool = False, keep: bool = True
+        self,
+        target: str,
+        request: dict[str, Any],
+        needed: int = 0,
+        *,
+        resume: bool = False,
+        keep: bool = True,
     ) -> None:
         self.folder = Path(f"{target}.windows")
         self._journal = self.folder / "windows.jsonl"
@@ -57,6 +65,9 @@ class Windows:
                 self._read(head)
             else:
                 self.remove()
+            self._check_room(needed)
+            if not self._lines:
+                self.remove()
                 self.folder.mkdir()
                 self._write(json.dumps(head))
         except OSError as error:
@@ -64,6 +75,16 @@ class Windows:
         if not keep:
             watch.writing(self.folder)
         self.keep = keep
+
+    def _check_room(self, needed: int) -> None:
+        """Raise FileError if the disk has too little room for the windows that are missing."""
+        there = sum(file.stat().st_size for file in self.folder.glob("*"))
+        free = shutil.disk_usage(self.folder.absolute().parent).free
+        if needed - there > free:
+            raise FileError(
+                f"{self.folder.with_suffix('')} needs about {human(needed - there)} of disk, of "
+                f"{human(free)} free: free some space, or write to another disk"
+            )
 
     def __enter__(self) -> Self:
         return self

@@ -207,6 +207,11 @@ class VoxelizeJob(Job[Octree]):
         return self.plan.fits(self._limit, self.device.info.max_allocation)
 
     @property
+    def shortage(self) -> str:
+        """What a message says of the memory that the job lacks; "" if it lacks none."""
+        return self.plan.cost.shortage(self._limit, self.device.info.max_allocation)
+
+    @property
     def _limit(self) -> int:
         """Bytes that the job may take on the device."""
         return self.device.max_memory if self.max_memory is None else self.max_memory

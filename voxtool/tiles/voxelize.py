@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from voxtool.job import Cost, Job
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
 from voxtool.svo.layout import BRICK_BYTES, MAX_LINK, NODE_BYTES
+from voxtool.svo.octree import Octree
 from voxtool.svo.plan import NODE_BLOCK, VoxelizePlan
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 from voxtool.tiles.octree import BlockOctree
@@ -104,15 +105,11 @@ class WindowsPlan:
         ]
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
-        """Raise MemoryLimitError if a window does not fit, or the octree has too many nodes."""
+        """Raise MemoryLimitError if the octree has too many nodes; every window fits."""
         nodes = sum(plan.nodes for plan in self.plans)
         if nodes >= MAX_LINK:
             raise MemoryLimitError(
                 f"an octree of about {nodes:,} nodes exceeds links of 30 bits: choose a smaller dim"
-            )
-        if short := self.cost.shortage(max_memory, max_allocation):
-            raise MemoryLimitError(
-                f"the smallest window {short}: allow more, or choose a smaller dim"
             )
 
 
@@ -200,16 +197,14 @@ class WindowsJob(Job[BlockOctree]):
         job = self._job(key, faces)
         if job.plan.survey.triangles == job.plan.survey.outside and not job.plan.entry:
             return Part(key)
-        most, largest = self._limits
-        if job.plan.fits(most, largest) or key[3] <= LEAST:
+        if job.fits:
             return Part(key, job.plan)
+        if key[3] <= LEAST:
+            raise MemoryLimitError(
+                f"a window of {key[3]} voxels a side {job.shortage}: allow more, or choose a "
+                "smaller dim"
+            )
         return Part(key, parts=tuple(self._divide(half, faces) for half in halves_of(key)))
-
-    @property
-    def _limits(self) -> tuple[int, int]:
-        """Bytes that a window may take on the device, in total and in one buffer."""
-        most = self.device.max_memory if self.max_memory is None else self.max_memory
-        return most, self.device.info.max_allocation
 
     # ---- the work
 
@@ -227,11 +222,11 @@ class WindowsJob(Job[BlockOctree]):
 
     def notes(self, octree: BlockOctree) -> list[str]:
         """Return lines about the fill rule; they are not warnings."""
-        return self.whole.notes(octree)
+        return self.whole.notes(cast("Octree", octree))
 
     def findings(self, octree: BlockOctree) -> Iterator[str]:
         """Yield warnings: the fill may leak, or the octree is empty."""
-        return self.whole.findings(octree)
+        return self.whole.findings(cast("Octree", octree))
 
     def _made(self, part: Part, faces: np.ndarray) -> Subtree:
         """Return the subtree of a cube; its bricks wait on disk."""
