@@ -29,7 +29,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning"),
 ]
 SHAPE = (24, 20, 22)
-TESTS = 5  # that share the time
+TESTS = 6  # that share the time
 READERS = {
     "svo.h5": voxtool.read_svo,
     "svo.xml": voxtool.read_svo,
@@ -151,6 +151,25 @@ def test_killed_writers_leave_a_whole_file_or_none(rounds, models: Path, tmp_pat
             assert target.read_bytes() == before
         time.sleep(0.1 if number == signal.SIGKILL else 0)  # for the second process
         assert {path.name for path in tmp_path.iterdir()} <= {target.name}, signal.Signals(number)
+
+
+def test_killed_windows_go_on_to_the_same_octree(rounds, models: Path, tmp_path: Path) -> None:
+    target = tmp_path / "out.svo.h5"
+    mesh = voxtool.load_mesh(models / "bunny.obj")
+    whole = voxtool.voxelize(mesh, voxtool.Grid.fit(mesh, 1000)).digest()
+    command = f"voxelize {models}/bunny.obj --dim 1000 -q -o {target} --max-memory 1M --resume"
+    for rng in rounds:
+        target.unlink(missing_ok=True)
+        for _ in range(rng.randint(1, 4)):
+            child = subprocess.Popen([*MODULE, *command.split()], env=ENVIRONMENT)
+            time.sleep(rng.uniform(0.5, 2.5))
+            child.kill()
+            child.wait()
+            assert not target.exists() or voxtool.read_svo(target).digest() == whole
+        done = subprocess.run([*MODULE, *command.split()], env=ENVIRONMENT, check=False)
+        assert done.returncode == 0
+        assert voxtool.read_svo(target).digest() == whole
+        assert {path.name for path in tmp_path.iterdir()} == {target.name}
 
 
 def test_many_calls_keep_their_memory(rounds, models: Path) -> None:

@@ -151,7 +151,7 @@ def test_a_killed_run_goes_on(dying: list[int], here: Path) -> None:
         run(command)
     assert not Path("parts.svo.h5").exists()
     made = [path for path in folder.iterdir() if path.name != "windows.jsonl"]
-    assert len(made) == 3
+    assert len(made) == 6  # states and bricks
     made[1].write_bytes(made[1].read_bytes()[:-1])  # cut off
     with open(folder / "windows.jsonl", "a") as journal:
         journal.write('{"window": [0, 0')

@@ -1,9 +1,9 @@
 """The windows of an octree that are finished, in a folder beside the file that they become.
 
 `NAME.windows` holds `windows.jsonl`: a line that says of which request, then one for each finished
-window; and a file for each, the states of its nodes and its bricks as they are in memory. A killed
-run leaves the folder, and the next one takes what is whole: a window counts if its file has the
-SHA-256 that its line says.
+window; and the files of each, the states of its nodes and blocks of its bricks as they are in
+memory. A killed run leaves the folder, and the next one takes what is whole: a window counts if its
+files have the SHA-256 that its line says.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ import numpy as np
 
 from voxtool import watch
 from voxtool.errors import FileError, human
-from voxtool.files.atomic import atomic_path, write_error
+from voxtool.files.atomic import write_error
 from voxtool.svo.layout import BRICK
 
-READ = 1 << 24  # bytes read at once
+BLOCK = 1 << 22  # bricks in a file
 VERSION = 1
 Key = tuple[int, int, int, int]  # the window's low corner and its side, in voxels
 
@@ -112,45 +112,43 @@ class Windows:
             )
         for line in lines[1:]:
             with suppress(OSError, KeyError, TypeError, ValueError):
-                key: Key = tuple(line["window"])
-                if self._digest(self._path(key)) == line["sha256"]:
-                    self._lines[key] = line
+                x, y, z, side = map(int, line["window"])
+                if self._digest((x, y, z, side), line["files"]) == line["sha256"]:
+                    self._lines[x, y, z, side] = line
 
     def put(self, key: Key, levels: Sequence[np.ndarray], bricks: np.ndarray, voxels: int) -> None:
         """Store a window: the states of its levels, its bricks, and the number of its voxels."""
-        path, sha = self._path(key), hashlib.sha256()
+        files = [levels, *([part] for part in _split(bricks))]
+        sha = hashlib.sha256()
         try:
-            with atomic_path(path) as temporary, open(temporary, "wb") as file:
-                for array in (*levels, bricks):
-                    sha.update(array.data)
-                    file.write(array.data)
-            sizes = [len(states) for states in levels]
-            line = {"window": key, "levels": sizes, "bricks": len(bricks), "voxels": voxels}
-            self._lines[key] = line | {"sha256": sha.hexdigest()}
+            for path, arrays in zip(self._paths(key, len(files)), files, strict=True):
+                with open(path, "wb") as file:
+                    for array in arrays:
+                        sha.update(array.data)
+                        file.write(array.data)
+            sizes = {"levels": [len(states) for states in levels], "bricks": len(bricks)}
+            counts = {**sizes, "voxels": voxels, "files": len(files)}
+            self._lines[key] = {"window": key, **counts, "sha256": sha.hexdigest()}
             self._write(json.dumps(self._lines[key]))
         except OSError as error:
-            raise write_error(path, error) from error
+            raise write_error(self.folder, error) from error
 
     def get(self, key: Key) -> tuple[tuple[np.ndarray, ...], int]:
         """Return the states of the levels of a window, and the number of its bricks."""
         line = self._lines[key]
-        with open(self._path(key), "rb") as file:
+        with open(self._paths(key, 1)[0], "rb") as file:
             levels = tuple(np.frombuffer(file.read(size), np.uint8) for size in line["levels"])
         return levels, line["bricks"]
 
-    @property
-    def voxels(self) -> int:
-        """The number of voxels of all windows."""
-        return sum(line["voxels"] for line in self._lines.values())
+    def voxels(self, key: Key) -> int:
+        """Return the number of voxels of a window."""
+        return self._lines[key]["voxels"]
 
     def take(self, key: Key) -> Iterator[np.ndarray]:
-        """Yield the bricks of a window in blocks; its file is then removed."""
-        path = self._path(key)
-        with open(path, "rb") as file:
-            file.seek(sum(self._lines[key]["levels"]))
-            while block := file.read(READ):
-                yield np.frombuffer(block, BRICK)
-        path.unlink()
+        """Yield the bricks of a window in blocks; each block is then removed from the disk."""
+        for path in self._paths(key, self._lines[key]["files"])[1:]:
+            yield np.fromfile(path, BRICK)
+            path.unlink()
 
     def remove(self) -> None:
         """Remove the folder, if it is one of finished windows."""
@@ -159,8 +157,10 @@ class Windows:
         shutil.rmtree(self.folder, ignore_errors=True)
         watch.written(self.folder)
 
-    def _path(self, key: Key) -> Path:
-        return self.folder / "-".join(map(str, key))
+    def _paths(self, key: Key, count: int) -> list[Path]:
+        """Return the files of a window: the states, then blocks of bricks."""
+        name = "-".join(map(str, key))
+        return [self.folder / f"{name}.{number}" for number in range(count)]
 
     def _write(self, line: str) -> None:
         """Add a line to the journal."""
@@ -169,7 +169,14 @@ class Windows:
             file.flush()
             os.fsync(file.fileno())
 
-    @staticmethod
-    def _digest(path: Path) -> str:
-        with open(path, "rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+    def _digest(self, key: Key, count: int) -> str:
+        """Return the SHA-256 of the files of a window."""
+        sha = hashlib.sha256()
+        for path in self._paths(key, count):
+            sha.update(path.read_bytes())
+        return sha.hexdigest()
+
+
+def _split(bricks: np.ndarray) -> list[np.ndarray]:
+    """Return the blocks of bricks that have a file each."""
+    return [bricks[start : start + BLOCK] for start in range(0, len(bricks), BLOCK)]

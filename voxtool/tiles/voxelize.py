@@ -209,10 +209,12 @@ class WindowsJob(Job[BlockOctree]):
     # ---- the work
 
     def _run(self) -> BlockOctree:
+        self._done = 0
         tree = self._made(self.plan.root, np.arange(len(self.mesh.faces)))
         mesh, plan = self.mesh, self.whole.plan
         origin = (mesh.source_sha256, mesh.units, mesh.transform)
-        result = (self.grid, plan.mode, plan.rule, tree, self.store.voxels, self._bricks)
+        count = sum(self.store.voxels(part.key) for part in self.plan.root.windows())
+        result = (self.grid, plan.mode, plan.rule, tree, count, self._bricks)
         return BlockOctree(*result, plan.scene(), *origin)
 
     def _bricks(self) -> Iterator[np.ndarray]:
@@ -236,6 +238,7 @@ class WindowsJob(Job[BlockOctree]):
         faces = self._faces_of(part.key, faces)
         if part.parts:
             return joined([self._made(half, faces) for half in part.parts])
+        self._done += 1
         if part.key not in self.store:
             self._report()
             with self.device.reporting(lambda _: None):  # not the stages within
@@ -247,7 +250,7 @@ class WindowsJob(Job[BlockOctree]):
     def _report(self) -> None:
         """Say which window is being made."""
         if self._progress:
-            self._progress(f"window {len(self.store) + 1} of {len(self.plan.plans)}")
+            self._progress(f"window {self._done} of {len(self.plan.plans)}")
 
 
 def halves_of(key: Key) -> list[Key]:
