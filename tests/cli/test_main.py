@@ -400,7 +400,7 @@ def test_the_stored_plan_is_the_one_that_is_printed(mode: str, here: Path) -> No
 
 def test_more_than_max_memory_is_refused_with_the_dim_that_fits(here: Path) -> None:
     for mode in MODES:
-        command = f"voxelize bunny.obj --mode {mode} -o a.svo.h5 --max-memory 400K"
+        command = f"voxelize bunny.obj --mode {mode} -o a.svo.h5 --windows never --max-memory 400K"
         message = fail(f"{command} --dim 1024")
         assert "dim 1024 would need" in message
         found = re.search(r"dim (\d+) is the largest that fits", message)
@@ -585,7 +585,7 @@ def test_completion(shell_name: str) -> None:
         ("svo-info none.svo.h5 --json", "file", 3),
         ("voxelize bunny.obj --json --pitch 0", "grid", 3),
         ("voxelize bunny.obj --json --device none-such", "device", 4),
-        ("voxelize bunny.obj --json --dim 1024 --max-memory 100K", "memory", 4),
+        ("voxelize bunny.obj --json --dim 1024 --windows never --max-memory 100K", "memory", 4),
     ],
 )
 def test_errors_as_json(command: str, kind: str, code: int, here: Path) -> None:
@@ -634,7 +634,9 @@ def test_warnings_and_errors_stand_alone(here: Path) -> None:
     assert warning.startswith("voxtool: warning: ")
     assert message.startswith("voxtool: open.obj -> a.svo.h5")
     assert end == ""
-    code, _, sent = on_terminal("voxelize bunny.obj --dim 1024 --max-memory 400K", 0, here)
+    code, _, sent = on_terminal(
+        "voxelize bunny.obj --dim 1024 --windows never --max-memory 400K", 0, here
+    )
     assert code == 4
     assert "survey" in sent
     error, end = screen(sent)

@@ -117,7 +117,7 @@ def test_windows_of_the_command_line(here: Path) -> None:
         ("--max-memory 500k -o x.npy", 4, "is the largest that fits (see --max-memory)"),
         ("--max-memory 500k --fill flood", 4, "is the largest that fits (see --max-memory)"),
         ("--max-memory 500k -o -", 2, "windows wait beside the output: name a file with -o"),
-        ("--max-memory 20k", 4, "a window of 64 voxels a side would need"),
+        ("--max-memory 20k", 4, "no dim fits (see --max-memory)"),
     ],
 )
 def test_refusals(command: str, code: int, message: str, here: Path) -> None:

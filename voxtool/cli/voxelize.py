@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -10,7 +11,7 @@ from voxtool.choices import DEFAULT_DIM, DEFAULT_MODE, FILLS, FITS, MODES, NORMA
 from voxtool.cli import options, runner
 from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import DIM, bbox_option, flag, option, together
-from voxtool.errors import human
+from voxtool.errors import MemoryLimitError, human
 from voxtool.files.formats import EXPORTS
 
 if TYPE_CHECKING:
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
     from voxtool.svo.voxelize import VoxelizeJob
     from voxtool.tiles.octree import BlockOctree
+    from voxtool.tiles.voxelize import WindowsJob
 
 
 @click.command("voxelize")
@@ -107,24 +109,34 @@ def command(
         request = {"fill": fill, "gap": gap, "with_surface": with_surface}
         job = run.plan(plan_voxelize, loaded, grid, mode, **request)
         placed: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
-        windowed = windows != "never" and run.file_format == "svo.h5" and job.plan.fill != "flood"
-        if windowed and not job.fits:
-            octree = make_in_windows(run, job, resume, not no_keep, **placed)
+        parts = None
+        if windows != "never" and run.file_format == "svo.h5" and not job.fits:
+            parts = run.stage("plan windows", windows_of, job)
+        if parts:
+            octree = make_in_windows(run, parts, resume, not no_keep, **placed)
         else:
             octree = run.job(job, **placed)
             run.write(export if run.file_format in EXPORTS else write_svo, octree)
     run.report(report_line(octree), lambda: facts_of(octree))
 
 
+def windows_of(job: VoxelizeJob) -> WindowsJob | None:
+    """Return the job in windows, or None if windows do not fit either, or if it is a flood, which
+    divides the grid itself."""
+    from voxtool.tiles.voxelize import WindowsJob
+
+    with suppress(MemoryLimitError):
+        return None if job.plan.fill == "flood" else WindowsJob(job)
+    return None
+
+
 def make_in_windows(
-    run: runner.Run, whole: VoxelizeJob, resume: bool, keep: bool, **placed: Any
+    run: runner.Run, job: WindowsJob, resume: bool, keep: bool, **placed: Any
 ) -> BlockOctree:
     """Voxelize in windows, and write the octree that they make together."""
     from voxtool.files import write_svo
     from voxtool.files.windows import Windows
-    from voxtool.tiles.voxelize import WindowsJob
 
-    job = run.stage("plan windows", WindowsJob, whole)
     if run.only_plan:
         run.job(job, **placed)
     if run.to_stdout:
