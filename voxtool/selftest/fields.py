@@ -279,7 +279,7 @@ def rays(device: Device, full: bool) -> int:
       "tolerances", 1)  # fmt: skip
 def surfaces(device: Device, full: bool) -> float:
     """The largest distance of vertices from the surface around a box of slivers; infinite if it is
-    not closed and of one piece without handles, or if the field misses its tolerance."""
+    not closed and of one piece without handles."""
     worst = 0.0
     for factor, offset in SCALES:
         ends = np.array([np.zeros(3), [1.0, 0.75, 1e-3]])
