@@ -59,12 +59,10 @@ def test_a_crust_and_an_open_mesh_are_errors(ball: Mesh) -> None:
     assert not repair.described(empty, against)["errors"]
 
 
-@pytest.mark.parametrize(("name", "package"), [("PyMeshLab", "pymeshlab"), ("MeshLib", "meshlib")])
-def test_other_tools_close_a_hole(ball: Mesh, name: str, package: str) -> None:
-    pytest.importorskip(package)
+def test_the_other_tool_closes_a_hole(ball: Mesh) -> None:
     bad = mesh_from_arrays(ball.vertices, ball.faces[1:])
-    tools = peers.of_repair(bad, Grid.fit(bad, 24))
-    (work,) = (tool for key, tool in tools.items() if key.startswith(name))
+    ((name, work),) = peers.of_repair(bad, Grid.fit(bad, 24)).items()
+    assert name.startswith("PyMeshLab")
     against = Reference(ball, 0, 100, opened(usable_devices()[0][0]))
     errors = repair.described(mesh_from_arrays(*work()), against)["errors"]
     assert errors["not closed"] == 0

@@ -30,7 +30,6 @@ TOOLS = {  # imported name, name on the package index, and the benches that use 
     "VTK": ("vtk", "vtk", {"voxelize", "extract", "tets"}),
     "Open3D": ("open3d", "open3d", {"voxelize", "adf", "pictures"}),
     "PyMeshLab": ("pymeshlab", "pymeshlab", {"repair"}),
-    "MeshLib": ("meshlib.mrmeshnumpy", "meshlib", {"repair"}),
     "libigl": ("igl", "libigl", {"adf"}),
     "scikit-image": ("skimage", "scikit-image", {"extract"}),
     "trimesh": ("scipy", "scipy", {"voxelize"}),  # trimesh is always there, and needs SciPy here
@@ -204,11 +203,8 @@ def _skimage_marching_cubes(octree: Octree, isovalue: float) -> Callable[[], obj
 
 def of_repair(mesh: Mesh, grid: Grid) -> dict[str, Callable[[], Arrays]]:
     """The tools that make a closed mesh of any triangles, at the voxels of a grid."""
-    makers = {"PyMeshLab": _meshlab_wrap, "MeshLib": _meshlib_rebuild}
-    methods = {"PyMeshLab": ", alpha wrap", "MeshLib": ", voxels"}
-    return {
-        name + methods[name.split()[0]]: work for name, work in _made(makers, mesh, grid.pitch[0])
-    }
+    made = _made({"PyMeshLab": _meshlab_wrap}, mesh, grid.pitch[0])
+    return {f"{name}, alpha wrap": work for name, work in made}
 
 
 def _meshlab_wrap(mesh: Mesh, pitch: float) -> Callable[[], Arrays]:
@@ -222,20 +218,6 @@ def _meshlab_wrap(mesh: Mesh, pitch: float) -> Callable[[], Arrays]:
         work.generate_alpha_wrap(alpha=size, offset=away)
         found = work.current_mesh()
         return found.vertex_matrix(), found.face_matrix()
-
-    return run
-
-
-def _meshlib_rebuild(mesh: Mesh, pitch: float) -> Callable[[], Arrays]:
-    """Signed distances at voxels, signs as the tool chooses them, and their isosurface."""
-    arrays, lib = _module("meshlib.mrmeshnumpy"), _module("meshlib.mrmeshpy")
-
-    def run() -> Arrays:
-        settings = lib.RebuildMeshSettings()
-        settings.voxelSize, settings.decimate = pitch, False
-        part = lib.MeshPart(arrays.meshFromFacesVerts(mesh.faces, mesh.vertices))
-        found = lib.rebuildMesh(part, settings)
-        return arrays.getNumpyVerts(found), arrays.getNumpyFaces(found.topology)
 
     return run
 

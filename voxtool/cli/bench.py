@@ -294,7 +294,7 @@ def bench_command(bench: str) -> click.Command:
         option("--repeat", click.IntRange(1, 1000), "Runs after a warm-up.  [default: 3, and up "
                "to 9 of short work; 2 with --quick]", metavar="N"),
         flag("--peers", "Other tools on the same work, those that are installed: VTK, Open3D, "
-             "libigl, scikit-image, trimesh, MeshLab, MeshLib."),
+             "libigl, scikit-image, trimesh, MeshLab."),
         *map(request_option, names),
         report_options,
         options.device_option,
