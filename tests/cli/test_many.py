@@ -120,6 +120,15 @@ def test_refusals(command: str, message: str, balls) -> None:
     assert message in fail(command.replace("M", " ".join(balls)), 2)
 
 
+def test_a_device_that_is_not_there_leaves_nothing(balls) -> None:
+    message = fail(f"voxelize {' '.join(balls)} -o out --device nonsense", 4)
+    assert "no OpenCL device matches 'nonsense'" in message
+    assert not Path("out").exists()
+    run(f"voxelize {balls[0]} -o out/ --dim 8")
+    fail(f"voxelize {balls[0]} {balls[1]} -o out --dim 9 --device nonsense", 4)
+    assert [line["mesh"] for line in lines()] == [balls[0]]
+
+
 def test_a_folder_that_is_a_file(balls) -> None:
     Path("out").write_text("")
     assert "it is a file, not a folder" in fail(f"voxelize {' '.join(balls)} -o out")

@@ -119,7 +119,7 @@ def commands() -> dict[str, click.Command]:
 def random_words(rng: random.Random) -> list[str]:
     """A command with one to four options at extreme values."""
     name, command = rng.choice(sorted(commands().items()))
-    options = [p for p in command.params if isinstance(p, click.Option)]
+    options = [p for p in command.params if isinstance(p, click.Option) and not p.hidden]
     names = {option for p in options for option in p.opts}
     words = [*name.split(), *base(name, names, rng)]
     for _ in range(rng.choice((1, 1, 2, 2, 3, 4))):

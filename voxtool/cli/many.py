@@ -190,8 +190,10 @@ class Many:
             if task.mesh not in message:
                 message = f"{printable(task.mesh)}: {message}"
             if self.ends_all(failure):
+                if manifest and not self.counts["made"]:
+                    manifest.discard()
                 raise error_of(failure["kind"], message)
-            options.tell(f"error: {message}")
+            options.tell(f"failed: {message}")
         self.counts["failed" if failure else "made"] += 1
         if manifest:
             line = {"mesh": task.mesh, "output": task.output, "voxtool": __version__}

@@ -40,10 +40,12 @@ class Manifest:
         self._own: dict[str, dict[str, Any]] = {}
         self._known: dict[str, dict[str, Any]] = {}
         self._file: TextIO | None = None
+        self._made = not os.path.isdir(folder)
         make_folder(folder)
         for other in sorted(Path(folder).glob("manifest*.jsonl")):
             self._known |= _lines_of(other)
-        if self.path.exists():
+        self._new = not self.path.exists()
+        if not self._new:
             self._own = _lines_of(self.path)
             self._known |= self._own
 
@@ -63,6 +65,16 @@ class Manifest:
             self._file.flush()
         except OSError as error:
             raise write_error(self.path, error) from error
+
+    def discard(self) -> None:
+        """Remove the file and the folder, if this run made them and nothing else is there."""
+        if self._file is not None:
+            self._file.close()
+        with suppress(OSError):
+            if self._new:
+                self.path.unlink(missing_ok=True)
+            if self._made:
+                self.path.parent.rmdir()
 
     def finish(self, order: Iterable[str]) -> None:
         """Replace the file by the last line of each output, in this order; others come first."""
