@@ -324,7 +324,7 @@ class Run:
         self.finish()
 
     def answer(self, facts: Mapping[str, Any], text: str) -> None:
-        """Print a report that is the result of a command: the text, or the facts as JSON."""
+        """Print the report of a command without an output: as text, or its facts as JSON."""
         if self.item:
             self.item.facts |= {"report": facts, "text": text}
         elif self.as_json:

@@ -11,7 +11,7 @@ import json
 import os
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import TYPE_CHECKING, Any
 
 from voxtool.errors import FileError
 from voxtool.files.atomic import atomic_path, write_error
@@ -39,7 +39,7 @@ class Manifest:
         self.path = Path(folder, name)
         self._own: dict[str, dict[str, Any]] = {}
         self._known: dict[str, dict[str, Any]] = {}
-        self._file: TextIO | None = None
+        self._added = False
         self._made = not os.path.isdir(folder)
         make_folder(folder)
         for other in sorted(Path(folder).glob("manifest*.jsonl")):
@@ -57,19 +57,16 @@ class Manifest:
         """Add the line of an output."""
         self._own[line["output"]] = line
         try:
-            if self._file is None:
-                self._file = open(self.path, "a", encoding="utf-8")  # noqa: SIM115
-                if self._file.tell():
-                    self._file.write("\n")  # ends a line that a killed run left
-            self._file.write(json.dumps(line) + "\n")
-            self._file.flush()
+            with open(self.path, "a", encoding="utf-8") as file:
+                if not self._added and file.tell():
+                    file.write("\n")  # ends a line that a killed run left
+                file.write(json.dumps(line) + "\n")
+            self._added = True
         except OSError as error:
             raise write_error(self.path, error) from error
 
     def discard(self) -> None:
         """Remove the file and the folder, if this run made them and nothing else is there."""
-        if self._file is not None:
-            self._file.close()
         with suppress(OSError):
             if self._new:
                 self.path.unlink(missing_ok=True)
@@ -78,9 +75,8 @@ class Manifest:
 
     def finish(self, order: Iterable[str]) -> None:
         """Replace the file by the last line of each output, in this order; others come first."""
-        if self._file is None:
+        if not self._added:
             return
-        self._file.close()
         given = [output for output in order if output in self._own]
         others = [output for output in self._own if output not in set(given)]
         with atomic_path(self.path) as path:

@@ -208,7 +208,7 @@ class VoxelizeJob(Job[Octree]):
 
     @property
     def shortage(self) -> str:
-        """What a message says of the memory that the job lacks; "" if it lacks none."""
+        """The memory that the job lacks, as messages say it; "" if it lacks none."""
         return self.plan.cost.shortage(self._limit, self.device.info.max_allocation)
 
     @property

@@ -68,7 +68,7 @@ class WindowsPlan:
 
     @property
     def left_out(self) -> dict[str, str]:
-        """What is not compiled, allocated or run, with the reason."""
+        """The parts that are not compiled, allocated or run, each with the reason."""
         return self.whole.left_out
 
     @property
@@ -136,7 +136,7 @@ class WindowsJob(Job[BlockOctree]):
 
     @property
     def request(self) -> dict[str, Any]:
-        """What is made, in JSON types."""
+        """The content and the rule of the octree that is made, in JSON types."""
         plan = self.whole.plan
         content = digest_of(self.grid.exact, self.mesh.vertices, self.mesh.faces)
         return {"content": content, "mode": plan.mode, "fill": plan.rule}
