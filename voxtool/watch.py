@@ -10,13 +10,18 @@ from __future__ import annotations
 
 import os
 import signal
-from contextlib import suppress
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import NoReturn
 
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")  # end the program, not the watcher
 FILE, WRITTEN, DEVICE, END = b"fwde"  # the first byte of a message; a zero byte ends it
 
+LONGEST_WAIT = 5.0  # seconds for another thread to finish making a temporary file or folder
+
 _files: set[str] = set()  # being written by this process
+_making = threading.RLock()
 _watcher: tuple[int, int] | None = None  # its process and the end of the pipe to write to
 
 
@@ -64,9 +69,21 @@ def using(device: str) -> None:
     _tell(DEVICE, device)
 
 
+@contextmanager
+def making() -> Iterator[None]:
+    """Keep `remove_files` of another thread waiting while the block makes a temporary file or folder
+    and names it by `writing`."""
+    with _making:
+        yield
+
+
 def remove_files() -> None:
-    """Remove every temporary file and folder that this process is writing."""
-    _remove(_files)
+    """Remove every temporary file and folder that this process is writing, just before it ends.
+
+    No thread can make another one after that, since the lock is kept.
+    """
+    _making.acquire(timeout=LONGEST_WAIT)
+    _remove(_files.copy())
 
 
 def _remove(paths: set[str]) -> None:

@@ -98,6 +98,29 @@ def test_a_signal_during_imports_gives_no_traceback(number: signal.Signals, cube
         assert child.returncode == 128 + number
 
 
+ENDS_WHILE_A_THREAD_MAKES_A_FOLDER = """
+import os, sys, threading, time
+from voxtool import watch
+begun = threading.Event()
+def make():
+    with watch.making():
+        os.mkdir(sys.argv[1])
+        begun.set()
+        time.sleep(0.2)
+        watch.writing(sys.argv[1])
+threading.Thread(target=make).start()
+begun.wait()
+watch.remove_files()
+os._exit(0)
+"""
+
+
+def test_a_folder_that_another_thread_makes_at_the_end_is_removed(tmp_path) -> None:
+    words = [sys.executable, "-c", ENDS_WHILE_A_THREAD_MAKES_A_FOLDER, tmp_path / "folder"]
+    subprocess.run(words, check=True, env=ENVIRONMENT, timeout=60)
+    assert not any(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("device", DRIVERS)
 @pytest.mark.parametrize("then", ["os.abort()", "os.kill(os.getpid(), 9)"])
 def test_a_crash_is_one_line_that_names_the_device_and_leaves_no_file(then, device, cube) -> None:

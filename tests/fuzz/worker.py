@@ -92,7 +92,7 @@ class Worker:
         frames = FRAME.findall(text)
         place = ":".join(frames[0]).removeprefix("voxtool/") if frames else "no frame of voxtool"
         name = signal.Signals(-code).name if code and code < 0 else f"exit code {code}"
-        return Finding(what, place, f"{name}: {' '.join(text.split())[:300]}")
+        return Finding(what, place, f"{name}: {' '.join(text.split())[-600:]}")
 
 
 def serve(pipe: Any, folder: Path, log: Path, device: str, limit: float) -> None:
@@ -142,7 +142,7 @@ def try_case(case: Case, tools: Tools, limit: float, temporary: Path) -> list[Fi
     signal.setitimer(signal.ITIMER_PROF, 0)
     for name in os.listdir(temporary):
         findings.append(Finding("temporary file left", "the folder for them", name))
-        (temporary / name).unlink()
+        remove(temporary / name)
     if case.name:
         remove(Path(case.name))
     return findings

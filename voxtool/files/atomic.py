@@ -90,8 +90,9 @@ def atomic_path(target: str | os.PathLike[str], clobber: bool = True) -> Iterato
         else:
             real = Path(os.path.realpath(target))
             folder = real.parent
-        temporary = _create_beside(folder, target.name)
-        watch.writing(temporary)
+        with watch.making():
+            temporary = _create_beside(folder, target.name)
+            watch.writing(temporary)
         yield temporary
         _put_in_place(temporary, real, clobber)
     except OSError as error:
@@ -127,8 +128,9 @@ def atomic_folder(target: str | os.PathLike[str], clobber: bool = True) -> Itera
     check_target(target, clobber, folder=True)
     real = Path(os.path.realpath(target))
     stem = f".{target.name[:40]}.{_machine()}-"
-    temporary = Path(tempfile.mkdtemp(".tmp", f"{stem}{os.getpid()}-", real.parent))
-    watch.writing(temporary)
+    with watch.making():
+        temporary = Path(tempfile.mkdtemp(".tmp", f"{stem}{os.getpid()}-", real.parent))
+        watch.writing(temporary)
     try:
         yield temporary
         temporary.chmod(0o777 & ~_umask())

@@ -48,9 +48,10 @@ def folder() -> Path | None:
 @functools.cache
 def temporary_folder() -> str:
     """A folder for this process's compiled programs, removed at its end."""
-    made = tempfile.TemporaryDirectory(prefix="voxtool-")
+    with watch.making():
+        made = tempfile.TemporaryDirectory(prefix="voxtool-")
+        watch.writing(made.name)
     _kept_until_exit.append(made)
-    watch.writing(made.name)
     return made.name
 
 
