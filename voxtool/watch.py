@@ -11,17 +11,18 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import NoReturn
 
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")  # end the program, not the watcher
 FILE, WRITTEN, DEVICE, END = b"fwde"  # the first byte of a message; a zero byte ends it
 
-LONGEST_WAIT = 5.0  # seconds for another thread to finish making a temporary file or folder
+LONGEST_WAIT = 5.0  # seconds for another thread to let `making` go
+
+# Held while a temporary file or folder is made and named by `writing`: removing waits for it.
+making = threading.RLock()
 
 _files: set[str] = set()  # being written by this process
-_making = threading.RLock()
 _watcher: tuple[int, int] | None = None  # its process and the end of the pipe to write to
 
 
@@ -69,20 +70,12 @@ def using(device: str) -> None:
     _tell(DEVICE, device)
 
 
-@contextmanager
-def making() -> Iterator[None]:
-    """Keep `remove_files` of another thread waiting while the block makes a temporary file or folder
-    and names it by `writing`."""
-    with _making:
-        yield
-
-
 def remove_files() -> None:
     """Remove every temporary file and folder that this process is writing, just before it ends.
 
     No thread can make another one after that, since the lock is kept.
     """
-    _making.acquire(timeout=LONGEST_WAIT)
+    making.acquire(timeout=LONGEST_WAIT)
     _remove(_files.copy())
 
 

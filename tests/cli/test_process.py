@@ -103,7 +103,7 @@ import os, sys, threading, time
 from voxtool import watch
 begun = threading.Event()
 def make():
-    with watch.making():
+    with watch.making:
         os.mkdir(sys.argv[1])
         begun.set()
         time.sleep(0.2)

@@ -90,7 +90,7 @@ def atomic_path(target: str | os.PathLike[str], clobber: bool = True) -> Iterato
         else:
             real = Path(os.path.realpath(target))
             folder = real.parent
-        with watch.making():
+        with watch.making:
             temporary = _create_beside(folder, target.name)
             watch.writing(temporary)
         yield temporary
@@ -128,7 +128,7 @@ def atomic_folder(target: str | os.PathLike[str], clobber: bool = True) -> Itera
     check_target(target, clobber, folder=True)
     real = Path(os.path.realpath(target))
     stem = f".{target.name[:40]}.{_machine()}-"
-    with watch.making():
+    with watch.making:
         temporary = Path(tempfile.mkdtemp(".tmp", f"{stem}{os.getpid()}-", real.parent))
         watch.writing(temporary)
     try:

@@ -48,7 +48,7 @@ def folder() -> Path | None:
 @functools.cache
 def temporary_folder() -> str:
     """A folder for this process's compiled programs, removed at its end."""
-    with watch.making():
+    with watch.making:
         made = tempfile.TemporaryDirectory(prefix="voxtool-")
         watch.writing(made.name)
     _kept_until_exit.append(made)

@@ -50,7 +50,7 @@ def opencl() -> Any:
             os.environ["POCL_CACHE_DIR"] = cache.temporary_folder()
     with contextlib.ExitStack() as stack:
         if embedded.exists() and "OCL_ICD_VENDORS" not in os.environ:
-            stack.enter_context(watch.making())
+            stack.enter_context(watch.making)
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="voxtool-icd-")))
             watch.writing(folder)
             stack.callback(watch.written, folder)
