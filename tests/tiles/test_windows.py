@@ -22,7 +22,7 @@ from voxtool.opencl import Device
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 from voxtool.tiles.subtree import empty_subtree, joined, nodes_of, offsets_of, subtree_of
-from voxtool.tiles.voxelize import WindowsJob
+from voxtool.tiles.windows import WindowsJob
 
 
 def limit_of(job: VoxelizeJob, parts: float) -> int:

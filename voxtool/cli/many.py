@@ -19,7 +19,7 @@ import click
 from voxtool.cli import options
 from voxtool.cli.options import Parsed, flag, option, together
 from voxtool.cli.runner import SHARED
-from voxtool.cli.workers import Task, Workers, serve
+from voxtool.cli.workers import Spread, Task, Workers, serve
 from voxtool.errors import CheckError, DeviceError, human, printable
 from voxtool.version import __version__
 
@@ -43,11 +43,15 @@ def shard_of(text: str) -> tuple[int, int]:
 
 SHARD = Parsed("shard", shard_of, " is no shard: write 1/16 to 16/16")
 # Options that say how many meshes are done, not what they become.
-WAYS = SHARED | {"mesh", "workers", "shard", "keep_folders", "fail_fast", "as_worker"}
+WAYS = SHARED | {"mesh", "workers", "shard", "keep_folders", "fail_fast", "dask", "as_worker"}
 
 
 def mesh_argument(
-    kind: str = "", form: str = "", arrange: Callable[..., Any] = lambda *given: given
+    kind: str = "",
+    form: str = "",
+    arrange: Callable[..., Any] = lambda *given: given,
+    *,
+    divides: bool = False,
 ) -> options.Decorator:
     """Add the argument MESH..., and what many meshes need, to a command of one mesh.
 
@@ -56,6 +60,7 @@ def mesh_argument(
     kind, form : the outputs are called NAME.KIND.FORM, where --format may say another form; both
         are empty if there is no output.
     arrange : takes the meshes and the values of the options, and returns them.
+    divides : the command divides one mesh among the workers of Dask; it takes `dask` and `workers`.
     """
 
     def decorate(call: Callable[..., Any]) -> Callable[..., Any]:
@@ -65,8 +70,9 @@ def mesh_argument(
             meshes, values = arrange(mesh, values)
             if own["as_worker"]:
                 serve(call, values)
-            elif is_one(meshes, values.get("output"), own):
-                call(mesh=meshes[0], **values)
+            elif is_one(meshes, values.get("output"), own, divides):
+                more = {name: own[name] for name in ("dask", "workers")} if divides else {}
+                call(mesh=meshes[0], **values, **more)
             else:
                 Many(meshes, values, (kind, form), **own).run()
 
@@ -82,6 +88,9 @@ def mesh_argument(
 OPTIONS = (
     option("--workers", click.IntRange(1),
         "Processes that do many meshes.  [default: 1]", metavar="N"),
+    option("--dask", str,
+        "Do the work on a Dask cluster: the address of its scheduler; or local, for --workers "
+        "processes of this machine.", metavar="ADDRESS|local"),
     option("--shard", SHARD,
         "Do only part I of N of the meshes: one command for each of N machines.", metavar="I/N"),
     flag("--keep-folders", "Of many meshes: keep their folders, below the one that all have."),
@@ -90,10 +99,14 @@ OPTIONS = (
 )  # fmt: skip
 
 
-def is_one(meshes: Sequence[str], output: str | None, own: Mapping[str, Any]) -> bool:
+def is_one(
+    meshes: Sequence[str], output: str | None, own: Mapping[str, Any], divides: bool
+) -> bool:
     """Return whether a command line is of one mesh and its output."""
     into_folder = output is not None and output.endswith(("/", os.sep))
-    return len(meshes) == 1 and not own["shard"] and not own["workers"] and not into_folder
+    shared = own["dask"] or own["workers"]
+    divided = divides and own["dask"]
+    return len(meshes) == 1 and not own["shard"] and not into_folder and bool(divided or not shared)
 
 
 class Many:
@@ -102,14 +115,14 @@ class Many:
     def __init__(
         self, meshes: Sequence[str], values: Values, name: tuple[str, str], *,
         workers: int | None, shard: tuple[int, int] | None, keep_folders: bool, fail_fast: bool,
-        as_worker: bool,
+        dask: str | None, as_worker: bool,
     ) -> None:  # fmt: skip
         if "-" in meshes:
             raise click.UsageError("stdin is one mesh: name files, if there are many")
         if values.get("output") == "-":
             raise click.UsageError("many meshes have no place on stdout: name a folder with -o")
         self.values, self.shard, self.fail_fast = values, shard, fail_fast
-        self.workers = workers or 1
+        self.workers, self.dask = workers, dask
         self.folder = (values.get("output") or ".") if name[1] else None
         self.outputs = outputs_of(meshes, self.folder, name, values, keep_folders)
         part = slice(shard[0] - 1, None, shard[1]) if shard else slice(None)
@@ -153,7 +166,10 @@ class Many:
         found: dict[str, Answer] = {}
         shown = 0
         with options.Progress() as progress:
-            workers = Workers(words, tasks, self.workers)
+            if self.dask:
+                workers = Spread(words, tasks, self.dask, self.workers)
+            else:
+                workers = Workers(words, tasks, self.workers or 1)
             for done, (task, answer) in enumerate(workers.answers()):
                 progress.enter(f"{done + 1:,} of {len(tasks):,} meshes")
                 self.take(task, answer, manifest)

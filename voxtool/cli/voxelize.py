@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
     from voxtool.svo.voxelize import VoxelizeJob
     from voxtool.tiles.octree import BlockOctree
-    from voxtool.tiles.voxelize import WindowsJob
+    from voxtool.tiles.windows import WindowsJob
 
 
 @click.command("voxelize")
-@mesh_argument("", "svo.h5")
+@mesh_argument("", "svo.h5", divides=True)
 @together(
     option("--mode", MODES,
         "surface26: every voxel that touches a triangle; surface6: the thinner 6-separating set; "
@@ -66,7 +66,8 @@ if TYPE_CHECKING:
 def command(
     run: runner.Run, mesh: str, mode: str, fill: str, gap: int, with_surface: bool,
     like: str | None, normalize: str | None, units: str | None, scale: float, windows: str,
-    resume: bool, no_keep: bool, **placing: Any,
+    resume: bool, no_keep: bool, dask: str | None = None, workers: int | None = None,
+    **placing: Any,
 ) -> None:  # fmt: skip
     """Voxelize a triangle MESH directly into a sparse voxel octree.
 
@@ -80,6 +81,7 @@ def command(
       voxtool voxelize bunny.obj --pitch 0.01 --mode surface26 -o bunny.svo.xml
       voxtool voxelize open.obj --fill winding
       voxtool voxelize bunny.obj open.obj -o octrees/ --dim 64
+      voxtool voxelize bunny.obj --dim 2048 --dask local --workers 2
       voxtool voxelize open.obj --fill flood --gap 3
       voxtool voxelize bunny.obj --like mask.npy -o bunny.npy
       voxtool voxelize bunny.obj --normalize unit --dim 64 --bbox 0 0 0 1 1 1 -o bunny.npy
@@ -99,7 +101,9 @@ def command(
     from voxtool.svo.voxelize import plan_voxelize
 
     run.to(mesh, options.output_of(mesh, run.file_format or "svo.h5"), (*SVO_FORMATS, *EXPORTS))
-    with run:
+    if dask and run.file_format != "svo.h5":
+        raise click.UsageError("--dask writes .svo.h5: name one with -o, and use voxtool export")
+    with run, ExitStack() as stack:
         loaded = run.stage(
             "read mesh", load_mesh, mesh, max_memory=run.max_memory, units=units, scale=scale
         )
@@ -110,7 +114,13 @@ def command(
         job = run.plan(plan_voxelize, loaded, grid, mode, **request)
         placed: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
         parts = None
-        if windows != "never" and run.file_format == "svo.h5" and not job.fits:
+        if dask:
+            from voxtool.tiles.cluster import connected
+            from voxtool.tiles.spread import SpreadJob
+
+            client = stack.enter_context(connected(dask, workers))
+            parts = run.stage("plan windows", SpreadJob, job, client, run.device_name)
+        elif windows != "never" and run.file_format == "svo.h5" and not job.fits:
             parts = run.stage("plan windows", windows_of, job)
         if parts:
             octree = make_in_windows(run, parts, resume, not no_keep, **placed)
@@ -123,7 +133,7 @@ def command(
 def windows_of(job: VoxelizeJob) -> WindowsJob | None:
     """Return the job in windows, or None if windows do not fit either, or if it is a flood, which
     divides the grid itself."""
-    from voxtool.tiles.voxelize import WindowsJob
+    from voxtool.tiles.windows import WindowsJob
 
     with suppress(MemoryLimitError):
         return None if job.plan.fill == "flood" else WindowsJob(job)

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     Answer = dict[str, Any]
 
 DEPTH = 3  # meshes in a worker: one is read, one computed, one written
+BATCH = 64  # meshes, at most, that a worker of Dask does before it answers
+BATCHES = 8  # of each worker of Dask, at least, so that all of them end at about the same time
 
 
 @dataclass
@@ -49,11 +51,15 @@ class Task:
 class Workers:
     """Processes that do tasks.
 
-    words : the command line of a worker, without the program; tasks : what is to be done.
+    words : the command line of a worker, without the program; tasks : what is to be done;
+    folder : the current one of a worker.
     """
 
-    def __init__(self, words: Sequence[str], tasks: Sequence[Task], count: int) -> None:
+    def __init__(
+        self, words: Sequence[str], tasks: Sequence[Task], count: int, folder: str = "."
+    ) -> None:
         self._command = [sys.executable, "-m", "voxtool", *words]
+        self._folder = folder
         self._waiting = deque(tasks)
         self._lock = threading.Lock()
         self._answers: queue.SimpleQueue[tuple[Task, Answer] | None] = queue.SimpleQueue()
@@ -122,7 +128,9 @@ class Workers:
             return None if alone and flying else self._waiting.popleft()
 
     def _start(self) -> subprocess.Popen[bytes]:
-        process = subprocess.Popen(self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        process = subprocess.Popen(
+            self._command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=self._folder
+        )
         with self._lock:
             self._processes.add(process)
         return process
@@ -154,6 +162,37 @@ class Workers:
         )
         failure = {"kind": "crash", "message": message, "exit_code": 4}
         self._answers.put((tasks[0], {"error": failure, "lines": []}))
+
+
+class Spread:
+    """Workers of a Dask cluster that do tasks, each by a process of its own.
+
+    words, tasks : as for `Workers`; address, count : of the cluster (tiles/cluster.py).
+    """
+
+    def __init__(
+        self, words: Sequence[str], tasks: Sequence[Task], address: str, count: int | None
+    ) -> None:
+        self._words, self._tasks, self._address, self._count = words, tasks, address, count
+
+    def answers(self) -> Iterator[tuple[Task, Answer]]:
+        """Yield each task with its answer, as workers have them."""
+        from voxtool.tiles.cluster import connected, results, threads_of
+
+        with connected(self._address, self._count) as client:
+            size = -(-len(self._tasks) // (BATCHES * threads_of(client)))
+            size = min(size, BATCH) or 1
+            batches = [self._tasks[i : i + size] for i in range(0, len(self._tasks), size)]
+            given = self._words, os.getcwd()
+            for _, answers in results(
+                client, lambda batch: client.submit(do_batch, batch, *given, pure=False), batches
+            ):
+                yield from answers
+
+
+def do_batch(tasks: Sequence[Task], words: Sequence[str], folder: str) -> list[tuple[Task, Answer]]:
+    """Do some tasks by one process, within a worker of Dask."""
+    return list(Workers(words, tasks, 1, folder).answers())
 
 
 def serve(call: Callable[..., Any], values: Mapping[str, Any]) -> None:

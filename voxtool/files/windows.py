@@ -14,6 +14,7 @@ import os
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -27,6 +28,25 @@ from voxtool.svo.layout import BRICK
 BLOCK = 1 << 22  # bricks in a file
 VERSION = 1
 Key = tuple[int, int, int, int]  # the window's low corner and its side, in voxels
+
+
+@dataclass(frozen=True)
+class Window:
+    """The content of a window: the states of its nodes by level, from the root down, its bricks,
+    and the number of its voxels."""
+
+    levels: Sequence[np.ndarray]
+    bricks: np.ndarray
+    voxels: int
+    sha256: str  # of the files that it is stored in
+
+    @classmethod
+    def of(cls, levels: Sequence[np.ndarray], bricks: np.ndarray, voxels: int) -> Self:
+        """Return a window with its SHA-256."""
+        sha = hashlib.sha256()
+        for array in (*levels, bricks):
+            sha.update(array.data)
+        return cls(levels, bricks, voxels, sha.hexdigest())
 
 
 class Windows:
@@ -116,19 +136,17 @@ class Windows:
                 if self._digest((x, y, z, side), line["files"]) == line["sha256"]:
                     self._lines[x, y, z, side] = line
 
-    def put(self, key: Key, levels: Sequence[np.ndarray], bricks: np.ndarray, voxels: int) -> None:
-        """Store a window: the states of its levels, its bricks, and the number of its voxels."""
-        files = [levels, *([part] for part in _split(bricks))]
-        sha = hashlib.sha256()
+    def put(self, key: Key, window: Window) -> None:
+        """Store a window."""
+        files = [window.levels, *([part] for part in _split(window.bricks))]
         try:
             for path, arrays in zip(self._paths(key, len(files)), files, strict=True):
                 with open(path, "wb") as file:
                     for array in arrays:
-                        sha.update(array.data)
                         file.write(array.data)
-            sizes = {"levels": [len(states) for states in levels], "bricks": len(bricks)}
-            counts = {**sizes, "voxels": voxels, "files": len(files)}
-            self._lines[key] = {"window": key, **counts, "sha256": sha.hexdigest()}
+            sizes = {"levels": [len(states) for states in window.levels]}
+            counts = {"bricks": len(window.bricks), "voxels": window.voxels, "files": len(files)}
+            self._lines[key] = {"window": key, **sizes, **counts, "sha256": window.sha256}
             self._write(json.dumps(self._lines[key]))
         except OSError as error:
             raise write_error(self.folder, error) from error

@@ -1,1 +1,5 @@
 """Work larger than one memory: windows of an octree, in Morton order, and what joins them."""
+
+from voxtool.tiles.make import voxelize
+
+__all__ = ["voxelize"]

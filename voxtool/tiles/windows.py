@@ -3,22 +3,25 @@
 A window is a subtree of the octree (subtree.py). The grid is halved along its axes until each
 window's plan fits; windows without a triangle that matters to them cost nothing. They are voxelized
 one after the other, in Morton order, each from the faces that can change it, and wait on disk
-(files/windows.py) until the number of nodes of each level is known.
+(files/windows.py) until the number of nodes of each level is known. A cluster makes them beside one
+another (spread.py).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 
 from voxtool.arrays import digest_of
-from voxtool.errors import MemoryLimitError, count_of, human
-from voxtool.files.windows import Key, Windows
-from voxtool.grid import FIXED_POINT_BITS
+from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
+from voxtool.files.windows import Key, Window, Windows
+from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.job import Cost, Job
+from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
 from voxtool.svo.layout import BRICK_BYTES, MAX_LINK, NODE_BYTES
@@ -35,15 +38,16 @@ CORNERS = morton_decode(np.arange(8, dtype=np.uint64))  # of the eight halves of
 
 @dataclass(frozen=True)
 class Part:
-    """A cube of the grid: a window with its plan, or the eight that it consists of."""
+    """A cube of the grid: a window with its plan, the eight that it consists of, or nothing."""
 
     key: Key
-    plan: VoxelizePlan | None = None  # of a window; None if nothing touches it
+    window: bool = False
+    plan: VoxelizePlan | None = None  # None if the window is planned where it is made
     parts: tuple[Part, ...] = ()
 
     def windows(self) -> Iterator[Part]:
         """Yield the windows, in Morton order."""
-        if self.plan:
+        if self.window:
             yield self
         for part in self.parts:
             yield from part.windows()
@@ -57,6 +61,11 @@ class WindowsPlan:
     root: Part
 
     @property
+    def count(self) -> int:
+        """Number of windows."""
+        return sum(1 for _ in self.root.windows())
+
+    @functools.cached_property
     def plans(self) -> list[VoxelizePlan]:
         """The plans of the windows."""
         return [part.plan for part in self.root.windows() if part.plan]
@@ -89,7 +98,7 @@ class WindowsPlan:
 
     def as_dict(self) -> dict[str, Any]:
         """All of the plan in JSON types."""
-        facts = {"windows": len(self.plans), "predicted_disk_bytes": self.disk}
+        facts = {"windows": self.count, "predicted_disk_bytes": self.disk}
         costs = {"predicted_device_bytes": self.cost.device}
         return {**self.whole.as_dict(), **facts, **costs}
 
@@ -97,7 +106,7 @@ class WindowsPlan:
         """Names and texts, which `--plan` prints before the stages."""
         sides = sorted({part.key[3] for part in self.root.windows()})
         wide = f"of {' to '.join(str(side) for side in sorted({sides[0], sides[-1]}))} voxels"
-        count = count_of(len(self.plans), "window")
+        count = count_of(self.count, "window")
         return [
             *(row for row in self.whole.rows() if row[0] not in ("octree", "work")),
             ("windows", f"{count} {wide} a side, one after the other"),
@@ -127,12 +136,19 @@ class WindowsJob(Job[BlockOctree]):
     store: Windows
 
     def __init__(self, whole: VoxelizeJob) -> None:
+        if whole.plan.fill == "flood":
+            raise VoxtoolError("a flood is not divided into windows: choose another fill rule")
         self.whole, self.device, self.max_memory = whole, whole.device, whole.max_memory
         self.grid, self.mesh = whole.grid, whole.mesh
         del whole.lattice  # frees the memory of the whole mesh on the device
         self._ranges = None if whole.plan.fill == "winding" else self._voxels_of_faces()
-        faces = np.arange(len(self.mesh.faces))
-        self.plan = WindowsPlan(whole.plan, self._divide((0, 0, 0, self.grid.side), faces))
+        self.all_faces = np.arange(len(self.mesh.faces))
+        self.root = (0, 0, 0, self.grid.side)
+        self.plan = self._plan()
+
+    def _plan(self) -> WindowsPlan:
+        """Return the plan, whose windows all fit."""
+        return WindowsPlan(self.whole.plan, self._divide(self.root, self.all_faces))
 
     @property
     def request(self) -> dict[str, Any]:
@@ -161,35 +177,34 @@ class WindowsJob(Job[BlockOctree]):
             reached[:, 0] = True
         return faces[(reached & (low <= corner + side + MARGIN)).all(axis=1)]
 
+    def _mesh_of(self, faces: np.ndarray) -> Mesh:
+        """Return the mesh of some faces."""
+        mesh = self.mesh
+        if len(faces) == len(mesh.faces):
+            return mesh
+        used = np.zeros(len(mesh.vertices), bool)
+        used[mesh.faces[faces]] = True
+        index = np.cumsum(used, dtype=np.int32) - 1
+        return replace(mesh, vertices=mesh.vertices[used], faces=index[mesh.faces[faces]])
+
+    @property
+    def _options(self) -> dict[str, Any]:
+        """The options of each window's voxelization."""
+        plan = self.whole.plan
+        mode, _, added = plan.mode.partition("+")
+        fill = plan.fill if plan.solid else "auto"
+        limit = {"max_memory": self.max_memory}
+        return {"mode": mode, "fill": fill, "with_surface": bool(added), **limit}
+
     def _job(self, key: Key, faces: np.ndarray) -> VoxelizeJob:
         """Return the job of a window."""
-        mesh, plan = self.mesh, self.whole.plan
-        if len(faces) < len(mesh.faces):
-            used = np.zeros(len(mesh.vertices), bool)
-            used[mesh.faces[faces]] = True
-            index = np.cumsum(used, dtype=np.int32) - 1
-            mesh = replace(mesh, vertices=mesh.vertices[used], faces=index[mesh.faces[faces]])
-        mode, _, added = plan.mode.partition("+")
-        shape = self._shape(key)
-        return plan_voxelize(
-            mesh,
-            self.grid,
-            mode,
-            fill=plan.fill if plan.solid else "auto",
-            with_surface=bool(added),
-            window=(key[:3], shape),
-            device=self.device,
-            max_memory=self.max_memory,
-        )
-
-    def _shape(self, key: Key) -> tuple[int, int, int]:
-        """Return the voxels of a window along each axis."""
-        x, y, z = (min(key[3], n - a) for a, n in zip(key[:3], self.grid.shape, strict=True))
-        return x, y, z
+        window = key[:3], shape_of(key, self.grid)
+        mesh = self._mesh_of(faces)
+        return plan_voxelize(mesh, self.grid, window=window, device=self.device, **self._options)
 
     def _divide(self, key: Key, faces: np.ndarray) -> Part:
         """Return a cube as a window if its plan fits, or in eight."""
-        if min(self._shape(key)) <= 0:
+        if min(shape_of(key, self.grid)) <= 0:
             return Part(key)
         faces = self._faces_of(key, faces)
         if not len(faces):
@@ -198,29 +213,55 @@ class WindowsJob(Job[BlockOctree]):
         if job.plan.survey.triangles == job.plan.survey.outside and not job.plan.entry:
             return Part(key)
         if job.fits:
-            return Part(key, job.plan)
-        if key[3] <= LEAST:
-            raise MemoryLimitError(
-                f"a window of {key[3]} voxels a side {job.shortage}: allow more, or choose a "
-                "smaller dim"
-            )
+            return Part(key, window=True, plan=job.plan)
+        refuse_smallest(key, job)
         return Part(key, parts=tuple(self._divide(half, faces) for half in halves_of(key)))
 
     # ---- the work
 
     def _run(self) -> BlockOctree:
+        root = self.plan.root
         self._done = 0
-        tree = self._made(self.plan.root, np.arange(len(self.mesh.faces)))
+        self._make(self._missing(root, self.all_faces))
+        self._used: list[Key] = []
+        tree = self._made(root)
         mesh, plan = self.mesh, self.whole.plan
         origin = (mesh.source_sha256, mesh.units, mesh.transform)
-        count = sum(self.store.voxels(part.key) for part in self.plan.root.windows())
+        count = sum(map(self.store.voxels, self._used))
         result = (self.grid, plan.mode, plan.rule, tree, count, self._bricks)
         return BlockOctree(*result, plan.scene(), *origin)
 
+    def _missing(self, part: Part, faces: np.ndarray) -> Iterator[tuple[Key, np.ndarray]]:
+        """Yield the windows that are not made yet, with the faces that can change them."""
+        if part.window and part.key in self.store:
+            self._done += 1
+            return
+        faces = self._faces_of(part.key, faces)
+        if part.window:
+            yield part.key, faces
+        for half in part.parts:
+            yield from self._missing(half, faces)
+
+    def _make(self, missing: Iterable[tuple[Key, np.ndarray]]) -> None:
+        """Make windows; they wait on disk."""
+        for key, faces in missing:
+            self._report()
+            with self.device.reporting(lambda _: None):  # not the stages within
+                self.store.put(key, made_by(self._job(key, faces), key[3]))
+
+    def _made(self, part: Part) -> Subtree:
+        """Return the subtree of a cube; its bricks wait on disk."""
+        if part.parts:
+            return joined([self._made(half) for half in part.parts])
+        if not part.window:
+            return empty_subtree(part.key[3])
+        self._used.append(part.key)
+        return Subtree(*self.store.get(part.key))
+
     def _bricks(self) -> Iterator[np.ndarray]:
         """Yield the bricks of all windows, which are then removed from the disk."""
-        for part in self.plan.root.windows():
-            yield from self.store.take(part.key)
+        for key in self._used:
+            yield from self.store.take(key)
 
     def notes(self, octree: BlockOctree) -> list[str]:
         """Return lines about the fill rule; they are not warnings."""
@@ -230,27 +271,32 @@ class WindowsJob(Job[BlockOctree]):
         """Yield warnings: the fill may leak, or the octree is empty."""
         return self.whole.findings(cast("Octree", octree))
 
-    def _made(self, part: Part, faces: np.ndarray) -> Subtree:
-        """Return the subtree of a cube; its bricks wait on disk."""
-        side = part.key[3]
-        if not part.plan and not part.parts:
-            return empty_subtree(side)
-        faces = self._faces_of(part.key, faces)
-        if part.parts:
-            return joined([self._made(half, faces) for half in part.parts])
-        self._done += 1
-        if part.key not in self.store:
-            self._report()
-            with self.device.reporting(lambda _: None):  # not the stages within
-                octree = self._job(part.key, faces)._run()
-            tree = subtree_of(octree, side)
-            self.store.put(part.key, tree.levels, octree.bricks, octree.count)
-        return Subtree(*self.store.get(part.key))
-
     def _report(self) -> None:
         """Say which window is being made."""
+        self._done += 1
         if self._progress:
-            self._progress(f"window {self._done} of {len(self.plan.plans)}")
+            self._progress(f"window {self._done} of {self.plan.count}")
+
+
+def shape_of(key: Key, grid: Grid) -> tuple[int, int, int]:
+    """Return the voxels of a window along each axis."""
+    x, y, z = (min(key[3], n - a) for a, n in zip(key[:3], grid.shape, strict=True))
+    return x, y, z
+
+
+def made_by(job: VoxelizeJob, side: int) -> Window:
+    """Return the window of `side` voxels that a job makes."""
+    octree = job._run()
+    return Window.of(subtree_of(octree, side).levels, octree.bricks, octree.count)
+
+
+def refuse_smallest(key: Key, job: VoxelizeJob) -> None:
+    """Raise MemoryLimitError if a window that does not fit cannot be divided."""
+    if key[3] <= LEAST:
+        raise MemoryLimitError(
+            f"a window of {key[3]} voxels a side {job.shortage}: allow more, or choose a smaller "
+            "dim"
+        )
 
 
 def halves_of(key: Key) -> list[Key]:

@@ -1,0 +1,149 @@
+"""Windows of one mesh, and many meshes, by the workers of a Dask cluster of two processes: the same
+digests as without one, whatever happens to a worker."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from distributed import Client
+from helpers_cli import fail, run, told
+
+import voxtool
+import voxtool.tiles
+from voxtool.errors import DeviceError
+from voxtool.files import read_svo
+from voxtool.files.mesh import load_mesh
+from voxtool.files.windows import Windows
+from voxtool.grid import Grid
+from voxtool.svo.octree import Octree
+from voxtool.svo.voxelize import plan_voxelize
+from voxtool.tiles import cluster
+from voxtool.tiles.cluster import connected, results
+from voxtool.tiles.make import in_memory
+from voxtool.tiles.spread import SpreadJob
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Client]:
+    with connected("local", 2) as found:
+        yield found
+
+
+CASES = {
+    "surface": ("bunny.obj", {"mode": "surface26"}),
+    "parity": ("bunny.obj", {"with_surface": True}),
+    "winding": ("open.obj", {}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_octree_is_that_of_one_process(case, client, models: Path, tmp_path) -> None:
+    name, request = CASES[case]
+    mesh = load_mesh(models / name)
+    grid = Grid.fit(mesh, 300).window((40, 6, 0), (260, 202, 280))  # neither a cube nor aligned
+    whole = voxtool.voxelize(mesh, grid, **request)
+    assert voxtool.tiles.voxelize(mesh, grid, client=client, **request) == whole
+    target = tmp_path / "a.svo.h5"
+    made = voxtool.tiles.voxelize(mesh, grid, client=client, file=target, **request)
+    assert made.digest() == whole.digest() == read_svo(target).digest()
+    assert os.listdir(tmp_path) == ["a.svo.h5"]
+
+
+@pytest.fixture
+def spread(client: Client, models: Path, tmp_path) -> Iterator[Callable[..., SpreadJob]]:
+    """A function that returns the job of the bunny's surface in windows."""
+    mesh = load_mesh(models / "bunny.obj")
+    grid = Grid.fit(mesh, 300)
+    with ExitStack() as stack:
+
+        def job_of(**limit: int) -> SpreadJob:
+            job = SpreadJob(plan_voxelize(mesh, grid, "surface26", **limit), client)
+            job.store = stack.enter_context(Windows(str(tmp_path / "a"), job.request))
+            return job
+
+        yield job_of
+
+
+@pytest.fixture(scope="module")
+def surface(models: Path) -> Octree:
+    return voxtool.voxelize(models / "bunny.obj", None, "surface26", dim=300)
+
+
+def test_windows_that_do_not_fit_are_halved(spread, surface: Octree, monkeypatch) -> None:
+    monkeypatch.setattr("voxtool.tiles.spread.SHARE", 1)  # few windows, at first
+    job = spread(max_memory=250_000)
+    made = job.run()
+    assert {key[3] for key in job._divided} == {128, 256}
+    assert in_memory(made) == surface
+
+
+def test_a_killed_worker_costs_nothing(client, spread, surface, monkeypatch) -> None:
+    job, killed = spread(), []
+
+    def kill() -> None:
+        if not killed:
+            killed.append(next(iter(client.run(os.getpid).values())))
+            os.kill(killed[0], signal.SIGKILL)
+
+    monkeypatch.setattr(job, "_report", kill)
+    assert in_memory(job.run()) == surface
+    assert killed
+
+
+def test_a_call_that_ends_its_workers_is_one_line(client: Client) -> None:
+    calls = results(client, lambda _: client.submit(os._exit, 1), [0])
+    with pytest.raises(DeviceError, match="workers of Dask ended again and again"):
+        next(calls)
+
+
+def test_a_lost_scheduler_is_one_line() -> None:
+    with connected("local", 1) as client:
+        calls = results(client, lambda n: client.submit(abs, n), range(-9, 0))
+        assert next(calls) == (-9, 9)
+        client.cluster.close()
+        with pytest.raises(DeviceError, match="the scheduler of Dask has gone"):
+            list(calls)
+
+
+def test_the_command_line(here: Path) -> None:
+    whole = told("voxelize bunny.obj --dim 200 -o whole.svo.h5 --json")
+    command = "voxelize bunny.obj --dim 200 -o parts.svo.h5 --dask local --workers 2"
+    assert "windows, made by 2 workers of Dask" in run(f"{command} --plan").stdout
+    parts = told(f"{command} --json")
+    assert not Path("parts.svo.h5.windows").exists()
+    for name in ("digest", "voxels", "nodes", "bricks", "bytes", "grid", "fill"):
+        assert parts[name] == whole[name]
+
+
+def test_many_meshes(here: Path) -> None:
+    models = "bunny.obj open.obj"
+    told(f"voxelize {models} --dim 32 -o here/ --json")
+    done = told(f"voxelize {models} --dim 32 -o there/ --dask local --workers 2 --json")
+    assert (done["made"], done["failed"]) == (2, 0)
+    for name in ("bunny.svo.h5", "open.svo.h5"):
+        assert read_svo(f"here/{name}").digest() == read_svo(f"there/{name}").digest()
+
+
+@pytest.mark.parametrize(
+    ("command", "code", "message"),
+    [
+        ("--dask local -o x.npy", 2, "--dask writes .svo.h5"),
+        ("--dask tcp://127.0.0.1:9", 4, "no scheduler of Dask at tcp://127.0.0.1:9"),
+        ("--dask nowhere", 4, "no scheduler of Dask at nowhere"),
+        ("--dask local --workers 1 --fill flood", 3, "a flood is not divided into windows"),
+    ],
+)
+def test_refusals(command: str, code: int, message: str, here: Path, monkeypatch) -> None:
+    monkeypatch.setattr(cluster, "PATIENCE", 1)
+    assert message in fail(f"voxelize bunny.obj --dim 32 {command}", code)
+
+
+def test_without_dask_a_line_names_the_extra(here: Path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    assert "pip install 'voxtool[dask]'" in fail("voxelize bunny.obj --dim 32 --dask local", 3)
