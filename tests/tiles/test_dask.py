@@ -9,9 +9,10 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import cast
 
 import pytest
-from distributed import Client
+from distributed import Client, LocalCluster
 from helpers_cli import fail, run, told
 
 import voxtool
@@ -62,8 +63,9 @@ def spread(client: Client, models: Path, tmp_path) -> Iterator[Callable[..., Spr
     grid = Grid.fit(mesh, 300)
     with ExitStack() as stack:
 
-        def job_of(**limit: int) -> SpreadJob:
-            job = SpreadJob(plan_voxelize(mesh, grid, "surface26", **limit), client)
+        def job_of(max_memory: int | None = None) -> SpreadJob:
+            whole = plan_voxelize(mesh, grid, "surface26", max_memory=max_memory)
+            job = SpreadJob(whole, client)
             job.store = stack.enter_context(Windows(str(tmp_path / "a"), job.request))
             return job
 
@@ -77,7 +79,7 @@ def surface(models: Path) -> Octree:
 
 def test_windows_that_do_not_fit_are_halved(spread, surface: Octree, monkeypatch) -> None:
     monkeypatch.setattr("voxtool.tiles.spread.SHARE", 1)  # few windows, at first
-    job = spread(max_memory=250_000)
+    job = spread(max_memory=130_000)
     made = job.run()
     assert {key[3] for key in job._divided} == {128, 256}
     assert in_memory(made) == surface
@@ -106,7 +108,7 @@ def test_a_lost_scheduler_is_one_line() -> None:
     with connected("local", 1) as client:
         calls = results(client, lambda n: client.submit(abs, n), range(-9, 0))
         assert next(calls) == (-9, 9)
-        client.cluster.close()
+        cast("LocalCluster", client.cluster).close()
         with pytest.raises(DeviceError, match="the scheduler of Dask has gone"):
             list(calls)
 
