@@ -51,6 +51,7 @@ def connected(address: str, workers: int | None = None) -> Iterator[Client]:
     """
     try:
         from distributed import Client, LocalCluster
+        from distributed.utils import silence_logging_cmgr
     except ImportError:
         raise FileError("Dask is not installed: pip install 'voxtool[dask]'") from None
     if address != LOCAL:
@@ -60,7 +61,7 @@ def connected(address: str, workers: int | None = None) -> Iterator[Client]:
             raise DeviceError(
                 f"no scheduler of Dask at {address}: start one, or use --dask {LOCAL}"
             ) from error
-        with client:
+        with silence_logging_cmgr(logging.CRITICAL), client:  # what was lost is sent again
             yield client
         return
     with (
@@ -94,6 +95,7 @@ def results(
         If the scheduler does not come back, or a call has ended several workers.
     """
     from distributed import CancelledError, KilledWorker, as_completed
+    from distributed.comm import CommClosedError
 
     waiting, again = iter(calls), []
     flying: dict[Any, Call] = {}
@@ -113,7 +115,7 @@ def results(
         call = flying.pop(future)
         try:
             result = future.result()
-        except CancelledError:  # the scheduler was lost
+        except (CancelledError, CommClosedError):  # the scheduler was lost
             again.append(call)
             continue
         except KilledWorker as error:

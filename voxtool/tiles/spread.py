@@ -124,11 +124,16 @@ class SpreadJob(WindowsJob):
 
     def _make(self, missing: Iterable[Wanted]) -> None:
         """Have windows made; they wait on disk."""
-        whole = self.client.scatter(self.mesh) if self._ranges is None else None
+        whole: Any = None
 
         def submit(wanted: Wanted) -> Any:
+            nonlocal whole
             key, faces = wanted
-            mesh = self._mesh_of(faces) if whole is None else whole
+            mesh = whole
+            if self._ranges is not None:
+                mesh = self._mesh_of(faces)
+            elif whole is None or whole.cancelled():  # it is lost with a scheduler
+                mesh = whole = self.client.scatter(self.mesh)
             given = (mesh, self.grid, key, self._options, self.device_name)
             return self.client.submit(make_window, *given, pure=False)
 
