@@ -28,6 +28,7 @@ def plan_repair(
     shell: float = 0.0,
     thicken: float = 0.0,
     drains: Sequence[Sequence[float]] = (),
+    simplify: float = 0.0,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> RepairJob:
@@ -65,6 +66,9 @@ def plan_repair(
     drains
         with shell, holes from outside to the cavity: x, y, z and a radius each, in world units, at
         least 1.5 voxels. A hole goes along the normal at the surface's nearest point.
+    simplify
+        largest distance in world units by which the surface may move to have fewer triangles,
+        with the package manifold3d; 0 keeps all.
     device, max_memory
         as voxelize.
 
@@ -103,7 +107,7 @@ def plan_repair(
     return repairs.plan_repair(
         found, grid or repairs.grid_for(found, dim, tolerance), fill=fill, gap=gap,
         keep_components=keep_components, offset=offset, shell=shell, thicken=thicken,
-        drains=drains, device=device, max_memory=max_memory,
+        drains=drains, simplify=simplify, device=device, max_memory=max_memory,
     )  # fmt: skip
 
 

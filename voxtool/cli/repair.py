@@ -37,6 +37,9 @@ mesh_options = together(
         metavar="largest|N"),
 )  # fmt: skip
 result_options = together(
+    option("--simplify", POSITIVE,
+        "Leave out triangles, as far as the surface moves by at most this distance in world units; "
+        "with the package manifold3d.", metavar="LENGTH"),
     flag("--normals", "Write vertex normals, too (.obj, .ply, .glb)."),
     flag("--check",
         "Print the result's counts as JSON; exit with 1 if it is not closed and manifold, or if "
@@ -81,6 +84,7 @@ def command(run: runner.Run, mesh: str, **request: Any) -> None:
     Examples:
       voxtool repair open.obj -o closed.ply
       voxtool repair bunny.obj --dim 512 --keep-components largest --check -o fixed.stl
+      voxtool repair bunny.obj --dim 128 --simplify 0.01 -o small.stl
     """
     if sum(request[name] is not None for name in WALLS) > 1:
         raise click.UsageError("--offset, --shell and --thicken exclude each other: choose one")
@@ -158,6 +162,7 @@ def facts_of(result: Repaired) -> dict[str, Any]:
         "triangles": len(result.faces),
         "vertices_on_target": result.on_target,
         "wall": result.wall,
+        "simplified": result.simplified,
         "check": result.checked,
         "distances": result.distances,
         "digest": result.digest(),

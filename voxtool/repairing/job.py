@@ -11,7 +11,8 @@ The stages:
    the two are measured.
 5. For an offset, or a hollow solid, the voxels are chosen anew, by their exact distance to that
    surface (walls.py), and steps 3 and 4 are repeated with the points at that distance as the mesh.
-6. The result is checked.
+6. If asked, the surface is simplified (simplify.py).
+7. The result is checked.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from voxtool.repairing.fit import NONE, Fitted, fit
 from voxtool.repairing.measure import measure
 from voxtool.repairing.plan import STYLE, RepairPlan
 from voxtool.repairing.result import Repaired
+from voxtool.repairing.simplify import check_library, simplify
 from voxtool.repairing.targets import Level, Target
 from voxtool.repairing.walls import (
     beyond,
@@ -75,6 +77,7 @@ def plan_repair(
     shell: float = 0.0,
     thicken: float = 0.0,
     drains: Sequence[Sequence[float]] = (),
+    simplify: float = 0.0,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> RepairJob:
@@ -85,6 +88,10 @@ def plan_repair(
         raise VoxtoolError(f"{keep_components} components: keep 1 or more")
     holes = tuple(tuple(map(float, drain)) for drain in drains)
     check_walls(grid.pitch[0], float(offset), float(shell), float(thicken), holes)
+    if not (math.isfinite(simplify) and simplify >= 0):
+        raise VoxtoolError(f"simplify {simplify:g} is no length: give 0 or more")
+    if simplify:
+        check_library()
     device = device or default_device()
     device.require_float64("exact distances")
     request: dict[str, Any] = {"device": device, "max_memory": max_memory}
@@ -96,7 +103,7 @@ def plan_repair(
             voxels = plan_voxelize(turn_shells(mesh, device), grid, fill=UNITING, **request)
     plan = RepairPlan(
         voxels.plan, len(mesh.faces), grid.pitch[0], keep_components, float(offset), float(shell),
-        float(thicken), holes,
+        float(thicken), holes, float(simplify),
     )  # fmt: skip
     return RepairJob(mesh, voxels, plan, device, max_memory)
 
@@ -134,7 +141,9 @@ class RepairJob(Job[Repaired]):
             with self.stage("plate"):
                 found = plate(found, onto_mesh, target.reach, self.device)
         octree, number = self._kept(found)
-        fitted = self._fitted(octree, [target])
+        fitted, simplified = self._fitted(octree, [target]), {}
+        if plan.simplify and not (plan.offset or plan.shell):
+            fitted, simplified = self._simplified(fitted)
         surface = fitted.surface.mesh()
         onto_surface = TriangleDistance(surface, self.device)
         with self.stage("distances"):
@@ -144,6 +153,8 @@ class RepairJob(Job[Repaired]):
             octree, fitted = self._offset(octree, onto_surface)
         elif plan.shell:
             octree, fitted, wall = self._hollow(octree, fitted, onto_surface, target)
+        if plan.simplify and not simplified:
+            fitted, simplified = self._simplified(fitted)
         with self.stage("check"):
             checked = fitted.surface.check()
         checked["self_intersecting_faces"] = fitted.found.crossed
@@ -157,12 +168,18 @@ class RepairJob(Job[Repaired]):
             checked=checked,
             distances=distances,
             wall=wall,
+            simplified=simplified,
         )
 
     def _fitted(self, octree: Octree, targets: Sequence[Target]) -> Fitted:
         """Return the surface of an octree, laid onto targets."""
         request = {"device": self.device, "max_memory": self.max_memory}
         return fit(plan_extract(octree, style=STYLE, **request).run(), targets, self.device)
+
+    def _simplified(self, fitted: Fitted) -> tuple[Fitted, dict[str, Any]]:
+        """Return the surface with fewer triangles, and the facts of its report."""
+        with self.stage("simplify"):
+            return simplify(fitted, self.plan.simplify, self.device)
 
     def _offset(self, octree: Octree, distance: TriangleDistance) -> tuple[Octree, Fitted]:
         """Return the octree and the surface at the offset from a surface."""
@@ -227,6 +244,11 @@ class RepairJob(Job[Repaired]):
         if result.components > (self.plan.keep or 0) > 0:
             dropped = result.components - (self.plan.keep or 0)
             yield f"{count_of(dropped, 'component')} of {result.components} dropped"
+        if found := result.simplified:
+            yield (
+                f"simplified from {found['triangles_before']:,} triangles: moved by at most "
+                f"{found['deviation']:.4g}, of {found['wanted']:.4g} allowed"
+            )
         if result.wall:
             yield (
                 f"{count_of(result.wall['cavities'], 'cavity')}, {result.wall['closed']} of them "

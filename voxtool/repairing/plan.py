@@ -44,6 +44,7 @@ class RepairPlan:
     shell: float
     thicken: float
     drains: tuple[tuple[float, ...], ...]  # x, y, z and radius
+    simplify: float = 0.0  # largest distance in world units, 0 for none
 
     @property
     def stages(self) -> list[str]:
@@ -52,6 +53,7 @@ class RepairPlan:
         plate = ["plate"] if self.thicken else []
         fit = ["tree", "fit", "self-intersections", "distances"]
         shape = {"offset": self.offset, "cavities": self.shell, "drains": self.drains}
+        shape["simplify"] = self.simplify
         shaped = [name for name, wanted in shape.items() if wanted]
         return [*self.voxels.stages, *plate, *components, *NET_STAGES, *fit, *shaped, "check"]
 
@@ -63,6 +65,8 @@ class RepairPlan:
             out["components"] = "all of them are kept"
         if not (self.offset or self.shell or self.thicken):
             out["sets of voxels by distance"] = "the surface is that of the mesh"
+        if not self.simplify:
+            out["simplification"] = "every triangle is kept"
         return out
 
     @property
@@ -106,7 +110,7 @@ class RepairPlan:
         return {
             **self.voxels.as_dict(),
             "pitch": self.pitch,
-            **{name: getattr(self, name) for name in ("offset", "shell", "thicken")},
+            **{name: getattr(self, name) for name in ("offset", "shell", "thicken", "simplify")},
             "drains": list(map(list, self.drains)),
             "keep_components": self.keep,
             "stages": self.stages,

@@ -44,6 +44,9 @@ class Repaired(Data):
     wall
         Of a hollow solid: "wanted", "thinnest" (between the surface of a cavity and the outer one,
         at vertices and centres of faces), "cavities", and how many of them are "closed".
+    simplified
+        Of a simplified result: "wanted", "deviation" (a bound of the largest distance, both ways,
+        from what it was before; 0 if nothing was simplified), "triangles_before".
     """
 
     surface: Isosurface
@@ -54,6 +57,7 @@ class Repaired(Data):
     checked: dict[str, Any]
     distances: dict[str, Any]
     wall: dict[str, Any]
+    simplified: dict[str, Any]
 
     def __repr__(self) -> str:
         return (
