@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -24,6 +24,30 @@ class Blocks:
         return self.size
 
 
+@dataclass(frozen=True)
+class Slices:
+    """A one-dimensional array that is not in memory: a slice of it is read when it is asked for."""
+
+    size: int
+    read: Callable[[int, int], np.ndarray]  # the items from one index up to another one
+
+    def __len__(self) -> int:
+        return self.size
+
+    def __getitem__(self, part: slice) -> np.ndarray:
+        start, stop, _ = part.indices(self.size)
+        return self.read(start, max(start, stop))
+
+
+def blocks_of(
+    array: np.ndarray | Slices, size: int, start: int = 0, stop: int | None = None
+) -> Iterator[np.ndarray]:
+    """Yield the items of an array from `start` up to `stop`, in blocks of up to `size`."""
+    stop = len(array) if stop is None else stop
+    for first in range(start, stop, size):
+        yield array[first : min(first + size, stop)]
+
+
 def read_only(array: np.ndarray) -> np.ndarray:
     """Return a view of an array that cannot be written to; the array itself stays as it is."""
     view = array.view()
@@ -40,8 +64,13 @@ def float64(values: Any) -> np.ndarray:
 def digest_of(head: dict[str, Any], *arrays: np.ndarray) -> str:
     """Return the SHA-256 of a head in JSON types and of arrays, in little-endian order. Equal
     content has an equal digest on every device and platform."""
+    return digest_of_blocks(head, arrays)
+
+
+def digest_of_blocks(head: dict[str, Any], blocks: Iterable[np.ndarray]) -> str:
+    """Return the same of arrays that come in blocks, one after the other."""
     sha = hashlib.sha256(json.dumps(head, sort_keys=True).encode())
-    for array in arrays:
+    for array in blocks:
         sha.update(np.ascontiguousarray(array, array.dtype.newbyteorder("<")).data)
     return sha.hexdigest()
 

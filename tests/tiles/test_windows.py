@@ -19,9 +19,10 @@ from voxtool.files.windows import Windows
 from voxtool.grid import Grid
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
+from voxtool.svo.links import nodes_of, offsets_of
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
-from voxtool.tiles.subtree import empty_subtree, joined, nodes_of, offsets_of, subtree_of
+from voxtool.tiles.subtree import empty_subtree, joined, subtree_of
 from voxtool.tiles.windows import WindowsJob
 
 
@@ -67,8 +68,8 @@ def test_subtrees_join_to_the_octree(seed: int, mode: str) -> None:
     while len(parts) > 1:
         parts = [joined(parts[i : i + 8]) for i in range(0, len(parts), 8)]
     tree = parts[0]
-    np.testing.assert_array_equal(offsets_of(tree), whole.offsets)
-    np.testing.assert_array_equal(np.concatenate(list(nodes_of(tree))), whole.nodes)
+    np.testing.assert_array_equal(offsets_of(tree.levels, tree.bricks), whole.offsets)
+    np.testing.assert_array_equal(np.concatenate(list(nodes_of(tree.levels))), whole.nodes)
     np.testing.assert_array_equal(np.concatenate(bricks), whole.bricks)
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
 
     from voxtool.adf.field import DistanceField
-    from voxtool.svo.octree import Octree
+    from voxtool.svo.content import OctreeContent
 
 
 info_options = together(
@@ -26,13 +26,12 @@ info_options = together(
 
 
 def describe(
-    file: str, content: Octree | DistanceField, text: Callable[[dict[str, Any]], Iterable[str]],
-    *, check: bool, as_json: bool, **asked: bool,
+    file: str, content: OctreeContent | DistanceField,
+    text: Callable[[dict[str, Any]], Iterable[str]], *, check: bool, as_json: bool, **asked: bool,
 ) -> None:  # fmt: skip
     """Print the summary of the content of a file, as the lines of `text` or as JSON; or only the
-    digests that are asked for, by the names of their methods, if there are any and no JSON."""
-    if check:
-        content.validate()
+    digests that are asked for, by the names of their methods, if there are any and no JSON. Reading
+    the file has checked every invariant."""
     digests = {name: getattr(content, name)() for name in asked if asked[name]}
     if digests and not as_json:
         click.echo("\n".join(digests.values()))

@@ -29,9 +29,10 @@ def command(file: str, **asked: bool) -> None:
       voxtool svo-info bunny.svo.h5 --check
       voxtool voxelize bunny.obj -o - | voxtool svo-info - --digest
     """
-    from voxtool.files import read_svo
+    from voxtool.files import open_svo
 
-    describe(file, read_svo(file), text_of, **asked)
+    with open_svo(file) as octree:
+        describe(file, octree, text_of, **asked)
 
 
 def normalized(*transform: float) -> Iterator[tuple[str, str]]:

@@ -7,7 +7,8 @@ content. Modules of formats, and what they import, are loaded when they are firs
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
+    from voxtool.svo.content import StoredOctree
     from voxtool.svo.labels import Labels
     from voxtool.svo.octree import Octree
     from voxtool.tets.mesh import UnstructuredMesh
@@ -60,6 +62,7 @@ __all__ = [
     "export",
     "format_of",
     "is_mesh",
+    "open_svo",
     "read_adf",
     "read_scene",
     "read_shape",
@@ -82,6 +85,13 @@ def read_svo(path: PathLike) -> Octree:
         no such file, or one that is damaged, hostile or of another kind.
     """
     return _read(path, formats.OCTREE)
+
+
+@contextmanager
+def open_svo(path: PathLike) -> Iterator[Octree | StoredOctree]:
+    """Yield an octree as `read_svo` returns it, but its nodes and bricks stay in an HDF5 file."""
+    with ExitStack() as stack:
+        yield _read_open(path, formats.STORED_OCTREE, stack)
 
 
 def write_svo(
@@ -343,17 +353,23 @@ def write_mesh(
 
 def _read(path: PathLike, kind: Kind) -> Any:
     """The content of a file, as the reader for its format returns it."""
+    with ExitStack() as stack:
+        return _read_open(path, kind, stack)
+
+
+def _read_open(path: PathLike, kind: Kind, stack: ExitStack) -> Any:
+    """The content of a file, which stays open until the stack ends."""
     name = streams.input_name(path)
     try:
-        with streams.open_whole(path) as (file, size):
-            if size == 0:
-                raise FileError(f"{name} is empty")
-            read = formats.reader_for(kind, name, file.read(streams.OPENING))
-            file.seek(0)
-            try:
-                return read(file, size)
-            except VoxtoolError as error:
-                raise type(error)(f"{name}: {error}") from error
+        file, size = stack.enter_context(streams.open_whole(path))
+        if size == 0:
+            raise FileError(f"{name} is empty")
+        read = formats.reader_for(kind, name, file.read(streams.OPENING))
+        file.seek(0)
+        try:
+            return read(file, size)
+        except VoxtoolError as error:
+            raise type(error)(f"{name}: {error}") from error
     except OSError as error:
         raise streams.read_error(name, error) from error
     except MemoryError as error:

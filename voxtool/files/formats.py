@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -140,6 +141,7 @@ class Kind:
     mesh: str  # the message for a mesh
     other: str  # for any other file
     xml: bool = False  # whether the XML format holds it, too
+    sliced: bool = False  # whether the arrays of HDF5 stay in the file
     endings: dict[tuple[str, ...], str] = field(default_factory=dict)  # by the endings of names
 
 
@@ -156,6 +158,7 @@ OCTREE = Kind(
     other="is no octree: expected HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz)",
     endings=AN_EXPORT,
 )
+STORED_OCTREE = replace(OCTREE, sliced=True)
 FIELD = Kind(
     hdf5=("adf_hdf5",),
     mesh="is a mesh: build a field first: voxtool adf-build {name}",
@@ -246,7 +249,7 @@ def reader_for(kind: Kind, name: str, opening: bytes) -> Reader:
         from voxtool.files import hdf5
 
         schemas = [import_module(f"voxtool.files.{module}").SCHEMA for module in kind.hdf5]
-        return lambda file, size: hdf5.read(schemas, file, size)
+        return partial(hdf5.read_slices if kind.sliced else hdf5.read, schemas)
     lower = name.lower()
     if lower.endswith(MESH_EXTENSIONS) or opening.startswith(MESH_OPENINGS):
         raise FileError(f"{name} {kind.mesh.format(name=name)}")

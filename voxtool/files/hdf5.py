@@ -8,12 +8,14 @@ link is followed.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
-from voxtool.arrays import Blocks
+from voxtool.arrays import Blocks, Slices
 from voxtool.errors import FileError, VoxtoolError
 from voxtool.files.schema import FORMAT, FORMAT_VERSION, Attribute, Dataset, Schema
 from voxtool.limits import bounded_memory
@@ -73,19 +75,47 @@ def read(schemas: Sequence[Schema], file: BinaryIO, size: int) -> Any:
     ------
     FileError : the file is damaged, hostile or of another format.
     """
+    with _one_line(), opened(file) as h5:
+        schema, stored, found = _content(h5, schemas, size)
+        needed = sum(array.dtype.itemsize * math.prod(array.shape) for array in found.values())
+        check_memory(needed, "its datasets", "choose a smaller file")
+        return schema.decode(stored, {name: load(array) for name, array in found.items()})
+
+
+def read_slices(schemas: Sequence[Schema], file: BinaryIO, size: int) -> Any:
+    """The same content, whose datasets are Slices of the file while that is open."""
+    with _one_line():
+        schema, stored, found = _content(opened(file), schemas, size)
+        return schema.decode(stored, {name: _slices(array) for name, array in found.items()})
+
+
+def _slices(dataset: Any) -> Slices:
+    def read(start: int, stop: int) -> np.ndarray:
+        with _one_line():
+            return h5py.Dataset(dataset)[start:stop]
+
+    return Slices(dataset.shape[0], read)
+
+
+@contextmanager
+def _one_line() -> Iterator[None]:
+    """Errors of the library become a FileError: the file is damaged."""
     try:
-        with opened(file) as h5:
-            with bounded_memory(METADATA):
-                schema = _schema_of(h5, schemas)
-                stored, found = _checked(schema, h5, size)
-            needed = sum(array.dtype.itemsize * math.prod(array.shape) for array in found.values())
-            check_memory(needed, "its datasets", "choose a smaller file")
-            return schema.decode(stored, {name: load(array) for name, array in found.items()})
+        yield
     except VoxtoolError:
         raise
-    except Exception as error:  # of the library: the file is damaged
+    except Exception as error:
         first = (str(error).splitlines() or [type(error).__name__])[0][:160]
         raise FileError(f"damaged HDF5 file: {first}") from error
+
+
+def _content(
+    h5: Any, schemas: Sequence[Schema], size: int
+) -> tuple[Schema, dict[str, Any], dict[str, Any]]:
+    """The schema of a file, its checked attributes, and its checked datasets."""
+    with bounded_memory(METADATA):
+        schema = _schema_of(h5, schemas)
+        return schema, *_checked(schema, h5, size)
 
 
 def opened(file: BinaryIO) -> Any:

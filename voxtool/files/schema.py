@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 
-from voxtool.arrays import Blocks
+from voxtool.arrays import Blocks, Slices
 from voxtool.errors import FileError
 from voxtool.version import __version__
 
@@ -154,8 +154,10 @@ class Dataset:
             return array.reshape(-1, len(self.rows.names or ()))
         return np.ascontiguousarray(array, self.type_for(sizes))
 
-    def decode(self, array: np.ndarray) -> np.ndarray:
-        """The array in Python of a stored one."""
+    def decode(self, array: Any) -> Any:
+        """The array, or Slices, in Python of a stored one."""
+        if isinstance(array, Slices):
+            return Slices(array.size, lambda start, stop: self.decode(array.read(start, stop)))
         return array if self.rows is None else array.view(self.rows).reshape(-1)
 
 
@@ -169,7 +171,7 @@ class Schema:
     hint: str  # how to make a file of it
     own: tuple[Attribute, ...]  # beside the format's name and version and the creator
     datasets: tuple[Dataset, ...]  # in the order in which they are stored
-    build: Callable[[dict[str, Any], dict[str, np.ndarray]], Any]  # content of attributes, arrays
+    build: Callable[[dict[str, Any], dict[str, Any]], Any]  # content of attributes, arrays
     agree: Callable[[Mapping[str, Any]], object] | None = None  # checks attributes together
     older: tuple[Schema, ...] = ()  # major versions that are read, but not written
 
@@ -200,7 +202,7 @@ class Schema:
         if self.agree:
             self.agree(stored)
 
-    def decode(self, stored: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> Any:
+    def decode(self, stored: Mapping[str, Any], arrays: Mapping[str, Any]) -> Any:
         """The validated content of checked attributes and arrays; FileError if it is not sound."""
         values = {
             attribute.name: attribute.decode(stored[attribute.name])

@@ -9,8 +9,9 @@ import math
 import re
 from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from voxtool.arrays import Slices
 from voxtool.choices import MODES
 from voxtool.files import hdf5
 from voxtool.files.schema import (
@@ -25,11 +26,9 @@ from voxtool.files.schema import (
     without,
 )
 from voxtool.grid import Grid
+from voxtool.svo.content import StoredOctree
 from voxtool.svo.layout import NODE
 from voxtool.svo.octree import Octree
-
-if TYPE_CHECKING:
-    import numpy as np
 
 RULE_NAME = Rule(  # any name will do: it changes nothing here
     lambda text: re.fullmatch(r"[a-z][a-z0-9+-]*", text), "is {value!r}, which names no rule"
@@ -59,9 +58,10 @@ def grid_of(stored: Mapping[str, Any]) -> Grid:
     return grid
 
 
-def _build(values: dict[str, Any], arrays: dict[str, np.ndarray]) -> Octree:
+def _build(values: dict[str, Any], arrays: dict[str, Any]) -> Octree | StoredOctree:
     others = without(values, "dim", "depth", "shape", "origin", "pitch")
-    return Octree(grid_of(values), **arrays, **others)
+    kind = StoredOctree if isinstance(arrays["nodes"], Slices) else Octree
+    return kind(grid_of(values), **arrays, **others)
 
 
 SCHEMA = Schema(

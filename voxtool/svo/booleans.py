@@ -39,9 +39,9 @@ from voxtool.svo.layout import (
     NODE_BYTES,
     VALID,
 )
+from voxtool.svo.links import EMPTY, FULL, REFINED
 from voxtool.svo.octree import Octree
 from voxtool.svo.placing import common_grid, place
-from voxtool.svo.prune import EMPTY, FULL, REFINED
 
 SOURCE = "svo/booleans.cl"
 HEADERS = {"svo/booleans.h": program.c_constants(EMPTY=EMPTY, FULL=FULL, REFINED=REFINED)}

@@ -12,20 +12,19 @@ The structure is that of [voCCeL], figures 3.5 and 5.1.
 from __future__ import annotations
 
 import contextlib
-import math
 import operator
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.arrays import Data, digest_of
+from voxtool.arrays import Data
 from voxtool.choices import MODES
 from voxtool.errors import GridError, VoxtoolError, human
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
+from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import (
     BRICK,
     BRICK_SIDE,
@@ -37,8 +36,9 @@ from voxtool.svo.layout import (
     pack_voxels,
     unpack_bricks,
 )
-from voxtool.svo.prune import octree_of_bricks, prune, states_of
-from voxtool.svo.validate import check_sizes, check_structure
+from voxtool.svo.links import level_states
+from voxtool.svo.prune import octree_of_bricks, prune
+from voxtool.svo.validate import check_sizes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -74,7 +74,7 @@ class Level:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Octree(Data):
+class Octree(OctreeContent, Data):
     """A set of voxels of a grid.
 
     Two octrees are equal if they have one grid and set the same voxels, whatever their mode, fill
@@ -230,11 +230,6 @@ class Octree(Data):
             raise ValueError("an octree cannot become an array without a copy: drop copy=False")
         return self.to_dense().astype(dtype or bool, copy=False)
 
-    @property
-    def depth(self) -> int:
-        """Number of levels, including the root and the bricks."""
-        return len(self.offsets) - 1
-
     def child_words(self, d: int) -> np.ndarray:
         """Return the `child` words of the nodes of a level, d levels below the root."""
         return self.nodes["child"][self.offsets[d] : self.offsets[d + 1]]
@@ -250,64 +245,6 @@ class Octree(Data):
             if number:
                 codes = descend(codes[level.refined])
         return found
-
-    @cached_property
-    def count(self) -> int:
-        """Number of set voxels."""
-        return sum(self.count_by_level().values())
-
-    def count_by_level(self) -> dict[int, int]:
-        """Return the set voxels by level: in bricks at level 0, in inside leaves above."""
-        counts = {0: int(np.bitwise_count(self.bricks).sum(dtype=np.int64))}
-        for d in range(self.depth - 1):
-            number = self.depth - 1 - d
-            leaves = int(np.count_nonzero(self.child_words(d) & INSIDE))
-            counts[number] = leaves * (BRICK_SIDE << number) ** 3
-        return dict(sorted(counts.items()))
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of nodes and bricks, without x-neighbour pointers."""
-        return self.nodes.nbytes + self.bricks.nbytes
-
-    def summary(self) -> dict[str, Any]:
-        """Return counts and sizes in JSON types, in world units.
-
-        The `voxels` of a level are those in its inside leaves or bricks; its `coverage` is the
-        fraction of the volume of its nodes that is set.
-        """
-        counts, levels, below = self.count_by_level(), [], 0
-        for level in reversed(self.levels()):
-            below += counts[level.number]
-            levels.append(
-                {
-                    "level": level.number,
-                    "side": level.side,
-                    "nodes": len(level.nodes),
-                    "refined": int(np.count_nonzero(level.refined)) if level.number else 0,
-                    "inside": int(np.count_nonzero(level.inside)),
-                    "voxels": counts[level.number],
-                    "coverage": below / max(len(level.nodes) * level.side**3, 1),
-                }
-            )
-        size = math.prod(self.grid.shape)
-        return {
-            "dim": self.grid.dim,
-            **{name: getattr(self, name) for name in ("depth", "mode", "fill")},
-            **{name: list(getattr(self.grid, name)) for name in ("shape", "origin", "pitch")},
-            **{name: getattr(self, name) for name in ("units", "source_sha256")},
-            "transform": list(self.transform),
-            "voxels": below,
-            "occupancy": below / size,
-            "volume": below * self.grid.voxel_volume,
-            "nodes": len(self.nodes),
-            "bricks": len(self.bricks),
-            "bytes": self.nbytes,
-            "bytes_with_x_pointers": self.nbytes + self.nodes.nbytes,
-            "compression": size / 8 / self.nbytes,
-            "levels": levels[::-1],
-            "plan": self.plan,
-        }
 
     def to_dense(self) -> np.ndarray:
         """Return the voxels as a dense array, as `np.asarray(octree)` does.
@@ -356,24 +293,12 @@ class Octree(Data):
         voxels = np.concatenate(parts)
         return voxels[np.lexsort(voxels.T[::-1])]
 
-    def digest(self) -> str:
-        """Return the SHA-256 of shape, mode, fill, origin, pitch, offsets, nodes and bricks, in
-        little-endian order. Equal content has an equal digest on every device and platform."""
-        head = {**self.grid.exact, "mode": self.mode, "fill": self.fill}
-        return digest_of(head, self.offsets, self.nodes, self.bricks)
-
     def pruned(self) -> Octree:
         """Return the pruned octree of the same voxels, with mode "solid" and fill "none": it has a
         leaf wherever all voxels of a node are set, or none. A set has one pruned octree."""
-        codes = [np.empty(0, np.uint64)] * (self.depth - 1)  # no node stays refined by its code
-        arrays = prune(codes, states_of(self.offsets, self.nodes), self.bricks, codes[0])
+        none = np.empty(0, np.uint64)  # no node stays refined by its code
+        arrays = prune(none, level_states(self.offsets, self.nodes), self.bricks, none)
         return Octree(self.grid, "solid", "none", *arrays, units=self.units)
-
-    def set_digest(self) -> str:
-        """Return the SHA-256 of shape, origin, pitch, and of the offsets, nodes and bricks of the
-        pruned octree. Equal sets of voxels have equal set digests, however they were made."""
-        pruned = self.pruned()
-        return digest_of(self.grid.exact, pruned.offsets, pruned.nodes, pruned.bricks)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Octree) or self.grid != other.grid:
@@ -402,16 +327,6 @@ class Octree(Data):
 
     def __xor__(self, other: object) -> Octree:
         return self._combined(other, "xor")
-
-    def validate(self) -> None:
-        """Check every invariant of the structure.
-
-        Raises
-        ------
-        FileError
-            If an invariant does not hold; the message names the first one, its level and node.
-        """
-        check_structure(self)
 
 
 def level_number(octree: Octree, level: int | str, coarsest: int) -> int:

@@ -7,60 +7,73 @@ mesh and on the set of voxels.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from voxtool.morton import distinct
-from voxtool.svo.layout import BRICK, BRICK_SIDE, INSIDE, NODE, VALID
+from voxtool.svo.layout import BRICK, BRICK_SIDE, NODE
+from voxtool.svo.links import EMPTY, FULL, REFINED, nodes_of, offsets_of
 
-EMPTY, FULL, REFINED = range(3)  # states of nodes
 ALL_VOXELS = ~np.uint64(0)
 
 
-def states_of(offsets: np.ndarray, nodes: np.ndarray) -> list[np.ndarray]:
-    """Return the states of the nodes of an octree, by level from level 1 up."""
-    child = nodes["child"][: offsets[-2]]
-    states = np.where(child & INSIDE, FULL, EMPTY).astype(np.uint8)
-    states[(child & VALID) != 0] = REFINED
-    return np.split(states, offsets[1:-2])[::-1]
+def kinds_of(eights: np.ndarray, empty: Any = EMPTY, full: Any = FULL) -> np.ndarray:
+    """Return what (n, 8) children make of their parents, (n,) uint8: EMPTY or FULL leaves if all
+    children are, otherwise REFINED nodes."""
+    kinds = np.full(len(eights), REFINED, np.uint8)
+    kinds[(eights == empty).all(axis=1)] = EMPTY
+    kinds[(eights == full).all(axis=1)] = FULL
+    return kinds
+
+
+def kinds_of_bricks(bricks: np.ndarray) -> np.ndarray:
+    """Return the same of the masks of refined level-1 nodes, eight a node."""
+    return kinds_of(bricks.reshape(-1, 8), 0, ALL_VOXELS)
+
+
+def pruned_states(states: list[np.ndarray], kinds: np.ndarray) -> list[np.ndarray]:
+    """Return the states of the nodes that remain where refined nodes whose eight children are alike
+    become leaves, by level from level 1 up. `states` are those of all nodes, by level from level 1
+    up, and `kinds` those that the bricks make of the refined level-1 nodes."""
+    kept = []
+    for state in states[:-1]:
+        own = state.copy()
+        own[own == REFINED] = kinds
+        eights = own.reshape(-1, 8)
+        kinds = kinds_of(eights)
+        kept.append(eights[kinds == REFINED].ravel())
+    root = states[-1].copy()
+    root[root == REFINED] = kinds
+    return [*kept, root]
 
 
 def prune(
-    lists: list[np.ndarray], states: list[np.ndarray], bricks: np.ndarray, active: np.ndarray
+    codes: np.ndarray, states: list[np.ndarray], bricks: np.ndarray, active: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Make leaves of the refined nodes that are neither active nor mixed.
 
-    `lists` holds the ascending Morton codes of the refined nodes by level, from level 1 up,
-    `states` the (n,) uint8 states of all nodes of each level, and `bricks` the masks of the
-    children of the refined level-1 nodes. The level-1 nodes with codes `active`, which are among
-    the refined ones, stay refined. Returns the offsets, nodes and bricks of an Octree.
+    `codes` are the ascending Morton codes of the refined level-1 nodes, `states` the (n,) uint8
+    states of all nodes by level, from level 1 up, and `bricks` the masks of the children of the
+    refined level-1 nodes. The level-1 nodes with codes `active`, which are among the refined ones,
+    stay refined. Returns the offsets, nodes and bricks of an Octree.
     """
-    parts, below = [], np.empty(0, np.uint8)
-    for level, (codes, state) in enumerate(zip(lists, states, strict=True), 1):
-        if level == 1:
-            bricks = bricks.reshape(-1, 8)
-            empty, full = (bricks == 0).all(axis=1), (bricks == ALL_VOXELS).all(axis=1)
-            stays = ~(empty | full)
-            stays[np.searchsorted(codes, active)] = True
-            bricks = bricks[stays].ravel().astype(BRICK, copy=False)
-        else:
-            below = below.reshape(-1, 8)
-            empty, full = (below == EMPTY).all(axis=1), (below == FULL).all(axis=1)
-            stays = ~(empty | full)
-            parts.append(below[stays].ravel())
-        below = state.copy()
-        refined = np.flatnonzero(state == REFINED)
-        below[refined[~stays & empty]] = EMPTY
-        below[refined[~stays & full]] = FULL
-    parts.append(below)
-    return _linked(parts[::-1], bricks)
+    kinds = kinds_of_bricks(bricks)
+    kinds[np.searchsorted(codes, active)] = REFINED
+    kept = bricks.reshape(-1, 8)[kinds == REFINED].ravel().astype(BRICK, copy=False)
+    levels = pruned_states(states, kinds)[::-1]
+    offsets = offsets_of(levels, len(kept))
+    nodes, start = np.empty(offsets[-1], NODE), 0
+    for block in nodes_of(levels):
+        nodes[start : start + len(block)] = block
+        start += len(block)
+    return offsets.astype(np.uint32), nodes, kept
 
 
-def levels_of(
-    codes: np.ndarray, full: list[np.ndarray]
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Return the ascending codes of the refined nodes and the states of all nodes, by level from
-    level 1 up: of the octree of refined level-1 nodes, given by their ascending codes, and of FULL
-    leaves, given by their codes, for each level up to the root's."""
+def states_by_level(codes: np.ndarray, full: list[np.ndarray]) -> list[np.ndarray]:
+    """Return the states of all nodes, by level from level 1 up: of the octree of refined level-1
+    nodes, given by their ascending codes, and of FULL leaves, given by their codes, for each level
+    up to the root's."""
     lists, states = [codes], []
     for leaves in full[:-1]:
         lists.append(distinct(np.concatenate([lists[-1], leaves]) >> np.uint64(3)))
@@ -72,7 +85,7 @@ def levels_of(
             places = child_places(refined, parents), child_places(leaves, parents)
         state[places[0]], state[places[1]] = REFINED, FULL
         states.append(state)
-    return lists, states
+    return states
 
 
 def octree_of_bricks(
@@ -88,31 +101,14 @@ def octree_of_bricks(
     root's. With `collapse`, nodes whose voxels are all set become leaves."""
     none = codes[:0]
     top = (side // (2 * BRICK_SIDE)).bit_length()
-    lists, states = levels_of(distinct(codes >> np.uint64(3)), full or [none] * top)
-    bricks = np.zeros(8 * len(lists[0]), BRICK)
-    bricks[child_places(codes, lists[0])] = masks
-    return prune(lists, states, bricks, none if collapse else lists[0])
+    refined = distinct(codes >> np.uint64(3))
+    states = states_by_level(refined, full or [none] * top)
+    bricks = np.zeros(8 * len(refined), BRICK)
+    bricks[child_places(codes, refined)] = masks
+    return prune(refined, states, bricks, none if collapse else refined)
 
 
 def child_places(codes: np.ndarray, parents: np.ndarray) -> np.ndarray:
     """Return the index of each node among the children of the parents; all codes ascend."""
     rank = np.searchsorted(parents, codes >> np.uint64(3))
     return 8 * rank + (codes & np.uint64(7)).astype(np.int64)
-
-
-def _linked(
-    levels: list[np.ndarray], bricks: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the linked nodes of levels that are given by their nodes' states, root first."""
-    sizes = [len(states) for states in levels] + [len(bricks)]
-    offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.uint32)
-    nodes = np.zeros(int(offsets[-1]), NODE)
-    child, parent = nodes["child"], nodes["parent"]
-    for depth, states in enumerate(levels):
-        own = child[offsets[depth] : offsets[depth + 1]]
-        own[states == FULL] = INSIDE
-        refined = np.flatnonzero(states == REFINED).astype(np.uint32)
-        own[refined] = VALID | 8 * np.arange(len(refined), dtype=np.uint32)
-        parent[offsets[depth + 1] : offsets[depth + 2]] = VALID | np.repeat(refined, 8)
-    child[offsets[-2] :] = VALID | np.arange(len(bricks), dtype=np.uint32)
-    return offsets, nodes, bricks

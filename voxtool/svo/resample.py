@@ -27,9 +27,10 @@ from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device, default_device, program
 from voxtool.svo.layout import BRICK, BRICK_BYTES, BRICK_SIDE, descend, voxels_within
+from voxtool.svo.links import EMPTY, FULL, REFINED
 from voxtool.svo.octree import Octree
 from voxtool.svo.placing import ROUNDINGS
-from voxtool.svo.prune import EMPTY, FULL, REFINED, octree_of_bricks
+from voxtool.svo.prune import octree_of_bricks
 
 SOURCE = "svo/resample.cl"
 DEFAULT_THRESHOLD = 0.5

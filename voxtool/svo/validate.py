@@ -8,11 +8,11 @@ import numpy as np
 
 from voxtool.errors import FileError
 from voxtool.morton import morton_decode, spread_bits
-from voxtool.svo.layout import BRICK_SIDE, LINK, VALID, voxels_within
+from voxtool.svo.layout import BRICK_SIDE, INSIDE, LINK, VALID, voxels_within
 
 if TYPE_CHECKING:
     from voxtool.grid import Grid
-    from voxtool.svo.octree import Level, Octree
+    from voxtool.svo.content import OctreeContent, Span
 
 BITS_OF_X = spread_bits(np.array((1 << 21) - 1))  # in a Morton code
 
@@ -35,7 +35,7 @@ def check_offsets(grid: Grid, offsets: np.ndarray) -> None:
         raise FileError("octree offsets: a level has more nodes than the level above allows")
 
 
-def check_sizes(octree: Octree) -> None:
+def check_sizes(octree: OctreeContent) -> None:
     """Raise FileError if the sizes of the arrays do not fit the grid or each other."""
     check_offsets(octree.grid, octree.offsets)
     offsets = octree.offsets.astype(np.int64)
@@ -49,21 +49,23 @@ def check_sizes(octree: Octree) -> None:
         )
 
 
-def check_structure(octree: Octree) -> None:
-    """Raise FileError for the first invariant of nodes and bricks that does not hold."""
+def check_structure(octree: OctreeContent) -> None:
+    """Raise FileError for an invariant of nodes and bricks that does not hold."""
     check_sizes(octree)
     _check_children(octree)
-    levels = octree.levels()
-    for level in levels:
-        _check_level(octree, level)
-    _check_padding(octree, levels)
+    grid = octree.grid
+    padded = grid.shape != (grid.side,) * 3
+    for span in octree.walk():
+        _check_links(octree, span)
+        if padded:
+            _check_padding(octree, span)
 
 
-def _check_children(octree: Octree) -> None:
+def _check_children(octree: OctreeContent) -> None:
     """Check that every refined node has eight nodes on the level below."""
     sizes, depth = np.diff(octree.offsets.astype(np.int64)), octree.depth
     for d in range(depth - 1):
-        refined = np.count_nonzero(octree.child_words(d) & VALID)
+        refined = sum(np.count_nonzero(block["child"] & VALID) for block in octree.blocks(d))
         if 8 * refined != sizes[d + 1]:
             raise FileError(
                 f"octree children: {refined} refined nodes on level {depth - 1 - d} do not "
@@ -71,52 +73,51 @@ def _check_children(octree: Octree) -> None:
             )
 
 
-def _check_level(octree: Octree, level: Level) -> None:
-    """Check the links and flags of a level's nodes."""
-    parent, child, refined = level.nodes["parent"], level.nodes["child"], level.refined
-    both = "inside flag of a refined node (both coarse-inside and refined)"
-    wrong = {both: refined & level.inside}
-    if level.number == 0:
-        owned = VALID | np.arange(len(child), dtype=np.uint32)
+def _check_links(octree: OctreeContent, span: Span) -> None:
+    """Check the links and flags of some nodes."""
+    parent, child = span.nodes["parent"], span.nodes["child"]
+    refined, inside = (child & VALID) != 0, (child & INSIDE) != 0
+    wrong = {"inside flag of a refined node (both coarse-inside and refined)": refined & inside}
+    if span.number == 0:
+        owned = VALID | np.arange(span.start, span.start + len(child), dtype=np.uint32)
         wrong["brick link (one brick a node, in order)"] = child != owned
     else:
-        links = child[refined] & LINK
-        expected = 8 * np.arange(len(links), dtype=np.uint32)
-        wrong["child link (Morton order: 8 nodes after the one before)"] = links != expected
+        children = span.first_child + 8 * (np.cumsum(refined, dtype=np.uint32) - refined)
+        wrong["child link (Morton order: 8 nodes after the one before)"] = refined & (
+            (child & LINK) != children
+        )
         linked = (child & LINK) != 0
         wrong["leaf (link bits of a node without children are zero)"] = ~refined & linked
         if "solid" not in octree.mode:
-            wrong["inside flag of a surface"] = level.inside
-    if level.number == octree.depth - 1:
+            wrong["inside flag of a surface"] = inside
+    if span.number == octree.depth - 1:
         wrong["parent link of the root (it has none)"] = parent != 0
     else:
-        above = octree.child_words(octree.depth - 2 - level.number)
-        owners = VALID | np.repeat(np.flatnonzero(above & VALID).astype(np.uint32), 8)
+        owners = VALID | np.repeat(span.parents, 8)
         wrong["parent link (the parent and its child agree)"] = parent != owners
     for what, bad in wrong.items():
-        if bad.any():
-            raise FileError(
-                f"octree {what}: level {level.number}, node {int(np.argmax(bad))} is wrong"
-            )
+        _refuse(what, bad, "is wrong", span)
 
 
-def _check_padding(octree: Octree, levels: list[Level]) -> None:
+def _check_padding(octree: OctreeContent, span: Span) -> None:
     """Check that no voxel is set between the grid's shape and the octree's cube."""
-    if octree.grid.shape == (octree.grid.side,) * 3:
-        return
-    for level in levels:
-        bad = np.zeros(len(level.codes), bool)
-        ends = spread_bits(np.array(octree.grid.shape) // level.side)  # the first cells not within
-        for axis, end in enumerate(ends):  # the bits of one axis compare as the coordinates do
-            bad |= (level.codes >> np.uint64(axis)) & BITS_OF_X >= end
-        if level.number:
-            bad &= level.inside
-        else:
-            edge = np.flatnonzero(bad)
-            allowed = voxels_within(morton_decode(level.codes[edge]), octree.grid.shape)
-            bad[edge] = (octree.bricks[edge] & ~allowed) != 0
-        if bad.any():
-            raise FileError(
-                f"octree padding: level {level.number}, node {int(np.argmax(bad))} has voxels "
-                "set beyond the grid's shape"
-            )
+    shape = octree.grid.shape
+    bad = np.zeros(len(span.codes), bool)
+    ends = spread_bits(np.array(shape) // (BRICK_SIDE << span.number))  # first cells not within
+    for axis, end in enumerate(ends):  # the bits of one axis compare as the coordinates do
+        bad |= (span.codes >> np.uint64(axis)) & BITS_OF_X >= end
+    if span.number:
+        bad &= (span.nodes["child"] & INSIDE) != 0
+    else:
+        edge = np.flatnonzero(bad)
+        allowed = voxels_within(morton_decode(span.codes[edge]), shape)
+        bricks = octree.bricks[span.start : span.start + len(bad)]
+        bad[edge] = (bricks[edge] & ~allowed) != 0
+    _refuse("padding", bad, "has voxels set beyond the grid's shape", span)
+
+
+def _refuse(what: str, bad: np.ndarray, why: str, span: Span) -> None:
+    """Raise FileError if a node of a span is bad."""
+    if bad.any():
+        node = span.start + int(np.argmax(bad))
+        raise FileError(f"octree {what}: level {span.number}, node {node} {why}")

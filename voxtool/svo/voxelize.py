@@ -58,9 +58,10 @@ from voxtool.svo.fill.rows import SOURCE as ROWS
 from voxtool.svo.fill.winding import NearHoles
 from voxtool.svo.fill.winding import programs as near_holes
 from voxtool.svo.lattice import place_mesh
+from voxtool.svo.links import level_states
 from voxtool.svo.octree import Octree
 from voxtool.svo.plan import COMPARISON, REQUEST, Survey, VoxelizePlan, plan_of
-from voxtool.svo.prune import prune, states_of
+from voxtool.svo.prune import prune
 from voxtool.svo.scan import SOURCE as SCAN
 from voxtool.svo.scan import Scan, add_nodes, find_active_nodes
 
@@ -318,11 +319,11 @@ class VoxelizeJob(Job[Octree]):
         """Return the octree on the host; prune active nodes that the mesh does not touch."""
         with self.stage("read back"):
             tree = filled.tree
-            lists = [level.codes.get(0, level.n) for level in tree.refined]
+            codes = tree.refined[0].codes.get(0, tree.refined[0].n)
             offsets, nodes, masks = tree.offsets, tree.nodes.take(), filled.bricks.take()
         if touched is None:
             return self._octree(offsets, nodes, masks)
-        return self._octree(*prune(lists, states_of(offsets, nodes), masks, touched))
+        return self._octree(*prune(codes, level_states(offsets, nodes), masks, touched))
 
     def _octree(self, offsets: np.ndarray, nodes: np.ndarray, bricks: np.ndarray) -> Octree:
         mode, rule, scene = self.plan.mode, self.plan.rule, self.plan.scene()

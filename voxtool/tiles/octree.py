@@ -13,7 +13,8 @@ import numpy as np
 from voxtool.arrays import Blocks
 from voxtool.grid import Grid
 from voxtool.svo.layout import BRICK, BRICK_BYTES, NODE, NODE_BYTES
-from voxtool.tiles.subtree import Subtree, nodes_of, offsets_of
+from voxtool.svo.links import nodes_of, offsets_of
+from voxtool.tiles.subtree import Subtree
 
 
 @dataclass
@@ -44,13 +45,13 @@ class BlockOctree:
     @property
     def offsets(self) -> np.ndarray:
         """(depth + 1,) uint32: the index of the first node of each level, and their number."""
-        return offsets_of(self.tree).astype(np.uint32)
+        return offsets_of(self.tree.levels, self.tree.bricks).astype(np.uint32)
 
     @property
     def nodes(self) -> Blocks:
         """The nodes."""
         size = int(self.offsets[-1])
-        return Blocks(size, NODE, self._digested(nodes_of(self.tree), first=True))
+        return Blocks(size, NODE, self._digested(nodes_of(self.tree.levels), first=True))
 
     @property
     def bricks(self) -> Blocks:

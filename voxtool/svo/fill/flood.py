@@ -25,8 +25,9 @@ from voxtool.mesh.topology import components
 from voxtool.morton import distinct, gather_bits, morton_decode, morton_encode
 from voxtool.opencl import Array, Device
 from voxtool.svo.fill.pieces import Pieces, Region, clip_bricks, find_pieces
+from voxtool.svo.links import FULL
 from voxtool.svo.plan import CELL, flood_block, flood_steps
-from voxtool.svo.prune import FULL, levels_of
+from voxtool.svo.prune import states_by_level
 
 # The active level-1 nodes of a window of the grid, given by its low corner and its shape, and the
 # masks of their bricks with the surface; the window may begin before the grid.
@@ -98,10 +99,10 @@ def frame_of(
 
 def flood(
     device: Device, walls: Walls, frame: Frame, gap: int
-) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, np.ndarray]:
     """Return the octree of the window's voxels that the outside cannot reach, with the surface: the
-    codes of the refined nodes by level, from level 1 up, the states of all nodes by level, the
-    masks of the bricks, and the codes of the active level-1 nodes.
+    codes of the refined level-1 nodes, the states of all nodes by level, from level 1 up, the masks
+    of the bricks, and the codes of the active level-1 nodes.
 
     The outside does not pass openings of up to `gap` voxels.
     """
@@ -127,8 +128,8 @@ def flood(
     order = np.argsort(np.concatenate(codes), kind="stable")
     own = np.uint64((1 << 3 * (len(full) - 1)) - 1)  # bits of a level-1 code in the window's cube
     ascending = np.concatenate(codes)[order] & own
-    levels = levels_of(ascending, [np.concatenate(leaves) for leaves in full])
-    return *levels, np.concatenate(masks)[order].ravel(), np.concatenate(active) & own
+    states = states_by_level(ascending, [np.concatenate(leaves) for leaves in full])
+    return ascending, states, np.concatenate(masks)[order].ravel(), np.concatenate(active) & own
 
 
 def _pieces(

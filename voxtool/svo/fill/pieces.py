@@ -17,8 +17,8 @@ from voxtool.svo.build import DeviceOctree, build_octree
 from voxtool.svo.fill.dilation import dilate, grow_outside, reached_nodes
 from voxtool.svo.fill.rows import unite_nodes
 from voxtool.svo.layout import BRICK, VALID, descend
+from voxtool.svo.links import EMPTY, FULL, REFINED
 from voxtool.svo.plan import CELL
-from voxtool.svo.prune import EMPTY, FULL, REFINED
 
 SOURCE = "svo/fill/flood.cl"
 PARTS = 8  # components that the voxels of a brick can have

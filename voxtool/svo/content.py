@@ -1,0 +1,210 @@
+"""An octree that is read in blocks, from memory or from a file that is larger than memory.
+
+The nodes below a range of a level are a range of the next level, so a walk over ranges reaches
+every node once, subtree by subtree in Morton order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import chain
+from typing import Any
+
+import numpy as np
+
+from voxtool.arrays import Slices, blocks_of, digest_of_blocks
+from voxtool.grid import Grid
+from voxtool.svo.layout import BRICK_BYTES, BRICK_SIDE, INSIDE, NODE_BYTES, VALID, descend
+from voxtool.svo.links import REFINED, level_states, nodes_of, offsets_of
+from voxtool.svo.prune import kinds_of_bricks, pruned_states
+from voxtool.svo.validate import check_sizes, check_structure
+
+BLOCK = 1 << 16  # nodes that are read at once
+
+
+@dataclass(frozen=True)
+class Span:
+    """Nodes of one level that follow one another."""
+
+    number: int  # of the level, 0 for the bricks
+    start: int  # index of the first one in its level
+    nodes: np.ndarray  # (n,) NODE
+    codes: np.ndarray  # (n,) uint64 Morton codes of their cells
+    parents: np.ndarray  # (n / 8,) uint32 indices of their parents in the level above; root: none
+    first_child: int  # index in the level below of the first node below them
+
+
+class OctreeContent:
+    """What an octree holds: the base of `Octree` and `StoredOctree`, which have these attributes.
+
+    Slices of `nodes` and `bricks` are arrays; the two need not be arrays themselves.
+    """
+
+    grid: Grid
+    mode: str
+    fill: str
+    offsets: np.ndarray
+    nodes: Any
+    bricks: Any
+    plan: dict[str, Any]
+    source_sha256: str
+    units: str
+    transform: tuple[float, ...]
+
+    @property
+    def depth(self) -> int:
+        """Number of levels, including the root and the bricks."""
+        return len(self.offsets) - 1
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of nodes and bricks, without x-neighbour pointers."""
+        return NODE_BYTES * len(self.nodes) + BRICK_BYTES * len(self.bricks)
+
+    def blocks(self, d: int) -> Iterator[np.ndarray]:
+        """Yield the nodes of a level, d levels below the root, in blocks."""
+        return blocks_of(self.nodes, BLOCK, int(self.offsets[d]), int(self.offsets[d + 1]))
+
+    def walk(self) -> Iterator[Span]:
+        """Yield all nodes: each span, then those below it, in Morton order. Every refined node has
+        eight nodes on the level below."""
+        none = np.empty(0, np.uint32)
+        root = Span(self.depth - 1, 0, self.nodes[0:1], np.zeros(1, np.uint64), none, 0)
+        return self._walk(root, [0] * self.depth)
+
+    def _walk(self, span: Span, reached: list[int]) -> Iterator[Span]:
+        """Yield a span and those below it; `reached` counts the nodes that were read by level."""
+        yield span
+        if not (number := span.number):
+            return
+        refined = np.flatnonzero(span.nodes["child"] & VALID).astype(np.uint32)
+        first = int(self.offsets[self.depth - number])
+        for parents in blocks_of(refined, BLOCK // 8):
+            start = reached[number - 1]
+            reached[number - 1] = stop = start + 8 * len(parents)
+            nodes, codes = self.nodes[first + start : first + stop], descend(span.codes[parents])
+            above = parents + np.uint32(span.start)
+            below = reached[number - 2] if number > 1 else 0
+            yield from self._walk(Span(number - 1, start, nodes, codes, above, below), reached)
+
+    @cached_property
+    def _counts(self) -> list[tuple[int, int, int]]:
+        """The refined nodes, the inside leaves and the set voxels of each level, from the bricks
+        up."""
+        bits = (np.bitwise_count(part).sum(dtype=np.int64) for part in self.brick_blocks())
+        counts = [(0, 0, int(sum(bits)))]
+        for number in range(1, self.depth):
+            refined = inside = 0
+            for block in self.blocks(self.depth - 1 - number):
+                refined += int(np.count_nonzero(block["child"] & VALID))
+                inside += int(np.count_nonzero(block["child"] & INSIDE))
+            counts.append((refined, inside, inside * (BRICK_SIDE << number) ** 3))
+        return counts
+
+    def brick_blocks(self) -> Iterator[np.ndarray]:
+        """Yield the bricks in blocks of whole groups of eight."""
+        return blocks_of(self.bricks, BLOCK)
+
+    @property
+    def count(self) -> int:
+        """Number of set voxels."""
+        return sum(self.count_by_level().values())
+
+    def count_by_level(self) -> dict[int, int]:
+        """Return the set voxels by level: in bricks at level 0, in inside leaves above."""
+        return {number: voxels for number, (_, _, voxels) in enumerate(self._counts)}
+
+    def summary(self) -> dict[str, Any]:
+        """Return counts and sizes in JSON types, in world units.
+
+        The `voxels` of a level are those in its inside leaves or bricks; its `coverage` is the
+        fraction of the volume of its nodes that is set.
+        """
+        levels, below = [], 0
+        sizes = np.diff(self.offsets.astype(np.int64))[::-1].tolist()
+        for number, (refined, inside, voxels) in enumerate(self._counts):
+            below += voxels
+            side = BRICK_SIDE << number
+            levels.append(
+                {
+                    "level": number,
+                    "side": side,
+                    "nodes": sizes[number],
+                    "refined": refined,
+                    "inside": inside,
+                    "voxels": voxels,
+                    "coverage": below / max(sizes[number] * side**3, 1),
+                }
+            )
+        size = math.prod(self.grid.shape)
+        return {
+            "dim": self.grid.dim,
+            **{name: getattr(self, name) for name in ("depth", "mode", "fill")},
+            **{name: list(getattr(self.grid, name)) for name in ("shape", "origin", "pitch")},
+            **{name: getattr(self, name) for name in ("units", "source_sha256")},
+            "transform": list(self.transform),
+            "voxels": below,
+            "occupancy": below / size,
+            "volume": below * self.grid.voxel_volume,
+            "nodes": len(self.nodes),
+            "bricks": len(self.bricks),
+            "bytes": self.nbytes,
+            "bytes_with_x_pointers": self.nbytes + NODE_BYTES * len(self.nodes),
+            "compression": size / 8 / self.nbytes,
+            "levels": levels[::-1],
+            "plan": self.plan,
+        }
+
+    def digest(self) -> str:
+        """Return the SHA-256 of shape, mode, fill, origin, pitch, offsets, nodes and bricks, in
+        little-endian order. Equal content has an equal digest on every device and platform."""
+        head = {**self.grid.exact, "mode": self.mode, "fill": self.fill}
+        nodes = blocks_of(self.nodes, BLOCK)
+        return digest_of_blocks(head, chain([self.offsets], nodes, self.brick_blocks()))
+
+    def set_digest(self) -> str:
+        """Return the SHA-256 of shape, origin, pitch, and of the offsets, nodes and bricks of the
+        pruned octree. Equal sets of voxels have equal set digests, however they were made."""
+        kinds = [kinds_of_bricks(block) for block in self.brick_blocks()]
+        states = level_states(self.offsets, self.nodes)
+        levels = pruned_states(states, np.concatenate([np.empty(0, np.uint8), *kinds]))[::-1]
+        mixed = [kind == REFINED for kind in kinds]
+        bricks = (
+            block.reshape(-1, 8)[stays].ravel()
+            for block, stays in zip(self.brick_blocks(), mixed, strict=True)
+        )
+        offsets = offsets_of(levels, 8 * sum(map(np.count_nonzero, mixed))).astype(np.uint32)
+        return digest_of_blocks(self.grid.exact, chain([offsets], nodes_of(levels), bricks))
+
+    def validate(self) -> None:
+        """Check every invariant of the structure.
+
+        Raises
+        ------
+        FileError
+            If an invariant does not hold; the message names it, its level and node.
+        """
+        check_structure(self)
+
+
+@dataclass(frozen=True, eq=False)
+class StoredOctree(OctreeContent):
+    """An octree whose nodes and bricks stay in a file; it has what OctreeContent needs of them."""
+
+    grid: Grid
+    mode: str
+    fill: str
+    offsets: np.ndarray
+    nodes: Slices
+    bricks: Slices
+    plan: dict[str, Any]
+    source_sha256: str
+    units: str
+    transform: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "offsets", self.offsets[:])
+        check_sizes(self)
