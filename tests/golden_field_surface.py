@@ -34,6 +34,8 @@ def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
         for name, request in REQUESTS.items():
             lengths: dict[str, Any] = {key: field.side * x for key, x in request.items()}
             yield f"{joint}, {name}", voxtool.extract(field, **lengths).digest()
+        sharp = voxtool.extract(field, style="sharp", source=mesh, device=device)
+        yield f"{joint}, sharp", sharp.digest()
 
 
 def main() -> None:

@@ -41,6 +41,7 @@ from scipy import ndimage
 
 from voxtool.adf import build, query, textures
 from voxtool.adf.scene import FieldScene
+from voxtool.adf.surface.extract import extract_field_surface
 from voxtool.camera import Camera
 from voxtool.choices import METHODS
 from voxtool.grid import Grid
@@ -228,6 +229,7 @@ def main() -> None:
     device = open_device()
     voxelize_all(device)
     extract_surfaces(device)
+    extract_sharp_field(device)
     dilate_voxels(device)
     resample_voxels(device)
     measure_distances(device)
@@ -436,6 +438,14 @@ def extract_surfaces(device) -> None:
         found = check_surface(mesh, weld=False)
         assert len(surface.faces) > 0, request
         assert closed_chain(mesh) if surface.merged else found.watertight and found.manifold, found
+
+
+def extract_sharp_field(device) -> None:
+    """The surface of a coarse field of a box that keeps its edges."""
+    mesh = Mesh(*meshes.box((0.1, 0.2, 0.3), (0.9, 0.7, 0.8)))
+    field = build.build_adf(mesh, device, tolerance=2e-2, max_level=3)
+    surface = extract_field_surface(field, source=mesh, device=device)
+    assert surface.check()["closed"]
 
 
 def find_faces_that_meet(device) -> None:

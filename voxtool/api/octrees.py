@@ -10,7 +10,7 @@ from voxtool import report
 from voxtool.adf.field import DistanceField
 from voxtool.adf.surface.extract import plan_field_surface
 from voxtool.adf.surface.field_surface import FieldSurface
-from voxtool.choices import DEFAULT_MODE, FILLS, NORMALIZED, OPERATIONS, STYLES
+from voxtool.choices import DEFAULT_MODE, FILLS, NORMALIZED, OPERATIONS, SHARP, STYLES
 from voxtool.errors import GridError, VoxtoolError
 from voxtool.files import read_shape, read_svo
 from voxtool.files.mesh import as_mesh
@@ -165,8 +165,9 @@ def plan_extract(
     octree
         an Octree, a DistanceField or a path.
     style
-        "marching-cubes", "voxel-faces" (two triangles a square), "surface-nets", or "sharp",
-        which keeps the edges and corners of the source.
+        of an octree: "marching-cubes", "voxel-faces" (two triangles a square), "surface-nets", or
+        "sharp", which keeps the edges and corners of the source. Of a field: "sharp", or by default
+        a surface that rounds them off within a leaf.
     level
         level of the nodes that are samples, from 0 (bricks), or "voxel"; by default 0 for
         marching cubes, otherwise "voxel".
@@ -175,7 +176,7 @@ def plan_extract(
     merge
         join coplanar squares of voxel faces (greedy meshing); leaves T-junctions.
     source
-        the mesh, or a path of it, that the octree was made from; for "sharp".
+        the mesh, or a path of it, that the octree or the field was made from; for "sharp".
     offset
         of a field: distance of the surface, world units, negative inside.
     shell
@@ -208,12 +209,15 @@ def plan_extract(
     """
     found = opened(octree, read_shape)
     if isinstance(found, DistanceField):
-        if (style, level, isovalue, merge, source) != (STYLES[0], None, 0.5, False, None):
+        if (level, isovalue, merge) != (None, 0.5, False) or style not in (STYLES[0], SHARP):
             raise VoxtoolError(
-                "style, level, isovalue, merge and source are of octrees: this is a field"
+                "style (but sharp), level, isovalue and merge are of octrees: this is a field"
             )
+        if (source is None) == (style == SHARP):
+            raise VoxtoolError(f"style {SHARP} keeps the edges of a source: give both, or neither")
+        source = None if source is None else as_mesh(source, max_memory)
         return plan_field_surface(
-            found, offset=offset, shell=shell, device=device, max_memory=max_memory
+            found, offset=offset, shell=shell, source=source, device=device, max_memory=max_memory
         )
     if offset or shell is not None:
         raise VoxtoolError("offset and shell are of distance fields: morph offsets an octree")

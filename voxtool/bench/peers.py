@@ -11,10 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.morton import morton_decode
-from voxtool.svo.layout import BRICK_SIDE
-from voxtool.svo.octree import Octree
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
@@ -134,11 +130,11 @@ def _trimesh_filled(mesh: Mesh, grid: Grid) -> Callable[[], object]:
     return lambda: voxels().fill()
 
 
-def of_octree(octree: Octree, isovalue: float) -> dict[str, Callable[[], object]]:
-    """The tools that extract a smooth surface, by name and version. Their time includes the dense
-    grid of coverages that they need."""
+def of_grid(dense: Callable[[], np.ndarray], value: float) -> dict[str, Callable[[], object]]:
+    """The tools that extract a smooth surface where a dense grid has a value, by name and version.
+    Their time includes `dense`, which makes the grid, (nz, ny, nx)."""
     makers = {"VTK": _vtk_flying_edges, "scikit-image": _skimage_marching_cubes}
-    found = dict(_made(makers, octree, isovalue))
+    found = dict(_made(makers, dense, value))
     flying = f", Flying Edges on {_threads()} threads"
     return {name + flying * ("VTK" in name): extract for name, extract in found.items()}
 
@@ -147,36 +143,20 @@ def _threads() -> int:
     return os.cpu_count() or 1
 
 
-def coverage_grid(octree: Octree) -> np.ndarray:
-    """(nz, ny, nx) uint8: the set voxels of each brick of the octree's cube."""
-    n = octree.grid.side // BRICK_SIDE
-    grid = np.zeros((n, n, n), np.uint8)
-    for level in octree.levels():
-        if level.number:
-            s = level.side // BRICK_SIDE
-            blocks = grid.reshape(n // s, s, n // s, s, n // s, s).transpose(0, 2, 4, 1, 3, 5)
-            x, y, z = morton_decode(level.codes[level.inside]).T
-            blocks[z, y, x] = BRICK_SIDE**3
-        else:
-            x, y, z = morton_decode(level.codes).T
-            grid[z, y, x] = np.bitwise_count(octree.bricks)
-    return grid
-
-
-def _vtk_flying_edges(octree: Octree, isovalue: float) -> Callable[[], object]:
+def _vtk_flying_edges(dense: Callable[[], np.ndarray], value: float) -> Callable[[], object]:
     """vtkFlyingEdges3D on all cores, without normals."""
     vtk, support = _vtk()
 
     def run() -> object:
         vtk.vtkSMPTools.SetBackend("STDThread")
         vtk.vtkSMPTools.Initialize(_threads())
-        coverage = coverage_grid(octree)
+        grid = dense()
         image = vtk.vtkImageData()
-        image.SetDimensions(*coverage.shape[::-1])
-        image.GetPointData().SetScalars(support.numpy_to_vtk(coverage.ravel()))
+        image.SetDimensions(*grid.shape[::-1])
+        image.GetPointData().SetScalars(support.numpy_to_vtk(grid.ravel()))
         edges = vtk.vtkFlyingEdges3D()
         edges.SetInputData(image)
-        edges.SetValue(0, BRICK_SIDE**3 * isovalue)
+        edges.SetValue(0, value)
         edges.ComputeNormalsOff()
         edges.ComputeGradientsOff()
         edges.Update()
@@ -185,15 +165,15 @@ def _vtk_flying_edges(octree: Octree, isovalue: float) -> Callable[[], object]:
     return run
 
 
-def _skimage_marching_cubes(octree: Octree, isovalue: float) -> Callable[[], object]:
+def _skimage_marching_cubes(dense: Callable[[], np.ndarray], value: float) -> Callable[[], object]:
     """skimage.measure.marching_cubes, of Lewiner."""
     measure = _module("skimage.measure")
 
     def run() -> object:
-        grid, level = coverage_grid(octree), BRICK_SIDE**3 * isovalue
-        if not grid.min() <= level <= grid.max():  # no surface, which is an error there
+        grid = dense()
+        if not grid.min() <= value <= grid.max():  # no surface, which is an error there
             return np.empty((0, 3)), np.empty((0, 3), np.int32)
-        return measure.marching_cubes(grid, level)
+        return measure.marching_cubes(grid, value)
 
     return run
 

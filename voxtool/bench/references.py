@@ -16,7 +16,6 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import volume
 from voxtool.spatial.deviation import deviation
 from voxtool.svo.fill.caps import find_boundary, find_caps
-from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import Octree
 from voxtool.vector import cross, length
 
@@ -80,6 +79,15 @@ class Reference:
             "absent": self.absent,
         }
 
+    def in_voxels(self, found: dict[str, dict], edge: float) -> dict[str, float]:
+        """The distances of `errors_of` in voxels, or leaves, with an edge in world units."""
+        names = {"rms": "rms in voxels", "hausdorff": "max in voxels"}
+        return {
+            name: self.diagonal / edge * found["errors"][measure]
+            for measure, name in names.items()
+            if measure in found["errors"]
+        }
+
 
 def area(mesh: Mesh) -> float:
     """The area of a mesh, in square world units."""
@@ -111,16 +119,15 @@ def voxels_of_peer(made: Any, grid: Grid) -> Octree:
     return Octree.from_dense(values.T, grid.origin, grid.pitch)
 
 
-def surface_of_peer(made: Any, octree: Octree) -> Mesh:
-    """The surface of another tool, a vtkPolyData or the arrays of scikit-image, on the lattice of
-    the centres of the octree's bricks."""
+def surface_of_peer(made: Any, origin: np.ndarray, step: np.ndarray | float) -> Mesh:
+    """The surface of another tool, a vtkPolyData or the arrays of scikit-image, on a lattice that
+    begins at an origin."""
     if isinstance(made, tuple):
         points, faces = made[0][:, ::-1], made[1]
     else:
         points = _from_vtk(made.GetPoints().GetData())
         faces = _from_vtk(made.GetPolys().GetConnectivityArray()).reshape(-1, 3)
-    side = BRICK_SIDE * np.array(octree.grid.pitch)
-    places = (points.astype(np.float64) + 0.5) * side + np.array(octree.grid.origin)
+    places = points.astype(np.float64) * step + origin
     return Mesh(places, faces.astype(np.int32), name="surface")
 
 

@@ -14,7 +14,7 @@ INTEGRATORS = ("linear", "average", "preintegrated", "sampled:1", "sampled:4", "
 TRANSFERS = ("x1", "x10", "x100", "steps")
 SETTINGS = {  # the fields of a Request that each bench reads
     "voxelize": ("dims", "modes", "fills", "fit", "samples"),
-    "extract": ("dims", "fills", "styles", "isovalue", "samples"),
+    "extract": ("dims", "fills", "styles", "isovalue", "samples", "tolerances", "levels"),
     "adf": ("tolerances", "levels", "band", "sign", "points", "kinds", "searches"),
     "distance": ("points", "sign", "grids", "fills"),
     "pictures": ("sizes", "view", "dims", "levels", "tolerances", "sign"),

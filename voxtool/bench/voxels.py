@@ -1,4 +1,4 @@
-"""Errors against time of voxelization, and of surfaces of solid octrees.
+"""Errors against time of voxelization, and of surfaces of solid octrees and of fields.
 
 Voxels are compared with the model by their boundary, and solids of every fill rule by the share of
 the outer surface that they keep (svo/shares.py). The figures "nodes", "looked at" and "cut" of
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.bench import ablation, timing
+from voxtool.bench import ablation, field_surfaces, timing
 from voxtool.bench.references import (
     NO_AREA,
     NO_SOLID,
@@ -30,7 +30,7 @@ from voxtool.choices import MARCHING_CUBES, SHARP, VOXEL_FACES
 from voxtool.files import write_svo
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
-from voxtool.morton import morton_encode
+from voxtool.morton import morton_decode, morton_encode
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.shares import outer_surface, share_of
 from voxtool.svo.surface.extract import extract, plan_extract
@@ -166,7 +166,7 @@ def measure_extract(bench: Bench) -> Iterator[Point]:
         point = row(
             method=style,
             run=lambda device, plan=plan: plan(device=device).run(),
-            figures={**_cubes(octree, made), **_in_voxels(found, against, octree)},
+            figures={**_cubes(octree, made), **against.in_voxels(found, max(grid.pitch))},
             left_out=job.left_out,
             bytes=made.points.nbytes + made.faces.nbytes,
             **found,
@@ -179,12 +179,32 @@ def measure_extract(bench: Bench) -> Iterator[Point]:
             yield _with_command(point, bench, "extract", voxels, *options, output="out.ply")
         if not asked.peers or style != MARCHING_CUBES:
             continue
-        for peer, run in bench.tools.of_octree(octree, asked.isovalue).items():
+        side = BRICK_SIDE * np.array(grid.pitch)
+        dense, value = partial(coverage_grid, octree), BRICK_SIDE**3 * asked.isovalue
+        for peer, run in bench.tools.of_grid(dense, value).items():
             runs, result = others.times(peer, run)
             if runs:
-                found = against.errors_of(surface_of_peer(result, octree))
-                figures = _in_voxels(found, against, octree)
+                centre = np.array(grid.origin) + side / 2  # of a brick
+                found = against.errors_of(surface_of_peer(result, centre, side))
+                figures = against.in_voxels(found, max(grid.pitch))
                 yield row(method=peer, runs=runs, peer=True, figures=figures, **found)
+    yield from field_surfaces.measure(bench, mesh, against)
+
+
+def coverage_grid(octree: Octree) -> np.ndarray:
+    """(nz, ny, nx) uint8: the set voxels of each brick of the octree's cube."""
+    n = octree.grid.side // BRICK_SIDE
+    grid = np.zeros((n, n, n), np.uint8)
+    for level in octree.levels():
+        if level.number:
+            s = level.side // BRICK_SIDE
+            blocks = grid.reshape(n // s, s, n // s, s, n // s, s).transpose(0, 2, 4, 1, 3, 5)
+            x, y, z = morton_decode(level.codes[level.inside]).T
+            blocks[z, y, x] = BRICK_SIDE**3
+        else:
+            x, y, z = morton_decode(level.codes).T
+            grid[z, y, x] = np.bitwise_count(octree.bricks)
+    return grid
 
 
 def _cubes(octree: Octree, surface: Isosurface) -> dict[str, float]:
@@ -212,14 +232,3 @@ def visited_cubes(octree: Octree) -> int:
         cells = np.concatenate([cells, below])
         cells = cells[np.unique(morton_encode(cells), return_index=True)[1]]
     return len(cells)
-
-
-def _in_voxels(found: dict[str, dict], against: Reference, octree: Octree) -> dict[str, float]:
-    """The distances between surface and model, in voxels."""
-    unit = against.diagonal / max(octree.grid.pitch)
-    names = {"rms": "rms in voxels", "hausdorff": "max in voxels"}
-    return {
-        name: unit * found["errors"][measure]
-        for measure, name in names.items()
-        if measure in found["errors"]
-    }

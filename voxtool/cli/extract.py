@@ -32,7 +32,8 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
         "or a voxel.  [default: 0 for marching-cubes, otherwise voxel]", metavar="N|voxel"),
     option("--isovalue", float,
         "A sample is inside if at least this share of its voxels is set, between 0 and 1.", 0.5),
-    option("--source", str, "sharp: the mesh that the octree was voxelized from.", metavar="MESH"),
+    option("--source", str, "sharp: the mesh that the octree or the field was made from.",
+        metavar="MESH"),
     option("--offset", float,
         "Fields: the surface at this distance, in world units; negative inside.", metavar="D"),
     option("--shell", POSITIVE,
@@ -130,6 +131,9 @@ def planned(run: runner.Run, source: Octree | DistanceField, request: dict[str, 
     of_field = {name: request.pop(name) for name in ("offset", "shell")}
     if isinstance(source, DistanceField):
         usual = {"style": MARCHING_CUBES, "level": None, "isovalue": 0.5, "merge": False}
+        if "source" in request:
+            of_field["source"] = request.pop("source")
+            usual["style"] = SHARP
         for name, value in request.items():
             if value != usual.get(name):
                 raise click.UsageError(f"--{name} is of octrees: a field has leaves, no samples")
@@ -149,9 +153,9 @@ def check_names(
     """Refuse names of meshes that do not go with the style, or units without such a mesh."""
     if (source is None) == (style == SHARP):
         raise click.UsageError(
-            f"--style {SHARP} keeps the edges of --source MESH: name the mesh that was voxelized"
+            f"--style {SHARP} keeps the edges of --source MESH: name the mesh that it was made from"
             if style == SHARP
-            else f"--source goes with --style {SHARP}: {style} takes its surface from voxels alone"
+            else f"--source goes with --style {SHARP}: {style} needs no mesh"
         )
     if scaled and against is None and source is None:
         raise click.UsageError(

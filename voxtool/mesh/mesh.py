@@ -155,6 +155,17 @@ def mesh_from_arrays(
     return mesh
 
 
+def check_source(mesh: Mesh, sha256: str, made: str) -> None:
+    """Raise MeshError if a mesh is not the one with a SHA-256, from which something was made, an
+    octree or a field."""
+    if mesh.source_sha256 != sha256:
+        raise MeshError(
+            f"{mesh.name or 'mesh'}: the {made} was not made from it: its SHA-256 is "
+            f"{mesh.source_sha256[:12] or 'unknown'}, and that of the {made}'s source is "
+            f"{sha256[:12] or 'not known'}: give the source, or make the {made} from this mesh"
+        )
+
+
 def check_counts(name: str, vertices: int, faces: int) -> None:
     """Refuse a mesh of more vertices or faces than int32 can number."""
     for count, what in ((faces, "triangles"), (vertices, "vertices")):

@@ -14,6 +14,7 @@ HOMES = {
     "adf/levels/level.h": "voxtool.adf.levels",
     "adf/levels/sample_points.h": "voxtool.adf.levels",
     "adf/points.h": "voxtool.adf.host_query",
+    "adf/features.h": "voxtool.adf.surface.sharp",
     "adf/hashing.h": "voxtool.adf.hashing",
     "adf/query.h": "voxtool.adf.query",
     "adf/raycast.h": "voxtool.adf.raycast",

@@ -33,10 +33,7 @@ class Level:
     reach: float = 0.0
 
     def __call__(self, points: np.ndarray) -> Onto:
-        near, normals = (np.empty((len(points), 3)) for _ in range(2))
-        for block in self.distance.blocks(points):
-            found = self.distance.at_block(block, located=True)
-            near[block.where], normals[block.where] = found.points, found.directions
+        near, normals = self.distance.nearest(points)
         return near + self.reach * normals, normals
 
 

@@ -279,7 +279,7 @@ def rays(device: Device, full: bool) -> int:
       "tolerances", 1)  # fmt: skip
 def surfaces(device: Device, full: bool) -> float:
     """The largest distance of vertices from the surface around a box of slivers; infinite if it is
-    not closed and of one piece without handles."""
+    not closed and of one piece without handles, or sharp with faces that pass through others."""
     worst = 0.0
     for factor, offset in SCALES:
         ends = np.array([np.zeros(3), [1.0, 0.75, 1e-3]])
@@ -287,10 +287,12 @@ def surfaces(device: Device, full: bool) -> float:
         mesh, tolerance = mesh_from_arrays(*shapes.box(low, high)), 2e-3 if full else 4e-3
         field = build_adf(mesh, device, tolerance=tolerance, max_level=8 if full else 7)
         for far in (0.03, 0.05):
-            surface = extract_field_surface(field, offset=far * field.side)
-            found = surface.check()
-            if not found["closed"] or (found["shells"], found["genus"]) != (1, 0):
-                return math.inf
+            for source in (mesh, None):  # sharp, and rounded off
+                surface = extract_field_surface(field, offset=far * field.side, source=source)
+                found = surface.check()
+                whole = found["closed"] and (found["shells"], found["genus"]) == (1, 0)
+                if not whole or found.get("self_intersecting_faces"):
+                    return math.inf
             error = np.abs(to_box(surface.vertices, low, high) - far * field.side).max()
             worst = max(worst, float(error) / (tolerance * field.side))
     return worst

@@ -153,6 +153,15 @@ class TriangleDistance:
             distances[block.where] = self.at_block(block).distances
         return distances
 
+    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the nearest points of the mesh, (N, 3) float64, and the directions from there, as
+        in Nearest, of (N, 3) points in world units; raises VoxtoolError as the call."""
+        near, directions = (np.empty((len(points), 3)) for _ in range(2))
+        for block in self.blocks(points):
+            found = self.at_block(block, located=True)
+            near[block.where], directions[block.where] = found.points, found.directions
+        return near, directions
+
     def blocks(self, world: np.ndarray) -> Iterator[PointBlock]:
         """The points on the device, block by block; raises VoxtoolError as the call."""
         return point_blocks(self.device, self.tree, world, self.block, self.near)

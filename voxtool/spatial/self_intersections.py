@@ -14,6 +14,8 @@ Kernels: kernels/spatial/self_intersections.cl.
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,6 +32,8 @@ UNDECIDED = 2
 LEFT_OUT = 3  # of faces that are not examined, while kernels run
 NEAR = 128  # faces that are tested against each face
 TESTS = 1 << 23  # shared by the faces that NEAR leaves undecided; more in large meshes
+STEPS = (4, 2, 1)  # of the rounds for a home: the share of the way to go, as its divisor
+MORE = 12  # rounds at most in which vertices move to their last home, after these
 HEADERS = {"spatial/self_intersections.h": program.c_constants(UNDECIDED=UNDECIDED)}
 
 
@@ -63,3 +67,10 @@ def find_self_intersections(
         result = found.take()
     result[result == LEFT_OUT] = 0
     return result
+
+
+def rounds(homes: Sequence[np.ndarray]) -> Iterator[tuple[np.ndarray, int]]:
+    """Yield the homes that vertices of faces that meet others move to, round by round, each with
+    the divisor of the way to go."""
+    yield from itertools.product(homes, STEPS)
+    yield from [(homes[-1], STEPS[-1])] * MORE

@@ -299,12 +299,10 @@ def test_refusals(device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     run("voxelize box.obj --dim 16")
     run("extract box.svo.h5 --style sharp --source box.obj -o sharp.obj --check")
     assert len(voxtool.load_mesh("sharp.obj").faces) > 100
-    assert "was not voxelized from it" in fail(
-        "extract box.svo.h5 --style sharp --source other.obj", 3
-    )
+    assert "was not made from it" in fail("extract box.svo.h5 --style sharp --source other.obj", 3)
     assert "--source" in fail("extract box.svo.h5 --style sharp", 2)
     assert "--source" in fail("extract box.svo.h5 --source box.obj", 2)
-    with pytest.raises(MeshError, match="was not voxelized from it"):
+    with pytest.raises(MeshError, match="was not made from it"):
         voxtool.extract("box.svo.h5", style="sharp", source="other.obj", device=device)
     with pytest.raises(VoxtoolError, match="give its source"):
         voxtool.extract("box.svo.h5", style="sharp", device=device)

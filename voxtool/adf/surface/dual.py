@@ -29,12 +29,16 @@ three leaves that have only one minimal edge in common. Neither is possible.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voxtool.adf.surface.leaves import CORNERS, Leaves, Vertices
 from voxtool.mesh.topology import components
 from voxtool.morton import distinct, morton_encode
+
+if TYPE_CHECKING:
+    from voxtool.adf.surface.sharp import Features
 
 # Around an edge, counter-clockwise seen from its high end: leaves 0 to 3, by their sides along the
 # two axes that follow the edge's; the face after each of them has the normal NORMALS (0: the first
@@ -170,13 +174,14 @@ def doubled(segments: Segments, loops: np.ndarray) -> np.ndarray:
 
 def triangles_of(
     leaves: Leaves, crossings: Crossings, loops: np.ndarray, extra: np.ndarray,
-    lowest_inside: np.ndarray, points: np.ndarray,
+    lowest_inside: np.ndarray, points: np.ndarray, features: Features | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Return the triangles, (f, 3) int64, and the crossings that are vertices, numbered on from the
     (v, 3) points.
 
     extra : (c, 4) int64, the vertex of the segment in the face after each leaf, or -1.
-    lowest_inside : (c,) bool, whether the low end of each edge is inside.
+    lowest_inside : (c,) bool, whether the low end of each edge is inside; features : along which
+    quadrilaterals are split, where either diagonal may be taken; the shorter one without.
     """
     around = crossings.around
     same = around == around[:, NEXT]
@@ -194,8 +199,10 @@ def triangles_of(
     a, b, c, d = loops[four].T
     smallest = leaves.levels[around[four]] == crossings.levels[four, None]
     even, odd = smallest[:, 0] | smallest[:, 2], smallest[:, 1] | smallest[:, 3]
-    shorter = _squares(points[a] - points[c]) <= _squares(points[b] - points[d])
-    chosen = (even & (shorter | ~odd))[:, None, None]
+    better = _squares(points[a] - points[c]) <= _squares(points[b] - points[d])
+    if features:
+        better = features.along(loops[four], better)
+    chosen = (even & (better | ~odd))[:, None, None]
     one = np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 2, 3)
     other = np.stack([a, b, d, b, c, d], axis=1).reshape(-1, 2, 3)
     found.append(np.where(chosen, one, other))

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,12 +21,20 @@ from voxtool.adf.surface import dual
 from voxtool.adf.surface.field_surface import FieldSurface
 from voxtool.adf.surface.leaves import COORDINATE_BITS, Leaves, vertices_near
 from voxtool.adf.surface.placing import place_crossings, place_loops
-from voxtool.errors import MemoryLimitError, VoxtoolError, human
+from voxtool.adf.surface.sharp import Features, apart, place_features
+from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
 from voxtool.job import Cost, Job, one_call
-from voxtool.opencl import Device
+from voxtool.mesh.mesh import Mesh, check_source
+from voxtool.morton import distinct
+from voxtool.opencl import Device, default_device
+from voxtool.spatial.bvh import tree_bytes
+from voxtool.spatial.distance import TriangleDistance
+from voxtool.vector import length
 
 STAGES = ("leaves", "crossings", "segments", "loops", "vertices", "triangles")
+SHARP_STAGES = ("tree", "distance", "self-intersections")
 LEAF_BYTES, NEAR_BYTES = 120, 900  # of a leaf at peak, and of one near the surface besides
+SHARP_BYTES, SHARP_DEVICE_BYTES = 1200, 500  # of a leaf that is crossed, besides
 
 
 @dataclass(frozen=True)
@@ -35,6 +43,7 @@ class FieldSurfacePlan:
 
     offsets : distances of its surfaces, in sides: one, or the two of a shell, the outer one first.
     leaves, crossed : the leaves of the field, and at most how many its surfaces cross.
+    source_faces : those of the source whose edges and corners are kept; 0 without one.
     """
 
     offset: float
@@ -42,27 +51,41 @@ class FieldSurfacePlan:
     offsets: tuple[float, ...]
     leaves: int
     crossed: int
-    stages = STAGES
+    source_faces: int = 0
+
+    @property
+    def stages(self) -> tuple[str, ...]:
+        """The stages that will run, in order."""
+        return (*STAGES, *SHARP_STAGES) if self.source_faces else STAGES
 
     @property
     def left_out(self) -> dict[str, str]:
         """The parts that are not run, each with the reason."""
-        return {"leaves away from the surface": "their corners are all inside, or all outside"}
+        out = {"leaves away from the surface": "their corners are all inside, or all outside"}
+        if not self.source_faces:
+            out["edges and corners"] = "they are rounded off within a leaf: no source is given"
+        return out
 
     @property
     def cost(self) -> Cost:
         """The memory that the job is predicted to take."""
-        return Cost(0, host=LEAF_BYTES * self.leaves + NEAR_BYTES * 3 * self.crossed)
+        host, device = LEAF_BYTES * self.leaves + NEAR_BYTES * 3 * self.crossed, 0
+        if self.source_faces:
+            host += SHARP_BYTES * self.crossed
+            device = tree_bytes(self.source_faces) + SHARP_DEVICE_BYTES * self.crossed
+        return Cost(device, host=host)
 
     def as_dict(self) -> dict[str, Any]:
         """The whole plan in JSON types."""
         return {
             "offset": self.offset,
             "shell": self.shell,
+            "sharp": self.source_faces > 0,
             "leaves": self.leaves,
             "leaves_crossed": self.crossed,
             "stages": list(self.stages),
             "left_out": self.left_out,
+            "predicted_device_bytes": self.cost.device,
             "predicted_host_bytes": self.cost.host,
         }
 
@@ -89,10 +112,14 @@ def plan_field_surface(
     *,
     offset: float = 0.0,
     shell: float | None = None,
+    source: Mesh | None = None,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> FieldSurfaceJob:
-    """Return the planned job of a field's surface; see `voxtool.extract`."""
+    """Return the planned job of a field's surface; see `voxtool.extract`. With a source, its edges
+    and corners are kept."""
+    if source is not None:
+        check_source(source, field.source_sha256, "field")
     offset = checked_offset(field, float(offset))
     distances = [offset]
     if shell is not None:
@@ -119,11 +146,27 @@ def plan_field_surface(
     for each in offsets:
         inside = field.voxels < np.float32(each)
         crossed += int(np.count_nonzero(inside.any(axis=(1, 2, 3)) & ~inside.all(axis=(1, 2, 3))))
-    plan = FieldSurfacePlan(offset, shell, offsets, sum(field.leaves_by_level()), 8 * crossed)
-    return FieldSurfaceJob(field, plan, device, max_memory)
+    leaves = sum(field.leaves_by_level())
+    plan = FieldSurfacePlan(
+        offset, shell, offsets, leaves, 8 * crossed, len(source.faces) if source else 0
+    )
+    if source is not None:
+        device = device or default_device()
+        device.require_float64("sharp surfaces")
+    return FieldSurfaceJob(field, plan, source, device, max_memory)
 
 
 extract_field_surface = one_call(plan_field_surface, "extract_field_surface", FieldSurface)
+
+
+class Part(NamedTuple):
+    """One surface: points, (V, 3) float64 in sides, triangles, (F, 3); the vertices at sides of the
+    cube; and the triangles that others may pass through, if that was tested."""
+
+    points: np.ndarray
+    triangles: np.ndarray
+    cut: int
+    tangled: int = 0
 
 
 class FieldSurfaceJob(Job[FieldSurface]):
@@ -140,34 +183,38 @@ class FieldSurfaceJob(Job[FieldSurface]):
     plan: FieldSurfacePlan
 
     def __init__(
-        self, field: DistanceField, plan: FieldSurfacePlan, device: Device | None,
-        max_memory: int | None,
+        self, field: DistanceField, plan: FieldSurfacePlan, source: Mesh | None,
+        device: Device | None, max_memory: int | None,
     ) -> None:  # fmt: skip
-        self.field, self.plan, self.device, self.max_memory = field, plan, device, max_memory
+        self.field, self.plan, self.source = field, plan, source
+        self.device, self.max_memory = device, max_memory
+        self._distance: TriangleDistance | None = None
 
     def _run(self) -> FieldSurface:
         field, plan = self.field, self.plan
         with self.stage("leaves"):
             leaves = Leaves.of(field)
-        vertices, faces, cut = [], [], 0
-        for number, offset in enumerate(plan.offsets):
-            points, triangles = self._surface(leaves, np.float32(offset))
-            edge = 0.5**field.depth
-            cut += int(np.count_nonzero(((points < edge) | (points > 1 - edge)).any(axis=1)))
-            faces.append((triangles[:, ::-1] if number else triangles) + sum(map(len, vertices)))
-            vertices.append(points)
+        if self.source is not None:
+            self._distance = TriangleDistance(self.source, self.device)
+        parts = [self._surface(leaves, np.float32(offset)) for offset in plan.offsets]
+        faces, first = [], 0
+        for number, part in enumerate(parts):  # the second one is the inside of a wall
+            faces.append((part.triangles[:, ::-1] if number else part.triangles) + first)
+            first += len(part.points)
         return FieldSurface(
             offset=plan.offset,
             shell=plan.shell,
             units=field.units,
             pitch=math.ldexp(field.side, -field.depth),
-            vertices=np.array(field.origin) + field.side * np.concatenate(vertices),
+            vertices=np.array(field.origin)
+            + field.side * np.concatenate([part.points for part in parts]),
             faces=np.concatenate(faces).astype(np.int32),
-            cut=cut,
+            cut=sum(part.cut for part in parts),
+            tangled=None if self.source is None else sum(part.tangled for part in parts),
         )
 
-    def _surface(self, leaves: Leaves, offset: np.float32) -> tuple[np.ndarray, np.ndarray]:
-        """Return the vertices, (V, 3) float64 in sides, and the triangles at an offset."""
+    def _surface(self, leaves: Leaves, offset: np.float32) -> Part:
+        """Return the surface at an offset."""
         field = self.field
         with self.stage("crossings"):
             vertices = vertices_near(field, leaves, offset)
@@ -179,16 +226,57 @@ class FieldSurfaceJob(Job[FieldSurface]):
             doubled = dual.doubled(segments, loops)
         with self.stage("vertices"):
             places = place_crossings(leaves, vertices, crossings)
-            points = place_loops(field, leaves, crossings, loops, count, places, offset)
+            smooth, of = place_loops(field, leaves, crossings, loops, count, places, offset)
             extra = np.full(loops.shape, -1)
             for ends in (segments.first[doubled], segments.second[doubled]):
                 extra[tuple(ends.T)] = count + np.arange(len(doubled))
             middles = [places[ends[doubled, 0]] for ends in (segments.first, segments.second)]
-            points = np.concatenate([points, (middles[0] + middles[1]) / 2])
+            between = (middles[0] + middles[1]) / 2
+        edge = 0.5**field.depth
+        cut = int(np.count_nonzero(((smooth < edge) | (smooth > 1 - edge)).any(axis=1)))
+        features = None
+        if self._distance:
+            features = self._features(leaves, of, crossings, loops, places, offset)
+        points = np.concatenate([features.points if features else smooth, between])
         with self.stage("triangles"):
             inside = vertices.inside[crossings.ends[:, 0]]
-            triangles, centred = dual.triangles_of(leaves, crossings, loops, extra, inside, points)
-        return np.concatenate([points, places[centred]]), triangles
+            triangles, centred = dual.triangles_of(
+                leaves, crossings, loops, extra, inside, points, features
+            )
+        others = np.concatenate([between, places[centred]])  # these stay where they are
+        points = np.concatenate([points[:count], others])
+        if not features or not len(triangles):
+            return Part(points, triangles, cut)
+        homes = [np.concatenate([home, others]) for home in (smooth, features.centres)]
+        assert self.device
+        with self.stage("self-intersections"):
+            points, tangled = apart(points, homes, triangles, self.device)
+        return Part(points, triangles, cut, tangled)
+
+    def _features(
+        self, leaves: Leaves, of: np.ndarray, crossings: dual.Crossings, loops: np.ndarray,
+        places: np.ndarray, offset: np.float32,
+    ) -> Features:  # fmt: skip
+        """Return the vertices of loops on the features of the source.
+
+        of : (n,) int64, their leaves; places : (c, 3) float64, of the crossings, sides.
+        """
+        field, distance = self.field, self._distance
+        assert distance
+        origin = np.array(field.origin)
+        near, normals = distance.nearest(origin + field.side * places)
+        on = (near + abs(float(offset)) * field.side * normals - origin) / field.side
+        # across a hole, and at the sides of the cube, the source is elsewhere
+        astray = length(on - places) > np.ldexp(1.0, -crossings.levels)
+        on[astray], normals[astray] = places[astray], 0
+        # a crossing counts once for a loop, also if its leaf is twice around it
+        crossing = np.repeat(np.arange(len(loops)), 4)
+        each = distinct(loops.ravel() * np.int64(len(loops)) + crossing)
+        loop, crossing = np.divmod(each, max(len(loops), 1))
+        low = np.ldexp(leaves.cells(of).astype(np.float64), -leaves.levels[of, None])
+        size = np.ldexp(1.0, -leaves.levels[of])
+        with distance.device.stage("features"):
+            return place_features(distance.device, low, size, loop, on[crossing], normals[crossing])
 
     def findings(self, result: FieldSurface) -> Iterator[str]:
         """Yield why the surface is empty, or that it leaves the cube."""
@@ -202,4 +290,9 @@ class FieldSurfaceJob(Job[FieldSurface]):
             yield (
                 "the surface leaves the field's cube, and is closed at its sides: choose a smaller "
                 "--offset"
+            )
+        if result.tangled:
+            yield (
+                f"{count_of(result.tangled, 'face')} of {len(result.faces):,} may pass through "
+                "others: build the field with another --max-level"
             )

@@ -35,6 +35,9 @@ class FieldSurface(Data):
         Triangles, counter-clockwise seen from outside.
     cut : int
         Vertices in leaves at the sides of the cube: more than 0 if the surface may leave it.
+    tangled : int or None
+        Faces that others pass through, or may; None if edges and corners are not kept, when that
+        is not tested.
     """
 
     offset: float
@@ -44,6 +47,7 @@ class FieldSurface(Data):
     vertices: np.ndarray
     faces: np.ndarray
     cut: int
+    tangled: int | None = None
 
     def __repr__(self) -> str:
         return (
@@ -55,7 +59,8 @@ class FieldSurface(Data):
     def text(self) -> str:
         """What the surface is, for people."""
         wall = "" if self.shell is None else f", a wall of {self.shell:g} inward"
-        return f"surface at distance {self.offset:g}{wall}"
+        sharp = "" if self.tangled is None else "sharp "
+        return f"{sharp}surface at distance {self.offset:g}{wall}"
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -63,6 +68,7 @@ class FieldSurface(Data):
         return {
             "offset": self.offset,
             "shell": self.shell,
+            "sharp": self.tangled is not None,
             "vertices": len(self.vertices),
             "triangles": len(self.faces),
             "vertices_at_sides": self.cut,
@@ -95,7 +101,8 @@ class FieldSurface(Data):
         mesh = self.mesh()
         found = check_surface(mesh, weld=False)
         closed = found.watertight and found.manifold
-        return {**found.as_dict(), "closed": closed, "volume": volume(mesh)}
+        tested = {} if self.tangled is None else {"self_intersecting_faces": self.tangled}
+        return {**found.as_dict(), **tested, "closed": closed, "volume": volume(mesh)}
 
     def to_trimesh(self) -> trimesh.Trimesh:
         """Return the surface as a `trimesh.Trimesh` in world units, in the same order."""

@@ -38,8 +38,9 @@ def place_crossings(leaves: Leaves, vertices: Vertices, crossings: Crossings) ->
 def place_loops(
     field: DistanceField, leaves: Leaves, crossings: Crossings, loops: np.ndarray, count: int,
     places: np.ndarray, offset: np.float32,
-) -> np.ndarray:  # fmt: skip
-    """Return the vertices of `count` loops, (count, 3) float64, from the places of the crossings.
+) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
+    """Return the vertices of `count` loops, (count, 3) float64, from the places of the crossings,
+    and the leaf of each, (count,) int64.
 
     The mean is over the leaves around the crossings: a leaf that is twice around one counts it
     twice."""
@@ -56,7 +57,7 @@ def place_loops(
     for start in range(0, count, AT_ONCE):
         some = slice(start, start + AT_ONCE)
         points[some] = _moved(field, leaves, of[some], points[some], alone[some], offset)
-    return points
+    return points, of
 
 
 def _moved(

@@ -21,9 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from voxtool.errors import MeshError
 from voxtool.grid import Grid
-from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.mesh import Mesh, check_source
 from voxtool.mesh.watertight import watertight
 from voxtool.opencl import Array, Device, program
 from voxtool.svo.fill.rows import list_crossings
@@ -70,13 +69,7 @@ class Vertices:
 def source_of(octree: Octree, mesh: Mesh) -> Mesh:
     """Return the mesh in the place where the octree was made from it; raise MeshError if the
     octree was not made from it."""
-    if mesh.source_sha256 != octree.source_sha256:
-        name = mesh.name or "mesh"
-        raise MeshError(
-            f"{name}: the octree was not voxelized from it: its SHA-256 is "
-            f"{mesh.source_sha256[:12] or 'unknown'}, and the octree's source has "
-            f"{octree.source_sha256[:12] or 'none'}: give the source, or voxelize this mesh"
-        )
+    check_source(mesh, octree.source_sha256, "octree")
     if not octree.transform or mesh.transform:
         return mesh
     scale, *offset = octree.transform

@@ -14,14 +14,13 @@ so it need not be tested again.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voxtool.spatial.bvh import build_tree
-from voxtool.spatial.self_intersections import UNDECIDED, find_self_intersections
+from voxtool.spatial.self_intersections import UNDECIDED, find_self_intersections, rounds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,8 +28,6 @@ if TYPE_CHECKING:
     from voxtool.opencl import Device
     from voxtool.svo.surface.isosurface import Isosurface
 
-STEPS = (4, 2, 1)  # of the rounds for a home: the share of the way to go, as its divisor
-MORE = 12  # rounds at most in which vertices move to their last home, after these
 FLAT = 3  # of wrong_faces, beside the states of find_self_intersections
 
 
@@ -53,8 +50,7 @@ def untangle(surface: Isosurface, homes: Sequence[np.ndarray], device: Device) -
     """
     moved = np.zeros(len(surface.points), bool)
     wrong = wrong_faces(surface, device)
-    last = homes[-1], STEPS[-1]
-    for home, step in (*itertools.product(homes, STEPS), *[last] * MORE):
+    for home, step in rounds(homes):
         surface, wrong = _split_anew(surface, wrong, device)
         back = np.zeros(len(moved), bool)
         back[surface.faces[wrong > 0]] = True
