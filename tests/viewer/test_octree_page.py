@@ -337,6 +337,22 @@ def test_the_state_is_in_the_address(octree, browser, page: Path, viewer: Viewer
         assert viewer.camera().fov == 30.0
 
 
+def test_a_new_address_outlives_the_late_writing_of_the_state_before(
+    octree, viewer: Viewer
+) -> None:
+    viewer.set(voxtool.camera_for(octree))
+    viewer.set(voxtool.camera_for(octree), level=2)
+    viewer.tab.evaluate(
+        "old => new Promise(done => {"
+        "  addEventListener('hashchange', () => setTimeout(done), {once: true});"
+        "  location.hash = 'level=1';"
+        "  history.replaceState(null, '', old); })",  # as the page does 200 ms after a change
+        "#level=2",
+    )
+    assert viewer.tab.evaluate("voxtool.state().settings.level") == "1"
+    viewer.wait("location.hash.includes('level=1')")
+
+
 # ---- what goes wrong
 
 

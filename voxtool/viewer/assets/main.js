@@ -113,8 +113,9 @@ async function start(kindOf) {
       showSettings();
       changed();
     });
-  addEventListener("hashchange", () => {
-    state = stateOf(location.hash, facts.camera, kind.controls);
+  addEventListener("hashchange", (event) => {
+    // location.hash may be the state before again, which changed() writes a while after a change
+    state = stateOf(new URL(event.newURL).hash, facts.camera, kind.controls);
     showSettings();
     changed();
   });
