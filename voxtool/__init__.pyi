@@ -102,6 +102,7 @@ from voxtool.svo.compare import Comparison as Comparison
 from voxtool.svo.components import ComponentsJob as ComponentsJob
 from voxtool.svo.labels import LabelJob as LabelJob
 from voxtool.svo.labels import Labels as Labels
+from voxtool.svo.merged import MergedOctree as MergedOctree
 from voxtool.svo.morphology import MorphJob as MorphJob
 from voxtool.svo.octree import Octree as Octree
 from voxtool.svo.resample import ResampleJob as ResampleJob

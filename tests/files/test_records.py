@@ -81,6 +81,7 @@ TET_DIGESTS = {
 GOLDEN: dict[str, tuple[Callable[[], Any], str]] = {
     "v1.0.svo.h5": (golden_octree, SVO_DIGEST),
     "v1.0.svo.xml": (golden_octree, SVO_DIGEST),
+    "v2.0.svo.h5": (golden_octree, SVO_DIGEST),
     "v1.0.adf.h5": (golden_field, ADF_DIGEST),
     "v2.0.adf.h5": (golden_field, ADF_DIGEST),
     "v1.0.tet.h5": (golden_volume, TET_DIGESTS["raycast"]),
@@ -325,7 +326,7 @@ COMPOUND = np.zeros((), [("a", "<i8"), ("b", "<i8")])
     [
         ("svo", "format", text("voxtool-adf"), "holds 'voxtool-adf', not an octree"),
         ("svo", "format", None, "an HDF5 file, but no octree: attribute format=voxtool-svo is mis"),
-        ("svo", "format_version", text("2.0"), "written in format 2.0, newer .*: update voxtool"),
+        ("svo", "format_version", text("3.0"), "written in format 3.0, newer .*: update voxtool"),
         ("svo", "format_version", text("0.9"), "written in format 0.9, older"),
         ("svo", "format_version", text("1"), "no version"),
         ("svo", "format_version", 1.0, "attribute format_version is not text"),

@@ -22,7 +22,8 @@ def command(file: str, **asked: bool) -> None:
 
     Lengths and volumes are in the mesh's own units. The digest covers the content, not the
     container: it is the same for HDF5 and XML, on every device. The set digest is the same for
-    equal sets of voxels of one grid, whatever their mode, fill and refinement.
+    equal sets of voxels of one grid, whatever their mode, fill and refinement. Of merged subtrees
+    (voxtool svo-dag) all but the line "merged" is that of the octree that they stand for.
 
     \b
     Examples:
@@ -42,6 +43,16 @@ def normalized(*transform: float) -> Iterator[tuple[str, str]]:
         yield "normalized", f"original * {scale:.9g} + ({place(offset)})"
 
 
+def merged(info: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the line of a merged octree's subtrees, if it is one."""
+    if "subtrees" in info:
+        size, times = info["merged_bytes"], info["bytes"] / info["merged_bytes"]
+        yield (
+            "merged",
+            f"{info['subtrees']:,} distinct subtrees in {size:,} bytes ({times:.1f} times fewer)",
+        )
+
+
 def text_of(info: dict[str, Any]) -> Iterator[str]:
     """The lines of a summary."""
     unit = f" {info['units']}" if info["units"] else ""
@@ -57,11 +68,17 @@ def text_of(info: dict[str, Any]) -> Iterator[str]:
         ("bricks", f"{info['bricks']:,}"),
         ("bytes", f"{info['bytes']:,} on the device ({info['bytes_with_x_pointers']:,} with "
          f"x-pointers){on_disk(info)}"),
+        *merged(info),
         ("compression", f"{info['compression']:.1f} times smaller than a dense bit grid"),
     ))  # fmt: skip
-    yield "\nlevel   side        nodes      refined       inside          set voxels   coverage"
+    distinct = "     subtrees" if "subtrees" in info else ""
+    yield (
+        "\nlevel   side        nodes      refined       inside          set voxels   coverage"
+        + distinct
+    )
     for row in info["levels"]:
         yield (
             f"{row['level']:>5} {row['side']:>6} {row['nodes']:>12,} {row['refined']:>12,} "
             f"{row['inside']:>12,} {row['voxels']:>19,} {100 * row['coverage']:>8.2f} %"
+            + (f" {row['subtrees']:>12,}" if distinct else "")
         )

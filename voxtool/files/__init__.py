@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from voxtool.opencl import Device
     from voxtool.svo.content import StoredOctree
     from voxtool.svo.labels import Labels
+    from voxtool.svo.merged import MergedOctree
     from voxtool.svo.octree import Octree
     from voxtool.tets.mesh import UnstructuredMesh
     from voxtool.tets.volume import TetVolume
@@ -77,7 +78,8 @@ __all__ = [
 
 
 def read_svo(path: PathLike) -> Octree:
-    """Read an octree; `-` reads stdin. The format is recognised by content, not by name.
+    """Read an octree; `-` reads stdin. The format is recognised by content, not by name. A merged
+    octree (SVO 2.0) is expanded to the octree that it stands for.
 
     Raises
     ------
@@ -88,16 +90,18 @@ def read_svo(path: PathLike) -> Octree:
 
 
 @contextmanager
-def open_svo(path: PathLike) -> Iterator[Octree | StoredOctree]:
-    """Yield an octree as `read_svo` returns it, but its nodes and bricks stay in an HDF5 file."""
+def open_svo(path: PathLike) -> Iterator[Octree | StoredOctree | MergedOctree]:
+    """Yield an octree as `read_svo` returns it, but its nodes and bricks stay in an HDF5 file, and
+    a merged one is not expanded."""
     with ExitStack() as stack:
         yield _read_open(path, formats.STORED_OCTREE, stack)
 
 
 def write_svo(
-    octree: Octree, path: PathLike, clobber: bool = True, format: str | None = None
+    octree: Octree | MergedOctree, path: PathLike, clobber: bool = True, format: str | None = None
 ) -> None:
-    """Write an octree as HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz); `-` writes stdout.
+    """Write an octree as HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz), or a merged one as HDF5;
+    `-` writes stdout.
 
     Parameters
     ----------
@@ -377,7 +381,7 @@ def _read_open(path: PathLike, kind: Kind, stack: ExitStack) -> Any:
 
 
 def _write(
-    content: Octree | DistanceField | TetVolume | Mesh,
+    content: Octree | MergedOctree | DistanceField | TetVolume | Mesh,
     path: PathLike,
     clobber: bool,
     format: str | None,

@@ -63,6 +63,7 @@ SVO_FORMATS = {
     "xml": Writer("svo_xml", text=True),
     "xml.gz": Writer("svo_xml", "write_gz"),
 }
+MERGED_FORMATS = ("svo.h5", "h5")  # those that hold merged subtrees
 ADF_FORMATS = {"adf.h5": Writer("adf_hdf5"), "h5": Writer("adf_hdf5")}
 TET_FORMATS = {"tet.h5": Writer("tet_hdf5"), "h5": Writer("tet_hdf5")}
 EXCHANGE = {

@@ -174,6 +174,7 @@ class Schema:
     build: Callable[[dict[str, Any], dict[str, Any]], Any]  # content of attributes, arrays
     agree: Callable[[Mapping[str, Any]], object] | None = None  # checks attributes together
     older: tuple[Schema, ...] = ()  # major versions that are read, but not written
+    newer: tuple[Schema, ...] = ()  # those of other content of the format
 
     @property
     def attributes(self) -> tuple[Attribute, ...]:
@@ -225,13 +226,14 @@ class Schema:
         if found is None:
             raise FileError(f"format_version {version[:16]!r} is no version such as {self.version}")
         theirs = int(found[1])
-        for schema in (self, *self.older):
+        for schema in (self, *self.older, *self.newer):
             if schema.major == theirs:
                 return schema
-        newer = theirs > self.major
+        known = max((self, *self.newer), key=lambda schema: schema.major)
+        newer = theirs > known.major
         age, hint = ("newer", "update voxtool") if newer else ("older", "write it anew")
         raise FileError(
-            f"written in format {version}, {age} than the {self.version} that voxtool "
+            f"written in format {version}, {age} than the {known.version} that voxtool "
             f"{__version__} reads: {hint}"
         )
 

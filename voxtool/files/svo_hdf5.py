@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from functools import partial
-from typing import Any
+from dataclasses import replace
+from typing import Any, BinaryIO
 
 from voxtool.arrays import Slices
 from voxtool.choices import MODES
@@ -26,8 +26,10 @@ from voxtool.files.schema import (
     without,
 )
 from voxtool.grid import Grid
+from voxtool.memory import check_memory
 from voxtool.svo.content import StoredOctree
 from voxtool.svo.layout import NODE
+from voxtool.svo.merged import MergedOctree, unpack_links
 from voxtool.svo.octree import Octree
 
 RULE_NAME = Rule(  # any name will do: it changes nothing here
@@ -58,30 +60,80 @@ def grid_of(stored: Mapping[str, Any]) -> Grid:
     return grid
 
 
-def _build(values: dict[str, Any], arrays: dict[str, Any]) -> Octree | StoredOctree:
+OWN = (
+    Attribute("dim", int, "voxels along the longest side", at="grid.dim"),
+    Attribute("depth", int, "number of levels"),
+    Attribute("shape", int, "voxels along x, y and z", 3, at="grid.shape"),
+    Attribute("mode", str, MODE, 32, choices=(*MODES, "solid+surface26")),
+    Attribute("fill", str, FILL, 32, rule=RULE_NAME),
+    Attribute("origin", float, "low corner of voxel (0, 0, 0); finite", 3, at="grid.origin"),
+    Attribute("pitch", float, "voxel size along x, y and z; 1e-95 to 1e90", 3, at="grid.pitch"),
+    UNITS,
+    SOURCE,
+    PLAN,
+)
+TRANSFORMED = Attribute("transform", float, TRANSFORM, 4, rule=SCALED, since="1.1")
+
+
+def _content_of(values: dict[str, Any]) -> dict[str, Any]:
+    """The values of an octree, of stored ones."""
     others = without(values, "dim", "depth", "shape", "origin", "pitch")
-    kind = StoredOctree if isinstance(arrays["nodes"], Slices) else Octree
-    return kind(grid_of(values), **arrays, **others)
+    return {"grid": grid_of(values), **others}
 
 
-SCHEMA = Schema(
+# --- version 2: merged subtrees
+
+
+def _build_merged(values: dict[str, Any], arrays: dict[str, Any]) -> MergedOctree | Octree:
+    """A merged octree for a reader that takes it as it is, and for the others the octree that it
+    stands for."""
+    kept = isinstance(arrays["masks"], Slices)
+    if kept:
+        check_memory(sum(len(a) * 8 for a in arrays.values()), "its datasets")
+        arrays = {name: array[:] for name, array in arrays.items()}
+    arrays["links"] = unpack_links(arrays.pop("links"), arrays)
+    merged = MergedOctree(**arrays, **_content_of(values))
+    if kept:
+        return merged
+    merged.validate()
+    return merged.expanded()
+
+
+MERGED = Schema(
     format="voxtool-svo",
-    version="1.0",
+    version="2.0",
     what="octree",
     hint="voxelize a mesh first: voxtool voxelize MESH",
     own=(
-        Attribute("dim", int, "voxels along the longest side", at="grid.dim"),
-        Attribute("depth", int, "number of levels"),
-        Attribute("shape", int, "voxels along x, y and z", 3, at="grid.shape"),
-        Attribute("mode", str, MODE, 32, choices=(*MODES, "solid+surface26")),
-        Attribute("fill", str, FILL, 32, rule=RULE_NAME),
-        Attribute("origin", float, "low corner of voxel (0, 0, 0); finite", 3, at="grid.origin"),
-        Attribute("pitch", float, "voxel size along x, y and z; 1e-95 to 1e90", 3, at="grid.pitch"),
-        UNITS,
-        SOURCE,
-        PLAN,
-        Attribute("transform", float, TRANSFORM, 4, rule=SCALED, since="1.1"),
+        *OWN,
+        Attribute("root", int, "0 empty, 1 full, 2 refined", choices=(0, 1, 2)),
+        replace(TRANSFORMED, since="2.1"),
     ),
+    datasets=(
+        Dataset("starts", "<u4", (lambda sizes: sizes["depth"],)),
+        Dataset("masks", "<u2", ("R",)),
+        Dataset("links", "u1", ("L",), at="packed_links"),
+        Dataset("leaves", "<u8", ("M",)),
+    ),
+    build=_build_merged,
+    agree=grid_of,
+)
+
+
+# --- version 1: all nodes
+
+
+def _build(values: dict[str, Any], arrays: dict[str, Any]) -> Octree | StoredOctree:
+    kind = StoredOctree if isinstance(arrays["nodes"], Slices) else Octree
+    return kind(**arrays, **_content_of(values))
+
+
+SCHEMA = Schema(
+    format=MERGED.format,
+    version="1.0",
+    what=MERGED.what,
+    hint=MERGED.hint,
+    own=(*OWN, TRANSFORMED),
     datasets=(
         Dataset("offsets", "<u4", (lambda sizes: sizes["depth"] + 1,)),
         Dataset("nodes", "<u4", ("N", 2), rows=NODE),
@@ -89,6 +141,10 @@ SCHEMA = Schema(
     ),
     build=_build,
     agree=grid_of,
+    newer=(MERGED,),
 )
 
-write = partial(hdf5.write, SCHEMA)
+
+def write(octree: Octree | MergedOctree, file: BinaryIO) -> None:
+    """Write an octree; a merged one as version 2."""
+    hdf5.write(MERGED if isinstance(octree, MergedOctree) else SCHEMA, octree, file)

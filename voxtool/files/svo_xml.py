@@ -11,6 +11,7 @@ from __future__ import annotations
 import gzip
 import re
 import zlib
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -20,8 +21,9 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from voxtool.errors import FileError
+from voxtool.files import svo_hdf5
 from voxtool.files.streams import PACKED
-from voxtool.files.svo_hdf5 import SCHEMA, grid_of
+from voxtool.files.svo_hdf5 import grid_of
 from voxtool.memory import check_memory
 from voxtool.svo.layout import BRICK, NODE
 from voxtool.svo.octree import Octree
@@ -37,6 +39,7 @@ DTD = Path(__file__).with_name("octree.dtd")
 MAX_ELEMENTS = 64  # without repetitions: 15 levels and a few more
 GZIP_LEVEL = 4
 
+SCHEMA = replace(svo_hdf5.SCHEMA, newer=())  # XML holds no merged subtrees
 OPENING = '<?xml version="1.0" encoding="UTF-8"?>\n'  # no DOCTYPE: some readers would fetch it
 NODE_ROW = '<node parent="%d" child="%d"/>\n'
 MASK_ROW = "<bitmask>%d</bitmask>\n"
@@ -62,6 +65,8 @@ NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 
 def write(octree: Octree, file: BinaryIO) -> None:
     """Write an octree as XML."""
+    if not isinstance(octree, Octree):
+        raise FileError("XML holds no merged subtrees: write them to .svo.h5")
     head = SCHEMA.encode(octree)
     attributes = {"dim": head.pop("dim"), "size": len(octree.nodes), "depth": head.pop("depth")}
     attributes |= head
