@@ -78,10 +78,11 @@ def test_what_does_not_go_together(words: str, message: str, crumbs: np.ndarray)
 
 
 def test_a_refusal_says_what_helps(here: Path) -> None:
-    small = "voxelize at a smaller dim, or allow more (see --max-memory)"
+    small = "or allow more (see --max-memory)"
     for words in ("--components", "--keep 1", "--fill-cavities", "--close 3"):
         message = fail(f"morph bunny.svo.h5 {words} --max-memory 1K")
         assert "would need" in message
+        assert "make it coarser by --resample" in message
         assert message.endswith(small)
 
 

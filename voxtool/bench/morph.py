@@ -1,9 +1,10 @@
 """Morphology of the octree of a mesh by a ball, beside SciPy's exact distance transform of a dense
-array."""
+array; its connected components, beside SciPy's; and its resampling to half the dim."""
 
 from __future__ import annotations
 
 import importlib.util
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,8 +13,10 @@ from voxtool.bench.timing import by_turns
 from voxtool.choices import MORPHOLOGY
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
+from voxtool.svo.labels import plan_components
 from voxtool.svo.morphology import plan_morph
 from voxtool.svo.octree import Octree
+from voxtool.svo.resample import plan_resample
 from voxtool.svo.voxelize import voxelize
 
 if TYPE_CHECKING:
@@ -23,7 +26,9 @@ if TYPE_CHECKING:
     from voxtool.bench.timing import Bench
 
 WORK = "octree to octree, by a ball of 4 voxels"
+LABELS, HALF = "octree to components", "octree to octree of half the dim"
 RADIUS = 4
+HALF_OF_EIGHT = 4  # voxels that cover half of one twice their size
 PAD = 2 * RADIUS  # voxels beyond the grid, on each side of the dense array
 DENSE_DIM = 128  # up to which SciPy has dense arrays
 TOO_LARGE = {"wrong": f"dense arrays are compared up to dim {DENSE_DIM}"}
@@ -38,6 +43,8 @@ def measure(bench: Bench) -> Iterator[Point]:
         octree = voxelize(mesh, Grid.fit(mesh, dim), device=bench.timed)
         absent = NO_SCIPY if not scipy else TOO_LARGE if dim > DENSE_DIM else {}
         dense = None if absent else np.pad(octree.to_dense(), PAD)
+        yield from _components(octree, dense, absent, bench)
+        yield _halved(octree, dense, absent, bench)
         for operation in MORPHOLOGY:
             found = plan_morph(octree, operation, RADIUS, device=bench.timed).run()
             fields = {
@@ -63,6 +70,56 @@ def measure(bench: Bench) -> Iterator[Point]:
                     WORK, f"SciPy, {operation}", f"dim {dim}", runs=runs, errors={"wrong": 0.0},
                     bytes=dense.nbytes, peer=True, **fields,
                 )  # fmt: skip
+
+
+def _components(
+    octree: Octree, dense: np.ndarray | None, absent: dict[str, str], bench: Bench
+) -> Iterator[Point]:
+    """The points of the components of an octree, of voxels that share faces."""
+    dim = octree.grid.dim
+    row = partial(
+        bench.point, LABELS, label=f"dim {dim}", asked={"dims": dim}, size=octree.count,
+        size_of="voxels", absent=absent,
+    )  # fmt: skip
+    found, errors = plan_components(octree).run(), {}
+    if dense is not None:
+        sizes = np.sort(sizes_of(dense))[::-1]
+        held = np.zeros((2, max(len(sizes), len(found.sizes))), np.int64)
+        held[0, : len(sizes)], held[1, : len(found.sizes)] = sizes, found.sizes
+        errors["wrong"] = int(np.abs(held[0] - held[1]).sum()) / dim**3
+    runs = by_turns(bench.request, lambda: plan_components(octree).run())[0]
+    yield row(method="components", runs=runs, errors=errors)
+    if dense is not None:
+        runs = by_turns(bench.request, lambda: sizes_of(dense))[0]
+        yield row(method="SciPy, components", runs=runs, errors={"wrong": 0.0}, peer=True)
+
+
+def sizes_of(dense: np.ndarray) -> np.ndarray:
+    """The voxels of each component of a dense array, across faces."""
+    from scipy.ndimage import label
+
+    labelled: Any = label(dense)
+    return np.bincount(labelled[0].ravel())[1:]
+
+
+def _halved(
+    octree: Octree, dense: np.ndarray | None, absent: dict[str, str], bench: Bench
+) -> Point:
+    """The point of resampling to voxels twice as large, of which half is covered."""
+    grid = octree.grid
+    shape = tuple(-(-n // 2) for n in grid.shape)
+    half = Grid(shape, grid.origin, tuple(2 * p for p in grid.pitch))  # pyright: ignore[reportArgumentType]
+    found, errors = plan_resample(octree, half, device=bench.timed).run(), {}
+    if dense is not None:
+        own = dense[tuple(slice(PAD, PAD + 2 * n) for n in shape)]
+        x, y, z = shape
+        covered = own.reshape(x, 2, y, 2, z, 2).sum(axis=(1, 3, 5)) >= HALF_OF_EIGHT
+        errors["wrong"] = int(np.count_nonzero(found.to_dense() != covered)) / half.dim**3
+    return bench.point(
+        HALF, "resample", f"dim {grid.dim}", asked={"dims": grid.dim}, errors=errors,
+        size=octree.count, size_of="voxels", absent=absent, bytes=found.nbytes,
+        run=lambda device: plan_resample(octree, half, device=device).run(),
+    )  # fmt: skip
 
 
 def by_distances(voxels: np.ndarray, operation: str) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Morphology of voxels that are few and far apart, by radii whose squares decide."""
+"""Morphology and resampling of voxels that are few and far apart, where the last bit decides."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from voxtool.choices import MAX_DIM
 from voxtool.grid import Grid
 from voxtool.selftest.case import case
 from voxtool.selftest.exchange import differing
+from voxtool.svo.labels import plan_components
 from voxtool.svo.morphology import plan_morph
 from voxtool.svo.octree import Octree
+from voxtool.svo.resample import plan_resample
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device
@@ -44,4 +46,21 @@ def lattice_points(radius: float) -> int:
     return sum((x * x + y * y + z * z) * d * d <= n * n for x, y, z in product(steps, repeat=3))
 
 
-CASES = (balls_far_apart,)
+@case("resampling", "8 voxels at dim 65536 to twice their size, at and above a share of 1/8",
+      "voxels wrong", 0)  # fmt: skip
+def shares_of_an_eighth(device: Device, full: bool) -> int:
+    """A voxel covers an eighth of the one twice its size, so all are kept at a share of 1/8, as
+    components, and none by the next larger number."""
+    low = (64, FAR) if full else (64, 4096)
+    cells = [(x, y, z) for x in low for y in low for z in low]
+    grid = Grid((MAX_DIM, MAX_DIM, MAX_DIM), (0, 0, 0), (1, 1, 1))
+    half = Grid((MAX_DIM // 2, MAX_DIM // 2, MAX_DIM // 2), (0, 0, 0), (2, 2, 2))
+    apart = Octree.from_voxels(cells, grid)
+    found = plan_resample(apart, half, threshold=1 / 8, device=device).run()
+    expected = Octree.from_voxels([(x // 2, y // 2, z // 2) for x, y, z in cells], half)
+    none = plan_resample(apart, half, threshold=nextafter(1 / 8, 1), device=device).run()
+    parts = len(plan_components(found).run().sizes)
+    return differing(found, expected) + none.count + abs(parts - len(cells))
+
+
+CASES = (balls_far_apart, shares_of_an_eighth)

@@ -29,7 +29,7 @@ BRICK_HOST_BYTES = {6: 200, 26: 400}  # of a brick of a mixed tile, at peak, by 
 SHOWN = 10  # sizes in a note
 KEEP, FILL, LABEL = "keep", "fill-cavities", "components"  # operations
 STAGES = {KEEP: ["components", "build"], FILL: ["fill cavities", "build"], LABEL: ["components"]}
-FEWER = "voxelize at a smaller dim, or allow more (see --max-memory)"
+FEWER = "make it coarser by --resample, voxelize at a smaller dim, or allow more (see --max-memory)"
 
 
 def spilled_along(axis: int, masks: np.ndarray, step: int) -> np.ndarray:

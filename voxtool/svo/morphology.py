@@ -212,7 +212,7 @@ class MorphPlan:
         if shortage := self.cost.shortage(max_memory, max_allocation):
             raise MemoryLimitError(
                 f"to {self.operation} by {self.radius:g} {shortage}: choose a smaller radius, "
-                "voxelize at a smaller dim, or allow more (see --max-memory)"
+                "make it coarser by --resample, or allow more (see --max-memory)"
             )
 
     def as_dict(self) -> dict[str, Any]:
