@@ -28,7 +28,7 @@ NET_STAGES = (
     "read back",
 )
 POINT_BYTES = 104  # of a point whose nearest one is found, on the device
-VERTEX_HOST_BYTES = 400  # of a vertex of the result and its two faces, at peak
+VERTEX_HOST_BYTES = 1200  # of a vertex of the surface and its two faces, at peak
 
 
 @dataclass(frozen=True)
