@@ -13,6 +13,7 @@ edge that the surface crosses.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -55,13 +56,18 @@ class Leaves:
         blocks, octants = blocks[order], octants[order]
         return cls(depth, codes[order], levels[blocks], blocks, octants)
 
+    @cached_property
+    def corners(self) -> np.ndarray:
+        """(n, 3) int64: their low corners, in edges of the deepest leaves."""
+        return morton_decode(self.codes)
+
     def at(self, codes: np.ndarray) -> np.ndarray:
         """Return the leaves that contain the cells of the deepest level with these codes."""
         return np.searchsorted(self.codes, codes, side="right") - 1
 
     def cells(self, some: np.ndarray) -> np.ndarray:
         """Return the cells of some leaves at their levels, (k, 3) int64."""
-        return morton_decode(self.codes[some]) >> (self.depth - self.levels[some])[:, None]
+        return self.corners[some] >> (self.depth - self.levels[some])[:, None]
 
 
 @dataclass(frozen=True)
@@ -109,19 +115,17 @@ def _near(field: DistanceField, leaves: Leaves, offset: np.float32) -> np.ndarra
     """Return the leaves near the surface, ascending."""
     flags = _sides(field.voxels < offset)[:, leaves.blocks, leaves.octants]
     top = min(leaves.depth, GRID_LEVEL)
-    cells = leaves.cells(np.arange(len(leaves.codes)))
-    down = np.maximum(leaves.levels - top, 0)
-    places = tuple((cells >> down[:, None]).T)
+    levels = np.minimum(leaves.levels, top)
+    places = leaves.corners >> (leaves.depth - levels)[:, None]
+    x, y, z = places.T
+    flat = ((x << levels) + y << levels) + z  # of the grid of each leaf's level
+    own = [np.flatnonzero(levels == level) for level in range(top + 1)]
     some = np.zeros((2, 1, 1, 1), bool)  # inside, and outside
-    for level in range(top + 1):
-        if level:
-            for axis in (1, 2, 3):
-                some = some.repeat(2, axis)
-        own = leaves.levels >= level if level == top else leaves.levels == level
-        x, y, z = (place[own] for place in places)
-        for side in range(2):
-            chosen = flags[side, own]
-            some[side, x[chosen], y[chosen], z[chosen]] = True
+    for level in range(1, top + 1):
+        for axis in (1, 2, 3):
+            some = some.repeat(2, axis)
+        for held, side in zip(some.reshape(2, -1), flags[:, own[level]], strict=True):
+            held[flat[own[level]][side]] = True
     for axis in (1, 2, 3):
         ends = np.moveaxis(some, axis, 0)[:, 1]
         ends[0] = ends[-1] = True  # the sides of the cube are outside
@@ -133,10 +137,11 @@ def _near(field: DistanceField, leaves: Leaves, offset: np.float32) -> np.ndarra
         some = np.moveaxis(spread, 0, axis)
     near, found = some[0] & some[1], np.zeros(len(leaves.codes), bool)
     for level in range(top, 0, -1):
-        own = leaves.levels >= level if level == top else leaves.levels == level
-        found[own] = near[tuple(place[own] for place in places)]
-        half = near.shape[0] // 2
-        near = near.reshape(half, 2, half, 2, half, 2).any(axis=(1, 3, 5))
+        found[own[level]] = near.reshape(-1)[flat[own[level]]]
+        for axis in range(3):
+            pairs = np.moveaxis(near, axis, 0)
+            near = np.moveaxis(pairs[::2] | pairs[1::2], 0, axis)
+        near = np.ascontiguousarray(near)
     return np.flatnonzero(found)
 
 
