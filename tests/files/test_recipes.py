@@ -62,6 +62,61 @@ def test_tables_of_the_documents(heading: str) -> None:
     assert documented == {d.name: d.type_for(sizes).name for d in schema.datasets}
 
 
+def test_table_of_merged_octrees() -> None:
+    """Their attributes are those of the octree and one more."""
+    text, schema = section("## The merged octree"), svo_hdf5.MERGED
+    more = [a for a in schema.own if a.name not in {b.name for b in svo_hdf5.SCHEMA.own}]
+    assert [row(a) in text for a in more] == [True]
+    assert f"version {schema.version}" in text.partition("\n")[0]
+    documented = dict(re.findall(r"^\| `(\w+)` \| (uint\w+)", text, re.MULTILINE))
+    assert documented == {d.name: d.type_for({}).name for d in schema.datasets}
+
+
+def test_merged_octrees() -> None:
+    """The voxels that the section's recipe gives are those of the octree."""
+    path = DATA / "v2.0.svo.h5"
+    with h5py.File(path) as h5:
+        starts, masks, stored, leaves = (
+            h5[name][()].tolist()  # pyright: ignore
+            for name in ("starts", "masks", "links", "leaves")
+        )
+        depth = int(h5.attrs["depth"])  # pyright: ignore
+    tables, place = [], 0  # of each level, root first: eight numbers a subtree
+    sizes = [*(b - a for a, b in itertools.pairwise(starts)), len(leaves)]
+    for d in range(depth - 1):
+        width = max(1, math.ceil(math.log(sizes[d + 1], 256)))
+        tables.append([])
+        for mask in masks[starts[d] : starts[d + 1]]:
+            words = []
+            for c in range(8):
+                words.append(mask >> (8 + c) & 1)
+                if mask >> c & 1:
+                    link = int.from_bytes(bytes(stored[place : place + width]), "little")
+                    words[-1], place = 2 + link, place + width
+            tables[-1].append(words)
+    assert place == len(stored)
+
+    def voxels(d: int, word: int, low: tuple[int, ...]) -> set[tuple[int, ...]]:
+        side = 4 << (depth - 1 - d)
+        if word < 2:
+            cube = itertools.product(range(side), repeat=3) if word else ()
+            return {tuple(a + b for a, b in zip(low, xyz, strict=True)) for xyz in cube}
+        half, found = side // 2, set()
+        if d == depth - 1:
+            for b in range(64):
+                x, y, z = ((b >> a & 1) + 2 * (b >> (3 + a) & 1) for a in range(3))
+                if leaves[word - 2] >> b & 1:
+                    found.add((low[0] + x, low[1] + y, low[2] + z))
+            return found
+        for c, child in enumerate(tables[d][word - 2]):
+            corner = tuple(low[a] + half * (c >> a & 1) for a in range(3))
+            found |= voxels(d + 1, child, corner)
+        return found
+
+    expected = files.read_svo(DATA / "v1.0.svo.h5").occupied()
+    assert voxels(0, 2, (0, 0, 0)) == set(map(tuple, expected.tolist()))
+
+
 def test_offsets_of_a_large_hash_have_16_bits() -> None:
     hashes = next(d for d in adf_hdf5.SCHEMA.datasets if d.name == "hash")
     assert [hashes.type_for({"m": m}) for m in (255, 256)] == [np.uint8, np.uint16]

@@ -22,7 +22,7 @@ from voxtool.cli.main import cli
 from voxtool.files import threemf, write_mesh
 from voxtool.files.formats import EXCHANGE
 
-OCTREES = ("svo.h5", "svo.xml", "svo.xml.gz")
+OCTREES = ("svo.h5", "svo.xml", "svo.xml.gz", "merged.svo.h5")
 FIELDS = ("adf.h5",)
 VOLUMES = ("raycast.tet.h5", "projection.tet.h5", "hexahedra.tet.h5")
 MESHES = ("obj", "ply", "stl", "off", "glb", "gltf", "text.ply", "text.stl", "obj.gz", "ply.gz",
@@ -62,7 +62,8 @@ def write_all(folder: Path, device: Any) -> None:
     ball = voxtool.mesh_from_arrays(vertices * (1, 0.8, 0.6), faces)
     octree = voxtool.voxelize(ball, dim=16, device=device)
     for kind in OCTREES:
-        voxtool.write_svo(octree, folder / f"a.{kind}")
+        content = voxtool.MergedOctree.of(octree) if kind.startswith("merged") else octree
+        voxtool.write_svo(content, folder / f"a.{kind}")
     for kind in IMAGES:
         voxtool.export(octree, folder / f"a.{kind}")
     for kind in FOLDERS:
