@@ -34,7 +34,11 @@ VIEWS = {
 }
 REAL_VIEWS = ("iso 30", "front orthographic")
 INTEGRATORS = ("linear", "average", "sampled:3", "preintegrated")
-VOLUMES = ("jittered", "holes", "constant", "hexahedra")
+CONSTANT = ("constant", "hexahedra")  # a scalar for a cell
+VOLUMES = ("jittered", "holes", *CONSTANT)
+# Each integrator with one projection: half the programs, and every pair of a choice of cells, of
+# an integrator and of a projection is in this or in the pictures of the other volumes.
+PAIRS = {"orthographic": ("average", "preintegrated"), "30": ("linear", "sampled:3")}
 
 
 def digest(picture: np.ndarray) -> str:
@@ -86,7 +90,10 @@ def own_volume(name: str) -> voxtool.TetVolume:
 
 
 def volume_pictures(
-    volume: voxtool.TetVolume, device: Any, views: Iterable[str] = tuple(VIEWS)
+    volume: voxtool.TetVolume,
+    device: Any,
+    views: Iterable[str] = tuple(VIEWS),
+    integrators: Iterable[str] = INTEGRATORS,
 ) -> Iterator[tuple[str, str]]:
     """Name and digest of pictures of a volume."""
     low, high = volume.bounds()
@@ -96,7 +103,7 @@ def volume_pictures(
         view, fov = VIEWS[name]
         rays = Camera.fit(low, high, view, fov=fov).rays(*SIZE)
         for method in ("raycast", "projection"):
-            for integrator in INTEGRATORS:
+            for integrator in integrators:
                 picture = voxtool.render(
                     volume, rays, transfer=transfer, method=method, integrator=integrator,
                     device=device,

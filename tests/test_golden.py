@@ -18,8 +18,15 @@ GOLDEN = {
     wing: json.loads((golden_svo.GOLDEN.parent / f"{wing}.json").read_text(encoding="utf-8"))
     for wing in WINGS
 }
-# slow wings; make test has some of the fields' requests, make soak all
+# slow wings; make test has some of the requests of fields and of cells of one scalar, make soak all
 MARKS = {"adf": [pytest.mark.soak], "picture": [pytest.mark.slow]}
+
+
+def marks_of(wing: str, name: str) -> list[pytest.MarkDecorator]:
+    constant = wing == "picture" and name in golden_picture.CONSTANT
+    return [*MARKS.get(wing, ()), *[pytest.mark.soak] * constant]
+
+
 REAL = {
     "svo": (golden_svo.digests, golden_svo.REAL_DIMS),
     "mesh": (golden_mesh.digests, golden_mesh.REAL_DIMS),
@@ -30,7 +37,7 @@ REAL = {
 @pytest.mark.parametrize(
     ("wing", "name"),
     [
-        pytest.param(wing, name, marks=MARKS.get(wing, ()))
+        pytest.param(wing, name, marks=marks_of(wing, name))
         for wing, names in WINGS.items()
         for name in names
     ],
@@ -65,6 +72,17 @@ def test_pictures_of_a_real_volume(device) -> None:
     volume = voxtool.build_tet(voxtool.read_unstructured(model("bluntfin.vtu")))
     found = dict(golden_picture.volume_pictures(volume, device, golden_picture.REAL_VIEWS))
     assert found == GOLDEN["picture"]["bluntfin.vtu"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", golden_picture.CONSTANT)
+def test_pictures_of_cells_of_one_scalar(device, name: str) -> None:
+    volume, golden = golden_picture.own_volume(name), GOLDEN["picture"][name]
+    for ending, integrators in golden_picture.PAIRS.items():
+        views = [view for view in golden_picture.VIEWS if view.endswith(ending)]
+        found = dict(golden_picture.volume_pictures(volume, device, views, integrators))
+        assert len(found) == 2 * len(views) * len(integrators) == 12
+        assert found == {key: golden[key] for key in found}
 
 
 def test_closed_models_have_no_odd_column(device) -> None:
