@@ -44,6 +44,7 @@ from voxtool.adf.scene import FieldScene
 from voxtool.adf.surface.extract import extract_field_surface
 from voxtool.camera import Camera
 from voxtool.choices import METHODS
+from voxtool.files.spool import Spool
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.parts import find_parts
@@ -65,10 +66,11 @@ from voxtool.svo.morphology import plan_morph
 from voxtool.svo.octree import Octree
 from voxtool.svo.raycast import cast, depths
 from voxtool.svo.resample import plan_resample
-from voxtool.svo.surface.extract import plan_extract
+from voxtool.svo.surface.extract import plan_extract, plan_unread
 from voxtool.svo.surface.isosurface import LATTICE
 from voxtool.svo.voxelize import plan_voxelize
 from voxtool.tets.textures import build_tet
+from voxtool.tiles.surface import SurfaceWindowsJob
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -438,6 +440,14 @@ def extract_surfaces(device) -> None:
         found = check_surface(mesh, weld=False)
         assert len(surface.faces) > 0, request
         assert closed_chain(mesh) if surface.merged else found.watertight and found.manifold, found
+    dense = np.ones((24, 16, 16), bool)  # with full cells below the low sides of a window's cube
+    dense[20, 3, 4] = False
+    octree = octree_from_dense(dense)
+    request: dict[str, Any] = {"style": "voxel-faces", "level": "voxel"}
+    job = SurfaceWindowsJob(octree, plan_unread(octree, **request), device, None)
+    job.plan = replace(job.plan, side=16)
+    with Spool("-") as job.store:
+        assert job.run().digest() == plan_extract(octree, device=device, **request).run().digest()
 
 
 def extract_sharp_field(device) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -15,7 +16,9 @@ if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
     from voxtool.job import Job
     from voxtool.mesh.mesh import Mesh
+    from voxtool.svo.content import OctreeContent, StoredOctree
     from voxtool.svo.octree import Octree
+    from voxtool.tiles.surface import SurfaceWindowsJob
 SAMPLES = 100_000  # points on each surface at which distances are measured
 
 
@@ -38,6 +41,9 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
         "Fields: the surface at this distance, in world units; negative inside.", metavar="D"),
     option("--shell", POSITIVE,
         "Fields: hollow, with a wall of this thickness inward of the surface.", metavar="T"),
+    option("--windows", ("auto", "never"),
+        "auto: if the extraction would take more than --max-memory, a .ply is made window by "
+        "window, the same; never: refuse.", "auto"),
     flag("--merge", "voxel-faces: join coplanar squares (greedy meshing); leaves T-junctions."),
     flag("--normals", "Write vertex normals, too (.obj, .ply, .glb)."),
     flag("--check",
@@ -56,7 +62,8 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
 )  # fmt: skip
 def command(
     run: runner.Run, octree: str, source: str | None, normals: bool, check: bool,
-    against: str | None, samples: int | None, units: str | None, scale: float, **request: Any,
+    against: str | None, samples: int | None, units: str | None, scale: float, windows: str,
+    **request: Any,
 ) -> None:  # fmt: skip
     """Extract a closed triangle mesh from an OCTREE or a distance field, visiting only the cubes
     that matter.
@@ -78,8 +85,12 @@ def command(
     if samples is not None and against is None:
         raise click.UsageError("--samples goes with --against MESH: there is nothing to measure")
     check_names(style, octree, source, against, bool(units or scale != 1))
-    from voxtool.files import MESH_FORMATS, read_shape, write_mesh
+    from voxtool.files import MESH_FORMATS, open_shape, write_blocks, write_mesh
     from voxtool.files.mesh import load_mesh
+    from voxtool.files.spool import Spool
+    from voxtool.svo.content import StoredOctree
+    from voxtool.svo.merged import MergedOctree
+    from voxtool.svo.octree import Octree
 
     # named after its style: bunny.obj is the mesh that the octree was made from
     kind = "surface" if octree.endswith(".adf.h5") else style
@@ -87,8 +98,18 @@ def command(
     if normals:
         options.check_normals(run.file_format)
     more: dict[str, Any] = {}
-    with run:
-        content = run.stage("read file", read_shape, octree)
+    with run, ExitStack() as stack:
+        content = run.stage("read file", stack.enter_context, open_shape(octree))
+        parts = None
+        if isinstance(content, MergedOctree):
+            content = run.stage("read file", content.expanded)
+        elif isinstance(content, StoredOctree):
+            if windows != "never" and not (check or normals or against or source):
+                with run.naming(octree):
+                    parts = windows_of(run, content, request)
+            if parts is None:
+                content = run.stage("read file", Octree.of_stored, content)
+        shape: Any = content
         if source is not None:
             request["source"] = run.stage(
                 "read source", load_mesh, source, units=units, scale=scale
@@ -96,14 +117,16 @@ def command(
         reference = None
         if against is not None:
             reference = load_mesh(against, units=units, scale=scale)
-            check_units(content, reference)
+            check_units(shape, reference)
         after = ["check"] * check + ["measure"] * bool(against)
         with run.naming(octree):
-            job = planned(run, content, request)
-            surface = run.job(job, after, empty=lambda surface: not len(surface.faces))
+            job: Job[Any] = parts or planned(run, shape, request)
+            if parts and not run.only_plan:
+                parts.store = stack.enter_context(Spool(str(run.output)))
+            surface: Any = run.job(job, after, empty=lambda surface: not len(surface.faces))
         if check:
             found = run.stage("check", surface.check)
-            more["check"] = found | volumes_of(content, found["volume"])
+            more["check"] = found | volumes_of(shape, found["volume"])
         if reference is not None:
             from voxtool.spatial.deviation import deviation
 
@@ -111,14 +134,31 @@ def command(
                 "measure", deviation, surface.mesh(), reference, samples or SAMPLES,
                 pitch=surface.pitch, device=run.device,
             )  # fmt: skip
-        run.write(write_mesh, surface.mesh(), normals=surface.normals if normals else None)
+        if parts:
+            run.write(write_blocks, surface)
+        else:
+            run.write(write_mesh, surface.mesh(), normals=surface.normals if normals else None)
+        facts = facts_of(shape, surface) if run.as_json or more else {}
     run.report(
         f"{surface.text}; {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles",
-        lambda: {**facts_of(content, surface), **more},
+        lambda: {**facts, **more},
         json_too=bool(more),
     )
     if check and not more["check"]["closed"]:
         raise CheckError(f"{run.output}: the surface is not closed: report this file")
+
+
+def windows_of(
+    run: runner.Run, octree: StoredOctree, request: dict[str, Any]
+) -> SurfaceWindowsJob | None:
+    """Return the extraction in windows of an octree that does not fit in memory as a whole, or
+    None if it fits, or cannot be written in windows."""
+    from voxtool.tiles.surface import plan_windows
+
+    of_octree = {name: request[name] for name in ("style", "level", "isovalue", "merge")}
+    if run.file_format != "ply" or request["offset"] is not None or request["shell"] is not None:
+        return None
+    return run.stage("plan windows", plan_windows, octree, run.device, run.max_memory, **of_octree)
 
 
 def planned(run: runner.Run, source: Octree | DistanceField, request: dict[str, Any]) -> Job[Any]:
@@ -190,7 +230,7 @@ def volumes_of(source: Octree | DistanceField, within: float) -> dict[str, float
     return {"octree_volume": set_volume, "volume_ratio": within / set_volume}
 
 
-def facts_of(source: Octree | DistanceField, surface: Any) -> dict[str, Any]:
+def facts_of(source: OctreeContent | DistanceField, surface: Any) -> dict[str, Any]:
     """Return the facts of the report, in JSON types."""
     from voxtool.adf.field import DistanceField
 

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from voxtool.svo.labels import Labels
     from voxtool.svo.merged import MergedOctree
     from voxtool.svo.octree import Octree
+    from voxtool.svo.surface.blocks import BlockSurface
     from voxtool.tets.mesh import UnstructuredMesh
     from voxtool.tets.volume import TetVolume
 
@@ -63,6 +64,7 @@ __all__ = [
     "export",
     "format_of",
     "is_mesh",
+    "open_shape",
     "open_svo",
     "read_adf",
     "read_scene",
@@ -71,6 +73,7 @@ __all__ = [
     "read_tet",
     "read_unstructured",
     "write_adf",
+    "write_blocks",
     "write_mesh",
     "write_svo",
     "write_tet",
@@ -87,6 +90,13 @@ def read_svo(path: PathLike) -> Octree:
         no such file, or one that is damaged, hostile or of another kind.
     """
     return _read(path, formats.OCTREE)
+
+
+@contextmanager
+def open_shape(path: PathLike) -> Iterator[Octree | StoredOctree | MergedOctree | DistanceField]:
+    """Yield an octree as `open_svo` does, or a distance field in memory."""
+    with ExitStack() as stack:
+        yield _read_open(path, formats.STORED_SHAPE, stack)
 
 
 @contextmanager
@@ -312,6 +322,19 @@ def export(
     ).run()  # fmt: skip
 
 
+def write_blocks(
+    surface: BlockSurface, path: PathLike, clobber: bool = True, format: str | None = None
+) -> None:
+    """Write a surface that comes in blocks, as .ply.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written, or is of another format.
+    """
+    _write(surface, path, clobber, format, {"ply": MESH_FORMATS["ply"]})
+
+
 def write_mesh(
     mesh: Any,
     path: PathLike,
@@ -381,7 +404,7 @@ def _read_open(path: PathLike, kind: Kind, stack: ExitStack) -> Any:
 
 
 def _write(
-    content: Octree | MergedOctree | DistanceField | TetVolume | Mesh,
+    content: Octree | MergedOctree | DistanceField | TetVolume | Mesh | BlockSurface,
     path: PathLike,
     clobber: bool,
     format: str | None,

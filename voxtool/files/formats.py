@@ -142,7 +142,7 @@ class Kind:
     mesh: str  # the message for a mesh
     other: str  # for any other file
     xml: bool = False  # whether the XML format holds it, too
-    sliced: bool = False  # whether the arrays of HDF5 stay in the file
+    sliced: bool = False  # whether the arrays of octrees in HDF5 stay in the file
     endings: dict[tuple[str, ...], str] = field(default_factory=dict)  # by the endings of names
 
 
@@ -183,6 +183,7 @@ SHAPE = Kind(
     other=OCTREE.other,
     endings=AN_EXPORT,
 )
+STORED_SHAPE = replace(SHAPE, sliced=True)
 SCENE = Kind(
     hdf5=("svo_hdf5", "adf_hdf5", "tet_hdf5"),
     xml=True,

@@ -83,18 +83,28 @@ def read(schemas: Sequence[Schema], file: BinaryIO, size: int) -> Any:
 
 
 def read_slices(schemas: Sequence[Schema], file: BinaryIO, size: int) -> Any:
-    """The same content, whose datasets are Slices of the file while that is open."""
+    """The same content; the datasets of a sliced schema are Slices of the file while it is open."""
     with _one_line():
         schema, stored, found = _content(opened(file), schemas, size)
+        if not schema.sliced:
+            return read(schemas, file, size)
         return schema.decode(stored, {name: _slices(array) for name, array in found.items()})
 
 
 def _slices(dataset: Any) -> Slices:
-    def read(start: int, stop: int) -> np.ndarray:
-        with _one_line():
-            return h5py.Dataset(dataset)[start:stop]
+    """The rows of a checked dataset, which are read when they are asked for."""
+    size, *row = dataset.shape
+    stored = dataset.get_space()
 
-    return Slices(dataset.shape[0], read)
+    def read(start: int, stop: int) -> np.ndarray:
+        array = np.empty((stop - start, *row), dataset.dtype)
+        if array.size:
+            with _one_line():
+                stored.select_hyperslab((start, *[0] * len(row)), array.shape)
+                dataset.read(h5py.h5s.create_simple(array.shape), stored, array)
+        return array
+
+    return Slices(size, read)
 
 
 @contextmanager

@@ -26,11 +26,24 @@ from voxtool.version import __version__
 
 if TYPE_CHECKING:
     from voxtool.mesh.mesh import Mesh
+    from voxtool.svo.surface.blocks import BlockSurface
 
 BAD_VERTEX = "vertex {} is not finite: remove it or give it a position"
 HEADER = f"voxtool {__version__}"
 TEXT_MEMORY = 250  # bytes of memory a face or vertex while trimesh formats it, as measured
 GLB_BYTES = (1 << 32) - (1 << 16)  # a GLB counts its bytes in 32 bits
+PLY_HEADER = """ply
+format binary_little_endian 1.0
+comment https://github.com/mikedh/trimesh
+element vertex {}
+property float x
+property float y
+property float z
+element face {}
+property list uchar int vertex_indices
+end_header
+"""
+PLY_FACE = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
 LEAST_CELLS = 1000  # float32 must resolve the longest side divided by this
 
 
@@ -65,13 +78,36 @@ def write_off(
     file.write(given.export(file_type="off", digits=_decimals(mesh)).encode())
 
 
-def write_ply(mesh: Mesh, file: BinaryIO, normals: np.ndarray | None = None) -> None:
+def write_ply(mesh: Mesh | BlockSurface, file: BinaryIO, normals: np.ndarray | None = None) -> None:
     """Write binary PLY: float32 coordinates and normals, int32 indices."""
+    from voxtool.svo.surface.blocks import BlockSurface
+
+    if isinstance(mesh, BlockSurface):
+        _write_ply_blocks(mesh, file)
+        return
     given = _given(mesh, normals)
     _check_float32(mesh, "PLY")
     # without vertices, trimesh would compute normals
     with_normals = normals is not None and len(mesh.vertices) > 0
     file.write(given.export(file_type="ply", vertex_normal=with_normals))
+
+
+def _write_ply_blocks(mesh: BlockSurface, file: BinaryIO) -> None:
+    """Write the PLY of a mesh whose vertices and faces come in blocks, as trimesh does."""
+    moved, low, high = 0.0, np.full(3, np.inf), np.full(3, -np.inf)
+    for block in filter(len, mesh.vertices.blocks):
+        moved = max(moved, np.abs(block.astype("<f4") - block).max())
+        low, high = np.minimum(low, block.min(axis=0)), np.maximum(high, block.max(axis=0))
+    _check_moved(moved, (high - low).max(), "PLY")
+    vertices, faces = mesh.vertices, mesh.faces
+    header = PLY_HEADER.format(len(vertices), len(faces))
+    file.write(header.encode())
+    for block in vertices.blocks:
+        file.write(block.astype("<f4").data)
+    for block in faces.blocks:
+        rows = np.empty(len(block), PLY_FACE)
+        rows["count"], rows["corners"] = 3, block
+        file.write(rows.data)
 
 
 def write_stl(mesh: Mesh, file: BinaryIO, normals: None = None) -> None:
@@ -155,6 +191,11 @@ def _check_float32(mesh: Mesh, kind: str) -> None:
     with np.errstate(over="ignore", under="ignore"):
         moved = np.abs(mesh.vertices.astype(np.float32) - mesh.vertices).max()
         side = (high - low).max()
+    _check_moved(moved, side, kind)
+
+
+def _check_moved(moved: float, side: float, kind: str) -> None:
+    """Refuse to move vertices so far where the mesh is `side` long."""
     if moved == np.inf or moved * LEAST_CELLS > side:
         raise FileError(
             f"{kind} holds float32, which would move vertices by {moved:.3g} where the mesh is "

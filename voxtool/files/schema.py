@@ -173,6 +173,7 @@ class Schema:
     datasets: tuple[Dataset, ...]  # in the order in which they are stored
     build: Callable[[dict[str, Any], dict[str, Any]], Any]  # content of attributes, arrays
     agree: Callable[[Mapping[str, Any]], object] | None = None  # checks attributes together
+    sliced: bool = False  # whether `build` takes Slices for arrays
     older: tuple[Schema, ...] = ()  # major versions that are read, but not written
     newer: tuple[Schema, ...] = ()  # those of other content of the format
 

@@ -116,6 +116,7 @@ MERGED = Schema(
         Dataset("leaves", "<u8", ("M",)),
     ),
     build=_build_merged,
+    sliced=True,
     agree=grid_of,
 )
 
@@ -140,6 +141,7 @@ SCHEMA = Schema(
         Dataset("bricks", "<u8", ("M",)),
     ),
     build=_build,
+    sliced=True,
     agree=grid_of,
     newer=(MERGED,),
 )

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import operator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,7 +24,7 @@ from voxtool.errors import GridError, VoxtoolError, human
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
-from voxtool.svo.content import OctreeContent
+from voxtool.svo.content import OctreeContent, StoredOctree
 from voxtool.svo.layout import (
     BRICK,
     BRICK_SIDE,
@@ -220,6 +220,13 @@ class Octree(OctreeContent, Data):
         arrays = octree_of_bricks(grid.side, *pack_voxels(voxels), collapse="solid" in mode)
         return cls(grid, mode, "none", *arrays, units=units)
 
+    @classmethod
+    def of_stored(cls, octree: StoredOctree) -> Octree:
+        """Return an octree of a file in memory; MemoryLimitError if that is too small."""
+        check_memory(octree.nbytes, "the octree's arrays", "choose a smaller file")
+        values = {item.name: getattr(octree, item.name) for item in fields(octree)}
+        return cls(**values | {name: values[name][:] for name in ("nodes", "bricks")})
+
     def __repr__(self) -> str:
         shape = " x ".join(map(str, self.grid.shape))
         rule = "" if self.fill == "none" else f" by {self.fill}"
@@ -329,7 +336,7 @@ class Octree(OctreeContent, Data):
         return self._combined(other, "xor")
 
 
-def level_number(octree: Octree, level: int | str, coarsest: int) -> int:
+def level_number(octree: OctreeContent, level: int | str, coarsest: int) -> int:
     """Return the number of a level up to the coarsest one, VOXEL for "voxel"; raise VoxtoolError if
     there is no such level."""
     if level == "voxel":

@@ -179,8 +179,9 @@ ulong dilate(ulong mask)
 }
 
 // lost[2 i]: number of occupied voxels in samples outside. lost[2 i + 1]: those of them in samples
-// with no cut cell around. Each of n work-items sums a share of `count` tiles.
-__kernel void count_lost(__global const uint *codes, const uint count, TILES, SAMPLES,
+// with no cut cell around. Each of n work-items sums a share of the tiles from core.x to below
+// core.y.
+__kernel void count_lost(__global const uint *codes, const uint2 core, TILES, SAMPLES,
                          __global const ulong *below, __global const uint *lost_below,
                          __global const ulong *cut, const uint n, __global ulong *lost)
 {
@@ -188,8 +189,8 @@ __kernel void count_lost(__global const uint *codes, const uint count, TILES, SA
     if (gid >= n)
         return;
     ulong sum = 0, vanished = 0;
-    const uint share = (count + n - 1) / n;
-    for (uint slot = gid * share; slot < min((gid + 1) * share, count); ++slot) {
+    const uint share = (core.y - core.x + n - 1) / n, begin = core.x + gid * share;
+    for (uint slot = begin; slot < min(begin + share, core.y); ++slot) {
         if (source[slot] == NOWHERE)
             continue;
         sum += lost_below[source[slot]];

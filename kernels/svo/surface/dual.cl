@@ -202,9 +202,19 @@ void number_around(TILES, CUBES, __global const uint *codes, uint gid, uint begi
     }
 }
 
+// Clears the cells of a tile, and around it, if some of them lie below the low sides of the root and
+// do not exist. Only the root of a window has such tiles, beyond its margin.
+void clear_beyond(uint tile, uint *vertex, ushort *found)
+{
+    if ((tile & AXIS) && (tile & AXIS << 1) && (tile & AXIS << 2))
+        return;
+    for (uint i = 0; i < NEAR_CELLS; ++i)
+        vertex[i] = -NO_EDGE, found[i] = 0; // in case 0 no loop passes an edge: the sum is 0
+}
+
 #ifdef VOXELS
 
-// The vertex into which a loop of a cell continues.
+// The vertex into which a loop of a cell continues; vertex 0 if the cell there does not exist.
 uint vertex_beyond(uint step, uint cell, const uint *vertices, const ushort *resolved)
 {
     const uint face = step >> STEP_FACE & 7, along = step_along(face >> 1);
@@ -223,6 +233,7 @@ __kernel void link_vertices(__global const uint *codes, const uint n, TILES, CUB
         return;
     uint vertices[NEAR_CELLS];
     ushort resolved[NEAR_CELLS];
+    clear_beyond(codes[gid], vertices, resolved);
     number_around(THESE_TILES, THESE_CUBES, codes, gid, UP, DIAGONAL, vertices, resolved);
     uint further = first[2 * n + gid] - first[2 * n];
     for (ulong left = cut[gid]; left; left &= left - 1) {
@@ -278,7 +289,8 @@ __kernel void unpack(__global const uint *codes, const uint n, CUBES, const int 
 #endif
 
 // The quad of each cut edge that starts in a tile: the four cells around it, counter-clockwise seen
-// from outside, the lowest first.
+// from outside, the lowest first. Cells below the low sides of a window's root do not exist; their
+// quads, which are beyond the window's margin, have vertex 0 there.
 __kernel void list_quads(__global const uint *codes, const uint n, TILES, CUBES,
                          __global uint *quads)
 {
@@ -287,6 +299,7 @@ __kernel void list_quads(__global const uint *codes, const uint n, TILES, CUBES,
         return;
     uint vertices[NEAR_CELLS];
     ushort resolved[NEAR_CELLS];
+    clear_beyond(codes[gid], vertices, resolved);
     number_around(THESE_TILES, THESE_CUBES, codes, gid, DOWN, WAYS, vertices, resolved);
     __global uint *to = quads + 4 * (size_t)(first[n + gid] - first[n]);
     for (ulong left = cut[gid]; left; left &= left - 1) {

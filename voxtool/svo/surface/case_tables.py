@@ -277,9 +277,9 @@ def _dual_header() -> str:
     }
     constants = {
         "CELLS_ALONG": CELLS_ALONG, "NEAR_CELLS": NEAR_CELLS,
-        "ALTERNATIVE": ALTERNATIVE, "NO_FACE": NO_FACE, "STEP_EDGE": STEP_EDGE,
-        "STEP_FACE": STEP_FACE, "STEP_ACROSS": STEP_ACROSS, "STEP_LAST": STEP_LAST,
-        "MAX_LOOPS": MAX_LOOPS,
+        "ALTERNATIVE": ALTERNATIVE, "NO_EDGE": int(NO_EDGE), "NO_FACE": NO_FACE,
+        "STEP_EDGE": STEP_EDGE, "STEP_FACE": STEP_FACE, "STEP_ACROSS": STEP_ACROSS,
+        "STEP_LAST": STEP_LAST, "MAX_LOOPS": MAX_LOOPS,
     }  # fmt: skip
     return _header(constants, tables)
 

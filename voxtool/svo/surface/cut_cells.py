@@ -106,10 +106,15 @@ class Tree:
         return self.offsets[self.top - level + 1] - self.offsets[self.top - level]
 
 
+def tree_of(octree: Octree) -> Tree:
+    """Return the octree's links."""
+    offsets = octree.offsets[:-1].tolist()
+    return Tree(octree.nodes[: offsets[-1]], offsets, len(octree.bricks), 0)
+
+
 def grow_tree(octree: Octree, sampling: Sampling) -> Tree:
     """Return the octree's links, with roots added above its own where they are needed."""
-    offsets = octree.offsets[:-1].tolist()
-    tree = Tree(octree.nodes[: offsets[-1]], offsets, len(octree.bricks), 0)
+    tree = tree_of(octree)
     if _touches_low_sides(tree, octree.bricks, sampling):
         tree = replace(_with_root(tree, 7), shift=octree.grid.side)
     while tree.top < sampling.level + 2:
@@ -170,6 +175,7 @@ class Tiles:
     sampling: Sampling
     n: int
     arguments: dict[str, Any]
+    core: tuple[int, int]  # the places of the first tile and beyond the last one that are asked for
 
     def kernel(self, source: str, name: str) -> Callable[..., None]:
         """Return a kernel compiled for the type of samples."""
@@ -184,6 +190,9 @@ class Extracted:
     lost : as of count_lost.
     points : (3 V,) int32 as Isosurface.points.
     triangles : (3 F,) uint32 vertices, counter-clockwise seen from outside.
+    first, runs : (runs n + 1,) uint32, the numbers of vertices, of triangles or quads, and at last
+        of cut cubes before each of n tiles; those of each run begin with the sum of the runs
+        before. Of merged faces it holds no longer.
     features, homes : of a sharp surface; homes: (3 V,) int32, where vertices may move to: their
         best places in their cells, and the means of their crossings.
     """
@@ -192,16 +201,24 @@ class Extracted:
     lost: Array | None
     points: Array
     triangles: Array
+    first: Array
+    runs: int
     features: Features | None = None
     homes: tuple[Array, ...] = ()
 
 
 def find_tiles(
-    device: Device, octree: Octree, tree: Tree, sampling: Sampling, counted: Callable[..., None]
+    device: Device,
+    octree: Octree,
+    tree: Tree,
+    sampling: Sampling,
+    counted: Callable[..., None],
+    core: tuple[int, int] | None = None,
 ) -> Tiles:
-    """Return the tiles that hold a cube that may be cut, and their samples. Before memory is taken
-    for them, `counted` is called with `tiles=`, their number. MemoryLimitError is raised if there
-    are more than MAX_PRESENT."""
+    """Return the tiles that hold a cube that may be cut, and their samples; of those asked for are
+    all, or those whose codes are from `core[0]` to below `core[1]`. Before memory is taken for
+    them, `counted` is called with `tiles=`, their number. MemoryLimitError is raised if there are
+    more than MAX_PRESENT."""
     side = 1 << (tree.top - sampling.level - 2)  # tiles along a side of the root
     words = max(side**3 // 64, 1)
     with device.stage("tiles"):
@@ -214,7 +231,7 @@ def find_tiles(
             "bricks": device.view(octree.bricks),
             "nodes": device.view(tree.nodes),
         }
-        tiles = Tiles(device, sampling, 0, scene)
+        tiles = Tiles(device, sampling, 0, scene, (0, 0))
         nodes = _place_nodes(tiles, tree, active)
         present, ranks = device.empty(words, np.uint64), device.empty(words + 1, np.uint32)
         tiles.kernel(SOURCE, "find_tiles")(words, active, inside, present, ranks)
@@ -238,7 +255,8 @@ def find_tiles(
     with device.stage("samples"):
         _sample_tiles(tiles, tree, nodes)
     del scene["bricks"], scene["nodes"]  # frees memory
-    return replace(tiles, n=n)
+    asked = (0, n) if core is None else scene["codes"].get(0, n).searchsorted(core)
+    return replace(tiles, n=n, core=(int(asked[0]), int(asked[1])))
 
 
 def _place_nodes(tiles: Tiles, tree: Tree, active: Array) -> Array:
@@ -289,15 +307,15 @@ def check_edges(edges: int) -> None:
 
 
 def count_lost(tiles: Tiles, cut: Array) -> Array | None:
-    """Count the set voxels in samples that are not inside, given the mask of the cut cubes of each
-    tile; `lost_of` reads the counts. None if samples are voxels."""
+    """Count the set voxels in samples of the core that are not inside, given the mask of the cut
+    cubes of each tile; `lost_of` reads the counts. None if samples are voxels."""
     if tiles.sampling.level == VOXEL:
         return None
     with tiles.device.stage("lost voxels"):
         counts = tiles.device.empty(2 * LOST_ITEMS, np.uint64)
         tiles.kernel(SOURCE, "count_lost")(
-            LOST_ITEMS, count=tiles.n, cut=cut, lost=counts, **tiles.arguments
-        )  # fmt: skip
+            LOST_ITEMS, core=tiles.core, cut=cut, lost=counts, **tiles.arguments
+        )
     return counts
 
 

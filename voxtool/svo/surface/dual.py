@@ -104,11 +104,21 @@ def dual_surface(
             points, quads = join_squares(device, points, quads)
     with device.stage("triangles"):
         if features is None:
-            return Extracted(cubes.n, lost, points, split_quads(tiles, points, quads))
+            triangles = split_quads(tiles, points, quads)
+            return Extracted(cubes.n, lost, points, triangles, cubes.arguments["first"], 4)
         put_open(tiles, features, points)
         triangles = split_along_features(tiles, features, points, quads)
     homes = points, _unpacked(tiles, cubes, features.means)
-    return Extracted(cubes.n, lost, features.points, triangles, features.found, homes)
+    return Extracted(
+        cubes.n,
+        lost,
+        features.points,
+        triangles,
+        cubes.arguments["first"],
+        4,
+        features.found,
+        homes,
+    )
 
 
 def _classify(tiles: Tiles) -> CutCubes:

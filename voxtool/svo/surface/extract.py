@@ -14,7 +14,7 @@ All of it but sharp surfaces is integer arithmetic: the crossing of an edge is r
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, Self
 
@@ -32,11 +32,14 @@ from voxtool.errors import VoxtoolError, count_of
 from voxtool.job import Job, one_call
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device, default_device
+from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import VOXEL, Octree, level_number
 from voxtool.svo.surface.cut_cells import (
     MAX_LEVEL,
+    Extracted,
     Sampling,
+    Tiles,
     Tree,
     find_tiles,
     grow_tree,
@@ -67,6 +70,46 @@ def plan_extract(
 ) -> ExtractJob:
     """Return the planned job of `extract`; see `voxtool.extract`. `source` may be any mesh in the
     place of the octree: links that it does not cross are closed smoothly."""
+    style, level, share = _checked(octree, style, level, isovalue, merge, source)
+    tree, plan = _plan(octree, style, level, share, merge)
+    device = device or default_device()
+    if source is not None:
+        plan = replace(plan, corners=len(source.vertices), faces=len(source.faces))
+        if crosses_all(octree, source, device):
+            plan = replace(plan, relaxations=0)
+    return ExtractJob(octree, source, tree, plan, device, max_memory)
+
+
+extract = one_call(plan_extract, "extract", Isosurface)
+
+
+def plan_unread(
+    octree: OctreeContent,
+    *,
+    style: str = MARCHING_CUBES,
+    level: int | str | None = None,
+    isovalue: float = 0.5,
+    merge: bool = False,
+    source: Mesh | None = None,
+) -> ExtractionPlan:
+    """Return the plan of an extraction from an octree whose nodes are not read: that of a root
+    above its own."""
+    style, level, share = _checked(octree, style, level, isovalue, merge, source)
+    sizes = np.diff(octree.offsets.astype(np.int64))[::-1].tolist()
+    nodes = (*sizes[:-1], 8, 1)
+    return plan_of(nodes, True, "solid" in octree.mode, style, level, share, merge)
+
+
+def _checked(
+    octree: OctreeContent,
+    style: str,
+    level: int | str | None,
+    isovalue: float,
+    merge: bool,
+    source: Mesh | None,
+) -> tuple[str, int | str, float]:
+    """Return the style, the level and the isovalue of a request; raise VoxtoolError if it is of no
+    extraction from this octree."""
     style = STYLE_ALIASES.get(style, style)
     if style not in STYLES:
         raise VoxtoolError(f"style {style!r} is unknown: choose one of {', '.join(STYLES)}")
@@ -95,29 +138,16 @@ def plan_extract(
             f"an octree of mode {octree.mode} has no inside to extract a {style} surface from: "
             f"voxelize with --mode solid, or extract --style {VOXEL_FACES} --level voxel"
         )
-    tree, plan = _plan(octree, style, level, share, merge)
-    device = device or default_device()
-    if source is not None:
-        plan = replace(plan, corners=len(source.vertices), faces=len(source.faces))
-        if crosses_all(octree, source, device):
-            plan = replace(plan, relaxations=0)
-    return ExtractJob(octree, source, tree, plan, device, max_memory)
-
-
-extract = one_call(plan_extract, "extract", Isosurface)
+    return style, level, share
 
 
 def _plan(
     octree: Octree, style: str, level: int | str, isovalue: float, merge: bool = False
 ) -> tuple[Tree, ExtractionPlan]:
-    """Return the links of the octree, and the plan of an extraction from them. A surface crosses
-    about every fourth sample of a tile, or eight of the 64 voxels of a brick; that of an octree
-    without an inside, twice as many."""
-    solid, voxels = "solid" in octree.mode, level == "voxel"
+    """Return the links of the octree, and the plan of an extraction from them."""
+    solid = "solid" in octree.mode
     tree = grow_tree(octree, Sampling.of(level, isovalue))
     nodes = tuple(tree.count(number) for number in range(tree.top + 1))
-    active = active_tiles(nodes, level)
-    cubes = active * (16 if not voxels else 8 if solid else 20)
 
     def coarser() -> Iterator[ExtractionPlan]:
         first = 0 if isinstance(level, str) else level + 1
@@ -125,7 +155,26 @@ def _plan(
         for other in range(first, last + 1):
             yield _plan(octree, style, other, isovalue, merge)[1]
 
-    return tree, ExtractionPlan(
+    return tree, plan_of(nodes, tree.shift > 0, solid, style, level, isovalue, merge, coarser)
+
+
+def plan_of(
+    nodes: tuple[int, ...],
+    rooted: bool,
+    solid: bool,
+    style: str,
+    level: int | str,
+    isovalue: float,
+    merge: bool = False,
+    coarser: Callable[[], Iterable[ExtractionPlan]] = tuple,
+) -> ExtractionPlan:
+    """Return the plan of an extraction from an octree with so many nodes. A surface crosses about
+    every fourth sample of a tile, or eight of the 64 voxels of a brick; that of an octree without
+    an inside, twice as many."""
+    voxels = level == "voxel"
+    active = active_tiles(nodes, level)
+    cubes = active * (16 if not voxels else 8 if solid else 20)
+    return ExtractionPlan(
         style=style,
         level=level,
         isovalue=isovalue,
@@ -133,7 +182,7 @@ def _plan(
         relaxations=RELAXATIONS if style in (SURFACE_NETS, SHARP) and voxels else 0,
         lanes=None,
         nodes=nodes,
-        rooted=tree.shift > 0,
+        rooted=rooted,
         tiles=2 * active,
         cubes=cubes,
         edges=cubes,
@@ -141,7 +190,21 @@ def _plan(
     )
 
 
-def _coarsest(octree: Octree) -> int:
+def surface_of(
+    tiles: Tiles,
+    plan: ExtractionPlan,
+    counted: Callable[..., None],
+    crossings: dict[str, Any] | None = None,
+) -> Extracted:
+    """Return the surface of the tiles; `counted` and `crossings` are those of dual_surface."""
+    if plan.style == MARCHING_CUBES:
+        return march_cubes(tiles, counted)
+    lanes = plan.lanes or tiles.device.lanes
+    rounds, merge = plan.relaxations, plan.merge
+    return dual_surface(tiles, counted, plan.style, rounds, lanes, merge, crossings)
+
+
+def _coarsest(octree: OctreeContent) -> int:
     """Return the highest level whose nodes can be samples."""
     return min(octree.depth - 1, MAX_LEVEL)
 
@@ -190,17 +253,11 @@ class ExtractJob(Job[Isosurface]):
             replace(plan, **numbers).refuse_beyond(allowed, device.info.max_allocation)
 
         tiles = find_tiles(device, self.octree, self._tree, sampling, counted)
-        if plan.style == MARCHING_CUBES:
-            found = march_cubes(tiles, counted)
-        else:
-            crossings = None
-            if self.source is not None:
-                with device.stage("crossings"):
-                    crossings = find_crossings(device, self.source, self.octree.grid)
-            found = dual_surface(
-                tiles, counted, plan.style, plan.relaxations, plan.lanes or device.lanes,
-                plan.merge, crossings,
-            )  # fmt: skip
+        crossings = None
+        if self.source is not None:
+            with device.stage("crossings"):
+                crossings = find_crossings(device, self.source, self.octree.grid)
+        found = surface_of(tiles, plan, counted, crossings)
         with device.stage("read back"):
             surface = Isosurface(
                 grid=self.octree.grid,

@@ -114,8 +114,7 @@ class Isosurface(Data):
     @cached_property
     def vertices(self) -> np.ndarray:
         """(V, 3) float64: the vertices, in world units."""
-        voxels = self.points * (self.side / LATTICE)  # exact
-        return read_only(voxels * np.array(self.grid.pitch) + np.array(self.grid.origin))
+        return read_only(in_world(self.points, self.side, self.grid))
 
     @cached_property
     def normals(self) -> np.ndarray:
@@ -168,12 +167,25 @@ class Isosurface(Data):
     def digest(self) -> str:
         """Return the SHA-256 of grid, style, level, isovalue, points and faces, in little-endian
         order. Equal content has an equal digest on every device and platform."""
-        old_names = {style: old for old, style in STYLE_ALIASES.items()}
-        head = {
-            **self.grid.exact,
-            "style": old_names.get(self.style, self.style),
-            "level": self.level,
-            "isovalue": self.isovalue.hex(),
-            "merged": self.merged,
-        }
+        head = head_of(self.grid, self.style, self.level, self.isovalue, self.merged)
         return digest_of(head, self.points, self.faces)
+
+
+def head_of(
+    grid: Grid, style: str, level: int | str, isovalue: float, merged: bool
+) -> dict[str, Any]:
+    """Return what the digest of a surface covers beside its points and faces, in JSON types."""
+    old_names = {style: old for old, style in STYLE_ALIASES.items()}
+    return {
+        **grid.exact,
+        "style": old_names.get(style, style),
+        "level": level,
+        "isovalue": isovalue.hex(),
+        "merged": merged,
+    }
+
+
+def in_world(points: np.ndarray, side: int, grid: Grid) -> np.ndarray:
+    """Return points, in 1 / LATTICE of a sample of `side` voxels, in world units."""
+    voxels = points * (side / LATTICE)  # exact
+    return voxels * np.array(grid.pitch) + np.array(grid.origin)

@@ -41,4 +41,4 @@ def march_cubes(tiles: Tiles, counted: Callable[..., None]) -> Extracted:
         points = device.empty(3 * vertices, np.int32)
         faces = device.empty(3 * triangles, np.uint32)
         tiles.kernel(SOURCE, "polygonise")(n, points=points, triangles=faces, **scene)
-    return Extracted(cubes, lost, points, faces)
+    return Extracted(cubes, lost, points, faces, first, 3)

@@ -1,0 +1,126 @@
+"""The cells of an octree: cubes that divide its grid, each read as a subtree with what lies around
+it. The octree may be in memory or in a file."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from voxtool.arrays import Slices
+from voxtool.grid import Grid
+from voxtool.morton import morton_decode, morton_encode
+from voxtool.svo.content import OctreeContent
+from voxtool.svo.layout import BRICK_SIDE, LINK, descend
+from voxtool.svo.links import EMPTY, REFINED, nodes_of, offsets_of, states_of
+from voxtool.svo.octree import Octree
+
+GAP = 4096  # items between two groups that are read at once
+EIGHT = np.arange(8)
+AROUND = 4  # cells along a side of the cube around a cell, which is its second along each axis
+CUBE = morton_decode(np.arange(AROUND**3, dtype=np.uint64))
+
+
+class Cells:
+    """The cells of an octree.
+
+    Attributes
+    ----------
+    octree : OctreeContent
+        The octree.
+    side : int
+        Voxels along a side of a cell: a power of two from 8 up to the octree's side.
+    along : int
+        Cells along a side of the octree.
+    states, links : (along**3,) uint8, uint32
+        The states of the cells' nodes in Morton order, and the first children of the refined ones;
+        a cell in a leaf has the state of the leaf.
+    """
+
+    def __init__(self, octree: OctreeContent, side: int) -> None:
+        self.octree, self.side = octree, side
+        self.along = octree.grid.side // side
+        self.level = (side // BRICK_SIDE).bit_length() - 1
+        word = octree.nodes[0:1]["child"]
+        states, links = states_of(word), word & LINK
+        for d in range(1, octree.depth - self.level):
+            refined = np.flatnonzero(states == REFINED)
+            words = self._children(d, links[refined])
+            below = (8 * refined[:, None] + EIGHT).ravel()
+            states, links = np.repeat(states, 8), np.zeros(8 * len(states), np.uint32)
+            states[below], links[below] = states_of(words), words & LINK
+        self.states, self.links = states, links
+
+    @property
+    def refined(self) -> int:
+        """Number of cells that have nodes of their own below them."""
+        return int(np.count_nonzero(self.states == REFINED))
+
+    def _children(self, d: int, links: np.ndarray) -> np.ndarray:
+        """Return the `child` words of the groups of eight nodes, d levels below the root, to which
+        links lead."""
+        return groups_of(self.octree.nodes, self.octree.offsets[d] + links.astype(np.int64))[
+            "child"
+        ]
+
+    def mixed(self) -> np.ndarray:
+        """Return the cells that have a refined cell around them, or full and empty ones, (n, 3)
+        int64 coordinates, in Morton order; also those beyond the low sides, whose coordinates are
+        -1."""
+        padded = np.full((self.along + 3,) * 3, EMPTY, np.uint8)
+        x, y, z = morton_decode(np.arange(len(self.states), dtype=np.uint64)).T + 2
+        padded[x, y, z] = self.states
+        size = self.along + 1  # the cells from -1 on, whose neighbours begin at -2
+        parts = [
+            padded[i : i + size, j : j + size, k : k + size]
+            for i, j, k in product(range(3), repeat=3)
+        ]
+        least, most = np.minimum.reduce(parts), np.maximum.reduce(parts)
+        cells = np.argwhere((least != most) | (most == REFINED)) - 1
+        return cells[np.argsort(self.keys(cells))]
+
+    def keys(self, cells: np.ndarray) -> np.ndarray:
+        """Return the (n,) uint64 Morton codes of cells in a cube that holds -1 too."""
+        return morton_encode(cells + self.along)
+
+    def around(self, cell: np.ndarray, margin: int) -> Octree:
+        """Return the octree of the cube around a cell: AROUND cells a side, of which it is the
+        second along each axis. Refined nodes that are not within `margin` voxels of the cell are
+        empty in it."""
+        cells = cell - 1 + CUBE
+        held = ((cells >= 0) & (cells < self.along)).all(axis=1)
+        places = morton_encode(cells[held]).astype(np.int64)
+        states, links = np.full(len(cells), EMPTY, np.uint8), np.zeros(len(cells), np.uint32)
+        states[held], links[held] = self.states[places], self.links[places]
+        levels = [np.full(8**d, REFINED, np.uint8) for d in range(AROUND.bit_length() - 1)]
+        codes = np.arange(len(cells), dtype=np.uint64)
+        for number in range(self.level, 0, -1):
+            side = BRICK_SIDE << number
+            low = morton_decode(codes) * side
+            near = (low + side > self.side - margin) & (low < 2 * self.side + margin)
+            states[(states == REFINED) & ~near.all(axis=1)] = EMPTY
+            levels.append(states)
+            refined = np.flatnonzero(states == REFINED)
+            codes, links = descend(codes[refined]), links[refined]
+            if number > 1:
+                words = self._children(self.octree.depth - number, links)
+                states, links = states_of(words), words & LINK
+        bricks = groups_of(self.octree.bricks, links.astype(np.int64))
+        offsets = offsets_of(levels, len(bricks)).astype(np.uint32)
+        nodes = np.concatenate(list(nodes_of(levels)))
+        side = AROUND * self.side
+        grid = Grid((side, side, side), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+        return Octree(grid, self.octree.mode, self.octree.fill, offsets, nodes, bricks)
+
+
+def groups_of(array: np.ndarray | Slices, starts: np.ndarray) -> np.ndarray:
+    """Return the groups of eight items of an array that begin at (n,) places, one after the
+    other. Groups that lie near each other are read at once."""
+    if not len(starts):
+        return array[0:0]
+    steps = np.diff(starts)
+    parts = []
+    for run in np.split(starts, np.flatnonzero((steps < 0) | (steps > GAP)) + 1):
+        read = array[int(run[0]) : int(run[-1]) + 8]
+        parts.append(read[((run - run[0])[:, None] + EIGHT).ravel()])
+    return np.concatenate(parts)
