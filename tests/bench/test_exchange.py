@@ -30,8 +30,11 @@ def test_every_format_comes_back(bench: Bench) -> None:
     points = list(exchange.measure(bench))
     written = {p.method: p for p in points if p.work == "octree to file"}
     read = {p.method: p for p in points if p.work == "file to octree"}
-    assert list(written) == [formats.ending(name) for name in exchange.FORMATS]
-    assert list(read) == [f".{name}" for name in formats.IMPORTS]
+    own = [f".{name}" for name in exchange.OWN]
+    assert list(written) == own + [formats.ending(name) for name in exchange.FORMATS]
+    assert list(read) == own + [f".{name}" for name in formats.IMPORTS]
+    assert written[".svo.h5"].figures["over the file"] == 1
+    assert (written[".merged.svo.h5"].figures["over the file"] or 0) < 1
     for method, point in written.items():
         assert point.errors == ({"returned": 0} if method in read else {})
         assert point.bytes
@@ -54,6 +57,7 @@ def test_voxels_that_come_back_otherwise_are_counted(
 
     read = exchange.read_voxels
     monkeypatch.setattr(exchange, "read_voxels", one_less)
+    monkeypatch.setattr(exchange, "OWN", {})
     monkeypatch.setattr(exchange, "FORMATS", ("npy",))
     monkeypatch.setattr(exchange, "FIELD_FORMATS", ())
     for point in exchange.measure(bench):
@@ -66,6 +70,7 @@ def test_formats_that_cannot_be_written_are_left_out(
 ) -> None:
     line = formats.EXCHANGE["nii"]._replace(needs="no_such_package")
     monkeypatch.setitem(formats.EXCHANGE, "nii", line)
+    monkeypatch.setattr(exchange, "OWN", {})
     monkeypatch.setattr(exchange, "FORMATS", ("nii", "npy"))
     monkeypatch.setattr(exchange, "FIELD_FORMATS", ())
     monkeypatch.setattr(exchange, "MOST_BYTES", 5000)

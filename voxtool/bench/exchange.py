@@ -14,6 +14,7 @@ from voxtool.adf.samples import FieldSamples, grid_over
 from voxtool.bench.timing import by_turns
 from voxtool.bench.view import bytes_of_file
 from voxtool.errors import VoxtoolError, VoxtoolWarning
+from voxtool.files import read_svo, write_svo
 from voxtool.files.exchange import plan_export
 from voxtool.files.formats import EXCHANGE, EXPORTS, IMAGES, ending, format_of
 from voxtool.files.imports import Source, read_voxels
@@ -21,6 +22,7 @@ from voxtool.files.mesh import load_mesh
 from voxtool.files.voxels import array_of
 from voxtool.grid import Grid
 from voxtool.svo.compare import count_differences
+from voxtool.svo.merged import MergedOctree
 from voxtool.svo.voxelize import voxelize
 
 if TYPE_CHECKING:
@@ -32,6 +34,10 @@ if TYPE_CHECKING:
 
 FORMATS = tuple(name for name in EXPORTS if EXCHANGE[name].parts)  # the others hold one slice
 FIELD_FORMATS = tuple(name for name in EXPORTS if EXCHANGE[name].dense or EXCHANGE[name].levels)
+OWN: dict[str, Callable[[Octree], Octree | MergedOctree]] = {  # voxtool's own
+    "svo.h5": lambda octree: octree,
+    "merged.svo.h5": MergedOctree.of,
+}
 MOST_BYTES = 256_000_000  # of a file that is measured: a list of points may be very long
 TOLERANCE = 1e-2  # of the field, in sides: its files are measured, not its making
 WITHOUT = {"returned": "voxtool does not read it"}
@@ -55,12 +61,25 @@ def measure(bench: Bench) -> Iterator[Point]:
     field = build_adf(mesh, bench.timed, tolerance=TOLERANCE, measure=False)
     own = bytes_of_file(field)
     for dim in bench.request.dims:
-        octree = octree_content(voxelize(mesh, Grid.fit(mesh, dim), device=bench.timed))
+        voxels = voxelize(mesh, Grid.fit(mesh, dim), device=bench.timed)
+        for name, stored in OWN.items():
+            yield from _both_ways(own_content(voxels, stored), name, True, dim, bench)
+        octree = octree_content(voxels)
         for name in FORMATS:
             yield from _both_ways(octree, name, EXCHANGE[name].reads, dim, bench)
         samples = field_content(FieldSamples(field, grid_over(field, dim), bench.timed), own)
         for name in FIELD_FORMATS:
             yield from _both_ways(samples, name, name in IMAGES, dim, bench)
+
+
+def own_content(octree: Octree, stored: Callable[[Octree], Octree | MergedOctree]) -> Content:
+    """Return an octree for voxtool's own files, which hold what `stored` makes of it."""
+
+    def write(path: Path) -> int:
+        write_svo(stored(octree), path)
+        return path.stat().st_size
+
+    return octree_content(octree)._replace(write=write, read=read_svo)
 
 
 def octree_content(octree: Octree) -> Content:
