@@ -19,8 +19,8 @@ from voxtool.bench.request import MESH_BENCHES, VOLUME_BENCHES, benches_for
 from voxtool.cli.main import cli
 
 pytestmark = pytest.mark.slow  # most run whole benches
-BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "tets", "view", "exchange",
-           "combine", "morph", "repair", "growth")  # fmt: skip
+BENCHES = ("voxelize", "extract", "adf", "surfaces", "distance", "pictures", "tets", "view",
+           "exchange", "combine", "morph", "repair", "growth")  # fmt: skip
 ON_THE_HOST = (
     ("field to surface", "dual contouring"), ("octree to components", "components"),
 )  # fmt: skip

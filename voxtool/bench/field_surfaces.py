@@ -13,8 +13,9 @@ from voxtool.adf.build import build_adf
 from voxtool.adf.query import query_adf
 from voxtool.adf.surface.extract import plan_field_surface
 from voxtool.bench import timing
-from voxtool.bench.references import Reference, surface_of_peer
+from voxtool.bench.references import Reference, capped, surface_of_peer
 from voxtool.choices import SHARP
+from voxtool.files.mesh import load_mesh
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,16 +23,16 @@ if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
     from voxtool.bench.points import Point
     from voxtool.bench.timing import Bench
-    from voxtool.mesh.mesh import Mesh
 
 WORK = "field to surface"
 ROUND = "dual contouring"
 MOST_SAMPLES = 9  # deepest level of a field that is sampled densely, for other tools
 
 
-def measure(bench: Bench, mesh: Mesh, against: Reference) -> Iterator[Point]:
+def measure(bench: Bench) -> Iterator[Point]:
     """The points of extracting surfaces from fields of a model."""
-    asked, others = bench.request, timing.Peers(bench.request.repeat)
+    asked, mesh, others = bench.request, load_mesh(bench.model), timing.Peers(bench.request.repeat)
+    against = Reference(*capped(mesh), asked.samples, bench.timed)
     for level, tolerance in product(asked.levels, asked.tolerances):
         field = build_adf(mesh, bench.timed, tolerance=tolerance, max_level=level, measure=False)
         row = partial(

@@ -23,11 +23,11 @@ if TYPE_CHECKING:
     Arrays = tuple[np.ndarray, np.ndarray]  # vertices and faces
 
 TOOLS = {  # imported name, name on the package index, and the benches that use it
-    "VTK": ("vtk", "vtk", {"voxelize", "extract", "tets"}),
+    "VTK": ("vtk", "vtk", {"voxelize", "extract", "surfaces", "tets"}),
     "Open3D": ("open3d", "open3d", {"voxelize", "adf", "pictures"}),
     "PyMeshLab": ("pymeshlab", "pymeshlab", {"repair"}),
     "libigl": ("igl", "libigl", {"adf"}),
-    "scikit-image": ("skimage", "scikit-image", {"extract"}),
+    "scikit-image": ("skimage", "scikit-image", {"extract", "surfaces"}),
     "trimesh": ("scipy", "scipy", {"voxelize"}),  # trimesh is always there, and needs SciPy here
 }
 

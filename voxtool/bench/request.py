@@ -14,7 +14,8 @@ INTEGRATORS = ("linear", "average", "preintegrated", "sampled:1", "sampled:4", "
 TRANSFERS = ("x1", "x10", "x100", "steps")
 SETTINGS = {  # the fields of a Request that each bench reads
     "voxelize": ("dims", "modes", "fills", "fit", "samples"),
-    "extract": ("dims", "fills", "styles", "isovalue", "samples", "tolerances", "levels"),
+    "extract": ("dims", "fills", "styles", "isovalue", "samples"),
+    "surfaces": ("tolerances", "levels", "samples"),
     "adf": ("tolerances", "levels", "band", "sign", "points", "kinds", "searches"),
     "distance": ("points", "sign", "grids", "fills"),
     "pictures": ("sizes", "view", "dims", "levels", "tolerances", "sign"),
@@ -30,8 +31,8 @@ SETTINGS = {  # the fields of a Request that each bench reads
                "component"),
 }  # fmt: skip
 
-MESH_BENCHES = ("voxelize", "extract", "adf", "distance", "pictures", "view", "exchange",
-                "combine", "morph", "repair", "growth")  # fmt: skip
+MESH_BENCHES = ("voxelize", "extract", "adf", "surfaces", "distance", "pictures", "view",
+                "exchange", "combine", "morph", "repair", "growth")  # fmt: skip
 VOLUME_BENCHES = ("tets", "view", "growth")
 
 

@@ -1,4 +1,4 @@
-"""Errors against time of voxelization, and of surfaces of solid octrees and of fields.
+"""Errors against time of voxelization, and of surfaces of solid octrees.
 
 Voxels are compared with the model by their boundary, and solids of every fill rule by the share of
 the outer surface that they keep (svo/shares.py). The figures "nodes", "looked at" and "cut" of
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from voxtool.bench import ablation, field_surfaces, timing
+from voxtool.bench import ablation, timing
 from voxtool.bench.references import (
     NO_AREA,
     NO_SOLID,
@@ -188,7 +188,6 @@ def measure_extract(bench: Bench) -> Iterator[Point]:
                 found = against.errors_of(surface_of_peer(result, centre, side))
                 figures = against.in_voxels(found, max(grid.pitch))
                 yield row(method=peer, runs=runs, peer=True, figures=figures, **found)
-    yield from field_surfaces.measure(bench, mesh, against)
 
 
 def coverage_grid(octree: Octree) -> np.ndarray:

@@ -137,6 +137,16 @@ COMMANDS = {
       voxtool bench pictures bunny.obj --sizes 256 --dims 256 --levels 6 --tolerances 1e-2
       voxtool bench pictures bunny.obj --quick --peers
     """,
+    "surfaces": """Measure surfaces of the distance fields of MODELS, rounded off and sharp.
+
+    Other tools take samples of the field at the edges of its deepest leaves; their time includes
+    these.
+
+    \b
+    Examples:
+      voxtool bench surfaces bunny.obj --levels 5,6 --tolerances 1e-3
+      voxtool bench surfaces bunny.obj --quick --peers
+    """,
     "tets": """Measure pictures of MODELS, which are volume meshes, against pictures in float64.
 
     \b
@@ -175,7 +185,7 @@ COMMANDS = {
       voxtool bench combine bunny.obj --dims 128,512
       voxtool bench combine bunny.obj --quick -o report
     """,
-    "morph": """Measure the morphology of the octrees of MODELS, by a ball of 4 voxels.
+    "morph": """Measure morphology by a ball of 4 voxels, components and resampling of octrees.
 
     An error is a voxel that differs from SciPy's exact distance transform, up to dim 128: there
     must be none. The time of SciPy is shown beside; that of voxelizing does not count.

@@ -33,8 +33,10 @@ class Level:
     reach: float = 0.0
 
     def __call__(self, points: np.ndarray) -> Onto:
-        near, normals = self.distance.nearest(points)
-        return near + self.reach * normals, normals
+        near = self.distance.nearest(points)
+        assert near.points is not None
+        assert near.directions is not None
+        return near.points + self.reach * near.directions, near.directions
 
 
 @dataclass(frozen=True)

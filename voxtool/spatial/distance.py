@@ -153,14 +153,15 @@ class TriangleDistance:
             distances[block.where] = self.at_block(block).distances
         return distances
 
-    def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nearest points of the mesh, (N, 3) float64, and the directions from there, as
-        in Nearest, of (N, 3) points in world units; raises VoxtoolError as the call."""
-        near, directions = (np.empty((len(points), 3)) for _ in range(2))
+    def nearest(self, points: np.ndarray) -> Nearest:
+        """Return all of Nearest for (N, 3) points in world units; raises VoxtoolError as the
+        call."""
+        n = len(points)
+        made = np.empty(n), np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 3))
         for block in self.blocks(points):
-            found = self.at_block(block, located=True)
-            near[block.where], directions[block.where] = found.points, found.directions
-        return near, directions
+            for whole, part in zip(made, self.at_block(block, located=True), strict=True):
+                whole[block.where] = part
+        return Nearest(*made)
 
     def blocks(self, world: np.ndarray) -> Iterator[PointBlock]:
         """The points on the device, block by block; raises VoxtoolError as the call."""

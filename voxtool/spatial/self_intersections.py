@@ -69,8 +69,11 @@ def find_self_intersections(
     return result
 
 
-def rounds(homes: Sequence[np.ndarray]) -> Iterator[tuple[np.ndarray, int]]:
+def rounds(
+    homes: Sequence[np.ndarray], first: Sequence[int] = ()
+) -> Iterator[tuple[np.ndarray, int]]:
     """Yield the homes that vertices of faces that meet others move to, round by round, each with
-    the divisor of the way to go."""
+    the divisor of the way to go; `first` are those of rounds for the first home, before STEPS."""
+    yield from ((homes[0], divisor) for divisor in first)
     yield from itertools.product(homes, STEPS)
     yield from [(homes[-1], STEPS[-1])] * MORE

@@ -21,7 +21,7 @@ from voxtool.adf.surface import dual
 from voxtool.adf.surface.field_surface import FieldSurface
 from voxtool.adf.surface.leaves import COORDINATE_BITS, Leaves, vertices_near
 from voxtool.adf.surface.placing import place_crossings, place_loops
-from voxtool.adf.surface.sharp import Features, apart, place_features
+from voxtool.adf.surface.sharp import Features, apart, nearest_planes, place_features
 from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
 from voxtool.job import Cost, Job, one_call
 from voxtool.mesh.mesh import Mesh, check_source
@@ -160,8 +160,8 @@ extract_field_surface = one_call(plan_field_surface, "extract_field_surface", Fi
 
 
 class Part(NamedTuple):
-    """One surface: points, (V, 3) float64 in sides, triangles, (F, 3); the vertices at sides of the
-    cube; and the triangles that others may pass through, if that was tested."""
+    """One surface: points, (V, 3) float64, world units; triangles, (F, 3); how many vertices are at
+    sides of the cube; and how many triangles others may pass through, if that was tested."""
 
     points: np.ndarray
     triangles: np.ndarray
@@ -206,8 +206,7 @@ class FieldSurfaceJob(Job[FieldSurface]):
             shell=plan.shell,
             units=field.units,
             pitch=math.ldexp(field.side, -field.depth),
-            vertices=np.array(field.origin)
-            + field.side * np.concatenate([part.points for part in parts]),
+            vertices=np.concatenate([part.points for part in parts]),
             faces=np.concatenate(faces).astype(np.int32),
             cut=sum(part.cut for part in parts),
             tangled=None if self.source is None else sum(part.tangled for part in parts),
@@ -244,14 +243,19 @@ class FieldSurfaceJob(Job[FieldSurface]):
                 leaves, crossings, loops, extra, inside, points, features
             )
         others = np.concatenate([between, places[centred]])  # these stay where they are
-        points = np.concatenate([points[:count], others])
+        points = self._world(np.concatenate([points[:count], others]))
         if not features or not len(triangles):
             return Part(points, triangles, cut)
-        homes = [np.concatenate([home, others]) for home in (smooth, features.centres)]
+        homes = [smooth, features.centres]
+        homes = [self._world(np.concatenate([home, others])) for home in homes]
         assert self.device
         with self.stage("self-intersections"):
             points, tangled = apart(points, homes, triangles, self.device)
         return Part(points, triangles, cut, tangled)
+
+    def _world(self, points: np.ndarray) -> np.ndarray:
+        """Return (n, 3) points in sides of the cube as world points."""
+        return np.array(self.field.origin) + self.field.side * points
 
     def _features(
         self, leaves: Leaves, of: np.ndarray, crossings: dual.Crossings, loops: np.ndarray,
@@ -261,11 +265,12 @@ class FieldSurfaceJob(Job[FieldSurface]):
 
         of : (n,) int64, their leaves; places : (c, 3) float64, of the crossings, sides.
         """
-        field, distance = self.field, self._distance
+        field, distance, source = self.field, self._distance, self.source
         assert distance
-        origin = np.array(field.origin)
-        near, normals = distance.nearest(origin + field.side * places)
-        on = (near + abs(float(offset)) * field.side * normals - origin) / field.side
+        assert source
+        near, normals = nearest_planes(distance, source, self._world(places))
+        moved = near + abs(float(offset)) * field.side * normals
+        on = (moved - np.array(field.origin)) / field.side
         # across a hole, and at the sides of the cube, the source is elsewhere
         astray = length(on - places) > np.ldexp(1.0, -crossings.levels)
         on[astray], normals[astray] = places[astray], 0

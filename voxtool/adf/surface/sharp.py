@@ -23,14 +23,17 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import program
 from voxtool.spatial.bvh import build_tree
 from voxtool.spatial.self_intersections import find_self_intersections, rounds
-from voxtool.vector import cross
+from voxtool.vector import cross, unit
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device
+    from voxtool.spatial.distance import TriangleDistance
 
 SOURCE = "adf/features.cl"
 REACH = 1  # of a leaf's edges, beyond it, that a vertex may be
+SMALL_STEPS = (256, 64, 16)  # untangle vertices in a row on an edge, which rounding entangles
 NEAR_PLANES = 2.0**-20  # mean squared distance in edges of a leaf up to which a diagonal is near
+ON_THE_MESH = 2.0**-26  # of the extent: rounding decides the direction to a point as near
 QEF_NUMBERS = 14  # of float64 in a `qef` of kernels/qef.h
 HEADERS = {"adf/features.h": program.c_constants(MARGIN=MARGIN, REACH=REACH)}
 
@@ -73,6 +76,23 @@ class Features:
         return found
 
 
+def nearest_planes(
+    distance: TriangleDistance, mesh: Mesh, points: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nearest points of a mesh, (n, 3) float64, and unit normals there: the directions
+    to (n, 3) points, in world units, or of the faces where points are too near for these."""
+    near = distance.nearest(points)
+    assert near.faces is not None
+    assert near.points is not None
+    assert near.directions is not None
+    normals = near.directions.copy()
+    close = np.flatnonzero(near.distances <= ON_THE_MESH * np.ptp(mesh.bounds, axis=0).max())
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces[near.faces[close]]], 1, 0)
+    area = cross(b - a, c - a)
+    normals[close[area.any(axis=1)]] = unit(area[area.any(axis=1)])
+    return near.points, normals
+
+
 def place_features(
     device: Device, low: np.ndarray, size: np.ndarray, loops: np.ndarray, on: np.ndarray,
     normals: np.ndarray,
@@ -98,7 +118,7 @@ def apart(
     """Return the (v, 3) vertices, and how many faces pass through others, or may do so: vertices of
     such faces move towards their homes, which are tried in turn."""
     wrong, tangled = _wrong(points, faces, device)
-    for home, divisor in rounds(homes):
+    for home, divisor in rounds(homes, SMALL_STEPS):
         if not wrong.any():
             break
         back = np.zeros(len(points), bool)
