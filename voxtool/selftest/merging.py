@@ -21,7 +21,7 @@ BOARD = 64  # voxels along a side of the checkerboard
 
 
 @case("merged subtrees", "empty, full, one voxel, a cube at dim 65,536 without corners, a "
-      "checkerboard: numbers of subtrees", "subtrees and octrees wrong", 0)  # fmt: skip
+      "checkerboard: numbers of subtrees", "trees wrong", 0)  # fmt: skip
 def subtrees(device: Device, full: bool) -> int:
     grid = Grid((MAX_DIM, MAX_DIM, MAX_DIM), (0, 0, 0), (1, 1, 1))
     collector = Collector(grid)
