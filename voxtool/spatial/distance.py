@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 
@@ -159,7 +159,8 @@ class TriangleDistance:
         n = len(points)
         made = np.empty(n), np.empty(n, np.int64), np.empty((n, 3)), np.empty((n, 3))
         for block in self.blocks(points):
-            for whole, part in zip(made, self.at_block(block, located=True), strict=True):
+            found = self.at_block(block, located=True)
+            for whole, part in zip(made, cast("tuple[np.ndarray, ...]", found), strict=True):
                 whole[block.where] = part
         return Nearest(*made)
 

@@ -95,7 +95,7 @@ def results(
         If the scheduler does not come back, or a call has ended several workers.
     """
     from distributed import CancelledError, KilledWorker, as_completed
-    from distributed.comm import CommClosedError
+    from distributed.comm.core import CommClosedError
 
     waiting, again = iter(calls), []
     flying: dict[Any, Call] = {}
