@@ -19,7 +19,7 @@ from conftest import opened, usable_devices
 from helpers_cli import fail, invoke, run
 
 from voxtool.adf.build import build_adf, plan_adf
-from voxtool.bench import ablation, compare, peers, report, timing
+from voxtool.bench import ablation, compare, peers, report, timing, voxels
 from voxtool.bench.points import (
     MEASURES,
     Ablation,
@@ -36,7 +36,7 @@ from voxtool.bench.references import Reference, capped, voxels_of_peer
 from voxtool.bench.request import Request
 from voxtool.bench.tables import absent_of, tables_of
 from voxtool.bench.voxels import boundary
-from voxtool.errors import FileError, VoxtoolError
+from voxtool.errors import FileError, VoxtoolError, VoxtoolWarning
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.mesh.topology import check_topology, volume
@@ -438,6 +438,15 @@ def test_voxels_of_peers_lie_where_the_model_does(mode: str) -> None:
         errors = reference.errors_of(boundary(voxels_of_peer(work(), grid), device))["errors"]
         assert errors["rms"] * reference.diagonal < grid.pitch[0], name
         assert errors["hausdorff"] * reference.diagonal < 2 * grid.pitch[0], name
+
+
+def test_tools_that_would_fill_the_memory_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    grid = Grid((100, 100, 50), (0, 0, 0), 1)
+    monkeypatch.setattr(voxels, "available_memory", lambda: 1_000_000)
+    assert voxels.dense_fits(grid, 100, "solid")
+    monkeypatch.setattr(voxels, "available_memory", lambda: 999_999)
+    with pytest.warns(VoxtoolWarning, match=r"dim 100, solid: other tools are left out.*1 MB"):
+        assert not voxels.dense_fits(grid, 100, "solid")
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,9 @@ that are examined 64 at once here, and those that the surface cuts.
 
 from __future__ import annotations
 
+import math
 import tempfile
+import warnings
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -27,9 +29,11 @@ from voxtool.bench.references import (
     voxels_of_peer,
 )
 from voxtool.choices import MARCHING_CUBES, SHARP, VOXEL_FACES
+from voxtool.errors import VoxtoolWarning, human
 from voxtool.files import write_svo
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
+from voxtool.memory import available_memory
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.shares import outer_surface, share_of
@@ -46,6 +50,7 @@ if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
     from voxtool.svo.surface.isosurface import Isosurface
 
+DENSE_BYTES = 2  # a voxel of another tool, whose grid is made dense to be measured
 SOLID, SURFACE = "mesh to solid voxels", "mesh to voxels of the surface"
 
 
@@ -63,7 +68,8 @@ def measure_voxelize(bench: Bench) -> Iterator[Point | Ablation]:
         row = partial(bench.point, work, label=f"dim {dim}", size=dim, size_of="dim")
         settings = {"dims": dim, "modes": mode, "fit": asked.fit, "samples": asked.samples}
         yield from _fills(mesh, grid, row, against, bench, settings)
-        for peer, run in bench.tools.of(mesh, grid, mode).items() if asked.peers else ():
+        peers = asked.peers and dense_fits(grid, dim, mode)
+        for peer, run in bench.tools.of(mesh, grid, mode).items() if peers else ():
             method = f"{peer}, {mode}"
             runs, made = others.times(method, run)
             if runs:
@@ -77,6 +83,19 @@ def measure_voxelize(bench: Bench) -> Iterator[Point | Ablation]:
         grid = Grid.fit(mesh, dim, fit=asked.fit)
         job = plan_voxelize(mesh, grid, mode, device=bench.timed)
         yield from ablation.of_voxelize(job, bench, f"{mode}, dim {dim}")
+
+
+def dense_fits(grid: Grid, dim: int, mode: str) -> bool:
+    """Return whether other tools' voxels fit in free memory as a dense grid, and warn if not."""
+    needed, free = DENSE_BYTES * math.prod(grid.shape), available_memory()
+    if needed > free:
+        warnings.warn(
+            f"dim {dim}, {mode}: other tools are left out, as their voxels as a dense grid need "
+            f"{human(needed)} and {human(free)} are free",
+            VoxtoolWarning,
+            stacklevel=2,
+        )
+    return needed <= free
 
 
 def _fills(
