@@ -23,19 +23,25 @@ from voxtool.errors import MemoryLimitError, VoxtoolError, count_of
 from voxtool.job import Cost, Job, one_call
 from voxtool.memory import check_memory
 from voxtool.opencl import Device, default_device
+from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree
 from voxtool.svo.raycast import OctreeScene
 from voxtool.tets.scene import VolumeScene
 from voxtool.tets.volume import TetVolume
 
-Content = Octree | DistanceField | TetVolume
+Content = Octree | MergedOctree | DistanceField | TetVolume
 Scene = OctreeScene | FieldScene | VolumeScene
 
 SIZE = (512, 512)  # pixels
 RAY_BYTES = 16  # of a ray's colour and opacity, float32
 SMALLER = "choose a smaller --size or fewer --samples"
 VISIBLE = 0.5 / 255  # opacity from which on 8 bits show something
-SCENES: dict[type, Any] = {Octree: OctreeScene, DistanceField: FieldScene, TetVolume: VolumeScene}
+SCENES: dict[type, Any] = {
+    Octree: OctreeScene,
+    MergedOctree: OctreeScene,
+    DistanceField: FieldScene,
+    TetVolume: VolumeScene,
+}
 
 
 def scene_of(content: Content, **options: Any) -> Scene:

@@ -170,7 +170,7 @@ def plan_render(
     >>> voxtool.write_picture(picture, "bunny.png")
     """
     return rendering.plan_render(
-        opened(content, files.read_scene), view, size=size, samples=samples, device=device,
+        opened(content, files.read_drawn), view, size=size, samples=samples, device=device,
         max_memory=max_memory, **options,
     )  # fmt: skip
 

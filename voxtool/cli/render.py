@@ -155,7 +155,7 @@ def command(
     """
     check_request(request)
     check_rays(size, samples)
-    from voxtool.files import read_scene
+    from voxtool.files import read_drawn
     from voxtool.files.animation import rate_of, write_animation
     from voxtool.files.picture import FORMATS, check_writer, write_picture
     from voxtool.rendering import camera_for, plan_render
@@ -174,7 +174,7 @@ def command(
         check_writer(depth)
     paper = None if background == "none" else background or WHITE
     with run:
-        content = run.stage("read file", read_scene, file)
+        content = run.stage("read file", read_drawn, file)
         with run.naming(file):
             shown = options_of(content, file, request)
             if turntable is not None:
@@ -316,11 +316,12 @@ def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, 
     drawn = {"level", "offset", "colour", "method", "integrator", "isovalues", "opacity"}
     shown = {name: value for name, value in given.items() if name in drawn}
     if "other" in given:
-        from voxtool.files import read_svo
+        from voxtool.files import read_drawn
+        from voxtool.files.formats import OCTREE
 
         if source == given["other"] == "-":
             raise options.input_twice("FILE", "OTHER")
-        shown["other"] = read_svo(given["other"])
+        shown["other"] = read_drawn(given["other"], OCTREE)
     if kind == "volume" and "colour" in given and "isovalues" not in given:
         raise click.UsageError("--colour of a volume is that of --isovalue: give one")
     if kind == "volume" and with_transfer(request):

@@ -67,6 +67,7 @@ __all__ = [
     "open_shape",
     "open_svo",
     "read_adf",
+    "read_drawn",
     "read_scene",
     "read_shape",
     "read_svo",
@@ -235,6 +236,12 @@ def read_scene(path: PathLike) -> Octree | DistanceField | TetVolume:
     return _read(path, formats.SCENE)
 
 
+def read_drawn(path: PathLike, kind: Kind = formats.SCENE) -> Any:
+    """Read what a picture shows, as read_scene does, but a merged octree is not expanded."""
+    with ExitStack() as stack:
+        return _read_open(path, kind, stack)
+
+
 def export(
     content: Octree | DistanceField | TetVolume | Labels | PathLike,
     path: PathLike,
@@ -379,9 +386,24 @@ def write_mesh(
 
 
 def _read(path: PathLike, kind: Kind) -> Any:
-    """The content of a file, as the reader for its format returns it."""
+    """The content of a file, as the reader for its format returns it; merged octrees expanded."""
+    from voxtool.svo.merged import MergedOctree
+
     with ExitStack() as stack:
-        return _read_open(path, kind, stack)
+        content = _read_open(path, kind, stack)
+    if not isinstance(content, MergedOctree):
+        return content
+    with _naming(streams.input_name(path)):
+        return content.expanded()
+
+
+@contextmanager
+def _naming(name: str) -> Iterator[None]:
+    """Put the name of a file before the errors of this block."""
+    try:
+        yield
+    except VoxtoolError as error:
+        raise type(error)(f"{name}: {error}") from error
 
 
 def _read_open(path: PathLike, kind: Kind, stack: ExitStack) -> Any:
@@ -393,10 +415,8 @@ def _read_open(path: PathLike, kind: Kind, stack: ExitStack) -> Any:
             raise FileError(f"{name} is empty")
         read = formats.reader_for(kind, name, file.read(streams.OPENING))
         file.seek(0)
-        try:
+        with _naming(name):
             return read(file, size)
-        except VoxtoolError as error:
-            raise type(error)(f"{name}: {error}") from error
     except OSError as error:
         raise streams.read_error(name, error) from error
     except MemoryError as error:

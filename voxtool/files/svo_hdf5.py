@@ -84,19 +84,12 @@ def _content_of(values: dict[str, Any]) -> dict[str, Any]:
 # --- version 2: merged subtrees
 
 
-def _build_merged(values: dict[str, Any], arrays: dict[str, Any]) -> MergedOctree | Octree:
-    """A merged octree for a reader that takes it as it is, and for the others the octree that it
-    stands for."""
-    kept = isinstance(arrays["masks"], Slices)
-    if kept:
+def _build_merged(values: dict[str, Any], arrays: dict[str, Any]) -> MergedOctree:
+    if isinstance(arrays["masks"], Slices):
         check_memory(sum(len(a) * 8 for a in arrays.values()), "its datasets")
         arrays = {name: array[:] for name, array in arrays.items()}
     arrays["links"] = unpack_links(arrays.pop("links"), arrays)
-    merged = MergedOctree(**arrays, **_content_of(values))
-    if kept:
-        return merged
-    merged.validate()
-    return merged.expanded()
+    return MergedOctree(**arrays, **_content_of(values))
 
 
 MERGED = Schema(

@@ -207,11 +207,11 @@ class MergedOctree(Data, OctreeContent):
         nodes = int(self.offsets[-1])
         return NODE_BYTES * nodes + BRICK_BYTES * 8 * self._counts[1][0]
 
-    def instances(self) -> list[np.ndarray]:
+    def instances(self, levels: int | None = None) -> list[np.ndarray]:
         """Return the subtree of every refined node, (n,) uint32 by level, root first, in Morton
-        order."""
+        order; of all levels above the bricks, or of the first ones."""
         found = [np.zeros(int(self.root == REFINED), np.uint32)]
-        for d in range(self.depth - 2):
+        for d in range(min(levels or self.depth, self.depth - 1) - 1):
             found.append(self._children(d, found[-1]))
         return found
 

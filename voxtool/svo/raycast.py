@@ -28,7 +28,9 @@ from voxtool.camera import Rays, box_corners, checked_colour
 from voxtool.choices import WHITE
 from voxtool.errors import GridError, MemoryLimitError
 from voxtool.opencl import Array, Device, default_device, program
+from voxtool.svo.drawn import box_of, cover_of, drawn_bytes, linked_nodes
 from voxtool.svo.layout import BRICK_SIDE, INSIDE
+from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import VOXEL, Octree, level_number
 from voxtool.vector import dot
 
@@ -55,10 +57,10 @@ class OctreeScene:
     kind: ClassVar[str] = "octree"
     samples: ClassVar[int] = 2
 
-    content: Octree
+    content: Octree | MergedOctree
     level: int | str = "voxel"  # or a level, from 0 for bricks
     colour: Sequence[float] = COLOUR  # red, green and blue of a face towards the light, 0 to 1
-    other: Octree | None = None
+    other: Octree | MergedOctree | None = None
     lanes: int | None = None  # rays that a work-item follows, 1 or 16; by default what suits it
 
     def __post_init__(self) -> None:
@@ -85,12 +87,15 @@ class OctreeScene:
     @property
     def counts(self) -> dict[str, int]:
         """The sizes of the octree, by name."""
-        return {"nodes": len(self.content.nodes), "bricks": len(self.content.bricks)}
+        content = self.content
+        if isinstance(content, MergedOctree):
+            return {"subtrees": sum(content.sizes[:-1]), "distinct_bricks": content.sizes[-1]}
+        return {"nodes": len(content.nodes), "bricks": len(content.bricks)}
 
     @property
     def device_bytes(self) -> int:
         """Bytes of the octrees on the device."""
-        return self.content.nbytes + (self.other.nbytes if self.other else 0)
+        return sum(map(drawn_bytes, filter(None, (self.content, self.other))))
 
     def points(self) -> np.ndarray:
         """Return (N, 3) float64 points in world units whose convex hull holds everything shown: the
@@ -106,16 +111,11 @@ class OctreeScene:
         if not octree.count:
             return origin + pitch * box_corners(np.zeros((1, 3), np.int64), np.array(grid.shape))
         coarse = max(octree.depth - 1 - COARSE_LEVELS, 0)
-        low, high, boxes = np.array(grid.shape), np.zeros(3, np.int64), []
-        for level in octree.levels():
-            held = level.inside if level.number else octree.bricks != 0
-            if held.any():
-                low = np.minimum(low, level.cells[held].min(axis=0))
-                high = np.maximum(high, level.cells[held].max(axis=0) + level.side)
-            if level.number >= coarse:
-                shown = level.inside | level.refined if level.number == coarse else level.inside
-                cells = level.cells[shown] // finest * finest
-                boxes.append(box_corners(cells, max(level.side, finest)))
+        low, high = box_of(octree)
+        boxes = [
+            box_corners(cells // finest * finest, max(side, finest))
+            for cells, side in cover_of(octree, coarse)
+        ]
         low, high = low // finest * finest, -(-high // finest) * finest
         return origin + pitch * np.clip(np.concatenate(boxes), low, high)
 
@@ -132,7 +132,7 @@ class OctreeScene:
             lanes=self.lanes,
         )  # fmt: skip
 
-    def _difference(self, other: Octree, rays: Rays, device: Device) -> np.ndarray:
+    def _difference(self, other: Octree | MergedOctree, rays: Rays, device: Device) -> np.ndarray:
         """Return the colours by which octree a ray meets first: a voxel of both is met by both at
         one depth, since depths are those of the planes of one grid."""
         how: dict[str, Any] = {"level": self.level, "device": device, "lanes": self.lanes}
@@ -153,7 +153,7 @@ class OctreeScene:
 
 
 def cast(
-    octree: Octree,
+    octree: Octree | MergedOctree,
     rays: Rays,
     *,
     level: int | str = "voxel",
@@ -173,7 +173,7 @@ def cast(
 
 
 def depths(
-    octree: Octree,
+    octree: Octree | MergedOctree,
     rays: Rays,
     *,
     level: int | str = "voxel",
@@ -194,7 +194,7 @@ def depths(
 
 def _draw(
     kernel: str,
-    octree: Octree,
+    octree: Octree | MergedOctree,
     rays: Rays,
     level: int | str,
     device: Device,
@@ -206,7 +206,7 @@ def _draw(
     lanes = lanes or device.lanes
     options = {"LANES": lanes, **({"DEPTHS": 1} if kernel == "find_depths" else {})}
     draw, cover = (device.kernel(SOURCE, name, **options) for name in (kernel, "cover_level"))
-    tree = device.keep(octree, "render", octree.nbytes, lambda: _cover(octree, device, cover))
+    tree = device.keep(octree, "render", drawn_bytes(octree), lambda: _cover(octree, device, cover))
     width, height = rays.size
     side = TILE * math.isqrt(lanes)  # pixels along a side of a work-group's tile
     with device.stage("ray casting"):
@@ -225,22 +225,22 @@ def _draw(
 
 
 def _cover(
-    octree: Octree, device: Device, cover_level: Callable[..., None]
+    octree: Octree | MergedOctree, device: Device, cover_level: Callable[..., None]
 ) -> dict[str, Array | int]:
     """Return the octree as arguments of kernels: the words of the nodes above level 0, the
     coverages of those that are refined, the bricks, and where these would begin among the nodes."""
-    *offsets, _ = octree.offsets.tolist()
-    if len(octree.nodes) > INSIDE:
-        raise MemoryLimitError(
-            f"{len(octree.nodes):,} nodes exceed the {INSIDE:,} that are drawn: voxelize with a "
-            "smaller dim"
-        )
     with device.stage("coverage"):
-        children = device.put(octree.nodes["child"][: offsets[-1]])
+        linked = linked_nodes(octree)
+        offsets = linked.offsets
+        if (size := offsets[-1] + len(linked.bricks)) > INSIDE:
+            raise MemoryLimitError(
+                f"{size:,} nodes exceed the {INSIDE:,} that are drawn: voxelize with a smaller dim"
+            )
+        children = device.put(linked.children)
         tree: dict[str, Array | int] = {
             "words": device.empty(offsets[-1], np.uint32),
-            "shares": device.empty(len(octree.nodes) // 8, np.float32),
-            "bricks": device.view(octree.bricks),
+            "shares": device.empty(size // 8, np.float32),
+            "bricks": device.view(linked.bricks),
             "first_brick": offsets[-1],
         }
         for d in reversed(range(octree.depth - 1)):
@@ -249,7 +249,7 @@ def _cover(
     return tree
 
 
-def _frame(octree: Octree, rays: Rays) -> np.ndarray:
+def _frame(octree: Octree | MergedOctree, rays: Rays) -> np.ndarray:
     """Return the origin, direction, right and down of the rays, in voxels, and the pitch, (5, 3)
     float64; times along rays and the pitch are in units of the longest pitch."""
     grid = octree.grid
@@ -263,7 +263,7 @@ def _local_rays(grid: Grid, rays: Rays) -> Rays:
     return rays.local(grid.origin, max(grid.pitch))
 
 
-def _size_exponent(octree: Octree, level: int | str) -> int:
+def _size_exponent(octree: Octree | MergedOctree, level: int | str) -> int:
     """Return k for a level whose nodes, or voxels, have 2**k voxels along a side; raise
     VoxtoolError if the octree has no such level."""
     return level_number(octree, level, octree.depth - 1) - VOXEL

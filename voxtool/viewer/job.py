@@ -11,6 +11,7 @@ from voxtool.camera import Camera
 from voxtool.errors import MemoryLimitError, VoxtoolError, human
 from voxtool.job import Cost, Job
 from voxtool.rendering import Content, camera_for, scene_of
+from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree
 from voxtool.tets.volume import TetVolume
 from voxtool.viewer.content import PageContent
@@ -113,6 +114,8 @@ def plan_view(
     """Return the job of a page that shows content; see voxtool.view."""
     scene = scene_of(content)  # refuses what cannot be drawn
     camera = camera_for(scene, up=up)
+    if isinstance(content, MergedOctree):
+        content = content.expanded()
     if isinstance(content, Octree):
         made = octree_content(content, level)
     elif level == "voxel":

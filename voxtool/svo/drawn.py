@@ -1,0 +1,129 @@
+"""What a picture needs of an octree: links that rays follow, and where something is set.
+
+Of a merged octree, each distinct subtree counts once: rays need no node's parent and no index of
+its own, as they know where they are by the way that they came.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from voxtool.errors import MemoryLimitError
+from voxtool.morton import morton_decode
+from voxtool.svo.layout import BRICK, BRICK_BYTES, BRICK_SIDE, INSIDE, MAX_LINK, VALID, descend
+from voxtool.svo.links import EMPTY, FULL, REFINED
+from voxtool.svo.merge import SUBTREE
+from voxtool.svo.merged import MergedOctree, states_in
+from voxtool.svo.octree import Octree
+from voxtool.svo.prune import ALL_VOXELS
+
+WORD_BYTES = 4  # of a node that is drawn
+CORNERS = morton_decode(np.arange(8))  # (8, 3): the place of each child in its parent
+NOWHERE = 1 << 30  # the low corner of the box of nothing; its high corner is -NOWHERE
+
+
+@dataclass(frozen=True)
+class LinkedNodes:
+    """The nodes of an octree, or those of its distinct subtrees, in groups of eight."""
+
+    offsets: list[int]  # index of the first node of each level, root first, and of the first brick
+    children: np.ndarray  # (n,) uint32 `child` words of the nodes above level 0
+    bricks: np.ndarray  # (m,) BRICK
+
+
+def drawn_bytes(octree: Octree | MergedOctree) -> int:
+    """Return the bytes of what `linked_nodes` returns, with links and flags as Octree has them."""
+    if isinstance(octree, Octree):
+        return octree.nbytes
+    *above, last, _ = octree.sizes
+    return 8 * (WORD_BYTES * sum(above) + BRICK_BYTES * last)
+
+
+def linked_nodes(octree: Octree | MergedOctree) -> LinkedNodes:
+    """Return the links and bricks of an octree.
+
+    Raises
+    ------
+    MemoryLimitError
+        If the subtrees of a level exceed links of 30 bits.
+    """
+    if isinstance(octree, Octree):
+        *offsets, _ = octree.offsets.tolist()
+        return LinkedNodes(offsets, octree.nodes["child"][: offsets[-1]], octree.bricks)
+    *above, last, _ = octree.sizes
+    if 8 * max(*above, last) > MAX_LINK:
+        raise MemoryLimitError(
+            f"{max(*above, last):,} distinct subtrees of a level exceed links of 30 bits: voxelize "
+            "with a smaller dim"
+        )
+    root = VALID if octree.root == REFINED else INSIDE if octree.root == FULL else np.uint32(0)
+    parts = [np.array([root], np.uint32)]
+    for d in range(octree.depth - 2):
+        words = octree.words(d).ravel()
+        links = VALID | (words - SUBTREE) << np.uint32(3)
+        parts.append(np.where(words >= SUBTREE, links, np.where(words == FULL, INSIDE, 0)))
+    words = octree.words(octree.depth - 2).ravel()
+    bricks = np.where(words == FULL, ALL_VOXELS, BRICK.type(EMPTY))
+    bricks[words >= SUBTREE] = octree.leaves[words[words >= SUBTREE] - SUBTREE]
+    offsets = np.cumsum([0, *map(len, parts)]).tolist()
+    return LinkedNodes(offsets, np.concatenate(parts, dtype=np.uint32), bricks)
+
+
+def box_of(octree: Octree | MergedOctree) -> tuple[np.ndarray, np.ndarray]:
+    """Return the low and the high corner, (3,) int64 in voxels, of the inside leaves and the bricks
+    that hold a set voxel; one does."""
+    if isinstance(octree, MergedOctree):
+        return _box_of_subtrees(octree)
+    low, high = np.array(octree.grid.shape), np.zeros(3, np.int64)
+    for level in octree.levels():
+        held = level.inside if level.number else octree.bricks != 0
+        if held.any():
+            low = np.minimum(low, level.cells[held].min(axis=0))
+            high = np.maximum(high, level.cells[held].max(axis=0) + level.side)
+    return low, high
+
+
+def _box_of_subtrees(octree: MergedOctree) -> tuple[np.ndarray, np.ndarray]:
+    """Return the box of a merged octree, from those of its subtrees, bottom-up."""
+    if octree.root == FULL:
+        return np.zeros(3, np.int64), np.full(3, octree.grid.side)
+    lows = np.zeros((len(octree.leaves), 3), np.int64)
+    highs = lows + BRICK_SIDE
+    for d in reversed(range(octree.depth - 1)):
+        side = BRICK_SIDE << (octree.depth - 2 - d)
+        words = octree.words(d)
+        low, high = (np.full((len(words), 3), sign * NOWHERE) for sign in (1, -1))
+        for corner, word in zip(side * CORNERS, words.T, strict=True):
+            linked, full = word >= SUBTREE, word == FULL
+            below = word[linked] - SUBTREE
+            low[linked] = np.minimum(low[linked], corner + lows[below])
+            high[linked] = np.maximum(high[linked], corner + highs[below])
+            low[full] = np.minimum(low[full], corner)
+            high[full] = np.maximum(high[full], corner + side)
+        lows, highs = low, high
+    return lows[0], highs[0]
+
+
+def cover_of(octree: Octree | MergedOctree, number: int) -> Iterator[tuple[np.ndarray, int]]:
+    """Yield the low corners, (n, 3) int64 in voxels, and the side of cubes that hold everything
+    set, level by level, root first: the inside leaves above a level, and its nodes that are inside
+    or refined."""
+    if isinstance(octree, Octree):
+        for level in octree.levels():
+            if level.number >= number:
+                shown = level.inside | level.refined if level.number == number else level.inside
+                yield level.cells[shown], level.side
+        return
+    codes, states = np.zeros(1, np.uint64), np.full(1, octree.root, np.uint8)
+    depth = octree.depth - number  # levels
+    for d, subtrees in enumerate(octree.instances(depth)):
+        side = BRICK_SIDE << (octree.depth - 1 - d)
+        shown = states != EMPTY if d == depth - 1 else states == FULL
+        yield morton_decode(codes[shown]) * side, side
+        codes = descend(codes[states == REFINED])
+        states = states_in(octree.level(d)[0][subtrees]).ravel()
+    if not number:
+        yield morton_decode(codes) * BRICK_SIDE, BRICK_SIDE
