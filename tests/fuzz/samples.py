@@ -22,7 +22,7 @@ from voxtool.cli.main import cli
 from voxtool.files import threemf, write_mesh
 from voxtool.files.formats import EXCHANGE
 
-OCTREES = ("svo.h5", "svo.xml", "svo.xml.gz", "merged.svo.h5")
+OCTREES = ("svo.h5", "svo.xml", "svo.xml.gz", "voccel.xml", "merged.svo.h5")
 FIELDS = ("adf.h5",)
 VOLUMES = ("raycast.tet.h5", "projection.tet.h5", "hexahedra.tet.h5")
 MESHES = ("obj", "ply", "stl", "off", "glb", "gltf", "text.ply", "text.stl", "obj.gz", "ply.gz",

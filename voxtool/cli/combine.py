@@ -10,7 +10,7 @@ from voxtool.choices import OPERATIONS
 from voxtool.cli import options, runner
 from voxtool.cli.options import option
 from voxtool.errors import human
-from voxtool.files.formats import EXPORTS
+from voxtool.files.formats import EXPORTS, OCTREE_FORMATS
 
 if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     "FILE",
     "Its ending says the format, of an octree or of an export (voxtool export -h).  Default the "
     "first name with the operation and .svo.h5, in this folder.",
-    "svo.h5", "svo.xml", "svo.xml.gz", *EXPORTS,
+    *OCTREE_FORMATS, *EXPORTS,
 )  # fmt: skip
 def command(run: runner.Run, octrees: tuple[str, ...], operation: str) -> None:
     """Combine the voxels of OCTREES of one lattice.

@@ -9,7 +9,7 @@ import click
 from voxtool.cli import options, runner
 from voxtool.cli.info import place, table
 from voxtool.errors import CheckError
-from voxtool.files.formats import EXPORTS
+from voxtool.files.formats import EXPORTS, OCTREE_FORMATS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     "FILE",
     "Where to write the voxels that are set in only one of the two, as an octree or an export.  "
     "[default: nowhere]",
-    "svo.h5", "svo.xml", "svo.xml.gz", *EXPORTS,
+    *OCTREE_FORMATS, *EXPORTS,
 )  # fmt: skip
 def command(run: runner.Run, first: str, second: str) -> None:
     """Compare the voxels of two octrees; exit with 1 if they differ.

@@ -9,7 +9,7 @@ import click
 from voxtool.cli import options, runner
 from voxtool.cli.options import POINT, SPACING, flag, option, together
 from voxtool.errors import human
-from voxtool.files.formats import ADF_FORMATS, IMPORTS, SVO_FORMATS
+from voxtool.files.formats import ADF_FORMATS, IMPORTS, OCTREE_FORMATS, SVO_FORMATS
 
 if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
@@ -40,7 +40,7 @@ KNOWN = ", ".join(f".{name}" for name in IMPORTS)
     options.output_options(
         "OUT", "Default FILE's name with .svo.h5, or .adf.h5 of a field, in this folder."
     ),
-    options.format_option("svo.h5", "svo.xml", "svo.xml.gz", "adf.h5"),
+    options.format_option(*OCTREE_FORMATS, "adf.h5"),
     options.plan_options,
     options.report_options,
 )

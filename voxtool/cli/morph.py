@@ -10,7 +10,7 @@ from voxtool.choices import ELEMENTS, MORPHOLOGY, NEIGHBOURS
 from voxtool.cli import options, runner
 from voxtool.cli.info import place, table
 from voxtool.cli.options import COMPONENTS, DIM, RADIUS, flag, option, together
-from voxtool.files.formats import EXPORTS
+from voxtool.files.formats import EXPORTS, OCTREE_FORMATS
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -71,7 +71,7 @@ SHOWN = 20  # components in a report as text
     "Its ending says the format, of an octree or of an export (voxtool export -h); with "
     f"--components of a dense array.  Default OCTREE's name with .morph.{EXTENSION}, in this "
     "folder; with --components nowhere.",
-    "svo.h5", "svo.xml", "svo.xml.gz", *EXPORTS,
+    *OCTREE_FORMATS, *EXPORTS,
 )  # fmt: skip
 def command(run: runner.Run, octree: str, **request: Any) -> None:
     """Dilate, erode, open, close, hollow or resample an OCTREE exactly, or keep its components.

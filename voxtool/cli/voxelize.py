@@ -12,7 +12,7 @@ from voxtool.cli import options, runner
 from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import DIM, bbox_option, flag, option, together
 from voxtool.errors import MemoryLimitError, human
-from voxtool.files.formats import EXPORTS, MERGED_FORMATS
+from voxtool.files.formats import EXPORTS, MERGED_FORMATS, OCTREE_FORMATS
 
 if TYPE_CHECKING:
     from voxtool.grid import Grid
@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     "FILE",
     "Its ending says the format, of an octree or of an export (voxtool export -h).  Default MESH's "
     "name with .svo.h5, in this folder.",
-    "svo.h5", "svo.xml", "svo.xml.gz", *EXPORTS,
+    *OCTREE_FORMATS, *EXPORTS,
 )  # fmt: skip
 def command(
     run: runner.Run, mesh: str, mode: str, fill: str, gap: int, with_surface: bool,

@@ -59,10 +59,12 @@ SVO_FORMATS = {
     "svo.h5": Writer("svo_hdf5"),
     "svo.xml": Writer("svo_xml", text=True),
     "svo.xml.gz": Writer("svo_xml", "write_gz"),
+    "voccel.xml": Writer("svo_xml", "write_voccel", text=True),
     "h5": Writer("svo_hdf5"),
     "xml": Writer("svo_xml", text=True),
     "xml.gz": Writer("svo_xml", "write_gz"),
 }
+OCTREE_FORMATS = tuple(name for name in SVO_FORMATS if "." in name and name != "xml.gz")
 MERGED_FORMATS = ("svo.h5", "h5")  # those that hold merged subtrees
 ADF_FORMATS = {"adf.h5": Writer("adf_hdf5"), "h5": Writer("adf_hdf5")}
 TET_FORMATS = {"tet.h5": Writer("tet_hdf5"), "h5": Writer("tet_hdf5")}

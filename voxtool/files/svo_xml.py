@@ -1,4 +1,5 @@
-"""Octrees as XML after [voCCeL, listing 5.1]; octree.dtd and docs/formats.md specify it.
+"""Octrees as XML after [voCCeL, listing 5.1], and as voCCeL itself exports them; octree.dtd and
+docs/formats.md specify both.
 
 Documents are written and read as streams. A document is not trusted: an internal subset and
 entities are refused, no other file is read, its text is bounded by the sizes that it declares, and
@@ -21,7 +22,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from voxtool.errors import FileError
-from voxtool.files import svo_hdf5
+from voxtool.files import svo_hdf5, voccel
 from voxtool.files.streams import PACKED
 from voxtool.files.svo_hdf5 import grid_of
 from voxtool.memory import check_memory
@@ -46,6 +47,7 @@ MASK_ROW = "<bitmask>%d</bitmask>\n"
 LEAST_NODE = len('<node parent="0" child="0"/>')
 LEAST_MASK = len("<bitmask>0</bitmask>")
 CONTAINERS = ("octree", "offset", "levels", "level", "subgrid")
+NAMES = {"offsets": "offset"}  # what listing 5.1 calls it, too
 ROWS = 1 << 14  # rows formatted, or parsed, at once
 
 CHUNK = 1 << 16  # bytes fed to the parser at once
@@ -65,16 +67,39 @@ NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 
 def write(octree: Octree, file: BinaryIO) -> None:
     """Write an octree as XML."""
-    if not isinstance(octree, Octree):
-        raise FileError("XML holds no merged subtrees: write them to .svo.h5")
+    _check_kind(octree)
     head = SCHEMA.encode(octree)
     attributes = {"dim": head.pop("dim"), "size": len(octree.nodes), "depth": head.pop("depth")}
-    attributes |= head
+    _write_document(file, octree, attributes | head, octree.offsets, octree.nodes)
+
+
+def write_voccel(octree: Octree, file: BinaryIO) -> None:
+    """Write an octree as voCCeL exports it: without its place, mode and fill."""
+    _check_kind(octree)
+    attributes = {"dim": octree.grid.dim, "size": len(octree.nodes), "depth": octree.depth}
+    first = int(octree.offsets[-2])
+    nodes = np.concatenate([octree.nodes[:first], voccel.words_of(octree.nodes[first:])])
+    _write_document(file, octree, attributes, octree.offsets[:-1], nodes)
+
+
+def _check_kind(octree: Octree) -> None:
+    if not isinstance(octree, Octree):
+        raise FileError("XML holds no merged subtrees: write them to .svo.h5")
+
+
+def _write_document(
+    file: BinaryIO,
+    octree: Octree,
+    attributes: dict[str, Any],
+    offsets: np.ndarray,
+    nodes: np.ndarray,
+) -> None:
+    """Write a document with these attributes, offsets and nodes; the octree's levels and bricks."""
     file.write((OPENING + "<octree").encode())
     for name, value in attributes.items():
         file.write(f"\n  {name}={quoteattr(_as_text(value))}".encode())
-    file.write(f">\n<offset>{_as_text(octree.offsets.tolist())}</offset>\n<levels>\n".encode())
-    words = np.ascontiguousarray(octree.nodes, NODE).view("<u4")
+    file.write(f">\n<offset>{_as_text(offsets.tolist())}</offset>\n<levels>\n".encode())
+    words = np.ascontiguousarray(nodes, NODE).view("<u4")
     for first, last in zip(octree.offsets[:-1].tolist(), octree.offsets[1:].tolist(), strict=True):
         file.write(b"<level>\n")
         _write_rows(file, NODE_ROW, words[2 * first : 2 * last], 2)
@@ -235,6 +260,8 @@ class _Reader:
         self.head: dict[str, Any] = {}
         self.doctype_seen = False
         self.grid: Grid | None = None
+        self.plain = False  # whether the root has no attributes but those of voCCeL
+        self.voccel = False  # whether the offsets are voCCeL's
         self.offsets = np.empty(0, "<u4")  # until its element ends
         self.nodes = _Words(0, "node words")
         self.masks = _Words(0, "bitmasks")
@@ -258,7 +285,10 @@ class _Reader:
         except FileError as error:
             raise FileError(f"line {self.parser.CurrentLineNumber}: {error}") from None
         self.check_filled()
-        arrays = {"nodes": self.nodes.array, "bricks": self.masks.array.view(BRICK)}
+        nodes = self.nodes.array.view(NODE)
+        if self.voccel:
+            nodes = voccel.nodes_of(nodes, int(self.offsets[-2]))
+        arrays = {"nodes": nodes.view("<u4"), "bricks": self.masks.array.view(BRICK)}
         return SCHEMA.decode(self.head, {"offsets": self.offsets, **arrays})
 
     def parse(self, file: BinaryIO) -> None:
@@ -305,10 +335,10 @@ class _Reader:
             self.start_leaf(name, [])
         elif not self.within and name != "octree":
             raise FileError(f"not an octree: its root is {name[:40]}")
-        elif self.leaf or name not in CONTAINERS:
+        elif self.leaf or NAMES.get(name, name) not in CONTAINERS:
             raise FileError(f"element {name[:40]} inside {self.within}")
         else:
-            self.start_container(name, attributes)
+            self.start_container(NAMES.get(name, name), attributes)
 
     def start_leaf(self, name: str, attributes: list[str]) -> None:
         self.leaf = True
@@ -327,6 +357,7 @@ class _Reader:
         elif name == "level":
             self.sizes.append(0)
         elif name == "subgrid":
+            self.end_levels()
             self.expect_size(values.get("size"), len(self.masks.array))
         if any(":" in a for a in values):
             raise FileError("namespaces are refused: remove them")
@@ -342,6 +373,7 @@ class _Reader:
         SCHEMA.check(self.head)
         self.grid = grid_of(self.head)
         self.size = values.get("size")
+        self.plain = set(values) <= set(voccel.ATTRIBUTES)
         if SCHEMA.is_newer(self.head["format_version"]):
             known = {"size", *(attribute.name for attribute in SCHEMA.attributes)}
             values = {k: v for k, v in values.items() if k in known}
@@ -353,6 +385,9 @@ class _Reader:
             raise FileError("the offsets are not the first thing in the octree")
         words = "".join(self.text).split()[:MAX_ELEMENTS]
         offsets = parse_words(" ".join(words))
+        if self.plain and len(offsets) == self.head["depth"]:
+            self.voccel = True
+            offsets = np.append(offsets, self.voccel_total(offsets)).astype("<u4")
         check_offsets(self.grid, offsets)
         nodes, masks = int(offsets[-1]), 2 * int(offsets[-1] - offsets[-2])
         self.expect_size(self.size, nodes)
@@ -364,6 +399,24 @@ class _Reader:
         self.nodes = _Words(2 * nodes, "node words")
         self.masks = _Words(masks, "bitmasks")
 
+    def voccel_total(self, offsets: np.ndarray) -> int:
+        """Return the number of nodes that the document declares; if it leaves the size out, the
+        largest number that the levels and the file allow."""
+        if self.size is not None:
+            return int(parse_words(self.size)[0])
+        above, first = offsets[-2:].tolist()
+        room = (self.text_limit - LEAST_NODE * first) // (LEAST_NODE + 2 * LEAST_MASK)
+        return min(first + 8 * max(min(first - above, room // 8), 0), (1 << 32) - 1)
+
+    def end_levels(self) -> None:
+        """Learn the number of nodes of a document of voCCeL's that leaves the size out."""
+        self.nodes.flush()
+        if self.voccel and self.size is None and self.sizes:
+            found = self.nodes.filled // 2
+            self.offsets[-1] = found
+            self.nodes.array = self.nodes.array[: 2 * found]
+            self.masks = _Words(2 * self.sizes[-1], "bitmasks")
+
     def expect_size(self, text: str | None, expected: int) -> None:
         if text is not None and text != str(expected):
             raise FileError(f"size {text[:20]!r} where the offsets say {expected}")
@@ -373,7 +426,7 @@ class _Reader:
             raise FileError("text inside a node")
         if name == "bitmask":
             self.masks.pending.append("".join(self.text).strip())
-        elif name == "offset":
+        elif self.within == "offset":
             self.end_offset()
         self.text.clear()
         if not self.leaf:
