@@ -208,3 +208,14 @@ def test_codes_of_children_are_morton_codes() -> None:
         dense[tuple(8 * corner)] = True
         merged = MergedOctree.of(octree_from_dense(dense))
         assert merged.level(0)[0].tolist() == [1 << c]
+
+
+def test_links_beyond_30_bits_leave_flags_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if links had six bits: the nodes are the same, but for the higher bits of their links."""
+    octree = random_octree(2)
+    states = links.level_states(octree.offsets, octree.nodes)[::-1]
+    monkeypatch.setattr(links, "LINK", np.uint32(63))
+    found = np.concatenate(list(links.nodes_of(states)))
+    assert len(found) > 128
+    for name in "parent", "child":
+        np.testing.assert_array_equal(found[name], octree.nodes[name] & ~(LINK - np.uint32(63)))

@@ -110,6 +110,9 @@ def command(
         raise click.UsageError("--dask writes .svo.h5: name one with -o, and use voxtool export")
     if dag and (dask or run.file_format not in MERGED_FORMATS):
         raise click.UsageError("--dag writes .svo.h5, from one process: drop --dask")
+    if dag and resume:
+        raise click.UsageError("--resume takes windows from the disk, and those of --dag stay in "
+                               "memory: drop one of the two")  # fmt: skip
     with run, ExitStack() as stack:
         loaded = run.stage(
             "read mesh", load_mesh, mesh, max_memory=run.max_memory, units=units, scale=scale
@@ -127,9 +130,12 @@ def command(
 
             client = stack.enter_context(connected(dask, workers))
             parts = run.stage("plan windows", SpreadJob, job, client, run.device_name)
-        elif windows != "never" and not dag and run.file_format == "svo.h5" and not job.fits:
-            parts = run.stage("plan windows", windows_of, job)
-        if parts:
+        elif windows != "never" and run.file_format == "svo.h5" and not fits(job, dag):
+            parts = run.stage("plan windows", windows_of, job, dag)
+        if parts and dag:
+            octree = run.job(parts, **placed)
+            run.write(write_svo, octree)
+        elif parts:
             octree = make_in_windows(run, parts, resume, not no_keep, **placed)
         else:
             octree = run.job(job, ("merge subtrees",) * dag, **placed)
@@ -139,13 +145,25 @@ def command(
     run.report(report_line(octree), lambda: facts_of(octree))
 
 
-def windows_of(job: VoxelizeJob) -> WindowsJob | None:
-    """Return the job in windows, or None if windows do not fit either, or if it is a flood, which
-    divides the grid itself."""
+def fits(job: VoxelizeJob, dag: bool) -> bool:
+    """Return whether the octree, and merging it, fit in memory in one piece."""
+    if not dag:
+        return job.fits
+    from voxtool.tiles.merging import merging_fits
+
+    return merging_fits(job)
+
+
+def windows_of(job: VoxelizeJob, dag: bool) -> WindowsJob | None:
+    """Return the job in windows, with `dag` merged, or None if windows do not fit either, or if it
+    is a flood, which divides the grid itself."""
+    from voxtool.tiles.merging import MergingJob
     from voxtool.tiles.windows import WindowsJob
 
+    if job.plan.fill == "flood":
+        return None
     with suppress(MemoryLimitError):
-        return None if job.plan.fill == "flood" else WindowsJob(job)
+        return MergingJob(job) if dag else WindowsJob(job)
     return None
 
 

@@ -11,6 +11,8 @@ from voxtool.grid import Grid
 from voxtool.selftest.case import case
 from voxtool.svo.booleans import combine
 from voxtool.svo.collect import Collector
+from voxtool.svo.links import level_states
+from voxtool.svo.merge import Subtrees, join, merge
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree
 
@@ -21,7 +23,7 @@ BOARD = 64  # voxels along a side of the checkerboard
 
 
 @case("merged subtrees", "empty, full, one voxel, a cube at dim 65,536 without corners, a "
-      "checkerboard: numbers of subtrees", "trees wrong", 0)  # fmt: skip
+      "checkerboard, whole and joined of eight: numbers of subtrees", "trees wrong", 0)  # fmt: skip
 def subtrees(device: Device, full: bool) -> int:
     grid = Grid((MAX_DIM, MAX_DIM, MAX_DIM), (0, 0, 0), (1, 1, 1))
     collector = Collector(grid)
@@ -37,7 +39,8 @@ def subtrees(device: Device, full: bool) -> int:
         (combine([whole, corners], "difference", device=device), [1, *[8] * below]),
         (Octree.from_dense(np.indices((BOARD,) * 3).sum(axis=0) % 2), [1, 1, 1, 1, 1]),
     ]
-    wrong = 0
+    part = subtrees_of(Octree.from_dense(np.indices((BOARD // 2,) * 3).sum(axis=0) % 2))
+    wrong = sum(abs(len(rows) - 1) for rows in join([part] * 8).rows)
     for octree, sizes in expected:
         merged = MergedOctree.of(octree)
         merged.validate()
@@ -46,3 +49,8 @@ def subtrees(device: Device, full: bool) -> int:
         wrong += merged.expanded().digest() != octree.digest()
         wrong += merged.count != octree.count
     return wrong
+
+
+def subtrees_of(octree: Octree) -> Subtrees:
+    """Return the distinct subtrees of an octree."""
+    return merge(level_states(octree.offsets, octree.nodes), octree.bricks)

@@ -3,6 +3,9 @@
 A node's state says whether it is refined, or an empty or a full leaf. Its links follow from the
 states of the nodes before it, so the states of an octree, a byte a node above the bricks, are all
 that is needed to write its nodes block by block.
+
+Links have 30 bits. Of an octree with more nodes, which only merged subtrees can stand for, they are
+the lowest 30 bits: a digest needs no more, as the states say where children are.
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 
 from voxtool.arrays import Slices, blocks_of
-from voxtool.svo.layout import INSIDE, NODE, VALID
+from voxtool.svo.layout import INSIDE, LINK, NODE, VALID
 
 EMPTY, FULL, REFINED = range(3)  # states of nodes
 BLOCK = 1 << 17  # nodes whose children are linked at once
@@ -55,10 +58,10 @@ def nodes_of(levels: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
             refined = (start + np.flatnonzero(above[start : start + BLOCK] == REFINED)).astype(
                 "<u4"
             )
-            parents = np.repeat(refined, 8)
+            parents = np.repeat(refined & LINK, 8)
             if own is None:
                 nodes = np.empty(len(parents), NODE)
-                nodes["child"] = VALID | np.arange(8 * ranks, 8 * ranks + len(parents), dtype="<u4")
+                nodes["child"] = VALID | _lowest(8 * ranks + np.arange(len(parents)))
                 nodes["parent"] = VALID | parents
             else:
                 states = own[8 * ranks : 8 * ranks + len(parents)]
@@ -74,6 +77,10 @@ def _linked(parents: np.ndarray, states: np.ndarray, first_child: int) -> np.nda
     refined = np.flatnonzero(states == REFINED)
     nodes["parent"] = VALID | parents
     nodes["child"][states == FULL] = INSIDE
-    children = first_child + 8 * np.arange(len(refined), dtype=np.int64)
-    nodes["child"][refined] = VALID | children.astype("<u4")
+    nodes["child"][refined] = VALID | _lowest(first_child + 8 * np.arange(len(refined)))
     return nodes
+
+
+def _lowest(indices: np.ndarray) -> np.ndarray:
+    """Return the bits of (n,) int64 indices that links hold, (n,) uint32."""
+    return (indices & int(LINK)).astype("<u4")

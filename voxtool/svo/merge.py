@@ -4,11 +4,14 @@ Bottom-up, a level at a time: a refined node is the eight words of its children,
 says that it is empty or full, or which distinct subtree it is. Pairs of words are ranked by
 sorting, then pairs of ranks, then pairs of these: three sorts give equal nodes one number, in the
 lexicographic order of their words. Ranks are small, so a key and its place share 64 bits.
+
+Cubes that are merged one by one join in the same way: their tables take the place of the nodes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,18 +23,27 @@ KEY_BITS = 64
 SUBTREE = np.uint32(REFINED)  # the word of distinct subtree 0; EMPTY and FULL are words, too
 
 
-def merge(
-    levels: Sequence[np.ndarray], bricks: np.ndarray
-) -> tuple[list[np.ndarray], np.ndarray, int]:
-    """Return the distinct subtrees of an octree, that is given by the states of the nodes of each
-    level, from level 1 up, and its bricks.
+class Subtrees(NamedTuple):
+    """The distinct subtrees of a cube."""
 
-    Returns
-    -------
-    The words of the distinct refined nodes of each level, (n, 8) uint32 from level 1 up, each level
-    in lexicographic order; the distinct bricks that are neither empty nor full, ascending; and the
-    word of the root.
-    """
+    rows: list[np.ndarray]  # by level from level 1 up, (n, 8) uint32 words, in lexicographic order
+    leaves: np.ndarray  # (m,) uint64 bricks that are neither empty nor full, ascending
+    root: int  # the word of the root
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the tables."""
+        return sum(rows.nbytes for rows in self.rows) + self.leaves.nbytes
+
+
+def no_subtrees(levels: int) -> Subtrees:
+    """Return those of an empty cube with a number of levels above the bricks."""
+    return Subtrees([np.empty((0, CHILDREN), np.uint32)] * levels, np.empty(0, np.uint64), EMPTY)
+
+
+def merge(levels: Sequence[np.ndarray], bricks: np.ndarray) -> Subtrees:
+    """Return the distinct subtrees of an octree, that is given by the states of the nodes of each
+    level, from level 1 up, and its bricks."""
     table, words = merge_bricks(bricks)
     found = []
     for states in levels:
@@ -39,7 +51,32 @@ def merge(
         found.append(rows)
         words = states.astype(np.uint32)
         words[states == REFINED] = SUBTREE + index
-    return found, table, int(words[0])
+    return Subtrees(found, table, int(words[0]))
+
+
+def join(parts: Sequence[Subtrees]) -> Subtrees:
+    """Return the distinct subtrees of the cube that consists of eight, in Morton order: a leaf if
+    all of them are empty, or full."""
+    leaves, index = ranked(np.concatenate([part.leaves for part in parts]))
+    words = _words_of(index, [len(part.leaves) for part in parts])
+    found = []
+    for tables in zip(*(part.rows for part in parts), strict=True):
+        moved = [word[rows] for word, rows in zip(words, tables, strict=True)]
+        rows, index = merge_rows(np.concatenate(moved))
+        found.append(rows)
+        words = _words_of(index, list(map(len, tables)))
+    roots = np.array([[word[part.root] for word, part in zip(words, parts, strict=True)]])
+    if (roots == EMPTY).all() or (roots == FULL).all():
+        return Subtrees([*found, roots[:0]], leaves, int(roots[0, 0]))
+    return Subtrees([*found, roots], leaves, int(SUBTREE))
+
+
+def _words_of(index: np.ndarray, sizes: list[int]) -> list[np.ndarray]:
+    """Return for each part the new words by the old ones, (2 + n,) uint32, from the new index of
+    each subtree of all parts."""
+    leaf = np.array([EMPTY, FULL], np.uint32)
+    parts = np.split(SUBTREE + index, np.cumsum(sizes)[:-1])
+    return [np.concatenate([leaf, part]) for part in parts]
 
 
 def merge_bricks(bricks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

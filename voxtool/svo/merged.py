@@ -21,7 +21,7 @@ from voxtool.memory import check_memory
 from voxtool.svo.content import BLOCK, OctreeContent
 from voxtool.svo.layout import BRICK, BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE, NODE_BYTES
 from voxtool.svo.links import FULL, REFINED, level_states, nodes_of, offsets_of
-from voxtool.svo.merge import SUBTREE, merge
+from voxtool.svo.merge import SUBTREE, Subtrees, merge
 from voxtool.svo.merged_checks import check_subtrees, check_tables
 from voxtool.svo.octree import Octree
 from voxtool.svo.prune import ALL_VOXELS, kinds_of_bricks, pruned_states
@@ -84,22 +84,27 @@ class MergedOctree(Data, OctreeContent):
             If merging does not fit in memory.
         """
         check_memory(MERGE_BYTES * len(octree.bricks), "the sorted bricks of merging")
-        levels = level_states(octree.offsets, octree.nodes)
-        rows, leaves, root = merge(levels, octree.bricks[:])
-        masks, links = zip(*map(packed_rows, rows[::-1]), strict=True)
+        subtrees = merge(level_states(octree.offsets, octree.nodes), octree.bricks[:])
+        described = (octree.plan, octree.source_sha256, octree.units, octree.transform)
+        return cls.of_subtrees(subtrees, octree.grid, octree.mode, octree.fill, *described)
+
+    @classmethod
+    def of_subtrees(
+        cls, subtrees: Subtrees, grid: Grid, mode: str, fill: str, *described: Any
+    ) -> Self:
+        """Return a merged octree of its distinct subtrees; `described` are its plan, source_sha256,
+        units and transform."""
+        masks, links = zip(*map(packed_rows, subtrees.rows[::-1]), strict=True)
         return cls(
-            octree.grid,
-            octree.mode,
-            octree.fill,
-            min(root, REFINED),
+            grid,
+            mode,
+            fill,
+            min(subtrees.root, REFINED),
             np.cumsum([0, *map(len, masks)]).astype(np.uint32),
             np.concatenate(masks),
             np.concatenate(links),
-            leaves,
-            octree.plan,
-            octree.source_sha256,
-            octree.units,
-            octree.transform,
+            subtrees.leaves,
+            *described,
         )
 
     def __repr__(self) -> str:

@@ -200,20 +200,20 @@ class VoxelizeJob(Job[Octree]):
         request |= {"holes": holes, "caps": faces, "flooded": flooded}
         request["choice"] = self.choice.why if self.choice else ""
         plan = plan_of(survey, self.grid.shape, **request)
-        self.plan = plan.in_slabs(self._limit, self.device.info.max_allocation)
+        self.plan = plan.in_slabs(self.limit, self.device.info.max_allocation)
 
     @property
     def fits(self) -> bool:
         """True if the job takes no more memory than it may."""
-        return self.plan.fits(self._limit, self.device.info.max_allocation)
+        return self.plan.fits(self.limit, self.device.info.max_allocation)
 
     @property
     def shortage(self) -> str:
         """The memory that the job lacks, as messages say it; "" if it lacks none."""
-        return self.plan.cost.shortage(self._limit, self.device.info.max_allocation)
+        return self.plan.cost.shortage(self.limit, self.device.info.max_allocation)
 
     @property
-    def _limit(self) -> int:
+    def limit(self) -> int:
         """Bytes that the job may take on the device."""
         return self.device.max_memory if self.max_memory is None else self.max_memory
 
@@ -268,7 +268,7 @@ class VoxelizeJob(Job[Octree]):
             with self.stage("holes"):
                 crossings = list_crossings(scan)
                 capped = add_nodes(scan, touched, self.lattice.closing).nodes.get()
-                holes = NearHoles(self.lattice, plan, self._limit, crossings)
+                holes = NearHoles(self.lattice, plan, self.limit, crossings)
             with self.stage("near holes"):
                 nodes = holes.decide(touched, capped)
                 self._crowded = holes.crowded
@@ -284,7 +284,7 @@ class VoxelizeJob(Job[Octree]):
                 flips = flip_changes(scan, active, crossings)
             else:
                 flips = flip_crossings(scan, active)
-        filled = fill_rows(tree, flips, self._limit)
+        filled = fill_rows(tree, flips, self.limit)
         del tree, flips  # frees memory if the mesh is open: `filled` then has its own
         if holes:
             holes.fill(filled.tree, filled.bricks)

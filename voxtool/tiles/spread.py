@@ -171,5 +171,5 @@ def make_window(
     job = plan_voxelize(mesh, grid, window=window, device=shared_device(device_name), **options)
     if job.fits:
         return made_by(job, key[3])
-    refuse_smallest(key, job)
+    refuse_smallest(key, job.shortage)
     return None

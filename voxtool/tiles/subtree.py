@@ -35,11 +35,15 @@ class Subtree:
         return int(self.levels[0][0])
 
 
+def depth_of(side: int) -> int:
+    """Return the number of levels above the bricks of a cube of `side` voxels."""
+    return (side // (2 * BRICK_SIDE)).bit_length()
+
+
 def empty_subtree(side: int) -> Subtree:
     """Return the subtree of a cube without voxels."""
-    depth = (side // (2 * BRICK_SIDE)).bit_length()
     none = np.empty(0, np.uint8)
-    return Subtree((np.full(1, EMPTY, np.uint8), *[none] * (depth - 1)), 0)
+    return Subtree((np.full(1, EMPTY, np.uint8), *[none] * (depth_of(side) - 1)), 0)
 
 
 def subtree_of(octree: Octree, side: int) -> Subtree:

@@ -118,7 +118,8 @@ class WindowsPlan:
         nodes = sum(plan.nodes for plan in self.plans)
         if nodes >= MAX_LINK:
             raise MemoryLimitError(
-                f"an octree of about {nodes:,} nodes exceeds links of 30 bits: choose a smaller dim"
+                f"an octree of about {nodes:,} nodes exceeds links of 30 bits: choose a smaller "
+                "dim, or store equal subtrees once (--dag)"
             )
 
 
@@ -202,6 +203,10 @@ class WindowsJob(Job[BlockOctree]):
         mesh = self._mesh_of(faces)
         return plan_voxelize(mesh, self.grid, window=window, device=self.device, **self._options)
 
+    def _shortage(self, job: VoxelizeJob) -> str:
+        """Return the memory that a window lacks, as messages say it; "" if it lacks none."""
+        return job.shortage
+
     def _divide(self, key: Key, faces: np.ndarray) -> Part:
         """Return a cube as a window if its plan fits, or in eight."""
         if min(shape_of(key, self.grid)) <= 0:
@@ -212,9 +217,10 @@ class WindowsJob(Job[BlockOctree]):
         job = self._job(key, faces)
         if job.plan.survey.triangles == job.plan.survey.outside and not job.plan.entry:
             return Part(key)
-        if job.fits:
+        shortage = self._shortage(job)
+        if not shortage:
             return Part(key, window=True, plan=job.plan)
-        refuse_smallest(key, job)
+        refuse_smallest(key, shortage)
         return Part(key, parts=tuple(self._divide(half, faces) for half in halves_of(key)))
 
     # ---- the work
@@ -290,12 +296,11 @@ def made_by(job: VoxelizeJob, side: int) -> Window:
     return Window.of(subtree_of(octree, side).levels, octree.bricks, octree.count)
 
 
-def refuse_smallest(key: Key, job: VoxelizeJob) -> None:
+def refuse_smallest(key: Key, shortage: str) -> None:
     """Raise MemoryLimitError if a window that does not fit cannot be divided."""
     if key[3] <= LEAST:
         raise MemoryLimitError(
-            f"a window of {key[3]} voxels a side {job.shortage}: allow more, or choose a smaller "
-            "dim"
+            f"a window of {key[3]} voxels a side {shortage}: allow more, or choose a smaller dim"
         )
 
 
