@@ -11,6 +11,7 @@ FITS = ("uniform", "stretch")  # of grids to meshes
 NORMALIZED = ("unit", "sphere")  # where meshes are placed: a unit cube, a unit ball
 MODES = ("surface26", "surface6", "solid")  # of voxelization
 DEFAULT_MODE = "solid"
+OCTREE_MODES = (*MODES, "solid+surface26")
 FILLS = ("auto", "parity", "nonzero", "winding", "flood")  # rules that decide what is inside
 OPERATIONS = ("union", "intersection", "difference", "xor")  # on sets of voxels
 MORPHOLOGY = ("dilate", "erode", "open", "close", "shell")  # operations

@@ -1,4 +1,4 @@
-"""Octrees as voCCeL exports them, against files made by hand from listing 5.1 of the thesis."""
+"""Octrees as voCCeL exports them, against files made by hand from [voCCeL, listing 5.1]."""
 
 from __future__ import annotations
 
@@ -8,8 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers_cli import fail, run
 from helpers_files import assert_same, check_damaged, memory_below, refusal
 from helpers_octree import ball, octree_from_dense
+from lxml import etree
 
 from voxtool import files
 from voxtool.errors import FileError
@@ -120,6 +122,35 @@ def test_merged_subtrees_are_refused(tmp_path: Path) -> None:
     merged = MergedOctree.of(octree_from_dense(ball((9, 9, 9))))
     with pytest.raises(FileError, match="holds no merged subtrees"):
         files.write_svo(merged, tmp_path / "a.voccel.xml")
+
+
+# The command line
+
+
+def test_commands(here: Path) -> None:
+    """import gives back the place and the mode, which the file leaves out."""
+    run("voxelize bunny.obj --dim 16 --mode surface26 -o a.svo.h5")
+    run("voxelize bunny.obj --dim 16 --mode surface26 -o a.voccel.xml --doctype")
+    assert Path("a.voccel.xml").read_text().splitlines()[1] == svo_xml.DOCTYPE.strip()
+    run("import a.voccel.xml --like a.svo.h5 --mode surface26 -o b.svo.h5")
+    run("import - --from voccel.xml -o c.svo.h5", Path("a.voccel.xml").read_bytes())
+    one, two, three = map(files.read_svo, ("a.svo.h5", "b.svo.h5", "c.svo.h5"))
+    assert one.digest() == two.digest()
+    assert (three.mode, three.grid.pitch, three.count) == ("solid", (1.0,) * 3, one.count)
+    assert run("svo-info --dtd").stdout == svo_xml.DTD.read_text()
+    etree.DTD(io.StringIO(run("svo-info --dtd").stdout))
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("import a.npy --mode solid", "--like and --mode go with a .voccel.xml"),
+        ("import a.voccel.xml --threshold 1 --plan", "drop --threshold and --plan"),
+        ("voxelize bunny.obj --doctype", "--doctype goes with .svo.xml and .voccel.xml"),
+    ],
+)
+def test_options_that_do_not_go_together(here: Path, command: str, message: str) -> None:
+    assert message in fail(command, 2)
 
 
 # Hostile files

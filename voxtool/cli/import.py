@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from voxtool.choices import OCTREE_MODES
 from voxtool.cli import options, runner
 from voxtool.cli.options import POINT, SPACING, flag, option, together
 from voxtool.errors import human
@@ -14,7 +15,7 @@ from voxtool.files.formats import ADF_FORMATS, IMPORTS, OCTREE_FORMATS, SVO_FORM
 if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
 
-KNOWN = ", ".join(f".{name}" for name in IMPORTS)
+VOCCEL = "voccel.xml"
 
 
 @click.command("import")
@@ -34,7 +35,11 @@ KNOWN = ", ".join(f".{name}" for name in IMPORTS)
     option("--spacing pitch", SPACING, "Size of a voxel, in world units, instead of the file's.",
         metavar="S"),
     option("--grid", str, "The grid of a .vdb that holds several.", metavar="NAME"),
-    option("--from from_format", IMPORTS, "Format of FILE, instead of what its name says."),
+    option("--from from_format", (*IMPORTS, VOCCEL),
+        "Format of FILE, instead of what its name says."),
+    option("--like", str, "Of a .voccel.xml: the grid of an octree, or of an image or array.",
+        metavar="FILE"),
+    option("--mode", OCTREE_MODES, "Of a .voccel.xml: what its voxels are.  [default: solid]"),
 )  # fmt: skip
 @runner.run_options(
     options.output_options(
@@ -45,7 +50,13 @@ KNOWN = ", ".join(f".{name}" for name in IMPORTS)
     options.report_options,
 )
 def command(
-    run: runner.Run, file: str, from_format: str | None, as_field: bool, **request: Any
+    run: runner.Run,
+    file: str,
+    from_format: str | None,
+    as_field: bool,
+    like: str | None,
+    mode: str | None,
+    **request: Any,
 ) -> None:
     """Make an octree of another program's voxels, or a field of an image of distances.
 
@@ -62,6 +73,12 @@ def command(
     from voxtool.files import write_adf, write_svo
     from voxtool.files.imports import plan_import
 
+    if from_format == VOCCEL or (not from_format and file.lower().endswith(f".{VOCCEL}")):
+        given = {**request, "as_field": as_field or None, "plan": run.only_plan or None}
+        import_voccel(run, file, like, mode, given)
+        return
+    if like or mode:
+        raise click.UsageError(f"--like and --mode go with a .{VOCCEL}: give --from {VOCCEL}")
     if request["threshold"] is not None and request["label"] is not None:
         raise click.UsageError("--threshold and --label both say what is set: drop one of them")
     own = ("threshold", "label", "grid") if as_field else ("tolerance", "max_level")
@@ -85,6 +102,29 @@ def command(
         from voxtool.cli.voxelize import facts_of, report_line
 
         run.report(report_line(found), lambda: facts_of(found))
+
+
+def import_voccel(
+    run: runner.Run, file: str, like: str | None, mode: str | None, given: dict[str, Any]
+) -> None:
+    """Read an octree of voCCeL's, and write it with the place and the mode that are asked for."""
+    if named := [f"--{k.replace('_', '-')}" for k, value in given.items() if value is not None]:
+        raise click.UsageError(
+            f"a .{VOCCEL} is read as it is, with --like and --mode: drop {' and '.join(named)}"
+        )
+    from voxtool.cli.voxelize import facts_of, report_line
+    from voxtool.files import read_svo, write_svo
+    from voxtool.files.imports import read_grid
+    from voxtool.files.voccel import placed
+
+    run.to(file, options.output_of(file, "svo.h5"), SVO_FORMATS)
+    with run:
+        octree = run.stage("read octree", read_svo, file)
+        grid = run.stage("read grid", read_grid, like) if like else None
+        with run.naming(file):
+            octree = placed(octree, grid, mode)
+        run.write(write_svo, octree)
+    run.report(report_line(octree), lambda: facts_of(octree))
 
 
 def line_of(field: DistanceField) -> str:

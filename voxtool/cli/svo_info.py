@@ -13,12 +13,23 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
+def print_dtd(context: click.Context, _: click.Parameter, asked: bool) -> None:
+    """Print the DTD and end the command, if that is asked for."""
+    if asked:
+        from voxtool.files.svo_xml import DTD
+
+        click.echo(DTD.read_text(encoding="ascii"), nl=False)
+        context.exit()
+
+
 @click.command("svo-info")
 @click.argument("file")
 @info_options
 @flag("--set-digest", "Print the SHA-256 of the set of voxels, however it was made.")
+@click.option("--dtd", is_flag=True, is_eager=True, expose_value=False, callback=print_dtd,
+    help="Print the DTD of the XML, octree.dtd, and that alone; no FILE is needed.")  # fmt: skip
 def command(file: str, **asked: bool) -> None:
-    """Describe an octree FILE (.svo.h5, .svo.xml, or - for stdin).
+    """Describe an octree FILE (.svo.h5, .svo.xml, .voccel.xml, or - for stdin).
 
     Lengths and volumes are in the mesh's own units. The digest covers the content, not the
     container: it is the same for HDF5 and XML, on every device. The set digest is the same for

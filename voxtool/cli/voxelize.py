@@ -54,6 +54,7 @@ if TYPE_CHECKING:
         "content; never: refuse.", "auto"),
     flag("--dag", "Store equal subtrees once (SVO 2.0): a tenth of the bytes, for large octrees. "
         "All commands read it."),
+    flag("--doctype", "Of .svo.xml and .voccel.xml: name octree.dtd, which svo-info --dtd prints."),
     flag("--resume", "Go on with the windows that a killed run left in FILE.windows."),
     flag("--no-keep", "Leave no windows if the run is killed or fails."),
     option("--normalize", NORMALIZED,
@@ -69,8 +70,8 @@ if TYPE_CHECKING:
 def command(
     run: runner.Run, mesh: str, mode: str, fill: str, gap: int, with_surface: bool,
     like: str | None, normalize: str | None, units: str | None, scale: float, windows: str,
-    dag: bool, resume: bool, no_keep: bool, dask: str | None = None, workers: int | None = None,
-    **placing: Any,
+    dag: bool, doctype: bool, resume: bool, no_keep: bool, dask: str | None = None,
+    workers: int | None = None, **placing: Any,
 ) -> None:  # fmt: skip
     """Voxelize a triangle MESH directly into a sparse voxel octree.
 
@@ -113,6 +114,8 @@ def command(
     if dag and resume:
         raise click.UsageError("--resume takes windows from the disk, and those of --dag stay in "
                                "memory: drop one of the two")  # fmt: skip
+    if doctype and "xml" not in str(run.file_format):
+        raise click.UsageError("--doctype goes with .svo.xml and .voccel.xml: name one with -o")
     with run, ExitStack() as stack:
         loaded = run.stage(
             "read mesh", load_mesh, mesh, max_memory=run.max_memory, units=units, scale=scale
@@ -141,7 +144,10 @@ def command(
             octree = run.job(job, ("merge subtrees",) * dag, **placed)
             if dag:
                 octree = run.stage("merge subtrees", MergedOctree.of, octree)
-            run.write(export if run.file_format in EXPORTS else write_svo, octree)
+            if run.file_format in EXPORTS:
+                run.write(export, octree)
+            else:
+                run.write(write_svo, octree, doctype=doctype)
     run.report(report_line(octree), lambda: facts_of(octree))
 
 

@@ -109,24 +109,34 @@ def open_svo(path: PathLike) -> Iterator[Octree | StoredOctree | MergedOctree]:
 
 
 def write_svo(
-    octree: Octree | MergedOctree, path: PathLike, clobber: bool = True, format: str | None = None
+    octree: Octree | MergedOctree,
+    path: PathLike,
+    clobber: bool = True,
+    format: str | None = None,
+    doctype: bool = False,
 ) -> None:
-    """Write an octree as HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz), or a merged one as HDF5;
-    `-` writes stdout.
+    """Write an octree as HDF5 (.svo.h5) or XML (.svo.xml, .svo.xml.gz, .voccel.xml), a merged one
+    as HDF5; `-` writes stdout.
 
     Parameters
     ----------
     clobber
         False refuses an existing file.
     format
-        "svo.h5", "svo.xml" or "svo.xml.gz" instead of what the name says.
+        "svo.h5", "svo.xml", "svo.xml.gz" or "voccel.xml" instead of what the name says.
+    doctype
+        True names the DTD of XML, octree.dtd, in a DOCTYPE.
 
     Raises
     ------
     FileError
-        the file cannot be written, or its name says no format.
+        the file cannot be written, its name says no format, or one that has no DOCTYPE.
     """
-    _write(octree, path, clobber, format, SVO_FORMATS)
+    format = format or format_of(path, SVO_FORMATS)
+    if doctype and "xml" not in format:
+        raise FileError(f".{format} has no DOCTYPE: write .svo.xml or .voccel.xml")
+    more = {"doctype": True} if doctype else {}
+    _write(octree, path, clobber, format, SVO_FORMATS, **more)
 
 
 def read_adf(path: PathLike) -> DistanceField:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import Any, BinaryIO
 
 from voxtool.arrays import Slices
-from voxtool.choices import MODES
+from voxtool.choices import OCTREE_MODES
 from voxtool.files import hdf5
 from voxtool.files.schema import (
     PLAN,
@@ -64,7 +64,7 @@ OWN = (
     Attribute("dim", int, "voxels along the longest side", at="grid.dim"),
     Attribute("depth", int, "number of levels"),
     Attribute("shape", int, "voxels along x, y and z", 3, at="grid.shape"),
-    Attribute("mode", str, MODE, 32, choices=(*MODES, "solid+surface26")),
+    Attribute("mode", str, MODE, 32, choices=OCTREE_MODES),
     Attribute("fill", str, FILL, 32, rule=RULE_NAME),
     Attribute("origin", float, "low corner of voxel (0, 0, 0); finite", 3, at="grid.origin"),
     Attribute("pitch", float, "voxel size along x, y and z; 1e-95 to 1e90", 3, at="grid.pitch"),

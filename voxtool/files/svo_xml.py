@@ -41,7 +41,8 @@ MAX_ELEMENTS = 64  # without repetitions: 15 levels and a few more
 GZIP_LEVEL = 4
 
 SCHEMA = replace(svo_hdf5.SCHEMA, newer=())  # XML holds no merged subtrees
-OPENING = '<?xml version="1.0" encoding="UTF-8"?>\n'  # no DOCTYPE: some readers would fetch it
+OPENING = '<?xml version="1.0" encoding="UTF-8"?>\n'
+DOCTYPE = '<!DOCTYPE octree SYSTEM "octree.dtd">\n'  # on request: some readers would fetch it
 NODE_ROW = '<node parent="%d" child="%d"/>\n'
 MASK_ROW = "<bitmask>%d</bitmask>\n"
 LEAST_NODE = len('<node parent="0" child="0"/>')
@@ -65,21 +66,23 @@ NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 # Writing
 
 
-def write(octree: Octree, file: BinaryIO) -> None:
-    """Write an octree as XML."""
+def write(octree: Octree, file: BinaryIO, doctype: bool = False) -> None:
+    """Write an octree as XML; with a DOCTYPE on request."""
     _check_kind(octree)
     head = SCHEMA.encode(octree)
     attributes = {"dim": head.pop("dim"), "size": len(octree.nodes), "depth": head.pop("depth")}
-    _write_document(file, octree, attributes | head, octree.offsets, octree.nodes)
+    opening = OPENING + DOCTYPE * doctype
+    _write_document(file, opening, octree, attributes | head, octree.offsets, octree.nodes)
 
 
-def write_voccel(octree: Octree, file: BinaryIO) -> None:
+def write_voccel(octree: Octree, file: BinaryIO, doctype: bool = False) -> None:
     """Write an octree as voCCeL exports it: without its place, mode and fill."""
     _check_kind(octree)
     attributes = {"dim": octree.grid.dim, "size": len(octree.nodes), "depth": octree.depth}
     first = int(octree.offsets[-2])
     nodes = np.concatenate([octree.nodes[:first], voccel.words_of(octree.nodes[first:])])
-    _write_document(file, octree, attributes, octree.offsets[:-1], nodes)
+    opening = OPENING + DOCTYPE * doctype
+    _write_document(file, opening, octree, attributes, octree.offsets[:-1], nodes)
 
 
 def _check_kind(octree: Octree) -> None:
@@ -89,13 +92,14 @@ def _check_kind(octree: Octree) -> None:
 
 def _write_document(
     file: BinaryIO,
+    opening: str,
     octree: Octree,
     attributes: dict[str, Any],
     offsets: np.ndarray,
     nodes: np.ndarray,
 ) -> None:
     """Write a document with these attributes, offsets and nodes; the octree's levels and bricks."""
-    file.write((OPENING + "<octree").encode())
+    file.write(f"{opening}<octree".encode())
     for name, value in attributes.items():
         file.write(f"\n  {name}={quoteattr(_as_text(value))}".encode())
     file.write(f">\n<offset>{_as_text(offsets.tolist())}</offset>\n<levels>\n".encode())
@@ -110,10 +114,10 @@ def _write_document(
     file.write(b"</subgrid>\n</octree>\n")
 
 
-def write_gz(octree: Octree, file: BinaryIO) -> None:
+def write_gz(octree: Octree, file: BinaryIO, doctype: bool = False) -> None:
     """Write an octree as gzip-compressed XML, without a name and a time."""
     with gzip.GzipFile("", "wb", GZIP_LEVEL, file, mtime=0) as packed:
-        write(octree, packed)  # pyright: ignore[reportArgumentType]
+        write(octree, packed, doctype)  # pyright: ignore[reportArgumentType]
 
 
 def _as_text(value: Any) -> str:

@@ -1,6 +1,6 @@
 """Octrees as the framework of [voCCeL] exports them: what its words and offsets say.
 
-Its export_xml is not printed in the thesis. Listing 5.1 gives the elements and attributes, section
+Its export_xml is not printed there. Listing 5.1 gives the elements and attributes, section
 5.1 the bits of a pointer, listing A.2 the offsets, and listings A.6 and A.7 the brick links. They
 differ from those of layout.py in two things: offsets have one number a level, and a level 0 node
 links to the first of the two 32-bit words of its brick.

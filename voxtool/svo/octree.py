@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.arrays import Data
-from voxtool.choices import MODES
+from voxtool.choices import OCTREE_MODES
 from voxtool.errors import GridError, VoxtoolError, human
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
@@ -43,7 +43,6 @@ from voxtool.svo.validate import check_sizes
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-OCTREE_MODES = (*MODES, "solid+surface26")
 ARRAYS = ("offsets", "nodes", "bricks")
 VOXEL = -2  # the level of voxels: a node of level n has 2**(n + 2) voxels along a side
 
