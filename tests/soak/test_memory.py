@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -28,3 +29,40 @@ def test_an_octree_of_2048_is_closed_within_2_gb(models: Path, tmp_path: Path) -
     for words in ("--close 8", "--open 40", "--keep largest"):
         peak = peak_of(f"morph {octree} {words} -q -o {tmp_path}/out.svo.h5")
         assert peak < LIMIT
+
+
+PEAKS = """
+import atexit, resource, sys
+from voxtool.__main__ import main
+
+def tell():
+    kinds = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
+    print(*(resource.getrusage(kind).ru_maxrss for kind in kinds), file=sys.stderr)
+
+atexit.register(tell)
+sys.argv[0] = "voxtool"
+main()
+"""
+
+
+def test_many_meshes_take_the_memory_of_few(models: Path, tmp_path: Path) -> None:
+    """The command keeps a line of the manifest for each mesh, about 1 kB, and its worker nothing:
+    with 10,000 meshes they take 10 MB more than with one."""
+    meshes = [tmp_path / f"{number}.obj" for number in range(2000)]
+    for mesh in meshes:
+        mesh.symlink_to(models / "open.obj")
+    peaks = []
+    for count in 200, 2000:
+        words = ["voxelize", *map(str, meshes[:count]), "--dim", "8", "-q", "-o"]
+        found = subprocess.run(
+            [sys.executable, "-c", PEAKS, *words, str(tmp_path / f"out{count}")],
+            env=ENVIRONMENT,
+            capture_output=True,
+            check=True,
+            text=True,
+        )
+        assert len((tmp_path / f"out{count}/manifest.jsonl").read_text().splitlines()) == count
+        peaks.append([1024 * int(word) for word in found.stderr.split()[-2:]])
+    (own, workers), (own_of_all, workers_of_all) = peaks
+    assert own_of_all - own < 4_000_000
+    assert workers_of_all - workers < 4_000_000

@@ -159,7 +159,8 @@ class Many:
             raise CheckError(f"{failed:,} of {len(tasks):,} meshes failed{where}")
 
     def do(self, tasks: Sequence[Task], manifest: Manifest | None) -> dict[str, Answer]:
-        """Do the tasks, print what workers say, and return the answers by their mesh."""
+        """Do the tasks, print what workers say, and return the answers by their mesh; those that
+        are in the manifest are not kept."""
         context = click.get_current_context()
         words = list(context.find_root().command.words)  # pyright: ignore[reportAttributeAccessIssue]
         words.insert(words.index(str(context.info_name)) + 1, "--as-worker")
@@ -175,7 +176,10 @@ class Many:
                 self.take(task, answer, manifest)
                 found[task.mesh] = answer
                 while shown < len(self.meshes) and self.meshes[shown] in found:
-                    self.show(self.meshes[shown], found[self.meshes[shown]])
+                    mesh = self.meshes[shown]
+                    self.show(mesh, found[mesh])
+                    if manifest:
+                        found[mesh] = {}
                     shown += 1
         return found
 

@@ -37,7 +37,7 @@ class Manifest:
     def __init__(self, folder: str, shard: tuple[int, int] | None) -> None:
         name = "manifest.{}-of-{}.jsonl".format(*shard) if shard else "manifest.jsonl"
         self.path = Path(folder, name)
-        self._own: dict[str, dict[str, Any]] = {}
+        self._own: dict[str, str] = {}  # lines by output; text takes a third of what a dict does
         self._known: dict[str, dict[str, Any]] = {}
         self._added = False
         self._made = not os.path.isdir(folder)
@@ -46,8 +46,9 @@ class Manifest:
             self._known |= _lines_of(other)
         self._new = not self.path.exists()
         if not self._new:
-            self._own = _lines_of(self.path)
-            self._known |= self._own
+            own = _lines_of(self.path)
+            self._own = {output: json.dumps(line) for output, line in own.items()}
+            self._known |= own
 
     def line_of(self, output: str) -> dict[str, Any]:
         """Return the last line of an output, of this shard or another; {} if there is none."""
@@ -55,12 +56,12 @@ class Manifest:
 
     def add(self, line: dict[str, Any]) -> None:
         """Add the line of an output."""
-        self._own[line["output"]] = line
+        text = self._own[line["output"]] = json.dumps(line)
         try:
             with open(self.path, "a", encoding="utf-8") as file:
                 if not self._added and file.tell():
                     file.write("\n")  # ends a line that a killed run left
-                file.write(json.dumps(line) + "\n")
+                file.write(text + "\n")
             self._added = True
         except OSError as error:
             raise write_error(self.path, error) from error
@@ -77,11 +78,10 @@ class Manifest:
         """Replace the file by the last line of each output, in this order; others come first."""
         if not self._added:
             return
-        given = [output for output in order if output in self._own]
-        others = [output for output in self._own if output not in set(given)]
-        with atomic_path(self.path) as path:
-            text = "".join(json.dumps(self._own[output]) + "\n" for output in [*others, *given])
-            path.write_text(text, encoding="utf-8")
+        given = dict.fromkeys(output for output in order if output in self._own)
+        others = [output for output in self._own if output not in given]
+        with atomic_path(self.path) as path, open(path, "w", encoding="utf-8") as file:
+            file.writelines(f"{self._own[output]}\n" for output in [*others, *given])
 
 
 def make_folder(folder: str | os.PathLike[str]) -> None:
