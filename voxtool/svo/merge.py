@@ -1,8 +1,8 @@
 """Equal subtrees of an octree, stored once ([Kampe 2013]), from its nodes' states and its bricks.
 
 Bottom-up, a level at a time: a refined node is the eight words of its children, and a child's word
-says that it is empty or full, or which distinct subtree it is. Pairs of words are ranked by
-sorting, then pairs of ranks, then pairs of these: three sorts give equal nodes one number, in the
+says that it is empty or full, or which distinct subtree it is. Pairs of columns of words are ranked
+by sorting, then pairs of ranks, then the pair of these: equal nodes get one number, in the
 lexicographic order of their words. Ranks are small, so a key and its place share 64 bits.
 
 Cubes that are merged one by one join in the same way: their tables take the place of the nodes.
@@ -56,15 +56,18 @@ def merge(levels: Sequence[np.ndarray], bricks: np.ndarray) -> Subtrees:
 
 def join(parts: Sequence[Subtrees]) -> Subtrees:
     """Return the distinct subtrees of the cube that consists of eight, in Morton order: a leaf if
-    all of them are empty, or full."""
+    all of them are empty, or full. The rows of the parts are used up, to free their memory."""
     leaves, index = ranked(np.concatenate([part.leaves for part in parts]))
     words = _words_of(index, [len(part.leaves) for part in parts])
     found = []
-    for tables in zip(*(part.rows for part in parts), strict=True):
-        moved = [word[rows] for word, rows in zip(words, tables, strict=True)]
-        rows, index = merge_rows(np.concatenate(moved))
+    for _ in range(len(parts[0].rows)):
+        tables = [part.rows.pop(0) for part in parts]
+        sizes = list(map(len, tables))
+        for i, word in enumerate(words):
+            tables[i] = word[tables[i]]
+        rows, index = merge_rows(np.concatenate(tables))
         found.append(rows)
-        words = _words_of(index, list(map(len, tables)))
+        words = _words_of(index, sizes)
     roots = np.array([[word[part.root] for word, part in zip(words, parts, strict=True)]])
     if (roots == EMPTY).all() or (roots == FULL).all():
         return Subtrees([*found, roots[:0]], leaves, int(roots[0, 0]))
@@ -92,24 +95,28 @@ def merge_bricks(bricks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def merge_rows(words: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the distinct ones of (n, 8) uint32 rows, in lexicographic order, and the index of each
     row among them, (n,) uint32."""
-    found, index = [], words
-    while index.shape[1] > 1:
-        pairs, index = rank_pairs(index)
-        found.append(pairs)
-    rows = found.pop()
-    for pairs in reversed(found):
-        rows = pairs[rows].reshape(len(rows), 2 * rows.shape[1])
-    return rows, index[:, 0]
+    steps, columns = [], list(words.T)
+    while len(columns) > 1:
+        ranks = [rank_pairs(*pair) for pair in zip(columns[0::2], columns[1::2], strict=True)]
+        steps.append([pairs for pairs, _ in ranks])
+        columns = [index for _, index in ranks]
+    (rows,) = steps.pop()
+    for tables in reversed(steps):
+        parts = [pairs[rank] for pairs, rank in zip(tables, rows.T, strict=True)]
+        rows = np.concatenate(parts, axis=1)
+    return rows, columns[0]
 
 
-def rank_pairs(words: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distinct ones of the pairs of (n, 2 k) uint32 words, (m, 2) uint32 in
-    lexicographic order, and the index of each pair among them, (n, k) uint32."""
-    width = np.uint64(int(words.max(initial=0)).bit_length())
-    keys = (words[:, 0::2].astype(np.uint64) << width) | words[:, 1::2]
-    values, index = ranked(keys.ravel())
+def rank_pairs(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distinct ones of pairs of (n,) uint32 words, (m, 2) uint32 in lexicographic order,
+    and the index of each pair among them, (n,) uint32."""
+    width = np.uint64(int(second.max(initial=0)).bit_length())
+    keys = first.astype(np.uint64)
+    keys <<= width
+    keys |= second
+    values, index = ranked(keys)
     pairs = np.stack([values >> width, values & ~(~np.uint64(0) << width)], axis=1)
-    return pairs.astype(np.uint32), index.reshape(keys.shape)
+    return pairs.astype(np.uint32), index
 
 
 def ranked(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -118,8 +125,11 @@ def ranked(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     places = np.uint64(len(keys).bit_length())
     if int(keys.max(initial=0)).bit_length() + int(places) <= KEY_BITS:
         # keys and their places in one word: sorting these is several times as fast as argsort
-        both = np.sort((keys << places) | np.arange(len(keys), dtype=np.uint64))
-        order, ascending = both & ~(~np.uint64(0) << places), both >> places
+        ascending = keys << places
+        ascending |= np.arange(len(keys), dtype=np.uint64)
+        ascending.sort()
+        order = ascending & ~(~np.uint64(0) << places)
+        ascending >>= places
     else:
         order = np.argsort(keys)
         ascending = keys[order]
