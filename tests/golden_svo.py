@@ -6,6 +6,7 @@ Digests change only together with a line in CHANGELOG.md that says why:
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sys
 from collections.abc import Iterator
@@ -29,6 +30,7 @@ FILLS = (("nonzero", 0), ("winding", 0), ("flood", 0), ("flood", 3))
 FILL_DIM = 128  # the largest
 OWN = ("bunny", "sphere", "torus", "open-box", "needles")
 MORPHS = {50: ("dilate", 2.5), 128: ("close", 4.0)}  # of the solid, by dim
+POINTS_DIM = 50  # of the octree that is queried at points
 DIMS = (8, 50, 64, 200, 512)
 REAL = ("stanford-bunny", "armadillo", "dragon", "nefertiti", "fandisk", "rocker-arm", "spot",
         "suzanne", "teapot")  # fmt: skip
@@ -69,10 +71,27 @@ def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterat
         for fill, gap in FILLS if dim <= FILL_DIM else ():
             octree = voxtool.voxelize(mesh, grid, fill=fill, gap=gap, device=device)
             yield f"{octree.fill} {dim}", octree.digest()
+        if dim == POINTS_DIM:
+            answers = voxtool.query_svo(octree, points_of(mesh), level=0, device=device)
+            yield f"points {dim}", golden_of(answers)
         if dim in MORPHS:
             solid = voxtool.voxelize(mesh, grid, fill="parity", device=device)
             changed = voxtool.morph(solid, *MORPHS[dim], device=device)
             yield f"{' '.join(map(str, MORPHS[dim]))} {dim}", changed.digest()
+
+
+def points_of(mesh: voxtool.Mesh) -> np.ndarray:
+    """Points in the mesh's box and around it, on a lattice that is skew to its axes, (1000, 3)."""
+    places = np.arange(1000)[:, None] * np.array([0.618, 0.414, 0.236]) % 1
+    low, high = mesh.bounds
+    return low + (high - low) * (1.25 * places - 0.125)
+
+
+def golden_of(answers: voxtool.OctreeAnswers) -> str:
+    """The SHA-256 of answers at points."""
+    assert answers.coverage is not None
+    table = np.stack([answers.contains, answers.outside, answers.coverage], axis=1)
+    return hashlib.sha256(table.astype("<f8").tobytes()).hexdigest()
 
 
 def main() -> None:

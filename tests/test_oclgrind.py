@@ -64,6 +64,7 @@ from voxtool.svo.booleans import combine
 from voxtool.svo.fill.caps import find_boundary
 from voxtool.svo.morphology import plan_morph
 from voxtool.svo.octree import Octree
+from voxtool.svo.query import OctreeQuery
 from voxtool.svo.raycast import cast, depths
 from voxtool.svo.resample import plan_resample
 from voxtool.svo.surface.extract import plan_extract, plan_unread
@@ -242,6 +243,7 @@ def main() -> None:
     build_fields(device)
     query_fields(device)
     combine_octrees(device)
+    query_octrees(device)
     render_octrees(device)
     render_fields(device)
     render_volumes(device)
@@ -586,6 +588,16 @@ def combine_octrees(device) -> None:
     a, b, c = arrays
     assert np.array_equal(combine(octrees, "difference", device=device), a & ~(b | c))
     assert np.array_equal(combine(octrees, "xor", device=device), a ^ b ^ c)
+
+
+def query_octrees(device) -> None:
+    """Voxels, bricks and nodes of level 1 at every voxel of an octree, and beside its grid."""
+    dense = np.random.default_rng(4).random((13, 10, 9)) < 0.3
+    octree = octree_from_dense(dense)
+    places = np.stack(np.indices((14, 11, 10)), axis=-1)
+    found = OctreeQuery(octree, 1, device)(octree.grid.to_world(places.reshape(-1, 3) + 0.5))
+    expected = np.pad(dense, [(0, 1)] * 3)
+    assert np.array_equal(found.contains.reshape(expected.shape), expected)
 
 
 def render_octrees(device) -> None:

@@ -27,6 +27,8 @@ from voxtool.api.morphology import plan_keep_components as plan_keep_components
 from voxtool.api.morphology import plan_morph as plan_morph
 from voxtool.api.morphology import plan_resample as plan_resample
 from voxtool.api.morphology import resample as resample
+from voxtool.api.octree_points import plan_query_svo as plan_query_svo
+from voxtool.api.octree_points import query_svo as query_svo
 from voxtool.api.octrees import MeshLike as MeshLike
 from voxtool.api.octrees import combine as combine
 from voxtool.api.octrees import compare as compare
@@ -105,6 +107,9 @@ from voxtool.svo.labels import Labels as Labels
 from voxtool.svo.merged import MergedOctree as MergedOctree
 from voxtool.svo.morphology import MorphJob as MorphJob
 from voxtool.svo.octree import Octree as Octree
+from voxtool.svo.query import OctreeAnswers as OctreeAnswers
+from voxtool.svo.query import OctreeQuery as OctreeQuery
+from voxtool.svo.query import QueryJob as QueryJob
 from voxtool.svo.resample import ResampleJob as ResampleJob
 from voxtool.svo.surface.extract import ExtractJob as ExtractJob
 from voxtool.svo.surface.isosurface import Isosurface as Isosurface

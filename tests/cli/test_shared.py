@@ -21,6 +21,7 @@ JOBS = {
     "extract bunny.svo.h5 --level 1": "bunny.marching-cubes.obj",
     "extract bunny.svo.h5 --style surface-nets": "bunny.surface-nets.obj",
     "extract bunny.svo.h5 --style voxel-faces --merge": "bunny.voxel-faces.obj",
+    "svo-query bunny.svo.h5 points.csv --level 1": "points.voxels.npy",
     "distance bunny.obj points.csv": "points.distance.npy",
     "distance bunny.obj --dim 16": "bunny.sdf.npy",
     "adf-build bunny.obj --max-level 3": "bunny.adf.h5",
@@ -40,7 +41,7 @@ QUERIES = {
 INPUTS = {
     "voxelize": "bunny.obj", "combine": "bunny.svo.h5 box.svo.h5", "extract": "bunny.svo.h5",
     "distance": "bunny.obj points.csv", "adf-build": "bunny.obj",
-    "adf-query": "bunny.adf.h5 points.csv",
+    "adf-query": "bunny.adf.h5 points.csv", "svo-query": "bunny.svo.h5 points.csv",
     "tet-build": "volume.vtu --scalar density", "render": "bunny.svo.h5",
     "view": "bunny.svo.h5",
 }  # fmt: skip
@@ -125,7 +126,9 @@ def test_files_are_the_same_on_every_device(command: str, here: Path) -> None:
     assert len(contents) == len(digests) == 1
 
 
-@pytest.mark.parametrize("command", [c for c in INPUTS if c not in ("distance", "adf-query")])
+@pytest.mark.parametrize(
+    "command", [c for c in INPUTS if c not in ("distance", "adf-query", "svo-query")]
+)
 def test_no_binary_file_is_sent_to_a_terminal(command: str, here: Path) -> None:
     master, slave = pty.openpty()
     binary = " --format ply" if command == "extract" else ""
@@ -162,6 +165,7 @@ def test_failures_are_one_line(
         Path(name).name for words, name in (JOBS | QUERIES).items() if words.startswith(command)
     ]
     end = ends[0].partition(".")[2].removeprefix("distance.").removeprefix("marching-cubes.")
+    end = end.removeprefix("voxels.")
     assert message in fail(f"{command} {INPUTS[command]} {more.format('.' + end)}", code)
 
 

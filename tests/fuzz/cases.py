@@ -63,6 +63,7 @@ BASES = {
     "repair": ("a.obj", "--dim", "16"),
     "hollow": ("a.obj", "--dim", "16", "--wall", "0.3"),
     "svo-info": ("a.svo.h5",),
+    "svo-query": ("a.svo.h5", "a.csv"),
     "svo-dag": ("a.svo.h5", "-o", "out.svo.h5"),
     "morph": ("a.svo.h5", "--dilate", "1"),
     "extract": ("a.svo.h5",),

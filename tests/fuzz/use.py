@@ -27,6 +27,7 @@ COMMANDS: dict[tuple[str, ...], tuple[str, ...]] = {
     samples.OCTREES: (
         "svo-info FILE --json", "svo-info FILE --check", "svo-info FILE --digest",
         "svo-info FILE --set-digest", "svo-dag FILE -o out.svo.h5",
+        "svo-query FILE ../../a.csv --level 0 -o out.csv --device DEVICE",
         "combine FILE FILE --op xor -o out.svo.h5 --device DEVICE",
         "render FILE --size 16 -o out.png --device DEVICE", "export FILE -o out.png",
         "extract FILE --check -o out.obj --device DEVICE",

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 COMMANDS = (
-    "voxelize", "diagnose", "repair", "hollow", "svo-info", "svo-dag", "combine", "compare",
-    "morph", "extract", "distance", "adf-build", "adf-query", "adf-info", "tet-build", "render",
-    "view", "export", "import", "devices", "selftest", "bench", "completion",
+    "voxelize", "diagnose", "repair", "hollow", "svo-info", "svo-query", "svo-dag", "combine",
+    "compare", "morph", "extract", "distance", "adf-build", "adf-query", "adf-info", "tet-build",
+    "render", "view", "export", "import", "devices", "selftest", "bench", "completion",
 )  # fmt: skip
 
 

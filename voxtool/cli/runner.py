@@ -121,14 +121,14 @@ class Run:
         elif self.file_format not in TEXT_FORMATS and sys.stdout.isatty():
             raise click.UsageError("stdout is a terminal: redirect it, or name a file with -o")
 
-    def to_table(self, points: str) -> None:
+    def to_table(self, points: str, what: str = "distance") -> None:
         """Choose the output of a table of values at points: CSV on stdout, otherwise .npy, unless
-        --format or the name of the output says another."""
+        --format or the name of the output says another. The name says what it holds."""
         from voxtool.files.answers import ANSWER_FORMATS
 
         piped = (self.output or points) == "-"
         self.file_format = self.file_format or ("csv" if piped else None)
-        default = options.output_of(points, f"distance.{self.file_format or 'npy'}")
+        default = options.output_of(points, f"{what}.{self.file_format or 'npy'}")
         self.to(points, default, ANSWER_FORMATS)
         # the input is read while the output is written
         if options.same_file(points, str(self.output)):

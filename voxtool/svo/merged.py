@@ -23,7 +23,7 @@ from voxtool.svo.layout import BRICK, BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE, N
 from voxtool.svo.links import FULL, REFINED, level_states, nodes_of, offsets_of
 from voxtool.svo.merge import SUBTREE, Subtrees, merge
 from voxtool.svo.merged_checks import check_subtrees, check_tables
-from voxtool.svo.octree import Octree
+from voxtool.svo.octree import Octree, PointQueries
 from voxtool.svo.prune import ALL_VOXELS, kinds_of_bricks, pruned_states
 
 CHILD_BITS = np.arange(8, dtype=np.uint16)  # of a mask, which children have a link
@@ -32,7 +32,7 @@ MERGE_BYTES = 32  # a brick, at the peak of merging, beside the octree
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MergedOctree(Data, OctreeContent):
+class MergedOctree(PointQueries, Data, OctreeContent):
     """An octree whose equal subtrees are stored once.
 
     Attributes `offsets`, `nodes` and `bricks`, counts and digests are those of the octree that it

@@ -43,6 +43,8 @@ from voxtool.svo.validate import check_sizes
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from voxtool.opencl import Device
+
 ARRAYS = ("offsets", "nodes", "bricks")
 VOXEL = -2  # the level of voxels: a node of level n has 2**(n + 2) voxels along a side
 
@@ -72,8 +74,36 @@ class Level:
         return morton_decode(self.codes) * self.side
 
 
+class PointQueries:
+    """What octrees with all nodes and merged ones can be asked at points."""
+
+    def contains(self, points: Any, *, device: Device | None = None) -> np.ndarray:
+        """Return whether points lie in set voxels; see voxtool.query_svo.
+
+        Parameters
+        ----------
+        points : (N, 3) or (3,) array_like
+            World units; (3,) is one point.
+        device : Device, optional
+            Where to search; the default device if None.
+
+        Returns
+        -------
+        (N,) bool
+            A point on a plane between voxels is in the upper one; outside the grid False.
+
+        Raises
+        ------
+        VoxtoolError
+            If the shape is wrong, or a coordinate is NaN.
+        """
+        from voxtool.svo.query import OctreeQuery  # which imports this module
+
+        return OctreeQuery(self, device=device)(points).contains  # pyright: ignore[reportArgumentType]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Octree(OctreeContent, Data):
+class Octree(PointQueries, OctreeContent, Data):
     """A set of voxels of a grid.
 
     Two octrees are equal if they have one grid and set the same voxels, whatever their mode, fill

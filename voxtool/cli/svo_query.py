@@ -1,0 +1,81 @@
+"""voxtool svo-query: whether points lie in set voxels, and the coverage around them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from voxtool.cli import options, runner
+from voxtool.cli.options import LEVEL, option
+from voxtool.errors import count_of
+
+if TYPE_CHECKING:
+    from voxtool.svo.query import QueryJob
+
+
+@click.command("svo-query")
+@click.argument("octree")
+@click.argument("points", required=False)
+@option("--level", LEVEL,
+    "Write the coverage, too: the share of set voxels in the node of level N around each point; 0 "
+    "are bricks of 4 x 4 x 4 voxels.")  # fmt: skip
+@runner.job_options(
+    "FILE", "Default POINTS's name with .voxels.npy or --format, in this folder; stdout, as CSV, "
+    "for stdin.",
+    "npy", "csv",
+)  # fmt: skip
+def command(run: runner.Run, octree: str, points: str | None, level: int | str | None) -> None:
+    """Tell which POINTS lie in set voxels of an OCTREE: 1 if so, otherwise 0.
+
+    OCTREE is .svo.h5 or .svo.xml; POINTS is a .npy, .npz, .csv, .xyz or .ply file, in world units.
+    Each can be - for stdin, which is the default of POINTS. A point on a plane between voxels is in
+    the upper one; outside the grid nothing is set. The columns are contains and, with --level,
+    coverage.
+
+    \b
+    Examples:
+      voxtool svo-query bunny.svo.h5 points.csv -o answers.csv
+      voxtool svo-query bunny.svo.h5 points.csv --level 0 -o -
+    """
+    points = options.points_of(points, "OCTREE", octree, "name a file, or pipe them in")
+    from voxtool.files import read_drawn
+    from voxtool.files.formats import OCTREE
+    from voxtool.svo.query import plan_query
+
+    run.to_table(points, "voxels")
+    with run:
+        source = run.stage("read octree", read_drawn, octree, OCTREE)
+        with run.naming(octree):
+            job = run.plan(plan_query, source, level=level)
+        facts = answer(run, job, points)
+    outside = facts["outside"]
+    if outside:
+        run.notes.append(
+            f"{count_of(outside, 'point')} {'is' if outside == 1 else 'are'} outside the grid"
+        )
+    run.report(
+        f"{count_of(facts['points'], 'point')}, {facts['contained']:,} in set voxels", lambda: facts
+    )
+
+
+def answer(run: runner.Run, job: QueryJob, points: str) -> dict[str, Any]:
+    """Write the values at points, block by block; return the facts of the report."""
+    import numpy as np
+
+    from voxtool.files.points import read_points
+
+    query = run.job(job)
+    columns = [("contains", "?")] + [("coverage", "f8")] * (job.plan.level is not None)
+    contained = outside = 0
+    run.enter("query")
+    with run.table(columns) as answers:
+        for block in read_points(points):
+            after = f", after {answers.count} points" if answers.count else ""
+            with run.naming(f"{options.shown(points)}{after}"):
+                found = query(block)
+            contained += int(np.count_nonzero(found.contains))
+            outside += int(np.count_nonzero(found.outside))
+            values = [found.contains, found.coverage]
+            answers.write([part for part in values if part is not None])
+    return {"points": answers.count, "contained": contained, "outside": outside}

@@ -1,0 +1,266 @@
+"""Queries of an octree at points: whether they lie in a set voxel, and the coverage around them.
+
+The way from the root to a point's voxel is given by the bits of its coordinates ([voCCeL],
+algorithm 1). Of a merged octree the same way leads through distinct subtrees, which are not
+expanded.
+
+Points are rounded to voxels on the host, exactly (points.py); the device walks, for many points at
+once. Coverages are float64, of at most 49 digits, so exact.
+
+Kernels: kernels/svo/query.cl.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from voxtool.arrays import Data
+from voxtool.errors import MemoryLimitError, VoxtoolError, human
+from voxtool.job import Cost, Job
+from voxtool.memory import check_memory
+from voxtool.opencl import Array, Device, default_device, program
+from voxtool.spatial.distance import checked_points
+from voxtool.svo.drawn import drawn_bytes, linked_nodes
+from voxtool.svo.layout import BRICK_SIDE, INSIDE, LINK, VALID
+from voxtool.svo.links import EMPTY, FULL
+from voxtool.svo.merged import MergedOctree
+from voxtool.svo.octree import VOXEL, Octree, level_number
+from voxtool.svo.points import voxels_around
+
+SOURCE = "svo/query.cl"
+BLOCK = 1 << 18  # points on the device at once
+POINT_BYTES = 10  # of a point on the device: its voxel, and what is found
+COUNT_BYTES = 16  # of a brick, for coverages, on the host
+NODES = 2  # what the kernel adds to the place of a node: smaller numbers are EMPTY and FULL
+HEADERS = {"svo/query.h": program.c_constants(EMPTY=EMPTY, FULL=FULL, NODES=NODES)}
+
+
+@dataclass(frozen=True, eq=False)
+class OctreeAnswers(Data):
+    """The values of an octree at N points; for one point [x, y, z] without the leading axis.
+
+    Attributes
+    ----------
+    contains : (N,) bool
+        Whether the point lies in a set voxel. Voxels are half-open: a point on a plane between two
+        is in the upper one. Outside the grid False.
+    coverage : (N,) float64, or None
+        The share of set voxels in the node of the level around the point; 0 outside the grid.
+    outside : (N,) bool
+        Whether the point is outside the grid.
+    """
+
+    contains: np.ndarray
+    coverage: np.ndarray | None
+    outside: np.ndarray
+
+    def __post_init__(self) -> None:
+        """Leave the arrays writable: they are the caller's own."""
+
+    def __getitem__(self, index: Any) -> OctreeAnswers:
+        coverage = None if self.coverage is None else self.coverage[index]
+        return OctreeAnswers(self.contains[index], coverage, self.outside[index])
+
+
+class OctreeQuery:
+    """An octree on a device, for many queries.
+
+    Parameters
+    ----------
+    octree : Octree or MergedOctree
+        The octree; a merged one is not expanded.
+    level : int or "voxel", optional
+        The level of the nodes whose coverage is returned; by default none is.
+    device : Device, optional
+        Where to search; the default device if None.
+
+    Raises
+    ------
+    VoxtoolError
+        If there is no such level.
+    MemoryLimitError
+        If the octree does not fit on the device.
+
+    Examples
+    --------
+    >>> query = voxtool.OctreeQuery(octree)
+    >>> query([0.1, 0.2, 0.3]).contains
+    """
+
+    def __init__(
+        self,
+        octree: Octree | MergedOctree,
+        level: int | str | None = None,
+        device: Device | None = None,
+    ) -> None:
+        self.octree = octree
+        self.device = device or default_device()
+        self.finest = None if level is None else _finest(octree, level)
+        nbytes = drawn_bytes(octree)
+        self.tree = self.device.keep(
+            octree, "query", nbytes, lambda: _uploaded(octree, self.device)
+        )
+        self.coverages = np.empty(0)
+        if self.finest:
+            self.coverages = _coverages(octree, self.finest + VOXEL)
+
+    def __call__(self, points: Any) -> OctreeAnswers:
+        """Return the values of the octree at (N, 3) or (3,) points in world units; raise
+        VoxtoolError if their shape is wrong, or a coordinate is NaN."""
+        single = np.ndim(points) == 1
+        points = checked_points([points] if single else points)
+        if (nan := np.isnan(points).any(axis=1)).any():
+            raise VoxtoolError(f"point {np.argmax(nan)} (the first is 0) is NaN: leave it out")
+        contains, outside = np.zeros(len(points), bool), np.ones(len(points), bool)
+        coverage = None if self.finest is None else np.zeros(len(points))
+        for start in range(0, len(points), BLOCK):
+            stop = min(start + BLOCK, len(points))
+            within, voxels = voxels_around(self.octree.grid, points[start:stop])
+            places = start + np.flatnonzero(within)
+            outside[places] = False
+            contains[places] = self._found(voxels, 0) == FULL
+            if coverage is not None:
+                coverage[places] = self._coverage(voxels, contains[places])
+        answers = OctreeAnswers(contains, coverage, outside)
+        return answers[0] if single else answers
+
+    def _found(self, voxels: np.ndarray, finest: int) -> np.ndarray:
+        """Return what the kernel finds of nodes of size 2**finest around voxels, (n,) uint32."""
+        with self.device.stage("query"):
+            found = self.device.empty(len(voxels), np.uint32)
+            self.device.kernel(SOURCE, "find_nodes")(
+                len(voxels), voxels=self.device.put(voxels.astype(np.uint16)), found=found,
+                finest=finest, **self.tree,
+            )  # fmt: skip
+            return found.take()
+
+    def _coverage(self, voxels: np.ndarray, contains: np.ndarray) -> np.ndarray:
+        """Return the coverage of the nodes around voxels, (n,) float64."""
+        if not self.finest:
+            return contains.astype(np.float64)
+        found = self._found(voxels, self.finest)
+        coverage = (found == FULL).astype(np.float64)
+        nodes = found >= NODES
+        coverage[nodes] = self.coverages[found[nodes] - NODES]
+        return coverage
+
+
+def _finest(octree: Octree | MergedOctree, level: int | str) -> int:
+    """Return k of a level whose nodes, or voxels, have 2**k voxels along a side."""
+    return level_number(octree, level, octree.depth - 1) - VOXEL
+
+
+def _uploaded(octree: Octree | MergedOctree, device: Device) -> dict[str, Array | int]:
+    """Return the octree as arguments of kernels."""
+    with device.stage("upload"):
+        linked = linked_nodes(octree)
+        return {
+            "words": device.put(linked.children),
+            "firsts": device.put(np.array(linked.offsets, np.uint64)),
+            "bricks": device.view(linked.bricks),
+            "root": octree.depth + 1,
+        }
+
+
+def _coverages(octree: Octree | MergedOctree, level: int) -> np.ndarray:
+    """Return the share of set voxels of each node of a level, of a merged octree of each node in a
+    distinct subtree, (n,) float64."""
+    linked = linked_nodes(octree)
+    counts = np.bitwise_count(linked.bricks).astype(np.int64)
+    for number in range(1, level + 1):
+        d = octree.depth - 1 - number
+        words = linked.children[linked.offsets[d] : linked.offsets[d + 1]]
+        below, refined = counts.reshape(-1, 8).sum(axis=1), (words & VALID) != 0
+        counts = np.where(words & INSIDE, np.int64(BRICK_SIDE << number) ** 3, 0)
+        counts[refined] = below[(words[refined] & LINK) >> np.uint32(3)]
+    return counts / float((BRICK_SIDE << level) ** 3)
+
+
+@dataclass(frozen=True)
+class QueryPlan:
+    """The plan of queries at points."""
+
+    nbytes: int  # of the octree on the device
+    bricks: int
+    merged: bool
+    level: int | str | None  # of the nodes whose coverage is returned
+    block: int = BLOCK  # points on the device at once
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages, in order."""
+        return ["upload", "query"]
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """The parts that are not run, each with the reason."""
+        out = {} if self.level is not None else {"coverage": "no level is given"}
+        if self.merged:
+            out["nodes of equal subtrees"] = "points follow the links of distinct ones"
+        return out
+
+    @property
+    def cost(self) -> Cost:
+        """The predicted bytes."""
+        counted = self.level not in (None, "voxel")
+        return Cost(
+            self.nbytes + POINT_BYTES * self.block,
+            COUNT_BYTES * self.bricks * counted,
+            max(self.nbytes, POINT_BYTES * self.block),
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """The whole plan in JSON types."""
+        return {
+            **asdict(self),
+            "stages": self.stages,
+            "left_out": self.left_out,
+            "predicted_device_bytes": self.cost.device,
+            "predicted_host_bytes": self.cost.host,
+        }
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Names and texts that `--plan` prints before the stages."""
+        kind = "merged octree" if self.merged else "octree"
+        return [("octree", f"{kind}, {human(self.nbytes)} on the device")]
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Raise MemoryLimitError if the work needs more bytes."""
+        if shortage := self.cost.shortage(max_memory, max_allocation):
+            raise MemoryLimitError(
+                f"queries of the octree {shortage}: voxelize with a smaller dim, or with --dag"
+            )
+        check_memory(self.cost.host, "coverages", "choose level 'voxel', or a smaller octree")
+
+
+@dataclass(eq=False)
+class QueryJob(Job[OctreeQuery]):
+    """A planned OctreeQuery: the result of `run()`, for any number of points."""
+
+    octree: Octree | MergedOctree
+    plan: QueryPlan
+    device: Device
+    max_memory: int | None
+
+    def _run(self) -> OctreeQuery:
+        return OctreeQuery(self.octree, self.plan.level, self.device)
+
+
+def plan_query(
+    octree: Octree | MergedOctree,
+    *,
+    level: int | str | None = None,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> QueryJob:
+    """Return the job whose result, an OctreeQuery, answers at points; see voxtool.query_svo."""
+    if level is not None:
+        number = _finest(octree, level) + VOXEL
+        level = "voxel" if number == VOXEL else number
+    merged = isinstance(octree, MergedOctree)
+    bricks = 8 * octree.sizes[-2] if merged else len(octree.bricks)
+    plan = QueryPlan(drawn_bytes(octree), bricks, merged, level)
+    return QueryJob(octree, plan, device or default_device(), max_memory)
