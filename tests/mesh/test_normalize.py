@@ -12,6 +12,7 @@ import pytest
 from helpers_cli import fail, run, told
 
 import voxtool
+from voxtool import files
 from voxtool.errors import MeshError, VoxtoolError
 
 POINTS = [(3.0, -1.0, 10.0), (5.0, 3.0, 11.0), (4.0, 0.5, 10.25), (90.0, 90.0, 90.0)]
@@ -109,3 +110,32 @@ def test_exports_keep_the_transform(here: Path) -> None:
     assert [float.fromhex(v) for v in text["transform"]] == list(octree.transform)
     voxtool.export(octree, "box.vdb")
     assert " ".join(map(repr, octree.transform)).encode() in Path("box.vdb").read_bytes()
+
+
+def test_a_field_keeps_the_transform(here: Path) -> None:
+    told_of = told("adf-build bunny.obj --normalize sphere --max-level 4 -o ball.adf.h5 --json")
+    mesh = voxtool.normalize("bunny.obj", "sphere")
+    assert told_of["transform"] == list(mesh.transform)
+    field = files.read_adf("ball.adf.h5")
+    assert field.transform == mesh.transform
+    assert field.digest() == voxtool.build_adf(mesh, max_level=4).digest()
+    with h5py.File("ball.adf.h5") as stored:
+        assert stored.attrs["format_version"] == b"2.1"
+    assert "\nnormalized   original * " in run("adf-info ball.adf.h5").stdout
+    run("adf-build bunny.obj --max-level 4 -o plain.adf.h5")
+    with h5py.File("plain.adf.h5") as stored:
+        assert stored.attrs["format_version"] == b"2.0"
+        assert "transform" not in stored.attrs
+    with h5py.File("ball.adf.h5", "r+") as stored:
+        stored.attrs["transform"] = [-1.0, 0.0, 0.0, 0.0]
+    assert "a scale above 0 and three offsets" in fail("adf-info ball.adf.h5")
+
+
+def test_distances_of_a_normalized_mesh(here: Path) -> None:
+    cube = "--dim 16 --bbox 0 0 0 1 1 1"
+    facts = told(f"distance bunny.obj --normalize unit {cube} -o sdf.npy --json")
+    mesh = voxtool.normalize("bunny.obj")
+    assert facts["transform"] == list(mesh.transform)
+    assert facts["origin"] == [0, 0, 0]
+    expected = voxtool.distance_grid(mesh, voxtool.Grid.fit(mesh, 16, bbox=(0, 0, 0, 1, 1, 1)))
+    np.testing.assert_array_equal(np.load("sdf.npy"), expected)

@@ -280,4 +280,5 @@ class _Build:
             plan=plan.scene(),
             source_sha256=mesh.source_sha256,
             units=mesh.units,
+            transform=mesh.transform,
         )

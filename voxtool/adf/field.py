@@ -81,6 +81,9 @@ class DistanceField(Data):
         Hex digest of the bytes that the mesh was read from, or "".
     units : str
         Name of the world unit if known, or "".
+    transform : (4,) tuple of float
+        Scale and offset x, y, z of the normalized mesh that the field is of: world coordinates are
+        original * scale + offset; () of other meshes.
     """
 
     voxels: np.ndarray
@@ -99,6 +102,7 @@ class DistanceField(Data):
     plan: dict[str, Any] = field(default_factory=dict, compare=False)
     source_sha256: str = field(default="", compare=False)
     units: str = ""
+    transform: tuple[float, ...] = field(default=(), compare=False)
 
     def __repr__(self) -> str:
         return (
@@ -230,6 +234,7 @@ class DistanceField(Data):
             "origin": list(self.origin),
             "side": self.side,
             "units": self.units,
+            "transform": list(self.transform),
             "sign": self.sign,
             "tolerance": self.tolerance,
             "max_level": self.max_level,

@@ -53,11 +53,12 @@ if TYPE_CHECKING:
     option("--bounds/--no-bounds", bool, "Store a bound of each leaf's error, or not.", True,
         show_default=False),
     options.length_options(),
+    options.normalize_option("stored"),
 )  # fmt: skip
 @runner.job_options("FILE", "Default MESH's name with .adf.h5, in this folder.", "adf.h5")
 def command(
     run: runner.Run, mesh: str, tolerance: float | None, tolerance_world: float | None,
-    units: str | None, scale: float, **request: Any,
+    units: str | None, scale: float, normalize: str | None, **request: Any,
 ) -> None:  # fmt: skip
     """Build the adaptively sampled distance field of a triangle MESH.
 
@@ -78,13 +79,10 @@ def command(
     from voxtool.adf.build import plan_adf
     from voxtool.adf.survey import cube_of
     from voxtool.files import ADF_FORMATS, write_adf
-    from voxtool.files.mesh import load_mesh
 
     run.to(mesh, options.output_of(mesh, "adf.h5"), ADF_FORMATS)
     with run:
-        loaded = run.stage(
-            "read mesh", load_mesh, mesh, max_memory=run.max_memory, units=units, scale=scale
-        )
+        loaded = run.mesh(mesh, units, scale, normalize)
         if tolerance_world is not None:
             tolerance = tolerance_world / cube_of(loaded)[1]
         request["tolerance"] = DEFAULT_TOLERANCE if tolerance is None else tolerance
@@ -116,6 +114,7 @@ def facts_of(field: DistanceField) -> dict[str, Any]:
         "sign": field.sign,
         "origin": list(field.origin),
         "side": field.side,
+        "transform": list(field.transform),
         "blocks": n,
         "cells_by_level": field.cells_by_level(),
         "leaves_by_level": field.leaves_by_level(),

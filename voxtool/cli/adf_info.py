@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.cli.info import describe, info_options, on_disk, place, section, table
+from voxtool.cli.info import describe, info_options, normalized, on_disk, place, section, table
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -42,6 +42,7 @@ def text_of(info: dict[str, Any]) -> Iterator[str]:
     yield from table((
         ("origin", f"{place(info['origin'])}{unit}"),
         ("side", f"{side:.9g}{unit}"),
+        *normalized(*info["transform"]),
         ("sign", info["sign"]),
         ("tolerance", length(info["tolerance"])),
         ("band", length(info["band"])),

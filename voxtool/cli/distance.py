@@ -59,6 +59,7 @@ def arranged(words: Sequence[str], values: dict[str, Any]) -> tuple[Sequence[str
     option("--margin", click.IntRange(0), "Empty voxels on each side of the grid."),
     options.lattice_options,
     options.length_options(),
+    options.normalize_option("in the report"),
     flag("--float32", "Write a grid as float32 rather than float64."),
 )  # fmt: skip
 @runner.job_options(
@@ -68,8 +69,8 @@ def arranged(words: Sequence[str], values: dict[str, Any]) -> tuple[Sequence[str
 )  # fmt: skip
 def command(
     run: runner.Run, mesh: str, points: str | None, sign: str | None, fill: str,
-    like: str | None, units: str | None, scale: float, float32: bool, gradient: bool,
-    nearest: bool, face: bool, **placing: Any,
+    like: str | None, units: str | None, scale: float, normalize: str | None, float32: bool,
+    gradient: bool, nearest: bool, face: bool, **placing: Any,
 ) -> None:  # fmt: skip
     """Measure exact signed distances from POINTS, or from the voxel centres of a grid, to a MESH.
 
@@ -96,22 +97,19 @@ def command(
         if run.item:
             raise click.UsageError("--workers and --shard go with a grid: give --dim")
         points = options.points_of(points, "MESH", mesh, "name a file, pipe them in, or give --dim")
-    from voxtool.files.mesh import load_mesh
-
     if whole_grid:
         run.to(mesh, options.output_of(mesh, "sdf.npy"), ("npy",))
     else:
         run.to_table(points or "-")
     with run:
-        loaded = run.stage(
-            "read mesh", load_mesh, mesh, max_memory=run.max_memory, units=units, scale=scale
-        )
+        loaded = run.mesh(mesh, units, scale, normalize)
         if whole_grid:
             grid = options.grid_from(loaded, like, placing)
             facts = measure_grid(run, loaded, grid, fill, "float32" if float32 else "float64")
         else:
             facts = measure_points(run, loaded, points or "-", sign, asked)
     count, facts["units"] = facts["points"], loaded.units
+    facts["transform"] = list(loaded.transform)
     run.report(f"{count_of(count, 'distance')}, {facts['negative']:,} negative", lambda: facts)
 
 

@@ -65,6 +65,13 @@ def place(numbers: Iterable[float]) -> str:
     return " ".join(f"{number:.9g}" for number in numbers)
 
 
+def normalized(*transform: float) -> Iterator[tuple[str, str]]:
+    """Yield the line of the transform of a normalized mesh, if there is one."""
+    if transform:
+        scale, *offset = transform
+        yield "normalized", f"original * {scale:.9g} + ({place(offset)})"
+
+
 def section(title: str, pairs: Any) -> Iterator[str]:
     """Return the lines of a dict of names and values, if there are any."""
     if pairs and isinstance(pairs, dict):

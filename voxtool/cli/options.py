@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 
 import click
 
-from voxtool.choices import FITS, LENGTH_UNITS, MAX_DIM, MIN_DIM
+from voxtool.choices import FITS, LENGTH_UNITS, MAX_DIM, MIN_DIM, NORMALIZED
 from voxtool.errors import printable
 
 if TYPE_CHECKING:
@@ -252,6 +252,14 @@ def length_options(mesh: str = "the mesh") -> Decorator:
         option("--units", LENGTH_UNITS,
             f"What the numbers of {mesh} mean, once scaled.  [default: what the file says]"),
         option("--scale", float, f"Factor of the coordinates of {mesh}.", 1.0),
+    )  # fmt: skip
+
+
+def normalize_option(stored: str) -> Decorator:
+    """--normalize."""
+    return option("--normalize", NORMALIZED,
+        "Place the mesh first: unit: in the cube [0,1]^3, centred, its longest side 1; sphere: in "
+        f"the ball of radius 1 at 0, its bounding box centred.  The transform is {stored}."
     )  # fmt: skip
 
 

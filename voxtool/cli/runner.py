@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 
     from voxtool.files.answers import Answers
     from voxtool.job import Job
+    from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
 
     Result = TypeVar("Result")
@@ -204,6 +205,20 @@ class Run:
         result = work(*args, **more)
         self.enter(None)
         return result
+
+    def mesh(self, name: str, units: str | None, scale: float, normalize: str | None) -> Mesh:
+        """Read a mesh, and place it as --normalize asks."""
+        if normalize and (units or scale != 1):
+            raise click.UsageError(
+                "--normalize sets the scale and leaves no unit: drop --units and --scale"
+            )
+        from voxtool.files.mesh import load_mesh
+        from voxtool.mesh.normalize import normalize as placed
+
+        mesh = self.stage(
+            "read mesh", load_mesh, name, max_memory=self.max_memory, units=units, scale=scale
+        )
+        return self.stage("normalize", placed, mesh, normalize) if normalize else mesh
 
     @contextmanager
     def naming(self, name: str) -> Iterator[None]:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.cli.info import describe, info_options, on_disk, place, table
+from voxtool.cli.info import describe, info_options, normalized, on_disk, place, table
 from voxtool.cli.options import flag
 
 if TYPE_CHECKING:
@@ -45,13 +45,6 @@ def command(file: str, **asked: bool) -> None:
 
     with open_svo(file) as octree:
         describe(file, octree, text_of, **asked)
-
-
-def normalized(*transform: float) -> Iterator[tuple[str, str]]:
-    """Yield the line of the transform of a normalized mesh, if there is one."""
-    if transform:
-        scale, *offset = transform
-        yield "normalized", f"original * {scale:.9g} + ({place(offset)})"
 
 
 def merged(info: dict[str, Any]) -> Iterator[tuple[str, str]]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import DEFAULT_DIM, DEFAULT_MODE, FILLS, FITS, MODES, NORMALIZED
+from voxtool.choices import DEFAULT_DIM, DEFAULT_MODE, FILLS, FITS, MODES
 from voxtool.cli import options, runner
 from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import DIM, bbox_option, flag, option, together
@@ -57,9 +57,7 @@ if TYPE_CHECKING:
     flag("--doctype", "Of .svo.xml and .voccel.xml: name octree.dtd, which svo-info --dtd prints."),
     flag("--resume", "Go on with the windows that a killed run left in FILE.windows."),
     flag("--no-keep", "Leave no windows if the run is killed or fails."),
-    option("--normalize", NORMALIZED,
-        "Place the mesh first: unit: in the cube [0,1]^3, centred, its longest side 1; sphere: in "
-        "the ball of radius 1 at 0, its bounding box centred.  The transform is stored."),
+    options.normalize_option("stored"),
 )  # fmt: skip
 @runner.job_options(
     "FILE",
@@ -96,13 +94,7 @@ def command(
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
     if gap and (fill != "flood" or mode != "solid"):
         raise click.UsageError("--gap goes with --mode solid --fill flood")
-    if normalize and (units or scale != 1):
-        raise click.UsageError(
-            "--normalize sets the scale and leaves no unit: drop --units and --scale"
-        )
     from voxtool.files import SVO_FORMATS, export, write_svo
-    from voxtool.files.mesh import load_mesh
-    from voxtool.mesh.normalize import normalize as place
     from voxtool.svo.merged import MergedOctree
     from voxtool.svo.voxelize import plan_voxelize
 
@@ -117,11 +109,7 @@ def command(
     if doctype and "xml" not in str(run.file_format):
         raise click.UsageError("--doctype goes with .svo.xml and .voccel.xml: name one with -o")
     with run, ExitStack() as stack:
-        loaded = run.stage(
-            "read mesh", load_mesh, mesh, max_memory=run.max_memory, units=units, scale=scale
-        )
-        if normalize:
-            loaded = run.stage("normalize", place, loaded, normalize)
+        loaded = run.mesh(mesh, units, scale, normalize)
         grid = options.grid_from(loaded, like, placing)
         request = {"fill": fill, "gap": gap, "with_surface": with_surface}
         job = run.plan(plan_voxelize, loaded, grid, mode, **request)

@@ -30,6 +30,7 @@ from voxtool.files.schema import (
     Schema,
     Sizes,
     expect,
+    transform_since,
     without,
 )
 
@@ -113,6 +114,7 @@ VERSION_1 = Schema(
 SCHEMA = replace(
     VERSION_1,
     version="2.0",
+    own=(*OWN, transform_since("2.1")),
     datasets=(
         Dataset("voxels", "<f4", ("Z", "Y", "X"), pack=pack_blocks),
         replace(CELLS, pack=pack_cells),

@@ -90,10 +90,25 @@ FORMAT = Attribute("format", str, "`{}`", 64)
 FORMAT_VERSION = Attribute("format_version", str, "`{}`", 16)
 CREATOR = Attribute("creator", str, "program and version; no part of the content", 128)
 UNITS = Attribute("units", str, "name of the world unit, or empty", 64)
+SCALED = Rule(
+    lambda numbers: len(numbers) == 4 and all(map(math.isfinite, numbers)) and numbers[0] > 0,
+    "is {value}: a scale above 0 and three offsets are expected, all finite",
+)
 SOURCE = Attribute(
     "source_sha256", str, "SHA-256 of the source file in lower-case hex, or empty", 64, rule=SHA256
 )
 PLAN = Attribute("plan", dict, "what the plan said of the scene", JSON_LIMIT)
+
+
+def transform_since(version: str) -> Attribute:
+    """Return the attribute of the transform of a normalized mesh, which only files of this version
+    have."""
+    about = (
+        "of a normalized mesh, scale and offset x, y, z: world = original · scale + offset; files "
+        f"with it are `{version}`, others `{version[0]}.0`"
+    )
+    return Attribute("transform", float, about, 4, rule=SCALED, since=version)
+
 
 Sizes = Mapping[str, Any]  # the stored attributes, and the sides that earlier datasets have named
 Side = int | str | tuple[int, ...] | Callable[[Sizes], int]

@@ -5,10 +5,8 @@ The XML of svo_xml.py has the same attributes.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any, BinaryIO
 
 from voxtool.arrays import Slices
@@ -23,6 +21,7 @@ from voxtool.files.schema import (
     Rule,
     Schema,
     expect,
+    transform_since,
     without,
 )
 from voxtool.grid import Grid
@@ -40,15 +39,6 @@ FILL = (
     "rule that decided what is inside: `parity`, `nonzero`, `winding`, `flood`, `flood+gapN`; "
     "`none` for a surface, for other programs' voxels and for combinations; matches "
     "`[a-z][a-z0-9+-]*`"
-)
-
-SCALED = Rule(
-    lambda numbers: len(numbers) == 4 and all(map(math.isfinite, numbers)) and numbers[0] > 0,
-    "is {value}: a scale above 0 and three offsets are expected, all finite",
-)
-TRANSFORM = (
-    "of a normalized mesh, scale and offset x, y, z: world = original · scale + offset; "
-    "files with it are `1.1`, others `1.0`"
 )
 
 
@@ -72,7 +62,7 @@ OWN = (
     SOURCE,
     PLAN,
 )
-TRANSFORMED = Attribute("transform", float, TRANSFORM, 4, rule=SCALED, since="1.1")
+TRANSFORMED = transform_since("1.1")
 
 
 def _content_of(values: dict[str, Any]) -> dict[str, Any]:
@@ -100,7 +90,7 @@ MERGED = Schema(
     own=(
         *OWN,
         Attribute("root", int, "0 empty, 1 full, 2 refined", choices=(0, 1, 2)),
-        replace(TRANSFORMED, since="2.1"),
+        transform_since("2.1"),
     ),
     datasets=(
         Dataset("starts", "<u4", (lambda sizes: sizes["depth"],)),
