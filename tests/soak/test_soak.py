@@ -6,7 +6,11 @@ failure can be repeated.
 
 from __future__ import annotations
 
+import contextlib
+import json
+import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -170,6 +174,44 @@ def test_killed_windows_go_on_to_the_same_octree(rounds, models: Path, tmp_path:
         assert done.returncode == 0
         assert voxtool.read_svo(target).digest() == whole
         assert {path.name for path in tmp_path.iterdir()} == {target.name}
+
+
+def test_killed_batches_go_on_to_the_same_octrees(rounds, models: Path, tmp_path: Path) -> None:
+    """The command or one of its workers is killed: each output is whole or missing, and the same
+    command, given again, makes what is missing."""
+    meshes, out = [tmp_path / f"{number}.obj" for number in range(24)], tmp_path / "out"
+    for mesh in meshes:
+        mesh.symlink_to(models / "bunny.obj")
+    whole = voxtool.voxelize(models / "bunny.obj", dim=200).digest()
+    words = ["voxelize", *map(str, meshes), "--dim", "200", "--workers", "2", "-q", "-o", str(out)]
+    for rng in rounds:
+        shutil.rmtree(out, ignore_errors=True)
+        for _ in range(rng.randint(1, 4)):
+            child = subprocess.Popen([*MODULE, *words], env=ENVIRONMENT)
+            time.sleep(rng.uniform(0.2, 1.5))
+            workers = children_of(child.pid)
+            os.kill(rng.choice([child.pid, *workers]), signal.SIGKILL)
+            child.wait()
+            for octree in out.glob("*.svo.h5"):
+                assert voxtool.read_svo(octree).digest() == whole
+        done = subprocess.run([*MODULE, *words], env=ENVIRONMENT, check=False)
+        assert done.returncode == 0
+        names = {f"{mesh.stem}.svo.h5" for mesh in meshes}
+        assert {path.name for path in out.iterdir()} == {*names, "manifest.jsonl"}
+        lines = list(map(json.loads, (out / "manifest.jsonl").read_text().splitlines()))
+        assert {line["output"] for line in lines} == {str(out / name) for name in names}
+        assert all(line.get("digest") == whole for line in lines)
+
+
+def children_of(process: int) -> list[int]:
+    """Return the processes that a process has started and that run a worker."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            parent = int((folder / "stat").read_text().rsplit(")", 1)[1].split()[1])
+            if parent == process and b"--as-worker" in (folder / "cmdline").read_bytes():
+                found.append(int(folder.name))
+    return found
 
 
 def test_many_calls_keep_their_memory(rounds, models: Path) -> None:
