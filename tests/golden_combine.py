@@ -40,6 +40,9 @@ def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
         ]
         for operation in OPERATIONS:
             yield f"{operation} {dim}", voxtool.combine(octrees, operation, device=device).digest()
+        for mode in ("surface26", "surface6"):
+            surface = voxtool.voxelize(mesh, grid, mode, device=device)
+            yield f"thin {mode} {dim}", voxtool.thin(surface).digest()
         found = voxtool.compare(*octrees[:2], device=device)
         yield f"both {dim}", found.both.digest()
         yield f"only second {dim}", found.second.set_digest()

@@ -26,7 +26,9 @@ from voxtool.api.morphology import plan_fill_cavities as plan_fill_cavities
 from voxtool.api.morphology import plan_keep_components as plan_keep_components
 from voxtool.api.morphology import plan_morph as plan_morph
 from voxtool.api.morphology import plan_resample as plan_resample
+from voxtool.api.morphology import plan_thin as plan_thin
 from voxtool.api.morphology import resample as resample
+from voxtool.api.morphology import thin as thin
 from voxtool.api.octree_points import plan_query_svo as plan_query_svo
 from voxtool.api.octree_points import query_svo as query_svo
 from voxtool.api.octrees import MeshLike as MeshLike
@@ -113,6 +115,7 @@ from voxtool.svo.query import QueryJob as QueryJob
 from voxtool.svo.resample import ResampleJob as ResampleJob
 from voxtool.svo.surface.extract import ExtractJob as ExtractJob
 from voxtool.svo.surface.isosurface import Isosurface as Isosurface
+from voxtool.svo.thin import ThinJob as ThinJob
 from voxtool.svo.voxelize import VoxelizeJob as VoxelizeJob
 from voxtool.tets.mesh import UnstructuredMesh as UnstructuredMesh
 from voxtool.tets.textures import VolumeJob as VolumeJob

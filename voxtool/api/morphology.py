@@ -14,11 +14,13 @@ from voxtool.opencl import Device
 from voxtool.svo import components as parts
 from voxtool.svo import labels, morphology
 from voxtool.svo import resample as resampling
+from voxtool.svo import thin as thinning
 from voxtool.svo.components import ComponentsJob
 from voxtool.svo.labels import LabelJob, Labels
 from voxtool.svo.morphology import MorphJob
 from voxtool.svo.octree import Octree
 from voxtool.svo.resample import DEFAULT_THRESHOLD, ResampleJob
+from voxtool.svo.thin import ThinJob
 
 
 def plan_morph(
@@ -217,6 +219,49 @@ def plan_fill_cavities(octree: Octree | Path, *, max_memory: int | None = None) 
 
 
 fill_cavities = one_call(plan_fill_cavities, "fill_cavities", Octree)
+
+
+def plan_thin(octree: Octree | Path, *, max_memory: int | None = None) -> ThinJob:
+    """Remove the voxels of a surface that it does not need to separate what it separates.
+
+    The result is N-minimal, with N = 26 for mode "surface26" and 6 for "surface6": an N-path joins
+    the same unset voxels as before, and without any further voxel it would join more.
+
+    Parameters
+    ----------
+    octree
+        an Octree of mode "surface26" or "surface6", or a path.
+    max_memory
+        bytes that may be used; by default what the machine has. The work is done on the host.
+
+    Returns
+    -------
+    Octree
+        of the same mode, on the same grid; plan_thin returns the job, whose `run` returns it. All
+        beyond the grid is unset. A surface with holes larger than a voxel separates nothing, so
+        nothing is left of it.
+
+    Raises
+    ------
+    VoxtoolError
+        the octree is no surface.
+    MemoryLimitError
+        it would not fit.
+
+    Warns
+    -----
+    MeshWarning
+        most voxels went.
+
+    Examples
+    --------
+    >>> surface = voxtool.voxelize(mesh, dim=256, mode="surface6")
+    >>> minimal = voxtool.thin(surface)
+    """
+    return thinning.plan_thin(opened(octree, read_svo), max_memory=max_memory)
+
+
+thin = one_call(plan_thin, "thin", Octree)
 
 
 def plan_resample(

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from voxtool.svo.morphology import MorphJob
     from voxtool.svo.octree import Octree
     from voxtool.svo.resample import ResampleJob
+    from voxtool.svo.thin import ThinJob
 
 EXTENSION = "svo.h5"
 PLACING = ("dim", "pitch", "bbox")  # options of a grid
@@ -53,6 +54,7 @@ SHOWN = 20  # components in a report as text
         "Of components: connected across faces, or also across edges and corners.  "
         f"[default: {NEIGHBOURS[0]}]"),
     flag("--fill-cavities", "Set what the outside does not reach across faces."),
+    flag("--thin", "Of a surface: remove the voxels that it does not need to separate."),
     flag("--resample", "Resample to another grid, of --dim, --pitch, --bbox or --like."),
     option("--threshold", float,
         "With --resample: the share of a voxel that is covered, at least, if it is set.  [default: "
@@ -74,7 +76,7 @@ SHOWN = 20  # components in a report as text
     *OCTREE_FORMATS, *EXPORTS,
 )  # fmt: skip
 def command(run: runner.Run, octree: str, **request: Any) -> None:
-    """Dilate, erode, open, close, hollow or resample an OCTREE exactly, or keep its components.
+    """Dilate, erode, open, close, hollow, thin or resample an OCTREE, or keep its components.
 
     OCTREE is a file that voxelize wrote, or - for stdin. One operation a call. R is in voxels, from
     centre to centre, and need not be whole. What lies beyond the grid is unset.
@@ -110,12 +112,12 @@ def check_request(request: dict[str, Any]) -> None:
     """Refuse a request of no operation, of several, or with options of another one."""
     by_radius = [f"--{name}" for name in MORPHOLOGY if request[name] is not None]
     by_size = ["--keep", "--min-size"] if request["keep"] or request["min_size"] else []
-    others = [name for name in ("components", "fill_cavities", "resample") if request[name]]
+    others = [name for name in ("components", "fill_cavities", "thin", "resample") if request[name]]
     if len(by_radius) + bool(by_size) + len(others) != 1:
         every = ", ".join(f"--{name}" for name in MORPHOLOGY)
         raise click.UsageError(
             f"what is to be done? Give one of {every}, --keep or --min-size, --components, "
-            "--fill-cavities, --resample"
+            "--fill-cavities, --thin, --resample"
         )
     if not by_radius and (request["world"] or request["shape"]):
         raise click.UsageError("--world and --shape go with a radius, as of --close")
@@ -176,12 +178,13 @@ def lines_of(found: Labels) -> Iterator[str]:
 
 def planned(
     run: runner.Run, octree: Octree, request: dict[str, Any]
-) -> MorphJob | ComponentsJob | ResampleJob:
+) -> MorphJob | ComponentsJob | ResampleJob | ThinJob:
     """Return the planned job of a request."""
     from voxtool.files.imports import read_grid
     from voxtool.svo.components import plan_fill_cavities, plan_keep_components
     from voxtool.svo.morphology import plan_morph
     from voxtool.svo.resample import DEFAULT_THRESHOLD, plan_resample
+    from voxtool.svo.thin import plan_thin
 
     if request["resample"]:
         grid = read_grid(request["like"]) if request["like"] else None
@@ -195,6 +198,8 @@ def planned(
                 plan_morph, octree, operation, radius, world=request["world"], shape=shape
             )
     run.on_device = False
+    if request["thin"]:
+        return run.plan(plan_thin, octree)
     if request["fill_cavities"]:
         return run.plan(plan_fill_cavities, octree)
     return run.plan(
@@ -204,11 +209,12 @@ def planned(
 
 
 def facts_of(
-    job: MorphJob | ComponentsJob | ResampleJob, source: Octree, result: Octree
+    job: MorphJob | ComponentsJob | ResampleJob | ThinJob, source: Octree, result: Octree
 ) -> dict[str, Any]:
     """Return the facts of the report, in JSON types."""
     from voxtool.svo.morphology import MorphJob
     from voxtool.svo.resample import ResampleJob
+    from voxtool.svo.thin import ThinJob
 
     if isinstance(job, MorphJob):
         names = ("operation", "radius", "world", "shape", "grid", "low")
@@ -216,6 +222,8 @@ def facts_of(
     elif isinstance(job, ResampleJob):
         names = ("operation", "shape", "origin", "pitch", "threshold", "exact")
         found = {name: job.describe()[name] for name in names}
+    elif isinstance(job, ThinJob):
+        found = {name: job.describe()[name] for name in ("operation", "neighbours")}
     else:
         found: dict[str, Any] = {"operation": job.plan.operation}
         if len(job.sizes):

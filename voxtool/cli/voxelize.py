@@ -54,6 +54,8 @@ if TYPE_CHECKING:
         "content; never: refuse.", "auto"),
     flag("--dag", "Store equal subtrees once (SVO 2.0): a tenth of the bytes, for large octrees. "
         "All commands read it."),
+    flag("--thin", "Of a surface: leave out the voxels that it does not need to separate "
+        "(N-minimal).  A surface with holes larger than a voxel separates nothing."),
     flag("--doctype", "Of .svo.xml and .voccel.xml: name octree.dtd, which svo-info --dtd prints."),
     flag("--resume", "Go on with the windows that a killed run left in FILE.windows."),
     flag("--no-keep", "Leave no windows if the run is killed or fails."),
@@ -68,7 +70,7 @@ if TYPE_CHECKING:
 def command(
     run: runner.Run, mesh: str, mode: str, fill: str, gap: int, with_surface: bool,
     like: str | None, normalize: str | None, units: str | None, scale: float, windows: str,
-    dag: bool, doctype: bool, resume: bool, no_keep: bool, dask: str | None = None,
+    dag: bool, thin: bool, doctype: bool, resume: bool, no_keep: bool, dask: str | None = None,
     workers: int | None = None, **placing: Any,
 ) -> None:  # fmt: skip
     """Voxelize a triangle MESH directly into a sparse voxel octree.
@@ -92,10 +94,13 @@ def command(
     options.check_placing(like, placing)
     if with_surface and mode != "solid":
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
+    if thin and "surface" not in mode:
+        raise click.UsageError("--thin goes with --mode surface26 and surface6")
     if gap and (fill != "flood" or mode != "solid"):
         raise click.UsageError("--gap goes with --mode solid --fill flood")
     from voxtool.files import SVO_FORMATS, export, write_svo
     from voxtool.svo.merged import MergedOctree
+    from voxtool.svo.thin import plan_thin
     from voxtool.svo.voxelize import plan_voxelize
 
     run.to(mesh, options.output_of(mesh, run.file_format or "svo.h5"), (*SVO_FORMATS, *EXPORTS))
@@ -103,6 +108,8 @@ def command(
         raise click.UsageError("--dask writes .svo.h5: name one with -o, and use voxtool export")
     if dag and (dask or run.file_format not in MERGED_FORMATS):
         raise click.UsageError("--dag writes .svo.h5, from one process: drop --dask")
+    if thin and (dask or resume):
+        raise click.UsageError("--thin takes a surface in one piece: drop --dask and --resume")
     if dag and resume:
         raise click.UsageError("--resume takes windows from the disk, and those of --dag stay in "
                                "memory: drop one of the two")  # fmt: skip
@@ -121,7 +128,7 @@ def command(
 
             client = stack.enter_context(connected(dask, workers))
             parts = run.stage("plan windows", SpreadJob, job, client, run.device_name)
-        elif windows != "never" and run.file_format == "svo.h5" and not fits(job, dag):
+        elif windows != "never" and not thin and run.file_format == "svo.h5" and not fits(job, dag):
             parts = run.stage("plan windows", windows_of, job, dag)
         if parts and dag:
             octree = run.job(parts, **placed)
@@ -129,7 +136,10 @@ def command(
         elif parts:
             octree = make_in_windows(run, parts, resume, not no_keep, **placed)
         else:
-            octree = run.job(job, ("merge subtrees",) * dag, **placed)
+            placed |= {"thin": True} if thin else {}
+            octree = run.job(job, ("thin",) * thin + ("merge subtrees",) * dag, **placed)
+            if thin:
+                octree = run.job(run.stage("thin", plan_thin, octree), ("merge subtrees",) * dag)
             if dag:
                 octree = run.stage("merge subtrees", MergedOctree.of, octree)
             if run.file_format in EXPORTS:

@@ -6,6 +6,8 @@ from itertools import product
 from math import nextafter
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from voxtool.choices import MAX_DIM
 from voxtool.grid import Grid
 from voxtool.selftest.case import case
@@ -14,6 +16,7 @@ from voxtool.svo.labels import plan_components
 from voxtool.svo.morphology import plan_morph
 from voxtool.svo.octree import Octree
 from voxtool.svo.resample import plan_resample
+from voxtool.svo.thin import plan_thin
 
 if TYPE_CHECKING:
     from voxtool.opencl import Device
@@ -63,4 +66,23 @@ def shares_of_an_eighth(device: Device, full: bool) -> int:
     return differing(found, expected) + none.count + abs(parts - len(cells))
 
 
-CASES = (balls_far_apart, shares_of_an_eighth)
+@case("thin", "walls of boxes at dim 65536, 3 and 1 thick", "voxels wrong", 0)
+def walls_in_a_corner(device: Device, full: bool) -> int:
+    """Of 3 layers of a wall that 26-separates the middle one stays; a layer that 6-separates
+    loses its edges."""
+    side = 40 if full else 10
+    grid = Grid((MAX_DIM, MAX_DIM, MAX_DIM), (0, 0, 0), (1, 1, 1))
+    depths = {c: [min(n, side - 1 - n) for n in c] for c in product(range(side), repeat=3)}
+    wrong = 0
+    for mode, thickness, layer, most in (("surface26", 3, 1, 3), ("surface6", 1, 0, 1)):
+        walls = [cell for cell, depth in depths.items() if min(depth) < thickness]
+        left = [c for c in walls if min(depths[c]) == layer and depths[c].count(layer) <= most]
+        given, expected = (
+            Octree.from_voxels(np.array(cells) + MAX_DIM - side, grid, mode=mode)
+            for cells in (walls, left)
+        )
+        wrong += differing(plan_thin(given).run(), expected)
+    return wrong
+
+
+CASES = (balls_far_apart, shares_of_an_eighth, walls_in_a_corner)
