@@ -94,6 +94,52 @@ def test_a_file_by_hand_is_read(text: str) -> None:
     assert np.array_equal(octree.to_dense(), expected())
 
 
+def by_listing(active: np.ndarray, masks: np.ndarray) -> str:
+    """Return the document of an octree of dim 64, built from the ascending Morton codes of its
+    active nodes of 8 voxels a side as [voCCeL, listing A.2] does, and the words of their bricks."""
+    above = np.unique(active >> 3)  # the active nodes of 16 voxels a side
+    level1 = np.zeros((8 * len(above), 2), np.int64)
+    level1[:, 0] = VALID + np.repeat(above, 8)
+    owners = 8 * np.searchsorted(above, active >> 3) + active % 8
+    level1[owners, 1] = VALID + 8 * np.arange(len(active))
+    level0 = np.stack([np.repeat(owners, 8), 2 * np.arange(8 * len(active))], axis=1) + VALID
+    level2 = np.zeros((64, 2), np.int64)
+    level2[:, 0] = VALID + np.arange(64) // 8
+    level2[above, 1] = VALID + 8 * np.arange(len(above))
+    level3 = np.stack([np.full(8, VALID), VALID + 8 * np.arange(8)], axis=1)
+    levels = [np.array([[0, VALID]]), level3, level2, level1, level0]
+    row = '<node parent="%d" child="%d"/>'
+    text = "".join(
+        "<level>" + "".join(row % tuple(node) for node in nodes.tolist()) + "</level>"
+        for nodes in levels
+    )
+    size = sum(map(len, levels))
+    return (
+        f'<octree dim="64" size="{size}" depth="5"><offset>0 1 9 73 {73 + len(level1)}</offset>'
+        f'<levels>{text}</levels><subgrid size="{masks.size}">'
+        + "".join(f"<bitmask>{mask}</bitmask>" for mask in masks.tolist())
+        + "</subgrid></octree>"
+    )
+
+
+def test_an_octree_by_listing_a2_is_read() -> None:
+    """Voxel by voxel: x in the lowest bits of codes, and of the two words of a brick the low one
+    first."""
+    random = np.random.default_rng(7)
+    active = np.sort(random.choice(512, 90, replace=False))
+    masks = random.integers(0, 1 << 32, 16 * len(active))
+    octree = read(by_listing(active, masks))
+    expected = np.zeros((64, 64, 64), bool)
+    for i, code in enumerate(active.tolist()):
+        for j in range(512):  # voxels of a node in Morton order
+            if masks[16 * i + j // 32] >> j % 32 & 1:
+                bits = code << 9 | j
+                x, y, z = (sum((bits >> 3 * b + a & 1) << b for b in range(6)) for a in range(3))
+                expected[x, y, z] = True
+    assert np.array_equal(octree.to_dense(), expected)
+    assert np.array_equal(read(write(octree)).nodes, octree.nodes)
+
+
 def test_what_is_written_is_the_file_by_hand() -> None:
     octree = read(by_hand())
     lines = [line.strip().replace(" />", "/>") for line in by_hand().splitlines()]
@@ -137,8 +183,12 @@ def test_commands(here: Path) -> None:
     one, two, three = map(files.read_svo, ("a.svo.h5", "b.svo.h5", "c.svo.h5"))
     assert one.digest() == two.digest()
     assert (three.mode, three.grid.pitch, three.count) == ("solid", (1.0,) * 3, one.count)
-    assert run("svo-info --dtd").stdout == svo_xml.DTD.read_text()
-    etree.DTD(io.StringIO(run("svo-info --dtd").stdout))
+    run("svo-dag --expand a.svo.h5 -o d.voccel.xml")
+    assert Path("d.voccel.xml").read_bytes() == write(one)
+    Path("octree.dtd").write_text(run("svo-info --dtd").stdout)
+    parser = etree.XMLParser(dtd_validation=True, load_dtd=True)
+    root = etree.parse("a.voccel.xml", parser).getroot()
+    assert root.attrib == {"dim": "16", "size": str(len(one.nodes)), "depth": "3"}
 
 
 @pytest.mark.parametrize(

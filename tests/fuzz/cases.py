@@ -93,7 +93,7 @@ INPUTS = (*(f"a.{format}" for format in FORMATS), *ODD, "empty", "missing", "mis
 OUTPUTS = (
     *split("out.svo.h5 out.svo.xml out.xml.gz out.adf.h5 out.tet.h5 out.obj out.ply out.stl"),
     *split("out.glb out.off out.npy out.npz out.vti out.png out.csv out a.obj missing/out.obj"),
-    *split("out.nii out.nii.gz out.nrrd out.binvox out.xyz"),
+    *split("out.nii out.nii.gz out.nrrd out.binvox out.xyz out.voccel.xml"),
     *ODD, "/dev/full", "new\nline.svo.h5", os.fsdecode(b"\xff.svo.h5"), "x" * 300 + ".obj",
 )  # fmt: skip
 TEXTS = (
