@@ -72,7 +72,9 @@ def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterat
             octree = voxtool.voxelize(mesh, grid, fill=fill, gap=gap, device=device)
             yield f"{octree.fill} {dim}", octree.digest()
         if dim == POINTS_DIM:
-            answers = voxtool.query_svo(octree, points_of(mesh), level=0, device=device)
+            answers = voxtool.query_svo(
+                octree, points_of(mesh), level=0, nearest=True, device=device
+            )
             yield f"points {dim}", golden_of(answers)
         if dim in MORPHS:
             solid = voxtool.voxelize(mesh, grid, fill="parity", device=device)
@@ -89,8 +91,8 @@ def points_of(mesh: voxtool.Mesh) -> np.ndarray:
 
 def golden_of(answers: voxtool.OctreeAnswers) -> str:
     """The SHA-256 of answers at points."""
-    assert answers.coverage is not None
-    table = np.stack([answers.contains, answers.outside, answers.coverage], axis=1)
+    parts = (answers.contains, answers.outside, answers.coverage, answers.nearest, answers.distance)
+    table = np.column_stack([part for part in parts if part is not None])
     return hashlib.sha256(table.astype("<f8").tobytes()).hexdigest()
 
 

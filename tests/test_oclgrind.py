@@ -591,13 +591,17 @@ def combine_octrees(device) -> None:
 
 
 def query_octrees(device) -> None:
-    """Voxels, bricks and nodes of level 1 at every voxel of an octree, and beside its grid."""
+    """Voxels and nodes of level 1 at all voxels of an octree, and beside its grid; nearest ones."""
     dense = np.random.default_rng(4).random((13, 10, 9)) < 0.3
     octree = octree_from_dense(dense)
     places = np.stack(np.indices((14, 11, 10)), axis=-1)
-    found = OctreeQuery(octree, 1, device)(octree.grid.to_world(places.reshape(-1, 3) + 0.5))
+    points = octree.grid.to_world(places.reshape(-1, 3) + 0.5)
+    found = OctreeQuery(octree, 1, device)(points)
     expected = np.pad(dense, [(0, 1)] * 3)
     assert np.array_equal(found.contains.reshape(expected.shape), expected)
+    few = OctreeQuery(octree, device=device, nearest=True)(points[::31])
+    assert few.distance is not None
+    assert np.array_equal(few.distance < 0.05, expected.ravel()[::31])
 
 
 def render_octrees(device) -> None:

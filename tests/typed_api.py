@@ -22,6 +22,10 @@ def octrees(device: voxtool.Device) -> voxtool.Octree:
     voxtool.write_mesh(surface, digest, normals=surface.normals)
     voxtool.write_svo(octree, "bunny.svo.h5", clobber=False)
     voxtool.export(octree, "slice.png", axis="z", value=3)
+    answers: voxtool.OctreeAnswers = voxtool.query_svo(octree, [0, 0, 0], level=0, nearest=True)
+    answers = voxtool.OctreeQuery(octree)(answers.nearest)
+    inside: np.ndarray = octree.contains([[0, 0, 0]])
+    assert inside.shape == answers.contains.shape
     return voxtool.read_svo("bunny.svo.h5")
 
 

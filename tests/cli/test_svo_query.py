@@ -47,6 +47,19 @@ def test_answers_are_the_librarys(octree: str, here: Path) -> None:
     assert np.array_equal(table[:, 1], expected.coverage)
 
 
+def test_nearest_voxels(here: Path) -> None:
+    expected = voxtool.query_svo(OCTREE, POINTS, nearest=True)
+    run("svo-query small.svo.h5 points.npy --nearest -o answers.csv")
+    lines = Path("answers.csv").read_text().splitlines()
+    assert lines[0] == "contains,voxel_x,voxel_y,voxel_z,distance"
+    table = np.array([line.split(",") for line in lines[1:]], float)
+    assert expected.nearest is not None
+    assert np.array_equal(table[:, 1:4], expected.nearest)
+    assert np.array_equal(table[:, 4], expected.distance)
+    centres = OCTREE.grid.to_world(expected.nearest + 0.5)
+    np.testing.assert_allclose(np.linalg.norm(POINTS - centres, axis=1), expected.distance)
+
+
 def test_pipes_json_and_plans(here: Path) -> None:
     expected = OCTREE.contains(POINTS)
     text = run("svo-query ball.svo.h5", Path("points.csv").read_bytes()).stdout
@@ -55,7 +68,7 @@ def test_pipes_json_and_plans(here: Path) -> None:
     assert (said["points"], said["contained"]) == (300, np.count_nonzero(expected))
     plan = json.loads(run("svo-query small.svo.h5 points.npy --plan --json").stdout)
     assert plan["stages"] == ["upload", "query"]
-    assert set(plan["left_out"]) == {"coverage", "nodes of equal subtrees"}
+    assert set(plan["left_out"]) == {"coverage", "nearest voxels", "nodes of equal subtrees"}
 
 
 @pytest.mark.parametrize(
@@ -64,11 +77,16 @@ def test_pipes_json_and_plans(here: Path) -> None:
         ("svo-query ball.svo.h5 none.npy", "none.npy: there is no such file"),
         ("svo-query ball.svo.h5 points.npy --level 7", "ball.svo.h5: level 7: choose 'voxel' or"),
         ("svo-query ball.svo.h5 points.npy --max-memory 10", "queries of the octree would need"),
+        (
+            "svo-query ball.svo.h5 far.csv --nearest",
+            "far.csv: point 0 (the first is 0) is 1,",
+        ),
         ("svo-query points.csv points.npy", "points.csv"),
         ("svo-query ball.svo.h5 nan.csv", "nan.csv: point 1 (the first is 0) is NaN"),
     ],
 )
 def test_failures(command: str, message: str, here: Path) -> None:
+    Path("far.csv").write_text("0,0,1e9\n")
     Path("nan.csv").write_text("0,0,0\n1,nan,2\n")
     assert fail(command).startswith(message)
 

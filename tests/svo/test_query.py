@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -11,7 +12,7 @@ from helpers_merged import OCTREES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from voxtool.errors import MemoryLimitError, VoxtoolError
+from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
 from voxtool.grid import Grid
 from voxtool.opencl import Device
 from voxtool.svo.collect import Collector
@@ -104,6 +105,50 @@ def test_the_largest_dim(device: Device) -> None:
     assert found.contains.tolist() == [True, False, True, False]
     assert found.coverage is not None
     assert found.coverage.tolist() == [(32768**3 + 1) / 65536**3] * 4
+
+
+def nearest_by_all(octree: Octree, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The nearest set voxels and their distances, by comparing all."""
+    voxels, grid = octree.occupied(), octree.grid
+    longest, found, distances = max(grid.pitch), [], []
+    for place in (points - np.array(grid.origin)) / np.array(grid.pitch):
+        x, y, z = (np.abs(voxels + 0.5 - place) * (np.array(grid.pitch) / longest)).T
+        squares = x * x + y * y + z * z
+        found.append(voxels[np.argmin(squares)])
+        distances.append(np.sqrt(squares.min()) * longest)
+    return np.array(found), np.array(distances)
+
+
+@pytest.mark.parametrize("name", [n for n in OCTREES if n != "empty"])
+@pytest.mark.parametrize("pitch", [(1, 1, 1), (0.3, 1, 7)])
+def test_nearest_voxels_are_those_of_comparing_all(name: str, pitch, device: Device) -> None:
+    """Among the points are centres, corners and planes of voxels, with many equal distances."""
+    octree = OCTREES[name]()
+    octree = replace(octree, grid=Grid(octree.grid.shape, (0.5, -3, 7), pitch))
+    places = np.random.default_rng(8).random((60, 3)) * (np.array(octree.grid.shape) * 3) - 20
+    places[::3] = np.rint(places[::3])
+    places[1::6] = np.rint(places[1::6]) + 0.5
+    points = octree.grid.to_world(places)
+    voxels, distances = nearest_by_all(octree, points)
+    for each in (octree, octree.pruned(), MergedOctree.of(octree)):
+        found = OctreeQuery(each, device=device, nearest=True)(points)
+        np.testing.assert_array_equal(found.nearest, voxels)
+        np.testing.assert_array_equal(found.distance, distances)
+
+
+def test_nearest_of_an_empty_octree_and_far_points(device: Device) -> None:
+    found = OctreeQuery(OCTREES["empty"](), device=device, nearest=True)([(0, 0, 0)])
+    assert found.nearest is not None
+    assert found.distance is not None
+    assert (found.nearest.tolist(), found.distance.tolist()) == ([[-1, -1, -1]], [math.inf])
+    octree = OCTREES["one voxel"]()
+    query = OctreeQuery(octree, device=device, nearest=True)
+    for far in (math.inf, 1e300, -2e5):
+        with pytest.raises(VoxtoolError, match=r"point 1 .* is 1,048,576 voxels or more away"):
+            query([(0, 0, 0), (0, far, 0)])
+    long = replace(octree, grid=Grid(octree.grid.shape, (0, 0, 0), (1, 1, 1e7)))
+    with pytest.raises(GridError, match="times as long as wide"):
+        plan_query(long, nearest=True, device=device)
 
 
 def test_one_point_and_none(device: Device) -> None:

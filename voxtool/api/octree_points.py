@@ -18,6 +18,7 @@ def plan_query_svo(
     octree: Octree | MergedOctree | Path,
     *,
     level: int | str | None = None,
+    nearest: bool = False,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> QueryJob:
@@ -29,6 +30,8 @@ def plan_query_svo(
         The octree; a merged one is not expanded.
     level : int or "voxel", optional
         The level of the nodes whose coverage is returned, 0 for bricks; by default none is.
+    nearest : bool
+        Whether the nearest set voxels are returned.
     device, max_memory
         As in voxelize.
 
@@ -41,9 +44,15 @@ def plan_query_svo(
     ------
     VoxtoolError
         If there is no such level.
+    GridError
+        If nearest voxels are requested of voxels 2^20 times as long as wide.
+    DeviceError
+        If nearest voxels are requested and the device has no double precision.
     """
     found = opened(octree, lambda path: read_drawn(path, OCTREE))
-    return query.plan_query(found, level=level, device=device, max_memory=max_memory)
+    return query.plan_query(
+        found, level=level, nearest=nearest, device=device, max_memory=max_memory
+    )  # fmt: skip
 
 
 def query_svo(
@@ -51,6 +60,7 @@ def query_svo(
     points: Any,
     *,
     level: int | str | None = None,
+    nearest: bool = False,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> OctreeAnswers:
@@ -60,9 +70,12 @@ def query_svo(
     half-open: a point on a plane is in the voxel above it, and one on the upper side of the grid is
     outside.
 
+    The nearest voxel is that with the nearest centre; of equal distances, as rounded, that of the
+    least x, then y, then z.
+
     Parameters
     ----------
-    octree, level, device, max_memory
+    octree, level, nearest, device, max_memory
         As in plan_query_svo.
     points : (N, 3) or (3,) array_like
         World units; (3,) is one point.
@@ -70,12 +83,15 @@ def query_svo(
     Returns
     -------
     OctreeAnswers
-        With `contains` and, if a level is given, `coverage`.
+        With `contains`; if a level is given, `coverage`; if requested, `nearest` and `distance`.
 
     Raises
     ------
     VoxtoolError
-        If there is no such level, points have a wrong shape, or a coordinate is NaN.
+        If there is no such level, points have a wrong shape, or a coordinate is NaN; or a point
+        whose nearest voxel is requested is 2^20 voxels away from the grid.
+    GridError, DeviceError
+        As in plan_query_svo.
     MemoryLimitError
         If the octree does not fit on the device.
 
@@ -88,5 +104,5 @@ def query_svo(
     >>> voxtool.query_svo("bunny.svo.h5", [[0, 0, 0], [0.1, 0, 0]]).contains
     >>> voxtool.query_svo(octree, points, level=0).coverage
     """
-    job = plan_query_svo(octree, level=level, device=device, max_memory=max_memory)
+    job = plan_query_svo(octree, level=level, nearest=nearest, device=device, max_memory=max_memory)
     return job.run()(points)

@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli import options, runner
-from voxtool.cli.options import LEVEL, option
+from voxtool.cli.options import LEVEL, flag, option
 from voxtool.errors import count_of
 
 if TYPE_CHECKING:
     from voxtool.svo.query import QueryJob
+
+NEAREST = [("voxel_x", "i8"), ("voxel_y", "i8"), ("voxel_z", "i8"), ("distance", "f8")]
 
 
 @click.command("svo-query")
@@ -20,18 +22,21 @@ if TYPE_CHECKING:
 @option("--level", LEVEL,
     "Write the coverage, too: the share of set voxels in the node of level N around each point; 0 "
     "are bricks of 4 x 4 x 4 voxels.")  # fmt: skip
+@flag("--nearest", "Write the nearest set voxel, too: voxel_x, _y, _z, and its centre's distance.")
 @runner.job_options(
     "FILE", "Default POINTS's name with .voxels.npy or --format, in this folder; stdout, as CSV, "
     "for stdin.",
     "npy", "csv",
 )  # fmt: skip
-def command(run: runner.Run, octree: str, points: str | None, level: int | str | None) -> None:
+def command(
+    run: runner.Run, octree: str, points: str | None, level: int | str | None, nearest: bool
+) -> None:
     """Tell which POINTS lie in set voxels of an OCTREE: 1 if so, otherwise 0.
 
     OCTREE is .svo.h5 or .svo.xml; POINTS is a .npy, .npz, .csv, .xyz or .ply file, in world units.
     Each can be - for stdin, which is the default of POINTS. A point on a plane between voxels is in
-    the upper one; outside the grid nothing is set. The columns are contains and, with --level,
-    coverage.
+    the upper one; outside the grid nothing is set. The columns are contains; with --level
+    coverage; with --nearest voxel_x, voxel_y, voxel_z, distance: -1 and inf if no voxel is set.
 
     \b
     Examples:
@@ -47,7 +52,7 @@ def command(run: runner.Run, octree: str, points: str | None, level: int | str |
     with run:
         source = run.stage("read octree", read_drawn, octree, OCTREE)
         with run.naming(octree):
-            job = run.plan(plan_query, source, level=level)
+            job = run.plan(plan_query, source, level=level, nearest=nearest)
         facts = answer(run, job, points)
     outside = facts["outside"]
     if outside:
@@ -67,6 +72,7 @@ def answer(run: runner.Run, job: QueryJob, points: str) -> dict[str, Any]:
 
     query = run.job(job)
     columns = [("contains", "?")] + [("coverage", "f8")] * (job.plan.level is not None)
+    columns += NEAREST if job.plan.nearest else []
     contained = outside = 0
     run.enter("query")
     with run.table(columns) as answers:
@@ -76,6 +82,6 @@ def answer(run: runner.Run, job: QueryJob, points: str) -> dict[str, Any]:
                 found = query(block)
             contained += int(np.count_nonzero(found.contains))
             outside += int(np.count_nonzero(found.outside))
-            values = [found.contains, found.coverage]
+            values = [found.contains, found.coverage, found.nearest, found.distance]
             answers.write([part for part in values if part is not None])
     return {"points": answers.count, "contained": contained, "outside": outside}

@@ -36,6 +36,7 @@ HOMES = {
     "svo/fill/winding.h": "voxtool.svo.fill.winding",
     "svo/morphology.h": "voxtool.svo.morphology",
     "svo/octree.h": "voxtool.svo.layout",
+    "svo/nearest.h": "voxtool.svo.query",
     "svo/query.h": "voxtool.svo.query",
     "svo/raycast.h": "voxtool.svo.raycast",
     "svo/resample.h": "voxtool.svo.resample",

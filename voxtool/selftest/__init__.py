@@ -35,6 +35,7 @@ CASES: tuple[Case, ...] = (
     booleans.operations,
     merging.subtrees,
     points.points,
+    points.nearest,
     *morphology.CASES,
     repairs.soup,
     *fields.CASES,

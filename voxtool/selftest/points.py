@@ -1,4 +1,4 @@
-"""Queries of octrees at points, beside planes between voxels."""
+"""Queries of octrees at points, and beside planes between voxels."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from voxtool.grid import Grid
 from voxtool.selftest.case import case
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree
@@ -18,6 +19,24 @@ if TYPE_CHECKING:
 
 BOARD = 64  # voxels along a side of the checkerboard
 ORIGIN, PITCH = (1e5 / 3, -1e-3, 0.1), (0.1, 1e-7 / 3, 3.0)
+
+
+@case("nearest set voxels", "points around random voxels, in an octree and merged, against all of "
+      "them", "points wrong", 0)  # fmt: skip
+def nearest(device: Device, full: bool) -> int:
+    rng = np.random.default_rng(2)
+    grid = Grid((BOARD, BOARD, BOARD), (0, 0, 0), (1, 1, 1))
+    voxels = np.unique(rng.integers(0, BOARD, (400, 3)), axis=0)
+    octree = Octree.from_voxels(voxels, grid)
+    # on a lattice of half voxels squares are exact, and many are equal
+    places = rng.integers(-BOARD, 4 * BOARD, (4000 if full else 300, 3)) / 2
+    squares = ((places[:, None] - voxels - 0.5) ** 2).sum(axis=2)
+    expected = voxels[squares.argmin(axis=1)]
+    wrong = 0
+    for each in (octree, MergedOctree.of(octree)):
+        found = OctreeQuery(each, device=device, nearest=True)(places)
+        wrong += int(np.count_nonzero((found.nearest != expected).any(axis=1)))
+    return wrong
 
 
 @case("points in voxels", "points beside the planes of a checkerboard, in an octree and merged, "

@@ -1,4 +1,5 @@
-"""Queries of an octree at points: whether they lie in a set voxel, and the coverage around them.
+"""Queries of an octree at points: whether they lie in a set voxel, the coverage around them, and
+the nearest set voxel.
 
 The way from the root to a point's voxel is given by the bits of its coordinates ([voCCeL],
 algorithm 1). Of a merged octree the same way leads through distinct subtrees, which are not
@@ -7,7 +8,11 @@ expanded.
 Points are rounded to voxels on the host, exactly (points.py); the device walks, for many points at
 once. Coverages are float64, of at most 49 digits, so exact.
 
-Kernels: kernels/svo/query.cl.
+Nearest voxels are found by branch and bound, among nodes whose box of centres is not further than
+the best so far. Of points in voxels, rounded to float64, distances are rounded in one fixed way; of
+equal ones the voxel of the least x, then y, then z is found.
+
+Kernels: kernels/svo/query.cl, kernels/svo/nearest.cl.
 """
 
 from __future__ import annotations
@@ -18,7 +23,8 @@ from typing import Any
 import numpy as np
 
 from voxtool.arrays import Data
-from voxtool.errors import MemoryLimitError, VoxtoolError, human
+from voxtool.choices import MAX_DIM
+from voxtool.errors import GridError, MemoryLimitError, VoxtoolError, human
 from voxtool.job import Cost, Job
 from voxtool.memory import check_memory
 from voxtool.opencl import Array, Device, default_device, program
@@ -28,14 +34,21 @@ from voxtool.svo.layout import BRICK_SIDE, INSIDE, LINK, VALID
 from voxtool.svo.links import EMPTY, FULL
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import VOXEL, Octree, level_number
-from voxtool.svo.points import voxels_around
+from voxtool.svo.points import in_voxels, voxels_around
 
-SOURCE = "svo/query.cl"
+SOURCE, NEAREST = "svo/query.cl", "svo/nearest.cl"
 BLOCK = 1 << 18  # points on the device at once
 POINT_BYTES = 10  # of a point on the device: its voxel, and what is found
+NEAREST_BYTES = 40  # and for its nearest voxel
+STACK = 7 * MAX_DIM.bit_length() + 1  # nodes that wait in a search
+FAR = 1 << 20  # voxels from the grid; further away rounding makes many distances equal
+STRETCH = 1 << 20  # times that a voxel may be longer than wide; no square underflows
 COUNT_BYTES = 16  # of a brick, for coverages, on the host
 NODES = 2  # what the kernel adds to the place of a node: smaller numbers are EMPTY and FULL
-HEADERS = {"svo/query.h": program.c_constants(EMPTY=EMPTY, FULL=FULL, NODES=NODES)}
+HEADERS = {
+    "svo/query.h": program.c_constants(EMPTY=EMPTY, FULL=FULL, NODES=NODES),
+    "svo/nearest.h": program.c_constants(STACK=STACK),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,20 +62,27 @@ class OctreeAnswers(Data):
         is in the upper one. Outside the grid False.
     coverage : (N,) float64, or None
         The share of set voxels in the node of the level around the point; 0 outside the grid.
+    nearest : (N, 3) int64, or None
+        The set voxel x, y, z whose centre is nearest; -1 if no voxel is set.
+    distance : (N,) float64, or None
+        The distance from that centre, world units; infinite if no voxel is set.
     outside : (N,) bool
         Whether the point is outside the grid.
     """
 
     contains: np.ndarray
     coverage: np.ndarray | None
+    nearest: np.ndarray | None
+    distance: np.ndarray | None
     outside: np.ndarray
 
     def __post_init__(self) -> None:
         """Leave the arrays writable: they are the caller's own."""
 
     def __getitem__(self, index: Any) -> OctreeAnswers:
-        coverage = None if self.coverage is None else self.coverage[index]
-        return OctreeAnswers(self.contains[index], coverage, self.outside[index])
+        more = (self.coverage, self.nearest, self.distance)
+        coverage, nearest, distance = (None if part is None else part[index] for part in more)
+        return OctreeAnswers(self.contains[index], coverage, nearest, distance, self.outside[index])
 
 
 class OctreeQuery:
@@ -74,6 +94,8 @@ class OctreeQuery:
         The octree; a merged one is not expanded.
     level : int or "voxel", optional
         The level of the nodes whose coverage is returned; by default none is.
+    nearest : bool
+        Whether the nearest set voxels are returned.
     device : Device, optional
         Where to search; the default device if None.
 
@@ -81,6 +103,10 @@ class OctreeQuery:
     ------
     VoxtoolError
         If there is no such level.
+    GridError
+        If nearest voxels are requested of voxels 2^20 times as long as wide.
+    DeviceError
+        If nearest voxels are requested and the device has no double precision.
     MemoryLimitError
         If the octree does not fit on the device.
 
@@ -95,9 +121,13 @@ class OctreeQuery:
         octree: Octree | MergedOctree,
         level: int | str | None = None,
         device: Device | None = None,
+        *,
+        nearest: bool = False,
     ) -> None:
-        self.octree = octree
+        self.octree, self.nearest = octree, nearest
         self.device = device or default_device()
+        if nearest:
+            _check_nearest(octree, self.device)
         self.finest = None if level is None else _finest(octree, level)
         nbytes = drawn_bytes(octree)
         self.tree = self.device.keep(
@@ -108,14 +138,23 @@ class OctreeQuery:
             self.coverages = _coverages(octree, self.finest + VOXEL)
 
     def __call__(self, points: Any) -> OctreeAnswers:
-        """Return the values of the octree at (N, 3) or (3,) points in world units; raise
-        VoxtoolError if their shape is wrong, or a coordinate is NaN."""
+        """Return the values of the octree at (N, 3) or (3,) points in world units.
+
+        Raises
+        ------
+        VoxtoolError
+            If their shape is wrong, or a coordinate is NaN; with nearest voxels also if a point is
+            2^20 voxels away from the grid.
+        """
         single = np.ndim(points) == 1
         points = checked_points([points] if single else points)
         if (nan := np.isnan(points).any(axis=1)).any():
             raise VoxtoolError(f"point {np.argmax(nan)} (the first is 0) is NaN: leave it out")
         contains, outside = np.zeros(len(points), bool), np.ones(len(points), bool)
         coverage = None if self.finest is None else np.zeros(len(points))
+        nearest, distance = None, None
+        if self.nearest:
+            nearest, distance = np.empty((len(points), 3), np.int64), np.empty(len(points))
         for start in range(0, len(points), BLOCK):
             stop = min(start + BLOCK, len(points))
             within, voxels = voxels_around(self.octree.grid, points[start:stop])
@@ -124,7 +163,10 @@ class OctreeQuery:
             contains[places] = self._found(voxels, 0) == FULL
             if coverage is not None:
                 coverage[places] = self._coverage(voxels, contains[places])
-        answers = OctreeAnswers(contains, coverage, outside)
+            if nearest is not None and distance is not None:
+                part = self._nearest(points[start:stop], start)
+                nearest[start:stop], distance[start:stop] = part
+        answers = OctreeAnswers(contains, coverage, nearest, distance, outside)
         return answers[0] if single else answers
 
     def _found(self, voxels: np.ndarray, finest: int) -> np.ndarray:
@@ -146,6 +188,41 @@ class OctreeQuery:
         nodes = found >= NODES
         coverage[nodes] = self.coverages[found[nodes] - NODES]
         return coverage
+
+    def _nearest(self, points: np.ndarray, start: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the nearest set voxels of points, the first of which has a number, (n, 3) int64,
+        and their distances."""
+        grid, device = self.octree.grid, self.device
+        places = in_voxels(grid, points)
+        near = np.all((places >= -FAR) & (places <= np.array(grid.shape) + FAR), axis=1)
+        if not near.all():
+            raise VoxtoolError(
+                f"point {start + np.argmin(near)} (the first is 0) is {FAR:,} voxels or more away "
+                "from the grid: leave it out, or ask for no nearest voxels"
+            )
+        longest = max(grid.pitch)
+        with device.stage("nearest"):
+            keys = device.empty(len(points), np.uint64)
+            squares = device.empty(len(points), np.float64)
+            device.kernel(NEAREST, "nearest_voxels")(
+                len(points), points=device.put(places), keys=keys, squares=squares,
+                pitch=device.put(np.array(grid.pitch) / longest), **self.tree,
+            )  # fmt: skip
+            found, distances = keys.take(), np.sqrt(squares.take()) * longest
+        voxels = np.stack([found >> np.uint64(bits) for bits in (32, 16, 0)], axis=1)
+        voxels = (voxels & np.uint64(0xFFFF)).astype(np.int64)
+        voxels[np.isinf(distances)] = -1
+        return voxels, distances
+
+
+def _check_nearest(octree: Octree | MergedOctree, device: Device) -> None:
+    """Raise GridError or DeviceError if nearest voxels cannot be found."""
+    device.require_float64("nearest voxels")
+    pitch = octree.grid.pitch
+    if max(pitch) > STRETCH * min(pitch):
+        raise GridError(
+            f"voxels are more than {STRETCH:,} times as long as wide: ask for no nearest voxels"
+        )
 
 
 def _finest(octree: Octree | MergedOctree, level: int | str) -> int:
@@ -187,17 +264,20 @@ class QueryPlan:
     bricks: int
     merged: bool
     level: int | str | None  # of the nodes whose coverage is returned
+    nearest: bool  # whether nearest voxels are returned
     block: int = BLOCK  # points on the device at once
 
     @property
     def stages(self) -> list[str]:
         """The stages, in order."""
-        return ["upload", "query"]
+        return ["upload", "query", *["nearest"] * self.nearest]
 
     @property
     def left_out(self) -> dict[str, str]:
         """The parts that are not run, each with the reason."""
         out = {} if self.level is not None else {"coverage": "no level is given"}
+        if not self.nearest:
+            out["nearest voxels"] = "not requested"
         if self.merged:
             out["nodes of equal subtrees"] = "points follow the links of distinct ones"
         return out
@@ -206,11 +286,8 @@ class QueryPlan:
     def cost(self) -> Cost:
         """The predicted bytes."""
         counted = self.level not in (None, "voxel")
-        return Cost(
-            self.nbytes + POINT_BYTES * self.block,
-            COUNT_BYTES * self.bricks * counted,
-            max(self.nbytes, POINT_BYTES * self.block),
-        )
+        points = (POINT_BYTES + NEAREST_BYTES * self.nearest) * self.block
+        return Cost(self.nbytes + points, COUNT_BYTES * self.bricks * counted, self.nbytes + points)
 
     def as_dict(self) -> dict[str, Any]:
         """The whole plan in JSON types."""
@@ -246,13 +323,15 @@ class QueryJob(Job[OctreeQuery]):
     max_memory: int | None
 
     def _run(self) -> OctreeQuery:
-        return OctreeQuery(self.octree, self.plan.level, self.device)
+        plan = self.plan
+        return OctreeQuery(self.octree, plan.level, self.device, nearest=plan.nearest)
 
 
 def plan_query(
     octree: Octree | MergedOctree,
     *,
     level: int | str | None = None,
+    nearest: bool = False,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> QueryJob:
@@ -260,7 +339,10 @@ def plan_query(
     if level is not None:
         number = _finest(octree, level) + VOXEL
         level = "voxel" if number == VOXEL else number
+    device = device or default_device()
+    if nearest:
+        _check_nearest(octree, device)
     merged = isinstance(octree, MergedOctree)
     bricks = 8 * octree.sizes[-2] if merged else len(octree.bricks)
-    plan = QueryPlan(drawn_bytes(octree), bricks, merged, level)
-    return QueryJob(octree, plan, device or default_device(), max_memory)
+    plan = QueryPlan(drawn_bytes(octree), bricks, merged, level, nearest)
+    return QueryJob(octree, plan, device, max_memory)
