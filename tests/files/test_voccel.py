@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_cli import fail, run
+from helpers_cli import fail, run, told
 from helpers_files import assert_same, check_damaged, memory_below, refusal
 from helpers_octree import ball, octree_from_dense
 from lxml import etree
@@ -185,6 +185,8 @@ def test_commands(here: Path) -> None:
     assert (three.mode, three.grid.pitch, three.count) == ("solid", (1.0,) * 3, one.count)
     run("svo-dag --expand a.svo.h5 -o d.voccel.xml")
     assert Path("d.voccel.xml").read_bytes() == write(one)
+    assert told("svo-info --dtd --json") == {"dtd": svo_xml.DTD.read_text()}
+    assert "Missing argument 'FILE'" in fail("svo-info", 2)
     Path("octree.dtd").write_text(run("svo-info --dtd").stdout)
     parser = etree.XMLParser(dtd_validation=True, load_dtd=True)
     root = etree.parse("a.voccel.xml", parser).getroot()

@@ -143,7 +143,8 @@ def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (found["operation"], found["neighbours"]) == ("thin", 6)
     plan = told("morph a.svo.h5 --thin --plan --json")
     assert (plan["voxels"], plan["stages"][1]) == (found["voxels_before"], "thin")
-    assert told(f"{flags} --thin --plan --json")["thin"] is True
+    assert told(f"{flags} --thin --plan --json")["stages"][-1] == "thin"
+    assert "read back, thin, merge subtrees\n" in run(f"{flags} --thin --dag --plan").stdout
     assert "--thin goes with --mode surface26" in fail("voxelize ball.obj --thin", 2)
     assert "drop --dask and --resume" in fail(f"{flags} --thin --resume", 2)
     run(f"{flags} --thin --dag -o d.svo.h5")

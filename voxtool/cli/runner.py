@@ -254,7 +254,7 @@ class Run:
         facts : what --plan --json prints beside the plan.
         """
         if self.only_plan:
-            self.print_plan(job, facts)
+            self.print_plan(job, facts, tuple(after))
         self.progress.stages = [*self._times, *job.stages, *after, WRITE]
         with self._turn, options.holding_warnings() as found:
             began = time.perf_counter()
@@ -274,9 +274,15 @@ class Run:
         """The lock of the device that many meshes share."""
         return self.item.lock if self.item else nullcontext()
 
-    def print_plan(self, job: Job[Any], facts: Mapping[str, Any]) -> NoReturn:
-        """Print the plan and the predicted memory of a job; end the command."""
+    def print_plan(
+        self, job: Job[Any], facts: Mapping[str, Any], after: tuple[str, ...]
+    ) -> NoReturn:
+        """Print the plan and the predicted memory of a job, and the stages after it; end the
+        command."""
         self.progress.erase()
+        stages = [*job.stages, *after]
+        if after:
+            facts = {**facts, "stages": stages}
         if self.item:
             self.item.facts |= {"plan": {**job.describe(), **facts}, "cost": vars(job.cost)}
         elif self.as_json:
@@ -287,7 +293,7 @@ class Run:
             predicted = [f"{human(size)} on {where}" for where, size in needs.items() if size]
             rows = [
                 *job.plan.rows(),
-                ("stages", ", ".join(job.stages)),
+                ("stages", ", ".join(stages)),
                 *(("left out", f"{what}: {why}") for what, why in job.left_out.items()),
                 ("predicted", ", ".join(predicted)),
             ]

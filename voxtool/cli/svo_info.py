@@ -7,28 +7,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.cli.info import describe, info_options, normalized, on_disk, place, table
-from voxtool.cli.options import flag
+from voxtool.cli.options import flag, print_json
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
-def print_dtd(context: click.Context, _: click.Parameter, asked: bool) -> None:
-    """Print the DTD and end the command, if that is asked for."""
-    if asked:
-        from voxtool.files.svo_xml import DTD
-
-        click.echo(DTD.read_text(encoding="ascii"), nl=False)
-        context.exit()
-
-
 @click.command("svo-info")
-@click.argument("file")
+@click.argument("file", required=False)
 @info_options
 @flag("--set-digest", "Print the SHA-256 of the set of voxels, however it was made.")
-@click.option("--dtd", is_flag=True, is_eager=True, expose_value=False, callback=print_dtd,
-    help="Print the DTD of the XML, octree.dtd, and that alone; no FILE is needed.")  # fmt: skip
-def command(file: str, **asked: bool) -> None:
+@flag("--dtd", "Print the DTD of the XML, octree.dtd, and that alone; no FILE is needed.")
+def command(file: str | None, *, dtd: bool, **asked: bool) -> None:
     """Describe an octree FILE (.svo.h5, .svo.xml, .voccel.xml, or - for stdin).
 
     Lengths and volumes are in the mesh's own units. The digest covers the content, not the
@@ -40,11 +30,28 @@ def command(file: str, **asked: bool) -> None:
     Examples:
       voxtool svo-info bunny.svo.h5 --check
       voxtool voxelize bunny.obj -o - | voxtool svo-info - --digest
+      voxtool svo-info --dtd
     """
+    if dtd:
+        print_dtd(asked["as_json"])
+        return
+    if file is None:
+        raise click.UsageError("Missing argument 'FILE'")
     from voxtool.files import open_svo
 
     with open_svo(file) as octree:
         describe(file, octree, text_of, **asked)
+
+
+def print_dtd(as_json: bool) -> None:
+    """Print the DTD, with --json as a text in an object."""
+    from voxtool.files.svo_xml import DTD
+
+    text = DTD.read_text(encoding="ascii")
+    if as_json:
+        print_json({"dtd": text})
+    else:
+        click.echo(text, nl=False)
 
 
 def merged(info: dict[str, Any]) -> Iterator[tuple[str, str]]:

@@ -136,7 +136,6 @@ def command(
         elif parts:
             octree = make_in_windows(run, parts, resume, not no_keep, **placed)
         else:
-            placed |= {"thin": True} if thin else {}
             octree = run.job(job, ("thin",) * thin + ("merge subtrees",) * dag, **placed)
             if thin:
                 octree = run.job(run.stage("thin", plan_thin, octree), ("merge subtrees",) * dag)
