@@ -39,8 +39,9 @@ def subtrees(device: Device, full: bool) -> int:
         (combine([whole, corners], "difference", device=device), [1, *[8] * below]),
         (Octree.from_dense(np.indices((BOARD,) * 3).sum(axis=0) % 2), [1, 1, 1, 1, 1]),
     ]
-    part = subtrees_of(Octree.from_dense(np.indices((BOARD // 2,) * 3).sum(axis=0) % 2))
-    wrong = sum(abs(len(rows) - 1) for rows in join([part] * 8).rows)
+    board = Octree.from_dense(np.indices((BOARD // 2,) * 3).sum(axis=0) % 2)
+    joined = join([subtrees_of(board) for _ in range(8)])
+    wrong = sum(abs(len(rows) - 1) for rows in joined.rows)
     for octree, sizes in expected:
         merged = MergedOctree.of(octree)
         merged.validate()
