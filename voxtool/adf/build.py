@@ -32,6 +32,7 @@ from voxtool.adf.plan import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
 from voxtool.adf.survey import Survey, cube_of
 from voxtool.job import Job
 from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.once import once
 from voxtool.mesh.topology import check_topology
 from voxtool.opencl import Device, default_device
 from voxtool.opencl.builder import Request
@@ -154,7 +155,7 @@ class FieldJob(Job["DistanceField"]):
             return ""
         wrong = []
         if default_sign(mesh) != "pseudonormal":
-            wrong.append(f"is {check_topology(mesh).summary()}")
+            wrong.append(f"is {once(check_topology)(mesh).summary()}")
         if plan.crossed:
             wrong.append(f"intersects itself in {plan.crossed:,} faces")
         if plan.undecided:

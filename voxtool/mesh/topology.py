@@ -15,6 +15,7 @@ import numpy as np
 from voxtool.errors import count_of
 from voxtool.mesh.collinear import collinear
 from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.once import once
 from voxtool.vector import cross, dot
 
 
@@ -212,6 +213,7 @@ def repeated_faces(topology: Topology) -> np.ndarray:
     return repeated
 
 
+@once
 def twins_of(mesh: Mesh) -> np.ndarray | None:
     """Return equal numbers for faces on the same three positions, (F,) int64; None if there are no
     two such faces."""
@@ -256,6 +258,7 @@ def merged_faces(mesh: Mesh, *, parity: bool = False) -> np.ndarray | None:
     return np.flatnonzero(rank < np.where(even & parity, 2, 1))
 
 
+@once
 def net_faces(mesh: Mesh) -> np.ndarray | None:
     """Return the faces that winding numbers count, (n,) int64, ascending; None for all of them.
 

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.errors import MeshError
+from voxtool.mesh.once import once
 from voxtool.mesh.topology import merged_faces
 from voxtool.opencl import Array, Device, program
 from voxtool.opencl.primitives import radix_sort
@@ -126,6 +127,7 @@ def tree_bytes(faces: int) -> int:
     return leaves * LEAF * (8 * FIELDS + 8) + (leaves * 8 // 7 + 8 * ARITY) * 24
 
 
+@once
 def distinct_faces(mesh: Mesh) -> np.ndarray | None:
     """Return the faces of which no earlier one has the same three corners in local coordinates,
     (n,) int64, rising; None for all. Distances to the others are the same."""

@@ -15,6 +15,7 @@ import numpy as np
 from voxtool.choices import SIGNS
 from voxtool.errors import VoxtoolError
 from voxtool.mesh.collinear import collinear
+from voxtool.mesh.once import once
 from voxtool.mesh.topology import watertight
 from voxtool.opencl import Device, default_device
 from voxtool.opencl.builder import Request
@@ -67,6 +68,7 @@ class DistanceResult(NamedTuple):
     face: Any = None
 
 
+@once
 def default_sign(mesh: Mesh) -> str:
     """Return the sign that suits a mesh: "pseudonormal" if it is watertight and every face has an
     area, otherwise "winding"."""

@@ -16,10 +16,9 @@ the active nodes gives the brick directly. [voCCeL] links x-neighbours; here, ro
 
 from __future__ import annotations
 
-import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +27,7 @@ from voxtool.errors import GridError, VoxtoolError, count_of
 from voxtool.grid import Grid
 from voxtool.job import Job, one_call
 from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.once import once
 from voxtool.mesh.topology import (
     check_topology,
     merged_faces,
@@ -106,28 +106,17 @@ def plan_voxelize(
 voxelize = one_call(plan_voxelize, "voxelize", Octree)
 
 
-Found = TypeVar("Found")
-_found: dict[tuple[int, str], Any] = {}
-
-
-def _once(check: Callable[..., Found], mesh: Mesh, *more: Any) -> Found:
-    """Return check(mesh, *more), computed once and kept as long as the mesh."""
-    key = id(mesh), check.__name__
-    if key not in _found:
-        _found[key] = check(mesh, *more)
-        weakref.finalize(mesh, _found.pop, key, None)
-    return _found[key]
-
-
+@once
 def _boundary(mesh: Mesh) -> Boundary:
     """Return the boundary of the faces that winding numbers count."""
-    return find_boundary(mesh, _once(net_faces, mesh))
+    return find_boundary(mesh, net_faces(mesh))
 
 
+@once
 def _choice(mesh: Mesh, device: Device) -> Choice | None:
     """Return the rule that "auto" takes for a mesh that is not watertight; None if it is
     consistent."""
-    boundary = _once(_boundary, mesh)
+    boundary = _boundary(mesh)
     if consistent(mesh, boundary, device):
         return None
     with device.stage(COMPARISON), device.reporting(lambda _: None):  # not the stages within
@@ -170,14 +159,14 @@ class VoxelizeJob(Job[Octree]):
     @property
     def watertight(self) -> bool:
         """True if every edge has exactly two faces, which traverse it in opposite directions."""
-        return _once(watertight, self._given, self.device)
+        return once(watertight)(self._given, self.device)
 
     def choose(self) -> tuple[str, int]:
         """Return the fill rule of "auto" and its gap; the mesh becomes the one that it fills."""
         self.chosen = True
         if self.watertight:
             return "parity", 0
-        self.choice = _once(_choice, self.mesh, self.device)
+        self.choice = _choice(self.mesh, self.device)
         if not self.choice:
             return "winding", 0
         self.mesh = self.choice.oriented or self.mesh
@@ -186,7 +175,7 @@ class VoxelizeJob(Job[Octree]):
     def place(self, mode: str, fill: str, gap: int) -> None:
         """Upload the mesh, survey it and make the plan."""
         with self.device.stage("survey"):
-            some = _once(net_faces, self.mesh) if fill in ("nonzero", "winding") else None
+            some = net_faces(self.mesh) if fill in ("nonzero", "winding") else None
             survey = self._place(some, fill)
             if some is None and sum(survey.areas) > LARGE * survey.triangles:
                 some = merged_faces(self.mesh, parity=fill == "parity")
@@ -220,7 +209,7 @@ class VoxelizeJob(Job[Octree]):
     def _place(self, some: np.ndarray | None, fill: str) -> Survey:
         """Upload the mesh, or only `some` of its faces, and survey it: on the window, or on the
         whole grid to flood it."""
-        boundary = _once(_boundary, self.mesh) if fill == "winding" else None
+        boundary = _boundary(self.mesh) if fill == "winding" else None
         window = None if fill == "flood" else self._window
         self.lattice = place_mesh(self.mesh, self._whole, window, some, boundary, self.device)
         return self.lattice.survey()
@@ -336,7 +325,7 @@ class VoxelizeJob(Job[Octree]):
         rule = self.choice.fill if self.choice else "winding"
         if not self.chosen or self.watertight or not octree.fill.startswith(rule):
             return []
-        summary = f"{self._name} is {_once(check_topology, self._given).summary()}"
+        summary = f"{self._name} is {once(check_topology)(self._given).summary()}"
         if self.choice:
             return [f"{summary}; {self.choice.why}"]
         holes = f"{count_of(self.plan.holes, 'hole')}, " if self.plan.holes else ""
@@ -350,7 +339,7 @@ class VoxelizeJob(Job[Octree]):
             "they pass a gap",
         }.get(octree.fill)
         if leak and not self.watertight:
-            found = _once(check_topology, self.mesh)
+            found = once(check_topology)(self.mesh)
             if octree.fill == "nonzero" or not found.even:
                 yield f"{self._name} is {found.summary()}; {leak}"
         if self._crowded:
