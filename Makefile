@@ -16,7 +16,9 @@ WHEELS ?=
 EXTRAS ?= all
 PIP_INSTALL := .venv/bin/python -m pip install --quiet --disable-pip-version-check \
     $(if $(WHEELS),--no-index --find-links $(WHEELS))
-PYTEST := .venv/bin/python -m pytest -n auto --maxprocesses 4 --dist worksteal
+# A test that takes ten minutes ends its process with a traceback and fails by name.
+PYTEST := .venv/bin/python -m pytest -n auto --maxprocesses 4 --dist worksteal \
+	-o faulthandler_timeout=600 -o faulthandler_exit_on_timeout=true
 SECONDS ?= 3600
 SEED ?=
 ARGS ?=
