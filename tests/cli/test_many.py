@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import tarfile
 from pathlib import Path
 from typing import Any
 
@@ -187,3 +188,83 @@ def test_a_manifest_that_was_cut_off(tmp_path: Path) -> None:
     again.add({"output": "two", "n": 4})
     again.finish(["two", "one"])
     assert [json.loads(line)["n"] for line in path.read_text().splitlines()] == [4, 1]
+
+
+# ---- one tar
+
+
+def members(path: str) -> dict[str, bytes]:
+    with tarfile.open(path) as tar:
+        return {member.name: tar.extractfile(member).read() for member in tar}
+
+
+def test_a_tar_has_each_output_and_its_line(balls) -> None:
+    command = f"distance {' '.join(balls)} --dim 8 --normalize unit --keep-folders --float32"
+    run(f"{command} -o folder")
+    made = told(f"{command} -o all.tar --json")
+    assert (made["output"], made["manifest"], made["made"]) == ("all.tar", None, 3)
+    found = members("all.tar")
+    assert list(found) == [
+        f"{name.removesuffix('.obj')}.{ending}" for name in balls for ending in ("sdf.npy", "json")
+    ]
+    for name in balls:
+        stem = name.removesuffix(".obj")
+        assert found[f"{stem}.sdf.npy"] == Path("folder", f"{stem}.sdf.npy").read_bytes()
+        line = json.loads(found[f"{stem}.json"])
+        assert (line["mesh"], len(line["transform"])) == (name, 4)
+    assert sorted(os.listdir()) == ["a", "all.tar", "b", "folder"]
+    whole = Path("all.tar").read_bytes()
+    assert told(f"{command} -o all.tar --json")["up_to_date"] == 3
+    os.utime(balls[0])
+    assert told(f"{command} -o all.tar --json")["made"] == 3
+    assert Path("all.tar").read_bytes() == whole
+    Path("all.tar").write_bytes(b"not a tar")
+    assert "all.tar: is no tar of samples" in fail(f"{command} -o all.tar", 3)
+
+
+def test_a_tar_without_the_meshes_that_failed(balls) -> None:
+    Path("b/bad.obj").write_text("v 0 0 0\n")
+    command = f"voxelize {balls[0]} b/bad.obj --dim 8 --format npy -o some.tar"
+    result = invoke(command)
+    assert result.exit_code == 1
+    assert "1 of 2 meshes failed: see some.tar.parts/manifest.jsonl" in result.stderr
+    assert list(members("some.tar")) == ["one.npy", "one.json"]
+    Path("b/bad.obj").write_bytes(Path("b/three.obj").read_bytes())
+    again = told(f"{command} --json")
+    assert (again["made"], again["up_to_date"]) == (1, 1)
+    assert list(members("some.tar")) == ["one.npy", "one.json", "bad.npy", "bad.json"]
+    assert not Path("some.tar.parts").exists()
+
+
+def test_webdataset_reads_a_tar(balls) -> None:
+    import webdataset
+
+    run(f"distance {' '.join(balls)} --dim 8 --float32 -o all.tar")
+    read = list(webdataset.WebDataset("all.tar", shardshuffle=False).decode())
+    assert [sample["__key__"] for sample in read] == ["one", "two", "three"]
+    for sample, name in zip(read, balls, strict=True):
+        run(f"distance {name} --dim 8 --float32 -o alone.npy")
+        np.testing.assert_array_equal(sample["sdf.npy"], np.load("alone.npy"))
+        assert sample["json"]["mesh"] == name
+
+
+def test_a_tar_for_each_shard(balls) -> None:
+    for part in (1, 2):
+        run(f"voxelize {' '.join(balls)} -o some.tar --dim 8 --shard {part}/2")
+    assert list(members("some.1-of-2.tar"))[::2] == ["one.svo.h5", "three.svo.h5"]
+    assert list(members("some.2-of-2.tar"))[::2] == ["two.svo.h5"]
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "message"),
+    [
+        ("--format ome.zarr", 2, "a tar holds files, and ome.zarr is a folder"),
+        ("b/t.wo.obj b/t_wo.obj", 2, "would have several samples t_wo: rename a mesh"),
+        ("-o none/x.tar", 3, "there is no folder"),
+    ],
+)
+def test_refused_tars(more: str, code: int, message: str, balls) -> None:
+    for name in ("b/t.wo.obj", "b/t_wo.obj"):
+        Path(name).write_bytes(Path(balls[0]).read_bytes())
+    assert message in fail(f"voxelize {balls[0]} -o x.tar --dim 8 {more}", code)
+    assert not list(Path().glob("x.tar*"))

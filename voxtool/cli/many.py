@@ -11,6 +11,7 @@ import functools
 import math
 import os
 import time
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -41,6 +42,7 @@ def shard_of(text: str) -> tuple[int, int]:
     return number, count
 
 
+TAR = ".tar"
 SHARD = Parsed("shard", shard_of, " is no shard: write 1/16 to 16/16")
 # Options that say how many meshes are done, not what they become.
 WAYS = SHARED | {"mesh", "workers", "shard", "keep_folders", "fail_fast", "dask", "as_worker"}
@@ -103,7 +105,7 @@ def is_one(
     meshes: Sequence[str], output: str | None, own: Mapping[str, Any], divides: bool
 ) -> bool:
     """Return whether a command line is of one mesh and its output."""
-    into_folder = output is not None and output.endswith(("/", os.sep))
+    into_folder = output is not None and output.endswith(("/", os.sep, TAR))
     shared = own["dask"] or own["workers"]
     divided = divides and own["dask"]
     return len(meshes) == 1 and not own["shard"] and not into_folder and bool(divided or not shared)
@@ -124,7 +126,10 @@ class Many:
         self.values, self.shard, self.fail_fast = values, shard, fail_fast
         self.workers, self.dask = workers, dask
         self.folder = (values.get("output") or ".") if name[1] else None
-        self.outputs = outputs_of(meshes, self.folder, name, values, keep_folders)
+        self.tar = tar_of(self.folder, shard)
+        self.folder = f"{self.tar}.parts" if self.tar else self.folder
+        self.ending = ".".join(filter(None, (name[0], values.get("file_format") or name[1])))
+        self.outputs = outputs_of(meshes, self.folder, self.ending, keep_folders)
         part = slice(shard[0] - 1, None, shard[1]) if shard else slice(None)
         self.meshes = list(meshes)[part]
         self.counts = dict.fromkeys(("made", "up to date", "failed"), 0)
@@ -138,19 +143,24 @@ class Many:
             If a mesh failed.
         """
         began = time.perf_counter()
+        tasks = [Task(mesh, self.outputs.get(mesh)) for mesh in self.meshes]
         manifest = None
         if self.folder is not None and not self.values["only_plan"]:
             from voxtool.files.manifest import Manifest, make_folder
 
+            if self.tar and self.is_packed(self.tar):
+                self.counts["up to date"] = len(tasks)
+                return self.summarize(None, time.perf_counter() - began)
             manifest = Manifest(self.folder, self.shard)
             for below in {os.path.dirname(self.outputs[mesh]) for mesh in self.meshes} - {""}:
                 make_folder(below)
-        tasks = [Task(mesh, self.outputs.get(mesh)) for mesh in self.meshes]
         todo = [task for task in tasks if not (manifest and self.is_current(manifest, task))]
         self.counts["up to date"] = len(tasks) - len(todo)
         answers = self.do(todo, manifest)
         if manifest:
             manifest.finish(str(task.output) for task in tasks)
+            if self.tar:
+                self.pack(self.tar, manifest)
             self.summarize(manifest, time.perf_counter() - began)
         elif self.values["as_json"]:
             options.print_json([{"mesh": mesh, **answers[mesh]} for mesh in self.meshes])
@@ -233,34 +243,86 @@ class Many:
         same = "error" not in line and line.get("voxtool") == __version__
         if not same or line.get("options") != self.request:
             return False
-        others = [x for x in self.values.values() if isinstance(x, str) and os.path.isfile(x)]
+        newer = self.is_newer(str(task.output), [task.mesh])
+        return newer and size_of(task.output) == {"size": line.get("size")}
+
+    def is_newer(self, output: str, meshes: Sequence[str]) -> bool:
+        """Return whether an output is newer than meshes and the files that options name."""
+        given = (x for name, x in self.values.items() if name != "output")
+        others = [x for x in given if isinstance(x, str) and os.path.isfile(x)]
         try:
-            made = os.stat(str(task.output)).st_mtime_ns
-            read = max(os.stat(name).st_mtime_ns for name in (task.mesh, *others))
+            made = os.stat(output).st_mtime_ns
+            return made >= max(os.stat(name).st_mtime_ns for name in (*meshes, *others))
         except OSError:
             return False
-        return made >= read and size_of(task.output) == {"size": line.get("size")}
 
-    def summarize(self, manifest: Manifest, seconds: float) -> None:
+    def is_packed(self, tar: str) -> bool:
+        """Return whether a tar is newer than the meshes, and has these, made with these options;
+        raise UsageError or FileError if it can have none."""
+        from voxtool.files.atomic import check_target
+        from voxtool.files.formats import is_folder
+        from voxtool.files.samples import read_lines
+
+        if is_folder(self.ending):
+            raise click.UsageError(f"a tar holds files, and {self.ending} is a folder")
+        check_target(tar, not self.values["no_clobber"])
+        names = Counter(self.name_of(mesh) for mesh in self.meshes)
+        if twice := [name for name, count in names.items() if count > 1]:
+            raise click.UsageError(f"{tar} would have several samples {twice[0]}: rename a mesh")
+        lines = read_lines(tar)
+        of = [(mesh, __version__, self.request) for mesh in self.meshes]
+        known = [(x.get("mesh"), x.get("voxtool"), x.get("options")) for x in lines.values()]
+        same = known == of and list(lines) == list(names)
+        return same and self.is_newer(tar, self.meshes)
+
+    def name_of(self, mesh: str) -> str:
+        """Return the name of a mesh in a tar, which has no dot below its last folder."""
+        output = os.path.relpath(self.outputs[mesh], self.folder)
+        above, name = os.path.split(output.removesuffix(f".{self.ending}"))
+        return os.path.join(above, name.replace(".", "_"))
+
+    def pack(self, tar: str, manifest: Manifest) -> None:
+        """Put the outputs into a tar; remove them if no mesh has failed."""
+        from voxtool.files.samples import Sample, write_samples
+
+        done = [(mesh, manifest.line_of(self.outputs[mesh])) for mesh in self.meshes]
+        good = [(mesh, line) for mesh, line in done if line and "error" not in line]
+        if good:
+            samples = (
+                Sample(self.name_of(mesh), self.ending, self.outputs[mesh], line)
+                for mesh, line in good
+            )
+            write_samples(tar, samples, not self.values["no_clobber"])
+        if len(good) == len(self.meshes):
+            manifest.remove(self.outputs[mesh] for mesh in self.meshes)
+
+    def summarize(self, manifest: Manifest | None, seconds: float) -> None:
         """Print how many meshes were made, were up to date, or failed."""
+        kept = str(manifest.path) if manifest and manifest.path.exists() else ""
         if self.values["as_json"]:
             facts = {name.replace(" ", "_"): count for name, count in self.counts.items()}
-            result = {"output": self.folder, "manifest": str(manifest.path), **facts}
+            result = {"output": self.tar or self.folder, "manifest": kept or None, **facts}
             options.print_json({**result, "seconds": round(seconds, 3)})
             return
         counts = ", ".join(f"{count:,} {name}" for name, count in self.counts.items() if count)
-        total = f"{len(self.meshes):,} meshes"
-        options.tell(f"{total} -> {self.folder}: {counts}, {seconds:.2f} s; {manifest.path}")
+        total = f"{len(self.meshes):,} meshes -> {self.tar or self.folder}"
+        options.tell(f"{total}: {counts}, {seconds:.2f} s" + (f"; {kept}" if kept else ""))
+
+
+def tar_of(output: str | None, shard: tuple[int, int] | None) -> str | None:
+    """Return the tar that a command writes, one for each shard; None for a folder."""
+    if output is None or not output.endswith(TAR):
+        return None
+    part = ".{}-of-{}".format(*shard) if shard else ""
+    return output.removesuffix(TAR) + part + TAR
 
 
 def outputs_of(
-    meshes: Sequence[str], folder: str | None, name: tuple[str, str], values: Values, nested: bool
+    meshes: Sequence[str], folder: str | None, ending: str, nested: bool
 ) -> dict[str, str]:
     """Return the outputs of meshes by the mesh; raise UsageError if two are one."""
     if folder is None:
         return {}
-    kind, form = name
-    ending = ".".join(filter(None, (kind, values.get("file_format") or form)))
     places = [os.path.dirname(os.path.abspath(mesh)) for mesh in meshes]
     above = os.path.commonpath(places) if nested else ""
     outputs: dict[str, str] = {}

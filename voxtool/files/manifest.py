@@ -48,11 +48,11 @@ class Manifest:
         if not self._new:
             own = _lines_of(self.path)
             self._own = {output: json.dumps(line) for output, line in own.items()}
-            self._known |= own
 
     def line_of(self, output: str) -> dict[str, Any]:
         """Return the last line of an output, of this shard or another; {} if there is none."""
-        return self._known.get(output, {})
+        text = self._own.get(output)
+        return json.loads(text) if text else self._known.get(output, {})
 
     def add(self, line: dict[str, Any]) -> None:
         """Add the line of an output."""
@@ -73,6 +73,17 @@ class Manifest:
                 self.path.unlink(missing_ok=True)
             if self._made:
                 self.path.parent.rmdir()
+
+    def remove(self, outputs: Iterable[str]) -> None:
+        """Remove outputs, the file, and the folders of both as far as nothing else is there."""
+        top, folders = self.path.parent, set[Path]()
+        for output in map(Path, outputs):
+            output.unlink(missing_ok=True)
+            folders |= {above for above in output.parents if above.is_relative_to(top)}
+        self.path.unlink(missing_ok=True)
+        for folder in sorted(folders, reverse=True):  # those within others first
+            with suppress(OSError):
+                folder.rmdir()
 
     def finish(self, order: Iterable[str]) -> None:
         """Replace the file by the last line of each output, in this order; others come first."""
