@@ -20,7 +20,7 @@ from voxtool.cli.main import cli
 
 pytestmark = pytest.mark.slow  # most run whole benches
 BENCHES = ("voxelize", "extract", "adf", "surfaces", "distance", "pictures", "tets", "view",
-           "exchange", "combine", "morph", "repair", "growth")  # fmt: skip
+           "exchange", "combine", "morph", "scale", "repair", "growth")  # fmt: skip
 ON_THE_HOST = (
     ("field to surface", "dual contouring"), ("octree to components", "components"),
 )  # fmt: skip
@@ -74,7 +74,7 @@ def test_every_bench_has_times_and_errors(report: dict[str, Any]) -> None:
         assert point["errors"] or point["absent"]
         assert point["figures"].keys() <= FIGURES.keys()
         alone = point["bench"] == "growth" or point["method"] == "exact distances"
-        alone |= "hash" in point["work"] or point["bench"] in ("view", "exchange")
+        alone |= "hash" in point["work"] or point["bench"] in ("view", "exchange", "scale")
         alone |= (point["work"], point["method"]) in ON_THE_HOST
         if not point["peer"] and not alone:
             assert all(seconds >= 0 for seconds in point["stages"].values())
@@ -91,6 +91,9 @@ def test_every_bench_has_times_and_errors(report: dict[str, Any]) -> None:
     assert {p["errors"].get("returned", 0) for p in points if p["bench"] == "exchange"} == {0}
     assert {p["errors"]["wrong"] for p in points if p["bench"] == "combine"} == {0}
     assert {p["errors"]["wrong"] for p in points if p["bench"] == "morph"} == {0}
+    assert {p["errors"]["different"] for p in points if p["bench"] == "scale" and p["errors"]} == {
+        0
+    }
     ours = [p for p in points if p["bench"] == "repair" and not p["peer"]]
     assert {p["errors"]["not closed"] for p in ours} == {0}
     linear = [p for p in points if p["bench"] == "tets" and "linear" in p["method"]]

@@ -36,6 +36,7 @@ MEASURES = {  # of errors, by bench, and their units; the first is drawn in char
     "exchange": {"returned": "of the voxels"},
     "combine": {"wrong": "of the grid's voxels"},
     "morph": {"wrong": "of the grid's voxels"},
+    "scale": {"different": "of the octrees"},
     "repair": SURFACE | {"not closed": "1 unless closed and manifold"},
     "growth": {"rms": "of the cube's side"},
     "degenerate": {"rms": "of the cube's side"},

@@ -25,6 +25,7 @@ SETTINGS = {  # the fields of a Request that each bench reads
     "exchange": ("dims",),
     "combine": ("dims",),
     "morph": ("dims",),
+    "scale": ("dims",),
     "repair": ("dims", "samples"),
     "degenerate": ("triangles",),
     "growth": ("triangles", "dims", "levels", "tolerances", "sizes", "cells", "scalar",
@@ -32,7 +33,7 @@ SETTINGS = {  # the fields of a Request that each bench reads
 }  # fmt: skip
 
 MESH_BENCHES = ("voxelize", "extract", "adf", "surfaces", "distance", "pictures", "view",
-                "exchange", "combine", "morph", "repair", "growth")  # fmt: skip
+                "exchange", "combine", "morph", "scale", "repair", "growth")  # fmt: skip
 VOLUME_BENCHES = ("tets", "view", "growth")
 
 

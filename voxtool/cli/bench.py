@@ -195,6 +195,16 @@ COMMANDS = {
       voxtool bench morph bunny.obj --dims 128,512
       voxtool bench morph bunny.obj --quick -o report
     """,
+    "scale": """Measure octrees of MODELS written in windows and merged, and many by one command.
+
+    Windows have a quarter of the memory that the octree takes. An error is an octree whose content
+    differs from that of the library: there must be none. Times are of files on disk, flushed.
+
+    \b
+    Examples:
+      voxtool bench scale bunny.obj --dims 128,512
+      voxtool bench scale bunny.obj --quick --peers
+    """,
     "repair": """Measure the repair of MODELS with faces missing and reversed.
 
     Every seventeenth face is removed, and every fifth of the others reversed. Errors are those of
