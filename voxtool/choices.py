@@ -29,7 +29,8 @@ SIGNS = ("pseudonormal", "winding", "none")  # what decides the sign of a distan
 GIVEN = "given"  # of a field whose distances were an image's, signs included
 # Texels along an axis of a field's 3-D textures: every device with WebGL 2 has the fewest.
 MIN_TEXTURE_3D, MAX_TEXTURE_3D, DEFAULT_TEXTURE_3D = 256, 3072, 2048
-SEARCHES = ("linear", "binary", "coherent")  # for the leaf of a field that holds a point
+# For the leaf of a field that holds a point.
+SEARCHES = ("linear", "binary", "coherent", "bottom-up")
 DEFAULT_SEARCH = "binary"
 SAMPLERS = ("exact", "hardware")  # what interpolates the distances of a field
 EXACT, HARDWARE = SAMPLERS

@@ -24,7 +24,9 @@ void find_deepest(const Hash *hash, __global const uint *points, const uint *wan
                   const uint count, const int known, const int deepest, uint *blocks, int *levels)
 {
     // coherent: the first point of a run starts at the middle level
-    const int start = SEARCH == LINEAR ? known + 1 : (known + 1 + deepest) >> 1;
+    const int start = SEARCH == LINEAR      ? known + 1
+                      : SEARCH == BOTTOM_UP ? deepest
+                                            : (known + 1 + deepest) >> 1;
     const uint run = (count + BATCH - 1) / BATCH;
     Wanted wanted;
     uint left[BATCH], at[BATCH]; // per run: points left, and the current point
@@ -72,7 +74,8 @@ void find_deepest(const Hash *hash, __global const uint *points, const uint *wan
             const ints came = load(way + i), next = exists ? (ints)1 : (ints)-1;
             const ints end = exists ? (came < 0) | (tried == deepest) : came > 0;
             store(end ? (ints)0 : next, way + i);
-            store(end ? (SEARCH == LINEAR ? (ints)start : deeper) : tried + next, wanted.level + i);
+            const ints again = SEARCH == COHERENT ? deeper : (ints)start;
+            store(end ? again : tried + next, wanted.level + i);
 #endif
             store(end, ended + i);
         }

@@ -64,7 +64,8 @@ def test_the_constants_of_the_device_are_those_of_the_host(device: Device) -> No
     head, body, expected = [], [], {}
     for header, module in headers.HOMES.items():
         home = import_module(module)
-        numbers = {name.upper(): i for i, name in enumerate(ENUMERATIONS.get(header, ()))}
+        names = (name.upper().replace("-", "_") for name in ENUMERATIONS.get(header, ()))
+        numbers = {name: i for i, name in enumerate(names)}
         defined = re.findall(r"(?m)^(#define (\w+) -?\w+)$", headers.generated(header))
         names = [name for _, name in defined]
         assert numbers.keys() <= set(names)

@@ -1,6 +1,6 @@
 """Queries of a distance field at points, on the device [ADF, section 3.5].
 
-Each of three searches finds the deepest cell that has a block, by looking up cells of one level
+Each of four searches finds the deepest cell that has a block, by looking up cells of one level
 after another in the hash. All return the values of DistanceField.query, bit for bit. Levels whose
 cells all have blocks are skipped.
 
@@ -56,9 +56,15 @@ OUTPUTS: dict[str, dict[str, tuple[type, int]]] = {  # of the kernel, besides di
     "cell": {"leaf_levels": (np.uint8, 1), "leaves": (np.uint32, 3)},
 }
 
+
+def _constant(search: str) -> str:
+    """Return the name of a search in kernels."""
+    return search.upper().replace("-", "_")
+
+
 HEADERS = {
     "adf/query.h": program.c_constants(
-        **{search.upper(): number for number, search in enumerate(SEARCHES)}
+        **{_constant(search): number for number, search in enumerate(SEARCHES)}
     )
 }
 
@@ -161,8 +167,9 @@ class FieldQuery:
             World units; (3,) is one point, for which the arrays of the result have no leading axis.
         search : str
             Below the levels of which a table has the cells: "linear", from the coarsest down;
-            "binary", between that and the deepest; or "coherent", from the level of the previous
-            point, for points that are near the previous one, as along rays.
+            "binary", between that and the deepest; "coherent", from the level of the previous
+            point, for points that are near the previous one, as along rays; or "bottom-up", from
+            the deepest, for points that are near the surface.
         gradient, bounds, cell : bool
             Whether these are returned as well.
 
@@ -305,7 +312,7 @@ class _Request:
 
     def options(self) -> dict[str, int | str]:
         wanted = {name.upper(): 1 for name in OUTPUTS if getattr(self, name)}
-        return {"SEARCH": self.search.upper(), **wanted}
+        return {"SEARCH": _constant(self.search), **wanted}
 
     def outputs(self) -> dict[str, tuple[type, int]]:
         """Return the kernel's output arguments: type, and numbers a point."""

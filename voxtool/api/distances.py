@@ -139,7 +139,7 @@ def query_adf(
     points : (N, 3) or (3,) array_like
         World units; (3,) is one point.
     search : str
-        How leaves are found: "linear", "binary" or "coherent"; the result is the same.
+        How leaves are found: "linear", "binary", "coherent" or "bottom-up"; the result is the same.
     sampler : str
         "exact", or "hardware": distances are interpolated by the device's filter in a 3-D image,
         which differs from device to device by up to 2**-9 of the range of a leaf's corners an axis.

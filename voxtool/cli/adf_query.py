@@ -40,7 +40,8 @@ PLANE = Parsed(
 @together(
     option("--search", SEARCHES,
         "How leaves are found: linear, from coarse to fine; binary, by halving the levels; "
-        "coherent, from the level of the point before, for points along rays.  All find the same.",
+        "coherent, from the level of the point before, for points along rays; bottom-up, from fine "
+        "to coarse, for points near the surface.  All find the same.",
         DEFAULT_SEARCH),
     option("--sampler", SAMPLERS,
         "What interpolates: exact arithmetic, the same everywhere, or the device's hardware, with "
