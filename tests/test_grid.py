@@ -331,3 +331,9 @@ def slack_of(grid: Grid, mesh: Mesh) -> int:
 def test_finer_grids_have_smaller_voxels() -> None:
     pitches = [Grid.fit(mesh_of(BOX), dim).pitch[0] for dim in (8, 16, 64, 1024, MAX_DIM)]
     assert all(a > b for a, b in pairwise(pitches))
+
+
+def test_numbers_of_many_digits_are_short_in_messages() -> None:
+    with pytest.raises(GridError, match=r"grid of 1e300 x -1e300 x 7 voxels") as caught:
+        Grid((10**300, -(10**300), 7), (0, 0, 0), (1, 1, 1))
+    assert len(str(caught.value)) < 120

@@ -57,8 +57,8 @@ class Grid:
             object.__setattr__(self, name, values)
         if min(self.shape) < 1 or not MIN_DIM <= max(self.shape) <= MAX_DIM:
             raise GridError(
-                f"grid of {self.shape[0]} x {self.shape[1]} x {self.shape[2]} voxels: the longest "
-                f"side must have {MIN_DIM} to {MAX_DIM} voxels, and every side at least 1"
+                f"grid of {' x '.join(map(_short, self.shape))} voxels: the longest side must have "
+                f"{MIN_DIM} to {MAX_DIM} voxels, and every side at least 1"
             )
         if not all(map(math.isfinite, self.origin)):
             raise GridError(f"grid origin {self.origin} is not finite")
@@ -272,3 +272,10 @@ def _voxel_count(extent: np.ndarray, pitch: float) -> np.ndarray:
     with np.errstate(over="ignore"):
         count = np.ceil(extent / pitch - 1 / 512)
     return np.clip(count, 1, 1 << 40).astype(np.int64)
+
+
+def _short(number: int) -> str:
+    """Return a whole number as messages say it; of many digits its power of ten."""
+    if abs(number) < 10**12:
+        return str(number)
+    return f"{'-' * (number < 0)}1e{math.floor(math.log10(abs(number)))}"

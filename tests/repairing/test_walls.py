@@ -120,6 +120,7 @@ def test_sets_by_distance(device, seed: int) -> None:
         ({"shell": 0.99}, "leaves no cavity"),
         ({"offset": -1.5}, "nothing is left"),
         ({"offset": 20.0}, "128 voxels that are allowed"),
+        ({"shell": 1e300}, "128 voxels that are allowed"),
     ],
 )
 def test_refusals(request_: dict, message: str) -> None:

@@ -99,8 +99,9 @@ def cavities(
 ) -> tuple[Octree, int]:
     """Return the set voxels beyond a wall, in world units, around them, and the number of their
     components; those smaller than a cube of the wall's side are left out."""
+    inner = beyond(octree, distance, wall, device)  # refuses walls that reach too far
     size = math.ceil((wall / octree.grid.pitch[0]) ** 3)
-    found = plan_keep_components(beyond(octree, distance, wall, device), min_size=size)
+    found = plan_keep_components(inner, min_size=size)
     with warnings.catch_warnings(action="ignore", category=MeshWarning):
         return found.run(), int(np.count_nonzero(found.sizes >= size))
 
