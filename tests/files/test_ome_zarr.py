@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -148,6 +149,10 @@ def test_missing_chunks(tmp_path: Path) -> None:
     assert np.array_equal(dense[:9, :9, :9], octree.to_dense())
     assert np.count_nonzero(dense[:64]) == octree.count
     assert dense[64:].all()
+    changed(folder, "0/.zarray", lambda about: about.update(dtype="<f4", fill_value="1e+308"))
+    with warnings.catch_warnings(action="error"), pytest.raises(VoxtoolError) as caught:
+        voxtool.read_voxels(folder)
+    assert "overflow" not in str(caught.value)
 
 
 def test_damaged_chunks_are_refused(tmp_path: Path) -> None:

@@ -241,6 +241,18 @@ def casts() -> Iterator[Entry]:
     )
     ply = f"{head}end_header\n".encode() + struct.pack("<3I", *[0x7F800001] * 3)
     yield Entry("signalling NaN of a vertex", "a.points.ply", lambda: ply)
+    nrrd = "NRRD0004\ntype: int\ndimension: 3\nsizes: 9 9 9\nspace directions: " + (
+        "(1e308,1e308,0) (0,6,0) (0,0,6)\nencoding: raw\n\n"
+    )
+    yield Entry("axes beyond float64", "a.image.nrrd", nrrd.encode, has="oblique")
+    vti = '<?xml version="1.0"?><VTKFile type="ImageData" byte_order="LittleEndian">' + (
+        '<ImageData WholeExtent="0 9 0 9 0 9" Origin="0 0 0" Spacing="1 -inf 1">'
+        '<Piece Extent="0 9 0 9 0 9"><CellData Scalars="a">'
+        '<DataArray type="UInt8" Name="a" format="ascii">'
+        f"{'1 ' * 729}</DataArray></CellData></Piece></ImageData></VTKFile>"
+    )
+    yield Entry("an infinite spacing", "a.image.vti", vti.encode)
+    yield Entry("a port beyond any", command=f"voxelize a.obj --dask a:{2**63}", has="no scheduler")
 
 
 # ---- found by the fuzzer in CI: netCDF's library crashed

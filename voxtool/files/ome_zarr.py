@@ -9,6 +9,7 @@ https://ngff.openmicroscopy.org/0.4/
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from itertools import product
@@ -120,7 +121,8 @@ def _fill(array: Any, image: VoxelImage) -> None:
 def read(folder: Path, size: int) -> Stored:
     """Return the voxels of the finest array of the first image."""
     try:
-        return _read(folder)
+        with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
+            return _read(folder)  # zarr, in a thread of its own, warns of a fill value's overflow
     except (VoxtoolError, OSError, MemoryError):
         raise
     except Exception as error:  # damage shows in any of zarr's errors

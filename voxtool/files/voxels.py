@@ -203,7 +203,9 @@ def frame_of(shape: Sequence[int], matrix: np.ndarray, center: np.ndarray) -> Fr
     beside[axes, [0, 1, 2]] = 0
     pitch = np.empty(3)
     pitch[axes] = np.abs(steps)
-    if (beside * shape >= pitch[:, None] / (1 << FIXED_POINT_BITS)).any():
+    with np.errstate(over="ignore"):  # infinite, which is oblique
+        far = beside * shape
+    if (far >= pitch[:, None] / (1 << FIXED_POINT_BITS)).any():
         raise FileError(
             "its axes are oblique: resample it to a grid along the world's axes first (Slicer: "
             "Resample Scalar Volume; SimpleITK: Resample)"

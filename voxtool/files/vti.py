@@ -91,8 +91,9 @@ def _frame(image: vtk_xml.Image, shape: tuple[int, int, int], shift: float) -> F
     """Return the place of the voxels; the first one begins `shift` voxels after the first point."""
     direction = np.array(image.direction).reshape(3, 3)
     first = np.array(image.extent[::2]) + shift
-    if (direction == np.eye(3)).all():
-        origin = np.array(image.origin) + np.array(image.spacing) * first
-        return Frame(Grid(shape, tuple(origin.tolist()), image.spacing))  # pyright: ignore
-    matrix = direction * image.spacing
-    return frame_of(shape, matrix, image.origin + (matrix * (first + 0.5)).sum(axis=1))
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused
+        if (direction == np.eye(3)).all():
+            origin = np.array(image.origin) + np.array(image.spacing) * first
+            return Frame(Grid(shape, tuple(origin.tolist()), image.spacing))  # pyright: ignore
+        matrix = direction * image.spacing
+        return frame_of(shape, matrix, image.origin + (matrix * (first + 0.5)).sum(axis=1))

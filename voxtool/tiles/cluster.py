@@ -57,7 +57,7 @@ def connected(address: str, workers: int | None = None) -> Iterator[Client]:
     if address != LOCAL:
         try:
             client = Client(address, timeout=PATIENCE)
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, OverflowError) as error:
             raise DeviceError(
                 f"no scheduler of Dask at {address}: start one, or use --dask {LOCAL}"
             ) from error
