@@ -150,9 +150,8 @@ def test_missing_chunks(tmp_path: Path) -> None:
     assert np.count_nonzero(dense[:64]) == octree.count
     assert dense[64:].all()
     changed(folder, "0/.zarray", lambda about: about.update(dtype="<f4", fill_value="1e+308"))
-    with warnings.catch_warnings(action="error"), pytest.raises(VoxtoolError) as caught:
-        voxtool.read_voxels(folder)
-    assert "overflow" not in str(caught.value)
+    with warnings.catch_warnings(action="error"):  # of the overflow
+        assert voxtool.read_voxels(folder).to_dense()[64:].all()
 
 
 def test_damaged_chunks_are_refused(tmp_path: Path) -> None:
