@@ -137,13 +137,17 @@ class Job(ABC, Generic[Result]):
         job.plan = replace(self.plan, **decisions)
         return job
 
+    @property
+    def limit(self) -> int:
+        """Bytes that it may take on its device, or in memory if it has none."""
+        if self.max_memory is not None:
+            return self.max_memory
+        return self.device.max_memory if self.device else available_memory()
+
     def refuse(self) -> None:
         """Raise MemoryLimitError if the job would take more memory than it may."""
-        if self.device:
-            most, largest = self.device.max_memory, self.device.info.max_allocation
-        else:
-            most, largest = available_memory(), sys.maxsize
-        self.plan.refuse_beyond(most if self.max_memory is None else self.max_memory, largest)
+        largest = self.device.info.max_allocation if self.device else sys.maxsize
+        self.plan.refuse_beyond(self.limit, largest)
 
     def run(self, progress: Callable[[str], None] | None = None) -> Result:
         """Run the job.

@@ -7,7 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from voxtool.svo.cells import AROUND, CUBE, Cells, groups_of
+from voxtool.svo.cells import AROUND, Cells, groups_of
 from voxtool.svo.octree import Octree
 
 
@@ -53,4 +53,3 @@ def test_groups_are_read_in_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     expected = (starts[:, None] + np.arange(8)).ravel()
     np.testing.assert_array_equal(groups_of(array, starts), expected)
     assert not len(groups_of(array, starts[:0]))
-    assert len(CUBE) == AROUND**3

@@ -141,11 +141,6 @@ def test_tilings_are_sets() -> None:
     voxels, none = Tiling.of(octree, 5), np.zeros(3, np.int64)
     back = voxels.complement().complement()
     assert np.array_equal(back.octree(octree.grid, none).to_dense(), dense)
-    bounds, held = voxels.bounds(), np.argwhere(dense)
-    assert bounds is not None
-    assert np.array_equal(bounds, [held.min(0), held.max(0) + 1])
-    nothing = voxels.intersection(voxels.complement())
-    assert nothing.bounds() is None
     assert voxels.octree(octree.grid, none) == octree
 
 

@@ -1,5 +1,5 @@
-"""Work that is large or many: octrees written in windows and with merged subtrees, beside those of
-one piece; and many meshes by one command, beside trimesh in one process.
+"""Work that is large or many: octrees made, combined and closed in windows, and with merged
+subtrees, beside those of one piece; and many meshes by one command, beside trimesh in one process.
 
 Windows are forced by a quarter of the memory that the whole octree takes on the device.
 """
@@ -14,15 +14,19 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from voxtool import tiles
+from voxtool.bench.combine import mirrored
 from voxtool.bench.peers import of as voxelizers
 from voxtool.bench.timing import Peers, by_turns
 from voxtool.errors import MemoryLimitError, VoxtoolError
-from voxtool.files import read_svo, write_svo
+from voxtool.files import open_svo, read_svo, write_svo
 from voxtool.files.mesh import load_mesh
 from voxtool.files.windows import Windows
 from voxtool.grid import Grid
+from voxtool.svo.booleans import combine, plan_combine
 from voxtool.svo.merged import MergedOctree
-from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.morphology import plan_morph
+from voxtool.svo.voxelize import plan_voxelize, voxelize
 from voxtool.tiles.merging import MergingJob
 from voxtool.tiles.windows import WindowsJob
 
@@ -38,6 +42,8 @@ FILE, MANY = "mesh to file of an octree", "{} meshes to files of octrees"
 MODE = "surface26"
 SHARE = 4  # the octree takes so many times the memory that windows may
 MESHES = 16
+RADIUS = 4  # voxels
+UNION, CLOSE = "two octrees to a file of their union", "octree to a file of it, closed"
 OTHER = {"different": "it makes a dense array"}
 PEER_DIM = 64  # up to which trimesh, which takes a second a mesh, is beside
 
@@ -47,6 +53,7 @@ def measure(bench: Bench) -> Iterator[Point]:
     with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
         for dim in bench.request.dims:
             yield from _large(bench, dim, Path(folder))
+            yield from _read(bench, dim, Path(folder))
         yield from _many(bench, min(bench.request.dims), Path(folder))
 
 
@@ -75,6 +82,48 @@ def _large(bench: Bench, dim: int, folder: Path) -> Iterator[Point]:
         runs = by_turns(bench.request, write)[0]
         errors = {"different": float(read_svo(target).digest() != digest)}
         yield row(runs=runs, errors=errors, bytes=target.stat().st_size)
+
+
+def _read(bench: Bench, dim: int, folder: Path) -> Iterator[Point]:
+    """The points of operations on octrees in files: with the mirror image, and by a ball."""
+    mesh, target = load_mesh(bench.model), folder / "made.svo.h5"
+    grid, names = Grid.fit(mesh, dim), (folder / "one.svo.h5", folder / "other.svo.h5")
+    for each, name in zip((mesh, mirrored(mesh)), names, strict=True):
+        write_svo(voxelize(each, grid, device=bench.timed), name)
+
+    def whole(work: str) -> None:
+        octrees = [read_svo(name) for name in names]
+        if work == UNION:
+            made = combine(octrees, device=bench.timed)
+        else:
+            made = plan_morph(octrees[0], "close", RADIUS, device=bench.timed).run()
+        write_svo(made, target)
+
+    def in_windows(work: str, limit: int) -> None:
+        with open_svo(names[0]) as one, open_svo(names[1]) as other:
+            if work == UNION:
+                tiles.combine([one, other], file=target, max_memory=limit, device=bench.timed)
+            else:
+                tiles.morph(one, "close", RADIUS, file=target, max_memory=limit, device=bench.timed)
+
+    pair = [read_svo(name) for name in names]
+    jobs = {
+        UNION: plan_combine(pair, device=bench.timed),
+        CLOSE: plan_morph(pair[0], "close", RADIUS, device=bench.timed),
+    }
+    for work, job in jobs.items():
+        row = partial(bench.point, work, label=f"dim {dim}", asked={"dims": dim})
+        row = partial(row, size=dim, size_of="dim")
+        digest = job.run().digest()
+        part = partial(in_windows, work, job.cost.device // SHARE)
+        for method, write in {"in one piece": partial(whole, work), "in windows": part}.items():
+            try:
+                write()
+            except MemoryLimitError:  # windows of the least size take more than a quarter
+                continue
+            runs = by_turns(bench.request, write)[0]
+            different = float(read_svo(target).digest() != digest)
+            yield row(method=method, runs=runs, errors={"different": different})
 
 
 def _in_windows(part: VoxelizeJob, target: Path) -> None:

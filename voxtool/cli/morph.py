@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from voxtool.choices import ELEMENTS, MORPHOLOGY, NEIGHBOURS
 from voxtool.cli import options, runner
+from voxtool.cli.in_windows import in_memory, make_in_windows, opened, windows_options
 from voxtool.cli.info import place, table
 from voxtool.cli.options import COMPONENTS, DIM, RADIUS, flag, option, together
 from voxtool.files.formats import EXPORTS, OCTREE_FORMATS
@@ -16,11 +18,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from voxtool.svo.components import ComponentsJob
+    from voxtool.svo.content import OctreeContent
     from voxtool.svo.labels import Labels
     from voxtool.svo.morphology import MorphJob
     from voxtool.svo.octree import Octree
     from voxtool.svo.resample import ResampleJob
     from voxtool.svo.thin import ThinJob
+    from voxtool.tiles.morphing import MorphWindowsJob
 
 EXTENSION = "svo.h5"
 PLACING = ("dim", "pitch", "bbox")  # options of a grid
@@ -67,6 +71,7 @@ SHOWN = 20  # components in a report as text
     option("--like", str,
         "With --resample: the grid of another octree, or of an image or array that `voxtool "
         "import` reads.", metavar="FILE"),
+    windows_options,
 )  # fmt: skip
 @runner.job_options(
     "FILE",
@@ -75,7 +80,9 @@ SHOWN = 20  # components in a report as text
     "folder; with --components nowhere.",
     *OCTREE_FORMATS, *EXPORTS,
 )  # fmt: skip
-def command(run: runner.Run, octree: str, **request: Any) -> None:
+def command(
+    run: runner.Run, octree: str, windows: str, resume: bool, no_keep: bool, **request: Any
+) -> None:
     """Dilate, erode, open, close, hollow, thin or resample an OCTREE, or keep its components.
 
     OCTREE is a file that voxelize wrote, or - for stdin. One operation a call. R is in voxels, from
@@ -93,19 +100,25 @@ def command(run: runner.Run, octree: str, **request: Any) -> None:
     if request["components"]:
         report_components(run, octree, neighbours_of(request))
         return
-    from voxtool.files import SVO_FORMATS, export, read_svo, write_svo
+    from voxtool.files import SVO_FORMATS, export, write_svo
 
     default = options.output_of(octree, f"morph.{EXTENSION}")
     run.to(octree, default, (*SVO_FORMATS, *EXPORTS))
-    with run:
-        source = run.stage("read octree", read_svo, octree)
+    with run, ExitStack() as stack:
+        source: Any = opened(run, octree, stack)
+        job = None
         with run.naming(octree):
-            job = planned(run, source, request)
-            result = run.job(job)
-        run.write(export if run.file_format in EXPORTS else write_svo, result)
-    run.report(
-        f"{source.count:,} voxels became {result.count:,}", lambda: facts_of(job, source, result)
-    )
+            if windows != "never" and run.file_format == "svo.h5":
+                job = windows_of(run, source, request)
+            if job:
+                result: Any = make_in_windows(run, job, resume, no_keep)
+            else:
+                source = in_memory(run, source)
+                job = planned(run, source, request)
+                result = run.job(job)
+                run.write(export if run.file_format in EXPORTS else write_svo, result)
+        before = source.count
+    run.report(f"{before:,} voxels became {result.count:,}", lambda: facts_of(job, before, result))
 
 
 def check_request(request: dict[str, Any]) -> None:
@@ -176,6 +189,24 @@ def lines_of(found: Labels) -> Iterator[str]:
         yield f"and {len(found) - SHOWN:,} smaller ones: --json lists all"
 
 
+def windows_of(
+    run: runner.Run, octree: OctreeContent, request: dict[str, Any]
+) -> MorphWindowsJob | None:
+    """Return the job in windows of a request whose octree does not fit in memory, or None if it
+    fits, or if the operation is not local."""
+    from voxtool.tiles.morphing import morph_windows
+
+    for operation in MORPHOLOGY:
+        if (radius := request[operation]) is not None:
+            return run.plan(morph_windows, octree, operation, radius, **by_radius(request))
+    return None
+
+
+def by_radius(request: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of what is within a radius."""
+    return {"world": request["world"], "shape": request["shape"] or ELEMENTS[0]}
+
+
 def planned(
     run: runner.Run, octree: Octree, request: dict[str, Any]
 ) -> MorphJob | ComponentsJob | ResampleJob | ThinJob:
@@ -193,10 +224,7 @@ def planned(
         return run.plan(plan_resample, octree, grid, threshold=threshold, **placing)
     for operation in MORPHOLOGY:
         if (radius := request[operation]) is not None:
-            shape = request["shape"] or ELEMENTS[0]
-            return run.plan(
-                plan_morph, octree, operation, radius, world=request["world"], shape=shape
-            )
+            return run.plan(plan_morph, octree, operation, radius, **by_radius(request))
     run.on_device = False
     if request["thin"]:
         return run.plan(plan_thin, octree)
@@ -209,14 +237,17 @@ def planned(
 
 
 def facts_of(
-    job: MorphJob | ComponentsJob | ResampleJob | ThinJob, source: Octree, result: Octree
+    job: MorphJob | MorphWindowsJob | ComponentsJob | ResampleJob | ThinJob,
+    before: int,
+    result: Any,
 ) -> dict[str, Any]:
     """Return the facts of the report, in JSON types."""
     from voxtool.svo.morphology import MorphJob
     from voxtool.svo.resample import ResampleJob
     from voxtool.svo.thin import ThinJob
+    from voxtool.tiles.morphing import MorphWindowsJob
 
-    if isinstance(job, MorphJob):
+    if isinstance(job, (MorphJob, MorphWindowsJob)):
         names = ("operation", "radius", "world", "shape", "grid", "low")
         found = {name: job.describe()[name] for name in names}
     elif isinstance(job, ResampleJob):
@@ -230,7 +261,7 @@ def facts_of(
             found["component_sizes"] = job.sizes.tolist()
     return {
         **found,
-        "voxels_before": source.count,
+        "voxels_before": before,
         "voxels": result.count,
         "volume": result.count * result.grid.voxel_volume,
         "digest": result.digest(),

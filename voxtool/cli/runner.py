@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from voxtool.opencl import Device
 
     Result = TypeVar("Result")
-    AnyJob = TypeVar("AnyJob", bound=Job[Any])
+    AnyJob = TypeVar("AnyJob", bound=Job[Any] | None)
 
 PLAN, WRITE = "plan", "write file"  # the stages before and after a job's own
 JOB = "job"  # stands for the stages of a job on the device

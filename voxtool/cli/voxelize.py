@@ -9,6 +9,7 @@ import click
 
 from voxtool.choices import DEFAULT_DIM, DEFAULT_MODE, FILLS, FITS, MODES
 from voxtool.cli import options, runner
+from voxtool.cli.in_windows import make_in_windows, windows_options
 from voxtool.cli.many import mesh_argument
 from voxtool.cli.options import DIM, bbox_option, flag, option, together
 from voxtool.errors import MemoryLimitError, human
@@ -49,16 +50,12 @@ if TYPE_CHECKING:
         "uniform: one pitch for all axes; stretch: each axis scaled apart, as eq. (5.1) of "
         "[voCCeL].", FITS[0]),
     options.length_options(),
-    option("--windows", ("auto", "never"),
-        "auto: if the octree would take more than --max-memory, make it in windows, with the same "
-        "content; never: refuse.", "auto"),
     flag("--dag", "Store equal subtrees once (SVO 2.0): a tenth of the bytes, for large octrees. "
         "All commands read it."),
     flag("--thin", "Of a surface: leave out the voxels that it does not need to separate "
         "(N-minimal).  A surface with holes larger than a voxel separates nothing."),
     flag("--doctype", "Of .svo.xml and .voccel.xml: name octree.dtd, which svo-info --dtd prints."),
-    flag("--resume", "Go on with the windows that a killed run left in FILE.windows."),
-    flag("--no-keep", "Leave no windows if the run is killed or fails."),
+    windows_options,
     options.normalize_option("stored"),
 )  # fmt: skip
 @runner.job_options(
@@ -134,7 +131,7 @@ def command(
             octree = run.job(parts, **placed)
             run.write(write_svo, octree)
         elif parts:
-            octree = make_in_windows(run, parts, resume, not no_keep, **placed)
+            octree = make_in_windows(run, parts, resume, no_keep, **placed)
         else:
             octree = run.job(job, ("thin",) * thin + ("merge subtrees",) * dag, **placed)
             if thin:
@@ -168,25 +165,6 @@ def windows_of(job: VoxelizeJob, dag: bool) -> WindowsJob | None:
     with suppress(MemoryLimitError):
         return MergingJob(job) if dag else WindowsJob(job)
     return None
-
-
-def make_in_windows(
-    run: runner.Run, job: WindowsJob, resume: bool, keep: bool, **placed: Any
-) -> BlockOctree:
-    """Voxelize in windows, and write the octree that they make together."""
-    from voxtool.files import write_svo
-    from voxtool.files.windows import Windows
-
-    if run.only_plan:
-        run.job(job, **placed)
-    if run.to_stdout:
-        raise click.UsageError("windows wait beside the output: name a file with -o")
-    with Windows(
-        str(run.output), job.request, job.plan.disk, resume=resume, keep=keep
-    ) as job.store:
-        octree = run.job(job, **placed)
-        run.write(write_svo, octree)
-    return octree
 
 
 def facts_of(octree: Octree | BlockOctree | MergedOctree) -> dict[str, Any]:

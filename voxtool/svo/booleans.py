@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import reduce
 from itertools import pairwise
 from typing import Any
 
@@ -28,6 +27,7 @@ from voxtool.job import Cost, Job, one_call
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import SCAN, exclusive_scan
+from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import (
     BRICK,
     BRICK_BYTES,
@@ -37,9 +37,8 @@ from voxtool.svo.layout import (
     MAX_LINK,
     NODE,
     NODE_BYTES,
-    VALID,
 )
-from voxtool.svo.links import EMPTY, FULL, REFINED
+from voxtool.svo.links import EMPTY, FULL, REFINED, states_of
 from voxtool.svo.octree import Octree
 from voxtool.svo.placing import common_grid, place
 
@@ -59,6 +58,19 @@ class Terms:
     inverted: np.ndarray  # (n,) uint32, 0 or 1
     exclusive: bool = False
     complement: bool = False  # of the result
+
+    def state(self, states: np.ndarray) -> int:
+        """Return the state of a node of the result, of the (n,) states of its operands: REFINED if
+        refined ones can decide it."""
+        value = self.of_leaves(states)
+        if (states == REFINED).any() and (self.exclusive or not value):
+            return REFINED
+        return FULL if value != self.complement else EMPTY
+
+    def of_leaves(self, states: np.ndarray) -> bool:
+        """Return what the operands that are leaves make of a node, before the complement."""
+        leaves = ((states == FULL) ^ (self.inverted != 0))[states != REFINED]
+        return bool(np.bitwise_xor.reduce(leaves) if self.exclusive else leaves.any())
 
     @classmethod
     def of(cls, operation: str, n: int) -> Terms:
@@ -136,13 +148,14 @@ class CombinePlan:
 
 
 def plan_combine(
-    octrees: Sequence[Octree],
+    octrees: Sequence[OctreeContent],
     operation: str = OPERATIONS[0],
     *,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> CombineJob:
-    """Return the planned job of `combine`; see `voxtool.combine`."""
+    """Return the planned job of `combine`; see `voxtool.combine`. Octrees may stay in files until
+    it runs."""
     if operation not in OPERATIONS:
         raise VoxtoolError(
             f"operation {operation!r} is unknown: choose one of {', '.join(OPERATIONS)}"
@@ -153,14 +166,24 @@ def plan_combine(
     if len(units) > 1:
         raise GridError(f"octrees in {' and '.join(sorted(units))}: voxelize with the same --units")
     grid, lows = common_grid([octree.grid for octree in octrees])
-    moved = int(lows.any(axis=1).sum())
+    sizes = [np.diff(octree.offsets.astype(np.int64))[:0:-1] // 8 for octree in octrees]
+    plan = plan_of(sizes, lows, grid, operation)
+    given: list[Any] = list(octrees)
+    return CombineJob(given, lows, plan, device or default_device(), max_memory)
+
+
+def plan_of(
+    sizes: Sequence[np.ndarray], lows: np.ndarray, grid: Grid, operation: str
+) -> CombinePlan:
+    """Return the plan for octrees with so many refined nodes by level, from level 1 up, whose low
+    corners are at these voxels of the grid of the result."""
     refined = np.zeros((grid.side // BRICK_SIDE).bit_length() - 1, np.int64)
-    for octree, low in zip(octrees, lows, strict=True):
-        sizes = np.diff(octree.offsets.astype(np.int64))[:0:-1] // 8
-        refined[: len(sizes)] += sizes * (8 if low.any() else 1)
-        refined[len(sizes) :] += 8 if low.any() else 1
-    plan = CombinePlan(operation, grid, len(octrees), moved, tuple(refined.tolist()))
-    return CombineJob(list(octrees), lows, plan, device or default_device(), max_memory)
+    for own, low in zip(sizes, lows, strict=True):
+        own = own[: len(refined)]
+        refined[: len(own)] += own * (8 if low.any() else 1)
+        refined[len(own) :] += 8 if low.any() else 1
+    moved = int(lows.any(axis=1).sum())
+    return CombinePlan(operation, grid, len(sizes), moved, tuple(refined.tolist()))
 
 
 @dataclass
@@ -193,13 +216,20 @@ class CombineJob(Job[Octree]):
 
     def octree(self, *arrays: np.ndarray) -> Octree:
         """Return the octree of a combination's offsets, nodes and bricks."""
+        offsets, nodes, bricks = arrays
+        content = (self.plan.grid, "solid", "none", offsets, nodes, bricks)
+        return Octree(*content, **self.described)
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """What the result says of itself beside its content."""
         units = next((octree.units for octree in self.octrees if octree.units), "")
         transforms = {octree.transform for octree in self.octrees}
-        return Octree(
-            self.plan.grid, "solid", "none", *arrays,
-            plan={"operation": self.plan.operation, "operands": self.plan.operands},
-            units=units, transform=transforms.pop() if len(transforms) == 1 else (),
-        )  # fmt: skip
+        return {
+            "plan": {"operation": self.plan.operation, "operands": self.plan.operands},
+            "units": units,
+            "transform": transforms.pop() if len(transforms) == 1 else (),
+        }
 
 
 combine = one_call(plan_combine, "combine", Octree)
@@ -290,19 +320,19 @@ def _leaf(state: int, depth: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _open_root(operands: Operands, terms: Terms) -> OpenNodes | int:
     """Return the root, or its state if no operand that could decide it is refined."""
     device, roots = operands.words.device, operands.roots
-    refined = np.flatnonzero(roots & VALID).astype(np.uint32)
-    leaves = ((roots & INSIDE) != 0) ^ (terms.inverted != 0)
-    leaves = leaves[(roots & VALID) == 0].tolist()
-    state = reduce(bool.__xor__, leaves, False) if terms.exclusive else any(leaves)
-    if not len(refined) or (state and not terms.exclusive):
-        return FULL if state != terms.complement else EMPTY
+    states = states_of(roots)
+    state = terms.state(states)
+    if state != REFINED:
+        return state
+    refined = np.flatnonzero(states == REFINED).astype(np.uint32)
+    others = terms.of_leaves(states)
     firsts = operands.bases[1][refined] + (roots[refined] & LINK)
     return OpenNodes(
         1,
         device.put(np.array([0, len(refined)], np.uint32)),
         device.put(refined),
         device.put(firsts),
-        device.put(np.array([FULL if state else EMPTY], np.uint8)),
+        device.put(np.array([FULL if others else EMPTY], np.uint8)),
         None,
     )
 

@@ -3,22 +3,23 @@ it. The octree may be in memory or in a file."""
 
 from __future__ import annotations
 
+import math
 from itertools import product
 
 import numpy as np
 
 from voxtool.arrays import Slices
+from voxtool.errors import MemoryLimitError, human
 from voxtool.grid import Grid
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.svo.content import OctreeContent
-from voxtool.svo.layout import BRICK_SIDE, LINK, descend
-from voxtool.svo.links import EMPTY, REFINED, nodes_of, offsets_of, states_of
+from voxtool.svo.layout import BRICK_SIDE, LINK, NODE_BYTES, descend
+from voxtool.svo.links import EMPTY, REFINED, states_of
 from voxtool.svo.octree import Octree
 
 GAP = 4096  # items between two groups that are read at once
 EIGHT = np.arange(8)
 AROUND = 4  # cells along a side of the cube around a cell, which is its second along each axis
-CUBE = morton_decode(np.arange(AROUND**3, dtype=np.uint64))
 
 
 class Cells:
@@ -63,6 +64,11 @@ class Cells:
             "child"
         ]
 
+    def states_of(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Return the states of the cells of a box, from one cell to another one."""
+        steps = np.indices(tuple(last - first + 1)).reshape(3, -1).T
+        return self.states[morton_encode(first + steps).astype(np.int64)]
+
     def mixed(self) -> np.ndarray:
         """Return the cells that have a refined cell around them, or full and empty ones, (n, 3)
         int64 coordinates, in Morton order; also those beyond the low sides, whose coordinates are
@@ -87,30 +93,51 @@ class Cells:
         """Return the octree of the cube around a cell: AROUND cells a side, of which it is the
         second along each axis. Refined nodes that are not within `margin` voxels of the cell are
         empty in it."""
-        cells = cell - 1 + CUBE
+        return self.cut(cell - 1, AROUND, self.side - margin, 2 * self.side + margin)
+
+    def cut(
+        self,
+        corner: np.ndarray,
+        along: int,
+        low: int | np.ndarray,
+        high: int | np.ndarray,
+        most: float = math.inf,
+    ) -> Octree:
+        """Return the octree of a cube of `along` cells a side from cell `corner` on. Refined nodes
+        that do not reach its voxels from `low` to `high` are empty in it, as is what lies beyond
+        the octree. MemoryLimitError if it takes more than `most` bytes."""
+        cells = corner + morton_decode(np.arange(along**3, dtype=np.uint64))
         held = ((cells >= 0) & (cells < self.along)).all(axis=1)
         places = morton_encode(cells[held]).astype(np.int64)
         states, links = np.full(len(cells), EMPTY, np.uint8), np.zeros(len(cells), np.uint32)
         states[held], links[held] = self.states[places], self.links[places]
-        levels = [np.full(8**d, REFINED, np.uint8) for d in range(AROUND.bit_length() - 1)]
-        codes = np.arange(len(cells), dtype=np.uint64)
+        levels = [np.full(8**d, REFINED, np.uint8) for d in range(along.bit_length() - 1)]
+        codes, size = np.arange(len(cells), dtype=np.uint64), 0
         for number in range(self.level, 0, -1):
             side = BRICK_SIDE << number
-            low = morton_decode(codes) * side
-            near = (low + side > self.side - margin) & (low < 2 * self.side + margin)
+            place = morton_decode(codes) * side
+            near = (place + side > low) & (place < high)
             states[(states == REFINED) & ~near.all(axis=1)] = EMPTY
             levels.append(states)
             refined = np.flatnonzero(states == REFINED)
+            size += NODE_BYTES * 8 * len(refined)
+            if size > most:
+                raise MemoryLimitError(
+                    f"a part of an octree takes more than {human(int(most))} (see --max-memory)"
+                )
             codes, links = descend(codes[refined]), links[refined]
             if number > 1:
                 words = self._children(self.octree.depth - number, links)
                 states, links = states_of(words), words & LINK
         bricks = groups_of(self.octree.bricks, links.astype(np.int64))
-        offsets = offsets_of(levels, len(bricks)).astype(np.uint32)
-        nodes = np.concatenate(list(nodes_of(levels)))
-        side = AROUND * self.side
-        grid = Grid((side, side, side), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
-        return Octree(grid, self.octree.mode, self.octree.fill, offsets, nodes, bricks)
+        return Octree.of_states(
+            cube(along * self.side), self.octree.mode, self.octree.fill, levels, bricks
+        )
+
+
+def cube(side: int) -> Grid:
+    """Return the grid of a cube by itself, whose voxels have side 1."""
+    return Grid((side, side, side), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
 
 
 def groups_of(array: np.ndarray | Slices, starts: np.ndarray) -> np.ndarray:

@@ -17,7 +17,16 @@ import numpy as np
 
 from voxtool.arrays import Slices, blocks_of, digest_of_blocks
 from voxtool.grid import Grid
-from voxtool.svo.layout import BRICK_BYTES, BRICK_SIDE, INSIDE, NODE_BYTES, VALID, descend
+from voxtool.morton import morton_decode
+from voxtool.svo.layout import (
+    BRICK_BYTES,
+    BRICK_SIDE,
+    INSIDE,
+    NODE_BYTES,
+    VALID,
+    descend,
+    unpack_bricks,
+)
 from voxtool.svo.links import REFINED, level_states, nodes_of, offsets_of
 from voxtool.svo.prune import kinds_of_bricks, pruned_states
 from voxtool.svo.validate import check_sizes, check_structure
@@ -117,6 +126,26 @@ class OctreeContent:
         """Return the set voxels by level: in bricks at level 0, in inside leaves above."""
         return {number: voxels for number, (_, _, voxels) in enumerate(self._counts)}
 
+    def bounds(self) -> np.ndarray | None:
+        """Return the low and the high corner of the box around the set voxels, (2, 3) int64 voxels;
+        None if there are none."""
+        boxes = []
+        for span in self.walk():
+            side = BRICK_SIDE << span.number
+            if span.number:
+                held, masks = (span.nodes["child"] & INSIDE) != 0, None
+            else:
+                masks = self.bricks[span.start : span.start + len(span.nodes)]
+                held = masks != 0
+            if held.any():
+                cells = side * morton_decode(span.codes[held])
+                box = np.stack([cells.min(axis=0), cells.max(axis=0) + side])
+                boxes.append(box if masks is None else _tightened(box, cells, masks[held]))
+        if not boxes:
+            return None
+        low, high = np.transpose(boxes, (1, 0, 2))
+        return np.stack([low.min(axis=0), high.max(axis=0)])
+
     def summary(self) -> dict[str, Any]:
         """Return counts and sizes in JSON types, in world units.
 
@@ -188,6 +217,17 @@ class OctreeContent:
             If an invariant does not hold; the message names it, its level and node.
         """
         check_structure(self)
+
+
+def _tightened(box: np.ndarray, cells: np.ndarray, masks: np.ndarray) -> np.ndarray:
+    """Return the box around the set voxels of bricks, of that around the bricks."""
+    ends = []
+    for axis, (low, high) in enumerate(box.T):
+        first, last = low, high - BRICK_SIDE
+        union = [np.bitwise_or.reduce(masks[cells[:, axis] == at]) for at in (first, last)]
+        begin, end = (np.nonzero(one)[axis] for one in unpack_bricks(np.array(union)))
+        ends.append((first + begin.min(), last + end.max() + 1))
+    return np.transpose(ends)
 
 
 @dataclass(frozen=True, eq=False)

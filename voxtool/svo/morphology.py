@@ -28,6 +28,7 @@ from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.morton import among, spread_bits
 from voxtool.opencl import Array, Device, default_device, program
+from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import BRICK, BRICK_BYTES
 from voxtool.svo.octree import Octree
 from voxtool.svo.tiling import BRICKS, TILE, Tiling
@@ -184,10 +185,14 @@ class MorphPlan:
     @property
     def stages(self) -> list[str]:
         """The stages that will run, in order."""
-        passes = {"dilate": 1, "erode": 1, "shell": 1, "open": 2, "close": 2}[self.operation]
         first = {"dilate": "dilate", "close": "dilate"}.get(self.operation, "erode")
         second = "erode" if first == "dilate" else "dilate"
-        return [*(first, second)[:passes], "build"]
+        return [*(first, second)[: self.passes], "build"]
+
+    @property
+    def passes(self) -> int:
+        """Dilations and erosions, one after the other."""
+        return 2 if self.operation in ("open", "close") else 1
 
     @property
     def left_out(self) -> dict[str, str]:
@@ -254,22 +259,43 @@ def plan_morph(
         raise VoxtoolError(
             f"operation {operation!r} is unknown: choose one of {', '.join(MORPHOLOGY)}"
         )
-    element = Element.of(shape, float(radius), octree.grid.pitch if world else (1.0, 1.0, 1.0))
+    element = element_of(octree, radius, world, shape)
     voxels = Tiling.of(octree, max(element.reach))
+    plan = plan_of(octree, operation, radius, world, shape, len(voxels.boundary()), max_memory)
+    return MorphJob(octree, voxels, plan, device or default_device(), max_memory)
+
+
+def element_of(octree: OctreeContent, radius: float, world: bool, shape: str) -> Element:
+    """Return the structuring element of a request."""
+    return Element.of(shape, float(radius), octree.grid.pitch if world else (1.0, 1.0, 1.0))
+
+
+def plan_of(
+    octree: OctreeContent,
+    operation: str,
+    radius: float,
+    world: bool,
+    shape: str,
+    tiles: int,
+    max_memory: int | None,
+) -> MorphPlan:
+    """Return the plan of an operation on an octree whose boundary so many tiles hold."""
+    element = element_of(octree, radius, world, shape)
     low = high = np.zeros(3, np.int64)
-    bounds = voxels.bounds()
-    if operation == "dilate" and bounds is not None:
+    bounds = octree.bounds() if operation == "dilate" else None
+    if bounds is not None:
         low = np.minimum(bounds[0] - element.reach, 0) // TILE * TILE
         high = np.maximum(bounds[1] + element.reach - octree.grid.shape, 0)
     grid = octree.grid.window(low.tolist(), (octree.grid.shape + high - low).tolist())
     x, y, z = low.tolist()
-    tiles = len(voxels.boundary())
+    batch = batch_of(element, tiles, max_memory)
+    return MorphPlan(operation, float(radius), world, shape, element, grid, (x, y, z), tiles, batch)
+
+
+def batch_of(element: Element, tiles: int, max_memory: int | None) -> int:
+    """Return the number of tiles that are dilated at once, of an octree with so many."""
     room = SCRATCH if max_memory is None else min(SCRATCH, max_memory - tiles * TILE_BYTES)
-    plan = MorphPlan(
-        operation, float(radius), world, shape, element, grid, (x, y, z), tiles,
-        max(room // element.scratch, 1),
-    )  # fmt: skip
-    return MorphJob(octree, voxels, plan, device or default_device(), max_memory)
+    return max(room // element.scratch, 1)
 
 
 class MorphJob(Job[Octree]):
@@ -311,10 +337,15 @@ class MorphJob(Job[Octree]):
 
     def findings(self, result: Octree) -> Iterator[str]:
         """Yield why the result is empty."""
-        if not self.octree.count:
-            yield "no voxel is set, so none is changed: see `voxtool svo-info`"
-        elif not result.count:
-            yield (
-                f"no voxel is left: every one lies within {self.plan.radius:g} of the outside: "
-                "choose a smaller radius"
-            )
+        return why_empty(self.plan, self.octree.count, result.count)
+
+
+def why_empty(plan: MorphPlan, before: int, after: int) -> Iterator[str]:
+    """Yield why a result is empty, of the numbers of set voxels."""
+    if not before:
+        yield "no voxel is set, so none is changed: see `voxtool svo-info`"
+    elif not after:
+        yield (
+            f"no voxel is left: every one lies within {plan.radius:g} of the outside: "
+            "choose a smaller radius"
+        )

@@ -36,7 +36,7 @@ from voxtool.svo.layout import (
     pack_voxels,
     unpack_bricks,
 )
-from voxtool.svo.links import level_states
+from voxtool.svo.links import level_states, nodes_of, offsets_of
 from voxtool.svo.prune import octree_of_bricks, prune
 from voxtool.svo.validate import check_sizes
 
@@ -248,6 +248,14 @@ class Octree(PointQueries, OctreeContent, Data):
             )
         arrays = octree_of_bricks(grid.side, *pack_voxels(voxels), collapse="solid" in mode)
         return cls(grid, mode, "none", *arrays, units=units)
+
+    @classmethod
+    def of_states(
+        cls, grid: Grid, mode: str, fill: str, levels: Sequence[np.ndarray], bricks: np.ndarray
+    ) -> Octree:
+        """Return the octree of nodes with these states, by level from the root down to level 1."""
+        offsets = offsets_of(levels, len(bricks)).astype(np.uint32)
+        return cls(grid, mode, fill, offsets, np.concatenate(list(nodes_of(levels))), bricks)
 
     @classmethod
     def of_stored(cls, octree: StoredOctree) -> Octree:

@@ -16,6 +16,7 @@ from voxtool.errors import GridError
 from voxtool.grid import Grid
 from voxtool.morton import morton_decode, morton_encode
 from voxtool.svo.layout import BRICK, BRICK_SIDE, BRICK_VOXELS, INSIDE, LINK, VALID
+from voxtool.svo.links import states_of
 from voxtool.svo.octree import Octree
 
 EMPTY, FULL = -1, -2  # in place of a node: a uniform block of voxels
@@ -75,9 +76,21 @@ def _triple(numbers: Sequence[float]) -> str:
 
 
 def place(octree: Octree, grid: Grid, low: np.ndarray) -> Placed:
-    """Return the nodes of an octree in that of a grid, where its low corner is voxel `low`."""
-    placed = _deepened(octree, (grid.side // BRICK_SIDE).bit_length())
-    return _moved(placed, low) if low.any() else placed
+    """Return the nodes of an octree in that of a grid, where its low corner is voxel `low`, which
+    may lie before the grid; what lies beyond the grid's cube is left out."""
+    depth = (grid.side // BRICK_SIDE).bit_length()
+    placed = _deepened(octree, depth)
+    placed = _moved(placed, low) if low.any() else placed
+    while len(placed.words) >= depth:
+        placed = _first_octant(placed)
+    return placed
+
+
+def placed_octree(octree: Octree, grid: Grid, low: np.ndarray) -> Octree:
+    """Return that octree, pruned."""
+    placed = place(octree, grid, low)
+    levels = [states_of(words) for words in placed.words]
+    return Octree.of_states(grid, "solid", "none", levels, placed.bricks).pruned()
 
 
 def _deepened(octree: Octree, depth: int) -> Placed:
@@ -90,8 +103,20 @@ def _deepened(octree: Octree, depth: int) -> Placed:
     return Placed(words, octree.bricks)
 
 
+def _first_octant(placed: Placed) -> Placed:
+    """Return the first of the eight nodes below the root, and what lies below it."""
+    root, *below = placed.words
+    if not root[0] & VALID:
+        return Placed([root, *(words[:0] for words in below[1:])], placed.bricks[:0])
+    words, size = [], 1
+    for level in below:
+        words.append(level[:size])
+        size = 8 * int(np.count_nonzero(words[-1] & VALID))
+    return Placed(words, placed.bricks[:size])
+
+
 def _moved(placed: Placed, low: np.ndarray) -> Placed:
-    """Return an octree with its voxels moved by `low` >= 0 along each axis.
+    """Return an octree with its voxels moved by `low` along each axis.
 
     Along each axis, a node covers parts of the given octree's nodes q and q + 1 cells away, or only
     of the first: nodes[i, o] is the one at corner o of node i. So do the nodes of the level below.

@@ -18,7 +18,7 @@ import numpy as np
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
 from voxtool.morton import among, distinct, morton_decode, morton_encode, morton_step
-from voxtool.svo.layout import BRICK, BRICK_SIDE, descend, unpack_bricks
+from voxtool.svo.layout import BRICK, BRICK_SIDE, descend
 from voxtool.svo.octree import Octree
 from voxtool.svo.prune import ALL_VOXELS, octree_of_bricks
 
@@ -166,31 +166,6 @@ class Tiling:
         ]
         bricks = self.bricks_of(codes) & other.bricks_of(codes)
         return type(self)(self.corner, codes, bricks, full).normal()
-
-    def bounds(self) -> np.ndarray | None:
-        """Return the low and the high corner of the box around the set, (2, 3) int64 voxels counted
-        from the grid's corner; None for an empty set."""
-        boxes = []
-        for level, leaves in enumerate(self.full):
-            if len(leaves):
-                cells, side = morton_decode(leaves), TILE << level
-                boxes.append((cells.min(axis=0) * side, (cells.max(axis=0) + 1) * side))
-        if len(self.codes):
-            cells = morton_decode(self.codes)
-            ends = [(self._end(cells, axis, 0), self._end(cells, axis, -1)) for axis in range(3)]
-            boxes.append(np.transpose(ends))
-        if not boxes:
-            return None
-        low, high = np.transpose(boxes, (1, 0, 2))
-        return np.stack([low.min(axis=0), high.max(axis=0)]) - self.corner
-
-    def _end(self, cells: np.ndarray, axis: int, end: int) -> int:
-        """Return the first voxel of the mixed tiles along an axis, or behind the last one."""
-        at = cells[:, axis].min() if end == 0 else cells[:, axis].max()
-        held = np.bitwise_or.reduce(self.bricks[cells[:, axis] == at], axis=0)
-        brick, *local = np.nonzero(unpack_bricks(held))
-        places = TILE * at + BRICK_SIDE * BRICK_CELLS[brick, axis] + local[axis]
-        return int(places.min() if end == 0 else places.max() + 1)
 
     def octree(
         self, grid: Grid, low: np.ndarray, units: str = "", transform: tuple[float, ...] = ()

@@ -201,11 +201,6 @@ class VoxelizeJob(Job[Octree]):
         """The memory that the job lacks, as messages say it; "" if it lacks none."""
         return self.plan.cost.shortage(self.limit, self.device.info.max_allocation)
 
-    @property
-    def limit(self) -> int:
-        """Bytes that the job may take on the device."""
-        return self.device.max_memory if self.max_memory is None else self.max_memory
-
     def _place(self, some: np.ndarray | None, fill: str) -> Survey:
         """Upload the mesh, or only `some` of its faces, and survey it: on the window, or on the
         whole grid to flood it."""

@@ -1,23 +1,29 @@
-"""`voxtool.tiles.voxelize`: voxelization in windows, in this process or on a cluster."""
+"""Octrees made in windows: `voxtool.tiles.voxelize`, also on a cluster, `combine` and `morph`."""
 
 from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from voxtool.choices import DEFAULT_MODE
+from voxtool.choices import DEFAULT_MODE, ELEMENTS, OPERATIONS
 from voxtool.errors import GridError
 from voxtool.files import write_svo
 from voxtool.files.mesh import as_mesh
 from voxtool.files.windows import Windows
 from voxtool.grid import Grid
-from voxtool.opencl import Device
+from voxtool.opencl import Device, default_device
+from voxtool.svo.booleans import plan_combine
+from voxtool.svo.content import OctreeContent
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import plan_voxelize
+from voxtool.tiles.combining import CombineWindowsJob
+from voxtool.tiles.morphing import MorphWindowsJob, plan_unread
 from voxtool.tiles.octree import BlockOctree
+from voxtool.tiles.operations import OperationJob
 from voxtool.tiles.spread import SpreadJob
 from voxtool.tiles.windows import WindowsJob
 
@@ -84,14 +90,93 @@ def voxelize(
     request = {"fill": fill, "with_surface": with_surface}
     whole = plan_voxelize(found, grid, mode, device=device, max_memory=max_memory, **request)
     job = SpreadJob(whole, client) if client else WindowsJob(whole)
+    if file is not None:
+        return _written(job, file, resume)
     with tempfile.TemporaryDirectory(prefix="voxtool-") as folder:
-        target = file or os.path.join(folder, "octree")
-        with Windows(str(target), job.request, job.plan.disk, resume=resume) as job.store:
-            made = job.run()
-            if file is None:
-                return in_memory(made)
-            write_svo(cast("Octree", made), file)
-            return made
+        target = os.path.join(folder, "octree")
+        with Windows(target, job.request, job.plan.disk) as job.store:
+            return in_memory(job.run())
+
+
+def combine(
+    octrees: Sequence[OctreeContent],
+    operation: str = OPERATIONS[0],
+    *,
+    file: str | os.PathLike[str],
+    resume: bool = False,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> BlockOctree:
+    """Combine octrees in windows, and write the result: that of `voxtool.combine`, bit for bit.
+
+    Parameters
+    ----------
+    octrees
+        Octrees in memory, or of `voxtool.files.open_svo`, whose nodes stay in their files.
+    operation
+        As for `voxtool.combine`.
+    file, resume, device, max_memory
+        As for `voxelize`.
+
+    Returns
+    -------
+    The BlockOctree that was written, which has its counts and digest.
+
+    Raises
+    ------
+    GridError, MemoryLimitError, FileError
+        As `voxtool.combine` and `voxelize`.
+    """
+    whole = plan_combine(octrees, operation, device=device, max_memory=max_memory)
+    return _written(CombineWindowsJob(whole, octrees), file, resume)
+
+
+def morph(
+    octree: OctreeContent,
+    operation: str,
+    radius: float,
+    *,
+    world: bool = False,
+    shape: str = ELEMENTS[0],
+    file: str | os.PathLike[str],
+    resume: bool = False,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> BlockOctree:
+    """Dilate, erode, open, close or hollow an octree in windows, and write the result: that of
+    `voxtool.morph`, bit for bit.
+
+    Parameters
+    ----------
+    octree
+        In memory, or of `voxtool.files.open_svo`, whose nodes stay in its file.
+    operation, radius, world, shape
+        As for `voxtool.morph`.
+    file, resume, device, max_memory
+        As for `voxelize`.
+
+    Returns
+    -------
+    The BlockOctree that was written, which has its counts and digest.
+
+    Raises
+    ------
+    VoxtoolError, MemoryLimitError, FileError
+        As `voxtool.morph` and `voxelize`.
+    """
+    whole = plan_unread(octree, operation, radius, world, shape, max_memory)
+    job = MorphWindowsJob(whole, octree, device or default_device(), max_memory)
+    return _written(job, file, resume)
+
+
+def _written(
+    job: WindowsJob | OperationJob, file: str | os.PathLike[str], resume: bool
+) -> BlockOctree:
+    """Run a job in windows, and write the octree that they make together."""
+    with Windows(str(file), job.request, job.plan.disk, resume=resume) as job.store:
+        made = job.run()
+        write_svo(cast("Octree", made), file)
+    return made
 
 
 def in_memory(octree: BlockOctree) -> Octree:

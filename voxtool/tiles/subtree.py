@@ -40,10 +40,15 @@ def depth_of(side: int) -> int:
     return (side // (2 * BRICK_SIDE)).bit_length()
 
 
+def leaf_subtree(side: int, state: int) -> Subtree:
+    """Return the subtree of a cube that is a leaf, EMPTY or FULL."""
+    none = np.empty(0, np.uint8)
+    return Subtree((np.full(1, state, np.uint8), *[none] * (depth_of(side) - 1)), 0)
+
+
 def empty_subtree(side: int) -> Subtree:
     """Return the subtree of a cube without voxels."""
-    none = np.empty(0, np.uint8)
-    return Subtree((np.full(1, EMPTY, np.uint8), *[none] * (depth_of(side) - 1)), 0)
+    return leaf_subtree(side, EMPTY)
 
 
 def subtree_of(octree: Octree, side: int) -> Subtree:

@@ -141,16 +141,12 @@ class SurfaceWindowsJob(Job[BlockSurface]):
         while side >= max(self.margin, TILE * self.sampling.side):
             cells = Cells(self.octree, side)
             window = self._window_plan(self._nodes(cells))
-            if window.fits(self._allowed, self.device.info.max_allocation):
+            if window.fits(self.limit, self.device.info.max_allocation):
                 return SurfacePlan(self._whole, window, side, self.margin, len(cells.mixed()))
             side //= 2
         raise MemoryLimitError(
             f"a window of {2 * side} voxels a side does not fit: allow more (see --max-memory)"
         )
-
-    @property
-    def _allowed(self) -> int:
-        return self.device.max_memory if self.max_memory is None else self.max_memory
 
     def _nodes(self, cells: Cells) -> tuple[int, ...]:
         """Return the predicted nodes of a window's levels, from the bricks up."""
@@ -217,7 +213,7 @@ class SurfaceWindowsJob(Job[BlockSurface]):
         plan = self._window_plan(tuple(tree.count(number) for number in range(tree.top + 1)))
 
         def counted(**numbers: int) -> None:
-            replace(plan, **numbers).refuse_beyond(self._allowed, device.info.max_allocation)
+            replace(plan, **numbers).refuse_beyond(self.limit, device.info.max_allocation)
 
         counted()
         along = cells.side // (TILE * self.sampling.side)  # tiles

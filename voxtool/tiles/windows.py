@@ -296,9 +296,9 @@ def made_by(job: VoxelizeJob, side: int) -> Window:
     return Window.of(subtree_of(octree, side).levels, octree.bricks, octree.count)
 
 
-def refuse_smallest(key: Key, shortage: str) -> None:
+def refuse_smallest(key: Key, shortage: str, least: int = LEAST) -> None:
     """Raise MemoryLimitError if a window that does not fit cannot be divided."""
-    if key[3] <= LEAST:
+    if key[3] <= least:
         raise MemoryLimitError(
             f"a window of {key[3]} voxels a side {shortage}: allow more, or choose a smaller dim"
         )

@@ -1,0 +1,67 @@
+"""Commands that make an octree window by window if it does not fit in memory."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from voxtool.cli import runner
+from voxtool.cli.options import flag, option, together
+
+if TYPE_CHECKING:
+    from contextlib import ExitStack
+
+    from voxtool.svo.content import StoredOctree
+    from voxtool.svo.octree import Octree
+    from voxtool.tiles.octree import BlockOctree
+    from voxtool.tiles.operations import OperationJob
+    from voxtool.tiles.windows import WindowsJob
+
+windows_options = together(
+    option("--windows", ("auto", "never"),
+        "auto: if the octree would take more than --max-memory, make it in windows, with the same "
+        "content; never: refuse.", "auto"),
+    flag("--resume", "Go on with the windows that a killed run left in FILE.windows."),
+    flag("--no-keep", "Leave no windows if the run is killed or fails."),
+)  # fmt: skip
+
+
+def opened(run: runner.Run, name: str, stack: ExitStack) -> Octree | StoredOctree:
+    """Return an octree whose nodes stay in its file, where that is possible."""
+    from voxtool.files import open_svo
+    from voxtool.svo.merged import MergedOctree
+
+    octree: Any = run.stage("read octree", stack.enter_context, open_svo(name))
+    if isinstance(octree, MergedOctree):
+        with run.naming(name):
+            return run.stage("read octree", octree.expanded)
+    return octree
+
+
+def in_memory(run: runner.Run, octree: Octree | StoredOctree) -> Octree:
+    """Return an octree in memory."""
+    from voxtool.svo.octree import Octree
+
+    if isinstance(octree, Octree):
+        return octree
+    return run.stage("read octree", Octree.of_stored, octree)
+
+
+def make_in_windows(
+    run: runner.Run, job: WindowsJob | OperationJob, resume: bool, no_keep: bool, **facts: Any
+) -> BlockOctree:
+    """Run a job in windows, and write the octree that they make together."""
+    from voxtool.files import write_svo
+    from voxtool.files.windows import Windows
+
+    if run.only_plan:
+        run.job(job, **facts)
+    if run.to_stdout:
+        raise click.UsageError("windows wait beside the output: name a file with -o")
+    with Windows(
+        str(run.output), job.request, job.plan.disk, resume=resume, keep=not no_keep
+    ) as job.store:
+        octree = run.job(job, **facts)
+        run.write(write_svo, octree)
+    return octree
