@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gzip
+import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -130,6 +132,18 @@ def test_damaged_files(name: str, packed: bool, tmp_path: Path) -> None:
     path.write_bytes(gzip.compress(content) if packed else content)
     with pytest.raises(FileError, match=message):
         voxtool.read_voxels(path)
+
+
+def test_an_extension_of_an_odd_size(tmp_path: Path) -> None:
+    path = tmp_path / "a.nii"
+    octree = voxtool.Octree.from_dense(DENSE)
+    voxtool.export(octree, path)
+    content = bytearray(path.read_bytes())
+    (size,) = struct.unpack_from("<i", content, 352)
+    struct.pack_into("<i", content, 352, size - 1)
+    path.write_bytes(content)
+    with warnings.catch_warnings(action="error"):
+        assert voxtool.read_voxels(path) == octree
 
 
 def test_long_sides_are_refused(tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import gzip
 import io
 import struct
+import warnings
 from collections.abc import Iterator
 from typing import Any, BinaryIO
 
@@ -144,10 +145,10 @@ def _read_header(file: BinaryIO | gzip.GzipFile) -> Any:
         raise FileError(f"its array begins at byte {offset:g}: it must lie in the same file")
     file.seek(0)
     head = file.read(int(offset))
+    reader = {1: Nifti1Header, 2: Nifti2Header}[version]
     try:
-        header = {1: Nifti1Header, 2: Nifti2Header}[version].from_fileobj(
-            io.BytesIO(head), check=False
-        )
+        with warnings.catch_warnings(action="ignore", category=UserWarning):  # of odd extensions
+            header = reader.from_fileobj(io.BytesIO(head), check=False)
     except Exception as error:  # damage shows in any of the library's errors
         raise FileError(f"a damaged header: {one_line(error)}") from None
     return header
