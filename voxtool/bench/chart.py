@@ -42,19 +42,10 @@ DPI = 144  # of PNG
 NEAR = (80, 20)  # pixels, across and up, within which two labels of points would overlap
 
 
-@dataclass(frozen=True)
-class Theme:
-    """Colours of the text, of grid lines, and of the ground."""
-
-    ink: str
-    grid: str
-    ground: str
-
-
-PAPER = Theme("#1d2530", "#d5dae0", "#ffffff")
-# colours that no chart has, so that the page's own can replace them
-PAGE = Theme("#010203", "#040506", "#070809")
-CSS = {PAGE.ink: "currentColor", PAGE.grid: "var(--grid)", PAGE.ground: "var(--card)"}
+# Of the text, of grid lines, and of the ground. Nothing else in a chart has these colours, so that
+# the page's own can replace them.
+INK, GRID, GROUND = "#1d2530", "#d5dae0", "#ffffff"
+CSS = {INK: "currentColor", GRID: "var(--grid)", GROUND: "var(--card)"}
 
 
 @dataclass(frozen=True)
@@ -97,29 +88,28 @@ def _chart(draw: Any, points: Sequence[Any], name: str) -> Chart:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    forms: list[bytes] = []
-    for theme, form in ((PAGE, "svg"), (PAPER, "png")):
-        style: dict[Any, Any] = {
-            **matplotlib.rcParamsDefault,  # not the user's
-            "svg.fonttype": "none", "svg.hashsalt": name, "font.size": 9, "text.color": theme.ink,
-            "font.sans-serif": ["DejaVu Sans", "Verdana", "sans-serif"],
-            "axes.edgecolor": theme.grid, "axes.labelcolor": theme.ink, "xtick.color": theme.ink,
-            "ytick.color": theme.ink, "axes.facecolor": theme.ground, "grid.color": theme.grid,
-            "figure.facecolor": theme.ground, "savefig.facecolor": theme.ground,
-            "axes.spines.top": False, "axes.spines.right": False, "grid.linewidth": 0.6,
-            "legend.frameon": False, "legend.fontsize": 8, "axes.titlesize": 11,
-            "axes.titlelocation": "left", "axes.titlepad": 12, "axes.axisbelow": True,
-        }  # fmt: skip
-        with matplotlib.rc_context(style), warnings.catch_warnings():
-            warnings.filterwarnings("ignore", "Glyph")  # names may be in any script
-            figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DPI, layout="constrained")
-            FigureCanvasAgg(figure)
-            draw(figure, points, theme)
-            file = io.BytesIO()
-            metadata = {"Software": None} if form == "png" else {"Date": None}
-            figure.savefig(file, format=form, metadata=metadata)
-        forms.append(file.getvalue())
-    return Chart(name, inline(forms[0].decode()), forms[1])
+    style: dict[Any, Any] = {
+        **matplotlib.rcParamsDefault,  # not the user's
+        "svg.fonttype": "none", "svg.hashsalt": name, "font.size": 9, "text.color": INK,
+        "font.sans-serif": ["DejaVu Sans", "Verdana", "sans-serif"],
+        "axes.edgecolor": GRID, "axes.labelcolor": INK, "xtick.color": INK,
+        "ytick.color": INK, "axes.facecolor": GROUND, "grid.color": GRID,
+        "figure.facecolor": GROUND, "savefig.facecolor": GROUND,
+        "axes.spines.top": False, "axes.spines.right": False, "grid.linewidth": 0.6,
+        "legend.frameon": False, "legend.fontsize": 8, "axes.titlesize": 11,
+        "axes.titlelocation": "left", "axes.titlepad": 12, "axes.axisbelow": True,
+    }  # fmt: skip
+    svg, png = io.BytesIO(), io.BytesIO()
+    with matplotlib.rc_context(style), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph")  # names may be in any script
+        figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DPI, layout="constrained")
+        FigureCanvasAgg(figure)
+        draw(figure, points)
+        figure.draw_without_rendering()
+        figure.set_layout_engine(None)  # which takes longer than drawing does, for each form
+        figure.savefig(svg, format="svg", metadata={"Date": None})
+        figure.savefig(png, format="png", metadata={"Software": None})
+    return Chart(name, inline(svg.getvalue().decode()), png.getvalue())
 
 
 def inline(svg: str) -> str:
@@ -136,7 +126,7 @@ def inline(svg: str) -> str:
 # --- drawings ------------------------------------------------------------------------------------
 
 
-def draw_error(figure: Any, points: Sequence[Point], theme: Theme) -> None:
+def draw_error(figure: Any, points: Sequence[Point]) -> None:
     """Error against time, one line a method, the Pareto front marked."""
     plot = _logarithmic(figure)
     errors = [point.error for point in points if point.error is not None and point.error > 0]
@@ -148,7 +138,7 @@ def draw_error(figure: Any, points: Sequence[Point], theme: Theme) -> None:
     front = pareto(points)
     plot.step(
         [p.seconds for p in front], [p.error or floor for p in front], where="post",
-        color=theme.ink, alpha=0.16, linewidth=7, zorder=1, solid_capstyle="round",
+        color=INK, alpha=0.16, linewidth=7, zorder=1, solid_capstyle="round",
         label="Pareto front",
     )  # fmt: skip
     for number, (method, found) in enumerate(methods_of(points).items()):
@@ -161,7 +151,7 @@ def draw_error(figure: Any, points: Sequence[Point], theme: Theme) -> None:
         dashed = {"linestyle": (0, (4, 2)), "linewidth": 1.1} if found[0].peer else {}
         draw(
             known, color=colour, marker=marker, markersize=6, zorder=3, label=plain(method),
-            markerfacecolor=theme.ground, markeredgewidth=1.4, **{"linewidth": 1.5, **dashed},
+            markerfacecolor=GROUND, markeredgewidth=1.4, **{"linewidth": 1.5, **dashed},
         )  # fmt: skip
         best = [p for p in known if p in front]
         draw(best, linestyle="none", marker=marker, markersize=8, color=colour, zorder=4)
@@ -173,14 +163,14 @@ def draw_error(figure: Any, points: Sequence[Point], theme: Theme) -> None:
             several = sum(q.method == p.method and q.error is not None for q in points) > 1
             text = plain(p.label if several else p.method) + ("" if p.error else " (0)")
             plot.annotate(text, (p.seconds, p.error or floor), (6, 6), fontsize=7,
-                          textcoords="offset points", color=theme.ink, zorder=5)  # fmt: skip
+                          textcoords="offset points", color=INK, zorder=5)  # fmt: skip
             last = place
     bench, measure = points[0].bench, charted(points[0].bench)
     plot.set(xlabel="seconds", ylabel=plain(f"{measure} error, {MEASURES[bench][measure]}"))
     _finish(figure, f"{title(points[0].chart)}: error against time")
 
 
-def draw_cost(figure: Any, points: Sequence[Point], theme: Theme) -> None:
+def draw_cost(figure: Any, points: Sequence[Point]) -> None:
     """Seconds against size, with the exponents that fit."""
     plot = _logarithmic(figure)
     fitted, methods = exponents(points), list(methods_of(points))
@@ -189,7 +179,7 @@ def draw_cost(figure: Any, points: Sequence[Point], theme: Theme) -> None:
         p, low, high = fitted[method]
         plot.plot(
             *zip(*line, strict=True), marker=MARKERS[number % len(MARKERS)], markersize=6,
-            color=COLOURS[number % len(COLOURS)], markerfacecolor=theme.ground, linewidth=1.5,
+            color=COLOURS[number % len(COLOURS)], markerfacecolor=GROUND, linewidth=1.5,
             label=plain(f"{method}: size^{p:.2f}, {low:g} to {high:g}"),
         )  # fmt: skip
     sizes = sorted({p.size for p in points if p.size})
@@ -202,7 +192,7 @@ def draw_cost(figure: Any, points: Sequence[Point], theme: Theme) -> None:
     _finish(figure, f"{title(points[0].chart)}: cost against size")
 
 
-def draw_stages(figure: Any, points: Sequence[Point], theme: Theme) -> None:
+def draw_stages(figure: Any, points: Sequence[Point]) -> None:
     """A bar of the stages on the device for the slowest setting of each method."""
     known = methods_of(point for point in points if point.stages)
     bars = [max(found, key=lambda p: p.seconds) for found in known.values()]
@@ -212,7 +202,7 @@ def draw_stages(figure: Any, points: Sequence[Point], theme: Theme) -> None:
     for number, stage in enumerate(stages):
         width = np.array([1e3 * point.stages.get(stage, 0.0) for point in bars])
         plot.barh(range(len(bars)), width, left=left, height=0.62, label=plain(stage),
-                  color=COLOURS[number % len(COLOURS)], edgecolor=theme.ground,
+                  color=COLOURS[number % len(COLOURS)], edgecolor=GROUND,
                   linewidth=0.8)  # fmt: skip
         left += width
     for row, (end, point) in enumerate(zip(left.tolist(), bars, strict=True)):
@@ -221,7 +211,7 @@ def draw_stages(figure: Any, points: Sequence[Point], theme: Theme) -> None:
     _finish(figure, f"{title(points[0].chart)}: stages")
 
 
-def draw_ablations(figure: Any, ablations: Sequence[Ablation], theme: Theme) -> None:
+def draw_ablations(figure: Any, ablations: Sequence[Ablation]) -> None:
     """The time with a decision forced over the time as planned: a bar for each, from 1, and the
     range of the repeats."""
     plot = _bars(figure, [(one.what, one.work) for one in ablations])
@@ -230,14 +220,14 @@ def draw_ablations(figure: Any, ablations: Sequence[Ablation], theme: Theme) -> 
         planned = statistics.median(one.runs)
         least, middle, most = (f(one.forced) / planned for f in (min, statistics.median, max))
         ratios += [least, most]
-        kind, colour = "within the noise", theme.grid
+        kind, colour = "within the noise", GRID
         if one.beyond_noise and one.saved > 0:
             kind, colour = "saved by leaving it out", COLOURS[0]
         elif one.beyond_noise:
             kind, colour = "lost by leaving it out", COLOURS[1]
         plot.barh(row, middle - 1, left=1, height=0.62, label=kind, color=colour)
-        plot.plot((least, most), (row, row), color=theme.ink, linewidth=1)
-    plot.axvline(1, color=theme.ink, linewidth=1)
+        plot.plot((least, most), (row, row), color=INK, linewidth=1)
+    plot.axvline(1, color=INK, linewidth=1)
     plot.set(
         xlim=(min(0.9, *ratios), max(1.1, *ratios)),
         xlabel="time with it forced over time as planned; lines: all repeats",
@@ -251,9 +241,18 @@ def plain(text: str) -> str:
 
 
 def _logarithmic(figure: Any) -> Any:
-    """Axes with two logarithmic scales."""
+    """Axes with two logarithmic scales, with plain numbers: formulas take long to be set."""
+    from matplotlib.ticker import LogFormatter
+
+    class Plain(LogFormatter):
+        def __call__(self, x: float, pos: int | None = None) -> str:
+            return f"{x:g}" if super().__call__(x, pos) else ""
+
     plot = figure.add_subplot()
     plot.set(xscale="log", yscale="log")
+    for axis in (plot.xaxis, plot.yaxis):
+        axis.set_major_formatter(Plain())
+        axis.set_minor_formatter(Plain(labelOnlyBase=False))
     plot.grid(True, which="major")
     return plot
 
