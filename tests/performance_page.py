@@ -30,7 +30,10 @@ LIMIT = 2400  # seconds that a stage may take
 HERE, PAGE = ROOT / "build/performance", ROOT / "docs/performance.md"
 MODELS = {
     "bunny.obj": "stanford-bunny.obj",
-    **{name: name for name in ("armadillo.obj", "teapot.obj", "suzanne.obj", "bluntfin.vtu")},
+    **{
+        name: name
+        for name in ("armadillo.obj", "teapot.obj", "suzanne.obj", "nefertiti.obj", "bluntfin.vtu")
+    },
 }
 Point = dict[str, Any]
 Rows = Iterable[Iterable[str]]
@@ -223,7 +226,15 @@ def growth(points: list[Point]) -> Rows:
                "" if p is None else f"{p:.2f}"]  # fmt: skip
 
 
+def scale(points: list[Point]) -> Rows:
+    yield ["work", "method", "dim", "ms", "size, kB"]
+    for p in points:
+        size = "" if p["bytes"] is None else f"{p['bytes'] / 1e3:,.0f}"
+        yield [p["work"], p["method"], p["label"].removeprefix("dim "), ms(p), size]
+
+
 SCRIPTS = {  # which print a table
+    "large": "python -m tests.large_work armadillo.obj bunny.obj nefertiti.obj",
     "small": f"python {ROOT / 'examples/call_costs.py'} bunny.obj",
     "frames": "python -m tests.frame_rates bunny.obj bluntfin.vtu",
 }
@@ -245,6 +256,7 @@ TABLES: dict[str, tuple[str, Callable[[list[Point]], Rows]]] = {
                  "--peers", pictures),
     "volumes": (f"{BENCH} tets bluntfin.vtu --scalar density --peers --methods raycast "
                 "--integrators linear --repeat 5", volumes),
+    "scale": (f"{BENCH} scale bunny.obj --dims 512,2048 --peers", scale),
     "growth": (f"{BENCH} growth suzanne.obj bluntfin.vtu --scalar density --triangles 4000000 "
                "--dims 64,128,256,512,1024,2048,4096,8192 --levels 4,5,6,7,8,9,10 "
                "--tolerances 1e-3 --sizes 64,128,256,512,1024,2048 --repeat 1", growth),
