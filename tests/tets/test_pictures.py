@@ -374,19 +374,27 @@ def test_opaque_in_front_hides_what_is_behind(device) -> None:
     assert np.abs(found - reference_picture(mesh, wall, rays)[6:10, 6:10]).max() < 1e-4
 
 
-@pytest.mark.parametrize("fov", [None, 40.0])
-def test_opaque_pictures_end_at_one(device, fov) -> None:
+@pytest.mark.parametrize(
+    ("fov", "constant", "integrator"),
+    [  # of constant cells, each integrator has one kind of view: each is one more program
+        pytest.param(fov, constant, how, marks=pytest.mark.soak if constant and (i + j) % 2 else ())
+        for (i, fov), constant, (j, how) in itertools.product(
+            enumerate((None, 40.0)), (False, True), enumerate(INTEGRATORS)
+        )
+    ],
+)
+def test_opaque_pictures_end_at_one(device, fov, constant, integrator) -> None:
     """No colour and no alpha is beyond 1, by any integrator, however opaque."""
     points, cells = tet_grid((3, 3, 3), seed=6)
-    for scalars in (wavy(points), [wavy(points[cells].mean(axis=1))]):
-        mesh = tet_mesh(points, cells, scalars)
-        volume, rays = build_tet(mesh), rays_of(mesh, "iso", fov)
-        for extinction, *how in itertools.product((1e2, 1e6, 1e20), METHODS, INTEGRATORS):
-            white = replace(ramp(-1.5, 1.5, extinction), colours=np.ones((4, 3)))
-            found = draw(volume, rays, white, device, *how)
-            assert found.min() >= 0
-            assert found[..., 3].max() <= 1
-            assert found.max() <= 1 + 1e-6
+    scalars = [wavy(points[cells].mean(axis=1))] if constant else wavy(points)
+    mesh = tet_mesh(points, cells, scalars)
+    volume, rays = build_tet(mesh), rays_of(mesh, "iso", fov)
+    for extinction, method in itertools.product((1e2, 1e6, 1e20), METHODS):
+        white = replace(ramp(-1.5, 1.5, extinction), colours=np.ones((4, 3)))
+        found = draw(volume, rays, white, device, method, integrator)
+        assert found.min() >= 0
+        assert found[..., 3].max() <= 1
+        assert found.max() <= 1 + 1e-6
 
 
 # ---- what is left out, memory
@@ -427,7 +435,16 @@ def layered(kind: str) -> TetVolume:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["raycast", "projection", "constant", "hexahedra"])
 @pytest.mark.parametrize("method", METHODS)
-def test_what_memory_held_before_never_shows(device, kind, method) -> None:
+@pytest.mark.parametrize(
+    ("inside", "integrator"),
+    [  # a table is the only memory of an integrator
+        (False, "linear"),
+        (True, "preintegrated"),
+        pytest.param(False, "preintegrated", marks=pytest.mark.soak),
+        pytest.param(True, "linear", marks=pytest.mark.soak),
+    ],
+)
+def test_what_memory_held_before_never_shows(device, kind, method, inside, integrator) -> None:
     """NaN, huge numbers and denormals in new memory: the same picture."""
     words = [0]
 
@@ -441,15 +458,13 @@ def test_what_memory_held_before_never_shows(device, kind, method) -> None:
     assert not VolumeScene(volume, LAYER).blocks[0]
     camera = Camera((0.35, 0.35, 0.4), (0.1, -0.3, 0.2), fov=100.0)
     outside = Camera.fit((-1, -1, -1), (1, 1, 1), "iso", fov=None)
-    # a table is the only memory of an integrator
-    for view, integrator in itertools.product((outside, camera), ("linear", "preintegrated")):
-        pictures = []
-        for words[0] in (0, 0x7FC00000, 0xFF7FFFFF, 1):
-            rays = view.rays(19, 17)
-            pictures.append(draw(volume, rays, LAYER, altered, method, integrator))
-        assert pictures[0].any()
-        assert np.isfinite(pictures[0]).all()
-        assert len({picture.tobytes() for picture in pictures}) == 1, integrator
+    pictures = []
+    for words[0] in (0, 0x7FC00000, 0xFF7FFFFF, 1):
+        rays = (camera if inside else outside).rays(19, 17)
+        pictures.append(draw(volume, rays, LAYER, altered, method, integrator))
+    assert pictures[0].any()
+    assert np.isfinite(pictures[0]).all()
+    assert len({picture.tobytes() for picture in pictures}) == 1
 
 
 def test_pictures_beyond_limits_are_refused(device) -> None:
