@@ -105,5 +105,8 @@ def test_extract_in_windows(here: Path) -> None:
     same = ("digest", "vertices", "triangles", "cubes_cut", "voxels", "dim", "style", "level")
     assert {name: parts[name] for name in same} == {name: whole[name] for name in same}
     for refused in ("-o a.obj", "-o a.ply --windows never", "-o a.ply --check", "-o a.ply --merge"):
-        assert "allowed: choose level" in fail(f"{limited} {refused}", 4)
+        message = fail(f"{limited} {refused}", 4)
+        assert "allowed: choose level" in message
+        hinted = "a .ply without other options is made in windows" in message
+        assert hinted == (refused in ("-o a.obj", "-o a.ply --check"))
     assert sorted(path.name for path in here.glob("*.ply")) == ["parts.ply", "whole.ply"]

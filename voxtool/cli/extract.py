@@ -10,7 +10,7 @@ import click
 from voxtool.choices import MARCHING_CUBES, SHARP, STYLE_ALIASES, STYLES, VOXEL_FACES
 from voxtool.cli import options, runner
 from voxtool.cli.options import LEVEL, POSITIVE, flag, option, output_of, together
-from voxtool.errors import CheckError, MeshError
+from voxtool.errors import CheckError, MemoryLimitError, MeshError
 
 if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
@@ -101,10 +101,12 @@ def command(
     with run, ExitStack() as stack:
         content = run.stage("read file", stack.enter_context, open_shape(octree))
         parts = None
+        divisible = isinstance(content, StoredOctree) and windows != "never"
+        divisible = divisible and not (source or request["merge"])
         if isinstance(content, MergedOctree):
             content = run.stage("read file", content.expanded)
         elif isinstance(content, StoredOctree):
-            if windows != "never" and not (check or normals or against or source):
+            if divisible and not (check or normals or against):
                 with run.naming(octree):
                     parts = windows_of(run, content, request)
             if parts is None:
@@ -123,7 +125,13 @@ def command(
             job: Job[Any] = parts or planned(run, shape, request)
             if parts and not run.only_plan:
                 parts.store = stack.enter_context(Spool(str(run.output)))
-            surface: Any = run.job(job, after, empty=lambda surface: not len(surface.faces))
+            try:
+                surface: Any = run.job(job, after, empty=lambda surface: not len(surface.faces))
+            except MemoryLimitError as error:
+                if not divisible or parts:
+                    raise
+                hint = "a .ply without other options is made in windows"
+                raise MemoryLimitError(f"{error}; {hint}") from error
         if check:
             found = run.stage("check", surface.check)
             more["check"] = found | volumes_of(shape, found["volume"])
