@@ -100,15 +100,15 @@ def command(
     more: dict[str, Any] = {}
     with run, ExitStack() as stack:
         content = run.stage("read file", stack.enter_context, open_shape(octree))
-        parts = None
-        divisible = isinstance(content, StoredOctree) and windows != "never"
-        divisible = divisible and not (source or request["merge"])
+        parts = possible = None
         if isinstance(content, MergedOctree):
             content = run.stage("read file", content.expanded)
         elif isinstance(content, StoredOctree):
-            if divisible and not (check or normals or against):
+            if windows != "never" and not source:
                 with run.naming(octree):
-                    parts = windows_of(run, content, request)
+                    possible = windows_of(run, content, request)
+            if run.file_format == "ply" and not (check or normals or against):
+                parts = possible
             if parts is None:
                 content = run.stage("read file", Octree.of_stored, content)
         shape: Any = content
@@ -128,7 +128,7 @@ def command(
             try:
                 surface: Any = run.job(job, after, empty=lambda surface: not len(surface.faces))
             except MemoryLimitError as error:
-                if not divisible or parts:
+                if parts or not possible:
                     raise
                 hint = "a .ply without other options is made in windows"
                 raise MemoryLimitError(f"{error}; {hint}") from error
@@ -164,7 +164,7 @@ def windows_of(
     from voxtool.tiles.surface import plan_windows
 
     of_octree = {name: request[name] for name in ("style", "level", "isovalue", "merge")}
-    if run.file_format != "ply" or request["offset"] is not None or request["shell"] is not None:
+    if request["offset"] is not None or request["shell"] is not None:
         return None
     return run.stage("plan windows", plan_windows, octree, run.device, run.max_memory, **of_octree)
 
