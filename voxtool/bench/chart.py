@@ -87,6 +87,7 @@ def _chart(draw: Any, points: Sequence[Any], name: str) -> Chart:
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
 
     style: dict[Any, Any] = {
         **matplotlib.rcParamsDefault,  # not the user's
@@ -102,11 +103,12 @@ def _chart(draw: Any, points: Sequence[Any], name: str) -> Chart:
     svg, png = io.BytesIO(), io.BytesIO()
     with matplotlib.rc_context(style), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph")  # names may be in any script
-        figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DPI, layout="constrained")
+        layout = ConstrainedLayoutEngine()
+        figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DPI, layout=layout)
         FigureCanvasAgg(figure)
         draw(figure, points)
-        figure.draw_without_rendering()
-        figure.set_layout_engine(None)  # which takes longer than drawing does, for each form
+        layout.execute(figure)  # once: it takes longer than drawing does
+        figure.set_layout_engine(None)
         figure.savefig(svg, format="svg", metadata={"Date": None})
         figure.savefig(png, format="png", metadata={"Software": None})
     return Chart(name, inline(svg.getvalue().decode()), png.getvalue())
