@@ -137,6 +137,8 @@ def random_words(rng: random.Random) -> list[str]:
     if rng.random() < 0.02:
         words.append(rng.choice(("--no-such-option", "--", "-", "-h", "--version", "")))
     words += AFTER.get(name if name == "selftest" or rng.random() < 0.1 else name.split()[0], ())
+    if "--serve" in words:
+        words.append("--plan")  # it serves until it is interrupted
     if name.startswith("bench ") and words[-1] != "none":
         words += sizes(names)  # the last ones count: a bench does the work that it is asked for
     return words

@@ -138,12 +138,15 @@ def test_many_meshes(here: Path) -> None:
         ("--dask local -o x.npy", 2, "--dask writes .svo.h5"),
         ("--dask tcp://127.0.0.1:9", 4, "no scheduler of Dask at tcp://127.0.0.1:9"),
         ("--dask nowhere", 4, "no scheduler of Dask at nowhere"),
+        ("open.obj --dask nowhere -o out/", 4, "no scheduler of Dask at nowhere"),
         ("--dask local --workers 1 --fill flood", 3, "a flood is not divided into windows"),
     ],
 )
 def test_refusals(command: str, code: int, message: str, here: Path, monkeypatch) -> None:
     monkeypatch.setattr(cluster, "PATIENCE", 1)
+    before = sorted(here.iterdir())
     assert message in fail(f"voxelize bunny.obj --dim 32 {command}", code)
+    assert sorted(here.iterdir()) == before
 
 
 def test_without_dask_a_line_names_the_extra(here: Path, monkeypatch) -> None:

@@ -21,7 +21,7 @@ from voxtool.cli import options
 from voxtool.cli.options import Parsed, flag, option, together
 from voxtool.cli.runner import SHARED
 from voxtool.cli.workers import Spread, Task, Workers, serve
-from voxtool.errors import CheckError, DeviceError, human, printable
+from voxtool.errors import CheckError, DeviceError, VoxtoolError, human, printable
 from voxtool.version import __version__
 
 if TYPE_CHECKING:
@@ -156,7 +156,12 @@ class Many:
                 make_folder(below)
         todo = [task for task in tasks if not (manifest and self.is_current(manifest, task))]
         self.counts["up to date"] = len(tasks) - len(todo)
-        answers = self.do(todo, manifest)
+        try:
+            answers = self.do(todo, manifest)
+        except VoxtoolError:
+            if manifest and not self.counts["made"]:
+                manifest.discard()
+            raise
         if manifest:
             manifest.finish(str(task.output) for task in tasks)
             if self.tar:
@@ -220,8 +225,6 @@ class Many:
             if task.mesh not in message:
                 message = f"{printable(task.mesh)}: {message}"
             if self.ends_all(failure):
-                if manifest and not self.counts["made"]:
-                    manifest.discard()
                 raise error_of(failure["kind"], message)
             options.tell(f"failed: {message}")
         self.counts["failed" if failure else "made"] += 1
