@@ -166,7 +166,7 @@ def windows_of(
     of_octree = {name: request[name] for name in ("style", "level", "isovalue", "merge")}
     if request["offset"] is not None or request["shell"] is not None:
         return None
-    return run.stage("plan windows", plan_windows, octree, run.device, run.max_memory, **of_octree)
+    return run.plan(plan_windows, octree, **of_octree)
 
 
 def planned(run: runner.Run, source: Octree | DistanceField, request: dict[str, Any]) -> Job[Any]:
