@@ -26,7 +26,7 @@ from voxtool.choices import (
     STYLES,
     VIEWS,
 )
-from voxtool.cli import bench_compare, options
+from voxtool.cli import bench_compare, bench_texts, options
 from voxtool.cli.options import DIM, flag, option, together
 from voxtool.errors import CheckError, printable
 from voxtool.version import __version__
@@ -420,3 +420,4 @@ def answer(points: Sequence[Point], budget: Budget, err: bool) -> None:
 for _name in COMMANDS:
     command.add_command(bench_command(_name))
 command.add_command(bench_compare.command)
+command.add_command(bench_texts.command)
