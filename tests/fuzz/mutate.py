@@ -49,8 +49,8 @@ def mutant(format: str, data: bytes, rng: random.Random, others: list[bytes]) ->
     # the HDF5 library, which changes files in this process, gets them before they are damaged
     for change in sorted(chosen, key=lambda one: one is not change_hdf5):
         spliced = change is not change_hdf5 and rng.random() < 0.03
-        data = splice(data, rng, others) if spliced else change(data, rng)
-    return data[:MOST_BYTES]
+        data = (splice(data, rng, others) if spliced else change(data, rng))[:MOST_BYTES]
+    return data
 
 
 def changes_for(format: str, data: bytes) -> list[Change]:
