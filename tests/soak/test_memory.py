@@ -49,18 +49,15 @@ def test_an_octree_of_2048_is_closed_within_2_gb(models: Path, tmp_path: Path) -
         assert peak < LIMIT
 
 
-def test_operations_take_less_memory_in_windows(models: Path, tmp_path: Path) -> None:
+def test_combining_takes_less_memory_in_windows(models: Path, tmp_path: Path) -> None:
     solid, surface = tmp_path / "solid.svo.h5", tmp_path / "surface.svo.h5"
     for mode, octree in (("solid", solid), ("surface26", surface)):
         run(f"voxelize {models}/bunny.obj --dim 4096 --mode {mode} -o {octree}")
-    for words, share in (
-        (f"combine {solid} {surface} --op difference", 0.5),
-        (f"morph {solid} --close 3", 0.75),
-    ):
-        part = peak_of(f"{words} -q --max-memory 150M -o {tmp_path}/part.svo.h5")
-        whole = peak_of(f"{words} -q -o {tmp_path}/whole.svo.h5")
-        assert part < share * whole
-        assert filecmp.cmp(tmp_path / "part.svo.h5", tmp_path / "whole.svo.h5", shallow=False)
+    words = f"combine {solid} {surface} --op difference -q"
+    part = peak_of(f"{words} --max-memory 150M -o {tmp_path}/part.svo.h5")
+    whole = peak_of(f"{words} -o {tmp_path}/whole.svo.h5")
+    assert part < whole / 2
+    assert filecmp.cmp(tmp_path / "part.svo.h5", tmp_path / "whole.svo.h5", shallow=False)
 
 
 PEAKS = """
