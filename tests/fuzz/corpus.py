@@ -245,6 +245,8 @@ def casts() -> Iterator[Entry]:
         "(1e308,1e308,0) (0,6,0) (0,0,6)\nencoding: raw\n\n"
     )
     yield Entry("axes beyond float64", "a.image.nrrd", nrrd.encode, has="oblique")
+    far = nrrd.replace("(1e308,1e308,0)", "(-1e308,0,0)")
+    yield Entry("a side beyond float64", "a.image.nrrd", far.encode, has="not finite")
     vti = '<?xml version="1.0"?><VTKFile type="ImageData" byte_order="LittleEndian">' + (
         '<ImageData WholeExtent="0 9 0 9 0 9" Origin="0 0 0" Spacing="1 -inf 1">'
         '<Piece Extent="0 9 0 9 0 9"><CellData Scalars="a">'

@@ -136,7 +136,8 @@ def _place(
     if shape.max() > MAX_DIM:
         size = " x ".join(map(str, shape.tolist()))
         raise FileError(f"its voxels span {size}, of {MAX_DIM} a side allowed: crop it first")
-    return low, frame_of(shape.tolist(), matrix, translation + matrix @ low)
+    with np.errstate(all="ignore"):  # what is not finite is refused
+        return low, frame_of(shape.tolist(), matrix, translation + matrix @ low)
 
 
 def _own_grid(

@@ -177,6 +177,7 @@ def _transposed(values: np.ndarray, frame: Frame) -> np.ndarray:
 # ---- for readers
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what is not finite is refused
 def frame_of(shape: Sequence[int], matrix: np.ndarray, center: np.ndarray) -> Frame:
     """Return the frame of an array of samples.
 
@@ -203,9 +204,7 @@ def frame_of(shape: Sequence[int], matrix: np.ndarray, center: np.ndarray) -> Fr
     beside[axes, [0, 1, 2]] = 0
     pitch = np.empty(3)
     pitch[axes] = np.abs(steps)
-    with np.errstate(over="ignore"):  # infinite, which is oblique
-        far = beside * shape
-    if (far >= pitch[:, None] / (1 << FIXED_POINT_BITS)).any():
+    if (beside * shape >= pitch[:, None] / (1 << FIXED_POINT_BITS)).any():
         raise FileError(
             "its axes are oblique: resample it to a grid along the world's axes first (Slicer: "
             "Resample Scalar Volume; SimpleITK: Resample)"
