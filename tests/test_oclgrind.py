@@ -443,6 +443,7 @@ def extract_surfaces(device) -> None:
         found = check_surface(mesh, weld=False)
         assert len(surface.faces) > 0, request
         assert closed_chain(mesh) if surface.merged else found.watertight and found.manifold, found
+    assert jobs[0].with_(naive=True).run().digest() == jobs[0].run().digest()
     dense = np.ones((24, 16, 16), bool)  # with full cells below the low sides of a window's cube
     dense[20, 3, 4] = False
     octree = octree_from_dense(dense)

@@ -42,6 +42,7 @@ from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.mesh.topology import check_topology, volume
 from voxtool.opencl import list_devices
 from voxtool.spatial.sampling import sample_cube
+from voxtool.svo.surface.extract import plan_extract
 from voxtool.svo.voxelize import plan_voxelize
 
 HOSTILE = """<script src="http://x.example/a.js">alert(1)</script>"'&$x_$=1\x1b[31m\n.obj"""
@@ -486,6 +487,11 @@ def test_forced_decisions_change_nothing() -> None:
     assert [one.what for one in found] == list(ablation.VOXELIZE)
     assert all(one.same and (one.model, one.work) == ("ball.obj", "solid") for one in found)
     assert all(len(one.runs) == len(one.forced) == 1 for one in found)
+    extraction = plan_extract(job.run(), device=device)
+    (all_cubes,) = ablation.of_extract(extraction, bench, "marching-cubes")
+    assert all_cubes.same
+    extraction.max_memory = extraction.with_(naive=True).cost.device - 1
+    assert list(ablation.of_extract(extraction, bench, "marching-cubes")) == []
     request = {"tolerance": 1e-2, "max_level": 3, "measure": False, "device": device}
     found = list(ablation.of_field(plan_adf(mesh, **request), bench, "solid"))
     assert {one.what for one in found} == set(ablation.FIELD)

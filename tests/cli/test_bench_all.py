@@ -111,7 +111,7 @@ def test_errors_fall_with_finer_settings(report: dict[str, Any]) -> None:
 
 def test_ablations(report: dict[str, Any]) -> None:
     savings = report["savings"]
-    assert {saving["bench"] for saving in savings} == {"voxelize", "adf"}
+    assert {saving["bench"] for saving in savings} == {"voxelize", "extract", "adf"}
     assert all(saving["same"] for saving in savings)
     assert all(len(s["runs"]) == len(s["forced"]) == 2 for s in savings)
 

@@ -357,6 +357,16 @@ def test_failures_are_one_line(command: str, message: str, here: Path) -> None:
     assert message in fail(command)
 
 
+def test_naive_extraction_is_the_same_file(here: Path) -> None:
+    run("extract bunny.svo.h5 -o few.ply")
+    run("extract bunny.svo.h5 --naive -o all.ply")
+    assert (here / "all.ply").read_bytes() == (here / "few.ply").read_bytes()
+    plans = [told(f"extract bunny.svo.h5 --plan --json {more}") for more in ("", "--naive")]
+    assert plans[0]["predicted_tiles"] < plans[1]["predicted_tiles"]
+    message = fail("extract bunny.svo.h5 --naive --max-memory 100 -o a.obj")
+    assert "no level fits, or leave out naive" in message
+
+
 @pytest.mark.parametrize("mode", ["surface26", "surface6"])
 def test_a_surface_has_no_inside(mode: str, here: Path) -> None:
     run(f"voxelize bunny.obj --dim 32 --mode {mode} -q -o shell.svo.h5")

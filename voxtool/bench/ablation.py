@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from voxtool.job import Job
     from voxtool.rendering import RenderJob
     from voxtool.svo.octree import Octree
+    from voxtool.svo.surface.extract import ExtractJob
+    from voxtool.svo.surface.isosurface import Isosurface
 
 T = TypeVar("T")
 VOXELIZE = {  # names in `left_out`, and the decisions that undo them
@@ -41,6 +43,7 @@ FIELD = {
     "search for jumps of the sign": {"closed": False, "sign": "pseudonormal"},
     "winding numbers": {"sign": "winding"},
 }
+EXTRACT = {"cubes away from nodes": {"naive": True}}
 WIDE = "64-bit identifiers"
 W = "w of the hash's offsets"
 
@@ -87,6 +90,16 @@ def of_voxelize(job: Job[Octree], bench: Bench, work: str) -> Iterator[Ablation]
         return replace(forced, fill=planned.fill).digest() == planned.digest()
 
     yield from of_job(job, VOXELIZE, same, bench, work)
+
+
+def of_extract(job: ExtractJob, bench: Bench, work: str) -> Iterator[Ablation]:
+    """Ablations of an extraction: its cubes away from nodes, where all of them fit in memory."""
+
+    def same(planned: Isosurface, forced: Isosurface) -> bool:
+        return forced.digest() == planned.digest()
+
+    if job.with_(naive=True).plan.fits(job.limit, bench.timed.info.max_allocation):
+        yield from of_job(job, EXTRACT, same, bench, work)
 
 
 def of_field(job: Job[DistanceField], bench: Bench, work: str) -> Iterator[Ablation]:

@@ -163,8 +163,8 @@ def _with_command(point: Point, bench: Bench, *words: str, output: str) -> Point
 # --- surfaces ------------------------------------------------------------------------------------
 
 
-def measure_extract(bench: Bench) -> Iterator[Point]:
-    """The points of extracting surfaces from solid octrees of a model."""
+def measure_extract(bench: Bench) -> Iterator[Point | Ablation]:
+    """The points and ablations of extracting surfaces from solid octrees of a model."""
     asked, mesh, others = bench.request, load_mesh(bench.model), timing.Peers(bench.request.repeat)
     against = Reference(*capped(mesh), asked.samples, bench.timed)
     for dim, style in product(asked.dims, asked.styles):
@@ -207,6 +207,11 @@ def measure_extract(bench: Bench) -> Iterator[Point]:
                 found = against.errors_of(surface_of_peer(result, centre, side))
                 figures = against.in_voxels(found, max(grid.pitch))
                 yield row(method=peer, runs=runs, peer=True, figures=figures, **found)
+    if asked.ablations and MARCHING_CUBES in asked.styles:
+        for dim in asked.dims:
+            octree = voxelize(mesh, Grid.fit(mesh, dim), fill=asked.fills[0], device=bench.timed)
+            job = plan_extract(octree, isovalue=asked.isovalue, device=bench.timed)
+            yield from ablation.of_extract(job, bench, f"{MARCHING_CUBES}, dim {dim}")
 
 
 def coverage_grid(octree: Octree) -> np.ndarray:

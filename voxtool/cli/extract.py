@@ -45,6 +45,8 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
         "auto: if the extraction would take more than --max-memory, a .ply is made window by "
         "window, the same; never: refuse.", "auto"),
     flag("--merge", "voxel-faces: join coplanar squares (greedy meshing); leaves T-junctions."),
+    flag("--naive",
+        "Visit every cube of the grid, not only those that matter: the same mesh, for comparison."),
     flag("--normals", "Write vertex normals, too (.obj, .ply, .glb)."),
     flag("--check",
         "Print as JSON whether the mesh is closed and manifold, its genus, shells and volume; "
@@ -62,8 +64,8 @@ SAMPLES = 100_000  # points on each surface at which distances are measured
 )  # fmt: skip
 def command(
     run: runner.Run, octree: str, source: str | None, normals: bool, check: bool,
-    against: str | None, samples: int | None, units: str | None, scale: float, windows: str,
-    **request: Any,
+    against: str | None, samples: int | None, naive: bool, units: str | None, scale: float,
+    windows: str, **request: Any,
 ) -> None:  # fmt: skip
     """Extract a closed triangle mesh from an OCTREE or a distance field, visiting only the cubes
     that matter.
@@ -77,6 +79,7 @@ def command(
       voxtool voxelize bunny.obj --dim 512 -o - | voxtool extract - -o smooth.obj
       voxtool extract bunny.svo.h5 --style surface-nets --check --against bunny.obj
       voxtool extract bunny.svo.h5 --style sharp --source bunny.obj -o sharp.ply
+      voxtool extract bunny.svo.h5 --naive -v
       voxtool extract bunny.adf.h5 --offset 0.002 --shell 0.001 --check -o hollow.stl
     """
     style = request["style"]
@@ -104,7 +107,7 @@ def command(
         if isinstance(content, MergedOctree):
             content = run.stage("read file", content.expanded)
         elif isinstance(content, StoredOctree):
-            if windows != "never" and not source:
+            if windows != "never" and not (source or naive):
                 with run.naming(octree):
                     possible = windows_of(run, content, request)
             if run.file_format == "ply" and not (check or normals or against):
@@ -122,7 +125,7 @@ def command(
             check_units(shape, reference)
         after = ["check"] * check + ["measure"] * bool(against)
         with run.naming(octree):
-            job: Job[Any] = parts or planned(run, shape, request)
+            job: Job[Any] = parts or planned(run, shape, request, naive)
             if parts and not run.only_plan:
                 parts.store = stack.enter_context(Spool(str(run.output)))
             try:
@@ -169,7 +172,9 @@ def windows_of(
     return run.plan(plan_windows, octree, **of_octree)
 
 
-def planned(run: runner.Run, source: Octree | DistanceField, request: dict[str, Any]) -> Job[Any]:
+def planned(
+    run: runner.Run, source: Octree | DistanceField, request: dict[str, Any], naive: bool
+) -> Job[Any]:
     """Return the job for an octree or a field; refuse options of the other."""
     from voxtool.adf.field import DistanceField
     from voxtool.adf.surface.extract import plan_field_surface
@@ -178,11 +183,12 @@ def planned(run: runner.Run, source: Octree | DistanceField, request: dict[str, 
 
     of_field = {name: request.pop(name) for name in ("offset", "shell")}
     if isinstance(source, DistanceField):
-        usual = {"style": MARCHING_CUBES, "level": None, "isovalue": 0.5, "merge": False}
+        usual = {"style": MARCHING_CUBES, "level": None, "isovalue": 0.5}
+        usual |= {"merge": False, "naive": False}
         if "source" in request:
             of_field["source"] = request.pop("source")
             usual["style"] = SHARP
-        for name, value in request.items():
+        for name, value in {**request, "naive": naive}.items():
             if value != usual.get(name):
                 raise click.UsageError(f"--{name} is of octrees: a field has leaves, no samples")
         of_field["offset"] = of_field["offset"] or 0.0
@@ -192,7 +198,8 @@ def planned(run: runner.Run, source: Octree | DistanceField, request: dict[str, 
             raise click.UsageError(f"--{name} is of fields: build one with voxtool adf-build")
     if "source" in request:
         request["source"] = source_of(source, request["source"])
-    return run.plan(plan_extract, source, **request)
+    job = run.plan(plan_extract, source, **request)
+    return job.with_(naive=True) if naive else job
 
 
 def check_names(

@@ -461,6 +461,33 @@ def test_relaxation_can_be_left_out(device) -> None:
         job.with_(level=1)
 
 
+@pytest.mark.parametrize(
+    "request_", [{}, {"level": 1}, {"level": "voxel"}, {"style": NETS}, {"style": FACES}]
+)
+@pytest.mark.parametrize("shape", [(9, 8, 7), (32, 32, 32), (70, 20, 9)])
+def test_naive_extraction_visits_all_cubes_and_gives_the_same(device, shape, request_) -> None:
+    dense = np.random.default_rng(7).random(shape) < 0.5
+    dense[:, -3:] = True
+    job = plan_extract(octree_from_dense(dense), device=device, **request_)
+    naive = job.with_(naive=True)
+    all_, few = naive.run(), job.run()
+    assert all_.digest() == few.digest()
+    assert (all_.lost, all_.cubes) == (few.lost, few.cubes)
+    assert all_.tiles == naive.plan.visited == naive.describe()["predicted_tiles"] >= few.tiles
+    assert "cubes away from nodes" not in naive.left_out
+
+
+def test_naive_extraction_is_refused_beyond_its_memory(device) -> None:
+    job = plan_extract(octree_from_dense(ball((64, 64, 64))), level="voxel", device=device)
+    job.max_memory = job.with_(naive=True).cost.device - 1
+    assert len(job.run().faces)
+    with pytest.raises(MemoryLimitError, match="choose level 0, or leave out naive"):
+        job.with_(naive=True).run()
+    huge = replace(job.plan, naive=True, nodes=(8,) * 9 + (1,))
+    with pytest.raises(MemoryLimitError, match="2048 samples along a side, of 1024 "):
+        huge.refuse_beyond(1 << 60, 1 << 60)
+
+
 @pytest.mark.parametrize("lanes", [1, 16])
 def test_relaxation_moves_halfway_to_the_mean_of_neighbours(device, lanes) -> None:
     """The same vertices as numpy gives, which moves the ends of the quads' edges and truncates

@@ -214,15 +214,19 @@ def find_tiles(
     sampling: Sampling,
     counted: Callable[..., None],
     core: tuple[int, int] | None = None,
+    naive: bool = False,
 ) -> Tiles:
     """Return the tiles that hold a cube that may be cut, and their samples; of those asked for are
-    all, or those whose codes are from `core[0]` to below `core[1]`. Before memory is taken for
-    them, `counted` is called with `tiles=`, their number. MemoryLimitError is raised if there are
+    all, or those whose codes are from `core[0]` to below `core[1]`. If `naive`, all tiles of the
+    root are returned. Before memory is taken for them, `counted` is called with `tiles=`, their
+    number. MemoryLimitError is raised if there are
     more than MAX_PRESENT."""
     side = 1 << (tree.top - sampling.level - 2)  # tiles along a side of the root
     words = max(side**3 // 64, 1)
     with device.stage("tiles"):
         inside, active = device.zeros(words, np.uint64), device.zeros(words, np.uint64)
+        if naive:
+            active = device.put(np.full(words, (1 << min(side**3, 64)) - 1, np.uint64))
         scene = {
             "words": words,
             "inside": inside,

@@ -252,7 +252,7 @@ class ExtractJob(Job[Isosurface]):
         def counted(**numbers: int) -> None:
             replace(plan, **numbers).refuse_beyond(allowed, device.info.max_allocation)
 
-        tiles = find_tiles(device, self.octree, self._tree, sampling, counted)
+        tiles = find_tiles(device, self.octree, self._tree, sampling, counted, naive=plan.naive)
         crossings = None
         if self.source is not None:
             with device.stage("crossings"):

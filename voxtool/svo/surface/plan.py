@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from voxtool.choices import MARCHING_CUBES, SHARP, SURFACE_NETS, VOXEL_FACES
@@ -13,6 +13,7 @@ from voxtool.spatial.bvh import tree_bytes
 from voxtool.svo.layout import BRICK_BYTES
 
 MAX_SAMPLES = 4096  # along a side: tiles of four have Morton codes of 30 bits
+NAIVE_SAMPLES = 1024  # and if every cube is visited: 32 bits count their edges
 TILE_BYTES = 124  # on the device: of a tile,
 EDGE_BYTES = {MARCHING_CUBES: 40, VOXEL_FACES: 52, SURFACE_NETS: 96, SHARP: 280}  # a cut edge,
 MERGE_BYTES = 64  # and one of voxel faces that are merged
@@ -40,6 +41,7 @@ class ExtractionPlan:
     coarser: Callable[[], Iterable[ExtractionPlan]] = field(compare=False, repr=False)
     corners: int = 0  # vertices and faces of the source of a sharp surface
     faces: int = 0
+    naive: bool = False  # every cube of the root is visited
 
     @property
     def voxels(self) -> bool:
@@ -73,6 +75,16 @@ class ExtractionPlan:
         return max(side // (1 if isinstance(self.level, str) else 4 << self.level), 1)
 
     @property
+    def most_samples(self) -> int:
+        """The most samples along a side that are extracted."""
+        return NAIVE_SAMPLES if self.naive else MAX_SAMPLES
+
+    @property
+    def visited(self) -> int:
+        """Tiles that are examined."""
+        return max(self.samples**3 // 64, 1) if self.naive else self.tiles
+
+    @property
     def cost(self) -> Cost:
         """The predicted bytes on the device, the surface included."""
         bricks = BRICK_BYTES * self.nodes[0]
@@ -80,7 +92,7 @@ class ExtractionPlan:
         if self.level not in ("voxel", 0):
             octree += 4 * self.nodes[1]  # coverages
         sample = 0 if self.voxels else 1 if self.level == 0 else 4
-        tiles = 28 * max(self.samples**3 // 4096, 1) + TILE_BYTES * self.tiles
+        tiles = 28 * max(self.samples**3 // 4096, 1) + TILE_BYTES * self.visited
         tiles += (64 * sample + 12 * (sample > 0)) * active_tiles(self.nodes, self.level)
         corner, face = SOURCE_BYTES
         source = corner * self.corners + face * self.faces
@@ -88,26 +100,29 @@ class ExtractionPlan:
         apart = untangling_bytes(self.edges) if self.style == SHARP else 0
         return Cost(
             device=octree + tiles + max(edge * self.edges + source, apart),
-            largest=max(bricks, self.samples**3 // 512, 64 * self.tiles, 28 * self.edges),
+            largest=max(bricks, self.samples**3 // 512, 64 * self.visited, 28 * self.edges),
         )
 
     def fits(self, max_memory: int, max_allocation: int) -> bool:
         """True if memory and Morton codes suffice."""
         enough = not self.cost.shortage(max_memory, max_allocation)
-        return enough and self.samples <= MAX_SAMPLES
+        return enough and self.samples <= self.most_samples
 
     def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
         """Raise MemoryLimitError, which names the finest level that fits, if the extraction needs
-        more bytes, in total or in one buffer, or more samples along a side than MAX_SAMPLES."""
+        more bytes, in total or in one buffer, or more samples along a side than `most_samples`."""
         if self.fits(max_memory, max_allocation):
             return
-        fitting = (plan.level for plan in self.coarser() if plan.fits(max_memory, max_allocation))
+        coarser = (replace(plan, naive=self.naive) for plan in self.coarser())
+        fitting = (plan.level for plan in coarser if plan.fits(max_memory, max_allocation))
         level = next(fitting, None)
         hint = "no level fits" if level is None else f"choose level {level}"
-        if self.samples > MAX_SAMPLES:
+        if self.naive:
+            hint += ", or leave out naive"
+        if self.samples > self.most_samples:
             raise MemoryLimitError(
-                f"level {self.level} has {self.samples} samples along a side, of {MAX_SAMPLES} "
-                f"that are extracted: {hint}"
+                f"level {self.level} has {self.samples} samples along a side, of "
+                f"{self.most_samples} that are extracted: {hint}"
             )
         raise MemoryLimitError(
             f"a {self.style} surface of level {self.level} "
@@ -118,7 +133,9 @@ class ExtractionPlan:
     @property
     def left_out(self) -> dict[str, str]:
         """The parts that are not compiled, allocated or run, each with the reason."""
-        out = {"cubes away from nodes": "a set of tiles holds those that the surface may cross"}
+        out = {}
+        if not self.naive:
+            out["cubes away from nodes"] = "a set of tiles holds those that the surface may cross"
         if self.voxels:
             out["coverages, and voxels lost to them"] = "samples are voxels"
         elif self.level == 0:
@@ -147,7 +164,7 @@ class ExtractionPlan:
             "samples_along_side": self.samples,
             "stages": self.stages,
             "left_out": self.left_out,
-            "predicted_tiles": self.tiles,
+            "predicted_tiles": self.visited,
             "predicted_cut_cubes": self.cubes,
             "predicted_device_bytes": self.cost.device,
         }
@@ -155,7 +172,7 @@ class ExtractionPlan:
     def rows(self) -> list[tuple[str, str]]:
         """Names and texts that `--plan` prints before the stages."""
         surface = f"{self.style}, level {self.level}: {self.samples} samples along the root"
-        cubes = f"about {self.cubes:,}, in {self.tiles:,} tiles"
+        cubes = f"about {self.cubes:,}, in {self.visited:,} tiles"
         return [("surface", surface), ("cut cubes", cubes)]
 
 
