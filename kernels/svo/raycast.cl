@@ -4,7 +4,8 @@
 // node is 0 if it is empty, and INSIDE if it is an inside leaf. Otherwise a brick's word is its
 // mask, which also serves its octants of 2 x 2 x 2 voxels (a byte) and its voxels (a bit), and a
 // coarser node's word is the index of its first child. Nodes are numbered from the root; bricks
-// start at first_brick.
+// start at first_brick. Of the nodes of size 2^finest, those are drawn of whose voxels at least the
+// share `least` is set.
 //
 // Packets of rays follow packets.h. Options: LANES; DEPTHS, for depths instead of a picture.
 
@@ -84,8 +85,8 @@ uint octants_of(OCTREE, const ulong word, const int k)
 // ---- packets of rays
 
 #define NODE ulong
-#define TREE OCTREE, const int root, const int finest
-#define THIS_TREE THIS_OCTREE, root, finest
+#define TREE OCTREE, const int root, const int finest, const float least
+#define THIS_TREE THIS_OCTREE, root, finest, least
 
 uint occupied(TREE, const ulong word, const int k) { return octants_of(THIS_OCTREE, word, k); }
 
@@ -97,6 +98,8 @@ int is_leaf(const ulong word, const int k, const int finest)
 int enter(TREE, ulong *word, const int k, const uint octant)
 {
     *word = k == root ? words[0] : child_of(THIS_OCTREE, *word, k, octant);
+    if (k == finest && coverage(shares, *word, k) < least)
+        *word = 0; // nothing is in it
     return !is_leaf(*word, k, finest);
 }
 

@@ -395,6 +395,7 @@ def test_options_of_other_kinds_are_refused_by_name(kind: str, name: str, here: 
         ("--iso-opacity 0.5", "--iso-opacity is of the surfaces of --isovalue: give one"),
         ("--isovalue 1 --legend", "--legend shows a transfer function, and --isovalue alone has"),
         ("--isovalue x", "is no finite number"),
+        ("--level 0 --isovalue 0.2,0.4", "--isovalue of an octree is one share: give one number"),
         ("--opacity-range 0,inf", "'0,inf': write two numbers"),
         ("--map fire", "'viridis', 'inferno', 'coolwarm', 'turbo', 'gray'"),
         ("--transfer a.json --map gray", "--map makes a transfer function: drop it or --transfer"),
@@ -458,6 +459,21 @@ def test_volumes_are_the_librarys(method: str, integrator: str, here: Path) -> N
     command = f"{VOLUME} {EYE} --size 30x20 --method {method} --integrator {integrator}"
     assert np.array_equal(floats(command), expected)
     assert 0 < expected[..., 3].max() < 1
+
+
+def test_levels_by_coverage(here: Path) -> None:
+    """Each larger share leaves less; a share goes with a level, and the plan says it."""
+    shown = [
+        np.count_nonzero(floats(f"{OCTREE} --size 40 --level 1{share}")[..., 3])
+        for share in ("", " --isovalue 0.2", " --isovalue 0.9")
+    ]
+    assert shown == sorted(set(shown), reverse=True)
+    assert "an isovalue is a share of a node: choose a level, too" in fail(
+        f"render {OCTREE} --isovalue 0.5", 3
+    )
+    assert "the isovalue is 0.5" in run(f"render {OCTREE} --level 1 --isovalue 0.5 --plan").stdout
+    message = run(f"render {OCTREE} --size 9 --level 4 --isovalue 1").stderr
+    assert "of its nodes of level 4 at most" in message
 
 
 def test_isovalues_alone_and_within_a_transfer_function(here: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from helpers_octree import ball, octree_from_dense
@@ -32,7 +34,7 @@ def dense_image(dense: np.ndarray, image: VoxelImage) -> np.ndarray:
     counts = padded.reshape(a, s, b, s, c, s).sum(axis=(1, 3, 5))
     counts = counts[tuple(slice(n, n + m) for n, m in zip(image.low, image.shape, strict=True))]
     if image.dtype == bool:
-        return 2 * counts >= s**3
+        return counts >= Fraction(image.isovalue) * s**3
     return (counts / s**3 if image.dtype.kind == "f" else counts).astype(image.dtype)
 
 
@@ -43,10 +45,15 @@ def test_values(name: str, invert: bool, mode: str) -> None:
     """Slabs in every order, lists and blocks hold the same values, at every level, of a part."""
     octree = octree_from_dense(SHAPES[name], mode=mode)
     for level in range(octree.depth + 2):
-        for bbox, dtype in ((None, None), (BOX, "uint32"), (BOX, "bool")):
-            if bbox and name == "thin":
+        for bbox, dtype, isovalue in (
+            (None, None, None), (BOX, "uint32", None), (BOX, "bool", None), (None, None, 0.3),
+            (BOX, None, 1.0), (None, None, 1e-9),
+        ):  # fmt: skip
+            if (bbox and name == "thin") or (isovalue and not level):
                 continue
-            image = VoxelImage.of(octree, level=level, bbox=bbox, invert=invert, dtype=dtype)
+            image = VoxelImage.of(
+                octree, level=level, bbox=bbox, invert=invert, dtype=dtype, isovalue=isovalue
+            )
             wanted = dense_image(SHAPES[name], image)
             for order in ((0, 1, 2), (2, 1, 0), (1, 2, 0)):
                 found = np.concatenate(list(image.slabs(order)))
@@ -101,6 +108,14 @@ def test_place() -> None:
         ),
         ({"dtype": "int7"}, "dtype 'int7' is unknown: choose one of bool, uint8"),
         ({"dtype": "complex64"}, "dtype 'complex64' is unknown"),
+        ({"isovalue": 0.5}, "an isovalue is a share of a cell: choose a level, too"),
+        ({"isovalue": 1.5, "level": 1}, "isovalue 1.5: choose a share of set voxels, above 0 and"),
+        ({"isovalue": 0.0, "level": 1}, "isovalue 0.0: choose a share of set voxels"),
+        ({"isovalue": np.nan, "level": 1}, "isovalue nan: choose a share of set voxels"),
+        (
+            {"isovalue": 0.5, "level": 1, "dtype": "float32"},
+            "an isovalue makes cells bool, not float32: drop one",
+        ),
     ],
 )
 def test_requests_out_of_range(options: dict, message: str) -> None:

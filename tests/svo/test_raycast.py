@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from dataclasses import replace
 
@@ -10,10 +11,13 @@ import pytest
 from helpers_octree import ball, octree_from_dense
 
 from voxtool.camera import Camera, Rays
-from voxtool.errors import VoxtoolError
+from voxtool.errors import VoxtoolError, VoxtoolWarning
 from voxtool.grid import Grid
 from voxtool.opencl import Device
+from voxtool.rendering import render
+from voxtool.svo.drawn import coverages
 from voxtool.svo.layout import INSIDE
+from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree
 from voxtool.svo.raycast import COLOUR, cast, depths
 
@@ -35,14 +39,16 @@ def every_ray(rays: Rays) -> tuple[np.ndarray, np.ndarray]:
     return rays.origin + step, np.broadcast_to(rays.direction, step.shape)
 
 
-def boxes(octree: Octree, level: int | str) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (N, 3) low and high corners, in the world, of what a level draws."""
+def boxes(octree: Octree, level: int | str, least: float = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the (N, 3) low and high corners, in the world, of what a level draws: cubes that hold
+    something, at least this share of theirs."""
     side = 1 if level == "voxel" else 4 << int(level)
     dense = octree.to_dense()
     padded = np.zeros([-(-n // side) * side for n in dense.shape], bool)
     padded[tuple(map(slice, dense.shape))] = dense
     a, b, c = (n // side for n in padded.shape)
-    cells = np.argwhere(padded.reshape(a, side, b, side, c, side).any(axis=(1, 3, 5)))
+    counts = padded.reshape(a, side, b, side, c, side).sum(axis=(1, 3, 5))
+    cells = np.argwhere(counts >= max(least * side**3, 1))
     pitch, origin = np.array(octree.grid.pitch), np.array(octree.grid.origin)
     return origin + pitch * side * cells, origin + pitch * side * (cells + 1)
 
@@ -127,6 +133,42 @@ def test_first_hits(device: Device, which: int):
             assert not picture[np.isinf(found)].any()
             assert (picture[np.isfinite(found)] > 0).all()
     assert met > 500
+
+
+@pytest.mark.parametrize("which", range(4))
+def test_nodes_by_coverage(device: Device, which: int):
+    """Each ray meets the nearest node of which at least a share is set: also just that share."""
+    octree = patterns()[which]
+    pitch = np.array(octree.grid.pitch)
+    met, shown = 0, set()
+    for camera in cameras(octree, np.random.default_rng(which))[:3]:
+        rays = camera.rays(19, 26)
+        for level in range(octree.depth):
+            found = np.unique(coverages(octree, level))
+            for least in (0.05, found[len(found) // 2], found[-1], 1.0):
+                if least == 0:
+                    continue
+                low, high = boxes(octree, level, least)
+                shown.add((level, len(low)))
+                expected = nearest(low, high, rays)
+                clear = clear_of_edges(low, high, 1e-6 * pitch, rays)
+                for drawn in (octree, MergedOctree.of(octree)):
+                    depth = depths(drawn, rays, level=level, isovalue=least, device=device)
+                    met += check_depths(depth, expected, clear, rtol=1e-12, atol=1e-9 * pitch.max())
+                picture = cast(octree, rays, level=level, isovalue=least, device=device)
+                assert np.array_equal(picture[..., 3], np.isfinite(depth).astype(np.float32))
+    assert met > 500
+    assert len(shown) > 2 * octree.depth
+
+
+def test_nothing_of_enough_coverage(device: Device):
+    """The warning names the largest coverage that there is, which draws something."""
+    octree = patterns()[0]
+    with pytest.warns(VoxtoolWarning, match="level 1 at most") as told:
+        picture = render(octree, size=(9, 9), level=1, isovalue=1, device=device)
+    assert not picture.any()
+    most = float(re.findall("at most ([0-9.]+) is", str(told[0].message))[0])
+    assert most == pytest.approx(coverages(octree, 1).max(), rel=1e-2)
 
 
 @pytest.mark.parametrize("axis", range(3))
@@ -263,8 +305,10 @@ def test_light(device: Device, which: int):
     lit, bent = 0, 0
     for camera in cameras(octree, np.random.default_rng(which)):
         rays = camera.rays(13, 11)
-        for level in ("voxel", *range(octree.depth)):
-            away = depths(octree, rays, level=level, device=device)
+        levels = [("voxel", None), *itertools.product(range(octree.depth), (None, 0.1))]
+        for level, least in levels:
+            how = {"level": level, "isovalue": least, "device": device}
+            away = depths(octree, rays, **how)
             met = np.isfinite(away)
             origins, views = (v[met] for v in every_ray(rays))
             side = 2 if level == "voxel" else min(4 << int(level), octree.grid.side // 2)
@@ -278,7 +322,7 @@ def test_light(device: Device, which: int):
             size = np.sqrt((into**2).sum(axis=1))
             sure = size > 1e-6
             expected = [brightness(-n, rays) for n in into[sure]]
-            found = cast(octree, rays, level=level, colour=(1, 1, 1), device=device)[met][sure, 0]
+            found = cast(octree, rays, colour=(1, 1, 1), **how)[met][sure, 0]
             np.testing.assert_allclose(found, expected, atol=1e-4)
             lit += np.count_nonzero(sure)
             bent += np.count_nonzero(along[sure] < -1e-3)

@@ -127,6 +127,28 @@ def test_a_page_that_ends_at_a_level(octree, browser, tmp_path: Path) -> None:
         assert viewer.tab.input_value("#setting-level") == "1"
 
 
+def test_nodes_by_coverage(octree, browser, tmp_path: Path) -> None:
+    """The page starts with the isovalue, draws what render draws, and copies it; also the root."""
+    page = tmp_path / "share.html"
+    page.write_text(voxtool.plan_view(octree, "bunny.svo.h5", isovalue=0.6).run().html, "utf-8")
+    with opened(browser, page) as viewer:
+        camera = voxtool.camera_for(octree, "iso")
+        for level, share in ((0, 0.6), (2, 0.6), (1, 0.9), (octree.depth - 1, 0.01)):
+            viewer.set(camera, level=level, isovalue=share)
+            assert f"--level {level} --isovalue {share}" in viewer.tab.evaluate("voxtool.command()")
+            colours, _ = viewer.picture(*SIZE)
+            how = {"level": level, "isovalue": share}
+            drawn = voxtool.render(octree, camera.rays(*SIZE), **how)
+            assert (drawn != voxtool.render(octree, camera.rays(*SIZE), level=level)).any() == (
+                share > 0.1
+            )
+            check_same(colours, drawn)
+        viewer.set(camera, level=octree.depth - 1, isovalue=0.99)
+        assert not viewer.picture(*SIZE)[0].any()
+        viewer.set(camera)
+        assert "--isovalue" not in viewer.tab.evaluate("voxtool.command()")
+
+
 def test_clipping_planes_remove_voxels(octree, viewer: Viewer) -> None:
     camera = voxtool.camera_for(octree, "iso")
     low, high = (50, 3, 0), (110, 60, 64)

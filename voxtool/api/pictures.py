@@ -133,7 +133,8 @@ def plan_render(
     device, max_memory
         As in voxelize.
     **options
-        Of an octree `level` ("voxel", or a level from 0 on), `colour`, and `other` (an octree of
+        Of an octree `level` ("voxel", or a level from 0 on), with a level `isovalue` (the least
+        share of a node that is set; by default any), `colour`, and `other` (an octree of
         the same grid, for a picture of what only one of them has); of a field `offset`
         (world units) and `colour`; of a volume `transfer` (a TransferFunction), `method`
         ("raycast" or "projection"), `integrator` ("linear", "preintegrated", "average" or

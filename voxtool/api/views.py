@@ -26,6 +26,7 @@ def plan_view(
     *,
     up: Sequence[float] = (0.0, 1.0, 0.0),
     level: int | str = "voxel",
+    isovalue: float | None = None,
     max_memory: int | None = None,
 ) -> ViewJob:
     """Plan a page that shows content in a browser; `run` returns the Page.
@@ -40,6 +41,8 @@ def plan_view(
         What is up: a direction.
     level : int or "voxel"
         Of octrees: the finest nodes of the page; those of a level are cubes.
+    isovalue : float, optional
+        Of octrees: the least share of a node above voxels that is set, at first; by default any.
     max_memory : int, optional
         Bytes that the work may take; by default what the machine has.
 
@@ -54,12 +57,12 @@ def plan_view(
     MemoryLimitError
         If the data are more than a page holds.
     VoxtoolError
-        If the octree has no such level, or the content is no octree.
+        If the octree has no such level, the isovalue is no share, or the content is no octree.
     """
     name = name or (str(content) if isinstance(content, str | FilePath) else "")
     found = shown_content(content)
     name = name or type(found).__name__
-    return job.plan_view(found, name, up=up, level=level, max_memory=max_memory)
+    return job.plan_view(found, name, up=up, level=level, isovalue=isovalue, max_memory=max_memory)
 
 
 def view(
@@ -68,6 +71,7 @@ def view(
     *,
     up: Sequence[float] = (0.0, 1.0, 0.0),
     level: int | str = "voxel",
+    isovalue: float | None = None,
 ) -> Page:
     """Show content on an interactive page, in a notebook or in a browser.
 
@@ -85,6 +89,8 @@ def view(
         What is up: a direction.
     level : int or "voxel"
         Of octrees: the finest nodes of the page; those of a level are cubes.
+    isovalue : float, optional
+        Of octrees: the least share of a node above voxels that is set, at first; by default any.
 
     Returns
     -------
@@ -98,13 +104,13 @@ def view(
     MemoryLimitError
         If the data are more than a page holds.
     VoxtoolError
-        If the octree has no such level, or the content is no octree.
+        If the octree has no such level, the isovalue is no share, or the content is no octree.
 
     Examples
     --------
     >>> voxtool.view("bunny.svo.h5", "bunny.html")
     """
-    page = plan_view(content, up=up, level=level).run()
+    page = plan_view(content, up=up, level=level, isovalue=isovalue).run()
     notebook = "ipykernel" in sys.modules
     if path is None and not notebook:
         path = FilePath(tempfile.mkdtemp(prefix="voxtool-")) / "view.html"

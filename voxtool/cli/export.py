@@ -55,8 +55,11 @@ def number_of(text: str) -> int | str:
         metavar="X0 Y0 Z0 X1 Y1 Z1"),
     flag("--invert", "Export what is not set instead of what is."),
     option("--dtype", ("bool", "uint8", "uint16", "uint32", "float32", "float64"),
-        "bool: at least half of a cell is set; whole numbers: how many of its voxels; floats: the "
-        "share of them.  [default: bool; with --level float32]"),
+        "bool: at least the share --isovalue of a cell is set; whole numbers: how many of its "
+        "voxels; floats: the share of them.  [default: bool; with --level float32]"),
+    option("--isovalue", float,
+        "With --level: the cells of which at least this share is set, above 0 and at most 1, as "
+        "bool.  [default with --dtype bool: 0.5]", metavar="V"),
     flag("--normals",
         "For .ply and .xyz: unit normals of the cells, to where less is set; 0 where there is no "
         "such direction, as deep inside."),
@@ -103,6 +106,7 @@ def command(
     Examples:
       voxtool export bunny.svo.h5 -o bunny.vti
       voxtool export bunny.svo.h5 -o coarse.npy --level 2
+      voxtool export bunny.svo.h5 -o coarse.vox --level 1 --isovalue 0.25
       voxtool export bunny.adf.h5 -o bunny.nii.gz --shape 128
       voxtool export bunny.adf.h5 -o bunny.vdb --band 3
     """

@@ -56,7 +56,7 @@ MAKERS = {
     "unit_distance": "--unit-distance",
 }
 OPTIONS_OF = {
-    "octree": ("level", "colour", "other"),
+    "octree": ("level", "isovalues", "colour", "other"),
     "field": ("offset", "colour"),
     "volume": (
         "transfer_file", *MAKERS, "method", "integrator", "legend", "isovalues", "opacity",
@@ -105,8 +105,10 @@ OPTIONS_OF = {
         "The surface's, #ff8000 or 1,0.5,0.  [default: light grey; of isosurfaces the map's]",
         metavar="COLOUR"),
     option("--isovalue isovalues", List(NUMBER),
-        "Volumes: draw the surfaces where the scalar is V; alone, or within --transfer, --map or "
-        "--opacity-range if one is given.", metavar="V[,V...]"),
+        "Octrees with --level: draw the nodes of which at least the share V is set, above 0 and "
+        "at most 1.  [default: any share]  Volumes: draw the surfaces where the scalar is V; "
+        "alone, or within --transfer, --map or --opacity-range if one is given.",
+        metavar="V[,V...]"),
     option("--iso-opacity opacity", click.FloatRange(0, 1, min_open=True),
         "Of these surfaces.  [default: 1]", metavar="A"),
     option("--transfer transfer_file", str,
@@ -148,6 +150,7 @@ def command(
     \b
     Examples:
       voxtool render bunny.svo.h5 -o bunny.png
+      voxtool render bunny.svo.h5 --level 0 --isovalue 0.5 -o coarse.png
       voxtool render bunny.adf.h5 --view front --samples 2 --background none
       voxtool render volume.tet.h5 --legend --size 800x600
       voxtool render bunny.svo.h5 --turntable 24 --size 128 -o spin.gif
@@ -322,6 +325,10 @@ def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, 
         if source == given["other"] == "-":
             raise options.input_twice("FILE", "OTHER")
         shown["other"] = read_drawn(given["other"], OCTREE)
+    if kind == "octree" and "isovalues" in shown:
+        shown["isovalue"], *more = shown.pop("isovalues")
+        if more:
+            raise click.UsageError("--isovalue of an octree is one share: give one number")
     if kind == "volume" and "colour" in given and "isovalues" not in given:
         raise click.UsageError("--colour of a volume is that of --isovalue: give one")
     if kind == "volume" and with_transfer(request):

@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     options.option("--level", options.LEVEL,
         "Octrees: show nodes of this level as cubes, and nothing finer: a smaller page.  "
         "[default: voxel]", metavar="N|voxel"),
+    options.option("--isovalue", float,
+        "Octrees: of levels above voxels, show at first the nodes of which at least this share is "
+        "set, above 0 and at most 1.  [default: any share]", metavar="V"),
 )  # fmt: skip
 @runner.run_options(
     options.output_options("PAGE.html", "Default FILE's name with .html, in this folder."),
@@ -39,7 +42,7 @@ if TYPE_CHECKING:
 )
 def command(
     run: Run, file: str, no_open: bool, serve: bool, up: tuple[float, ...] | None,
-    level: int | str | None,
+    level: int | str | None, isovalue: float | None,
 ) -> None:  # fmt: skip
     """Write a page that shows an octree, a field or a volume FILE in a browser, and open it.
 
@@ -50,6 +53,7 @@ def command(
     \b
     Examples:
       voxtool view bunny.svo.h5
+      voxtool view bunny.svo.h5 --level 0 --isovalue 0.5
       voxtool view volume.tet.h5 --up z
       voxtool view bunny.obj -o bunny.html --no-open
     """
@@ -68,7 +72,7 @@ def command(
     with run:
         content = run.stage("read file", shown_content, file)
         with run.naming(file):
-            given = {"up": up, "level": level}
+            given = {"up": up, "level": level, "isovalue": isovalue}
             given = {name: value for name, value in given.items() if value is not None}
             job = run.plan(plan_view, content, file, served=serve, **given)
             page = run.job(job)

@@ -186,6 +186,7 @@ def plan_export(
     bbox: Sequence[float] | None = None,
     invert: bool = False,
     dtype: Any = None,
+    isovalue: float | None = None,
     normals: bool = False,
     band: float | None = None,
     shape: Any = None,
@@ -203,16 +204,20 @@ def plan_export(
         raise FileError(f"format {name!r} is unknown: choose one of {', '.join(EXPORTS)}")
     if path == streams.STREAM and EXCHANGE[name].folder:
         raise FileError(f".{name} is a folder of files: name it, stdout takes one file")
-    if not EXCHANGE[name].parts and (level or bbox or invert or dtype):
-        raise VoxtoolError(f".{name} takes no level, box, dtype or inversion: leave them out")
+    chosen = level or bbox or invert or dtype or isovalue is not None
+    if chosen and not EXCHANGE[name].parts:
+        raise VoxtoolError(
+            f".{name} takes no level, box, dtype, isovalue or inversion: leave them out"
+        )
     if normals and not EXCHANGE[name].normals:
         names = ", ".join(f".{key}" for key, each in EXCHANGE.items() if each.normals)
         raise VoxtoolError(f".{name} holds no normals: choose {names}")
     check_package(name)
     check_output(path, name, clobber)
-    if not isinstance(content, Octree) and (level or bbox or invert or dtype):
+    if chosen and not isinstance(content, Octree):
         raise VoxtoolError(
-            "a field, a volume or labels take no level, box, dtype or inversion: leave them out"
+            "a field, a volume or labels take no level, box, dtype, isovalue or inversion: leave "
+            "them out"
         )
     if isinstance(content, DistanceField):
         if isinstance(grid, str | os.PathLike):
@@ -234,11 +239,14 @@ def plan_export(
             raise VoxtoolError(f".{name} holds no labels: choose {names}")
         image = content
     else:
-        image = VoxelImage.of(content, level=level, bbox=bbox, invert=invert, dtype=dtype)
+        image = VoxelImage.of(
+            content, level=level, bbox=bbox, invert=invert, dtype=dtype, isovalue=isovalue
+        )
         held = EXCHANGE[name].dtypes
-        if dtype is not None and held and image.dtype.name not in held:
+        if not (dtype is isovalue is None) and held and image.dtype.name not in held:
+            option = "--isovalue" if dtype is None else "--dtype"
             raise VoxtoolError(
-                f".{name} holds {' or '.join(held)}, not {image.dtype.name}: leave out --dtype"
+                f".{name} holds {' or '.join(held)}, not {image.dtype.name}: leave out {option}"
             )
         image = replace(image, progress=progress)
     if EXCHANGE[name].folder and "%" in os.fspath(path):

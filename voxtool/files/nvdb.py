@@ -82,7 +82,9 @@ def _floats(image: VoxelImage) -> VoxelImage:
     if image.dtype == np.float32:
         return image
     if image.level or image.dtype != bool:
-        raise VoxtoolError(f".nvdb holds float32, not {image.dtype.name}: leave out --dtype")
+        raise VoxtoolError(
+            f".nvdb holds float32, not {image.dtype.name}: leave out --dtype, --isovalue"
+        )
     return image.with_dtype("float32")
 
 

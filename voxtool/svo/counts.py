@@ -6,8 +6,17 @@ from functools import cached_property
 
 import numpy as np
 
+from voxtool.errors import VoxtoolError
 from voxtool.svo.layout import BRICK_SIDE, INSIDE, LINK, VALID
 from voxtool.svo.octree import Level, Octree
+
+
+def check_isovalue(isovalue: float | None) -> None:
+    """Raise VoxtoolError unless this is None or a share, above 0 and at most 1."""
+    if isovalue is not None and not 0 < isovalue <= 1:
+        raise VoxtoolError(
+            f"isovalue {isovalue!r}: choose a share of set voxels, above 0 and at most 1"
+        )
 
 
 class Counts:

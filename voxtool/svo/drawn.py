@@ -13,7 +13,16 @@ import numpy as np
 
 from voxtool.errors import MemoryLimitError
 from voxtool.morton import morton_decode
-from voxtool.svo.layout import BRICK, BRICK_BYTES, BRICK_SIDE, INSIDE, MAX_LINK, VALID, descend
+from voxtool.svo.layout import (
+    BRICK,
+    BRICK_BYTES,
+    BRICK_SIDE,
+    INSIDE,
+    LINK,
+    MAX_LINK,
+    VALID,
+    descend,
+)
 from voxtool.svo.links import EMPTY, FULL, REFINED
 from voxtool.svo.merge import SUBTREE
 from voxtool.svo.merged import MergedOctree, states_in
@@ -54,9 +63,9 @@ def linked_nodes(octree: Octree | MergedOctree) -> LinkedNodes:
         *offsets, _ = octree.offsets.tolist()
         return LinkedNodes(offsets, octree.nodes["child"][: offsets[-1]], octree.bricks)
     *above, last, _ = octree.sizes
-    if 8 * max(*above, last) > MAX_LINK:
+    if 8 * (most := max([*above, last])) > MAX_LINK:
         raise MemoryLimitError(
-            f"{max(*above, last):,} distinct subtrees of a level exceed links of 30 bits: voxelize "
+            f"{most:,} distinct subtrees of a level exceed links of 30 bits: voxelize "
             "with a smaller dim"
         )
     root = VALID if octree.root == REFINED else INSIDE if octree.root == FULL else np.uint32(0)
@@ -70,6 +79,20 @@ def linked_nodes(octree: Octree | MergedOctree) -> LinkedNodes:
     bricks[words >= SUBTREE] = octree.leaves[words[words >= SUBTREE] - SUBTREE]
     offsets = np.cumsum([0, *map(len, parts)]).tolist()
     return LinkedNodes(offsets, np.concatenate(parts, dtype=np.uint32), bricks)
+
+
+def coverages(octree: Octree | MergedOctree, level: int) -> np.ndarray:
+    """Return the share of set voxels of each node of a level, of a merged octree of each node in a
+    distinct subtree, (n,) float64."""
+    linked = linked_nodes(octree)
+    counts = np.bitwise_count(linked.bricks).astype(np.int64)
+    for number in range(1, level + 1):
+        d = octree.depth - 1 - number
+        words = linked.children[linked.offsets[d] : linked.offsets[d + 1]]
+        below, refined = counts.reshape(-1, 8).sum(axis=1), (words & VALID) != 0
+        counts = np.where(words & INSIDE, np.int64(BRICK_SIDE << number) ** 3, 0)
+        counts[refined] = below[(words[refined] & LINK) >> np.uint32(3)]
+    return counts / float((BRICK_SIDE << level) ** 3)
 
 
 def box_of(octree: Octree | MergedOctree) -> tuple[np.ndarray, np.ndarray]:

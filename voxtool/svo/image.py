@@ -2,15 +2,17 @@
 
 The cells of an image are voxels, or at level N cubes of 2**N voxels a side, aligned to the grid. A
 cell's count is the number of its voxels that are set. Values follow from counts by the dtype: a
-float holds the coverage, count / 8**N; a whole number the count itself; a bool whether at least
-half of the cell is set. Nothing dense is held: at most four layers of cells, or a few thousand
+float holds the coverage, count / 8**N; a whole number the count itself; a bool whether the coverage
+is at least the isovalue. Nothing dense is held: at most four layers of cells, or a few thousand
 blocks.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 from functools import cached_property
 from math import prod
 from typing import Any, ClassVar, NamedTuple, Self
@@ -21,7 +23,7 @@ from voxtool.errors import GridError, VoxtoolError
 from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
 from voxtool.svo.blocks import Leaves, Sorted, keys_of, places_in
-from voxtool.svo.counts import Counts
+from voxtool.svo.counts import Counts, check_isovalue
 from voxtool.svo.layout import descend
 from voxtool.svo.octree import Octree
 
@@ -66,6 +68,8 @@ class VoxelImage:
         Whether the unset voxels of the grid count instead of the set ones.
     dtype : np.dtype
         The type of the values.
+    isovalue : float
+        Of bool: the least share of a cell that is set.
     progress : callable
         Called with the share of the image that has been passed on, from 0 to 1.
     """
@@ -78,6 +82,7 @@ class VoxelImage:
     shape: tuple[int, int, int]
     invert: bool
     dtype: np.dtype
+    isovalue: float = 0.5
     progress: Callable[[float], None] = field(default=lambda share: None)
 
     @classmethod
@@ -89,6 +94,7 @@ class VoxelImage:
         bbox: Sequence[float] | None = None,
         invert: bool = False,
         dtype: Any = None,
+        isovalue: float | None = None,
     ) -> Self:
         """Return the image of an octree.
 
@@ -103,12 +109,15 @@ class VoxelImage:
         invert : bool
             Count the unset voxels of the grid instead of the set ones.
         dtype : dtype, optional
-            One of DTYPES; by default bool for voxels, and float32 above them.
+            One of DTYPES; by default bool for voxels and with an isovalue, otherwise float32.
+        isovalue : float, optional
+            Of cells above voxels: the least share of a cell that is set; by default a half.
 
         Raises
         ------
         VoxtoolError
-            If there is no such level or dtype, or the dtype cannot hold a cell's count.
+            If there is no such level or dtype, the dtype cannot hold a cell's count, or the
+            isovalue is no share, or of other values than bool.
         GridError
             If the box touches no cell of the grid.
         """
@@ -118,7 +127,17 @@ class VoxelImage:
                 f"level {level}: choose one from 0 (voxels) to {coarsest} (one cell, of "
                 f"{octree.grid.side} voxels a side)"
             )
-        whole = cls(octree, level, (0, 0, 0), (1, 1, 1), invert, _dtype(dtype, level))
+        check_isovalue(isovalue)
+        if isovalue is not None:
+            if not level:
+                raise VoxtoolError("an isovalue is a share of a cell: choose a level, too")
+            dtype = bool if dtype is None else dtype
+        held = _dtype(dtype, level)
+        whole = cls(octree, level, (0, 0, 0), (1, 1, 1), invert, held)
+        if isovalue is not None:
+            if held.kind != "b":
+                raise VoxtoolError(f"an isovalue makes cells bool, not {held.name}: drop one")
+            whole = replace(whole, isovalue=isovalue)
         low, shape = whole._part(bbox)
         return replace(whole, low=low, shape=shape)
 
@@ -212,7 +231,7 @@ class VoxelImage:
         """Return the values of cells of these counts."""
         counts = np.asarray(counts)
         if self.dtype == bool:
-            return counts >= (self.most + 1) // 2
+            return counts >= math.ceil(Fraction(self.isovalue) * self.most)
         if self.dtype.kind == "f":
             return counts.astype(self.dtype) / self.dtype.type(self.most)
         return counts.astype(self.dtype)

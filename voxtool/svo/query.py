@@ -29,8 +29,7 @@ from voxtool.job import Cost, Job
 from voxtool.memory import check_memory
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.spatial.distance import checked_points
-from voxtool.svo.drawn import drawn_bytes, linked_nodes
-from voxtool.svo.layout import BRICK_SIDE, INSIDE, LINK, VALID
+from voxtool.svo.drawn import coverages, drawn_bytes, linked_nodes
 from voxtool.svo.links import EMPTY, FULL
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import VOXEL, Octree, level_number
@@ -135,7 +134,7 @@ class OctreeQuery:
         )
         self.coverages = np.empty(0)
         if self.finest:
-            self.coverages = _coverages(octree, self.finest + VOXEL)
+            self.coverages = coverages(octree, self.finest + VOXEL)
 
     def __call__(self, points: Any) -> OctreeAnswers:
         """Return the values of the octree at (N, 3) or (3,) points in world units.
@@ -240,20 +239,6 @@ def _uploaded(octree: Octree | MergedOctree, device: Device) -> dict[str, Array 
             "bricks": device.view(linked.bricks),
             "root": octree.depth + 1,
         }
-
-
-def _coverages(octree: Octree | MergedOctree, level: int) -> np.ndarray:
-    """Return the share of set voxels of each node of a level, of a merged octree of each node in a
-    distinct subtree, (n,) float64."""
-    linked = linked_nodes(octree)
-    counts = np.bitwise_count(linked.bricks).astype(np.int64)
-    for number in range(1, level + 1):
-        d = octree.depth - 1 - number
-        words = linked.children[linked.offsets[d] : linked.offsets[d + 1]]
-        below, refined = counts.reshape(-1, 8).sum(axis=1), (words & VALID) != 0
-        counts = np.where(words & INSIDE, np.int64(BRICK_SIDE << number) ** 3, 0)
-        counts[refined] = below[(words[refined] & LINK) >> np.uint32(3)]
-    return counts / float((BRICK_SIDE << level) ** 3)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,9 @@ does not show, and skip empty ones [Laine 2010]. Each node of the drawn level th
 holds a set voxel is a cube. Orthographic rays are whole lines; perspective ones begin at the eye.
 What lies in a plane between two cells and along it is in the upper one.
 
+With an isovalue, the nodes of a level are drawn by coverage: those of whose voxels at least this
+share is set ([voCCeL] 2.4). Up to level 6, single precision holds coverages exactly.
+
 Shading uses the smooth surface that coverages suggest: the shares of set voxels of the nodes that
 are drawn, or of 2 x 2 x 2 voxels. Normals are opposite to the gradient of a quadratic B-spline over
 their means around the corners of cells.
@@ -26,9 +29,10 @@ import numpy as np
 
 from voxtool.camera import Rays, box_corners, checked_colour
 from voxtool.choices import WHITE
-from voxtool.errors import GridError, MemoryLimitError
+from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
 from voxtool.opencl import Array, Device, default_device, program
-from voxtool.svo.drawn import box_of, cover_of, drawn_bytes, linked_nodes
+from voxtool.svo.counts import check_isovalue
+from voxtool.svo.drawn import box_of, cover_of, coverages, drawn_bytes, linked_nodes
 from voxtool.svo.layout import BRICK_SIDE, INSIDE
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import VOXEL, Octree, level_number
@@ -60,11 +64,15 @@ class OctreeScene:
     content: Octree | MergedOctree
     level: int | str = "voxel"  # or a level, from 0 for bricks
     colour: Sequence[float] = COLOUR  # red, green and blue of a face towards the light, 0 to 1
+    isovalue: float | None = None  # of a level: the least share of a node's voxels; by default any
     other: Octree | MergedOctree | None = None
     lanes: int | None = None  # rays that a work-item follows, 1 or 16; by default what suits it
 
     def __post_init__(self) -> None:
         _size_exponent(self.content, self.level)
+        check_isovalue(self.isovalue)
+        if self.isovalue is not None and self.level == "voxel":
+            raise VoxtoolError("an isovalue is a share of a node: choose a level, too")
         if self.other is not None and self.other.grid != self.content.grid:
             raise GridError(
                 "octrees of different grids have no difference: voxelize both on one grid, with "
@@ -82,7 +90,10 @@ class OctreeScene:
         """The parts that are not drawn, each with the reason."""
         if self.level == "voxel":
             return {}
-        return {f"voxels finer than level {self.level}": "nodes of that level are drawn as cubes"}
+        out = {f"voxels finer than level {self.level}": "nodes of that level are drawn as cubes"}
+        if self.isovalue is not None:
+            out["nodes of less coverage"] = f"the isovalue is {self.isovalue:g}"
+        return out
 
     @property
     def counts(self) -> dict[str, int]:
@@ -128,14 +139,16 @@ class OctreeScene:
         if self.other is not None:
             return self._difference(self.other, rays, device)
         return cast(
-            self.content, rays, level=self.level, colour=self.colour, device=device,
-            lanes=self.lanes,
+            self.content, rays, level=self.level, isovalue=self.isovalue, colour=self.colour,
+            device=device, lanes=self.lanes,
         )  # fmt: skip
 
     def _difference(self, other: Octree | MergedOctree, rays: Rays, device: Device) -> np.ndarray:
         """Return the colours by which octree a ray meets first: a voxel of both is met by both at
         one depth, since depths are those of the planes of one grid."""
-        how: dict[str, Any] = {"level": self.level, "device": device, "lanes": self.lanes}
+        how: dict[str, Any] = {
+            "level": self.level, "isovalue": self.isovalue, "device": device, "lanes": self.lanes,
+        }  # fmt: skip
         here, there = (depths(octree, rays, **how) for octree in (self.content, other))
         picture = cast(self.content, rays, colour=WHITE, **how)
         beyond = there < here
@@ -149,7 +162,21 @@ class OctreeScene:
     def why_empty(self) -> str:
         """Return why the scene is empty, or ""."""
         count = self.content.count + (self.other.count if self.other else 0)
-        return "" if count else "no voxel of the octree is set"
+        if not count:
+            return "no voxel of the octree is set"
+        least, number = self.isovalue, self.level
+        if least is None or isinstance(number, str):
+            return ""
+        most = max(_most(octree, number) for octree in filter(None, (self.content, self.other)))
+        if most >= least:
+            return ""
+        return f"of its nodes of level {number} at most {most:.3g} is set: choose that isovalue"
+
+
+def _most(octree: Octree | MergedOctree, number: int) -> float:
+    """Return the largest coverage of a node of a level; inside leaves above hold such nodes."""
+    above = (len(cells) and side > BRICK_SIDE << number for cells, side in cover_of(octree, number))
+    return 1.0 if any(above) else float(coverages(octree, number).max())
 
 
 def cast(
@@ -157,6 +184,7 @@ def cast(
     rays: Rays,
     *,
     level: int | str = "voxel",
+    isovalue: float | None = None,
     colour: Sequence[float] = COLOUR,
     device: Device | None = None,
     lanes: int | None = None,
@@ -168,7 +196,7 @@ def cast(
     paint = np.array([rays.light(), checked_colour(colour)], np.float32)
     picture = device.empty(4 * width * height, np.float32)
     arrays = {"paint": device.put(paint), "picture": picture}
-    _draw("paint_picture", octree, rays, level, device, lanes, **arrays)
+    _draw("paint_picture", octree, rays, level, isovalue, device, lanes, **arrays)
     return picture.take().reshape(height, width, 4)
 
 
@@ -177,6 +205,7 @@ def depths(
     rays: Rays,
     *,
     level: int | str = "voxel",
+    isovalue: float | None = None,
     device: Device | None = None,
     lanes: int | None = None,
 ) -> np.ndarray:
@@ -185,7 +214,7 @@ def depths(
     device = device or default_device()
     width, height = rays.size
     depths = device.empty(width * height, np.float64)
-    _draw("find_depths", octree, rays, level, device, lanes, depths=depths)
+    _draw("find_depths", octree, rays, level, isovalue, device, lanes, depths=depths)
     scale, eye = max(octree.grid.pitch), 0.0
     if not rays.perspective:  # they begin abreast of the grid's corner
         eye = dot(np.subtract(octree.grid.origin, rays.origin), rays.direction)
@@ -197,6 +226,7 @@ def _draw(
     octree: Octree | MergedOctree,
     rays: Rays,
     level: int | str,
+    isovalue: float | None,
     device: Device,
     lanes: int | None,
     **named: Array,
@@ -219,9 +249,16 @@ def _draw(
             height=height,
             root=octree.depth + 1,
             finest=finest,
+            least=_least(isovalue),
             **named,
             local=TILE**2,
         )
+
+
+def _least(isovalue: float | None) -> float:
+    """Return the smallest number of single precision that is not below an isovalue."""
+    least = np.float32(isovalue or 0)
+    return float(np.nextafter(least, np.float32(2)) if least < (isovalue or 0) else least)
 
 
 def _cover(

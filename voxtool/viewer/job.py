@@ -108,6 +108,7 @@ def plan_view(
     *,
     up: Sequence[float] = (0.0, 1.0, 0.0),
     level: int | str = "voxel",
+    isovalue: float | None = None,
     served: bool = False,
     max_memory: int | None = None,
 ) -> ViewJob:
@@ -117,9 +118,10 @@ def plan_view(
     if isinstance(content, MergedOctree):
         content = content.expanded()
     if isinstance(content, Octree):
-        made = octree_content(content, level)
-    elif level == "voxel":
+        made = octree_content(content, level, isovalue)
+    elif level == "voxel" and isovalue is None:
         made = CONTENTS[type(content)](content)
     else:
-        raise VoxtoolError(f"level {level!r} is of octrees: this is a {scene.kind}")
+        given = f"level {level!r}" if isovalue is None else f"isovalue {isovalue!r}"
+        raise VoxtoolError(f"{given} is of octrees: this is a {scene.kind}")
     return ViewJob(ViewPlan(made, name, camera, served), max_memory)

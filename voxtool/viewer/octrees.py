@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.rendering import scene_of
+from voxtool.svo.counts import check_isovalue
 from voxtool.svo.octree import VOXEL, level_number
 from voxtool.svo.raycast import COLOUR
 from voxtool.viewer.content import PageContent
@@ -21,8 +22,11 @@ if TYPE_CHECKING:
     from voxtool.svo.octree import Octree
 
 
-def octree_content(octree: Octree, level: int | str = "voxel") -> PageContent:
-    """Return the content of a page that shows an octree, down to the nodes of a level.
+def octree_content(
+    octree: Octree, level: int | str = "voxel", isovalue: float | None = None
+) -> PageContent:
+    """Return the content of a page that shows an octree, down to the nodes of a level; at first,
+    above voxels, those of which at least the share `isovalue` is set.
 
     The arrays are `children`, (n, 2) uint8: for each refined node above the finest that holds a
     voxel, which children hold one, and which of these are refined (bits in Morton order); and for
@@ -30,6 +34,7 @@ def octree_content(octree: Octree, level: int | str = "voxel") -> PageContent:
     level `shares`, (m,) float32, how much of each is set.
     """
     finest = level_number(octree, level, octree.depth - 1)
+    check_isovalue(isovalue)
     masks, shares = _children(octree, max(finest, 0))
     counts = list(map(len, masks))
     arrays = {"children": np.concatenate(masks)}
@@ -51,6 +56,7 @@ def octree_content(octree: Octree, level: int | str = "voxel") -> PageContent:
         "colour": list(COLOUR),
         "voxels": octree.count,
         **({} if finest == VOXEL else {"finest": finest}),
+        **({} if isovalue is None else {"isovalue": isovalue}),
     }
 
     def smaller_by(share: float) -> str:

@@ -77,9 +77,10 @@ function linksOf(root, counts, children, shareOf) {
  * block. Block 0 is empty and block 1 full. A block has the words of 8 octants, like bricks, of which
  * each byte is a cell: its voxels where these are drawn, else not 0 where it holds a voxel, and all
  * ones where the octant is an inside leaf; and the shares of its cells, by x, y, z, of which `whole` is
- * what the shader reads where all is set.
- * @param {Links} links @param {number} tables from the root to a block @param {number} cell @param {Uint32Array | null} bricks where voxels are drawn */
-function blocksOf({ root, counts, held, refined, child, share }, tables, cell, bricks) {
+ * what the shader reads where all is set. Cells of which less than the share `least` is set are not drawn.
+ * @param {Links} links @param {number} tables from the root to a block @param {number} cell @param {Uint32Array | null} bricks where voxels are drawn
+ * @param {number} least */
+function blocksOf({ root, counts, held, refined, child, share }, tables, cell, bricks, least) {
   const { LEAVES, POINTERS, FULL_BLOCK } = LAYOUT;
   const size = cell + 2; // of blocks
   const inner = root > size && refined(0) & 1; // the root stands in a node of twice its size
@@ -98,7 +99,7 @@ function blocksOf({ root, counts, held, refined, child, share }, tables, cell, b
   /** @param {number} octant @param {number} at the cell of it @param {number} octet
    * @param {number} set the share of the cell */
   const setCell = (octant, at, octet, set) => {
-    words[16 * block + 2 * octant + (at >> 2)] |= octet << (8 * (at & 3));
+    if (set >= least) words[16 * block + 2 * octant + (at >> 2)] |= octet << (8 * (at & 3));
     const [x, y, z] = [0, 1, 2].map((a) => 2 * ((octant >> a) & 1) + ((at >> a) & 1));
     cells[64 * block + x + 4 * (y + 4 * z)] = full * set;
   };

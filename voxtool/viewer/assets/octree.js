@@ -5,7 +5,8 @@ const BRICK = 2; // size of a brick, 2^2 voxels
 
 /** @param {any} facts of the page @returns {Kind} */
 function octreeKind(facts) {
-  const { shape, origin, pitch, finest } = facts; // the finest level, if it is not voxels
+  // the finest level, if it is not voxels; the least share of nodes that are drawn
+  const { shape, origin, pitch, finest, isovalue = 0 } = facts;
   const every = ["voxel", ...Array.from({ length: facts.depth }, (_, i) => String(i))];
   const levels = every.slice(every.indexOf(String(finest ?? "voxel")));
   const axes = ["x", "y", "z"];
@@ -20,19 +21,24 @@ function octreeKind(facts) {
   /** Makes the textures of the level that is drawn. @param {WebGL2RenderingContext} gl
    * @param {Settings} settings */
   const upload = (gl, settings) => {
-    if (kept.level === settings.level) return kept.told;
+    const [size, cell] = [sizeOf(settings), cellOf(settings)];
+    const share = size ? Number(settings.isovalue) : 0;
+    if (kept.level === settings.level && kept.share === share) return kept.told;
     const { textures, links } = kept;
-    const { entries, words, cells, ...told } = blocksOf(links, tables, cellOf(settings), sizeOf(settings) ? null : kept.bricks);
+    // the root is larger than the cells: either all of them are drawn, or none
+    const least = size <= cell ? share : links.share(0, 0) < share ? Infinity : 0;
+    const { entries, words, cells, ...told } = blocksOf(links, tables, cell, size ? null : kept.bricks, least);
     for (const name of ["entries", "bricks", "shares"]) gl.deleteTexture(textures[name]);
     textures.entries = listTexture(gl, "u4x1", entries, "nodes");
     textures.bricks = listTexture(gl, "u4x2", words, "bricks");
-    textures.shares = listTexture(gl, sizeOf(settings) ? "f4x4" : "n1x4", cells, "bricks");
-    Object.assign(kept, { level: settings.level, told });
+    textures.shares = listTexture(gl, size ? "f4x4" : "n1x4", cells, "bricks");
+    Object.assign(kept, { level: settings.level, share, told });
     return told;
   };
   return {
     controls: [
       { name: "level", label: "Level (+ and −)", type: "select", options: levels, start: levels[0] },
+      { name: "isovalue", label: "Least share of nodes (isovalue)", type: "range", min: 0, max: 1, step: "any", start: isovalue },
       { name: "paint", label: "Colour by", type: "select", options: PAINTS, start: "light" },
       { name: "edges", label: "Edges", type: "check", start: false },
       ...axes.flatMap((axis, a) =>
@@ -93,7 +99,8 @@ function octreeKind(facts) {
       };
     },
     command(settings) {
-      const level = settings.level === "voxel" ? "" : ` --level ${settings.level}`;
+      const share = Number(settings.isovalue) ? ` --isovalue ${settings.isovalue}` : "";
+      const level = settings.level === "voxel" ? "" : ` --level ${settings.level}${share}`;
       const plain = settings.paint === "light" && !settings.edges;
       const whole = axes.every(
         (axis, a) => Number(settings[`${axis}-from`]) <= 0 && Number(settings[`${axis}-to`]) >= shape[a],
