@@ -484,7 +484,7 @@ def test_forced_decisions_change_nothing() -> None:
     bench = timing.Bench(Request(repeat=1, seconds=0), device, device, "voxelize", "a/ball.obj")
     job = plan_voxelize(mesh, Grid.fit(mesh, 64), "solid", device=device)
     found = list(ablation.of_voxelize(job, bench, "solid"))
-    assert [one.what for one in found] == list(ablation.VOXELIZE)
+    assert [one.what for one in found] == [*ablation.VOXELIZE, *ablation.METHODS]
     assert all(one.same and (one.model, one.work) == ("ball.obj", "solid") for one in found)
     assert all(len(one.runs) == len(one.forced) == 1 for one in found)
     extraction = plan_extract(job.run(), device=device)

@@ -112,7 +112,15 @@ LARGE |= {"code_bits": 64, "column_tile": 4}
 
 @pytest.mark.parametrize(
     "forced",
-    [{"wide": True}, {"code_bits": 64}, {"blocked": True}, LARGE, {**LARGE, "entry": True}],
+    [
+        {"wide": True},
+        {"code_bits": 64},
+        {"blocked": True},
+        LARGE,
+        {**LARGE, "entry": True},
+        {"propagation": "levels"},
+        {"propagation": "levels", "code_bits": 64},
+    ],
 )
 @given(data=st.data(), shape=SHAPES)
 @settings(max_examples=25)
@@ -122,6 +130,21 @@ def test_paths_for_large_scenes_agree(device: Device, forced: dict, data, shape)
     for mode in MODES:
         job = planned(device, mesh, shape, mode)
         assert job.run().digest() == job.with_(**forced).run().digest()
+
+
+def test_flips_of_closed_meshes_are_propagated_by_levels(device: Device) -> None:
+    """Rows are walked only where those that enter a leaf differ, or it reaches beyond the grid."""
+    large = meshes.box((9, 5, 3), (70, 60, 50))
+    for (vertices, faces), shape, walked in (
+        (meshes.join(large, meshes.octahedron((40, 30, 30), 20)), (100, 90, 61), False),
+        (large, (43, 90, 90), True),
+        (meshes.open_box((10, 10, 10), (30, 31, 29), missing=1), (64, 64, 64), True),
+    ):
+        job = planned(device, (256 * vertices, faces), shape, "solid")
+        began: list[str] = []
+        assert job.with_(propagation="levels").run(began.append).digest() == job.run().digest()
+        assert "levels" in began
+        assert ("rows" in began) == walked
 
 
 @cache

@@ -1,5 +1,5 @@
 """Ablation: the same work with one decision of its plan forced, timed in turns with the work as
-planned.
+planned: what the plan leaves out, or another method of [voCCeL].
 
 Only decisions that the code can take otherwise are forced. The results must be the same, bit for
 bit.
@@ -38,6 +38,11 @@ VOXELIZE = {  # names in `left_out`, and the decisions that undo them
     "state of rows on entry": {"entry": True},
     "directions of crossings": {"fill": "winding"},
 }
+METHODS = {  # other methods of voxelization: the decision, and what the plan takes instead
+    "propagation by levels": (
+        {"propagation": "levels"}, "rows of solids walk the octree, which needs no neighbours"
+    ),
+}  # fmt: skip
 FIELD = {
     "faces without a side": {"flat": 1},
     "search for jumps of the sign": {"closed": False, "sign": "pseudonormal"},
@@ -90,6 +95,11 @@ def of_voxelize(job: Job[Octree], bench: Bench, work: str) -> Iterator[Ablation]
         return replace(forced, fill=planned.fill).digest() == planned.digest()
 
     yield from of_job(job, VOXELIZE, same, bench, work)
+    others = {what: job.with_(**decision) for what, (decision, _) in METHODS.items()}
+    others = {what: other for what, other in others.items() if other.stages != job.stages}
+    reasons = {what: why for what, (_, why) in METHODS.items()}
+    forced = {what: other.run for what, other in others.items()}
+    yield from compare(bench, work, reasons, job.run, forced, same)
 
 
 def of_extract(job: ExtractJob, bench: Bench, work: str) -> Iterator[Ablation]:

@@ -10,6 +10,7 @@ from voxtool.errors import MemoryLimitError, count_of, human
 from voxtool.job import Cost
 from voxtool.svo.layout import BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE_BYTES
 
+LINK_BYTES = 10  # of a node whose flips are propagated: its neighbours along x, and its flips
 CELL = 2 * BRICK_SIDE  # voxels along a side of a level-1 node
 NODE_BLOCK = 64  # voxels along a side of a block of level-1 nodes
 NARROW_EXTENT = 4096  # voxels up to which a triangle's predicates fit 64 bits
@@ -64,6 +65,7 @@ class VoxelizePlan:
     column_tile: int = COLUMN_TILE  # columns along a side of a work-item's share of a triangle
     crowd: int = CROWD  # leaves of caps that may be near a voxel
     most_left: float = MOST_LEFT
+    propagation: str = "rows"  # how flips spread: "rows" are walked, or by "levels"
 
     @property
     def solid(self) -> bool:
@@ -91,8 +93,9 @@ class VoxelizePlan:
             "near holes": self.caps > 0,
             "octree": self.fill != "flood",
             "crossings": by_rows,
-            "rows": by_rows,
-            "fill": by_rows,
+            "levels": by_rows and self.propagation == "levels",
+            "rows": by_rows and self.propagation == "rows",
+            "fill": by_rows and self.propagation == "rows",
             f"surface{self.surface}": self.surface != "",
             "flood": self.fill == "flood",
             "read back": self.fill != "flood",
@@ -120,6 +123,8 @@ class VoxelizePlan:
         shares = 4 * survey.triangles * (self.tiled or self.tiled_nodes)
         lists = sum(self.active) * (self.code_bits // 8 + 4)
         rows = 8 * finest + 4 * (self.nodes - self.bricks) if self.solid else 0
+        if self.propagation == "levels":
+            rows += LINK_BYTES * self.nodes + bricks
         if self.entry:
             rows += 8 * -(-self.shape[1] // CELL) * -(-self.shape[2] // CELL)
         added = (bricks + 4 * finest) * (self.solid and bool(self.surface))

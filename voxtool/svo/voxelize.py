@@ -11,7 +11,8 @@ The stages, on the device:
    (fill/flood.py). Near holes, the winding number decides each voxel (fill/winding.py).
 
 [voCCeL] descends the octree to find the brick of a voxel; here, the rank of its level-1 node among
-the active nodes gives the brick directly. [voCCeL] links x-neighbours; here, rows walk the octree.
+the active nodes gives the brick directly. [voCCeL] links x-neighbours and propagates flips level by
+level; here, rows walk the octree. A plan can force the former (fill/levels.py).
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ from voxtool.svo.choosing import Choice, choose, consistent
 from voxtool.svo.fill.caps import Boundary, find_boundary
 from voxtool.svo.fill.dilation import SOURCE as DILATION
 from voxtool.svo.fill.flood import flood, frame_of
+from voxtool.svo.fill.levels import SOURCE as LEVELS
 from voxtool.svo.fill.pieces import SOURCE as FLOOD
 from voxtool.svo.fill.rows import (
     CROSSINGS,
@@ -236,7 +238,7 @@ class VoxelizeJob(Job[Octree]):
             return [*programs, (FLOOD, wide), *[(DILATION, wide), sort] * (plan.gap > 0)]
         programs += [(BUILD, code), (COMPACTION, {"KEY": options["CODE"]})]
         if plan.solid:
-            programs += [*by_rows, (ROWS, code)]
+            programs += [*by_rows, (LEVELS if plan.propagation == "levels" else ROWS, code)]
         return programs
 
     def _run(self) -> Octree:
@@ -268,7 +270,7 @@ class VoxelizeJob(Job[Octree]):
                 flips = flip_changes(scan, active, crossings)
             else:
                 flips = flip_crossings(scan, active)
-        filled = fill_rows(tree, flips, self.limit)
+        filled = fill_rows(tree, flips, self.limit, plan.propagation == "levels")
         del tree, flips  # frees memory if the mesh is open: `filled` then has its own
         if holes:
             holes.fill(filled.tree, filled.bricks)

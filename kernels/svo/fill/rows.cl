@@ -2,15 +2,12 @@
 // voxtool/svo/fill/rows.py. Options: CODE.
 //
 // A bundle is 8 x 8 rows along x, as wide as a level-1 node. Its state has one bit a row: set if the
-// row is inside. The bits of a brick are in Morton order, so the voxels of x = 0, 1, 2 and 3 are at
-// offsets 0, 1, 8 and 9 from X0, and a state interleaves the faces of four bricks.
+// row is inside. A state interleaves the faces of four bricks.
 
 #include "svo/octree.h"
+#include "svo/fill/filling.h"
 #include "svo/fill/rows.h"
 #include "svo/morton.h"
-
-#define X0 0x0055005500550055ul // the voxels of a brick with x = 0
-#define ALL 0xFFFFFFFFFFFFFFFFul
 
 // The rows of quadrant o (brick octant / 2) of a bundle's state, as bits of X0; and back.
 ulong face_of(ulong state, uint o) { return (state >> ((o & 1) + 8 * (o >> 1))) & X0; }
@@ -28,18 +25,6 @@ ulong node_flips(__global const ulong *bricks)
     }
     return rows;
 }
-
-// The voxels of a brick: prefix parity of its flips along x, from the state of its rows on entry.
-ulong fill_brick(ulong flips, ulong face)
-{
-    ulong v = flips ^ face;
-    v ^= (v & 0x5555555555555555ul) << 1;               // x = 0 to 1, 2 to 3
-    const ulong middle = v & (X0 << 1);                 // x = 1 ...
-    return v ^ (middle << 7) ^ (middle << 8);           // ... to 2 and 3
-}
-
-// The state of a brick's rows on exit: its voxels of x = 3.
-ulong exit_face(ulong brick) { return (brick >> 9) & X0; }
 
 #define MAX_LEVELS 16
 
@@ -138,12 +123,7 @@ __kernel void fill_bricks(__global const CODE *codes, const uint n, const int3 s
         __global ulong *pair = bricks + 8 * gid + 2 * o;
         const ulong low = fill_brick(pair[0], face_of(state, o));
         const ulong high = fill_brick(pair[1], exit_face(low));
-        ulong kept[2] = {ALL, ALL};
-        if (x + 8 > shape.x) // clear voxels beyond the high-x side of the grid
-            for (int i = 0; i < 8; ++i)
-                if (x + i >= shape.x)
-                    kept[i >> 2] &= ~(X0 << ((i & 1) + 8 * ((i >> 1) & 1)));
-        pair[0] = low & kept[0];
-        pair[1] = high & kept[1];
+        pair[0] = low & voxels_before(shape.x, x, 0);
+        pair[1] = high & voxels_before(shape.x, x, 1);
     }
 }

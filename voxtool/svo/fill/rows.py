@@ -29,6 +29,7 @@ from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Array, program
 from voxtool.opencl.primitives import exclusive_scan, radix_sort
 from voxtool.svo.build import DeviceOctree, build_from_lists
+from voxtool.svo.fill.levels import propagate
 from voxtool.svo.layout import BRICK, BRICK_BYTES, MAX_LINK, NODE_BYTES, VALID
 from voxtool.svo.scan import CROSSED, ActiveNodes, Scan
 
@@ -140,11 +141,17 @@ class Filled:
         unite_nodes(added, positions, self.bricks)
 
 
-def fill_rows(tree: DeviceOctree, flips: Flips, max_memory: int) -> Filled:
+def fill_rows(tree: DeviceOctree, flips: Flips, max_memory: int, by_levels: bool = False) -> Filled:
     """Return the octree of the active nodes, filled between flips; changes the tree's nodes and the
     flips' bricks. Raises MemoryLimitError if an open mesh needs an octree of more than max_memory
-    bytes, which a plan cannot predict."""
+    bytes, which a plan cannot predict. If `by_levels`, rows are walked only where flips cannot be
+    propagated level by level."""
     device, positions = tree.nodes.device, None
+    if by_levels and flips.entry is None:
+        with device.stage("levels"):
+            bricks = propagate(tree, flips.bricks, flips.shape)
+        if bricks is not None:
+            return Filled(tree, bricks, None)
     with device.stage("rows"):
         entries, unresolved = _walk_rows(tree, flips)
     if unresolved:
