@@ -23,6 +23,7 @@ from voxtool.opencl import Device
 from voxtool.svo.booleans import combine, plan_combine
 from voxtool.svo.cells import Cells
 from voxtool.svo.links import EMPTY, FULL, REFINED
+from voxtool.svo.merged import MergedOctree
 from voxtool.svo.morphology import plan_morph
 from voxtool.svo.octree import Octree
 from voxtool.svo.placing import placed_octree
@@ -124,10 +125,14 @@ def test_the_box_around_the_voxels() -> None:
     random = np.random.default_rng(1)
     for dense in (blocky(random), blocky(random), np.pad(np.ones((5, 9, 30), bool), 7)):
         held = np.argwhere(dense)
-        bounds = Octree.from_dense(dense).bounds()
-        assert bounds is not None
-        assert np.array_equal(bounds, [held.min(axis=0), held.max(axis=0) + 1])
-    assert Octree.from_dense(np.zeros((8, 8, 8))).bounds() is None
+        octree = Octree.from_dense(dense)
+        for bounds in (octree.bounds(), MergedOctree.of(octree).bounds()):
+            assert bounds is not None
+            assert np.array_equal(bounds, [held.min(axis=0), held.max(axis=0) + 1])
+    for dense, full in ((np.zeros((8, 8, 8)), None), (np.ones((16, 16, 16)), [[0] * 3, [16] * 3])):
+        octree = Octree.from_dense(dense)
+        for bounds in (octree.bounds(), MergedOctree.of(octree).bounds()):
+            assert bounds is full or np.array_equal(bounds, full)
 
 
 def test_windows_that_do_not_fit_are_divided(device: Device, tmp_path: Path) -> None:
@@ -171,6 +176,7 @@ def two(here: Path) -> list[str]:
     low = np.add(octree.grid.origin, (3 * x, -17 * y, 8 * z))
     write_svo(octree, "a.svo.h5")
     write_svo(Octree.from_dense(octree.to_dense(), tuple(low), (x, y, z)), "b.svo.h5")
+    write_svo(MergedOctree.of(octree), "a.dag.svo.h5")
     return ["a.svo.h5", "b.svo.h5"]
 
 
@@ -186,6 +192,9 @@ def test_commands_make_the_same_files_in_windows(two: list[str]) -> None:
         assert Path("parts.svo.h5").read_bytes() == Path("whole.svo.h5").read_bytes()
         for name in ("digest", "voxels", "volume"):
             assert parts[name] == whole[name]
+        merged = told(f"{command.replace('a.svo', 'a.dag.svo')} --max-memory {limit} --json "
+                      "-o merged.svo.h5")  # fmt: skip
+        assert merged["digest"] == whole["digest"]
         text = run(f"{command} --max-memory {limit} --plan -o parts.svo.h5").stdout
         assert f"about {plan['windows']} windows of {plan['window_side']} voxels a side" in text
         assert not Path("parts.svo.h5.windows").exists()

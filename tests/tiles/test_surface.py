@@ -10,8 +10,10 @@ import numpy as np
 import pytest
 from helpers_cli import fail, told
 
+from voxtool.files import read_svo, write_svo
 from voxtool.files.spool import Spool
 from voxtool.opencl import Device
+from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface.extract import extract, plan_unread
 from voxtool.tiles.surface import SurfaceWindowsJob
@@ -104,6 +106,10 @@ def test_extract_in_windows(here: Path) -> None:
     assert Path("parts.ply").read_bytes() == Path("whole.ply").read_bytes()
     same = ("digest", "vertices", "triangles", "cubes_cut", "voxels", "dim", "style", "level")
     assert {name: parts[name] for name in same} == {name: whole[name] for name in same}
+    write_svo(MergedOctree.of(read_svo("bunny.svo.h5")), "dag.svo.h5")
+    merged = limited.replace("bunny.svo", "dag.svo")
+    assert told(f"{merged} -o parts.ply")["digest"] == whole["digest"]
+    assert Path("parts.ply").read_bytes() == Path("whole.ply").read_bytes()
     for refused in ("-o a.obj", "-o a.ply --windows never", "-o a.ply --check", "-o a.ply --merge"):
         message = fail(f"{limited} {refused}", 4)
         assert "allowed: choose level" in message

@@ -9,7 +9,7 @@ import click
 
 from voxtool.choices import OPERATIONS
 from voxtool.cli import options, runner
-from voxtool.cli.in_windows import in_memory, make_in_windows, opened, windows_options
+from voxtool.cli.in_windows import loaded, make_in_windows, opened, windows_options
 from voxtool.cli.options import option
 from voxtool.errors import human
 from voxtool.files.formats import EXPORTS, OCTREE_FORMATS
@@ -64,7 +64,7 @@ def command(
             octree: Any = make_in_windows(run, parts, resume, no_keep)
         else:
             if not run.only_plan:
-                job.octrees = [in_memory(run, octree) for octree in content]
+                job.octrees = [loaded(run, *each) for each in zip(content, octrees, strict=True)]
             octree = run.job(job)
             run.write(export if run.file_format in EXPORTS else write_svo, octree)
     text = f"{operation}, {octree.count:,} voxels in {human(octree.nbytes)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -82,6 +83,9 @@ def number_of(text: str) -> int | str:
         "For .tif and %04d.png: the axis along which the layers follow each other.  [default: z]"),
     option("--dpi", POSITIVE, "For .tif and %04d.png: pixels an inch."),
     option("--max-bytes", BYTES, "Refuse a larger output (800M, 8G).", metavar="BYTES"),
+    option("--windows", ("auto", "never"),
+        "auto: an octree that would take more than --max-memory is read window by window, with the "
+        "same output; never: refuse.", "auto"),
 )  # fmt: skip
 @runner.run_options(
     options.output_options("OUT", f"Its ending says the format: {KNOWN}."),
@@ -92,7 +96,8 @@ def number_of(text: str) -> int | str:
 )
 def command(
     run: runner.Run, file: str, plane: tuple[str, int | str] | None, axis: str | None,
-    dpi: float | None, like: str | None, origin: tuple[float, ...] | None, **image: Any,
+    dpi: float | None, like: str | None, origin: tuple[float, ...] | None, windows: str,
+    **image: Any,
 ) -> None:  # fmt: skip
     """Export the voxels of an octree FILE, the distances of a field, or the cells of a volume.
 
@@ -111,7 +116,7 @@ def command(
       voxtool export bunny.adf.h5 -o bunny.vdb --band 3
     """
     from voxtool.adf.field import DistanceField
-    from voxtool.files import read_scene
+    from voxtool.files import open_scene
     from voxtool.files.exchange import plan_export
 
     if run.output is None:
@@ -120,15 +125,16 @@ def command(
     image |= layers_of(run.file_format or "", plane, axis, dpi)
     image |= grid_of(like, origin, image)
     run.on_device = False  # an octree needs none
-    with run:
-        content = run.stage("read file", read_scene, file)
-        run.on_device = isinstance(content, DistanceField)
-        job = run.plan(
-            plan_export, content, run.output, not run.no_clobber, run.file_format,
-            progress=run.progress.share, **image,
-        )  # fmt: skip
-        size = run.job(job)
-    run.report(report_line(job, size), lambda: facts_of(job, content, size))
+    with ExitStack() as stack:
+        with run:
+            content: Any = run.stage("read file", stack.enter_context, open_scene(file))
+            run.on_device = isinstance(content, DistanceField)
+            job = run.plan(
+                plan_export, content, run.output, not run.no_clobber, run.file_format,
+                windows=windows != "never", progress=run.progress.share, **image,
+            )  # fmt: skip
+            size = run.job(job)
+        run.report(report_line(job, size), lambda: facts_of(job, content, size))
 
 
 def layers_of(

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
     from voxtool.job import Job
     from voxtool.mesh.mesh import Mesh
-    from voxtool.svo.content import OctreeContent, StoredOctree
+    from voxtool.svo.content import OctreeContent
     from voxtool.svo.octree import Octree
     from voxtool.tiles.surface import SurfaceWindowsJob
 SAMPLES = 100_000  # points on each surface at which distances are measured
@@ -91,8 +91,8 @@ def command(
     from voxtool.files import MESH_FORMATS, open_shape, write_blocks, write_mesh
     from voxtool.files.mesh import load_mesh
     from voxtool.files.spool import Spool
-    from voxtool.svo.content import StoredOctree
-    from voxtool.svo.merged import MergedOctree
+    from voxtool.svo.content import OctreeContent
+    from voxtool.svo.merged import in_memory
     from voxtool.svo.octree import Octree
 
     # named after its style: bunny.obj is the mesh that the octree was made from
@@ -104,16 +104,14 @@ def command(
     with run, ExitStack() as stack:
         content = run.stage("read file", stack.enter_context, open_shape(octree))
         parts = possible = None
-        if isinstance(content, MergedOctree):
-            content = run.stage("read file", content.expanded)
-        elif isinstance(content, StoredOctree):
+        if isinstance(content, OctreeContent) and not isinstance(content, Octree):
             if windows != "never" and not (source or naive):
                 with run.naming(octree):
                     possible = windows_of(run, content, request)
             if run.file_format == "ply" and not (check or normals or against):
                 parts = possible
             if parts is None:
-                content = run.stage("read file", Octree.of_stored, content)
+                content = run.stage("read file", in_memory, content)
         shape: Any = content
         if source is not None:
             request["source"] = run.stage(
@@ -160,7 +158,7 @@ def command(
 
 
 def windows_of(
-    run: runner.Run, octree: StoredOctree, request: dict[str, Any]
+    run: runner.Run, octree: OctreeContent, request: dict[str, Any]
 ) -> SurfaceWindowsJob | None:
     """Return the extraction in windows of an octree that does not fit in memory as a whole, or
     None if it fits, or cannot be written in windows."""

@@ -12,7 +12,7 @@ from voxtool.cli.options import flag, option, together
 if TYPE_CHECKING:
     from contextlib import ExitStack
 
-    from voxtool.svo.content import StoredOctree
+    from voxtool.svo.content import OctreeContent
     from voxtool.svo.octree import Octree
     from voxtool.tiles.octree import BlockOctree
     from voxtool.tiles.operations import OperationJob
@@ -27,25 +27,20 @@ windows_options = together(
 )  # fmt: skip
 
 
-def opened(run: runner.Run, name: str, stack: ExitStack) -> Octree | StoredOctree:
+def opened(run: runner.Run, name: str, stack: ExitStack) -> OctreeContent:
     """Return an octree whose nodes stay in its file, where that is possible."""
     from voxtool.files import open_svo
-    from voxtool.svo.merged import MergedOctree
 
     octree: Any = run.stage("read octree", stack.enter_context, open_svo(name))
-    if isinstance(octree, MergedOctree):
-        with run.naming(name):
-            return run.stage("read octree", octree.expanded)
     return octree
 
 
-def in_memory(run: runner.Run, octree: Octree | StoredOctree) -> Octree:
-    """Return an octree in memory."""
-    from voxtool.svo.octree import Octree
+def loaded(run: runner.Run, octree: OctreeContent, name: str) -> Octree:
+    """Return the octree of a file with this name in memory."""
+    from voxtool.svo.merged import in_memory
 
-    if isinstance(octree, Octree):
-        return octree
-    return run.stage("read octree", Octree.of_stored, octree)
+    with run.naming(name):
+        return run.stage("read octree", in_memory, octree)
 
 
 def make_in_windows(

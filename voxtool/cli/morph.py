@@ -9,7 +9,7 @@ import click
 
 from voxtool.choices import ELEMENTS, MORPHOLOGY, NEIGHBOURS
 from voxtool.cli import options, runner
-from voxtool.cli.in_windows import in_memory, make_in_windows, opened, windows_options
+from voxtool.cli.in_windows import loaded, make_in_windows, opened, windows_options
 from voxtool.cli.info import place, table
 from voxtool.cli.options import COMPONENTS, DIM, RADIUS, flag, option, together
 from voxtool.files.formats import EXPORTS, OCTREE_FORMATS
@@ -113,7 +113,7 @@ def command(
             if job:
                 result: Any = make_in_windows(run, job, resume, no_keep)
             else:
-                source = in_memory(run, source)
+                source = loaded(run, source, octree)
                 job = planned(run, source, request)
                 result = run.job(job)
                 run.write(export if run.file_format in EXPORTS else write_svo, result)

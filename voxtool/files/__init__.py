@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
-    from voxtool.svo.content import StoredOctree
+    from voxtool.svo.content import OctreeContent, StoredOctree
     from voxtool.svo.labels import Labels
     from voxtool.svo.merged import MergedOctree
     from voxtool.svo.octree import Octree
@@ -64,6 +64,7 @@ __all__ = [
     "export",
     "format_of",
     "is_mesh",
+    "open_scene",
     "open_shape",
     "open_svo",
     "read_adf",
@@ -98,6 +99,13 @@ def open_shape(path: PathLike) -> Iterator[Octree | StoredOctree | MergedOctree 
     """Yield an octree as `open_svo` does, or a distance field in memory."""
     with ExitStack() as stack:
         yield _read_open(path, formats.STORED_SHAPE, stack)
+
+
+@contextmanager
+def open_scene(path: PathLike) -> Iterator[Any]:
+    """Yield an octree as `open_svo` does, or a field or a volume in memory."""
+    with ExitStack() as stack:
+        yield _read_open(path, formats.STORED_SCENE, stack)
 
 
 @contextmanager
@@ -253,7 +261,7 @@ def read_drawn(path: PathLike, kind: Kind = formats.SCENE) -> Any:
 
 
 def export(
-    content: Octree | DistanceField | TetVolume | Labels | PathLike,
+    content: OctreeContent | DistanceField | TetVolume | Labels | PathLike,
     path: PathLike,
     clobber: bool = True,
     format: str | None = None,
@@ -275,11 +283,11 @@ def export(
 
     Parameters
     ----------
-    content : Octree, DistanceField, TetVolume, Labels or path
-        The voxels; or a field, whose signed distances are sampled at the centres of the cells of
-        a grid, in float32; in a .vdb or .nvdb as a level set, for which it needs signs; or a
-        volume, whose cells a .vtkhdf holds with their scalar; or the labels of components, as
-        whole numbers.
+    content : OctreeContent, DistanceField, TetVolume, Labels or path
+        The voxels, whose nodes may be in a file or merged (`open_svo`); or a field, whose signed
+        distances are sampled at the centres of the cells of a grid, in float32; in a .vdb or .nvdb
+        as a level set, for which it needs signs; or a volume, whose cells a .vtkhdf holds with
+        their scalar; or the labels of components, as whole numbers.
     path : path
         The file or the folder; `-` writes stdout.
     clobber : bool
@@ -330,13 +338,15 @@ def export(
     """
     from voxtool.files.exchange import plan_export
 
-    if isinstance(content, str | os.PathLike):
-        content = read_scene(content)
-    plan_export(
-        content, path, clobber, format, level=level, bbox=bbox, invert=invert, dtype=dtype,
-        normals=normals, band=band, shape=shape, spacing=spacing, grid=grid, max_bytes=max_bytes,
-        device=device, **options,
-    ).run()  # fmt: skip
+    with ExitStack() as stack:
+        held: Any = content
+        if isinstance(content, str | os.PathLike):
+            held = stack.enter_context(open_scene(content))
+        plan_export(
+            held, path, clobber, format, level=level, bbox=bbox, invert=invert, dtype=dtype,
+            normals=normals, band=band, shape=shape, spacing=spacing, grid=grid,
+            max_bytes=max_bytes, device=device, **options,
+        ).run()  # fmt: skip
 
 
 def write_blocks(

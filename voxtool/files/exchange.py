@@ -49,14 +49,15 @@ from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.memory import check_disk
 from voxtool.opencl import Device
+from voxtool.svo.content import OctreeContent
 from voxtool.svo.image import VoxelImage
+from voxtool.svo.image_parts import ImageInParts, fitting_image
 from voxtool.svo.labels import Labels
-from voxtool.svo.octree import Octree
 from voxtool.tets.volume import TetVolume
 
 WRITE = "write file"
 Image: TypeAlias = VoxelImage | LevelSet | FieldSamples | Labels | VolumeCells
-Content: TypeAlias = Octree | DistanceField | TetVolume | Labels
+Content: TypeAlias = OctreeContent | DistanceField | TetVolume | Labels
 
 
 def writer_of(name: str, verb: str, image: Image) -> Callable[..., Any]:
@@ -117,6 +118,7 @@ class ExportPlan:
             return image.text
         cells = "samples" if isinstance(image, LevelSet | FieldSamples) else "cells"
         cells += f" of level {image.level}" if image.level else ""
+        cells += " in windows" if isinstance(image, ImageInParts) else ""
         return f"{' x '.join(map(str, image.shape))} {cells}"
 
     def rows(self) -> list[tuple[str, str]]:
@@ -194,6 +196,7 @@ def plan_export(
     grid: Grid | PathLike | None = None,
     max_bytes: int | None = None,
     max_memory: int | None = None,
+    windows: bool = True,
     device: Device | None = None,
     progress: Callable[[float], None] = lambda share: None,
     **options: Any,
@@ -214,7 +217,7 @@ def plan_export(
         raise VoxtoolError(f".{name} holds no normals: choose {names}")
     check_package(name)
     check_output(path, name, clobber)
-    if chosen and not isinstance(content, Octree):
+    if chosen and not isinstance(content, OctreeContent):
         raise VoxtoolError(
             "a field, a volume or labels take no level, box, dtype, isovalue or inversion: leave "
             "them out"
@@ -242,13 +245,22 @@ def plan_export(
         image = VoxelImage.of(
             content, level=level, bbox=bbox, invert=invert, dtype=dtype, isovalue=isovalue
         )
+        if name == "png" and options.get("value") is not None:
+            image = image.layer(options["axis"], options["value"])
+        slabs = not (EXCHANGE[name].points or EXCHANGE[name].whole)
+        image = replace(image, dense=normals or slabs)
         held = EXCHANGE[name].dtypes
         if not (dtype is isovalue is None) and held and image.dtype.name not in held:
             option = "--isovalue" if dtype is None else "--dtype"
             raise VoxtoolError(
                 f".{name} holds {' or '.join(held)}, not {image.dtype.name}: leave out {option}"
             )
-        image = replace(image, progress=progress)
+        image = replace(fitting_image(image, max_memory, windows), progress=progress)
+        if EXCHANGE[name].whole and isinstance(image, ImageInParts):
+            raise MemoryLimitError(
+                f"a .{name} is written from memory, in which this octree does not fit: choose "
+                f"{image.smaller}, or .npz (see --max-memory)"
+            )
     if EXCHANGE[name].folder and "%" in os.fspath(path):
         options["pattern"] = Path(path).name
     more = {"normals": True} if normals else {}

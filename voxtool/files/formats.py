@@ -52,6 +52,8 @@ class Exchange(NamedTuple):
     text: bool = False  # whether a terminal can show it
     grids: bool = False  # whether a file can hold several, by name
     normals: bool = False  # whether its points can have normals
+    points: bool = False  # whether only the set cells are written, one by one
+    whole: bool = False  # whether its writer needs all nodes of an octree at once
 
 
 # What is written, by the extension that names it.
@@ -70,26 +72,45 @@ ADF_FORMATS = {"adf.h5": Writer("adf_hdf5"), "h5": Writer("adf_hdf5")}
 TET_FORMATS = {"tet.h5": Writer("tet_hdf5"), "h5": Writer("tet_hdf5")}
 EXCHANGE = {
     "npy": Exchange("npy", "dtype", dense=True),
-    "npz": Exchange("npz", "grid, dtype; of the set cells alone", dense=True),
+    "npz": Exchange("npz", "grid, dtype; of the set cells alone", dense=True, points=True),
     "vti": Exchange("vti", "grid, dtype", dense=True),
     "nii": Exchange("nifti", "grid, dtype, unit", needs="nibabel", dense=True),
     "nii.gz": Exchange("nifti", "grid, dtype, unit", "_packed", needs="nibabel", dense=True),
     "nrrd": Exchange("nrrd", "grid, dtype, unit", dense=True),
     "binvox": Exchange("binvox", "the grid as a cube, with cubic voxels; bool", dtypes=("bool",)),
     "ply": Exchange(
-        "centers", "centres of the set cells, and their values", "_ply", reads=False, normals=True
+        "centers",
+        "centres of the set cells, and their values",
+        "_ply",
+        reads=False,
+        normals=True,
+        points=True,
     ),
     "xyz": Exchange(
-        "centers", "centres of the set cells", "_xyz", reads=False, text=True, normals=True
+        "centers",
+        "centres of the set cells",
+        "_xyz",
+        reads=False,
+        text=True,
+        normals=True,
+        points=True,
     ),
     "vdb": Exchange(
-        "vdb", "grid, coverage; bool or float32; cubes as tiles", levels="vdb_levels", grids=True
+        "vdb",
+        "grid, coverage; bool or float32; cubes as tiles",
+        levels="vdb_levels",
+        grids=True,
+        whole=True,
     ),
-    "vox": Exchange("vox", "grid; which cells are set", dtypes=("bool",)),
+    "vox": Exchange("vox", "grid; which cells are set", dtypes=("bool",), whole=True),
     "nvdb": Exchange(
-        "nvdb", "place, coverage as float32; cubes as tiles", levels="nvdb_levels", reads=False
+        "nvdb",
+        "place, coverage as float32; cubes as tiles",
+        levels="nvdb_levels",
+        reads=False,
+        whole=True,
     ),
-    "vtkhdf": Exchange("vtkhdf", "grid, levels, coverage", volumes="vtkhdf_volume"),
+    "vtkhdf": Exchange("vtkhdf", "grid, levels, coverage", volumes="vtkhdf_volume", whole=True),
     "tif": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True),
     "tiff": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True),
     "ome.zarr": Exchange(
@@ -102,7 +123,7 @@ EXCHANGE = {
     "%04d.png": Exchange(
         "layers", "which cells are set", reads=False, folder=True, dtypes=("bool",)
     ),
-    "png": Exchange("slice_png", "one slice, as a picture", reads=False, parts=False),
+    "png": Exchange("slice_png", "one slice, as a picture", reads=False, parts=False, whole=True),
 }
 EXPORTS = tuple(name for name, format in EXCHANGE.items() if format.writes)
 IMPORTS = tuple(name for name, format in EXCHANGE.items() if format.reads)
@@ -194,6 +215,7 @@ SCENE = Kind(
     other=OCTREE.other,
     endings=AN_EXPORT,
 )
+STORED_SCENE = replace(SCENE, sliced=True)
 
 
 def ending(name: str) -> str:

@@ -103,16 +103,18 @@ def _center(image: VoxelImage) -> list[float]:
 
 def _fill(array: Any, image: VoxelImage) -> None:
     """Write the cells that are not zero."""
-    low, high = np.array(image.low), np.add(image.low, image.shape)
-    for cubes in image.cubes(CHUNK):
-        for corner in cubes.corners - low:
-            array[tuple(slice(n, n + cubes.side) for n in corner[::-1].tolist())] = 1
-    for blocks in image.blocks(CHUNK):
-        for corner, values in zip(*blocks, strict=True):
-            start, stop = np.maximum(corner, low), np.minimum(corner + CHUNK, high)
-            part = values[tuple(map(slice, start - corner, stop - corner))]
-            places = zip((start - low)[::-1].tolist(), (stop - low)[::-1].tolist(), strict=True)
-            array[tuple(slice(a, b) for a, b in places)] = part.transpose(2, 1, 0)
+    first = np.array(image.low)
+    for part in image.parts(least=CHUNK):
+        low, high = np.array(part.low), np.add(part.low, part.shape)
+        for cubes in part.cubes(CHUNK):
+            for corner in cubes.corners - first:
+                array[tuple(slice(n, n + cubes.side) for n in corner[::-1].tolist())] = 1
+        for blocks in part.blocks(CHUNK):
+            for corner, values in zip(*blocks, strict=True):
+                start, stop = np.maximum(corner, low), np.minimum(corner + CHUNK, high)
+                held = values[tuple(map(slice, start - corner, stop - corner))]
+                ends = (start - first)[::-1].tolist(), (stop - first)[::-1].tolist()
+                array[tuple(map(slice, *ends))] = held.transpose(2, 1, 0)
 
 
 # ---- in

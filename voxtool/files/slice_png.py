@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import BinaryIO
 
 from voxtool.svo.image import VoxelImage
+from voxtool.svo.octree import Octree
 
 
 def size(image: VoxelImage) -> int:
@@ -26,4 +27,5 @@ def write(image: VoxelImage, file: BinaryIO, axis: str = "z", value: int | None 
     from voxtool.plots.slices import draw_octree_slice, palette
 
     picture.check_writer(8)
+    assert isinstance(image.octree, Octree)
     picture.write_png(draw_octree_slice(image.octree, axis, value), file, palette())

@@ -180,7 +180,7 @@ def _held(
 
 def content_id(image: VoxelImage) -> UUID:
     """Return an identifier that follows from the content."""
-    part = (image.octree.digest(), image.level, image.low, image.shape, image.invert, image.dtype)
+    part = (image.digest(), image.level, image.low, image.shape, image.invert, image.dtype)
     return UUID(bytes=hashlib.sha256(repr(part).encode()).digest()[:16])
 
 

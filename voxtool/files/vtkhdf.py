@@ -23,7 +23,8 @@ from voxtool.files.vtkhdf_read import COVERAGE
 from voxtool.files.vtkhdf_read import read as read
 from voxtool.grid import Grid
 from voxtool.svo.collect import Collector
-from voxtool.svo.counts import Counts
+from voxtool.svo.content import OctreeContent
+from voxtool.svo.counts import Counts, counts_of
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.octree import Octree
 from voxtool.svo.prune import ALL_VOXELS
@@ -83,7 +84,7 @@ def write(image: VoxelImage, file: BinaryIO) -> None:
 
 
 class _Source(NamedTuple):
-    octree: Octree
+    octree: OctreeContent
     level: int
     values: np.dtype  # of the coverage
 
@@ -111,7 +112,7 @@ def _octree_of(image: VoxelImage) -> Octree:
     return replace(collector.octree(image.units), transform=image.octree.transform)
 
 
-def _describe(group: Any, octree: Octree, level: int, sizes: list[int]) -> None:
+def _describe(group: Any, octree: OctreeContent, level: int, sizes: list[int]) -> None:
     """Write what the group says of the tree; `sizes` counts the cells by depth."""
     grid = octree.grid
     group.attrs.create("Version", VERSION, dtype="<i8")
@@ -136,7 +137,7 @@ def _describe(group: Any, octree: Octree, level: int, sizes: list[int]) -> None:
 # ---- the cells
 
 
-def cells_by_depth(octree: Octree, level: int) -> list[int]:
+def cells_by_depth(octree: OctreeContent, level: int) -> list[int]:
     """Return the number of cells of each depth, from the root down to those of 2**level voxels."""
     nodes = np.diff(octree.offsets).astype(np.int64).tolist()
     if level >= COARSEST_IN_BRICKS:
@@ -151,16 +152,17 @@ def cells_by_depth(octree: Octree, level: int) -> list[int]:
     return [n for n in sizes if n]
 
 
-def depths_of(octree: Octree, level: int) -> Iterator[Cells]:
+def depths_of(octree: OctreeContent, level: int) -> Iterator[Cells]:
     """Yield the cells from the root down to those of 2**level voxels, a depth in one piece or more
     of 8 n cells."""
-    counts = Counts(octree, 0)
+    counts = Counts(octree, 0) if isinstance(octree, Octree) else counts_of(octree, level)
     last = max(level - COARSEST_IN_BRICKS, 0)
     for nodes in counts.levels[:last:-1]:
         yield Cells(counts.of_nodes[nodes.number], nodes.side**3, nodes.refined)
     if level >= COARSEST_IN_BRICKS:
         yield Cells(counts.of_nodes[last], counts.levels[last].side ** 3, None)
         return
+    assert isinstance(octree, Octree)
     sizes = len(cells_by_depth(octree, level)) - octree.depth
     for bricks in _pieces(octree.bricks):
         refined = (bricks != 0) & (bricks != ALL_VOXELS)
@@ -180,7 +182,7 @@ def _pieces(bricks: np.ndarray) -> Iterator[np.ndarray]:
         yield bricks[first : first + BRICKS]
 
 
-def _mixed(octree: Octree) -> Iterator[np.ndarray]:
+def _mixed(octree: OctreeContent) -> Iterator[np.ndarray]:
     """Yield the bricks that are neither empty nor full."""
     for bricks in _pieces(octree.bricks):
         yield bricks[(bricks != 0) & (bricks != ALL_VOXELS)]

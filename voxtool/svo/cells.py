@@ -1,5 +1,5 @@
 """The cells of an octree: cubes that divide its grid, each read as a subtree with what lies around
-it. The octree may be in memory or in a file."""
+it. The octree may be in memory, in a file, or merged."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from voxtool.morton import morton_decode, morton_encode
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import BRICK_SIDE, LINK, NODE_BYTES, descend
 from voxtool.svo.links import EMPTY, REFINED, states_of
+from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree
 
 GAP = 4096  # items between two groups that are read at once
@@ -34,22 +35,21 @@ class Cells:
     along : int
         Cells along a side of the octree.
     states, links : (along**3,) uint8, uint32
-        The states of the cells' nodes in Morton order, and the first children of the refined ones;
-        a cell in a leaf has the state of the leaf.
+        The states of the cells' nodes in Morton order, and of the refined ones the first children,
+        or in a merged octree the subtree; a cell in a leaf has the state of the leaf.
     """
 
     def __init__(self, octree: OctreeContent, side: int) -> None:
         self.octree, self.side = octree, side
         self.along = octree.grid.side // side
         self.level = (side // BRICK_SIDE).bit_length() - 1
-        word = octree.nodes[0:1]["child"]
-        states, links = states_of(word), word & LINK
+        states, links = self._root()
         for d in range(1, octree.depth - self.level):
             refined = np.flatnonzero(states == REFINED)
-            words = self._children(d, links[refined])
+            found = self._children(d, links[refined])
             below = (8 * refined[:, None] + EIGHT).ravel()
             states, links = np.repeat(states, 8), np.zeros(8 * len(states), np.uint32)
-            states[below], links[below] = states_of(words), words & LINK
+            states[below], links[below] = found
         self.states, self.links = states, links
 
     @property
@@ -57,12 +57,27 @@ class Cells:
         """Number of cells that have nodes of their own below them."""
         return int(np.count_nonzero(self.states == REFINED))
 
-    def _children(self, d: int, links: np.ndarray) -> np.ndarray:
-        """Return the `child` words of the groups of eight nodes, d levels below the root, to which
-        links lead."""
-        return groups_of(self.octree.nodes, self.octree.offsets[d] + links.astype(np.int64))[
-            "child"
-        ]
+    def _root(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the state and the link of the root, (1,) each."""
+        if isinstance(self.octree, MergedOctree):
+            return np.full(1, self.octree.root, np.uint8), np.zeros(1, np.uint32)
+        word = self.octree.nodes[0:1]["child"]
+        return states_of(word), word & LINK
+
+    def _children(self, d: int, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the states and the links of the groups of eight nodes, d levels below the root, to
+        which links lead."""
+        octree = self.octree
+        if isinstance(octree, MergedOctree):
+            return octree.children_of(d - 1, links)
+        words = groups_of(octree.nodes, octree.offsets[d] + links.astype(np.int64))["child"]
+        return states_of(words), words & LINK
+
+    def _bricks(self, links: np.ndarray) -> np.ndarray:
+        """Return the groups of eight bricks to which links lead."""
+        if isinstance(self.octree, MergedOctree):
+            return self.octree.bricks_of(links)
+        return groups_of(self.octree.bricks, links.astype(np.int64))
 
     def states_of(self, first: np.ndarray, last: np.ndarray) -> np.ndarray:
         """Return the states of the cells of a box, from one cell to another one."""
@@ -127,12 +142,9 @@ class Cells:
                 )
             codes, links = descend(codes[refined]), links[refined]
             if number > 1:
-                words = self._children(self.octree.depth - number, links)
-                states, links = states_of(words), words & LINK
-        bricks = groups_of(self.octree.bricks, links.astype(np.int64))
-        return Octree.of_states(
-            cube(along * self.side), self.octree.mode, self.octree.fill, levels, bricks
-        )
+                states, links = self._children(self.octree.depth - number, links)
+        octree, grid = self.octree, cube(along * self.side)
+        return Octree.of_states(grid, octree.mode, octree.fill, levels, self._bricks(links))
 
 
 def cube(side: int) -> Grid:

@@ -30,8 +30,6 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.prune import ALL_VOXELS
 
 WORD_BYTES = 4  # of a node that is drawn
-CORNERS = morton_decode(np.arange(8))  # (8, 3): the place of each child in its parent
-NOWHERE = 1 << 30  # the low corner of the box of nothing; its high corner is -NOWHERE
 
 
 @dataclass(frozen=True)
@@ -99,7 +97,8 @@ def box_of(octree: Octree | MergedOctree) -> tuple[np.ndarray, np.ndarray]:
     """Return the low and the high corner, (3,) int64 in voxels, of the inside leaves and the bricks
     that hold a set voxel; one does."""
     if isinstance(octree, MergedOctree):
-        return _box_of_subtrees(octree)
+        lows = np.zeros((len(octree.leaves), 3), np.int64)
+        return octree.box_of(lows, lows + BRICK_SIDE)
     low, high = np.array(octree.grid.shape), np.zeros(3, np.int64)
     for level in octree.levels():
         held = level.inside if level.number else octree.bricks != 0
@@ -107,27 +106,6 @@ def box_of(octree: Octree | MergedOctree) -> tuple[np.ndarray, np.ndarray]:
             low = np.minimum(low, level.cells[held].min(axis=0))
             high = np.maximum(high, level.cells[held].max(axis=0) + level.side)
     return low, high
-
-
-def _box_of_subtrees(octree: MergedOctree) -> tuple[np.ndarray, np.ndarray]:
-    """Return the box of a merged octree, from those of its subtrees, bottom-up."""
-    if octree.root == FULL:
-        return np.zeros(3, np.int64), np.full(3, octree.grid.side)
-    lows = np.zeros((len(octree.leaves), 3), np.int64)
-    highs = lows + BRICK_SIDE
-    for d in reversed(range(octree.depth - 1)):
-        side = BRICK_SIDE << (octree.depth - 2 - d)
-        words = octree.words(d)
-        low, high = (np.full((len(words), 3), sign * NOWHERE) for sign in (1, -1))
-        for corner, word in zip(side * CORNERS, words.T, strict=True):
-            linked, full = word >= SUBTREE, word == FULL
-            below = word[linked] - SUBTREE
-            low[linked] = np.minimum(low[linked], corner + lows[below])
-            high[linked] = np.maximum(high[linked], corner + highs[below])
-            low[full] = np.minimum(low[full], corner)
-            high[full] = np.maximum(high[full], corner + side)
-        lows, highs = low, high
-    return lows[0], highs[0]
 
 
 def cover_of(octree: Octree | MergedOctree, number: int) -> Iterator[tuple[np.ndarray, int]]:

@@ -4,7 +4,8 @@ The cells of an image are voxels, or at level N cubes of 2**N voxels a side, ali
 cell's count is the number of its voxels that are set. Values follow from counts by the dtype: a
 float holds the coverage, count / 8**N; a whole number the count itself; a bool whether the coverage
 is at least the isovalue. Nothing dense is held: at most four layers of cells, or a few thousand
-blocks.
+blocks. Of cells that are nodes above the bricks, the octree need not be in memory; otherwise see
+image_parts.py.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from voxtool.errors import GridError, VoxtoolError
 from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
 from voxtool.svo.blocks import Leaves, Sorted, keys_of, places_in
-from voxtool.svo.counts import Counts, check_isovalue
+from voxtool.svo.content import OctreeContent
+from voxtool.svo.counts import Counts, check_isovalue, counts_of
 from voxtool.svo.layout import descend
 from voxtool.svo.octree import Octree
 
@@ -33,6 +35,7 @@ NODE_BYTES = 40  # of lists of blocks and of counts, a node of the octree
 LAYERS = 24  # of cells, more than an export holds
 QUANTITIES = {"b": "occupancy", "u": "count", "f": "coverage"}  # by the kind of the dtype
 UNIFORM = -1  # instead of the node of a block: wholly set, or unset where the image is inverted
+NODES = 3  # the first level whose cells are nodes above the bricks
 DTYPES = ("bool", "uint8", "uint16", "uint32", "float32", "float64")
 Order = tuple[int, int, int]
 EVERY = (0, 1, 2)
@@ -58,8 +61,8 @@ class VoxelImage:
 
     Attributes
     ----------
-    octree : Octree
-        The voxels.
+    octree : OctreeContent
+        The voxels; an Octree, or of a level from NODES up any octree.
     level : int
         A cell has 2**level voxels a side; 0 for voxels.
     low, shape : (3,) int
@@ -72,11 +75,15 @@ class VoxelImage:
         Of bool: the least share of a cell that is set.
     progress : callable
         Called with the share of the image that has been passed on, from 0 to 1.
+    whole : OctreeContent, optional
+        The octree of which `octree` has what lies in the part; None if that is all of it.
+    dense : bool
+        Whether whole layers of cells are asked for, not only those that are set.
     """
 
     smaller: ClassVar[str] = "a higher --level, or a part by --bbox"
 
-    octree: Octree
+    octree: OctreeContent
     level: int
     low: tuple[int, int, int]
     shape: tuple[int, int, int]
@@ -84,11 +91,13 @@ class VoxelImage:
     dtype: np.dtype
     isovalue: float = 0.5
     progress: Callable[[float], None] = field(default=lambda share: None)
+    whole: OctreeContent | None = None
+    dense: bool = True
 
     @classmethod
     def of(
         cls,
-        octree: Octree,
+        octree: OctreeContent,
         *,
         level: int = 0,
         bbox: Sequence[float] | None = None,
@@ -100,7 +109,7 @@ class VoxelImage:
 
         Parameters
         ----------
-        octree : Octree
+        octree : OctreeContent
             The voxels.
         level : int
             A cell has 2**level voxels a side.
@@ -155,6 +164,14 @@ class VoxelImage:
         if (low >= high).any():
             raise GridError("the box touches no voxel of the grid: see `voxtool svo-info`")
         return tuple(low.tolist()), tuple((high - low).tolist())
+
+    def layer(self, axis: str, value: int) -> Self:
+        """Return the image of the cells that are number `value` along an axis, if there are any."""
+        low, shape, a = list(self.low), list(self.shape), "xyz".find(axis)
+        if a < 0 or not 0 <= value < shape[a]:
+            return self
+        low[a], shape[a] = value, 1
+        return replace(self, low=tuple(low), shape=tuple(shape))
 
     # ---- where it lies, and how large it is
 
@@ -214,8 +231,15 @@ class VoxelImage:
     def host_bytes(self) -> int:
         """A bound of the memory of the lists of blocks, and of some layers of cells or the values
         of the blocks."""
+        octree = self.octree
+        levels = octree.depth - (0 if isinstance(octree, Octree) else max(self.level - 2, 0))
+        return NODE_BYTES * int(octree.offsets[levels]) + self.layer_bytes
+
+    @property
+    def layer_bytes(self) -> int:
+        """A bound of the memory of some layers of cells."""
         a, b = sorted(self.shape)[1:]
-        return NODE_BYTES * len(self.octree.nodes) + LAYERS * a * b * self.dtype.itemsize
+        return LAYERS * a * b * self.dtype.itemsize if self.dense else 0
 
     @property
     def quantity(self) -> str:
@@ -240,7 +264,16 @@ class VoxelImage:
         """Return the same image with values of another type."""
         return replace(self, dtype=_dtype(dtype, self.level))
 
+    def digest(self) -> str:
+        """Return the digest of the octree, also if only a part of it is here."""
+        return (self.whole or self.octree).digest()
+
     # ---- values
+
+    def parts(self, axis: int = 0, least: int = THICK) -> Iterator[VoxelImage]:
+        """Yield images that together hold the cells, one after the other along an axis; they meet
+        where the cell is a multiple of `least`, a power of two from THICK up."""
+        yield self
 
     def slabs(self, order: Order = EVERY) -> Iterator[np.ndarray]:
         """Yield the values transposed to the axes `order`, in pieces of at most four layers.
@@ -350,7 +383,7 @@ class VoxelImage:
 
     @cached_property
     def _counts(self) -> Counts:
-        return Counts(self.octree, self.level)
+        return counts_of(self.octree, self.level)
 
     @cached_property
     def _known(self) -> dict[int, Leaves]:

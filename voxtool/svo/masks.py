@@ -9,6 +9,7 @@ import numpy as np
 
 from voxtool.svo.image import UNIFORM, VoxelImage
 from voxtool.svo.layout import LINK, voxels_within
+from voxtool.svo.octree import Octree
 from voxtool.svo.prune import ALL_VOXELS
 
 SIDE, POWER = 8, 3
@@ -38,6 +39,7 @@ def block_masks(image: VoxelImage) -> Iterator[Masks]:
         return
     corners, nodes = image.block_nodes(SIDE)
     octree = image.octree
+    assert isinstance(octree, Octree)
     links = octree.child_words(octree.depth - 1 - (POWER - 2)) & LINK
     for first in range(0, len(nodes), CHUNK):
         chosen = slice(first, first + CHUNK)

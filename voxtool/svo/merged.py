@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import chain
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 
@@ -18,8 +18,17 @@ from voxtool.arrays import Blocks, Data, blocks_of, digest_of_blocks
 from voxtool.errors import FileError, MemoryLimitError, human
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
-from voxtool.svo.content import BLOCK, OctreeContent
-from voxtool.svo.layout import BRICK, BRICK_BYTES, BRICK_SIDE, MAX_LINK, NODE, NODE_BYTES
+from voxtool.morton import morton_decode
+from voxtool.svo.content import BLOCK, OctreeContent, StoredOctree
+from voxtool.svo.layout import (
+    BRICK,
+    BRICK_BYTES,
+    BRICK_SIDE,
+    MAX_LINK,
+    NODE,
+    NODE_BYTES,
+    unpack_bricks,
+)
 from voxtool.svo.links import FULL, REFINED, level_states, nodes_of, offsets_of
 from voxtool.svo.merge import SUBTREE, Subtrees, merge
 from voxtool.svo.merged_checks import check_subtrees, check_tables
@@ -28,6 +37,8 @@ from voxtool.svo.prune import ALL_VOXELS, kinds_of_bricks, pruned_states
 
 CHILD_BITS = np.arange(8, dtype=np.uint16)  # of a mask, which children have a link
 FULL_BITS = CHILD_BITS + np.uint16(8)  # and which are full
+CORNERS = morton_decode(np.arange(8))  # (8, 3): the place of each child in its parent
+NOWHERE = 1 << 30  # the low corner of the box of nothing; its high corner is -NOWHERE
 MERGE_BYTES = 32  # a brick, at the peak of merging, beside the octree
 
 
@@ -241,12 +252,56 @@ class MergedOctree(PointQueries, Data, OctreeContent):
 
     def brick_blocks(self) -> Iterator[np.ndarray]:
         """Yield the bricks in blocks of whole groups of eight."""
-        masks, _ = self.level(self.depth - 2)
         for subtrees in blocks_of(self.instances()[-1], BLOCK // 8):
-            states = states_in(masks[subtrees]).ravel()
-            bricks = np.where(states == FULL, ALL_VOXELS, BRICK.type(0))
-            bricks[states == REFINED] = self.leaves[self._children(self.depth - 2, subtrees)]
-            yield bricks
+            yield self.bricks_of(subtrees)
+
+    def children_of(self, d: int, subtrees: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the states of the children of subtrees of a level, (8 n,) uint8, and the subtrees
+        of those that are refined, (8 n,) uint32."""
+        states = states_in(self.level(d)[0][subtrees]).ravel()
+        links = np.zeros(len(states), np.uint32)
+        links[states == REFINED] = self._children(d, subtrees)
+        return states, links
+
+    def bricks_of(self, subtrees: np.ndarray) -> np.ndarray:
+        """Return the eight bricks of each of some subtrees of level 1, (8 n,) BRICK."""
+        states, leaves = self.children_of(self.depth - 2, subtrees)
+        bricks = np.where(states == FULL, ALL_VOXELS, BRICK.type(0))
+        bricks[states == REFINED] = self.leaves[leaves[states == REFINED]]
+        return bricks
+
+    def bounds(self) -> np.ndarray | None:
+        """Return the low and the high corner of the box around the set voxels, as Octree.bounds
+        does."""
+        if not self.count:
+            return None
+        ends = []
+        for block in [self.leaves[:0], *blocks_of(self.leaves, BLOCK)]:
+            layers = unpack_bricks(block)
+            held = np.stack([layers.any(axis=axes) for axes in ((2, 3), (1, 3), (1, 2))], axis=1)
+            first, last = held.argmax(axis=2), held[..., ::-1].argmax(axis=2)
+            ends.append(np.stack([first, BRICK_SIDE - last]))
+        lows, highs = np.concatenate(ends, axis=1)
+        return np.stack(self.box_of(lows, highs))
+
+    def box_of(self, lows: np.ndarray, highs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the low and the high corner, (3,) int64 in voxels, of the box around everything
+        set, given the corners of the boxes of the leaves, (n, 3) each."""
+        if self.root == FULL:
+            return np.zeros(3, np.int64), np.full(3, self.grid.side)
+        for d in reversed(range(self.depth - 1)):
+            side = BRICK_SIDE << (self.depth - 2 - d)
+            words = self.words(d)
+            low, high = (np.full((len(words), 3), sign * NOWHERE) for sign in (1, -1))
+            for corner, word in zip(side * CORNERS, words.T, strict=True):
+                linked, full = word >= SUBTREE, word == FULL
+                below = word[linked] - SUBTREE
+                low[linked] = np.minimum(low[linked], corner + lows[below])
+                high[linked] = np.maximum(high[linked], corner + highs[below])
+                low[full] = np.minimum(low[full], corner)
+                high[full] = np.maximum(high[full], corner + side)
+            lows, highs = low, high
+        return lows[0], highs[0]
 
     def expanded(self) -> Octree:
         """Return the octree, with nothing merged.
@@ -320,6 +375,19 @@ class MergedOctree(PointQueries, Data, OctreeContent):
             If an invariant does not hold; the message names the first one.
         """
         check_subtrees(self)
+
+
+def in_memory(octree: OctreeContent) -> Octree:
+    """Return an octree of a file, or a merged one, with all its nodes in memory.
+
+    Raises
+    ------
+    MemoryLimitError
+        If it does not fit, or its nodes exceed links of 30 bits.
+    """
+    if isinstance(octree, MergedOctree):
+        return octree.expanded()
+    return Octree.of_stored(octree) if isinstance(octree, StoredOctree) else cast("Octree", octree)
 
 
 def link_bytes(below: int) -> int:

@@ -1,0 +1,143 @@
+"""Images of octrees that are larger than the memory that they may take, part by part.
+
+A part is a box of the grid. Of the octree only the nodes that reach it are read (cells.py), and its
+image is that of any octree. Parts follow one another along the slowest axis of what is written, so
+that the output is that of the whole image; a part that does not fit after all is halved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from voxtool.errors import MemoryLimitError, human
+from voxtool.memory import available_memory
+from voxtool.svo.cells import Cells
+from voxtool.svo.image import EVERY, NODES, THICK, Order, VoxelImage
+from voxtool.svo.image import NODE_BYTES as LIST_BYTES
+from voxtool.svo.merged import in_memory
+from voxtool.svo.octree import Octree
+
+SHARE = 8  # bytes of memory for a byte of the nodes of a part: its bricks, lists and counts
+
+
+@dataclass(frozen=True, eq=False)
+class ImageInParts(VoxelImage):
+    """The image of an octree that is not in memory.
+
+    Attributes
+    ----------
+    limit : int
+        Bytes that it may take.
+    """
+
+    limit: int = 0
+
+    @property
+    def host_bytes(self) -> int:
+        """Bytes of what is held at once, if the parts fit."""
+        return max(self.limit, self.layer_bytes)
+
+    @property
+    def mixed(self) -> int:
+        """A bound of the same number: the blocks that have nodes, and those at sides of the box."""
+        sizes = np.diff(self.octree.offsets.astype(np.int64))[::-1].tolist()
+        a, b, c = (n // THICK + 2 for n in self.shape)
+        return THICK**3 * (sizes[min(self.level, len(sizes) - 1)] + 2 * (a * b + b * c + c * a))
+
+    @cached_property
+    def count(self) -> int:
+        """Number of cells whose value is not zero."""
+        if self.level == 0 and self.shape == self.octree.grid.shape:
+            return self.cells - self.octree.count if self.invert else self.octree.count
+        return sum(part.count for part in self.parts())
+
+    def part(self, low: tuple[int, int, int], shape: tuple[int, int, int]) -> VoxelImage:
+        """Return the image of a box: its low cell, counted from the grid's corner, and its cells
+        along each axis. MemoryLimitError if it takes more than it may."""
+        octree, begin = self.octree, self.side * np.array(low)
+        end = begin + self.side * np.array(shape)
+        most = max(self.limit - self.layer_bytes, 0) // SHARE
+        cut = self._root.cut(np.zeros(3, np.int64), 1, begin, end, most)
+        cut = replace(cut, grid=octree.grid, units=octree.units, transform=octree.transform)
+        return VoxelImage(cut, **self._shared | {"low": low, "shape": shape, "whole": octree})
+
+    def parts(self, axis: int = 0, least: int = THICK) -> Iterator[VoxelImage]:
+        if self.level >= NODES:
+            yield VoxelImage(self.octree, **self._shared)
+            return
+        low, shape = list(self.low), list(self.shape)
+        first, end = low[axis], low[axis] + shape[axis]
+        start, thick = first, self._thickness(axis, least)
+        while start < end:
+            stop = min((start // thick + 1) * thick, end)
+            low[axis], shape[axis] = start, stop - start
+            try:
+                part = self.part((low[0], low[1], low[2]), (shape[0], shape[1], shape[2]))
+            except MemoryLimitError as error:
+                if thick == least:
+                    raise MemoryLimitError(
+                        f"{least} layers of cells do not fit in {human(self.limit)}: choose "
+                        f"{self.smaller} (see --max-memory)"
+                    ) from error
+                thick //= 2
+                continue
+            done, share = (start - first) / (end - first), (stop - start) / (end - first)
+            yield replace(part, progress=lambda own, a=done, b=share: self.progress(a + b * own))
+            start = stop
+
+    def slabs(self, order: Order = EVERY) -> Iterator[np.ndarray]:
+        for part in self.parts(order[0]):
+            yield from part.slabs(order)
+
+    def listed(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for part in self.parts():
+            for cells, values in part.listed():
+                cells[:, 0] += part.low[0] - self.low[0]
+                yield cells, values
+
+    @property
+    def _shared(self) -> dict[str, Any]:
+        """What a part has of the image."""
+        names = (item.name for item in fields(VoxelImage) if item.name != "octree")
+        return {name: getattr(self, name) for name in names}
+
+    @cached_property
+    def _root(self) -> Cells:
+        """The octree as one cell."""
+        return Cells(self.octree, self.octree.grid.side)
+
+    def _thickness(self, axis: int, least: int) -> int:
+        """Return the cells along an axis of a part that fits, if nodes are where they are on
+        average; a power of two."""
+        thick = least
+        most = max(self.limit - self.layer_bytes, 0) // SHARE / (2 * self.octree.nbytes + 1)
+        while 2 * thick <= most * self.all_cells[axis] and thick < self.shape[axis]:
+            thick *= 2
+        return thick
+
+
+def fitting_image(
+    image: VoxelImage, max_memory: int | None = None, windows: bool = True
+) -> VoxelImage:
+    """Return an image that takes no more than `max_memory` bytes, by default half of what is free,
+    if that is possible: of the octree in memory, of its upper nodes alone, of what lies in its box,
+    or in parts; if not `windows`, of the octree in memory."""
+    octree, limit = image.octree, available_memory() // 2 if max_memory is None else max_memory
+    if isinstance(octree, Octree):
+        return image
+    bytes_needed = LIST_BYTES * int(octree.offsets[-1]) + image.layer_bytes
+    if not windows or (bytes_needed <= limit and 2 * octree.nbytes <= available_memory()):
+        return replace(image, octree=in_memory(octree))
+    if image.level >= NODES and image.host_bytes <= limit:
+        return image
+    parts = ImageInParts(**vars(image), limit=limit)
+    if image.shape != image.all_cells:
+        with suppress(MemoryLimitError):
+            return parts.part(image.low, image.shape)
+    return parts
