@@ -624,9 +624,13 @@ def render_octrees(device) -> None:
 def render_fields(device) -> None:
     """A ball; one ray at a time: of several Oclgrind 21.10 spoils the masks, as below."""
     field = plain_field(sphere, 1e-2, 4, origin=(-1.0, -1.0, -1.0), side=2.0)
+    textures.TOP_LEVEL = 1  # most leaves are in cells below it
     for rays in two_views((9, 7)):
         picture = FieldScene(field, lanes=1).draw(rays, device)
         assert set(np.unique(picture[..., 3])) == {0, 1}
+        for search in query.SEARCHES:
+            found = FieldScene(field, search=search).draw(rays, device)
+            assert np.array_equal(found, picture)
 
 
 def render_volumes(device) -> None:

@@ -191,9 +191,6 @@ __kernel void find_tops(__global const uint *points, TEXTURES, const int top, __
         tops[first + i] = (uint2)(blocks[i], (uint)levels[i]);
 }
 
-// A coordinate of a cell of level `top`.
-uint top_of(uint x, int top) { return x >> 1 >> (POINT_BITS - 1 - top); }
-
 // The values of the field at points: distances in cube edges; optionally gradients, codes of the
 // leaves' error bounds, and the leaves' levels and cells.
 __kernel void query(__global const uint *points, TEXTURES, const int top,
@@ -219,8 +216,7 @@ __kernel void query(__global const uint *points, TEXTURES, const int top,
     for (uint i = 0; i < BATCH * RUN; ++i) {
         uint x, y, z;
         read_point(points + 3 * (first + i), &x, &y, &z);
-        const uint2 found =
-            tops[top_of(x, top) | (top_of(y, top) | top_of(z, top) << top) << top];
+        const uint2 found = tops[top_cell(x, y, z, top)];
         blocks[i] = found.x;
         levels[i] = (int)found.y;
         below[count] = i;

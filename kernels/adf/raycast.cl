@@ -6,11 +6,28 @@
 //
 // nodes: for each block, the first block of its children, and bits of its children: whether a child
 // has a block, and from bit OUTER and INNER, whether rays that start outside or inside look into it.
+// With the option SEARCH, a ray goes from leaf to leaf, and the hash says which is next
+// [ADF, section 3.4]; LANES and BATCH are 1, and the options are those of search.h, too.
 
 #define NODE uint
 #define TREE __global const uint2 *nodes, const uint marks, const int root
 #define THIS_TREE nodes, marks, root
 #include "adf/raycast.h"
+#include "lanes.h"
+#ifdef SEARCH
+#include "adf/query.h"
+#include "adf/search.h"
+#define TABLES                                                                                     \
+    __global const uint *cells, __global const OFFSET *offsets, __global const float *inverses,    \
+        const uint m, const uint r, const int deepest, const int top, __global const uint2 *tops
+#define PLACES TREE, TABLES
+#define THESE_PLACES THIS_TREE, cells, offsets, inverses, m, r, deepest, top, tops
+#define NEXT_LEAF next_by_search
+#else
+#define PLACES TREE
+#define THESE_PLACES THIS_TREE
+#define NEXT_LEAF next_leaf
+#endif
 #include "shading.h"
 
 #define INSIDE 8         // of a kind of rays, beside the axes along which they are mirrored
@@ -110,6 +127,103 @@ void set_out(packet *p, const doubles3 origin, const doubles3 direction, const u
     p->end = smaller(smaller((side - p->origin.x) * p->inverse.x, (side - p->origin.y) * p->inverse.y),
                      (side - p->origin.z) * p->inverse.z);
 }
+
+#ifdef SEARCH
+
+// The block of the deepest cell with one at a point, in units of 2^-32 of the cube, and its level.
+// `level` is that of the cell before, where a coherent search starts.
+uint deepest_block(const uint x, const uint y, const uint z, int *level, TABLES)
+{
+    const Hash hash = {cells, offsets, inverses, m, r};
+    const uint2 known = tops[top_cell(x, y, z, top)];
+    const int before = min(max(*level, top + 1), deepest);
+    uint block = known.x;
+    *level = (int)known.y;
+    if (*level < top)
+        return block;
+    Wanted wanted = {{x}, {y}, {z}, {before}};
+    uint slot;
+    int exists;
+#if SEARCH == BINARY
+    for (int least = top + 1, most = deepest; least <= most;) {
+        wanted.level[0] = (least + most) >> 1;
+#else
+    wanted.level[0] = SEARCH == LINEAR ? top + 1 : SEARCH == BOTTOM_UP ? deepest : before;
+    int way = 0;
+    while (top < wanted.level[0] && wanted.level[0] <= deepest) {
+#endif
+        find_cells(&hash, &wanted, &slot, &exists);
+        if (exists) {
+            block = cells[WORDS * (size_t)slot + WORDS - 1];
+            *level = wanted.level[0];
+        }
+#if SEARCH == BINARY
+        least = exists ? wanted.level[0] + 1 : least;
+        most = exists ? most : wanted.level[0] - 1;
+#else
+        if (way == (exists ? -1 : 1))
+            break;
+        way = exists ? 1 : -1;
+        wanted.level[0] += way;
+#endif
+    }
+    return block;
+}
+
+// The last finest cell along an axis whose low plane a ray has reached at t; `side` beyond the cube.
+int cell_at(const double t, const double origin, const double speed, const double inverse,
+            const int side)
+{
+    int cell = (int)clamp(floor(origin + t * speed), 0.0, (double)side);
+    while (cell < side && ((double)(cell + 1) - origin) * inverse <= t)
+        ++cell;
+    while (cell > 0 && ((double)cell - origin) * inverse > t)
+        --cell;
+    return cell;
+}
+
+uint point_of(const int cell, const uint down, const int root)
+{
+    return (uint)(down ? (1 << root) - 1 - cell : cell) << 1 << (POINT_BITS - 1 - root);
+}
+
+// As next_leaf, for one ray: the leaf at the time when it leaves the one before.
+int next_by_search(packet *p, PLACES, double *in, double *out)
+{
+    const int side = 1 << root;
+    int level = root - p->k;
+    for (;;) {
+        uint x = p->octant & 1, y = p->octant >> 1 & 1, z = p->octant >> 2;
+        double t = p->begin;
+        if (p->k <= root) // not at the start
+            t = smaller(smaller(p->times[0][x + 1], p->times[1][y + 1]), p->times[2][z + 1]);
+        if (!(t < p->end))
+            return 0;
+        p->x = cell_at(t, p->origin.x, p->speed.x, p->inverse.x, side);
+        p->y = cell_at(t, p->origin.y, p->speed.y, p->inverse.y, side);
+        p->z = cell_at(t, p->origin.z, p->speed.z, p->inverse.z, side);
+        if (max(max(p->x, p->y), p->z) >= side)
+            return 0;
+        const uint block = deepest_block(
+            point_of(p->x, p->mirror & 1, root), point_of(p->y, p->mirror & 2, root),
+            point_of(p->z, p->mirror & 4, root), &level, cells, offsets, inverses, m, r, deepest,
+            top, tops);
+        p->k = root - level;
+        p->nodes[p->k] = block;
+        x = p->x >> (p->k - 1) & 1, y = p->y >> (p->k - 1) & 1, z = p->z >> (p->k - 1) & 1;
+        p->octant = x | y << 1 | z << 2;
+        const int within = (1 << p->k) - 1;
+        p->x &= ~within, p->y &= ~within, p->z &= ~within;
+        find_times(p);
+        *in = larger(larger(larger(p->times[0][x], p->times[1][y]), p->times[2][z]), p->begin);
+        *out = smaller(
+            smaller(smaller(p->times[0][x + 1], p->times[1][y + 1]), p->times[2][z + 1]), p->end);
+        if (nodes[block].y >> (marks + (p->octant ^ p->mirror)) & 1)
+            return 1;
+    }
+}
+
+#endif
 
 // ---- leaf
 
@@ -227,12 +341,12 @@ void set_hits(hits *h, const ints met, const packet *p, const segment *s, const 
 
 // Finds the first root of the packet's rays, which all start on one side of the surface. Returns
 // the rays that start inside, if they were taken to start outside.
-ints find_hits(hits *h, packet *p, __global const float *voxels, const float offset, TREE)
+ints find_hits(hits *h, packet *p, __global const float *voxels, const float offset, PLACES)
 {
     const float side = marks == OUTER ? 1 : -1;
     ints inside = 0;
     doubles in, out;
-    while (next_leaf(p, THIS_TREE, &in, &out)) {
+    while (NEXT_LEAF(p, THESE_PLACES, &in, &out)) {
         float v[8];
         vstore8(side * corners_of(voxels, p->nodes[p->k], p->octant ^ p->mirror, offset), 0, v);
         segment s;
@@ -330,7 +444,11 @@ void draw_hits(const hits *h, const packet *p, const uint *mirrors, const pixel_
 __kernel void raycast(__global const float *voxels, __global const uint2 *nodes, const int root,
                       __global const double *camera, const uint perspective, const uint width,
                       const uint height, const float offset, const float3 light,
-                      const float3 colour, __global float *pixels)
+                      const float3 colour, __global float *pixels
+#ifdef SEARCH
+                      , TABLES
+#endif
+)
 {
     const pixel_block block = pixels_of_packet(width, height);
     doubles3 origin, direction;
@@ -347,8 +465,8 @@ __kernel void raycast(__global const float *voxels, __global const uint2 *nodes,
          rays = next_kind(waiting, kinds, &kind)) {
         p.end = to_longs(rays) ? end : p.begin;
         start_walk(&p, kind & 7, root);
-        const ints inside =
-            find_hits(&h, &p, voxels, offset, nodes, kind & INSIDE ? INNER : OUTER, root);
+        const uint marks = kind & INSIDE ? INNER : OUTER;
+        const ints inside = find_hits(&h, &p, voxels, offset, THESE_PLACES);
         store(load(waiting) | inside, waiting);
         store(inside ? load(kinds) | INSIDE : load(kinds), kinds);
     }

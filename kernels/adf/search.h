@@ -72,6 +72,14 @@ ints slots_along(floats keys, floats w, floats inverse, ints offsets, int m)
     return sum >= m ? sum - m : sum;
 }
 
+uint top_of(uint x, int top) { return x >> 1 >> (POINT_BITS - 1 - top); }
+
+// The index of the cell of level `top` of a point in the table of these cells.
+uint top_cell(uint x, uint y, uint z, int top)
+{
+    return top_of(x, top) | (top_of(y, top) | top_of(z, top) << top) << top;
+}
+
 // Spreads the CODE_LEVEL leading bits of coordinates: bit i moves to bit 3 i.
 identifiers spread(uints x)
 {

@@ -11,7 +11,9 @@ import meshes
 import numpy as np
 import pytest
 from helpers_field import cells_of, plain_field, point, sphere
+from helpers_files import with_w
 
+from voxtool.adf import textures
 from voxtool.adf.build import build_adf
 from voxtool.adf.field import DistanceField
 from voxtool.adf.raycast import (
@@ -21,6 +23,7 @@ from voxtool.adf.raycast import (
 )
 from voxtool.adf.scene import FieldScene
 from voxtool.camera import Camera, Rays
+from voxtool.choices import SEARCHES
 from voxtool.errors import VoxtoolError
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.opencl import Device
@@ -207,6 +210,32 @@ def test_nothing_behind_the_camera(device) -> None:
     assert not cast(field, away.rays(16, 16), device=device).any()
 
 
+SEARCHED = {
+    **{f"{search}, {name}": (search, FIELDS[name]) for search in SEARCHES for name in FIELDS},
+    "root alone": ("bottom-up", lambda device: (plain_field(sphere, 10.0, 3), 0.0)),
+    "all cells of a level": ("linear", lambda device: (plain_field(sphere, 0.0, 3), 0.0)),
+    "w": ("coherent", lambda device: (with_w(ball(), 7), 0.0)),
+    "wide": ("coherent", lambda device: (plain_field(
+        lambda p: np.log2(point(p) + 1e-12), 0.2, 14, continuous=True), -3.0)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SEARCHED)
+def test_searches_show_the_same(device, name, monkeypatch) -> None:
+    """Each leaf by the hash, from the leaf before: the pixels of the walk in the tree. The table of
+    coarse cells is small, so that most leaves are searched for."""
+    monkeypatch.setattr(textures, "TOP_LEVEL", 1)
+    search, field_of = SEARCHED[name]
+    field, offset = field_of(device)
+    middle = np.array(field.origin) + field.side * np.array([0.45, 0.55, 0.5])
+    within = Camera(tuple(middle), tuple(middle + np.array([1.0, 0.2, 0.3]))).rays(21, 17)
+    for rays in (view(field), view(field, "front"), view(field, "top", fov=None), within):
+        plain = cast(field, rays, offset=offset, device=device)
+        found = cast(field, rays, offset=offset, search=search, device=device)
+        assert np.array_equal(found, plain)
+        assert plain.any() or rays is within
+
+
 @pytest.mark.parametrize("name", FIELDS)
 def test_what_a_ray_meets_does_not_depend_on_its_neighbours(device, name) -> None:
     """One ray at a time, and rays side by side, draw the same; around an axis, too, where the rays
@@ -319,6 +348,8 @@ def test_refusals(device) -> None:
     for colour in ((1, 1), (0, 0, 2), (0, math.nan, 0)):
         with pytest.raises(VoxtoolError, match="give red, green and blue between 0 and 1"):
             cast(field, rays, colour=colour, device=device)
+    with pytest.raises(VoxtoolError, match="search 'fast' is unknown: choose linear, binary"):
+        cast(field, rays, search="fast", device=device)
 
 
 # ---- tables

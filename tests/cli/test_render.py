@@ -19,7 +19,7 @@ from helpers_cli import fail, run, told
 from PIL import Image, ImageSequence
 
 from voxtool.camera import Camera
-from voxtool.choices import METHODS, VIEWS
+from voxtool.choices import METHODS, SEARCHES, VIEWS
 from voxtool.cli.render import OPTIONS_OF
 from voxtool.files import read_adf, read_svo, read_tet, write_svo
 from voxtool.files.picture import rounded
@@ -32,6 +32,7 @@ SCENES = {"octree": OCTREE, "field": FIELD, "volume": VOLUME}
 OPTIONS = {
     "level": "--level 0",
     "offset": "--offset 0.1",
+    "search": "--search binary",
     "colour": "--colour #ff8000",
     "transfer_file": "--transfer a.json",
     "map_name": "--map gray",
@@ -459,6 +460,16 @@ def test_volumes_are_the_librarys(method: str, integrator: str, here: Path) -> N
     command = f"{VOLUME} {EYE} --size 30x20 --method {method} --integrator {integrator}"
     assert np.array_equal(floats(command), expected)
     assert 0 < expected[..., 3].max() < 1
+
+
+def test_searches_of_fields(here: Path) -> None:
+    """Each draws the same pixels; the plan says what is searched."""
+    plain = floats(f"{FIELD} --size 40")
+    for search in SEARCHES:
+        assert np.array_equal(floats(f"{FIELD} --size 40 --search {search}"), plain)
+    left_out = run(f"render {FIELD} --plan").stdout
+    assert "a block knows its children's" in left_out
+    assert "a block knows" not in run(f"render {FIELD} --search linear --plan").stdout
 
 
 def test_levels_by_coverage(here: Path) -> None:

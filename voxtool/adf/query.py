@@ -39,6 +39,8 @@ from voxtool.adf.textures import (
     SOURCE,
     Shape,
     bounds_of,
+    check_search,
+    constant_of,
     filtered_of,
     textures_of,
 )
@@ -57,14 +59,9 @@ OUTPUTS: dict[str, dict[str, tuple[type, int]]] = {  # of the kernel, besides di
 }
 
 
-def _constant(search: str) -> str:
-    """Return the name of a search in kernels."""
-    return search.upper().replace("-", "_")
-
-
 HEADERS = {
     "adf/query.h": program.c_constants(
-        **{_constant(search): number for number, search in enumerate(SEARCHES)}
+        **{constant_of(search): number for number, search in enumerate(SEARCHES)}
     )
 }
 
@@ -297,8 +294,7 @@ class _Request:
         query: Callable[[], FieldQuery],
     ) -> QueryResult:
         """Return the values at points: up to `host_points` by the host, others by a query."""
-        if self.search not in SEARCHES:
-            raise VoxtoolError(f"search {self.search!r} is unknown: choose {', '.join(SEARCHES)}")
+        check_search(self.search)
         if self.bounds and field.bounds is None:
             raise no_bounds()
         points, single = checked_points(points)
@@ -312,7 +308,7 @@ class _Request:
 
     def options(self) -> dict[str, int | str]:
         wanted = {name.upper(): 1 for name in OUTPUTS if getattr(self, name)}
-        return {"SEARCH": _constant(self.search), **wanted}
+        return {"SEARCH": constant_of(self.search), **wanted}
 
     def outputs(self) -> dict[str, tuple[type, int]]:
         """Return the kernel's output arguments: type, and numbers a point."""

@@ -7,6 +7,9 @@ computed [Marmitt 2004], so thin features are not missed: the picture shows the 
 the field equals the offset. Children of a block are found by the number of the first, as blocks are
 in the order of their cells; no hash is needed.
 
+With a search, a ray goes instead from each leaf to the next, which it finds by the hash [ADF,
+section 3.4]. It visits the same leaves at the same times, so the picture is the same, bit for bit.
+
 Rays of neighbouring pixels visit the tree together (kernels/packets.h), which does not show in the
 picture.
 
@@ -25,7 +28,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from voxtool.adf.field import FAR
-from voxtool.adf.textures import voxels_of
+from voxtool.adf.textures import constant_of, textures_of, voxels_of
 from voxtool.camera import checked_colour
 from voxtool.errors import VoxtoolError
 from voxtool.opencl import program
@@ -55,7 +58,14 @@ def cast(scene: FieldScene, rays: Rays, device: Device) -> np.ndarray:
     """
     field = scene.content
     shown, lanes = local_offset(field, scene.offset), scene.lanes or device.lanes
-    draw, mark = (device.kernel(SOURCE, name, LANES=lanes) for name in ("raycast", "mark_children"))
+    mark = device.kernel(SOURCE, "mark_children", LANES=lanes)
+    tables, options = {}, {}
+    if scene.search:
+        lanes = 1
+        found, taken = textures_of(field, device), ("full", "voxels")
+        options = {"SEARCH": constant_of(scene.search), "BATCH": 1, **found.options}
+        tables = {name: each for name, each in found.arguments.items() if name not in taken}
+    draw = device.kernel(SOURCE, "raycast", LANES=lanes, **options)
     nodes = device.keep(
         field, f"nodes at {shown!r}", NODE_BYTES * len(field.blocks),
         lambda: _marked(field, shown, device, mark),
@@ -79,6 +89,7 @@ def cast(scene: FieldScene, rays: Rays, device: Device) -> np.ndarray:
             light=rays.light(),
             colour=checked_colour(scene.colour),
             pixels=pixels,
+            **tables,
             local=TILE**2,
         )
         return pixels.take().reshape(height, width, 4)

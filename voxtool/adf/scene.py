@@ -12,6 +12,7 @@ import numpy as np
 from voxtool.adf.cells import cell_of, half_diagonals
 from voxtool.adf.field import DistanceField
 from voxtool.adf.raycast import COLOUR, NODE_BYTES, cast, checked_offset, local_offset
+from voxtool.adf.textures import check_search, search_bytes
 from voxtool.camera import Rays, box_corners, checked_colour
 from voxtool.opencl import Device
 
@@ -23,9 +24,11 @@ class FieldScene:
     """The surface of a distance field, or an offset surface; see voxtool/rendering.py.
 
     offset: distance of the surface drawn, world units, rounded to float32; negative inside. colour:
-    red, green and blue, from 0 to 1. lanes: rays that a work-item follows side by side, 1 or 16,
-    which the picture does not show; by default what suits the device. VoxtoolError is raised if the
-    offset is not finite, or there is no such colour.
+    red, green and blue, from 0 to 1. search: how the hash is searched for leaves, "linear",
+    "binary", "coherent" or "bottom-up", which the picture does not show; by default blocks know
+    their children's, and nothing is searched. lanes: rays that a work-item follows side by side, 1
+    or 16 (with a search 1), which the picture does not show; by default what suits the device.
+    VoxtoolError is raised if the offset is not finite, or there is no such colour or search.
     """
 
     kind: ClassVar[str] = "field"
@@ -34,11 +37,14 @@ class FieldScene:
     content: DistanceField
     offset: float = 0.0
     colour: Sequence[float] = COLOUR
+    search: str | None = None
     lanes: int | None = None
 
     def __post_init__(self) -> None:
         checked_offset(self.content, self.offset)
         checked_colour(self.colour)
+        if self.search is not None:
+            check_search(self.search)
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -46,7 +52,9 @@ class FieldScene:
 
     @property
     def left_out(self) -> dict[str, str]:
-        out = {"the textures of cells and the hash": "a block knows its children's"}
+        out = {}
+        if not self.search:
+            out["the textures of cells and the hash"] = "a block knows its children's"
         if self.content.bounds is not None:
             out["the texture of bounds"] = "rays do not need error bounds"
         return out
@@ -58,7 +66,8 @@ class FieldScene:
     @property
     def device_bytes(self) -> int:
         voxels = self.content.voxels
-        return voxels.nbytes + NODE_BYTES * len(voxels)
+        searched = search_bytes(self.content) if self.search else 0
+        return voxels.nbytes + NODE_BYTES * len(voxels) + searched
 
     def points(self) -> np.ndarray:
         """Return points whose convex hull contains the surface, (N, 3) float64, world units: the

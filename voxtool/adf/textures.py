@@ -13,6 +13,8 @@ import numpy as np
 from voxtool.adf.field import DistanceField
 from voxtool.adf.host_query import POINT_BITS
 from voxtool.adf.packing import arrangement, pack_blocks
+from voxtool.choices import SEARCHES
+from voxtool.errors import VoxtoolError
 from voxtool.opencl import Array, Device
 from voxtool.opencl.images import Image, check_filter, image_of
 
@@ -74,8 +76,23 @@ def textures_of(field: DistanceField, device: Device) -> Textures:
         }
         return Textures(arguments | {"tops": _tops(device, top, arguments, options)}, options)
 
-    nbytes = field.cells.nbytes + field.hash.nbytes + 8 * 8**TOP_LEVEL
-    return device.keep(field, "textures", nbytes, upload)
+    return device.keep(field, "textures", search_bytes(field), upload)
+
+
+def search_bytes(field: DistanceField) -> int:
+    """Return the bytes of the textures that searches read, on the device."""
+    return field.cells.nbytes + field.hash.nbytes + 8 * 8**TOP_LEVEL
+
+
+def check_search(search: str) -> None:
+    """Raise VoxtoolError if there is no such search."""
+    if search not in SEARCHES:
+        raise VoxtoolError(f"search {search!r} is unknown: choose {', '.join(SEARCHES)}")
+
+
+def constant_of(search: str) -> str:
+    """Return the name of a search in kernels."""
+    return search.upper().replace("-", "_")
 
 
 def _tops(

@@ -136,7 +136,8 @@ def plan_render(
         Of an octree `level` ("voxel", or a level from 0 on), with a level `isovalue` (the least
         share of a node that is set; by default any), `colour`, and `other` (an octree of
         the same grid, for a picture of what only one of them has); of a field `offset`
-        (world units) and `colour`; of a volume `transfer` (a TransferFunction), `method`
+        (world units), `search` ("linear", "binary", "coherent" or "bottom-up", for the same
+        picture) and `colour`; of a volume `transfer` (a TransferFunction), `method`
         ("raycast" or "projection"), `integrator` ("linear", "preintegrated", "average" or
         "sampled:N"), `isovalues` (scalars whose surfaces are drawn; alone, if there is no
         `transfer`), and their `opacity` and `colour`.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import METHODS, VIEWS, WHITE
+from voxtool.choices import METHODS, SEARCHES, VIEWS, WHITE
 from voxtool.cli import options, runner
 from voxtool.cli.options import (
     LEVEL,
@@ -57,7 +57,7 @@ MAKERS = {
 }
 OPTIONS_OF = {
     "octree": ("level", "isovalues", "colour", "other"),
-    "field": ("offset", "colour"),
+    "field": ("offset", "search", "colour"),
     "volume": (
         "transfer_file", *MAKERS, "method", "integrator", "legend", "isovalues", "opacity",
         "colour",
@@ -101,6 +101,9 @@ OPTIONS_OF = {
     option("--offset", NUMBER,
         "Fields: the surface at this distance from the mesh's, in world units; negative inside.",
         metavar="D"),
+    option("--search", SEARCHES,
+        "Fields: rays find each leaf by the hash, as in adf-query, for the same picture.  "
+        "[default: blocks know their children's, and nothing is searched]"),
     option("--colour", COLOUR,
         "The surface's, #ff8000 or 1,0.5,0.  [default: light grey; of isosurfaces the map's]",
         metavar="COLOUR"),
@@ -316,7 +319,7 @@ def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, 
                 f"{parameter.opts[0]} goes with {' and '.join(f'{k}s' for k in kinds)}: "
                 f"{source} holds {article} {kind}"
             )
-    drawn = {"level", "offset", "colour", "method", "integrator", "isovalues", "opacity"}
+    drawn = {"level", "offset", "search", "colour", "method", "integrator", "isovalues", "opacity"}
     shown = {name: value for name, value in given.items() if name in drawn}
     if "other" in given:
         from voxtool.files import read_drawn
