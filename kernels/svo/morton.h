@@ -1,12 +1,27 @@
 #include "morton_bits.h"
 
 // Morton codes ([voCCeL], eq. 2.2), x in the lowest bit. The plan selects CODE: uint if the level-1
-// cells fit 10 bits an axis, otherwise ulong.
+// cells fit 10 bits an axis, otherwise ulong. With MORTON_TABLE, a code of cells of up to 16 bits an
+// axis is looked up byte by byte ([voCCeL], section 5.1).
 
+#ifdef MORTON_TABLE
+#include "svo/morton_table.h"
+
+ulong spread_by_table(uint value, uint axis)
+{
+    return (ulong)SPREAD[axis][value >> 8] << 24 | SPREAD[axis][value & 255];
+}
+
+CODE morton_encode(uint3 cell)
+{
+    return (CODE)(spread_by_table(cell.x, 0) | spread_by_table(cell.y, 1) | spread_by_table(cell.z, 2));
+}
+#else
 CODE morton_encode(uint3 cell)
 {
     return (CODE)(spread_bits(cell.x) | spread_bits(cell.y) << 1 | spread_bits(cell.z) << 2);
 }
+#endif
 
 uint3 morton_decode(CODE code)
 {

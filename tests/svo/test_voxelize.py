@@ -120,6 +120,8 @@ LARGE |= {"code_bits": 64, "column_tile": 4}
         {**LARGE, "entry": True},
         {"propagation": "levels"},
         {"propagation": "levels", "code_bits": 64},
+        {"morton": "table"},
+        {**LARGE, "morton": "table"},
     ],
 )
 @given(data=st.data(), shape=SHAPES)
@@ -145,6 +147,14 @@ def test_flips_of_closed_meshes_are_propagated_by_levels(device: Device) -> None
         assert job.with_(propagation="levels").run(began.append).digest() == job.run().digest()
         assert "levels" in began
         assert ("rows" in began) == walked
+
+
+@pytest.mark.parametrize("mode", ["surface26", "solid"])
+def test_tables_of_morton_codes_have_two_bytes(device: Device, mode: str) -> None:
+    low = np.array((2030, 60, 4060))
+    vertices, faces = meshes.box(256 * low, 256 * (low + 29))
+    job = planned(device, (vertices, faces), (4096, 100, 4096), mode)
+    assert job.with_(morton="table").run().digest() == job.run().digest()
 
 
 @cache

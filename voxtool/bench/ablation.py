@@ -38,9 +38,13 @@ VOXELIZE = {  # names in `left_out`, and the decisions that undo them
     "state of rows on entry": {"entry": True},
     "directions of crossings": {"fill": "winding"},
 }
+LEVELS = "propagation by levels"
 METHODS = {  # other methods of voxelization: the decision, and what the plan takes instead
-    "propagation by levels": (
+    LEVELS: (
         {"propagation": "levels"}, "rows of solids walk the octree, which needs no neighbours"
+    ),
+    "Morton codes by table": (
+        {"morton": "table"}, "bits are spread by shifts, without a table in memory"
     ),
 }  # fmt: skip
 FIELD = {
@@ -96,7 +100,8 @@ def of_voxelize(job: Job[Octree], bench: Bench, work: str) -> Iterator[Ablation]
 
     yield from of_job(job, VOXELIZE, same, bench, work)
     others = {what: job.with_(**decision) for what, (decision, _) in METHODS.items()}
-    others = {what: other for what, other in others.items() if other.stages != job.stages}
+    if not job.plan.by_rows:
+        del others[LEVELS]
     reasons = {what: why for what, (_, why) in METHODS.items()}
     forced = {what: other.run for what, other in others.items()}
     yield from compare(bench, work, reasons, job.run, forced, same)

@@ -34,6 +34,7 @@ HOMES = {
     "svo/fill/flood.h": "voxtool.svo.fill.pieces",
     "svo/fill/rows.h": "voxtool.svo.fill.rows",
     "svo/fill/winding.h": "voxtool.svo.fill.winding",
+    "svo/morton_table.h": "voxtool.svo.scan",
     "svo/morphology.h": "voxtool.svo.morphology",
     "svo/octree.h": "voxtool.svo.layout",
     "svo/nearest.h": "voxtool.svo.query",

@@ -66,6 +66,7 @@ class VoxelizePlan:
     crowd: int = CROWD  # leaves of caps that may be near a voxel
     most_left: float = MOST_LEFT
     propagation: str = "rows"  # how flips spread: "rows" are walked, or by "levels"
+    morton: str = "bits"  # how triangles' boxes are encoded: by "bits", or by "table"
 
     @property
     def solid(self) -> bool:
@@ -82,9 +83,13 @@ class VoxelizePlan:
         return self.fill in ("nonzero", "winding")
 
     @property
+    def by_rows(self) -> bool:
+        """True if flips of rows along x decide what is inside."""
+        return self.fill not in ("none", "flood")
+
+    @property
     def stages(self) -> list[str]:
         """The stages that will run, in order."""
-        by_rows = self.fill not in ("none", "flood")
         stages = {
             COMPARISON: self.choice != "",
             "survey": True,
@@ -92,10 +97,10 @@ class VoxelizePlan:
             "holes": self.caps > 0,
             "near holes": self.caps > 0,
             "octree": self.fill != "flood",
-            "crossings": by_rows,
-            "levels": by_rows and self.propagation == "levels",
-            "rows": by_rows and self.propagation == "rows",
-            "fill": by_rows and self.propagation == "rows",
+            "crossings": self.by_rows,
+            "levels": self.by_rows and self.propagation == "levels",
+            "rows": self.by_rows and self.propagation == "rows",
+            "fill": self.by_rows and self.propagation == "rows",
             f"surface{self.surface}": self.surface != "",
             "flood": self.fill == "flood",
             "read back": self.fill != "flood",

@@ -20,6 +20,7 @@ import numpy as np
 
 from voxtool.errors import MemoryLimitError
 from voxtool.grid import FIXED_POINT_BITS
+from voxtool.morton import spread_bits
 from voxtool.opencl import Array, program
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.svo.build import code_name
@@ -32,6 +33,15 @@ TOUCHED, SEPARATING, CROSSED = range(3)  # what a triangle is scan-converted int
 NODE_LEVEL, BLOCK_LEVEL = CELL.bit_length() - 1, NODE_BLOCK.bit_length() - 1
 BLOCK_WORDS = (NODE_BLOCK // CELL) ** 3 // 32
 HALF_VOXEL = 1 << (FIXED_POINT_BITS - 1)
+
+
+def _morton_table() -> str:
+    """Return the spread bits of each byte, for each axis, as an OpenCL constant."""
+    spread = spread_bits(np.arange(256)).tolist()
+    axes = ("{" + ", ".join(str(bits << axis) for bits in spread) + "}" for axis in range(3))
+    return f"__constant const uint SPREAD[3][256] = {{{', '.join(axes)}}};"
+
+
 HEADERS = {
     "svo/scan.h": program.c_constants(
         TOUCHED=TOUCHED,
@@ -39,7 +49,8 @@ HEADERS = {
         CROSSED=CROSSED,
         NODE_LEVEL=NODE_LEVEL,
         NODE_BLOCK=NODE_BLOCK,
-    )
+    ),
+    "svo/morton_table.h": _morton_table(),
 }
 Lookup = dict[str, Array | None]  # arguments by which kernels find a node's rank, and its target
 
@@ -81,6 +92,7 @@ class Scan:
             "CODE": code_name(self.code),
             "COLUMN_TILE": plan.column_tile,
             **({"WIDE": 1} if plan.wide else {}),
+            **({"MORTON_TABLE": 1} if plan.morton == "table" else {}),
         }
 
     def kernel(self, source: str, name: str, **more: int) -> Callable[..., None]:
