@@ -6,10 +6,12 @@ from __future__ import annotations
 import functools
 import importlib.util
 import os
+import re
 import shlex
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import helpers_tets
 import meshes
@@ -21,6 +23,7 @@ from hypothesis import HealthCheck, Phase, settings
 from voxtool.opencl import Device, list_devices, open_device
 
 MODELS = Path(__file__).parents[2] / "shared" / "models"
+ABSENT = "no model"  # of a reason to skip, before the name
 LONG = 600  # seconds of a soak run that has the tests marked long
 
 settings.register_profile(
@@ -80,6 +83,19 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
         session.exitstatus = pytest.ExitCode.TESTS_FAILED
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Name the models without which tests were skipped, and why, in one line."""
+    skipped = terminalreporter.stats.get("skipped", [])
+    absent = [re.findall(rf"{ABSENT} ([\w.-]+)", str(each.longrepr)) for each in skipped]
+    if names := sorted({name for found in absent for name in found}):
+        count = sum(map(bool, absent))
+        terminalreporter.write_line(
+            f"{count} skipped without {', '.join(names)}: not in {MODELS}, and no part of the "
+            "repository (docs/models.md)"
+        )
+
+
 SLOW_FOLDERS = {"bench", "selftest"}  # reports, and every case of the self-test
 
 
@@ -116,7 +132,7 @@ def model(name: str) -> Path:
     """A real model; tests that need it skip where the models are absent."""
     path = MODELS / name
     if not path.exists():
-        pytest.skip(f"no model {name}: the folder of real models is absent")
+        pytest.skip(f"{ABSENT} {name}")
     return path
 
 

@@ -17,6 +17,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
+from conftest import model
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -27,8 +28,6 @@ from voxtool.files.numbers import OddityError
 from voxtool.mesh.collinear import collinear
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.mesh.topology import check_topology
-
-MODELS = Path(__file__).parents[2].parent / "shared" / "models"
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float64)
 TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
@@ -490,13 +489,6 @@ def test_diagnosis_equals_the_naive_one(data):
 
 
 # --- real models ---------------------------------------------------------------------------------
-
-
-def model(name: str) -> Path:
-    path = MODELS / name
-    if not path.exists():
-        pytest.skip(f"{path} is absent: real models are not part of the repository")
-    return path
 
 
 def test_real_models_are_counted():
