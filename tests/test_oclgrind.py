@@ -127,7 +127,7 @@ HARMLESS = UNITE | {
 }
 VARIANTS = {  # forced decisions of VoxelizePlan
     "narrow": {},
-    "levels": {"propagation": "levels", "morton": "table"},
+    "levels": {"propagation": "levels", "morton": "table", "plane_tiles": True},
     "blocked": {"blocked": True, "code_bits": 64},
     "all": dict.fromkeys(("wide", "blocked", "tiled", "tiled_nodes"), True)
     | {"code_bits": 64, "column_tile": 8},

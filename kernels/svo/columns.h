@@ -1,6 +1,6 @@
 // Common parts of scan conversion and crossings: the columns of boxes that a triangle meets, the
 // tiles of columns that work-items process, edge functions of projections, and storage of voxels.
-// Options: CODE, WIDE, COLUMN_TILE.
+// Options: CODE, WIDE, COLUMN_TILE, PLANE_TILE.
 
 #include "svo/octree.h"
 #include "svo/scan.h"
@@ -192,6 +192,23 @@ edge_functions project(int kind, int3 p, int3 q, int sign, int size, int pad_p, 
     e.q *= size;
     return e;
 }
+
+// The columns of a row that are visited together: all, or with PLANE_TILE those of a square tile of so
+// many, if a column of the tile may be in the projection ([voCCeL], section 3.2, listing A.6).
+#ifdef PLANE_TILE
+int tile_end(int first, int last) { return min(first | (PLANE_TILE - 1), last); }
+
+bool meets_tile(const edge_functions *e, int2 first, int2 last)
+{
+    const long3 zero = 0;
+    return none_negative(e->p * first.x + e->q * first.y + e->d +
+                         max(e->p * (last.x - first.x), zero) + max(e->q * (last.y - first.y), zero));
+}
+#else
+int tile_end(int first, int last) { return last; }
+
+bool meets_tile(const edge_functions *e, int2 first, int2 last) { return true; }
+#endif
 
 // The smallest r in [0, last] with *a + r up >= 0, or last + 1 if there is none; *a is set to
 // *a + r up. `up` is `normal` x `size`.

@@ -68,22 +68,24 @@ void put_box(sink *out, int level, ACTIVE_SET_PARAMETERS, uint3 box)
     put(out, (uint)(code >> 5), 1u << (uint)(code & 31));
 }
 
-// Store the boxes that the triangle touches, column by column. In a column, the plane meets the boxes
-// from the first whose far side is not before it to the last whose near side is not behind it
-// ([voCCeL], fig. 3.4). From one column to the next, this range moves by one or two boxes. The columns
-// of a row that a convex triangle meets are contiguous, so the first column beyond them ends the row.
-void scan_convert(const scan *s, const columns *c, sink *out, int level, ACTIVE_SET_PARAMETERS)
+// Store the boxes that the triangle touches in the columns from `first` to `end`, column by column. In
+// a column, the plane meets the boxes from the first whose far side is not before it to the last whose
+// near side is not behind it ([voCCeL], fig. 3.4). From one column to the next, this range moves by one
+// or two boxes. The columns of a row that a convex triangle meets are contiguous, so the first column
+// beyond them ends the row.
+void scan_tile(const scan *s, const columns *c, int2 first, int2 end, sink *out, int level,
+               ACTIVE_SET_PARAMETERS)
 {
     const int last = c->high.z - c->low.z;
     const wide right = wide_product(s->nx, s->size), up = wide_product(s->nz, s->size),
                down = wide_negative(up);
     const wide gap = wide_sum(s->near, wide_negative(s->far));
-    for (int q = c->low.y; q <= c->high.y; ++q) {
-        long3 xy = s->xy.p * c->low.x + s->xy.q * q + s->xy.d;
-        int p = c->low.x;
-        for (; p <= c->high.x && !none_negative(xy); ++p)
+    for (int q = first.y; q <= end.y; ++q) {
+        long3 xy = s->xy.p * first.x + s->xy.q * q + s->xy.d;
+        int p = first.x;
+        for (; p <= end.x && !none_negative(xy); ++p)
             xy += s->xy.p;
-        if (p > c->high.x)
+        if (p > end.x)
             continue;
         // box r of the column, its edge functions, and n . (p - v0) at its far side
         wide far = wide_sum(s->far, wide_dot(s->nx, s->ny, s->nz, (long)p * s->size + s->first.x,
@@ -91,7 +93,7 @@ void scan_convert(const scan *s, const columns *c, sink *out, int level, ACTIVE_
         int r = first_not_before(&far, s->nz, s->size, up, last);
         long3 yz = s->yz.p * q + s->yz.q * (c->low.z + r) + s->yz.d;
         long3 zx = s->zx.p * (c->low.z + r) + s->zx.q * p + s->zx.d;
-        for (; p <= c->high.x && none_negative(xy); ++p) {
+        for (; p <= end.x && none_negative(xy); ++p) {
             for (; r <= last && is_negative(far); ++r, far = wide_sum(far, up)) {
                 yz += s->yz.q;
                 zx += s->zx.p;
@@ -113,6 +115,19 @@ void scan_convert(const scan *s, const columns *c, sink *out, int level, ACTIVE_
             xy += s->xy.p;
             zx += s->zx.q;
             far = wide_sum(far, right);
+        }
+    }
+}
+
+void scan_convert(const scan *s, const columns *c, sink *out, int level, ACTIVE_SET_PARAMETERS)
+{
+    int2 first, end;
+    for (first.y = c->low.y; first.y <= c->high.y; first.y = end.y + 1) {
+        end.y = tile_end(first.y, c->high.y);
+        for (first.x = c->low.x; first.x <= c->high.x; first.x = end.x + 1) {
+            end.x = tile_end(first.x, c->high.x);
+            if (meets_tile(&s->xy, first, end))
+                scan_tile(s, c, first, end, out, level, ACTIVE_SET);
         }
     }
     flush(out);

@@ -120,6 +120,8 @@ LARGE |= {"code_bits": 64, "column_tile": 4}
         {**LARGE, "entry": True},
         {"propagation": "levels"},
         {"propagation": "levels", "code_bits": 64},
+        {"plane_tiles": True},
+        {"plane_tiles": True, "wide": True},
         {"morton": "table"},
         {**LARGE, "morton": "table"},
     ],

@@ -43,6 +43,9 @@ METHODS = {  # other methods of voxelization: the decision, and what the plan ta
     LEVELS: (
         {"propagation": "levels"}, "rows of solids walk the octree, which needs no neighbours"
     ),
+    "tiles of 4 x 4 columns": (
+        {"plane_tiles": True}, "the columns of a row that a triangle meets are contiguous"
+    ),
     "Morton codes by table": (
         {"morton": "table"}, "bits are spread by shifts, without a table in memory"
     ),

@@ -67,6 +67,7 @@ class VoxelizePlan:
     most_left: float = MOST_LEFT
     propagation: str = "rows"  # how flips spread: "rows" are walked, or by "levels"
     morton: str = "bits"  # how triangles' boxes are encoded: by "bits", or by "table"
+    plane_tiles: bool = False  # tiles of 4 x 4 columns are tested before their columns
 
     @property
     def solid(self) -> bool:

@@ -25,7 +25,7 @@ from voxtool.opencl import Array, program
 from voxtool.opencl.primitives import exclusive_scan
 from voxtool.svo.build import code_name
 from voxtool.svo.lattice import LatticeMesh
-from voxtool.svo.layout import BRICK
+from voxtool.svo.layout import BRICK, BRICK_SIDE
 from voxtool.svo.plan import CELL, NODE_BLOCK, VoxelizePlan
 
 SOURCE = "svo/scan.cl"
@@ -93,6 +93,7 @@ class Scan:
             "COLUMN_TILE": plan.column_tile,
             **({"WIDE": 1} if plan.wide else {}),
             **({"MORTON_TABLE": 1} if plan.morton == "table" else {}),
+            **({"PLANE_TILE": BRICK_SIDE} if plan.plane_tiles else {}),
         }
 
     def kernel(self, source: str, name: str, **more: int) -> Callable[..., None]:

@@ -49,33 +49,42 @@ void visit_crossings(const triangle *t, const columns *c, int3 shape, uint axis,
                                 : shift_sign(n.y, n.z, n.x);
     const int last = c->high.z - c->low.z; // the axis is x
     const wide right = wide_product(n.y, VOXEL), up = wide_product(n.x, VOXEL);
-    for (int k = c->low.y; k <= c->high.y; ++k) {
-        long3 yz = e.p * c->low.x + e.q * k + e.d;
-        int j = c->low.x;
-        for (; j <= c->high.x && !none_negative(yz); ++j)
-            yz += e.p;
-        if (j > c->high.x)
-            continue;
-        // n . (centre - v0) of the first candidate voxel; it increases along x
-        wide low = wide_dot(n.x, n.y, n.z, (long)c->low.z * VOXEL + HALF - u.x,
-                            (long)j * VOXEL + HALF - u.y, (long)k * VOXEL + HALF - u.z);
-        low = wide_sum(low, wide_product(tie < 0, -1));
-        for (; j <= c->high.x && none_negative(yz); ++j, yz += e.p, low = wide_sum(low, right)) {
-            wide first = low;
-            const int r = first_not_before(&first, n.x, VOXEL, up, last);
-            const int i = max(c->low.z + r, -1);
-            if (i >= shape.x)
-                continue; // beyond the high-x side
-            if (what == FLIP)
-                flip_row(&v->out, v->entry, ACTIVE_SET, shape, i, j, k);
-            else if (what == LIST) {
-                v->crossings[v->count] =
-                    ((ulong)k * shape.y + j) << v->x_bits | (ulong)(i + 1) << 2 | (sign < 0 ? ENTERS : 0);
-                if (v->crossed)
-                    v->crossed[v->count] = t->face;
-                ++v->count;
-            } else
-                ++v->count;
+    int2 first, end;
+    for (first.y = c->low.y; first.y <= c->high.y; first.y = end.y + 1) {
+        end.y = tile_end(first.y, c->high.y);
+        for (first.x = c->low.x; first.x <= c->high.x; first.x = end.x + 1) {
+            end.x = tile_end(first.x, c->high.x);
+            if (!meets_tile(&e, first, end))
+                continue;
+            for (int k = first.y; k <= end.y; ++k) {
+                long3 yz = e.p * first.x + e.q * k + e.d;
+                int j = first.x;
+                for (; j <= end.x && !none_negative(yz); ++j)
+                    yz += e.p;
+                if (j > end.x)
+                    continue;
+                // n . (centre - v0) of the first candidate voxel; it increases along x
+                wide low = wide_dot(n.x, n.y, n.z, (long)c->low.z * VOXEL + HALF - u.x,
+                                    (long)j * VOXEL + HALF - u.y, (long)k * VOXEL + HALF - u.z);
+                low = wide_sum(low, wide_product(tie < 0, -1));
+                for (; j <= end.x && none_negative(yz); ++j, yz += e.p, low = wide_sum(low, right)) {
+                    wide at = low;
+                    const int r = first_not_before(&at, n.x, VOXEL, up, last);
+                    const int i = max(c->low.z + r, -1);
+                    if (i >= shape.x)
+                        continue; // beyond the high-x side
+                    if (what == FLIP)
+                        flip_row(&v->out, v->entry, ACTIVE_SET, shape, i, j, k);
+                    else if (what == LIST) {
+                        v->crossings[v->count] =
+                            ((ulong)k * shape.y + j) << v->x_bits | (ulong)(i + 1) << 2 | (sign < 0 ? ENTERS : 0);
+                        if (v->crossed)
+                            v->crossed[v->count] = t->face;
+                        ++v->count;
+                    } else
+                        ++v->count;
+                }
+            }
         }
     }
 }
