@@ -79,7 +79,7 @@ def emulated_bytes(codes: np.ndarray, dim: int) -> int:
 
 
 def without_holes(faces: np.ndarray) -> np.ndarray:
-    """Return faces and a fan over each hole: the text's bunny has 179 triangles more than ours."""
+    """Return faces and a fan over each hole: the bunny of [voCCeL] has 179 triangles more."""
     edges = set(map(tuple, np.concatenate([faces[:, [i, (i + 1) % 3]] for i in range(3)]).tolist()))
     following = {a: b for a, b in edges if (b, a) not in edges}
     fans = []
