@@ -166,6 +166,7 @@ def test_every_kernel_and_variant_was_launched(run):
     assert len(declared) > 10
     assert declared == set(run[0]["kernels"])
     wanted = {"", "WIDE", "CODE=ulong", "LISTED", "VOXELS", "SAMPLE=uchar", "SAMPLE=uint"}
+    wanted |= {"MORTON_TABLE", "PLANE_TILE=4"}
     wanted |= {"SIGNED", "RANKED", "FLAT", "WINDING", "CLOSED", "JUMPS"}
     wanted |= {"SEARCH=LINEAR", "SEARCH=BINARY", "SEARCH=COHERENT", "LANES=1", "LANES=16", "W"}
     wanted |= {"GRADIENT", "BOUNDS", "CELL", "HARDWARE", "BOOK"}

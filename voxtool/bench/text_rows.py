@@ -46,7 +46,7 @@ class Row:
         return self.table.split()[0]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON types: the fields, and the text's reference and hardware."""
+        """JSON types: the fields, and the reference and hardware of the text."""
         return {**asdict(self), "reference": self.key, "hardware": HARDWARE[self.key]}
 
     def cells(self) -> tuple[str, ...]:
