@@ -424,7 +424,7 @@ def test_usage_errors(options: str, message: str, here: Path) -> None:
         (f"{OCTREE} --up 0,0,0", "has no direction"),
         (f"{OCTREE} --fov nan", "a field of view of nan degrees: choose 0.01 to 170"),
         (f"{OCTREE} --size 2000 --max-memory 10M", "2000 x 2000 pixels, 4 rays each, would need"),
-        (f"{OCTREE} --max-memory 10K", "the octree alone is too large (see --max-memory)"),
+        (f"{OCTREE} --max-memory 500", "the octree alone is too large (see --max-memory)"),
     ],
 )
 def test_failures_are_one_line(command: str, message: str, here: Path) -> None:

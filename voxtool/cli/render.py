@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
+from contextlib import ExitStack
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +23,7 @@ from voxtool.cli.options import (
     output_of,
     together,
 )
-from voxtool.errors import printable
+from voxtool.errors import VoxtoolWarning, printable
 from voxtool.tets.maps import MAPS
 
 if TYPE_CHECKING:
@@ -161,7 +163,7 @@ def command(
     """
     check_request(request)
     check_rays(size, samples)
-    from voxtool.files import read_drawn
+    from voxtool.files import open_scene
     from voxtool.files.animation import rate_of, write_animation
     from voxtool.files.picture import FORMATS, check_writer, write_picture
     from voxtool.rendering import camera_for, plan_render
@@ -179,9 +181,12 @@ def command(
     if run.file_format != "npy" and not run.only_plan:
         check_writer(depth)
     paper = None if background == "none" else background or WHITE
-    with run:
-        content = run.stage("read file", read_drawn, file)
+    with run, ExitStack() as stack:
+        content: Any = run.stage("read file", stack.enter_context, open_scene(file))
         with run.naming(file):
+            content, request["level"] = fitting(
+                run, content, request["level"], alone=request["other"] is None
+            )
             shown = options_of(content, file, request)
             if turntable is not None:
                 request["turn"] = request["turn"] or 0.0
@@ -200,6 +205,33 @@ def command(
     if turntable is not None:
         text = f"{turntable} frames, the first {text}"
     run.report(text, lambda: summary(job, drawn, hit))
+
+
+def fitting(
+    run: Run, content: Any, level: int | str | None, alone: bool = True
+) -> tuple[Any, int | str | None]:
+    """Return what a picture shows of the content of a file, and the level: of an octree that does
+    not fit in memory the upper nodes, with a warning, if it is drawn alone."""
+    from voxtool.svo.coarsen import fitting_octree
+    from voxtool.svo.content import StoredOctree
+    from voxtool.svo.merged import in_memory
+
+    if not isinstance(content, StoredOctree):
+        return content, level
+    if not alone:
+        return run.stage("read file", in_memory, content), level
+    asked = "voxel" if level is None else level
+    octree, finest = run.stage("read file", fitting_octree, content, asked, run.max_memory)
+    if finest == asked:
+        return octree, level
+    drawn = "voxels" if asked == "voxel" else f"those of level {asked}"
+    warnings.warn(
+        f"the octree does not fit in memory: nodes of level {finest} are drawn instead of {drawn} "
+        "(see --max-memory)",
+        VoxtoolWarning,
+        stacklevel=2,
+    )
+    return octree, finest
 
 
 def choose_animation(
@@ -230,7 +262,6 @@ def turned(
 ) -> Iterator[np.ndarray]:
     """Yield the frames of a whole turn, (H, W, 3 or 4) uint8, drawn one by one as they are asked
     for. The content stays on the device."""
-    import warnings
     from dataclasses import replace
 
     from voxtool.files.picture import rounded

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import webbrowser
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ import click
 
 from voxtool.cli import options, runner
 from voxtool.cli.options import flag, together
-from voxtool.cli.render import DIRECTION
+from voxtool.cli.render import DIRECTION, fitting
 from voxtool.errors import human
 
 if TYPE_CHECKING:
@@ -58,6 +59,7 @@ def command(
       voxtool view bunny.obj -o bunny.html --no-open
     """
     from voxtool.api.views import shown_content
+    from voxtool.files import is_mesh, open_scene
     from voxtool.files.page import FORMATS, write_page
     from voxtool.viewer.job import plan_view
 
@@ -69,9 +71,13 @@ def command(
         if run.output in (None, "-"):
             run.file_format = "html"
         run.to(file, options.output_of(file, "html"), FORMATS)
-    with run:
-        content = run.stage("read file", shown_content, file)
+    with run, ExitStack() as stack:
+        if is_mesh(file):
+            content: Any = run.stage("read file", shown_content, file)
+        else:
+            content = run.stage("read file", stack.enter_context, open_scene(file))
         with run.naming(file):
+            content, level = fitting(run, content, level)
             given = {"up": up, "level": level, "isovalue": isovalue}
             given = {name: value for name, value in given.items() if value is not None}
             job = run.plan(plan_view, content, file, served=serve, **given)

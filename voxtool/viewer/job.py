@@ -115,9 +115,7 @@ def plan_view(
     """Return the job of a page that shows content; see voxtool.view."""
     scene = scene_of(content)  # refuses what cannot be drawn
     camera = camera_for(scene, up=up)
-    if isinstance(content, MergedOctree):
-        content = content.expanded()
-    if isinstance(content, Octree):
+    if isinstance(content, Octree | MergedOctree):
         made = octree_content(content, level, isovalue)
     elif level == "voxel" and isovalue is None:
         made = CONTENTS[type(content)](content)

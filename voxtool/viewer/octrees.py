@@ -8,25 +8,24 @@ root stands in a node of twice its size, which also serves a root that is a leaf
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from voxtool.rendering import scene_of
-from voxtool.svo.counts import check_isovalue
-from voxtool.svo.octree import VOXEL, level_number
+from voxtool.svo.counts import check_isovalue, counts_of
+from voxtool.svo.layout import BRICK_SIDE
+from voxtool.svo.merged import MergedOctree
+from voxtool.svo.octree import VOXEL, Octree, level_number
 from voxtool.svo.raycast import COLOUR
 from voxtool.viewer.content import PageContent
 
-if TYPE_CHECKING:
-    from voxtool.svo.octree import Octree
-
 
 def octree_content(
-    octree: Octree, level: int | str = "voxel", isovalue: float | None = None
+    octree: Octree | MergedOctree, level: int | str = "voxel", isovalue: float | None = None
 ) -> PageContent:
     """Return the content of a page that shows an octree, down to the nodes of a level; at first,
-    above voxels, those of which at least the share `isovalue` is set.
+    above voxels, those of which at least the share `isovalue` is set. A merged octree is expanded
+    only for bricks and voxels.
 
     The arrays are `children`, (n, 2) uint8: for each refined node above the finest that holds a
     voxel, which children hold one, and which of these are refined (bits in Morton order); and for
@@ -35,10 +34,13 @@ def octree_content(
     """
     finest = level_number(octree, level, octree.depth - 1)
     check_isovalue(isovalue)
+    if finest <= 0 and isinstance(octree, MergedOctree):
+        octree = octree.expanded()
     masks, shares = _children(octree, max(finest, 0))
     counts = list(map(len, masks))
     arrays = {"children": np.concatenate(masks)}
     if finest == VOXEL:
+        assert isinstance(octree, Octree)
         bricks = octree.bricks[octree.bricks != 0].astype("<u8", copy=False)
         arrays["bricks"] = bricks.view("<u4").reshape(-1, 2)
     else:
@@ -76,28 +78,18 @@ def _bytes_to(masks: list[np.ndarray]) -> int:
     return sum(mask.nbytes for mask in masks) + 4 * leaves
 
 
-def _children(octree: Octree, finest: int) -> tuple[list[np.ndarray], np.ndarray]:
+def _children(octree: Octree | MergedOctree, finest: int) -> tuple[list[np.ndarray], np.ndarray]:
     """Return the masks of children of the stored nodes above level `finest`, level by level from
     the root, and how much is set of the nodes of this level that hold a voxel."""
-    masks: list[np.ndarray] = []
-    held, refined = octree.bricks != 0, np.zeros(len(octree.bricks), bool)
-    share = np.bitwise_count(octree.bricks) / 64.0
-    shares = share
-    for level in reversed(octree.levels()):
-        if level.number:
-            parents = level.refined.copy()
-            groups = held.reshape(-1, 8)
-            full = groups.any(axis=1)
-            masks.append(_packed(groups, refined.reshape(-1, 8))[full])
-            mean = share.reshape(-1, 8).mean(axis=1)
-            share = level.inside.astype(np.float64)
-            share[parents] = mean
-            parents[parents] = full
-            held, refined = parents | level.inside, parents
-        if level.number == finest:
-            masks.clear()
-            refined = np.zeros(len(held), bool)
-            shares = share[held]
+    counts = counts_of(octree, finest + BRICK_SIDE.bit_length() - 1)
+    voxels, masks = counts.of_nodes, []
+    held, refined = voxels[finest] > 0, np.zeros(len(voxels[finest]), bool)
+    shares = voxels[finest][held] / float(counts.levels[finest].side ** 3)
+    for level in counts.levels[finest + 1 :]:
+        groups = held.reshape(-1, 8)
+        masks.append(_packed(groups, refined.reshape(-1, 8))[groups.any(axis=1)])
+        held = voxels[level.number] > 0
+        refined = level.refined & held
     root = np.zeros((2, 8), bool)
     root[:, 0] = held[0], refined[0]
     masks.append(_packed(root[:1], root[1:]))
