@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers_cli import told, write_obj
+from helpers_tets import write_vtu
 
+from voxtool.adf.build import plan_adf
+from voxtool.adf.cells import cell_of, key_of
+from voxtool.bench import text_fields
+from voxtool.bench.request import KINDS, Request
+from voxtool.bench.text_rows import MISPRINT, Row
 from voxtool.bench.text_voxels import LEVEL_0, nearest
+from voxtool.bench.timing import Bench
 from voxtool.bench.voccel_tables import DIMS, HARDWARE, MISPRINTS, STAGES, SURFACES, TOTALS
+from voxtool.choices import SEARCHES
+from voxtool.mesh.mesh import Mesh
 from voxtool.selftest.shapes import octahedron
 
 
@@ -41,3 +51,56 @@ def test_each_figure_stands_beside_that_of_the_text(here: Path) -> None:
                  "propagation along x", "size"]  # fmt: skip
         assert tuple(found[what, f"dim {dim}"]["text"] for what in whats) == text
         assert all(found[what, f"dim {dim}"]["voxtool"] > 0 for what in whats)
+
+
+def test_fields_have_the_figures_of_the_text_and_their_own(here: Path) -> None:
+    write_obj(Path("octahedron.obj"), *octahedron(np.zeros(3), 1))
+    rows = told("bench texts octahedron.obj --quick --json")["rows"]
+    rows = [row for row in rows if row["reference"] == "[ADF]"]
+    found = {row["what"]: row for row in rows}
+    shared, implicit = found["shared samples"], found["implicit leaves"]
+    assert shared["voxtool"] == pytest.approx(100 * (1 - 27 / 64))
+    assert (shared["text"], implicit["text"]) == (57, 87)
+    assert shared["unit"] == implicit["unit"] == "%"
+    printed = found["elements of a texture"]
+    assert (printed["text"], printed["voxtool"], printed["note"]) == (562_912, None, MISPRINT)
+    assert 0 < found["load"]["voxtool"] <= 100
+    kinds = {f"{search} search, {kind}" for search in SEARCHES for kind in KINDS}
+    assert kinds < found.keys()
+    assert all(found[kind]["voxtool"] > 0 and found[kind]["text"] is None for kind in kinds)
+    linear, coherent = (found[f"{s} search, rays"]["voxtool"] for s in ("linear", "coherent"))
+    faster = found["coherent over linear, rays"]["voxtool"]
+    assert 1 + faster / 100 == pytest.approx(linear / coherent)
+
+
+def test_keys_that_no_offset_separates_are_counted_one_by_one(device) -> None:
+    request = Request(
+        repeat=1, seconds=0.0, levels=(3,), points=64, searches=("linear", "coherent")
+    )
+    vertices, faces = octahedron(np.zeros(3), 1)
+    mesh = Mesh(vertices, faces.astype(np.int32))
+    field = plan_adf(mesh, tolerance=1e-2, max_level=3, measure=False, device=device).run()
+    row = partial(Row, model="", setting="")
+    rows = {r.what: r for r in text_fields._hash(row, field, Bench(request, device, device))}
+    keys = [tuple(k) for k in key_of(*cell_of(field.blocks)).tolist()]
+    m, r = field.hash.m, field.hash.r
+    seen = {tuple(x % m for x in key) + tuple(x % r for x in key) for key in keys}
+    assert rows["hash without w"].voxtool == len(keys) - len(seen)
+    assert rows["load"].voxtool == pytest.approx(100 * len(keys) / m**3)
+
+
+def test_volumes_have_the_bytes_of_the_tables(here: Path) -> None:
+    write_vtu(Path("volume.vtu"))
+    rows = told("bench texts volume.vtu --scalar density --quick --json")["rows"]
+    assert {row["reference"] for row in rows} == {"[TetVol]"}
+    found = {(row["what"], row["setting"]): row for row in rows}
+    raycast = found["textures of the table", "raycast"]
+    assert raycast["text"] == raycast["voxtool"] == 96
+    projection = found["textures of the table", "projection"]
+    vertices = float(projection["ours"].split()[0])  # a cell
+    assert projection["voxtool"] == pytest.approx(68 + 16 * vertices, abs=0.01)
+    assert found["bytes of hexahedra", "hexahedra"]["voxtool"] == (6 + 1) * 16 + 6 * 4
+    assert found["bytes of hexahedra", "raycast"]["voxtool"] == 6 * 96
+    exact, table = (row["voxtool"] for row in rows if row["unit"] == "of a colour")
+    assert exact < table
+    assert found["compositing", "front to back"]["note"] == MISPRINT

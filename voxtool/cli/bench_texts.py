@@ -5,25 +5,28 @@ from __future__ import annotations
 import click
 
 from voxtool.cli import options
-from voxtool.cli.options import flag
+from voxtool.cli.options import flag, option
 from voxtool.errors import printable
 
 
 @click.command("texts")
 @click.argument("models", nargs=-1, required=True)
 @flag("--quick", "Few and small settings: under a minute a model.")
+@option("--scalar", str, "As of `voxtool tet-build`.", metavar="NAME")
 @options.device_option
 @options.json_option
-def command(models: tuple[str, ...], quick: bool, device_name: str | None, as_json: bool) -> None:
-    """Measure what the texts that voxtool implements did: tables 7.1 to 7.3 of [voCCeL].
+def command(
+    models: tuple[str, ...], quick: bool, scalar: str | None, device_name: str | None, as_json: bool
+) -> None:
+    """Measure what the texts that voxtool implements did, beside their figures and statements.
 
-    Stages are ms on the device, totals ms of a call, sizes kB, cubes percent of the grid. The
-    model of the text is that of the same name, or else the nearest by triangles. Misprints are
-    marked and not to be compared.
+    Of triangle meshes: tables 7.1 to 7.3 of [voCCeL], and what [ADF] says of its hash, its searches
+    and its sizes. Of volume meshes: what [TetVol] says of its textures and its integration. Each
+    row has its unit. Stages are on the device. Misprints are marked and not compared.
 
     \b
     Examples:
-      voxtool bench texts bunny.obj --quick
+      voxtool bench texts bunny.obj volume.vtu --scalar density --quick
       voxtool bench texts bunny.obj --quick --json
     """
     from voxtool.bench.text_rows import HARDWARE, by_table
@@ -31,7 +34,7 @@ def command(models: tuple[str, ...], quick: bool, device_name: str | None, as_js
     from voxtool.opencl import shared_device
 
     device = shared_device(device_name).info.name
-    rows = list(rows_of(models, device_name, quick))
+    rows = rows_of(models, device_name, quick, scalar)
     if as_json:
         options.print_json({"device": device, "rows": [row.as_dict() for row in rows]})
         return
