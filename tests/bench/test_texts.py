@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from functools import partial
 from pathlib import Path
 
@@ -104,3 +105,17 @@ def test_volumes_have_the_bytes_of_the_tables(here: Path) -> None:
     exact, table = (row["voxtool"] for row in rows if row["unit"] == "of a colour")
     assert exact < table
     assert found["compositing", "front to back"]["note"] == MISPRINT
+
+
+def test_a_report_has_a_section_for_each_table_and_escapes_names(here: Path) -> None:
+    name = "<script>alert(1)<&.vtu"
+    write_vtu(Path("volume.vtu"))
+    Path("volume.vtu").rename(name)
+    told(f"bench texts '{name}' --scalar density --quick --json -o report")
+    page = Path("report/report.html").read_text(encoding="utf-8")
+    rows = json.loads(Path("report/report.json").read_text(encoding="utf-8"))["rows"]
+    tables = {(row["table"], row["model"]) for row in rows}
+    assert page.count("<h2>") == page.count("<table>") == len(tables)
+    assert page.count("<tr>") == len(rows) + len(tables)
+    assert "<script" not in page
+    assert "&lt;script&gt;alert(1)&lt;&amp;.vtu" in page

@@ -41,7 +41,6 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = f"{MAJOR}.1"
 FILES = ("report.json", "report.csv", "report.html")
 NEEDS = {"matplotlib": "charts need matplotlib", "jinja2": "pages need Jinja2"}
-TEMPLATE = Path(__file__).with_name("report.html")
 
 
 @dataclass(frozen=True)
@@ -108,7 +107,6 @@ def write_report(report: Report, folder: str, clobber: bool = True) -> list[Path
         is False.
     """
     check_folder(folder, clobber)
-    Path(folder).mkdir(exist_ok=True)
     drawn = {
         chart: charts(points, slug(title(chart)))
         for chart, points in charts_of(report.points).items()
@@ -120,6 +118,12 @@ def write_report(report: Report, folder: str, clobber: bool = True) -> list[Path
     contents["report.json"] = text.encode()
     contents["report.csv"] = as_csv(report.points).encode("utf-8", "replace")
     contents["report.html"] = as_html(report, drawn, saved).encode()
+    return write_files(contents, folder, clobber)
+
+
+def write_files(contents: dict[str, bytes], folder: str, clobber: bool) -> list[Path]:
+    """Write files into a folder, which may not exist yet; returns their paths, in order."""
+    Path(folder).mkdir(exist_ok=True)
     written = []
     for name, content in contents.items():
         with atomic_path(Path(folder, name), clobber) as temporary:
@@ -165,16 +169,10 @@ def as_html(
 ) -> str:
     """The page, from report.html beside this module: what to choose first, then charts, what was
     left out, and all figures."""
-    import jinja2
-
-    environment = jinja2.Environment(
-        autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined,
-        finalize=lambda value: printable(value) if type(value) is str else value,
-    )  # fmt: skip
-    template = environment.from_string(TEMPLATE.read_text(encoding="utf-8"))
     points, device = report.points, report.device
     found = f"{device.name}, {device.platform} {device.driver}"
-    return template.render(
+    return page(
+        "report.html",
         models=", ".join(dict.fromkeys(point.model for point in points)),
         where="; ".join([f"voxtool {__version__}", found, *([report.date] if report.date else [])]),
         sections=[
@@ -193,6 +191,18 @@ def as_html(
         command=report.command,
         commands=[(f"{title(p.chart)}: {named(p)}", p.command) for p in points],
     )  # fmt: skip
+
+
+def page(template: str, **values: Any) -> str:
+    """A page from a template beside this module; values are escaped."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        autoescape=True, trim_blocks=True, undefined=jinja2.StrictUndefined,
+        finalize=lambda value: printable(value) if type(value) is str else value,
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+    )  # fmt: skip
+    return environment.get_template(template).render(**values)
 
 
 def _ablation_row(one: Ablation) -> tuple[str, ...]:
