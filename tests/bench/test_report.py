@@ -400,7 +400,7 @@ def test_other_files_are_one_line(tmp_path: Path, monkeypatch) -> None:
 # ---- errors, of voxels and of what peers make
 
 
-def test_errors_of_a_surface(device) -> None:
+def test_errors_of_a_surface(device, monkeypatch: pytest.MonkeyPatch) -> None:
     ball = mesh_from_arrays(*meshes.icosphere(3))
     reference = Reference(ball, 0, 2000, device)
     larger = mesh_from_arrays(1.1 * ball.vertices, ball.faces)
@@ -409,6 +409,11 @@ def test_errors_of_a_surface(device) -> None:
     assert errors["area"] == pytest.approx(1.1**2 - 1)
     assert errors["rms"] == pytest.approx(0.1 / (2 * math.sqrt(3)), rel=0.02)
     assert errors["hausdorff"] == pytest.approx(0.1 / (2 * math.sqrt(3)), rel=0.02)
+    monkeypatch.setattr("voxtool.bench.references.available_memory", lambda: 100_000)
+    large = reference.errors_of(larger)
+    assert large["errors"].keys() == {"volume", "area"}
+    assert "triangles would take" in large["absent"]["rms"] == large["absent"]["hausdorff"]
+    monkeypatch.undo()
     without = Reference(ball, 0, 2000, device, {"volume": "why"}).errors_of(ball)
     assert without["errors"].keys() == {"rms", "hausdorff", "area"}
     assert without["absent"] == {"volume": "why"}

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from voxtool.bench.points import MEASURES
-from voxtool.errors import count_of
+from voxtool.errors import count_of, human
 from voxtool.grid import Grid
+from voxtool.memory import available_memory
 from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import volume
 from voxtool.spatial.deviation import deviation
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from voxtool.camera import Rays
     from voxtool.opencl import Device
 
+TRIANGLE_BYTES = 280  # of a surface whose distances are measured, at the peak
 CAPPED_DIM = 4096  # of the lattice on which the boundary loops of a model are found
 NO_AREA = {"area": "faces of voxels do not tend to the area"}
 NO_SOLID = {"volume": "the voxels that a surface touches are no solid"}
@@ -66,17 +68,22 @@ class Reference:
         """The `errors` and `absent` of a Point."""
         if not len(surface.faces):
             return {"errors": {}, "absent": dict.fromkeys(MEASURES["extract"], "it is empty")}
-        found = deviation(surface, self.mesh, self.samples, device=self.device)
-        ways = found["surface_to_reference"], found["reference_to_surface"]
-        errors = {
-            "rms": max(way["rms"] for way in ways) / self.diagonal,
-            "hausdorff": found["hausdorff"] / self.diagonal,
-            "volume": abs(abs(volume(surface)) / self.volume - 1) if self.volume else math.inf,
-            "area": abs(area(surface) / self.area - 1),
-        }
+        errors: dict[str, float] = {}
+        absent, needed = self.absent, TRIANGLE_BYTES * len(surface.faces)
+        if needed <= available_memory():
+            found = deviation(surface, self.mesh, self.samples, device=self.device)
+            ways = found["surface_to_reference"], found["reference_to_surface"]
+            errors["rms"] = max(way["rms"] for way in ways) / self.diagonal
+            errors["hausdorff"] = found["hausdorff"] / self.diagonal
+        else:
+            why = f"the tree of {len(surface.faces):,} triangles would take {human(needed)}"
+            absent = {**absent, "rms": why, "hausdorff": why}
+        enclosed = abs(volume(surface))
+        errors["volume"] = abs(enclosed / self.volume - 1) if self.volume else math.inf
+        errors["area"] = abs(area(surface) / self.area - 1)
         return {
-            "errors": {name: value for name, value in errors.items() if name not in self.absent},
-            "absent": self.absent,
+            "errors": {name: value for name, value in errors.items() if name not in absent},
+            "absent": absent,
         }
 
     def in_voxels(self, found: dict[str, dict], edge: float) -> dict[str, float]:
