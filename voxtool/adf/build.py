@@ -22,13 +22,15 @@ from voxtool.adf.hashing import build_hash
 from voxtool.adf.levels import (
     Construction,
     Examined,
+    Level,
     constrain,
     examine,
     programs,
     refine,
     sample,
+    windows_of,
 )
-from voxtool.adf.plan import BLOCK_BYTES, PILOT_LEVEL, FieldPlan
+from voxtool.adf.plan import BLOCK_BYTES, PILOT_LEVEL, WINDOW, FieldPlan
 from voxtool.adf.survey import Survey, cube_of
 from voxtool.job import Job
 from voxtool.mesh.mesh import Mesh
@@ -204,11 +206,10 @@ class _Build:
         """Build the levels down to `last`, or all."""
         while self.more and (last is None or self.level.number <= last):
             work, level = self.work, self.level
-            sample(work, level)
-            if self.plan.continuous:
-                constrain(work, level)
-            found = examine(work, level)
-            if self.plan.max_bytes is not None:
+            ends = level.number + 1 == self.plan.max_level
+            windows = windows_of(level, WINDOW) if ends else (level,)
+            found = Examined.of([self._examined(window) for window in windows])
+            if self.plan.max_bytes is not None and not ends:
                 self._limit(found, self.plan.max_bytes)
                 work.device.write(level.arrays["ranks"], found.refined)
             self._add_blocks(found)
@@ -220,6 +221,13 @@ class _Build:
                 self.plan = replace(self.plan, refined=counts, items=items)
                 self.plan.refuse_beyond(*self.memory)
                 self.level = refine(work, level, items)
+
+    def _examined(self, level: Level) -> Examined:
+        """Return the children of cells of a level, whose blocks are sampled."""
+        sample(self.work, level)
+        if self.plan.continuous:
+            constrain(self.work, level)
+        return examine(self.work, level)
 
     def _limit(self, found: Examined, max_bytes: int) -> None:
         """Limit refinement to max_bytes: the children with the largest errors come first."""

@@ -11,6 +11,7 @@ Kernels: kernels/adf/levels/, a source for each stage.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -202,6 +203,23 @@ class Construction:
         return Level(0, 1, {name: self.device.put(values) for name, values in arrays.items()})
 
 
+def windows_of(level: Level, size: int) -> Iterator[Level]:
+    """Yield a level in parts of up to `size` cells, which follow one another along the Morton
+    curve: stages need of the others only the level above."""
+    if level.count <= size:
+        yield level
+        return
+    device, arrays = level.arrays["items"].device, level.arrays
+    begins = arrays["begins"].get()
+    for first in range(0, level.count, size):
+        last = min(first + size, level.count)
+        items = arrays["items"].get(int(begins[first]), int(begins[last]))
+        own = {name: arrays[name].get(first, last) for name in ("identifiers", "sources")}
+        own |= {"begins": begins[first : last + 1] - begins[first], "items": items}
+        put = {name: device.put(values) for name, values in own.items()}
+        yield Level(level.number, last - first, {**arrays, **put})
+
+
 def narrow_triangles(tree: TriangleTree) -> Array:
     """Return the triangles of a tree in single precision, NARROW float32 a slot: most comparisons
     of distances need nothing else."""
@@ -264,6 +282,18 @@ class Examined:
     refined: np.ndarray
     errors: np.ndarray
     codes: np.ndarray
+
+    @classmethod
+    def of(cls, parts: Sequence[Examined]) -> Examined:
+        """Return the children of the cells of parts that follow one another."""
+        if len(parts) == 1:
+            return parts[0]
+        arrays = (np.concatenate(each) for each in zip(*map(_arrays, parts), strict=True))
+        return cls(*arrays)
+
+
+def _arrays(found: Examined) -> tuple[np.ndarray, ...]:
+    return found.voxels, found.refined, found.errors, found.codes
 
 
 def examine(work: Construction, level: Level) -> Examined:

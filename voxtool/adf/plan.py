@@ -26,6 +26,7 @@ from voxtool.job import Cost
 
 BLOCK_BYTES = 27 * 4 + 8 + 8 + 1  # voxels, cell, bounds, and about as much of the hash
 NARROW_LEVEL = 11  # leaves up to this level have parents with 32-bit identifiers
+WINDOW = 1 << 16  # cells of the last level that are sampled and examined at once
 PILOT_LEVEL = 5  # a field is built down to this level to predict the rest
 GROWTH = 4  # factor from level to level, at most about: refined cells lie along surfaces
 CELL_BYTES = 27 * (8 + 4 + 4 + 8) + 8 + 2 * 4 + 8 * (8 + 4 + 4 + 1 + 4)  # of a refined cell
@@ -137,11 +138,14 @@ class FieldPlan:
         return self._cost(self.predicted(), max(self.items, self.triangles))
 
     def _cost(self, counts: Sequence[int], items: int) -> Cost:
-        """Return the memory for these refined cells: twice the field, the arrays of two levels, and
-        the lists of two levels, which have about the same length."""
-        field = BLOCK_BYTES * sum(counts)
-        device = 2 * field + CELL_BYTES * sum(counts[-2:]) + 2 * ITEM_BYTES * items
-        return Cost(device, field, max(8 * 27 * max(counts, default=0), 4 * items))
+        """Return the memory for these refined cells: twice the field, the arrays of two levels, or
+        of a window of the last level and of the two above it, and the lists of two levels, which
+        have about the same length."""
+        field, held = BLOCK_BYTES * sum(counts), list(counts[-2:])
+        if len(counts) == self.max_level:
+            held = [*counts[-3:-1], min(counts[-1], WINDOW)]
+        device = 2 * field + CELL_BYTES * sum(held) + 2 * ITEM_BYTES * items
+        return Cost(device, field, max(8 * 27 * max(held, default=0), 4 * items))
 
     def scene(self) -> dict[str, Any]:
         """Return the part that depends on the mesh, to be stored with the output: JSON types."""
