@@ -167,7 +167,8 @@ def surfaces(points: list[Point]) -> Rows:
         figures = p["figures"]
         yield [p["model"], p["label"].removeprefix("dim "), p["method"], ms(p),
                f"{figures['command']:.2f}", f"{figures['triangles']:,.0f}",
-               f"{figures['rms in voxels']:.3f}", ms(beside) if beside else "",
+               digits(figures["rms in voxels"]) if "rms in voxels" in figures else "",
+               ms(beside) if beside else "",
                ratio(beside, p)]  # fmt: skip
 
 

@@ -21,6 +21,7 @@ from voxtool.job import one_call
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
 from voxtool.rendering import RenderJob
+from voxtool.svo.content import OctreeContent
 from voxtool.svo.labels import Labels
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree
@@ -34,7 +35,10 @@ PICTURE_SIZE = (256, 256)  # pixels of a picture in a notebook
 PICTURE_DIM = 128  # voxels along the longest side of a mesh that is shown
 
 # files imports the types of its functions for type checkers only; get_type_hints needs them too.
-TYPES = (Device, DistanceField, Grid, Labels, MergedOctree, Octree, TetVolume, UnstructuredMesh)
+TYPES = (
+    Device, DistanceField, Grid, Labels, MergedOctree, Octree, OctreeContent, TetVolume,
+    UnstructuredMesh,
+)  # fmt: skip
 files.__dict__.update({type_.__name__: type_ for type_ in TYPES}, np=np)
 
 

@@ -28,7 +28,7 @@ def command(
 
     Of triangle meshes: tables 7.1 to 7.3 of [voCCeL], and what [ADF] says of its hash, its searches
     and its sizes. Of volume meshes: what [TetVol] says of its textures and its integration. Each
-    row has its unit. Stages are on the device. Misprints are marked and not compared.
+    row has its unit, ms for times. Stages are on the device. Misprints are marked and not compared.
 
     \b
     Examples:
