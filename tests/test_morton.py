@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from voxtool.morton import among, morton_decode, morton_encode, morton_step
+from voxtool.morton import among, morton_box, morton_decode, morton_encode, morton_step
 
 
 def test_a_code_interleaves_bits() -> None:
@@ -26,6 +26,15 @@ def test_steps_are_those_of_coordinates() -> None:
             inside = ((expected >= 0) & (expected < side)).all(axis=1)
             assert np.array_equal(within, inside), (side, axis, step)
             assert np.array_equal(morton_decode(moved[within]), expected[inside])
+
+
+def test_the_box_around_cells() -> None:
+    random = np.random.default_rng(3)
+    for top in (1, 2, 100, 1 << 21):
+        cells = random.integers(0, top, (50, 3))
+        low, high = morton_box(morton_encode(cells))
+        assert np.array_equal(low, cells.min(axis=0))
+        assert np.array_equal(high, cells.max(axis=0))
 
 
 def test_membership() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+AXIS = np.uint64(0x1249249249249249)  # the bits of x
+
 
 def spread_bits(values: np.ndarray) -> np.ndarray:
     """Return (N,) integers below 2**21 as uint64, with bit i moved to bit 3i."""
@@ -21,7 +23,7 @@ def spread_bits(values: np.ndarray) -> np.ndarray:
 
 def gather_bits(codes: np.ndarray) -> np.ndarray:
     """Return the inverse of spread_bits: (N,) uint64, with bit 3i moved to bit i."""
-    v = np.asarray(codes, np.uint64) & np.uint64(0x1249249249249249)
+    v = np.asarray(codes, np.uint64) & AXIS
     for shift, mask in (
         (2, 0x10C30C30C30C30C3),
         (4, 0x100F00F00F00F00F),
@@ -70,6 +72,18 @@ def morton_encode(points: np.ndarray) -> np.ndarray:
     """Return the (N,) uint64 Morton codes of (N, 3) cells."""
     x, y, z = (spread_bits(points[:, a]) << np.uint64(a) for a in range(3))
     return x | y | z
+
+
+def morton_box(codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the lowest and the highest coordinates of the cells of (N,) Morton codes, at least
+    one, (3,) int64 each. The spread bits of an axis have the order of its coordinates, so that only
+    six are gathered."""
+    ends = []
+    for axis in range(3):
+        own = codes & (AXIS << np.uint64(axis))
+        ends.append(np.array([own.min(), own.max()]) >> np.uint64(axis))
+    low, high = gather_bits(np.array(ends)).astype(np.int64).T
+    return low, high
 
 
 def morton_decode(codes: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from voxtool.errors import MemoryLimitError
-from voxtool.morton import morton_decode
+from voxtool.morton import morton_box, morton_decode
 from voxtool.svo.layout import (
     BRICK,
     BRICK_BYTES,
@@ -103,8 +103,9 @@ def box_of(octree: Octree | MergedOctree) -> tuple[np.ndarray, np.ndarray]:
     for level in octree.levels():
         held = level.inside if level.number else octree.bricks != 0
         if held.any():
-            low = np.minimum(low, level.cells[held].min(axis=0))
-            high = np.maximum(high, level.cells[held].max(axis=0) + level.side)
+            first, last = morton_box(level.codes[held])
+            low = np.minimum(low, first * level.side)
+            high = np.maximum(high, (last + 1) * level.side)
     return low, high
 
 
@@ -113,10 +114,9 @@ def cover_of(octree: Octree | MergedOctree, number: int) -> Iterator[tuple[np.nd
     set, level by level, root first: the inside leaves above a level, and its nodes that are inside
     or refined."""
     if isinstance(octree, Octree):
-        for level in octree.levels():
-            if level.number >= number:
-                shown = level.inside | level.refined if level.number == number else level.inside
-                yield level.cells[shown], level.side
+        for level in octree.levels(number):
+            shown = level.inside | level.refined if level.number == number else level.inside
+            yield level.cells[shown], level.side
         return
     codes, states = np.zeros(1, np.uint64), np.full(1, octree.root, np.uint8)
     depth = octree.depth - number  # levels

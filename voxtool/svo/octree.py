@@ -278,15 +278,15 @@ class Octree(PointQueries, OctreeContent, Data):
         """Return the `child` words of the nodes of a level, d levels below the root."""
         return self.nodes["child"][self.offsets[d] : self.offsets[d + 1]]
 
-    def levels(self) -> list[Level]:
-        """Return all levels, root first."""
+    def levels(self, finest: int = 0) -> list[Level]:
+        """Return the levels down to number `finest`, root first."""
         found: list[Level] = []
         codes = np.zeros(1, np.uint64)
-        for d in range(self.depth):
+        for d in range(self.depth - finest):
             number = self.depth - 1 - d
             nodes = self.nodes[self.offsets[d] : self.offsets[d + 1]]
             found.append(level := Level(number, BRICK_SIDE << number, nodes, codes))
-            if number:
+            if number > finest:
                 codes = descend(codes[level.refined])
         return found
 
