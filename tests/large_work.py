@@ -37,7 +37,10 @@ WORKS = (
     ("combine solid.svo.h5 surface.svo.h5 --op difference -o OUT", "512M"),
     ("morph solid.svo.h5 --close 4 -o OUT", "512M"),
     ("extract solid.svo.h5 --level 1 -o OUT", "512M"),
+    ("export surface.svo.h5 -o OUT", "512M"),
+    ("render surface.svo.h5 --level 3 -o OUT", "128M"),
 )
+ENDINGS = {"extract": ".ply", "export": ".ply", "render": ".png"}  # of others .svo.h5
 TIMES = 4  # that each triangle is cut in four
 
 
@@ -73,7 +76,7 @@ def rows(models: dict[str, str], count: int) -> Iterator[list[str]]:
     """Yield the rows of the table."""
     yield ["command", "--max-memory", "s", "peak, MB", "file, MB", "alone, s", "alone, peak, MB"]
     for words, limit in WORKS:
-        ending = ".ply" if words.startswith("extract") else ".svo.h5"
+        ending = ENDINGS.get(words.split()[0], ".svo.h5")
         whole = measured(words.format(**models).replace("OUT", f"whole{ending}"))
         if not limit:
             continue
