@@ -33,7 +33,7 @@ from voxtool.adf.cells import (
     identifiers_in,
     key_of,
 )
-from voxtool.adf.host_query import QueryResult, query_on_host
+from voxtool.adf.host_query import CORNERS, QueryResult, query_on_host
 from voxtool.adf.packing import shapes
 from voxtool.adf.spatial_hash import SpatialHash
 from voxtool.arrays import Data, digest_of
@@ -109,6 +109,19 @@ class DistanceField(Data):
             f"DistanceField({len(self.voxels):,} blocks, levels to {self.depth}, tolerance "
             f"{self.tolerance:g}, sign {self.sign}, side {self.side:g})"
         )
+
+    # ---- samples
+
+    def corners(self, block: np.ndarray, octant: np.ndarray) -> np.ndarray:
+        """Return the distances at the corners of children of blocks, (N, 2, 2, 2) float32."""
+        first = octant[:, 0] + 3 * octant[:, 1] + 9 * octant[:, 2] + 27 * block
+        return self.voxels.reshape(-1)[first[:, None] + CORNERS].reshape(-1, 2, 2, 2)
+
+    def bound_codes(self, block: np.ndarray, octant: np.ndarray) -> np.ndarray:
+        """Return the codes of the bounds of children of blocks, (N,) uint8; it has bounds."""
+        assert self.bounds is not None
+        x, y, z = octant.T
+        return self.bounds[block, z, y, x]
 
     # ---- structure
 

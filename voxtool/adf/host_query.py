@@ -19,6 +19,7 @@ from voxtool.opencl import program
 
 if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
+    from voxtool.adf.stored_field import StoredField
 
 POINT_BITS = 32  # of a coordinate in the cube
 WEIGHT_BITS = 24  # of the fraction within a cell that a weight in float32 takes
@@ -66,7 +67,7 @@ class QueryResult(Data):
 
 
 def query_on_host(
-    field: DistanceField, points: Any, *, gradient: bool, bounds: bool, cell: bool
+    field: DistanceField | StoredField, points: Any, *, gradient: bool, bounds: bool, cell: bool
 ) -> QueryResult:
     """Return the values of a field at points; see DistanceField.query."""
     points, single = checked_points(points)
@@ -77,7 +78,7 @@ def query_on_host(
     level, block = search(field, fixed)
     child = fixed.astype(np.int64) >> (POINT_BITS - 1 - level)[:, None]
     octant = child & 1
-    corners = _corners(field, block, octant)
+    corners = field.corners(block, octant)
     t = weights(fixed, level)
     distance = trilinear(corners, t)
 
@@ -88,8 +89,7 @@ def query_on_host(
     def bounds_of(some: np.ndarray | slice) -> np.ndarray:
         if field.bounds is None:
             return half_diagonals(level[some] + 1)
-        x, y, z = octant[some].T
-        return bound_values()[field.bounds[block[some], z, y, x]]
+        return bound_values()[field.bound_codes(block[some], octant[some])]
 
     every = slice(None)
     result = QueryResult(
@@ -107,7 +107,7 @@ def query_on_host(
 
 
 def to_fixed(
-    field: DistanceField, points: np.ndarray, fixed: np.ndarray, outside: np.ndarray
+    field: DistanceField | StoredField, points: np.ndarray, fixed: np.ndarray, outside: np.ndarray
 ) -> None:
     """Write (N, 3) world points to `fixed`, (N, 3) uint32 in units of 2**-32 sides, moved into the
     cube, 0 for NaN; set `outside`, (N,) bool, where a point is not in the cube."""
@@ -128,7 +128,7 @@ def to_fixed(
             np.copyto(fixed[chunk].reshape(-1), u, casting="unsafe")
 
 
-def search(field: DistanceField, fixed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def search(field: DistanceField | StoredField, fixed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the level and the block of the deepest cell with a block at each point, (N,) int64.
 
     The cells of all levels are looked up. Every cell has a parent, so the number found minus one is
@@ -149,14 +149,8 @@ def search(field: DistanceField, fixed: np.ndarray) -> tuple[np.ndarray, np.ndar
     return level, block
 
 
-def _corners(field: DistanceField, block: np.ndarray, octant: np.ndarray) -> np.ndarray:
-    """Return the distances at the corners of children of blocks, (N, 2, 2, 2) float32."""
-    first = octant[:, 0] + 3 * octant[:, 1] + 9 * octant[:, 2] + 27 * block
-    return field.voxels.reshape(-1)[first[:, None] + CORNERS].reshape(-1, 2, 2, 2)
-
-
 def extend(
-    field: DistanceField,
+    field: DistanceField | StoredField,
     points: np.ndarray,
     which: np.ndarray,
     distance: np.ndarray,

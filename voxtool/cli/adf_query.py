@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+import os
 import time
+from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from voxtool.choices import DEFAULT_SEARCH, EXACT, SAMPLERS, SEARCHES
 from voxtool.cli import options, runner
-from voxtool.cli.options import Parsed, flag, numbers_of, option, output_of, plane_of, together
+from voxtool.cli.options import (
+    BYTES,
+    Parsed,
+    flag,
+    numbers_of,
+    option,
+    output_of,
+    plane_of,
+    together,
+)
 from voxtool.errors import count_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from voxtool.adf.query import FieldQuery
+    from voxtool.adf.stored_field import StoredField
 
 SLICE_SIZE = 800  # pixels
 COLUMNS = {
@@ -53,6 +65,9 @@ PLANE = Parsed(
         metavar="AXIS=VALUE"),
     option("--size", click.IntRange(200, 8192),
         f"Pixels of the picture's width.  [default: {SLICE_SIZE}]"),
+    option("--max-memory", BYTES,
+        "Leave a larger FIELD in its file, and read of it what POINTS ask for (800M, 8G); values "
+        "are the same.  [default: half of what is free]", metavar="BYTES"),
 )  # fmt: skip
 @runner.run_options(
     options.output_options(
@@ -89,6 +104,7 @@ def command(
         )
     from voxtool.adf.host_query import no_bounds
     from voxtool.adf.query import FieldQuery
+    from voxtool.adf.stored_field import StoredField
     from voxtool.files import read_adf
     from voxtool.plots.slices import check_plane
 
@@ -97,14 +113,18 @@ def command(
         run.to(field, output_of(field if field != "-" else "field", "slice.png"), ("png",))
     else:
         run.to_table(points or "-")
-    with run:
-        source = run.stage("read field", read_adf, field)
+    with run, ExitStack() as stack:
+        source = stored_in(run, field, stack) if plane is None else None
+        if source is None:
+            source = run.stage("read field", read_adf, field)
         with run.naming(field):
             if asked["bounds"] and source.bounds is None:
                 raise no_bounds()
-            if plane:
-                check_plane(source, *plane)
-        query = FieldQuery(source, run.device, sampler=sampler)
+            query: Any = source.query
+            if not isinstance(source, StoredField):
+                if plane:
+                    check_plane(source, *plane)
+                query = FieldQuery(source, run.device, sampler=sampler)
         if plane:
             facts = draw(run, query, plane, size or SLICE_SIZE)
         else:
@@ -112,6 +132,20 @@ def command(
     what = f"{facts['points']:,} pixels at {plane[0]}={plane[1]:g}" if plane else ""
     run.notes += notes_of(facts)
     run.report(what or count_of(facts["points"], "point"), lambda: facts)
+
+
+def stored_in(run: runner.Run, field: str, stack: ExitStack) -> StoredField | None:
+    """Return a field that stays in its file since it does not fit in memory, or None."""
+    from voxtool.adf.stored_field import StoredField
+    from voxtool.files import open_adf
+    from voxtool.memory import available_memory
+
+    limit = available_memory() // 2 if run.max_memory is None else run.max_memory
+    if field == "-" or not os.path.isfile(field) or os.path.getsize(field) <= limit:
+        return None
+    source: Any = run.stage("read field", stack.enter_context, open_adf(field))
+    run.on_device = not isinstance(source, StoredField)
+    return source if isinstance(source, StoredField) else None
 
 
 def draw(run: runner.Run, query: FieldQuery, plane: tuple[str, float], size: int) -> dict[str, Any]:

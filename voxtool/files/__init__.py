@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from voxtool.adf.field import DistanceField
+    from voxtool.adf.stored_field import StoredField
     from voxtool.grid import Grid
     from voxtool.mesh.mesh import Mesh
     from voxtool.opencl import Device
@@ -64,6 +65,7 @@ __all__ = [
     "export",
     "format_of",
     "is_mesh",
+    "open_adf",
     "open_scene",
     "open_shape",
     "open_svo",
@@ -156,6 +158,14 @@ def read_adf(path: PathLike) -> DistanceField:
         no such file, or one that is damaged, hostile or of another kind.
     """
     return _read(path, formats.FIELD)
+
+
+@contextmanager
+def open_adf(path: PathLike) -> Iterator[StoredField | DistanceField]:
+    """Yield a distance field as `read_adf` returns it, but its blocks stay in the file; one of
+    version 1 is in memory."""
+    with ExitStack() as stack:
+        yield _read_open(path, formats.STORED_FIELD, stack)
 
 
 def write_adf(

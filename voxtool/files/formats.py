@@ -193,6 +193,7 @@ FIELD = Kind(
         (".svo.xml", ".svo.xml.gz"): "is an octree: build a field first: voxtool adf-build MESH",
     },
 )
+STORED_FIELD = replace(FIELD, hdf5=("adf_slices",), sliced=True)
 VOLUME = Kind(
     hdf5=("tet_hdf5",),
     mesh="is a mesh of triangles: a volume is built of tetrahedra or hexahedra: voxtool tet-build "
