@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from helpers_cli import ENVIRONMENT, run
 
@@ -76,22 +77,29 @@ main()
 
 def test_many_meshes_take_the_memory_of_few(models: Path, tmp_path: Path) -> None:
     """The command keeps a line of the manifest for each mesh, about 1 kB, and its worker nothing:
-    with 10,000 meshes they take 10 MB more than with one."""
+    with 10,000 meshes they take 10 MB more than with one. Peaks of equal runs differ by 3 MB, so
+    what is kept must show in each of three attempts."""
     meshes = [tmp_path / f"{number}.obj" for number in range(2000)]
     for mesh in meshes:
         mesh.symlink_to(models / "open.obj")
-    peaks = []
-    for count in 200, 2000:
-        words = ["voxelize", *map(str, meshes[:count]), "--dim", "8", "-q", "-o"]
+
+    def peaks(count: int, folder: Path) -> np.ndarray:
+        """Return the peaks of the command and of its worker with so many meshes."""
+        words = ["voxelize", *map(str, meshes[:count]), "--dim", "8", "-q", "-o", str(folder)]
         found = subprocess.run(
-            [sys.executable, "-c", PEAKS, *words, str(tmp_path / f"out{count}")],
+            [sys.executable, "-c", PEAKS, *words],
             env=ENVIRONMENT,
             capture_output=True,
             check=True,
             text=True,
         )
-        assert len((tmp_path / f"out{count}/manifest.jsonl").read_text().splitlines()) == count
-        peaks.append([1024 * int(word) for word in found.stderr.split()[-2:]])
-    (own, workers), (own_of_all, workers_of_all) = peaks
-    assert own_of_all - own < 4_000_000
-    assert workers_of_all - workers < 4_000_000
+        assert len((folder / "manifest.jsonl").read_text().splitlines()) == count
+        return 1024 * np.array(found.stderr.split()[-2:], int)
+
+    grown = []
+    for attempt in range(3):
+        few, all_ = (peaks(count, tmp_path / f"out{attempt}-{count}") for count in (200, 2000))
+        grown.append(all_ - few)
+        if (np.min(grown, axis=0) < 4_000_000).all():
+            return
+    raise AssertionError(f"{grown} bytes more, of the command and its worker")
