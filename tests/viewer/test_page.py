@@ -112,6 +112,12 @@ def test_stdin_and_stdout(here: Path) -> None:
     assert len(named.splitlines()) == len(piped.splitlines())
 
 
+def test_a_name_that_is_no_utf_8(here: Path) -> None:
+    Path("bunny.obj").rename("\udcff.obj")
+    assert run("view \udcff.obj --no-open -o a.html").exit_code == 0
+    assert "<title>octree ?.obj</title>" in Path("a.html").read_text("utf-8")
+
+
 def test_markup_is_escaped() -> None:
     evil = "</script><img src=x onerror=alert(1)>&lt;$title"
     octree = voxtool.Octree.from_dense(np.ones((8, 8, 8)), units=evil)

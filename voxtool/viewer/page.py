@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.errors import human
+from voxtool.errors import human, printable
 from voxtool.opencl.program import kernel_folder
 
 if TYPE_CHECKING:
@@ -98,6 +98,7 @@ def page_of(
 ) -> Page:
     """Return the page of content from a file of this name; `facts` are added to the content's.
     Data that are served are not in the page but beside it."""
+    name = printable(name)  # bytes of a name that are no UTF-8 are no text of a page
     blocks = {key: packed(array) for key, array in content.arrays.items()}
     types = {key: {"type": array.dtype.str[1:]} for key, array in content.arrays.items()}
     told = {
