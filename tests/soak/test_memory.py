@@ -84,7 +84,8 @@ def test_many_meshes_take_the_memory_of_few(models: Path, tmp_path: Path) -> Non
         mesh.symlink_to(models / "open.obj")
 
     def peaks(count: int, folder: Path) -> np.ndarray:
-        """Return the peaks of the command and of its worker with so many meshes."""
+        """Return the peak memory of the command and of its worker with `count` meshes, (2,) int64
+        bytes."""
         words = ["voxelize", *map(str, meshes[:count]), "--dim", "8", "-q", "-o", str(folder)]
         found = subprocess.run(
             [sys.executable, "-c", PEAKS, *words],
@@ -94,7 +95,7 @@ def test_many_meshes_take_the_memory_of_few(models: Path, tmp_path: Path) -> Non
             text=True,
         )
         assert len((folder / "manifest.jsonl").read_text().splitlines()) == count
-        return 1024 * np.array(found.stderr.split()[-2:], int)
+        return 1024 * np.array(found.stderr.split()[-2:], np.int64)
 
     grown = []
     for attempt in range(3):

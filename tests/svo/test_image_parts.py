@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +51,8 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Octree, list[Path]]
 
 def in_parts(image: VoxelImage, most: int) -> ImageInParts:
     """Return an image whose parts have up to `most` bytes of nodes."""
-    return ImageInParts(**vars(image), limit=image.layer_bytes + SHARE * most)
+    shared = {item.name: getattr(image, item.name) for item in fields(VoxelImage)}
+    return ImageInParts(**shared, limit=image.layer_bytes + SHARE * most)
 
 
 def digest(path: Path) -> str:
@@ -162,6 +164,15 @@ def test_refusals(surface: None) -> None:
         assert "a .vdb is written from memory" in fail(f"{command} -o x.vdb")
         assert "choose a higher --level" in fail(f"{command} --windows never -o x.ply")
         assert "choose a higher --level" in fail(f"{command} -o x.npy")
+        assert "choose a plane by --slice" in fail(f"{command} -o x.png")
+    coarse = "export a.svo.h5 --level 3 --max-memory 10k -o x.vdb"
+    assert "would need" in fail(coarse)
+
+
+def test_a_slice_has_an_axis_by_default(surface: None) -> None:
+    run("export a.svo.h5 --slice z=100 -o command.png")
+    voxtool.export("a.svo.h5", "call.png", value=100)
+    assert digest(Path("call.png")) == digest(Path("command.png"))
 
 
 def test_layers_that_do_not_fit(files) -> None:

@@ -88,8 +88,9 @@ class StoredField:
     def _layers(
         self, rows: Slices, block: np.ndarray, texels: int
     ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Yield the points whose blocks lie in some layers of blocks, the places of these in the
-        layers, and the layers."""
+        """Yield, for up to LAYERS layers of blocks at a time: the numbers of the points whose
+        blocks lie there, (k,) int64; the places of these blocks from the first layer on, (k, 3)
+        int64; and the rows of the texture."""
         places = self._places_of(block)
         layer = places[:, 2] // LAYERS
         for number in np.unique(layer).tolist():

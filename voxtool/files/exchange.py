@@ -246,7 +246,7 @@ def plan_export(
             content, level=level, bbox=bbox, invert=invert, dtype=dtype, isovalue=isovalue
         )
         if name == "png" and options.get("value") is not None:
-            image = image.layer(options["axis"], options["value"])
+            image = image.layer(options.get("axis", "z"), options["value"])
         slabs = not (EXCHANGE[name].points or EXCHANGE[name].whole)
         image = replace(image, dense=normals or slabs)
         held = EXCHANGE[name].dtypes
@@ -257,9 +257,10 @@ def plan_export(
             )
         image = replace(fitting_image(image, max_memory, windows), progress=progress)
         if EXCHANGE[name].whole and isinstance(image, ImageInParts):
+            instead = "a plane by --slice" if name == "png" else f"{image.smaller}, or .npz"
             raise MemoryLimitError(
                 f"a .{name} is written from memory, in which this octree does not fit: choose "
-                f"{image.smaller}, or .npz (see --max-memory)"
+                f"{instead} (see --max-memory)"
             )
     if EXCHANGE[name].folder and "%" in os.fspath(path):
         options["pattern"] = Path(path).name

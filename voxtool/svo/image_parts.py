@@ -136,8 +136,9 @@ def fitting_image(
         return replace(image, octree=in_memory(octree))
     if image.level >= NODES and image.host_bytes <= limit:
         return image
-    parts = ImageInParts(**vars(image), limit=limit)
+    shared = {item.name: getattr(image, item.name) for item in fields(VoxelImage)}
+    parts = ImageInParts(**shared, limit=limit)
     if image.shape != image.all_cells:
         with suppress(MemoryLimitError):
             return parts.part(image.low, image.shape)
-    return parts
+    return image if image.level >= NODES else parts  # a plan refuses upper nodes that do not fit
