@@ -70,7 +70,7 @@ MODELS = {
 
 
 class RefusedError(Exception):
-    """What was fetched is not the model."""
+    """Raised if a fetched file has another sum or size than the model."""
 
 
 def opener() -> urllib.request.OpenerDirector:

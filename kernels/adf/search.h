@@ -74,7 +74,7 @@ ints slots_along(floats keys, floats w, floats inverse, ints offsets, int m)
 
 uint top_of(uint x, int top) { return x >> 1 >> (POINT_BITS - 1 - top); }
 
-// The index of the cell of level `top` of a point in the table of these cells.
+// The index, among the cells of level `top`, of the cell that holds a point.
 uint top_cell(uint x, uint y, uint z, int top)
 {
     return top_of(x, top) | (top_of(y, top) | top_of(z, top) << top) << top;

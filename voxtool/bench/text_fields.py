@@ -1,4 +1,4 @@
-"""What [ADF] says of its hash, its searches and its sizes, with our figures beside.
+"""Rows of the hash, the searches and the sizes of [ADF], with figures of voxtool beside.
 
 The chapter has no tables: its rows are statements, with the figures that they have.
 """

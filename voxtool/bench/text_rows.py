@@ -1,4 +1,5 @@
-"""The rows of `voxtool bench texts`: a figure or a statement of a text, and ours."""
+"""The rows of `voxtool bench texts`: a figure or a statement of [voCCeL], [ADF] or [TetVol], and
+that of voxtool."""
 
 from __future__ import annotations
 
@@ -9,23 +10,23 @@ from voxtool.bench.voccel_tables import HARDWARE as VOCCEL
 
 UNKNOWN = "hardware not given in the chapter"
 HARDWARE = {"[voCCeL]": VOCCEL, "[ADF]": UNKNOWN, "[TetVol]": UNKNOWN}
-NO_COUNTERPART = "no counterpart in the text"
+NO_COUNTERPART = "no counterpart there"
 MISPRINT = "misprint, not compared"
 
 
 @dataclass(frozen=True)
 class Row:
-    """A figure of a text, and ours.
+    """A figure of [voCCeL], [ADF] or [TetVol], and that of voxtool.
 
     Attributes
     ----------
-    table : key of the text, and its table or section.
-    model : what ours is measured on.
-    what, setting, unit : what is measured; unit "" for a statement that ours is not a number of.
+    table : key of the source, and its table or section.
+    model : what voxtool's figure is measured on.
+    what, setting, unit : what is measured; unit "" for a statement without a number.
     text : the figure as printed; None if there is none.
-    statement : what the text says instead of, or of, a figure; with the name of its model.
-    voxtool : ours; None if it is not compared.
-    ours : what ours is.
+    statement : the source's words, instead of or beside a figure; with the name of its model.
+    voxtool : voxtool's figure; None if it is not compared.
+    ours : what voxtool's figure is.
     note : why the figures are not to be compared; or "".
     """
 
@@ -42,15 +43,15 @@ class Row:
 
     @property
     def key(self) -> str:
-        """The key of the text in docs/references.md."""
+        """The key of the source in docs/references.md."""
         return self.table.split()[0]
 
     def as_dict(self) -> dict[str, Any]:
-        """JSON types: the fields, and the reference and hardware of the text."""
+        """Return the fields, and the reference and hardware of the source, in JSON types."""
         return {**asdict(self), "reference": self.key, "hardware": HARDWARE[self.key]}
 
     def cells(self) -> tuple[str, ...]:
-        """The words of the columns HEAD."""
+        """Return the words of the columns HEAD."""
         unit = f" {self.unit}" if self.unit else ""
         figures = [
             "-" if x is None else f"{x:.4g}{unit}" if abs(x) < 1000 else f"{x:,.0f}{unit}"
@@ -59,11 +60,11 @@ class Row:
         return (self.what, self.setting, *figures, self.statement, self.ours, self.note)
 
 
-HEAD = ("what", "setting", "text", "voxtool", "the text says", "ours is", "note")
+HEAD = ("what", "setting", "printed", "voxtool", "statement", "of voxtool", "note")
 
 
 def by_table(rows: list[Row]) -> dict[tuple[str, str], list[Row]]:
-    """The rows by table and model, in their order."""
+    """Return the rows by table and model, in their order."""
     found: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         found.setdefault((row.table, row.model), []).append(row)

@@ -1,4 +1,4 @@
-"""What [TetVol] says of its textures and its integration, with our figures beside."""
+"""Rows of the textures and the integration of [TetVol], with figures of voxtool beside."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the three texts say of their experiments, with our figures beside."""
+"""Rows of the experiments of [voCCeL], [ADF] and [TetVol], with figures of voxtool beside."""
 
 from __future__ import annotations
 
