@@ -68,7 +68,7 @@ def write_subdivided(source: str, target: str) -> int:
     vertices, faces = mesh.vertices, mesh.faces
     for _ in range(TIMES):
         vertices, faces = subdivide((vertices, faces))
-    voxtool.write_mesh(voxtool.Mesh(vertices, faces), target)
+    voxtool.write_mesh(voxtool.mesh_from_arrays(vertices, faces), target)
     return len(faces)
 
 

@@ -189,7 +189,7 @@ def test_ply_is_as_trimesh_reads_it(encoding: str, block: int, monkeypatch) -> N
     if encoding == "ascii":  # trimesh rounds the numbers of the text
         lines = data.partition(b"end_header\n")[2].splitlines()[: len(mesh.vertices)]
         assert np.array_equal(mesh.vertices, np.loadtxt(lines))
-        mesh = Mesh(mesh.vertices.astype(np.float32), mesh.faces)
+        mesh = Mesh(mesh.vertices.astype(np.float32).astype(np.float64), mesh.faces)
     assert_same(mesh, other)
 
 

@@ -414,6 +414,25 @@ def test_meshes_are_values():
     assert repr(mesh) == "Mesh('a.obj', 4 vertices, 4 faces)"
 
 
+@pytest.mark.parametrize(
+    ("vertices", "faces", "says"),
+    [
+        (
+            np.zeros((3, 3)),
+            np.zeros((1, 3), np.int64),
+            r"b.obj: faces of type int64 and shape \(1, 3\)",
+        ),
+        (np.zeros((3, 3)), np.zeros((1, 3), np.uint64), "faces of type uint64"),
+        (np.zeros((3, 3)), np.zeros(0, np.int32), r"faces of type int32 and shape \(0,\)"),
+        (np.zeros((3, 3), np.float32), np.zeros((1, 3), np.int32), "vertices of type float32"),
+        (np.zeros((3, 2)), np.zeros((1, 3), np.int32), r"vertices of .* shape \(3, 2\)"),
+    ],
+)
+def test_a_mesh_refuses_arrays_that_kernels_would_misread(vertices, faces, says):
+    with pytest.raises(MeshError, match=says):
+        Mesh(vertices, faces, name="b.obj")
+
+
 def test_what_holds_a_mesh_becomes_one(tmp_path):
     mesh = mesh_from_arrays(POINTS, TETRAHEDRON)
     (tmp_path / "m.obj").write_bytes(TETRAHEDRON_OBJ)

@@ -30,9 +30,9 @@ class Mesh(Data):
     Attributes
     ----------
     vertices : (V, 3) float64
-        World units, C-contiguous.
+        World units.
     faces : (F, 3) int32
-        The vertices of each triangle, C-contiguous.
+        The vertices of each triangle.
     source_sha256 : str
         Hex digest of the bytes that it was read from (for .gz: the compressed ones), or "".
     name : str
@@ -41,6 +41,11 @@ class Mesh(Data):
         Name of the world unit if the format or the caller defines it, or "".
     transform : tuple of float
         Scale and offset x, y, z of a normalized mesh: vertices = original * scale + offset; ().
+
+    Raises
+    ------
+    MeshError
+        If an array is of another type or shape.
     """
 
     vertices: np.ndarray
@@ -49,6 +54,16 @@ class Mesh(Data):
     name: str = ""
     units: str = ""
     transform: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, dtype in (("vertices", np.float64), ("faces", np.int32)):
+            array = getattr(self, name)
+            if array.dtype != dtype or array.ndim != 2 or array.shape[1] != 3:
+                raise MeshError(
+                    f"{self.name or 'mesh'}: {name} of type {array.dtype} and shape {array.shape}, "
+                    f"not {np.dtype(dtype)} and (N, 3): mesh_from_arrays takes other arrays"
+                )
 
     def __repr__(self) -> str:
         name = f"{self.name!r}, " if self.name else ""

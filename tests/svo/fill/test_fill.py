@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from svo.test_voxelize import assert_contract, lattice_grid, lattice_mesh
 
-from voxtool import Grid, Mesh, load_mesh
+from voxtool import Grid, Mesh, load_mesh, mesh_from_arrays
 from voxtool.errors import MemoryLimitError, MeshWarning, VoxtoolError
 from voxtool.opencl import Device
 from voxtool.svo.fill.caps import find_boundary, find_caps
@@ -236,14 +236,14 @@ def test_caps_close_what_is_open() -> None:
     fixed = meshes.fixed(vertices).astype(np.int32)
     for share in (0.0, 0.05, 0.5):
         kept = faces[rng.random(len(faces)) >= share].astype(np.int32)
-        caps = find_caps(fixed, find_boundary(Mesh(vertices, kept)))
+        caps = find_caps(fixed, find_boundary(Mesh(vertices.astype(np.float64), kept)))
         assert not oracles.boundary(fixed[np.concatenate([kept, caps.faces])])
         assert len(caps.faces) == len(caps.loops) - 2 * caps.holes
         edges = oracles.boundary(fixed[kept])
         assert len(caps.edges) == sum(abs(times) for *_, times in edges)
         assert (caps.holes == 0) == (share == 0)
     moebius = mobius((32, 32, 32))
-    boundary = find_boundary(Mesh(*moebius))
+    boundary = find_boundary(mesh_from_arrays(*moebius))
     caps = find_caps(moebius[0].astype(np.int32), boundary)
     assert not oracles.boundary(moebius[0][np.concatenate([moebius[1], caps.faces])])
 
@@ -371,7 +371,7 @@ def test_a_box_with_turned_faces(device: Device) -> None:
 
 def test_caps_close_crowded_holes(device: Device) -> None:
     """The cap of an open box is its missing side, so nothing changes but the warning."""
-    mesh = Mesh(*meshes.open_box(0, (4, 3, 2)))
+    mesh = mesh_from_arrays(*meshes.open_box(0, (4, 3, 2)))
     job = plan_voxelize(mesh, Grid.fit(mesh, 24), fill="winding", device=device)
     with pytest.warns(MeshWarning, match="more boundary loops near one voxel"):
         crowded = job.with_(crowd=0).run()
