@@ -23,7 +23,7 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.mesh.topology import check_surface, closed_chain, volume
 from voxtool.svo.surface.extract import extract, plan_extract
 from voxtool.svo.surface.isosurface import LATTICE, NEAREST, Isosurface, Lost
-from voxtool.svo.surface.plan import MAX_SAMPLES
+from voxtool.svo.surface.plan import COMPACTIONS, MAX_SAMPLES, SCAN
 
 pytestmark = pytest.mark.filterwarnings("ignore::voxtool.errors.MeshWarning")
 
@@ -475,6 +475,53 @@ def test_naive_extraction_visits_all_cubes_and_gives_the_same(device, shape, req
     assert (all_.lost, all_.cubes) == (few.lost, few.cubes)
     assert all_.tiles == naive.plan.visited == naive.describe()["predicted_tiles"] >= few.tiles
     assert "cubes away from nodes" not in naive.left_out
+
+
+PYRAMIDS = [name for name in COMPACTIONS if name != SCAN]
+
+
+def assert_same_by_pyramids(octree: voxtool.Octree, device, **request) -> None:
+    """Every compaction of marching cubes gives the surface of the scan."""
+    job = plan_extract(octree, device=device, **request)
+    assert job.plan.compaction == SCAN
+    scan = job.run()
+    for name in PYRAMIDS:
+        forced = job.with_(compaction=name)
+        assert forced.cost.device > job.cost.device
+        found = forced.run()
+        assert found.digest() == scan.digest()
+        assert np.array_equal(found.points, scan.points)
+        assert np.array_equal(found.faces, scan.faces)
+        assert (found.lost, found.cubes, found.tiles) == (scan.lost, scan.cubes, scan.tiles)
+
+
+@pytest.mark.parametrize("level", [0, 1, 2, "voxel"])
+@given(patterns(), st.sampled_from(ISOVALUES))
+@settings(max_examples=10, deadline=None)
+def test_outputs_that_walk_a_pyramid_give_the_same(device, level, dense, isovalue) -> None:
+    octree = octree_from_dense(dense)
+    assume(level == "voxel" or level < octree.depth)
+    assert_same_by_pyramids(octree, device, level=level, isovalue=isovalue)
+
+
+# about length / 4 tiles along a row, at and around powers of 2, 4 and 5
+@pytest.mark.parametrize("length", [1, 8, 16, 17, 20, 64, 65, 100, 101, 256, 500, 501])
+def test_any_number_of_tiles_makes_a_pyramid(device, length) -> None:
+    dense = np.zeros((max(length, 8), 8, 8), bool)
+    dense[:length, 5:7, 5:7] = True
+    assert_same_by_pyramids(octree_from_dense(dense), device, level="voxel")
+
+
+def test_no_voxel_makes_a_pyramid_without_outputs(device) -> None:
+    assert_same_by_pyramids(octree_from_dense(np.zeros((8, 8, 8), bool)), device)
+
+
+def test_only_marching_cubes_have_pyramids() -> None:
+    octree = octree_from_dense(ball((16, 16, 16)))
+    with pytest.raises(ValueError, match="'pyramid-3': choose one of scan, pyramid-2"):
+        plan_extract(octree).with_(compaction="pyramid-3")
+    with pytest.raises(ValueError, match=r"'pyramid-4': choose one of scan$"):
+        plan_extract(octree, style=NETS).with_(compaction="pyramid-4")
 
 
 def test_naive_extraction_is_refused_beyond_its_memory(device) -> None:

@@ -245,7 +245,8 @@ def _primal_header() -> str:
         "TILE_BEYOND": BRICK_SIDE * _bits(np.arange(8)) @ steps,
         "TILE_TOP": morton_encode((BRICK_SIDE - 1) * _bits(np.arange(8))),
     }
-    constants = {"MAX_TRIANGLES": MAX_TRIANGLES, "TILE_EDGES": TILE_EDGES}
+    constants = {"MAX_TRIANGLES": MAX_TRIANGLES, "TILE_EDGES": TILE_EDGES,
+                 "CORNERS_ALONG": CORNERS_ALONG}  # fmt: skip
     return _header(constants, tables)
 
 

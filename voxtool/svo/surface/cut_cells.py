@@ -177,9 +177,9 @@ class Tiles:
     arguments: dict[str, Any]
     core: tuple[int, int]  # the places of the first tile and beyond the last one that are asked for
 
-    def kernel(self, source: str, name: str) -> Callable[..., None]:
-        """Return a kernel compiled for the type of samples."""
-        return self.device.kernel(source, name, **self.sampling.options)
+    def kernel(self, source: str, name: str, **defines: int) -> Callable[..., None]:
+        """Return a kernel compiled for the type of samples, with further -D options."""
+        return self.device.kernel(source, name, **self.sampling.options, **defines)
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,14 @@ from voxtool.svo.surface.cut_cells import (
 from voxtool.svo.surface.dual import dual_surface
 from voxtool.svo.surface.isosurface import Isosurface
 from voxtool.svo.surface.marching_cubes import march_cubes
-from voxtool.svo.surface.plan import MAX_SAMPLES, RELAXATIONS, ExtractionPlan, active_tiles
+from voxtool.svo.surface.plan import (
+    COMPACTIONS,
+    MAX_SAMPLES,
+    RELAXATIONS,
+    SCAN,
+    ExtractionPlan,
+    active_tiles,
+)
 from voxtool.svo.surface.sharp import crosses_all, find_crossings
 from voxtool.svo.surface.untangle import untangle
 
@@ -198,7 +205,7 @@ def surface_of(
 ) -> Extracted:
     """Return the surface of the tiles; `counted` and `crossings` are those of dual_surface."""
     if plan.style == MARCHING_CUBES:
-        return march_cubes(tiles, counted)
+        return march_cubes(tiles, counted, plan.arity)
     lanes = plan.lanes or tiles.device.lanes
     rounds, merge = plan.relaxations, plan.merge
     return dual_surface(tiles, counted, plan.style, rounds, lanes, merge, crossings)
@@ -239,9 +246,13 @@ class ExtractJob(Job[Isosurface]):
 
     def with_(self, **decisions: Any) -> Self:
         """Return a copy of the job with fields of its plan replaced, as `relaxations`; raise
-        TypeError if the plan has no such field, or it is of the request."""
+        TypeError if the plan has no such field, or it is of the request; ValueError if the style
+        has no such compaction."""
         if requested := {"style", "level", "isovalue", "merge"} & decisions.keys():
             raise TypeError(f"{', '.join(sorted(requested))}: plan another extraction")
+        possible = COMPACTIONS if self.plan.style == MARCHING_CUBES else (SCAN,)
+        if (compaction := decisions.get("compaction", SCAN)) not in possible:
+            raise ValueError(f"compaction {compaction!r}: choose one of {', '.join(possible)}")
         return super().with_(**decisions)
 
     def _run(self) -> Isosurface:
