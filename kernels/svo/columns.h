@@ -1,6 +1,6 @@
 // Common parts of scan conversion and crossings: the columns of boxes that a triangle meets, the
 // tiles of columns that work-items process, edge functions of projections, and storage of voxels.
-// Options: CODE, WIDE, COLUMN_TILE, PLANE_TILE.
+// Options: CODE, WIDE, COLUMN_TILE, PLANE_TILE, DESCENT, ANCESTORS.
 
 #include "svo/octree.h"
 #include "svo/scan.h"
@@ -96,10 +96,20 @@ uint set_index(__global const uint *words, __global const uint *ranks, CODE code
     return ranks[word] + popcount(words[word] & ((1u << (uint)(code & 31)) - 1u));
 }
 
+#ifdef DESCENT // with the octree, and its offsets from the root's level down to level 0
+#define ACTIVE_SET_PARAMETERS                                                                      \
+    __global const uint *block_words, __global const uint *block_ranks, __global const uint *words, \
+        __global const uint *ranks, __global const svo_node *tree, __global const uint *tree_offsets, \
+        const uint top
+#define ACTIVE_SET block_words, block_ranks, words, ranks, tree, tree_offsets, top
+#define NO_ACTIVE_SET 0, 0, 0, 0, 0, 0, 0
+#else
 #define ACTIVE_SET_PARAMETERS                                                                      \
     __global const uint *block_words, __global const uint *block_ranks, __global const uint *words, \
         __global const uint *ranks
 #define ACTIVE_SET block_words, block_ranks, words, ranks
+#define NO_ACTIVE_SET 0, 0, 0, 0
+#endif
 
 // The code under which the bit of a level-1 node is stored.
 CODE stored_code(ACTIVE_SET_PARAMETERS, CODE code)
@@ -107,12 +117,6 @@ CODE stored_code(ACTIVE_SET_PARAMETERS, CODE code)
     if (!block_words)
         return code;
     return (CODE)set_index(block_words, block_ranks, code >> 9) << 9 | (code & 511);
-}
-
-// The index of an active node among the active nodes; undefined for other nodes.
-uint node_index(ACTIVE_SET_PARAMETERS, CODE code)
-{
-    return set_index(words, ranks, stored_code(ACTIVE_SET, code));
 }
 
 // ---- storage of boxes and voxels
@@ -125,13 +129,15 @@ typedef struct {
     uint word, bits; // the bits collected for a word
     uint3 cell;      // level-1 node of the last voxel
     uint node;       // index of this node among the active nodes
+    CODE code;       // of this node
+    uint place;      // its index in level 1 of the octree
 } sink;
 
 #define NO_WORD 0xFFFFFFFFu
 
 sink open_sink(volatile __global uint *words, bool flips)
 {
-    const sink s = {words, flips, NO_WORD, 0, (uint3)(NO_WORD), 0};
+    const sink s = {words, flips, NO_WORD, 0, (uint3)(NO_WORD), 0, ~(CODE)0, 0};
     return s;
 }
 
@@ -155,13 +161,50 @@ void put(sink *s, uint word, uint bit)
     s->bits = s->flips ? s->bits ^ bit : s->bits | bit;
 }
 
+// The level of the lowest common ancestor of two level-1 nodes ([voCCeL], algorithm 2).
+uint ancestor_level(CODE a, CODE b)
+{
+    uint level = 1;
+    for (; a != b; ++level) {
+        a >>= 3;
+        b >>= 3;
+    }
+    return level;
+}
+
+// The index of an active node among the active nodes; undefined for other nodes. With DESCENT, it is
+// found in the octree, from the root ([voCCeL], algorithm 1). With ANCESTORS, the descent begins at the
+// common ancestor with the node that was found last, if this takes fewer steps: if the ancestor is in
+// the lower half of the octree (section 5.1). Before the first, the code is ~0, and the ancestor is
+// above the root.
+uint find_node(sink *s, ACTIVE_SET_PARAMETERS, CODE code)
+{
+#ifdef DESCENT
+    uint level = top, place = 0;
+#ifdef ANCESTORS
+    const uint common = ancestor_level(code, s->code);
+    if (2 * (common - 1) < top - 1)
+        for (level = 1, place = s->place; level < common; ++level)
+            place = tree[tree_offsets[top - level] + place].parent & LINK;
+#endif
+    for (; level > 1; --level)
+        place = (tree[tree_offsets[top - level] + place].child & LINK) +
+                ((uint)(code >> (3 * (level - 2))) & 7);
+    s->code = code;
+    s->place = place;
+    return (tree[tree_offsets[top - 1] + place].child & LINK) >> 3;
+#else
+    return set_index(words, ranks, stored_code(ACTIVE_SET, code));
+#endif
+}
+
 // Put the bit of a voxel of an active node into its 32-bit word, half a brick.
 void put_voxel(sink *s, ACTIVE_SET_PARAMETERS, uint3 voxel)
 {
     const uint3 cell = voxel >> 3;
     if (any(cell != s->cell)) {
         s->cell = cell;
-        s->node = node_index(ACTIVE_SET, morton_encode(cell));
+        s->node = find_node(s, ACTIVE_SET, morton_encode(cell));
     }
     const uint place = voxel_place(voxel);
     put(s, 16 * s->node + (place >> 5), 1u << (place & 31));

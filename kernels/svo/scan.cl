@@ -1,6 +1,6 @@
 // Scan conversion of triangles into the boxes that they touch: level-1 nodes, blocks of level-1 nodes,
 // and voxels ([voCCeL], sections 3.2 and A.4). Host side: voxtool/svo/scan.py. Options: those of
-// columns.h.
+// columns.h; BASE_OVERLAP, for the overlap test without depth intervals.
 
 #include "svo/columns.h"
 
@@ -68,6 +68,29 @@ void put_box(sink *out, int level, ACTIVE_SET_PARAMETERS, uint3 box)
     put(out, (uint)(code >> 5), 1u << (uint)(code & 31));
 }
 
+#ifdef BASE_OVERLAP
+// Store the boxes that the triangle touches in the columns from `first` to `end`. Each box of the
+// bounding box is tested against the plane and the three projections ([voCCeL], eq. 3.1 and 3.2).
+void scan_tile(const scan *s, const columns *c, int2 first, int2 end, sink *out, int level,
+               ACTIVE_SET_PARAMETERS)
+{
+    const wide gap = wide_sum(s->near, wide_negative(s->far));
+    for (int q = first.y; q <= end.y; ++q)
+        for (int p = first.x; p <= end.x; ++p)
+            for (int k = c->low.z; k <= c->high.z; ++k) {
+                const long x = (long)p * s->size + s->first.x, y = (long)q * s->size + s->first.y,
+                           z = (long)(k - c->low.z) * s->size + s->first.z;
+                const wide far = wide_sum(s->far, wide_dot(s->nx, s->ny, s->nz, x, y, z));
+                const long3 xy = s->xy.p * p + s->xy.q * q + s->xy.d,
+                            yz = s->yz.p * q + s->yz.q * k + s->yz.d,
+                            zx = s->zx.p * k + s->zx.q * p + s->zx.d;
+                if (!is_negative(far) && !is_positive(wide_sum(far, gap)) && none_negative(xy | yz | zx)) {
+                    const int3 box = (int3)(p, q, k);
+                    put_box(out, level, ACTIVE_SET, as_uint3(unswizzle(box, c->axis)));
+                }
+            }
+}
+#else
 // Store the boxes that the triangle touches in the columns from `first` to `end`, column by column. In
 // a column, the plane meets the boxes from the first whose far side is not before it to the last whose
 // near side is not behind it ([voCCeL], fig. 3.4). From one column to the next, this range moves by one
@@ -118,6 +141,7 @@ void scan_tile(const scan *s, const columns *c, int2 first, int2 end, sink *out,
         }
     }
 }
+#endif
 
 void scan_convert(const scan *s, const columns *c, sink *out, int level, ACTIVE_SET_PARAMETERS)
 {

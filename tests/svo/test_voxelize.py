@@ -8,10 +8,12 @@ import meshes
 import numpy as np
 import oracles
 import pytest
+from conftest import model
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from voxtool.errors import GridError, MemoryLimitError, VoxtoolError
+from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
@@ -122,6 +124,11 @@ LARGE |= {"code_bits": 64, "column_tile": 4}
         {"propagation": "levels", "code_bits": 64},
         {"plane_tiles": True},
         {"plane_tiles": True, "wide": True},
+        {"overlap": "base"},
+        {**LARGE, "overlap": "base"},
+        {"addressing": "descent"},
+        {"addressing": "jumps"},
+        {**LARGE, "addressing": "jumps", "propagation": "levels"},
         {"morton": "table"},
         {**LARGE, "morton": "table"},
     ],
@@ -149,6 +156,18 @@ def test_flips_of_closed_meshes_are_propagated_by_levels(device: Device) -> None
         assert job.with_(propagation="levels").run(began.append).digest() == job.run().digest()
         assert "levels" in began
         assert ("rows" in began) == walked
+
+
+@pytest.mark.parametrize("addressing", ["descent", "jumps"])
+def test_nodes_of_a_model_are_found_in_the_octree(device: Device, addressing: str) -> None:
+    """Also for a surface that is added to an open solid, after the fill has refined the octree."""
+    mesh = load_mesh(model("stanford-bunny.obj"))
+    for mode, more in (("surface26", {}), ("surface6", {}), ("solid", {"with_surface": True})):
+        grid = Grid.fit(mesh, 100)
+        job = plan_voxelize(mesh, grid, mode, fill="parity", device=device, **more)
+        began: list[str] = []
+        assert job.with_(addressing=addressing).run(began.append).digest() == job.run().digest()
+        assert ("refine open rows" in began) == (mode == "solid")
 
 
 @pytest.mark.parametrize("mode", ["surface26", "solid"])

@@ -67,6 +67,8 @@ class VoxelizePlan:
     most_left: float = MOST_LEFT
     propagation: str = "rows"  # how flips spread: "rows" are walked, or by "levels"
     morton: str = "bits"  # how triangles' boxes are encoded: by "bits", or by "table"
+    addressing: str = "ranks"  # how a voxel's node is found: by "ranks", "descent", or "jumps"
+    overlap: str = "intervals"  # boxes tested: "base", all of a bounding box, or depth "intervals"
     plane_tiles: bool = False  # tiles of 4 x 4 columns are tested before their columns
 
     @property
@@ -87,6 +89,11 @@ class VoxelizePlan:
     def by_rows(self) -> bool:
         """True if flips of rows along x decide what is inside."""
         return self.fill not in ("none", "flood")
+
+    @property
+    def descends(self) -> bool:
+        """True if a voxel's node is found in the octree, which a flood does not have yet."""
+        return self.addressing != "ranks" and self.fill != "flood"
 
     @property
     def stages(self) -> list[str]:

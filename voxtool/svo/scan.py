@@ -23,7 +23,7 @@ from voxtool.grid import FIXED_POINT_BITS
 from voxtool.morton import spread_bits
 from voxtool.opencl import Array, program
 from voxtool.opencl.primitives import exclusive_scan
-from voxtool.svo.build import code_name
+from voxtool.svo.build import DeviceOctree, code_name
 from voxtool.svo.lattice import LatticeMesh
 from voxtool.svo.layout import BRICK, BRICK_SIDE
 from voxtool.svo.plan import CELL, NODE_BLOCK, VoxelizePlan
@@ -52,7 +52,7 @@ HEADERS = {
     ),
     "svo/morton_table.h": _morton_table(),
 }
-Lookup = dict[str, Array | None]  # arguments by which kernels find a node's rank, and its target
+Lookup = dict[str, Any]  # arguments by which kernels find a node's rank, and its target
 
 
 @dataclass(frozen=True)
@@ -75,11 +75,12 @@ class ActiveNodes:
 
     nodes: BitSet
     blocks: BitSet | None  # the blocks that have words, or None if all have
+    tree: DeviceOctree | None = None  # if a node is found in it, and not by its rank
 
     @property
     def lookup(self) -> Lookup:
         """Arguments by which kernels find the rank of a node."""
-        return _lookup(self.blocks, self.nodes.words, self.nodes.ranks)
+        return _lookup(self.blocks, self.nodes.words, self.nodes.ranks, self.tree)
 
 
 class Scan:
@@ -93,6 +94,9 @@ class Scan:
             "COLUMN_TILE": plan.column_tile,
             **({"WIDE": 1} if plan.wide else {}),
             **({"MORTON_TABLE": 1} if plan.morton == "table" else {}),
+            **({"BASE_OVERLAP": 1} if plan.overlap == "base" else {}),
+            **({"DESCENT": 1} if plan.descends else {}),
+            **({"ANCESTORS": 1} if plan.descends and plan.addressing == "jumps" else {}),
             **({"PLANE_TILE": BRICK_SIDE} if plan.plane_tiles else {}),
         }
 
@@ -175,9 +179,15 @@ def _find(scan: Scan, activate: Callable[[int, Lookup], None]) -> ActiveNodes:
     return ActiveNodes(_collect(scan, words, blocks), blocks)
 
 
-def _lookup(blocks: BitSet | None, words: Array, ranks: Array) -> Lookup:
+def _lookup(
+    blocks: BitSet | None, words: Array, ranks: Array, tree: DeviceOctree | None = None
+) -> Lookup:
     above = (blocks.words, blocks.ranks) if blocks else (None, None)
-    return {"words": words, "ranks": ranks, "block_words": above[0], "block_ranks": above[1]}
+    found = {"words": words, "ranks": ranks, "block_words": above[0], "block_ranks": above[1]}
+    if tree is None:
+        return {**found, "tree": None, "tree_offsets": None, "top": 0}
+    offsets = words.device.put(tree.offsets)
+    return {**found, "tree": tree.nodes, "tree_offsets": offsets, "top": tree.top}
 
 
 def _collect(scan: Scan, words: Array, blocks: BitSet | None) -> BitSet:

@@ -10,9 +10,10 @@ The stages, on the device:
    are filled (fill/rows.py); or everything that the outside cannot reach is filled
    (fill/flood.py). Near holes, the winding number decides each voxel (fill/winding.py).
 
-[voCCeL] descends the octree to find the brick of a voxel; here, the rank of its level-1 node among
-the active nodes gives the brick directly. [voCCeL] links x-neighbours and propagates flips level by
-level; here, rows walk the octree. A plan can force the former (fill/levels.py).
+[voCCeL] descends the octree to find the brick of a voxel, from the root or from the common ancestor
+with the last; here, the rank of its level-1 node among the active nodes gives the brick directly.
+[voCCeL] links x-neighbours and propagates flips level by level; here, rows walk the octree. A plan
+can force the former (kernels/svo/columns.h, fill/levels.py).
 """
 
 from __future__ import annotations
@@ -261,6 +262,8 @@ class VoxelizeJob(Job[Octree]):
                 active = add_nodes(scan, np.append(capped, nodes))
         with self.stage("octree"):
             tree = build_octree(self.device, plan.side, active.nodes.codes, active.nodes.n)
+        if plan.descends:
+            active = replace(active, tree=tree)
         if not plan.solid:
             with self.stage(f"surface{plan.surface}"):
                 return self._read(Filled(tree, scan.surface(active), None), None)

@@ -126,7 +126,7 @@ __kernel void list_crossings(TRIANGLES, __global uint *firsts, const uint x_bits
     triangle t;
     columns c;
     if (take_share(THESE_TRIANGLES, CROSSED, &t, &c))
-        visit_crossings(&t, &c, shape, axis, crossings ? LIST : COUNT, &v, 0, 0, 0, 0);
+        visit_crossings(&t, &c, shape, axis, crossings ? LIST : COUNT, &v, NO_ACTIVE_SET);
     if (!crossings)
         firsts[gid] = v.count;
 }
