@@ -19,14 +19,14 @@ typedef struct {
 
 // A kernel's parameters for it, of voxtool/tets/integrate.py.
 #define THE_LIGHT                                                                                \
-    __global const float *points, __global const float *rows, const int count,                   \
-        __global const float *table, const float longest, const uint samples
+    __global const float *points, __global const float *rows, __global const float *below,       \
+        const int count, __global const float *table, const float longest, const uint samples
 #ifdef SURFACES
 #define INTEGRAL THE_LIGHT, SURFACE_LIST
-#define THE_INTEGRAL {{points, rows, count}, samples, table, longest, THE_SURFACES}
+#define THE_INTEGRAL {{points, rows, count, below}, samples, table, longest, THE_SURFACES}
 #else
 #define INTEGRAL THE_LIGHT
-#define THE_INTEGRAL {{points, rows, count}, samples, table, longest}
+#define THE_INTEGRAL {{points, rows, count, below}, samples, table, longest}
 #endif
 
 #if INTEGRATOR == PREINTEGRATED

@@ -8,7 +8,8 @@
 
 typedef struct {
     __global const float *points, *rows;
-    int count; // of points
+    int count;                   // of points
+    __global const float *below; // with BUCKETS, an option: points below each equal part of [0, 1]
 } Transfer;
 
 // Colour and extinction of each lane.
@@ -29,12 +30,26 @@ typedef struct {
     ints from_interval, to_interval;
 } Segment;
 
-// The interval that holds s: the number of control points at or below it.
+// The interval that holds s: the number of control points at or below it. With BUCKETS the search begins
+// at the points below the part of s. It is exact, as s does not fall where its part rises.
 ints interval_of(const Transfer *t, const floats s)
 {
+#ifdef BUCKETS
+    floats part = s * BUCKETS;
+    part = part > 0 ? part : (floats)0;
+    part = part < BUCKETS - 1 ? part : (floats)(BUCKETS - 1);
+    ints interval = to_ints(lookup(t->below, to_ints(part)));
+    ints more;
+    do {
+        const ints left = interval < t->count;
+        more = left & (s >= lookup(t->points, left ? interval : (ints)0));
+        interval += more ? (ints)1 : (ints)0;
+    } while (ANY(more));
+#else
     ints interval = 0;
     for (int k = 0; k < t->count; ++k)
         interval += s >= (floats)t->points[k] ? (ints)1 : (ints)0;
+#endif
     return interval;
 }
 
@@ -71,7 +86,7 @@ Sample sample_at(const Transfer *t, const ints interval, const floats s)
 
 // Cut the segment at the first control point that it crosses: lines 1 to 13 of the listing in [TetVol,
 // section 4.2]. There a table of (s_f, s_b) holds this point and the next; here they are the ends of the
-// first interval, found by rank. Returns whether the lane's segment was cut: then it continues at `end`
+// first interval, see interval_of. Returns whether the lane's segment was cut: then it continues at `end`
 // in the interval `next`. The piece up to `end` is within the interval `own`.
 ints cut(const Transfer *t, const Segment *segment, floats *end, ints *own, ints *next)
 {

@@ -29,10 +29,11 @@ from helpers_tets import (
 from voxtool.camera import Camera, Rays
 from voxtool.choices import METHODS
 from voxtool.errors import MemoryLimitError, VoxtoolError
+from voxtool.rendering import plan_render
 from voxtool.tets.mesh import UnstructuredMesh
 from voxtool.tets.scene import VolumeScene
 from voxtool.tets.textures import build_tet
-from voxtool.tets.transfer import TransferFunction
+from voxtool.tets.transfer import LocalTransfer, TransferFunction
 from voxtool.tets.volume import TetVolume
 
 NEAR = 2e-5  # of a colour: float32 planes, depths and scalars
@@ -165,6 +166,36 @@ def test_devices_and_lanes_agree_bit_for_bit() -> None:
             for device, n in itertools.product(devices, lanes)
         }
         assert len(pictures) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_a_table_of_control_points_changes_no_picture(method: str, device) -> None:
+    """Points in one part of the scalars, at the ends of parts, steps, and beyond the scalars."""
+    mesh, rng = grid_mesh((4, 4, 3), seed=16), np.random.default_rng(5)
+    volume = build_tet(mesh)
+    low, high = volume.scalar_range
+    parts = np.arange(0, 17) / 16
+    crowd = 0.51 + 1e-3 * np.arange(9)
+    for at in (parts, np.sort(np.concatenate([crowd, parts])), np.repeat(parts[:8], 2),
+               np.linspace(-0.5, 1.5, 33), parts[:1]):  # fmt: skip
+        colours, extinctions = rng.random((len(at), 3)), 3 * rng.random(len(at))
+        transfer = TransferFunction(low + (high - low) * at, colours, extinctions)
+        job = plan_render(volume, rays_of(mesh, "iso", 30.0, (17, 12)), transfer=transfer,
+                          method=method, device=device)  # fmt: skip
+        first = job.with_(buckets=0).run()
+        assert first.any()
+        for buckets, lanes in ((4, None), (16, 1), (256, None)):
+            assert np.array_equal(first, job.with_(buckets=buckets, lanes=lanes).run())
+
+
+def test_parts_of_scalars() -> None:
+    points = np.sort(np.random.default_rng(6).random(40).astype(np.float32))
+    transfer = LocalTransfer(points, np.zeros((41, 16), np.float32))
+    for parts in (1, 8, 256):
+        begin = np.arange(parts, dtype=np.float32) / np.float32(parts)
+        expected = [np.count_nonzero(points < low) for low in begin]
+        assert transfer.below(parts).tolist() == expected
 
 
 @pytest.mark.parametrize(

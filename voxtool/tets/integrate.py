@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 SOURCE = "tets/integrate.cl"
 INTEGRATORS = ("linear", "preintegrated", "average", "sampled")
 MOST_SAMPLES = 1 << 12  # points in a cell
+BUCKETS = 256  # parts of the scalars, in which the search for a control point begins,
+MANY = 64  # where there are at least so many points; with fewer all are compared
 TABLE = 128, 32  # scalars and lengths along the sides of the pre-integrated table
 
 HEADERS = {
@@ -38,6 +40,8 @@ class Integral:
     lanes : rays that a work-item follows side by side, 1 or 16; by default what suits the device.
     arguments, options : of kernels, by name.
     table : scalars and lengths along the sides of the pre-integrated table.
+    buckets : equal parts of the scalars, a power of two, for each of which a table holds where the
+        search for a control point begins; 0 for no table; by default BUCKETS with many points.
     """
 
     def __init__(
@@ -49,6 +53,7 @@ class Integral:
         lanes: int | None = None,
         table: tuple[int, int] = TABLE,
         surfaces: Surfaces | None = None,
+        buckets: int | None = None,
     ) -> None:
         name, samples = integrator_of(integrator)
         device = on_device.device
@@ -56,12 +61,18 @@ class Integral:
         self.arguments: dict[str, Any] = {
             "points": device.put(transfer.points),
             "rows": device.put(transfer.rows),
+            "below": None,
             "count": len(transfer.points),
             "table": None,
             "longest": 1,
             "samples": samples,
         }
         self.options: dict[str, int | str] = {"LANES": self.lanes, "INTEGRATOR": name.upper()}
+        if buckets is None:
+            buckets = BUCKETS if len(transfer.points) >= MANY else 0
+        if buckets:
+            self.options["BUCKETS"] = buckets
+            self.arguments["below"] = device.put(transfer.below(buckets))
         if volume.constant:
             self.options["CONSTANT"] = 1
         if surfaces is not None:

@@ -48,6 +48,7 @@ class VolumeScene:
     max_pairs, max_entries : pairs of a cell and a tile, in cell projection, and entries of rays, in
         ray casting, beyond which a picture is refused.
     table : scalars and lengths along the sides of the pre-integrated table.
+    buckets : of the search for control points, as in Integral; the picture is the same.
 
     Raises
     ------
@@ -71,6 +72,7 @@ class VolumeScene:
     max_pairs: int = MAX_PAIRS
     max_entries: int = MAX_ENTRIES
     table: tuple[int, int] = TABLE
+    buckets: int | None = None
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -173,8 +175,9 @@ class VolumeScene:
         volume = DeviceVolume.of(self.content, device)
         shown = volume.shown(self.content, self.blocks)
         integral = Integral(
-            self.content, self.local, volume, self.integrator, self.lanes, self.table, self.surfaces
-        )
+            self.content, self.local, volume, self.integrator, self.lanes, self.table,
+            self.surfaces, self.buckets,
+        )  # fmt: skip
         return volume, shown, Viewpoint.of(self.local_rays(rays), self.content, device), integral
 
     def why_empty(self) -> str:

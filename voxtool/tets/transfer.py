@@ -218,6 +218,12 @@ class LocalTransfer:
     points: np.ndarray
     rows: np.ndarray
 
+    def below(self, parts: int) -> np.ndarray:
+        """Return the number of control points below each of so many equal parts of [0, 1], (parts,)
+        float32; `parts` is a power of two, so that a scalar's part is computed exactly."""
+        part = np.clip(self.points * np.float32(parts), 0, parts - 1).astype(np.int64)
+        return np.searchsorted(part, np.arange(parts)).astype(np.float32)
+
     def transparent(self, low: np.ndarray, high: np.ndarray) -> np.ndarray:
         """Return which ranges of normalised scalars, (N,) float32 from low to high, ends included,
         have no extinction, (N,) bool."""
