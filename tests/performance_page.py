@@ -136,8 +136,7 @@ def peers_of(points: list[Point], ours: Point) -> dict[str, Point]:
 
 
 def voxels(points: list[Point]) -> Rows:
-    yield ["dim", "mode", "ms", "command, s", "peak, MB", "octree, kB", "RMS error, diagonals",
-           "other tool", "ms", "ratio"]  # fmt: skip
+    yield ["dim", "mode", "ms", "command, s", "peak, MB", "octree, kB", "other tool", "ms", "ratio"]
     for p in own(points):
         others = [(name, q) for name, q in peers_of(points, p).items()
                   if q["method"].endswith(p["setting"]["modes"])]  # fmt: skip
@@ -145,7 +144,7 @@ def voxels(points: list[Point]) -> Rows:
         yield [
             p["label"].removeprefix("dim "), p["setting"]["modes"], ms(p),
             f"{p['figures']['command']:.2f}", f"{p['peak'] / 1e6:,.0f}", f"{p['bytes'] / 1e3:,.0f}",
-            share(p["errors"].get("rms")), name, ms(best) if best else "", ratio(best, p),
+            name, ms(best) if best else "", ratio(best, p),
         ]  # fmt: skip
 
 
@@ -158,8 +157,7 @@ def winding(points: list[Point]) -> Rows:
 
 
 def surfaces(points: list[Point]) -> Rows:
-    yield ["model", "dim", "style", "ms", "command, s", "triangles", "RMS error, voxels",
-           "VTK, ms", "ratio"]  # fmt: skip
+    yield ["model", "dim", "style", "ms", "command, s", "triangles", "VTK, ms", "ratio"]
     for p in own(points):
         beside = None
         if p["method"] == "marching-cubes":
@@ -167,7 +165,6 @@ def surfaces(points: list[Point]) -> Rows:
         figures = p["figures"]
         yield [p["model"], p["label"].removeprefix("dim "), p["method"], ms(p),
                f"{figures['command']:.2f}", f"{figures['triangles']:,.0f}",
-               digits(figures["rms in voxels"]) if "rms in voxels" in figures else "",
                ms(beside) if beside else "",
                ratio(beside, p)]  # fmt: skip
 
@@ -194,8 +191,9 @@ def queries(points: list[Point]) -> Rows:
 def distances(points: list[Point]) -> Rows:
     yield ["model", "work", "method", "ms", "ns a point", "largest error, sides"]
     for p in points:
+        each = p["figures"].get("ns a point")  # of distances between meshes there is none
         yield [p["model"], f"{p['work']} {p['label']}".strip(), p["method"], ms(p),
-               digits(p["figures"]["ns a point"]), share(p["errors"].get("max"))]  # fmt: skip
+               "" if each is None else digits(each), share(p["errors"].get("max"))]  # fmt: skip
 
 
 def pictures(points: list[Point]) -> Rows:
@@ -241,16 +239,16 @@ SCRIPTS = {  # which print a table
 }
 BENCH = "voxtool bench"
 TABLES: dict[str, tuple[str, Callable[[list[Point]], Rows]]] = {
-    "voxels": (f"{BENCH} voxelize bunny.obj --dims 64,256,512,1024,2048,4096 --fills parity "
-               "--peers", voxels),
+    "voxels": (f"{BENCH} voxelize bunny.obj --dims 64,256,512,1024 --fills parity --peers "
+               "--samples 0 --no-ablate", voxels),
     "winding": (f"{BENCH} voxelize bunny.obj teapot.obj armadillo.obj --dims 256,512,1024,2048 "
-                "--modes solid --fills parity,winding", winding),
-    "surfaces": (f"{BENCH} extract bunny.obj armadillo.obj --dims 256,512,1024,2048 --fills parity "
-                 "--peers", surfaces),
+                "--modes solid --fills parity,winding --samples 0 --no-ablate", winding),
+    "surfaces": (f"{BENCH} extract bunny.obj armadillo.obj --dims 64,256,1024 --fills parity "
+                 "--styles marching-cubes,surface-nets --peers --samples 0 --no-ablate", surfaces),
     "fields": (f"{BENCH} adf bunny.obj armadillo.obj --tolerances 1e-3,1e-4 --levels 9 "
-               "--band 0.01 --points 1000000", fields),
+               "--band 0.01 --points 1000000 --no-ablate", fields),
     "queries": (f"{BENCH} adf bunny.obj --tolerances 1e-4 --levels 9 --band 0.01 "
-                "--points 1000000 --peers", queries),
+                "--points 1000000 --peers --no-ablate", queries),
     "distances": (f"{BENCH} distance bunny.obj armadillo.obj --points 1000000 --grids 64",
                   distances),
     "pictures": (f"{BENCH} pictures bunny.obj --dims 1024 --levels 9 --tolerances 1e-3 --sizes 512 "
@@ -259,8 +257,8 @@ TABLES: dict[str, tuple[str, Callable[[list[Point]], Rows]]] = {
                 "--integrators linear --repeat 5", volumes),
     "scale": (f"{BENCH} scale bunny.obj --dims 512,2048 --peers", scale),
     "growth": (f"{BENCH} growth suzanne.obj bluntfin.vtu --scalar density --triangles 4000000 "
-               "--dims 64,128,256,512,1024,2048,4096,8192 --levels 4,5,6,7,8,9,10 "
-               "--tolerances 1e-3 --sizes 64,128,256,512,1024,2048 --repeat 1", growth),
+               "--dims 64,256,1024,4096 --levels 4,6,8,9 "
+               "--tolerances 1e-3 --sizes 64,256,1024,2048 --repeat 1", growth),
 }  # fmt: skip
 
 if __name__ == "__main__":

@@ -46,7 +46,7 @@ from voxtool.camera import Camera
 from voxtool.choices import METHODS
 from voxtool.files.spool import Spool
 from voxtool.grid import Grid
-from voxtool.mesh.mesh import Mesh
+from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.mesh.parts import find_parts
 from voxtool.mesh.topology import check_surface, closed_chain
 from voxtool.opencl import Device, builder, open_device, primitives, program
@@ -128,6 +128,7 @@ HARMLESS = UNITE | {
 VARIANTS = {  # forced decisions of VoxelizePlan
     "narrow": {},
     "levels": {"propagation": "levels", "morton": "table", "plane_tiles": True},
+    "base": {"overlap": "base", "addressing": "jumps"},
     "blocked": {"blocked": True, "code_bits": 64},
     "all": dict.fromkeys(("wide", "blocked", "tiled", "tiled_nodes"), True)
     | {"code_bits": 64, "column_tile": 8},
@@ -166,7 +167,7 @@ def test_every_kernel_and_variant_was_launched(run):
     assert len(declared) > 10
     assert declared == set(run[0]["kernels"])
     wanted = {"", "WIDE", "CODE=ulong", "LISTED", "VOXELS", "SAMPLE=uchar", "SAMPLE=uint"}
-    wanted |= {"MORTON_TABLE", "PLANE_TILE=4"}
+    wanted |= {"MORTON_TABLE", "PLANE_TILE=4", "BASE_OVERLAP", "DESCENT", "ANCESTORS"}
     wanted |= {"SIGNED", "RANKED", "FLAT", "WINDING", "CLOSED", "JUMPS"}
     wanted |= {"SEARCH=LINEAR", "SEARCH=BINARY", "SEARCH=COHERENT", "LANES=1", "LANES=16", "W"}
     wanted |= {"GRADIENT", "BOUNDS", "CELL", "HARDWARE", "BOOK"}
@@ -435,7 +436,9 @@ def extract_surfaces(device) -> None:
         {"style": "surface-nets"},
         {"style": "surface-nets", "level": 0},
     )
-    source = Mesh(*meshes.box((1.25, 1.5, 1.75), (5.5, 6.25, 7.25)))  # not where all voxels are
+    source = mesh_from_arrays(
+        *meshes.box((1.25, 1.5, 1.75), (5.5, 6.25, 7.25))
+    )  # not where all voxels are
     few = octree_from_dense(dense[5:10])  # each face is compared with all that are near
     jobs = [plan_extract(octree, device=device, **request) for request in requests]
     jobs.append(plan_extract(few, device=device, style="sharp", source=source))
@@ -445,7 +448,8 @@ def extract_surfaces(device) -> None:
         found = check_surface(mesh, weld=False)
         assert len(surface.faces) > 0, request
         assert closed_chain(mesh) if surface.merged else found.watertight and found.manifold, found
-    assert jobs[0].with_(naive=True).run().digest() == jobs[0].run().digest()
+    for forced in ({"naive": True}, {"compaction": "pyramid-4"}, {"compaction": "pyramid-5"}):
+        assert jobs[0].with_(**forced).run().digest() == jobs[0].run().digest()
     dense = np.ones((24, 16, 16), bool)  # with full cells below the low sides of a window's cube
     dense[20, 3, 4] = False
     octree = octree_from_dense(dense)
@@ -458,7 +462,7 @@ def extract_surfaces(device) -> None:
 
 def extract_sharp_field(device) -> None:
     """The surface of a coarse field of a box that keeps its edges."""
-    mesh = Mesh(*meshes.box((0.1, 0.2, 0.3), (0.9, 0.7, 0.8)))
+    mesh = mesh_from_arrays(*meshes.box((0.1, 0.2, 0.3), (0.9, 0.7, 0.8)))
     field = build.build_adf(mesh, device, tolerance=2e-2, max_level=3, measure=False)
     surface = extract_field_surface(field, source=mesh, device=device)
     assert surface.check()["closed"]

@@ -414,6 +414,9 @@ def test_errors_of_a_surface(device, monkeypatch: pytest.MonkeyPatch) -> None:
     assert large["errors"].keys() == {"volume", "area"}
     assert "triangles would take" in large["absent"]["rms"] == large["absent"]["hausdorff"]
     monkeypatch.undo()
+    timed = Reference(ball, 0, 0, device).errors_of(larger)
+    assert timed["errors"] == {name: errors[name] for name in ("volume", "area")}
+    assert "--samples 0" in timed["absent"]["rms"] == timed["absent"]["hausdorff"]
     without = Reference(ball, 0, 2000, device, {"volume": "why"}).errors_of(ball)
     assert without["errors"].keys() == {"rms", "hausdorff", "area"}
     assert without["absent"] == {"volume": "why"}
@@ -492,9 +495,10 @@ def test_forced_decisions_change_nothing() -> None:
     assert [one.what for one in found] == [*ablation.VOXELIZE, *ablation.METHODS]
     assert all(one.same and (one.model, one.work) == ("ball.obj", "solid") for one in found)
     assert all(len(one.runs) == len(one.forced) == 1 for one in found)
-    extraction = plan_extract(job.run(), device=device)
-    (all_cubes,) = ablation.of_extract(extraction, bench, "marching-cubes")
-    assert all_cubes.same
+    extraction = plan_extract(job.run(), level="voxel", device=device)
+    found = list(ablation.of_extract(extraction, bench, "marching-cubes"))
+    assert [one.what for one in found] == [*ablation.EXTRACT, *ablation.PYRAMIDS]
+    assert all(one.same for one in found)
     extraction.max_memory = extraction.with_(naive=True).cost.device - 1
     assert list(ablation.of_extract(extraction, bench, "marching-cubes")) == []
     request = {"tolerance": 1e-2, "max_level": 3, "measure": False, "device": device}

@@ -13,7 +13,7 @@ from helpers_tets import write_vtu
 
 from voxtool.adf.build import plan_adf
 from voxtool.adf.cells import cell_of, key_of
-from voxtool.bench import text_fields
+from voxtool.bench import text_fields, text_methods
 from voxtool.bench.request import KINDS, Request
 from voxtool.bench.text_rows import MISPRINT, Row
 from voxtool.bench.text_voxels import LEVEL_0, nearest
@@ -21,7 +21,9 @@ from voxtool.bench.timing import Bench
 from voxtool.bench.voccel_tables import DIMS, HARDWARE, MISPRINTS, STAGES, SURFACES, TOTALS
 from voxtool.choices import SEARCHES
 from voxtool.mesh.mesh import Mesh
+from voxtool.opencl import open_device
 from voxtool.selftest.shapes import octahedron
+from voxtool.svo.surface.plan import COMPACTIONS
 
 
 def test_figures_agree_with_each_other_but_for_the_misprints() -> None:
@@ -42,8 +44,17 @@ def test_each_figure_stands_beside_that_of_the_text(here: Path) -> None:
     write_obj(Path("octahedron.obj"), *octahedron(np.zeros(3), 1))
     rows = told("bench texts octahedron.obj --quick --json")["rows"]
     rows = [row for row in rows if row["reference"] == "[voCCeL]"]
-    assert {row["table"][-3:] for row in rows} == {"7.1", "7.2", "7.3"}
-    assert all(row["voxtool"] >= 0 and row["hardware"] == HARDWARE for row in rows)
+    tables = {row["table"].removeprefix("[voCCeL] ") for row in rows}
+    assert tables == {
+        *(f"table 7.{i}" for i in (1, 2, 3)),
+        "figure 7.1",
+        "figure 7.2",
+        "section 4.1",
+        "section 7.1",
+        "algorithm 2",
+    }
+    assert all(row["voxtool"] >= 0 or row["unit"] == "%" for row in rows)
+    assert all(row["hardware"] == HARDWARE for row in rows)
     assert nearest("a/Dragon.obj", 5) == "dragon"
     found = {(row["what"], row["setting"]): row for row in rows}
     for dim in DIMS[:2]:
@@ -52,6 +63,34 @@ def test_each_figure_stands_beside_that_of_the_text(here: Path) -> None:
                  "propagation along x", "size"]  # fmt: skip
         assert tuple(found[what, f"dim {dim}"]["text"] for what in whats) == text
         assert all(found[what, f"dim {dim}"]["voxtool"] > 0 for what in whats)
+
+
+def test_each_method_stands_beside_what_the_plan_takes(device, here: Path) -> None:
+    vertices, faces = octahedron(np.zeros(3), 1)
+    write_obj(Path("octahedron.obj"), vertices, faces)
+    request = Request(repeat=1, seconds=0.0)
+    profiled = open_device(str(device.info.index), profile=True)
+    bench = Bench(request, device, profiled, "texts", "octahedron.obj")
+    rows = list(text_methods.rows_of(bench, True))
+    for dim in DIMS[:2]:
+        for mode, methods in text_methods.METHODS.items():
+            for method in methods:
+                found = {row.what: row for row in rows if row.setting == f"dim {dim}, {mode}"}
+                planned = found[f"{method.what}: {method.planned}"]
+                assert planned.voxtool > 0
+                assert "octree" not in planned.ours
+                for way in method.ways:
+                    forced = found[f"{method.what}: {way}"]
+                    assert forced.voxtool > 0
+                    assert forced.ours.endswith(": the same octree")
+        ways = [row for row in rows if row.setting == f"dim {dim}, marching cubes"]
+        assert [row.what for row in ways] == [f"marching cubes: {name}" for name in COMPACTIONS]
+        assert all(row.voxtool > 0 for row in ways)
+        assert all(row.ours.endswith(": the same surface") for row in ways[1:])
+        *times, saved = (row for row in rows if row.setting == f"dim {dim}")
+        sparse, naive = (row.voxtool for row in times)
+        assert saved.voxtool == pytest.approx(100 * (1 - sparse / naive))
+        assert saved.ours.endswith(": the same surface")
 
 
 def test_fields_have_the_figures_of_the_text_and_their_own(here: Path) -> None:

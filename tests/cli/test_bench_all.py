@@ -186,6 +186,17 @@ def test_table(ball: str) -> None:
     assert "voxelize, ball.obj: solid, dim 32: without 128-bit predicates: " in said
 
 
+def test_what_takes_long_is_left_out_on_request(ball: str) -> None:
+    words = "bench voxelize ball.obj --dims 16 --modes solid --quick --json -q"
+    whole = json.loads(run(f"{words} --device {ball}").stdout)
+    less = json.loads(run(f"{words} --samples 0 --no-ablate --device {ball}").stdout)
+    assert whole["savings"]
+    assert not less["savings"]
+    (point,) = [one for one in less["points"] if one["method"] == "solid, auto (parity)"]
+    assert point["errors"].keys() == {"volume"}
+    assert "--samples 0" in point["absent"]["rms"]
+
+
 def test_rules_of_solids(ball: str) -> None:
     words = "bench voxelize ball.obj --dims 16 --modes solid,surface6 --fills parity,auto,flood"
     result = run(f"{words} --repeat 1 --json --budget-error 1 --device {ball}")

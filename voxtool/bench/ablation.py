@@ -16,6 +16,7 @@ import numpy as np
 from voxtool.adf.query import FieldQuery
 from voxtool.bench import timing
 from voxtool.bench.points import Ablation
+from voxtool.svo.surface.plan import COMPACTIONS
 from voxtool.tets.scene import TRANSPARENT
 
 if TYPE_CHECKING:
@@ -38,13 +39,19 @@ VOXELIZE = {  # names in `left_out`, and the decisions that undo them
     "state of rows on entry": {"entry": True},
     "directions of crossings": {"fill": "winding"},
 }
-LEVELS = "propagation by levels"
+LEVELS, JUMPS = "propagation by levels", "jumps to the common ancestor"
 METHODS = {  # other methods of voxelization: the decision, and what the plan takes instead
     LEVELS: (
         {"propagation": "levels"}, "rows of solids walk the octree, which needs no neighbours"
     ),
     "tiles of 4 x 4 columns": (
         {"plane_tiles": True}, "the columns of a row that a triangle meets are contiguous"
+    ),
+    JUMPS: (
+        {"addressing": "jumps"}, "the rank of a voxel's node among the active nodes gives its brick"
+    ),
+    "tests of every box": (
+        {"overlap": "base"}, "boxes of a column beyond the triangle's plane are passed over"
     ),
     "Morton codes by table": (
         {"morton": "table"}, "bits are spread by shifts, without a table in memory"
@@ -56,6 +63,8 @@ FIELD = {
     "winding numbers": {"sign": "winding"},
 }
 EXTRACT = {"cubes away from nodes": {"naive": True}}
+PYRAMIDS = {f"histogram pyramid, {arity}:1": name for name, arity in COMPACTIONS.items() if arity}
+SCANNED = "a work-item writes all outputs of a tile, from the scan of their numbers"
 WIDE = "64-bit identifiers"
 W = "w of the hash's offsets"
 
@@ -105,19 +114,28 @@ def of_voxelize(job: Job[Octree], bench: Bench, work: str) -> Iterator[Ablation]
     others = {what: job.with_(**decision) for what, (decision, _) in METHODS.items()}
     if not job.plan.by_rows:
         del others[LEVELS]
+    if job.plan.fill == "flood":
+        del others[JUMPS]
     reasons = {what: why for what, (_, why) in METHODS.items()}
     forced = {what: other.run for what, other in others.items()}
     yield from compare(bench, work, reasons, job.run, forced, same)
 
 
 def of_extract(job: ExtractJob, bench: Bench, work: str) -> Iterator[Ablation]:
-    """Ablations of an extraction: its cubes away from nodes, where all of them fit in memory."""
+    """Ablations of an extraction by marching cubes: its cubes away from nodes, and histogram
+    pyramids in place of the scan, each where it fits in memory."""
 
     def same(planned: Isosurface, forced: Isosurface) -> bool:
         return forced.digest() == planned.digest()
 
-    if job.with_(naive=True).plan.fits(job.limit, bench.timed.info.max_allocation):
+    def fits(other: ExtractJob) -> bool:
+        return other.plan.fits(job.limit, bench.timed.info.max_allocation)
+
+    if fits(job.with_(naive=True)):
         yield from of_job(job, EXTRACT, same, bench, work)
+    others = {what: job.with_(compaction=name) for what, name in PYRAMIDS.items()}
+    forced = {what: other.run for what, other in others.items() if fits(other)}
+    yield from compare(bench, work, dict.fromkeys(PYRAMIDS, SCANNED), job.run, forced, same)
 
 
 def of_field(job: Job[DistanceField], bench: Bench, work: str) -> Iterator[Ablation]:

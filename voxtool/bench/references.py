@@ -48,6 +48,7 @@ class Reference:
     Attributes
     ----------
     words : names it; diagonal : of its bounding box, world units.
+    samples : points on each surface whose distances are measured; 0 leaves distances out.
     absent : reasons by the measures that make no sense.
     """
 
@@ -69,15 +70,17 @@ class Reference:
         if not len(surface.faces):
             return {"errors": {}, "absent": dict.fromkeys(MEASURES["extract"], "it is empty")}
         errors: dict[str, float] = {}
-        absent, needed = self.absent, TRIANGLE_BYTES * len(surface.faces)
-        if needed <= available_memory():
+        why, needed = "", TRIANGLE_BYTES * len(surface.faces)
+        if not self.samples:
+            why = "distances are left out with --samples 0"
+        elif needed > available_memory():
+            why = f"the tree of {len(surface.faces):,} triangles would take {human(needed)}"
+        absent = self.absent | ({"rms": why, "hausdorff": why} if why else {})
+        if not why:
             found = deviation(surface, self.mesh, self.samples, device=self.device)
             ways = found["surface_to_reference"], found["reference_to_surface"]
             errors["rms"] = max(way["rms"] for way in ways) / self.diagonal
             errors["hausdorff"] = found["hausdorff"] / self.diagonal
-        else:
-            why = f"the tree of {len(surface.faces):,} triangles would take {human(needed)}"
-            absent = {**absent, "rms": why, "hausdorff": why}
         enclosed = abs(volume(surface))
         errors["volume"] = abs(enclosed / self.volume - 1) if self.volume else math.inf
         errors["area"] = abs(area(surface) / self.area - 1)

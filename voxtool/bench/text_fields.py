@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from voxtool.adf.field import DistanceField
     from voxtool.bench.timing import Bench
     from voxtool.mesh.mesh import Mesh
-    from voxtool.opencl import Device
 
 LEVELS = range(6, 13)
 TOLERANCE = 1e-3
@@ -118,18 +117,14 @@ def _sizes(row: partial[Row], field: DistanceField) -> Iterator[Row]:
 def _searches(
     row: partial[Row], mesh: Mesh, field: DistanceField, level: int, bench: Bench
 ) -> Iterator[Row]:
-    """Rows of each search, at random points and at points along rays."""
+    """Rows of each search, in turns, at random points and at points along rays."""
     bench = replace(bench, request=replace(bench.request, repeat=RUNS))
-    asks = {device: FieldQuery(field, device) for device in (bench.timed, bench.profiled)}
+    ask, searches = FieldQuery(field, bench.profiled), bench.request.searches
     for kind, places in points_of(mesh, bench.request).items():
         spent: dict[str, float] = {}
-        for search in bench.request.searches:
-
-            def run(device: Device, search: str = search, places: np.ndarray = places) -> object:
-                return asks[device](places, search=search)
-
-            seconds = bench.measured(run)["stages"]["query"]
-            spent[search] = 1e9 * seconds / len(places)
+        profiles = bench.profile(*(partial(ask, places, search=search) for search in searches))
+        for search, (stages, _) in zip(searches, profiles, strict=True):
+            spent[search] = 1e9 * stages["query"] / len(places)
             yield row(SEARCH, what=f"{search} search, {kind}", unit="ns a point", text=None,
                       statement=SAID.get((kind, search), "no figure"), voxtool=spent[search],
                       ours=f"stage query, {len(places):,} points")  # fmt: skip

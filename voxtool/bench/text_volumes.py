@@ -16,19 +16,19 @@ from voxtool.bench.tets import reference_picture, transfer_of
 from voxtool.bench.text_rows import MISPRINT, Row
 from voxtool.camera import Camera
 from voxtool.files import read_unstructured
-from voxtool.rendering import render
+from voxtool.rendering import plan_render, render
 from voxtool.tets.conforming import tetrahedra
-from voxtool.tets.integrate import Integral
+from voxtool.tets.integrate import BUCKETS, Integral
 from voxtool.tets.mesh import UnstructuredMesh, volume_cells
 from voxtool.tets.scene import VolumeScene
 from voxtool.tets.textures import build_tet
+from voxtool.tets.transfer import TransferFunction
 from voxtool.tets.view import DeviceVolume
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from voxtool.bench.timing import Bench
-    from voxtool.tets.transfer import TransferFunction
     from voxtool.tets.volume import TetVolume
 
 TRANSFER = "x10"
@@ -40,6 +40,7 @@ TABLES = {  # by layout: its table, the bytes a tetrahedron, what they are, and 
     "raycast": ("[TetVol] table 5", 96, "24 floats",
                 {"[Weiler 2003]": 144, "strips of tetrahedra": 76}),
 }  # fmt: skip
+POINTS = 5, 64, 250  # control points
 INTEGRATORS = {"linear": "exact segments", "preintegrated": "pre-integration"}
 
 
@@ -65,6 +66,7 @@ def rows_of(bench: Bench, quick: bool) -> Iterator[Row]:
     yield from _hexahedra(bench)
     transfer = transfer_of(TRANSFER, cells)
     yield from _changes(volume, transfer, model, bench)
+    yield from _control_points(volume, transfer, model, bench)
     box = cells.vertices.min(axis=0), cells.vertices.max(axis=0)
     exact = reference_picture(cells, transfer, Camera.fit(*box, asked.view, fov=None), asked)
     for integrator, about in INTEGRATORS.items():
@@ -106,19 +108,35 @@ def _hexahedra(bench: Bench) -> Iterator[Row]:
         )  # fmt: skip
 
 
+def _control_points(
+    volume: TetVolume, transfer: TransferFunction, model: str, bench: Bench
+) -> Iterator[Row]:
+    """Rows of the search for the control points that a segment crosses: all are compared, or a
+    table of scalars says where to begin."""
+    low, high = transfer.scalars[[0, -1]]
+    for number in POINTS:
+        scalars = np.linspace(low, high, number)
+        dense = TransferFunction(scalars, *transfer.evaluate(scalars))
+        size = bench.request.sizes[0]
+        job = plan_render(volume, bench.request.view, size=(size, size), transfer=dense,
+                          device=bench.timed)  # fmt: skip
+        ways = {"all are compared": job.with_(buckets=0), "a table": job.with_(buckets=BUCKETS)}
+        first, second = (way.run() for way in ways.values())
+        same = "the same picture" if np.array_equal(first, second) else "another picture"
+        spent = timing.by_turns(bench.request, *(way.run for way in ways.values()))
+        for (what, _), times in zip(ways.items(), spent, strict=True):
+            held = 4 * BUCKETS if what == "a table" else 0
+            yield Row("[TetVol] figure 28", model, f"isosurfaces of control points: {what}",
+                      f"{number} points, {size} x {size}", "ms", None,
+                      "a texture of the next two for each pair of scalars; no size, no time",
+                      1000 * statistics.median(times), f"{held} bytes more: {same}")  # fmt: skip
+
+
 def _changes(
     volume: TetVolume, transfer: TransferFunction, model: str, bench: Bench
 ) -> Iterator[Row]:
-    """Rows of a change of the transfer function, and of what stands for the isosurface table."""
-    local, on_device = transfer.local(volume), DeviceVolume.of(volume, bench.timed)
-    size = local.points.nbytes + local.rows.nbytes
-    yield Row(
-        "[TetVol] figure 28", model, "isosurfaces of control points",
-        f"{len(transfer.scalars)} points", "bytes", None,
-        "a texture of the next two isosurfaces for each pair of scalars; no size", size,
-        "no texture: control points and intervals, in which a ray's scalar is searched",
-    )  # fmt: skip
-
+    """Rows of a change of the transfer function."""
+    on_device = DeviceVolume.of(volume, bench.timed)
     low, width = transfer.scalars[0], float(np.ptp(transfer.scalars))
     moves = count(1)
 

@@ -11,7 +11,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from voxtool.bench.text_rows import MISPRINT, NO_COUNTERPART, Row
-from voxtool.bench.voccel_tables import DIMS, MISPRINTS, STAGES, SURFACES, TOTALS, TRIANGLES
+from voxtool.bench.voccel_tables import (
+    DIMS,
+    MISPRINTS,
+    QUICK_DIMS,
+    STAGES,
+    SURFACES,
+    TOTALS,
+    TRIANGLES,
+)
 from voxtool.bench.voxels import visited_cubes
 from voxtool.choices import MARCHING_CUBES
 from voxtool.files.mesh import load_mesh
@@ -27,7 +35,6 @@ if TYPE_CHECKING:
     from voxtool.opencl import Device
     from voxtool.svo.octree import Octree
 
-QUICK_DIMS = 2
 WHOLE = "a call, Python included"
 # The columns of STAGES that are times: our stages, and what these do.
 SHARED = {

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
-from voxtool.bench import text_fields, text_volumes, text_voxels
+from voxtool.bench import text_fields, text_methods, text_volumes, text_voxels
 from voxtool.bench.request import Request, is_volume
 from voxtool.bench.text_rows import Row
 from voxtool.bench.timing import Bench
@@ -32,6 +32,9 @@ def rows_of(
         bench = Bench(request, timed, profiled, "texts", model)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", MeshWarning)  # every run would repeat it
-            for text in (text_volumes,) if is_volume(model) else (text_voxels, text_fields):
+            texts = (
+                (text_volumes,) if is_volume(model) else (text_voxels, text_methods, text_fields)
+            )
+            for text in texts:
                 found += text.rows_of(bench, quick)
     return found

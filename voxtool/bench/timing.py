@@ -117,18 +117,28 @@ class Bench:
         The stages are medians; "host" is the time that Python adds to them in the same runs.
         """
         work(self.timed)  # compile the kernels
-        runs, whole = [], []
+        ((stages, host),) = self.profile(partial(work, self.profiled))
+        runs = by_turns(self.request, partial(work, self.timed))[0]
+        return {"runs": runs, "stages": stages, "figures": {"host": host}}
+
+    def profile(self, *works: Callable[[], object]) -> list[tuple[dict[str, float], float]]:
+        """The seconds of the stages of each work on the profiled device, and those that Python
+        adds; medians of runs in turns."""
+        runs: list[list[dict[str, float]]] = [[] for _ in works]
+        whole: list[list[float]] = [[] for _ in works]
         for _ in range(self.request.repeat + 1):  # the first is a warm-up
-            self.profiled.stage_times()
-            whole += times(partial(work, self.profiled), 1)
-            runs.append(self.profiled.stage_times())
-        stages = {name: statistics.median(run.get(name, 0.0) for run in runs[1:])
-                  for name in runs[-1]}  # fmt: skip
-        return {
-            "runs": by_turns(self.request, partial(work, self.timed))[0],
-            "stages": stages,
-            "figures": {"host": statistics.median(whole[1:]) - sum(stages.values())},
-        }
+            for work, stages, seconds in zip(works, runs, whole, strict=True):
+                self.profiled.stage_times()
+                seconds += times(work, 1)
+                stages.append(self.profiled.stage_times())
+        medians = [
+            {name: statistics.median(run.get(name, 0.0) for run in every[1:]) for name in every[-1]}
+            for every in runs
+        ]
+        return [
+            (stages, statistics.median(seconds[1:]) - sum(stages.values()))
+            for stages, seconds in zip(medians, whole, strict=True)
+        ]
 
 
 class Peers:

@@ -7,6 +7,7 @@ cubes visited and their percentage.
 
 HARDWARE = "NVIDIA GeForce GT 635M, Intel Core i3-3120M"
 DIMS = (64, 128, 256, 512, 1024, 2048)
+QUICK_DIMS = 2
 TRIANGLES = {"bunny": 69_630, "dragon": 100_000, "armadillo": 212_574, "tyrannosaurus": 200_000}
 MISPRINTS = {("dragon", 1024, "size"), ("dragon", 2048, "size"), ("armadillo", 2048, "size"),
              ("armadillo", 1024, "solid")}  # fmt: skip

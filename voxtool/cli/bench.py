@@ -57,7 +57,8 @@ OPTIONS: dict[str, tuple[Any, ...]] = {
     "modes": (MODES, "Modes, as of `voxtool voxelize`."),
     "fills": (FILLS, "Fill rules of solids, as of `voxtool voxelize`; surfaces take the first."),
     "fit": (FITS, "stretch: eq. (5.1) of [voCCeL], as its tables."),
-    "samples": (COUNT, "Points on each surface at which errors are measured."),
+    "samples": (click.IntRange(0, 100_000_000), "Points on each surface at which errors are "
+                "measured; with 0, no distances, which take minutes on millions of triangles."),
     "styles": (options.Alias(STYLES, STYLE_ALIASES),
                "Styles, as of `voxtool extract`, at their own levels."),
     "isovalue": (float, "Between 0 and 1."),
@@ -293,7 +294,7 @@ def bench_command(bench: str) -> click.Command:
 
     def call(
         models: tuple[str, ...], quick: bool, repeat: int | None, peers: bool,
-        device_name: str | None, quiet: bool, **given: Any,
+        device_name: str | None, quiet: bool, no_ablate: bool, **given: Any,
     ) -> None:  # fmt: skip
         values = {name: given.pop(name) for name in names}
         chosen = {
@@ -302,6 +303,7 @@ def bench_command(bench: str) -> click.Command:
             if value is not None
         }
         request = replace(QUICK if quick else FULL, **chosen, peers=peers, device=device_name)
+        request = replace(request, ablations=not no_ablate)
         if repeat:
             request = replace(request, repeat=repeat, seconds=0.0)
         measure(models, request, selection, **given)
@@ -316,6 +318,7 @@ def bench_command(bench: str) -> click.Command:
         flag("--peers", "Other tools on the same work, those that are installed: VTK, Open3D, "
              "libigl, scikit-image, trimesh, MeshLab."),
         *map(request_option, names),
+        flag("--no-ablate", "Do not force decisions of plans, for what each of them saves."),
         report_options,
         options.device_option,
         options.quiet_option,
