@@ -326,7 +326,7 @@ COMPOUND = np.zeros((), [("a", "<i8"), ("b", "<i8")])
     [
         ("svo", "format", text("voxtool-adf"), "holds 'voxtool-adf', not an octree"),
         ("svo", "format", None, "an HDF5 file, but no octree: attribute format=voxtool-svo is mis"),
-        ("svo", "format_version", text("3.0"), "written in format 3.0, newer .*: update voxtool"),
+        ("svo", "format_version", text("4.0"), "written in format 4.0, newer .*: update voxtool"),
         ("svo", "format_version", text("0.9"), "written in format 0.9, older"),
         ("svo", "format_version", text("1"), "no version"),
         ("svo", "format_version", 1.0, "attribute format_version is not text"),

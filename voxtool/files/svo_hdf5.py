@@ -7,10 +7,15 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import fields
+from types import SimpleNamespace
 from typing import Any, BinaryIO
+
+import numpy as np
 
 from voxtool.arrays import Slices
 from voxtool.choices import OCTREE_MODES
+from voxtool.errors import FileError
 from voxtool.files import hdf5
 from voxtool.files.schema import (
     PLAN,
@@ -26,6 +31,8 @@ from voxtool.files.schema import (
 )
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
+from voxtool.svo.attributes import KINDS
+from voxtool.svo.attributes import Attribute as VoxelAttribute
 from voxtool.svo.content import StoredOctree
 from voxtool.svo.layout import NODE
 from voxtool.svo.merged import MergedOctree, unpack_links
@@ -82,6 +89,11 @@ def _build_merged(values: dict[str, Any], arrays: dict[str, Any]) -> MergedOctre
     return MergedOctree(**arrays, **_content_of(values))
 
 
+PLAIN = (
+    Dataset("offsets", "<u4", (lambda sizes: sizes["depth"] + 1,)),
+    Dataset("nodes", "<u4", ("N", 2), rows=NODE),
+    Dataset("bricks", "<u8", ("M",)),
+)
 MERGED = Schema(
     format="voxtool-svo",
     version="2.0",
@@ -104,6 +116,108 @@ MERGED = Schema(
 )
 
 
+# --- version 3: attributes of voxels
+
+
+def _head_of(stored: Mapping[str, Any]) -> dict[str, Any]:
+    """What a file says of each attribute, checked; FileError if it is not sound."""
+    heads = ATTRIBUTES.decode(stored["attributes"])
+    for name, head in heads.items():
+        if name not in KINDS or not isinstance(head, dict) or set(head) != HEAD:
+            raise FileError(
+                f"attribute attributes: {name[:40]!r} is not described as one of octrees"
+            )
+        expect(f"attributes: {name} dtype", head["dtype"], KINDS[name].dtypes)
+        expect(f"attributes: {name} masked", head["masked"], (True, False))
+        numbers = head["default"] if KINDS[name].channels else [head["default"]]
+        right = isinstance(numbers, list) and len(numbers) == max(KINDS[name].channels, 1)
+        if not right or not all(type(x) in (int, float) and 0 <= x < 256 for x in numbers):
+            raise FileError(f"attribute attributes: {name} has no such default")
+    return heads
+
+
+def _datasets_of(name: str, channels: int) -> tuple[Dataset, ...]:
+    """The datasets of an attribute."""
+
+    def dtype(sizes: Mapping[str, Any]) -> str:
+        return "<" + _head_of(sizes)[name]["dtype"]
+
+    def needed(sizes: Mapping[str, Any], there: bool) -> bool:
+        return name in _head_of(sizes)
+
+    def masked(sizes: Mapping[str, Any], there: bool) -> bool:
+        return needed(sizes, there) and _head_of(sizes)[name]["masked"]
+
+    row = (channels,) if channels else ()
+    names = (Dataset("label_names", "u1", ("T",), needed=needed),) if name == "label" else ()
+    return (
+        Dataset(f"{name}_masks", "<u8", ("M",), needed=masked),
+        Dataset(f"{name}_values", dtype, (f"V{name}", *row), needed=needed),
+        Dataset(f"{name}_leaves", dtype, (f"L{name}", *row), needed=needed),
+        *names,
+    )
+
+
+def _build_attributed(values: dict[str, Any], arrays: dict[str, Any]) -> Octree:
+    heads = values.pop("attributes")
+    found = []
+    for name, head in heads.items():
+        masks, stored, leaves = (
+            arrays.pop(f"{name}_{a}", None) for a in ("masks", "values", "leaves")
+        )
+        default = tuple(head["default"]) if KINDS[name].channels else head["default"]
+        names = _names(arrays.pop("label_names")) if name == "label" else ()
+        found.append(VoxelAttribute(name, stored, leaves, masks, default, names))  # pyright: ignore[reportArgumentType]
+    return Octree(**arrays, **_content_of(values), attributes=tuple(found))
+
+
+def _names(stored: np.ndarray) -> tuple[str, ...]:
+    """Names of labels, each followed by a zero byte."""
+    try:
+        *names, rest = stored.tobytes().decode().split("\0")
+    except UnicodeDecodeError:
+        raise FileError("dataset label_names is not UTF-8 text") from None
+    if rest or not all(map(str.isprintable, names)):
+        raise FileError("dataset label_names: a name is not ended, or cannot be printed")
+    return tuple(names)
+
+
+def _flat(octree: Octree) -> SimpleNamespace:
+    """An octree with its attributes under the names of their datasets."""
+    flat = SimpleNamespace(**{item.name: getattr(octree, item.name) for item in fields(octree)})
+    flat.depth, flat.attributes = octree.depth, {one.name: one.head for one in octree.attributes}
+    for name in KINDS:
+        one = next((one for one in octree.attributes if one.name == name), None)
+        for part in ("masks", "values", "leaves"):
+            setattr(flat, f"{name}_{part}", getattr(one, part, None))
+        if name == "label":
+            text = "".join(f"{label}\0" for label in one.names).encode() if one else None
+            flat.label_names = None if text is None else np.frombuffer(text, np.uint8)
+    return flat
+
+
+HEAD = {"dtype", "masked", "default"}
+ATTRIBUTES = Attribute(
+    "attributes",
+    dict,
+    "by name, the dtype, whether masks say which voxels have values, and the default of the others",
+    4096,
+)
+ATTRIBUTED = Schema(
+    format=MERGED.format,
+    version="3.0",
+    what=MERGED.what,
+    hint=MERGED.hint,
+    own=(*OWN, ATTRIBUTES, transform_since("3.1")),
+    datasets=(
+        *PLAIN,
+        *(one for name, kind in KINDS.items() for one in _datasets_of(name, kind.channels)),
+    ),
+    build=_build_attributed,
+    agree=lambda stored: (grid_of(stored), _head_of(stored)),
+)
+
+
 # --- version 1: all nodes
 
 
@@ -118,18 +232,19 @@ SCHEMA = Schema(
     what=MERGED.what,
     hint=MERGED.hint,
     own=(*OWN, TRANSFORMED),
-    datasets=(
-        Dataset("offsets", "<u4", (lambda sizes: sizes["depth"] + 1,)),
-        Dataset("nodes", "<u4", ("N", 2), rows=NODE),
-        Dataset("bricks", "<u8", ("M",)),
-    ),
+    datasets=PLAIN,
     build=_build,
     sliced=True,
     agree=grid_of,
-    newer=(MERGED,),
+    newer=(MERGED, ATTRIBUTED),
 )
 
 
 def write(octree: Octree | MergedOctree, file: BinaryIO) -> None:
-    """Write an octree; a merged one as version 2."""
-    hdf5.write(MERGED if isinstance(octree, MergedOctree) else SCHEMA, octree, file)
+    """Write an octree; a merged one as version 2, one with attributes as version 3."""
+    if isinstance(octree, MergedOctree):
+        hdf5.write(MERGED, octree, file)
+    elif isinstance(octree, Octree) and octree.attributes:
+        hdf5.write(ATTRIBUTED, _flat(octree), file)
+    else:
+        hdf5.write(SCHEMA, octree, file)

@@ -88,6 +88,8 @@ def write_voccel(octree: Octree, file: BinaryIO, doctype: bool = False) -> None:
 def _check_kind(octree: Octree) -> None:
     if not isinstance(octree, Octree):
         raise FileError("XML holds no merged subtrees: write them to .svo.h5")
+    if octree.attributes:
+        raise FileError("XML holds no attributes of voxels: write them to .svo.h5")
 
 
 def _write_document(

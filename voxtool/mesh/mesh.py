@@ -6,7 +6,7 @@ are valid geometry: segments and points. Vertices at bit-equal positions (-0.0 i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from voxtool.arrays import Data, float64, read_only
 from voxtool.errors import MeshError, count_of, one_line
+from voxtool.mesh.appearance import Appearance, Parts, check_described
 
 MAX_COUNT = (1 << 31) - 1  # triangles, and vertices: indices are int32
 
@@ -41,6 +42,10 @@ class Mesh(Data):
         Name of the world unit if the format or the caller defines it, or "".
     transform : tuple of float
         Scale and offset x, y, z of a normalized mesh: vertices = original * scale + offset; ().
+    parts : dict of Parts
+        Which object, material and part each face belongs to, by these names, if they were read.
+    appearance : Appearance, optional
+        Materials, textures and colours of vertices, if they were read.
 
     Raises
     ------
@@ -54,6 +59,8 @@ class Mesh(Data):
     name: str = ""
     units: str = ""
     transform: tuple[float, ...] = ()
+    parts: dict[str, Parts] = field(default_factory=dict)
+    appearance: Appearance | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -64,6 +71,8 @@ class Mesh(Data):
                     f"{self.name or 'mesh'}: {name} of type {array.dtype} and shape {array.shape}, "
                     f"not {np.dtype(dtype)} and (N, 3): mesh_from_arrays takes other arrays"
                 )
+        sizes = len(self.vertices), len(self.faces)
+        check_described(self.name, *sizes, self.parts, self.appearance)
 
     def __repr__(self) -> str:
         name = f"{self.name!r}, " if self.name else ""

@@ -18,6 +18,7 @@ import numpy as np
 from voxtool.arrays import Slices, blocks_of, digest_of_blocks
 from voxtool.grid import Grid
 from voxtool.morton import morton_decode
+from voxtool.svo.attributes import Attribute, check_attributes
 from voxtool.svo.layout import (
     BRICK_BYTES,
     BRICK_SIDE,
@@ -62,6 +63,7 @@ class OctreeContent:
     source_sha256: str
     units: str
     transform: tuple[float, ...]
+    attributes: tuple[Attribute, ...] = ()
 
     @property
     def depth(self) -> int:
@@ -184,15 +186,20 @@ class OctreeContent:
             "bytes_with_x_pointers": self.nbytes + NODE_BYTES * len(self.nodes),
             "compression": size / 8 / self.nbytes,
             "levels": levels[::-1],
+            "attributes": {one.name: one.summary() for one in self.attributes},
             "plan": self.plan,
         }
 
     def digest(self) -> str:
-        """Return the SHA-256 of shape, mode, fill, origin, pitch, offsets, nodes and bricks, in
-        little-endian order. Equal content has an equal digest on every device and platform."""
-        head = {**self.grid.exact, "mode": self.mode, "fill": self.fill}
+        """Return the SHA-256 of shape, mode, fill, origin, pitch, offsets, nodes and bricks, and of
+        attributes if there are any, in little-endian order. Equal content has an equal digest on
+        every device and platform."""
+        head: dict[str, Any] = {**self.grid.exact, "mode": self.mode, "fill": self.fill}
+        if self.attributes:
+            head["attributes"] = {one.name: one.described for one in self.attributes}
         nodes = blocks_of(self.nodes, BLOCK)
-        return digest_of_blocks(head, chain([self.offsets], nodes, self.brick_blocks()))
+        values = chain.from_iterable(one.arrays for one in self.attributes)
+        return digest_of_blocks(head, chain([self.offsets], nodes, self.brick_blocks(), values))
 
     def set_digest(self) -> str:
         """Return the SHA-256 of shape, origin, pitch, and of the offsets, nodes and bricks of the
@@ -217,6 +224,9 @@ class OctreeContent:
             If an invariant does not hold; the message names it, its level and node.
         """
         check_structure(self)
+        if self.attributes:
+            leaves = sum(inside for _, inside, _ in self._counts)
+            check_attributes(self.attributes, self.bricks, leaves)
 
 
 def _tightened(box: np.ndarray, cells: np.ndarray, masks: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ from voxtool.errors import GridError, VoxtoolError, human
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
+from voxtool.svo.attributes import Attribute, Values
 from voxtool.svo.content import OctreeContent, StoredOctree
 from voxtool.svo.layout import (
     BRICK,
@@ -104,10 +105,11 @@ class PointQueries:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Octree(PointQueries, OctreeContent, Data):
-    """A set of voxels of a grid.
+    """A set of voxels of a grid, which may have attributes.
 
     Two octrees are equal if they have one grid and set the same voxels, whatever their mode, fill
-    and refinement: their set digests are equal. Octrees are hashed by identity, so that the device
+    and refinement: their set digests are equal. With attributes they are equal if nodes, bricks and
+    attributes are. Octrees are hashed by identity, so that the device
     can keep data for one of them. `a | b`, `a & b`, `a - b` and `a ^ b` are octrees of the combined
     sets; see `voxtool.combine`.
 
@@ -135,6 +137,8 @@ class Octree(PointQueries, OctreeContent, Data):
     transform : (4,) tuple of float, optional
         Scale and offset x, y, z of the normalized mesh it was made from: world coordinates are
         original * scale + offset.
+    attributes : tuple of Attribute, optional
+        What the set voxels are made of.
 
     Raises
     ------
@@ -154,6 +158,7 @@ class Octree(PointQueries, OctreeContent, Data):
     source_sha256: str = field(default="", compare=False)
     units: str = field(default="", compare=False)
     transform: tuple[float, ...] = field(default=(), compare=False)
+    attributes: tuple[Attribute, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         if self.mode not in OCTREE_MODES:
@@ -264,6 +269,20 @@ class Octree(PointQueries, OctreeContent, Data):
         values = {item.name: getattr(octree, item.name) for item in fields(octree)}
         return cls(**values | {name: values[name][:] for name in ("nodes", "bricks")})
 
+    def attribute(self, name: str) -> Attribute:
+        """Return the attribute of a name; VoxtoolError if the octree has none."""
+        for attribute in self.attributes:
+            if attribute.name == name:
+                return attribute
+        known = ", ".join(attribute.name for attribute in self.attributes) or "none"
+        raise VoxtoolError(
+            f"the octree has no attribute {name!r}, it has {known}: voxelize with it"
+        )
+
+    def values(self, name: str) -> Values:
+        """Return the values of an attribute, brick by brick; VoxtoolError if it has none."""
+        return Values(self.attribute(name), self.bricks)
+
     def __repr__(self) -> str:
         shape = " x ".join(map(str, self.grid.shape))
         rule = "" if self.fill == "none" else f" by {self.fill}"
@@ -347,6 +366,8 @@ class Octree(PointQueries, OctreeContent, Data):
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Octree) or self.grid != other.grid:
             return False
+        if self.attributes or other.attributes:
+            return self._same_arrays(other) and self.attributes == other.attributes
         return self._same_arrays(other) or self.pruned()._same_arrays(other.pruned())
 
     __hash__ = Data.__hash__

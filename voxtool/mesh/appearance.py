@@ -1,0 +1,115 @@
+"""What faces of a mesh belong to and look like: parts, materials, textures, colours of vertices.
+
+Readers fill these on request alone: see `keep` of files.mesh.load_mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from voxtool.arrays import Data
+from voxtool.errors import MeshError
+
+GROUPINGS = ("part", "object", "material")  # of faces, as a file names them
+WRAPS = ("repeat", "mirror", "clamp")  # of textures beyond 0 to 1, as in glTF
+FILTERS = ("linear", "nearest")
+
+
+@dataclass(frozen=True, eq=False)
+class Parts(Data):
+    """Which part each face belongs to.
+
+    Attributes
+    ----------
+    labels : (F,) int32
+        Index of the part's name.
+    names : tuple of str
+        Of the parts, in the order of the file; names may repeat.
+    """
+
+    labels: np.ndarray
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Texture(Data):
+    """An image on a surface.
+
+    Attributes
+    ----------
+    pixels : (H, W, 4) uint8
+        Red, green, blue in sRGB, and opacity; row 0 is the top, v = 0.
+    wrap : (2,) tuple of str
+        One of WRAPS along u and along v.
+    filter : str
+        One of FILTERS.
+    """
+
+    pixels: np.ndarray
+    wrap: tuple[str, str] = ("repeat", "repeat")
+    filter: str = "linear"
+
+
+@dataclass(frozen=True, eq=False)
+class Material(Data):
+    """A material.
+
+    Attributes
+    ----------
+    name : str
+    colour : (4,) tuple of float
+        Red, green, blue and opacity from 0 to 1, in linear light; multiplies the texture.
+    texture : Texture, optional
+    """
+
+    name: str
+    colour: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    texture: Texture | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance(Data):
+    """What the faces of a mesh look like.
+
+    Attributes
+    ----------
+    materials : tuple of Material
+    material : (F,) int32
+        Of each face, an index of a material, or -1.
+    uv : (F, 3, 2) float64, optional
+        Texture coordinates u to the right and v down, from 0 to 1 over the image, of each corner.
+    colours : (V, 4) float64, optional
+        Red, green, blue and opacity of each vertex, in linear light; multiply the material's.
+    """
+
+    materials: tuple[Material, ...]
+    material: np.ndarray
+    uv: np.ndarray | None = None
+    colours: np.ndarray | None = None
+
+
+def check_described(
+    name: str, vertices: int, faces: int, parts: dict[str, Parts], look: Appearance | None
+) -> None:
+    """Raise MeshError if parts or an appearance do not fit a mesh of so many vertices and faces."""
+    where = name or "mesh"
+    for what, grouping in parts.items():
+        labels = grouping.labels
+        if what not in GROUPINGS or labels.dtype != np.int32 or labels.shape != (faces,):
+            raise MeshError(f"{where}: labels of {what!r} are not (F,) int32 of {faces} faces")
+        if faces and not 0 <= labels.min() <= labels.max() < len(grouping.names):
+            raise MeshError(f"{where}: a label of {what!r} has no name")
+    if look is None:
+        return
+    shapes = {
+        "material": (look.material, (faces,)),
+        "uv": (look.uv, (faces, 3, 2)),
+        "colours": (look.colours, (vertices, 4)),
+    }
+    for what, (array, shape) in shapes.items():
+        if array is not None and array.shape != shape:
+            raise MeshError(f"{where}: {what} of shape {array.shape}, not {shape}")
+    if faces and not -1 <= look.material.min() <= look.material.max() < len(look.materials):
+        raise MeshError(f"{where}: a face has a material that there is not")

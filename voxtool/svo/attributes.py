@@ -1,0 +1,220 @@
+"""What voxels are made of: labels, colours, normals and fractions of the set voxels of an octree.
+
+An attribute has a value for each set voxel of the bricks, brick by brick, in the order of the bits,
+and one for each inside leaf above them, in the order of the nodes. With masks, only the voxels of
+these have values; the other set voxels have the attribute's default.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from voxtool.arrays import Data
+from voxtool.errors import FileError, VoxtoolError
+from voxtool.svo.layout import BRICK, BRICK_SIDE
+
+BITS = np.uint64(1) << np.arange(BRICK_SIDE**3, dtype=np.uint64)
+
+
+class Kind(NamedTuple):
+    """What values of an attribute can be."""
+
+    channels: int  # 0 for single numbers
+    dtypes: tuple[str, ...]
+    meaning: str  # for docs/formats.md
+
+
+KINDS = {
+    "label": Kind(0, ("u1", "u2", "u4"), "index of the part's name"),
+    "colour": Kind(4, ("u1",), "red, green, blue in sRGB, and opacity, from 0 to 255"),
+    "normal": Kind(3, ("f4",), "mean unit normal of the surface in the voxel, or 0 0 0"),
+    "fraction": Kind(
+        0, ("u1", "u2", "f4"), "share of the voxel inside; of whole numbers, times the largest one"
+    ),
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Attribute(Data):
+    """An attribute of the set voxels of an octree.
+
+    Attributes
+    ----------
+    name : str
+        One of KINDS.
+    values : (V,) or (V, channels)
+        Of the voxels that have one, brick by brick, in the order of the bits.
+    leaves : (L,) or (L, channels), of the same dtype
+        Of the inside leaves above level 0, in the order of the nodes; L is 0 if all of them have
+        the default.
+    masks : (M,) uint64, optional
+        Which voxels of each brick have a value; None if all set ones have.
+    default : number or tuple of numbers
+        Value of the other set voxels.
+    names : tuple of str
+        Of labels: what each is.
+
+    Raises
+    ------
+    VoxtoolError
+        If the name is unknown, or an array has another type or shape.
+    """
+
+    name: str
+    values: np.ndarray
+    leaves: np.ndarray
+    masks: np.ndarray | None = None
+    default: Any = 0
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        kind = KINDS.get(self.name)
+        if kind is None:
+            raise VoxtoolError(
+                f"attribute {self.name!r} is unknown: choose one of {', '.join(KINDS)}"
+            )
+        row = (kind.channels,) if kind.channels else ()
+        for array in (self.values, self.leaves):
+            if array.dtype != self.values.dtype or array.dtype not in map(np.dtype, kind.dtypes):
+                raise VoxtoolError(
+                    f"attribute {self.name} of type {array.dtype}: give {' or '.join(kind.dtypes)}"
+                )
+            if array.ndim != 1 + len(row) or array.shape[1:] != row:
+                raise VoxtoolError(
+                    f"attribute {self.name} of shape {array.shape}: give "
+                    f"({', '.join(map(str, ('N', *row)))})"
+                )
+
+    def __repr__(self) -> str:
+        of = f" of {len(self.names)} names" if self.names else ""
+        return f"<Attribute {self.name}{of}, {self.values.dtype}, {len(self.values):,} values>"
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of values and masks."""
+        masks = 0 if self.masks is None else self.masks.nbytes
+        return self.values.nbytes + self.leaves.nbytes + masks
+
+    @property
+    def head(self) -> dict[str, Any]:
+        """What a file holds beside the arrays and the names, in JSON types."""
+        return {
+            "dtype": self.values.dtype.str.lstrip("<|"),
+            "masked": self.masks is not None,
+            "default": np.asarray(self.default).tolist(),
+        }
+
+    @property
+    def described(self) -> dict[str, Any]:
+        """What a digest holds beside the arrays, in JSON types."""
+        return {**self.head, "names": list(self.names)}
+
+    @property
+    def arrays(self) -> list[np.ndarray]:
+        """The arrays, in the order of digests and files."""
+        return [*([] if self.masks is None else [self.masks]), self.values, self.leaves]
+
+    def summary(self) -> dict[str, Any]:
+        """Return the type, sizes and names in JSON types."""
+        sizes = {"values": len(self.values), "leaves": len(self.leaves), "bytes": self.nbytes}
+        return {**self.described, **sizes}
+
+    @property
+    def blank(self) -> np.ndarray:
+        """The default as a value, () or (channels,) of the dtype."""
+        return np.broadcast_to(np.asarray(self.default, self.values.dtype), self.values.shape[1:])
+
+    def held(self, bricks: np.ndarray) -> np.ndarray:
+        """Return the masks of the voxels that have values, (M,) uint64, given the bricks."""
+        return bricks if self.masks is None else self.masks
+
+    def starts(self, bricks: np.ndarray) -> np.ndarray:
+        """Return the index of the first value of each brick, and the number of values, (M + 1,)
+        int64, given the bricks."""
+        counts = np.bitwise_count(self.held(bricks))
+        return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
+
+
+class Values:
+    """The values of an attribute of an octree, brick by brick.
+
+    Parameters
+    ----------
+    attribute : Attribute
+        The values.
+    bricks : (M,) uint64
+        The octree's bricks.
+    """
+
+    def __init__(self, attribute: Attribute, bricks: np.ndarray) -> None:
+        self.attribute, self.bricks = attribute, bricks
+
+    @cached_property
+    def _starts(self) -> np.ndarray:
+        return self.attribute.starts(self.bricks)
+
+    def of_bricks(self, places: Any) -> np.ndarray:
+        """Return the values of the voxels of some bricks, (n, 64) or (n, 64, channels) in the order
+        of the bits; the set ones without a value have the default, the others 0.
+
+        Parameters
+        ----------
+        places : slice or (n,) int
+            The bricks' indices.
+        """
+        attribute = self.attribute
+        set_, held = self.bricks[places], attribute.held(self.bricks)[places]
+        bits = (held[:, None] & BITS) != 0
+        places_of = self._starts[:-1][places][:, None] + np.cumsum(bits, axis=1) - 1
+        found = np.zeros((*bits.shape, *attribute.values.shape[1:]), attribute.values.dtype)
+        if attribute.masks is not None:
+            found[(set_[:, None] & BITS) != 0] = attribute.blank
+        found[bits] = attribute.values[places_of[bits]]
+        return found
+
+    def of_leaves(self, n: int) -> np.ndarray:
+        """Return the values of the octree's n inside leaves."""
+        if len(self.attribute.leaves):
+            return self.attribute.leaves
+        return np.broadcast_to(self.attribute.blank, (n, *self.attribute.values.shape[1:]))
+
+
+def check_attributes(
+    attributes: Sequence[Attribute], bricks: np.ndarray, inside_leaves: int
+) -> None:
+    """Raise FileError if attributes do not fit the bricks and the number of inside leaves."""
+    names = [attribute.name for attribute in attributes]
+    if len(set(names)) < len(names):
+        raise FileError(f"octree attributes: {', '.join(names)}: each name once")
+    for one in attributes:
+        where = f"octree attribute {one.name}"
+        if one.masks is not None and (
+            one.masks.dtype != BRICK
+            or one.masks.shape != bricks.shape
+            or (one.masks & ~bricks).any()
+        ):
+            raise FileError(f"{where}: its masks hold voxels that are not set")
+        wanted = int(np.bitwise_count(one.held(bricks)).sum(dtype=np.int64))
+        if len(one.values) != wanted:
+            raise FileError(f"{where}: {len(one.values)} values for {wanted} voxels")
+        if len(one.leaves) not in (0, inside_leaves):
+            raise FileError(f"{where}: {len(one.leaves)} values for {inside_leaves} leaves")
+        for array in (one.values, one.leaves, one.blank):
+            _check_range(where, one, array)
+
+
+def _check_range(where: str, attribute: Attribute, array: np.ndarray) -> None:
+    if not array.size:
+        return
+    if attribute.name == "label" and int(array.max()) >= len(attribute.names):
+        raise FileError(f"{where}: {int(array.max())} where there are {len(attribute.names)} names")
+    if array.dtype.kind == "f":
+        least = 0 if attribute.name == "fraction" else -1
+        if not ((array >= least) & (array <= 1)).all():
+            raise FileError(f"{where}: a number that is not from {least} to 1")
