@@ -29,7 +29,7 @@ from voxtool.files.voxels import Boxes, Stored
 GOLDEN = Path(__file__).parent / "golden" / "exchange.json"
 OWN = {"sphere": "solid", "needles": "surface26"}  # modes
 DIM = 24
-OWN_BYTES = ("npy", "vti", "binvox", "vox", "nvdb", "ply", "xyz")
+OWN_BYTES = ("npy", "vti", "binvox", "vox", "nvdb", "ply", "xyz", "vtu", "msh", "inp")
 
 
 def digest(*parts: bytes | np.ndarray) -> str:

@@ -39,6 +39,7 @@ OWN: dict[str, Callable[[Octree], Octree | MergedOctree]] = {  # voxtool's own
     "merged.svo.h5": MergedOctree.of,
 }
 MOST_BYTES = 256_000_000  # of a file that is measured: a list of points may be very long
+MOST_OF_HEXAHEDRA = 1_200_000_000  # the same for solvers: ten million hexahedra
 TOLERANCE = 1e-2  # of the field, in sides: its files are measured, not its making
 WITHOUT = {"returned": "voxtool does not read it"}
 
@@ -85,9 +86,15 @@ def own_content(octree: Octree, stored: Callable[[Octree], Octree | MergedOctree
 def octree_content(octree: Octree) -> Content:
     """Return an octree, whose values are its voxels."""
     grid = octree.grid
+
+    def write(path: Path) -> int:
+        hexahedra = EXCHANGE[format_of(path, EXPORTS)].hexahedra
+        most = MOST_OF_HEXAHEDRA if hexahedra else MOST_BYTES
+        return plan_export(octree, path, max_bytes=most).run()
+
     return Content(
         "octree",
-        lambda path: plan_export(octree, path, max_bytes=MOST_BYTES).run(),
+        write,
         # .npy and .binvox do not say where the voxels lie
         lambda path: read_voxels(path, origin=grid.origin, pitch=grid.pitch),
         lambda found: sum(count_differences(octree, found)),

@@ -103,7 +103,7 @@ def command(
 
     A field (.adf.h5) becomes signed distances at the centres of a grid, by default one over its
     cube; in a .vdb or .nvdb those near its surface. A volume (.tet.h5) becomes a .vtkhdf of its
-    cells.
+    cells. In a .vtu, .msh or .inp, set voxels are hexahedra for a solver (docs/solvers.md).
     docs/exchange.md has a table of the formats and of what each of them keeps. In the mesh's own
     units, the low corner of a voxel is origin + pitch * voxel.
 
@@ -111,6 +111,7 @@ def command(
     Examples:
       voxtool export bunny.svo.h5 -o bunny.vti
       voxtool export bunny.svo.h5 -o coarse.npy --level 2
+      voxtool export bunny.svo.h5 -o bunny.inp
       voxtool export bunny.svo.h5 -o coarse.vox --level 1 --isovalue 0.25
       voxtool export bunny.adf.h5 -o bunny.nii.gz --shape 128
       voxtool export bunny.adf.h5 -o bunny.vdb --band 3

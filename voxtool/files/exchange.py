@@ -10,7 +10,8 @@ The module of a format has some of these functions:
     read(file, size) -> Stored                see imports.py
 
 The module that writes level sets (Exchange.levels) has `size` and `write` of a LevelSet, the one
-that writes volumes (Exchange.volumes) of VolumeCells.
+that writes volumes (Exchange.volumes) of VolumeCells, that of a format of Exchange.hexahedra of
+Hexahedra.
 A module of several formats has such functions for each of them, whose names end in the format's
 suffix. It imports what its extra brings inside these functions.
 """
@@ -50,13 +51,14 @@ from voxtool.job import Cost, Job
 from voxtool.memory import check_disk
 from voxtool.opencl import Device
 from voxtool.svo.content import OctreeContent
+from voxtool.svo.hexahedra import Hexahedra
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.image_parts import ImageInParts, fitting_image
 from voxtool.svo.labels import Labels
 from voxtool.tets.volume import TetVolume
 
 WRITE = "write file"
-Image: TypeAlias = VoxelImage | LevelSet | FieldSamples | Labels | VolumeCells
+Image: TypeAlias = VoxelImage | LevelSet | FieldSamples | Labels | VolumeCells | Hexahedra
 Content: TypeAlias = OctreeContent | DistanceField | TetVolume | Labels
 
 
@@ -67,6 +69,12 @@ def writer_of(name: str, verb: str, image: Image) -> Callable[..., Any]:
     if isinstance(image, VolumeCells):
         return getattr(import_module(f"voxtool.files.{EXCHANGE[name].volumes}"), verb)
     return function_of(name, verb)
+
+
+def place_of(image: VoxelImage | LevelSet | FieldSamples | Labels) -> dict[str, Any]:
+    """Return the level, the shape and the place of an image, in JSON types."""
+    place = {name: list(getattr(image, name)) for name in ("shape", "origin", "pitch")}
+    return {"level": image.level, **place}
 
 
 @dataclass(frozen=True)
@@ -107,14 +115,15 @@ class ExportPlan:
         image = self.image
         if isinstance(image, VolumeCells):
             return image.facts
-        place = {name: list(getattr(image, name)) for name in ("shape", "origin", "pitch")}
-        return {"level": image.level, **place, "dtype": image.dtype.name}
+        if isinstance(image, Hexahedra):
+            return {**place_of(image.image), **image.facts}
+        return {**place_of(image), "dtype": image.dtype.name}
 
     @property
     def text(self) -> str:
         """The size of the image, for people."""
         image = self.image
-        if isinstance(image, VolumeCells):
+        if isinstance(image, VolumeCells | Hexahedra):
             return image.text
         cells = "samples" if isinstance(image, LevelSet | FieldSamples) else "cells"
         cells += f" of level {image.level}" if image.level else ""
@@ -123,7 +132,9 @@ class ExportPlan:
 
     def rows(self) -> list[tuple[str, str]]:
         image, about = self.image, self.text
-        if not isinstance(image, VolumeCells):
+        if isinstance(image, Hexahedra):
+            about += f"; an edge is {' x '.join(f'{size:.6g}' for size in image.image.pitch)}"
+        elif not isinstance(image, VolumeCells):
             sizes = " x ".join(f"{size:.6g}" for size in image.pitch)
             about += f", {image.dtype.name}; a cell is {sizes}"
         return [
@@ -247,7 +258,7 @@ def plan_export(
         )
         if name == "png" and options.get("value") is not None:
             image = image.layer(options.get("axis", "z"), options["value"])
-        slabs = not (EXCHANGE[name].points or EXCHANGE[name].whole)
+        slabs = not (EXCHANGE[name].points or EXCHANGE[name].whole or EXCHANGE[name].hexahedra)
         image = replace(image, dense=normals or slabs)
         held = EXCHANGE[name].dtypes
         if not (dtype is isovalue is None) and held and image.dtype.name not in held:
@@ -262,6 +273,8 @@ def plan_export(
                 f"a .{name} is written from memory, in which this octree does not fit: choose "
                 f"{instead} (see --max-memory)"
             )
+        if EXCHANGE[name].hexahedra:
+            image = Hexahedra.of(image)
     if EXCHANGE[name].folder and "%" in os.fspath(path):
         options["pattern"] = Path(path).name
     more = {"normals": True} if normals else {}

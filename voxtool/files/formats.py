@@ -54,6 +54,7 @@ class Exchange(NamedTuple):
     normals: bool = False  # whether its points can have normals
     points: bool = False  # whether only the set cells are written, one by one
     whole: bool = False  # whether its writer needs all nodes of an octree at once
+    hexahedra: bool = False  # whether set cells are written as hexahedra, for solvers
 
 
 # What is written, by the extension that names it.
@@ -111,6 +112,17 @@ EXCHANGE = {
         whole=True,
     ),
     "vtkhdf": Exchange("vtkhdf", "grid, levels, coverage", volumes="vtkhdf_volume", whole=True),
+    **{
+        name: Exchange(
+            name,
+            "set cells as hexahedra, materials, surfaces",
+            reads=False,
+            dtypes=("bool",),
+            text=name == "inp",
+            hexahedra=True,
+        )
+        for name in ("vtu", "msh", "inp")
+    },
     "tif": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True),
     "tiff": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True),
     "ome.zarr": Exchange(

@@ -9,7 +9,7 @@ import numpy as np
 
 from voxtool.adf.from_image import field_of_image
 from voxtool.adf.query import query_adf
-from voxtool.files import npz
+from voxtool.files import inp, msh, npz, vtu
 from voxtool.files.voxels import Rule, octree_of
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import mesh_from_arrays
@@ -17,6 +17,7 @@ from voxtool.morton import morton_encode
 from voxtool.selftest import shapes
 from voxtool.selftest.case import case
 from voxtool.spatial.sampling import sample_cube
+from voxtool.svo.hexahedra import SIDES, Hexahedra
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import voxelize
@@ -47,6 +48,31 @@ def round_trips(device: Device, full: bool) -> int:
     ball_voxels = octrees[-1]
     outside = returned(VoxelImage.of(ball_voxels, invert=True))
     wrong += differing(returned(VoxelImage.of(outside, invert=True)), ball_voxels)
+    return int(wrong)
+
+
+@case("hexahedra", "a ball, what is around it, corners: their faces, files", "counts wrong", 0)
+def hexahedra(device: Device, full: bool) -> int:
+    """The hexahedra, by the sums of the places of faces on both sides along each axis; and the
+    bytes that files were to have."""
+    ball = mesh_from_arrays(*shapes.ball(2))
+    octree = voxelize(ball, Grid.fit(ball, 100 if full else 50), device=device)
+    corners = 49 * np.indices((2, 2, 2)).reshape(3, 8).T
+    images = [VoxelImage.of(octree), VoxelImage.of(octree, invert=True)]
+    images.append(VoxelImage.of(Octree.from_voxels(corners, octree.grid)))
+    wrong = 0
+    for image in images:
+        mesh, sums = Hexahedra.of(image), np.zeros(len(SIDES), np.int64)
+        for layer in mesh.layers():
+            y, z = np.divmod(layer.cells.keys.astype(np.int64), layer.width)
+            places = (np.full(len(y), layer.x), y, z)
+            for n, faces in enumerate(layer.faces):
+                sums[n] += np.sum(places[n // 2][faces] + n % 2)
+        wrong += np.count_nonzero(sums[1::2] - sums[::2] != image.count)
+        for module in (vtu, msh, inp):
+            file = io.BytesIO()
+            module.write(mesh, file)
+            wrong += file.getbuffer().nbytes != module.size(mesh)
     return int(wrong)
 
 
@@ -81,4 +107,4 @@ def images(device: Device, full: bool) -> float:
     return float((abs(found.distance - expected) / found.bound).max())
 
 
-CASES = (round_trips, images)
+CASES = (round_trips, hexahedra, images)
