@@ -197,6 +197,19 @@ def test_w_is_coprime_and_parts_the_keys(device: Device) -> None:
     assert search.w.get().tolist() == [0, 10]
 
 
+def test_without_w_offsets_separate_the_keys_alone_or_there_is_no_table() -> None:
+    keys = keys_of(near_sphere(6, 0.4))
+    assert build_hash(keys).has_w
+    table = build_hash(keys, with_w=False)
+    table.validate(keys)
+    assert not table.has_w
+    keys = np.ones((2, 3), np.int64)
+    keys[1, 0] += 10 * 3  # the keys are equal modulo m, 1 and 3
+    assert build_hash(keys, side=10, max_r=3).has_w
+    with pytest.raises(MemoryLimitError, match="no perfect hash of 2 keys"):
+        build_hash(keys, side=10, max_r=3, with_w=False)
+
+
 @pytest.mark.parametrize(("m", "r", "dtype"), [(255, 4, np.uint8), (256, 3, np.uint16)])
 def test_offsets_have_16_bits_where_m_needs_them(m: int, r: int, dtype: type) -> None:
     keys = block(5, 5, 5)

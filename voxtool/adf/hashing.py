@@ -84,21 +84,25 @@ def build_hash(
     *,
     side: int | None = None,
     max_r: int | None = None,
+    with_w: bool = True,
 ) -> SpatialHash:
     """Return the perfect hash of a set of keys, (n, 3) distinct integers in [1, 2**21 - 1].
 
     r grows from KEYS_AN_OFFSET keys an offset until a table is found, up to max_r, by default 2 m
-    or MAX_R, the larger. `side` is that of the table of slots, by default the smallest. Raises
-    VoxtoolError if a key is repeated or out of range, MemoryLimitError if there are more than 2**30
-    keys, or no table is found. The build takes about 16 bytes a slot and 70 bytes a key.
+    or MAX_R, the larger. `side` is that of the table of slots, by default the smallest. With
+    `with_w` False there are offsets alone, as in [Lefebvre 2006]. Raises VoxtoolError if a key is
+    repeated or out of range, MemoryLimitError if there are more than 2**30 keys, or no table is
+    found. The build takes about 16 bytes a slot and 70 bytes a key.
     """
     keys = _checked(keys)
     keys_on_device = _sort_keys(device or default_device(), keys)
     m = side or _table_side(len(keys))
     max_r = max(2 * m, MAX_R) if max_r is None else max_r
     for r, sizes, way in _attempts(keys_on_device, m, max_r):
+        if way is _Way.DIFFERING and not with_w:
+            continue
         buckets = _fill_buckets(keys_on_device, r, sizes)
-        offsets = _Search(buckets, m, way).run()
+        offsets = _Search(buckets, m, way, with_w).run()
         if offsets is not None:
             table = SpatialHash(m, r, offsets)
             table.validate(keys)
@@ -250,12 +254,12 @@ def _fill_buckets(keys: _Keys, r: int, sizes: np.ndarray) -> _Buckets:
 class _Search:
     """The choice of w, and steps 4 to 6 of the algorithm."""
 
-    def __init__(self, buckets: _Buckets, m: int, way: _Way) -> None:
+    def __init__(self, buckets: _Buckets, m: int, way: _Way, with_w: bool = True) -> None:
         device, b, spans = buckets.keys.codes.device, len(buckets.sizes), -(-m // (64 * WORDS))
         self.device, self.buckets, self.m, self.way = device, buckets, m, way
         every = m * m * spans
         self.reach = min(every, REACH) if way is _Way.DIFFERING else every
-        self.choices = _choices(m, buckets.r)
+        self.choices = _choices(m, buckets.r)[: None if with_w else 1]
         self.most_tries = len(self.choices) * -(-every // self.reach)
         if way is _Way.PACKED:
             starts = np.arange(b) % m * (m * spans)  # a layer of slots each

@@ -6,18 +6,19 @@ stages on the device, in turns. Rows of a forced method say whether its result i
 
 from __future__ import annotations
 
-import statistics
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from voxtool.bench import timing
 from voxtool.bench.text_rows import Row
+from voxtool.bench.text_voxels import SUM, on_device
 from voxtool.bench.voccel_tables import DIMS, QUICK_DIMS
 from voxtool.choices import MARCHING_CUBES
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
+from voxtool.opencl.histopyramid import MOST_STORED, level_groups
+from voxtool.svo.scan import MORTON_TABLE
 from voxtool.svo.surface.extract import plan_extract
 from voxtool.svo.surface.plan import COMPACTIONS, SCAN
 from voxtool.svo.voxelize import plan_voxelize
@@ -32,8 +33,11 @@ if TYPE_CHECKING:
 LARGEST_NAIVE = 1024  # dim, of which figure 7.2 has a quarter along each axis
 FASTER = 85.0
 RUNS = 9  # of each method, as they differ little
-PLOT = "a plot without numbers"
-PYRAMID = "a histogram pyramid takes less memory and fewer steps the more a level sums; no figure"
+PLOT = "a plot, of which no numbers survive"
+PYRAMID = (
+    "a histogram pyramid has work-items for outputs alone; the more a level sums, the less memory "
+    "and steps it takes; 2 N - 1 numbers for N values at 2:1; no times"
+)
 MARCHING = ("classify", "triangles")  # the stages that a compaction changes
 
 
@@ -58,8 +62,14 @@ class Method:
 
 
 _SURFACE, _SOLID = ("active nodes", "surface26"), ("active nodes", "crossings")
-_OVERLAP = f"{PLOT}; the depth interval matters for level 0 most, and for active nodes considerably"
-_TABLE = "by table almost no improvement over the loop on its GPU; no figure"
+_OVERLAP = (
+    "a plot, whose axes survive, to dim 250 of level 1 and 40 ms; depth intervals matter for level "
+    "0 most, and for active nodes considerably"
+)
+_TABLE = (
+    "by table almost no improvement over the loop on its GPU, no figure; some 15 times as fast by "
+    "the author of libmorton"
+)
 _ADDRESS = (
     "from the common ancestor with the last node, where it is in the lower half of the octree, is "
     "better than from the root; no figure"
@@ -67,23 +77,32 @@ _ADDRESS = (
 _FOUND = {"descent from the root": {"addressing": "descent"},
           "jumps to the common ancestor": {"addressing": "jumps"}}  # fmt: skip
 _TILES = "4 x 4 tiles {}; no figure"
+
+
+def _overlaps(mode: str) -> tuple[Method, ...]:
+    return tuple(
+        Method("figure 7.1", _OVERLAP, what, "depth intervals",
+               {"every box": {"overlap": "base"}}, (stage,))
+        for what, stage in (("active nodes", "active nodes"), ("level 0", mode))
+    )  # fmt: skip
+
+
 METHODS = {
     "surface26": (
-        *(Method("figure 7.1", _OVERLAP, f"overlap test, {stage}", "depth intervals",
-                 {"every box of the bounding box": {"overlap": "base"}}, (stage,))
-          for stage in _SURFACE),
+        *_overlaps("surface26"),
         Method("section 7.1", _TABLE, "Morton codes", "by bits",
                {"by table": {"morton": "table"}}, _SURFACE),
         Method("section 7.1", _TILES.format("give surfaces no gain, and take longer at low dims"),
                "columns", "by rows", {"by tiles of 4 x 4": {"plane_tiles": True}}, _SURFACE),
         Method("algorithm 2", _ADDRESS, "brick of a voxel", "ranks", _FOUND, ("surface26",)),
     ),
+    "surface6": _overlaps("surface6"),
     "solid": (
         Method("section 7.1", _TABLE, "Morton codes", "by bits",
                {"by table": {"morton": "table"}}, _SOLID),
         Method("section 7.1", _TILES.format("pay off for solids"), "columns", "by rows",
                {"by tiles of 4 x 4": {"plane_tiles": True}}, _SOLID),
-        Method("section 7.1", "propagation mostly takes no longer than active nodes; no comparison",
+        Method("section 7.1", "by levels alone, mostly no longer than finding active nodes",
                "propagation", "rows that walk the octree",
                {"levels, x-neighbours linked": {"propagation": "levels"}},
                ("levels", "rows", "fill")),
@@ -96,21 +115,21 @@ def rows_of(bench: Bench, quick: bool) -> Iterator[Row]:
     """The rows of a mesh."""
     bench = replace(bench, request=replace(bench.request, repeat=RUNS))
     mesh = load_mesh(bench.model)
-    model = f"{Path(bench.model).name} ({len(mesh.faces):,} triangles)"
+    model = f"{Path(bench.model).name}, {len(mesh.faces):,} triangles"
+    yield from _tables(model)
     for dim in DIMS[:QUICK_DIMS] if quick else DIMS:
         grid = Grid.fit(mesh, dim, fit="stretch")
         for mode, methods in METHODS.items():
             job = plan_voxelize(mesh, grid, mode, fill="parity", device=bench.profiled)
             octree, spent, words = _run(bench, job, methods)
             for m in methods:
-                row = partial(Row, f"[voCCeL] {m.table}", model, setting=f"dim {dim}, {mode}",
-                              unit="ms", text=None, statement=m.statement)  # fmt: skip
+                row = partial(Row, f"[voCCeL] {m.table}", model, f"{m.what}, {mode}", f"dim {dim}",
+                              "ms", statement=m.statement)  # fmt: skip
                 for way in (m.planned, *m.ways):
                     stages = spent[way if way in m.ways else ""]
                     named = [name for name in m.stages if name in stages]
-                    yield row(what=f"{m.what}: {way}",
-                              voxtool=1000 * sum(stages[name] for name in named),
-                              ours=f"stage {' + '.join(named)}{words.get(way, '')}")  # fmt: skip
+                    yield row(way=way, voxtool=1000 * sum(stages[name] for name in named),
+                              ours=f"{_stages(named)}{words.get(way, '')}")  # fmt: skip
             if mode == "solid":
                 yield from _compactions(bench, octree, model, dim)
             if mode == "solid" and dim <= LARGEST_NAIVE:
@@ -140,28 +159,45 @@ def _compactions(bench: Bench, octree: Octree, model: str, dim: int) -> Iterator
     jobs = {name: scan.with_(compaction=name) for name in COMPACTIONS}
     surfaces = {name: job.run().digest() for name, job in jobs.items()}
     profiles = bench.profile(*(job.run for job in jobs.values()))
+    row = partial(Row, "[voCCeL] section 4.1", model, setting=f"dim {dim}", statement=PYRAMID)
     for name, (stages, _) in zip(jobs, profiles, strict=True):
         words = "" if name == SCAN else _compared(surfaces[name] == surfaces[SCAN], "surface")
-        yield Row("[voCCeL] section 4.1", model, f"marching cubes: {name}",
-                  f"dim {dim}, marching cubes", "ms", None, PYRAMID,
-                  1000 * sum(stages[stage] for stage in MARCHING),
-                  f"stage {' + '.join(MARCHING)}{words}")  # fmt: skip
+        way = name.replace("pyramid-", "pyramid ") + ":1" * (name != SCAN)
+        yield row("marching cubes", unit="ms", way=way, ours=f"{_stages(MARCHING)}{words}",
+                  voxtool=1000 * sum(stages[stage] for stage in MARCHING))  # fmt: skip
+        values, arity = jobs[name].plan.visited, COMPACTIONS[name]
+        if arity is not None:
+            stored = min(arity, MOST_STORED) * sum(level_groups(values, arity))
+            yield row("size", unit="numbers a value", way=way, voxtool=stored / values,
+                      ours="numbers that its levels hold, of a value a tile")  # fmt: skip
 
 
 def _cubes(bench: Bench, octree: Octree, model: str, dim: int) -> Iterator[Row]:
     """Rows of marching cubes on the cubes that an octree needs, and on all."""
-    sparse = plan_extract(octree, style=MARCHING_CUBES, device=bench.timed)
+    sparse = plan_extract(octree, style=MARCHING_CUBES, device=bench.profiled)
     naive = sparse.with_(naive=True)
-    if not naive.plan.fits(naive.limit, bench.timed.info.max_allocation):
+    if not naive.plan.fits(naive.limit, bench.profiled.info.max_allocation):
         return
     same = sparse.run().digest() == naive.run().digest()
-    runs = timing.by_turns(bench.request, sparse.run, naive.run)
-    spent, whole = (1000 * statistics.median(some) for some in runs)
+    profiles = bench.profile(sparse.run, naive.run)
+    spent, whole = (1000 * sum(on_device(stages).values()) for stages, _ in profiles)
     row = partial(Row, "[voCCeL] figure 7.2", model, setting=f"dim {dim}")
-    for what, time in (("those at nodes", spent), ("all of the grid", whole)):
-        yield row(what=f"marching cubes: {what}", unit="ms", text=None, statement=PLOT,
-                  voxtool=time, ours="a call, Python included")  # fmt: skip
-    words = f"of the time{_compared(same, 'surface')}"
-    yield row(what="marching cubes: saved", unit="%", text=FASTER,
-              statement="some 85 % faster or more, with finding the cubes",
-              voxtool=100 * (1 - spent / whole), ours=words)  # fmt: skip
+    for way, time in (("cubes at nodes", spent), ("every cube", whole)):
+        yield row("marching cubes", unit="ms", way=way, voxtool=time, ours=SUM, statement=PLOT)
+    yield row("time saved", unit="%", voxtool=100 * (1 - spent / whole),
+              ours=f"by visiting cubes at nodes alone{_compared(same, 'surface')}", text=FASTER,
+              statement="some 85 % or more, where finding the cubes is counted")  # fmt: skip
+
+
+def _tables(model: str) -> Iterator[Row]:
+    """Rows of the tables of Morton codes."""
+    row = partial(Row, "[voCCeL] section 5.1", model, setting="", unit="bytes")
+    yield row("table for encoding", voxtool=MORTON_TABLE.nbytes, text=3 * 256 * 4,
+              ours="numbers of 4 bytes, by axis and byte",
+              statement="some 3 kB: 3 x 256 x 4")  # fmt: skip
+    yield row("table for decoding", voxtool=None, ours="codes are decoded by bits", text=3 * 512,
+              statement="1.5 kB: 3 x 512")  # fmt: skip
+
+
+def _stages(names: Sequence[str]) -> str:
+    return f"stage{'s' * (len(names) > 1)} {' and '.join(names)}"

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from voxtool.bench.report import machine, page, write_files
-from voxtool.bench.text_rows import HARDWARE, HEAD, Row, by_table
+from voxtool.bench.text_layout import READING, sections
+from voxtool.bench.text_rows import Row
 from voxtool.opencl.discovery import DeviceInfo
 from voxtool.version import __version__
 
@@ -31,16 +32,13 @@ def write_text_report(
     """
     html = page(
         "texts.html",
+        device=device.name,
         models=", ".join(dict.fromkeys(row.model for row in rows)),
         where=f"voxtool {__version__}; {device.name}, {device.platform} {device.driver}",
         command=command,
-        head=HEAD,
-        sections=[
-            {"title": f"{table}: {model}", "hardware": HARDWARE[some[0].key],
-             "rows": [row.cells() for row in some]}
-            for (table, model), some in by_table(rows).items()
-        ],
-    )  # fmt: skip
+        reading=READING,
+        sections=sections(rows),
+    )
     text = json.dumps(as_dict(rows, device, command), indent=1, allow_nan=False) + "\n"
     contents = {"report.json": text.encode(), "report.html": html.encode()}
     return write_files(contents, folder, clobber)

@@ -10,7 +10,31 @@ from voxtool.bench.voccel_tables import HARDWARE as VOCCEL
 
 UNKNOWN = "hardware not given in the chapter"
 HARDWARE = {"[voCCeL]": VOCCEL, "[ADF]": UNKNOWN, "[TetVol]": UNKNOWN}
-NO_COUNTERPART = "no counterpart there"
+SOURCES = {  # docs/references.md has more
+    "[voCCeL]": "Ján Brída: voCCeL, master's thesis in Slovak, supervised by Michal Španěl, 2017",
+    "[ADF]": "A chapter of a thesis in Portuguese: Representação e Reconstrução de ADFs em GPU",
+    "[TetVol]": "A chapter of a thesis in Portuguese on volume rendering: Modificações realizadas",
+}
+TITLES = {  # the tables and sections, in the order in which they are shown
+    "[voCCeL] table 7.1": "stages of voxelization, and the size of the octree",
+    "[voCCeL] table 7.2": "total times of voxelization",
+    "[voCCeL] table 7.3": "marching cubes on coverages, and how many cubes they visit",
+    "[voCCeL] figure 7.1": "every box of a bounding box is tested, or depth intervals",
+    "[voCCeL] figure 7.2": "every cube of the grid is visited, or those at nodes",
+    "[voCCeL] section 7.1": "Morton codes by table, tiles, and propagation by levels",
+    "[voCCeL] section 5.1": "the tables of Morton codes",
+    "[voCCeL] algorithm 2": "how the brick of a voxel is found",
+    "[voCCeL] section 4.1": "histogram pyramids, or a scan",
+    "[ADF] section 3.1": "samples that siblings share",
+    "[ADF] section 3.2": "leaves that are implicit",
+    "[ADF] section 3.4": "the perfect hash, with w and without",
+    "[ADF] section 3.5": "searches for a leaf",
+    "[TetVol] table 4": "textures for cell projection",
+    "[TetVol] table 5": "textures for ray casting",
+    "[TetVol] section 4.1": "hexahedra that stay whole, or are split",
+    "[TetVol] section 4.2": "exact segments, or pre-integration",
+    "[TetVol] figure 28": "a table of the isosurfaces that a segment crosses",
+}
 MISPRINT = "misprint, not compared"
 
 
@@ -20,13 +44,17 @@ class Row:
 
     Attributes
     ----------
-    table : key of the source, and its table or section.
+    table : key of the source, and its table or section: of TITLES.
     model : what voxtool's figure is measured on.
-    what, setting, unit : what is measured; unit "" for a statement without a number.
-    text : the figure as printed; None if there is none.
-    statement : the source's words, instead of or beside a figure; with the name of its model.
-    voxtool : voxtool's figure; None if it is not compared.
+    what : what is measured.
+    setting : dim, level or size of picture; "" if there is none.
+    unit : "" for a statement without a number.
+    voxtool : voxtool's figure; None if there is none.
     ours : what voxtool's figure is.
+    way : how voxtool does it, where ways are compared; "" elsewhere.
+    text : the figure as printed; None if there is none.
+    text_model : the source's model, if it names one.
+    statement : the source's words, translated and shortened, instead of or beside a figure.
     note : why the figures are not to be compared; or "".
     """
 
@@ -35,10 +63,12 @@ class Row:
     what: str
     setting: str
     unit: str
-    text: float | None
-    statement: str
     voxtool: float | None
     ours: str
+    way: str = ""
+    text: float | None = None
+    text_model: str = ""
+    statement: str = ""
     note: str = ""
 
     @property
@@ -49,23 +79,3 @@ class Row:
     def as_dict(self) -> dict[str, Any]:
         """Return the fields, and the reference and hardware of the source, in JSON types."""
         return {**asdict(self), "reference": self.key, "hardware": HARDWARE[self.key]}
-
-    def cells(self) -> tuple[str, ...]:
-        """Return the words of the columns HEAD."""
-        unit = f" {self.unit}" if self.unit else ""
-        figures = [
-            "-" if x is None else f"{x:.4g}{unit}" if abs(x) < 1000 else f"{x:,.0f}{unit}"
-            for x in (self.text, self.voxtool)
-        ]
-        return (self.what, self.setting, *figures, self.statement, self.ours, self.note)
-
-
-HEAD = ("what", "setting", "printed", "voxtool", "statement", "of voxtool", "note")
-
-
-def by_table(rows: list[Row]) -> dict[tuple[str, str], list[Row]]:
-    """Return the rows by table and model, in their order."""
-    found: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        found.setdefault((row.table, row.model), []).append(row)
-    return found

@@ -32,15 +32,21 @@ if TYPE_CHECKING:
     from voxtool.tets.volume import TetVolume
 
 TRANSFER = "x10"
-SECTION = "[TetVol] section 4.2"
-SIDE = 16  # hexahedra along each side of a box
+SECTION, HEXAHEDRA = "[TetVol] section 4.2", "[TetVol] section 4.1"
+SIDE, QUICK_SIDE = 32, 16  # hexahedra along each side of a box
 TABLES = {  # by layout: its table, the bytes a tetrahedron, what they are, and what it replaces
-    "projection": ("[TetVol] table 4", 71, "with a fifth as many vertices as tetrahedra",
-                   {"vertex attributes beside": 48, "total": 119, "vertex attributes alone": 912}),
+    "projection": ("[TetVol] table 4", 71, "with a fifth as many vertices as tetrahedra; its sum, "
+                   "4/5 + 4 + 3 + 3 + 4 + 3 floats, is 71.2 bytes",
+                   {"vertex attributes": (48, "indices of strips, beside the textures"),
+                    "in total": (119, "much less than attributes alone"),
+                    "attributes alone": (912, "what the textures replace: 12 vertices each")}),
     "raycast": ("[TetVol] table 5", 96, "24 floats",
-                {"[Weiler 2003]": 144, "strips of tetrahedra": 76}),
+                {"textures of [Weiler 2003]": (144, "what the table replaces"),
+                 "strips of tetrahedra": (76, "of Weiler 2004, smaller and more complex")}),
 }  # fmt: skip
 POINTS = 5, 64, 250  # control points
+PAIRS = "a texture of the next two isosurfaces for each pair of scalars; no size, no time"
+BETTER = "exact segments look better than pre-integration; no figure"
 INTEGRATORS = {"linear": "exact segments", "preintegrated": "pre-integration"}
 
 
@@ -51,19 +57,21 @@ def rows_of(bench: Bench, quick: bool) -> Iterator[Row]:
     bench = replace(bench, request=asked)
     mesh = read_unstructured(bench.model, asked.scalar, asked.component)
     cells = tetrahedra(bench.timed, volume_cells(mesh)).on_host()
-    model = f"{Path(bench.model).name} ({len(cells.cells):,} tetrahedra)"
+    model = f"{Path(bench.model).name}, {len(cells.cells):,} tetrahedra"
     volume = build_tet(mesh, device=bench.timed)
     for layout, (table, text, said, others) in TABLES.items():
-        row = partial(Row, table, model, unit="bytes a cell")
+        row = partial(Row, table, model, setting="bytes a cell", unit="")
         if layout == "raycast" or not mesh.constant:
             made = volume if layout == "raycast" else build_tet(mesh, layout, device=bench.timed)
             share = f"{len(made.vertices) / len(made.cells):.3f} vertices a cell"
-            yield row(what="textures of the table", setting=layout, text=text, statement=said,
+            yield row("textures of the table", text=text, statement=said,
                       voxtool=made.bytes_a_cell(), ours=share)  # fmt: skip
-        for what, size in others.items():
-            yield row(what=what, setting=layout, text=size, statement="beside it or replaced",
-                      voxtool=None, ours="not built")  # fmt: skip
-    yield from _hexahedra(bench)
+            yield row("whole file", voxtool=sum(made.sizes().values()) / len(made.cells),
+                      ours="with cells' vertices, neighbours and ranges of scalars")  # fmt: skip
+        for what, (printed, words) in others.items():
+            yield row(what, voxtool=None, ours="none: kernels read the textures", text=printed,
+                      statement=words)  # fmt: skip
+    yield from _hexahedra(bench, QUICK_SIDE if quick else SIDE)
     transfer = transfer_of(TRANSFER, cells)
     yield from _changes(volume, transfer, model, bench)
     yield from _control_points(volume, transfer, model, bench)
@@ -73,39 +81,51 @@ def rows_of(bench: Bench, quick: bool) -> Iterator[Row]:
         draw = partial(render, volume, exact.rays, transfer=transfer, integrator=integrator)
         colours = exact.of(draw(device=bench.timed))
         seconds = statistics.median(timing.times(partial(draw, device=bench.timed), asked.repeat))
-        whole = f"{about}, a call, Python included"
-        whole += ", and the table" if integrator == "preintegrated" else ""
         size = "{} x {}".format(*exact.rays.size)
-        row = partial(Row, SECTION, model, setting=f"{integrator}, {size}", text=None)
-        yield row(what="root mean square error", unit="of a colour",
-                  statement="exact segments look better than pre-integration; no figure",
+        row = partial(Row, SECTION, model, setting=size, way=about)
+        yield row("root mean square error", unit="of a colour", statement=BETTER,
                   voxtool=exact.compared(colours)["errors"]["rms"],
-                  ours=f"{about}, against float64")  # fmt: skip
-        yield row(what="frame", unit="ms", statement="no figure", voxtool=1000 * seconds,
-                  ours=whole)  # fmt: skip
+                  ours="against a picture in float64")  # fmt: skip
+        table = ", and the table" * (integrator == "preintegrated")
+        yield row("frame", unit="ms", voxtool=1000 * seconds,
+                  ours=f"a call, Python included{table}")  # fmt: skip
     yield Row(
-        SECTION, model, "compositing", "front to back", "", None,
-        "R' = A R + (1 - A) r; A' = A + (1 - A) a", None, "R' = R + (1 - A) r", MISPRINT,
+        SECTION, model, "compositing", "", "", None, "R' = R + (1 - A) r",
+        statement="R' = A R + (1 - A) r; A' = A + (1 - A) a", note=MISPRINT,
     )  # fmt: skip
 
 
-def _hexahedra(bench: Bench) -> Iterator[Row]:
+def _hexahedra(bench: Bench, side: int) -> Iterator[Row]:
     """Rows of hexahedra that stay whole, and of the tetrahedra that they are split into."""
-    points = np.indices((SIDE + 1,) * 3).reshape(3, -1).T.astype(np.float64)
-    low = np.indices((SIDE,) * 3).reshape(3, -1).T
+    points = np.indices((side + 1,) * 3).reshape(3, -1).T.astype(np.float64)
+    low = np.indices((side,) * 3).reshape(3, -1).T
     corners = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0),
                         (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])  # fmt: skip
-    places = (low[:, None] + corners) @ np.array([(SIDE + 1) ** 2, SIDE + 1, 1])
+    places = (low[:, None] + corners) @ np.array([(side + 1) ** 2, side + 1, 1])
     scalars = low.sum(axis=1).astype(np.float64)
     mesh = UnstructuredMesh(points, [("hexahedron", places)], [scalars], "sum")
-    for layout in ("hexahedra", "raycast"):
-        volume = build_tet(mesh, layout, device=bench.timed)
+    volumes = [build_tet(mesh, layout, device=bench.timed) for layout in ("hexahedra", "raycast")]
+    size = bench.request.sizes[0]
+    high = scalars.max()
+    transfer = TransferFunction(
+        np.array([0, high]), np.array([(0, 0.2, 0.5), (1, 0.8, 0)]), np.array([0, 4 / high])
+    )
+    draws = [
+        plan_render(volume, bench.request.view, size=(size, size), transfer=transfer,
+                    device=bench.timed).run
+        for volume in volumes
+    ]  # fmt: skip
+    whole, split = (draw().astype(np.float64) for draw in draws)
+    spent = timing.by_turns(bench.request, *draws)
+    row = partial(Row, HEXAHEDRA, f"{side}^3 hexahedra in a box, with a scalar a cell", setting="",
+                  statement="drawn whole with two more textures of normals; no figure")  # fmt: skip
+    for way, volume, times in zip(("whole", "split"), volumes, spent, strict=True):
+        row = partial(row, way=way, ours=f"{len(volume.cells):,} {volume.noun}")
         ours = volume.bytes_a_cell() * len(volume.cells) / len(low)
-        yield Row(
-            TABLES["raycast"][0], f"{SIDE}^3 hexahedra", "bytes of hexahedra", layout,
-            "bytes a hexahedron", None, "two more textures of normals draw them whole; no figure",
-            ours, f"{len(volume.cells):,} {volume.noun}",
-        )  # fmt: skip
+        yield row("textures", unit="bytes a hexahedron", voxtool=ours)
+        yield row(f"frame, {size} x {size}", unit="ms", voxtool=1000 * statistics.median(times))
+    yield row("pictures", unit="of a colour", voxtool=float(abs(whole - split).max()), way="",
+              ours="largest difference of a pixel")  # fmt: skip
 
 
 def _control_points(
@@ -126,10 +146,11 @@ def _control_points(
         spent = timing.by_turns(bench.request, *(way.run for way in ways.values()))
         for (what, _), times in zip(ways.items(), spent, strict=True):
             held = 4 * BUCKETS if what == "a table" else 0
-            yield Row("[TetVol] figure 28", model, f"isosurfaces of control points: {what}",
-                      f"{number} points, {size} x {size}", "ms", None,
-                      "a texture of the next two for each pair of scalars; no size, no time",
-                      1000 * statistics.median(times), f"{held} bytes more: {same}")  # fmt: skip
+            row = partial(Row, "[TetVol] figure 28", model, setting=f"{number} points", way=what,
+                          statement=PAIRS)  # fmt: skip
+            yield row(f"frame, {size} x {size}", unit="ms", voxtool=1000 * statistics.median(times),
+                      ours=same)  # fmt: skip
+            yield row("table", unit="bytes", voxtool=held, ours="")
 
 
 def _changes(
@@ -155,5 +176,5 @@ def _changes(
         spent = 1000 * statistics.median(timing.times(work, bench.request.repeat))
         words = "control points, cells that are not transparent"
         words += ", and the pre-integrated table" if integrator == "preintegrated" else ""
-        yield Row(SECTION, model, "change of the transfer function", about, "ms", None,
-                  "interactive; no figure", spent, words)  # fmt: skip
+        yield Row(SECTION, model, "change of the transfer function", "", "ms", spent, words, about,
+                  statement="interactive; no figure")  # fmt: skip

@@ -11,6 +11,7 @@ from voxtool.bench.request import Request, is_volume
 from voxtool.bench.text_rows import Row
 from voxtool.bench.timing import Bench
 from voxtool.errors import MeshWarning
+from voxtool.files.mesh import load_mesh
 from voxtool.opencl import shared_device
 
 REQUEST = Request(repeat=3, seconds=0.0, levels=(6,))
@@ -28,13 +29,17 @@ def rows_of(
     timed, profiled = shared_device(device), shared_device(device, profile=True)
     request = replace(REQUEST, scalar=scalar)
     found: list[Row] = []
-    for model in models:
-        bench = Bench(request, timed, profiled, "texts", model)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", MeshWarning)  # every run would repeat it
-            texts = (
-                (text_volumes,) if is_volume(model) else (text_voxels, text_methods, text_fields)
-            )
-            for text in texts:
-                found += text.rows_of(bench, quick)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MeshWarning)  # every run would repeat it
+        every = list(dict.fromkeys(models))
+        meshes = {model: len(load_mesh(model).faces) for model in every if not is_volume(model)}
+        beside = text_voxels.beside(meshes) if meshes else {}
+        for model in every:
+            bench = Bench(request, timed, profiled, "texts", model)
+            if model in meshes:
+                found += text_voxels.rows_of(bench, quick, beside[model])
+                found += text_methods.rows_of(bench, quick)
+                found += text_fields.rows_of(bench, quick)
+            else:
+                found += text_volumes.rows_of(bench, quick)
     return found

@@ -14,7 +14,7 @@ from voxtool.errors import printable
 
 @click.command("texts")
 @click.argument("models", nargs=-1, required=True)
-@flag("--quick", "Few and small settings: under a minute a model.")
+@flag("--quick", "Few dims and levels: under a minute a model.")
 @option("--scalar", str, "As of `voxtool tet-build`.", metavar="NAME")
 @option("-o --output", str, "Write a report: report.html and .json.", metavar="FOLDER")
 @options.clobber_option
@@ -24,11 +24,12 @@ def command(
     models: tuple[str, ...], quick: bool, scalar: str | None, output: str | None,
     no_clobber: bool, device_name: str | None, as_json: bool,
 ) -> None:  # fmt: skip
-    """Measure what the texts that voxtool implements did, beside their figures and statements.
+    """Repeat the experiments of the texts that voxtool implements, with their figures beside.
 
-    Of triangle meshes: tables 7.1 to 7.3 of [voCCeL], and what [ADF] says of its hash, its searches
-    and its sizes. Of volume meshes: what [TetVol] says of its textures and its integration. Each
-    row has its unit, ms for times. Stages are on the device. Misprints are marked and not compared.
+    Of triangle meshes: the tables, figures and methods of [voCCeL], and the hash, searches and
+    sizes of [ADF]. Of volume meshes: the textures and the integration of [TetVol]. Units stand
+    beside what is measured, ms for times. Misprints are marked and not compared. docs/references.md
+    names the texts.
 
     \b
     Examples:
@@ -36,10 +37,11 @@ def command(
       voxtool bench texts bunny.obj --quick -o report
     """
     from voxtool.bench.report import check_folder
+    from voxtool.bench.text_layout import as_text, sections
     from voxtool.bench.text_report import as_dict, write_text_report
-    from voxtool.bench.text_rows import HARDWARE, by_table
     from voxtool.bench.texts import rows_of
     from voxtool.opencl import shared_device
+    from voxtool.version import __version__
 
     if output is not None:
         check_folder(output, not no_clobber)
@@ -51,12 +53,8 @@ def command(
     if as_json:
         options.print_json(as_dict(rows, device, words))
         return
-    click.echo(f"voxtool: {device.name}")
-    for (table, model), some in by_table(rows).items():
-        click.echo(f"\n{table}, {printable(model)}; text: {HARDWARE[some[0].key]}")
-        for row in some:
-            what, setting, text, ours, said, words, note = row.cells()
-            end = f"; {note}" if note else ""
-            click.echo(f"  {what}, {setting}: {said}: {text}; voxtool: {ours} ({words}){end}")
+    click.echo(f"voxtool {__version__} on {device.name}")
+    for line in as_text(sections(rows), dict.fromkeys(row.key for row in rows)):
+        click.echo(printable(line))
     if output is not None:
         click.echo(f"report: {printable(output.rstrip('/'))}/report.html")

@@ -35,10 +35,13 @@ BLOCK_WORDS = (NODE_BLOCK // CELL) ** 3 // 32
 HALF_VOXEL = 1 << (FIXED_POINT_BITS - 1)
 
 
+# The spread bits of each byte, for each axis.
+MORTON_TABLE = np.array([spread_bits(np.arange(256)) << axis for axis in range(3)], np.uint32)
+
+
 def _morton_table() -> str:
-    """Return the spread bits of each byte, for each axis, as an OpenCL constant."""
-    spread = spread_bits(np.arange(256)).tolist()
-    axes = ("{" + ", ".join(str(bits << axis) for bits in spread) + "}" for axis in range(3))
+    """Return MORTON_TABLE as an OpenCL constant."""
+    axes = ("{" + ", ".join(map(str, bits)) + "}" for bits in MORTON_TABLE.tolist())
     return f"__constant const uint SPREAD[3][256] = {{{', '.join(axes)}}};"
 
 
