@@ -9,6 +9,7 @@ import math
 import os
 import re
 import sys
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, BinaryIO
 
@@ -17,13 +18,15 @@ import numpy as np
 from voxtool.choices import LENGTH_UNITS
 from voxtool.errors import MeshError, one_line, printable
 from voxtool.files import gltf, obj, off, ply, stl, threemf
+from voxtool.files.companions import Companions
 from voxtool.files.formats import GZIP, HDF5
+from voxtool.files.placement import Read
 from voxtool.files.streams import STREAM, read_at_most, read_error
 from voxtool.memory import available_memory
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 
-PLAIN = {"obj": obj.parse, "stl": stl.parse, "ply": ply.parse, "off": off.parse}  # no units
-KINDS = (*PLAIN, "glb", "gltf", "3mf")
+KINDS = ("obj", "stl", "ply", "off", "glb", "gltf", "3mf")
+KEPT = ("parts", "appearance")
 MAX_BYTES = 8 << 30  # of one file, unpacked
 # A .gz or .3mf may unpack to this many times its size, and some bytes more. Of a plane of equal
 # triangles, ASCII STL packs best: 17 times. Deflate packs zeros 1032 times.
@@ -38,11 +41,13 @@ def load_mesh(
     *,
     units: str | None = None,
     scale: float = 1.0,
+    keep: Sequence[str] = (),
 ) -> Mesh:
     """Read a triangle mesh from OBJ, STL, PLY, OFF, GLB, glTF or 3MF, also compressed with gzip.
 
     Polygons become fans of triangles. Objects and groups are merged into one mesh, and the meshes
-    of a scene are placed by its transforms. Materials, textures and other files are not read.
+    of a scene are placed by its transforms. Parts, materials, textures and other files are read
+    where `keep` asks for them.
 
     Parameters
     ----------
@@ -58,6 +63,9 @@ def load_mesh(
         One of LENGTH_UNITS: what the scaled numbers mean, instead of what the file says.
     scale : float, optional
         Factor of all coordinates.
+    keep : sequence of str
+        Of KEPT: "parts" fills `parts` of the mesh, and "appearance" its `appearance`, which may
+        read files in the folder of the mesh that it names: libraries of materials, and textures.
 
     Returns
     -------
@@ -73,6 +81,8 @@ def load_mesh(
         raise MeshError(f"scale {scale:g}: give a positive number")
     if units is not None and units not in LENGTH_UNITS:
         raise MeshError(f"units {units!r} are unknown: choose one of {', '.join(LENGTH_UNITS)}")
+    if unknown := [what for what in keep if what not in KEPT]:
+        raise MeshError(f"keep {unknown[0]!r} is unknown: choose of {', '.join(KEPT)}")
     if isinstance(path, os.PathLike):
         path = os.fsdecode(path)
     name = printable(path if isinstance(path, str) else getattr(path, "name", "stream"))
@@ -96,13 +106,16 @@ def load_mesh(
     with ThreadPoolExecutor(1) as beside:  # hashing does not hold the interpreter's lock
         digest = beside.submit(hashlib.sha256, data)
         limit = most if max_memory is None else min(most, max_memory)
-        vertices, faces, own_units = _parsed(name, kind, data, limit, max_memory)
+        folder = None if given or not isinstance(path, str) else os.path.dirname(path)
+        companions = Companions(name, folder, limit)
+        found = _parsed(name, kind, data, limit, max_memory, keep, companions)
+    vertices = found.vertices
     if scale != 1:
         with np.errstate(over="ignore"):  # infinity is refused with the vertex
             vertices = vertices * scale
     return mesh_from_arrays(
-        vertices, faces, source_sha256=digest.result().hexdigest(), name=name,
-        units=units or own_units,
+        vertices, found.faces, source_sha256=digest.result().hexdigest(), name=name,
+        units=units or found.units, parts=found.parts, appearance=found.appearance,
     )  # fmt: skip
 
 
@@ -125,19 +138,27 @@ def as_mesh(thing: Any, max_memory: int | None = None) -> Mesh:
 
 
 def _parsed(
-    name: str, kind: str, data: bytes, limit: int, max_memory: int | None
-) -> tuple[np.ndarray, np.ndarray, str]:
-    """Return the vertices, the faces and the units of a file, which unpacks to `limit` bytes at
-    most."""
+    name: str,
+    kind: str,
+    data: bytes,
+    limit: int,
+    max_memory: int | None,
+    keep: Sequence[str],
+    companions: Companions,
+) -> Read:
+    """Return what a file holds, which unpacks to `limit` bytes at most."""
     data = _unpacked(name, data, limit)
     kind = kind or _kind_of_content(data)
     if kind in ("glb", "gltf"):
-        return *gltf.parse(name, kind, data, max_memory), gltf.UNITS
+        return gltf.parse(name, kind, data, max_memory, keep, companions)
     if kind == "3mf":
-        return threemf.parse(name, data, most_unpacked(data, limit), max_memory)
+        return threemf.parse(name, data, most_unpacked(data, limit), max_memory, keep)
     if kind == "obj":
         _refuse_binary(name, data)
-    return *PLAIN[kind](name, data), ""
+        return obj.parse(name, data, keep, companions, max_memory)
+    if kind == "ply":
+        return ply.parse(name, data, keep)
+    return Read(*(stl if kind == "stl" else off).parse(name, data))
 
 
 # --- bytes ---------------------------------------------------------------------------------------

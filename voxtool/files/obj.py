@@ -3,13 +3,16 @@
 Two readers return the same mesh. `_quick` parses whole blocks of lines with numpy, a million
 numbers in a tenth of a second, but no continued lines, comments after a statement, indented
 statements or errors. `_by_line` reads any OBJ, a statement at a time, and its errors name the line.
+Both gather the statements of parts and appearance where these are asked for.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -26,48 +29,100 @@ from voxtool.files.numbers import (
     fans,
     numbers_in,
 )
+from voxtool.files.obj_look import Statements, described, name_of, text_of
+from voxtool.files.placement import Read
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from voxtool.files.companions import Companions
+
 CORNER_LETTERS = b"0123456789+-/ \t\r\n"
 SLASH = ord("/")
+NO_UV, NO_CORNERS = np.empty((0, 2)), np.empty((0, 3), np.int64)
+NO_FACES = np.empty(0, np.int64)
 NUMBER = re.compile(rb"(?i)[-+]?(?:(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?|nan|inf|infinity)")
 REFERENCE = re.compile(rb"^([-+]?\d{1,10})(?:/(?:[-+]?\d+)?){0,2}$")
 
 
-def parse(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (V, 3) float64 vertices and (F, 3) int64 faces of an OBJ.
+def parse(
+    name: str, data: bytes, keep: Sequence[str], companions: Companions, max_memory: int | None
+) -> Read:
+    """Return the mesh of an OBJ, with its groups, objects, materials and textures as `keep` asks.
 
     MeshError names the line. Polygons become fans of triangles; negative indices count back from
-    their line. Groups, materials, texture coordinates and normals are ignored.
+    their line. Normals are ignored.
     """
     data = data.removeprefix(b"\xef\xbb\xbf")
     try:
-        return _quick(data)
+        vertices, faces, statements = _quick(data, bool(keep))
     except OddityError:
-        return _by_line(name, data)
+        vertices, faces, statements = _by_line(name, data, bool(keep))
+    if statements is None:
+        return Read(vertices, faces)
+    return described(vertices, faces, statements, keep, companions, max_memory)
 
 
 # --- blocks of lines -----------------------------------------------------------------------------
 
 
-def _quick(data: bytes, size: int = BLOCK_BYTES) -> tuple[np.ndarray, np.ndarray]:
+class _Block(NamedTuple):
+    """The mesh of a block of lines, and what is said of it if that is asked for."""
+
+    vertices: np.ndarray  # (V, 3)
+    faces: np.ndarray  # (F, 3)
+    counted_back: np.ndarray | None  # (F, 3) bool: from the block's own vertices on
+    begun: list[tuple[int, str, str]]
+    uv: np.ndarray  # (T, 2)
+    corners: np.ndarray  # (F, 3): texture coordinates, counted from 1, from -1 back, 0 for none
+    above: np.ndarray  # (F,): texture coordinates of the block that stand above
+    colours: np.ndarray | None  # (V, 3)
+
+
+def _quick(
+    data: bytes, describe: bool, size: int = BLOCK_BYTES
+) -> tuple[np.ndarray, np.ndarray, Statements | None]:
     """Return the mesh of a text of plain lines; raise OddityError for others."""
     lone_return = b"\r" in data and data.count(b"\r") != data.count(b"\r\n")
     if lone_return or (b"\\" in data and re.search(rb"\\\r?(?:\n|$)", data)):
         raise OddityError
     points, corners, known = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
-    for vertices, faces, counted_back in beside(_parse_block, blocks_of(data, size=size)):
-        if counted_back is not None:
-            faces[counted_back] += known
-        known += len(vertices)
-        points.append(vertices)
-        corners.append(faces)
+    said: list[_Block] = []
+    for block in beside(partial(_parse_block, describe=describe), blocks_of(data, size=size)):
+        if block.counted_back is not None:
+            block.faces[block.counted_back] += known
+        known += len(block.vertices)
+        points.append(block.vertices)
+        corners.append(block.faces)
+        if describe:
+            said.append(block)
     faces = np.concatenate(corners)
     if len(faces) and (faces.min() < 0 or faces.max() >= known):
         raise OddityError
-    return np.concatenate(points), faces
+    return np.concatenate(points), faces, _said(said) if describe else None
+
+
+def _said(blocks: list[_Block]) -> Statements:
+    """Return what is said of the mesh of all blocks; raise OddityError for a wrong index."""
+    begun, corners, known, faces = [], [np.empty((0, 3), np.int64)], 0, 0
+    for block in blocks:
+        begun += [(face + faces, one, words) for face, one, words in block.begun]
+        back = block.corners < 0
+        corners.append(
+            np.where(back, block.corners + block.above[:, None] + known + 1, block.corners)
+        )
+        if (back & (corners[-1] <= 0)).any():
+            raise OddityError
+        known += len(block.uv)
+        faces += len(block.faces)
+    uv = np.concatenate([np.empty((0, 2)), *(block.uv for block in blocks)])
+    places = np.concatenate(corners) - 1
+    if len(places) and places.max() >= known:
+        raise OddityError
+    colours = [block.colours for block in blocks if len(block.vertices)]
+    whole = [one for one in colours if one is not None]
+    coloured = whole and len(whole) == len(colours)
+    return Statements(begun, uv, places, np.concatenate(whole) if coloured else None)
 
 
 def _whole(block: bytes) -> np.ndarray:
@@ -80,9 +135,8 @@ def _whole(block: bytes) -> np.ndarray:
     return np.frombuffer(block, np.uint8)
 
 
-def _parse_block(block: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return the (V, 3) vertices and (F, 3) faces of a block, and which indices count back, from
-    the block's own vertices on, (F, 3) bool; None if none do."""
+def _parse_block(block: bytes, describe: bool) -> _Block:
+    """Return the mesh of a block, and what is said of it."""
     text = _whole(block)
     ends = np.flatnonzero(text == NEWLINE) + 1
     starts = np.concatenate([[0], ends[:-1]])
@@ -96,28 +150,91 @@ def _parse_block(block: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray | Non
     if (counts < 3).any() or not np.isfinite(numbers).all():
         raise OddityError
     vertices = numbers[begins[:, None] + np.arange(3)]
+    colours = None
+    if describe and len(counts) and (counts == 6).all():
+        colours = numbers[begins[:, None] + np.arange(3, 6)]
 
     indices, begins, counts = _numbers(text, starts, ends, is_face, np.int64)
     back = indices < 0
     if not back.any():
-        return vertices, fans(indices - 1, begins, counts), None
-    above = np.cumsum(is_vertex)[is_face]  # vertices of the block that stand above each face
-    indices = np.where(back, indices + np.repeat(above, counts), indices - 1)
-    return vertices, fans(indices, begins, counts), fans(back, begins, counts)
+        faces, counted_back = fans(indices - 1, begins, counts), None
+    else:
+        above = np.cumsum(is_vertex)[is_face]  # vertices of the block above each face
+        indices = np.where(back, indices + np.repeat(above, counts), indices - 1)
+        faces, counted_back = fans(indices, begins, counts), fans(back, begins, counts)
+    if not describe:
+        return _Block(vertices, faces, counted_back, [], NO_UV, NO_CORNERS, NO_FACES, None)
+
+    after = second == ord("t")
+    is_uv = (first == ord("v")) & after
+    numbers, uv_begins, uv_counts = _numbers(text, starts, ends, is_uv, np.float64, letters=2)
+    if (uv_counts < 1).any() or not np.isfinite(numbers).all():
+        raise OddityError
+    uv = np.zeros((len(uv_counts), 2))
+    uv[:, 0] = numbers[uv_begins]
+    two = uv_counts > 1
+    uv[two, 1] = numbers[uv_begins[two] + 1]
+
+    triangles = np.maximum(counts - 2, 0)
+    references = _references(text, starts, ends, is_face)
+    corners = fans(references, begins, counts)
+    above = np.repeat(np.cumsum(is_uv)[is_face], triangles)
+    upto = np.zeros(len(starts) + 1, np.int64)  # triangles before each line
+    upto[1:][is_face] = triangles
+    upto = np.cumsum(upto)
+    said = np.flatnonzero(np.isin(first, np.frombuffer(b"goum", np.uint8)))
+    begun = [
+        (int(upto[line]), *statement)
+        for line in said.tolist()
+        if (statement := _statement(block[starts[line] : ends[line]].split(b"#")[0]))
+    ]
+    return _Block(vertices, faces, counted_back, begun, uv, corners, above, colours)
+
+
+def _statement(row: bytes) -> tuple[str, str] | None:
+    """Return a statement of parts or appearance, and its words; None for others."""
+    words = row.split(None, 1)
+    if not words or words[0] not in (b"g", b"o", b"usemtl", b"mtllib"):
+        return None
+    rest = words[1] if len(words) > 1 else b""
+    if words[0] == b"mtllib":
+        return "mtllib", text_of(rest)
+    return words[0].decode(), " ".join(name_of(rest).split())
+
+
+def _references(
+    text: np.ndarray, starts: np.ndarray, ends: np.ndarray, is_face: np.ndarray
+) -> np.ndarray:
+    """Return the texture coordinate that each corner of the faces names, 0 where none is, as
+    _numbers returns the corners."""
+    words, _, _ = _words(text, starts, ends, is_face, letters=1)
+    blank = words <= SPACE
+    begins = np.flatnonzero(~blank & np.append(True, blank[:-1])) if len(words) else NO_FACES
+    result = np.zeros(len(begins), np.int64)
+    slash = words == SLASH
+    if not slash.any():
+        return result
+    nth = np.cumsum(slash, dtype=np.int32)
+    before = nth - slash
+    corner = np.cumsum(~blank & np.append(True, blank[:-1]), dtype=np.int32) - 1
+    nth -= before[begins][np.maximum(corner, 0)]  # slashes of the corner up to a letter
+    words[(nth != 1) | slash] = SPACE
+    numbers, places = numbers_in(words, np.int64)
+    result[corner[places]] = numbers
+    return result
 
 
 def _numbers(
-    text: np.ndarray, starts: np.ndarray, ends: np.ndarray, chosen: np.ndarray, dtype: type
+    text: np.ndarray,
+    starts: np.ndarray,
+    ends: np.ndarray,
+    chosen: np.ndarray,
+    dtype: type,
+    letters: int = 1,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the numbers of the chosen lines, and for each line its first and its count."""
-    if chosen.all():  # as in most blocks
-        words, first, last = text.copy(), starts, ends
-    else:
-        lengths = ends - starts
-        words = text[np.repeat(chosen, lengths)]
-        last = np.cumsum(lengths[chosen])
-        first = last - lengths[chosen]
-    words[first] = SPACE  # in place of v or f
+    """Return the numbers of the chosen lines after their first letters, and for each line its first
+    and its count."""
+    words, _, last = _words(text, starts, ends, chosen, letters)
     allowed = LETTERS if dtype is np.float64 else CORNER_LETTERS
     if words.tobytes().translate(None, allowed):
         raise OddityError
@@ -125,6 +242,23 @@ def _numbers(
         _drop_references(words)
     numbers, begins = numbers_in(words, dtype)
     return numbers, *by_line(begins, last)
+
+
+def _words(
+    text: np.ndarray, starts: np.ndarray, ends: np.ndarray, chosen: np.ndarray, letters: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the text of the chosen lines without their first letters, and where each line begins
+    and ends in it."""
+    if chosen.all():  # as in most blocks
+        words, first, last = text.copy(), starts, ends
+    else:
+        lengths = ends - starts
+        words = text[np.repeat(chosen, lengths)]
+        last = np.cumsum(lengths[chosen])
+        first = last - lengths[chosen]
+    for letter in range(letters):
+        words[first + letter] = SPACE  # in place of v, f or vt
+    return words, first, last
 
 
 def _drop_references(words: np.ndarray) -> None:
@@ -147,27 +281,58 @@ def _drop_references(words: np.ndarray) -> None:
 # --- a statement at a time -----------------------------------------------------------------------
 
 
-def _by_line(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
+def _by_line(
+    name: str, data: bytes, describe: bool
+) -> tuple[np.ndarray, np.ndarray, Statements | None]:
     """Return the mesh of any OBJ; raise MeshError."""
     total = len(re.findall(rb"^[ \t]*v[ \t]", data, re.M))
+    all_uv = len(re.findall(rb"^[ \t]*vt[ \t]", data, re.M))
     points: list[list[float]] = []
     faces: list[list[int]] = []
+    uv: list[list[float]] = []
+    uv_faces: list[list[int]] = []
+    begun: list[tuple[int, str, str]] = []
+    colours: list[list[float]] = []
     line, corners = 0, [0] * 3
     try:
         for line, words in _statements(data):  # noqa: B007 (for the message)
             corners = [0] * 3
             if words[:1] == [b"v"]:
                 points.append(_vertex(words[1:4]))
+                if describe and len(words) == 7:
+                    colours.append(_vertex(words[4:7]))
             elif words[:1] == [b"f"]:
                 corners = [_index(word, len(points), total) for word in words[1:]]
-                faces += [[corners[0], *corners[i : i + 2]] for i in range(1, len(corners) - 1)]
+                faces += _fan(corners)
+                if describe:
+                    uv_faces += _fan([_uv_index(word, len(uv), all_uv) for word in words[1:]])
+            elif describe and words[:1] == [b"vt"]:
+                uv.append(_vertex([*words[1:3], *[b"0"] * 3][:3])[:2])
+            elif describe and (statement := _statement(b" ".join(words))):
+                begun.append((len(faces), *statement))
         if len(corners) < 3 and not data.endswith((b"\n", b"\r")):
             raise MeshError(
                 f"the last face has {count_of(len(corners), 'vertex')}: the file is truncated"
             )
     except MeshError as error:
         raise MeshError(f"{name}, line {line}: {error}") from None
-    return np.array(points).reshape(-1, 3), np.array(faces, np.int64).reshape(-1, 3)
+    statements = None
+    if describe:
+        coloured = len(colours) == len(points) > 0
+        statements = Statements(
+            begun, np.array(uv).reshape(-1, 2), np.array(uv_faces, np.int64).reshape(-1, 3),
+            np.array(colours) if coloured else None,
+        )  # fmt: skip
+    return (
+        np.array(points).reshape(-1, 3),
+        np.array(faces, np.int64).reshape(-1, 3),
+        statements,
+    )
+
+
+def _fan(corners: list[int]) -> list[list[int]]:
+    """Return a polygon as a fan of triangles."""
+    return [[corners[0], *corners[i : i + 2]] for i in range(1, len(corners) - 1)]
 
 
 def _statements(data: bytes) -> Iterator[tuple[int, list[bytes]]]:
@@ -211,5 +376,21 @@ def _index(word: bytes, known: int, total: int) -> int:
         raise MeshError(
             f"the face names vertex {index} where {count}, counted from 1: correct the index, or "
             "the file is truncated"
+        )
+    return absolute - 1
+
+
+def _uv_index(word: bytes, known: int, total: int) -> int:
+    """Return the texture coordinate that a corner names, counted from 0; -1 if none."""
+    second = word.split(b"/")[1:2]
+    if second in ([], [b""]):
+        return -1
+    index = int(second[0])
+    if not index:  # as some programs write for none
+        return -1
+    absolute = index if index >= 0 else known + 1 + index
+    if not 1 <= absolute <= total:
+        raise MeshError(
+            f"the face names texture coordinate {index} where there are {total}: correct the index"
         )
     return absolute - 1

@@ -1,6 +1,7 @@
 """PLY to arrays, binary and as text: the header, the vertices, and the polygons as triangles.
 
-Elements and properties other than the coordinates of vertices and the lists of faces are skipped.
+Elements and properties other than the coordinates of vertices and the lists of faces are skipped;
+colours of vertices are read where appearance is asked for.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import io
 import re
 import struct
 from array import array
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -16,7 +18,10 @@ import numpy as np
 from voxtool.arrays import float64
 from voxtool.errors import FileError, MeshError, printable
 from voxtool.files.numbers import Rows, blocks_of, fans, rows_in, triangles_in, vertices_in
+from voxtool.files.placement import Read
+from voxtool.mesh.appearance import Appearance
 from voxtool.mesh.mesh import check_complete, check_promised
+from voxtool.mesh.srgb import to_linear
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -62,6 +67,13 @@ class Element(NamedTuple):
                 raise FileError(f"its vertices have {names.count(axis)} properties {axis}, not one")
         return tuple(map(names.index, "xyz"))
 
+    def colours(self) -> tuple[int, ...]:
+        """The places of red, green, blue and, if it is there, alpha; () if one of three is not."""
+        places = {one.name.removeprefix("diffuse_"): i for i, one in enumerate(self.properties)}
+        if not all(name in places for name in ("red", "green", "blue")):
+            return ()
+        return tuple(places[name] for name in ("red", "green", "blue", "alpha") if name in places)
+
 
 LISTED_VERTEX = "its vertices have a list among their properties: leave it out"
 
@@ -102,8 +114,8 @@ def read_header(file: BinaryIO) -> tuple[str, list[Element], int, int]:
     raise FileError(f"its header has no end within {HEADER_LINES} lines")
 
 
-def parse(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (V, 3) float64 vertices and (F, 3) int64 faces of a PLY.
+def parse(name: str, data: bytes, keep: Sequence[str] = ()) -> Read:
+    """Return the mesh of a PLY, with the colours of its vertices as `keep` asks.
 
     MeshError names the line of a text. Polygons become fans of triangles.
     """
@@ -112,11 +124,33 @@ def parse(name: str, data: bytes) -> tuple[np.ndarray, np.ndarray]:
         counts = {element.name: element.count for element in reversed(elements)}  # of the first
         wanted = counts.get("vertex", 0), counts.get("face", 0)
         check_promised(name, *wanted, len(data))
+        look = "appearance" in keep
         if format == "ascii":
-            return _of_text(name, elements, wanted, data, start, lines + 1)
-        return _of_bytes(name, elements, data, start, ORDERS[format])
+            found = _of_text(name, elements, wanted, data, start, lines + 1, look)
+        else:
+            found = _of_bytes(name, elements, data, start, ORDERS[format], look)
     except FileError as error:
         raise MeshError(f"{name}: {error}") from None
+    vertices, faces, colours = found
+    if colours is None:
+        return Read(vertices, faces)
+    none = np.full(len(faces), -1, np.int32)
+    return Read(vertices, faces, appearance=Appearance((), none, None, colours))
+
+
+def _linear(element: Element, columns: list[np.ndarray]) -> np.ndarray:
+    """Return colours in linear light, (V, 4), of channels in sRGB: whole numbers up to the largest
+    of their type, others from 0 to 1."""
+    found = np.ones((len(columns[0]), 4))
+    for channel, (place, column) in enumerate(zip(element.colours(), columns, strict=True)):
+        kind = np.dtype(element.properties[place].type)
+        shares = float64(column)
+        if kind.kind in "iu":
+            shares /= np.iinfo(kind).max
+        if not ((shares >= 0) & (shares <= 1)).all():
+            raise FileError("a colour of its vertices is not from 0 to 1: correct it")
+        found[:, channel] = to_linear(shares) if channel < 3 else shares
+    return found
 
 
 def _corners(face: Element) -> int:
@@ -142,9 +176,11 @@ def _of_text(
     data: bytes,
     start: int,
     line: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices and faces of a text from `start` on, where line `line` begins; MeshError
-    for fewer than `wanted`."""
+    look: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return the vertices, the faces and, if `look`, the colours of a text from `start` on, where
+    line `line` begins; MeshError for fewer than `wanted`."""
+    colours: list[np.ndarray] = []
     points, corners, vertices, faces = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0, 0
     done = 0
     for block in blocks_of(data, start):
@@ -154,6 +190,9 @@ def _of_text(
             if element.name == "vertex":
                 element.record("", LISTED_VERTEX)
                 points.append(vertices_in(name, part, element.axes()))
+                if look and (places := element.colours()):
+                    channels = vertices_in(name, part, places).T
+                    colours.append(_linear(element, list(channels)))
                 vertices += end - begin
             elif element.name == "face":
                 corners.append(triangles_in(name, wanted[0], _from_list(name, element, part)))
@@ -161,7 +200,8 @@ def _of_text(
         done += len(rows.first)
         line += block.count(b"\n")
     check_complete(name, (vertices, faces), wanted)
-    return np.concatenate(points), np.concatenate(corners)
+    whole = np.concatenate(colours) if colours else None
+    return np.concatenate(points), np.concatenate(corners), whole
 
 
 def _spans(elements: list[Element], done: int, rows: int) -> Iterator[tuple[Element, int, int]]:
@@ -196,9 +236,10 @@ def _from_list(name: str, face: Element, rows: Rows) -> Rows:
 
 
 def _of_bytes(
-    name: str, elements: list[Element], data: bytes, start: int, order: str
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices and faces of binary data from `start` on."""
+    name: str, elements: list[Element], data: bytes, start: int, order: str, look: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return the vertices, the faces and, if `look`, the colours of binary data from `start` on."""
+    colours: np.ndarray | None = None
     points: np.ndarray | None = None
     corners: np.ndarray | None = None
     needed = {element.name for element in elements} & {"vertex", "face"}
@@ -211,6 +252,8 @@ def _of_bytes(
             points = np.empty((element.count, 3))
             for axis, place in enumerate(axes):
                 points[:, axis] = float64(rows[f"{place}"])
+            if look and (places := element.colours()):
+                colours = _linear(element, [rows[f"{place}"] for place in places])
             start += element.count * record.itemsize
             needed.discard("vertex")
         elif element.name == "face" and corners is None:
@@ -221,7 +264,8 @@ def _of_bytes(
         if not needed:
             break
     none = np.empty((0, 3))
-    return none if points is None else points, none.astype(int) if corners is None else corners
+    points = none if points is None else points
+    return points, none.astype(int) if corners is None else corners, colours
 
 
 def _check_end(name: str, element: Element, end: int, data: bytes) -> None:

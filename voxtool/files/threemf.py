@@ -1,24 +1,37 @@
 """3MF (3D Manufacturing Format, core specification 1.3): a zip archive of XML models.
 
 A model is read as a stream. Each object that the model builds is placed by the transforms of its
-build item and its components, of other parts of the archive too (production extension).
+build item and its components, of other parts of the archive too (production extension). Base
+materials and groups of colours are read; a triangle whose corners differ has the first one's.
 """
 
 from __future__ import annotations
 
 import io
+import re
 import zipfile
 import zlib
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn
 from xml.parsers import expat
 
 import numpy as np
 
 from voxtool.errors import MeshError, one_line, printable
-from voxtool.files.placement import DEEPEST, Part, check_placed, merged, product
+from voxtool.files.placement import (
+    DEEPEST,
+    Part,
+    Read,
+    check_placed,
+    look_of,
+    merged,
+    named,
+    product,
+)
+from voxtool.mesh.appearance import Material
+from voxtool.mesh.srgb import to_linear
 
 ZIP = b"PK\x03\x04"
 RELATIONS = "_rels/.rels"
@@ -36,6 +49,7 @@ UNITS = {
     "foot": "ft",
     "meter": "m",
 }
+COLOUR = re.compile(r"#[0-9A-Fa-f]{6}(?:[0-9A-Fa-f]{2})?")
 CHUNK = 1 << 16  # bytes fed to the parser at once
 Key = tuple[str, str]  # the part of the archive, and the object's id in it
 
@@ -54,20 +68,22 @@ class Object:
     points: array[float] = field(default_factory=lambda: array("d"))  # x, y, z of each vertex
     corners: array[int] = field(default_factory=lambda: array("q"))  # three a triangle
     components: list[Use] = field(default_factory=list)
+    name: str = ""
+    property: tuple[str, int] | None = None  # the group and the index that its triangles have
+    # Of triangles with properties: the triangle, and the place of its group and index.
+    marks: dict[tuple[str, int], int] = field(default_factory=dict)
+    marked: array[int] = field(default_factory=lambda: array("q"))  # a place, or -1, a triangle
 
 
-def parse(
-    name: str, data: bytes, limit: int, max_memory: int | None
-) -> tuple[np.ndarray, np.ndarray, str]:
-    """Return the (V, 3) float64 vertices, (F, 3) int64 faces and the units of all that a 3MF
-    builds.
+def parse(name: str, data: bytes, limit: int, max_memory: int | None, keep: Sequence[str]) -> Read:
+    """Return all that a 3MF builds.
 
     name : of the file, for messages; limit : bytes that its parts may unpack to; max_memory :
     bytes that the placed meshes may take.
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            return _Package(name, archive, limit).meshes(max_memory)
+            return _Package(name, archive, limit, keep).meshes(max_memory)
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError) as error:
         raise MeshError(
             f"{name}: not readable as 3MF: {one_line(error)}: it may be truncated or damaged, "
@@ -83,12 +99,19 @@ def _name(text: str) -> str:
 class _Package:
     """The parts of an archive that have been read."""
 
-    def __init__(self, name: str, archive: zipfile.ZipFile, limit: int) -> None:
+    def __init__(
+        self, name: str, archive: zipfile.ZipFile, limit: int, keep: Sequence[str]
+    ) -> None:
         self.name, self.archive, self.left, self.limit = name, archive, limit, limit
+        self.keep, self.look = keep, "appearance" in keep
+        self.materials: list[Material] = []
+        self.numbers: dict[tuple[str, str, int], int] = {}  # of materials: part, group, index
+        self.parts: list[str] = []
+        self.items: list[str] = []
         self.models: dict[str, _Model] = {}
         self.sizes: dict[Key, int] = {}
 
-    def meshes(self, max_memory: int | None) -> tuple[np.ndarray, np.ndarray, str]:
+    def meshes(self, max_memory: int | None) -> Read:
         relations = _Relations()
         self.feed(RELATIONS, relations.parser)
         if not relations.target:
@@ -99,9 +122,55 @@ class _Package:
                 f"{self.name}: its build names no object, so nothing is placed: export it again"
             )
         items = sum(self.size(use.key) for use in root.build)
-        check_placed(self.name, items, max_memory)
-        parts = (part for use in root.build for part in self.placed(use))
-        return *merged(self.name, parts), root.units
+        check_placed(self.name, items, max_memory, self.look)
+        placed = merged(self.name, self.built(root))
+        parts = {}
+        if "parts" in self.keep and len(placed.faces):
+            parts = {
+                "part": named(placed.labels["part"], self.parts),
+                "object": named(placed.labels["object"], self.items),
+            }
+            names = [material.name for material in self.materials]
+            if names and (placed.labels["look"] >= 0).all():
+                parts["material"] = named(placed.labels["look"], names)
+        look = look_of(placed, self.materials) if self.look else None
+        return Read(placed.vertices, placed.faces, root.units, parts, look)
+
+    def built(self, root: _Model) -> Iterator[Part]:
+        """Yield the meshes of each build item, with their labels."""
+        for use in root.build:
+            self.items.append(self.named(use.key))
+            for part in self.placed(use):
+                part.labels["object"] = len(self.items) - 1
+                yield part
+
+    def named(self, key: Key) -> str:
+        """Return the name of an object, or its number."""
+        return printable(self.object(key).name) or f"object {_name(key[1])}"
+
+    def look_of(self, key: Key) -> np.ndarray:
+        """Return the materials of the triangles of an object, (F,) int32; -1 for none."""
+        found, model = self.object(key), self.model(key[0])
+        own = self.number(model, found.property)
+        of = np.array([*(self.number(model, mark) for mark in found.marks), own], np.int32)
+        marked = np.full(len(found.corners) // 3, -1)
+        marked[: len(found.marked)] = found.marked
+        return of[marked]  # -1 is the object's own
+
+    def number(self, model: _Model, mark: tuple[str, int] | None) -> int:
+        """Return the number of a material of a model; -1 for none, and for what is no colour."""
+        if mark is None or mark[0] not in model.groups:
+            return -1
+        group, index = mark
+        if not 0 <= index < len(model.groups[group]):
+            raise MeshError(
+                f"{self.name}: {_name(model.part)} has no colour {index} in group {_name(group)}"
+            )
+        key = model.part, group, index
+        if key not in self.numbers:
+            self.numbers[key] = len(self.materials)
+            self.materials.append(model.groups[group][index])
+        return self.numbers[key]
 
     def feed(self, part: str, parser: expat.XMLParserType) -> None:
         """Parse a part of the archive, and count the bytes that it unpacks to."""
@@ -160,7 +229,11 @@ class _Package:
         found = self.object(use.key)
         if found.points:
             corners = np.frombuffer(found.corners, np.int64).reshape(-1, 3)
-            yield np.frombuffer(found.points).reshape(-1, 3), corners, use.matrix
+            labels: dict[str, Any] = {"part": len(self.parts)}
+            if self.keep:
+                self.parts.append(self.named(use.key))
+                labels["look"] = self.look_of(use.key)
+            yield Part(np.frombuffer(found.points).reshape(-1, 3), corners, use.matrix, labels)
         for inner in found.components:
             yield from self.placed(Use(inner.key, product(use.matrix, inner.matrix)))
 
@@ -201,26 +274,54 @@ class _Model(_Parser):
         self.objects: dict[str, Object] = {}
         self.build: list[Use] = []
         self.open = Object()
+        self.groups: dict[str, list[Material]] = {}  # of base materials and of colours, by id
+        self.group: list[Material] = []
 
     def namespace(self, prefix: str | None, uri: str) -> None:
         self.names[prefix or ""] = uri
 
     def start(self, tag: str, attributes: dict[str, str]) -> None:
         space, _, what = tag.rpartition(" ")
+        if space == MATERIALS:
+            self.coloured(what, attributes)
         if space != CORE:
             return
         if what == "vertex":
             self.open.points.extend(float(attributes[axis]) for axis in "xyz")
         elif what == "triangle":
             self.open.corners.extend(int(attributes[corner]) for corner in ("v1", "v2", "v3"))
+            if "p1" in attributes:
+                self.mark(attributes)
         elif what == "object":
-            self.open = self.objects[attributes["id"]] = Object()
+            self.open = self.objects[attributes["id"]] = Object(name=attributes.get("name", ""))
+            if "pid" in attributes:
+                self.open.property = attributes["pid"], int(attributes.get("pindex", 0))
+        elif what == "basematerials":
+            self.group = self.groups[attributes["id"]] = []
+        elif what == "base":
+            self.group.append(
+                _material(printable(attributes.get("name", "")), attributes["displaycolor"])
+            )
         elif what == "component":
             self.open.components.append(self.use(attributes))
         elif what == "item":
             self.build.append(self.use(attributes))
         elif what == "model":
             self.begin(attributes)
+
+    def coloured(self, what: str, attributes: dict[str, str]) -> None:
+        if what == "colorgroup":
+            self.group = self.groups[attributes["id"]] = []
+        elif what == "color":
+            self.group.append(_material(attributes["color"], attributes["color"]))
+
+    def mark(self, attributes: dict[str, str]) -> None:
+        """Keep the group and the index of the triangle that has just been read."""
+        own, one = self.open.property, self.open
+        group = attributes.get("pid", own[0] if own else "")
+        triangle = len(one.corners) // 3 - 1
+        one.marked.extend([-1] * (triangle - len(one.marked)))
+        one.marked.append(one.marks.setdefault((group, int(attributes["p1"])), len(one.marks)))
 
     def begin(self, attributes: dict[str, str]) -> None:
         unit = attributes.get("unit", "millimeter")
@@ -240,3 +341,12 @@ class _Model(_Parser):
                 raise MeshError("a transform is no 12 finite numbers")
             matrix[:3] = np.array(numbers).reshape(4, 3).T  # 3MF multiplies rows
         return Use((part, attributes["objectid"]), matrix)
+
+
+def _material(name: str, colour: str) -> Material:
+    """Return a material of a colour of 3MF, #RRGGBB or #RRGGBBAA in sRGB."""
+    if not COLOUR.fullmatch(colour):
+        raise MeshError(f"colour {_name(colour)} is not as #RRGGBB: correct it")
+    levels = np.frombuffer(bytes.fromhex(colour[1:].ljust(8, "F")), np.uint8)
+    red, green, blue = to_linear(levels[:3]).tolist()
+    return Material(name, (red, green, blue, int(levels[3]) / 255))

@@ -15,6 +15,7 @@ from voxtool.errors import MeshError
 GROUPINGS = ("part", "object", "material")  # of faces, as a file names them
 WRAPS = ("repeat", "mirror", "clamp")  # of textures beyond 0 to 1, as in glTF
 FILTERS = ("linear", "nearest")
+MOST_UV = 1 << 20  # repeats of a texture on either side of 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,3 +114,22 @@ def check_described(
             raise MeshError(f"{where}: {what} of shape {array.shape}, not {shape}")
     if faces and not -1 <= look.material.min() <= look.material.max() < len(look.materials):
         raise MeshError(f"{where}: a face has a material that there is not")
+    if look.uv is not None:
+        _check_uv(where, look)
+    if look.colours is not None and not ((look.colours >= 0) & (look.colours <= 1)).all():
+        vertex = int(np.argmin(((look.colours >= 0) & (look.colours <= 1)).all(axis=1)))
+        raise MeshError(f"{where}: the colour of vertex {vertex} is not from 0 to 1: correct it")
+
+
+def _check_uv(where: str, look: Appearance) -> None:
+    """Raise MeshError for texture coordinates of a texture that are not finite, or far out."""
+    textured = np.array([one.texture is not None for one in look.materials] + [False])
+    uv = look.uv[textured[look.material]] if look.uv is not None else np.empty((0, 3, 2))
+    if (np.abs(uv) <= MOST_UV).all():
+        return
+    faces = np.flatnonzero(textured[look.material])
+    face = faces[np.argmin((np.abs(uv) <= MOST_UV).all(axis=(1, 2)))]
+    raise MeshError(
+        f"{where}: a texture coordinate of face {face} is not finite, or beyond {MOST_UV}: unwrap "
+        "the mesh again"
+    )

@@ -121,7 +121,14 @@ class Mesh(Data):
 
 
 def mesh_from_arrays(
-    vertices: Any, faces: Any, *, source_sha256: str = "", name: str = "", units: str = ""
+    vertices: Any,
+    faces: Any,
+    *,
+    source_sha256: str = "",
+    name: str = "",
+    units: str = "",
+    parts: dict[str, Parts] | None = None,
+    appearance: Appearance | None = None,
 ) -> Mesh:
     """Return a checked mesh of any arrays, which are copied.
 
@@ -131,7 +138,7 @@ def mesh_from_arrays(
         World units.
     faces : (F, 3) array_like of int
         The vertices of each triangle, counted from 0.
-    source_sha256, name, units : str
+    source_sha256, name, units, parts, appearance
         As in Mesh.
 
     Returns
@@ -170,7 +177,9 @@ def mesh_from_arrays(
             "remove it or give it a position"
         )
     indices = np.array(corners, np.int32, order="C")
-    mesh = Mesh(points, indices, source_sha256, name, units)
+    mesh = Mesh(
+        points, indices, source_sha256, name, units, parts=parts or {}, appearance=appearance
+    )
     if (mesh.bounds[0] == mesh.bounds[1]).all():
         raise MeshError(
             f"{where}: all points of its {count_of(len(indices), 'face')} are equal, at "
