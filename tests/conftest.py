@@ -11,6 +11,7 @@ import shlex
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import helpers_tets
@@ -136,19 +137,25 @@ def model(name: str) -> Path:
     return path
 
 
+def example(name: str) -> ModuleType:
+    """A module of the examples."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / f"examples/{name}.py")
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
 @pytest.fixture(scope="session")
 def models(tmp_path_factory) -> Path:
-    """bunny.obj, bunny.svo.h5 (128, solid), bunny.adf.h5 (level 5), points.csv, open.obj, a box
+    """bunny.obj, parts.glb, bunny.svo.h5 (128, solid), bunny.adf.h5 (level 5), points.csv, open.obj, a box
     without a lid, box.svo.h5, its voxels in the grid of the bunny, volume.vtu and volume.tet.h5
     (density), mask.npy and scan.npz (voxels and coverages of bunny.svo.h5), distances.nii.gz
     (samples of bunny.adf.h5)."""
     folder = tmp_path_factory.mktemp("models")
-    spec = importlib.util.spec_from_file_location("make_bunny", ROOT / "examples/make_bunny.py")
-    assert spec
-    assert spec.loader
-    example = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(example)
-    write_obj(folder / "bunny.obj", *example.make_bunny(3000))
+    write_obj(folder / "bunny.obj", *example("make_bunny").make_bunny(3000))
+    (folder / "parts.glb").write_bytes(example("make_parts").glb())
     write_obj(folder / "open.obj", *meshes.open_box(0, (4, 3, 2)))
     (folder / "points.csv").write_text("x,y,z\n0,1,0\n0.5,2,0.25\n")
     helpers_tets.write_vtu(folder / "volume.vtu")
