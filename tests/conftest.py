@@ -149,8 +149,8 @@ def example(name: str) -> ModuleType:
 
 @pytest.fixture(scope="session")
 def models(tmp_path_factory) -> Path:
-    """bunny.obj, parts.glb, bunny.svo.h5 (128, solid), bunny.adf.h5 (level 5), points.csv, open.obj, a box
-    without a lid, box.svo.h5, its voxels in the grid of the bunny, volume.vtu and volume.tet.h5
+    """bunny.obj, parts.glb, bunny.svo.h5 (128, solid), bunny.adf.h5 (level 5), points.csv,
+    open.obj, a box without a lid, box.svo.h5, its voxels in the grid of the bunny, volume.vtu and volume.tet.h5
     (density), mask.npy and scan.npz (voxels and coverages of bunny.svo.h5), distances.nii.gz
     (samples of bunny.adf.h5)."""
     folder = tmp_path_factory.mktemp("models")
