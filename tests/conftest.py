@@ -150,9 +150,9 @@ def example(name: str) -> ModuleType:
 @pytest.fixture(scope="session")
 def models(tmp_path_factory) -> Path:
     """bunny.obj, parts.glb, bunny.svo.h5 (128, solid), bunny.adf.h5 (level 5), points.csv,
-    open.obj, a box without a lid, box.svo.h5, its voxels in the grid of the bunny, volume.vtu and volume.tet.h5
-    (density), mask.npy and scan.npz (voxels and coverages of bunny.svo.h5), distances.nii.gz
-    (samples of bunny.adf.h5)."""
+    open.obj, a box without a lid, box.svo.h5, its voxels in the grid of the bunny, volume.vtu and
+    volume.tet.h5 (density), mask.npy and scan.npz (voxels and coverages of bunny.svo.h5),
+    distances.nii.gz (samples of bunny.adf.h5)."""
     folder = tmp_path_factory.mktemp("models")
     write_obj(folder / "bunny.obj", *example("make_bunny").make_bunny(3000))
     (folder / "parts.glb").write_bytes(example("make_parts").glb())
