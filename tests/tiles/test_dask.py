@@ -139,7 +139,7 @@ def test_many_meshes(here: Path) -> None:
         ("--dask tcp://127.0.0.1:9", 4, "no scheduler of Dask at tcp://127.0.0.1:9"),
         ("--dask nowhere", 4, "no scheduler of Dask at nowhere"),
         ("open.obj --dask nowhere -o out/", 4, "no scheduler of Dask at nowhere"),
-        ("--dask local --workers 1 --fill flood", 3, "a flood is not divided into windows"),
+        ("--dask local --workers 1 --fill flood", 3, "a flood is not divided among workers"),
     ],
 )
 def test_refusals(command: str, code: int, message: str, here: Path, monkeypatch) -> None:

@@ -146,7 +146,10 @@ def command(
 
 
 def fits(job: VoxelizeJob, dag: bool) -> bool:
-    """Return whether the octree, and merging it, fit in memory in one piece."""
+    """Return whether the octree, and merging it, fit in memory in one piece; slabs of a flood are
+    more than one, and take longer than windows."""
+    if job.plan.slabs > 1:
+        return False
     if not dag:
         return job.fits
     from voxtool.tiles.merging import merging_fits
@@ -155,15 +158,11 @@ def fits(job: VoxelizeJob, dag: bool) -> bool:
 
 
 def windows_of(job: VoxelizeJob, dag: bool) -> WindowsJob | None:
-    """Return the job in windows, with `dag` merged, or None if windows do not fit either, or if it
-    is a flood, which divides the grid itself."""
-    from voxtool.tiles.merging import MergingJob
-    from voxtool.tiles.windows import WindowsJob
+    """Return the job in windows, with `dag` merged, or None if windows do not fit either."""
+    from voxtool.tiles.flooding import plan_windows
 
-    if job.plan.fill == "flood":
-        return None
     with suppress(MemoryLimitError):
-        return MergingJob(job) if dag else WindowsJob(job)
+        return plan_windows(job, merged=dag)
     return None
 
 

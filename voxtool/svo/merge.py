@@ -36,9 +36,9 @@ class Subtrees(NamedTuple):
         return sum(rows.nbytes for rows in self.rows) + self.leaves.nbytes
 
 
-def no_subtrees(levels: int) -> Subtrees:
-    """Return those of an empty cube with a number of levels above the bricks."""
-    return Subtrees([np.empty((0, CHILDREN), np.uint32)] * levels, np.empty(0, np.uint64), EMPTY)
+def no_subtrees(levels: int, root: int = EMPTY) -> Subtrees:
+    """Return those of an empty or full cube with a number of levels above the bricks."""
+    return Subtrees([np.empty((0, CHILDREN), np.uint32)] * levels, np.empty(0, np.uint64), root)
 
 
 def merge(levels: Sequence[np.ndarray], bricks: np.ndarray) -> Subtrees:

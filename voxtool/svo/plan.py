@@ -62,6 +62,7 @@ class VoxelizePlan:
     flooded: tuple[int, int, int] | None = None  # shape of the grid that is flooded
     choice: str = ""  # why the rule was chosen, if rules were compared
     slabs: int = 1  # in which it is flooded, one after the other
+    seeds: int = 0  # nodes that are refined at the faces of a window that is flooded
     column_tile: int = COLUMN_TILE  # columns along a side of a work-item's share of a triangle
     crowd: int = CROWD  # leaves of caps that may be near a voxel
     most_left: float = MOST_LEFT
@@ -160,7 +161,7 @@ class VoxelizePlan:
         share = min(slab / grid[2], 1.0) if self.slabs > 1 else 1.0
         active = _predict_active(self.survey, grid, 1 << (max(grid) - 1).bit_length(), True)
         widened = 1 + 2 * steps / CELL  # a surface meets as many more nodes once it is dilated
-        bricks = round(8 * active[0] * share * widened)
+        bricks = round(8 * active[0] * share * widened) + 8 * self.seeds
         mesh = 12 * (self.survey.vertices + self.survey.triangles)
         return Cost(
             device=mesh + self._volume_bytes + FLOOD_BYTES * bricks,

@@ -51,23 +51,31 @@ def pruned_states(states: list[np.ndarray], kinds: np.ndarray) -> list[np.ndarra
 def prune(
     codes: np.ndarray, states: list[np.ndarray], bricks: np.ndarray, active: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Make leaves of the refined nodes that are neither active nor mixed.
-
-    `codes` are the ascending Morton codes of the refined level-1 nodes, `states` the (n,) uint8
-    states of all nodes by level, from level 1 up, and `bricks` the masks of the children of the
-    refined level-1 nodes. The level-1 nodes with codes `active`, which are among the refined ones,
-    stay refined. Returns the offsets, nodes and bricks of an Octree.
-    """
-    kinds = kinds_of_bricks(bricks)
-    kinds[np.searchsorted(codes, active)] = REFINED
-    kept = bricks.reshape(-1, 8)[kinds == REFINED].ravel().astype(BRICK, copy=False)
-    levels = pruned_states(states, kinds)[::-1]
+    """Make leaves of the refined nodes that are neither active nor mixed, as `prune_levels` does.
+    Returns the offsets, nodes and bricks of an Octree."""
+    levels, kept = prune_levels(codes, states, bricks, active)
     offsets = offsets_of(levels, len(kept))
     nodes, start = np.empty(offsets[-1], NODE), 0
     for block in nodes_of(levels):
         nodes[start : start + len(block)] = block
         start += len(block)
     return offsets.astype(np.uint32), nodes, kept
+
+
+def prune_levels(
+    codes: np.ndarray, states: list[np.ndarray], bricks: np.ndarray, active: np.ndarray
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Make leaves of the refined nodes that are neither active nor mixed.
+
+    `codes` are the ascending Morton codes of the refined level-1 nodes, `states` the (n,) uint8
+    states of all nodes by level, from level 1 up, and `bricks` the masks of the children of the
+    refined level-1 nodes. The level-1 nodes with codes `active`, which are among the refined ones,
+    stay refined. Returns the states of the nodes that remain, from the root down, and their bricks.
+    """
+    kinds = kinds_of_bricks(bricks)
+    kinds[np.searchsorted(codes, active)] = REFINED
+    kept = bricks.reshape(-1, 8)[kinds == REFINED].ravel().astype(BRICK, copy=False)
+    return pruned_states(states, kinds)[::-1], kept
 
 
 def states_by_level(codes: np.ndarray, full: list[np.ndarray]) -> list[np.ndarray]:

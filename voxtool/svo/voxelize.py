@@ -188,7 +188,7 @@ class VoxelizeJob(Job[Octree]):
         self.grid = self._whole.window(*self._window) if self._window else self._whole
         holes, faces = (caps.holes, len(caps.faces)) if caps else (0, 0)
         request: dict[str, Any] = {"mode": mode, "fill": fill, "gap": gap}
-        flooded = self._whole.shape if fill == "flood" else None
+        flooded = self._flooded[1] if fill == "flood" else None
         request |= {"holes": holes, "caps": faces, "flooded": flooded}
         request["choice"] = self.choice.why if self.choice else ""
         plan = plan_of(survey, self.grid.shape, **request)
@@ -204,11 +204,16 @@ class VoxelizeJob(Job[Octree]):
         """The memory that the job lacks, as messages say it; "" if it lacks none."""
         return self.plan.cost.shortage(self.limit, self.device.info.max_allocation)
 
+    @property
+    def _flooded(self) -> Window:
+        """The part of the grid that is flooded."""
+        return (0, 0, 0), self._whole.shape
+
     def _place(self, some: np.ndarray | None, fill: str) -> Survey:
         """Upload the mesh, or only `some` of its faces, and survey it: on the window, or on the
         whole grid to flood it."""
         boundary = _boundary(self.mesh) if fill == "winding" else None
-        window = None if fill == "flood" else self._window
+        window = self._flooded if fill == "flood" else self._window
         self.lattice = place_mesh(self.mesh, self._whole, window, some, boundary, self.device)
         return self.lattice.survey()
 
@@ -287,13 +292,13 @@ class VoxelizeJob(Job[Octree]):
         low = np.array(self._window[0] if self._window else (0, 0, 0))
         plan = self.plan
         frame = frame_of(self._whole.shape, low, np.array(plan.shape), plan.gap, plan.slabs)
-        return self._octree(*prune(*flood(self.device, self._walls, frame, plan.gap)))
+        return self._octree(*prune(*flood(self.device, self._walls, frame)))
 
     def _walls(self, low: np.ndarray, shape: np.ndarray) -> tuple[np.ndarray, Array]:
         """Return the active level-1 nodes of a box of the grid, and the bricks with the surface."""
         lattice, plan, box = self.lattice, self.plan, tuple(shape.tolist())
-        if low.any() or box != self._whole.shape:
-            window = low.tolist(), box
+        window = tuple(low.tolist()), box
+        if window != self._flooded:
             lattice = place_mesh(self.mesh, self._whole, window, self._faces, None, self.device)
         if box != plan.shape:
             request = {name: getattr(plan, name) for name in REQUEST}

@@ -21,6 +21,7 @@ from voxtool.svo.content import OctreeContent
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import plan_voxelize
 from voxtool.tiles.combining import CombineWindowsJob
+from voxtool.tiles.flooding import plan_windows
 from voxtool.tiles.morphing import MorphWindowsJob, plan_unread
 from voxtool.tiles.octree import BlockOctree
 from voxtool.tiles.operations import OperationJob
@@ -42,6 +43,7 @@ def voxelize(
     dim: int | None = None,
     pitch: float | None = None,
     fill: str = "auto",
+    gap: int = 0,
     with_surface: bool = False,
     device: Device | None = None,
     max_memory: int | None = None,
@@ -50,7 +52,7 @@ def voxelize(
 
     Parameters
     ----------
-    mesh, grid, mode, dim, pitch, fill, with_surface
+    mesh, grid, mode, dim, pitch, fill, gap, with_surface
         As for `voxtool.voxelize`.
     client
         A `distributed.Client`, whose workers make the windows; this process makes them by default.
@@ -74,7 +76,7 @@ def voxelize(
     MemoryLimitError
         If a window of the least size does not fit.
     VoxtoolError
-        If the fill rule is a flood, which cannot be divided.
+        If the fill rule is a flood, and a client is given: workers do not flood.
     FileError
         If the windows or the file cannot be written.
 
@@ -87,9 +89,9 @@ def voxelize(
     if grid and (dim or pitch):
         raise GridError("a grid has its own dim and pitch: drop dim= and pitch=, or the grid")
     grid = grid or Grid.fit(found, dim, pitch=pitch)
-    request = {"fill": fill, "with_surface": with_surface}
+    request = {"fill": fill, "gap": gap, "with_surface": with_surface}
     whole = plan_voxelize(found, grid, mode, device=device, max_memory=max_memory, **request)
-    job = SpreadJob(whole, client) if client else WindowsJob(whole)
+    job = SpreadJob(whole, client) if client else plan_windows(whole)
     if file is not None:
         return _written(job, file, resume)
     with tempfile.TemporaryDirectory(prefix="voxtool-") as folder:

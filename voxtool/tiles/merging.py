@@ -17,7 +17,7 @@ from voxtool.svo.merge import Subtrees, join, merge, no_subtrees
 from voxtool.svo.merged import MERGE_BYTES, MergedOctree
 from voxtool.svo.plan import VoxelizePlan
 from voxtool.svo.voxelize import VoxelizeJob
-from voxtool.tiles.subtree import depth_of, subtree_of
+from voxtool.tiles.subtree import depth_of
 from voxtool.tiles.windows import Part, WindowsJob, WindowsPlan
 
 
@@ -77,6 +77,7 @@ class MergingJob(WindowsJob):
         return _shortage(job)
 
     def _run(self) -> MergedOctree:  # pyright: ignore[reportIncompatibleMethodOverride]
+        self._prepare()
         self._done = 0
         subtrees = self._merged(self.plan.root, self.all_faces)
         mesh, plan = self.mesh, self.whole.plan
@@ -96,12 +97,12 @@ class MergingJob(WindowsJob):
                 )
             return joined
         if not part.window:
-            return no_subtrees(depth_of(part.key[3]))
+            return no_subtrees(depth_of(part.key[3]), self._leaf(part.key))
         return self._window(part.key, faces)
 
     def _window(self, key: Key, faces: np.ndarray) -> Subtrees:
         """Make and merge a window."""
         self._report()
         with self.device.reporting(lambda _: None):  # not the stages within
-            octree = self._job(key, faces)._run()
-        return merge(subtree_of(octree, key[3]).levels[::-1], octree.bricks)
+            levels, bricks, _ = self._content(key, faces)
+        return merge(levels[::-1], bricks)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from voxtool.errors import count_of, human
+from voxtool.errors import VoxtoolError, count_of, human
 from voxtool.files.windows import Key, Window
 from voxtool.grid import Grid
 from voxtool.job import Cost
@@ -27,8 +27,8 @@ from voxtool.tiles.windows import (
     Part,
     WindowsJob,
     WindowsPlan,
+    content_of,
     halves_of,
-    made_by,
     refuse_smallest,
     shape_of,
 )
@@ -86,6 +86,8 @@ class SpreadJob(WindowsJob):
     """
 
     def __init__(self, whole: VoxelizeJob, client: Client, device_name: str | None = None) -> None:
+        if whole.plan.fill == "flood":
+            raise VoxtoolError("a flood is not divided among workers: choose another fill rule")
         self.client, self.device_name = client, device_name
         self._divided: dict[Key, Part] = {}
         super().__init__(whole)
@@ -170,6 +172,6 @@ def make_window(
     window = key[:3], shape_of(key, grid)
     job = plan_voxelize(mesh, grid, window=window, device=shared_device(device_name), **options)
     if job.fits:
-        return made_by(job, key[3])
+        return Window.of(*content_of(job, key[3]))
     refuse_smallest(key, job.shortage)
     return None

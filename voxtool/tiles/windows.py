@@ -10,14 +10,14 @@ another (spread.py).
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
 
 from voxtool.arrays import digest_of
-from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
+from voxtool.errors import MemoryLimitError, count_of, human
 from voxtool.files.windows import Key, Window, Windows
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.job import Cost, Job
@@ -25,14 +25,16 @@ from voxtool.mesh.mesh import Mesh
 from voxtool.morton import morton_decode
 from voxtool.opencl import Device
 from voxtool.svo.layout import BRICK_BYTES, MAX_LINK, NODE_BYTES
+from voxtool.svo.links import EMPTY
 from voxtool.svo.octree import Octree
 from voxtool.svo.plan import NODE_BLOCK, VoxelizePlan
 from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 from voxtool.tiles.octree import BlockOctree
-from voxtool.tiles.subtree import Subtree, empty_subtree, joined, subtree_of
+from voxtool.tiles.subtree import Subtree, joined, leaf_subtree, subtree_of
 
 LEAST = NODE_BLOCK  # voxels along a side of a window
 MARGIN = 8  # voxels around a window whose faces may reach into its nodes
+Content = tuple[Sequence[np.ndarray], np.ndarray, int]
 CORNERS = morton_decode(np.arange(8, dtype=np.uint64))  # of the eight halves of a cube, in order
 
 
@@ -135,10 +137,9 @@ class WindowsJob(Job[BlockOctree]):
     device: Device
     plan: WindowsPlan
     store: Windows
+    least = LEAST
 
     def __init__(self, whole: VoxelizeJob) -> None:
-        if whole.plan.fill == "flood":
-            raise VoxtoolError("a flood is not divided into windows: choose another fill rule")
         self.whole, self.device, self.max_memory = whole, whole.device, whole.max_memory
         self.grid, self.mesh = whole.grid, whole.mesh
         del whole.lattice  # frees the memory of the whole mesh on the device
@@ -171,12 +172,18 @@ class WindowsJob(Job[BlockOctree]):
         along x, as their crossings decide where its rows begin."""
         if self._ranges is None:
             return faces
+        return self._faces_near(key, faces, MARGIN, rows=self.whole.plan.solid)
+
+    def _faces_near(self, key: Key, faces: np.ndarray, margin: int, *, rows: bool) -> np.ndarray:
+        """Return those of some faces whose boxes reach a cube with a margin; with `rows` also those
+        before it along x."""
+        assert self._ranges is not None
         low, high = (ends[faces] for ends in self._ranges)
         corner, side = np.array(key[:3]), key[3]
-        reached = high >= corner - MARGIN
-        if self.whole.plan.solid:
+        reached = high >= corner - margin
+        if rows:
             reached[:, 0] = True
-        return faces[(reached & (low <= corner + side + MARGIN)).all(axis=1)]
+        return faces[(reached & (low <= corner + side + margin)).all(axis=1)]
 
     def _mesh_of(self, faces: np.ndarray) -> Mesh:
         """Return the mesh of some faces."""
@@ -220,13 +227,14 @@ class WindowsJob(Job[BlockOctree]):
         shortage = self._shortage(job)
         if not shortage:
             return Part(key, window=True, plan=job.plan)
-        refuse_smallest(key, shortage)
+        refuse_smallest(key, shortage, self.least)
         return Part(key, parts=tuple(self._divide(half, faces) for half in halves_of(key)))
 
     # ---- the work
 
     def _run(self) -> BlockOctree:
         root = self.plan.root
+        self._prepare()
         self._done = 0
         self._make(self._missing(root, self.all_faces))
         self._used: list[Key] = []
@@ -236,6 +244,9 @@ class WindowsJob(Job[BlockOctree]):
         count = sum(map(self.store.voxels, self._used))
         result = (self.grid, plan.mode, plan.rule, tree, count, self._bricks)
         return BlockOctree(*result, plan.scene(), *origin)
+
+    def _prepare(self) -> None:
+        """Do what comes before all windows."""
 
     def _missing(self, part: Part, faces: np.ndarray) -> Iterator[tuple[Key, np.ndarray]]:
         """Yield the windows that are not made yet, with the faces that can change them."""
@@ -253,14 +264,23 @@ class WindowsJob(Job[BlockOctree]):
         for key, faces in missing:
             self._report()
             with self.device.reporting(lambda _: None):  # not the stages within
-                self.store.put(key, made_by(self._job(key, faces), key[3]))
+                self.store.put(key, Window.of(*self._content(key, faces)))
+
+    def _content(self, key: Key, faces: np.ndarray) -> Content:
+        """Return the states of the nodes of a window by level, from the root down, its bricks, and
+        the number of its voxels."""
+        return content_of(self._job(key, faces), key[3])
+
+    def _leaf(self, key: Key) -> int:
+        """Return the state of a cube that is no window."""
+        return EMPTY
 
     def _made(self, part: Part) -> Subtree:
         """Return the subtree of a cube; its bricks wait on disk."""
         if part.parts:
             return joined([self._made(half) for half in part.parts])
         if not part.window:
-            return empty_subtree(part.key[3])
+            return leaf_subtree(part.key[3], self._leaf(part.key))
         self._used.append(part.key)
         return Subtree(*self.store.get(part.key))
 
@@ -277,11 +297,11 @@ class WindowsJob(Job[BlockOctree]):
         """Yield warnings: the fill may leak, or the octree is empty."""
         return self.whole.findings(cast("Octree", octree))
 
-    def _report(self) -> None:
+    def _report(self, what: str = "window") -> None:
         """Say which window is being made."""
         self._done += 1
         if self._progress:
-            self._progress(f"window {self._done} of {self.plan.count}")
+            self._progress(f"{what} {self._done} of {self.plan.count}")
 
 
 def shape_of(key: Key, grid: Grid) -> tuple[int, int, int]:
@@ -290,10 +310,10 @@ def shape_of(key: Key, grid: Grid) -> tuple[int, int, int]:
     return x, y, z
 
 
-def made_by(job: VoxelizeJob, side: int) -> Window:
-    """Return the window of `side` voxels that a job makes."""
+def content_of(job: VoxelizeJob, side: int) -> Content:
+    """Return the content of the window of `side` voxels that a job makes."""
     octree = job._run()
-    return Window.of(subtree_of(octree, side).levels, octree.bricks, octree.count)
+    return subtree_of(octree, side).levels, octree.bricks, octree.count
 
 
 def refuse_smallest(key: Key, shortage: str, least: int = LEAST) -> None:

@@ -145,19 +145,16 @@ __kernel void find_roots(const uint n, volatile __global uint *roots)
         atomic_min(&roots[gid], root_of(roots, gid));
 }
 
-// found[PARTS i + p] = the root of part p of brick i % 8 of level-1 node chosen[i / 8], if it has voxels in
-// plane z (0 to 7) of the node, or NOTHING.
-__kernel void find_roots_at(__global const uint *chosen, const uint n, const uint z,
-                            __global const ulong *parts, const uint first_part,
-                            __global const uint *roots, __global uint *found)
+// found[PARTS i + p] = the root of part p of brick chosen[i], or NOTHING if there is no such part.
+__kernel void find_roots_of(__global const uint *chosen, const uint n, __global const ulong *parts,
+                            const uint first_part, __global const uint *roots, __global uint *found)
 {
     const uint gid = get_global_id(0);
     if (gid >= n)
         return;
-    const size_t first = (size_t)PARTS * (8 * (size_t)chosen[gid / 8] + gid % 8);
-    const ulong plane = (gid >> 2 & 1) == z >> 2 ? LOW[2] << shift_to(2, z & 3) : 0;
+    const size_t first = (size_t)PARTS * chosen[gid];
     for (uint p = 0; p < PARTS; ++p)
-        found[(size_t)PARTS * gid + p] = parts[first + p] & plane ? roots[first_part + first + p] : NOTHING;
+        found[(size_t)PARTS * gid + p] = parts[first + p] ? roots[first_part + first + p] : NOTHING;
 }
 
 // outside[i] = the voxels of brick i whose roots are reached.

@@ -459,6 +459,18 @@ def test_slabs_give_the_same_flood(device: Device, gap: int) -> None:
         assert job.with_(slabs=slabs).run().digest() == whole.digest()
 
 
+@pytest.mark.parametrize("ceiling", [193, 197])
+def test_slabs_grow_from_air_beyond_their_faces(device: Device, ceiling: int) -> None:
+    """The air in a bell ends a few voxels below a slab, and comes from far below: it grows into the
+    slab where a gap is closed."""
+    vertices, faces = meshes.box((30 * UNIT, 30 * UNIT, 10 * UNIT + 9), (90 * UNIT,) * 3)
+    vertices[vertices[:, 2] > 10 * UNIT + 9, 2] = ceiling * UNIT + 128
+    mesh = vertices, faces[(vertices[faces][:, :, 2] > 10 * UNIT + 9).any(axis=1)]
+    grid = lattice_grid((128, 128, 512))
+    job = plan_voxelize(lattice_mesh(*mesh), grid, fill="flood", gap=12, device=device)
+    assert job.with_(slabs=8).run().digest() == job.run().digest()
+
+
 def _sheet(low, high) -> tuple[np.ndarray, np.ndarray]:
     """A rectangle of one x."""
     corners = np.array([low, (low[0], high[1], low[2]), high, (low[0], low[1], high[2])])

@@ -9,22 +9,23 @@ With a gap of N voxels, the outside first stays ceil(N / 2) voxels away from the
 does not pass openings of up to N voxels. Then it grows by the same number of steps, so that closing
 gaps does not thicken the solid: dilation.py.
 
-A grid whose graph is too large for the memory is flooded in slabs along z. Neighbouring slabs
-overlap, and a piece in the overlap is a piece of both, so the components of all slabs are united by
-the roots that such pieces have in either. Then every slab is made again and answers for its voxels.
+A grid whose graph is too large for the memory is flooded in regions: slabs along z, or the windows
+of tiles/flooding.py. Neighbouring regions overlap by a block, so a piece near a face of a region is
+a piece of its neighbours, too; their components are united by such pieces (outside.py). Then every
+region is made again and answers for its voxels.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from voxtool.mesh.topology import components
-from voxtool.morton import distinct, gather_bits, morton_decode, morton_encode
+from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Array, Device
-from voxtool.svo.fill.pieces import Pieces, Region, clip_bricks, find_pieces
+from voxtool.svo.fill.outside import Outside
+from voxtool.svo.fill.pieces import Pieces, Region, Shared, clip_bricks, find_pieces
 from voxtool.svo.links import FULL
 from voxtool.svo.plan import CELL, flood_block, flood_steps
 from voxtool.svo.prune import states_by_level
@@ -32,6 +33,7 @@ from voxtool.svo.prune import states_by_level
 # The active level-1 nodes of a window of the grid, given by its low corner and its shape, and the
 # masks of their bricks with the surface; the window may begin before the grid.
 Walls = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, Array]]
+Answer = tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray]]
 
 
 @dataclass(frozen=True)
@@ -44,28 +46,41 @@ class Frame:
     end: np.ndarray  # where it ends
     low: np.ndarray  # where the window begins
     high: np.ndarray
-    block: int  # no leaf of a slab is larger
-    slabs: int
+    block: int  # no leaf near a region's faces is larger
+    gap: int
+    regions: tuple[Region, ...]
 
     @property
-    def regions(self) -> list[Region]:
-        """The slabs, from low to high."""
-        if self.slabs == 1:
-            return [Region(np.zeros(3, np.int64), np.full(3, self.side), (0, self.side))]
-        low, high = self.corner // self.block, -(-self.end // self.block)
-        cuts = self.block * np.linspace(low[2], high[2], self.slabs + 1).astype(np.int64)
-        low, high = self.block * (low - 1), self.block * (high + 1)
-        return [
-            Region(np.append(low[:2], a - self.block), np.append(high[:2], b + self.block), (a, b))
-            for a, b in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True)
-            if a < b
-        ]
+    def steps(self) -> int:
+        """The steps that the outside stays away from the surface."""
+        return flood_steps(self.gap)
+
+    @property
+    def divided(self) -> bool:
+        """True if there are other regions."""
+        return self.block > CELL
+
+    @property
+    def reach(self) -> int:
+        """The voxels around a region's own box whose pieces matter to it."""
+        return max(self.steps, 1)
+
+    def box(self, region: Region) -> tuple[np.ndarray, np.ndarray]:
+        """Return the low corner and the high one of the part of the grid whose surface matters to a
+        region; it begins with a level-1 node."""
+        low = np.maximum(region.low - self.steps, self.corner)
+        return low // CELL * CELL, np.minimum(region.high + self.steps, self.end)
 
     def seeds(self, region: Region) -> np.ndarray:
         """Return the Morton codes of level-1 nodes that are refined so that no leaf reaches across
-        the faces of the region or of the window."""
-        ends = region.low + self.block if self.slabs == 1 else region.high
-        cells = [_lattice(region.low, ends, self.block), self.low[None]]
+        the faces of the region, of its own box, or of the window."""
+        cells = [region.low[None], self.low[None]]
+        for axis in range(3 * self.divided):
+            for face in (region.own_low[axis], region.own_high[axis]):
+                low, high = region.low.copy(), region.high.copy()
+                low[axis], high[axis] = face - self.block, face + self.block
+                low, high = np.maximum(low, region.low), np.minimum(high, region.high)
+                cells.append(_lattice(low, high, self.block))
         for axis in np.flatnonzero((self.high < self.end) & (self.high % self.window > 0)):
             step = int(self.high[axis] & -self.high[axis])
             low = self.low.copy()
@@ -75,6 +90,19 @@ class Frame:
         return morton_encode(
             every[((every >= region.low) & (every < region.high)).all(axis=1)] // CELL
         )
+
+    def beyond(self, region: Region) -> list[np.ndarray]:
+        """Return level-1 cells of a region beyond the faces of the grid that its own box reaches;
+        the surface, and the steps around it, are farther away."""
+        cells = []
+        for axis in range(3):
+            if region.own_low[axis] <= self.corner[axis]:
+                cells.append(region.low // CELL)
+            if region.own_high[axis] >= self.end[axis]:
+                cell = region.low // CELL
+                cell[axis] = region.high[axis] // CELL - 1
+                cells.append(cell)
+        return cells
 
 
 def _lattice(low: np.ndarray, high: np.ndarray, step: int) -> np.ndarray:
@@ -86,7 +114,7 @@ def _lattice(low: np.ndarray, high: np.ndarray, step: int) -> np.ndarray:
 def frame_of(
     grid: tuple[int, int, int], low: np.ndarray, shape: np.ndarray, gap: int, slabs: int
 ) -> Frame:
-    """Return the frame of a window of a grid."""
+    """Return the frame of a window of a grid that is flooded as a whole, or in slabs."""
     window = 1 << (int(shape.max()) - 1).bit_length()
     block = flood_block(max(grid), gap) if slabs > 1 else CELL
     margin = block if slabs > 1 else flood_steps(gap) + 2 * CELL  # voxels 8 to 15 are beyond
@@ -94,90 +122,126 @@ def frame_of(
     corner = align * -(-(low + margin) // align) - low
     end = corner + grid
     side = 1 << (int(end.max()) + margin + block - 1).bit_length()
-    return Frame(side, window, corner, end, corner + low, corner + low + shape, block, slabs)
+    regions = _slabs(corner, end, block, slabs) if slabs > 1 else [_whole(side)]
+    place = (corner, end, corner + low, corner + low + shape)
+    return Frame(side, window, *place, block, gap, tuple(regions))
+
+
+def _whole(side: int) -> Region:
+    """Return the region that is all of a cube."""
+    low, high = np.zeros(3, np.int64), np.full(3, side)
+    return Region(low, high, low, high)
+
+
+def _slabs(corner: np.ndarray, end: np.ndarray, block: int, slabs: int) -> list[Region]:
+    """Return the regions from low to high along z that a grid is divided into."""
+    low, high = corner // block, -(-end // block)
+    cuts = block * np.linspace(low[2], high[2], slabs + 1).astype(np.int64)
+    low, high = block * (low - 1), block * (high + 1)
+    regions = []
+    for a, b in zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True):
+        own_low, own_high = np.append(low[:2], a), np.append(high[:2], b)
+        z = np.array([0, 0, block])
+        regions += [Region(own_low - z, own_high + z, own_low, own_high)] * (a < b)
+    return regions
+
+
+def window_frame(grid: tuple[int, int, int], key: tuple[int, int, int, int], gap: int) -> Frame:
+    """Return the frame of a cube of a grid, given by its low corner and its side, with what lies
+    around it: one of the windows that a grid is flooded in. All of them are in one cube."""
+    block = flood_block(0, gap)
+    root = max(1 << (max(grid) - 1).bit_length(), block)
+    corner = np.full(3, root)
+    low, end = corner + key[:3], corner + grid
+    region = Region(low - block, low + key[3] + block, low, low + key[3])
+    high = np.minimum(region.own_high, end)
+    return Frame(4 * root, key[3], corner, end, low, high, block, gap, (region,))
 
 
 def flood(
-    device: Device, walls: Walls, frame: Frame, gap: int
+    device: Device, walls: Walls, frame: Frame
 ) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, np.ndarray]:
     """Return the octree of the window's voxels that the outside cannot reach, with the surface: the
     codes of the refined level-1 nodes, the states of all nodes by level, from level 1 up, the masks
-    of the bricks, and the codes of the active level-1 nodes.
+    of the bricks, and the codes of the active level-1 nodes."""
+    if not frame.divided:
+        (region,) = frame.regions
+        pieces, active = _pieces(device, walls, frame, region)
+        outside = np.array([pieces.root_at(frame.beyond(region)[0])])
+        return _joined(frame, [_answer(frame, pieces, active, outside)])
+    found = Outside()
+    for region in frame.regions:
+        pieces, _ = _pieces(device, walls, frame, region)
+        found.add(pieces.shared(frame.reach, frame.beyond(region)))
+    answers = [
+        _answer(frame, *_pieces(device, walls, frame, region), outside)
+        for region, outside in zip(frame.regions, found.roots(), strict=True)
+        if (region.own_low < frame.high).all() and (frame.low < region.own_high).all()
+    ]
+    return _joined(frame, answers)
 
-    The outside does not pass openings of up to `gap` voxels.
-    """
-    regions, steps = frame.regions, flood_steps(gap)
-    kept = {}
-    if len(regions) == 1:
-        kept[0] = _pieces(device, walls, frame, regions[0], steps)
-        outside = [np.array([kept[0][0].beyond])]
-    else:
-        outside = _outside(_pieces(device, walls, frame, r, steps)[0] for r in regions)
-    codes, masks, active = [], [], []
-    full: list[list[np.ndarray]] = [[] for _ in range((frame.window // CELL).bit_length())]
-    for i, region in enumerate(regions):
-        if region.own[0] < frame.high[2] and frame.low[2] < region.own[1]:
-            pieces, found = kept.pop(i, None) or _pieces(device, walls, frame, region, steps)
-            states, inside = pieces.inside(outside[i], steps, frame.low, frame.high)
-            here = _within(frame, region, pieces.codes)
-            codes.append(pieces.codes[here])
-            masks.append(inside.reshape(-1, 8)[here])
-            active.append(found[_within(frame, region, found)])
-            for level, leaves in enumerate(_full_leaves(frame, pieces, states)):
-                full[level].append(leaves)
-    order = np.argsort(np.concatenate(codes), kind="stable")
-    own = np.uint64((1 << 3 * (len(full) - 1)) - 1)  # bits of a level-1 code in the window's cube
-    ascending = np.concatenate(codes)[order] & own
-    states = states_by_level(ascending, [np.concatenate(leaves) for leaves in full])
-    return ascending, states, np.concatenate(masks)[order].ravel(), np.concatenate(active) & own
+
+def shared_pieces(device: Device, walls: Walls, frame: Frame) -> Shared:
+    """Return the pieces of one of many windows that others may have, too."""
+    (region,) = frame.regions
+    pieces, _ = _pieces(device, walls, frame, region)
+    return pieces.shared(frame.reach, frame.beyond(region))
+
+
+def flooded_window(
+    device: Device, walls: Walls, frame: Frame, outside: np.ndarray
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, np.ndarray]:
+    """Return the octree of a window, as `flood` does, from the roots of its pieces outside."""
+    (region,) = frame.regions
+    return _joined(frame, [_answer(frame, *_pieces(device, walls, frame, region), outside)])
 
 
 def _pieces(
-    device: Device, walls: Walls, frame: Frame, region: Region, steps: int
+    device: Device, walls: Walls, frame: Frame, region: Region
 ) -> tuple[Pieces, np.ndarray]:
     """Return the pieces of a region, and the codes of its active level-1 nodes."""
-    low = np.maximum(region.low - steps, frame.corner)
-    high = np.minimum(region.high + steps, frame.end)
-    corner = low // CELL * CELL
+    corner, high = frame.box(region)
+    low = np.maximum(region.low - frame.steps, frame.corner)
     codes, bricks = walls(corner - frame.corner, high - corner)
     if (corner < low).any():
         clip_bricks(device.put(codes), bricks, low - corner, high - corner)
     codes = morton_encode(morton_decode(codes) + corner // CELL)
     seeds = frame.seeds(region)
-    return find_pieces(device, frame.side, region, seeds, (codes, bricks), steps), codes
+    pieces = find_pieces(device, frame.side, region, seeds, (codes, bricks), frame.steps)
+    return pieces, codes
 
 
-def _outside(slabs: Iterator[Pieces]) -> list[np.ndarray]:
-    """Return the roots of each slab's pieces that are outside."""
-    links, beyond, starts, above = [], [], [0], np.empty(0, np.int64)
-    for pieces in slabs:
-        first, (low, high) = starts[-1], pieces.region.own
-        if len(starts) > 1:
-            below = first + pieces.roots_at(low - 1).astype(np.int64)
-            links.append(np.unique(np.stack([above, below]), axis=1))
-        above = first + pieces.roots_at(high - 1).astype(np.int64)
-        beyond.append(first + pieces.beyond)
-        starts.append(first + pieces.roots.size)
-    u, v = np.concatenate(links, axis=1)
-    numbers = distinct(np.concatenate([u, v, beyond]))
-    u, v = np.searchsorted(numbers, u), np.searchsorted(numbers, v)
-    least = components(u, v, len(numbers))
-    outside = numbers[np.isin(least, least[np.searchsorted(numbers, beyond)])]
-    parts = np.split(outside, np.searchsorted(outside, starts[1:-1]))
-    return [part - first for part, first in zip(parts, starts, strict=False)]
+def _answer(frame: Frame, pieces: Pieces, active: np.ndarray, outside: np.ndarray) -> Answer:
+    """Return what a region knows of the window: the codes of its refined level-1 nodes, their
+    masks, the codes of its active nodes, and those of its FULL leaves by level."""
+    states, inside = pieces.inside(outside, frame.steps, frame.low, frame.high)
+    here = _within(frame, pieces.region, pieces.codes)
+    masks = inside.reshape(-1, 8)[here]
+    full = _full_leaves(frame, pieces, states)
+    return pieces.codes[here], masks, active[_within(frame, pieces.region, active)], full
+
+
+def _joined(
+    frame: Frame, answers: list[Answer]
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, np.ndarray]:
+    """Return what several regions know together, as `flood` does."""
+    codes, masks, active, leaves = zip(*answers, strict=True)
+    order = np.argsort(np.concatenate(codes), kind="stable")
+    own = np.uint64((frame.window // CELL) ** 3 - 1)  # bits of a level-1 code in the window's cube
+    ascending = np.concatenate(codes)[order] & own
+    full = [np.concatenate(level) for level in zip(*leaves, strict=True)]
+    states = states_by_level(ascending, full)
+    return ascending, states, np.concatenate(masks)[order].ravel(), np.concatenate(active) & own
 
 
 def _within(frame: Frame, region: Region, codes: np.ndarray) -> np.ndarray:
     """Return which level-1 nodes a region answers for, and lie in the window."""
     bits = np.uint64(3 * ((frame.window // CELL).bit_length() - 1))
     here = codes >> bits == morton_encode(frame.low[None] // frame.window)
-    others = (frame.high < frame.end) | (frame.slabs > 1)  # nodes beyond the window, not outside
-    for axis in np.flatnonzero(others & (frame.high % frame.window > 0)):
-        here &= gather_bits(codes >> np.uint64(axis)) < -(-frame.high[axis] // CELL)
-    if frame.slabs > 1:
-        z = CELL * gather_bits(codes >> np.uint64(2))
-        here &= (region.own[0] <= z) & (z < region.own[1])
-    return here
+    cells = morton_decode(codes)
+    here &= (cells < -(-frame.high // CELL)).all(axis=1)
+    low, high = region.own_low // CELL, region.own_high // CELL
+    return here & ((cells >= low) & (cells < high)).all(axis=1)
 
 
 def _full_leaves(frame: Frame, pieces: Pieces, states: np.ndarray) -> list[np.ndarray]:

@@ -8,21 +8,24 @@ of its component. Kernels: kernels/svo/fill/flood.cl.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from voxtool.morton import gather_bits, morton_decode, morton_encode
+from voxtool.morton import morton_decode, morton_encode
 from voxtool.opencl import Array, Device, program
 from voxtool.svo.build import DeviceOctree, build_octree
 from voxtool.svo.fill.dilation import dilate, grow_outside, reached_nodes
 from voxtool.svo.fill.rows import unite_nodes
-from voxtool.svo.layout import BRICK, VALID, descend
+from voxtool.svo.layout import BRICK, BRICK_SIDE, VALID, descend
 from voxtool.svo.links import EMPTY, FULL, REFINED
 from voxtool.svo.plan import CELL
 
 SOURCE = "svo/fill/flood.cl"
 PARTS = 8  # components that the voxels of a brick can have
 NOTHING = 0xFFFFFFFF  # beyond the region
+KIND_BITS = np.uint64(8)  # of a key, after the code of a level-1 cell: the octant and the part, or
+LEAF = 64  # this and the level of a leaf whose lowest cell it is
 HEADERS = {
     "svo/fill/flood.h": program.c_constants(
         PARTS=PARTS, NOTHING=NOTHING, EMPTY=EMPTY, FULL=FULL, REFINED=REFINED
@@ -33,16 +36,44 @@ HEADERS = {
 @dataclass(frozen=True)
 class Region:
     """A box of an octree's cube in which pieces are united, in voxels; no leaf reaches across its
-    faces."""
+    faces, nor across those of the box that it answers for."""
 
     low: np.ndarray  # (3,) int64
     high: np.ndarray
-    own: tuple[int, int]  # the voxels along z that it answers for
+    own_low: np.ndarray  # the box that it answers for
+    own_high: np.ndarray
 
     @property
     def cells(self) -> tuple[np.ndarray, np.ndarray]:
         """The low and the high corner in level-1 cells."""
         return self.low // CELL, self.high // CELL
+
+    def near_faces(self, low: np.ndarray, side: int, reach: int) -> np.ndarray:
+        """Return which cubes, given by their (n, 3) low corners, have voxels up to `reach` from the
+        faces of its own box, without those that are faces of the region, too."""
+        first = np.where(self.own_low > self.low, self.own_low + reach, self.low)
+        end = np.where(self.own_high < self.high, self.own_high - reach, self.high)
+        out = (low + side <= self.own_low - reach) | (low >= self.own_high + reach)
+        within = (low >= first) & (low + side <= end)
+        return ~np.logical_or(out.any(axis=1), within.all(axis=1))
+
+
+class Shared(NamedTuple):
+    """The pieces of a region that other regions may have, too."""
+
+    keys: np.ndarray  # (n,) uint64: equal for equal pieces
+    roots: np.ndarray  # (n,) uint32
+    beyond: np.ndarray  # (m,) uint32: roots of pieces beyond the grid
+    size: int  # of the roots: they are below it
+
+
+def cubes_of(keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the (n, 3) low corners and the (n,) sides of the leaves and bricks of some keys."""
+    kind = (keys & np.uint64(255)).astype(np.int64)
+    low, leaf = CELL * morton_decode(keys >> KIND_BITS), kind >= LEAF
+    octants = morton_decode((kind >> 3 & 7).astype(np.uint64))
+    low += BRICK_SIDE * np.where(leaf[:, None], 0, octants)
+    return low, np.where(leaf, CELL << np.maximum(kind - LEAF - 1, 0), BRICK_SIDE)
 
 
 @dataclass(frozen=True)
@@ -62,40 +93,59 @@ class Pieces:
         """The number of nodes above level 0."""
         return int(self.tree.offsets[-2])
 
-    @property
-    def beyond(self) -> int:
-        """The root of the leaf beside the region's lowest node, which is refined."""
-        level1, level2 = morton_encode(self.region.cells[0][None]), self.level(2)
-        parent = np.searchsorted(level2, level1[0] >> np.uint64(3))
-        leaf = int(self.tree.offsets[self.tree.top - 1]) + 8 * int(parent) + 1
-        return int(self.roots.get(leaf, leaf + 1)[0])
-
     def level(self, number: int) -> np.ndarray:
         """Return the ascending Morton codes of the refined nodes of a level."""
         refined = self.tree.refined[number - 1]
         return refined.codes.get(0, refined.n)
 
-    def roots_at(self, z: int) -> np.ndarray:
-        """Return the roots of the pieces that have voxels of coordinate z, in an order that depends
-        on the pieces there alone."""
+    def root_at(self, cell: np.ndarray) -> int:
+        """Return the root of a level-1 cell, which is free."""
+        (code,) = morton_encode(cell[None])
+        index, number = 0, self.tree.top
+        while number > 1:
+            octant = int(code >> np.uint64(3 * (number - 2))) & 7
+            leaf = int(self.tree.offsets[self.tree.top - number + 1]) + 8 * index + octant
+            number -= 1
+            own = code >> np.uint64(3 * (number - 1))
+            refined = self.level(number)
+            index = int(np.searchsorted(refined, own))
+            if index == len(refined) or refined[index] != own:
+                return int(self.roots.get(leaf, leaf + 1)[0])
+        part = self.coarse + PARTS * 8 * index
+        return int(self.roots.get(part, part + 1)[0])
+
+    def shared(self, reach: int, beyond: list[np.ndarray]) -> Shared:
+        """Return the pieces with voxels up to `reach` from the faces of the region's own box, and
+        the roots of level-1 cells beyond the grid."""
+        region, (low, high) = self.region, self.region.cells
         child = self.tree.nodes.get(0, self.coarse)["child"]
-        every, found = self.roots.get(0, self.coarse), []
-        low, high = self.region.cells
+        every = self.roots.get(0, self.coarse)
+        keys, roots = [], []
         for level in range(1, self.tree.top):
             first = int(self.tree.offsets[self.tree.top - level])
-            cells = morton_decode(descend(self.level(level + 1))) << (level - 1)
-            below = z // CELL - cells[:, 2]
-            here = (below >= 0) & (below < 1 << (level - 1))
+            codes = descend(self.level(level + 1)) << np.uint64(3 * (level - 1))
+            leaf = (child[first : first + len(codes)] & VALID) == 0
+            cells = morton_decode(codes[leaf])
+            here = region.near_faces(CELL * cells, CELL << (level - 1), reach)
             here &= ((cells >= low) & (cells < high)).all(axis=1)
-            numbers = first + np.flatnonzero(here)
-            found.append(every[numbers[(child[numbers] & VALID) == 0]])
-        device, chosen = self.roots.device, gather_bits(self.codes >> np.uint64(2)) == z // CELL
-        chosen = device.put(np.flatnonzero(chosen).astype(np.uint32))
-        of_parts, n = device.empty(PARTS * 8 * chosen.size, np.uint32), 8 * chosen.size
-        find_roots_at = self.tree.kernel(SOURCE, "find_roots_at")
-        find_roots_at(n, chosen, z % CELL, self.parts, self.coarse, self.roots, of_parts)
-        of_bricks = of_parts.take()
-        return np.concatenate([*found, of_bricks[of_bricks != NOTHING]])
+            keys.append(codes[leaf][here] << KIND_BITS | np.uint64(LEAF + level))
+            roots.append(every[first : first + len(codes)][leaf][here])
+        nodes = np.flatnonzero(region.near_faces(CELL * morton_decode(self.codes), CELL, reach))
+        corners = BRICK_SIDE * morton_decode(descend(self.codes[nodes]))
+        chosen = descend(nodes.astype(np.uint64))
+        chosen = chosen[region.near_faces(corners, BRICK_SIDE, reach)]
+        device, found = self.roots.device, self.roots.device.empty(PARTS * len(chosen), np.uint32)
+        find_roots_of = self.tree.kernel(SOURCE, "find_roots_of")
+        bricks = device.put(chosen.astype(np.uint32))
+        find_roots_of(len(chosen), bricks, self.parts, self.coarse, self.roots, found)
+        number = (chosen & np.uint64(7)) << np.uint64(3)
+        brick = self.codes[chosen >> np.uint64(3)] << KIND_BITS | number
+        parts = (brick[:, None] | np.arange(PARTS, dtype=np.uint64)).ravel()
+        of_parts = found.take()
+        there = of_parts != NOTHING
+        ends = np.array([self.root_at(cell) for cell in beyond], np.uint32)
+        keys, roots = [*keys, parts[there]], [*roots, of_parts[there]]
+        return Shared(np.concatenate(keys), np.concatenate(roots), ends, self.roots.size)
 
     def inside(
         self, outside: np.ndarray, steps: int, low: np.ndarray, high: np.ndarray
