@@ -5,7 +5,7 @@
 #include "svo/overlap.h"
 
 // For the triangles of each work-item: the largest extent in units, twice the projected areas along x,
-// y and z in 1/256 voxel^2, 1 if a triangle reaches below x = 0, and the number of triangles that
+// y and z in 1/256 voxel^2, but no more than their boxes have in the grid, 1 if a triangle reaches below x = 0, and the number of triangles that
 // touch no box of the grid.
 __kernel void survey(__global const int *vertices, __global const int *faces, const uint count,
                      const int3 shape, __global ulong *partial)
@@ -27,7 +27,9 @@ __kernel void survey(__global const int *vertices, __global const int *faces, co
             before = 1;
         const uint3 size = as_uint3(high) - as_uint3(low);
         extent = max(extent, (ulong)max(max(size.x, size.y), size.z));
-        areas += abs(cross_of(t.v[1] - t.v[0], t.v[2] - t.v[0])) >> FIXED_POINT_BITS;
+        const int3 part = max(min(high, shape * VOXEL) - max(low, 0), 0);
+        const ulong3 box = convert_ulong3(part.yzx) * convert_ulong3(part.zxy) * 2;
+        areas += min(abs(cross_of(t.v[1] - t.v[0], t.v[2] - t.v[0])), box) >> FIXED_POINT_BITS;
     }
     __global ulong *out = partial + 6 * gid;
     out[0] = extent;

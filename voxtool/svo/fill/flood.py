@@ -114,7 +114,7 @@ def _lattice(low: np.ndarray, high: np.ndarray, step: int) -> np.ndarray:
 def frame_of(
     grid: tuple[int, int, int], low: np.ndarray, shape: np.ndarray, gap: int, slabs: int
 ) -> Frame:
-    """Return the frame of a window of a grid that is flooded as a whole, or in slabs."""
+    """Return the frame of a window of a grid that is flooded in one piece, or in slabs."""
     window = 1 << (int(shape.max()) - 1).bit_length()
     block = flood_block(max(grid), gap) if slabs > 1 else CELL
     margin = block if slabs > 1 else flood_steps(gap) + 2 * CELL  # voxels 8 to 15 are beyond
