@@ -14,7 +14,7 @@ from helpers_tets import write_vtu
 
 from voxtool.adf.build import plan_adf
 from voxtool.adf.cells import cell_of, key_of
-from voxtool.bench import text_fields, text_methods
+from voxtool.bench import text_fields, text_methods, texts
 from voxtool.bench.request import KINDS, Request
 from voxtool.bench.text_layout import as_text, sections
 from voxtool.bench.text_rows import MISPRINT, SOURCES, TITLES, Row
@@ -31,6 +31,7 @@ from voxtool.bench.voccel_tables import (
     UNEVEN_CUBES,
 )
 from voxtool.choices import SEARCHES
+from voxtool.errors import VoxtoolError
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import open_device
 from voxtool.selftest.shapes import octahedron
@@ -196,21 +197,36 @@ def test_volumes_have_the_bytes_of_the_tables(here: Path) -> None:
     assert found[hexahedra, "textures", "whole"]["voxtool"] == (6 + 1) * 16 + 6 * 4
     assert found[hexahedra, "textures", "split"]["voxtool"] == 6 * 96
     assert found[hexahedra, "pictures", ""]["voxtool"] < 1e-5
-    whats = "root mean square error", "change of the transfer function"
-    for what in whats:
-        ways = ("exact segments", "pre-integration")
-        exact, table = (found[integration, what, way]["voxtool"] for way in ways)
-        assert 0 < exact < table
+    ways = ("exact segments", "pre-integration")
+    errors = (found[integration, "root mean square error", way]["voxtool"] for way in ways)
+    assert 0 < next(errors) < next(errors)
+    changes = [found[integration, "change of the transfer function", way] for way in ways]
+    assert all(row["voxtool"] > 0 for row in changes)
     assert found[integration, "compositing", ""]["note"] == MISPRINT
+
+
+def test_all_models_are_read_first_and_steps_are_told(here: Path) -> None:
+    write_obj(Path("octahedron.obj"), *octahedron(np.zeros(3), 1))
+    models = ["octahedron.obj", "absent.vtu"]
+    told_steps: list[str] = []
+    with pytest.raises(VoxtoolError, match=r"absent\.vtu"):
+        texts.rows_of(models, None, True, progress=told_steps.append)
+    assert not told_steps
+    write_vtu(Path("absent.vtu"))
+    texts.rows_of([*models, models[0]], None, True, "density", told_steps.append)
+    assert told_steps == texts.steps_of([*models, models[0]])
+    assert len(told_steps) == 4
 
 
 def test_a_report_has_a_section_for_each_table_and_escapes_names(here: Path) -> None:
     name = "<script>alert(1)<&.vtu"
     write_vtu(Path("volume.vtu"))
     Path("volume.vtu").rename(name)
-    told(f"bench texts '{name}' --scalar density --quick --json -o report")
+    told(f"bench texts '{name}' --scalar region --quick --json -o report")
     page = Path("report/report.html").read_text(encoding="utf-8")
     rows = json.loads(Path("report/report.json").read_text(encoding="utf-8"))["rows"]
+    (projection,) = (row for row in rows if row["text"] == 71)
+    assert projection["voxtool"] is None  # the array is one a cell
     tables = {row["table"] for row in rows}
     assert page.count("<h2 ") == len(tables)
     assert page.count("<table ") == page.count("<thead>") >= len(tables)

@@ -68,6 +68,9 @@ def rows_of(bench: Bench, quick: bool) -> Iterator[Row]:
                       voxtool=made.bytes_a_cell(), ours=share)  # fmt: skip
             yield row("whole file", voxtool=sum(made.sizes().values()) / len(made.cells),
                       ours="with cells' vertices, neighbours and ranges of scalars")  # fmt: skip
+        else:
+            yield row("textures of the table", text=text, statement=said, voxtool=None,
+                      ours="this layout has scalars at points alone")  # fmt: skip
         for what, (printed, words) in others.items():
             yield row(what, voxtool=None, ours="none: kernels read the textures", text=printed,
                       statement=words)  # fmt: skip

@@ -19,10 +19,11 @@ from voxtool.errors import printable
 @option("-o --output", str, "Write a report: report.html and .json.", metavar="FOLDER")
 @options.clobber_option
 @options.device_option
+@options.quiet_option
 @options.json_option
 def command(
     models: tuple[str, ...], quick: bool, scalar: str | None, output: str | None,
-    no_clobber: bool, device_name: str | None, as_json: bool,
+    no_clobber: bool, device_name: str | None, quiet: bool, as_json: bool,
 ) -> None:  # fmt: skip
     """Repeat the experiments of the texts that voxtool implements, with their figures beside.
 
@@ -39,14 +40,15 @@ def command(
     from voxtool.bench.report import check_folder
     from voxtool.bench.text_layout import as_text, sections
     from voxtool.bench.text_report import as_dict, write_text_report
-    from voxtool.bench.texts import rows_of
+    from voxtool.bench.texts import rows_of, steps_of
     from voxtool.opencl import shared_device
     from voxtool.version import __version__
 
     if output is not None:
         check_folder(output, not no_clobber)
     device = shared_device(device_name).info
-    rows = rows_of(models, device_name, quick, scalar)
+    with options.Progress(steps_of(models)) as progress:
+        rows = rows_of(models, device_name, quick, scalar, progress.enter)
     words = shlex.join(["voxtool", *map(printable, sys.argv[1:])])
     if output is not None:
         write_text_report(rows, device, words, output, not no_clobber)
