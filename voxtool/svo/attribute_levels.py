@@ -1,0 +1,369 @@
+"""Attributes of the cells of an octree: cubes of 2**N voxels a side, of all voxels in each.
+
+A cell of level 0 is a voxel, and has its value. Above, a cell has
+
+- as label that of most of its set voxels, of equally many the lowest;
+- as colour the mean of its coloured voxels in linear light, and as opacity the mean of theirs:
+  those that have a value of their own; the default if none has. The mean is the sRGB value whose
+  linear light, of 16 bits, is nearest; opacities are rounded to the nearest, halves up;
+- as normal the sum of the normals of its voxels, as a unit vector, or 0 0 0;
+- as fraction the mean over all its voxels, of which unset ones have 0: whole numbers are rounded to
+  the nearest, halves up.
+
+Sums are of integers, so no order shows: normals and fractions of float32 are counted in units of
+2**-24, of larger cubes than 8192 voxels a side (normals 4096) in as many bits as 64 leave. A cell
+without a set voxel has 0.
+"""
+
+from __future__ import annotations
+
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+
+from voxtool.svo.attributes import BITS, Attribute
+from voxtool.svo.counts import BRICK_POWER
+from voxtool.svo.layout import BRICK_SIDE, INSIDE, LINK, VALID
+from voxtool.svo.octree import Level, Octree
+
+BRICKS = 1 << 14  # bricks that are unpacked at once
+BITS_OF_UNIT = 24  # of a normal's or a fraction's part
+LIGHT = 65535  # linear light of a colour's 255
+CHILDREN = 8
+
+
+class CellValues:
+    """The values of an attribute of an octree's cells.
+
+    Parameters
+    ----------
+    octree : Octree
+        The voxels.
+    name : str
+        The attribute.
+    size : int
+        A cell has 2**size voxels a side.
+    """
+
+    def __init__(self, octree: Octree, name: str, size: int) -> None:
+        self.octree, self.attribute = octree, octree.attribute(name)
+        self.levels: list[Level] = octree.levels()[::-1]
+        self.size, self.level = size, size - BRICK_POWER
+        self.row = self.attribute.values.shape[1:]  # () or (channels,)
+        self.dtype = self.attribute.values.dtype
+        self._voxels = octree.values(name)
+        self._tally: Any = _tally_of(self.attribute, octree.grid.side)
+
+    @cached_property
+    def _leaves(self) -> list[np.ndarray]:
+        """The values of the inside leaves of each level, from the bricks' level up."""
+        counts = [int(level.inside.sum()) if level.number else 0 for level in self.levels]
+        values = self._voxels.of_leaves(sum(counts))
+        ends = np.cumsum(counts[::-1])  # the root's come first
+        return np.split(values, ends[:-1])[::-1]
+
+    @property
+    def _leaves_are_own(self) -> bool:
+        """Whether inside leaves have values of their own, not the default."""
+        return len(self.attribute.leaves) > 0 or self.attribute.masks is None
+
+    def of_bricks(self, places: Any) -> np.ndarray:
+        """Return the values of the cells in bricks, (n, 8**k, ...) in Morton order, k = 2 - size,
+        given the bricks' indices."""
+        values = self._voxels.of_bricks(places)
+        if not self.size:
+            return values
+        each = CHILDREN**self.size
+        tally = self._of_voxels(values.reshape(-1, each, *self.row), places, each)
+        found = self._tally.values(tally, len(values) * BRICK_SIDE**3 // each, each)
+        return found.reshape(len(values), -1, *self.row)
+
+    def _of_voxels(self, values: np.ndarray, places: Any, each: int) -> Any:
+        """Return the tally of groups of `each` voxels of bricks."""
+        bricks = self.octree.bricks[places]
+        held = self.attribute.held(self.octree.bricks)[places]
+        flags = [((one[:, None] & BITS) != 0).reshape(-1, each) for one in (bricks, held)]
+        return self._tally.of_voxels(values, *flags)
+
+    def tallies(self, number: int) -> Any:
+        """Return the tally of the nodes of a level."""
+        level = self.levels[number]
+        if not number:
+            steps = range(0, len(level.nodes), BRICKS)
+            parts = [slice(first, first + BRICKS) for first in steps]
+            found = [
+                self._of_voxels(self._voxels.of_bricks(part), part, BRICK_SIDE**3) for part in parts
+            ]
+            return self._tally.joined(found, steps)
+        return self._above(number, self.tallies(number - 1))
+
+    def _above(self, number: int, below: Any) -> Any:
+        """Return the tally of the nodes of a level, given that of the level below."""
+        level = self.levels[number]
+        refined, inside = np.flatnonzero(level.refined), np.flatnonzero(level.inside)
+        volume = level.side**3
+        leaves = self._tally.of_leaves(self._leaves[number], volume, self._leaves_are_own)
+        return self._tally.above(len(level.nodes), refined, below, inside, leaves)
+
+    def of_nodes(self, number: int) -> np.ndarray:
+        """Return the values of all nodes of a level, (n, ...)."""
+        level = self.levels[number]
+        return self._tally.values(self.tallies(number), len(level.nodes), level.side**3)
+
+    def of_all_nodes(self) -> list[np.ndarray]:
+        """Return the values of the nodes of each level, from the bricks up."""
+        tally, found = self.tallies(0), []
+        for level in self.levels:
+            if level.number:
+                tally = self._above(level.number, tally)
+            found.append(self._tally.values(tally, len(level.nodes), level.side**3))
+        return found
+
+    @cached_property
+    def _of_cells(self) -> np.ndarray:
+        return self.of_nodes(self.level)
+
+    def of_cells(self, level: int, nodes: np.ndarray) -> np.ndarray:
+        """Return the values of the cells in nodes of a level, given by their indices, (n, 8**k,
+        ...) in Morton order; k is the number of levels between."""
+        if level == self.level:
+            return self._of_cells[nodes][:, None]
+        if level == 0:
+            return self.of_bricks(nodes)
+        words = self.levels[level].nodes["child"][nodes]
+        found = np.zeros((len(nodes), CHILDREN ** (level - self.level), *self.row), self.dtype)
+        inside = np.flatnonzero(words & INSIDE)
+        found[inside] = self._leaves[level][self._ranks[level][nodes[inside]]][:, None]
+        refined = np.flatnonzero(words & VALID)
+        children = (words[refined] & LINK)[:, None] + np.arange(CHILDREN)
+        below = self.of_cells(level - 1, children.ravel())
+        found[refined] = below.reshape(len(refined), *found.shape[1:])
+        return found
+
+    @cached_property
+    def _ranks(self) -> list[np.ndarray]:
+        """Of each level, how many inside leaves come before each node."""
+        return [np.cumsum(level.inside) - level.inside for level in self.levels]
+
+    def around(self, codes: np.ndarray, number: int) -> np.ndarray:
+        """Return the values of the inside leaves around nodes of a level that lie in leaves, given
+        their Morton codes, (n, ...)."""
+        found = np.zeros((len(codes), *self.row), self.dtype)
+        for level, values in zip(self.levels[number:], self._leaves[number:], strict=True):
+            inside = level.codes[level.inside]
+            if not (level.number and len(inside)):
+                continue
+            above = codes >> np.uint64(3 * (level.number - number))
+            at = np.minimum(np.searchsorted(inside, above), len(inside) - 1)
+            here = inside[at] == above
+            found[here] = values[at[here]]
+        return found
+
+
+# ---- tallies: what is known of the voxels of each cell, from which its value follows
+
+
+def _tally_of(attribute: Attribute, side: int) -> Any:
+    """Return the functions of the tallies of an attribute, in a cube of `side` voxels."""
+    if attribute.name == "label":
+        return _Votes(attribute)
+    return {"colour": _Colours, "normal": _Normals, "fraction": _Fractions}[attribute.name](
+        attribute, side
+    )
+
+
+class _Votes:
+    """Of labels: how many voxels of a cell have each, as three arrays, cell, label and number,
+    which ascend by cell and label."""
+
+    def __init__(self, attribute: Attribute) -> None:
+        self.dtype = attribute.values.dtype
+
+    def of_voxels(self, values: np.ndarray, set_: np.ndarray, own: np.ndarray) -> Any:
+        # most cells have one label
+        some = np.flatnonzero(set_.any(axis=1))
+        set_, values = set_[some], values[some]
+        first = values[np.arange(len(some)), set_.argmax(axis=1)]
+        alike = ((values == first[:, None]) | ~set_).all(axis=1)
+        cell, voxel = np.nonzero(set_[~alike])
+        counts = np.concatenate([set_[alike].sum(axis=1), np.ones(len(cell), np.int64)])
+        cells = np.concatenate([some[alike], some[~alike][cell]])
+        return _merged(cells, np.concatenate([first[alike], values[~alike][cell, voxel]]), counts)
+
+    def of_leaves(self, values: np.ndarray, volume: int, own: bool) -> Any:
+        return values, np.full(len(values), volume)
+
+    def joined(self, parts: list[Any], starts: Any) -> Any:
+        columns = [
+            (cells + start, *rest) for (cells, *rest), start in zip(parts, starts, strict=True)
+        ]
+        if not columns:
+            return np.empty(0, np.int64), np.empty(0, self.dtype), np.empty(0, np.int64)
+        return tuple(map(np.concatenate, zip(*columns, strict=True)))
+
+    def above(
+        self, n: int, refined: np.ndarray, below: Any, inside: np.ndarray, leaves: Any
+    ) -> Any:
+        cells, labels, counts = below
+        parts = ((refined[cells // CHILDREN], labels, counts), (inside, *leaves))
+        return _merged(*map(np.concatenate, zip(*parts, strict=True)))
+
+    def values(self, tally: Any, n: int, volume: int) -> np.ndarray:
+        cells, labels, counts = tally
+        found = np.zeros(n, self.dtype)
+        best = np.lexsort((-labels.astype(np.int64), counts, cells))  # the last of a cell wins
+        last = np.diff(cells[best], append=-1) != 0
+        found[cells[best][last]] = labels[best][last]
+        return found
+
+
+def _merged(cells: np.ndarray, labels: np.ndarray, counts: np.ndarray) -> Any:
+    """Return votes with one row for each cell and label."""
+    keys = cells.astype(np.uint64) << np.uint64(32) | labels
+    order = np.argsort(keys, kind="stable")
+    first = np.flatnonzero(np.diff(keys[order], prepend=~keys[order][:1]))
+    sums = np.add.reduceat(counts[order], first) if len(first) else counts[:0]
+    return cells[order][first], labels[order][first], sums.astype(np.int64)
+
+
+class _Sums:
+    """Of numbers: their sums over the voxels of a cell, and how many are summed and how many set,
+    as (n, channels + 2)."""
+
+    wide: Any = np.uint64
+
+    def __init__(self, attribute: Attribute, side: int) -> None:
+        self.attribute, self.dtype = attribute, attribute.values.dtype
+        self.channels = attribute.values.shape[1] if attribute.values.ndim > 1 else 1
+
+    def whole(self, values: np.ndarray) -> np.ndarray:
+        """Return values as whole numbers, which are summed."""
+        return values.astype(self.wide)
+
+    def summed(self, set_: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return which voxels are summed: those with values of their own."""
+        return own
+
+    def of_voxels(self, values: np.ndarray, set_: np.ndarray, own: np.ndarray) -> Any:
+        chosen = self.summed(set_, own)
+        found = np.empty((len(values), self.channels + 2), self.wide)
+        whole = self.whole(values.reshape(*chosen.shape, self.channels))
+        found[:, :-2] = (whole * chosen[..., None].astype(self.wide)).sum(axis=1)
+        found[:, -2], found[:, -1] = chosen.sum(axis=1), set_.sum(axis=1)
+        return found
+
+    def of_leaves(self, values: np.ndarray, volume: int, own: bool) -> Any:
+        chosen = self.summed(np.ones(1, bool), np.full(1, own))[0]
+        found = np.zeros((len(values), self.channels + 2), self.wide)
+        if chosen:
+            whole = self.whole(values.reshape(-1, self.channels))
+            found[:, :-2], found[:, -2] = whole * self.wide(volume), volume
+        found[:, -1] = volume
+        return found
+
+    def joined(self, parts: list[Any], starts: Any) -> Any:
+        return np.concatenate([np.empty((0, self.channels + 2), self.wide), *parts])
+
+    def above(
+        self, n: int, refined: np.ndarray, below: Any, inside: np.ndarray, leaves: Any
+    ) -> Any:
+        found = np.zeros((n, self.channels + 2), self.wide)
+        found[refined] = below.reshape(-1, CHILDREN, self.channels + 2).sum(axis=1)
+        found[inside] = leaves
+        return found
+
+    def values(self, tally: Any, n: int, volume: int) -> np.ndarray:
+        sums, counts, set_ = tally[:, :-2], tally[:, -2:-1], tally[:, -1]
+        found = self.means(sums, counts, volume).astype(self.dtype)
+        found[counts[:, 0] == 0] = self.attribute.blank
+        found[set_ == 0] = 0
+        return found.reshape(n, *self.attribute.values.shape[1:])
+
+    def means(self, sums: np.ndarray, counts: np.ndarray, volume: int) -> np.ndarray:
+        """Return the values of cells of these sums."""
+        raise NotImplementedError
+
+
+class _Colours(_Sums):
+    def whole(self, values: np.ndarray) -> np.ndarray:
+        found = values.astype(self.wide)
+        found[..., :3] = linear_light()[values[..., :3]]
+        return found
+
+    def means(self, sums: np.ndarray, counts: np.ndarray, volume: int) -> np.ndarray:
+        counts = np.maximum(counts, self.wide(1))
+        found = _rounded(sums, counts)
+        doubled = _floor_of_twice(sums[:, :3], counts)
+        light = linear_light()
+        found[:, :3] = np.searchsorted(light[1:] + light[:-1], doubled, side="right")
+        return found
+
+
+class _Normals(_Sums):
+    wide = np.int64
+
+    def __init__(self, attribute: Attribute, side: int) -> None:
+        super().__init__(attribute, side)
+        self.unit = 1 << min(BITS_OF_UNIT, 62 - 3 * (side.bit_length() - 1))
+
+    def whole(self, values: np.ndarray) -> np.ndarray:
+        return np.rint(values.astype(np.float64) * self.unit).astype(self.wide)
+
+    def means(self, sums: np.ndarray, counts: np.ndarray, volume: int) -> np.ndarray:
+        x, y, z = vectors = sums.astype(np.float64).T
+        length = np.sqrt(x * x + y * y + z * z)
+        return (vectors / np.where(length > 0, length, 1.0)).T
+
+
+class _Fractions(_Sums):
+    def __init__(self, attribute: Attribute, side: int) -> None:
+        super().__init__(attribute, side)
+        self.unit = 1 << min(BITS_OF_UNIT, 63 - 3 * (side.bit_length() - 1))
+
+    def whole(self, values: np.ndarray) -> np.ndarray:
+        if self.dtype.kind != "f":
+            return super().whole(values)
+        return np.rint(values.astype(np.float64) * self.unit).astype(self.wide)
+
+    def summed(self, set_: np.ndarray, own: np.ndarray) -> np.ndarray:
+        return set_
+
+    def means(self, sums: np.ndarray, counts: np.ndarray, volume: int) -> np.ndarray:
+        if self.dtype.kind != "f":
+            return _rounded(sums, np.array(volume, self.wide))
+        return sums.astype(np.float64) / (float(volume) * self.unit)
+
+
+def _floor_of_twice(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Return the largest whole number that twice a mean is not below."""
+    whole = sums // counts
+    rest = sums - whole * counts
+    return whole * 2 + (rest >= counts - rest)
+
+
+def _rounded(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
+    """Return means, rounded to the nearest whole number, halves up."""
+    return (_floor_of_twice(sums, counts) + 1) // 2
+
+
+@cache
+def linear_light() -> np.ndarray:
+    """Return the linear light of the sRGB values 0 to 255, (256,) uint64 from 0 to LIGHT, rounded
+    to the nearest: exactly, from IEC 61966-2-1."""
+    found = []
+    for value in range(256):
+        if 100000 * value <= 4045 * 255:
+            found.append((2 * LIGHT * 100 * value + 1292 * 255) // (2 * 1292 * 255))
+            continue
+        # ((value / 255 + 0.055) / 1.055) ** (12 / 5), by its fifth power
+        above, below = 1000 * value + 55 * 255, 1055 * 255
+        low, high = 0, LIGHT  # the largest n with (n - 1/2) ** 5 <= the fifth power
+        while low < high:
+            n = (low + high + 1) // 2
+            if (2 * n - 1) ** 5 * below**12 <= (2 * LIGHT) ** 5 * above**12:
+                low = n
+            else:
+                high = n - 1
+        found.append(low)
+    return np.array(found, np.uint64)
