@@ -32,7 +32,7 @@ from voxtool.files.voxels import (
 )
 from voxtool.grid import Grid
 from voxtool.memory import check_memory
-from voxtool.svo.image import Order
+from voxtool.svo.slabs import Order
 
 # Axes of pages, of rows and of columns, by the axis along which the layers follow each other.
 ORDERS: dict[str, Order] = {"x": (0, 2, 1), "y": (1, 2, 0), "z": (2, 1, 0)}

@@ -21,15 +21,14 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from voxtool.errors import GridError, VoxtoolError
-from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
 from voxtool.svo.blocks import Leaves, Sorted, keys_of, places_in
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.counts import Counts, check_isovalue, counts_of
 from voxtool.svo.layout import descend
 from voxtool.svo.octree import Octree
+from voxtool.svo.slabs import THICK, Blocks, Filled, Order, slabs_of
 
-THICK = 4  # layers of a slab, of blocks of as many cells a side
 CHUNK = 1 << 21  # cells that are unpacked at once
 NODE_BYTES = 40  # of lists of blocks and of counts, a node of the octree
 LAYERS = 24  # of cells, more than an export holds
@@ -37,15 +36,7 @@ QUANTITIES = {"b": "occupancy", "u": "count", "f": "coverage"}  # by the kind of
 UNIFORM = -1  # instead of the node of a block: wholly set, or unset where the image is inverted
 NODES = 3  # the first level whose cells are nodes above the bricks
 DTYPES = ("bool", "uint8", "uint16", "uint32", "float32", "float64")
-Order = tuple[int, int, int]
 EVERY = (0, 1, 2)
-
-
-class Blocks(NamedTuple):
-    """Blocks of cells of one side, in ascending order of their Morton codes."""
-
-    corners: np.ndarray  # (n, 3) int64: the low cells, counted from the grid's corner
-    values: np.ndarray  # (n, side, side, side) of the image's dtype, indexed [block, x, y, z]
 
 
 class Cubes(NamedTuple):
@@ -79,6 +70,8 @@ class VoxelImage:
         The octree of which `octree` has what lies in the part; None if that is all of it.
     dense : bool
         Whether whole layers of cells are asked for, not only those that are set.
+    attributes : tuple of str
+        Attributes of the cells that are written, too; see attribute_image.py.
     """
 
     smaller: ClassVar[str] = "a higher --level, or a part by --bbox"
@@ -93,6 +86,7 @@ class VoxelImage:
     progress: Callable[[float], None] = field(default=lambda share: None)
     whole: OctreeContent | None = None
     dense: bool = True
+    attributes: tuple[str, ...] = ()
 
     @classmethod
     def of(
@@ -283,29 +277,14 @@ class VoxelImage:
         MemoryLimitError
             If the layers do not fit in memory.
         """
-        low, shape = ([size[axis] for axis in order] for size in (self.low, self.shape))
-        first = [n - n % THICK for n in low]
-        sides = [
-            -(-(n + m) // THICK) - f // THICK for n, m, f in zip(low, shape, first, strict=True)
-        ]
-        size = 2 * THICK**3 * sides[1] * sides[2] * self.dtype.itemsize
-        check_memory(size, f"{THICK} layers of {shape[1]} x {shape[2]} cells")
         whole = self.value(self.most)
-        for start in range(first[0], low[0] + shape[0], THICK):
-            slab = np.zeros((THICK, sides[1], THICK, sides[2], THICK), self.dtype)
-            tiles = slab.transpose(1, 3, 0, 2, 4)
-            blocks, cubes = self._row(order[0], start)
-            j, k = ((blocks.corners[:, order[n]] - first[n]) // THICK for n in (1, 2))
-            tiles[j, k] = blocks.values.transpose(0, *(axis + 1 for axis in order))
-            for corners, side in cubes:
-                steps = np.arange(side // THICK)
-                j, k = ((corners[:, order[n]] - first[n]) // THICK for n in (1, 2))
-                tiles[j[:, None, None] + steps[:, None], k[:, None, None] + steps] = whole
-            slab = slab.reshape(THICK, THICK * sides[1], THICK * sides[2])
-            layers = slice(max(low[0] - start, 0), low[0] + shape[0] - start)
-            j, k = (slice(low[n] - first[n], low[n] - first[n] + shape[n]) for n in (1, 2))
-            self.progress(min((start + THICK - low[0]) / shape[0], 1.0))
-            yield slab[layers, j, k]
+
+        def row(axis: int, start: int) -> tuple[Blocks, list[Filled]]:
+            blocks, cubes = self._row(axis, start)
+            return blocks, [Filled(*each, whole) for each in cubes]
+
+        kind = (self.dtype, ())
+        return slabs_of(self.low, self.shape, order, kind, row, self.progress)
 
     def coordinates(self) -> Iterator[np.ndarray]:
         """Yield the cells whose value is not zero, (N, 3) int32 counted from the low cell of the
@@ -353,7 +332,7 @@ class VoxelImage:
         step = max(CHUNK >> (3 * power), 1)
         for start in range(0, len(leaves.codes), step):
             chosen = slice(start, start + step)
-            blocks = self._unpacked(leaves.codes[chosen], leaves.nodes[chosen], power)
+            blocks = self.unpacked(leaves.codes[chosen], leaves.nodes[chosen], power)
             held = blocks.values.any(axis=(1, 2, 3))
             self.progress(min((start + step) / len(leaves.codes), 1.0))
             yield Blocks(blocks.corners[held], blocks.values[held])
@@ -361,15 +340,23 @@ class VoxelImage:
     def block_nodes(self, side: int = 8) -> tuple[np.ndarray, np.ndarray]:
         """Return the low cells of the blocks of `blocks(side)` and some that are empty, (n, 3)
         int64, and the indices of their nodes in their level, or UNIFORM."""
+        codes, nodes = self.block_codes(side)
+        return morton_decode(codes) * side, nodes
+
+    def block_codes(self, side: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the Morton codes of these blocks instead of their low cells."""
         leaves = self._leaves(side.bit_length() - 1)
-        return morton_decode(leaves.codes) * side, leaves.nodes
+        return leaves.codes, leaves.nodes
 
     def cubes(self, side: int = 8) -> list[Cubes]:
         """Return the cubes of `side` or more cells that are wholly set, coarse ones first."""
         return [
-            Cubes(morton_decode(codes) * width, width)
-            for codes, width in self._leaves(side.bit_length() - 1).cubes
+            Cubes(morton_decode(codes) * width, width) for codes, width in self.cube_codes(side)
         ]
+
+    def cube_codes(self, side: int = 8) -> list[tuple[np.ndarray, int]]:
+        """Return the Morton codes of these cubes, by their side in cells."""
+        return self._leaves(side.bit_length() - 1).cubes
 
     @cached_property
     def count(self) -> int:
@@ -435,20 +422,28 @@ class VoxelImage:
         touching = (corners + width > low) & (corners < high)
         return np.all(within, axis=1), np.all(touching, axis=1)
 
-    def _row(self, axis: int, start: int) -> tuple[Blocks, list[Cubes]]:
-        """Return the blocks and the cubes of the four layers from `start` on along an axis."""
+    def within(
+        self, axis: int, start: int
+    ) -> tuple[tuple[np.ndarray, np.ndarray], list[tuple[np.ndarray, int]]]:
+        """Return the blocks of the four layers from `start` on along an axis, their codes and
+        nodes, and the codes of the cubes there by their side in cells."""
         leaves = self._leaves(THICK.bit_length() - 1)
         if axis not in self._rows:
             lists = [(leaves.codes, THICK), *leaves.cubes]
             self._rows[axis] = [Sorted.along(axis, codes, width) for codes, width in lists]
         blocks, *cubes = (column.at(start) for column in self._rows[axis])
-        found = self._unpacked(leaves.codes[blocks], leaves.nodes[blocks], THICK.bit_length() - 1)
-        return found, [
-            Cubes(morton_decode(codes[chosen]) * width, width)
+        return (leaves.codes[blocks], leaves.nodes[blocks]), [
+            (codes[chosen], width)
             for (codes, width), chosen in zip(leaves.cubes, cubes, strict=True)
         ]
 
-    def _unpacked(self, codes: np.ndarray, nodes: np.ndarray, power: int) -> Blocks:
+    def _row(self, axis: int, start: int) -> tuple[Blocks, list[Cubes]]:
+        """Return the blocks and the cubes of the four layers from `start` on along an axis."""
+        blocks, cubes = self.within(axis, start)
+        found = self.unpacked(*blocks, THICK.bit_length() - 1)
+        return found, [Cubes(morton_decode(codes) * width, width) for codes, width in cubes]
+
+    def unpacked(self, codes: np.ndarray, nodes: np.ndarray, power: int) -> Blocks:
         """Return blocks of 2**power cells, by their codes and nodes."""
         side = 1 << power
         level = min(self._counts.level + power, len(self._counts.levels) - 1)

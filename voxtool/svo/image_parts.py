@@ -18,10 +18,11 @@ import numpy as np
 from voxtool.errors import MemoryLimitError, human
 from voxtool.memory import available_memory
 from voxtool.svo.cells import Cells
-from voxtool.svo.image import EVERY, NODES, THICK, Order, VoxelImage
+from voxtool.svo.image import EVERY, NODES, VoxelImage
 from voxtool.svo.image import NODE_BYTES as LIST_BYTES
 from voxtool.svo.merged import in_memory
 from voxtool.svo.octree import Octree
+from voxtool.svo.slabs import THICK, Order
 
 SHARE = 8  # bytes of memory for a byte of the nodes of a part: its bricks, lists and counts
 

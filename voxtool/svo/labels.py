@@ -20,9 +20,10 @@ from voxtool.memory import check_memory
 from voxtool.morton import morton_decode
 from voxtool.svo.blocks import Sorted
 from voxtool.svo.components import LABEL, Components, ComponentsPlan, check_neighbours
-from voxtool.svo.image import EVERY, Order
+from voxtool.svo.image import EVERY
 from voxtool.svo.layout import BRICK_SIDE, BRICK_VOXELS, unpack_bricks
 from voxtool.svo.octree import Octree
+from voxtool.svo.slabs import Order
 from voxtool.svo.tiling import TILE, Tiling
 
 
