@@ -285,6 +285,7 @@ def export(
     shape: int | Sequence[int] | None = None,
     spacing: float | Sequence[float] | None = None,
     grid: Grid | PathLike | None = None,
+    attributes: str | Sequence[str] | None = None,
     max_bytes: int | None = None,
     device: Device | None = None,
     **options: Any,
@@ -326,6 +327,9 @@ def export(
         leaves, and at most 256 cells along a side. Of a level set one number, without that limit.
     grid : Grid or path, optional
         Of a field: the grid itself, or that of a file which read_voxels reads.
+    attributes : str or sequence of str, optional
+        Of an octree: names of the attributes that are written, or "none"; by default all that the
+        format can hold, of one array the label.
     max_bytes : int, optional
         Refuse a larger output.
     device : Device, optional
@@ -343,8 +347,8 @@ def export(
     MemoryLimitError
         If the export does not fit in memory.
     VoxtoolError
-        If there is no such level, dtype, band, shape or spacing, or a level set is to be made of a
-        field without signs.
+        If there is no such level, dtype, attribute, band, shape or spacing, or a level set is to be
+        made of a field without signs.
     """
     from voxtool.files.exchange import plan_export
 
@@ -355,7 +359,7 @@ def export(
         plan_export(
             held, path, clobber, format, level=level, bbox=bbox, invert=invert, dtype=dtype,
             normals=normals, band=band, shape=shape, spacing=spacing, grid=grid,
-            max_bytes=max_bytes, device=device, **options,
+            attributes=attributes, max_bytes=max_bytes, device=device, **options,
         ).run()  # fmt: skip
 
 

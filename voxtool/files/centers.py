@@ -1,7 +1,9 @@
 """Centres of set cells as points: binary .ply with float64 x, y and z, or .xyz, lines of text.
 
 Cells are in lexicographic order. A .ply of counts or coverages has them as the property `value`.
-Normals are float32: nx, ny and nz of a .ply, three more columns of .xyz.
+Normals are float32: nx, ny and nz of a .ply, three more columns of .xyz. Attributes of voxels
+follow: the properties label, red, green, blue, alpha, nx, ny, nz and fraction, with the names of
+labels as comments; of .xyz the same columns.
 """
 
 from __future__ import annotations
@@ -10,12 +12,16 @@ from typing import BinaryIO
 
 import numpy as np
 
+from voxtool.errors import printable
+from voxtool.svo.attribute_image import AttributeImage, attributes_of
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.normals import Normals
 
 HEADER = 256  # bytes of the header, at most
 LINE = 75  # bytes of a line of text, at most: three numbers of 24 letters
 NORMAL = 51  # of a normal in it, at most: three numbers of 16 letters
+NUMBER = 17  # of another number
+COLUMNS = {"colour": ("red", "green", "blue", "alpha"), "normal": ("nx", "ny", "nz")}
 TYPES = {
     "uint8": "uchar",
     "uint16": "ushort",
@@ -27,7 +33,11 @@ TYPES = {
 
 def size_ply(image: VoxelImage, normals: bool = False) -> int:
     """Bytes of the file."""
-    return HEADER + image.count * (24 + image.dtype.itemsize + 12 * normals)
+    attributes = attributes_of(image)
+    each = 24 + image.dtype.itemsize + 12 * normals
+    each += sum(attribute.cell_bytes for attribute in attributes)
+    named = sum(map(len, _comments(attributes))) + HEADER * len(attributes)
+    return HEADER + named + image.count * each
 
 
 def write_ply(image: VoxelImage, file: BinaryIO, normals: bool = False) -> None:
@@ -41,16 +51,23 @@ def write_ply(image: VoxelImage, file: BinaryIO, normals: bool = False) -> None:
     if image.dtype != bool:
         columns.append(("value", image.dtype.str))
         names.append(f"{TYPES[image.dtype.name]} value")
+    attributes = attributes_of(image)
+    for attribute in attributes:
+        own = COLUMNS.get(attribute.name, (attribute.name,))
+        columns += [(name, attribute.dtype.str) for name in own]
+        names += [f"{TYPES[attribute.dtype.name]} {name}" for name in own]
     lines = [
         "ply",
         "format binary_little_endian 1.0",
+        *_comments(attributes),
         f"element vertex {image.count}",
         *(f"property {name}" for name in names),
         "end_header",
         "",
     ]
     file.write("\n".join(lines).encode())
-    for cells, values in image.listed():
+    more = [attribute.listed() for attribute in attributes]
+    for (cells, values), *others in zip(image.listed(), *more, strict=True):
         points = np.empty(len(cells), columns)
         for axis, column in zip("xyz", centers(image, cells).T, strict=True):
             points[axis] = column
@@ -59,19 +76,35 @@ def write_ply(image: VoxelImage, file: BinaryIO, normals: bool = False) -> None:
                 points[f"n{axis}"] = column
         if image.dtype != bool:
             points["value"] = values
+        for attribute, held in zip(attributes, others, strict=True):
+            own = COLUMNS.get(attribute.name, (attribute.name,))
+            for name, column in zip(own, held.reshape(len(cells), -1).T, strict=True):
+                points[name] = column
         file.write(points.data)
+
+
+def _comments(attributes: list[AttributeImage]) -> list[str]:
+    """Return a comment for each name of a label."""
+    return [
+        f"comment label {number} {printable(name)}"
+        for attribute in attributes
+        for number, name in enumerate(attribute.names)
+        if number
+    ]
 
 
 def size_xyz(image: VoxelImage, normals: bool = False) -> int:
     """Bytes of the file, at most."""
-    return image.count * (LINE + NORMAL * normals)
+    numbers = sum(attribute.channels for attribute in attributes_of(image))
+    return image.count * (LINE + NORMAL * normals + NUMBER * numbers)
 
 
 def write_xyz(image: VoxelImage, file: BinaryIO, normals: bool = False) -> None:
     """Write the points, a line each; numbers of points are the shortest that read back exactly,
     those of normals have nine digits, which do."""
     found = Normals(image) if normals else None
-    for cells in image.coordinates():
+    more = [attribute.listed() for attribute in attributes_of(image)]
+    for cells, *others in zip(image.coordinates(), *more, strict=True):
         rows = [f"{x!r} {y!r} {z!r}" for x, y, z in centers(image, cells).tolist()]
         if found:
             vectors = found.of(cells).tolist()
@@ -79,6 +112,13 @@ def write_xyz(image: VoxelImage, file: BinaryIO, normals: bool = False) -> None:
                 f"{row} {x:.9g} {y:.9g} {z:.9g}"
                 for row, (x, y, z) in zip(rows, vectors, strict=True)
             ]
+        for held in others:
+            form = ".9g" if held.dtype.kind == "f" else "d"
+            added = (
+                " ".join(f"{v:{form}}" for v in numbers)
+                for numbers in held.reshape(len(cells), -1).tolist()
+            )
+            rows = [f"{row} {numbers}" for row, numbers in zip(rows, added, strict=True)]
         file.write("".join(f"{row}\n" for row in rows).encode())
 
 

@@ -33,6 +33,7 @@ from voxtool.adf.samples import FieldSamples, grid_over
 from voxtool.errors import FileError, MemoryLimitError, VoxtoolError, human
 from voxtool.files import streams
 from voxtool.files.atomic import atomic_folder
+from voxtool.files.attributes import chosen_attributes
 from voxtool.files.formats import (
     EXCHANGE,
     EXPORTS,
@@ -50,6 +51,7 @@ from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.memory import check_disk
 from voxtool.opencl import Device
+from voxtool.svo.attribute_image import AttributeImage, attributes_of
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.hexahedra import Hexahedra
 from voxtool.svo.image import VoxelImage
@@ -58,7 +60,9 @@ from voxtool.svo.labels import Labels
 from voxtool.tets.volume import TetVolume
 
 WRITE = "write file"
-Image: TypeAlias = VoxelImage | LevelSet | FieldSamples | Labels | VolumeCells | Hexahedra
+Image: TypeAlias = (
+    VoxelImage | AttributeImage | LevelSet | FieldSamples | Labels | VolumeCells | Hexahedra
+)
 Content: TypeAlias = OctreeContent | DistanceField | TetVolume | Labels
 
 
@@ -71,7 +75,7 @@ def writer_of(name: str, verb: str, image: Image) -> Callable[..., Any]:
     return function_of(name, verb)
 
 
-def place_of(image: VoxelImage | LevelSet | FieldSamples | Labels) -> dict[str, Any]:
+def place_of(image: VoxelImage | AttributeImage | LevelSet | FieldSamples | Labels) -> dict[str, Any]:
     """Return the level, the shape and the place of an image, in JSON types."""
     place = {name: list(getattr(image, name)) for name in ("shape", "origin", "pitch")}
     return {"level": image.level, **place}
@@ -96,7 +100,13 @@ class ExportPlan:
     @property
     def cost(self) -> Cost:
         """The memory of what is held of the image at once."""
-        return Cost(0, host=self.image.host_bytes)
+        more = sum(attribute.own_bytes for attribute in self.attributes)
+        return Cost(0, host=self.image.host_bytes + more)
+
+    @property
+    def attributes(self) -> list[AttributeImage]:
+        """The attributes that are written beside the image."""
+        return attributes_of(self.image)
 
     def as_dict(self) -> dict[str, Any]:
         return {
@@ -117,7 +127,11 @@ class ExportPlan:
             return image.facts
         if isinstance(image, Hexahedra):
             return {**place_of(image.image), **image.facts}
-        return {**place_of(image), "dtype": image.dtype.name}
+        found = {**place_of(image), "dtype": image.dtype.name}
+        if isinstance(image, AttributeImage):
+            return {**found, "attributes": [image.name]}
+        more = [attribute.name for attribute in self.attributes]
+        return {**found, "attributes": more} if more else found
 
     @property
     def text(self) -> str:
@@ -128,6 +142,8 @@ class ExportPlan:
         cells = "samples" if isinstance(image, LevelSet | FieldSamples) else "cells"
         cells += f" of level {image.level}" if image.level else ""
         cells += " in windows" if isinstance(image, ImageInParts) else ""
+        names = self.facts.get("attributes")
+        cells += f" with {', '.join(names)}" if names else ""
         return f"{' x '.join(map(str, image.shape))} {cells}"
 
     def rows(self) -> list[tuple[str, str]]:
@@ -205,6 +221,7 @@ def plan_export(
     shape: Any = None,
     spacing: Any = None,
     grid: Grid | PathLike | None = None,
+    attributes: str | Sequence[str] | None = None,
     max_bytes: int | None = None,
     max_memory: int | None = None,
     windows: bool = True,
@@ -228,6 +245,16 @@ def plan_export(
         raise VoxtoolError(f".{name} holds no normals: choose {names}")
     check_package(name)
     check_output(path, name, clobber)
+    other = {
+        "--invert": invert,
+        # an attribute in place of the occupancy has a type of its own
+        "--dtype": dtype is not None and EXCHANGE[name].attributes == "one",
+        "--isovalue": isovalue is not None and EXCHANGE[name].attributes == "one",
+        # a part of the tree is a tree of its own
+        "--bbox": bbox is not None and name == "vtkhdf",
+    }
+    other = [option for option, given in other.items() if given]
+    held, left_out = chosen_attributes(content, name, attributes, other)
     if chosen and not isinstance(content, OctreeContent):
         raise VoxtoolError(
             "a field, a volume or labels take no level, box, dtype, isovalue or inversion: leave "
@@ -259,13 +286,15 @@ def plan_export(
         if name == "png" and options.get("value") is not None:
             image = image.layer(options.get("axis", "z"), options["value"])
         slabs = not (EXCHANGE[name].points or EXCHANGE[name].whole or EXCHANGE[name].hexahedra)
-        image = replace(image, dense=normals or slabs)
-        held = EXCHANGE[name].dtypes
-        if not (dtype is isovalue is None) and held and image.dtype.name not in held:
+        image = replace(image, dense=normals or slabs, attributes=held)
+        types = EXCHANGE[name].dtypes
+        if not (dtype is isovalue is None) and types and image.dtype.name not in types:
             option = "--isovalue" if dtype is None else "--dtype"
             raise VoxtoolError(
-                f".{name} holds {' or '.join(held)}, not {image.dtype.name}: leave out {option}"
+                f".{name} holds {' or '.join(types)}, not {image.dtype.name}: leave out {option}"
             )
+        if normals and "normal" in held:
+            raise VoxtoolError("normals of the cells and the attribute normal: choose one of them")
         image = replace(fitting_image(image, max_memory, windows), progress=progress)
         if EXCHANGE[name].whole and isinstance(image, ImageInParts):
             instead = "a plane by --slice" if name == "png" else f"{image.smaller}, or .npz"
@@ -275,11 +304,13 @@ def plan_export(
             )
         if EXCHANGE[name].hexahedra:
             image = Hexahedra.of(image)
+        if held and EXCHANGE[name].attributes == "one":
+            image = AttributeImage(replace(image, attributes=()), held[0])
     if EXCHANGE[name].folder and "%" in os.fspath(path):
         options["pattern"] = Path(path).name
     more = {"normals": True} if normals else {}
     size = writer_of(name, "size", image)(image, **more)
-    plan = ExportPlan(image, name, size, {**options, **more})
+    plan = ExportPlan(image, name, size, {**options, **more}, left_out=left_out)
     return ExportJob(plan, path, clobber, max_bytes, max_memory)
 
 

@@ -55,6 +55,7 @@ class Exchange(NamedTuple):
     points: bool = False  # whether only the set cells are written, one by one
     whole: bool = False  # whether its writer needs all nodes of an octree at once
     hexahedra: bool = False  # whether set cells are written as hexahedra, for solvers
+    attributes: str = ""  # of voxels: "all" beside the occupancy, "one" in its place, or "" none
 
 
 # What is written, by the extension that names it.
@@ -72,12 +73,16 @@ MERGED_FORMATS = ("svo.h5", "h5")  # those that hold merged subtrees
 ADF_FORMATS = {"adf.h5": Writer("adf_hdf5"), "h5": Writer("adf_hdf5")}
 TET_FORMATS = {"tet.h5": Writer("tet_hdf5"), "h5": Writer("tet_hdf5")}
 EXCHANGE = {
-    "npy": Exchange("npy", "dtype", dense=True),
-    "npz": Exchange("npz", "grid, dtype; of the set cells alone", dense=True, points=True),
-    "vti": Exchange("vti", "grid, dtype", dense=True),
-    "nii": Exchange("nifti", "grid, dtype, unit", needs="nibabel", dense=True),
-    "nii.gz": Exchange("nifti", "grid, dtype, unit", "_packed", needs="nibabel", dense=True),
-    "nrrd": Exchange("nrrd", "grid, dtype, unit", dense=True),
+    "npy": Exchange("npy", "dtype", dense=True, attributes="one"),
+    "npz": Exchange(
+        "npz", "grid, dtype; of the set cells alone", dense=True, points=True, attributes="all"
+    ),
+    "vti": Exchange("vti", "grid, dtype", dense=True, attributes="all"),
+    "nii": Exchange("nifti", "grid, dtype, unit", needs="nibabel", dense=True, attributes="one"),
+    "nii.gz": Exchange(
+        "nifti", "grid, dtype, unit", "_packed", needs="nibabel", dense=True, attributes="one"
+    ),
+    "nrrd": Exchange("nrrd", "grid, dtype, unit", dense=True, attributes="one"),
     "binvox": Exchange("binvox", "the grid as a cube, with cubic voxels; bool", dtypes=("bool",)),
     "ply": Exchange(
         "centers",
@@ -86,6 +91,7 @@ EXCHANGE = {
         reads=False,
         normals=True,
         points=True,
+        attributes="all",
     ),
     "xyz": Exchange(
         "centers",
@@ -95,6 +101,7 @@ EXCHANGE = {
         text=True,
         normals=True,
         points=True,
+        attributes="all",
     ),
     "vdb": Exchange(
         "vdb",
@@ -111,7 +118,9 @@ EXCHANGE = {
         reads=False,
         whole=True,
     ),
-    "vtkhdf": Exchange("vtkhdf", "grid, levels, coverage", volumes="vtkhdf_volume", whole=True),
+    "vtkhdf": Exchange(
+        "vtkhdf", "grid, levels, coverage", volumes="vtkhdf_volume", whole=True, attributes="all"
+    ),
     **{
         name: Exchange(
             name,
@@ -123,14 +132,15 @@ EXCHANGE = {
         )
         for name in ("vtu", "msh", "inp")
     },
-    "tif": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True),
-    "tiff": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True),
+    "tif": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True, attributes="one"),
+    "tiff": Exchange("tiff", "grid, dtype, unit", needs="tifffile", dense=True, attributes="one"),
     "ome.zarr": Exchange(
         "ome_zarr",
         "grid, coverage, a pyramid of it, unit",
         needs="zarr",
         folder=True,
         dtypes=("float32", "float64"),
+        attributes="all",
     ),
     "%04d.png": Exchange(
         "layers", "which cells are set", reads=False, folder=True, dtypes=("bool",)

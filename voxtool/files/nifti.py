@@ -1,8 +1,10 @@
 """NIfTI images, .nii and .nii.gz; nibabel reads and writes the header, and the array is streamed.
 
 World coordinates are those of the affine: x to the right, y to the front, z up (RAS). The affine is
-float32; an extension of code 6 (a comment) has the exact grid. Images that other programs write may
-have any axes along those of the world; `scl_slope` and `scl_inter` apply before a threshold.
+float32; an extension of code 6 (a comment) has the exact grid, another one the names of labels.
+Colours are of the type RGBA32, and normals are vectors along the fifth axis. Images that other
+programs write may have any axes along those of the world; `scl_slope` and `scl_inter` apply before
+a threshold.
 https://nifti.nimh.nih.gov/nifti-1/documentation
 """
 
@@ -30,11 +32,15 @@ from voxtool.files.voxels import (
     frame_of,
     grid_of_text,
     grid_text,
+    names_text,
 )
 
 HEADER = 1024  # bytes before the array, at most
 MOST_SIDE = 32767  # int16
 MARK = "voxtool grid "  # before the exact grid in the comment
+LABELS = "voxtool labels "  # before the names of labels
+LABEL, VECTOR = "label", "vector"  # intents
+COLOUR = [(name, "u1") for name in "RGBA"]
 UNITS = {"m": "meter", "mm": "mm", "um": "micron"}
 UNIT_CODES = {1: "m", 2: "mm", 3: "um"}
 LEVEL = 6  # of gzip
@@ -51,7 +57,7 @@ def size(image: Dense) -> int:
             f"a side of {max(image.shape)} cells is more than a .nii can have, {MOST_SIDE}: choose "
             f"{image.smaller}"
         )
-    return HEADER + image.nbytes
+    return HEADER + len(names_text(image)) + image.nbytes
 
 
 def size_packed(image: Dense) -> int:
@@ -63,8 +69,10 @@ def size_packed(image: Dense) -> int:
 def write(image: Dense, file: BinaryIO) -> None:
     """Write the image."""
     _header(image).write_to(file)
-    for slab in image.slabs((2, 1, 0)):
-        file.write(np.ascontiguousarray(slab).view(_dtype(image)).data)
+    for vector in range(3 if image.quantity == "normal" else 1):  # of which each axis is an array
+        for slab in image.slabs((2, 1, 0)):
+            values = slab[..., vector] if image.quantity == "normal" else slab
+            file.write(np.ascontiguousarray(values).view(np.uint8).data)
 
 
 def write_packed(image: Dense, file: BinaryIO) -> None:
@@ -74,6 +82,8 @@ def write_packed(image: Dense, file: BinaryIO) -> None:
 
 
 def _dtype(image: Dense) -> np.dtype:
+    if image.quantity == "colour":
+        return np.dtype(COLOUR)
     return np.dtype(np.uint8) if image.dtype == bool else image.dtype
 
 
@@ -83,13 +93,17 @@ def _header(image: Dense) -> Any:
 
     header = Nifti1Header(endianness="<")
     header.set_data_dtype(_dtype(image))
-    header.set_data_shape(image.shape)
+    header.set_data_shape(image.shape if image.quantity != "normal" else (*image.shape, 1, 3))
+    if image.quantity in ("label", "normal"):
+        header.set_intent(LABEL if image.quantity == "label" else VECTOR)
     affine = np.diag([*image.pitch, 1.0])
     affine[:3, 3] = np.add(image.origin, np.array(image.pitch) / 2)
     header.set_sform(affine, "scanner")
     header.set_qform(affine, "scanner")
     header.set_xyzt_units(UNITS.get(image.units, "unknown"))
     header.extensions.append(Nifti1Extension(6, (MARK + grid_text(image)).encode()))
+    if names := names_text(image):
+        header.extensions.append(Nifti1Extension(6, (LABELS + names).encode()))
     return header
 
 

@@ -25,7 +25,8 @@ def size(image: Dense) -> int:
 def write(image: Dense, file: BinaryIO) -> None:
     """Write the dense array."""
     descr = np.lib.format.dtype_to_descr(image.dtype)
-    header = {"descr": descr, "fortran_order": False, "shape": image.shape}
+    shape = (*image.shape, *getattr(image, "row", ()))  # channels come last
+    header = {"descr": descr, "fortran_order": False, "shape": shape}
     np.lib.format.write_array_header_1_0(file, header)
     for slab in image.slabs():
         file.write(np.ascontiguousarray(slab).data)

@@ -2,9 +2,11 @@
 
 voxels : (N, 3) int32, in lexicographic order; shape : (3,) int64; origin and pitch : (3,) float64.
 values : (N,), where the image is not one of bool. transform : (4,) float64, scale and offset of a
-normalized mesh. Voxel (i, j, k) has its low corner at origin + pitch (i, j, k). The samples of a
-field are a dense array `distance` instead of the list, labels an array `label`. Of other programs,
-an array of three axes is read, dense; without a grid beside it, it has no place.
+normalized mesh. Attributes of the set cells: label : (N,), colour : (N, 4), normal : (N, 3),
+fraction : (N,), and label_names, the names by number. Voxel (i, j, k) has its low corner at origin
++ pitch (i, j, k). The samples of a field are a dense array `distance` instead of the list, labels
+an array `label`. Of other programs, an array of three axes is read, dense; without a grid beside
+it, it has no place.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from voxtool.files.voxels import (
     dense_pieces,
 )
 from voxtool.grid import Grid
+from voxtool.svo.attribute_image import attributes_of
 from voxtool.svo.image import VoxelImage
 
 EXTRA = 2048  # bytes of headers and of the grid
@@ -39,7 +42,11 @@ def size(image: Dense) -> int:
     """Bytes of the file."""
     if not isinstance(image, VoxelImage):
         return EXTRA + image.nbytes
-    return EXTRA + image.count * (12 + (image.dtype != bool) * image.dtype.itemsize)
+    attributes = attributes_of(image)
+    each = 12 + (image.dtype != bool) * image.dtype.itemsize
+    each += sum(attribute.cell_bytes for attribute in attributes)
+    named = sum(_names(attribute.names).nbytes + EXTRA for attribute in attributes)
+    return EXTRA + image.count * each + named
 
 
 def write(image: Dense, file: BinaryIO) -> None:
@@ -52,12 +59,23 @@ def write(image: Dense, file: BinaryIO) -> None:
         if isinstance(image, VoxelImage) and image.dtype != bool:
             values = (values for _, values in image.listed())
             _write(packed, "values", image.dtype, (image.count,), values)
+        for attribute in attributes_of(image):
+            shape = (image.count, *attribute.row)
+            _write(packed, attribute.name, attribute.dtype, shape, attribute.listed())
+            if attribute.names:
+                names = _names(attribute.names)
+                _write(packed, "label_names", names.dtype, names.shape, iter([names]))
         for name, dtype in GRID.items():
             array = np.array(getattr(image, name), dtype)
             _write(packed, name, array.dtype, array.shape, iter([array]))
         if isinstance(image, VoxelImage) and image.octree.transform:
             array = np.array(image.octree.transform)
             _write(packed, "transform", array.dtype, array.shape, iter([array]))
+
+
+def _names(names: tuple[str, ...]) -> np.ndarray:
+    """Return names as an array of text."""
+    return np.array(names, f"<U{max(map(len, names), default=0) or 1}")
 
 
 def _write(

@@ -2,7 +2,8 @@
 
 World coordinates are x to the right, y to the front, z up (RAS), as in NIfTI: those of an image in
 another anatomical space are turned. Positions are those of centres; the key `voxtool grid` has the
-exact grid. Detached headers, which name another file, are refused.
+exact grid, and `voxtool labels` the names of labels as JSON. Channels of colours and normals are
+the first axis. Detached headers, which name another file, are refused.
 https://teem.sourceforge.net/nrrd/format.html
 """
 
@@ -28,13 +29,15 @@ from voxtool.files.voxels import (
     frame_of,
     grid_of_text,
     grid_text,
+    names_text,
 )
 from voxtool.memory import check_memory
 
 HEADER = 1024  # bytes before the array, at most
 MOST_HEADER = 1 << 20
 LEVEL = 6  # of gzip
-GRID = "voxtool grid"
+GRID, LABELS = "voxtool grid", "voxtool labels"
+KINDS = {4: "RGBA-color", 3: "3-normal"}  # of the axis of channels
 TYPES = {
     "i1": ("signed char", "int8", "int8_t"),
     "u1": ("uchar", "unsigned char", "uint8", "uint8_t"),
@@ -64,26 +67,34 @@ DIRECTIONS, ORIGIN = "space directions", "space origin"
 def size(image: Dense) -> int:
     """Bytes of the file: of cells that are neither far inside nor far outside, and of the other
     ones at a high compression."""
-    return HEADER + image.mixed * image.dtype.itemsize + image.nbytes // (PACKED // 4)
+    return (
+        HEADER
+        + len(names_text(image))
+        + image.mixed * image.dtype.itemsize
+        + image.nbytes // (PACKED // 4)
+    )
 
 
 def write(image: Dense, file: BinaryIO) -> None:
     """Write the image."""
     steps = " ".join(_vector(row) for row in np.diag(image.pitch).tolist())
     center = np.add(image.origin, np.array(image.pitch) / 2)
+    channels, names = getattr(image, "channels", 1), names_text(image)
+    before = [[], []] if channels == 1 else [[KINDS[channels]], [channels]]
     lines = [
         "NRRD0005",
         f"type: {NAMES.get(image.dtype.name, image.dtype.name)}",
-        "dimension: 3",
+        f"dimension: {3 + len(before[0])}",
         "space: right-anterior-superior",
-        f"sizes: {' '.join(map(str, image.shape))}",
-        f"{DIRECTIONS}: {steps}",
-        "kinds: domain domain domain",
+        f"sizes: {' '.join(map(str, [*before[1], *image.shape]))}",
+        f"{DIRECTIONS}: {'none ' * len(before[0])}{steps}",
+        f"kinds: {' '.join([*before[0], *['domain'] * 3])}",
         "endian: little",
         "encoding: gzip",
         *([f"space units: {' '.join([_quoted(image.units)] * 3)}"] if image.units else []),
         f"{ORIGIN}: {_vector(center.tolist())}",
         f"{GRID}:={grid_text(image)}",
+        *([f"{LABELS}:={names}"] if names else []),
     ]
     file.write("\n".join([*lines, "", ""]).encode())
     with gzip.GzipFile("", "wb", LEVEL, file, mtime=0) as packed:

@@ -2,7 +2,9 @@
 
 Array 0 has the cells of the image, each further one cells twice as large, until one chunk holds
 them all. Values are the share of a cell's voxels that are set; chunks of zeros are not stored. A
-transformation places the centre of a cell; the group's attribute GRID has the exact grid.
+transformation places the centre of a cell; the group's attribute GRID has the exact grid. Labels
+of voxels are the label image labels/label with names and colours; other attributes are images of
+their own in the folder, colours and normals with channels first.
 https://ngff.openmicroscopy.org/0.4/
 """
 
@@ -10,7 +12,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 from math import prod
@@ -31,6 +33,8 @@ from voxtool.files.voxels import (
     grid_text,
 )
 from voxtool.memory import check_memory
+from voxtool.palette import palette
+from voxtool.svo.attribute_image import AttributeImage, attributes_of
 from voxtool.svo.image import VoxelImage
 
 CHUNK = 64  # cells along a side
@@ -38,6 +42,7 @@ MOST_CHUNKS = 1 << 22  # that are looked for
 CHUNK_FILE = re.compile(r"(/c)?([/.]\d{1,9})+")  # in the folder of an array
 GRID = "voxtool_grid"
 CHUNK_BYTES, ARRAY_BYTES = 4096, 8192  # of the disk, beyond the values
+NAME_BYTES = 200  # of what is said of a label, beyond the letters of its name
 # What stores numbers and runs no code; others, such as pickle, are refused.
 CODECS = {"blosc", "zstd", "zlib", "gzip", "lz4", "bz2", "lzma", "bytes", "transpose", "crc32c",
           "sharding_indexed", "endian", "shuffle", "bitround", "delta"}  # fmt: skip
@@ -49,9 +54,12 @@ def size(image: VoxelImage) -> int:
     """Bytes of the folder: of cells that are neither far inside nor far outside, and of the other
     ones at a high compression; coarser arrays take a seventh of that."""
     each = 8 if image.dtype == np.float64 else 4
-    chunks = prod(-(-n // CHUNK) for n in image.shape)
-    finest = each * (image.mixed + image.cells // (PACKED // 4)) + CHUNK_BYTES * chunks
-    return finest * 8 // 7 + ARRAY_BYTES * 20
+    found = 0
+    for one in (each, *(attribute.cell_bytes for attribute in attributes_of(image))):
+        chunks = prod(-(-n // CHUNK) for n in image.shape)
+        finest = one * (image.mixed + image.cells // (PACKED // 4)) + CHUNK_BYTES * chunks
+        found += finest * 8 // 7 + ARRAY_BYTES * 20
+    return found + sum(NAME_BYTES + 6 * len(n) for a in attributes_of(image) for n in a.names)
 
 
 def write(image: VoxelImage, folder: Path) -> None:
@@ -61,25 +69,64 @@ def write(image: VoxelImage, folder: Path) -> None:
     dtype = np.float64 if image.dtype == np.float64 else np.float32
     images = list(_pyramid(image.with_dtype(dtype)))
     group: Any = zarr.open_group(str(folder), mode="w", zarr_format=2)
-    for number, level in enumerate(images):
+    _write(group, images, images, "coverage")
+    for attribute in attributes_of(image):
+        # of the cells that hold a set voxel
+        levels = [AttributeImage(level, attribute.name) for level in images]
+        where = "labels/label" if attribute.names else attribute.name
+        own: Any = group.create_group(where)
+        _write(own, images, levels, attribute.name)
+        if attribute.names:
+            group["labels"].attrs.update({"labels": ["label"]})
+            own.attrs.update({"image-label": _label_image(attribute.names)})
+
+
+def _label_image(names: tuple[str, ...]) -> dict[str, Any]:
+    """Return what a label image says of its labels."""
+    colours = palette(len(names) - 1).tolist()
+    return {
+        "version": "0.4",
+        "colors": [
+            {"label-value": number, "rgba": [*colour, 255]}
+            for number, colour in enumerate(colours, 1)
+        ],
+        "properties": [
+            {"label-value": number, "name": name} for number, name in enumerate(names) if number
+        ],
+        "source": {"image": "../../"},
+    }
+
+
+def _write(
+    group: Any, images: list[VoxelImage], levels: Sequence[VoxelImage | AttributeImage], name: str
+) -> None:
+    """Write a pyramid of an image's own values or of an attribute."""
+    row = getattr(levels[0], "row", ())
+    for number, level in enumerate(levels):
         array: Any = group.create_array(
-            str(number), shape=level.shape[::-1], chunks=(CHUNK,) * 3, dtype=dtype, fill_value=0,
+            str(number), shape=(*row, *level.shape[::-1]), chunks=(*row, *(CHUNK,) * 3),
+            dtype=level.dtype, fill_value=0,
             chunk_key_encoding={"name": "v2", "separator": "/"},
         )  # fmt: skip
-        _fill(array, level)
+        _fill(array, images[number], level)
+    image = images[0]
     unit = {"unit": UNITS[image.units]} if image.units in UNITS else {}
     datasets = [
         {
             "path": str(number),
             "coordinateTransformations": [
-                {"type": "scale", "scale": list(level.pitch[::-1])},
-                {"type": "translation", "translation": _center(level)[::-1]},
+                {"type": "scale", "scale": [*[1.0] * len(row), *level.pitch[::-1]]},
+                {
+                    "type": "translation",
+                    "translation": [*[0.0] * len(row), *_center(level)[::-1]],
+                },
             ],
         }
         for number, level in enumerate(images)
     ]
-    axes = [{"name": name, "type": "space", **unit} for name in "zyx"]
-    scales = {"version": "0.4", "name": "coverage", "axes": axes, "datasets": datasets}
+    axes = [{"name": "c", "type": "channel"}] if row else []
+    axes += [{"name": axis, "type": "space", **unit} for axis in "zyx"]
+    scales = {"version": "0.4", "name": name, "axes": axes, "datasets": datasets}
     group.attrs.update({"multiscales": [scales], GRID: grid_text(image)})
 
 
@@ -101,8 +148,11 @@ def _center(image: VoxelImage) -> list[float]:
     return [o + p / 2 for o, p in zip(image.origin, image.pitch, strict=True)]
 
 
-def _fill(array: Any, image: VoxelImage) -> None:
-    """Write the cells that are not zero."""
+def _fill(array: Any, image: VoxelImage, own: VoxelImage | AttributeImage) -> None:
+    """Write the cells of an image that are not zero: its values, or those of an attribute."""
+    if isinstance(own, AttributeImage):
+        _fill_attribute(array, image, own)
+        return
     first = np.array(image.low)
     for part in image.parts(least=CHUNK):
         low, high = np.array(part.low), np.add(part.low, part.shape)
@@ -115,6 +165,23 @@ def _fill(array: Any, image: VoxelImage) -> None:
                 held = values[tuple(map(slice, start - corner, stop - corner))]
                 ends = (start - first)[::-1].tolist(), (stop - first)[::-1].tolist()
                 array[tuple(map(slice, *ends))] = held.transpose(2, 1, 0)
+
+
+def _fill_attribute(array: Any, image: VoxelImage, own: AttributeImage) -> None:
+    """Write the values of an attribute."""
+    low, high = np.array(image.low), np.add(image.low, image.shape)
+    for corners, side, values in own.cubes(CHUNK):
+        for corner, value in zip(corners - low, values, strict=True):
+            box = tuple(slice(n, n + side) for n in corner[::-1].tolist())
+            array[..., *box] = np.broadcast_to(
+                value[..., None, None, None], (*own.row, *(side,) * 3)
+            )
+    for blocks in own.blocks(CHUNK):
+        for corner, values in zip(*blocks, strict=True):
+            start, stop = np.maximum(corner, low), np.minimum(corner + CHUNK, high)
+            held = values[tuple(map(slice, start - corner, stop - corner))]
+            ends = (start - low)[::-1].tolist(), (stop - low)[::-1].tolist()
+            array[..., *map(slice, *ends)] = held.T  # channels first, then z, y, x
 
 
 # ---- in

@@ -1,7 +1,8 @@
 """TIFF stacks, .tif: one page a layer of cells, [z, y, x] without mirroring, deflated.
 
 Cells of bool have one bit. The description is OME-XML, which says the spacing; a private tag has
-the exact grid. BigTIFF where 4 GiB may not do.
+the exact grid. Colours have four samples a pixel, normals three; the names of labels are an
+annotation of the OME-XML. BigTIFF where 4 GiB may not do.
 https://docs.openmicroscopy.org/ome-model/6.3.1/ome-tiff/specification.html
 """
 
@@ -12,7 +13,7 @@ from collections.abc import Iterator
 from math import prod
 from typing import Any, BinaryIO
 from xml.etree import ElementTree
-from xml.sax.saxutils import quoteattr
+from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 
@@ -42,9 +43,15 @@ XMLNS = "http://www.openmicroscopy.org/Schemas/OME/2016-06"
 OME = (
     '<?xml version="1.0" encoding="UTF-8"?><OME xmlns="{xmlns}"><Image ID="Image:0">'
     '<Pixels ID="Pixels:0" DimensionOrder="XYZCT" Type="{type}" SizeX="{x}" SizeY="{y}" '
-    'SizeZ="{z}" SizeC="1" SizeT="1"{spacing}><Channel ID="Channel:0:0" SamplesPerPixel="1"/>'
-    '<TiffData IFD="0" PlaneCount="{z}"/></Pixels></Image></OME>'
+    'SizeZ="{z}" SizeC="{c}" SizeT="1"{spacing}><Channel ID="Channel:0:0" SamplesPerPixel="{c}"/>'
+    '<TiffData IFD="0" PlaneCount="{z}"/></Pixels>{link}</Image>{names}</OME>'
 )
+LINK = '<AnnotationRef ID="Annotation:0"/>'
+NAMES = (
+    '<StructuredAnnotations><MapAnnotation ID="Annotation:0" Namespace="voxtool.labels"><Value>'
+    "{rows}</Value></MapAnnotation></StructuredAnnotations>"
+)
+NAME_BYTES = 64  # of a name in the XML, beyond its letters
 TYPES = {"bool": "bit", "float32": "float", "float64": "double"}
 
 
@@ -52,7 +59,8 @@ def size(image: Dense) -> int:
     """Bytes of the file: of cells that are neither far inside nor far outside, and of the other
     ones at a high compression."""
     mixed = image.mixed // 4 if image.dtype == bool else image.mixed * image.dtype.itemsize
-    return mixed + _raw(image) // (PACKED // 4) + PAGE_BYTES * max(image.shape)
+    named = sum(NAME_BYTES + 6 * len(name.encode()) for name in getattr(image, "names", ()))
+    return mixed + _raw(image) // (PACKED // 4) + PAGE_BYTES * max(image.shape) + named
 
 
 def _raw(image: Dense) -> int:
@@ -72,23 +80,39 @@ def write(image: Dense, file: BinaryIO, axis: str = "z", dpi: float | None = Non
 
     order = order_of(axis)
     z, y, x = shape = tuple(image.shape[a] for a in order)
+    channels = getattr(image, "channels", 1)
+    names = _annotation(getattr(image, "names", ()))
     spacing = "".join(
         f' PhysicalSize{name}="{image.pitch[a]!r}"'
         + (f" PhysicalSize{name}Unit={quoteattr(image.units)}" if image.units else "")
         for name, a in zip("ZYX", order, strict=True)
     )
     kind = TYPES.get(image.dtype.name, image.dtype.name)
-    text = OME.format(xmlns=XMLNS, type=kind, x=x, y=y, z=z, spacing=spacing)
+    text = OME.format(
+        xmlns=XMLNS, type=kind, x=x, y=y, z=z, c=channels, spacing=spacing,
+        names=names, link=LINK if names else "",
+    )  # fmt: skip
+    shape += (channels,) if channels > 1 else ()
     # tifffile wants one page at a time, and one strip a page
     tifffile.imwrite(
         file,
         (layer for slab in image.slabs(order) for layer in slab),
-        shape=shape, dtype=image.dtype, photometric="minisblack", compression="zlib",
+        shape=shape, dtype=image.dtype, photometric="minisblack" if channels == 1 else "rgb",
+        planarconfig=None if channels == 1 else "contig", compression="zlib",
+        extrasamples=["unassalpha"] if channels == 4 else None,
         rowsperstrip=y, metadata=None, description=text.encode(), software="voxtool",
         bigtiff=_raw(image) + PAGE_BYTES * z > CLASSIC_BYTES,
         resolution=(dpi, dpi) if dpi else None, resolutionunit="INCH" if dpi else None,
         extratags=[(GRID, "s", 0, f"{axis} {grid_text(image)}", True)],
     )  # fmt: skip
+
+
+def _annotation(names: tuple[str, ...]) -> str:
+    """Return the element of names of labels, by number."""
+    rows = "".join(
+        f'<M K="{number}">{escape(name)}</M>' for number, name in enumerate(names) if number
+    )
+    return NAMES.format(rows=rows) if names else ""
 
 
 def order_of(axis: str) -> Order:

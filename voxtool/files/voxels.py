@@ -18,13 +18,16 @@ from voxtool.adf.samples import FieldSamples
 from voxtool.errors import FileError, GridError, human
 from voxtool.grid import FIXED_POINT_BITS, Grid
 from voxtool.memory import check_memory
+from voxtool.svo.attribute_image import AttributeImage
 from voxtool.svo.collect import Collector
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.labels import Labels
 from voxtool.svo.octree import Octree
 
 PIECE = 1 << 24  # bytes of a piece of a dense array
-Dense: TypeAlias = VoxelImage | FieldSamples | Labels  # what is written as a dense array
+Dense: TypeAlias = (
+    VoxelImage | FieldSamples | Labels | AttributeImage
+)  # what is written as a dense array
 
 
 class Frame(NamedTuple):
@@ -265,9 +268,16 @@ def grid_text(image: Dense) -> str:
     """Return shape, origin and pitch of an image as JSON, without rounding; of a normalized mesh
     the transform, too."""
     place = {name: [v.hex() for v in getattr(image, name)] for name in ("origin", "pitch")}
-    if isinstance(image, VoxelImage) and image.octree.transform:
+    if isinstance(image, VoxelImage | AttributeImage) and image.octree.transform:
         place["transform"] = [v.hex() for v in image.octree.transform]
     return json.dumps({"shape": list(image.shape), **place})
+
+
+def names_text(image: Dense) -> str:
+    """Return the names of labels as JSON, by number; "" if the image has none."""
+    names = image.names if isinstance(image, AttributeImage) else ()
+    numbered = {str(number): name for number, name in enumerate(names) if number}
+    return json.dumps(numbered) if names else ""
 
 
 def grid_of_text(text: str) -> Grid | None:

@@ -1,9 +1,10 @@
 """VTK ImageData, .vti, which ParaView opens: the cells as cell data, XML with appended raw bytes.
 
 The array `occupancy` of an image of bool is UInt8, 1 where set; `count` and `coverage` are those of
-the other types, and `distance` of a field. x runs fastest; header_type UInt64, little-endian. Files
-of other programs may have their arrays inline or appended, raw, as base64 or as text, compressed by
-zlib or not.
+the other types, and `distance` of a field. Attributes of voxels have arrays of their own, and the
+names of labels are the field data `label_names`. x runs fastest; header_type UInt64, little-endian.
+Files of other programs may have their arrays inline or appended, raw, as base64 or as text,
+compressed by zlib or not.
 https://docs.vtk.org/en/latest/vtk_file_formats/vtkxml_file_format.html
 """
 
@@ -26,20 +27,29 @@ from voxtool.files.voxels import (
     frame_of,
 )
 from voxtool.grid import Grid
+from voxtool.svo.attribute_image import attributes_of
 
 VTI = """<?xml version="1.0"?>
 <VTKFile type="ImageData" version="1.0" byte_order="LittleEndian" header_type="UInt64">
-  <ImageData WholeExtent="{extent}" Origin="{origin}" Spacing="{pitch}">
+  <ImageData WholeExtent="{extent}" Origin="{origin}" Spacing="{pitch}">{names}
     <Piece Extent="{extent}">
       <CellData Scalars="{name}">
-        <DataArray type="{type}" Name="{name}" format="appended" offset="0"/>
+        {arrays}
       </CellData>
     </Piece>
   </ImageData>
   <AppendedData encoding="raw">
    _"""
+ARRAY = '<DataArray type="{type}" Name="{name}"{components} format="appended" offset="{offset}"/>'
+NAMES = """
+    <FieldData>
+      <DataArray type="String" Name="label_names" NumberOfTuples="{count}" format="ascii">
+        {text}
+      </DataArray>
+    </FieldData>"""
 VTI_END = b"\n  </AppendedData>\n</VTKFile>\n"
 EXTRA = 1024  # bytes of the XML
+LENGTH = struct.Struct("<Q")  # before each array
 TYPES = {
     "bool": "UInt8",
     "uint8": "UInt8",
@@ -52,22 +62,46 @@ TYPES = {
 
 def size(image: Dense) -> int:
     """Bytes of the file."""
-    return EXTRA + image.nbytes
+    found = EXTRA + image.nbytes
+    for attribute in attributes_of(image):
+        found += attribute.nbytes + EXTRA + len(_names(attribute.names))
+    return found
 
 
 def write(image: Dense, file: BinaryIO) -> None:
     """Write the values as cell data."""
+    images: list[Dense] = [image, *attributes_of(image)]
+    arrays, offset = [], 0
+    for each in images:
+        numbers = getattr(each, "channels", 1)
+        components = f' NumberOfComponents="{numbers}"' if numbers > 1 else ""
+        kind = TYPES[each.dtype.name]
+        arrays.append(
+            ARRAY.format(type=kind, name=each.quantity, components=components, offset=offset)
+        )
+        offset += LENGTH.size + each.nbytes
     head = VTI.format(
         extent=" ".join(f"0 {n}" for n in image.shape),
         origin=" ".join(map(repr, image.origin)),
         pitch=" ".join(map(repr, image.pitch)),
         name=image.quantity,
-        type=TYPES[image.dtype.name],
+        arrays="\n        ".join(arrays),
+        names="".join(_names(getattr(each, "names", ())) for each in images),
     )
-    file.write(head.encode() + struct.pack("<Q", image.nbytes))
-    for slab in image.slabs((2, 1, 0)):
-        file.write(np.ascontiguousarray(slab).view(np.uint8).data)
+    file.write(head.encode())
+    for each in images:
+        file.write(LENGTH.pack(each.nbytes))
+        for slab in each.slabs((2, 1, 0)):
+            file.write(np.ascontiguousarray(slab).view(np.uint8).data)
     file.write(VTI_END)
+
+
+def _names(names: tuple[str, ...]) -> str:
+    """Return the element of names of labels: bytes of UTF-8 as numbers, each name ended by 0."""
+    if not names:
+        return ""
+    text = "".join(f"{name}\0" for name in names).encode()
+    return NAMES.format(count=len(names), text=" ".join(map(str, text)))
 
 
 def read(file: BinaryIO, size: int) -> Stored:

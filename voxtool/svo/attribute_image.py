@@ -18,11 +18,13 @@ from voxtool.morton import morton_decode
 from voxtool.svo.attribute_levels import CellValues
 from voxtool.svo.attributes import Attribute
 from voxtool.svo.blocks import keys_of, places_in
-from voxtool.svo.image import CHUNK, EVERY, UNIFORM, VoxelImage
+from voxtool.svo.counts import BRICK_POWER
+from voxtool.svo.image import CHUNK, EVERY, LAYERS, UNIFORM, VoxelImage
 from voxtool.svo.octree import Octree
 from voxtool.svo.slabs import THICK, Blocks, Filled, Order, slabs_of
 
 POWER = THICK.bit_length() - 1
+TALLY_BYTES = 100  # of a brick, of sums and values
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,13 +132,17 @@ class AttributeImage:
         return self.cells * self.cell_bytes
 
     @property
-    def host_bytes(self) -> int:
-        """A bound of the memory of what is held at once: that of the image, layers of values, and
-        the values of nodes."""
+    def own_bytes(self) -> int:
+        """A bound of the memory of layers of values, and of the values of nodes."""
         a, b = sorted(self.shape)[1:]
-        octree = self.octree
-        nodes = 48 * len(octree.bricks) * (self.level > 1)
-        return self.image.host_bytes + 6 * THICK * a * b * self.cell_bytes + nodes
+        layers = LAYERS * a * b * self.cell_bytes if self.image.dense else 0
+        nodes = TALLY_BYTES * len(self.octree.bricks) if self.level >= BRICK_POWER else 0
+        return layers + nodes
+
+    @property
+    def host_bytes(self) -> int:
+        """A bound of the memory of what is held at once, with that of the image."""
+        return self.image.host_bytes + self.own_bytes
 
     @property
     def progress(self) -> Any:
