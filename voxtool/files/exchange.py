@@ -245,13 +245,13 @@ def plan_export(
         raise VoxtoolError(f".{name} holds no normals: choose {names}")
     check_package(name)
     check_output(path, name, clobber)
+    one, tree = EXCHANGE[name].attributes == "one", name == "vtkhdf"  # parts are trees of their own
     other = {
         "--invert": invert,
         # an attribute in place of the occupancy has a type of its own
-        "--dtype": dtype is not None and EXCHANGE[name].attributes == "one",
-        "--isovalue": isovalue is not None and EXCHANGE[name].attributes == "one",
-        # a part of the tree is a tree of its own
-        "--bbox": bbox is not None and name == "vtkhdf",
+        "--dtype": dtype is not None and (one or (tree and level > 0)),
+        "--isovalue": isovalue is not None and (one or tree),
+        "--bbox": bbox is not None and tree,
     }
     other = [option for option, given in other.items() if given]
     held, left_out = chosen_attributes(content, name, attributes, other)

@@ -94,15 +94,16 @@ def _header(image: Dense) -> Any:
     header = Nifti1Header(endianness="<")
     header.set_data_dtype(_dtype(image))
     header.set_data_shape(image.shape if image.quantity != "normal" else (*image.shape, 1, 3))
-    if image.quantity in ("label", "normal"):
-        header.set_intent(LABEL if image.quantity == "label" else VECTOR)
+    names = names_text(image)
+    if names or image.quantity == "normal":
+        header.set_intent(LABEL if names else VECTOR)
     affine = np.diag([*image.pitch, 1.0])
     affine[:3, 3] = np.add(image.origin, np.array(image.pitch) / 2)
     header.set_sform(affine, "scanner")
     header.set_qform(affine, "scanner")
     header.set_xyzt_units(UNITS.get(image.units, "unknown"))
     header.extensions.append(Nifti1Extension(6, (MARK + grid_text(image)).encode()))
-    if names := names_text(image):
+    if names:
         header.extensions.append(Nifti1Extension(6, (LABELS + names).encode()))
     return header
 

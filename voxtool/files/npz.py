@@ -60,7 +60,7 @@ def write(image: Dense, file: BinaryIO) -> None:
             values = (values for _, values in image.listed())
             _write(packed, "values", image.dtype, (image.count,), values)
         for attribute in attributes_of(image):
-            shape = (image.count, *attribute.row)
+            shape = (attribute.image.count, *attribute.row)
             _write(packed, attribute.name, attribute.dtype, shape, attribute.listed())
             if attribute.names:
                 names = _names(attribute.names)

@@ -3,15 +3,16 @@
 The tree of the file is that of the octree, one tree of 2 x 2 x 2 children, which goes on in mixed
 bricks down to the cells of the image; uniform bricks are leaves. The cell array `coverage` is 0
 where a cell is empty, 255 where it is wholly set and from 1 to 254 between (an image of float32:
-the share); `inside` is 1 where a cell is wholly set. Empty leaves are masked. The attributes
-voxtool_shape, voxtool_origin and voxtool_pitch of the group hold the grid without rounding.
+the share); `inside` is 1 where a cell is wholly set. Attributes of voxels are cell arrays of their
+own; where they differ, full bricks have children, too. The names of labels are the field data
+`label_names`. Empty leaves are masked. The attributes voxtool_shape, voxtool_origin and
+voxtool_pitch of the group hold the grid without rounding.
 https://docs.vtk.org/en/latest/vtk_file_formats/vtkhdf_file_format/ (HyperTreeGrid, version 2.4)
 """
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any, BinaryIO, NamedTuple
@@ -19,38 +20,33 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from voxtool.errors import VoxtoolError
+from voxtool.files.vtkhdf_cells import Cells, TreeCells
 from voxtool.files.vtkhdf_read import COVERAGE
 from voxtool.files.vtkhdf_read import read as read
 from voxtool.grid import Grid
+from voxtool.svo.attribute_image import attributes_of
 from voxtool.svo.collect import Collector
 from voxtool.svo.content import OctreeContent
-from voxtool.svo.counts import Counts, counts_of
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.octree import Octree
-from voxtool.svo.prune import ALL_VOXELS
 
 VERSION = (2, 4)
 CHUNK = 1 << 20  # values of a chunk of a dataset
 DEFLATE = 4  # zlib's level: a tenth more bytes than by VTK's 5, in two thirds of the time
-BRICKS = 1 << 18  # bricks that are unpacked at once
 EXTRA = 1 << 16  # bytes of the structure of the file
+NAME_BYTES = 48  # of a name of a label, beyond its letters
 FULL = 255  # the coverage of a cell that is wholly set
-COARSEST_IN_BRICKS = 2  # the level of bricks as cells
-
-
-class Cells(NamedTuple):
-    """Some cells of one depth, in the order of the file."""
-
-    counts: np.ndarray  # (n,) voxels that are set
-    most: int  # voxels of a cell
-    refined: np.ndarray | None  # (n,) bool, whether they have children; None in the last depth
 
 
 def size(image: VoxelImage) -> int:
     """A bound of the bytes of the file."""
     source = _source(image)
-    cells = sum(cells_by_depth(source.octree, source.level))
-    return EXTRA + cells * (1 + source.values.itemsize) + cells // 4 + 4 * CHUNK
+    attributes = attributes_of(image)
+    cells = sum(TreeCells(source.octree, source.level, attributes).by_depth)
+    each = 1 + source.values.itemsize + sum(attribute.cell_bytes for attribute in attributes)
+    named = sum(NAME_BYTES + len(name.encode()) for one in attributes for name in one.names)
+    streams = (2 + len(attributes)) * 4 * CHUNK
+    return EXTRA + cells * each + cells // 4 + named + streams
 
 
 def write(image: VoxelImage, file: BinaryIO) -> None:
@@ -58,18 +54,22 @@ def write(image: VoxelImage, file: BinaryIO) -> None:
     import h5py
 
     octree, level, values = _source(image)
-    sizes = cells_by_depth(octree, level)
+    attributes = attributes_of(image)
+    tree = TreeCells(octree, level, attributes)
+    sizes = tree.by_depth
     total = sum(sizes)
     with h5py.File(file, "w") as h5:
         group: Any = h5.create_group("VTKHDF")
         _describe(group, octree, level, sizes)
         data = group.create_group("CellData")
         arrays = [_Stream(data, COVERAGE, total, values), _Stream(data, "inside", total, "u1")]
+        arrays += [_Stream(data, one.name, total, one.dtype, one.row) for one in attributes]
         refined, masked = [], []
         done = 0
-        for cells in depths_of(octree, level):
-            arrays[0].add(_coverage(cells, values))
-            arrays[1].add((cells.counts == cells.most).view(np.uint8))
+        for cells in tree.depths():
+            columns = [_coverage(cells, values), (cells.counts == cells.most).view(np.uint8)]
+            for array, column in zip(arrays, [*columns, *cells.values], strict=True):
+                array.add(column)
             masked.append(_packed(cells.counts == 0))
             if cells.refined is not None:
                 refined.append(_packed(cells.refined))
@@ -77,6 +77,12 @@ def write(image: VoxelImage, file: BinaryIO) -> None:
             image.progress(done / total)
         for array in arrays:
             array.close()
+        for one in attributes:
+            if one.names:
+                fields = group.create_group("FieldData")
+                names = [name.encode() for name in one.names]
+                # VTK reads no strings that say they are UTF-8, and shows others as UTF-8
+                fields.create_dataset("label_names", data=names, dtype=h5py.string_dtype("ascii"))
         inner = total - sizes[-1]  # the last depth has no children
         _pack(group, "Descriptors", _joined(refined, inner))
         group["DescriptorsSize"] = np.array([inner], "<i8")
@@ -134,60 +140,6 @@ def _describe(group: Any, octree: OctreeContent, level: int, sizes: list[int]) -
         group.attrs.create("voxtool_transform", octree.transform, dtype="<f8")
 
 
-# ---- the cells
-
-
-def cells_by_depth(octree: OctreeContent, level: int) -> list[int]:
-    """Return the number of cells of each depth, from the root down to those of 2**level voxels."""
-    nodes = np.diff(octree.offsets).astype(np.int64).tolist()
-    if level >= COARSEST_IN_BRICKS:
-        return nodes[: len(nodes) - (level - COARSEST_IN_BRICKS)]
-    mixed, parts = 0, 0
-    for bricks in _mixed(octree):
-        mixed += len(bricks)
-        if level == 0:
-            eighths = bricks.view(np.uint8)
-            parts += int(np.count_nonzero((eighths != 0) & (eighths != 255)))
-    sizes = [*nodes, 8 * mixed, *([8 * parts] if level == 0 else [])]
-    return [n for n in sizes if n]
-
-
-def depths_of(octree: OctreeContent, level: int) -> Iterator[Cells]:
-    """Yield the cells from the root down to those of 2**level voxels, a depth in one piece or more
-    of 8 n cells."""
-    counts = Counts(octree, 0) if isinstance(octree, Octree) else counts_of(octree, level)
-    last = max(level - COARSEST_IN_BRICKS, 0)
-    for nodes in counts.levels[:last:-1]:
-        yield Cells(counts.of_nodes[nodes.number], nodes.side**3, nodes.refined)
-    if level >= COARSEST_IN_BRICKS:
-        yield Cells(counts.of_nodes[last], counts.levels[last].side ** 3, None)
-        return
-    assert isinstance(octree, Octree)
-    sizes = len(cells_by_depth(octree, level)) - octree.depth
-    for bricks in _pieces(octree.bricks):
-        refined = (bricks != 0) & (bricks != ALL_VOXELS)
-        yield Cells(np.bitwise_count(bricks), 64, refined if sizes else None)
-    for bricks in _mixed(octree) if sizes else ():
-        eighths = bricks.view(np.uint8)
-        refined = (eighths != 0) & (eighths != 255)
-        yield Cells(np.bitwise_count(eighths), 8, refined if sizes > 1 else None)
-    for bricks in _mixed(octree) if sizes > 1 else ():
-        eighths = bricks.view(np.uint8)
-        eighths = eighths[(eighths != 0) & (eighths != 255)]
-        yield Cells(np.unpackbits(eighths, bitorder="little"), 1, None)
-
-
-def _pieces(bricks: np.ndarray) -> Iterator[np.ndarray]:
-    for first in range(0, len(bricks), BRICKS):
-        yield bricks[first : first + BRICKS]
-
-
-def _mixed(octree: OctreeContent) -> Iterator[np.ndarray]:
-    """Yield the bricks that are neither empty nor full."""
-    for bricks in _pieces(octree.bricks):
-        yield bricks[(bricks != 0) & (bricks != ALL_VOXELS)]
-
-
 def _coverage(cells: Cells, dtype: np.dtype) -> np.ndarray:
     """Return the values of the array `coverage`."""
     if dtype.kind == "f":
@@ -222,15 +174,17 @@ def _pack(group: Any, name: str, values: np.ndarray) -> None:
 
 
 class _Stream:
-    """A dataset of one axis whose chunks are packed by other threads while others are made."""
+    """A dataset whose chunks are packed by other threads while others are made."""
 
-    def __init__(self, group: Any, name: str, count: int, dtype: Any) -> None:
-        self.chunk = min(CHUNK, count)
+    def __init__(
+        self, group: Any, name: str, count: int, dtype: Any, row: tuple[int, ...] = ()
+    ) -> None:
+        self.chunk, self.row = min(CHUNK, count), row
         self.dataset = group.create_dataset(
             name,
-            (count,),
+            (count, *row),
             dtype,
-            chunks=(self.chunk,),
+            chunks=(self.chunk, *row),
             compression="gzip",
             compression_opts=DEFLATE,
         )
@@ -256,7 +210,8 @@ class _Stream:
         """Write what is left."""
         rest = np.concatenate(self._kept)
         if len(rest):
-            self._pack(np.pad(rest, (0, self.chunk - len(rest))))
+            padding = [(0, self.chunk - len(rest)), *[(0, 0)] * len(self.row)]
+            self._pack(np.pad(rest, padding))
         self._write()
         self._pool.shutdown()
 
@@ -265,6 +220,7 @@ class _Stream:
 
     def _write(self) -> None:
         for packing in self._packing:
-            self.dataset.id.write_direct_chunk((self._written,), packing.result())
+            at = (self._written, *[0] * len(self.row))
+            self.dataset.id.write_direct_chunk(at, packing.result())
             self._written += self.chunk
         self._packing = []

@@ -159,7 +159,7 @@ class AttributeImage:
     def _values(self) -> CellValues:
         return CellValues(self.octree, self.name, self.level)
 
-    def _shown(self, values: np.ndarray, held: np.ndarray | None = None) -> np.ndarray:
+    def shown(self, values: np.ndarray, held: np.ndarray | None = None) -> np.ndarray:
         """Return values as they are written, 0 where a cell is not held."""
         if self.name == "label":
             values = (values.astype(np.int64) + 1).astype(self.dtype)
@@ -181,12 +181,12 @@ class AttributeImage:
         inner = cells.of_cells(level, nodes[~uniform])
         found[~uniform, : inner.shape[1]] = inner  # of the whole grid, if a block holds it
         found[uniform] = cells.around(codes[uniform], level)[:, None]
-        return own, self._shown(found[:, places_in(side)], own.values != 0)
+        return own, self.shown(found[:, places_in(side)], own.values != 0)
 
     def _of_cubes(self, codes: np.ndarray, width: int) -> np.ndarray:
         """Return the values of cubes of this side in cells that are wholly set."""
         number = self._values.level + width.bit_length() - 1
-        return self._shown(self._values.around(codes, number))
+        return self.shown(self._values.around(codes, number))
 
     def _row(self, axis: int, start: int) -> tuple[Blocks, Blocks, list[Filled]]:
         """Return the blocks of four layers of the image, with its values and with these, and the

@@ -1,0 +1,80 @@
+"""Which attributes of voxels an export holds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from voxtool.errors import VoxtoolError
+from voxtool.files.formats import EXCHANGE, ending
+from voxtool.svo.attributes import KINDS
+
+NONE = "none"  # instead of names: the occupancy alone
+
+
+def chosen_attributes(
+    content: Any, name: str, asked: str | Sequence[str] | None, other: Sequence[str]
+) -> tuple[tuple[str, ...], dict[str, str]]:
+    """Return the attributes of an octree that its export holds, and what is left out, with the
+    reason.
+
+    Parameters
+    ----------
+    content : what is exported.
+    name : the format.
+    asked : names, or "none"; None: all that the format can hold, of one array the label.
+    other : of the options that were given, those that ask for other values than set voxels have.
+
+    Raises
+    ------
+    VoxtoolError
+        If the octree has no such attribute, or the format holds none, or only one.
+    """
+    names = asked.split(",") if isinstance(asked, str) else asked
+    there = [one.name for one in getattr(content, "attributes", ())]
+    holds = EXCHANGE[name].attributes
+    if names is not None and list(names) != [NONE]:
+        return _asked(content, name, tuple(names), other), {}
+    if not there or names is not None:
+        return (), {}
+    left = f"attributes {', '.join(there)}"
+    if not holds:
+        return (), {left: f"{ending(name)} holds none"}
+    if other:
+        return (), {left: f"they are of set voxels, and {other[0]} asks for other values"}
+    if holds == "all":
+        return tuple(there), {}
+    first = ("label",) if "label" in there else ()
+    rest = [other for other in there if other not in first]
+    why = f"{ending(name)} holds one array: choose it by --attribute"
+    return first, {f"attributes {', '.join(rest)}": why} if rest else {}
+
+
+def _asked(
+    content: Any, name: str, names: tuple[str, ...], other: Sequence[str]
+) -> tuple[str, ...]:
+    """Return the names that were asked for, checked."""
+    holds = EXCHANGE[name].attributes
+    if not hasattr(content, "attribute"):  # a field, a volume, or an octree without nodes in memory
+        raise VoxtoolError(
+            f"this has no attribute {names[0]!r}: voxelize with it, and export the .svo.h5"
+        )
+    for one in names:
+        if one not in KINDS:
+            raise VoxtoolError(
+                f"attribute {one!r} is unknown: choose one of {', '.join(KINDS)}, or none"
+            )
+        content.attribute(one)
+    if len(set(names)) < len(names):
+        raise VoxtoolError(f"attributes {', '.join(names)}: name each once")
+    if not holds:
+        known = ", ".join(ending(key) for key, each in EXCHANGE.items() if each.attributes)
+        raise VoxtoolError(f"{ending(name)} holds no attributes of voxels: choose {known}")
+    if holds == "one" and len(names) > 1:
+        known = ", ".join(ending(key) for key, each in EXCHANGE.items() if each.attributes == "all")
+        raise VoxtoolError(f"{ending(name)} holds one attribute: name one, or choose {known}")
+    if other:
+        raise VoxtoolError(
+            f"attributes are of set voxels, and {other[0]} asks for other values: drop one"
+        )
+    return names
