@@ -38,6 +38,8 @@ def chosen_attributes(
     if not there or names is not None:
         return (), {}
     left = f"attributes {', '.join(there)}"
+    if EXCHANGE[name].hexahedra:  # labels are materials
+        return (), {}
     if not holds:
         return (), {left: f"{ending(name)} holds none"}
     if other:

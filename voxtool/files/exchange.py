@@ -75,7 +75,9 @@ def writer_of(name: str, verb: str, image: Image) -> Callable[..., Any]:
     return function_of(name, verb)
 
 
-def place_of(image: VoxelImage | AttributeImage | LevelSet | FieldSamples | Labels) -> dict[str, Any]:
+def place_of(
+    image: VoxelImage | AttributeImage | LevelSet | FieldSamples | Labels,
+) -> dict[str, Any]:
     """Return the level, the shape and the place of an image, in JSON types."""
     place = {name: list(getattr(image, name)) for name in ("shape", "origin", "pitch")}
     return {"level": image.level, **place}

@@ -4,32 +4,33 @@ A cell of level 0 is a voxel, and has its value. Above, a cell has
 
 - as label that of most of its set voxels, of equally many the lowest;
 - as colour the mean of its coloured voxels in linear light, and as opacity the mean of theirs:
-  those that have a value of their own; the default if none has. The mean is the sRGB value whose
-  linear light, of 16 bits, is nearest; opacities are rounded to the nearest, halves up;
+  those that have a value of their own; the default if none has. The mean of their light, rounded
+  down to 2**-24, becomes the nearest level of sRGB; opacities are rounded to the nearest, halves
+  up;
 - as normal the sum of the normals of its voxels, as a unit vector, or 0 0 0;
 - as fraction the mean over all its voxels, of which unset ones have 0: whole numbers are rounded to
   the nearest, halves up.
 
 Sums are of integers, so no order shows: normals and fractions of float32 are counted in units of
-2**-24, of larger cubes than 8192 voxels a side (normals 4096) in as many bits as 64 leave. A cell
-without a set voxel has 0.
+2**-24, as light is; in octrees of more than 8192 voxels a side (normals 4096) in those that 64 bits
+leave room for. A cell without a set voxel has 0.
 """
 
 from __future__ import annotations
 
-from functools import cache, cached_property
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from voxtool.mesh import srgb
 from voxtool.svo.attributes import BITS, Attribute
 from voxtool.svo.counts import BRICK_POWER
 from voxtool.svo.layout import BRICK_SIDE, INSIDE, LINK, VALID
 from voxtool.svo.octree import Level, Octree
 
 BRICKS = 1 << 14  # bricks that are unpacked at once
-BITS_OF_UNIT = 24  # of a normal's or a fraction's part
-LIGHT = 65535  # linear light of a colour's 255
+BITS_OF_UNIT = 24  # of light, and of normals and fractions in float32
 CHILDREN = 8
 
 
@@ -286,17 +287,21 @@ class _Sums:
 
 
 class _Colours(_Sums):
+    def __init__(self, attribute: Attribute, side: int) -> None:
+        super().__init__(attribute, side)
+        self.lost = np.uint64(srgb.BITS - _bits_left(side, 64))
+
     def whole(self, values: np.ndarray) -> np.ndarray:
         found = values.astype(self.wide)
-        found[..., :3] = linear_light()[values[..., :3]]
+        light = srgb.linear_table().astype(self.wide) >> self.lost
+        found[..., :3] = light[values[..., :3]]
         return found
 
     def means(self, sums: np.ndarray, counts: np.ndarray, volume: int) -> np.ndarray:
         counts = np.maximum(counts, self.wide(1))
         found = _rounded(sums, counts)
-        doubled = _floor_of_twice(sums[:, :3], counts)
-        light = linear_light()
-        found[:, :3] = np.searchsorted(light[1:] + light[:-1], doubled, side="right")
+        light = (sums[:, :3] // counts << self.lost).astype(np.int64)
+        found[:, :3] = srgb.to_levels(light)
         return found
 
 
@@ -305,7 +310,7 @@ class _Normals(_Sums):
 
     def __init__(self, attribute: Attribute, side: int) -> None:
         super().__init__(attribute, side)
-        self.unit = 1 << min(BITS_OF_UNIT, 62 - 3 * (side.bit_length() - 1))
+        self.unit = 1 << _bits_left(side, 62)
 
     def whole(self, values: np.ndarray) -> np.ndarray:
         return np.rint(values.astype(np.float64) * self.unit).astype(self.wide)
@@ -319,7 +324,7 @@ class _Normals(_Sums):
 class _Fractions(_Sums):
     def __init__(self, attribute: Attribute, side: int) -> None:
         super().__init__(attribute, side)
-        self.unit = 1 << min(BITS_OF_UNIT, 63 - 3 * (side.bit_length() - 1))
+        self.unit = 1 << _bits_left(side, 63)
 
     def whole(self, values: np.ndarray) -> np.ndarray:
         if self.dtype.kind != "f":
@@ -335,6 +340,11 @@ class _Fractions(_Sums):
         return sums.astype(np.float64) / (float(volume) * self.unit)
 
 
+def _bits_left(side: int, bits: int) -> int:
+    """Return the bits of a unit so that the sum over a cube of this side has `bits`."""
+    return min(BITS_OF_UNIT, bits - 3 * (side.bit_length() - 1))
+
+
 def _floor_of_twice(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Return the largest whole number that twice a mean is not below."""
     whole = sums // counts
@@ -345,25 +355,3 @@ def _floor_of_twice(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
 def _rounded(sums: np.ndarray, counts: np.ndarray) -> np.ndarray:
     """Return means, rounded to the nearest whole number, halves up."""
     return (_floor_of_twice(sums, counts) + 1) // 2
-
-
-@cache
-def linear_light() -> np.ndarray:
-    """Return the linear light of the sRGB values 0 to 255, (256,) uint64 from 0 to LIGHT, rounded
-    to the nearest: exactly, from IEC 61966-2-1."""
-    found = []
-    for value in range(256):
-        if 100000 * value <= 4045 * 255:
-            found.append((2 * LIGHT * 100 * value + 1292 * 255) // (2 * 1292 * 255))
-            continue
-        # ((value / 255 + 0.055) / 1.055) ** (12 / 5), by its fifth power
-        above, below = 1000 * value + 55 * 255, 1055 * 255
-        low, high = 0, LIGHT  # the largest n with (n - 1/2) ** 5 <= the fifth power
-        while low < high:
-            n = (low + high + 1) // 2
-            if (2 * n - 1) ** 5 * below**12 <= (2 * LIGHT) ** 5 * above**12:
-                low = n
-            else:
-                high = n - 1
-        found.append(low)
-    return np.array(found, np.uint64)
