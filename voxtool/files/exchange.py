@@ -306,7 +306,7 @@ def plan_export(
             )
         if EXCHANGE[name].hexahedra:
             image = Hexahedra.of(image)
-        if held and EXCHANGE[name].attributes == "one":
+        elif held and EXCHANGE[name].attributes == "one":
             image = AttributeImage(replace(image, attributes=()), held[0])
     if EXCHANGE[name].folder and "%" in os.fspath(path):
         options["pattern"] = Path(path).name
