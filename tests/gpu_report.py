@@ -34,8 +34,8 @@ MODELS = Path("models")
 LIMIT = 450  # seconds that a stage may take
 BENCHES = {  # of each kind of model, with the options that keep a stage within its limit
     ".obj": (
-        "voxelize MODEL --dims 64,256,512,1024,2048",
-        "extract MODEL --dims 256,512,1024,2048 --fills parity",
+        "voxelize MODEL --dims 64,256,512,1024,2048 --samples 0",
+        "extract MODEL --dims 256,512,1024,2048 --fills parity --samples 0",
         "adf MODEL --tolerances 1e-2,1e-3 --levels 7,9",
         "distance MODEL --grids 64",
     ),

@@ -24,6 +24,7 @@ from typing import Any
 import voxtool
 from tests.gpu_report import Result, run_stages
 from voxtool.bench.points import exponent
+from voxtool.version import __version__
 
 ROOT = Path(__file__).parents[1]
 LIMIT = 2400  # seconds that a stage may take
@@ -55,7 +56,8 @@ def main() -> int:
     commands |= {command: name for name, command in SCRIPTS.items()}
     results = run_stages(list(commands), Path("kept"), given.seconds, given.only, limit=LIMIT)
     info = voxtool.open_device().info
-    where = f"{info.name}, {info.platform} {info.driver}, {datetime.date.today()}"
+    device = f"{info.name}, {info.platform} {info.driver}"
+    where = f"{device}, {datetime.date.today()}, voxtool {__version__}"
     page = PAGE.read_text(encoding="utf-8")
     missing = 0
     for command, found in results.items():
@@ -149,11 +151,13 @@ def voxels(points: list[Point]) -> Rows:
 
 
 def winding(points: list[Point]) -> Rows:
-    yield ["model", "dim", "parity, ms", "winding, ms", "ratio"]
+    yield ["model", "dim", "parity, ms", "winding, ms", "ratio", "flood, ms"]
     for first in own(points, method="solid, parity"):
-        (other,) = own(points, model=first["model"], label=first["label"], method="solid, winding")
+        same = {name: first[name] for name in ("model", "label")}
+        (other,) = own(points, **same, method="solid, winding")
+        (flooded,) = own(points, **same, method="solid, flood")
         yield [first["model"], first["label"].removeprefix("dim "), ms(first), ms(other),
-               ratio(other, first)]  # fmt: skip
+               ratio(other, first), ms(flooded)]  # fmt: skip
 
 
 def surfaces(points: list[Point]) -> Rows:
@@ -241,14 +245,14 @@ BENCH = "voxtool bench"
 TABLES: dict[str, tuple[str, Callable[[list[Point]], Rows]]] = {
     "voxels": (f"{BENCH} voxelize bunny.obj --dims 64,256,512,1024 --fills parity --peers "
                "--samples 0 --no-ablate", voxels),
-    "winding": (f"{BENCH} voxelize bunny.obj teapot.obj armadillo.obj --dims 256,512,1024,2048 "
-                "--modes solid --fills parity,winding --samples 0 --no-ablate", winding),
-    "surfaces": (f"{BENCH} extract bunny.obj armadillo.obj --dims 64,256,1024 --fills parity "
-                 "--styles marching-cubes,surface-nets --peers --samples 0 --no-ablate", surfaces),
+    "winding": (f"{BENCH} voxelize bunny.obj teapot.obj armadillo.obj --dims 512,1024,2048 "
+                "--modes solid --fills parity,winding,flood --samples 0 --no-ablate", winding),
+    "surfaces": (f"{BENCH} extract bunny.obj --dims 64,256,1024,2048 --fills parity --styles "
+                 "marching-cubes,surface-nets --peers --samples 0 --no-ablate", surfaces),
     "fields": (f"{BENCH} adf bunny.obj armadillo.obj --tolerances 1e-3,1e-4 --levels 9 "
-               "--band 0.01 --points 1000000 --no-ablate", fields),
+               "--band 0.01 --points 1000000 --no-ablate --repeat 1", fields),
     "queries": (f"{BENCH} adf bunny.obj --tolerances 1e-4 --levels 9 --band 0.01 "
-                "--points 1000000 --peers --no-ablate", queries),
+                "--points 1000000 --peers --no-ablate --repeat 1", queries),
     "distances": (f"{BENCH} distance bunny.obj armadillo.obj --points 1000000 --grids 64",
                   distances),
     "pictures": (f"{BENCH} pictures bunny.obj --dims 1024 --levels 9 --tolerances 1e-3 --sizes 512 "
@@ -257,8 +261,8 @@ TABLES: dict[str, tuple[str, Callable[[list[Point]], Rows]]] = {
                 "--integrators linear --repeat 5", volumes),
     "scale": (f"{BENCH} scale bunny.obj --dims 512,2048 --peers", scale),
     "growth": (f"{BENCH} growth suzanne.obj bluntfin.vtu --scalar density --triangles 4000000 "
-               "--dims 64,256,1024,4096 --levels 4,6,8,9 "
-               "--tolerances 1e-3 --sizes 64,256,1024,2048 --repeat 1", growth),
+               "--dims 64,256,1024,2048,8192 --levels 4,6,8,9 --tolerances 1e-3 "
+               "--sizes 64,256,1024,2048 --repeat 1", growth),
 }  # fmt: skip
 
 if __name__ == "__main__":

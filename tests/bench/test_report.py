@@ -34,9 +34,11 @@ from voxtool.bench.points import (
 )
 from voxtool.bench.references import Reference, capped, voxels_of_peer
 from voxtool.bench.request import Request
+from voxtool.bench.sweep import sweep
 from voxtool.bench.tables import absent_of, tables_of
 from voxtool.bench.voxels import boundary
 from voxtool.errors import FileError, VoxtoolError, VoxtoolWarning
+from voxtool.files import write_mesh
 from voxtool.grid import Grid
 from voxtool.mesh.mesh import mesh_from_arrays
 from voxtool.mesh.topology import check_topology, volume
@@ -420,6 +422,25 @@ def test_errors_of_a_surface(device, monkeypatch: pytest.MonkeyPatch) -> None:
     without = Reference(ball, 0, 2000, device, {"volume": "why"}).errors_of(ball)
     assert without["errors"].keys() == {"rms", "hausdorff", "area"}
     assert without["absent"] == {"volume": "why"}
+
+
+def test_without_samples_voxels_are_timed_and_their_errors_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_mesh(mesh_from_arrays(*meshes.icosphere(2)), "ball.ply")
+    request = Request(dims=(16,), modes=("solid",), fills=("parity",), repeat=1, seconds=0,
+                      samples=0, commands=False, ablations=False)  # fmt: skip
+    (timed,) = sweep(["ball.ply"], request, ("voxelize",))
+    (measured,) = sweep(["ball.ply"], replace(request, samples=100), ("voxelize",))
+    assert isinstance(timed, Point)
+    assert isinstance(measured, Point)
+    assert timed.runs
+    assert timed.bytes == measured.bytes
+    assert timed.errors == {}
+    assert timed.absent.keys() == measured.errors.keys() | measured.absent.keys()
+    assert "--samples 0" in timed.absent["volume"]
+    assert "outer surface" in measured.figures.keys() - timed.figures.keys()
 
 
 def test_open_models_are_capped(device) -> None:

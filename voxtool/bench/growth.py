@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     Works = dict[str, Callable[[Device], object]]  # by method
 
 DIM, LEVEL, TOLERANCE, POINTS, PIXELS = 256, 7, 1e-2, 1 << 16, 256
+NETS_DIM = 2048  # the largest of surface nets, whose surfaces have two triangles a face of a voxel
 SAME = {"rms": "subdivision does not change the shape: the other benches measure errors"}
 ELSEWHERE = {"rms": "the other benches measure errors"}
 # The eight parts of a tetrahedron: corners 0 to 3 are its own, 4 to 9 the midpoints of EDGES.
@@ -121,8 +122,9 @@ def _of_dim(mesh: Mesh, dim: int, bench: Bench) -> Iterator[Point]:
         "solid, parity": lambda device: voxelize(mesh, grid, fill="parity", device=device),
         "solid, auto": lambda device: voxelize(mesh, grid, device=device),
         MARCHING_CUBES: lambda device: extract(octree, style=MARCHING_CUBES, device=device),
-        SURFACE_NETS: lambda device: extract(octree, style=SURFACE_NETS, device=device),
     }
+    if dim <= NETS_DIM:
+        works[SURFACE_NETS] = lambda device: extract(octree, style=SURFACE_NETS, device=device)
     return _points(
         bench, "finer grids", f"dim {dim}", works, absent=ELSEWHERE,
         asked={"dims": dim}, size=dim, size_of="dim",

@@ -25,6 +25,7 @@ T = TypeVar("T")
 MOST_RUNS = 9
 PEER_RUNS = 3
 PATIENCE = 5.0  # seconds of a peer
+LONG = 5.0  # seconds of work whose stages are timed without a warm-up: compiling hardly shows
 
 
 def timed(work: Callable[[], T]) -> tuple[float, T]:
@@ -116,27 +117,32 @@ class Bench:
 
         The stages are medians; "host" is the time that Python adds to them in the same runs.
         """
-        work(self.timed)  # compile the kernels
-        ((stages, host),) = self.profile(partial(work, self.profiled))
+        first, _ = timed(partial(work, self.timed))  # compile the kernels
+        ((stages, host),) = self.profile(partial(work, self.profiled), warm_up=first < LONG)
         runs = by_turns(self.request, partial(work, self.timed))[0]
         return {"runs": runs, "stages": stages, "figures": {"host": host}}
 
-    def profile(self, *works: Callable[[], object]) -> list[tuple[dict[str, float], float]]:
+    def profile(
+        self, *works: Callable[[], object], warm_up: bool = True
+    ) -> list[tuple[dict[str, float], float]]:
         """The seconds of the stages of each work on the profiled device, and those that Python
-        adds; medians of runs in turns."""
+        adds; medians of runs in turns, after one that does not count if `warm_up`."""
         runs: list[list[dict[str, float]]] = [[] for _ in works]
         whole: list[list[float]] = [[] for _ in works]
-        for _ in range(self.request.repeat + 1):  # the first is a warm-up
+        for _ in range(self.request.repeat + warm_up):
             for work, stages, seconds in zip(works, runs, whole, strict=True):
                 self.profiled.stage_times()
                 seconds += times(work, 1)
                 stages.append(self.profiled.stage_times())
         medians = [
-            {name: statistics.median(run.get(name, 0.0) for run in every[1:]) for name in every[-1]}
+            {
+                name: statistics.median(run.get(name, 0.0) for run in every[warm_up:])
+                for name in every[-1]
+            }
             for every in runs
         ]
         return [
-            (stages, statistics.median(seconds[1:]) - sum(stages.values()))
+            (stages, statistics.median(seconds[warm_up:]) - sum(stages.values()))
             for stages, seconds in zip(medians, whole, strict=True)
         ]
 

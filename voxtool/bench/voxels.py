@@ -15,11 +15,12 @@ from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from voxtool.bench import ablation, timing
+from voxtool.bench.points import MEASURES
 from voxtool.bench.references import (
     NO_AREA,
     NO_SOLID,
@@ -41,7 +42,7 @@ from voxtool.svo.surface.extract import extract, plan_extract
 from voxtool.svo.voxelize import plan_voxelize, voxelize
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
 
     from voxtool.bench.points import Ablation, Point
     from voxtool.bench.timing import Bench
@@ -76,7 +77,7 @@ def measure_voxelize(bench: Bench) -> Iterator[Point | Ablation]:
                 yield row(
                     method=method, runs=runs, peer=True, asked=settings,
                     setting={"against": against.words},
-                    **against.errors_of(boundary(voxels_of_peer(made, grid), bench.timed)),
+                    **_errors(against, partial(voxels_of_peer, made, grid), bench.timed),
                 )  # fmt: skip
     for mode in asked.modes if asked.ablations else ():
         dim = max(asked.dims)
@@ -105,7 +106,7 @@ def _fills(
     another mesh. Its comparison of rules is kept with the mesh, and is part of a first run."""
     asked, mode, chosen = bench.request, settings["modes"], None
     solid = mode == "solid"
-    outer = _outer_surface(mesh, grid, bench.timed) if solid else None
+    outer = _outer_surface(mesh, grid, bench.timed) if solid and against.samples else None
     for fill in sorted(asked.fills, key="auto".__ne__) if solid else ["auto"]:
         if fill == chosen:
             continue
@@ -128,7 +129,7 @@ def _fills(
             figures=figures,
             left_out=job.left_out,
             bytes=octree.nbytes,
-            **against.errors_of(boundary(octree, bench.timed)),
+            **_errors(against, lambda octree=octree: octree, bench.timed),
         )
         options = {"--dim": settings["dims"], "--mode": mode, "--fit": asked.fit, "--fill": fill}
         words = [str(word) for option in options.items() for word in option]
@@ -145,6 +146,14 @@ def _outer_surface(mesh: Mesh, grid: Grid, device: Device) -> Octree:
     """The voxels of the outer surface of a mesh."""
     surface = voxelize(mesh, grid, "surface26", device=device)
     return outer_surface(surface, voxelize(mesh, grid, fill="flood", device=device), device)
+
+
+def _errors(against: Reference, made: Callable[[], Octree], device: Device) -> Any:
+    """The `errors` and `absent` of a Point of voxels; without samples nothing is made of them."""
+    if not against.samples:
+        absent = dict.fromkeys(MEASURES["voxelize"], "errors are left out with --samples 0")
+        return {"errors": {}, "absent": absent}
+    return against.errors_of(boundary(made(), device))
 
 
 def boundary(octree: Octree, device: Device) -> Mesh:

@@ -58,7 +58,8 @@ OPTIONS: dict[str, tuple[Any, ...]] = {
     "fills": (FILLS, "Fill rules of solids, as of `voxtool voxelize`; surfaces take the first."),
     "fit": (FITS, "stretch: eq. (5.1) of [voCCeL], as its tables."),
     "samples": (click.IntRange(0, 100_000_000), "Points on each surface at which errors are "
-                "measured; with 0, no distances, which take minutes on millions of triangles."),
+                "measured; with 0, no distances, which take minutes on millions of triangles, and "
+                "no errors of voxels."),
     "styles": (options.Alias(STYLES, STYLE_ALIASES),
                "Styles, as of `voxtool extract`, at their own levels."),
     "isovalue": (float, "Between 0 and 1."),
