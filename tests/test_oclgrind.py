@@ -46,6 +46,7 @@ from voxtool.camera import Camera
 from voxtool.choices import METHODS
 from voxtool.files.spool import Spool
 from voxtool.grid import Grid
+from voxtool.mesh.joining import join
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.mesh.parts import find_parts
 from voxtool.mesh.topology import check_surface, closed_chain
@@ -60,6 +61,7 @@ from voxtool.spatial.orientation import orient
 from voxtool.spatial.pseudonormals import pseudonormals
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.spatial.signed_distance import SignedDistance
+from voxtool.svo.attribution.labels import plan_labels
 from voxtool.svo.booleans import combine
 from voxtool.svo.fill.caps import find_boundary
 from voxtool.svo.morphology import plan_morph
@@ -237,6 +239,7 @@ def main() -> None:
     extract_surfaces(device)
     extract_sharp_field(device)
     dilate_voxels(device)
+    label_parts(device)
     resample_voxels(device)
     measure_distances(device)
     bound_distances_of_meshes(device)
@@ -373,6 +376,16 @@ def dilate_voxels(device) -> None:
     padded = np.pad(dense, 18)
     distance = np.asarray(ndimage.distance_transform_edt(~padded, sampling=octree.grid.pitch))
     assert job.run().count == np.count_nonzero(distance <= 1.125)
+
+
+def label_parts(device) -> None:
+    """Two solids that overlap, and their surfaces, of which areas decide."""
+    grid = Grid((16, 12, 16), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    solids = [meshes.box(2.3, 7.6), meshes.octahedron(7.5, 3.2)]
+    mesh = join([meshes.mesh_of(*solid) for solid in solids])
+    for mode in ("solid", "surface26"):
+        octree = plan_labels(mesh, grid, mode, labels="file", device=device).run()
+        assert np.bincount(octree.attribute("label").values).all()
 
 
 def resample_voxels(device) -> None:

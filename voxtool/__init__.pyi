@@ -87,6 +87,8 @@ from voxtool.grid import Grid as Grid
 from voxtool.job import Cost as Cost
 from voxtool.job import Job as Job
 from voxtool.job import Plan as Plan
+from voxtool.mesh.appearance import Parts as Parts
+from voxtool.mesh.joining import join as join
 from voxtool.mesh.mesh import Mesh as Mesh
 from voxtool.mesh.mesh import mesh_from_arrays as mesh_from_arrays
 from voxtool.opencl import Device as Device
@@ -100,6 +102,8 @@ from voxtool.report import Report as Report
 from voxtool.spatial.hausdorff import DirectedHausdorff as DirectedHausdorff
 from voxtool.spatial.hausdorff import Hausdorff as Hausdorff
 from voxtool.spatial.signed_distance import DistanceResult as DistanceResult
+from voxtool.svo.attributes import Attribute as Attribute
+from voxtool.svo.attribution.labels import PartLabelsJob as PartLabelsJob
 from voxtool.svo.booleans import CombineJob as CombineJob
 from voxtool.svo.compare import CompareJob as CompareJob
 from voxtool.svo.compare import Comparison as Comparison

@@ -10,13 +10,22 @@ from voxtool import report
 from voxtool.adf.field import DistanceField
 from voxtool.adf.surface.extract import plan_field_surface
 from voxtool.adf.surface.field_surface import FieldSurface
-from voxtool.choices import DEFAULT_MODE, FILLS, NORMALIZED, OPERATIONS, SHARP, STYLES
+from voxtool.choices import (
+    DEFAULT_MODE,
+    FILLS,
+    NORMALIZED,
+    OPERATIONS,
+    PRIORITIES,
+    SHARP,
+    STYLES,
+)
 from voxtool.errors import GridError, VoxtoolError
 from voxtool.files import read_shape, read_svo
 from voxtool.files.mesh import as_mesh
 from voxtool.grid import Grid
 from voxtool.job import one_call
 from voxtool.mesh import normalize as normalized
+from voxtool.mesh.appearance import Parts
 from voxtool.mesh.mesh import Mesh
 from voxtool.opencl import Device
 from voxtool.report import Report
@@ -24,6 +33,7 @@ from voxtool.spatial import orientation
 from voxtool.svo import booleans
 from voxtool.svo import compare as comparing
 from voxtool.svo import voxelize as svo
+from voxtool.svo.attribution.labels import PartLabelsJob, plan_labels
 from voxtool.svo.booleans import CombineJob
 from voxtool.svo.compare import CompareJob, Comparison
 from voxtool.svo.octree import Octree
@@ -66,10 +76,12 @@ def plan_voxelize(
     fill: str = FILLS[0],
     gap: int = 0,
     with_surface: bool = False,
+    labels: str | Parts | None = None,
+    priority: str | Sequence[str] = PRIORITIES[0],
     window: Window | None = None,
     device: Device | None = None,
     max_memory: int | None = None,
-) -> VoxelizeJob:
+) -> VoxelizeJob | PartLabelsJob:
     """Voxelize a triangle mesh exactly: the result is a sparse voxel octree.
 
     Vertices are rounded once to 1/256 voxel; all that follows is integer arithmetic, so the result
@@ -98,6 +110,14 @@ def plan_voxelize(
         for "flood", openings of up to this many voxels are closed first.
     with_surface
         for "solid": add the voxels of "surface26".
+    labels
+        the octree gets the attribute "label": by "part", "material" or "object" of the mesh, read
+        with `load_mesh(path, keep=("parts",))`, by "shell", by the "file" of joined meshes, or by
+        Parts. Each part is filled by its own fill rule. In a surface, a voxel has the label whose
+        triangles have the greatest area there, of equal ones the lower.
+    priority
+        of parts that share a voxel of a solid: the "first" counts, or the "last", or the names of
+        those that come before the others, in this order.
     window
         (low, shape) in voxels: only this part of the grid.
     device
@@ -136,6 +156,13 @@ def plan_voxelize(
     >>> octree.count, octree.digest()
     """
     found = as_mesh(mesh, max_memory)
+    if labels is not None:
+        if window is not None:
+            raise VoxtoolError("labels take the whole grid: drop the window")
+        return plan_labels(
+            found, grid_of(found, grid, dim, pitch), mode, labels=labels, priority=priority,
+            fill=fill, gap=gap, with_surface=with_surface, device=device, max_memory=max_memory,
+        )  # fmt: skip
     return svo.plan_voxelize(
         found, grid_of(found, grid, dim, pitch), mode, fill=fill, gap=gap,
         with_surface=with_surface, window=window, device=device, max_memory=max_memory,

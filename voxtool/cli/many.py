@@ -72,6 +72,10 @@ def mesh_argument(
             meshes, values = arrange(mesh, values)
             if own["as_worker"]:
                 serve(call, values)
+            elif values.get("labels") and len(meshes) > 1:
+                if given := [name for name in ("workers", "shard", "dask") if own[name]]:
+                    raise click.UsageError(f"--labels makes one octree: drop --{given[0]}")
+                call(mesh=meshes[0], others=meshes[1:], **values)
             elif is_one(meshes, values.get("output"), own, divides):
                 more = {name: own[name] for name in ("dask", "workers")} if divides else {}
                 call(mesh=meshes[0], **values, **more)

@@ -208,16 +208,29 @@ class Run:
 
     def mesh(self, name: str, units: str | None, scale: float, normalize: str | None) -> Mesh:
         """Read a mesh, and place it as --normalize asks."""
+        return self.meshes((name,), units, scale, normalize)
+
+    def meshes(
+        self,
+        names: Sequence[str],
+        units: str | None,
+        scale: float,
+        normalize: str | None,
+        keep: Sequence[str] = (),
+    ) -> Mesh:
+        """Read meshes as one, with what is to be kept of them, and place it."""
         if normalize and (units or scale != 1):
             raise click.UsageError(
                 "--normalize sets the scale and leaves no unit: drop --units and --scale"
             )
         from voxtool.files.mesh import load_mesh
+        from voxtool.mesh.joining import join
         from voxtool.mesh.normalize import normalize as placed
 
-        mesh = self.stage(
-            "read mesh", load_mesh, name, max_memory=self.max_memory, units=units, scale=scale
-        )
+        given = {"max_memory": self.max_memory, "units": units, "scale": scale}
+        given |= {"keep": keep} if keep else {}
+        found = [self.stage("read mesh", load_mesh, name, **given) for name in names]
+        mesh = found[0] if len(found) == 1 else self.stage("join meshes", join, found)
         return self.stage("normalize", placed, mesh, normalize) if normalize else mesh
 
     @contextmanager

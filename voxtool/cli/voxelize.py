@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import DEFAULT_DIM, DEFAULT_MODE, FILLS, FITS, MODES
+from voxtool.choices import (
+    DEFAULT_DIM,
+    DEFAULT_MODE,
+    FILLS,
+    FITS,
+    LABELS,
+    MODES,
+    NAMED,
+    PRIORITIES,
+)
 from voxtool.cli import options, runner
 from voxtool.cli.in_windows import make_in_windows, windows_options
 from voxtool.cli.many import mesh_argument
@@ -54,6 +63,14 @@ if TYPE_CHECKING:
         "All commands read it."),
     flag("--thin", "Of a surface: leave out the voxels that it does not need to separate "
         "(N-minimal).  A surface with holes larger than a voxel separates nothing."),
+    option("--labels", LABELS,
+        "Label each voxel with its part of the mesh (SVO 3.0): a group, material or object that "
+        "the file names, a shell, or of several meshes the file.  They become one octree, which -o "
+        "names."),
+    option("--priority", str,
+        "With --labels: of parts that share a voxel of a solid the first or the last counts, or "
+        "those that are named, in this order, before the others.  [default: first]",
+        metavar="first|last|NAME,..."),
     flag("--doctype", "Of .svo.xml and .voccel.xml: name octree.dtd, which svo-info --dtd prints."),
     windows_options,
     options.normalize_option("stored"),
@@ -67,8 +84,9 @@ if TYPE_CHECKING:
 def command(
     run: runner.Run, mesh: str, mode: str, fill: str, gap: int, with_surface: bool,
     like: str | None, normalize: str | None, units: str | None, scale: float, windows: str,
-    dag: bool, thin: bool, doctype: bool, resume: bool, no_keep: bool, dask: str | None = None,
-    workers: int | None = None, **placing: Any,
+    dag: bool, thin: bool, labels: str | None, priority: str | None, doctype: bool, resume: bool,
+    no_keep: bool, dask: str | None = None, workers: int | None = None,
+    others: tuple[str, ...] = (), **placing: Any,
 ) -> None:  # fmt: skip
     """Voxelize a triangle MESH directly into a sparse voxel octree.
 
@@ -85,6 +103,7 @@ def command(
       voxtool voxelize bunny.obj --dim 1024 --dag -o small.svo.h5
       voxtool voxelize bunny.obj --dim 2048 --dask local --workers 2
       voxtool voxelize open.obj --fill flood --gap 3
+      voxtool voxelize bunny.obj open.obj --labels file -o both.svo.h5
       voxtool voxelize bunny.obj --like mask.npy -o bunny.npy
       voxtool voxelize bunny.obj --normalize unit --dim 64 --bbox 0 0 0 1 1 1 -o bunny.npy
     """
@@ -95,7 +114,13 @@ def command(
         raise click.UsageError("--thin goes with --mode surface26 and surface6")
     if gap and (fill != "flood" or mode != "solid"):
         raise click.UsageError("--gap goes with --mode solid --fill flood")
+    if priority and not labels:
+        raise click.UsageError("--priority goes with --labels: give both")
+    if labels and (dag or thin or resume or dask):
+        raise click.UsageError("--labels takes a mesh in one piece: drop --dag, --thin, --resume "
+                               "and --dask")  # fmt: skip
     from voxtool.files import SVO_FORMATS, export, write_svo
+    from voxtool.svo.attribution.labels import plan_labels
     from voxtool.svo.merged import MergedOctree
     from voxtool.svo.thin import plan_thin
     from voxtool.svo.voxelize import plan_voxelize
@@ -110,13 +135,19 @@ def command(
     if dag and resume:
         raise click.UsageError("--resume takes windows from the disk, and those of --dag stay in "
                                "memory: drop one of the two")  # fmt: skip
+    if labels and "xml" in str(run.file_format):
+        raise click.UsageError("XML holds no attributes of voxels: name a .svo.h5 with -o")
     if doctype and "xml" not in str(run.file_format):
         raise click.UsageError("--doctype goes with .svo.xml and .voccel.xml: name one with -o")
     with run, ExitStack() as stack:
-        loaded = run.mesh(mesh, units, scale, normalize)
+        keep = ("parts",) if labels in NAMED else ()
+        loaded = run.meshes((mesh, *others), units, scale, normalize, keep)
         grid = options.grid_from(loaded, like, placing)
         request = {"fill": fill, "gap": gap, "with_surface": with_surface}
-        job = run.plan(plan_voxelize, loaded, grid, mode, **request)
+        if labels:
+            request |= {"labels": labels, "priority": priority or PRIORITIES[0]}
+        plan: Any = plan_labels if labels else plan_voxelize
+        job = run.plan(plan, loaded, grid, mode, **request)
         placed: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
         parts = None
         if dask:
@@ -125,7 +156,12 @@ def command(
 
             client = stack.enter_context(connected(dask, workers))
             parts = run.stage("plan windows", SpreadJob, job, client, run.device_name)
-        elif windows != "never" and not thin and run.file_format == "svo.h5" and not fits(job, dag):
+        elif (
+            windows != "never"
+            and not (thin or labels)
+            and run.file_format == "svo.h5"
+            and not fits(job, dag)
+        ):
             parts = run.stage("plan windows", windows_of, job, dag)
         if parts and dag:
             octree = run.job(parts, **placed)

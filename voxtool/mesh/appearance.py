@@ -10,9 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from voxtool.arrays import Data
+from voxtool.choices import NAMED
 from voxtool.errors import MeshError
 
-GROUPINGS = ("part", "object", "material")  # of faces, as a file names them
+FILE = "file"
+GROUPINGS = (*NAMED, FILE)  # of faces
 WRAPS = ("repeat", "mirror", "clamp")  # of textures beyond 0 to 1, as in glTF
 FILTERS = ("linear", "nearest")
 MOST_UV = 1 << 20  # repeats of a texture on either side of 0

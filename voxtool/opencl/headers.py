@@ -29,6 +29,8 @@ HOMES = {
     "spatial/nearest_packets.h": "voxtool.spatial.distance",
     "spatial/self_intersections.h": "voxtool.spatial.self_intersections",
     "spatial/winding_number.h": "voxtool.spatial.winding_number",
+    "svo/attribution/paint.h": "voxtool.svo.attribution.paint",
+    "svo/attribution/pieces.h": "voxtool.svo.attribution.pieces",
     "svo/booleans.h": "voxtool.svo.booleans",
     "svo/fill/crossings.h": "voxtool.svo.fill.rows",
     "svo/fill/flood.h": "voxtool.svo.fill.pieces",

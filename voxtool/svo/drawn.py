@@ -11,11 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from voxtool.arrays import blocks_of
 from voxtool.errors import MemoryLimitError
-from voxtool.memory import check_memory
 from voxtool.morton import morton_box, morton_decode
-from voxtool.svo.content import BLOCK
 from voxtool.svo.layout import (
     BRICK,
     BRICK_BYTES,
@@ -27,7 +24,7 @@ from voxtool.svo.layout import (
     descend,
 )
 from voxtool.svo.links import EMPTY, FULL, REFINED
-from voxtool.svo.merge import CHILDREN, SUBTREE
+from voxtool.svo.merge import SUBTREE
 from voxtool.svo.merged import MergedOctree, states_in
 from voxtool.svo.octree import Octree
 from voxtool.svo.prune import ALL_VOXELS
@@ -80,60 +77,6 @@ def linked_nodes(octree: Octree | MergedOctree) -> LinkedNodes:
     bricks[words >= SUBTREE] = octree.leaves[words[words >= SUBTREE] - SUBTREE]
     offsets = np.cumsum([0, *map(len, parts)]).tolist()
     return LinkedNodes(offsets, np.concatenate(parts, dtype=np.uint32), bricks)
-
-
-def held_nodes(octree: MergedOctree) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return of each refined node that holds a voxel, by level, in Morton order, which children
-    hold one, and which of these are refined, (n, 2) uint8 bits, and the bricks that hold one. The
-    first level is a node of twice the root's size, and the root its first child.
-
-    Raises
-    ------
-    MemoryLimitError
-        If they do not fit in memory.
-    """
-    tables = _held_children(octree)
-    counts = [
-        int(np.bitwise_count(table[:, 0]) @ times)
-        for table, times in zip(tables, octree.occurrences, strict=False)
-    ]
-    needed = BRICK_BYTES * counts[-1] + 2 * sum(counts)
-    what = f"the {counts[-1]:,} bricks of its voxels"
-    check_memory(needed, what, "show nodes of a level (--level)")
-    held = octree.root == REFINED and tables[0][0, 0] > 0
-    masks = [np.array([[held or octree.root == FULL, held]], np.uint8)]
-    instances = np.zeros(int(held), np.uint32)
-    for d, table in enumerate(tables):
-        masks.append(table[instances])
-        if d == len(tables) - 1:
-            break
-        below, parts = tables[d + 1][:, 0] > 0, [instances[:0]]
-        for subtrees in blocks_of(instances, BLOCK):
-            states, links = octree.children_of(d, subtrees)
-            refined = links[states == REFINED]
-            parts.append(refined[below[refined]])
-        instances = np.concatenate(parts)
-    parts = [octree.leaves[:0]]
-    for subtrees in blocks_of(instances, BLOCK):
-        bricks = octree.bricks_of(subtrees)
-        parts.append(bricks[bricks != 0])
-    return masks, np.concatenate(parts)
-
-
-def _held_children(octree: MergedOctree) -> list[np.ndarray]:
-    """Return the same of each distinct subtree, (n, 2) uint8 by level, root first."""
-    found: list[np.ndarray] = []
-    for d in reversed(range(octree.depth - 1)):
-        masks, links = octree.level(d)
-        states, refined = states_in(masks), np.zeros((len(masks), CHILDREN), bool)
-        if found:
-            refined[states == REFINED] = found[-1][links, 0] > 0
-            held = refined | (states == FULL)
-        else:
-            held = states != EMPTY
-        bits = np.packbits(np.stack([held, refined], axis=1), axis=2, bitorder="little")
-        found.append(bits[..., 0])
-    return found[::-1]
 
 
 def coverages(octree: Octree | MergedOctree, level: int) -> np.ndarray:

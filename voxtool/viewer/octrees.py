@@ -13,7 +13,6 @@ import numpy as np
 
 from voxtool.rendering import scene_of
 from voxtool.svo.counts import check_isovalue, counts_of
-from voxtool.svo.drawn import held_nodes
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import VOXEL, Octree, level_number
@@ -25,8 +24,8 @@ def octree_content(
     octree: Octree | MergedOctree, level: int | str = "voxel", isovalue: float | None = None
 ) -> PageContent:
     """Return the content of a page that shows an octree, down to the nodes of a level; at first,
-    above voxels, those of which at least the share `isovalue` is set. A merged octree is not
-    expanded.
+    above voxels, those of which at least the share `isovalue` is set. A merged octree is expanded
+    only for bricks and voxels.
 
     The arrays are `children`, (n, 2) uint8: for each refined node above the finest that holds a
     voxel, which children hold one, and which of these are refined (bits in Morton order); and for
@@ -36,15 +35,14 @@ def octree_content(
     finest = level_number(octree, level, octree.depth - 1)
     check_isovalue(isovalue)
     if finest <= 0 and isinstance(octree, MergedOctree):
-        masks, bricks = held_nodes(octree)
-        shares = (np.bitwise_count(bricks) / float(BRICK_SIDE**3)).astype(np.float32)
-    else:
-        masks, shares = _children(octree, max(finest, 0))
-        bricks = octree.bricks[octree.bricks != 0] if isinstance(octree, Octree) else shares
+        octree = octree.expanded()
+    masks, shares = _children(octree, max(finest, 0))
     counts = list(map(len, masks))
     arrays = {"children": np.concatenate(masks)}
     if finest == VOXEL:
-        arrays["bricks"] = bricks.astype("<u8", copy=False).view("<u4").reshape(-1, 2)
+        assert isinstance(octree, Octree)
+        bricks = octree.bricks[octree.bricks != 0].astype("<u8", copy=False)
+        arrays["bricks"] = bricks.view("<u4").reshape(-1, 2)
     else:
         arrays["shares"] = shares
     grid, points = octree.grid, scene_of(octree).points()

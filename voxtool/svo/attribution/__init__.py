@@ -1,0 +1,1 @@
+"""Attributes of voxels from a mesh: labels of its parts."""
