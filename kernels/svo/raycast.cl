@@ -7,7 +7,8 @@
 // start at first_brick. Of the nodes of size 2^finest, those are drawn of whose voxels at least the
 // share `least` is set.
 //
-// Packets of rays follow packets.h. Options: LANES; DEPTHS, for depths instead of a picture.
+// Packets of rays follow packets.h. Options: LANES; DEPTHS, for depths instead of a picture;
+// CELLS, for the cells that are met, too.
 
 #include "shading.h"
 #include "svo/octree.h"
@@ -227,8 +228,20 @@ __kernel void find_depths(TREE, PICTURE, __global double *depths)
 
 #else
 
+// The low corner and k of the hit's node, in voxels.
+int4 cell_of(const ray_state *ray, const int root)
+{
+    const int3 flipped = (1 << root) - (1 << ray->k) - ray->low;
+    return (int4)(ray->mirror & 1 ? flipped.x : ray->low.x, ray->mirror & 2 ? flipped.y : ray->low.y,
+                  ray->mirror & 4 ? flipped.z : ray->low.z, ray->k);
+}
+
 // The premultiplied colour of each pixel. `paint` holds the light direction and the colour.
-__kernel void paint_picture(TREE, PICTURE, __global const float *paint, __global float *picture)
+__kernel void paint_picture(TREE, PICTURE, __global const float *paint, __global float *picture
+#ifdef CELLS
+                            , __global int *cells // of each pixel a low corner and k; -1 without a hit
+#endif
+)
 {
     packet p;
     lane_rays rays;
@@ -237,8 +250,12 @@ __kernel void paint_picture(TREE, PICTURE, __global const float *paint, __global
     double times[LANES];
     pixel_block block = pixels_and_rays(&p, frame, perspective, width, height, root, mirrors, &rays);
     EACH_LANE(i)
-    if (block.exists[i])
+    if (block.exists[i]) {
         vstore4((float4)0, pixel_of_lane(&block, i, width), picture);
+#ifdef CELLS
+        vstore4((int4)-1, pixel_of_lane(&block, i, width), cells);
+#endif
+    }
     const int shaded = min(max(finest, 1), root - 1);
     const double3 pitch = vload3(4, frame);
     near_shares near;
@@ -259,6 +276,9 @@ __kernel void paint_picture(TREE, PICTURE, __global const float *paint, __global
                                                paint[1], paint[2]);
                 vstore4((float4)(light * vload3(1, paint), 1.0f), pixel_of_lane(&block, i, width),
                         picture);
+#ifdef CELLS
+                vstore4(cell_of(&ray, root), pixel_of_lane(&block, i, width), cells);
+#endif
             }
         }
     }

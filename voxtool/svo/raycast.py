@@ -36,6 +36,7 @@ from voxtool.svo.drawn import box_of, cover_of, coverages, drawn_bytes, linked_n
 from voxtool.svo.layout import BRICK_SIDE, INSIDE
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import VOXEL, Octree, level_number
+from voxtool.svo.painting import check_painting, colours_of_cells, painted, with_labels
 from voxtool.vector import dot
 
 if TYPE_CHECKING:
@@ -54,6 +55,9 @@ HEADERS = {"svo/raycast.h": program.c_constants(TILE=TILE)}
 class OctreeScene:
     """The voxels of an octree, or the nodes of a level as cubes.
 
+    colour_by: the attribute whose colours they have, or "none"; by default the colour, or else the
+        label, if there is one.
+    only: names of labels; other voxels are not drawn.
     other: an octree of the same grid. Of what rays meet first, voxels that only `content` has are
     drawn in ONLY_HERE, those that only the other has in ONLY_THERE, and those of both in `colour`.
     """
@@ -67,9 +71,17 @@ class OctreeScene:
     isovalue: float | None = None  # of a level: the least share of a node's voxels; by default any
     other: Octree | MergedOctree | None = None
     lanes: int | None = None  # rays that a work-item follows, 1 or 16; by default what suits it
+    colour_by: str | None = None
+    only: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         _size_exponent(self.content, self.level)
+        check_painting(self.content, self.colour_by)
+        if self.other is not None and (self.only or (self.attribute and self.colour_by)):
+            raise VoxtoolError("a difference has its own colours: drop it, or colour_by and only")
+        if self.only:  # what is drawn is an octree of these voxels
+            object.__setattr__(self, "content", with_labels(self.content, tuple(self.only)))
+            object.__setattr__(self, "only", ())
         check_isovalue(self.isovalue)
         if self.isovalue is not None and self.level == "voxel":
             raise VoxtoolError("an isovalue is a share of a node: choose a level, too")
@@ -79,6 +91,11 @@ class OctreeScene:
                 "--like"
             )
         checked_colour(self.colour)
+
+    @property
+    def attribute(self) -> str:
+        """The attribute whose colours are drawn, or ""."""
+        return "" if self.other is not None else painted(self.content, self.colour_by)
 
     @property
     def stages(self) -> tuple[str, ...]:
@@ -138,10 +155,13 @@ class OctreeScene:
         """Return the premultiplied colour of every ray, (H, W, 4) float32."""
         if self.other is not None:
             return self._difference(self.other, rays, device)
-        return cast(
-            self.content, rays, level=self.level, isovalue=self.isovalue, colour=self.colour,
-            device=device, lanes=self.lanes,
-        )  # fmt: skip
+        how: dict[str, Any] = {
+            "level": self.level, "isovalue": self.isovalue, "colour": self.colour,
+            "device": device, "lanes": self.lanes,
+        }  # fmt: skip
+        if self.attribute and isinstance(self.content, Octree):
+            return cast_attribute(self.content, rays, self.attribute, **how)
+        return cast(self.content, rays, **how)
 
     def _difference(self, other: Octree | MergedOctree, rays: Rays, device: Device) -> np.ndarray:
         """Return the colours by which octree a ray meets first: a voxel of both is met by both at
@@ -192,12 +212,43 @@ def cast(
     """Return the premultiplied colour of each ray, (height, width, 4) float32; its alpha is 1 if
     the ray meets a cube, otherwise 0."""
     device = device or default_device()
+    arrays = _paint(rays, colour, device)
+    _draw("paint_picture", octree, rays, level, isovalue, device, lanes, **arrays)
+    width, height = rays.size
+    return arrays["picture"].take().reshape(height, width, 4)
+
+
+def cast_attribute(
+    octree: Octree,
+    rays: Rays,
+    attribute: str,
+    *,
+    level: int | str = "voxel",
+    isovalue: float | None = None,
+    colour: Sequence[float] = COLOUR,
+    device: Device | None = None,
+    lanes: int | None = None,
+) -> np.ndarray:
+    """Return the same in the colours of an attribute of the cubes; see painting.py."""
+    device = device or default_device()
+    width, height = rays.size
+    cells = device.empty(4 * width * height, np.int32)
+    arrays = _paint(rays, WHITE, device) | {"cells": cells}
+    _draw("paint_picture", octree, rays, level, isovalue, device, lanes, **arrays)
+    picture = arrays["picture"].take().reshape(-1, 4)
+    hits = np.flatnonzero(picture[:, 3])
+    met = cells.take().reshape(-1, 4)[hits]
+    size = _size_exponent(octree, level)
+    picture[hits, :3] *= colours_of_cells(octree, attribute, met, size, checked_colour(colour))
+    return picture.reshape(height, width, 4)
+
+
+def _paint(rays: Rays, colour: Sequence[float], device: Device) -> dict[str, Array]:
+    """Return the light and the colour, and the picture, as arguments of the kernel."""
     width, height = rays.size
     paint = np.array([rays.light(), checked_colour(colour)], np.float32)
     picture = device.empty(4 * width * height, np.float32)
-    arrays = {"paint": device.put(paint), "picture": picture}
-    _draw("paint_picture", octree, rays, level, isovalue, device, lanes, **arrays)
-    return picture.take().reshape(height, width, 4)
+    return {"paint": device.put(paint), "picture": picture}
 
 
 def depths(
@@ -235,6 +286,7 @@ def _draw(
     frame, finest = _frame(octree, rays), _size_exponent(octree, level)
     lanes = lanes or device.lanes
     options = {"LANES": lanes, **({"DEPTHS": 1} if kernel == "find_depths" else {})}
+    options |= {"CELLS": 1} if "cells" in named else {}
     draw, cover = (device.kernel(SOURCE, name, **options) for name in (kernel, "cover_level"))
     tree = device.keep(octree, "render", drawn_bytes(octree), lambda: _cover(octree, device, cover))
     width, height = rays.size
