@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import golden_adf
+import golden_attributes
 import golden_auto
 import golden_combine
 import golden_distance
@@ -49,6 +50,8 @@ WINGS: dict[str, dict[str, Callable[[Any], Digests]]] = {
     "combine": {n: lambda d, n=n: golden_combine.digests(n, d) for n in golden_combine.OWN},
     "auto": {n: lambda d, n=n: golden_auto.digests(n, d) for n in golden_auto.OWN},
     "repair": {n: lambda d, n=n: golden_repair.digests(n, d) for n in golden_repair.OWN},
+    "attributes": {n: lambda d, n=n: golden_attributes.digests(n, d)
+                   for n in golden_attributes.OWN},
     "exchange": {n: lambda d, n=n: golden_exchange.digests(n, d)
                  for n in golden_exchange.OWN},
 }  # fmt: skip

@@ -23,6 +23,7 @@ import meshes
 import numpy as np
 import oracles
 import pytest
+from helpers_attributes import attributed
 from helpers_distance import brute
 from helpers_field import HALVES, cells_of, plain_field, sphere
 from helpers_octree import octree_from_dense
@@ -67,7 +68,7 @@ from voxtool.svo.fill.caps import find_boundary
 from voxtool.svo.morphology import plan_morph
 from voxtool.svo.octree import Octree
 from voxtool.svo.query import OctreeQuery
-from voxtool.svo.raycast import cast, depths
+from voxtool.svo.raycast import cast, cast_attribute, depths
 from voxtool.svo.resample import plan_resample
 from voxtool.svo.surface.extract import plan_extract, plan_unread
 from voxtool.svo.surface.isosurface import LATTICE
@@ -174,7 +175,7 @@ def test_every_kernel_and_variant_was_launched(run):
     wanted |= {"SEARCH=LINEAR", "SEARCH=BINARY", "SEARCH=COHERENT", "LANES=1", "LANES=16", "W"}
     wanted |= {"GRADIENT", "BOUNDS", "CELL", "HARDWARE", "BOOK"}
     wanted |= {"PERSPECTIVE", "ANCHORED", "CONSTANT", "FACES=4", "FACES=6", "SLOTS=3", "SLOTS=7"}
-    wanted |= {"SURFACES=2"}
+    wanted |= {"SURFACES=2", "CELLS"}
     wanted |= {f"INTEGRATOR={name}" for name in ("LINEAR", "AVERAGE", "SAMPLED", "PREINTEGRATED")}
     assert wanted <= set(run[0]["options"])
 
@@ -637,6 +638,12 @@ def render_octrees(device) -> None:
             met = np.isfinite(depths(octree, rays, level=level, device=device, lanes=1))
             assert np.array_equal(picture[..., 3] > 0, met)
             assert 10 < np.count_nonzero(picture[..., 3]) < picture[..., 3].size
+    octree = attributed()
+    for rays in two_views((11, 9)):
+        how: dict[str, Any] = {"device": device, "lanes": 1}
+        plain = cast(octree, rays, **how)
+        found = cast_attribute(octree, rays, "label", **how)
+        assert np.array_equal(found[..., 3], plain[..., 3])
 
 
 def render_fields(device) -> None:

@@ -42,3 +42,5 @@ MIN_TEXTURE_2D, MAX_TEXTURE_2D = 2048, 16384  # texels along an axis of a volume
 METHODS = ("raycast", "projection")  # of rendering volumes
 VIEWS = ("front", "back", "left", "right", "top", "bottom", "iso")
 WHITE = (1.0, 1.0, 1.0)  # the background of pictures
+LABEL, NONE = "label", "none"
+COLOUR_BY = (LABEL, "colour", "normal", "fraction", NONE)  # attributes that give voxels colours

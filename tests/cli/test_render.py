@@ -15,6 +15,7 @@ import av
 import numpy as np
 import png
 import pytest
+from helpers_attributes import attributed
 from helpers_cli import fail, run, told
 from PIL import Image, ImageSequence
 
@@ -23,6 +24,7 @@ from voxtool.choices import METHODS, SEARCHES, VIEWS
 from voxtool.cli.render import OPTIONS_OF
 from voxtool.files import read_adf, read_svo, read_tet, write_svo
 from voxtool.files.picture import rounded
+from voxtool.palette import palette
 from voxtool.rendering import averaged, camera_for, render
 from voxtool.svo.octree import Octree
 from voxtool.tets import transfer
@@ -40,6 +42,8 @@ OPTIONS = {
     "unit_distance": "--unit-distance 1",
     "method": "--method raycast",
     "integrator": "--integrator linear",
+    "colour_by": "--colour-by label",
+    "only": "--only head",
     "legend": "--legend",
     "isovalues": "--isovalue 0.5",
     "other": f"--difference {OCTREE}",
@@ -394,7 +398,6 @@ def test_options_of_other_kinds_are_refused_by_name(kind: str, name: str, here: 
         ("--turntable 4 --float", "--float goes with one picture: --turntable writes frames of 8"),
         ("--turntable 4 --bits 16", "--bits goes with one picture"),
         ("--iso-opacity 0.5", "--iso-opacity is of the surfaces of --isovalue: give one"),
-        ("--isovalue 1 --legend", "--legend shows a transfer function, and --isovalue alone has"),
         ("--isovalue x", "is no finite number"),
         ("--level 0 --isovalue 0.2,0.4", "--isovalue of an octree is one share: give one number"),
         ("--opacity-range 0,inf", "'0,inf': write two numbers"),
@@ -564,6 +567,28 @@ def test_a_legend_stands_beside_the_picture(here: Path) -> None:
     run(f"render {VOLUME} --size 240x220 --legend --background none --bits 16 -o c.png")
     assert Image.open("c.png").size == beside.shape[1::-1]
     assert "leave out --legend" in fail(f"render {VOLUME} --size 100 --legend")
+    alone = "--legend shows a transfer function, and --isovalue alone has"
+    assert alone in fail(f"render {VOLUME} --isovalue 0.3 --legend", 2)
+
+
+def test_labels_are_named_and_drawn_alone(here: Path) -> None:
+    write_svo(attributed(), "parts.svo.h5")
+    run("render parts.svo.h5 --size 240x220 --colour-by label -o a.png")
+    run("render parts.svo.h5 --size 240x220 --colour-by label --legend -o b.png")
+    plain, beside = (np.asarray(Image.open(name)) for name in ("a.png", "b.png"))
+    assert np.array_equal(beside[:, :240], plain)
+    beside = beside[:, 240:, :3].reshape(-1, 3)
+    for colour in palette(3):
+        assert (beside == colour).all(axis=1).sum() > 10
+    alone = "render parts.svo.h5 --size 240x220 --colour-by label --only"
+    run(f"{alone} größe -o c.png")
+    run(f"{alone} 'head,größe,a b' -o d.png")
+    some, every = (np.asarray(Image.open(name)) for name in ("c.png", "d.png"))
+    assert np.array_equal(every, plain)
+    assert not np.array_equal(some, plain)
+    assert "no label is called 'arm'" in fail("render parts.svo.h5 --only arm")
+    assert "give --colour-by label" in fail("render parts.svo.h5 --legend", 2)
+    assert "which are not drawn" in fail(f"render {OCTREE} --legend", 2)
 
 
 def test_what_is_transparent_is_left_out(here: Path) -> None:

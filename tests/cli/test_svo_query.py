@@ -7,10 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers_cli import fail, process, run
+from helpers_attributes import attributed
+from helpers_cli import fail, process, run, told
 from helpers_octree import ball, octree_from_dense
 
 import voxtool
+from voxtool.svo.attribute_image import AttributeImage
+from voxtool.svo.image import VoxelImage
 from voxtool.svo.merged import MergedOctree
 
 OCTREE = octree_from_dense(ball((24, 20, 16), 0.4))
@@ -94,3 +97,47 @@ def test_failures(command: str, message: str, here: Path) -> None:
 def test_usage(here: Path) -> None:
     assert "OCTREE and POINTS cannot both be stdin" in fail("svo-query - -", 2)
     assert process("svo-query ball.svo.h5 points.npy -o ./points.npy").returncode == 2
+
+
+def test_attributes_of_points(here: Path) -> None:
+    octree = attributed()
+    voxtool.write_svo(octree, "parts.svo.h5")
+    points = np.random.default_rng(7).random((500, 3)) * 44 - 2
+    np.save("points.npy", points)
+    names = ("label", "colour", "normal", "fraction")
+    found = voxtool.query_svo(octree, points, attributes=names)
+    assert np.array_equal(found.contains, octree.contains(points))
+    cells = np.floor(points).astype(int)
+    within = ((cells >= 0) & (cells < octree.grid.shape)).all(axis=1)
+    for name in names:
+        dense = np.concatenate(list(AttributeImage(VoxelImage.of(octree), name).slabs()))
+        wanted = np.zeros((len(points), *dense.shape[3:]), dense.dtype)
+        wanted[within] = dense[tuple(cells[within].T)]
+        values = getattr(found, name)
+        assert np.array_equal(values + 1 if name == "label" else values, wanted)
+    assert found[3].label == found.label[3]
+    run("svo-query parts.svo.h5 points.npy --attributes colour,label -o answers.csv")
+    lines = Path("answers.csv").read_text().splitlines()
+    assert lines[0] == "contains,red,green,blue,alpha,label"
+    table = np.loadtxt(lines[1:], delimiter=",", dtype=int)
+    assert np.array_equal(table[:, 1:5], found.colour)
+    assert np.array_equal(table[:, 5], found.label)
+    message = "has no attribute 'label', it has none"
+    assert message in fail("svo-query ball.svo.h5 points.npy --attributes label")
+    message = "merged subtrees have no attribute 'label'"
+    assert message in fail("svo-query small.svo.h5 points.npy --attributes label")
+
+
+def test_svo_info_lists_labels(here: Path) -> None:
+    octree = attributed()
+    voxtool.write_svo(octree, "parts.svo.h5")
+    dense = np.concatenate(list(AttributeImage(VoxelImage.of(octree), "label").slabs()))
+    counts = np.bincount(dense.ravel())[1:].tolist()
+    assert sum(counts) == octree.count
+    rows = told("svo-info parts.svo.h5 --json")["attributes"]["label"]["labels"]
+    assert [(row["label"], row["name"], row["voxels"]) for row in rows] == [
+        (number, name, counts[number]) for number, name in enumerate(("head", "größe", "a b"))
+    ]
+    assert rows[1]["volume"] == counts[1] * octree.grid.voxel_volume
+    text = run("svo-info parts.svo.h5").stdout
+    assert f"      1 {counts[1]:>19,}   {counts[1]:<16} größe" in text.splitlines()

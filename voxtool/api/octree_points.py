@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from voxtool.api.octrees import Path, opened
@@ -19,6 +20,7 @@ def plan_query_svo(
     *,
     level: int | str | None = None,
     nearest: bool = False,
+    attributes: Sequence[str] = (),
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> QueryJob:
@@ -32,6 +34,8 @@ def plan_query_svo(
         The level of the nodes whose coverage is returned, 0 for bricks; by default none is.
     nearest : bool
         Whether the nearest set voxels are returned.
+    attributes : sequence of str
+        Names of the attributes that are returned: "label", "colour", "normal", "fraction".
     device, max_memory
         As in voxelize.
 
@@ -51,7 +55,8 @@ def plan_query_svo(
     """
     found = opened(octree, lambda path: read_drawn(path, OCTREE))
     return query.plan_query(
-        found, level=level, nearest=nearest, device=device, max_memory=max_memory
+        found, level=level, nearest=nearest, attributes=attributes, device=device,
+        max_memory=max_memory,
     )  # fmt: skip
 
 
@@ -61,6 +66,7 @@ def query_svo(
     *,
     level: int | str | None = None,
     nearest: bool = False,
+    attributes: Sequence[str] = (),
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> OctreeAnswers:
@@ -75,7 +81,7 @@ def query_svo(
 
     Parameters
     ----------
-    octree, level, nearest, device, max_memory
+    octree, level, nearest, attributes, device, max_memory
         As in plan_query_svo.
     points : (N, 3) or (3,) array_like
         World units; (3,) is one point.
@@ -83,7 +89,8 @@ def query_svo(
     Returns
     -------
     OctreeAnswers
-        With `contains`; if a level is given, `coverage`; if requested, `nearest` and `distance`.
+        With `contains`; if a level is given, `coverage`; if requested, `nearest` and `distance`,
+        and the attributes by their names.
 
     Raises
     ------
@@ -104,5 +111,8 @@ def query_svo(
     >>> voxtool.query_svo("bunny.svo.h5", [[0, 0, 0], [0.1, 0, 0]]).contains
     >>> voxtool.query_svo(octree, points, level=0).coverage
     """
-    job = plan_query_svo(octree, level=level, nearest=nearest, device=device, max_memory=max_memory)
+    job = plan_query_svo(
+        octree, level=level, nearest=nearest, attributes=attributes, device=device,
+        max_memory=max_memory,
+    )  # fmt: skip
     return job.run()(points)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from voxtool.choices import METHODS, SEARCHES, VIEWS, WHITE
+from voxtool.choices import COLOUR_BY, LABEL, METHODS, SEARCHES, VIEWS, WHITE
 from voxtool.cli import options, runner
 from voxtool.cli.options import (
     LEVEL,
@@ -58,7 +58,7 @@ MAKERS = {
     "unit_distance": "--unit-distance",
 }
 OPTIONS_OF = {
-    "octree": ("level", "isovalues", "colour", "other"),
+    "octree": ("level", "isovalues", "colour", "other", "colour_by", "only", "legend"),
     "field": ("offset", "search", "colour"),
     "volume": (
         "transfer_file", *MAKERS, "method", "integrator", "legend", "isovalues", "opacity",
@@ -100,6 +100,11 @@ OPTIONS_OF = {
     option("--difference other", str,
         "Octrees: colour what only FILE has vermilion, and what only OTHER has, on the same grid, "
         "blue.", metavar="OTHER"),
+    option("--colour-by", COLOUR_BY,
+        "Octrees with attributes: the one whose colours are drawn.  [default: colour, or else "
+        "label, if it has one]"),
+    option("--only", str, "Octrees with labels: draw the voxels of these labels alone.",
+        metavar="NAME[,NAME...]"),
     option("--offset", NUMBER,
         "Fields: the surface at this distance from the mesh's, in world units; negative inside.",
         metavar="D"),
@@ -133,7 +138,8 @@ OPTIONS_OF = {
     option("--integrator", str,
         "Volumes: linear (exact), preintegrated (by a table), average or sampled:N (N points a "
         "cell).  [default: linear]", metavar="NAME"),
-    flag("--legend", "Volumes: draw the transfer function beside it."),
+    flag("--legend",
+        "Volumes: draw the transfer function beside it.  Octrees: the names of their labels."),
     option("--background", BACKGROUND,
         "Colour behind it, or none: a transparent picture.  [default: white]", metavar="COLOUR"),
     option("--bits", ("8", "16"), "Of each value in a .png.  [default: 8]"),
@@ -311,8 +317,6 @@ def check_request(request: dict[str, Any]) -> None:
          "--height goes with --orthographic: a perspective has --fov"),
         ("opacity" in given and "isovalues" not in given,
          "--iso-opacity is of the surfaces of --isovalue: give one"),
-        ("legend" in given and not with_transfer(request),
-         "--legend shows a transfer function, and --isovalue alone has none: give --map, too"),
         *(({"transfer_file", name} <= given,
            f"{maker} makes a transfer function: drop it or --transfer")
           for name, maker in MAKERS.items()),
@@ -340,6 +344,7 @@ def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, 
     click.UsageError : an option was given that goes with another kind of file.
     """
     from voxtool.rendering import SCENES
+    from voxtool.svo.painting import painted
 
     kind, given = SCENES[type(content)].kind, given_of(request)
     for parameter in click.get_current_context().command.params:
@@ -350,7 +355,8 @@ def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, 
                 f"{parameter.opts[0]} goes with {' and '.join(f'{k}s' for k in kinds)}: "
                 f"{source} holds {article} {kind}"
             )
-    drawn = {"level", "offset", "search", "colour", "method", "integrator", "isovalues", "opacity"}
+    drawn = {"level", "offset", "search", "colour", "method", "integrator", "isovalues", "opacity",
+             "colour_by"}  # fmt: skip
     shown = {name: value for name, value in given.items() if name in drawn}
     if "other" in given:
         from voxtool.files import read_drawn
@@ -365,6 +371,16 @@ def options_of(content: Any, source: str, request: dict[str, Any]) -> dict[str, 
             raise click.UsageError("--isovalue of an octree is one share: give one number")
     if kind == "volume" and "colour" in given and "isovalues" not in given:
         raise click.UsageError("--colour of a volume is that of --isovalue: give one")
+    if "only" in given:
+        shown["only"] = tuple(given["only"].split(","))
+    if kind == "octree" and "legend" in given and painted(content, given.get("colour_by")) != LABEL:
+        raise click.UsageError(
+            "--legend of an octree names its labels, which are not drawn: give --colour-by label"
+        )
+    if kind == "volume" and "legend" in given and not with_transfer(request):
+        raise click.UsageError(
+            "--legend shows a transfer function, and --isovalue alone has none: give --map, too"
+        )
     if kind == "volume" and with_transfer(request):
         shown["transfer"] = transfer_of(content, request)
     return shown
@@ -402,13 +418,21 @@ def viewpoint(request: dict[str, Any]) -> str:
 
 
 def with_legend(picture: np.ndarray, job: RenderJob, background: Any) -> np.ndarray:
-    """Return the picture with the legend of its transfer function at the right."""
+    """Return the picture with the legend of its labels or transfer function at the right."""
     import numpy as np
 
     from voxtool.plots.legend import draw_legend
     from voxtool.tets.transfer import scalar_shares
 
     scene: Any = job.plan.scene
+    if scene.kind == "octree":
+        from voxtool.plots.label_legend import draw_label_legend
+        from voxtool.svo.label_counts import label_counts
+
+        counts, names = label_counts(scene.content), scene.content.attribute(LABEL).names
+        rows = [(n, printable(name)) for n, name in enumerate(names) if counts[n]]
+        legend = draw_label_legend(rows, len(picture), background=background)
+        return np.concatenate([picture, legend], axis=1)
     volume = scene.content
     legend = draw_legend(
         scene.shown_through,

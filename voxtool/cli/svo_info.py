@@ -8,6 +8,7 @@ import click
 
 from voxtool.cli.info import describe, info_options, normalized, on_disk, place, table
 from voxtool.cli.options import flag, print_json
+from voxtool.errors import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -72,6 +73,22 @@ def attributes(info: dict[str, Any]) -> Iterator[tuple[str, str]]:
         yield name, f"{one['dtype']}{named}, {values}"
 
 
+MOST_LABELS = 40  # in the text
+
+
+def labels(info: dict[str, Any], unit: str) -> Iterator[str]:
+    """Yield the lines of the labels: number, name, voxels and volume."""
+    rows = info["attributes"].get("label", {}).get("labels", ())
+    if not rows:
+        return
+    yield f"\n{'label':>7}          set voxels   {f'volume{unit}':<16} name"
+    for row in rows[:MOST_LABELS]:
+        volume = f"{row['volume']:.9g}"
+        yield f"{row['label']:>7} {row['voxels']:>19,}   {volume:<16} {printable(row['name'])}"
+    if len(rows) > MOST_LABELS:
+        yield f"{len(rows) - MOST_LABELS:,} more: --json has them all"
+
+
 def text_of(info: dict[str, Any]) -> Iterator[str]:
     """The lines of a summary."""
     unit = f" {info['units']}" if info["units"] else ""
@@ -102,3 +119,4 @@ def text_of(info: dict[str, Any]) -> Iterator[str]:
             f"{row['inside']:>12,} {row['voxels']:>19,} {100 * row['coverage']:>8.2f} %"
             + (f" {row['subtrees']:>12,}" if distinct else "")
         )
+    yield from labels(info, unit and f" in{unit}^3")

@@ -13,6 +13,12 @@ from voxtool.errors import count_of
 if TYPE_CHECKING:
     from voxtool.svo.query import QueryJob
 
+ATTRIBUTES = {
+    "label": [("label", "i8")],
+    "colour": [(name, "u1") for name in ("red", "green", "blue", "alpha")],
+    "normal": [(name, "f4") for name in ("nx", "ny", "nz")],
+    "fraction": [("fraction", "f8")],
+}
 NEAREST = [("voxel_x", "i8"), ("voxel_y", "i8"), ("voxel_z", "i8"), ("distance", "f8")]
 
 
@@ -23,20 +29,25 @@ NEAREST = [("voxel_x", "i8"), ("voxel_y", "i8"), ("voxel_z", "i8"), ("distance",
     "Write the coverage, too: the share of set voxels in the node of level N around each point; 0 "
     "are bricks of 4 x 4 x 4 voxels.")  # fmt: skip
 @flag("--nearest", "Write the nearest set voxel, too: voxel_x, _y, _z, and its centre's distance.")
+@option("--attributes", str,
+    "Write these attributes of the voxels, too: label (an index of the names that svo-info lists), "
+    "colour, normal, fraction.", metavar="NAME[,NAME...]")  # fmt: skip
 @runner.job_options(
     "FILE", "Default POINTS's name with .voxels.npy or --format, in this folder; stdout, as CSV, "
     "for stdin.",
     "npy", "csv",
 )  # fmt: skip
 def command(
-    run: runner.Run, octree: str, points: str | None, level: int | str | None, nearest: bool
-) -> None:
+    run: runner.Run, octree: str, points: str | None, level: int | str | None, nearest: bool,
+    attributes: str | None,
+) -> None:  # fmt: skip
     """Tell which POINTS lie in set voxels of an OCTREE: 1 if so, otherwise 0.
 
     OCTREE is .svo.h5 or .svo.xml; POINTS is a .npy, .npz, .csv, .xyz or .ply file, in world units.
     Each can be - for stdin, which is the default of POINTS. A point on a plane between voxels is in
     the upper one; outside the grid nothing is set. The columns are contains; with --level
-    coverage; with --nearest voxel_x, voxel_y, voxel_z, distance: -1 and inf if no voxel is set.
+    coverage; with --nearest voxel_x, voxel_y, voxel_z, distance: -1 and inf if no voxel is set;
+    with --attributes label, -1 where nothing is set, red, green, blue, alpha, nx, ny, nz, fraction.
 
     \b
     Examples:
@@ -52,7 +63,8 @@ def command(
     with run:
         source = run.stage("read octree", read_drawn, octree, OCTREE)
         with run.naming(octree):
-            job = run.plan(plan_query, source, level=level, nearest=nearest)
+            names = tuple(attributes.split(",")) if attributes else ()
+            job = run.plan(plan_query, source, level=level, nearest=nearest, attributes=names)
         facts = answer(run, job, points)
     outside = facts["outside"]
     if outside:
@@ -73,6 +85,8 @@ def answer(run: runner.Run, job: QueryJob, points: str) -> dict[str, Any]:
     query = run.job(job)
     columns = [("contains", "?")] + [("coverage", "f8")] * (job.plan.level is not None)
     columns += NEAREST if job.plan.nearest else []
+    names = job.plan.attributes
+    columns += [column for name in names for column in ATTRIBUTES[name]]
     contained = outside = 0
     run.enter("query")
     with run.table(columns) as answers:
@@ -83,5 +97,6 @@ def answer(run: runner.Run, job: QueryJob, points: str) -> dict[str, Any]:
             contained += int(np.count_nonzero(found.contains))
             outside += int(np.count_nonzero(found.outside))
             values = [found.contains, found.coverage, found.nearest, found.distance]
+            values += [getattr(found, name) for name in names]
             answers.write([part for part in values if part is not None])
     return {"points": answers.count, "contained": contained, "outside": outside}

@@ -50,17 +50,12 @@ def draw_legend(
     VoxtoolError : the legend would be too low to be read.
     FileError : matplotlib is missing.
     """
-    if height < LEAST_HEIGHT:
-        raise VoxtoolError(
-            f"a legend {height} pixels high cannot be read: choose a --size of {LEAST_HEIGHT} or "
-            "more, or leave out --legend"
-        )
+    check_height(height)
     need_matplotlib("legends")
     low, high = scalar_range
     if low == high:
         low, high = low - 0.5, high + 0.5
-    brightness = sum(np.multiply(background, (0.2126, 0.7152, 0.0722))) if background else 1.0
-    ink = "#202020" if brightness > 0.4 else "#f0f0f0"
+    ink = ink_on(background)
 
     def paint(figure: Any) -> None:
         bar, plot = (
@@ -78,6 +73,21 @@ def draw_legend(
     legend = drawn(round(WIDTH * scale), height, paint, scale=scale, face="none")
     legend[..., :3] *= legend[..., 3:]
     return legend
+
+
+def check_height(height: int) -> None:
+    """Raise VoxtoolError if a legend of this height cannot be read."""
+    if height < LEAST_HEIGHT:
+        raise VoxtoolError(
+            f"a legend {height} pixels high cannot be read: choose a --size of {LEAST_HEIGHT} or "
+            "more, or leave out --legend"
+        )
+
+
+def ink_on(background: Sequence[float] | None) -> str:
+    """Return the colour of text on a background; None is white."""
+    brightness = sum(np.multiply(background, (0.2126, 0.7152, 0.0722))) if background else 1.0
+    return "#202020" if brightness > 0.4 else "#f0f0f0"
 
 
 def _draw_histogram(

@@ -269,6 +269,21 @@ class Octree(PointQueries, OctreeContent, Data):
         values = {item.name: getattr(octree, item.name) for item in fields(octree)}
         return cls(**values | {name: values[name][:] for name in ("nodes", "bricks")})
 
+    def summary(self) -> dict[str, Any]:
+        """Return counts and sizes in JSON types, in world units; of labels also the voxels and the
+        volume of each. See OctreeContent."""
+        info = super().summary()
+        if "label" in info["attributes"]:
+            from voxtool.svo.label_counts import label_counts  # which imports this module
+
+            names, counts = self.attribute("label").names, label_counts(self).tolist()
+            info["attributes"]["label"]["labels"] = [
+                {"label": label, "name": name, "voxels": count,
+                 "volume": count * self.grid.voxel_volume}
+                for label, (name, count) in enumerate(zip(names, counts, strict=True))
+            ]  # fmt: skip
+        return info
+
     def attribute(self, name: str) -> Attribute:
         """Return the attribute of a name; VoxtoolError if the octree has none."""
         for attribute in self.attributes:

@@ -13,16 +13,17 @@ from typing import Any
 
 import numpy as np
 
+from voxtool.choices import COLOUR_BY, NONE
 from voxtool.errors import VoxtoolError
 from voxtool.morton import morton_encode
 from voxtool.palette import palette
 from voxtool.svo.attribute_levels import BRICKS, CellValues
-from voxtool.svo.attributes import BITS, KINDS, Attribute
+from voxtool.svo.attribute_points import values_of_voxels
+from voxtool.svo.attributes import BITS, Attribute
 from voxtool.svo.counts import BRICK_POWER
 from voxtool.svo.layout import BRICK, INSIDE
 from voxtool.svo.octree import Octree
 
-NONE = "none"
 BY_DEFAULT = ("colour", "label")
 EMPTY, WHOLE = (0.15, 0.2, 0.45), (1.0, 0.9, 0.5)  # of fractions: dark blue, pale yellow
 
@@ -39,8 +40,8 @@ def check_painting(content: Any, colour_by: str | None) -> None:
     """Raise VoxtoolError if an octree has no such attribute."""
     if colour_by in (None, NONE):
         return
-    if colour_by not in KINDS:
-        raise VoxtoolError(f"colour by {colour_by!r}: choose one of {', '.join((*KINDS, NONE))}")
+    if colour_by not in COLOUR_BY:
+        raise VoxtoolError(f"colour by {colour_by!r}: choose one of {', '.join(COLOUR_BY)}")
     if not isinstance(content, Octree):
         raise VoxtoolError(f"merged subtrees have no attribute {colour_by!r}: voxelize with it")
     content.attribute(colour_by)
@@ -87,7 +88,7 @@ def colours_of_cells(
         codes = morton_encode(cells[here, :3].astype(np.int64) >> k)
         distinct, places = np.unique(codes, return_inverse=True)
         if k == 0:
-            own = _of_voxels(values, distinct)
+            own = values_of_voxels(values, distinct)
         else:
             number = k - BRICK_POWER
             own = values.around(distinct, number)
@@ -95,18 +96,6 @@ def colours_of_cells(
                 own = _of_nodes(values, number, distinct, own)
         found[here] = own[places.ravel()]
     return colours_of_values(values.attribute, found, plain)
-
-
-def _of_voxels(values: CellValues, codes: np.ndarray) -> np.ndarray:
-    """Return the values of set voxels of bricks, given their ascending Morton codes."""
-    bricks = np.searchsorted(values.levels[0].codes, codes >> np.uint64(6))
-    bits = (codes & np.uint64(63)).astype(np.int64)
-    found = np.zeros((len(codes), *values.row), values.dtype)
-    for first in range(0, len(codes), BRICKS):
-        part = slice(first, first + BRICKS)
-        distinct, places = np.unique(bricks[part], return_inverse=True)
-        found[part] = values.of_bricks(distinct)[places.ravel(), bits[part]]
-    return found
 
 
 def _of_nodes(values: CellValues, number: int, codes: np.ndarray, others: np.ndarray) -> np.ndarray:

@@ -17,7 +17,8 @@ Kernels: kernels/svo/query.cl, kernels/svo/nearest.cl.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -27,8 +28,11 @@ from voxtool.choices import MAX_DIM
 from voxtool.errors import GridError, MemoryLimitError, VoxtoolError, human
 from voxtool.job import Cost, Job
 from voxtool.memory import check_memory
+from voxtool.morton import morton_encode
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.spatial.distance import checked_points
+from voxtool.svo.attribute_levels import CellValues
+from voxtool.svo.attribute_points import values_of_voxels
 from voxtool.svo.drawn import coverages, drawn_bytes, linked_nodes
 from voxtool.svo.links import EMPTY, FULL
 from voxtool.svo.merged import MergedOctree
@@ -67,6 +71,13 @@ class OctreeAnswers(Data):
         The distance from that centre, world units; infinite if no voxel is set.
     outside : (N,) bool
         Whether the point is outside the grid.
+    label : (N,) int64, or None
+        The label of the voxel around the point, an index of names; -1 if it is not set.
+    colour : (N, 4) uint8, or None
+        Its colour and opacity; 0 if it is not set, as in what follows.
+    normal : (N, 3) float32, or None
+    fraction : (N,) float64, or None
+        The share of the voxel inside, from 0 to 1.
     """
 
     contains: np.ndarray
@@ -74,14 +85,19 @@ class OctreeAnswers(Data):
     nearest: np.ndarray | None
     distance: np.ndarray | None
     outside: np.ndarray
+    label: np.ndarray | None = None
+    colour: np.ndarray | None = None
+    normal: np.ndarray | None = None
+    fraction: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Leave the arrays writable: they are the caller's own."""
 
     def __getitem__(self, index: Any) -> OctreeAnswers:
-        more = (self.coverage, self.nearest, self.distance)
-        coverage, nearest, distance = (None if part is None else part[index] for part in more)
-        return OctreeAnswers(self.contains[index], coverage, nearest, distance, self.outside[index])
+        parts: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self)}
+        return OctreeAnswers(
+            **{name: None if part is None else part[index] for name, part in parts.items()}
+        )
 
 
 class OctreeQuery:
@@ -95,6 +111,8 @@ class OctreeQuery:
         The level of the nodes whose coverage is returned; by default none is.
     nearest : bool
         Whether the nearest set voxels are returned.
+    attributes : sequence of str
+        Names of the attributes of the voxels that are returned.
     device : Device, optional
         Where to search; the default device if None.
 
@@ -122,7 +140,9 @@ class OctreeQuery:
         device: Device | None = None,
         *,
         nearest: bool = False,
+        attributes: Sequence[str] = (),
     ) -> None:
+        self.values = _attributes(octree, attributes)
         self.octree, self.nearest = octree, nearest
         self.device = device or default_device()
         if nearest:
@@ -165,7 +185,16 @@ class OctreeQuery:
             if nearest is not None and distance is not None:
                 part = self._nearest(points[start:stop], start)
                 nearest[start:stop], distance[start:stop] = part
-        answers = OctreeAnswers(contains, coverage, nearest, distance, outside)
+        more = {
+            name: np.zeros((len(points), *of.row), of.dtype) for name, of in self.values.items()
+        }
+        if more:
+            within, voxels = voxels_around(self.octree.grid, points)
+            codes = morton_encode(voxels)
+            for name, values in self.values.items():
+                more[name][within] = values_of_voxels(values, codes)
+        shown = {name: _shown(name, values, contains) for name, values in more.items()}
+        answers = OctreeAnswers(contains, coverage, nearest, distance, outside, **shown)
         return answers[0] if single else answers
 
     def _found(self, voxels: np.ndarray, finest: int) -> np.ndarray:
@@ -214,6 +243,23 @@ class OctreeQuery:
         return voxels, distances
 
 
+def _attributes(octree: Octree | MergedOctree, names: Sequence[str]) -> dict[str, CellValues]:
+    """Return the values of attributes by name; VoxtoolError if the octree has no such attribute."""
+    if names and not isinstance(octree, Octree):
+        raise VoxtoolError(f"merged subtrees have no attribute {names[0]!r}: voxelize with it")
+    return {name: CellValues(octree, name, 0) for name in names if isinstance(octree, Octree)}
+
+
+def _shown(name: str, values: np.ndarray, contains: np.ndarray) -> np.ndarray:
+    """Return the values of an attribute as answers have them."""
+    if name == "label":
+        return np.where(contains, values.astype(np.int64), -1)
+    if name == "fraction":
+        whole = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
+        return values.astype(np.float64) / whole
+    return values
+
+
 def _check_nearest(octree: Octree | MergedOctree, device: Device) -> None:
     """Raise GridError or DeviceError if nearest voxels cannot be found."""
     device.require_float64("nearest voxels")
@@ -250,6 +296,7 @@ class QueryPlan:
     merged: bool
     level: int | str | None  # of the nodes whose coverage is returned
     nearest: bool  # whether nearest voxels are returned
+    attributes: tuple[str, ...] = ()  # that are returned
     block: int = BLOCK  # points on the device at once
 
     @property
@@ -309,7 +356,9 @@ class QueryJob(Job[OctreeQuery]):
 
     def _run(self) -> OctreeQuery:
         plan = self.plan
-        return OctreeQuery(self.octree, plan.level, self.device, nearest=plan.nearest)
+        return OctreeQuery(
+            self.octree, plan.level, self.device, nearest=plan.nearest, attributes=plan.attributes
+        )
 
 
 def plan_query(
@@ -317,6 +366,7 @@ def plan_query(
     *,
     level: int | str | None = None,
     nearest: bool = False,
+    attributes: Sequence[str] = (),
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> QueryJob:
@@ -327,7 +377,9 @@ def plan_query(
     device = device or default_device()
     if nearest:
         _check_nearest(octree, device)
+    attributes = tuple(attributes)
+    _attributes(octree, attributes)
     merged = isinstance(octree, MergedOctree)
     bricks = 8 * octree.sizes[-2] if merged else len(octree.bricks)
-    plan = QueryPlan(drawn_bytes(octree), bricks, merged, level, nearest)
+    plan = QueryPlan(drawn_bytes(octree), bricks, merged, level, nearest, attributes)
     return QueryJob(octree, plan, device, max_memory)
