@@ -94,10 +94,10 @@ class OctreeAnswers(Data):
         """Leave the arrays writable: they are the caller's own."""
 
     def __getitem__(self, index: Any) -> OctreeAnswers:
-        parts: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self)}
-        return OctreeAnswers(
-            **{name: None if part is None else part[index] for name, part in parts.items()}
-        )
+        found: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self)}
+        for name, part in found.items():
+            found[name] = None if part is None else part[index]
+        return OctreeAnswers(**found)
 
 
 class OctreeQuery:
