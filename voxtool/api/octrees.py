@@ -11,6 +11,7 @@ from voxtool.adf.field import DistanceField
 from voxtool.adf.surface.extract import plan_field_surface
 from voxtool.adf.surface.field_surface import FieldSurface
 from voxtool.choices import (
+    COLOURS,
     DEFAULT_MODE,
     FILLS,
     NORMALIZED,
@@ -34,6 +35,7 @@ from voxtool.svo import booleans
 from voxtool.svo import compare as comparing
 from voxtool.svo import voxelize as svo
 from voxtool.svo.attribution.labels import PartLabelsJob, plan_labels
+from voxtool.svo.attribution.colours import SurfaceAttributesJob, plan_attributes
 from voxtool.svo.booleans import CombineJob
 from voxtool.svo.compare import CompareJob, Comparison
 from voxtool.svo.octree import Octree
@@ -78,10 +80,12 @@ def plan_voxelize(
     with_surface: bool = False,
     labels: str | Parts | None = None,
     priority: str | Sequence[str] = PRIORITIES[0],
+    attributes: Sequence[str] = (),
+    colour: str = COLOURS[0],
     window: Window | None = None,
     device: Device | None = None,
     max_memory: int | None = None,
-) -> VoxelizeJob | PartLabelsJob:
+) -> VoxelizeJob | PartLabelsJob | SurfaceAttributesJob:
     """Voxelize a triangle mesh exactly: the result is a sparse voxel octree.
 
     Vertices are rounded once to 1/256 voxel; all that follows is integer arithmetic, so the result
@@ -118,6 +122,12 @@ def plan_voxelize(
     priority
         of parts that share a voxel of a solid: the "first" counts, or the "last", or the names of
         those that come before the others, in this order.
+    attributes
+        the voxels of the surface get these: "colour", of a mesh read with
+        `load_mesh(path, keep=("appearance",))`, and "normal". Other set voxels have a default.
+    colour
+        "mean", by area and in linear light, or "nearest": as the greatest part of the surface in
+        the voxel has it, so that there are no new colours.
     window
         (low, shape) in voxels: only this part of the grid.
     device
@@ -133,7 +143,7 @@ def plan_voxelize(
     Raises
     ------
     MeshError
-        the mesh cannot be read.
+        the mesh cannot be read, or colours are asked for and it has none.
     GridError
         a vertex lies more than 2**22 voxels from the grid's corner.
     MemoryLimitError
@@ -155,18 +165,23 @@ def plan_voxelize(
     >>> octree = voxtool.voxelize("bunny.obj", dim=128)
     >>> octree.count, octree.digest()
     """
-    found = as_mesh(mesh, max_memory)
+    found = as_mesh(mesh, max_memory, ("appearance",) if "colour" in attributes else ())
+    placed = grid_of(found, grid, dim, pitch)
     if labels is not None:
         if window is not None:
             raise VoxtoolError("labels take the whole grid: drop the window")
-        return plan_labels(
-            found, grid_of(found, grid, dim, pitch), mode, labels=labels, priority=priority,
-            fill=fill, gap=gap, with_surface=with_surface, device=device, max_memory=max_memory,
+        job = plan_labels(
+            found, placed, mode, labels=labels, priority=priority, fill=fill, gap=gap,
+            with_surface=with_surface, device=device, max_memory=max_memory,
         )  # fmt: skip
-    return svo.plan_voxelize(
-        found, grid_of(found, grid, dim, pitch), mode, fill=fill, gap=gap,
-        with_surface=with_surface, window=window, device=device, max_memory=max_memory,
-    )  # fmt: skip
+    else:
+        job = svo.plan_voxelize(
+            found, placed, mode, fill=fill, gap=gap, with_surface=with_surface, window=window,
+            device=device, max_memory=max_memory,
+        )  # fmt: skip
+    if not attributes:
+        return job
+    return plan_attributes(job, found, attributes, colour=colour, max_memory=max_memory)
 
 
 voxelize = one_call(plan_voxelize, "voxelize", Octree)

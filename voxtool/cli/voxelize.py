@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from voxtool.choices import (
+    ATTRIBUTES,
+    COLOURS,
     DEFAULT_DIM,
     DEFAULT_MODE,
     FILLS,
@@ -25,6 +27,8 @@ from voxtool.errors import MemoryLimitError, human
 from voxtool.files.formats import EXPORTS, MERGED_FORMATS, OCTREE_FORMATS
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from voxtool.grid import Grid
     from voxtool.svo.merged import MergedOctree
     from voxtool.svo.octree import Octree
@@ -71,6 +75,12 @@ if TYPE_CHECKING:
         "With --labels: of parts that share a voxel of a solid the first or the last counts, or "
         "those that are named, in this order, before the others.  [default: first]",
         metavar="first|last|NAME,..."),
+    option("--attributes", options.List(click.Choice(ATTRIBUTES)),
+        f"Of the voxels of the surface: {', '.join(ATTRIBUTES)} (SVO 3.0).  Colours are those of "
+        "the mesh's materials, textures and vertices.", metavar="NAME,..."),
+    option("--colour", COLOURS,
+        "With --attributes colour: the mean by area, in linear light, or that of the greatest part "
+        f"of the surface in the voxel, as it is.  [default: {COLOURS[0]}]"),
     flag("--doctype", "Of .svo.xml and .voccel.xml: name octree.dtd, which svo-info --dtd prints."),
     windows_options,
     options.normalize_option("stored"),
@@ -84,9 +94,9 @@ if TYPE_CHECKING:
 def command(
     run: runner.Run, mesh: str, mode: str, fill: str, gap: int, with_surface: bool,
     like: str | None, normalize: str | None, units: str | None, scale: float, windows: str,
-    dag: bool, thin: bool, labels: str | None, priority: str | None, doctype: bool, resume: bool,
-    no_keep: bool, dask: str | None = None, workers: int | None = None,
-    others: tuple[str, ...] = (), **placing: Any,
+    dag: bool, thin: bool, labels: str | None, priority: str | None, attributes: list[str] | None,
+    colour: str | None, doctype: bool, resume: bool, no_keep: bool, dask: str | None = None,
+    workers: int | None = None, others: tuple[str, ...] = (), **placing: Any,
 ) -> None:  # fmt: skip
     """Voxelize a triangle MESH directly into a sparse voxel octree.
 
@@ -99,6 +109,7 @@ def command(
       voxtool voxelize bunny.obj --dim 512 --mode solid
       voxtool voxelize bunny.obj --pitch 0.01 --mode surface26 -o bunny.svo.xml
       voxtool voxelize open.obj --fill winding
+      voxtool voxelize parts.glb --mode surface26 --attributes colour,normal
       voxtool voxelize bunny.obj open.obj -o octrees/ --dim 64
       voxtool voxelize bunny.obj --dim 1024 --dag -o small.svo.h5
       voxtool voxelize bunny.obj --dim 2048 --dask local --workers 2
@@ -112,6 +123,11 @@ def command(
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
     if thin and "surface" not in mode:
         raise click.UsageError("--thin goes with --mode surface26 and surface6")
+    attributes = attributes or []
+    if colour and "colour" not in attributes:
+        raise click.UsageError("--colour goes with --attributes colour")
+    check_attributes(attributes, {"--dag": dag, "--thin": thin, "--dask": bool(dask),
+                                        "--resume": resume})  # fmt: skip
     if gap and (fill != "flood" or mode != "solid"):
         raise click.UsageError("--gap goes with --mode solid --fill flood")
     if priority and not labels:
@@ -120,6 +136,7 @@ def command(
         raise click.UsageError("--labels takes a mesh in one piece: drop --dag, --thin, --resume "
                                "and --dask")  # fmt: skip
     from voxtool.files import SVO_FORMATS, export, write_svo
+    from voxtool.svo.attribution.colours import plan_attributes
     from voxtool.svo.attribution.labels import plan_labels
     from voxtool.svo.merged import MergedOctree
     from voxtool.svo.thin import plan_thin
@@ -140,14 +157,16 @@ def command(
     if doctype and "xml" not in str(run.file_format):
         raise click.UsageError("--doctype goes with .svo.xml and .voccel.xml: name one with -o")
     with run, ExitStack() as stack:
-        keep = ("parts",) if labels in NAMED else ()
+        keep = (*("parts",) * (labels in NAMED), *("appearance",) * ("colour" in attributes))
         loaded = run.meshes((mesh, *others), units, scale, normalize, keep)
         grid = options.grid_from(loaded, like, placing)
         request = {"fill": fill, "gap": gap, "with_surface": with_surface}
         if labels:
             request |= {"labels": labels, "priority": priority or PRIORITIES[0]}
         plan: Any = plan_labels if labels else plan_voxelize
-        job = run.plan(plan, loaded, grid, mode, **request)
+        job: Any = run.plan(plan, loaded, grid, mode, **request)
+        if attributes:
+            job = run.plan(plan_attributes, job, loaded, attributes, colour=colour or COLOURS[0])
         placed: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
         parts = None
         if dask:
@@ -158,7 +177,7 @@ def command(
             parts = run.stage("plan windows", SpreadJob, job, client, run.device_name)
         elif (
             windows != "never"
-            and not (thin or labels)
+            and not (thin or labels or attributes)
             and run.file_format == "svo.h5"
             and not fits(job, dag)
         ):
@@ -179,6 +198,15 @@ def command(
             else:
                 run.write(write_svo, octree, doctype=doctype)
     run.report(report_line(octree), lambda: facts_of(octree))
+
+
+def check_attributes(names: Sequence[str], others: dict[str, bool]) -> None:
+    """Refuse options that do not go with --attributes."""
+    given = [name for name, is_given in others.items() if is_given]
+    if names and given:
+        raise click.UsageError(f"--attributes are of octrees in one piece: drop {given[0]}")
+    if len(set(names)) < len(names):
+        raise click.UsageError(f"--attributes {','.join(names)}: name each once")
 
 
 def fits(job: VoxelizeJob, dag: bool) -> bool:
@@ -216,7 +244,14 @@ def facts_of(octree: Octree | BlockOctree | MergedOctree) -> dict[str, Any]:
         "bricks": len(octree.bricks),
         "bytes": octree.nbytes,
         "digest": octree.digest(),
+        **attributes_of(octree),
     }
+
+
+def attributes_of(octree: Any) -> dict[str, Any]:
+    """Return the attributes of an octree, by name, in JSON types."""
+    found = getattr(octree, "attributes", ())
+    return {"attributes": {one.name: one.summary() for one in found}} if found else {}
 
 
 def report_line(octree: Octree | BlockOctree | MergedOctree) -> str:

@@ -119,13 +119,16 @@ def load_mesh(
     )  # fmt: skip
 
 
-def as_mesh(thing: Any, max_memory: int | None = None) -> Mesh:
+def as_mesh(thing: Any, max_memory: int | None = None, keep: Sequence[str] = ()) -> Mesh:
     """Return a Mesh of a Mesh, of a path, of an object with `vertices` and `faces` such as a
-    trimesh.Trimesh, or of a pair of arrays, (V, 3) and (F, 3); MeshError for anything else."""
+    trimesh.Trimesh, or of a pair of arrays, (V, 3) and (F, 3); MeshError for anything else.
+
+    Of a path, what is in `keep` is read, too.
+    """
     if isinstance(thing, Mesh):
         return thing
     if isinstance(thing, str | os.PathLike):
-        return load_mesh(thing, max_memory=max_memory)
+        return load_mesh(thing, max_memory=max_memory, keep=keep)
     if hasattr(thing, "vertices") and hasattr(thing, "faces"):
         units = getattr(thing, "units", None)
         return mesh_from_arrays(thing.vertices, thing.faces, units=units or "")

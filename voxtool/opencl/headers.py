@@ -31,6 +31,7 @@ HOMES = {
     "spatial/winding_number.h": "voxtool.spatial.winding_number",
     "svo/attribution/paint.h": "voxtool.svo.attribution.paint",
     "svo/attribution/pieces.h": "voxtool.svo.attribution.pieces",
+    "svo/attribution/colours.h": "voxtool.svo.attribution.colours",
     "svo/booleans.h": "voxtool.svo.booleans",
     "svo/fill/crossings.h": "voxtool.svo.fill.rows",
     "svo/fill/flood.h": "voxtool.svo.fill.pieces",

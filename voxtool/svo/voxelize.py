@@ -18,7 +18,7 @@ can force the former (kernels/svo/columns.h, fill/levels.py).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -66,7 +66,7 @@ from voxtool.svo.octree import Octree
 from voxtool.svo.plan import COMPARISON, REQUEST, Survey, VoxelizePlan, plan_of
 from voxtool.svo.prune import prune
 from voxtool.svo.scan import SOURCE as SCAN
-from voxtool.svo.scan import Scan, add_nodes, find_active_nodes
+from voxtool.svo.scan import ActiveNodes, Scan, add_nodes, find_active_nodes
 
 LARGE = 64  # columns of a face, on average, from which repeated faces cost more than their search
 Window = tuple[Sequence[int], Sequence[int]]  # of a grid: its low corner and its shape
@@ -81,10 +81,14 @@ def plan_voxelize(
     gap: int = 0,
     with_surface: bool = False,
     window: Window | None = None,
+    every_face: bool = False,
     device: Device | None = None,
     max_memory: int | None = None,
 ) -> VoxelizeJob:
-    """Return the surveyed and planned job of `voxelize`; see `voxtool.voxelize`."""
+    """Return the surveyed and planned job of `voxelize`; see `voxtool.voxelize`.
+
+    With `every_face`, faces that repeat others are not left out: each may have its own colour.
+    """
     if mode not in MODES:
         raise VoxtoolError(f"mode {mode!r} is unknown: choose one of {', '.join(MODES)}")
     if fill not in FILLS:
@@ -100,6 +104,7 @@ def plan_voxelize(
         if min(low) < 0 or any(a + n > m for a, n, m in zip(low, shape, grid.shape, strict=True)):
             raise GridError(f"window {low}, {shape} reaches beyond the grid's {grid.shape}")
     job = VoxelizeJob(mesh, grid, window, device or default_device(), max_memory)
+    job.every_face = every_face
     if fill == "auto" and mode == "solid":
         fill, gap = job.choose()
     job.place(mode + "+surface26" * with_surface, fill if mode == "solid" else "none", gap)
@@ -149,6 +154,8 @@ class VoxelizeJob(Job[Octree]):
     plan: VoxelizePlan
     chosen: bool = False
     choice: Choice | None = None
+    every_face: bool = False  # also those that repeat others
+    surface_found: Callable[[Scan, ActiveNodes, Array], None] | None = None  # receives a surface
     _crowded: bool = False  # known once it has run
 
     def __init__(
@@ -180,7 +187,8 @@ class VoxelizeJob(Job[Octree]):
         with self.device.stage("survey"):
             some = net_faces(self.mesh) if fill in ("nonzero", "winding") else None
             survey = self._place(some, fill)
-            if some is None and sum(survey.areas) > LARGE * survey.triangles:
+            crowded = sum(survey.areas) > LARGE * survey.triangles and not self.every_face
+            if some is None and crowded:
                 some = merged_faces(self.mesh, parity=fill == "parity")
                 survey = survey if some is None else self._place(some, fill)
             caps = self.lattice.caps
@@ -193,6 +201,21 @@ class VoxelizeJob(Job[Octree]):
         request["choice"] = self.choice.why if self.choice else ""
         plan = plan_of(survey, self.grid.shape, **request)
         self.plan = plan.in_slabs(self.limit, self.device.info.max_allocation)
+
+    @property
+    def whole(self) -> Grid:
+        """The grid without the window."""
+        return self._whole
+
+    @property
+    def window(self) -> Window | None:
+        """The part of the grid that is voxelized, or None for all of it."""
+        return self._window
+
+    @property
+    def is_whole_surface(self) -> bool:
+        """True if it scan-converts every face into a surface, and the octree is this surface."""
+        return not self.plan.solid and self._faces is None
 
     @property
     def fits(self) -> bool:
@@ -271,7 +294,10 @@ class VoxelizeJob(Job[Octree]):
             active = replace(active, tree=tree)
         if not plan.solid:
             with self.stage(f"surface{plan.surface}"):
-                return self._read(Filled(tree, scan.surface(active), None), None)
+                bricks = scan.surface(active)
+            if self.surface_found:
+                self.surface_found(scan, active, bricks)
+            return self._read(Filled(tree, bricks, None), None)
         with self.stage("crossings"):
             if plan.listed:
                 crossings = crossings or list_crossings(scan)

@@ -1,1 +1,1 @@
-"""Attributes of voxels from a mesh: labels of its parts."""
+"""Attributes of voxels from a mesh: labels of its parts, colours and normals."""

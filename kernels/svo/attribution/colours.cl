@@ -1,0 +1,159 @@
+// Colours and normals of the voxels of a surface: means over the parts of triangles in each voxel,
+// weighted by their areas. Sums are of whole numbers, so that they do not depend on an order. Host side:
+// voxtool/svo/attribution/colours.py. Options: those of scan_conversion.h.
+
+#include "svo/columns.h"
+#include "svo/attribution/colours.h"
+#include "svo/attribution/part.h"
+#include "svo/attribution/look.h"
+
+#define UNIT 4294967296.0 // 2^32: of an area of a voxel's face
+#define NO_FACE 0xFFFFFFFFu
+
+// Add a whole number of 64 bits by its halves: OpenCL 1.2 has atomics of 32 bits. The carry goes up, so
+// in the end the sum is right, whatever the order.
+void add(volatile __global uint *halves, ulong value)
+{
+    const uint low = (uint)value, before = atomic_add(halves, low);
+    const uint high = (uint)(value >> 32) + (before + low < before);
+    if (high)
+        atomic_add(halves + 1, high);
+}
+
+ulong whole_of(double x) { return (ulong)(x < 0 ? -(long)(0.5 - x) : (long)(x + 0.5)); }
+
+// ---- pairs of a voxel and a triangle
+
+// Receives the voxels of one triangle. With `greatest` and without `faces_of`, the area of the greatest
+// part of each voxel is found; with both, the lowest triangle that has it. Otherwise areas, colours and
+// normals are summed, and `faces_of` has the lowest triangle without an area.
+typedef struct {
+    __global const uint *masks, *starts; // words of bricks, and voxels set before each
+    triangle t;
+    double3 normal;
+    double length;
+    const look *colours;
+    __global const int *faces;
+    volatile __global uint *areas, *colour_sums, *normal_sums, *greatest, *faces_of;
+    uint3 cell; // level-1 node of the last voxel, and its index among the active nodes
+    uint node;
+} painter;
+
+void put_box(painter *p, int level, ACTIVE_SET_PARAMETERS, uint3 voxel)
+{
+    const uint3 cell = voxel >> 3;
+    if (any(cell != p->cell)) {
+        p->cell = cell;
+        p->node = set_index(words, ranks, stored_code(ACTIVE_SET, morton_encode(cell)));
+    }
+    const uint place = voxel_place(voxel), word = 16 * p->node + (place >> 5);
+    const uint mask = p->masks[word], bit = 1u << (place & 31);
+    if (!(mask & bit))
+        return;
+    const size_t index = p->starts[word] + popcount(mask & (bit - 1));
+    const part own = part_of(&p->t, voxel);
+    double u, v;
+    const double area = find_centre(&own, &u, &v) * p->length / (2.0 * VOXEL * VOXEL);
+    const ulong weight = whole_of(area * UNIT);
+    if (p->greatest) {
+        const uint size = (uint)(weight >> 2);
+        if (!p->faces_of)
+            atomic_max(&p->greatest[index], size);
+        else if (p->greatest[index] == size)
+            atomic_min(&p->faces_of[index], p->t.face);
+        return;
+    }
+    if (weight == 0) {
+        if (p->faces_of)
+            atomic_min(&p->faces_of[index], p->t.face);
+        return;
+    }
+    add(p->areas + 2 * index, weight);
+    if (p->colour_sums) {
+        const double4 c = mean_colour(p->colours, p->faces, p->t.face, &own, u, v) * (area * UNIT);
+        add(p->colour_sums + 8 * index, whole_of(c.x));
+        add(p->colour_sums + 8 * index + 2, whole_of(c.y));
+        add(p->colour_sums + 8 * index + 4, whole_of(c.z));
+        add(p->colour_sums + 8 * index + 6, whole_of(c.w));
+    }
+    if (p->normal_sums) {
+        const double3 n = p->normal * (area * UNIT / p->length);
+        add(p->normal_sums + 6 * index, whole_of(n.x));
+        add(p->normal_sums + 6 * index + 2, whole_of(n.y));
+        add(p->normal_sums + 6 * index + 4, whole_of(n.z));
+    }
+}
+
+#define RECEIVER painter
+#include "svo/scan_conversion.h"
+
+// Visit the pairs of a triangle and a voxel of the masks that it touches; see `painter`.
+__kernel void add_parts(TRIANGLES, ACTIVE_SET_PARAMETERS, LOOK, __global const uint *masks,
+                        __global const uint *starts, const double3 scale,
+                        volatile __global uint *areas, volatile __global uint *colour_sums,
+                        volatile __global uint *normal_sums, volatile __global uint *greatest,
+                        volatile __global uint *faces_of)
+{
+    triangle t;
+    columns c;
+    if (!take_share(THESE_TRIANGLES, TOUCHED, &t, &c))
+        return;
+    const look l = {THIS_LOOK};
+    const double3 normal = normal_of(&t, scale);
+    painter p = {masks, starts, t, normal, length_of(normal), &l, faces, areas, colour_sums,
+                 normal_sums, greatest, faces_of, (uint3)(~0u), 0};
+    const scan s = set_up(&t, &c, TOUCHED, level, pad);
+    scan_convert(&s, &c, &p, level, ACTIVE_SET);
+}
+
+// ---- values
+
+// The values of the voxels of each word of the masks: means, or those of the triangles in `faces_of`
+// where there is no area and, with `nearest`, everywhere.
+__kernel void finish_values(const uint n, __global const CODE *codes, __global const uint *masks,
+                            __global const uint *starts, __global const int *vertices,
+                            __global const int *faces, LOOK, const double3 scale, const int nearest,
+                            __global const ulong *areas, __global const ulong *colour_sums,
+                            __global const long *normal_sums, __global const uint *faces_of,
+                            __global uchar *colour_values, __global float *normal_values)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    const look l = {THIS_LOOK};
+    const uint3 low = morton_decode(codes[gid >> 4]) << 3;
+    size_t index = starts[gid];
+    for (uint left = masks[gid]; left; left &= left - 1, ++index) {
+        const ulong area = areas ? areas[index] : 0;
+        const uint face = faces_of[index];
+        if (area == 0 && face == NO_FACE)
+            continue;
+        const bool alone = nearest || area == 0; // a triangle decides the colour
+        triangle t;
+        part own;
+        double u, v;
+        if (alone) {
+            const uint place = (gid & 15) * 32 + popcount((left & -left) - 1u);
+            t = fetch_triangle(vertices, faces, face);
+            own = part_of(&t, low + morton_decode(place));
+            find_centre(&own, &u, &v);
+        }
+        if (colour_values) {
+            uchar4 colour;
+            if (nearest)
+                colour = nearest_colour(&l, faces, face, u, v);
+            else if (alone)
+                colour = levels_of(mean_colour(&l, faces, face, &own, u, v));
+            else
+                colour = levels_of(convert_double4(vload4(index, colour_sums)) / (double)area);
+            vstore4(colour, index, colour_values);
+        }
+        if (normal_values) {
+            double3 normal = area ? convert_double3(vload3(index, normal_sums)) : normal_of(&t, scale);
+            const double length = length_of(normal);
+            const bool cancels = length == 0 || length * OPPOSED < (double)area;
+            normal = cancels ? (double3)(0) : normal / length;
+            vstore3(convert_float3(normal), index, normal_values);
+        }
+    }
+}
