@@ -44,10 +44,11 @@ from voxtool.adf import build, query, textures
 from voxtool.adf.scene import FieldScene
 from voxtool.adf.surface.extract import extract_field_surface
 from voxtool.camera import Camera
-from voxtool.choices import METHODS
+from voxtool.choices import COLOURS, METHODS
 from voxtool.files.spool import Spool
 from voxtool.grid import Grid
 from voxtool.mesh.joining import join
+from voxtool.mesh.appearance import Appearance, Material, Texture
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.mesh.parts import find_parts
 from voxtool.mesh.topology import check_surface, closed_chain
@@ -63,6 +64,7 @@ from voxtool.spatial.pseudonormals import pseudonormals
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.spatial.signed_distance import SignedDistance
 from voxtool.svo.attribution.labels import plan_labels
+from voxtool.svo.attribution.colours import plan_attributes
 from voxtool.svo.booleans import combine
 from voxtool.svo.fill.caps import find_boundary
 from voxtool.svo.morphology import plan_morph
@@ -239,6 +241,7 @@ def main() -> None:
     voxelize_all(device)
     extract_surfaces(device)
     extract_sharp_field(device)
+    colour_voxels(device)
     dilate_voxels(device)
     label_parts(device)
     resample_voxels(device)
@@ -366,6 +369,28 @@ def voxelize_all(device) -> None:
     assert find_parts(mesh, mesh.vertices, find_boundary(mesh).edges, device).volumes > 0
     tall = plan_voxelize(mesh, grid, fill="flood", device=device)
     assert tall.with_(slabs=2).run().count == tall.run().count
+
+
+def colour_voxels(device) -> None:
+    """Colours and normals of two triangles, of which one has a texture and one has corners of
+    three colours; parts that only touch, and parts of more texels than are integrated."""
+    corners = [(1, 1, 2.5), (6.5, 1, 2.5), (1, 6, 2.5), (6.5, 1, 2.5), (6, 6, 4), (1, 6, 2.5)]
+    uv = np.array([[(0, 0), (2, 0), (0, 2)], [(0, 0), (90, 0), (0, 90)]], float)
+    pixels = np.arange(48, dtype=np.uint8).reshape(4, 3, 4)
+    for filter, wrap in (("linear", "mirror"), ("nearest", "clamp")):
+        texture = Texture(pixels, (wrap, "repeat"), filter)
+        look = Appearance(
+            (Material("a", texture=texture),), np.array([0, 0], np.int32), uv, np.full((6, 4), 0.5)
+        )
+        mesh = Mesh(np.array(corners, float), np.arange(6, dtype=np.int32).reshape(2, 3),
+                    appearance=look)  # fmt: skip
+        grid = Grid((9, 8, 8), (0, 0, 0), (1, 1, 1))
+        for colour, forced in itertools.product(COLOURS, (VARIANTS["narrow"], VARIANTS["all"])):
+            inner = plan_voxelize(mesh, grid, "surface26", device=device)
+            job = plan_attributes(inner, mesh, ("colour", "normal"), colour=colour)
+            octree = job.with_(**forced).run()
+            assert len(octree.attribute("colour").values) == octree.count > 0
+            assert octree.attribute("normal").values.any()
 
 
 def dilate_voxels(device) -> None:

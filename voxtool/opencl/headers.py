@@ -32,6 +32,7 @@ HOMES = {
     "svo/attribution/paint.h": "voxtool.svo.attribution.paint",
     "svo/attribution/pieces.h": "voxtool.svo.attribution.pieces",
     "svo/attribution/colours.h": "voxtool.svo.attribution.colours",
+    "svo/attribution/textures.h": "voxtool.svo.attribution.look",
     "svo/booleans.h": "voxtool.svo.booleans",
     "svo/fill/crossings.h": "voxtool.svo.fill.rows",
     "svo/fill/flood.h": "voxtool.svo.fill.pieces",

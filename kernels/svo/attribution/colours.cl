@@ -4,6 +4,7 @@
 
 #include "svo/columns.h"
 #include "svo/attribution/colours.h"
+#include "svo/attribution/textures.h"
 #include "svo/attribution/part.h"
 #include "svo/attribution/look.h"
 

@@ -30,7 +30,6 @@ from voxtool.svo.attributes import BITS, Attribute
 from voxtool.svo.attribution.look import (
     NO_LOOK,
     check_look,
-    constants,
     look_arguments,
     look_bytes,
     texels_of,
@@ -44,7 +43,7 @@ from voxtool.svo.voxelize import VoxelizeJob, plan_voxelize
 
 SOURCE = "svo/attribution/colours.cl"
 OPPOSED = 1 << 16  # a sum of normals shorter than this share of the area is 0
-HEADERS = {"svo/attribution/colours.h": program.c_constants(OPPOSED=OPPOSED) + "\n" + constants()}
+HEADERS = {"svo/attribution/colours.h": program.c_constants(OPPOSED=OPPOSED)}
 NO_FACE = np.uint32(0xFFFFFFFF)
 INSIDE_COLOUR = (128, 128, 128, 255)  # of set voxels that the surface does not meet
 AREA_BYTES, COLOUR_BYTES, NORMAL_BYTES, INDEX_BYTES = 8, 36, 36, 8  # of a surface voxel
@@ -195,7 +194,7 @@ class SurfaceAttributesJob(Job[Octree]):
         coloured = "colour" in names
         look = check_look(mesh) if coloured else None
         whole = isinstance(inner, VoxelizeJob) and inner.is_whole_surface
-        self.surface = inner if whole else self._surface(device)
+        self.surface = self._surface(device) if not whole else inner  # pyright: ignore[reportAttributeAccessIssue]
         self.device = self.surface.device
         self.plan = AttributePlan(
             inner.plan,
@@ -210,9 +209,11 @@ class SurfaceAttributesJob(Job[Octree]):
 
     def _surface(self, device: Device | None) -> VoxelizeJob:
         """Return the job of the surface on the grid of the octree."""
-        inner: Any = self.inner  # one that divides its mesh has no window
-        grid, window = (inner.whole, inner.window) if isinstance(inner, VoxelizeJob) else (inner.grid, None)
-        more = {"window": window, "device": device or inner.device}
+        inner: Any = self.inner
+        more: dict[str, Any] = {"device": device or inner.device}
+        grid = inner.grid  # of parts, which are not of a window
+        if isinstance(inner, VoxelizeJob):
+            grid, more["window"] = inner.whole, inner.window
         return plan_voxelize(
             self.mesh, grid, "surface26", every_face=True, max_memory=self.max_memory, **more
         )
@@ -269,7 +270,7 @@ class SurfaceAttributesJob(Job[Octree]):
         scan.kernel(SCAN, "count_bits")(count, bricks, starts)
         n = exclusive_scan(starts, count)
         masks = bricks.get(0, 8 * active.nodes.n)
-        found: dict[str, np.ndarray] = {}
+        found: dict[str, Any] = {}
         if n:
             coloured = "colour" in plan.names
             look: dict[str, Any] = look_arguments(self.mesh, device) if coloured else NO_LOOK
@@ -279,7 +280,8 @@ class SurfaceAttributesJob(Job[Octree]):
                     found[name] = work.values(name, plan.nearest)
         empty = {"colour": np.empty((0, 4), np.uint8), "normal": np.empty((0, 3), np.float32)}
         codes = active.nodes.get().astype(np.uint64)
-        return _Surface(codes, masks, {name: found.get(name, empty[name]) for name in plan.names})
+        values: dict[str, Any] = {name: found.get(name, empty[name]) for name in plan.names}
+        return _Surface(codes, masks, values)
 
 
 def _scale(scan: Scan) -> tuple[float, float, float]:
@@ -361,9 +363,7 @@ class _Surface:
             held, chosen = self._common(octree, codes, own)
         defaults = {"colour": INSIDE_COLOUR, "normal": (0, 0, 0)}
         return [
-            Attribute(
-                name, values[chosen], values[:0], held, defaults[name] if held is not None else 0
-            )
+            Attribute(name, values[chosen], values[:0], held, defaults[name])
             for name, values in self.values.items()
         ]
 

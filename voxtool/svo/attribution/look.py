@@ -14,6 +14,8 @@ from voxtool.opencl import Device, program
 
 MOST_TEXELS = 1024  # that a part of a triangle may cover, to be integrated exactly
 SAMPLES = 32  # along a side of each triangle of a part that covers more
+LIGHT_ONE = ONE  # of linear light, in kernels
+CLAMP, MIRROR = WRAPS.index("clamp"), WRAPS.index("mirror")
 MOST_IN_ALL = (1 << 31) - 1  # texels: indices are int32
 
 
@@ -23,16 +25,16 @@ def _table(name: str, values: np.ndarray) -> str:
     return f"__constant const uint {name}[{len(values)}] = {{{numbers}}};"
 
 
-def constants() -> str:
-    """Return the constants of look.h."""
-    return "\n".join([
+HEADERS = {
+    "svo/attribution/textures.h": "\n".join([
         program.c_constants(
-            LIGHT_ONE=ONE, CLAMP=WRAPS.index("clamp"), MIRROR=WRAPS.index("mirror"),
-            MOST_TEXELS=MOST_TEXELS, SAMPLES=SAMPLES,
+            LIGHT_ONE=LIGHT_ONE, CLAMP=CLAMP, MIRROR=MIRROR, MOST_TEXELS=MOST_TEXELS,
+            SAMPLES=SAMPLES,
         ),
         _table("LINEAR", linear_table()),
         _table("BOUNDS", level_bounds()),
-    ])  # fmt: skip
+    ])
+}  # fmt: skip
 
 
 def check_look(mesh: Mesh) -> Appearance:
@@ -92,9 +94,8 @@ def look_arguments(mesh: Mesh, device: Device) -> dict[str, Any]:
     }
 
 
-NO_LOOK: dict[str, Any] = dict.fromkeys(
-    ("material_of", "materials", "texture_of", "textures", "texels", "uv", "colours")
-)
+LOOK = ("material_of", "materials", "texture_of", "textures", "texels", "uv", "colours")
+NO_LOOK: dict[str, Any] = dict.fromkeys(LOOK)
 
 
 def _put(device: Device, values: Any) -> Any:
