@@ -47,8 +47,8 @@ from voxtool.camera import Camera
 from voxtool.choices import COLOURS, METHODS
 from voxtool.files.spool import Spool
 from voxtool.grid import Grid
-from voxtool.mesh.joining import join
 from voxtool.mesh.appearance import Appearance, Material, Texture
+from voxtool.mesh.joining import join
 from voxtool.mesh.mesh import Mesh, mesh_from_arrays
 from voxtool.mesh.parts import find_parts
 from voxtool.mesh.topology import check_surface, closed_chain
@@ -63,8 +63,8 @@ from voxtool.spatial.orientation import orient
 from voxtool.spatial.pseudonormals import pseudonormals
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.spatial.signed_distance import SignedDistance
-from voxtool.svo.attribution.labels import plan_labels
 from voxtool.svo.attribution.colours import plan_attributes
+from voxtool.svo.attribution.labels import plan_labels
 from voxtool.svo.booleans import combine
 from voxtool.svo.fill.caps import find_boundary
 from voxtool.svo.morphology import plan_morph

@@ -103,8 +103,8 @@ from voxtool.spatial.hausdorff import DirectedHausdorff as DirectedHausdorff
 from voxtool.spatial.hausdorff import Hausdorff as Hausdorff
 from voxtool.spatial.signed_distance import DistanceResult as DistanceResult
 from voxtool.svo.attributes import Attribute as Attribute
-from voxtool.svo.attribution.labels import PartLabelsJob as PartLabelsJob
 from voxtool.svo.attribution.colours import SurfaceAttributesJob as SurfaceAttributesJob
+from voxtool.svo.attribution.labels import PartLabelsJob as PartLabelsJob
 from voxtool.svo.booleans import CombineJob as CombineJob
 from voxtool.svo.compare import CompareJob as CompareJob
 from voxtool.svo.compare import Comparison as Comparison

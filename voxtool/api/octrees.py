@@ -34,8 +34,8 @@ from voxtool.spatial import orientation
 from voxtool.svo import booleans
 from voxtool.svo import compare as comparing
 from voxtool.svo import voxelize as svo
-from voxtool.svo.attribution.labels import PartLabelsJob, plan_labels
 from voxtool.svo.attribution.colours import SurfaceAttributesJob, plan_attributes
+from voxtool.svo.attribution.labels import PartLabelsJob, plan_labels
 from voxtool.svo.booleans import CombineJob
 from voxtool.svo.compare import CompareJob, Comparison
 from voxtool.svo.octree import Octree
