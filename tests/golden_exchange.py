@@ -22,6 +22,7 @@ import golden_svo
 import numpy as np
 
 import voxtool
+from voxtool.choices import FLUIDS, LATTICES
 from voxtool.files.formats import EXCHANGE, EXPORTS, IMAGES, ending, folder_of
 from voxtool.files.imports import Source
 from voxtool.files.voxels import Boxes, Stored
@@ -86,6 +87,10 @@ def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
                 if EXCHANGE[name].reads:
                     yield f"{label} imported", voxtool.read_voxels(path).digest()
     warnings.simplefilter("ignore", voxtool.MeshWarning)  # a mesh of needles has no inside
+    for lattice in LATTICES:
+        for fluid in FLUIDS:
+            links = voxtool.wall_links(octree, mesh, lattice, fluid, device=device)
+            yield f"links {lattice} {fluid}", links.digest()
     yield from digests_of_field(voxtool.build_adf(mesh, max_level=5, device=device), device)
 
 

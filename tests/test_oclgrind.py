@@ -75,6 +75,7 @@ from voxtool.svo.resample import plan_resample
 from voxtool.svo.surface.extract import plan_extract, plan_unread
 from voxtool.svo.surface.isosurface import LATTICE
 from voxtool.svo.voxelize import plan_voxelize
+from voxtool.svo.wall_links import CROSSED, plan_wall_links
 from voxtool.tets.textures import build_tet
 from voxtool.tiles.surface import SurfaceWindowsJob
 
@@ -242,6 +243,7 @@ def main() -> None:
     extract_surfaces(device)
     extract_sharp_field(device)
     colour_voxels(device)
+    measure_wall_links(device)
     dilate_voxels(device)
     label_parts(device)
     resample_voxels(device)
@@ -505,6 +507,17 @@ def extract_sharp_field(device) -> None:
     field = build.build_adf(mesh, device, tolerance=2e-2, max_level=3, measure=False)
     surface = extract_field_surface(field, source=mesh, device=device)
     assert surface.check()["closed"]
+
+
+def measure_wall_links(device) -> None:
+    """Links to a box, whose places all are 3/4, in both widths of products."""
+    mesh = meshes.mesh_of(*meshes.box(2.25, 4.75))
+    grid = Grid((8, 8, 8), (0, 0, 0), (1, 1, 1))
+    few = Octree.from_voxels(np.indices((3, 3, 3)).reshape(3, -1).T + 2, grid)
+    for wide in (False, True):
+        links = plan_wall_links(few, mesh, device=device).with_(wide=wide).run()
+        assert set(links.places[links.flags == CROSSED].tolist()) == {0.75}
+        assert links.uncrossed == 0 < links.count
 
 
 def find_faces_that_meet(device) -> None:

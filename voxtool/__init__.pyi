@@ -49,6 +49,8 @@ from voxtool.api.pictures import plan_tet as plan_tet
 from voxtool.api.pictures import render as render
 from voxtool.api.repair import plan_repair as plan_repair
 from voxtool.api.repair import repair as repair
+from voxtool.api.solvers import plan_wall_links as plan_wall_links
+from voxtool.api.solvers import wall_links as wall_links
 from voxtool.api.views import plan_view as plan_view
 from voxtool.api.views import view as view
 from voxtool.camera import Camera as Camera
@@ -74,6 +76,7 @@ from voxtool.files import write_adf as write_adf
 from voxtool.files import write_mesh as write_mesh
 from voxtool.files import write_svo as write_svo
 from voxtool.files import write_tet as write_tet
+from voxtool.files import write_wall_links as write_wall_links
 from voxtool.files.exchange import ExportJob as ExportJob
 from voxtool.files.exchange import plan_export as plan_export
 from voxtool.files.imports import ImportJob as ImportJob
@@ -122,6 +125,8 @@ from voxtool.svo.surface.extract import ExtractJob as ExtractJob
 from voxtool.svo.surface.isosurface import Isosurface as Isosurface
 from voxtool.svo.thin import ThinJob as ThinJob
 from voxtool.svo.voxelize import VoxelizeJob as VoxelizeJob
+from voxtool.svo.wall_links import LinksJob as LinksJob
+from voxtool.svo.wall_links import WallLinks as WallLinks
 from voxtool.tets.mesh import UnstructuredMesh as UnstructuredMesh
 from voxtool.tets.textures import VolumeJob as VolumeJob
 from voxtool.tets.transfer import TransferFunction as TransferFunction

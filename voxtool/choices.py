@@ -22,6 +22,8 @@ OPERATIONS = ("union", "intersection", "difference", "xor")  # on sets of voxels
 MORPHOLOGY = ("dilate", "erode", "open", "close", "shell")  # operations
 ELEMENTS = ("ball", "cube", "cross")  # by which voxels are dilated
 NEIGHBOURS = (6, 26)  # of a voxel: across faces; also across edges and corners
+LATTICES = {"D3Q19": 19, "D3Q27": 27}  # of lattice Boltzmann methods: their links, with the rest
+FLUIDS = ("unset", "set")  # which voxels are the fluid
 STYLES = ("marching-cubes", "voxel-faces", "surface-nets", "sharp")  # of extracted surfaces
 MARCHING_CUBES, VOXEL_FACES, SURFACE_NETS, SHARP = STYLES
 # Names of version 0.1, which are still taken, and which digests still hold.

@@ -43,6 +43,9 @@ def test_every_format_comes_back(bench: Bench) -> None:
     samples = {p.method: p for p in points if p.work == "field to file"}
     assert list(samples) == [formats.ending(name) for name in exchange.FIELD_FORMATS]
     assert samples[".npy"].bytes == 128 + 4 * 16**3
+    links = [p for p in points if p.work == "octree to links"]
+    assert [p.method for p in links] == ["D3Q19", "D3Q27"]
+    assert all(p.errors == {"uncrossed": 0} and p.size for p in links)
     images = [p for p in points if p.work == "file to field"]
     assert [p.method for p in images] == [f".{name}" for name in formats.IMAGES]
     assert all(p.errors == {"returned": 0} for p in images)

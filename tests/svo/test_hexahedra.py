@@ -14,7 +14,7 @@ import voxtool
 from voxtool.errors import VoxtoolError
 from voxtool.files import vtu
 from voxtool.files.digits import text_of, width_of
-from voxtool.svo import hexahedra
+from voxtool.svo import rows
 from voxtool.svo.hexahedra import BOUNDARY, CORNERS, SIDES, Hexahedra
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.image_parts import SHARE, ImageInParts
@@ -47,11 +47,11 @@ def mesh_of(dense: np.ndarray, **part) -> Hexahedra:
     return Hexahedra.of(VoxelImage.of(voxtool.Octree.from_dense(dense, **WORLD), **part))
 
 
-@pytest.mark.parametrize("table", [hexahedra.TABLE, 0])
+@pytest.mark.parametrize("table", [rows.TABLE, 0])
 @pytest.mark.parametrize("name", SHAPES)
 def test_nodes_cells_and_faces(name: str, table: int, monkeypatch) -> None:
     """Nodes are numbered in lexicographic order, each once; cells and faces have their corners."""
-    monkeypatch.setattr(hexahedra, "TABLE", table)
+    monkeypatch.setattr(rows, "TABLE", table)
     dense = SHAPES[name]
     cells = np.argwhere(dense)
     corners = (cells[:, None] + CORNERS).reshape(-1, 3)
@@ -69,6 +69,17 @@ def test_nodes_cells_and_faces(name: str, table: int, monkeypatch) -> None:
         assert len(own) == mesh.facts["surfaces"][side.name] == len(expected[side.name])
     assert mesh.sizes.nodes == len(nodes)
     assert mesh.facts["surfaces"][BOUNDARY] == sum(map(len, expected.values()))
+
+
+@pytest.mark.parametrize("name", [*SHAPES, "none"])
+def test_layers_with_their_neighbours(name: str) -> None:
+    dense = SHAPES.get(name, np.zeros((8, 8, 8), bool))
+    image = VoxelImage.of(voxtool.Octree.from_dense(dense))
+    padded = np.pad(dense, ((2, 2), (1, 1), (1, 1)))
+    found = [(x, *(near.keys.tolist() for near in three)) for x, *three in rows.layers_of(image)]
+    keys = [np.flatnonzero(layer).tolist() for layer in padded]
+    expected = [(x, *keys[x + 1 : x + 4]) for x in range(-1, len(dense) + 1)]
+    assert found == [row for row in expected if any(row[1:])]
 
 
 def test_faces_look_outwards() -> None:

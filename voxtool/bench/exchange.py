@@ -13,6 +13,7 @@ from voxtool.adf.build import build_adf
 from voxtool.adf.samples import FieldSamples, grid_over
 from voxtool.bench.timing import by_turns
 from voxtool.bench.view import bytes_of_file
+from voxtool.choices import LATTICES
 from voxtool.errors import VoxtoolError, VoxtoolWarning
 from voxtool.files import read_svo, write_svo
 from voxtool.files.exchange import plan_export
@@ -24,12 +25,14 @@ from voxtool.grid import Grid
 from voxtool.svo.compare import count_differences
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.voxelize import voxelize
+from voxtool.svo.wall_links import WallLinks, plan_wall_links
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from voxtool.bench.points import Point
     from voxtool.bench.timing import Bench
+    from voxtool.mesh.mesh import Mesh
     from voxtool.svo.octree import Octree
 
 FORMATS = tuple(name for name in EXPORTS if EXCHANGE[name].parts)  # the others hold one slice
@@ -68,6 +71,8 @@ def measure(bench: Bench) -> Iterator[Point]:
         octree = octree_content(voxels)
         for name in FORMATS:
             yield from _both_ways(octree, name, EXCHANGE[name].reads, dim, bench)
+        for lattice in LATTICES:
+            yield _links(voxels, mesh, lattice, dim, bench)
         samples = field_content(FieldSamples(field, grid_over(field, dim), bench.timed), own)
         for name in FIELD_FORMATS:
             yield from _both_ways(samples, name, name in IMAGES, dim, bench)
@@ -119,6 +124,21 @@ def field_content(samples: FieldSamples, own: int) -> Content:
     return Content(
         "field", write, read, lambda found: int(np.count_nonzero(found != expected)),
         samples.cells, "samples", own,
+    )  # fmt: skip
+
+
+def _links(octree: Octree, mesh: Mesh, lattice: str, dim: int, bench: Bench) -> Point:
+    """The point of the links of a lattice that cross the wall; its error counts those that no
+    triangle crosses."""
+
+    def work() -> WallLinks:
+        return plan_wall_links(octree, mesh, lattice, device=bench.timed).run()
+
+    links = work()  # the warm-up
+    return bench.point(
+        "octree to links", lattice, f"dim {dim}", runs=by_turns(bench.request, work)[0],
+        asked={"dims": dim}, size=links.count, size_of="links",
+        errors={"uncrossed": links.uncrossed / max(links.count, 1)},
     )  # fmt: skip
 
 

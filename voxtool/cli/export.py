@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from voxtool.choices import FLUIDS, LATTICES
 from voxtool.cli import options, runner
 from voxtool.cli.options import (
     BYTES,
@@ -86,6 +87,14 @@ def number_of(text: str) -> int | str:
     option("--axis", ("x", "y", "z"),
         "For .tif and %04d.png: the axis along which the layers follow each other.  [default: z]"),
     option("--dpi", POSITIVE, "For .tif and %04d.png: pixels an inch."),
+    option("--links", tuple(LATTICES),
+        "Of an octree, for lattice Boltzmann methods: the links of this lattice from fluid voxels "
+        "to others, and where they first meet --source; a .npz or .h5."),
+    option("--source", str, "With --links: the mesh that the octree was made from.",
+        metavar="MESH"),
+    option("--fluid", FLUIDS,
+        f"With --links: which voxels are the fluid.  [default: {FLUIDS[0]}]"),
+    options.length_options("the mesh of --source"),
     option("--max-bytes", BYTES, "Refuse a larger output (800M, 8G).", metavar="BYTES"),
     option("--windows", ("auto", "never"),
         "auto: an octree that would take more than --max-memory is read window by window, with the "
@@ -93,7 +102,7 @@ def number_of(text: str) -> int | str:
 )  # fmt: skip
 @runner.run_options(
     options.output_options("OUT", f"Its ending says the format: {KNOWN}."),
-    options.format_option(*EXPORTS),
+    options.format_option(*EXPORTS, "h5"),
     options.plan_options,
     options.device_option,
     options.report_options,
@@ -101,6 +110,7 @@ def number_of(text: str) -> int | str:
 def command(
     run: runner.Run, file: str, plane: tuple[str, int | str] | None, axis: str | None,
     dpi: float | None, like: str | None, origin: tuple[float, ...] | None, windows: str,
+    links: str | None, source: str | None, fluid: str | None, units: str | None, scale: float,
     **image: Any,
 ) -> None:  # fmt: skip
     """Export the voxels of an octree FILE, the distances of a field, or the cells of a volume.
@@ -117,6 +127,7 @@ def command(
       voxtool export bunny.svo.h5 -o coarse.npy --level 2
       voxtool export bunny.svo.h5 -o bunny.inp
       voxtool export bunny.svo.h5 -o coarse.vox --level 1 --isovalue 0.25
+      voxtool export bunny.svo.h5 -o links.npz --links D3Q19 --source bunny.obj
       voxtool export bunny.adf.h5 -o bunny.nii.gz --shape 128
       voxtool export bunny.adf.h5 -o bunny.vdb --band 3
     """
@@ -124,6 +135,13 @@ def command(
     from voxtool.files import open_scene
     from voxtool.files.exchange import plan_export
 
+    if links:
+        given = {"slice": plane, "axis": axis, "dpi": dpi, "like": like, "origin": origin, **image}
+        given["windows"] = windows != "auto"
+        write_links(run, file, given, source, units, scale, links, fluid or FLUIDS[0])
+        return
+    if source or fluid or units or scale != 1:
+        raise click.UsageError("--source, --fluid, --units and --scale go with --links")
     if run.output is None:
         raise click.UsageError(f"where to? Give -o OUT, ending in one of {KNOWN}")
     run.to(file, run.output, EXPORTS)
@@ -140,6 +158,56 @@ def command(
             )  # fmt: skip
             size = run.job(job)
         run.report(report_line(job, size), lambda: facts_of(job, content, size))
+
+
+def write_links(
+    run: runner.Run, file: str, given: dict[str, Any], source: str | None, units: str | None,
+    scale: float, lattice: str, fluid: str,
+) -> None:  # fmt: skip
+    """Write the links of a lattice that cross the wall."""
+    from voxtool.errors import FileError
+    from voxtool.files import open_svo, write_wall_links
+    from voxtool.files.formats import LINK_FORMATS
+    from voxtool.files.mesh import load_mesh
+    from voxtool.svo.surface.sharp import source_of
+    from voxtool.svo.wall_links import plan_wall_links
+
+    most = given.pop("max_bytes")
+    if others := [f"--{name.replace('_', '-')}" for name, value in given.items() if value]:
+        raise click.UsageError(f"{', '.join(others)}: not with --links")
+    if source is None:
+        raise click.UsageError("--links needs --source MESH, from which the octree was made")
+    if source == file == "-":
+        raise options.input_twice("FILE", "--source")
+    run.to(file, options.output_of(file, f"{lattice.lower()}.npz"), LINK_FORMATS)
+    with ExitStack() as stack, run:
+        octree: Any = run.stage("read file", stack.enter_context, open_svo(file))
+        mesh = run.stage("read source", load_mesh, source, units=units, scale=scale)
+        with run.naming(file):
+            job = run.plan(
+                plan_wall_links, octree, source_of(octree, mesh), lattice, fluid,
+                progress=run.progress.share,
+            )  # fmt: skip
+            size = job.plan.bytes
+            if most is not None and size > most:
+                raise FileError(
+                    f"{run.output} would take {human(size)}, of {human(most)} allowed: choose a "
+                    "smaller dim, or D3Q19"
+                )
+            found = run.job(job)
+        run.write(write_wall_links, found)
+    run.report(
+        f"{found.lattice}, {found.count:,} links of {len(found.voxels):,} fluid voxels, "
+        f"{found.uncrossed:,} that no triangle crosses",
+        lambda: {
+            "lattice": found.lattice,
+            "fluid": found.fluid,
+            "voxels": len(found.voxels),
+            "links": found.count,
+            "uncrossed": found.uncrossed,
+            "digest": found.digest(),
+        },
+    )
 
 
 def layers_of(

@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     from voxtool.svo.merged import MergedOctree
     from voxtool.svo.octree import Octree
     from voxtool.svo.surface.blocks import BlockSurface
+    from voxtool.svo.wall_links import WallLinks
     from voxtool.tets.mesh import UnstructuredMesh
     from voxtool.tets.volume import TetVolume
 
@@ -81,6 +82,7 @@ __all__ = [
     "write_mesh",
     "write_svo",
     "write_tet",
+    "write_wall_links",
 ]
 
 
@@ -419,6 +421,30 @@ def write_mesh(
     _write(as_mesh(mesh), path, clobber, format, MESH_FORMATS, normals=normals)
 
 
+def write_wall_links(
+    links: WallLinks, path: PathLike, clobber: bool = True, format: str | None = None
+) -> None:
+    """Write the links of a lattice, as .npz or HDF5 (.h5).
+
+    Parameters
+    ----------
+    links : WallLinks
+        The links.
+    path : path
+        The file; `-` writes stdout.
+    clobber : bool
+        False refuses an existing file.
+    format : str, optional
+        "npz" or "h5"; by default what the name says.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written, or its name says no format.
+    """
+    _write(links, path, clobber, format, formats.LINK_FORMATS)
+
+
 def _read(path: PathLike, kind: Kind) -> Any:
     """The content of a file, as the reader for its format returns it; merged octrees expanded."""
     from voxtool.svo.merged import MergedOctree
@@ -458,7 +484,7 @@ def _read_open(path: PathLike, kind: Kind, stack: ExitStack) -> Any:
 
 
 def _write(
-    content: Octree | MergedOctree | DistanceField | TetVolume | Mesh | BlockSurface,
+    content: Octree | MergedOctree | DistanceField | TetVolume | Mesh | BlockSurface | WallLinks,
     path: PathLike,
     clobber: bool,
     format: str | None,

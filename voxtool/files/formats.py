@@ -150,6 +150,7 @@ EXCHANGE = {
 EXPORTS = tuple(name for name, format in EXCHANGE.items() if format.writes)
 IMPORTS = tuple(name for name, format in EXCHANGE.items() if format.reads)
 IMAGES = tuple(name for name in IMPORTS if EXCHANGE[name].dense)  # what can become a field
+LINK_FORMATS = {"npz": Writer("wall_links", "write_npz"), "h5": Writer("wall_links", "write_h5")}
 MESH_FORMATS = {
     name: Writer("mesh_writers", f"write_{name}", text=name in ("obj", "off"))
     for name in ("obj", "ply", "stl", "glb", "off")

@@ -53,24 +53,24 @@ def write(image: Dense, file: BinaryIO) -> None:
     """Write the values and the grid; the bytes depend on the content alone."""
     with zipfile.ZipFile(file, "w") as packed:
         if not isinstance(image, VoxelImage):
-            _write(packed, image.quantity, image.dtype, image.shape, image.slabs())
+            write_entry(packed, image.quantity, image.dtype, image.shape, image.slabs())
         else:
-            _write(packed, "voxels", np.dtype("<i4"), (image.count, 3), image.coordinates())
+            write_entry(packed, "voxels", np.dtype("<i4"), (image.count, 3), image.coordinates())
         if isinstance(image, VoxelImage) and image.dtype != bool:
             values = (values for _, values in image.listed())
-            _write(packed, "values", image.dtype, (image.count,), values)
+            write_entry(packed, "values", image.dtype, (image.count,), values)
         for attribute in attributes_of(image):
             shape = (attribute.image.count, *attribute.row)
-            _write(packed, attribute.name, attribute.dtype, shape, attribute.listed())
+            write_entry(packed, attribute.name, attribute.dtype, shape, attribute.listed())
             if attribute.names:
                 names = _names(attribute.names)
-                _write(packed, "label_names", names.dtype, names.shape, iter([names]))
+                write_entry(packed, "label_names", names.dtype, names.shape, iter([names]))
         for name, dtype in GRID.items():
             array = np.array(getattr(image, name), dtype)
-            _write(packed, name, array.dtype, array.shape, iter([array]))
+            write_entry(packed, name, array.dtype, array.shape, iter([array]))
         if isinstance(image, VoxelImage) and image.octree.transform:
             array = np.array(image.octree.transform)
-            _write(packed, "transform", array.dtype, array.shape, iter([array]))
+            write_entry(packed, "transform", array.dtype, array.shape, iter([array]))
 
 
 def _names(names: tuple[str, ...]) -> np.ndarray:
@@ -78,7 +78,7 @@ def _names(names: tuple[str, ...]) -> np.ndarray:
     return np.array(names, f"<U{max(map(len, names), default=0) or 1}")
 
 
-def _write(
+def write_entry(
     packed: zipfile.ZipFile, name: str, dtype: np.dtype, shape: Any, parts: Iterator[np.ndarray]
 ) -> None:
     """Write an array, given in parts, as an entry of a fixed date and system."""

@@ -13,20 +13,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain, pairwise
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from voxtool.errors import VoxtoolError
 from voxtool.svo.image import VoxelImage
+from voxtool.svo.rows import Places, Rows, layers_of
 
 # The corners of a cell, x, y and z, in the order of VTK, Gmsh and Abaqus.
 CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
 MATERIAL = "solid"
 BOUNDARY = "boundary"  # all six surfaces
-TABLE = 1 << 24  # places of a plane, up to which a table finds keys
-SPARSE = 256  # times as many places as keys make a search faster than a table
+TABLES = 6  # of keys, at once
 CELL_BYTES = 512  # of memory for a cell of the largest layer, and for its nodes and faces
 
 
@@ -45,47 +44,6 @@ SIDES = (
     Side("z_low", (0, 3, 2, 1)),
     Side("z_high", (4, 5, 6, 7)),
 )
-
-
-class Places:
-    """Ascending keys of places in a plane, which can be found.
-
-    Parameters
-    ----------
-    keys : (n,) int
-    size : int
-        The number that all keys are below.
-    """
-
-    def __init__(self, keys: np.ndarray, size: int) -> None:
-        self.keys = keys
-        self._table = None
-        if len(keys) and size <= min(TABLE, SPARSE * len(keys)):
-            self._table = np.full(size, -1, np.int32)
-            self._table[keys] = np.arange(len(keys), dtype=np.int32)
-
-    @classmethod
-    def united(cls, parts: list[np.ndarray], size: int) -> Places:
-        """Return the places of the keys of several lists."""
-        dtype = parts[0].dtype
-        if size > min(TABLE, SPARSE * sum(map(len, parts))):
-            return cls(np.unique(np.concatenate(parts)), size)
-        held = np.zeros(size, bool)
-        for keys in parts:
-            held[keys] = True
-        return cls(np.flatnonzero(held).astype(dtype), size)
-
-    def __len__(self) -> int:
-        return len(self.keys)
-
-    def find(self, keys: np.ndarray) -> np.ndarray:
-        """Return where keys are in the list, (m,) int; -1 if one is not."""
-        if self._table is not None:
-            return self._table[keys]
-        if not len(self.keys):
-            return np.full(len(keys), -1)
-        found = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
-        return np.where(self.keys[found] == keys, found, -1)
 
 
 class Plane(NamedTuple):
@@ -189,18 +147,11 @@ class Hexahedra:
     @property
     def host_bytes(self) -> int:
         """A bound of the memory: that of the image, and of some layers and their tables."""
-        tables = 6 * 4 * min(TABLE, self._plane)
-        return self.image.host_bytes + tables + CELL_BYTES * self.sizes.largest
+        return self.image.host_bytes + TABLES * self._rows.bytes + CELL_BYTES * self.sizes.largest
 
     @property
-    def _width(self) -> int:
-        """Keys from one row to the next: cells and nodes of a row, and one beyond each end."""
-        return self.image.shape[2] + 2
-
-    @property
-    def _plane(self) -> int:
-        """The number that all keys are below."""
-        return self._width * (self.image.shape[1] + 2)
+    def _rows(self) -> Rows:
+        return Rows.of(self.image)
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -230,34 +181,21 @@ class Hexahedra:
 
     def layers(self) -> Iterator[Layer]:
         """Yield the layers along x that have cells."""
-        none = Places(np.empty(0, np.int64), 0)
-        before, high = (-2, none), Plane(-2, 0, none)
-        first = 0
-        for here, after in pairwise(chain(self._cells(), [(-2, none)])):
-            x, cells = here
-            below = before[1] if before[0] == x - 1 else none
-            above = after[1] if after[0] == x + 1 else none
+        rows, high, first = self._rows, Plane(-2, 0, Places(np.empty(0, np.int64), 0)), 0
+        for x, below, cells, above in layers_of(self.image):
+            if not len(cells):
+                continue
             end = high.first + len(high.nodes)
             low = high if high.x == x else self._nodes(x, end, cells)
             if low is not high:
                 end += len(low.nodes)
             new, high = (() if low is high else (low,)), self._nodes(x + 1, end, cells, above)
-            yield Layer(x, first, self._width, cells, low, high, (*new, high), below, above)
-            before = here
+            yield Layer(x, first, rows.width, cells, low, high, (*new, high), below, above)
             first += len(cells)
 
     def _nodes(self, x: int, first: int, *cells: Places) -> Plane:
         """Return the plane of nodes between layers."""
-        steps = (0, 1, self._width, self._width + 1)
+        rows = self._rows
+        steps = (0, 1, rows.width, rows.width + 1)
         parts = [part.keys + step for part in cells if len(part) for step in steps]
-        return Plane(x, first, Places.united(parts, self._plane))
-
-    def _cells(self) -> Iterator[tuple[int, Places]]:
-        """Yield each layer that has cells: its x and the keys of its cells."""
-        dtype = np.int32 if self._plane < 1 << 31 else np.int64
-        for cells in self.image.coordinates():
-            x = cells[:, 0]
-            keys = (cells[:, 1].astype(dtype) + 1) * self._width + cells[:, 2] + 1
-            starts = np.flatnonzero(np.diff(x, prepend=-1))
-            for start, end in pairwise([*starts.tolist(), len(x)]):
-                yield int(x[start]), Places(keys[start:end].astype(dtype), self._plane)
+        return Plane(x, first, Places.united(parts, rows.size))

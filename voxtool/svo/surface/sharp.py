@@ -25,6 +25,7 @@ from voxtool.grid import Grid
 from voxtool.mesh.mesh import Mesh, check_source
 from voxtool.mesh.watertight import watertight
 from voxtool.opencl import Array, Device, program
+from voxtool.svo.content import OctreeContent
 from voxtool.svo.fill.rows import list_crossings
 from voxtool.svo.lattice import place_mesh
 from voxtool.svo.octree import Octree
@@ -66,7 +67,7 @@ class Vertices:
     found: Features
 
 
-def source_of(octree: Octree, mesh: Mesh) -> Mesh:
+def source_of(octree: OctreeContent, mesh: Mesh) -> Mesh:
     """Return the mesh in the place where the octree was made from it; raise MeshError if the
     octree was not made from it."""
     check_source(mesh, octree.source_sha256, "octree")
