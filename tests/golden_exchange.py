@@ -86,6 +86,11 @@ def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
                         yield label, digest_of(stored)
                 if EXCHANGE[name].reads:
                     yield f"{label} imported", voxtool.read_voxels(path).digest()
+    for name in (name for name, format in EXCHANGE.items() if format.hexahedra):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder, f"a.{name}")
+            voxtool.export(octree, path, leaves=True)
+            yield f"{name} leaves", digest(path.read_bytes())
     warnings.simplefilter("ignore", voxtool.MeshWarning)  # a mesh of needles has no inside
     for lattice in LATTICES:
         for fluid in FLUIDS:

@@ -8,13 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers_attributes import attributed
 from helpers_cli import fail, run, told
 from helpers_octree import WORLD, ball
 
 import voxtool
 from voxtool.files import inp
 from voxtool.files.exchange import plan_export
-from voxtool.svo.hexahedra import CORNERS, SIDES
+from voxtool.svo.attribute_image import AttributeImage
+from voxtool.svo.hexahedra import CORNERS, SIDES, name_of
+from voxtool.svo.image import VoxelImage
 
 meshio: Any = pytest.importorskip("meshio")
 FORMATS = ("vtu", "msh", "inp")
@@ -111,6 +114,87 @@ def test_surfaces_of_abaqus(tmp_path: Path) -> None:
         wanted = expected.values() if name == "boundary" else [expected[name]]
         faces = mesh.points[np.concatenate(found)]
         assert np.array_equal(unturned(faces), unturned(np.concatenate(list(wanted))))
+
+
+def labelled(level: int) -> tuple[voxtool.Octree, np.ndarray]:
+    """An octree of labels, and the labels of its cells, from 1, as a dense array."""
+    octree = attributed()
+    image = AttributeImage(VoxelImage.of(octree, level=level, dtype=bool), "label")
+    return octree, np.concatenate(list(image.slabs()))
+
+
+def faces_between(labels: np.ndarray, low: int, high: int) -> np.ndarray:
+    """The faces of cells of one label that cells of another touch, in cells."""
+    padded, found = np.pad(labels, 1), []
+    for n, side in enumerate(SIDES):
+        beside = np.roll(padded, 1 if n % 2 == 0 else -1, n // 2)
+        cells = np.argwhere((padded == low) & (beside == high)) - 1
+        found.append(cells[:, None] + np.array(CORNERS)[list(side.corners)])
+    return np.concatenate(found)
+
+
+@pytest.mark.parametrize("level", [0, 1])
+@pytest.mark.parametrize("name", FORMATS)
+def test_labels_are_materials(name: str, level: int, tmp_path: Path) -> None:
+    """Their cells, and the faces between them, have the names that solvers take."""
+    octree, labels = labelled(level)
+    job = plan_export(octree, tmp_path / f"a.{name}", level=level)
+    assert job.run() == job.plan.size
+    mesh, names = meshio.read(tmp_path / f"a.{name}"), ("head", "gr__e", "a_b")
+    cells = (mesh.points - octree.grid.origin) / (np.array(octree.grid.pitch) * 2**level)
+    assert np.allclose(cells, np.rint(cells))
+    points = np.rint(cells)
+    blocks = [(b.type, b.data) for b in mesh.cells]
+    quads: dict[str, np.ndarray] = {}
+    if name == "vtu":
+        numbers = {key: int(value[0, 0]) for key, value in mesh.field_data.items()}
+        of = {own: blocks[0][1][mesh.cell_data["label"][0] == numbers[own]] for own in names}
+        quads = {
+            own: blocks[1][1][mesh.cell_data["surface"][1] == number]
+            for own, number in numbers.items()
+        }
+        assert not mesh.cell_data["label"][1].any()
+        assert not mesh.cell_data["surface"][0].any()
+    else:
+        sets = {
+            own: np.concatenate(
+                [data[part] for (_, data), part in zip(blocks, parts, strict=True) if len(part)]
+            )
+            for own, parts in mesh.cell_sets.items()
+            if own != "gmsh:bounding_entities"
+        }
+        of = {own: sets[own] for own in names}
+        quads = sets
+    for number, own in enumerate(names, 1):
+        assert np.array_equal(points[of[own]], np.argwhere(labels == number)[:, None] + CORNERS)
+    inner = 0
+    for low, high in ((1, 2), (1, 3), (2, 3)):
+        expected = faces_between(labels, low, high)
+        own = f"{names[low - 1]}-{names[high - 1]}"
+        assert job.plan.facts["surfaces"][own] == len(expected)
+        inner += len(expected)
+        if name == "inp":
+            text = (tmp_path / "a.inp").read_text()
+            parts = [f"{own}_{face}" for face in inp.FACES if f"ELSET={own}_{face}\n" in text]
+            rows_of = text.partition(f"NAME={own}\n")[2].partition("*")[0].splitlines()
+            assert rows_of == [f"{part}, {part[-2:]}" for part in parts]
+            found = []
+            for part in parts:
+                elements = np.concatenate(
+                    [b[1][s] for b, s in zip(blocks, mesh.cell_sets[part], strict=True)]
+                )
+                found.append(elements[:, np.array(C3D8[part[-2:]]) - 1])
+            assert np.array_equal(unturned(points[np.concatenate(found)]), unturned(expected))
+        else:
+            assert np.array_equal(rows(points[quads[own]]), rows(expected.astype(float)))
+    assert inner > 100
+
+
+def test_names() -> None:
+    used = {"boundary"}
+    texts = ["a b", "a_b", "A_B", "Boundary", "7up", "x_S6", "ä" * 99]
+    found = [name_of(text, used, 32) for text in texts]
+    assert found == ["a_b", "a_b-2", "A_B-3", "Boundary-2", "m_7up", "x-S6", "m_" + "_" * 32]
 
 
 def test_vtk_reads_it(tmp_path: Path) -> None:

@@ -62,6 +62,9 @@ def number_of(text: str) -> int | str:
     option("--isovalue", float,
         "With --level: the cells of which at least this share is set, above 0 and at most 1, as "
         "bool.  [default with --dtype bool: 0.5]", metavar="V"),
+    flag("--leaves",
+        "For .vtu, .msh and .inp: a hexahedron for each of the largest cubes of cells instead of "
+        "each cell, with the nodes that hang."),
     flag("--normals",
         "For .ply and .xyz: unit normals of the cells, to where less is set; 0 where there is no "
         "such direction, as deep inside."),

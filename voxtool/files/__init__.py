@@ -287,6 +287,7 @@ def export(
     shape: int | Sequence[int] | None = None,
     spacing: float | Sequence[float] | None = None,
     grid: Grid | PathLike | None = None,
+    leaves: bool = False,
     attributes: str | Sequence[str] | None = None,
     max_bytes: int | None = None,
     device: Device | None = None,
@@ -329,6 +330,9 @@ def export(
         leaves, and at most 256 cells along a side. Of a level set one number, without that limit.
     grid : Grid or path, optional
         Of a field: the grid itself, or that of a file which read_voxels reads.
+    leaves : bool
+        Of .vtu, .msh and .inp: a hexahedron for each of the largest cubes of cells instead of each
+        cell, with the nodes that hang.
     attributes : str or sequence of str, optional
         Of an octree: names of the attributes that are written, or "none"; by default all that the
         format can hold, of one array the label.
@@ -361,7 +365,7 @@ def export(
         plan_export(
             held, path, clobber, format, level=level, bbox=bbox, invert=invert, dtype=dtype,
             normals=normals, band=band, shape=shape, spacing=spacing, grid=grid,
-            attributes=attributes, max_bytes=max_bytes, device=device, **options,
+            leaves=leaves, attributes=attributes, max_bytes=max_bytes, device=device, **options,
         ).run()  # fmt: skip
 
 

@@ -49,7 +49,7 @@ from voxtool.files.streams import PathLike
 from voxtool.files.vtkhdf_volume import VolumeCells
 from voxtool.grid import Grid
 from voxtool.job import Cost, Job
-from voxtool.memory import check_disk
+from voxtool.memory import available_memory, check_disk
 from voxtool.opencl import Device
 from voxtool.svo.attribute_image import AttributeImage, attributes_of
 from voxtool.svo.content import OctreeContent
@@ -57,6 +57,7 @@ from voxtool.svo.hexahedra import Hexahedra
 from voxtool.svo.image import VoxelImage
 from voxtool.svo.image_parts import ImageInParts, fitting_image
 from voxtool.svo.labels import Labels
+from voxtool.svo.leaf_hexahedra import LeafHexahedra
 from voxtool.tets.volume import TetVolume
 
 WRITE = "write file"
@@ -227,6 +228,7 @@ def plan_export(
     max_bytes: int | None = None,
     max_memory: int | None = None,
     windows: bool = True,
+    leaves: bool = False,
     device: Device | None = None,
     progress: Callable[[float], None] = lambda share: None,
     **options: Any,
@@ -245,6 +247,9 @@ def plan_export(
     if normals and not EXCHANGE[name].normals:
         names = ", ".join(f".{key}" for key, each in EXCHANGE.items() if each.normals)
         raise VoxtoolError(f".{name} holds no normals: choose {names}")
+    if leaves and not EXCHANGE[name].hexahedra:
+        names = ", ".join(f".{key}" for key, each in EXCHANGE.items() if each.hexahedra)
+        raise VoxtoolError(f".{name} holds no hexahedra of leaves: choose {names}")
     check_package(name)
     check_output(path, name, clobber)
     one, tree = EXCHANGE[name].attributes == "one", name == "vtkhdf"  # parts are trees of their own
@@ -305,7 +310,7 @@ def plan_export(
                 f"{instead} (see --max-memory)"
             )
         if EXCHANGE[name].hexahedra:
-            image = Hexahedra.of(image)
+            image = hexahedra_of(image, leaves, max_memory)
         elif held and EXCHANGE[name].attributes == "one":
             image = AttributeImage(replace(image, attributes=()), held[0])
     if EXCHANGE[name].folder and "%" in os.fspath(path):
@@ -314,6 +319,13 @@ def plan_export(
     size = writer_of(name, "size", image)(image, **more)
     plan = ExportPlan(image, name, size, {**options, **more}, left_out=left_out)
     return ExportJob(plan, path, clobber, max_bytes, max_memory)
+
+
+def hexahedra_of(image: VoxelImage, leaves: bool, max_memory: int | None) -> Hexahedra:
+    """Return the hexahedra of cells, or of the largest cubes of them."""
+    if not leaves:
+        return Hexahedra.of(image)
+    return LeafHexahedra.of(image, limit=available_memory() if max_memory is None else max_memory)
 
 
 def image_of(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +20,7 @@ from voxtool.selftest.case import case
 from voxtool.spatial.sampling import sample_cube
 from voxtool.svo.hexahedra import SIDES, Hexahedra
 from voxtool.svo.image import VoxelImage
+from voxtool.svo.leaf_hexahedra import LeafHexahedra
 from voxtool.svo.octree import Octree
 from voxtool.svo.voxelize import voxelize
 
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from voxtool.opencl import Device
 
 DIM = 256
+MOST = 1 << 30  # bytes of the largest cubes
 
 
 @case("exports and imports", "none, corners at dim 256, a ball: what comes back", "voxels wrong", 0)
@@ -53,8 +56,8 @@ def round_trips(device: Device, full: bool) -> int:
 
 @case("hexahedra", "a ball, what is around it, corners: their faces, files", "counts wrong", 0)
 def hexahedra(device: Device, full: bool) -> int:
-    """The hexahedra, by the sums of the places of faces on both sides along each axis; and the
-    bytes that files were to have."""
+    """The hexahedra, by the sums of the places of faces on both sides along each axis; the voxels
+    of the largest cubes; and the bytes that files were to have."""
     ball = mesh_from_arrays(*shapes.ball(2))
     octree = voxelize(ball, Grid.fit(ball, 100 if full else 50), device=device)
     corners = 49 * np.indices((2, 2, 2)).reshape(3, 8).T
@@ -66,13 +69,15 @@ def hexahedra(device: Device, full: bool) -> int:
         for layer in mesh.layers():
             y, z = np.divmod(layer.cells.keys.astype(np.int64), layer.width)
             places = (np.full(len(y), layer.x), y, z)
-            for n, faces in enumerate(layer.faces):
-                sums[n] += np.sum(places[n // 2][faces] + n % 2)
+            for key, faces in layer.faces:
+                sums[key.side] += np.sum(places[key.side // 2][faces] + key.side % 2)
         wrong += np.count_nonzero(sums[1::2] - sums[::2] != image.count)
-        for module in (vtu, msh, inp):
+        leaves = LeafHexahedra.of(image, limit=MOST)
+        wrong += int((8 ** leaves.cubes.powers.astype(int)).sum()) != image.count
+        for module, own in product((vtu, msh, inp), (mesh, leaves)):
             file = io.BytesIO()
-            module.write(mesh, file)
-            wrong += file.getbuffer().nbytes != module.size(mesh)
+            module.write(own, file)
+            wrong += file.getbuffer().nbytes != module.size(own)
     return int(wrong)
 
 

@@ -7,8 +7,8 @@ keys before and after it, and those a row before and after it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import chain, pairwise
+from collections.abc import Iterable, Iterator
+from itertools import chain, pairwise, repeat
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -48,10 +48,12 @@ class Places:
     keys : (n,) int
     size : int
         The number that all keys are below.
+    values : (n,), optional
+        What is there.
     """
 
-    def __init__(self, keys: np.ndarray, size: int) -> None:
-        self.keys = keys
+    def __init__(self, keys: np.ndarray, size: int, values: np.ndarray | None = None) -> None:
+        self.keys, self.values = keys, values
         self._table = None
         if len(keys) and size <= min(TABLE, SPARSE * len(keys)):
             self._table = np.full(size, -1, np.int32)
@@ -81,13 +83,18 @@ class Places:
         return np.where(self.keys[found] == keys, found, -1)
 
 
-def layers_of(image: VoxelImage) -> Iterator[tuple[int, Places, Places, Places]]:
+def layers_of(
+    image: VoxelImage, values: Iterable[np.ndarray] | None = None
+) -> Iterator[tuple[int, Places, Places, Places]]:
     """Yield layers with x from -1 to the number of layers: x, the cells that are not zero in the
-    layer below it, in it and above it. It is left out if none of the three has cells."""
+    layer below it, in it and above it. It is left out if none of the three has cells.
+
+    `values` has those of the cells, in the pieces of `image.coordinates()`.
+    """
     none = Places(np.empty(0, np.int64), 0)
     held: dict[int, Places] = {}
     done, last = -2, -4  # the layer that was yielded last, and the last one with cells
-    for x, cells in chain(_layers(image), [(None, none)]):
+    for x, cells in chain(_layers(image, values or repeat(None)), [(None, none)]):
         if x is not None:
             held[x] = cells
         end = last + 2 if x is None else x  # what is before it has known neighbours
@@ -100,13 +107,14 @@ def layers_of(image: VoxelImage) -> Iterator[tuple[int, Places, Places, Places]]
         held = {n: places for n, places in held.items() if n >= last - 1}
 
 
-def _layers(image: VoxelImage) -> Iterator[tuple[int, Places]]:
+def _layers(image: VoxelImage, values: Iterable[np.ndarray | None]) -> Iterator[tuple[int, Places]]:
     """Yield each layer that has cells: its x and the keys of its cells."""
     width, size = Rows.of(image)
     dtype = np.int32 if size < 1 << 31 else np.int64
-    for cells in image.coordinates():
+    for cells, each in zip(image.coordinates(), values, strict=False):
         x = cells[:, 0]
         keys = (cells[:, 1].astype(dtype) + 1) * width + cells[:, 2] + 1
         starts = np.flatnonzero(np.diff(x, prepend=-1))
         for start, end in pairwise([*starts.tolist(), len(x)]):
-            yield int(x[start]), Places(keys[start:end].astype(dtype), size)
+            part = None if each is None else each[start:end]
+            yield int(x[start]), Places(keys[start:end].astype(dtype), size, part)
