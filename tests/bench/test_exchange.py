@@ -61,6 +61,7 @@ def test_voxels_that_come_back_otherwise_are_counted(
     read = exchange.read_voxels
     monkeypatch.setattr(exchange, "read_voxels", one_less)
     monkeypatch.setattr(exchange, "OWN", {})
+    monkeypatch.setattr(exchange, "LATTICES", ())
     monkeypatch.setattr(exchange, "FORMATS", ("npy",))
     monkeypatch.setattr(exchange, "FIELD_FORMATS", ())
     for point in exchange.measure(bench):
@@ -74,6 +75,7 @@ def test_formats_that_cannot_be_written_are_left_out(
     line = formats.EXCHANGE["nii"]._replace(needs="no_such_package")
     monkeypatch.setitem(formats.EXCHANGE, "nii", line)
     monkeypatch.setattr(exchange, "OWN", {})
+    monkeypatch.setattr(exchange, "LATTICES", ())
     monkeypatch.setattr(exchange, "FORMATS", ("nii", "npy"))
     monkeypatch.setattr(exchange, "FIELD_FORMATS", ())
     monkeypatch.setattr(exchange, "MOST_BYTES", 5000)
