@@ -15,10 +15,10 @@ double to_double(wide a)
     const double magnitude = (double)m.high * 0x1p64 + (double)m.low;
     return is_negative(a) ? -magnitude : magnitude;
 }
+// By products: Oclgrind 21.10 does not support the shift of two words that one of 128 bits becomes.
 wide times_voxel(wide a)
 {
-    const wide w = {(long)((ulong)a.high << FIXED_POINT_BITS | a.low >> (64 - FIXED_POINT_BITS)),
-                    a.low << FIXED_POINT_BITS};
+    const wide w = {(long)((ulong)a.high * VOXEL + mul_hi(a.low, (ulong)VOXEL)), a.low * VOXEL};
     return w;
 }
 #else
