@@ -13,11 +13,12 @@ from helpers_cli import fail, run, told
 from helpers_octree import WORLD, ball
 
 import voxtool
-from voxtool.files import inp
+from voxtool.files import inp, open_svo
 from voxtool.files.exchange import plan_export
 from voxtool.svo.attribute_image import AttributeImage
 from voxtool.svo.hexahedra import CORNERS, SIDES, name_of
 from voxtool.svo.image import VoxelImage
+from voxtool.svo.image_parts import ImageInParts
 
 meshio: Any = pytest.importorskip("meshio")
 FORMATS = ("vtu", "msh", "inp")
@@ -258,3 +259,18 @@ def test_plans_and_refusals(here: Path) -> None:
     assert ".msh holds bool, not float32" in fail("export bunny.svo.h5 -o b.msh --dtype float32")
     assert "is a mesh of volume cells: build its textures" in fail("svo-info a.inp")
     assert not Path("b.inp").exists()
+
+
+def test_octrees_larger_than_memory(tmp_path: Path) -> None:
+    """They are read in windows, within the memory that is allowed, for the same bytes."""
+    voxels = np.random.default_rng(1).integers(0, 512, (60_000, 3))
+    octree = voxtool.Octree.from_voxels(voxels, voxtool.Grid((512,) * 3, (0, 0, 0), (1, 1, 1)))
+    voxtool.write_svo(octree, tmp_path / "a.svo.h5")
+    voxtool.export(octree, tmp_path / "a.vtu")
+    with open_svo(tmp_path / "a.svo.h5") as content:
+        job = plan_export(content, tmp_path / "b.vtu", max_memory=20_000_000)
+        assert isinstance(job.plan.image.image, ImageInParts)
+        assert len(list(job.plan.image.image.parts())) > 1
+        assert job.cost.host <= 20_000_000
+        job.run()
+    assert (tmp_path / "a.vtu").read_bytes() == (tmp_path / "b.vtu").read_bytes()

@@ -26,6 +26,7 @@ from voxtool.svo.labels import Labels
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import Octree
 from voxtool.svo.surface.isosurface import Isosurface
+from voxtool.svo.wall_links import WallLinks
 from voxtool.tets import textures as tets
 from voxtool.tets.mesh import UnstructuredMesh
 from voxtool.tets.textures import VolumeJob
@@ -37,7 +38,7 @@ PICTURE_DIM = 128  # voxels along the longest side of a mesh that is shown
 # files imports the types of its functions for type checkers only; get_type_hints needs them too.
 TYPES = (
     Device, DistanceField, Grid, Labels, MergedOctree, Octree, OctreeContent, TetVolume,
-    UnstructuredMesh,
+    UnstructuredMesh, WallLinks,
 )  # fmt: skip
 files.__dict__.update({type_.__name__: type_ for type_ in TYPES}, np=np)
 

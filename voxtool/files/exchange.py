@@ -324,7 +324,11 @@ def plan_export(
 def hexahedra_of(image: VoxelImage, leaves: bool, max_memory: int | None) -> Hexahedra:
     """Return the hexahedra of cells, or of the largest cubes of them."""
     if not leaves:
-        return Hexahedra.of(image)
+        found = Hexahedra.of(image)
+        if isinstance(image, ImageInParts):  # which takes what layers do not need
+            rest = max(image.limit - found.own_bytes, 1)
+            found = replace(found, image=replace(found.image, limit=rest))
+        return found
     return LeafHexahedra.of(image, limit=available_memory() if max_memory is None else max_memory)
 
 

@@ -280,13 +280,13 @@ class Hexahedra:
     @property
     def host_bytes(self) -> int:
         """A bound of the memory: that of the image, and of some layers and their tables."""
+        return self.image.host_bytes + self.own_bytes
+
+    @property
+    def own_bytes(self) -> int:
+        """A bound of the memory beside that of the image."""
         labels = self.labels.own_bytes if self.labels else 0
-        return (
-            self.image.host_bytes
-            + labels
-            + TABLES * self._rows.bytes
-            + CELL_BYTES * self.sizes.largest
-        )
+        return labels + TABLES * self._rows.bytes + CELL_BYTES * self.sizes.largest
 
     @property
     def _rows(self) -> Rows:

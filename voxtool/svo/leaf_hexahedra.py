@@ -125,10 +125,10 @@ class LeafHexahedra(Hexahedra):
         return {**super().facts, "hanging": len(self.hanging.nodes)}
 
     @property
-    def host_bytes(self) -> int:
-        """A bound of the memory of the image and of all cubes."""
+    def own_bytes(self) -> int:
+        """A bound of the memory of all cubes."""
         labels = self.labels.own_bytes if self.labels else 0
-        return self.image.host_bytes + labels + CUBE_BYTES * len(self.cubes.codes)
+        return labels + CUBE_BYTES * len(self.cubes.codes)
 
     @cached_property
     def sizes(self) -> Sizes:
