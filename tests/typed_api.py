@@ -12,7 +12,12 @@ import voxtool
 def octrees(device: voxtool.Device) -> voxtool.Octree:
     mesh: voxtool.Mesh = voxtool.load_mesh("bunny.obj")
     grid: voxtool.Grid = voxtool.Grid.fit(mesh, 64)
-    job: voxtool.VoxelizeJob | voxtool.PartLabelsJob | voxtool.SurfaceAttributesJob
+    job: (
+        voxtool.VoxelizeJob
+        | voxtool.PartLabelsJob
+        | voxtool.SurfaceAttributesJob
+        | voxtool.FractionJob
+    )
     job = voxtool.plan_voxelize(mesh, grid, "solid", fill="flood", gap=1)
     cost: voxtool.Cost = job.with_(gap=2).cost
     octree: voxtool.Octree = job.run(print)

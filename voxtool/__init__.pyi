@@ -107,6 +107,7 @@ from voxtool.spatial.hausdorff import Hausdorff as Hausdorff
 from voxtool.spatial.signed_distance import DistanceResult as DistanceResult
 from voxtool.svo.attributes import Attribute as Attribute
 from voxtool.svo.attribution.colours import SurfaceAttributesJob as SurfaceAttributesJob
+from voxtool.svo.attribution.fraction import FractionJob as FractionJob
 from voxtool.svo.attribution.labels import PartLabelsJob as PartLabelsJob
 from voxtool.svo.booleans import CombineJob as CombineJob
 from voxtool.svo.compare import CompareJob as CompareJob

@@ -23,7 +23,7 @@ __kernel void survey(__global const int *vertices, __global const int *faces, co
             ++outside;
             continue;
         }
-        if (low.x <= -HALF)
+        if (low.x < 0)
             before = 1;
         const uint3 size = as_uint3(high) - as_uint3(low);
         extent = max(extent, (ulong)max(max(size.x, size.y), size.z));

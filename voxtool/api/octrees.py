@@ -14,6 +14,8 @@ from voxtool.choices import (
     COLOURS,
     DEFAULT_MODE,
     FILLS,
+    FRACTION,
+    FRACTION_TYPES,
     NORMALIZED,
     OPERATIONS,
     PRIORITIES,
@@ -35,6 +37,7 @@ from voxtool.svo import booleans
 from voxtool.svo import compare as comparing
 from voxtool.svo import voxelize as svo
 from voxtool.svo.attribution.colours import SurfaceAttributesJob, plan_attributes
+from voxtool.svo.attribution.fraction import FractionJob, plan_fractions
 from voxtool.svo.attribution.labels import PartLabelsJob, plan_labels
 from voxtool.svo.booleans import CombineJob
 from voxtool.svo.compare import CompareJob, Comparison
@@ -78,6 +81,7 @@ def plan_voxelize(
     fill: str = FILLS[0],
     gap: int = 0,
     with_surface: bool = False,
+    fraction_type: str | None = None,
     labels: str | Parts | None = None,
     priority: str | Sequence[str] = PRIORITIES[0],
     attributes: Sequence[str] = (),
@@ -85,7 +89,7 @@ def plan_voxelize(
     window: Window | None = None,
     device: Device | None = None,
     max_memory: int | None = None,
-) -> VoxelizeJob | PartLabelsJob | SurfaceAttributesJob:
+) -> VoxelizeJob | PartLabelsJob | SurfaceAttributesJob | FractionJob:
     """Voxelize a triangle mesh exactly: the result is a sparse voxel octree.
 
     Vertices are rounded once to 1/256 voxel; all that follows is integer arithmetic, so the result
@@ -98,22 +102,26 @@ def plan_voxelize(
     grid
         where the voxels lie; by default one around the mesh, of `dim` or `pitch`.
     mode
-        "solid" (voxels whose centre is inside), "surface26" (voxels that touch a triangle) or
-        "surface6" (the thinner, 6-separating set).
+        "solid" (voxels whose centre is inside), "surface26" (voxels that touch a triangle),
+        "surface6" (the thinner, 6-separating set), or "fraction" (voxels of which a part is inside,
+        with the attribute "fraction": how much).
     dim
         voxels along the longest side, without a grid; 256 unless pitch is given.
     pitch
         voxel size in world units, without a grid.
     fill
-        what is inside, for "solid": "parity" (an odd number of crossings along x), "nonzero"
-        (crossings that enter and leave do not cancel), "winding" (a winding number of 1/2 or more),
-        "flood" (everything that the outside cannot reach), or "auto": parity if the mesh is closed
-        and consistently wound, winding if it is consistent but open, otherwise what keeps its outer
-        surface.
+        what is inside, for "solid" and "fraction": "parity" (an odd number of crossings along x),
+        "nonzero" (crossings that enter and leave do not cancel), "winding" (a winding number of
+        1/2 or more), "flood" (everything that the outside cannot reach), or "auto": parity if the
+        mesh is closed and consistently wound, winding if it is consistent but open, otherwise what
+        keeps its outer surface.
     gap
         for "flood", openings of up to this many voxels are closed first.
     with_surface
         for "solid": add the voxels of "surface26".
+    fraction_type
+        for "fraction": "f4" (float32, the default), "u2" or "u1" (whole numbers, times 65,535 or
+        255).
     labels
         the octree gets the attribute "label": by "part", "material" or "object" of the mesh, read
         with `load_mesh(path, keep=("parts",))`, by "shell", by the "file" of joined meshes, or by
@@ -143,7 +151,8 @@ def plan_voxelize(
     Raises
     ------
     MeshError
-        the mesh cannot be read, or colours are asked for and it has none.
+        the mesh cannot be read; colours are asked for and it has none, or fractions and a flood
+        fills it.
     GridError
         a vertex lies more than 2**22 voxels from the grid's corner.
     MemoryLimitError
@@ -167,6 +176,17 @@ def plan_voxelize(
     """
     found = as_mesh(mesh, max_memory, ("appearance",) if "colour" in attributes else ())
     placed = grid_of(found, grid, dim, pitch)
+    if mode == FRACTION:
+        if with_surface or gap or labels is not None or attributes:
+            raise VoxtoolError(
+                "mode 'fraction' has no surface, gap, labels and attributes: drop them"
+            )
+        return plan_fractions(
+            found, placed, fill=fill, kind=fraction_type or FRACTION_TYPES[0], window=window,
+            device=device, max_memory=max_memory,
+        )  # fmt: skip
+    if fraction_type is not None:
+        raise VoxtoolError(f"fraction_type goes with mode 'fraction', not {mode!r}")
     if labels is not None:
         if window is not None:
             raise VoxtoolError("labels take the whole grid: drop the window")

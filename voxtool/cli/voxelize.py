@@ -14,6 +14,8 @@ from voxtool.choices import (
     DEFAULT_MODE,
     FILLS,
     FITS,
+    FRACTION,
+    FRACTION_TYPES,
     LABELS,
     MODES,
     NAMED,
@@ -40,15 +42,19 @@ if TYPE_CHECKING:
 @click.command("voxelize")
 @mesh_argument("", "svo.h5", divides=True)
 @together(
-    option("--mode", MODES,
+    option("--mode", (*MODES, FRACTION),
         "surface26: every voxel that touches a triangle; surface6: the thinner 6-separating set; "
-        "solid: every voxel whose centre is inside.", DEFAULT_MODE),
+        "solid: every voxel whose centre is inside; fraction: every voxel of which a part is "
+        "inside, and how much of it.", DEFAULT_MODE),
+    option("--fraction-type", FRACTION_TYPES,
+        "Of stored fractions: float32, or whole numbers of 16 or 8 bits.  "
+        f"[default: {FRACTION_TYPES[0]}]"),
     option("--fill", FILLS,
-        "What is inside, for solid. parity: an odd number of crossings along x; nonzero: "
-        "crossings that enter and leave do not cancel; winding: a winding number of 1/2 or more; "
-        "flood: everything that the outside cannot reach; auto: parity if the mesh is closed and "
-        "consistently wound, winding if it is consistent but open, otherwise the rule that keeps "
-        "its outer surface.", FILLS[0]),
+        "What is inside, for solid and fraction. parity: an odd number of crossings along x; "
+        "nonzero: crossings that enter and leave do not cancel; winding: a winding number of 1/2 "
+        "or more; flood: everything that the outside cannot reach; auto: parity if the mesh is "
+        "closed and consistently wound, winding if it is consistent but open, otherwise the rule "
+        "that keeps its outer surface.", FILLS[0]),
     option("--gap", click.IntRange(0),
         "With --fill flood: close openings of up to this many voxels first.", 0, metavar="VOXELS",
         show_default=False),
@@ -92,7 +98,8 @@ if TYPE_CHECKING:
     *OCTREE_FORMATS, *EXPORTS,
 )  # fmt: skip
 def command(
-    run: runner.Run, mesh: str, mode: str, fill: str, gap: int, with_surface: bool,
+    run: runner.Run, mesh: str, mode: str, fraction_type: str | None, fill: str, gap: int,
+    with_surface: bool,
     like: str | None, normalize: str | None, units: str | None, scale: float, windows: str,
     dag: bool, thin: bool, labels: str | None, priority: str | None, attributes: list[str] | None,
     colour: str | None, doctype: bool, resume: bool, no_keep: bool, dask: str | None = None,
@@ -108,6 +115,7 @@ def command(
     Examples:
       voxtool voxelize bunny.obj --dim 512 --mode solid
       voxtool voxelize bunny.obj --pitch 0.01 --mode surface26 -o bunny.svo.xml
+      voxtool voxelize bunny.obj --mode fraction --fraction-type u2
       voxtool voxelize open.obj --fill winding
       voxtool voxelize parts.glb --mode surface26 --attributes colour,normal
       voxtool voxelize bunny.obj open.obj -o octrees/ --dim 64
@@ -119,6 +127,11 @@ def command(
       voxtool voxelize bunny.obj --normalize unit --dim 64 --bbox 0 0 0 1 1 1 -o bunny.npy
     """
     options.check_placing(like, placing)
+    if fraction_type and mode != FRACTION:
+        raise click.UsageError(f"--fraction-type goes with --mode {FRACTION}, not {mode}")
+    if mode == FRACTION:
+        check_fraction(fill, {"--with-surface": with_surface, "--labels": bool(labels), "--dag": dag, "--dask": bool(dask),
+                              "--resume": resume, "--windows": windows != "auto"})  # fmt: skip
     if with_surface and mode != "solid":
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
     if thin and "surface" not in mode:
@@ -137,6 +150,7 @@ def command(
                                "and --dask")  # fmt: skip
     from voxtool.files import SVO_FORMATS, export, write_svo
     from voxtool.svo.attribution.colours import plan_attributes
+    from voxtool.svo.attribution.fraction import plan_fractions
     from voxtool.svo.attribution.labels import plan_labels
     from voxtool.svo.merged import MergedOctree
     from voxtool.svo.thin import plan_thin
@@ -161,10 +175,15 @@ def command(
         loaded = run.meshes((mesh, *others), units, scale, normalize, keep)
         grid = options.grid_from(loaded, like, placing)
         request = {"fill": fill, "gap": gap, "with_surface": with_surface}
-        if labels:
+        job: Any
+        if mode == FRACTION:
+            kind = fraction_type or FRACTION_TYPES[0]
+            job = run.plan(plan_fractions, loaded, grid, fill=fill, kind=kind)
+        elif labels:
             request |= {"labels": labels, "priority": priority or PRIORITIES[0]}
-        plan: Any = plan_labels if labels else plan_voxelize
-        job: Any = run.plan(plan, loaded, grid, mode, **request)
+            job = run.plan(plan_labels, loaded, grid, mode, **request)
+        else:
+            job = run.plan(plan_voxelize, loaded, grid, mode, **request)
         if attributes:
             job = run.plan(plan_attributes, job, loaded, attributes, colour=colour or COLOURS[0])
         placed: dict[str, Any] = {"origin": list(grid.origin), "pitch": list(grid.pitch)}
@@ -177,7 +196,7 @@ def command(
             parts = run.stage("plan windows", SpreadJob, job, client, run.device_name)
         elif (
             windows != "never"
-            and not (thin or labels or attributes)
+            and not (thin or labels or attributes or mode == FRACTION)
             and run.file_format == "svo.h5"
             and not fits(job, dag)
         ):
@@ -207,6 +226,18 @@ def check_attributes(names: Sequence[str], others: dict[str, bool]) -> None:
         raise click.UsageError(f"--attributes are of octrees in one piece: drop {given[0]}")
     if len(set(names)) < len(names):
         raise click.UsageError(f"--attributes {','.join(names)}: name each once")
+
+
+def check_fraction(fill: str, others: dict[str, bool]) -> None:
+    """Refuse options that do not go with --mode fraction."""
+    given = [name for name, is_given in others.items() if is_given]
+    if given:
+        raise click.UsageError(f"{' and '.join(given)}: not with --mode {FRACTION}: drop it")
+    if fill == "flood":
+        raise click.UsageError(
+            f"--fill flood fills whole voxels, so --mode {FRACTION} has no part of one: choose "
+            "winding, nonzero, parity or auto"
+        )
 
 
 def fits(job: VoxelizeJob, dag: bool) -> bool:
@@ -245,6 +276,7 @@ def facts_of(octree: Octree | BlockOctree | MergedOctree) -> dict[str, Any]:
         "bytes": octree.nbytes,
         "digest": octree.digest(),
         **attributes_of(octree),
+        **volumes_of(octree),
     }
 
 
@@ -252,6 +284,16 @@ def attributes_of(octree: Any) -> dict[str, Any]:
     """Return the attributes of an octree, by name, in JSON types."""
     found = getattr(octree, "attributes", ())
     return {"attributes": {one.name: one.summary() for one in found}} if found else {}
+
+
+def volumes_of(octree: Any) -> dict[str, float]:
+    """Return the volume of an octree with fractions and that of its mesh, in cubic world units."""
+    from voxtool.svo.attribution.fraction import MESH_VOLUME, stored_volume
+
+    if MESH_VOLUME not in octree.plan:
+        return {}
+    voxels = {"volume": stored_volume(octree), "mesh_volume": octree.plan[MESH_VOLUME]}
+    return {name: number * octree.grid.voxel_volume for name, number in voxels.items()}
 
 
 def report_line(octree: Octree | BlockOctree | MergedOctree) -> str:
@@ -262,9 +304,12 @@ def report_line(octree: Octree | BlockOctree | MergedOctree) -> str:
     if isinstance(octree, MergedOctree):
         size = f"{human(octree.merged_bytes)}, merged from {size}"
     filled = "" if octree.fill == "none" else f" by {octree.fill}"
+    volumes = volumes_of(octree)
+    volume = "; volume {volume:.12g}, of the mesh {mesh_volume:.12g}" if volumes else ""
+    volume = volume.format_map(volumes)
     return (
         f"{octree.mode}{filled}, dim {octree.grid.dim}, pitch {pitch_of(octree.grid)}; "
-        f"{octree.count:,} voxels in {size}"
+        f"{octree.count:,} voxels in {size}{volume}"
     )
 
 

@@ -131,7 +131,9 @@ def _head_of(stored: Mapping[str, Any]) -> dict[str, Any]:
         expect(f"attributes: {name} masked", head["masked"], (True, False))
         numbers = head["default"] if KINDS[name].channels else [head["default"]]
         right = isinstance(numbers, list) and len(numbers) == max(KINDS[name].channels, 1)
-        if not right or not all(type(x) in (int, float) and 0 <= x < 256 for x in numbers):
+        dtype = np.dtype(head["dtype"])
+        most = 1 if dtype.kind == "f" else int(np.iinfo(dtype).max)
+        if not right or not all(type(x) in (int, float) and 0 <= x <= most for x in numbers):
             raise FileError(f"attribute attributes: {name} has no such default")
     return heads
 

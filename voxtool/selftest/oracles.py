@@ -235,3 +235,53 @@ def _root(square: Fraction) -> float:
     scale = 1 << 1200
     scaled = math.isqrt(square.numerator * square.denominator * scale * scale)
     return float(Fraction(scaled, square.denominator * scale))
+
+
+def filled(triangles: Iterable, cell: Sequence[int]) -> Fraction:
+    """The integral of the winding number over a voxel: how much of it lies inside a closed mesh.
+
+    The mesh is the signed sum of the tetrahedra between a point and its triangles. Each is clipped
+    to the voxel as a set of tetrahedra."""
+    total = Fraction(0)
+    for triangle in polygons(triangles):
+        corners = [[Fraction(v, UNIT) - c for v, c in zip(p, cell, strict=True)] for p in triangle]
+        parts = [[[Fraction(0)] * 3, *corners]]
+        volume = _six_volumes(parts[0])
+        for axis, side, bound in product(range(3), (1, -1), (0, 1)):
+            if (side > 0) == (bound == 0):
+                parts = [own for part in parts for own in _tetrahedra(part, axis, side, bound)]
+        sign = (volume > 0) - (volume < 0)
+        total += sign * sum(abs(_six_volumes(part)) for part in parts)
+    return total / 6
+
+
+def _six_volumes(tetrahedron: list[list[Fraction]]) -> Fraction:
+    a, b, c = (
+        [p - q for p, q in zip(corner, tetrahedron[0], strict=True)] for corner in tetrahedron[1:]
+    )
+    return sum(
+        (a[i] * (b[j] * c[k] - b[k] * c[j]) for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1))),
+        Fraction(0),
+    )
+
+
+def _tetrahedra(
+    corners: list[list[Fraction]], axis: int, side: int, bound: int
+) -> list[list[list[Fraction]]]:
+    """Tetrahedra that fill the part of one with side * (coordinate - bound) >= 0."""
+    within = [p for p in corners if side * (p[axis] - bound) >= 0]
+    beyond = [p for p in corners if side * (p[axis] - bound) < 0]
+    if not beyond:
+        return [corners]
+
+    def between(p: list[Fraction], q: list[Fraction]) -> list[Fraction]:
+        t = (bound - p[axis]) / (q[axis] - p[axis])
+        return [u + t * (v - u) for u, v in zip(p, q, strict=True)]
+
+    if len(within) < 2:
+        return [[p, *(between(p, q) for q in beyond)] for p in within]
+    if len(within) == 2:  # a prism between the triangles of the two corners
+        one, other = ([p, *(between(p, q) for q in beyond)] for p in within)
+    else:  # a prism between the three corners and the three points below them
+        one, other = within, [between(p, beyond[0]) for p in within]
+    return [[*one, other[2]], [one[0], one[1], *other[1:]], [one[0], *other]]

@@ -7,7 +7,7 @@ kernels/svo/lattice.cl.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,6 +35,11 @@ class LatticeMesh:
     closed: Array  # faces of the mesh and the caps, without those that cancel
     closing: Array | None  # those of the caps
     caps: Caps | None  # None if the fill rule does not need them
+
+    def capped(self) -> LatticeMesh:
+        """Return the mesh whose faces are `closed`: its caps count as faces."""
+        n = self.closed.size // 3
+        return replace(self, faces=self.closed, triangles=n, closing=None, caps=None)
 
     def survey(self) -> Survey:
         """Return the numbers from which a plan is made."""

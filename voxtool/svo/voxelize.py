@@ -18,6 +18,7 @@ can force the former (kernels/svo/columns.h, fill/levels.py).
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -250,6 +251,19 @@ class VoxelizeJob(Job[Octree]):
             job.place(self.plan.mode, job.plan.fill, job.plan.gap)
             job.plan = replace(job.plan, **forced)
         return job
+
+    def capped(self) -> VoxelizeJob:
+        """Return the job of the mesh that its caps close, in which they count as faces."""
+        if not self.plan.caps:
+            return self
+        job = copy.copy(self)
+        job.lattice = self.lattice.capped()
+        job.plan = replace(self.plan, holes=0, caps=0)
+        return job
+
+    def solid_octree(self) -> Octree:
+        """Return the octree of a job that another one is a part of, which checks the memory."""
+        return self._run()
 
     @property
     def programs(self) -> list[Request]:

@@ -1,1 +1,1 @@
-"""Attributes of voxels from a mesh: labels of its parts, colours and normals."""
+"""Attributes of voxels from a mesh: labels of its parts, colours, normals, and fractions."""

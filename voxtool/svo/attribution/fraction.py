@@ -1,0 +1,327 @@
+"""How much of each voxel lies inside a solid: exact but for rounding to whole numbers.
+
+Along a row of voxels, towards high x, triangles begin and end the inside. By the divergence
+theorem, the volume of a voxel that is inside is the sum, over the parts of triangles in it, of the
+volumes between them and its high-x side, and the sum of the areas, across x, of the parts before
+it. Both have signs, and the areas of a closed mesh add up to whole faces wherever a voxel is not
+touched.
+
+The stages, on the device, after those of the solid, whose fill rule decides about voxels that no
+triangle touches:
+
+1. Touched voxels: those of the 26-separating surface, numbered in the order of the bits.
+2. Parts: each triangle is clipped to columns of voxels, and its part in a column to the voxels
+   there, in float64; area and volume are rounded to 2**-40 and added in integers.
+3. Sums along rows: each gives the volumes of its touched voxels, rounded to 2**-31.
+
+Holes of an open mesh are closed by the caps of fill/caps.py, which count as its faces.
+
+Kernels: kernels/svo/attribution/fraction.cl; docs/fractions.md has the bound.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Self
+
+import numpy as np
+
+from voxtool.choices import FILLS, FRACTION_TYPES
+from voxtool.errors import MeshError, VoxtoolError, count_of
+from voxtool.grid import Grid
+from voxtool.job import Cost, Job
+from voxtool.mesh.mesh import Mesh
+from voxtool.opencl import Array, Device, program
+from voxtool.opencl.primitives import exclusive_scan
+from voxtool.svo.attributes import Attribute
+from voxtool.svo.layout import BRICK
+from voxtool.svo.octree import Octree
+from voxtool.svo.plan import VoxelizePlan
+from voxtool.svo.scan import COVERED, TOUCHED, ActiveNodes, Scan, add_nodes
+from voxtool.svo.scan import SOURCE as SCAN
+from voxtool.svo.voxelize import VoxelizeJob, Window, plan_voxelize
+
+SOURCE = "svo/attribution/fraction.cl"
+UNIT_BITS = 40  # areas and volumes are whole numbers of 2**-40 of a face and of a voxel
+WHOLE = 1 << 31  # shares are whole numbers of 1 / WHOLE
+CLOSED = 1 << 16  # units by which areas of a closed mesh, which are rounded, may miss whole faces
+PARITY, NONZERO, WINDING = range(3)
+RULES = {"parity": PARITY, "nonzero": NONZERO, "winding": WINDING}
+HEADERS = {
+    "svo/attribution/fraction.h": program.c_constants(
+        UNIT_BITS=UNIT_BITS, WHOLE=WHOLE, CLOSED=CLOSED, PARITY=PARITY, NONZERO=NONZERO
+    )
+}
+TYPES = {kind: np.dtype(f"<{kind}") for kind in FRACTION_TYPES}
+MODE = "solid+fraction"  # of the octree
+MESH_VOLUME = "mesh_volume_voxels"  # in the plan that is stored
+VOXEL_BYTES = 4 * 4 + 4  # of a touched voxel: its sums and its share
+
+
+def plan_fractions(
+    mesh: Mesh,
+    grid: Grid,
+    *,
+    fill: str = FILLS[0],
+    kind: str = FRACTION_TYPES[0],
+    window: Window | None = None,
+    device: Device | None = None,
+    max_memory: int | None = None,
+) -> FractionJob:
+    """Return the planned job of an octree with fractions; see `voxtool.voxelize`."""
+    if kind not in TYPES:
+        raise VoxtoolError(f"fraction type {kind!r} is unknown: choose one of {', '.join(TYPES)}")
+    options: dict[str, Any] = {"window": window, "device": device, "max_memory": max_memory}
+    solid = plan_voxelize(mesh, grid, "solid", fill=fill, **options)
+    if solid.plan.fill == "flood":
+        why = f" ({solid.choice.why})" if solid.choice else ""
+        raise MeshError(
+            f"{mesh.name or 'mesh'}: a flood fills whole voxels{why}, so there are no fractions: "
+            "repair the mesh (voxtool repair), or choose fill winding, nonzero or parity"
+        )
+    solid.device.require_float64("fractions")
+    caps = (solid.plan.holes, solid.plan.caps)
+    return FractionJob(solid.capped(), FractionPlan(solid.plan, kind, caps))
+
+
+def stored_volume(octree: Octree) -> float:
+    """Return the sum of the fractions of an octree, in voxels: the exact number, rounded once."""
+    fraction = octree.attribute("fraction")
+    values, whole = fraction.values, octree.count - len(fraction.values)
+    if values.dtype.kind == "f":  # whole numbers of 1 / WHOLE
+        parts = (values.astype(np.float64) * WHOLE).astype(np.int64)
+        return (whole * WHOLE + int(parts.sum())) / WHOLE
+    most = int(np.iinfo(values.dtype).max)
+    return (whole * most + int(values.sum(dtype=np.int64))) / most
+
+
+def volume_in_units(vertices: np.ndarray, faces: np.ndarray) -> int:
+    """Return six times the signed volume of a closed mesh of (V, 3) int32 vertices, exactly."""
+    if not len(faces):
+        return 0
+    low = vertices[faces[0, 0]].astype(np.int64)
+    a, b, c = (vertices[corners].astype(np.int64) - low for corners in faces.T)
+    total = 0
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        term = b[:, j] * c[:, k] - b[:, k] * c[:, j]
+        total += _exact_sum(a[:, i] * (term >> 31)) << 31
+        total += _exact_sum(a[:, i] * (term & 0x7FFFFFFF))
+    return total
+
+
+def _exact_sum(values: np.ndarray) -> int:
+    """Return the sum of int64 values as a Python integer."""
+    return (int((values >> 32).sum()) << 32) + int((values & 0xFFFFFFFF).sum())
+
+
+@dataclass(frozen=True)
+class FractionPlan:
+    """The decisions of an octree with fractions: those of its solid, and the type of values."""
+
+    solid: VoxelizePlan
+    kind: str
+    caps: tuple[int, int] = (0, 0)  # holes that were closed, and the triangles that close them
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages that will run, in order."""
+        return [*self.solid.stages, "touched voxels", "parts", "sums along rows", "fractions"]
+
+    @property
+    def left_out(self) -> dict[str, str]:
+        """The parts that are not compiled, allocated or run, each with the reason."""
+        left = {**self.solid.left_out}
+        left.pop("surface voxels", None)
+        left["values of whole voxels"] = "only cut voxels store one"
+        return left
+
+    @property
+    def touched(self) -> int:
+        """Predicted number of voxels that triangles touch."""
+        return round(sum(self.solid.survey.areas)) + self.solid.survey.triangles
+
+    @property
+    def cost(self) -> Cost:
+        """The predicted bytes: those of the solid, and of its touched voxels."""
+        solid, bricks = self.solid.cost, self.solid.bricks
+        entry = 8 * self.solid.shape[1] * self.solid.shape[2] * self.solid.entry
+        masks = (8 + 8 + 8 + 8) * bricks  # touched, their numbers, partial, and the solid's
+        value = TYPES[self.kind].itemsize
+        return Cost(
+            device=max(solid.device, solid.host + masks + VOXEL_BYTES * self.touched + entry),
+            host=solid.host + 8 * bricks + (4 + value) * self.touched,
+            largest=max(solid.largest, 16 * self.touched, entry),
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of the plan in JSON types."""
+        return {
+            **self.solid.as_dict(),
+            "stages": self.stages,
+            "left_out": self.left_out,
+            "fraction_type": self.kind,
+            "predicted_touched_voxels": self.touched,
+            "predicted_device_bytes": self.cost.device,
+        }
+
+    def scene(self) -> dict[str, Any]:
+        """The part of the plan that is stored in the octree, in JSON types."""
+        return {**self.solid.scene(), "stages": self.stages, "left_out": self.left_out}
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Names and texts that `--plan` prints before the stages."""
+        fractions = f"of type {self.kind}, about {self.touched:,} voxels that triangles touch"
+        caps = [("caps", self.closing)] if self.caps[1] else []
+        return [*self.solid.rows(), *caps, ("fractions", fractions)]
+
+    @property
+    def closing(self) -> str:
+        """What closes the holes, for people."""
+        holes, caps = self.caps
+        return f"{count_of(holes, 'hole')} closed by {count_of(caps, 'cap triangle')}"
+
+    def refuse_beyond(self, max_memory: int, max_allocation: int) -> None:
+        """Raise MemoryLimitError if the job needs more bytes than these, in total or in one
+        buffer; the message says which dim would fit."""
+        extra = self.cost.device - self.solid.cost.device
+        self.solid.refuse_beyond(max(max_memory - extra, 0), max_allocation)
+
+
+class FractionJob(Job[Octree]):
+    """The voxelization of a mesh into fractions, surveyed and planned.
+
+    Attributes
+    ----------
+    solid : VoxelizeJob
+        The job of the solid, whose octree has the same nodes.
+    """
+
+    plan: FractionPlan
+    device: Device
+
+    def __init__(self, solid: VoxelizeJob, plan: FractionPlan) -> None:
+        self.solid, self.device, self.max_memory = solid, solid.device, solid.max_memory
+        self.plan = replace(plan, solid=solid.plan)
+        self.disagreements = 0  # known once it has run
+
+    def with_(self, **decisions: Any) -> Self:
+        """Return a copy of the job with fields of its plan, or of its solid's, replaced."""
+        job = copy.copy(self)
+        own = {"kind": decisions.pop("kind")} if "kind" in decisions else {}
+        job.solid = self.solid.with_(**decisions)
+        job.plan = replace(self.plan, solid=job.solid.plan, **own)
+        return job
+
+    def _run(self) -> Octree:
+        plan = replace(self.plan.solid, addressing="ranks")
+        solid, scan = self.solid.solid_octree(), Scan(self.solid.lattice, plan)
+        level = solid.levels(finest=1)[-1]
+        active = add_nodes(scan, level.codes[level.refined])
+        with self.stage("touched voxels"):
+            touched, firsts, count = _touched(scan, active)
+        with self.stage("parts"):
+            sums, entry = _add_parts(scan, active, touched, firsts, count)
+        with self.stage("sums along rows"):
+            bricks, partial, shares = self._sum_rows(solid, touched, firsts, sums, entry)
+        with self.stage("fractions"):
+            kept = shares[(shares > 0) & (shares < WHOLE)]
+            values = values_of(kept, self.plan.kind)
+            default = values_of(np.array([WHOLE], np.uint32), self.plan.kind)
+            found = Attribute("fraction", values, values[:0], partial, default[0].item())
+        plan = {**self.plan.scene(), MESH_VOLUME: self.mesh_volume}
+        changed = {"mode": MODE, "bricks": bricks, "plan": plan}
+        return replace(solid, **changed, attributes=(found,))
+
+    def _sum_rows(
+        self, solid: Octree, touched: Array, firsts: Array, sums: Array, entry: Array | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the bricks with the voxels that have a share, the masks of those whose share is
+        neither 0 nor WHOLE, and the shares of the touched voxels."""
+        device, (_, ny, nz) = self.device, self.plan.solid.shape
+        bricks, partial = device.put(solid.bricks), device.empty(len(solid.bricks), BRICK)
+        shares, wrong = (
+            device.empty(firsts.size and sums.size // 2, np.uint32),
+            device.zeros(1, np.uint32),
+        )
+        top, rule = solid.depth - 1, RULES[self.plan.solid.fill]
+        device.kernel(SOURCE, "sum_rows", **self._options)(
+            -(-ny // 8) * -(-nz // 8), device.view(solid.nodes), device.put(solid.offsets), top,
+            self.plan.solid.shape, rule=rule, entry=entry, touched=touched, firsts=firsts,
+            sums=sums, bricks=bricks, partial=partial, shares=shares, wrong=wrong,
+        )  # fmt: skip
+        self.disagreements = int(wrong.take()[0])
+        return bricks.take(), partial.take(), shares.take()
+
+    @property
+    def _options(self) -> dict[str, int | str]:
+        plan = replace(self.plan.solid, addressing="ranks")
+        return Scan(self.solid.lattice, plan).options
+
+    @property
+    def mesh_volume(self) -> float:
+        """The signed volume of the mesh on the fixed-point lattice, caps included, in voxels: the
+        exact number, rounded once."""
+        lattice = self.solid.lattice
+        faces = lattice.faces.get(0, lattice.faces.size).reshape(-1, 3)
+        return volume_in_units(lattice.fixed, faces) / (6 << 24)
+
+    def findings(self, result: Octree) -> Iterator[str]:
+        """Yield warnings: the surface does not bound what the fill rule says, or nothing is set."""
+        yield from self.solid.findings(result)
+        if self.disagreements:
+            places = count_of(self.disagreements, "place")
+            yield (
+                f"{self._name}: at {places} along rows the faces do not bound "
+                f"what {self.plan.solid.rule} fills, so fractions before them may be wrong: see "
+                "voxtool diagnose, or repair the mesh"
+            )
+
+    def notes(self, result: Octree) -> list[str]:
+        """Return lines about an open mesh; they are not warnings."""
+        notes = self.solid.notes(result)
+        if not self.plan.caps[1]:
+            return notes
+        summary = notes[0] if notes and self.solid.choice else "".join(notes).partition("; ")[0]
+        return [f"{summary or self._name}; {self.plan.closing}"]
+
+    @property
+    def _name(self) -> str:
+        return self.solid.mesh.name or "mesh"
+
+
+def values_of(shares: np.ndarray, kind: str) -> np.ndarray:
+    """Return shares of 1 / WHOLE as values of a type, rounded to the nearest."""
+    dtype = TYPES[kind]
+    if dtype.kind == "f":
+        return (shares / WHOLE).astype(dtype)
+    most = np.iinfo(dtype).max
+    return (
+        (shares.astype(np.uint64) * np.uint64(most) + np.uint64(WHOLE // 2)) // np.uint64(WHOLE)
+    ).astype(dtype)
+
+
+def _touched(scan: Scan, active: ActiveNodes) -> tuple[Array, Array, int]:
+    """Return the masks of the voxels that triangles touch, brick by brick, the numbers of such
+    voxels before each half of a brick, and the number of all."""
+    touched = scan.device.zeros(8 * active.nodes.n, BRICK)
+    scan.set_boxes(TOUCHED, {**active.lookup, "target": touched})
+    halves = 2 * touched.size
+    firsts = scan.device.empty(halves + 1, np.uint32)
+    scan.kernel(SCAN, "count_bits")(halves, touched, firsts)
+    return touched, firsts, exclusive_scan(firsts, halves)
+
+
+def _add_parts(
+    scan: Scan, active: ActiveNodes, touched: Array, firsts: Array, count: int
+) -> tuple[Array, Array | None]:
+    """Return the area and the volume of the parts of triangles in each touched voxel, (2 count,)
+    int64, and the areas of the parts before x = 0 in each row of the grid."""
+    _, ny, nz = scan.plan.shape
+    sums = scan.device.zeros(2 * count, np.int64)
+    entry = scan.device.zeros(ny * nz, np.int64) if scan.plan.entry else None
+    n, triangles = scan.shares(COVERED)
+    arguments = {"touched": touched, "firsts": firsts, "sums": sums, "entry": entry}
+    scan.kernel(SOURCE, "add_parts")(n, **arguments, **triangles, **active.lookup)
+    return sums, entry
