@@ -22,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "examples"))
 import make_bunny
 
 import voxtool
+from voxtool.choices import FRACTION_TYPES
 
 GOLDEN = Path(__file__).parent / "golden" / "svo.json"
 MODELS = Path(__file__).parents[2] / "shared" / "models"
@@ -30,6 +31,7 @@ FILLS = (("nonzero", 0), ("winding", 0), ("flood", 0), ("flood", 3))
 FILL_DIM = 128  # the largest
 OWN = ("bunny", "sphere", "torus", "open-box", "needles")
 MORPHS = {50: ("dilate", 2.5), 128: ("close", 4.0)}  # of the solid, by dim
+FRACTION_DIM = 200  # the largest with fractions
 POINTS_DIM = 50  # of the octree that is queried at points
 DIMS = (8, 50, 64, 200, 512)
 REAL = ("stanford-bunny", "armadillo", "dragon", "nefertiti", "fandisk", "rocker-arm", "spot",
@@ -68,6 +70,10 @@ def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterat
             more: dict[str, Any] = {"with_surface": bool(surface), "fill": "parity"}
             octree = voxtool.voxelize(mesh, grid, base, device=device, **more)
             yield f"{mode} {dim}", octree.digest()
+        for kind in FRACTION_TYPES if dim <= FRACTION_DIM else ():
+            more = {"fraction_type": kind, "fill": "parity", "device": device}
+            octree = voxtool.voxelize(mesh, grid, "fraction", **more)
+            yield f"fraction {kind} {dim}", octree.digest()
         for fill, gap in FILLS if dim <= FILL_DIM else ():
             octree = voxtool.voxelize(mesh, grid, fill=fill, gap=gap, device=device)
             yield f"{octree.fill} {dim}", octree.digest()

@@ -12,6 +12,7 @@ from voxtool.selftest.oracles import (
     HALF,
     UNIT,
     crossings,
+    filled,
     polygons,
     solid,
     surface6,
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
 
     from voxtool.selftest.oracles import Cell
 
-__all__ = ["solid", "surface6", "surface26", "to_dense"]
+__all__ = ["filled", "solid", "surface6", "surface26", "to_dense"]
 NODE = 8  # voxels along a side of a level 1 node
 
 

@@ -43,6 +43,7 @@ from scipy import ndimage
 from voxtool.adf import build, query, textures
 from voxtool.adf.scene import FieldScene
 from voxtool.adf.surface.extract import extract_field_surface
+from voxtool.bench.fractions import dense_of
 from voxtool.camera import Camera
 from voxtool.choices import COLOURS, METHODS
 from voxtool.files.spool import Spool
@@ -64,6 +65,7 @@ from voxtool.spatial.pseudonormals import pseudonormals
 from voxtool.spatial.self_intersections import find_self_intersections
 from voxtool.spatial.signed_distance import SignedDistance
 from voxtool.svo.attribution.colours import plan_attributes
+from voxtool.svo.attribution.fraction import plan_fractions, stored_volume
 from voxtool.svo.attribution.labels import plan_labels
 from voxtool.svo.booleans import combine
 from voxtool.svo.fill.caps import find_boundary
@@ -172,7 +174,16 @@ def test_every_kernel_and_variant_was_launched(run):
     }
     assert len(declared) > 10
     assert declared == set(run[0]["kernels"])
-    wanted = {"", "WIDE", "CODE=ulong", "LISTED", "VOXELS", "SAMPLE=uchar", "SAMPLE=uint"}
+    wanted = {
+        "",
+        "WIDE",
+        "CODE=ulong",
+        "LISTED",
+        "VOXELS",
+        "FRACTIONS",
+        "SAMPLE=uchar",
+        "SAMPLE=uint",
+    }
     wanted |= {"MORTON_TABLE", "PLANE_TILE=4", "BASE_OVERLAP", "DESCENT", "ANCESTORS"}
     wanted |= {"SIGNED", "RANKED", "FLAT", "WINDING", "CLOSED", "JUMPS"}
     wanted |= {"SEARCH=LINEAR", "SEARCH=BINARY", "SEARCH=COHERENT", "LANES=1", "LANES=16", "W"}
@@ -244,6 +255,7 @@ def main() -> None:
     extract_sharp_field(device)
     colour_voxels(device)
     measure_wall_links(device)
+    fill_voxels_in_part(device)
     dilate_voxels(device)
     label_parts(device)
     resample_voxels(device)
@@ -393,6 +405,33 @@ def colour_voxels(device) -> None:
             octree = job.with_(**forced).run()
             assert len(octree.attribute("colour").values) == octree.count > 0
             assert octree.attribute("normal").values.any()
+
+
+def fill_voxels_in_part(device) -> None:
+    """Fractions of parts that begin before the grid, large ones in tiles, and of an open box; and
+    surfaces of them."""
+    parts = (meshes.octahedron((12.5, 9, 10), 7), meshes.box((-9, 2, 3), (3, 11, 9.5)))
+    vertices, faces = meshes.join(*parts)
+    vertices = np.asarray(vertices, np.float64)
+    triangles = meshes.fixed(vertices)[faces]
+    mesh, grid = Mesh(vertices, faces.astype(np.int32)), Grid((30, 22, 17), (0, 0, 0), (1, 1, 1))
+    for variant in ("narrow", "all"):
+        for fill in ("parity", "nonzero", "winding"):
+            job = plan_fractions(mesh, grid, fill=fill, device=device)
+            octree = job.with_(**VARIANTS[variant]).run()
+            octree.validate()
+        found = dense_of(octree)
+        for cell in ((0, 5, 5), (2, 10, 9), (7, 8, 9), (12, 9, 16), (15, 12, 12)):
+            assert abs(found[cell] - float(oracles.filled(triangles, cell))) < 1e-7, cell
+    vertices, faces = meshes.open_box((3.5, 4, 4), (20, 21, 13), missing=1)
+    mesh = Mesh(np.asarray(vertices, np.float64), faces.astype(np.int32))
+    octree = plan_fractions(mesh, grid, device=device).run()
+    assert stored_volume(octree) == 16.5 * 17 * 9
+    for style in ("marching-cubes", "surface-nets"):
+        surface = plan_extract(octree, style=style, device=device).run()
+        found = check_surface(Mesh(surface.points / LATTICE, surface.faces), weld=False)
+        assert found.watertight
+        assert found.manifold
 
 
 def dilate_voxels(device) -> None:

@@ -27,6 +27,7 @@ CUBE = dict.fromkeys(("rms", "p99", "max"), "of the cube's side")
 MEASURES = {  # of errors, by bench, and their units; the first is drawn in charts
     "voxelize": SURFACE,
     "extract": SURFACE,
+    "fractions": {"rms": "of a voxel", "volume": "of the mesh's volume"},
     "surfaces": SURFACE,
     "adf": CUBE | {f"{name} near the surface": unit for name, unit in CUBE.items()},
     "distance": CUBE,

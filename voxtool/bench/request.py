@@ -22,6 +22,7 @@ SETTINGS = {  # the fields of a Request that each bench reads
     "tets": ("sizes", "pixels", "view", "methods", "integrators", "transfers", "scalar",
              "component"),
     "view": ("dims", "levels", "tolerances", "sign", "scalar", "component"),
+    "fractions": ("dims",),
     "exchange": ("dims",),
     "combine": ("dims",),
     "morph": ("dims",),
@@ -33,7 +34,8 @@ SETTINGS = {  # the fields of a Request that each bench reads
 }  # fmt: skip
 
 MESH_BENCHES = ("voxelize", "extract", "adf", "surfaces", "distance", "pictures", "view",
-                "exchange", "combine", "morph", "scale", "repair", "growth")  # fmt: skip
+                "exchange", "combine", "morph", "fractions", "scale", "repair",
+                "growth")  # fmt: skip
 VOLUME_BENCHES = ("tets", "view", "growth")
 
 

@@ -17,6 +17,7 @@ from voxtool.bench import (
     distance,
     exchange,
     field_surfaces,
+    fractions,
     growth,
     morph,
     pictures,
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
 BENCHES = {
     "voxelize": voxels.measure_voxelize,
     "extract": voxels.measure_extract,
+    "fractions": fractions.measure,
     "adf": adf.measure,
     "surfaces": field_surfaces.measure,
     "distance": distance.measure,

@@ -29,13 +29,14 @@ from voxtool.bench.references import (
     surface_of_peer,
     voxels_of_peer,
 )
-from voxtool.choices import MARCHING_CUBES, SHARP, VOXEL_FACES
+from voxtool.choices import MARCHING_CUBES, SHARP, SURFACE_NETS, VOXEL_FACES
 from voxtool.errors import VoxtoolWarning, human
 from voxtool.files import write_svo
 from voxtool.files.mesh import load_mesh
 from voxtool.grid import Grid
 from voxtool.memory import available_memory
 from voxtool.morton import morton_decode, morton_encode
+from voxtool.svo.attribution.fraction import plan_fractions
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.shares import outer_surface, share_of
 from voxtool.svo.surface.extract import extract, plan_extract
@@ -216,11 +217,33 @@ def measure_extract(bench: Bench) -> Iterator[Point | Ablation]:
                 found = against.errors_of(surface_of_peer(result, centre, side))
                 figures = against.in_voxels(found, max(grid.pitch))
                 yield row(method=peer, runs=runs, peer=True, figures=figures, **found)
+    for dim, style in product(asked.dims, asked.styles):
+        if style in (MARCHING_CUBES, SURFACE_NETS):
+            yield _of_fractions(mesh, dim, style, against, bench)
     if asked.ablations and MARCHING_CUBES in asked.styles:
         for dim in asked.dims:
             octree = voxelize(mesh, Grid.fit(mesh, dim), fill=asked.fills[0], device=bench.timed)
             job = plan_extract(octree, isovalue=asked.isovalue, device=bench.timed)
             yield from ablation.of_extract(job, bench, f"{MARCHING_CUBES}, dim {dim}")
+
+
+def _of_fractions(mesh: Mesh, dim: int, style: str, against: Reference, bench: Bench) -> Point:
+    """The point of a surface of the fractions of voxels."""
+    asked, grid = bench.request, Grid.fit(mesh, dim)
+    octree = plan_fractions(mesh, grid, fill=asked.fills[0], device=bench.timed).run()
+    plan = partial(plan_extract, octree, style=style, isovalue=asked.isovalue)
+    job = plan(device=bench.timed)
+    made = job.run()
+    found = against.errors_of(made.mesh())
+    return bench.point(
+        "solid voxels to surface", f"{style}, fractions", f"dim {dim}", size=dim, size_of="dim",
+        run=lambda device: plan(device=device).run(),
+        asked={"dims": dim, "fills": asked.fills[0], "styles": style, "isovalue": asked.isovalue,
+               "samples": asked.samples},
+        setting={"rule": octree.fill, "level": made.level, "against": against.words},
+        figures={**_cubes(octree, made), **against.in_voxels(found, max(grid.pitch))},
+        left_out=job.left_out, bytes=made.points.nbytes + made.faces.nbytes, **found,
+    )  # fmt: skip
 
 
 def coverage_grid(octree: Octree) -> np.ndarray:

@@ -197,6 +197,16 @@ COMMANDS = {
       voxtool bench morph bunny.obj --dims 128,512
       voxtool bench morph bunny.obj --quick -o report
     """,
+    "fractions": """Measure how much of each voxel of MODELS lies inside: fractions and sampling.
+
+    Fractions of each type, 1,000 points a voxel up to dim 64, and the binary solid: the error of
+    cut voxels against float32 fractions, and that of the volume against the mesh's, exactly.
+
+    \b
+    Examples:
+      voxtool bench fractions bunny.obj --dims 64,512
+      voxtool bench fractions bunny.obj --quick -o report
+    """,
     "scale": """Measure octrees of MODELS written in windows and merged, and many by one command.
 
     Windows have a quarter of the memory that the octree takes. An error is an octree whose content

@@ -130,8 +130,9 @@ def command(
     if fraction_type and mode != FRACTION:
         raise click.UsageError(f"--fraction-type goes with --mode {FRACTION}, not {mode}")
     if mode == FRACTION:
-        check_fraction(fill, {"--with-surface": with_surface, "--labels": bool(labels), "--dag": dag, "--dask": bool(dask),
-                              "--resume": resume, "--windows": windows != "auto"})  # fmt: skip
+        given = {"--with-surface": with_surface, "--labels": labels, "--attributes": attributes,
+                 "--dag": dag, "--dask": dask, "--resume": resume}  # fmt: skip
+        check_fraction(fill, {**given, "--windows": windows != "auto"})
     if with_surface and mode != "solid":
         raise click.UsageError(f"--with-surface goes with --mode solid: {mode} is a surface")
     if thin and "surface" not in mode:
@@ -228,7 +229,7 @@ def check_attributes(names: Sequence[str], others: dict[str, bool]) -> None:
         raise click.UsageError(f"--attributes {','.join(names)}: name each once")
 
 
-def check_fraction(fill: str, others: dict[str, bool]) -> None:
+def check_fraction(fill: str, others: dict[str, Any]) -> None:
     """Refuse options that do not go with --mode fraction."""
     given = [name for name, is_given in others.items() if is_given]
     if given:

@@ -41,7 +41,7 @@ from voxtool.svo.octree import Octree
 RULE_NAME = Rule(  # any name will do: it changes nothing here
     lambda text: re.fullmatch(r"[a-z][a-z0-9+-]*", text), "is {value!r}, which names no rule"
 )
-MODE = "`surface26`, `surface6`, `solid` or `solid+surface26`"
+MODE = "`surface26`, `surface6`, `solid`, `solid+surface26` or `solid+fraction`"
 FILL = (
     "rule that decided what is inside: `parity`, `nonzero`, `winding`, `flood`, `flood+gapN`; "
     "`none` for a surface, for other programs' voxels and for combinations; matches "

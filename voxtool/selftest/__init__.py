@@ -14,6 +14,7 @@ from voxtool.selftest import (
     digests,
     exchange,
     fields,
+    fractions,
     links,
     merging,
     morphology,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 CASES: tuple[Case, ...] = (
     *arithmetic.CASES,
     *voxels.CASES,
+    *fractions.CASES,
     booleans.operations,
     merging.subtrees,
     points.points,

@@ -117,7 +117,7 @@ class Octree(PointQueries, OctreeContent, Data):
     ----------
     grid : Grid
         The grid of the voxels.
-    mode : {"surface26", "surface6", "solid", "solid+surface26"}
+    mode : {"surface26", "surface6", "solid", "solid+surface26", "solid+fraction"}
         The kind of voxel set.
     fill : str
         Rule that decided what is inside: "parity", "nonzero", "winding", "flood" or "flood+gapN";

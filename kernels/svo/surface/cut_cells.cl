@@ -1,6 +1,6 @@
 // Finds the tiles of samples that the surface may cross, and the cut cells, from an octree. Host
 // side: voxtool/svo/surface/cut_cells.py. Options: VOXELS: samples are voxels and tiles are bricks;
-// otherwise SAMPLE: the type of coverages.
+// FRACTIONS: the same, with how much of each is inside; SAMPLE: the type of coverages and fractions.
 
 #include "svo/octree.h"
 #include "svo/surface/samples.h"
@@ -41,7 +41,7 @@ __kernel void place_nodes(__global const svo_node *nodes, const uint first, cons
     if (child & VALID) {
         codes[(child & LINK) >> 3] = code;
         if (is_last)
-#ifdef VOXELS
+#if defined(VOXELS) || defined(FRACTIONS)
             atomic_or(&active[code >> 2], 0xFFu << (8 * (code & 3)));
 #else
             atomic_or(&active[code >> 5], 1u << (code & 31));
@@ -119,6 +119,34 @@ __kernel void sample_tiles(__global const uint *node_codes, const uint n,
     source[slot] = gid;
 }
 
+#elif defined(FRACTIONS)
+
+// The fractions of the 64 voxels of each brick: those of `partial` voxels follow each other from
+// fractions[firsts[i]] on, the other set ones are full; and the masks of voxels of `threshold` or more.
+__kernel void sample_tiles(__global const uint *node_codes, const uint n,
+                           __global const ulong *bricks, __global const ulong *partial,
+                           __global const uint *firsts, __global const ushort *fractions,
+                           const uint full, const uint threshold, __global const ulong *present,
+                           __global const uint *ranks, __global SAMPLE *samples,
+                           __global ulong *masks, __global uint *source)
+{
+    const uint gid = get_global_id(0);
+    if (gid >= n)
+        return;
+    ulong mask = 0;
+    uint next = firsts[gid];
+    for (uint bit = 0; bit < 64; ++bit) {
+        uint found = bricks[gid] >> bit & 1 ? full : 0;
+        if (partial[gid] >> bit & 1)
+            found = fractions[next++];
+        samples[64 * (size_t)gid + bit] = (SAMPLE)found;
+        mask |= (ulong)(found >= threshold) << bit;
+    }
+    const uint slot = slot_of(present, ranks, node_codes[gid >> 3] << 3 | (gid & 7));
+    masks[slot] = mask;
+    source[slot] = gid;
+}
+
 #else
 
 // The coverages of the 64 samples of each active tile; the masks of samples inside, and of samples
@@ -164,7 +192,7 @@ __kernel void sample_tiles(__global const uint *node_codes, const uint n,
 
 #endif
 
-#ifndef VOXELS
+#if !defined(VOXELS) && !defined(FRACTIONS)
 
 // The samples of a tile in a mask, and their neighbours by face, edge or corner.
 ulong dilate(ulong mask)

@@ -1,6 +1,7 @@
 """The cubes of an octree's samples that the surface cuts, without a dense grid.
 
-A sample is a node of one level, its scalar the number of its voxels that are set; or a voxel. A
+A sample is a node of one level, its scalar the number of its voxels that are set; or a voxel, or
+how much of it is inside if the octree has fractions. A
 cube has samples at its eight corners; it is cut if some of them are inside and others are not.
 Cubes begin at the level's nodes or beside them in uniform space: the NullCubes of [voCCeL, section
 4.1], which are listed, sorted and made unique there. Here 4 x 4 x 4 samples are a tile, and a set
@@ -33,6 +34,7 @@ MAX_PRESENT = 1 << 24  # tiles: 32 bits count their 192 edges each
 MAX_EDGES = 1 << 30  # that the surface cuts
 MAX_LEVEL = 8  # up to which 32 bits count a node's voxels
 ISOVALUE_BITS = 16  # of a fraction of a voxel
+FULL_VOXEL = 1 << 15  # the scalar of a voxel that is wholly inside, of fractions
 _BIT = np.uint64(1) << np.arange(BRICK_SIDE**3, dtype=np.uint64)
 LOW_LAYER = [np.bitwise_or.reduce(_BIT[BRICK_VOXELS[:, a] == 0]) for a in range(3)]
 LOST_ITEMS = 256  # work-items that count lost voxels
@@ -43,12 +45,13 @@ class Sampling:
     """A level of samples, and an isovalue."""
 
     level: int  # of the nodes that are samples, or VOXEL
-    isovalue: int  # of a sample's voxels, in 2**-16: that of the request, rounded once
+    isovalue: int  # of a sample's scalar, in 2**-16: that of the request, rounded once
+    fractions: bool = False  # whether scalars of voxels are how much of them is inside
 
     @classmethod
-    def of(cls, level: int | str, isovalue: float) -> Sampling:
+    def of(cls, level: int | str, isovalue: float, fractions: bool = False) -> Sampling:
         """Return the sampling of a level, or "voxel", and an isovalue in (0, 1)."""
-        sampling = cls(VOXEL if isinstance(level, str) else level, 0)
+        sampling = cls(VOXEL if isinstance(level, str) else level, 0, fractions)
         scale = sampling.full << ISOVALUE_BITS  # a power of two: the product is exact
         return replace(sampling, isovalue=min(max(round(isovalue * scale), 1), scale))
 
@@ -59,19 +62,26 @@ class Sampling:
 
     @property
     def full(self) -> int:
-        """Voxels of a sample."""
-        return self.side**3
+        """The scalar of a sample that is wholly inside: its voxels, or FULL_VOXEL."""
+        return FULL_VOXEL if self.fractions else self.side**3
+
+    @property
+    def binary(self) -> bool:
+        """True if samples are voxels that are set or not."""
+        return self.level == VOXEL and not self.fractions
 
     @property
     def threshold(self) -> int:
-        """The least number of set voxels of a sample that is inside."""
+        """The least scalar of a sample that is inside."""
         return -(-self.isovalue >> ISOVALUE_BITS)
 
     @property
     def options(self) -> dict[str, int | str]:
         """The -D options of the kernels."""
-        if self.level == VOXEL:
+        if self.binary:
             return {"VOXELS": 1}
+        if self.fractions:
+            return {"FRACTIONS": 1, "SAMPLE": "ushort", "DIFFERENCE": "uint"}
         if self.level == 0:
             return {"SAMPLE": "uchar", "COVERAGE": "ulong", "DIFFERENCE": "uint"}
         return {"SAMPLE": "uint", "COVERAGE": "uint", "DIFFERENCE": "ulong"}
@@ -234,6 +244,7 @@ def find_tiles(
             "isovalue": sampling.isovalue,
             "bricks": device.view(octree.bricks),
             "nodes": device.view(tree.nodes),
+            **(_fractions_of(device, octree) if sampling.fractions else {}),
         }
         tiles = Tiles(device, sampling, 0, scene, (0, 0))
         nodes = _place_nodes(tiles, tree, active)
@@ -263,6 +274,23 @@ def find_tiles(
     return replace(tiles, n=n, core=(int(asked[0]), int(asked[1])))
 
 
+def _fractions_of(device: Device, octree: Octree) -> dict[str, Array]:
+    """Return the masks of voxels that have a fraction of their own, the number of such voxels
+    before each brick, and their scalars."""
+    fraction = octree.attribute("fraction")
+    values, firsts = fraction.values, fraction.starts(octree.bricks)
+    if values.dtype.kind == "f":  # float32 times a power of two: exact
+        scalars = np.floor(values * np.float32(FULL_VOXEL) + np.float32(0.5))
+    else:
+        most = int(np.iinfo(values.dtype).max)
+        scalars = (values.astype(np.uint64) * FULL_VOXEL + most // 2) // most
+    return {
+        "partial": device.put(fraction.held(octree.bricks)),
+        "firsts": device.put(firsts.astype(np.uint32)),
+        "fractions": device.put(scalars.astype(np.uint16)),
+    }
+
+
 def _place_nodes(tiles: Tiles, tree: Tree, active: Array) -> Array:
     """Return the Morton codes of the nodes whose descendants are samples: one a tile, or one for
     eight tiles if samples are voxels. Mark these tiles as active, and those in inside leaves from
@@ -284,8 +312,15 @@ def _sample_tiles(tiles: Tiles, tree: Tree, nodes: Array) -> None:
     and those below the isovalue."""
     device, sampling, scene = tiles.device, tiles.sampling, tiles.arguments
     sample_tiles = tiles.kernel(SOURCE, "sample_tiles")
-    if sampling.level == VOXEL:
+    if sampling.binary:
         sample_tiles(scene["bricks"].size, nodes, **scene)
+        return
+    if sampling.fractions:
+        n = scene["bricks"].size
+        scene["samples"] = device.empty(64 * n, np.uint16)
+        sample_tiles(n, nodes, threshold=sampling.threshold, **scene)
+        for name in ("partial", "firsts", "fractions"):
+            del scene[name]  # frees memory
         return
     cover_level = tiles.kernel(SOURCE, "cover_level")
     coverage = scene["bricks"]

@@ -28,7 +28,6 @@ import numpy as np
 from voxtool.choices import SURFACE_NETS
 from voxtool.opencl import Array, Device, program
 from voxtool.opencl.primitives import compact, exclusive_scan, radix_sort, scan_runs
-from voxtool.svo.octree import VOXEL
 from voxtool.svo.surface.case_tables import CASES, MAX_LOOPS
 from voxtool.svo.surface.cut_cells import Extracted, Tiles, check_edges, count_lost
 from voxtool.svo.surface.plan import MAX_SAMPLES
@@ -92,7 +91,7 @@ def dual_surface(
         if crossings is not None:
             features = place_features(tiles, crossings, cubes.vertices, cubes.arguments)
             points = _between(tiles, cubes, relaxations, lanes, features)
-        elif style == SURFACE_NETS and tiles.sampling.level == VOXEL:
+        elif style == SURFACE_NETS and tiles.sampling.binary:
             points = _relaxed(tiles, cubes, relaxations, lanes)
         else:
             points = _placed(tiles, cubes, style)

@@ -79,6 +79,8 @@ def plan_extract(
     place of the octree: links that it does not cross are closed smoothly."""
     style, level, share = _checked(octree, style, level, isovalue, merge, source)
     tree, plan = _plan(octree, style, level, share, merge)
+    if has_fractions(octree) and style != VOXEL_FACES:
+        plan = replace(plan, fractions=True, relaxations=0)
     device = device or default_device()
     if source is not None:
         plan = replace(plan, corners=len(source.vertices), faces=len(source.faces))
@@ -120,8 +122,9 @@ def _checked(
     style = STYLE_ALIASES.get(style, style)
     if style not in STYLES:
         raise VoxtoolError(f"style {style!r} is unknown: choose one of {', '.join(STYLES)}")
+    fractions = has_fractions(octree)
     if level is None:
-        level = 0 if style == MARCHING_CUBES else "voxel"
+        level = 0 if style == MARCHING_CUBES and not fractions else "voxel"
     number = level_number(octree, level, _coarsest(octree))
     level = "voxel" if number == VOXEL else number
     try:
@@ -140,12 +143,22 @@ def _checked(
         )
     if style == SHARP and level != "voxel":
         raise VoxtoolError(f"level {level}: a {SHARP} surface has voxels as samples")
+    if fractions and (style == SHARP or level != "voxel"):
+        raise VoxtoolError(
+            f"style {style}, level {level}: the octree has fractions, which are of voxels: choose "
+            f"level voxel and no style {SHARP}, or voxelize with --mode solid"
+        )
     if "solid" not in octree.mode and (style, level) != (VOXEL_FACES, "voxel"):
         raise VoxtoolError(
             f"an octree of mode {octree.mode} has no inside to extract a {style} surface from: "
             f"voxelize with --mode solid, or extract --style {VOXEL_FACES} --level voxel"
         )
     return style, level, share
+
+
+def has_fractions(octree: OctreeContent) -> bool:
+    """Return whether an octree says how much of each voxel is inside."""
+    return any(attribute.name == "fraction" for attribute in octree.attributes)
 
 
 def _plan(
@@ -158,7 +171,8 @@ def _plan(
 
     def coarser() -> Iterator[ExtractionPlan]:
         first = 0 if isinstance(level, str) else level + 1
-        last = _coarsest(octree) if solid and style != SHARP else -1
+        coarsens = solid and style != SHARP and not has_fractions(octree)
+        last = _coarsest(octree) if coarsens else -1
         for other in range(first, last + 1):
             yield _plan(octree, style, other, isovalue, merge)[1]
 
@@ -248,7 +262,7 @@ class ExtractJob(Job[Isosurface]):
         """Return a copy of the job with fields of its plan replaced, as `relaxations`; raise
         TypeError if the plan has no such field, or it is of the request; ValueError if the style
         has no such compaction."""
-        if requested := {"style", "level", "isovalue", "merge"} & decisions.keys():
+        if requested := {"style", "level", "isovalue", "merge", "fractions"} & decisions.keys():
             raise TypeError(f"{', '.join(sorted(requested))}: plan another extraction")
         possible = COMPACTIONS if self.plan.style == MARCHING_CUBES else (SCAN,)
         if (compaction := decisions.get("compaction", SCAN)) not in possible:
@@ -257,7 +271,7 @@ class ExtractJob(Job[Isosurface]):
 
     def _run(self) -> Isosurface:
         device, plan = self.device, self.plan
-        sampling = Sampling.of(plan.level, plan.isovalue)
+        sampling = Sampling.of(plan.level, plan.isovalue, plan.fractions)
         allowed = device.max_memory if self.max_memory is None else self.max_memory
 
         def counted(**numbers: int) -> None:
@@ -342,6 +356,8 @@ class ExtractJob(Job[Isosurface]):
     def _keeping(self) -> str:
         """Return what would keep voxels that samples lose: samples of their own size, or smaller
         voxels."""
+        if self.plan.fractions:
+            return "a lower isovalue may keep them"
         finer = BRICK_SIDE * self.octree.grid.dim
         hints = []
         if _plan(self.octree, SURFACE_NETS, "voxel", 0.5)[1].samples <= MAX_SAMPLES:

@@ -46,6 +46,7 @@ class ExtractionPlan:
     coarser: Callable[[], Iterable[ExtractionPlan]] = field(compare=False, repr=False)
     corners: int = 0  # vertices and faces of the source of a sharp surface
     faces: int = 0
+    fractions: bool = False  # samples are voxels, and how much of them is inside
     naive: bool = False  # every cube of the root is visited
     compaction: str = SCAN  # of COMPACTIONS; of marching cubes
 
@@ -102,7 +103,7 @@ class ExtractionPlan:
         octree = bricks + 4 * sum(self.nodes[1:])
         if self.level not in ("voxel", 0):
             octree += 4 * self.nodes[1]  # coverages
-        sample = 0 if self.voxels else 1 if self.level == 0 else 4
+        sample = 2 if self.fractions else 0 if self.voxels else 1 if self.level == 0 else 4
         tiles = 28 * max(self.samples**3 // 4096, 1) + TILE_BYTES * self.visited
         tiles += (64 * sample + 12 * (sample > 0)) * active_tiles(self.nodes, self.level)
         if self.arity is not None:
@@ -151,6 +152,8 @@ class ExtractionPlan:
             out["cubes away from nodes"] = "a set of tiles holds those that the surface may cross"
         if self.voxels:
             out["coverages, and voxels lost to them"] = "samples are voxels"
+            if self.fractions:
+                out["relaxation"] = "fractions are smooth as they are"
         elif self.level == 0:
             out["coverages of 32 bits"] = "a brick's 64 voxels fit 8 bits"
         if not self.rooted:
@@ -184,7 +187,8 @@ class ExtractionPlan:
 
     def rows(self) -> list[tuple[str, str]]:
         """Names and texts that `--plan` prints before the stages."""
-        surface = f"{self.style}, level {self.level}: {self.samples} samples along the root"
+        samples = "fractions" if self.fractions else "samples"
+        surface = f"{self.style}, level {self.level}: {self.samples} {samples} along the root"
         cubes = f"about {self.cubes:,}, in {self.visited:,} tiles"
         return [("surface", surface), ("cut cubes", cubes)]
 

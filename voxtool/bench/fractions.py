@@ -1,0 +1,124 @@
+"""Fractions of voxels, beside sampling at 1,000 points a voxel, and the binary solid."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voxtool.bench.timing import by_turns
+from voxtool.choices import FRACTION_TYPES
+from voxtool.files.mesh import load_mesh
+from voxtool.grid import Grid
+from voxtool.svo.attribution.fraction import FractionJob, plan_fractions, stored_volume
+from voxtool.svo.layout import BRICK_VOXELS
+from voxtool.svo.voxelize import plan_voxelize
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from voxtool.bench.points import Point
+    from voxtool.bench.timing import Bench
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.opencl import Device
+    from voxtool.svo.octree import Octree
+
+WORK = "mesh to fractions of voxels"
+POINTS = 10  # along each side of a voxel
+SAMPLED_DIM = 64  # up to which voxels are sampled
+SLAB = 8  # voxels along z that are sampled at once
+REFERENCE = {"rms": "the others are compared with these fractions"}
+TOO_LARGE = {"rms": f"voxels are compared up to dim {SAMPLED_DIM}"}
+
+
+def measure(bench: Bench) -> Iterator[Point]:
+    """The points of a model: fractions of each type, points and the solid; the root mean square of
+    the errors of cut voxels, and the error of the volume, of that of the mesh on its lattice."""
+    mesh = load_mesh(bench.model)
+    for dim in bench.request.dims:
+        grid = Grid.fit(mesh, dim)
+        job = plan_fractions(mesh, grid, device=bench.timed)
+        octree = job.run()
+        cut = np.nonzero(masked(octree)) if dim <= SAMPLED_DIM else None
+        exact = dense_of(octree)[cut] if cut else np.empty(0)
+        row = partial(
+            bench.point, WORK, label=f"dim {dim}", size=octree.count, size_of="voxels",
+            asked={"dims": dim}, setting={"rule": octree.fill},
+        )  # fmt: skip
+        for kind in FRACTION_TYPES:
+            plan = partial(plan_fractions, mesh, grid, kind=kind)
+            made = plan(device=bench.timed).run()
+            errors = {"volume": volume_error(stored_volume(made), job)}
+            if kind != FRACTION_TYPES[0] and cut:
+                errors["rms"] = rms(dense_of(made)[cut], exact)
+            yield row(
+                f"fractions, {kind}", run=lambda device, plan=plan: plan(device=device).run(),
+                errors=errors, bytes=made.nbytes + made.attribute("fraction").nbytes,
+                absent=REFERENCE if kind == FRACTION_TYPES[0] else {} if cut else TOO_LARGE,
+            )  # fmt: skip
+        plan = partial(plan_voxelize, mesh, grid, fill=octree.fill)
+        solid = plan(device=bench.timed).run()
+        errors = {"volume": volume_error(solid.count, job)}
+        if cut:
+            errors["rms"] = rms(solid.to_dense()[cut], exact)
+        yield row(
+            "binary solid", run=lambda device, plan=plan: plan(device=device).run(),
+            errors=errors, bytes=solid.nbytes, absent={} if cut else TOO_LARGE,
+        )  # fmt: skip
+        if cut:
+            sample = partial(sampled, mesh, grid, octree.fill, bench.timed)
+            found = sample()
+            errors = {"volume": volume_error(float(found.sum()), job)}
+            errors["rms"] = rms(found[cut], exact)
+            runs = by_turns(bench.request, sample)[0]
+            yield row(f"{POINTS**3:,} points a voxel", runs=runs, errors=errors, bytes=found.nbytes)
+
+
+def masked(octree: Octree) -> np.ndarray:
+    """The voxels that have a fraction of their own, (nx, ny, nz) bool."""
+    masks = octree.attribute("fraction").held(octree.bricks)
+    bits = np.unpackbits(masks.view(np.uint8), bitorder="little").reshape(-1, len(BRICK_VOXELS))
+    return _scattered(octree, np.zeros(octree.grid.shape, bool), bits)
+
+
+def dense_of(octree: Octree) -> np.ndarray:
+    """The fractions of all voxels, (nx, ny, nz) float64."""
+    values = octree.values("fraction").of_bricks(slice(None))
+    most = 1 if values.dtype.kind == "f" else np.iinfo(values.dtype).max
+    return _scattered(octree, octree.to_dense().astype(np.float64), values / most)
+
+
+def _scattered(octree: Octree, dense: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The array with the values of the voxels of bricks, (n, 64), that lie in it."""
+    places = octree.levels()[-1].cells[:, None] + BRICK_VOXELS
+    held = (places < octree.grid.shape).all(axis=2)
+    dense[tuple(places[held].T)] = values[held]
+    return dense
+
+
+def sampled(mesh: Mesh, grid: Grid, fill: str, device: Device) -> np.ndarray:
+    """The shares of points of each voxel that are inside, (nx, ny, nz) float64: those of the
+    centres of voxels POINTS times finer, in slabs."""
+    nx, ny, nz = grid.shape
+    x, y, z = grid.pitch
+    pitch = x / POINTS, y / POINTS, z / POINTS
+    fine = Grid((POINTS * nx, POINTS * ny, POINTS * nz), grid.origin, pitch)
+    found = np.empty(grid.shape)
+    for k in range(0, nz, SLAB):
+        deep = min(SLAB, nz - k)
+        window: Any = (0, 0, POINTS * k), (POINTS * nx, POINTS * ny, POINTS * deep)
+        octree = plan_voxelize(mesh, fine, fill=fill, window=window, device=device).run()
+        points = octree.to_dense().reshape(nx, POINTS, ny, POINTS, deep, POINTS)
+        found[:, :, k : k + deep] = points.sum(axis=(1, 3, 5), dtype=np.uint16) / POINTS**3
+    return found
+
+
+def rms(found: np.ndarray, exact: np.ndarray) -> float:
+    """The root mean square of errors; 0 of none."""
+    return float(np.sqrt(np.mean((found - exact) ** 2))) if len(exact) else 0.0
+
+
+def volume_error(voxels: float, job: FractionJob) -> float:
+    """The error of a volume in voxels, of that of the mesh."""
+    return abs(voxels / job.mesh_volume - 1) if job.mesh_volume else 0.0
