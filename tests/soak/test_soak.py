@@ -160,9 +160,18 @@ def test_killed_writers_leave_a_whole_file_or_none(rounds, models: Path, tmp_pat
 def test_killed_windows_go_on_to_the_same_octree(rounds, models: Path, tmp_path: Path) -> None:
     target = tmp_path / "out.svo.h5"
     mesh = voxtool.load_mesh(models / "bunny.obj")
-    whole = voxtool.voxelize(mesh, voxtool.Grid.fit(mesh, 1000)).digest()
-    command = f"voxelize {models}/bunny.obj --dim 1000 -q -o {target} --max-memory 1M --resume"
+    digests = {
+        options: voxtool.voxelize(mesh, voxtool.Grid.fit(mesh, 1000), fill=fill).digest()
+        for options, fill in {
+            "--max-memory 1M": "auto",
+            "--max-memory 1M --dag": "auto",
+            "--max-memory 12M --fill flood": "flood",
+        }.items()
+    }
     for rng in rounds:
+        options = rng.choice(list(digests))
+        whole = digests[options]
+        command = f"voxelize {models}/bunny.obj --dim 1000 -q -o {target} --resume {options}"
         target.unlink(missing_ok=True)
         for _ in range(rng.randint(1, 4)):
             child = subprocess.Popen([*MODULE, *command.split()], env=ENVIRONMENT)

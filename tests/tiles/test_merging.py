@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,4 +96,35 @@ def test_the_command_merges_by_windows(here: Path) -> None:
     assert not Path("two.svo.h5.windows").exists()
     assert "windows    " in run(limited.replace("--json", "--plan")).stdout
     assert "is the largest that fits" in fail(f"{limited} --windows never -o three.svo.h5")
-    assert "--resume takes windows from the disk" in fail(f"{asked} --resume", code=2)
+
+
+def test_a_killed_run_goes_on(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = "voxelize bunny.obj --dim 400 --dag --json"
+    whole = told(f"{asked} -o one.svo.h5")
+    limit = told(f"{asked} --plan")["predicted_device_bytes"] // 3
+    limited = f"{asked} --max-memory {limit} -o two.svo.h5"
+    windows, left, content = told(f"{limited} --plan")["windows"], [2], MergingJob._content
+
+    def dies(job: MergingJob, *window: Any) -> Any:
+        if not left[0]:
+            raise Killed
+        left[0] -= 1
+        return content(job, *window)
+
+    monkeypatch.setattr(MergingJob, "_content", dies)
+    with pytest.raises(Killed):
+        run(limited)
+    folder, left[0] = Path("two.svo.h5.windows"), 100
+    made = [path for path in folder.iterdir() if path.suffix == ".1"]
+    assert len(made) == 2  # the leaves of each window
+    made[0].write_bytes(made[0].read_bytes()[:-1])  # cut off
+    plain = limited.replace("--dag ", "")
+    assert "is of another mesh, grid or options" in fail(f"{plain} --resume", 3)
+    assert told(f"{limited} --resume")["digest"] == whole["digest"]
+    assert 100 - left[0] == windows - 1
+    assert Path("two.svo.h5").read_bytes() == Path("one.svo.h5").read_bytes()
+    assert not folder.exists()
+
+
+class Killed(Exception):
+    """Stands for a kill."""

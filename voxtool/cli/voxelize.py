@@ -164,9 +164,6 @@ def command(
         raise click.UsageError("--dag writes .svo.h5, from one process: drop --dask")
     if thin and (dask or resume):
         raise click.UsageError("--thin takes a surface in one piece: drop --dask and --resume")
-    if dag and resume:
-        raise click.UsageError("--resume takes windows from the disk, and those of --dag stay in "
-                               "memory: drop one of the two")  # fmt: skip
     if labels and "xml" in str(run.file_format):
         raise click.UsageError("XML holds no attributes of voxels: name a .svo.h5 with -o")
     if doctype and "xml" not in str(run.file_format):
@@ -202,7 +199,7 @@ def command(
             and not fits(job, dag)
         ):
             parts = run.stage("plan windows", windows_of, job, dag)
-        if parts and dag:
+        if parts and dag and run.to_stdout:
             octree = run.job(parts, **placed)
             run.write(write_svo, octree)
         elif parts:

@@ -162,10 +162,17 @@ class Windows:
         """Return the number of voxels of a window."""
         return self._lines[key]["voxels"]
 
-    def take(self, key: Key) -> Iterator[np.ndarray]:
-        """Yield the bricks of a window in blocks; each block is then removed from the disk."""
+    def bricks(self, key: Key) -> Iterator[np.ndarray]:
+        """Yield the bricks of a window in blocks."""
         for path in self._paths(key, self._lines[key]["files"])[1:]:
             yield np.fromfile(path, BRICK)
+
+    def take(self, key: Key) -> Iterator[np.ndarray]:
+        """Yield the same; each block is then removed from the disk."""
+        for path, block in zip(
+            self._paths(key, self._lines[key]["files"])[1:], self.bricks(key), strict=True
+        ):
+            yield block
             path.unlink()
 
     def remove(self) -> None:

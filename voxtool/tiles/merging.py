@@ -7,18 +7,22 @@ Equal subtrees are equal wherever the windows end, so the result does not depend
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from voxtool.errors import MemoryLimitError, human
-from voxtool.files.windows import Key
+from voxtool.files.windows import Key, Window, Windows
 from voxtool.job import Cost
-from voxtool.svo.merge import Subtrees, join, merge, no_subtrees
+from voxtool.svo.layout import BRICK
+from voxtool.svo.merge import CHILDREN, Subtrees, join, merge, no_subtrees
 from voxtool.svo.merged import MERGE_BYTES, MergedOctree
 from voxtool.svo.plan import VoxelizePlan
 from voxtool.svo.voxelize import VoxelizeJob
 from voxtool.tiles.subtree import depth_of
 from voxtool.tiles.windows import Part, WindowsJob, WindowsPlan
+
+NO_LEAVES = np.empty(0, BRICK)
 
 
 def merging_fits(job: VoxelizeJob) -> bool:
@@ -68,7 +72,15 @@ class MergingPlan(WindowsPlan):
 
 
 class MergingJob(WindowsJob):
-    """A voxelization that runs window by window, each of which is merged at once."""
+    """A voxelization that runs window by window, each of which is merged at once. With a store
+    its distinct subtrees wait on disk, too, so that a run that was killed can go on."""
+
+    store: Windows | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    @property
+    def request(self) -> dict[str, Any]:
+        """The content and the rule of the octree that is made, in JSON types."""
+        return {**super().request, "merged": True}
 
     def _plan(self) -> MergingPlan:
         return MergingPlan(self.whole.plan, self._divide(self.root, self.all_faces))
@@ -101,8 +113,17 @@ class MergingJob(WindowsJob):
         return self._window(part.key, faces)
 
     def _window(self, key: Key, faces: np.ndarray) -> Subtrees:
-        """Make and merge a window."""
+        """Return a merged window."""
         self._report()
+        if self.store is not None and key in self.store:
+            tables, _ = self.store.get(key)
+            rows = [table.view(np.uint32).reshape(-1, CHILDREN) for table in tables]
+            leaves = np.concatenate([NO_LEAVES, *self.store.bricks(key)])
+            return Subtrees(rows, leaves, self.store.voxels(key))
         with self.device.reporting(lambda _: None):  # not the stages within
             levels, bricks, _ = self._content(key, faces)
-        return merge(levels[::-1], bricks)
+        merged = merge(levels[::-1], bricks)
+        if self.store is not None:
+            tables = [rows.view(np.uint8).ravel() for rows in merged.rows]
+            self.store.put(key, Window.of(tables, merged.leaves, merged.root))
+        return merged
