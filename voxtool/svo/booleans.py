@@ -27,6 +27,7 @@ from voxtool.job import Cost, Job, one_call
 from voxtool.opencl import Array, Device, default_device, program
 from voxtool.opencl.builder import Request
 from voxtool.opencl.primitives import SCAN, exclusive_scan
+from voxtool.svo.attribution.carry import carried
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import (
     BRICK,
@@ -208,7 +209,16 @@ class CombineJob(Job[Octree]):
         self.device.prepare(*PROGRAMS)
         with self.stage("place"):
             operands = self.upload()
-        return self.octree(*combined(operands, Terms.of(self.plan.operation, operands.n)))
+        octree = self.octree(*combined(operands, Terms.of(self.plan.operation, operands.n)))
+        return self._carried(octree)
+
+    def _carried(self, octree: Octree) -> Octree:
+        """Return the result with the attributes of the operands that its voxels are from."""
+        n = 1 if self.plan.operation in ("intersection", "difference") else len(self.octrees)
+        if not any(one.attributes for one in self.octrees[:n]):
+            return octree
+        with self.stage("attributes"):
+            return carried(octree, self.octrees[:n], list(self.lows[:n]), self.device)
 
     def upload(self) -> Operands:
         """Return the operands on the device, in the grid of the result."""

@@ -19,6 +19,7 @@ from voxtool.errors import MemoryLimitError, VoxtoolError, count_of, human
 from voxtool.job import Cost, Job
 from voxtool.mesh.topology import components
 from voxtool.morton import morton_decode, morton_encode
+from voxtool.svo.attribution.carry import with_attributes
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.octree import Octree
 from voxtool.svo.tiling import BRICK_CELLS, BRICKS, LEVEL, TILE, Tiling
@@ -340,7 +341,8 @@ class ComponentsJob(Job[Octree]):
                 voxels = found.chosen(keep)
         with self.stage("build"):
             corner = np.zeros(3, np.int64)
-            return voxels.octree(octree.grid, corner, octree.units, octree.transform)
+            result = voxels.octree(octree.grid, corner, octree.units, octree.transform)
+        return with_attributes(result, octree, corner)
 
     def findings(self, result: Octree) -> Iterator[str]:
         """Yield why the result is empty."""

@@ -28,6 +28,7 @@ from voxtool.grid import Grid
 from voxtool.job import Cost, Job
 from voxtool.morton import among, spread_bits
 from voxtool.opencl import Array, Device, default_device, program
+from voxtool.svo.attribution.carry import with_attributes
 from voxtool.svo.content import OctreeContent
 from voxtool.svo.layout import BRICK, BRICK_BYTES
 from voxtool.svo.octree import Octree
@@ -332,8 +333,9 @@ class MorphJob(Job[Octree]):
         with self.device.stage("build"):
             if plan.operation == "shell":
                 voxels = self._voxels.intersection(voxels.complement())
-            octree = self.octree
-            return voxels.octree(plan.grid, np.array(plan.low), octree.units, octree.transform)
+            octree, low = self.octree, np.array(plan.low)
+            result = voxels.octree(plan.grid, low, octree.units, octree.transform)
+        return with_attributes(result, octree, -low, self.device)
 
     def findings(self, result: Octree) -> Iterator[str]:
         """Yield why the result is empty."""

@@ -1,0 +1,129 @@
+"""Attributes of combinations and of morphology, against a dense array of values."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import meshes
+import numpy as np
+import pytest
+
+import voxtool
+from voxtool.morton import morton_decode
+from voxtool.svo.attributes import BITS, Attribute
+from voxtool.svo.attribution.labels import plan_labels
+from voxtool.svo.octree import Octree
+
+
+def labelled(device, low: int, names: tuple[str, str], origin=(0.0, 0.0, 0.0)) -> Octree:
+    """Two boxes side by side, large enough for inside leaves, with labels and colours."""
+    solids = [
+        meshes.box((low, 3, 3), (low + 11, 27, 27)),
+        meshes.box((low + 11, 3, 3), (29, 27, 27)),
+    ]
+    mesh = voxtool.join(
+        [voxtool.mesh_from_arrays(np.asarray(v, float), f, name=f"{name}.obj")
+         for (v, f), name in zip(solids, names, strict=True)]
+    )  # fmt: skip
+    grid = voxtool.Grid((32, 32, 32), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
+    octree = plan_labels(mesh, grid, labels="file", device=device).run()
+    label = octree.attribute("label")
+    table = np.array([(200, 10, low, 255), (5, 100, low, 128)], np.uint8)
+    colour = Attribute("colour", table[label.values], table[label.leaves], default=(0, 0, 0, 0))
+    grid = replace(grid, origin=origin)
+    return replace(octree, grid=grid, attributes=(label, colour))
+
+
+def dense(octree: Octree, name: str) -> np.ndarray:
+    """The value of each voxel, as whole numbers; labels by the hash of their name."""
+    attribute = octree.attribute(name)
+    row = attribute.values.shape[1:]
+    found = np.full((*[-(-n // 4) * 4 for n in octree.grid.shape], *row), -1, np.int64)
+    values = octree.values(name)
+    leaves = iter(np.asarray(attribute.leaves))
+    for level in octree.levels():
+        if level.number:
+            side = level.side
+            for x, y, z in level.cells[level.inside]:
+                found[x : x + side, y : y + side, z : z + side] = next(leaves)
+        else:
+            at = 4 * morton_decode(level.codes)[:, None] + morton_decode(np.arange(64))
+            set_ = octree.bricks[:, None] & BITS != 0
+            found[tuple(at[set_].T)] = values.of_bricks(slice(None))[set_]
+    nx, ny, nz = octree.grid.shape
+    found = found[:nx, :ny, :nz]
+    if name == "label":
+        table = np.array([*(sum(map(ord, name)) for name in attribute.names), -1])
+        return table[found]
+    return found
+
+
+@pytest.mark.parametrize("origin", [(0.0, 0.0, 0.0), (4.0, 8.0, 0.0), (3.0, -2.0, 5.0)])
+@pytest.mark.parametrize("operation", ["union", "intersection", "difference", "xor"])
+def test_combinations(device, operation: str, origin: tuple[float, float, float]) -> None:
+    one = labelled(device, 3, ("left", "right"))
+    two = labelled(device, 7, ("right", "other"), origin)
+    both = voxtool.combine([one, two], operation, device=device)
+    both.validate()
+    low = [np.rint(np.subtract(o.grid.origin, both.grid.origin)).astype(int) for o in (one, two)]
+    for name in ("label", "colour"):
+        found = dense(both, name)
+        expected = np.full_like(found, -1)
+        for octree, corner in zip((two, one), (low[1], low[0]), strict=True):
+            values, set_ = dense(octree, name), octree.to_dense()
+            at = tuple((np.argwhere(set_) + corner).T)
+            expected[at] = values[set_]
+        set_ = both.to_dense()
+        expected[~set_] = -1
+        assert (found == expected).all()
+    plain = voxtool.combine(
+        [replace(o, attributes=()) for o in (one, two)], operation, device=device
+    )
+    assert both.set_digest() == plain.set_digest()
+    wanted = ("left", "right", "other") if operation in ("union", "xor") else ("left", "right")
+    assert both.attribute("label").names == wanted
+
+
+def test_only_attributes_that_all_operands_have_are_kept(device) -> None:
+    one = labelled(device, 3, ("left", "right"))
+    two = replace(labelled(device, 7, ("a", "b")), attributes=())
+    assert voxtool.combine([one, two], device=device).attributes == ()
+    kept = voxtool.combine([one, two], "difference", device=device)
+    assert [a.name for a in kept.attributes] == ["label", "colour"]
+
+
+@pytest.mark.parametrize(
+    ("operation", "radius"), [("erode", 2), ("open", 3), ("shell", 2), ("dilate", 3), ("close", 4)]
+)
+def test_morphology(device, operation: str, radius: float) -> None:
+    octree = labelled(device, 4, ("left", "right"))
+    made = voxtool.morph(octree, operation, radius, device=device)
+    made.validate()
+    assert (
+        made.set_digest()
+        == voxtool.morph(
+            replace(octree, attributes=()), operation, radius, device=device
+        ).set_digest()
+    )
+    low = np.rint(np.subtract(octree.grid.origin, made.grid.origin)).astype(int)
+    values, old, new = dense(octree, "label"), octree.to_dense(), dense(made, "label")
+    voxels = np.argwhere(made.to_dense())
+    own = np.argwhere(old)
+    for voxel in voxels:
+        at = voxel - low
+        inside = (at >= 0).all() and (at < old.shape).all() and old[tuple(at)]
+        if inside:
+            assert new[tuple(voxel)] == values[tuple(at)]
+        elif voxel.sum() % 7 == 0:  # some of them
+            away = ((own - at) ** 2).sum(axis=1)
+            near = own[away == away.min()]
+            assert new[tuple(voxel)] in values[tuple(near.T)]
+
+
+def test_components_and_cavities_keep_labels(device) -> None:
+    octree = labelled(device, 4, ("left", "right"))
+    hollow = voxtool.morph(octree, "shell", 2, device=device)
+    filled = voxtool.fill_cavities(hollow)
+    assert (dense(filled, "label")[filled.to_dense()] > 0).all()
+    kept = voxtool.keep_components(octree, largest=1)
+    assert (dense(kept, "label") == dense(octree, "label")).all()
