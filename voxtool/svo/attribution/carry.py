@@ -68,7 +68,7 @@ class Source:
     def holds(self, voxels: np.ndarray) -> np.ndarray:
         """Return whether the octree sets voxels of the result, (n,) bool."""
         own = voxels - self.low
-        within = ((own >= 0) & (own < self.octree.grid.shape)).all(axis=1)
+        within = ((own >= 0) & (own < np.array(self.octree.grid.shape))).all(axis=1)
         bricks, codes = self.levels[-1].codes, morton_encode(np.where(within[:, None], own, 0))
         found = within & (self.leaves(voxels, 1) == 0)
         if len(bricks):
