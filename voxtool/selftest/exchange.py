@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 from itertools import product
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -66,7 +66,8 @@ def hexahedra(device: Device, full: bool) -> int:
     wrong = 0
     for image in images:
         mesh, sums = Hexahedra.of(image), np.zeros(len(SIDES), np.int64)
-        for layer in mesh.layers():
+        layers: Any = mesh.layers()
+        for layer in layers:
             y, z = np.divmod(layer.cells.keys.astype(np.int64), layer.width)
             places = (np.full(len(y), layer.x), y, z)
             for key, faces in layer.faces:

@@ -298,7 +298,8 @@ def found_in(
         values[power].append(each.astype(np.uint32))
 
     for part in [image] if labels else image.parts():
-        for filled in labels.cubes(THICK) if labels else part.cubes(THICK):
+        cubes: Any = labels.cubes(THICK) if labels else part.cubes(THICK)
+        for filled in cubes:
             each = np.ones(len(filled.corners)) if labels is None else filled.values
             add(filled.side.bit_length() - 1, filled.corners, each)
         for corners, cells in labels.blocks(THICK) if labels else part.blocks(THICK):
@@ -328,7 +329,7 @@ def united(
         starts = np.flatnonzero(np.diff(parents, prepend=np.uint64(2**64 - 1)) != 0)
         if not len(starts):
             continue
-        counts = np.diff([*starts, len(codes)])
+        counts = np.diff(starts, append=len(codes))
         whole = (counts == 8) & (
             np.minimum.reduceat(values, starts) == np.maximum.reduceat(values, starts)
         )

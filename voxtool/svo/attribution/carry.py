@@ -68,14 +68,14 @@ class Source:
     def holds(self, voxels: np.ndarray) -> np.ndarray:
         """Return whether the octree sets voxels of the result, (n,) bool."""
         own = voxels - self.low
-        within = ((own >= 0) & (own < np.array(self.octree.grid.shape))).all(axis=1)
+        within: np.ndarray = np.logical_and(own >= 0, own < self.octree.grid.shape).all(axis=1)
         bricks, codes = self.levels[-1].codes, morton_encode(np.where(within[:, None], own, 0))
         found = within & (self.leaves(voxels, 1) == 0)
         if len(bricks):
             at = np.minimum(np.searchsorted(bricks, codes >> np.uint64(6)), len(bricks) - 1)
-            inside = within & (bricks[at] == codes >> np.uint64(6))
-            set_ = (self.octree.bricks[at] & BITS[(codes & np.uint64(63)).astype(int)]) != 0
-            found |= inside & set_
+            bits = BITS[(codes & np.uint64(63)).astype(int)]
+            held = (bricks[at] == codes >> np.uint64(6)) & ((self.octree.bricks[at] & bits) != 0)
+            found |= within & held
         return found
 
     def values(self, name: str, voxels: np.ndarray) -> np.ndarray:
