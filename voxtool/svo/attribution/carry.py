@@ -68,7 +68,8 @@ class Source:
     def holds(self, voxels: np.ndarray) -> np.ndarray:
         """Return whether the octree sets voxels of the result, (n,) bool."""
         own = voxels - self.low
-        within: np.ndarray = np.logical_and(own >= 0, own < self.octree.grid.shape).all(axis=1)
+        low, high = own.min(axis=1), (own - self.octree.grid.shape).max(axis=1)
+        within = (low >= 0) & (high < 0)
         bricks, codes = self.levels[-1].codes, morton_encode(np.where(within[:, None], own, 0))
         found = within & (self.leaves(voxels, 1) == 0)
         if len(bricks):
