@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import struct
 from pathlib import Path
 
@@ -11,7 +12,8 @@ from helpers_octree import WORLD, ball, octree_from_dense
 
 import voxtool
 from voxtool.errors import FileError, VoxtoolError
-from voxtool.files import vox
+from voxtool.files import quantize, vox
+from voxtool.morton import morton_decode
 
 
 def chunk(name: bytes, *numbers: int, rest: bytes = b"") -> bytes:
@@ -203,3 +205,99 @@ def test_refusals(data: bytes, message: str, tmp_path: Path) -> None:
     (tmp_path / "a.vox").write_bytes(data)
     with pytest.raises(VoxtoolError, match=message):
         voxtool.read_voxels(tmp_path / "a.vox")
+
+
+# ---- palettes
+
+
+def coloured(count: int, side: int = 40) -> voxtool.Octree:
+    """Voxels of so many colours, in the order of bricks and bits."""
+    dense = np.random.default_rng(1).random((side, side, side)) < 0.9  # so no leaf is coarse
+    octree = voxtool.Octree.from_dense(dense)
+    n = octree.count
+    number = np.arange(n) % count
+    values = np.stack([number % 256, number // 256, 255 - number % 256, np.full(n, 255)], axis=1)
+    leaves = sum(int(level.inside.sum()) for level in octree.levels() if level.number)
+    held = int(np.bitwise_count(octree.bricks).sum())
+    values = values.astype(np.uint8)
+    attribute = voxtool.Attribute("colour", values[:held], values[:leaves])
+    return dataclasses.replace(octree, attributes=(attribute,))
+
+
+def read_rgba(path: Path) -> np.ndarray:
+    from midvoxio.voxio import vox_to_arr
+
+    return np.rint(255 * vox_to_arr(str(path))).astype(np.uint8)
+
+
+def expected(octree: voxtool.Octree) -> np.ndarray:
+    """The colours of all voxels, (nx, ny, nz, 4)."""
+    found = np.zeros((*octree.grid.shape, 4), np.uint8)
+    cells = octree.levels()[-1].cells
+    local = morton_decode(np.arange(64, dtype=np.uint64))
+    for cell, values in zip(cells, octree.values("colour").of_bricks(slice(None)), strict=True):
+        inside = ((cell + local) < octree.grid.shape).all(axis=1)
+        found[tuple((cell + local)[inside].T)] = values[inside]
+    return found
+
+
+@pytest.mark.parametrize("count", [1, 7, 255])
+def test_colours_of_a_model_are_its_palette(count: int, tmp_path: Path) -> None:
+    octree = coloured(count, 20)
+    voxtool.export(octree, tmp_path / "a.vox")
+    assert np.array_equal(read_rgba(tmp_path / "a.vox"), expected(octree))
+
+
+def test_many_colours_become_255(tmp_path: Path) -> None:
+    octree = coloured(5000, 24)
+    for name in ("a.vox", "b.vox"):
+        voxtool.export(octree, tmp_path / name)
+    assert (tmp_path / "a.vox").read_bytes() == (tmp_path / "b.vox").read_bytes()
+    found, wanted = read_rgba(tmp_path / "a.vox"), expected(octree)
+    assert len(np.unique(found[found[..., 3] > 0], axis=0)) == 255
+    error = np.abs(found.astype(int) - wanted)
+    assert error.max() <= 16
+    assert error.mean() < 3
+
+
+def test_median_cut() -> None:
+    colours = np.array([(x, 0, 0, 255) for x in range(256)], np.uint8)
+    palette, place = quantize.palette_of(colours, np.ones(256, np.int64))
+    assert len(palette) == 255
+    assert (np.abs(palette[place].astype(int) - colours) <= 1).all()
+    counts = np.where(np.arange(256) < 3, 1, 10**6)
+    heavy, at = quantize.palette_of(colours, counts)
+    assert (heavy[at][3:] == colours[3:]).all()  # the rare ones are joined
+    assert np.array_equal(quantize.unpacked(quantize.packed(colours)), colours)
+
+
+def test_labels_and_refusals(tmp_path: Path) -> None:
+    octree = coloured(9, 12)
+    names = tuple(map(str, range(300)))
+    numbers = (np.arange(octree.count) % 300).astype(np.uint16)
+    held = len(octree.attribute("colour").values)
+    label = voxtool.Attribute("label", numbers[:held], numbers[:0], names=names)
+    both = dataclasses.replace(octree, attributes=(*octree.attributes, label))
+    voxtool.export(both, tmp_path / "a.vox")
+    assert np.array_equal(read_rgba(tmp_path / "a.vox"), expected(octree))  # colours come first
+    voxtool.export(both, tmp_path / "b.vox", attributes="label")
+    found = read_rgba(tmp_path / "b.vox")
+    assert len(np.unique(found[found[..., 3] > 0], axis=0)) == 255
+    voxtool.export(both, tmp_path / "c.vox", attributes="none")
+    found = read_rgba(tmp_path / "c.vox")
+    assert len(np.unique(found[found[..., 3] > 0], axis=0)) == 1
+    with pytest.raises(VoxtoolError, match=r"\.vox holds one attribute: name one"):
+        voxtool.export(both, tmp_path / "d.vox", attributes="label,colour")
+    normal = voxtool.Attribute("normal", np.zeros((held, 3), np.float32), np.zeros((0, 3), "f4"))
+    other = dataclasses.replace(octree, attributes=(normal,))
+    with pytest.raises(VoxtoolError, match=r"\.vox holds colours or labels, not normal"):
+        voxtool.export(other, tmp_path / "d.vox", attributes="normal")
+
+
+def test_levels_and_boxes_have_colours(tmp_path: Path) -> None:
+    octree = coloured(100, 40)
+    voxtool.export(octree, tmp_path / "a.vox", bbox=(3, 5, 7, 33, 36, 39))
+    assert np.array_equal(read_rgba(tmp_path / "a.vox"), expected(octree)[3:33, 5:36, 7:39])
+    voxtool.export(octree, tmp_path / "b.vox", level=1)
+    counts = octree.to_dense().reshape(20, 2, 20, 2, 20, 2).sum(axis=(1, 3, 5))
+    assert np.array_equal(read_rgba(tmp_path / "b.vox")[..., 3] == 255, counts >= 4)

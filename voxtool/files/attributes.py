@@ -9,6 +9,7 @@ from voxtool.errors import VoxtoolError
 from voxtool.files.formats import EXCHANGE, ending
 from voxtool.svo.attributes import KINDS
 
+PAINTED = ("colour", "label")  # of palettes, the first that is there
 NONE = "none"  # instead of names: the occupancy alone
 
 
@@ -47,8 +48,11 @@ def chosen_attributes(
     if holds == "all":
         return tuple(there), {}
     first = ("label",) if "label" in there else ()
+    if holds == "palette":
+        first = tuple(name for name in PAINTED if name in there)[:1]
     rest = [other for other in there if other not in first]
-    why = f"{ending(name)} holds one array: choose it by --attribute"
+    what = "a palette of colours or labels" if holds == "palette" else "one array"
+    why = f"{ending(name)} holds {what}: choose it by --attribute"
     return first, {f"attributes {', '.join(rest)}": why} if rest else {}
 
 
@@ -72,7 +76,9 @@ def _asked(
     if not holds:
         known = ", ".join(ending(key) for key, each in EXCHANGE.items() if each.attributes)
         raise VoxtoolError(f"{ending(name)} holds no attributes of voxels: choose {known}")
-    if holds == "one" and len(names) > 1:
+    if holds == "palette" and (wrong := [one for one in names if one not in PAINTED]):
+        raise VoxtoolError(f"{ending(name)} holds colours or labels, not {wrong[0]}: choose one")
+    if holds in ("one", "palette") and len(names) > 1:
         known = ", ".join(ending(key) for key, each in EXCHANGE.items() if each.attributes == "all")
         raise VoxtoolError(f"{ending(name)} holds one attribute: name one, or choose {known}")
     if other:

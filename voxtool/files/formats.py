@@ -55,7 +55,8 @@ class Exchange(NamedTuple):
     points: bool = False  # whether only the set cells are written, one by one
     whole: bool = False  # whether its writer needs all nodes of an octree at once
     hexahedra: bool = False  # whether set cells are written as hexahedra, for solvers
-    attributes: str = ""  # of voxels: "all" beside the occupancy, "one" in its place, or "" none
+    # of voxels: "all" beside the occupancy, "one" in its place, a "palette" beside it, or "" none
+    attributes: str = ""
 
 
 # What is written, by the extension that names it.
@@ -110,7 +111,9 @@ EXCHANGE = {
         grids=True,
         whole=True,
     ),
-    "vox": Exchange("vox", "grid; which cells are set", dtypes=("bool",), whole=True),
+    "vox": Exchange(
+        "vox", "grid; which cells are set", dtypes=("bool",), whole=True, attributes="palette"
+    ),
     "nvdb": Exchange(
         "nvdb",
         "place, coverage as float32; cubes as tiles",

@@ -19,6 +19,7 @@ import numpy as np
 from voxtool.choices import MIN_DIM
 from voxtool.errors import FileError
 from voxtool.files.streams import PACKED
+from voxtool.files.vox_paint import BLOCK, Paint
 from voxtool.files.voxels import Boxes, Frame, Stored, grid_of_text, grid_text
 from voxtool.grid import Grid
 from voxtool.svo.image import VoxelImage
@@ -26,11 +27,10 @@ from voxtool.svo.image import VoxelImage
 MAGIC, VERSION = b"VOX ", 150
 MODEL_SIDE = 256  # voxels along a side of a model, at most
 LAYERS = 16  # of a model that are listed at once
-BLOCK = 32  # cells along a side of what a model is put together from
 WORLD_SIDE = 2000  # voxels along a side of MagicaVoxel's world
 MOST_BYTES = (1 << 31) - 1  # that a chunk counts
 NODE_BYTES = 200  # of the two nodes and the chunks of a model, at most
-COLOUR, PALETTE = 1, bytes((204, 204, 204, 255)) * 256
+COLOURS = 256  # of a palette, of which the last is not used
 # Attributes of the root node: the grid, its low voxel in the scene, and the unit.
 GRID, LOW, UNITS = "voxtool_grid", "voxtool_low", "voxtool_units"
 DEEPEST = 64  # nodes inside nodes
@@ -46,11 +46,12 @@ def size(image: VoxelImage) -> int:
     full = sum(count * side**3 for count, side in sides if side >= MODEL_SIDE)
     models = np.prod([-(-n // MODEL_SIDE) + 1 for n in image.shape])
     voxels = image.count - full + (MODEL_SIDE**3 if full else 0)
-    return 4 * voxels + NODE_BYTES * int(models) + len(PALETTE) + 1000
+    return 4 * voxels + NODE_BYTES * int(models) + 4 * COLOURS + 1000
 
 
 def write(image: VoxelImage, file: BinaryIO) -> None:
-    """Write the cells of which at least half is set, in one colour.
+    """Write the cells of which at least half is set, in their colours or those of their labels, or
+    in one colour.
 
     Raises
     ------
@@ -82,44 +83,41 @@ class _Scene:
         x, y, z = image.shape
         # The middle of x and y is 0, and the lowest voxel stands on the ground while there is room.
         self.low = np.array([-(x // 2), -(y // 2), min(0, WORLD_SIDE // 2 - z)])
+        self.paint = Paint.of(image)
         self.models = 0
         self.placed: list[tuple[int, np.ndarray]] = []  # a model, and its translation
         file.write(struct.pack("<4si4sii", MAGIC, VERSION, b"MAIN", 0, 0))
 
     def write_models(self) -> None:
         low, high = np.array(self.image.low), np.add(self.image.low, self.image.shape)
-        full = None
+        full: dict[int, int] = {}  # models by their colour, shown wherever such a block is full
         for corner, values in self.blocks():
             start, stop = np.maximum(corner, low), np.minimum(corner + MODEL_SIDE, high)
-            if values is not None:
+            if isinstance(values, np.ndarray):
                 part = tuple(map(slice, start - corner, stop - corner))
                 self.place(self.model(values[part]), start, stop - start)
                 continue
-            if full is None:  # shown wherever a block is full
-                full = self.model(np.ones((MODEL_SIDE,) * 3, bool))
-            self.place(full, start, stop - start)
+            if values not in full:
+                full[values] = self.model(np.full((MODEL_SIDE,) * 3, values, np.uint8))
+            self.place(full[values], start, stop - start)
         if not self.placed:  # a scene has at least one model
             extent = np.minimum(high - low, MODEL_SIDE)
-            self.place(self.model(np.zeros(extent, bool)), low, extent)
+            self.place(self.model(np.zeros(extent, np.uint8)), low, extent)
 
-    def blocks(self) -> Iterator[tuple[np.ndarray, np.ndarray | None]]:
-        """Yield the low cell of each block of MODEL_SIDE cells a side that is not empty, and its
-        cells; None instead of them where all are set."""
-        inside: dict[tuple[int, ...], list[tuple[np.ndarray, int]]] = {}
-        for cubes in self.image.cubes(BLOCK):
-            if cubes.side >= MODEL_SIDE:
-                steps = np.indices((cubes.side // MODEL_SIDE,) * 3).reshape(3, -1).T * MODEL_SIDE
-                yield from ((c, None) for c in (cubes.corners[:, None] + steps).reshape(-1, 3))
+    def blocks(self) -> Iterator[tuple[np.ndarray, np.ndarray | int]]:
+        """Yield the low cell of each block of MODEL_SIDE cells a side that is not empty, and the
+        numbers of its colours, or one of them where all cells are set and have it."""
+        inside: dict[tuple[int, ...], list[tuple[np.ndarray, int, int]]] = {}
+        for corners, side, numbers in self.paint.cubes():
+            if side >= MODEL_SIDE:
+                steps = np.indices((side // MODEL_SIDE,) * 3).reshape(3, -1).T * MODEL_SIDE
+                for corner, number in zip(corners, numbers.tolist(), strict=True):
+                    yield from ((c, number) for c in corner + steps)
                 continue
-            for corner in cubes.corners:
-                inside.setdefault(_block(corner), []).append((corner, cubes.side))
-        mixed = (
-            (corner, values)
-            for blocks in self.image.blocks(BLOCK)
-            for corner, values in zip(*blocks, strict=True)
-        )
-        for key, pieces in groupby(mixed, lambda piece: _block(piece[0])):  # in Morton order
-            yield self.block(key, pieces, inside.pop(key, []))
+            for corner, number in zip(corners, numbers.tolist(), strict=True):
+                inside.setdefault(_block(corner), []).append((corner, side, number))
+        for key, pieces in groupby(self.paint.blocks(), lambda piece: _block(piece[0])):
+            yield self.block(key, pieces, inside.pop(key, []))  # in Morton order
         for key, cubes in inside.items():
             yield self.block(key, [], cubes)
 
@@ -127,26 +125,28 @@ class _Scene:
         self,
         key: tuple[int, ...],
         pieces: Iterable[tuple[np.ndarray, np.ndarray]],
-        cubes: list[tuple[np.ndarray, int]],
+        cubes: list[tuple[np.ndarray, int, int]],
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return a block's low cell, and its cells put together."""
-        low, values = np.array(key) * MODEL_SIDE, np.zeros((MODEL_SIDE,) * 3, bool)
+        low, values = np.array(key) * MODEL_SIDE, np.zeros((MODEL_SIDE,) * 3, np.uint8)
         for corner, part in pieces:
             values[tuple(slice(n, n + BLOCK) for n in corner - low)] = part
-        for corner, side in cubes:
-            values[tuple(slice(n, n + side) for n in corner - low)] = True
+        for corner, side, number in cubes:
+            values[tuple(slice(n, n + side) for n in corner - low)] = number
         return low, values
 
     def model(self, values: np.ndarray) -> int:
-        """Write a model of the set values, and return its number."""
+        """Write a model of the numbers of colours that are not 0, and return its number."""
         self.chunk(b"SIZE", struct.pack("<3i", *values.shape))
         count = int(np.count_nonzero(values))
         self.open_chunk(b"XYZI", 4 + 4 * count)
         self.file.write(struct.pack("<i", count))
         for first in range(0, len(values), LAYERS):
-            x, y, z = np.nonzero(values[first : first + LAYERS])
-            voxels = np.full((len(x), 4), COLOUR, np.uint8)
+            layers = values[first : first + LAYERS]
+            x, y, z = np.nonzero(layers)
+            voxels = np.empty((len(x), 4), np.uint8)
             voxels[:, 0], voxels[:, 1], voxels[:, 2] = x + first, y, z
+            voxels[:, 3] = layers[x, y, z]
             self.file.write(voxels.data)
         self.models += 1
         return self.models - 1
@@ -167,7 +167,7 @@ class _Scene:
             frame = {"_t": " ".join(map(str, place.tolist()))}
             self.chunk(b"nTRN", _transform(node, node + 1, _dict({}), frame))
             self.chunk(b"nSHP", struct.pack("<5i", node + 1, 0, 1, model, 0))
-        self.chunk(b"RGBA", PALETTE)
+        self.chunk(b"RGBA", self.paint.rgba(COLOURS))
 
     def open_chunk(self, name: bytes, size: int) -> None:
         self.file.write(struct.pack("<4sii", name, size, 0))
