@@ -24,6 +24,7 @@ from voxtool.choices import COLOUR_BY
 from voxtool.files.formats import EXCHANGE
 from voxtool.svo.attribute_levels import CellValues
 from voxtool.svo.attributes import KINDS
+from voxtool.viewer.job import plan_view
 
 GOLDEN = Path(__file__).parent / "golden" / "attributes.json"
 OWN = ("scattered",)
@@ -43,6 +44,8 @@ def digests(own: str, device: Any) -> Iterator[tuple[str, str]]:
                 path = Path(folder, f"a.{format}")
                 voxtool.export(octree, path, attributes=asked, level=1)
                 yield f"{format} {name}", digest(path.read_bytes())
+    for level in ("voxel", 1):
+        yield f"page, level {level}", plan_view(octree, "a", level=level).plan.content.digest()
     low, high = np.zeros(3), np.array(octree.grid.shape, float)
     for view in VIEWS:
         side, fov = golden_picture.VIEWS[view]

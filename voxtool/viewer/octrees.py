@@ -8,14 +8,20 @@ root stands in a node of twice its size, which also serves a root that is a leaf
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
+from voxtool.errors import printable
+from voxtool.palette import palette
 from voxtool.rendering import scene_of
-from voxtool.svo.counts import check_isovalue, counts_of
+from voxtool.svo.attribute_levels import BRICKS, CellValues
+from voxtool.svo.attributes import BITS
+from voxtool.svo.counts import BRICK_POWER, check_isovalue, counts_of
 from voxtool.svo.layout import BRICK_SIDE
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.octree import VOXEL, Octree, level_number
+from voxtool.svo.painting import BY_DEFAULT
 from voxtool.svo.raycast import COLOUR
 from voxtool.viewer.content import PageContent
 
@@ -30,7 +36,9 @@ def octree_content(
     The arrays are `children`, (n, 2) uint8: for each refined node above the finest that holds a
     voxel, which children hold one, and which of these are refined (bits in Morton order); and for
     the finest nodes that hold one `bricks`, (m, 2) uint32, the masks of their voxels, or with a
-    level `shares`, (m,) float32, how much of each is set.
+    level `shares`, (m,) float32, how much of each is set. Those of an octree's labels and colours,
+    `label` and `colour`, have the values of the held children of these nodes, and then of voxels;
+    `palette`, (k, 3) uint8, has the colours of labels.
     """
     finest = level_number(octree, level, octree.depth - 1)
     check_isovalue(isovalue)
@@ -45,6 +53,12 @@ def octree_content(
         arrays["bricks"] = bricks.view("<u4").reshape(-1, 2)
     else:
         arrays["shares"] = shares
+    attributes = tinted(octree)
+    for name in attributes:
+        assert isinstance(octree, Octree)
+        arrays[name] = _values(octree, name, finest)
+    if "label" in attributes:
+        arrays["palette"] = palette(len(attributes["label"]["names"]))
     grid, points = octree.grid, scene_of(octree).points()
     facts = {
         "depth": octree.depth,
@@ -59,6 +73,7 @@ def octree_content(
         "voxels": octree.count,
         **({} if finest == VOXEL else {"finest": finest}),
         **({} if isovalue is None else {"isovalue": isovalue}),
+        **({"attributes": attributes} if attributes else {}),
     }
 
     def smaller_by(share: float) -> str:
@@ -70,6 +85,29 @@ def octree_content(
         return f"{shown}voxelize with --dim {dim} or so"
 
     return PageContent("octree", facts, arrays, smaller_by)
+
+
+def tinted(octree: Octree | MergedOctree) -> dict[str, dict[str, Any]]:
+    """Return the attributes that pages show, with the names of labels, in JSON types."""
+    held = octree.attributes if isinstance(octree, Octree) else ()
+    names = {one.name: list(map(printable, one.names)) for one in held}
+    return {name: {"names": names[name]} for name in BY_DEFAULT if name in names}
+
+
+def _values(octree: Octree, name: str, finest: int) -> np.ndarray:
+    """Return the values of the nodes that hold a voxel, level by level from the root down to level
+    `finest` or the bricks, and then those of voxels if they are shown."""
+    cells = CellValues(octree, name, max(finest, 0) + BRICK_POWER)
+    counts = counts_of(octree, max(finest, 0) + BRICK_POWER).of_nodes
+    levels = range(octree.depth - 1, max(finest, 0) - 1, -1)
+    every = cells.of_all_nodes()
+    found = [every[number][counts[number] > 0] for number in levels]
+    if finest == VOXEL:
+        voxels = CellValues(octree, name, 0)
+        for first in range(0, len(octree.bricks), BRICKS):
+            part = slice(first, first + BRICKS)
+            found.append(voxels.of_bricks(part)[(octree.bricks[part, None] & BITS) != 0])
+    return np.concatenate(found)
 
 
 def _bytes_to(masks: list[np.ndarray]) -> int:

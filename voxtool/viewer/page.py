@@ -33,7 +33,7 @@ SHARED = ("vectors", "data", "gl", "state", "controls", "panel", "view", "main")
 FRAME_HEIGHT = 480  # pixels of a page in a notebook
 EXTRAS = {
     "field": ("boxes",),
-    "octree": ("blocks", "tiles"),
+    "octree": ("blocks", "tiles", "tints"),
     "volume": ("transfer", "editor", "isosurfaces"),
 }  # scripts of one kind alone
 PASSES = {"octree": ("tiles.vert", "tiles.frag", "spots.vert")}  # shaders of one kind alone

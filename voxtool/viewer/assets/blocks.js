@@ -29,11 +29,12 @@ function popcount(v) {
 /**
  * @typedef {{root: number, counts: number[], held: (node: number) => number,
  *     refined: (node: number) => number, child: (node: number, octant: number) => number,
- *     share: (node: number, octant: number) => number}} Links
+ *     share: (node: number, octant: number) => number,
+ *     value: (node: number, octant: number) => number}} Links
  *     Nodes by number, root first: the size of the root, 2^root voxels; how many nodes there are of
  *     each size downward; which children of a node hold a voxel, and which of these are refined; the
  *     number of a refined child, or of the brick or leaf below the last level; the share of a child
- *     that is set.
+ *     that is set; the number of a held child among all of them, whose attributes are so ordered.
  */
 
 /** Counts the links of the stored nodes. @param {number} root
@@ -49,7 +50,10 @@ function linksOf(root, counts, children, shareOf) {
   const held = (/** @type {number} */ node) => children[2 * node];
   const refined = (/** @type {number} */ node) => children[2 * node + 1];
   const stored = (/** @type {number} */ node) => (node < lowest ? refined(node) : held(node));
-  for (let i = 0, next = counts[0], leaf = 0; i < total; ++i) {
+  const values = new Uint32Array(total);
+  for (let i = 0, next = counts[0], leaf = 0, value = 0; i < total; ++i) {
+    values[i] = value;
+    value += popcount(held(i));
     first[i] = i < lowest ? next : leaf;
     if (i < lowest) next += popcount(stored(i));
     else leaf += popcount(stored(i));
@@ -67,7 +71,9 @@ function linksOf(root, counts, children, shareOf) {
     for (let octant = 0; octant < 8; ++octant) sum += share(i, octant);
     shares[i] = sum / 8;
   }
-  return { root, counts, held, refined, child, share };
+  /** @param {number} node @param {number} octant */
+  const value = (node, octant) => values[node] + popcount(held(node) & ((1 << octant) - 1));
+  return { root, counts, held, refined, child, share, value };
 }
 
 /** What the shader reads where nodes of size 2^finest are drawn and cells of size 2^cell shaded.
@@ -78,9 +84,12 @@ function linksOf(root, counts, children, shareOf) {
  * each byte is a cell: its voxels where these are drawn, else not 0 where it holds a voxel, and all
  * ones where the octant is an inside leaf; and the shares of its cells, by x, y, z, of which `whole` is
  * what the shader reads where all is set. Cells of which less than the share `least` is set are not drawn.
+ * Of an octree with attributes, `tints` says which values are shown, and where those of a brick's voxels
+ * begin; `leaves` has the value of each entry that is an inside leaf, and `firsts` where the values of each
+ * octant begin or, without bricks, the value of each cell.
  * @param {Links} links @param {number} tables from the root to a block @param {number} cell @param {Uint32Array | null} bricks where voxels are drawn
- * @param {number} least */
-function blocksOf({ root, counts, held, refined, child, share }, tables, cell, bricks, least) {
+ * @param {number} least @param {Tints | null} tints */
+function blocksOf({ root, counts, held, refined, child, share, value }, tables, cell, bricks, least, tints) {
   const { LEAVES, POINTERS, FULL_BLOCK } = LAYOUT;
   const size = cell + 2; // of blocks
   const inner = root > size && refined(0) & 1; // the root stands in a node of twice its size
@@ -94,6 +103,10 @@ function blocksOf({ root, counts, held, refined, child, share }, tables, cell, b
   words.fill(0xffffffff, 16 * FULL_BLOCK, 16 * (FULL_BLOCK + 1));
   cells.fill(full, 64 * FULL_BLOCK, 64 * (FULL_BLOCK + 1));
   let entries = new Uint32Array(fan ** 3);
+  let leaves = new Uint32Array(tints ? fan ** 3 : 0);
+  const firsts = new Uint32Array(tints ? (bricks ? 8 : 64) * most : 0);
+  /** @param {number} node @param {number} octant */
+  const isShown = (node, octant) => !tints || tints.shown(value(node, octant));
   let [used, block] = [1, FULL_BLOCK + 1];
 
   /** @param {number} octant @param {number} at the cell of it @param {number} octet
@@ -106,11 +119,17 @@ function blocksOf({ root, counts, held, refined, child, share }, tables, cell, b
   /** @param {number} node of the size of a block @param {number} octant that holds a voxel */
   const setOctant = (node, octant) => {
     const below = child(node, octant);
+    if (bricks && tints) firsts[8 * block + octant] = tints.first(below);
     for (let at = 0; at < 8; ++at) {
+      const isRefined = !bricks && (refined(node) >> octant) & 1;
+      if (tints && !bricks) {
+        if (isRefined ? !((held(below) >> at) & 1) || !isShown(below, at) : !isShown(node, octant)) continue;
+        firsts[64 * block + 8 * octant + at] = isRefined ? value(below, at) : value(node, octant);
+      }
       if (bricks) {
         const octet = (bricks[2 * below + (at >> 2)] >>> (8 * (at & 3))) & 0xff;
         setCell(octant, at, octet, popcount(octet) / 8);
-      } else if (!((refined(node) >> octant) & 1)) setCell(octant, at, 0xff, 1);
+      } else if (!isRefined) setCell(octant, at, 0xff, 1);
       else if ((held(below) >> at) & 1) setCell(octant, at, 1, share(below, at));
     }
   };
@@ -123,6 +142,11 @@ function blocksOf({ root, counts, held, refined, child, share }, tables, cell, b
         const longer = new Uint32Array(2 * entries.length);
         longer.set(entries);
         entries = longer;
+        if (tints) {
+          const more = new Uint32Array(entries.length);
+          more.set(leaves);
+          leaves = more;
+        }
       }
       enter(node, side, table, unit - bits);
       return POINTERS + table;
@@ -144,11 +168,13 @@ function blocksOf({ root, counts, held, refined, child, share }, tables, cell, b
         visit(child(node, octant), below, at, table, unit);
         continue;
       }
-      const entry = isRefined ? pointerTo(child(node, octant), below, unit) : isHeld ? LEAVES + below : below;
+      const isLeaf = isHeld && !isRefined && isShown(node, octant);
+      const entry = isRefined ? pointerTo(child(node, octant), below, unit) : isLeaf ? LEAVES + below : below;
       for (let z = at[2]; z < at[2] + span; ++z)
         for (let y = at[1]; y < at[1] + span; ++y) {
           const row = table * fan ** 3 + fan * (y + fan * z);
           entries.fill(entry, row + at[0], row + at[0] + span);
+          if (tints && isLeaf) leaves.fill(value(node, octant), row + at[0], row + at[0] + span);
         }
     }
   };
@@ -163,5 +189,6 @@ function blocksOf({ root, counts, held, refined, child, share }, tables, cell, b
     entries[table * fan ** 3] = entry;
   };
   enter(inner ? child(0, 0) : 0, top, 0, size + bits * (tables - 1));
-  return { entries: entries.subarray(0, used * fan ** 3), words, cells, whole: bricks ? full / 255 : 1, fan, cover: 2 ** (size + bits * tables) };
+  const count = used * fan ** 3;
+  return { entries: entries.subarray(0, count), leaves: leaves.subarray(0, count), firsts, words, cells, whole: bricks ? full / 255 : 1, fan, cover: 2 ** (size + bits * tables) };
 }

@@ -20,10 +20,17 @@ uniform float fan, cover;        // entries of a table along an axis; voxels of 
 uniform int root, finest, shaded; // sizes of the root, of what is drawn, of the cells of blocks
 uniform vec3 pitch;              // relative to the longest
 uniform vec3 clipLow, clipHigh, extent; // voxels: what is shown, and of the grid
-uniform int paint;               // PAINTS of octree.js
+uniform int paint;               // PAINTS of octree.js, or TINTED
 uniform bool edges;              // of voxels
 uniform vec2 depths;             // of the nearest and the farthest corner
+#ifdef TINTS
+uniform sampler2D tints;         // the colours of values
+uniform usampler2D leafTints;    // of entries that are inside leaves, the value
+uniform usampler2D firsts;       // of blocks, by octant the first value, or by cell the value
+ivec2 entryTexel;                // of the entry that was found last
+#endif
 
+const int TINTED = 4;
 const float STILL = 1e-30;   // speed along an axis below which a ray stays in its layer of voxels
 const float AHEAD = 0.5;     // distance before the hit, in cells, where the coverage is sampled
 const float VANISHES = 1e-6; // smaller gradients are rounding errors
@@ -71,6 +78,9 @@ uint entryOf(uint table, inout vec3 place)
     vec3 cell = floor(place);
     place -= cell;
     uint at = table * uint(int(fan * fan * fan)) + uint(int(cell.x + fan * (cell.y + fan * cell.z)));
+#ifdef TINTS
+    entryTexel = texel(at);
+#endif
     return texelFetch(entries, texel(at), 0).x;
 }
 
@@ -249,6 +259,33 @@ bool onEdge(Ray ray, float t, vec3 low, int k, vec3 face)
     return any(lessThan(margin, 0.75 * vec3(largest(pixel)))) && largest(pixel) < 0.2;
 }
 
+#ifdef TINTS
+
+uint countOf(uint v)
+{
+    v -= v >> 1 & 0x55555555u;
+    v = (v & 0x33333333u) + (v >> 2 & 0x33333333u);
+    return ((v + (v >> 4) & 0x0F0F0F0Fu) * 0x01010101u) >> 24;
+}
+
+// The colour of what is drawn at a voxel, and its opacity.
+vec4 tintAt(vec3 voxel)
+{
+    vec3 place = voxel / cover;
+    uint entry = entryAt(place);
+    if (entry < POINTERS)
+        return texelFetch(tints, texel(texelFetch(leafTints, entryTexel, 0).x), 0);
+    uint octant = 8u * (entry - POINTERS) + halve(place), at = halve(place);
+    if (finest > 0)
+        return texelFetch(tints, texel(texelFetch(firsts, texel(8u * octant + at), 0).x), 0);
+    uvec2 brick = texelFetch(bricks, texel(octant), 0).xy;
+    uint bit = 8u * (at & 3u) + halve(place), before = (1u << bit) - 1u;
+    uint rank = at < 4u ? countOf(brick.x & before) : countOf(brick.x) + countOf(brick.y & before);
+    return texelFetch(tints, texel(texelFetch(firsts, texel(octant), 0).x + rank), 0);
+}
+
+#endif
+
 void main()
 {
     picture = vec4(0);
@@ -278,14 +315,22 @@ void main()
     vec3 face = planes.x == last ? vec3(1, 0, 0) : planes.y == last ? vec3(0, 1, 0) : vec3(0, 0, 1);
     t = max(last, enters);
     vec3 n = normalAt(ray, direction, t, clipped, node, k, face);
+    bool line = edges && onEdge(ray, t, node, k, face);
     float bright = brightness(n.x, n.y, n.z, light.x, light.y, light.z);
-    vec3 shown = paint == 0 ? colour * bright
+    node += ray.down * (side - power(k) - 2.0 * node);
+    vec3 plain = colour;
+#ifdef TINTS
+    if (paint == TINTED) {
+        vec4 tint = tintAt(node);
+        plain = tint.a > 0.0 ? tint.rgb : colour;
+    }
+#endif
+    vec3 shown = paint == 0 || paint == TINTED ? plain * bright
                  : paint == 1 ? vec3(1.0 - 0.9 * clamp((t - depths.x) / (depths.y - depths.x), 0.0, 1.0))
                  : paint == 2 ? 0.5 + 0.5 * n
                               : bright * mix(vec3(1), hue(float(k) * 0.13), 0.6);
-    if (edges && onEdge(ray, t, node, k, face))
+    if (line)
         shown *= 0.5;
-    node += ray.down * (side - power(k) - 2.0 * node);
     picture = vec4(shown, 1);
     id = uvec4(uvec3(node), k + 1);
 }
