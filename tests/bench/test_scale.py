@@ -30,7 +30,7 @@ def bench(tmp_path: Path) -> Bench:
 def test_every_way_gives_the_octree(bench: Bench) -> None:
     points = list(scale.measure(bench))
     ways = ["in one piece", "in one piece, merged", "in windows", "in windows, merged"]
-    read = ["in one piece", "in windows"] * 2
+    read = ["in one piece", "in windows"] * 3  # the first two are of the flood
     assert [point.method for point in points] == [*ways, *read, "one command"]
     assert all(point.errors == {"different": 0} for point in points)
     plain, merged, windows, both = (point.bytes or 0 for point in points[:4])
@@ -41,6 +41,7 @@ def test_every_way_gives_the_octree(bench: Bench) -> None:
 def test_another_octree_is_an_error(bench: Bench, monkeypatch) -> None:
     wrong = voxtool.voxelize(bench.model, dim=16)
     monkeypatch.setattr(scale, "_in_windows", lambda job, target: write_svo(wrong, target))
-    written = itertools.islice(scale.measure(bench), 4)  # those of a mesh to a file
+    written = itertools.islice(scale.measure(bench), 6)  # those of a mesh to a file
     found = [point for point in written if point.errors["different"]]
-    assert [(point.work, point.method) for point in found] == [(scale.FILE, "in windows")]
+    wrong = [(work, "in windows") for work in (scale.FILE, scale.FLOOD)]
+    assert [(point.work, point.method) for point in found] == wrong

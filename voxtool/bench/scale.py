@@ -27,8 +27,8 @@ from voxtool.svo.booleans import combine, plan_combine
 from voxtool.svo.merged import MergedOctree
 from voxtool.svo.morphology import plan_morph
 from voxtool.svo.voxelize import plan_voxelize, voxelize
+from voxtool.tiles.flooding import plan_windows
 from voxtool.tiles.merging import MergingJob
-from voxtool.tiles.windows import WindowsJob
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -39,8 +39,10 @@ if TYPE_CHECKING:
     from voxtool.svo.voxelize import VoxelizeJob
 
 FILE, MANY = "mesh to file of an octree", "{} meshes to files of octrees"
+FLOOD = "mesh to file of a flooded octree"
 MODE = "surface26"
 SHARE = 4  # the octree takes so many times the memory that windows may
+FLOOD_SHARE = 2  # the same of a flood, whose windows need what lies around them
 MESHES = 16
 RADIUS = 4  # voxels
 UNION, CLOSE = "two octrees to a file of their union", "octree to a file of it, closed"
@@ -53,6 +55,7 @@ def measure(bench: Bench) -> Iterator[Point]:
     with tempfile.TemporaryDirectory(prefix="voxtool-bench-") as folder:
         for dim in bench.request.dims:
             yield from _large(bench, dim, Path(folder))
+            yield from _flooded(bench, dim, Path(folder))
             yield from _read(bench, dim, Path(folder))
         yield from _many(bench, min(bench.request.dims), Path(folder))
 
@@ -82,6 +85,26 @@ def _large(bench: Bench, dim: int, folder: Path) -> Iterator[Point]:
         runs = by_turns(bench.request, write)[0]
         errors = {"different": float(read_svo(target).digest() != digest)}
         yield row(runs=runs, errors=errors, bytes=target.stat().st_size)
+
+
+def _flooded(bench: Bench, dim: int, folder: Path) -> Iterator[Point]:
+    """The points of a flood: in one piece and in windows."""
+    mesh, target = load_mesh(bench.model), folder / "flooded.svo.h5"
+    plan = partial(plan_voxelize, mesh, Grid.fit(mesh, dim), fill="flood", device=bench.timed)
+    limit, digest = plan().plan.cost.device // FLOOD_SHARE, plan().run().digest()
+    ways = {
+        "in one piece": lambda: write_svo(plan().run(), target),
+        "in windows": lambda: _in_windows(plan(max_memory=limit), target),
+    }
+    for method, write in ways.items():
+        try:
+            write()
+        except MemoryLimitError:  # the least windows, with what lies around them, take more
+            continue
+        runs = by_turns(bench.request, write)[0]
+        errors = {"different": float(read_svo(target).digest() != digest)}
+        row = partial(bench.point, FLOOD, method, f"dim {dim}", asked={"dims": dim})
+        yield row(size=dim, size_of="dim", runs=runs, errors=errors, bytes=target.stat().st_size)
 
 
 def _read(bench: Bench, dim: int, folder: Path) -> Iterator[Point]:
@@ -128,7 +151,7 @@ def _read(bench: Bench, dim: int, folder: Path) -> Iterator[Point]:
 
 def _in_windows(part: VoxelizeJob, target: Path) -> None:
     """Write the octree of a job in windows."""
-    job = WindowsJob(part)
+    job = plan_windows(part)
     with Windows(str(target), job.request, job.plan.disk) as job.store:
         write_svo(cast("Octree", job.run()), target)
 
