@@ -201,6 +201,8 @@ class LinksJob(Job[WallLinks]):
         centre = tree.frame.centre.tolist()
         measure = device.kernel(SOURCE, "measure_links", **({"WIDE": 1} if wide else {}))
         places = np.empty((len(self.voxels), count), np.float32)
+        flags = np.empty(places.shape, np.uint8)
+        bits = np.arange(count, dtype=np.uint32)
         with self.stage(MEASURE):
             for start in range(0, len(places), CHUNK):
                 chosen = slice(start, start + CHUNK)
@@ -211,14 +213,13 @@ class LinksJob(Job[WallLinks]):
                     placed.vertices, placed.faces, tree.face_of, tree.count, tree.nodes,
                     tree.first_leaf, *centre, scale, found,
                 )  # fmt: skip
-                places[chosen] = found.take().reshape(n, count)
+                own = found.take().reshape(n, count)
+                links = (self.wanted[chosen][:, None] >> bits & 1).astype(bool)
+                flags[chosen] = np.where(links, CROSSED, NO_LINK)
+                flags[chosen][links & np.isinf(own)] = UNCROSSED
+                places[chosen] = np.where(links, np.where(np.isinf(own), MIDDLE, own), NO_PLACE)
                 if self.progress:
                     self.progress(min((start + CHUNK) / len(places), 1.0))
-        links = (self.wanted[:, None] >> np.arange(count, dtype=np.uint32) & 1).astype(bool)
-        open_ = np.isinf(places)
-        flags = np.where(links, np.where(open_, UNCROSSED, CROSSED), NO_LINK).astype(np.uint8)
-        places[open_] = MIDDLE
-        places[~links] = NO_PLACE
         return WallLinks(
             octree.grid, lattice, self.plan.fluid, STEPS[:count], self.voxels, places, flags,
             octree.source_sha256, octree.units,
