@@ -10,6 +10,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ import make_bunny
 
 import voxtool
 from voxtool.choices import FRACTION_TYPES
+from voxtool.mesh.appearance import Appearance, Parts
 
 GOLDEN = Path(__file__).parent / "golden" / "svo.json"
 MODELS = Path(__file__).parents[2] / "shared" / "models"
@@ -32,6 +34,7 @@ FILL_DIM = 128  # the largest
 OWN = ("bunny", "sphere", "torus", "open-box", "needles")
 MORPHS = {50: ("dilate", 2.5), 128: ("close", 4.0)}  # of the solid, by dim
 FRACTION_DIM = 200  # the largest with fractions
+ATTRIBUTES_DIM = 50  # of octrees with labels, colours and normals
 POINTS_DIM = 50  # of the octree that is queried at points
 DIMS = (8, 50, 64, 200, 512)
 REAL = ("stanford-bunny", "armadillo", "dragon", "nefertiti", "fandisk", "rocker-arm", "spot",
@@ -77,6 +80,8 @@ def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterat
         for fill, gap in FILLS if dim <= FILL_DIM else ():
             octree = voxtool.voxelize(mesh, grid, fill=fill, gap=gap, device=device)
             yield f"{octree.fill} {dim}", octree.digest()
+        if dim == ATTRIBUTES_DIM:
+            yield from attributed(mesh, grid, device)
         if dim == POINTS_DIM:
             answers = voxtool.query_svo(
                 octree, points_of(mesh), level=0, nearest=True, device=device
@@ -86,6 +91,21 @@ def digests(mesh: voxtool.Mesh, dims: tuple[int, ...], device: object) -> Iterat
             solid = voxtool.voxelize(mesh, grid, fill="parity", device=device)
             changed = voxtool.morph(solid, *MORPHS[dim], device=device)
             yield f"{' '.join(map(str, MORPHS[dim]))} {dim}", changed.digest()
+
+
+def attributed(mesh: voxtool.Mesh, grid: voxtool.Grid, device: Any) -> Iterator[tuple[str, str]]:
+    """Digests of octrees with labels of three parts, each every third face or a shell, and with
+    colours and normals."""
+    thirds = Parts(np.arange(len(mesh.faces), dtype=np.int32) % 3, ("a", "b", "c"))
+    for mode, labels in (("surface26", thirds), ("surface6", thirds), ("solid", "shell")):
+        octree = voxtool.voxelize(mesh, grid, mode, labels=labels, fill="parity", device=device)
+        yield f"labels {mode} {grid.dim}", octree.digest()
+    colours = np.mod(np.arange(4 * len(mesh.vertices)), 7).reshape(-1, 4) / 8
+    look = Appearance((), np.full(len(mesh.faces), -1, np.int32), colours=colours)
+    coloured = replace(mesh, appearance=look)
+    request: dict[str, Any] = {"attributes": ("colour", "normal"), "device": device}
+    octree = voxtool.voxelize(coloured, grid, "surface26", **request)
+    yield f"colours {grid.dim}", octree.digest()
 
 
 def points_of(mesh: voxtool.Mesh) -> np.ndarray:

@@ -20,7 +20,7 @@ from voxtool.cli.main import cli
 
 pytestmark = pytest.mark.slow  # most run whole benches
 BENCHES = ("voxelize", "extract", "adf", "surfaces", "distance", "pictures", "tets", "view",
-           "exchange", "combine", "morph", "scale", "repair", "growth")  # fmt: skip
+           "exchange", "combine", "morph", "attributes", "scale", "repair", "growth")  # fmt: skip
 ON_THE_HOST = (
     ("field to surface", "dual contouring"), ("octree to components", "components"),
 )  # fmt: skip

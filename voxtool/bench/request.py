@@ -23,6 +23,7 @@ SETTINGS = {  # the fields of a Request that each bench reads
              "component"),
     "view": ("dims", "levels", "tolerances", "sign", "scalar", "component"),
     "fractions": ("dims",),
+    "attributes": ("dims",),
     "exchange": ("dims",),
     "combine": ("dims",),
     "morph": ("dims",),
@@ -34,8 +35,8 @@ SETTINGS = {  # the fields of a Request that each bench reads
 }  # fmt: skip
 
 MESH_BENCHES = ("voxelize", "extract", "adf", "surfaces", "distance", "pictures", "view",
-                "exchange", "combine", "morph", "fractions", "scale", "repair",
-                "growth")  # fmt: skip
+                "exchange", "combine", "morph", "fractions", "attributes", "scale",
+                "repair", "growth")  # fmt: skip
 VOLUME_BENCHES = ("tets", "view", "growth")
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from voxtool.bench import (
     adf,
+    attributes,
     combine,
     degenerate,
     distance,
@@ -44,6 +45,7 @@ BENCHES = {
     "voxelize": voxels.measure_voxelize,
     "extract": voxels.measure_extract,
     "fractions": fractions.measure,
+    "attributes": attributes.measure,
     "adf": adf.measure,
     "surfaces": field_surfaces.measure,
     "distance": distance.measure,

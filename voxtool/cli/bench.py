@@ -207,6 +207,16 @@ COMMANDS = {
       voxtool bench fractions bunny.obj --dims 64,512
       voxtool bench fractions bunny.obj --quick -o report
     """,
+    "attributes": """Measure octrees with labels, normals and colours, beside those without.
+
+    Of labels of shells an error is a voxel without that of the first shell that sets it, each
+    voxelized alone; of normals and colours an octree that sets other voxels: there must be none.
+
+    \b
+    Examples:
+      voxtool bench attributes bunny.obj --dims 128,512
+      voxtool bench attributes bunny.obj --quick -o report
+    """,
     "scale": """Measure octrees of MODELS written in windows and merged, and many by one command.
 
     Windows have a quarter of the memory that the octree takes. An error is an octree whose content

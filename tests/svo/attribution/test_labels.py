@@ -255,6 +255,21 @@ def test_each_part_has_its_own_fill(device, fill: str) -> None:
     assert alone[0].any()
 
 
+@pytest.mark.parametrize("fill", ["parity", "nonzero"])
+def test_rows_that_leak_stay_with_their_part(device, fill: str) -> None:
+    """Boxes without the side towards +x, whose rows leak to the side of the grid."""
+    solids = [meshes.box((400 + 600 * i, 400, 400), (800 + 600 * i, 1200, 1200)) for i in range(5)]
+    right = [np.flatnonzero((np.asarray(v)[np.asarray(f), 0] == np.asarray(v)[:, 0].max()).all(1))
+             for v, f in solids]  # fmt: skip
+    solids = [(v, np.delete(f, side, axis=0)) for (v, f), side in zip(solids, right, strict=True)]
+    mesh, parts = lattice_mesh(solids)
+    job = plan_labels(mesh, UNIT, labels=parts, fill=fill, device=device)
+    labels = label_array(job.run())
+    alone = each_alone(job, device, mode="solid", fill=fill)
+    assert (labels == np.where(np.any(alone, axis=0), np.argmax(alone, axis=0), -1)).all()
+    assert alone[0][15].any()
+
+
 def test_kinds_of_labels() -> None:
     mesh, parts = lattice_mesh(
         [meshes.box((0, 0, 0), (9, 9, 9)), meshes.box((20, 0, 0), (30, 9, 9))]

@@ -188,7 +188,7 @@ def _alone(own: PartMesh, fixed: np.ndarray, grid: Grid, fill: str, gap: int) ->
     low, high = _voxels(own, fixed, gap)
     beyond = ((low < 0) | (high >= grid.shape)).any(axis=1)
     alone = dict.fromkeys(own.parts[beyond].tolist(), "reaches to the side of the grid")
-    if fill in ("auto", "winding"):
+    if fill not in ("none", "flood"):  # rows that leak would run into other cells
         for part in own.parts[~own.closed()].tolist():
             alone.setdefault(part, "not closed: its holes take part in the fill")
     return dict(sorted(alone.items()))

@@ -1,0 +1,36 @@
+"""Benchmarks of attributes: a row with and without each, and what is an error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import meshes
+import numpy as np
+import pytest
+from conftest import opened, usable_devices
+from helpers_cli import write_obj
+
+from voxtool.bench import attributes
+from voxtool.bench.request import Request
+from voxtool.bench.timing import Bench
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Bench:
+    two = meshes.join(meshes.icosphere(1, 0.0, 1.0), meshes.icosphere(1, (0.5, 0.2, 0.0), 1.0))
+    write_obj(tmp_path / "balls.obj", *two)
+    device = opened(usable_devices()[0][0])
+    request = Request(dims=(16,), repeat=1, seconds=0)
+    return Bench(request, device, device, "attributes", str(tmp_path / "balls.obj"))
+
+
+def test_no_voxel_is_wrong_and_wrong_ones_are_found(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    points = {p.method: p for p in attributes.measure(bench)}
+    assert len(points) == 5
+    assert all(p.errors == {"wrong": 0} for p in points.values())
+    right = attributes.label_numbers
+    monkeypatch.setattr(attributes, "label_numbers", lambda o: np.minimum(right(o), 1))
+    points = {p.method: p for p in attributes.measure(bench)}
+    assert points["solid, labels of shells"].errors["wrong"] > 0.01

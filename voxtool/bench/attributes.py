@@ -1,0 +1,98 @@
+"""Octrees with labels, normals and colours, beside the octree without attributes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from voxtool.files.mesh import load_mesh
+from voxtool.grid import Grid
+from voxtool.mesh.appearance import Appearance
+from voxtool.svo.attribute_image import AttributeImage
+from voxtool.svo.attribution.colours import plan_attributes
+from voxtool.svo.attribution.labels import PartLabelsJob, plan_labels
+from voxtool.svo.image import VoxelImage
+from voxtool.svo.octree import Octree
+from voxtool.svo.voxelize import plan_voxelize
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from voxtool.bench.points import Point
+    from voxtool.bench.timing import Bench
+    from voxtool.job import Job
+    from voxtool.mesh.mesh import Mesh
+    from voxtool.opencl import Device
+
+WORK = "mesh to octree with attributes"
+DENSE_DIM = 128  # up to which labels are compared
+PARITY: dict[str, Any] = {"fill": "parity"}
+TOO_LARGE = {"wrong": f"labels are compared up to dim {DENSE_DIM}"}
+
+
+def measure(bench: Bench) -> Iterator[Point]:
+    """The points of a model: its solid without and with labels of its shells; its surface without
+    attributes, with normals, and with colours of its vertices."""
+    mesh = load_mesh(bench.model)
+    painted = with_colours(mesh)
+    for dim in bench.request.dims:
+        grid = Grid.fit(mesh, dim)
+        row = partial(bench.point, WORK, label=f"dim {dim}", asked={"dims": dim}, size_of="voxels")
+        solid = partial(plan_voxelize, mesh, grid, "solid", **PARITY)
+        labels = partial(plan_labels, mesh, grid, "solid", labels="shell", **PARITY)
+        surface = partial(plan_voxelize, mesh, grid, "surface26")
+        for method, plan in (
+            ("solid", solid),
+            ("solid, labels of shells", labels),
+            ("surface26", surface),
+            ("surface26, normals", partial(with_attribute, surface, mesh, "normal")),
+            ("surface26, colours", partial(with_attribute, surface, painted, "colour")),
+        ):
+            job = plan(device=bench.timed)
+            octree = job.run()
+            errors, absent = {}, {}
+            if isinstance(job, PartLabelsJob):
+                if dim <= DENSE_DIM:
+                    errors["wrong"] = wrong_labels(job, octree) / grid.dim**3
+                else:
+                    absent = TOO_LARGE
+            else:
+                plain = (solid if "solid" in method else surface)(device=bench.timed).run()
+                errors["wrong"] = float(octree.set_digest() != plain.set_digest())
+            held = sum(attribute.nbytes for attribute in octree.attributes)
+            yield row(
+                method, run=lambda device, plan=plan: plan(device=device).run(), errors=errors,
+                absent=absent, bytes=octree.nbytes + held, size=octree.count,
+            )  # fmt: skip
+
+
+def with_colours(mesh: Mesh) -> Mesh:
+    """The mesh with a colour at each vertex, by its place in the mesh's box."""
+    low, high = mesh.bounds
+    colours = np.ones((len(mesh.vertices), 4))
+    colours[:, :3] = np.clip((mesh.vertices - low) / np.maximum(high - low, 1e-300), 0, 1)
+    none = np.full(len(mesh.faces), -1, np.int32)
+    return replace(mesh, appearance=Appearance((), none, colours=colours))
+
+
+def with_attribute(plan: Any, mesh: Mesh, name: str, device: Device) -> Job[Octree]:
+    """The job of a surface and an attribute of it."""
+    return plan_attributes(plan(device=device), mesh, (name,), device=device)
+
+
+def wrong_labels(job: PartLabelsJob, octree: Octree) -> int:
+    """The voxels whose label is not that of the first part that sets it, each voxelized alone."""
+    expected = np.zeros(job.grid.shape, np.int64)
+    for part in job.own.parts[::-1].tolist():
+        alone = plan_voxelize(job.own.alone(part, job.mesh), job.grid, device=job.device, **PARITY)
+        expected[alone.run().to_dense()] = part + 1
+    return int(np.count_nonzero(label_numbers(octree) != expected))
+
+
+def label_numbers(octree: Octree) -> np.ndarray:
+    """The label of each voxel from 1 on, and 0 of unset ones, (nx, ny, nz)."""
+    image = AttributeImage(VoxelImage.of(octree), "label")
+    return np.concatenate(list(image.slabs())).astype(np.int64)
