@@ -30,6 +30,7 @@ STYLES = ("marching-cubes", "voxel-faces", "surface-nets", "sharp")  # of extrac
 MARCHING_CUBES, VOXEL_FACES, SURFACE_NETS, SHARP = STYLES
 # Names of version 0.1, which are still taken, and which digests still hold.
 STYLE_ALIASES = {"smooth": MARCHING_CUBES, "blocks": VOXEL_FACES, "nets": SURFACE_NETS}
+LABEL_STYLES = (SURFACE_NETS, VOXEL_FACES)  # of meshes of labels, with common borders
 DEFAULT_TOLERANCE = 1e-3  # of a distance field, in sides of its cube
 # Levels of the leaves of a field, from the root on: a leaf of level 21 has a parent whose key has
 # 21 bits and whose identifier has 61.
@@ -49,4 +50,5 @@ METHODS = ("raycast", "projection")  # of rendering volumes
 VIEWS = ("front", "back", "left", "right", "top", "bottom", "iso")
 WHITE = (1.0, 1.0, 1.0)  # the background of pictures
 LABEL, NONE = "label", "none"
+BY = (LABEL,)  # attributes whose values have a mesh each
 COLOUR_BY = (LABEL, "colour", "normal", "fraction", NONE)  # attributes that give voxels colours
